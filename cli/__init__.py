@@ -1,0 +1,1 @@
+"""Words the user types: one file per command; the one place that prints, and the one error border."""

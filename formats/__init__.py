@@ -1,0 +1,1 @@
+"""Bytes <-> values: MCAP, message decoding, robot.toml, trajectories, reports, Rerun."""

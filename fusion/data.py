@@ -1,0 +1,240 @@
+"""Columns and results: the values that flow from a log to a report.
+
+Columns, not objects: an hour of log holds 10^5..10^6 readings, so readings, measurements and estimates are
+NumPy columns. Times are integer nanoseconds (`t_ns`) at the border and float seconds since `Drive.epoch_ns`
+inside; angles are radians; frames are REP-103 (x forward, y left, counter-clockwise).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+class LocfuseError(Exception):
+    """What a file says is unusable: one line with what, where, the numbers, and what to try next."""
+
+    exit_code = 1
+
+
+class UsageError(LocfuseError):
+    """The command line asks for something impossible (a flag, a `--set`, no such path)."""
+
+    exit_code = 2
+
+
+@dataclass(frozen=True)
+class Ragged:
+    """A column whose rows differ in length, such as LaserScan.ranges: row i is values[first[i]:first[i+1]]."""
+
+    values: NDArray[Any]  # (total,)
+    first: Ints  # (n + 1,)
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(self.first) - 1
+
+    def __getitem__(self, i: int) -> NDArray[Any]:
+        """Return row i as a view."""
+        return self.values[self.first[i] : self.first[i + 1]]
+
+    @property
+    def lengths(self) -> Ints:
+        """Length of every row, (n,)."""
+        return np.diff(self.first)
+
+    def matrix(self) -> NDArray[Any] | None:
+        """Return the rows as one (n, m) view where all have the same length m, else None."""
+        lengths = self.lengths
+        if len(lengths) == 0 or (lengths != lengths[0]).any():
+            return None
+        return self.values[self.first[0] : self.first[-1]].reshape(len(lengths), int(lengths[0]))
+
+
+# What a column of readings may be: numbers (n,) or (n, k); Ragged; or one Python value per row
+# (str; tuple[str, ...] for string[]; bytes-like for uint8[] payloads such as images).
+Column = NDArray[Any] | Ragged | list[Any]
+Block = tuple[Ints, dict[str, Column]]
+
+
+class Stream(Protocol):
+    """One topic of a log: its clock is settled, its fields are delivered as columns on request.
+
+    Row order is the log's order (log time, topic, sequence) and `t_ns` never decreases.
+    """
+
+    topic: str
+    msgtype: str  # e.g. "sensor_msgs/msg/LaserScan"
+    frame_id: str  # of the first message's header, "" without one
+    t_ns: Ints  # (n,) when the readings were taken
+    dropped: Mapping[str, int]  # reason -> messages of this topic that are not among the rows
+
+    def columns(self, *fields: str) -> dict[str, Column]:
+        """Return whole columns by dotted field path ("magnetic_field.x"), each with n rows."""
+
+    def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
+        """Yield (row numbers (k,), columns of these rows) with bounded memory; every row exactly once."""
+
+
+@dataclass(frozen=True)
+class ArrayStream:
+    """A Stream whose columns are already in memory: readings made by tests and by the control loop."""
+
+    topic: str
+    msgtype: str
+    t_ns: Ints
+    data: Mapping[str, Column]
+    frame_id: str = ""
+    dropped: Mapping[str, int] = field(default_factory=dict)
+
+    def columns(self, *fields: str) -> dict[str, Column]:
+        """Return the named columns."""
+        return {name: self.data[name] for name in fields}
+
+    def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
+        """Yield everything as one block."""
+        yield np.arange(len(self.t_ns)), self.columns(*fields)
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """What one sensor measured over a drive, free of any pose: ragged, since a scan gives several lines.
+
+    Reading i holds the rows first[i]:first[i+1]; none means the reading gave no measurement ("absent").
+    The covariance of row j is scale^2 * R_unit[j] + floor, so that tuning re-fuses without re-measuring.
+    """
+
+    t: Array  # (n,) s since Drive.epoch_ns, never decreasing, time_offset applied
+    first: Ints  # (n + 1,)
+    z: Array  # (m, d)
+    R_unit: Array  # (m, d, d)
+    scale: float  # the sensor's sigma
+    floor: Array  # (d, d)
+    extra: dict[str, Array] = field(default_factory=dict)  # more columns with m rows, e.g. segment ends
+    dropped: dict[str, int] = field(default_factory=dict)  # readings refused, by reason
+
+    @cached_property
+    def R(self) -> Array:
+        """Covariance of every row, (m, d, d)."""
+        return self.scale**2 * self.R_unit + self.floor
+
+    @property
+    def absent(self) -> int:
+        """Readings that gave no measurement."""
+        return int((np.diff(self.first) == 0).sum())
+
+    @cached_property
+    def scalars(self) -> tuple[list[float], list[float]]:
+        """Value and variance of every row as plain floats, for sensors that measure one number."""
+        return self.z[:, 0].tolist(), self.R[:, 0, 0].tolist()
+
+    def take(self, readings: Ints) -> Measurements:
+        """Return the readings at these positions, in this order."""
+        counts = np.diff(self.first)[readings]
+        first = np.concatenate(([0], np.cumsum(counts)))
+        rows = np.repeat(self.first[readings] - first[:-1], counts) + np.arange(first[-1])
+        return Measurements(
+            t=self.t[readings],
+            first=first,
+            z=self.z[rows],
+            R_unit=self.R_unit[rows],
+            scale=self.scale,
+            floor=self.floor,
+            extra={k: v[rows] for k, v in self.extra.items()},
+            dropped=self.dropped,
+        )
+
+
+@dataclass(frozen=True)
+class Motions:
+    """Pre-integrated wheel motion over n intervals, each seen from the pose at its start."""
+
+    u: Array  # (n, 3) relative pose: exact arcs
+    Q: Array  # (n, 3, 3) its covariance, in the frame of the interval's start
+    J: Array  # (n, 3, p) du/d(wheel parameters), p = 0 where none are estimated
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Reference poses of the body frame or of a tracked body point."""
+
+    topic: str
+    t: Array  # (n,) s since Drive.epoch_ns
+    xy: Array  # (n, 2) m, map frame, of the tracked point
+    theta: Array | None  # (n,) rad, of the body; None where the truth has no heading
+    point: tuple[float, float] = (0.0, 0.0)  # the tracked point on the body, m
+    sigma: float = 0.0  # m, the truth's own standard deviation per axis
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A measured log: wheel motion cut at the instants of every sensor present, measurements, truth."""
+
+    epoch_ns: int  # the first wheel reading; all times below are seconds after it
+    t: Array  # (n,) instants, increasing; the first and the last wheel reading are among them
+    motions: Motions  # n intervals; motions[k] leads from instant k-1 to k, motions[0] is zero
+    measurements: dict[str, Measurements]  # every sensor present in the log
+    instant: dict[str, Ints]  # sensor -> (number of readings,) the instant each reading belongs to
+    absent: dict[str, str]  # sensor -> why the log lacks it
+    truth: Truth | None = None
+    truth_motions: Motions | None = None  # from the instant before each truth stamp to that stamp
+    truth_instant: Ints | None = None  # (number of truth stamps,) that instant; -1 before the drive
+    dropped: dict[str, dict[str, int]] = field(default_factory=dict)  # stream -> reason -> count
+    wheels: Any = None  # fusion.motion.Wheels: the odometry behind `motions`
+    notes: tuple[str, ...] = ()  # oddities in words: choices made, lags found
+
+
+VERDICTS = ("accepted", "gate", "ambiguous", "unmatched", "new", "disturbed")
+
+
+@dataclass(frozen=True)
+class Audit:
+    """Every measurement of one sensor in one run: what was predicted, how far off it was, what became of it."""
+
+    instant: Ints  # (k,)
+    row: Ints  # (k,) row in Measurements.z
+    verdict: NDArray[np.int8]  # (k,) index into VERDICTS
+    landmark: Ints  # (k,) id of the map feature it was compared with, -1 for none
+    nis: Array  # (k,) squared Mahalanobis distance; NaN where nothing was predicted
+    threshold: Array  # (k,) the gate
+    y: Array  # (k, d) innovation; NaN where nothing was predicted
+    sigma: Array  # (k, d) its predicted standard deviation
+
+
+@dataclass(frozen=True)
+class MapLine:
+    """One line of the map in normal form x cos(beta) + y sin(beta) = rho (paper eq. 14), with its extent."""
+
+    id: int
+    rho: float
+    beta: float
+    ends: tuple[float, float]  # m along the tangent (-sin beta, cos beta)
+    P: Array  # (2, 2) covariance of (rho, beta)
+    hits: int = 0
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """The result of one configuration over one drive."""
+
+    name: str
+    sensors: tuple[str, ...]
+    t: Array  # (n,) = Drive.t
+    pose: Array  # (n, 3) map frame, theta unwrapped
+    P: Array  # (n, 3, 3)
+    audits: dict[str, Audit]
+    blocks: dict[str, Array] = field(default_factory=dict)  # fixed-size state blocks over time, (n, k)
+    block_sigmas: dict[str, Array] = field(default_factory=dict)  # their standard deviations, (n, k)
+    first_map: Sequence[MapLine] = ()
+    final_map: Sequence[MapLine] = ()
+    truth_pose: Array | None = None  # (q, 3) predicted at the truth stamps, NaN before the drive
+    truth_P: Array | None = None  # (q, 3, 3)
+    notes: tuple[str, ...] = ()

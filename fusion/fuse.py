@@ -1,0 +1,219 @@
+"""The loop: one configuration over one drive. `state = advance(state, instant)`, and nothing looks ahead.
+
+predict by the wheels  ->  every sensor due compares with the same prior  ->  correct once  ->  learn
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from . import se2
+from .data import Array, Audit, Drive, Estimates, LocfuseError, Measurements
+from .ekf import JointBelief, PoseBelief, Triangle
+from .robot import Robot, StartSettings, WheelSettings
+from .sensors.base import Block, Innovation, Model
+from .sensors.registry import REGISTRY
+
+WHEELS = "wheels"
+
+
+def fuse(drive: Drive, robot: Robot, sensors: Sequence[str], name: str | None = None) -> Estimates:
+    """Run the filter with these sensors. Raises LocfuseError where the drive lacks one of them."""
+    for sensor in sensors:
+        if sensor not in drive.measurements:
+            raise LocfuseError(f"{sensor}: {drive.absent.get(sensor, 'not in this log')}")
+    run = Filter(robot, {s: drive.measurements[s] for s in sensors})
+    due = _due(drive, sensors)
+    rows = Motion(drive)
+    for k in range(len(drive.t)):
+        run.advance(k, rows, due[k], drive.measurements)
+    return run.estimates(drive, name or configuration_name(sensors, drive))
+
+
+def configuration_name(sensors: Sequence[str], drive: Drive) -> str:
+    """Return "odometry", one sensor's name, "all", or names joined by + in registry order."""
+    present = [s for s in REGISTRY if s in drive.measurements]
+    chosen = [s for s in REGISTRY if s in sensors]
+    if not chosen:
+        return "odometry"
+    if chosen == present and len(present) > 1:
+        return "all"
+    return "+".join(chosen)
+
+
+class Motion:
+    """The drive's motions as plain floats, so that the loop touches no NumPy scalar."""
+
+    def __init__(self, drive: Drive) -> None:
+        m = drive.motions
+        self.u = m.u.tolist()
+        self.Q = m.Q.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]].tolist()
+        self.J = m.J if m.J.shape[2] else None
+        self.dt = np.diff(drive.t, prepend=drive.t[:1]).tolist()
+
+
+class Filter:
+    """The filter of one configuration: a belief, one model per sensor, and the record of what happened."""
+
+    def __init__(self, robot: Robot, measurements: Mapping[str, Measurements]) -> None:
+        self.models: dict[str, Model] = {
+            s: REGISTRY[s].model(robot.settings(s), measurements[s]) for s in REGISTRY if s in measurements
+        }
+        self.belief = _begin(robot, list(self.models.values()))
+        self._poses = array("d")  # flat: an hour of Python tuples would be hundreds of megabytes
+        self._triangles = array("d")
+        self._records = {s: Record(measurements[s].z.shape[1]) for s in self.models}
+        fixed = [b.name for m in self.models.values() for b in m.blocks()]
+        if robot.wheels.estimate:
+            fixed.append(WHEELS)
+        self._blocks: dict[str, tuple[array[float], array[float]]] = {n: (array("d"), array("d")) for n in fixed}
+
+    def advance(
+        self, k: int, motion: Motion, due: Sequence[tuple[str, int]], measurements: Mapping[str, Measurements]
+    ) -> None:
+        """Take the belief to instant k and correct it by every reading (sensor, i) that is due there."""
+        belief = self.belief
+        if isinstance(belief, PoseBelief):
+            belief.predict(motion.u[k], motion.Q[k])
+        else:
+            belief.predict(motion.u[k], motion.Q[k], motion.dt[k], None if motion.J is None else motion.J[k])
+        accepted: list[Innovation] = []
+        for sensor, i in due:
+            seen = self.models[sensor].innovations(measurements[sensor], i, belief)
+            self._records[sensor].add(k, seen)
+            accepted += [innovation for innovation in seen if innovation.verdict == 0]
+        belief.correct(accepted)
+        for sensor, i in due:
+            self.models[sensor].learn(measurements[sensor], i, belief)
+        self._record()
+
+    def _record(self) -> None:
+        belief = self.belief
+        if isinstance(belief, PoseBelief):
+            self._poses.extend((belief.x, belief.y, belief.theta))
+            self._triangles.extend(belief.P)
+            return
+        x, P = belief.state, belief.covariance
+        self._poses.extend(x[:3].tolist())
+        (xx, xy, xt), (_, yy, yt), (_, _, tt) = P[:3, :3].tolist()
+        self._triangles.extend((xx, xy, xt, yy, yt, tt))
+        for name, (values, sigmas) in self._blocks.items():
+            column, now = belief.block(name)
+            values.extend(now.tolist())
+            sigmas.extend(math.sqrt(max(float(P[i, i]), 0.0)) for i in range(column, column + len(now)))
+
+    def estimates(self, drive: Drive, name: str) -> Estimates:
+        """Return everything recorded, with predictions at the truth's stamps beside it."""
+        n = len(self._poses) // 3
+        pose = np.array(self._poses).reshape(n, 3)
+        P = _matrices(np.array(self._triangles).reshape(n, 6))
+        blocks = {name: np.array(v).reshape(n, -1) for name, (v, _) in self._blocks.items()}
+        maps = [m.lines(self.belief) for m in self.models.values()]
+        truth_pose, truth_P = _at_truth(drive, pose, P, blocks.get(WHEELS))
+        return Estimates(
+            name=name,
+            sensors=tuple(self.models),
+            t=drive.t,
+            pose=pose,
+            P=P,
+            audits={s: record.audit() for s, record in self._records.items()},
+            blocks=blocks,
+            block_sigmas={name: np.array(s).reshape(n, -1) for name, (_, s) in self._blocks.items()},
+            first_map=[line for first, _ in maps for line in first],
+            final_map=[line for _, final in maps for line in final],
+            truth_pose=truth_pose,
+            truth_P=truth_P,
+        )
+
+
+class Record:
+    """What became of every measurement of one sensor, as flat floats until the run ends."""
+
+    def __init__(self, width: int) -> None:
+        self._width = width
+        self._values = array("d")
+
+    def add(self, k: int, seen: Sequence[Innovation]) -> None:
+        """Note the innovations of one reading at instant k."""
+        for i in seen:
+            self._values.extend((k, i.row, i.verdict, i.landmark, i.nis, i.threshold, *i.y, *i.sigma))
+
+    def audit(self) -> Audit:
+        """Return the record as columns."""
+        d = self._width
+        values = np.array(self._values).reshape(-1, 6 + 2 * d)
+        return Audit(
+            instant=values[:, 0].astype(np.int64),
+            row=values[:, 1].astype(np.int64),
+            verdict=values[:, 2].astype(np.int8),
+            landmark=values[:, 3].astype(np.int64),
+            nis=values[:, 4],
+            threshold=values[:, 5],
+            y=values[:, 6 : 6 + d],
+            sigma=values[:, 6 + d :],
+        )
+
+
+def _begin(robot: Robot, models: Sequence[Model]) -> PoseBelief | JointBelief:
+    """Return the belief at the start: plain floats unless somebody owns a block of the state."""
+    pose, P = _start(robot.start)
+    blocks = [block for model in models for block in model.blocks()]
+    if robot.wheels.estimate:
+        blocks.append(_wheel_block(robot.wheels))
+    if not blocks and not any(getattr(model, "joint", False) for model in models):
+        return PoseBelief(pose, P)
+    belief = JointBelief(pose, P, blocks)
+    if robot.wheels.estimate:
+        belief.drive_with(WHEELS)
+    return belief
+
+
+def _start(start: StartSettings) -> tuple[tuple[float, float, float], Triangle]:
+    xy, theta = start.sigma_xy**2, math.radians(start.sigma_theta_deg) ** 2
+    return (start.x, start.y, math.radians(start.theta_deg)), (xy, 0.0, 0.0, xy, 0.0, theta)
+
+
+def _wheel_block(wheels: WheelSettings) -> Block:
+    """Scale of the left wheel, of the right wheel, and of the track: corrections, zero at the start."""
+    variance = np.array([wheels.sigma_scale, wheels.sigma_scale, wheels.sigma_track]) ** 2
+    return Block(WHEELS, np.zeros(3), np.diag(variance), np.zeros(3))
+
+
+def _due(drive: Drive, sensors: Sequence[str]) -> list[list[tuple[str, int]]]:
+    """Return for every instant the readings (sensor, i) that belong to it, in registry order."""
+    due: list[list[tuple[str, int]]] = [[] for _ in range(len(drive.t))]
+    for sensor in REGISTRY:
+        if sensor in sensors:
+            for i, k in enumerate(drive.instant[sensor].tolist()):
+                due[k].append((sensor, i))
+    return due
+
+
+def _matrices(triangles: Array) -> Array:
+    """Return (n, 3, 3) from upper triangles (n, 6)."""
+    return triangles[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+
+
+def _at_truth(drive: Drive, pose: Array, P: Array, wheels: Array | None) -> tuple[Array | None, Array | None]:
+    """Predict pose and covariance at the truth's stamps; NaN outside the drive. Never fed back."""
+    if drive.truth_motions is None or drive.truth_instant is None:
+        return None, None
+    k = np.maximum(drive.truth_instant, 0)
+    u = drive.truth_motions.u
+    if wheels is not None:
+        u = u + np.einsum("nij,nj->ni", drive.truth_motions.J, wheels[k])
+    out = se2.compose(pose[k], u)
+    A = np.zeros((len(k), 3, 3))
+    A[:] = np.eye(3)
+    A[:, 0, 2], A[:, 1, 2] = pose[k, 1] - out[:, 1], out[:, 0] - pose[k, 0]
+    turn = np.zeros_like(A)
+    c, s = np.cos(pose[k, 2]), np.sin(pose[k, 2])
+    turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1], turn[:, 2, 2] = c, -s, s, c, 1.0
+    spread = A @ P[k] @ A.transpose(0, 2, 1) + turn @ drive.truth_motions.Q @ turn.transpose(0, 2, 1)
+    outside = drive.truth_instant < 0
+    out[outside], spread[outside] = np.nan, np.nan
+    return out, spread

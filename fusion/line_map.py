@@ -1,0 +1,160 @@
+"""The line map (paper eq. 14): walls as (rho, beta) about an anchor point on each wall, with their extents.
+
+A line is n.(q - a) = rho with n = (cos beta, sin beta) and a fixed anchor a near the wall. With a = 0 this is
+the paper's form; with a on the wall itself, an error in beta has no lever arm far from the origin. n points
+from where the line was first seen into the wall, so C = rho - n.(p - a) > 0 on the face that was seen.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from .data import Array, Ints, MapLine
+from .ekf import JointBelief, PoseBelief
+
+AnyBelief = PoseBelief | JointBelief
+
+
+class Prediction(NamedTuple):
+    """What the robot should see of k map lines, and how the prediction depends on the state."""
+
+    r: Array  # (k,) m, signed: paper eq. 17, 18 without the sign
+    psi: Array  # (k,) rad, base frame, not wrapped
+    cos: Array  # (k,) of beta
+    sin: Array  # (k,) of beta
+    u: Array  # (k,) dr/dbeta
+    spread: Array  # (k, 2, 2) H P H', and the map's covariance where the map is not a state
+
+
+@dataclass
+class LineMap:
+    """Lines as columns (J,); values of lines that are states live in the belief, at `column`."""
+
+    ids: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    anchor: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    lo: Array = field(default_factory=lambda: np.zeros(0))  # m along the tangent from the anchor
+    hi: Array = field(default_factory=lambda: np.zeros(0))
+    hits: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    column: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # -1: frozen
+    value: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (rho, beta) of frozen lines
+    P: Array = field(default_factory=lambda: np.zeros((0, 2, 2)))  # of frozen lines
+    seen: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # number of the scan that last matched
+    born: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    next_id: int = 0
+
+    def __len__(self) -> int:
+        """Return the number of lines."""
+        return len(self.ids)
+
+    def values(self, belief: AnyBelief) -> Array:
+        """Return (rho, beta) of every line, (J, 2)."""
+        if isinstance(belief, PoseBelief) or len(self) == 0 or self.column[0] < 0:
+            return self.value
+        return np.stack((belief.state[self.column], belief.state[self.column + 1]), axis=-1)
+
+    def covariances(self, belief: AnyBelief) -> Array:
+        """Return the covariance of (rho, beta) of every line, (J, 2, 2)."""
+        if isinstance(belief, PoseBelief) or len(self) == 0 or self.column[0] < 0:
+            return self.P
+        at = np.stack((self.column, self.column + 1), axis=-1)
+        P: Array = belief.covariance[at[:, :, None], at[:, None, :]]
+        return P
+
+    def append(
+        self, anchor: Array, value: Array, P: Array, column: int, ends: tuple[float, float], scan: int
+    ) -> int:
+        """Add one line and return its id."""
+        line, self.next_id = self.next_id, self.next_id + 1
+        self.ids = np.append(self.ids, line)
+        self.anchor = np.vstack((self.anchor, anchor))
+        self.lo, self.hi = np.append(self.lo, ends[0]), np.append(self.hi, ends[1])
+        self.hits, self.column = np.append(self.hits, 1), np.append(self.column, column)
+        self.value = np.vstack((self.value, value))
+        self.P = np.concatenate((self.P, P[None]))
+        self.seen, self.born = np.append(self.seen, scan), np.append(self.born, scan)
+        return line
+
+    def drop(self, gone: Ints) -> Ints:
+        """Remove lines by position; return the state columns that they held."""
+        keep = np.setdiff1d(np.arange(len(self)), gone)
+        freed = self.column[gone]
+        freed = np.sort(np.concatenate((freed[freed >= 0], freed[freed >= 0] + 1)))
+        for name in ("ids", "anchor", "lo", "hi", "hits", "column", "value", "P", "seen", "born"):
+            setattr(self, name, getattr(self, name)[keep])
+        self.column = self.column - np.searchsorted(freed, self.column)
+        return freed
+
+    def predict(self, which: Ints, values: Array, belief: AnyBelief) -> Prediction:
+        """Predict (r, psi) of lines `which` (k,) and their innovation covariance without R."""
+        beta = values[which, 1]
+        c, s = np.cos(beta), np.sin(beta)
+        dx, dy = belief.x - self.anchor[which, 0], belief.y - self.anchor[which, 1]
+        r = values[which, 0] - dx * c - dy * s
+        u = dx * s - dy * c
+        columns = self.column[which]
+        P = belief.matrix()
+        spread = _pose_spread(P, c, s)
+        if isinstance(belief, PoseBelief) or len(columns) == 0 or columns[0] < 0:
+            spread += _line_spread(self.P[which], u)
+        else:
+            spread += _line_spread(self.covariances_of(which, belief), u)
+            spread += _cross_spread(belief.covariance, columns, c, s, u)
+        return Prediction(r, beta - belief.theta, c, s, u, spread)
+
+    def covariances_of(self, which: Ints, belief: JointBelief) -> Array:
+        """Return the state covariances of lines `which`, (k, 2, 2)."""
+        at = self.column[which, None] + np.arange(2)
+        P: Array = belief.covariance[at[:, :, None], at[:, None, :]]
+        return P
+
+    def lines(self, belief: AnyBelief) -> list[MapLine]:
+        """Return the map about the map origin: values in the paper's form, for people and files."""
+        return [
+            self._line(j, v, P)
+            for j, (v, P) in enumerate(zip(self.values(belief), self.covariances(belief), strict=True))
+        ]
+
+    def _line(self, j: int, value: Array, P: Array) -> MapLine:
+        rho, beta = float(value[0]), float(value[1])
+        c, s = math.cos(beta), math.sin(beta)
+        ax, ay = map(float, self.anchor[j])
+        G = np.array([[1.0, ay * c - ax * s], [0.0, 1.0]])
+        along = ay * c - ax * s
+        ends = (float(self.lo[j]) + along, float(self.hi[j]) + along)
+        return MapLine(int(self.ids[j]), rho + ax * c + ay * s, beta, ends, G @ P @ G.T, int(self.hits[j]))
+
+
+def _pose_spread(P: Array, c: Array, s: Array) -> Array:
+    """H P H' for H = [[-c, -s, 0], [0, 0, -1]], (k, 2, 2)."""
+    out = np.empty((len(c), 2, 2))
+    out[:, 0, 0] = c * c * P[0, 0] + 2.0 * c * s * P[0, 1] + s * s * P[1, 1]
+    out[:, 0, 1] = out[:, 1, 0] = c * P[0, 2] + s * P[1, 2]
+    out[:, 1, 1] = P[2, 2]
+    return out
+
+
+def _line_spread(M: Array, u: Array) -> Array:
+    """H M H' for H = [[1, u], [0, 1]], (k, 2, 2)."""
+    out = np.empty_like(M)
+    cross = M[:, 0, 1] + u * M[:, 1, 1]
+    out[:, 0, 0] = M[:, 0, 0] + u * (M[:, 0, 1] + cross)
+    out[:, 0, 1] = out[:, 1, 0] = cross
+    out[:, 1, 1] = M[:, 1, 1]
+    return out
+
+
+def _cross_spread(P: Array, columns: Ints, c: Array, s: Array, u: Array) -> Array:
+    """H_pose P_pose,line H_line' plus its transpose, (k, 2, 2)."""
+    rho, beta = P[:3, columns], P[:3, columns + 1]
+    r_rho = -c * rho[0] - s * rho[1]
+    r_beta = -c * beta[0] - s * beta[1]
+    psi_rho, psi_beta = -rho[2], -beta[2]
+    out = np.empty((len(c), 2, 2))
+    out[:, 0, 0] = 2.0 * (r_rho + u * r_beta)
+    out[:, 0, 1] = out[:, 1, 0] = r_beta + psi_rho + u * psi_beta
+    out[:, 1, 1] = 2.0 * psi_beta
+    return out

@@ -1,0 +1,107 @@
+"""The front end: streams of readings become a Drive. Nothing here knows where the robot is.
+
+Wheels are read first, since a scan is deskewed by them; then every sensor of the log is measured once, whatever
+configurations will use it; then wheel motion is cut at the instants of all of them, so that comparing two
+configurations is array subtraction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from .data import Array, Drive, Ints, Measurements, Motions, Stream
+from .motion import Wheels
+from .robot import Robot
+from .sensors.registry import REGISTRY
+from .truth import read_truth
+from .wheels import read_wheels
+
+FILL = 0.2  # s: where no sensor speaks for this long, a wheel reading becomes an instant
+
+
+def measure(
+    streams: Mapping[str, Stream],
+    robot: Robot,
+    absent: Mapping[str, str] | None = None,
+    progress: Callable[[str], None] = lambda role: None,
+) -> Drive:
+    """Measure a log: `streams` holds "wheels", sensors by name, and perhaps "truth".
+
+    Raises LocfuseError where the wheels give no motion or a sensor's readings cannot be understood.
+    """
+    progress("wheels")
+    wheels, epoch_ns, dropped = read_wheels(streams["wheels"], robot.wheels)
+    drops = {"wheels": dropped}
+    measurements: dict[str, Measurements] = {}
+    for name, sensor in REGISTRY.items():
+        if name in streams:
+            progress(name)
+            found = sensor.measure(streams[name], robot.settings(name), wheels, epoch_ns)
+            measurements[name] = _within(found, wheels)
+            drops[name] = dict(measurements[name].dropped)
+    return cut(wheels, epoch_ns, measurements, robot, dict(absent or {}), streams.get("truth"), drops)
+
+
+def cut(
+    wheels: Wheels,
+    epoch_ns: int,
+    measurements: dict[str, Measurements],
+    robot: Robot,
+    absent: dict[str, str],
+    truth_stream: Stream | None,
+    dropped: dict[str, dict[str, int]],
+) -> Drive:
+    """Cut wheel motion at the union of all instants, and at the truth's stamps beside it."""
+    t = instants(wheels.t, [m.t for m in measurements.values()])
+    before = np.concatenate((t[:1], t[:-1]))
+    estimate = robot.wheels.estimate
+    truth = truth_motions = truth_instant = None
+    if truth_stream is not None:
+        truth, dropped["truth"] = read_truth(truth_stream, robot.truth, epoch_ns)
+        truth_instant, truth_motions = _to_truth(wheels, t, truth.t, estimate)
+    return Drive(
+        epoch_ns=epoch_ns,
+        t=t,
+        motions=wheels.between(before, t, estimate),
+        measurements=measurements,
+        instant={name: np.searchsorted(t, m.t) for name, m in measurements.items()},
+        absent=absent,
+        truth=truth,
+        truth_motions=truth_motions,
+        truth_instant=truth_instant,
+        dropped=dropped,
+        wheels=wheels,
+    )
+
+
+def instants(wheel_t: Array, sensor_t: list[Array]) -> Array:
+    """Return the union of all measurement stamps, both ends of the drive, and wheel readings in long gaps."""
+    t = np.unique(np.concatenate([*sensor_t, wheel_t[[0, -1]]]))
+    cells = np.floor(wheel_t / FILL)
+    empty = ~np.isin(cells, np.floor(t / FILL))
+    first_in_cell = np.diff(cells, prepend=-1) > 0
+    return np.union1d(t, wheel_t[empty & first_in_cell])
+
+
+def _to_truth(wheels: Wheels, t: Array, stamps: Array, estimate: bool) -> tuple[Ints, Motions]:
+    """Motion from the instant before each truth stamp to that stamp; -1 and no motion outside the drive."""
+    inside = (stamps >= t[0]) & (stamps <= t[-1])
+    instant = np.where(inside, np.searchsorted(t, stamps, side="right") - 1, -1)
+    start = t[np.maximum(instant, 0)]
+    end = np.where(inside, stamps, start)
+    # one call per stamp: neighbouring stamps may share their starting instant
+    return instant, wheels.between(start, end, estimate)
+
+
+def _within(m: Measurements, wheels: Wheels) -> Measurements:
+    """Keep what lies within the wheels' time, in time order; the rest is counted."""
+    finite = np.isfinite(m.t)
+    inside = finite & (m.t >= wheels.t[0]) & (m.t <= wheels.t[-1])
+    keep = np.flatnonzero(inside)
+    keep = keep[np.argsort(m.t[keep], kind="stable")]
+    outside = int((~inside).sum())
+    if outside:
+        m.dropped["outside_wheels"] = m.dropped.get("outside_wheels", 0) + outside
+    return m.take(keep)

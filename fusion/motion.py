@@ -1,0 +1,173 @@
+"""Wheel motion (paper eq. 1-3, 7, 8): exact arcs, pre-integrated between any two instants.
+
+Encoder rate costs nothing in the filter: all wheel readings are turned at once into a chain of body twists, and
+the motion, its covariance and its derivative by the wheel parameters are summed per interval with NumPy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from . import se2
+from .data import Array, Ints, Motions
+
+PARAMETERS = ("scale_left", "scale_right", "track")  # relative corrections, 0 = as given
+
+
+def wheel_increments(radius: float, d_left: Array, d_right: Array) -> tuple[Array, Array]:
+    """Paper eq. 1: distances rolled by either wheel [m] from wheel angle increments [rad]."""
+    return radius * d_left, radius * d_right
+
+
+def body_increments(ds_left: Array, ds_right: Array, track: float) -> tuple[Array, Array]:
+    """Paper eq. 2: path length of the body's centre [m] and its turn [rad]."""
+    return 0.5 * (ds_left + ds_right), (ds_right - ds_left) / track
+
+
+@dataclass(frozen=True)
+class Wheels:
+    """Wheel odometry of a whole drive: between two readings the body twist is constant."""
+
+    t: Array  # (n,) s, strictly increasing, n >= 2
+    twist: Array  # (n-1, 3) forward [m], left [m], turn [rad] over each interval
+    rolled: Array  # (n-1, 2) left, right wheel [m], signed: what the noise grows with
+    pose: Array  # (n, 3) dead reckoning from (0, 0, 0)
+    track: float  # m
+    noise: float  # m: variance per metre rolled
+
+    @classmethod
+    def from_wheels(cls, t: Array, left: Array, right: Array, track: float, noise: float) -> Wheels:
+        """Build from the distances that either wheel has rolled since the start, (n,) m."""
+        rolled = np.stack((np.diff(left), np.diff(right)), axis=-1)
+        ds, turn = body_increments(rolled[:, 0], rolled[:, 1], track)
+        twist = np.stack((ds, np.zeros_like(ds), turn), axis=-1)
+        return cls(t, twist, rolled, dead_reckoning(twist), track, noise)
+
+    @classmethod
+    def from_poses(cls, t: Array, poses: Array, track: float, noise: float) -> Wheels:
+        """Build from another odometry's poses (n, 3): only their increments count."""
+        step = se2.between(poses[:-1], poses[1:])
+        step[:, 2] = se2.wrap_all(step[:, 2])
+        twist = se2.log(step)
+        half = 0.5 * track * twist[:, 2]
+        rolled = np.stack((twist[:, 0] - half, twist[:, 0] + half), axis=-1)
+        return cls(t, twist, rolled, dead_reckoning(twist), track, noise)
+
+    def at(self, t: Array) -> tuple[Ints, Array, Array]:
+        """Return for each time the wheel interval, the share of it that has passed, and the dead-reckoned pose.
+
+        Up to one interval beyond either end is extrapolated: the last beams of a scan may need it.
+        """
+        k = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.twist) - 1)
+        share = np.clip((t - self.t[k]) / (self.t[k + 1] - self.t[k]), -1.0, 2.0)
+        return k, share, se2.compose(self.pose[k], se2.exp(share[..., None] * self.twist[k]))
+
+    def relative(self, t_from: Array, t_to: Array) -> Array:
+        """Return the poses (..., 3) at t_to seen from those at t_from."""
+        return se2.between(self.at(t_from)[2], self.at(t_to)[2])
+
+    def turn_rate(self) -> tuple[Array, Array]:
+        """Return interval midpoints (n-1,) [s] and turning rates (n-1,) [rad/s]."""
+        return 0.5 * (self.t[1:] + self.t[:-1]), self.twist[:, 2] / np.diff(self.t)
+
+    def between(self, t_from: Array, t_to: Array, parameters: bool = False) -> Motions:
+        """Pre-integrate n intervals [t_from, t_to], (n,) s each, that do not overlap and are in order.
+
+        Noise is independent per wheel with variance `noise` times the distance rolled, whatever the encoder
+        rate (the paper's eq. 9 depends on the period). Each piece between two cuts contributes through
+        eq. 8 in its right form plus the lever arm to the interval's end.
+        """
+        pieces = _Pieces.cut(self, t_from, t_to)
+        u = se2.between(pieces.start, pieces.end)
+        columns = pieces.jacobian(self.track)  # (m, 3, 2) left, right
+        variance = self.noise * np.abs(pieces.rolled)  # (m, 2)
+        Q = pieces.total(np.einsum("mir,mr,mjr->mij", columns, variance, columns))
+        J = np.zeros((len(u), 3, 0))
+        if parameters:
+            J = pieces.total(pieces.by_parameters(columns))
+        turn = _rotation(-pieces.start[:, 2])
+        return Motions(u, turn @ Q @ turn.transpose(0, 2, 1), turn @ J)
+
+
+@dataclass(frozen=True)
+class _Pieces:
+    """Intervals cut at every wheel reading: m pieces of n intervals, on each of which the twist is constant."""
+
+    interval: Ints  # (m,)
+    count: int  # n
+    a: Array  # (m, 3) dead-reckoned pose at the piece's start
+    b: Array  # (m, 3) at its end
+    twist: Array  # (m, 3)
+    rolled: Array  # (m, 2)
+    start: Array  # (n, 3) at the interval's start
+    end: Array  # (n, 3)
+
+    @classmethod
+    def cut(cls, wheels: Wheels, t_from: Array, t_to: Array) -> _Pieces:
+        k0, f0, start = wheels.at(t_from)
+        k1, f1, end = wheels.at(t_to)
+        counts = np.where(t_to > t_from, k1 - k0 + 1, 0)
+        interval = np.repeat(np.arange(len(t_from)), counts)
+        nth = np.arange(len(interval)) - np.repeat(np.cumsum(counts) - counts, counts)
+        k = k0[interval] + nth
+        share_a = np.where(nth == 0, f0[interval], 0.0)
+        share_b = np.where(k == k1[interval], f1[interval], 1.0)
+        share = (share_b - share_a)[:, None]
+        a = se2.compose(wheels.pose[k], se2.exp(share_a[:, None] * wheels.twist[k]))
+        twist = share * wheels.twist[k]
+        b = se2.compose(a, se2.exp(twist))
+        return cls(interval, len(t_from), a, b, twist, share * wheels.rolled[k], start, end)
+
+    def total(self, terms: Array) -> Array:
+        """Sum terms (m, ...) over the pieces of each interval, (n, ...)."""
+        out = np.zeros((self.count, *terms.shape[1:]))
+        if len(terms):
+            first = np.flatnonzero(np.diff(self.interval, prepend=-1))
+            out[self.interval[first]] = np.add.reduceat(terms, first, axis=0)
+        return out
+
+    def jacobian(self, track: float) -> Array:
+        """Derivative of the interval's end pose by the (left, right) distance rolled in each piece, (m, 3, 2).
+
+        Paper eq. 8 in its right form (maths.md), plus the turn's lever arm from the piece to the interval's end.
+        """
+        m = self.a[:, 2] + 0.5 * self.twist[:, 2]
+        along = np.stack((np.cos(m), np.sin(m), np.zeros_like(m)), axis=-1)
+        turning = self.turning() / track
+        return np.stack((0.5 * along - turning, 0.5 * along + turning), axis=-1)
+
+    def turning(self) -> Array:
+        """Derivative of the interval's end pose by the turn of each piece, (m, 3)."""
+        m = self.a[:, 2] + 0.5 * self.twist[:, 2]
+        ds, end = self.twist[:, 0], self.end[self.interval]
+        x = -0.5 * ds * np.sin(m) - (end[:, 1] - self.b[:, 1])
+        y = 0.5 * ds * np.cos(m) + (end[:, 0] - self.b[:, 0])
+        return np.stack((x, y, np.ones_like(m)), axis=-1)
+
+    def by_parameters(self, columns: Array) -> Array:
+        """Derivative by PARAMETERS, (m, 3, 3)."""
+        by_track = -self.twist[:, 2:3] * self.turning()
+        scales = columns * self.rolled[:, None, :]
+        return np.concatenate((scales, by_track[:, :, None]), axis=2)
+
+
+def dead_reckoning(twist: Array) -> Array:
+    """Paper eq. 3 with exact arcs: poses (n+1, 3) from (0, 0, 0) through body twists (n, 3)."""
+    theta = np.concatenate(([0.0], np.cumsum(twist[:, 2])))
+    step = se2.exp(twist)
+    c, s = np.cos(theta[:-1]), np.sin(theta[:-1])
+    x = np.cumsum(c * step[:, 0] - s * step[:, 1])
+    y = np.cumsum(s * step[:, 0] + c * step[:, 1])
+    return np.stack((np.append(0.0, x), np.append(0.0, y), theta), axis=-1)
+
+
+def _rotation(angle: Array) -> Array:
+    """Return (n, 3, 3) rotations of (x, y, theta) by `angle` (n,)."""
+    c, s = np.cos(angle), np.sin(angle)
+    out = np.zeros((len(angle), 3, 3))
+    out[:, 0, 0], out[:, 0, 1] = c, -s
+    out[:, 1, 0], out[:, 1, 1] = s, c
+    out[:, 2, 2] = 1.0
+    return out

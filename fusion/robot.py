@@ -1,0 +1,74 @@
+"""The robot's description: the tables of robot.toml that are not a sensor's own.
+
+SI units, angles in degrees where the key ends in `_deg`. Sensor tables live with their sensors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import msgspec
+
+from .data import LocfuseError
+from .sensors.base import SensorSettings
+
+Order = Literal["auto", "stamp", "recorded"]
+Preset = Literal["default", "paper"]
+VIRTUAL_TRACK = 0.3  # m: carries the noise of an odometry topic, which knows no wheels
+
+
+class WheelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """[wheels]: geometry, encoder and noise of the drive."""
+
+    topic: str | None = None
+    left: str | None = None  # joint name
+    right: str | None = None
+    radius: float | None = None  # m
+    track: float | None = None  # m between the wheels' contact points
+    ticks_per_revolution: float | None = None  # positions are ticks, not radians
+    noise: float = 4e-4  # m: variance per metre that a wheel rolls (maths.md eq. 9: k)
+    time_offset: float = 0.0  # s
+    estimate: bool = False  # scale of either wheel and track as states
+    sigma_scale: float = 0.02  # prior of the estimated scales, relative
+    sigma_track: float = 0.1  # prior of the estimated track, relative
+
+
+class StartSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """[start]: pose of the body in the map at the first wheel reading."""
+
+    x: float = 0.0
+    y: float = 0.0
+    theta_deg: float = 0.0
+    sigma_xy: float = 0.0
+    sigma_theta_deg: float = 0.0
+
+
+class TruthSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """[truth]: the reference topic and the body point that it tracks."""
+
+    topic: str | None = None
+    x: float = 0.0
+    y: float = 0.0
+    time_offset: float = 0.0
+    sigma: float = 0.0  # m, standard deviation per axis
+
+
+@dataclass(frozen=True)
+class Robot:
+    """Everything the filter is told about one robot."""
+
+    wheels: WheelSettings = field(default_factory=WheelSettings)
+    start: StartSettings = field(default_factory=StartSettings)
+    truth: TruthSettings = field(default_factory=TruthSettings)
+    sensors: Mapping[str, SensorSettings] = field(default_factory=dict)
+    order: Order = "auto"
+    preset: Preset = "default"
+    start_given: bool = False
+
+    def settings(self, sensor: str) -> Any:
+        """Return the settings of one sensor."""
+        if sensor not in self.sensors:
+            raise LocfuseError(f"no settings for sensor {sensor!r}")
+        return self.sensors[sensor]

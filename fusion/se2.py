@@ -1,0 +1,80 @@
+"""Planar rigid motion SE(2), vectorised: a pose is (..., 3) = (x [m], y [m], theta [rad]).
+
+`T_map_base` reads "what comes out is on the left": compose(T_map_base, p_base) is p in the map.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+TAU = 2.0 * math.pi
+
+
+def wrap(angle: float) -> float:
+    """Return `angle` [rad] in [-pi, pi). Plain floats, for the filter's inner loop."""
+    return (angle + math.pi) % TAU - math.pi
+
+
+def wrap_all(angle: Array) -> Array:
+    """Return every angle [rad] in [-pi, pi), any shape."""
+    return (angle + np.pi) % TAU - np.pi
+
+
+def compose(a: Array, b: Array) -> Array:
+    """Return a ⊕ b, poses (..., 3); theta is summed, not wrapped, so that turns stay countable."""
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    return np.stack(
+        (
+            a[..., 0] + c * b[..., 0] - s * b[..., 1],
+            a[..., 1] + s * b[..., 0] + c * b[..., 1],
+            a[..., 2] + b[..., 2],
+        ),
+        axis=-1,
+    )
+
+
+def inverse(a: Array) -> Array:
+    """Return ⊖a, the pose with a ⊕ ⊖a = 0; (..., 3)."""
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    return np.stack((-c * a[..., 0] - s * a[..., 1], s * a[..., 0] - c * a[..., 1], -a[..., 2]), axis=-1)
+
+
+def between(a: Array, b: Array) -> Array:
+    """Return ⊖a ⊕ b: pose b seen from pose a; (..., 3)."""
+    return compose(inverse(a), b)
+
+
+def exp(twist: Array) -> Array:
+    """Return the pose reached by a constant body twist (..., 3) = (forward, left, turn) over unit time.
+
+    A circular arc: for (ds, 0, dtheta) the chord is ds sin(dtheta/2) / (dtheta/2) along dtheta/2.
+    """
+    half = 0.5 * twist[..., 2]
+    # sinc is exact near zero; np.sinc(x) = sin(pi x) / (pi x)
+    chord = np.sinc(half / np.pi)
+    c, s = chord * np.cos(half), chord * np.sin(half)
+    return np.stack(
+        (c * twist[..., 0] - s * twist[..., 1], s * twist[..., 0] + c * twist[..., 1], twist[..., 2]), axis=-1
+    )
+
+
+def log(pose: Array) -> Array:
+    """Return the body twist (..., 3) whose `exp` is `pose`, for |theta| < 2 pi."""
+    half = 0.5 * pose[..., 2]
+    chord = np.sinc(half / np.pi)
+    c, s = np.cos(half) / chord, np.sin(half) / chord
+    return np.stack(
+        (c * pose[..., 0] + s * pose[..., 1], -s * pose[..., 0] + c * pose[..., 1], pose[..., 2]), axis=-1
+    )
+
+
+def transform(pose: Array, points: Array) -> Array:
+    """Return points (..., 2) given in the frame of `pose` (..., 3), expressed in the pose's parent frame."""
+    c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
+    x, y = points[..., 0], points[..., 1]
+    return np.stack((pose[..., 0] + c * x - s * y, pose[..., 1] + s * x + c * y), axis=-1)

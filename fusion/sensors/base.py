@@ -1,0 +1,112 @@
+"""What a sensor is: settings (its TOML table), what it reads, how it measures, and how the filter sees it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, NamedTuple, Protocol
+
+import msgspec
+
+from ..data import Array, MapLine, Measurements, Stream
+
+
+class SensorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Keys that every sensor's table has; SI units, angles in degrees where the key ends in `_deg`."""
+
+    topic: str | None = None  # None: the only topic of a type the sensor reads
+    time_offset: float = 0.0  # s, added to the stamps of this sensor
+    gate: float = 0.999  # confidence of the chi-square gate; 1 accepts everything
+
+
+class WheelMotion(Protocol):
+    """Relative motion of the robot by its wheels: all that `measure` may know of where the robot is."""
+
+    def relative(self, t_from: Array, t_to: Array) -> Array:
+        """Return the pose (n, 3) at t_to seen from the pose at t_from, both (n,) s since the drive's epoch."""
+
+
+class Innovation(NamedTuple):
+    """One measurement against the belief: y = z - h(x), with H = [H_pose | H_block] and its verdict."""
+
+    row: int  # row in Measurements.z
+    verdict: int  # index into VERDICTS
+    landmark: int  # id of the map feature, -1 for none
+    nis: float  # y' S^-1 y
+    threshold: float  # of the gate
+    y: tuple[float, ...]  # (d,)
+    sigma: tuple[float, ...]  # (d,) sqrt of the diagonal of S
+    H: tuple[tuple[float, float, float], ...]  # (d, 3) columns x, y, theta
+    R: tuple[tuple[float, ...], ...]  # (d, d)
+    columns: tuple[int, ...] = ()  # state columns of the sensor's block
+    H_block: tuple[tuple[float, ...], ...] = ()  # (d, len(columns))
+
+
+class Block(NamedTuple):
+    """A named part of the state that a sensor owns (compass offset, gyro bias, line map)."""
+
+    name: str
+    x: Array  # (k,) start
+    P: Array  # (k, k) start covariance
+    drift: Array  # (k,) variance per second of its random walk
+
+
+class Belief(Protocol):
+    """What a model may ask of the filter's state: pose, covariance, and where its block lies."""
+
+    @property
+    def x(self) -> float:
+        """X of the pose [m]."""
+
+    @property
+    def y(self) -> float:
+        """Y of the pose [m]."""
+
+    @property
+    def theta(self) -> float:
+        """Heading of the pose [rad], not wrapped."""
+
+    def block(self, name: str) -> tuple[int, Array]:
+        """Return (first state column, values) of a block."""
+
+    def spread(
+        self,
+        H: tuple[tuple[float, float, float], ...],
+        columns: tuple[int, ...] = (),
+        H_block: tuple[tuple[float, ...], ...] = (),
+    ) -> tuple[tuple[float, ...], ...]:
+        """Return H P H', (d, d): the innovation covariance without R."""
+
+
+class Model:
+    """One sensor inside one run of the filter; holds what it has learnt (a map), never the pose."""
+
+    joint: bool = False  # whether it adds states while driving, beyond its blocks
+
+    def blocks(self) -> list[Block]:
+        """Return the state blocks this sensor adds at the start."""
+        return []
+
+    def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
+        """Compare reading i with the prior belief. Verdict 0 ("accepted") corrects the filter."""
+        raise NotImplementedError
+
+    def learn(self, m: Measurements, i: int, belief: Any) -> None:
+        """Take in what reading i taught beyond the pose (new map lines), after the correction."""
+
+    def lines(self, belief: Any) -> tuple[list[MapLine], list[MapLine]]:
+        """Return the map after the first scan and the map at the end, for the report."""
+        return [], []
+
+
+class Sensor(Protocol):
+    """A sensor: one file in this folder and one line in the registry."""
+
+    name: ClassVar[str]  # its CLI word and TOML table
+    Settings: ClassVar[type[SensorSettings]]
+    reads: ClassVar[Mapping[str, tuple[str, ...]]]  # message type -> field paths it asks for
+
+    def measure(self, stream: Stream, settings: Any, wheels: WheelMotion, epoch_ns: int) -> Measurements:
+        """Turn readings into pose-free measurements, in time order."""
+
+    def model(self, settings: Any, first: Measurements) -> Model:
+        """Return the sensor's side of a new filter run; `first` is what it measured (for start values)."""

@@ -1,0 +1,174 @@
+"""Compass: the heading of the robot against the magnetic field, with an offset that is a state.
+
+The field's direction in the map is not known to a tenth of a degree, and the module's 0.1° is its resolution,
+not its accuracy (maths.md). So theta = measured heading - offset, and the offset is estimated unless it is given.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal, cast
+
+import numpy as np
+
+from ..data import VERDICTS, Array, LocfuseError, Measurements, Stream
+from ..gates import chi_square
+from ..se2 import wrap, wrap_all
+from .base import Belief, Block, Innovation, Model, SensorSettings, WheelMotion
+
+Convention = Literal["enu_rad", "enu_deg", "compass_rad", "compass_deg"]
+OFFSET = "compass_offset"
+H_HEADING = ((0.0, 0.0, 1.0),)
+H_OFFSET = ((1.0,),)
+
+
+class CompassSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """[compass]."""
+
+    sigma_deg: float = 3.0  # white noise of one reading
+    offset_deg: float | None = None  # measured heading minus theta; None: estimated from the drive
+    offset_drift_deg: float = 0.0  # random walk of an estimated offset, degrees per sqrt(s)
+    convention: Convention = "enu_rad"  # of heading messages: 0 = east, ccw; or 0 = north, clockwise
+    hard_iron: tuple[float, float] = (0.0, 0.0)  # centre of the field's circle, in the message's unit
+    soft_iron: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 1.0)  # row by row, applied after hard_iron
+    field_tolerance: float = 0.25  # share by which the field's strength may leave its median
+
+
+class Compass:
+    """Reads magnetometer axes, an IMU's yaw, or a heading number."""
+
+    name: ClassVar[str] = "compass"
+    Settings: ClassVar[type[SensorSettings]] = CompassSettings
+    reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "sensor_msgs/msg/MagneticField": ("magnetic_field.x", "magnetic_field.y"),
+        "sensor_msgs/msg/Imu": (
+            "orientation.x",
+            "orientation.y",
+            "orientation.z",
+            "orientation.w",
+            "orientation_covariance",
+        ),
+        "std_msgs/msg/Float64": ("data",),
+        "std_msgs/msg/Float32": ("data",),
+    }
+
+    def measure(
+        self, stream: Stream, settings: CompassSettings, wheels: WheelMotion, epoch_ns: int
+    ) -> Measurements:
+        """Turn readings into headings z (n, 1) [rad] in the field's frame."""
+        columns = cast("dict[str, Array]", stream.columns(*self.reads[stream.msgtype]))
+        heading, strength = _HEADING[stream.msgtype](columns, settings, stream.topic)
+        t = (stream.t_ns - epoch_ns) * 1e-9 + settings.time_offset
+        good = np.isfinite(heading)
+        dropped = dict(stream.dropped)
+        if not good.all():
+            dropped["not_finite"] = dropped.get("not_finite", 0) + int((~good).sum())
+        n = int(good.sum())
+        return Measurements(
+            t=t[good],
+            first=np.arange(n + 1),
+            z=heading[good, None],
+            R_unit=np.ones((n, 1, 1)),
+            scale=math.radians(settings.sigma_deg),
+            floor=np.zeros((1, 1)),
+            extra={"strength": _relative(strength[good])},
+            dropped=dropped,
+        )
+
+    def model(self, settings: CompassSettings, first: Measurements) -> CompassModel:
+        """Return the compass' side of a new run."""
+        return CompassModel(settings)
+
+
+class CompassModel(Model):
+    """z = theta + offset + noise; H = [0 0 1 | 1]."""
+
+    def __init__(self, settings: CompassSettings) -> None:
+        self.settings = settings
+        self.given = settings.offset_deg is not None
+        self.offset = math.radians(settings.offset_deg or 0.0)
+
+    def blocks(self) -> list[Block]:
+        """Return the offset as a state where it is not given: unknown, that is uniform over a turn."""
+        if self.given:
+            return []
+        drift = math.radians(self.settings.offset_drift_deg) ** 2
+        return [Block(OFFSET, np.zeros(1), np.array([[math.pi**2 / 3.0]]), np.array([drift]))]
+
+    def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
+        """Compare one heading with the belief; a field of the wrong strength is not a heading."""
+        values, variances = m.scalars
+        z, r, strength = values[i], variances[i], float(m.extra["strength"][i])
+        columns: tuple[int, ...] = ()
+        H_block: tuple[tuple[float, ...], ...] = ()
+        offset = self.offset
+        if not self.given:
+            column, now = belief.block(OFFSET)
+            columns, H_block, offset = (column,), H_OFFSET, float(now[0])
+        y = wrap(z - belief.theta - offset)
+        S = belief.spread(H_HEADING, columns, H_block)[0][0] + r
+        return [self._judge(i, y, S, r, strength, columns, H_block)]
+
+    def _judge(
+        self, i: int, y: float, S: float, r: float, strength: float, columns: Any, H_block: Any
+    ) -> Innovation:
+        threshold = chi_square(self.settings.gate, 1)
+        nis = y * y / S
+        verdict = 0 if nis <= threshold else GATE
+        if abs(strength - 1.0) > self.settings.field_tolerance:
+            verdict = DISTURBED
+        return Innovation(
+            i, verdict, -1, nis, threshold, (y,), (math.sqrt(S),), H_HEADING, ((r,),), columns, H_block
+        )
+
+
+GATE = VERDICTS.index("gate")
+DISTURBED = VERDICTS.index("disturbed")
+
+
+def from_field(columns: dict[str, Array], settings: CompassSettings, topic: str) -> tuple[Array, Array]:
+    """Heading from two field axes in the base frame: theta = phi_B - atan2(m_y, m_x); and the strength."""
+    mx = columns["magnetic_field.x"] - settings.hard_iron[0]
+    my = columns["magnetic_field.y"] - settings.hard_iron[1]
+    a, b, c, d = settings.soft_iron
+    mx, my = a * mx + b * my, c * mx + d * my
+    return -np.arctan2(my, mx), np.hypot(mx, my)
+
+
+def from_imu(columns: dict[str, Array], settings: CompassSettings, topic: str) -> tuple[Array, Array]:
+    """Yaw of an IMU's orientation; a first covariance element of -1 means that there is none."""
+    x, y, z, w = (columns[f"orientation.{a}"] for a in "xyzw")
+    none = (columns["orientation_covariance"][:, 0] == -1.0) | (x * x + y * y + z * z + w * w < 0.25)
+    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    if len(yaw) and none.all():
+        raise LocfuseError(f"compass: {topic} carries no orientation (orientation_covariance[0] is -1)")
+    return np.where(none, np.nan, yaw), np.ones_like(yaw)
+
+
+def from_number(columns: dict[str, Array], settings: CompassSettings, topic: str) -> tuple[Array, Array]:
+    """Heading from a bare number, by the convention the settings name."""
+    value = columns["data"].astype(np.float64)
+    convention = settings.convention
+    largest = float(np.nanmax(np.abs(value))) if len(value) else 0.0
+    if convention.endswith("rad") and largest > 4.0 * math.pi:
+        raise LocfuseError(
+            f"compass: {topic} reaches {largest:.0f}, which is no angle in radians. "
+            "Set compass.convention=enu_deg or compass_deg"
+        )
+    angle = np.radians(value) if convention.endswith("deg") else value
+    return wrap_all(math.pi / 2 - angle if convention.startswith("compass") else angle), np.ones_like(value)
+
+
+_HEADING = {
+    "sensor_msgs/msg/MagneticField": from_field,
+    "sensor_msgs/msg/Imu": from_imu,
+    "std_msgs/msg/Float64": from_number,
+    "std_msgs/msg/Float32": from_number,
+}
+
+
+def _relative(strength: Array) -> Array:
+    """Field strength relative to the drive's median: steel and motors change it, the earth does not."""
+    median = float(np.median(strength)) if len(strength) else 1.0
+    return strength / median if median > 0 else np.ones_like(strength)

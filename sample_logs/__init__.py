@@ -1,0 +1,1 @@
+"""The world we can know exactly: the simulated robot, its scenarios, and the logs it recorded."""

@@ -1,0 +1,192 @@
+"""Writing ROS 2 logs: standard messages as CDR, with their ros2msg schemas, in zstd-chunked, CRC'd MCAP."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Self
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_typestore
+
+from ..fusion.data import LocfuseError
+
+# A late subscriber of a latched topic still gets it when the bag is played: rosbag2 reads this per channel.
+LATCHED = """\
+- history: 1
+  depth: 1
+  reliability: 1
+  durability: 1
+  deadline: {sec: 9223372036, nsec: 854775807}
+  lifespan: {sec: 9223372036, nsec: 854775807}
+  liveliness: 1
+  liveliness_lease_duration: {sec: 9223372036, nsec: 854775807}
+  avoid_ros_namespace_conventions: false
+"""
+
+CHUNK_SIZE = 512 * 1024  # bytes before compression: a reader of one topic skips little
+
+
+def time_message(ns: int) -> dict[str, int]:
+    """Return the fields of a builtin_interfaces/Time."""
+    return {"sec": ns // 1_000_000_000, "nanosec": ns % 1_000_000_000}
+
+
+def nested(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Return {"a.b": 1} as {"a": {"b": 1}}."""
+    tree: dict[str, Any] = {}
+    for path, value in fields.items():
+        *parents, leaf = path.split(".")
+        node = tree
+        for name in parents:
+            node = node.setdefault(name, {})
+        node[leaf] = value
+    return tree
+
+
+class Messages:
+    """Builds and serialises messages of the standard ROS 2 types from plain values."""
+
+    def __init__(self) -> None:
+        self._store = get_typestore(Stores.ROS2_HUMBLE)
+
+    def schema(self, msgtype: str) -> str:
+        """Return the ros2msg text of a type with all the types it uses."""
+        if msgtype not in self._store.fielddefs:
+            raise LocfuseError(f"{msgtype} is not a standard ROS 2 message type: it cannot be written")
+        return self._store.generate_msgdef(msgtype, ros_version=2)[0]
+
+    def has_header(self, msgtype: str) -> bool:
+        """Say whether the type starts with a std_msgs/Header."""
+        fields = self._store.fielddefs[msgtype][1]
+        return bool(fields) and fields[0][1] == (Nodetype.NAME, "std_msgs/msg/Header")
+
+    def cdr(self, msgtype: str, values: Mapping[str, Any]) -> bytes:
+        """Return the message as CDR bytes; what `values` (nested) leaves out is zero or empty."""
+        return bytes(self._store.serialize_cdr(self._build(msgtype, values), msgtype))
+
+    def _build(self, msgtype: str, values: Mapping[str, Any]) -> Any:
+        fields = self._store.fielddefs[msgtype][1]
+        unknown = set(values) - {name for name, _ in fields}
+        if unknown:
+            raise ValueError(f"{msgtype} has no field {', '.join(sorted(unknown))}")
+        return self._store.types[msgtype](**{name: self._value(kind, values.get(name)) for name, kind in fields})
+
+    def _value(self, kind: Any, value: Any) -> Any:
+        node, inner = kind
+        if node == Nodetype.NAME:
+            return self._build(inner, value or {})
+        if node == Nodetype.BASE:
+            return _default(inner[0]) if value is None else value
+        element, length = inner  # an array or a sequence
+        if element[0] == Nodetype.NAME:
+            return [self._build(element[1], v) for v in (() if value is None else value)]
+        base = element[1][0]
+        if base == "string":
+            return [] if value is None else list(value)
+        if isinstance(value, bytes | bytearray | memoryview):
+            return np.frombuffer(value, np.uint8)
+        return np.zeros(length, base) if value is None else np.asarray(value, base)
+
+
+def _default(base: str) -> str | bool | int | float:
+    if base == "string":
+        return ""
+    if base == "bool":
+        return False
+    return 0.0 if base.startswith("float") else 0
+
+
+class LogWriter:
+    """A ROS 2 log that appears whole or not at all: written beside `path`, renamed onto it when closed.
+
+    As a context manager it closes on success and leaves nothing behind when an exception passes through.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self._part = self.path.with_name(f".{self.path.name}.{os.getpid()}.part")
+        self._messages = Messages()
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, tuple[int, str]] = {}  # topic -> channel id, message type
+        self._sequence: dict[str, int] = {}
+        self._file: IO[bytes] = self._part.open("wb")
+        self._writer: Any = Writer(  # Any: its `finish` is untyped
+            self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD, enable_data_crcs=True
+        )
+        self._writer.start(profile="ros2", library="locfuse")
+
+    def attach(self, name: str, data: bytes, media_type: str = "application/toml", log_ns: int = 0) -> None:
+        """Add an attachment, such as robot.toml."""
+        self._writer.add_attachment(
+            create_time=log_ns, log_time=log_ns, name=name, media_type=media_type, data=data
+        )
+
+    def write(
+        self,
+        topic: str,
+        msgtype: str,
+        fields: Mapping[str, Any],
+        log_ns: int,
+        *,
+        stamp_ns: int | None = None,
+        frame_id: str = "",
+        latched: bool = False,
+    ) -> None:
+        """Append one message: values by dotted field path; `stamp_ns` (default log_ns) fills its header."""
+        channel = self._channel(topic, msgtype, latched)
+        values = nested(fields)
+        if self._messages.has_header(msgtype):
+            stamp = time_message(log_ns if stamp_ns is None else stamp_ns)
+            values["header"] = {"stamp": stamp, "frame_id": frame_id}
+        self._sequence[topic] += 1
+        self._writer.add_message(
+            channel_id=channel,
+            log_time=log_ns,
+            publish_time=log_ns,
+            sequence=self._sequence[topic],
+            data=self._messages.cdr(msgtype, values),
+        )
+
+    def _channel(self, topic: str, msgtype: str, latched: bool) -> int:
+        if topic in self._channels:
+            known, existing = self._channels[topic]
+            if existing != msgtype:
+                raise ValueError(f"{topic} holds {existing}, not {msgtype}")
+            return known
+        if msgtype not in self._schemas:
+            text = self._messages.schema(msgtype).encode()
+            self._schemas[msgtype] = self._writer.register_schema(msgtype, "ros2msg", text)
+        metadata = {"offered_qos_profiles": LATCHED if latched else ""}
+        channel: int = self._writer.register_channel(topic, "cdr", self._schemas[msgtype], metadata)
+        self._channels[topic] = channel, msgtype
+        self._sequence[topic] = 0
+        return channel
+
+    def close(self) -> None:
+        """Finish the file and give it its name."""
+        self._writer.finish()
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        self._file.close()
+        self._part.replace(self.path)
+
+    def abort(self) -> None:
+        """Throw away what was written; a file of that name, if there was one, stays as it is."""
+        self._file.close()
+        self._part.unlink(missing_ok=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.abort()

@@ -1,0 +1,165 @@
+"""The robot as physics: motors under PID control, encoders, wheels on a floor, and where that leads it.
+
+Motion is exact: within a step both wheels turn at constant speed, so the path is a circular arc, and the
+pose between two knots is a point on that arc. No sensor samples a knot; all of them ask `Trail.pose`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ..fusion import se2
+from ..fusion.data import Array, Ints
+from .encoder import COUNTS_PER_SLOT, decode, phases
+from .scenario import Motor, Wheels
+
+STEPS_PER_TICK = 4  # physics steps per encoder tick
+
+
+class Trail:
+    """Where the robot has been: knots every `step` seconds, arcs between them."""
+
+    def __init__(self, step: float, start: tuple[float, float, float]) -> None:
+        self.step = step
+        self.count = 0  # steps made
+        self._pose = np.zeros((1024, 3))
+        self._twist = np.zeros((1024, 3))
+        self._pose[0] = start
+
+    @property
+    def end(self) -> float:
+        """Time of the last knot [s]."""
+        return self.count * self.step
+
+    def extend(self, twist: Array) -> None:
+        """Append steps of constant twist (k, 3) = (m, m, rad) per step, in the body frame."""
+        need = self.count + len(twist) + 1
+        if need > len(self._pose):
+            self._pose = np.concatenate((self._pose, np.zeros_like(self._pose)))
+            self._twist = np.concatenate((self._twist, np.zeros_like(self._twist)))
+        for i, pose in enumerate(se2.exp(twist), start=self.count):
+            self._twist[i] = twist[i - self.count]
+            self._pose[i + 1] = se2.compose(self._pose[i], pose)
+        self.count = need - 1
+
+    def knots(self) -> Array:
+        """Return the poses at all knots, (n, 3)."""
+        return self._pose[: self.count + 1]
+
+    def pose(self, t: Array) -> Array:
+        """Return the poses (n, 3) at times t (n,) within [0, end], on the exact arcs."""
+        i = np.clip((t / self.step).astype(np.int64), 0, max(self.count - 1, 0))
+        share = t / self.step - i
+        return se2.compose(self._pose[i], se2.exp(self._twist[i] * share[:, None]))
+
+
+class Tick(NamedTuple):
+    """What the motor controller knows at one reading of its counters."""
+
+    t: float  # s
+    counts: tuple[int, int]  # left, right
+    speed: tuple[float, float]  # rad/s, from the counts since the tick before
+    set_point: tuple[float, float]  # rad/s, of the interval that ended here
+
+
+class Wheel:
+    """One motor, its PID controller and its encoder disc; plain floats, since it runs 50 times a second."""
+
+    def __init__(self, wheels: Wheels, motor: Motor, side: int, rng: np.random.Generator) -> None:
+        self.motor = motor
+        self.gain = motor.no_load * (1 + motor.gain_error[side])
+        self.radius = wheels.radius * (1 + wheels.radius_error[side])
+        self.dt = 1 / wheels.rate
+        self.step = self.dt / STEPS_PER_TICK
+        self.slots = wheels.slots
+        self.rad_per_count = 2 * math.pi / (wheels.slots * COUNTS_PER_SLOT)
+        self.samples = round(self.dt * wheels.sampling)
+        self.rng = rng
+        self.angle = rng.uniform(0, self.rad_per_count)  # rad, true; the disc's rest position is not ours
+        self.speed = 0.0  # rad/s, true
+        self.load = 0.0  # share of the voltage that the load takes
+        self.counts = 0
+        self.missed = 0
+        self.set_point = 0.0
+        self._integral = 0.0
+        self._error = 0.0
+
+    def turn(self, target: float) -> list[float]:
+        """Run the controller once and the motor for one tick; return the angles turned per step [rad]."""
+        voltage = self._control(target)
+        turned, angles = [], [self.angle]
+        decay = math.exp(-self.step / self.motor.time_constant)
+        keep = math.exp(-self.step / self.motor.load_time)
+        for gauss in self.rng.standard_normal(STEPS_PER_TICK).tolist():
+            self.load = keep * self.load + self.motor.load * math.sqrt(1 - keep * keep) * gauss
+            goal = self.gain * voltage * (1 - self.load)
+            self.speed = goal + decay * (self.speed - goal)
+            turned.append(self.speed * self.step)
+            self.angle += turned[-1]
+            angles.append(self.angle)
+        self._count(angles)
+        return turned
+
+    def _control(self, target: float) -> float:
+        limit = self.motor.acceleration / self.radius * self.dt
+        self.set_point += min(max(target - self.set_point, -limit), limit)
+        error = self.set_point - self.measured
+        self._integral += error * self.dt
+        slope, self._error = (error - self._error) / self.dt, error
+        m = self.motor
+        drive = self.set_point / m.no_load + m.kp * error + m.ki * self._integral + m.kd * slope
+        return min(max(drive, -1.0), 1.0)
+
+    measured = 0.0  # rad/s, from the counts of the last tick
+
+    def _count(self, angles: list[float]) -> None:
+        at = np.linspace(0, STEPS_PER_TICK, self.samples + 1)
+        seen = decode(*phases(np.interp(at, np.arange(STEPS_PER_TICK + 1), angles), self.slots))
+        change = int(seen.counts.sum())
+        self.counts += change
+        self.missed += int(seen.missed.sum())
+        self.measured = change * self.rad_per_count / self.dt
+
+
+class Robot:
+    """Two wheels on a floor. `noise` is what the ground does to them, per metre rolled."""
+
+    def __init__(
+        self,
+        wheels: Wheels,
+        motor: Motor,
+        start: tuple[float, float, float],
+        motor_rng: tuple[np.random.Generator, np.random.Generator],
+        ground_rng: np.random.Generator,
+    ) -> None:
+        self.wheels = tuple(Wheel(wheels, motor, side, motor_rng[side]) for side in (0, 1))
+        self.track = wheels.track * (1 + wheels.track_error)
+        self.noise = wheels.noise
+        self.rng = ground_rng
+        self.trail = Trail(self.wheels[0].step, start)
+        self.ticks: list[Tick] = [self._tick()]
+
+    def drive(self, targets: tuple[float, float]) -> None:
+        """Let one tick pass with the wheel speeds `targets` [rad/s] asked for."""
+        rolled = np.array([w.radius * np.array(w.turn(s)) for w, s in zip(self.wheels, targets, strict=True)])
+        gauss = self.rng.standard_normal(rolled.shape)
+        left, right = rolled + np.sqrt(self.noise * np.abs(rolled)) * gauss
+        twist = np.stack(((left + right) / 2, np.zeros_like(left), (right - left) / self.track), axis=-1)
+        self.trail.extend(twist)
+        self.ticks.append(self._tick())
+
+    def _tick(self) -> Tick:
+        left, right = self.wheels
+        return Tick(
+            self.trail.end,
+            (left.counts, right.counts),
+            (left.measured, right.measured),
+            (left.set_point, right.set_point),
+        )
+
+    def counts(self) -> Ints:
+        """Return the counters at every tick, (n, 2)."""
+        return np.array([tick.counts for tick in self.ticks])

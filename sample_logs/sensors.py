@@ -1,0 +1,170 @@
+"""The sensors as physics: each reads the true world at its own instants and returns a raw message's fields."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from ..fusion.data import Array
+from ..fusion.se2 import compose
+from .robot import Robot
+from .scenario import Compass, Lrf, Scenario, Truth, Wheels
+from .world import Plan, cast, plates, walls
+
+JOINTS = ("left_wheel_joint", "right_wheel_joint")
+
+
+class Sensor(Protocol):
+    """Something that publishes: when it reads, how long that takes, and what it says."""
+
+    name: str
+    topic: str
+    msgtype: str
+    frame_id: str
+    period: float  # s
+    phase: float  # s, instant of the first reading
+    duration: float  # s, from the first sample of a reading to the last
+    latency: float  # s, from the last sample to the recorder
+
+    def read(self, t: float) -> dict[str, Any]:
+        """Return the fields of the reading that begins at t; the robot's trail covers its duration."""
+
+
+class Mount(NamedTuple):
+    """Where a sensor sits on the robot, for /tf_static and robot.toml."""
+
+    frame_id: str
+    x: float
+    y: float
+    z: float
+    yaw: float  # rad
+
+
+class Encoders:
+    """Both wheel angles, in whole counts."""
+
+    name, topic, msgtype, frame_id = "wheels", "/joint_states", "sensor_msgs/msg/JointState", ""
+    phase, duration, latency = 0.0, 0.0, 0.001
+
+    def __init__(self, wheels: Wheels, robot: Robot) -> None:
+        self.period = 1 / wheels.rate
+        self.robot = robot
+
+    def read(self, t: float) -> dict[str, Any]:
+        """Return the counters of the tick at t as joint angles."""
+        tick = self.robot.ticks[round(t / self.period)]
+        angle = np.array(tick.counts) * self.robot.wheels[0].rad_per_count
+        return {"name": JOINTS, "position": angle, "velocity": np.array(tick.speed), "effort": np.zeros(0)}
+
+
+class Magnetometer:
+    """The earth's field in the robot's plane, bent by the iron on the robot."""
+
+    name, topic, msgtype, frame_id = "compass", "/compass", "sensor_msgs/msg/MagneticField", "compass"
+    duration, latency = 0.0, 0.002
+
+    def __init__(self, compass: Compass, north: float, robot: Robot, rng: np.random.Generator) -> None:
+        self.settings = compass
+        self.period, self.phase = 1 / compass.rate, compass.phase
+        self.north = compass.field * np.array([np.cos(north), np.sin(north)])  # T, map frame
+        self.sigma = compass.field * np.radians(compass.noise_deg)
+        self.step = compass.field * np.radians(compass.resolution_deg)
+        self.robot = robot
+        self.rng = rng
+
+    def read(self, t: float) -> dict[str, Any]:
+        """Return the field strength on the two axes; the module has no third."""
+        theta = self.robot.trail.pose(np.array([t]))[0, 2]
+        c, s = np.cos(theta), np.sin(theta)
+        body = np.array([[c, s], [-s, c]]) @ self.north
+        axes = body * self.settings.soft_iron + self.settings.hard_iron
+        axes = axes + self.sigma * self.rng.standard_normal(2)
+        if self.step > 0:
+            axes = np.round(axes / self.step) * self.step
+        return {
+            "magnetic_field.x": float(axes[0]),
+            "magnetic_field.y": float(axes[1]),
+            "magnetic_field.z": 0.0,
+            "magnetic_field_covariance": np.zeros(9),
+        }
+
+
+class Laser:
+    """A rotating beam: every ray leaves from where the robot is at its own instant."""
+
+    name, topic, msgtype, frame_id = "lrf", "/scan", "sensor_msgs/msg/LaserScan", "laser"
+    latency = 0.002
+
+    def __init__(self, lrf: Lrf, plan: Plan, robot: Robot, rng: np.random.Generator) -> None:
+        self.settings = lrf
+        self.period, self.phase, self.duration = 1 / lrf.rate, lrf.phase, lrf.duration
+        self.plan = plan
+        self.robot = robot
+        self.rng = rng
+        half = np.radians(lrf.field_of_view_deg) / 2
+        self.angles = np.linspace(-half, half, lrf.beams)
+        self.times = np.linspace(0, lrf.duration, lrf.beams)
+        self.mount = np.array([lrf.x, lrf.y, np.radians(lrf.yaw_deg)])
+
+    def read(self, t: float) -> dict[str, Any]:
+        """Return one scan; its stamp is the instant of its first ray."""
+        s = self.settings
+        return {
+            "angle_min": float(self.angles[0]),
+            "angle_max": float(self.angles[-1]),
+            "angle_increment": float(self.angles[1] - self.angles[0]),
+            "time_increment": float(self.times[1]),
+            "scan_time": self.period,
+            "range_min": s.range_min,
+            "range_max": s.range_max,
+            "ranges": self._ranges(compose(self.robot.trail.pose(t + self.times), self.mount)),
+            "intensities": np.zeros(0, np.float32),
+        }
+
+    def _ranges(self, laser: Array) -> Array:
+        s = self.settings
+        wobble = np.radians(s.sigma_angle_deg) * self.rng.standard_normal(s.beams)
+        noise = s.sigma_range * self.rng.standard_normal(s.beams)
+        lost = self.rng.random(s.beams) < s.lost
+        ranges = cast(self.plan, laser[:, :2], laser[:, 2] + self.angles + wobble) + noise
+        seen = ~lost & (ranges >= s.range_min) & (ranges <= s.range_max)
+        return np.where(seen, ranges, np.inf).astype(np.float32)
+
+
+class GroundTruth:
+    """The robot's pose as it is."""
+
+    name, topic, msgtype, frame_id = "truth", "/ground_truth/pose", "geometry_msgs/msg/PoseStamped", "map"
+    duration, latency = 0.0, 0.001
+
+    def __init__(self, truth: Truth, robot: Robot) -> None:
+        self.period, self.phase = 1 / truth.rate, truth.phase
+        self.robot = robot
+
+    def read(self, t: float) -> dict[str, Any]:
+        """Return position and heading, the latter as a quaternion about z."""
+        x, y, theta = self.robot.trail.pose(np.array([t]))[0].tolist()
+        return {
+            "pose.position.x": x,
+            "pose.position.y": y,
+            "pose.position.z": 0.0,
+            "pose.orientation.x": 0.0,
+            "pose.orientation.y": 0.0,
+            "pose.orientation.z": float(np.sin(theta / 2)),
+            "pose.orientation.w": float(np.cos(theta / 2)),
+        }
+
+
+def build(scenario: Scenario, robot: Robot, rngs: dict[str, np.random.Generator]) -> list[Sensor]:
+    """Return the scenario's sensors."""
+    room = scenario.room
+    mark = scenario.landmark
+    plan = Plan(np.concatenate((walls(room), plates(room))), np.array([[mark.x, mark.y, mark.radius]]))
+    sensors: list[Sensor] = [Encoders(scenario.wheels, robot)]
+    if scenario.compass.enabled:
+        sensors.append(Magnetometer(scenario.compass, np.radians(room.north_deg), robot, rngs["compass"]))
+    if scenario.lrf.enabled:
+        sensors.append(Laser(scenario.lrf, plan, robot, rngs["lrf"]))
+    sensors.append(GroundTruth(scenario.truth, robot))
+    return sensors

@@ -1,0 +1,149 @@
+"""When the readings of a stream were taken: header stamps, held against the order of recording.
+
+Real stamps go backwards, repeat, are zero or absurd. The order of recording is the true one, so a stamp that
+contradicts it is replaced: it is dated by its recording time, between the trusted readings around it.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..fusion.data import Ints
+
+ORDERS = ("auto", "stamp", "recorded")
+JUMP_NS = 10 * 10**9  # a stamp that moves by this much more or less than its recording time has left its clock
+LATENCY_NS = 10**9  # stamps that differ from recording by more are another clock, not a delay
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The times of a stream's rows, and how they came about."""
+
+    t_ns: Ints  # (n,) never decreasing
+    rows: Ints | None  # (n,) which recorded message each row is; None: all of them in recording order
+    words: str  # the choice made
+    repaired: dict[str, int] = field(default_factory=dict)  # reason -> stamps replaced
+    dropped: dict[str, int] = field(default_factory=dict)  # reason -> messages without a usable time
+    notes: tuple[str, ...] = ()
+
+
+def settle(log_time: Ints, stamp: Ints | None, order: str = "auto") -> Clock:
+    """Date readings recorded at `log_time` (n,), never decreasing, with header stamps (n,) where there are any."""
+    if stamp is None:
+        return Clock(log_time, None, "log time (no header)")
+    if not len(stamp):
+        return Clock(log_time, None, "header stamps")
+    if order == "stamp":
+        return _by_stamp(log_time, stamp)
+    bad = _untrusted(log_time, stamp)
+    trusted = ~np.any([*bad.values()], axis=0)
+    if order == "recorded":
+        return _recorded(log_time, stamp, trusted, "recording order, as asked for")
+    if trusted.all():
+        return Clock(stamp, None, "header stamps", notes=_differ(log_time, stamp))
+    if 2 * trusted.sum() < len(stamp):
+        return _recorded(log_time, stamp, trusted, "recording order: most header stamps contradict it")
+    return _repaired(log_time, stamp, trusted, {why: int(m.sum()) for why, m in bad.items() if m.any()})
+
+
+def _by_stamp(log_time: Ints, stamp: Ints) -> Clock:
+    usable = np.flatnonzero(stamp > 0)
+    rows = usable[np.argsort(stamp[usable], kind="stable")]
+    unusable = len(stamp) - len(rows)
+    dropped = {"zero or negative stamp": unusable} if unusable else {}
+    return Clock(stamp[rows], rows, "header stamps, sorted, as asked for", {}, dropped, _differ(log_time, stamp))
+
+
+def _recorded(log_time: Ints, stamp: Ints, trusted: Mask, words: str) -> Clock:
+    """Date everything by recording time, less the usual delay where there is one."""
+    delay = int(np.median((log_time - stamp)[trusted])) if trusted.any() else 0
+    if abs(delay) > LATENCY_NS:
+        return Clock(log_time, None, f"{words}; log time", notes=_differ(log_time, stamp))
+    return Clock(log_time - delay, None, f"{words}; log time less the median delay of {delay / 1e9:.3f} s")
+
+
+def _repaired(log_time: Ints, stamp: Ints, trusted: Mask, counts: dict[str, int]) -> Clock:
+    why = ", ".join(f"{n} {reason}" for reason, n in counts.items())
+    n_bad = int((~trusted).sum())
+    words = f"header stamps; {n_bad} of {len(stamp)} dated by recording time instead ({why})"
+    return Clock(
+        _fill(log_time, stamp, trusted), None, words, counts, {}, _differ(log_time[trusted], stamp[trusted])
+    )
+
+
+def _fill(log_time: Ints, stamp: Ints, trusted: Mask) -> Ints:
+    """Replace untrusted stamps: interpolated in recording time, beyond the ends with the nearest delay."""
+    known = np.flatnonzero(trusted)
+    first, last = known[0], known[-1]
+    t = stamp.copy()
+    inside = np.flatnonzero(~trusted[first:last]) + first
+    r0, s0 = log_time[first], stamp[first]
+    between = np.interp(log_time[inside] - r0, log_time[known] - r0, stamp[known] - s0)
+    t[inside] = s0 + np.rint(between).astype(np.int64)
+    t[:first] = log_time[:first] - (r0 - s0)
+    t[last + 1 :] = log_time[last + 1 :] - (log_time[last] - stamp[last])
+    return np.maximum.accumulate(t)
+
+
+def _untrusted(log_time: Ints, stamp: Ints) -> dict[str, Mask]:
+    """Return reason -> which stamps (n,) it makes untrustworthy."""
+    zero = stamp == 0
+    negative = stamp < 0
+    off = np.zeros(len(stamp), bool)
+    ordinary = np.flatnonzero(stamp > 0)
+    off[ordinary] = _off_the_clock(log_time[ordinary], stamp[ordinary])
+    backwards = np.zeros(len(stamp), bool)
+    left = np.flatnonzero((stamp > 0) & ~off)
+    backwards[left] = ~_increasing(stamp[left])
+    return {"zero": zero, "negative": negative, "off the stream's clock": off, "backwards": backwards}
+
+
+def _off_the_clock(log_time: Ints, stamp: Ints) -> Mask:
+    """Cut the stream where stamps jump against recording; what is far from the longest piece's delay is off."""
+    delay = log_time - stamp
+    cuts = np.flatnonzero(np.abs(np.diff(delay)) > JUMP_NS) + 1
+    if not len(cuts):
+        return np.zeros(len(stamp), bool)
+    edges = np.concatenate(([0], cuts, [len(stamp)]))
+    lengths = np.diff(edges)
+    middle = delay[edges[:-1] + lengths // 2]  # a piece's delay: that of its middle reading
+    off = np.abs(middle - middle[np.argmax(lengths)]) > JUMP_NS
+    return np.repeat(off, lengths)
+
+
+def _increasing(values: Ints) -> Mask:
+    """Mark a longest never-decreasing subsequence (patience sorting); all of it in the ordinary case."""
+    keep = np.ones(len(values), bool)
+    if not (np.diff(values) < 0).any():
+        return keep
+    tails: list[int] = []  # smallest last value of a run of each length
+    holders: list[int] = []  # its row
+    before = np.full(len(values), -1, np.int64)
+    for i, value in enumerate(values.tolist()):
+        at = bisect_right(tails, value)
+        before[i] = holders[at - 1] if at else -1
+        if at == len(tails):
+            tails.append(value)
+            holders.append(i)
+        else:
+            tails[at], holders[at] = value, i
+    keep[:] = False
+    row = holders[-1]
+    while row >= 0:
+        keep[row] = True
+        row = int(before[row])
+    return keep
+
+
+def _differ(log_time: Ints, stamp: Ints) -> tuple[str, ...]:
+    """Say so where stamps and recording times are two different clocks."""
+    delay = float(np.median(log_time - stamp)) / 1e9
+    if abs(delay) * 1e9 <= LATENCY_NS:
+        return ()
+    return (f"header stamps and log times differ by {delay:.3f} s (median): two clocks; header stamps are used",)

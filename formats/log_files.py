@@ -1,0 +1,49 @@
+"""Which files make up a log: one .mcap, several, or a rosbag2 directory."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..fusion.data import LocfuseError, UsageError
+
+RESULTS = ("run.json", "report.json")
+
+
+def log_files(path: Path) -> list[Path]:
+    """Return the files of the log that `path` names: a file, a rosbag2 folder, or its metadata.yaml."""
+    if not path.exists():
+        raise UsageError(f"{path}: no such file or folder")
+    if path.is_dir():
+        return _folder(path)
+    return _folder(path.parent) if path.name == "metadata.yaml" else [path]
+
+
+def _folder(folder: Path) -> list[Path]:
+    listed = [folder / name for name in _listed(folder / "metadata.yaml")]
+    files = [file for file in listed if file.is_file()] or sorted(folder.glob("*.mcap"))
+    if files:
+        return files
+    if any((folder / name).exists() for name in RESULTS):
+        raise LocfuseError(f"{folder} is a locfuse result, not a log; see: locfuse view {folder}")
+    raise LocfuseError(f"{folder}: no .mcap file in this folder")
+
+
+def _listed(metadata: Path) -> list[str]:
+    """Return the files a rosbag2 metadata.yaml lists (after a crash there is none: then those of the folder)."""
+    try:
+        text = metadata.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return []
+    block = re.search(r"^\s*relative_file_paths:\s*\n((?:\s*- .*\n?)*)", text, re.MULTILINE)
+    names = re.findall(r"^\s*- (.*)$", block[1], re.MULTILINE) if block else []
+    return [Path(name.strip().strip("'\"")).name for name in names]
+
+
+def log_name(paths: Sequence[Path]) -> str:
+    """Return what to call the log: the file without its ending, or the folder."""
+    first = paths[0]
+    if first.name == "metadata.yaml":
+        return first.parent.resolve().name
+    return first.resolve().name if first.is_dir() else first.stem

@@ -1,0 +1,66 @@
+"""What a log lost: every unreadable place, once, by reason, in bytes and (where known) messages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class Loss:
+    """One unreadable place of one file."""
+
+    path: str
+    reason: str
+    bytes: int  # of the file that cannot be used
+    messages: int | None = None  # None where nobody can say how many it held
+
+
+@dataclass
+class Losses:
+    """All losses of a log. The same place met by a second walk counts once."""
+
+    places: dict[tuple[str, str, int], Loss] = field(default_factory=dict)  # (path, reason, offset) -> loss
+
+    def add(self, path: str, reason: str, offset: int, n_bytes: int, messages: int | None = None) -> None:
+        """Record that `n_bytes` from `offset` on are lost."""
+        self.places.setdefault((path, reason, offset), Loss(path, reason, n_bytes, messages))
+
+    def __bool__(self) -> bool:
+        return bool(self.places)
+
+    @property
+    def bytes(self) -> int:
+        """All lost bytes."""
+        return sum(loss.bytes for loss in self.places.values())
+
+    @property
+    def messages(self) -> int:
+        """All messages known to be lost."""
+        return sum(loss.messages or 0 for loss in self.places.values())
+
+    def by_reason(self) -> dict[str, dict[str, int]]:
+        """Return reason -> {places, bytes, messages}, for machines."""
+        table: dict[str, dict[str, int]] = {}
+        for loss in self.places.values():
+            row = table.setdefault(loss.reason, {"places": 0, "bytes": 0, "messages": 0})
+            row["places"] += 1
+            row["bytes"] += loss.bytes
+            row["messages"] += loss.messages or 0
+        return table
+
+    def lines(self) -> list[str]:
+        """Say it in words, one line per file and reason."""
+        groups: dict[tuple[str, str], list[Loss]] = {}
+        for loss in self.places.values():
+            groups.setdefault((loss.path, loss.reason), []).append(loss)
+        return [_line(path, reason, losses) for (path, reason), losses in groups.items()]
+
+
+def _line(path: str, reason: str, losses: list[Loss]) -> str:
+    n_bytes = sum(loss.bytes for loss in losses)
+    known = [loss.messages for loss in losses if loss.messages is not None]
+    parts = [f"{len(losses)} places"] if len(losses) > 1 else []
+    parts += [f"{n_bytes} bytes"] if n_bytes else []
+    if known:
+        parts.append(f"{sum(known)} message{'' if sum(known) == 1 else 's'}")
+    return f"{path}: {reason}" + (f" ({', '.join(parts)})" if parts else "")

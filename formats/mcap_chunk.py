@@ -1,0 +1,173 @@
+"""The inside of a chunk: find every message, by the message index where it holds good, else record by record.
+
+The index is believed only after all of it was checked at once: each entry points at a Message record of its
+channel and log time, and what lies between the messages are whole Schema and Channel records.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..fusion.data import Ints
+from .mcap_records import CHANNEL, MESSAGE, MESSAGE_HEADER, PRIVATE, RECORD, SCHEMA
+from .source import Messages
+
+Index = dict[int, NDArray[np.uint64]]  # channel -> (k, 2) log time, offset of the record in the chunk
+
+PAYLOAD = RECORD.size + MESSAGE_HEADER  # bytes from a Message record's start to its payload
+
+
+class Records(NamedTuple):
+    """What a chunk holds."""
+
+    messages: dict[int, Messages]
+    definitions: list[tuple[int, int, int]]  # Schema and Channel records: (opcode, content start, length)
+    end: int  # where the records stop making sense; the chunk's size when all is well
+
+
+def view(data: NDArray[np.uint8], dtype: str, at: Ints) -> NDArray[Any]:
+    """Read one value of `dtype` at each of the byte offsets `at` (k,), aligned or not."""
+    size = np.dtype(dtype).itemsize
+    return np.ndarray((max(len(data) - size + 1, 0),), dtype, data, 0, (1,))[at]
+
+
+def records(data: NDArray[np.uint8], index: Index | None) -> Records:
+    """Find the records of a chunk's decompressed bytes."""
+    if index is not None and (found := _by_index(data, index)) is not None:
+        return found
+    scanned = scan(data)
+    if index is None or scanned.end == len(data):
+        return scanned
+    return _salvage(data, scanned, index)
+
+
+def scan(data: NDArray[np.uint8]) -> Records:
+    """Walk record by record until the end or the first record that cannot be one."""
+    offsets: list[int] = []
+    definitions: list[tuple[int, int, int]] = []
+    end = _walk(data.data, 0, len(data), offsets, definitions)
+    return Records(_gather(data, np.array(offsets, np.int64)), definitions, end)
+
+
+def _walk(
+    data: memoryview, at: int, stop: int, offsets: list[int], definitions: list[tuple[int, int, int]]
+) -> int:
+    while at + RECORD.size <= stop:
+        opcode, length = RECORD.unpack_from(data, at)
+        end = at + RECORD.size + length
+        if end > stop or not _allowed(opcode, length):
+            break
+        if opcode == MESSAGE:
+            offsets.append(at)
+        elif opcode < PRIVATE:
+            definitions.append((opcode, at + RECORD.size, length))
+        at = end
+    return at
+
+
+def _allowed(opcode: int, length: int) -> bool:
+    return (opcode == MESSAGE and length >= MESSAGE_HEADER) or opcode in {SCHEMA, CHANNEL} or opcode >= PRIVATE
+
+
+def _gather(data: NDArray[np.uint8], offsets: Ints) -> dict[int, Messages]:
+    """Group Message records by channel."""
+    if not len(offsets):
+        return {}
+    channel = view(data, "<u2", offsets + RECORD.size)
+    everything = Messages(
+        offsets + PAYLOAD,
+        view(data, "<u8", offsets + 1).astype(np.int64) - MESSAGE_HEADER,
+        view(data, "<u8", offsets + RECORD.size + 6).astype(np.int64),
+        view(data, "<u4", offsets + RECORD.size + 2).astype(np.int64),
+    )
+    return {int(ident): everything.take(channel == ident) for ident in np.unique(channel)}
+
+
+def _credible(
+    data: NDArray[np.uint8], channel: Ints, log_time: NDArray[np.uint64], offsets: Ints
+) -> NDArray[np.bool_]:
+    """Tell which index entries (k,) point at a Message record of their channel and log time."""
+    if len(data) < PAYLOAD:
+        return np.zeros(len(offsets), bool)
+    inside = (offsets >= 0) & (offsets + PAYLOAD <= len(data))
+    at = np.where(inside, offsets, 0)
+    length = view(data, "<u8", at + 1)
+    found: NDArray[np.bool_] = (
+        inside
+        & (data[at] == MESSAGE)
+        & (view(data, "<u2", at + RECORD.size) == channel)
+        & (view(data, "<u8", at + RECORD.size + 6) == log_time)
+        & (length >= MESSAGE_HEADER)
+        & (length <= (len(data) - RECORD.size - at).astype(np.uint64))
+    )
+    return found
+
+
+def _flatten(index: Index) -> tuple[Ints, NDArray[np.uint64], Ints]:
+    """Return all entries as columns (channel, log time, offset), sorted by offset."""
+    entries = np.concatenate([np.empty((0, 2), "<u8"), *index.values()])
+    channel = np.repeat(np.array(list(index), np.int64), [len(part) for part in index.values()])
+    offsets = entries[:, 1].astype(np.int64)
+    order = np.argsort(offsets, kind="stable")
+    return channel[order], entries[order, 0], offsets[order]
+
+
+def _by_index(data: NDArray[np.uint8], index: Index) -> Records | None:
+    channel, log_time, offsets = _flatten(index)
+    if not _credible(data, channel, log_time, offsets).all():
+        return None
+    ends = offsets + RECORD.size + view(data, "<u8", offsets + 1).astype(np.int64)
+    missed: list[int] = []
+    definitions: list[tuple[int, int, int]] = []
+    buffer = data.data
+    for at, stop in _gaps(offsets, ends, len(data)):
+        if at > stop or _walk(buffer, at, stop, missed, definitions) != stop or missed:
+            return None
+    rows = {ident: channel == ident for ident in index}
+    start = offsets + PAYLOAD
+    everything = Messages(
+        start, ends - start, log_time.astype(np.int64), view(data, "<u4", offsets + 11).astype(np.int64)
+    )
+    messages = {ident: everything.take(mask) for ident, mask in rows.items() if mask.any()}
+    return Records(messages, definitions, len(data))
+
+
+def _gaps(offsets: Ints, ends: Ints, size: int) -> Iterator[tuple[int, int]]:
+    """Yield the byte ranges between the messages (overlaps come out with start > stop)."""
+    starts = np.concatenate(([0], ends))
+    stops = np.concatenate((offsets, [size]))
+    for i in np.flatnonzero(starts != stops):
+        yield int(starts[i]), int(stops[i])
+
+
+def _salvage(data: NDArray[np.uint8], scanned: Records, index: Index) -> Records:
+    """Add the messages behind a damaged record that the index still reaches."""
+    channel, log_time, offsets = _flatten(index)
+    good = _credible(data, channel, log_time, offsets) & (offsets >= scanned.end)
+    behind = _gather(data, _disjoint(data, offsets[good]))
+    messages = dict(scanned.messages)
+    for ident, more in behind.items():
+        before = messages.get(ident)
+        messages[ident] = (
+            more if before is None else Messages(*map(np.concatenate, zip(before, more, strict=True)))
+        )
+    return Records(messages, scanned.definitions, scanned.end)
+
+
+def _disjoint(data: NDArray[np.uint8], offsets: Ints) -> Ints:
+    kept: list[int] = []
+    end = 0
+    for offset in offsets.tolist():
+        if offset >= end:
+            kept.append(offset)
+            end = offset + RECORD.size + RECORD.unpack_from(data.data, offset)[1]
+    return np.array(kept, np.int64)
+
+
+def counted(messages: Iterable[Messages]) -> int:
+    """Return how many messages these are."""
+    return sum(len(m.start) for m in messages)

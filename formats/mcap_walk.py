@@ -1,0 +1,151 @@
+"""An MCAP file as a source of message batches: chunk by chunk, checked, with bounded memory."""
+
+from __future__ import annotations
+
+import zlib
+from collections import Counter
+from collections.abc import Collection, Iterator
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import mcap_records as rec
+from .decompress import MAX_BYTES, DamagedError, decompress, decompress_prefix
+from .losses import Losses
+from .mcap_chunk import Index, Records, counted, records
+from .mcap_survey import ChunkRef, FileBytes, LooseRun, Part, survey
+from .source import Batch, ChannelInfo
+
+Bytes = NDArray[np.uint8]
+
+
+class McapSource:
+    """One .mcap file. Opening it walks the outermost records only; messages are read by `batches`."""
+
+    def __init__(self, path: Path, losses: Losses) -> None:
+        self.path = path
+        self.losses = losses
+        self._data = FileBytes(path)
+        self._survey = survey(self._data, losses)
+        self._discover()
+        self.channels = self._channels()
+        self._compare_with_statistics()
+
+    @cached_property
+    def attachments(self) -> dict[str, bytes]:
+        """Attachments by name; one that fails its checksum is lost."""
+        found: dict[str, bytes] = {}
+        for at, length in self._survey.attachments:
+            content = self._data.read(at, length)
+            try:
+                name, data, crc = rec.attachment(content)
+                if crc and zlib.crc32(content[:-4]) != crc:
+                    raise DamagedError("an attachment fails its checksum")
+                found[name] = data
+            except DamagedError as problem:
+                self.losses.add(str(self.path), str(problem), at, length)
+        return found
+
+    def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
+        """Yield the messages of the wanted channels in file order."""
+        for part in self._survey.parts:
+            if part.counts is not None and not part.counts.keys() & wanted:
+                continue
+            data, found = self._load(part)
+            messages = {ident: m for ident, m in found.messages.items() if ident in wanted}
+            if messages:
+                yield Batch(data, messages)
+
+    def _load(self, part: Part) -> tuple[Bytes, Records]:
+        """Read one part; what is damaged is counted and left out."""
+        try:
+            data = self._bytes(part)
+        except DamagedError as problem:
+            known = None if part.counts is None else sum(part.counts.values())
+            self.losses.add(str(self.path), str(problem), part.offset, part.size, known)
+            return np.empty(0, np.uint8), Records({}, [], 0)
+        found = records(data, self._index(part) if isinstance(part, ChunkRef) else None)
+        if found.end < len(data) or part.cut_off:
+            self._count_gap(part, len(data), found)
+        return data, found
+
+    def _bytes(self, part: Part) -> Bytes:
+        if part.size > MAX_BYTES:
+            raise DamagedError(f"a chunk is larger than {MAX_BYTES >> 20} MiB")
+        packed = self._data.read(part.start, part.size)
+        if isinstance(part, LooseRun):
+            return np.frombuffer(packed, np.uint8)
+        header = part.header
+        if part.cut_off:
+            plain = decompress_prefix(packed, header.compression, header.uncompressed_size)
+        else:
+            plain = decompress(packed, header.compression, header.uncompressed_size)
+            if header.crc and zlib.crc32(plain) != header.crc:
+                raise DamagedError("a chunk fails its checksum")
+        return np.frombuffer(plain, np.uint8)
+
+    def _index(self, chunk: ChunkRef) -> Index | None:
+        """Return the message indexes behind a chunk, None where there are none."""
+        try:
+            found = [rec.message_index(self._data.read(at, length)) for at, length in chunk.index.values()]
+        except DamagedError:
+            return None
+        return dict(found) if found and not chunk.cut_off else None
+
+    def _count_gap(self, part: Part, size: int, found: Records) -> None:
+        reason = "the file is cut off inside a chunk" if part.cut_off else "a chunk holds bytes that are no record"
+        missing = None
+        if part.counts is not None:
+            missing = max(sum(part.counts.values()) - counted(found.messages.values()), 0)
+        self.losses.add(str(self.path), reason, part.offset, size - found.end, missing)
+
+    def _discover(self) -> None:
+        """Read the parts that alone can tell which channels and how many messages they hold."""
+        known = self._survey
+        for part in known.parts:
+            complete = part.counts is not None and part.counts.keys() <= known.channels.keys()
+            if complete and all(known.channels[i].schema_id in {0, *known.schemas} for i in part.counts or ()):
+                continue
+            data, found = self._load(part)
+            if part.counts is None:
+                part.counts = {ident: len(m.start) for ident, m in found.messages.items()}
+            for opcode, start, length in found.definitions:
+                self._define(opcode, data[start : start + length].tobytes())
+
+    def _define(self, opcode: int, content: bytes) -> None:
+        try:
+            if opcode == rec.SCHEMA:
+                schema = rec.schema(content)
+                self._survey.schemas.setdefault(schema.id, schema)
+            elif opcode == rec.CHANNEL:
+                channel = rec.channel(content)
+                self._survey.channels.setdefault(channel.id, channel)
+        except DamagedError:
+            return  # a channel nobody defines is reported by _channels
+
+    def _counts(self) -> Counter[int]:
+        total: Counter[int] = Counter()
+        for part in self._survey.parts:
+            total.update(part.counts or {})
+        return total
+
+    def _channels(self) -> dict[int, ChannelInfo]:
+        nothing = rec.Schema(0, "", "", b"")
+        counts = self._counts()
+        found: dict[int, ChannelInfo] = {}
+        for ident, c in self._survey.channels.items():
+            schema = self._survey.schemas.get(c.schema_id, nothing)
+            found[ident] = ChannelInfo(
+                c.topic, schema.name, c.message_encoding, schema.encoding, schema.data, counts[ident]
+            )
+        for ident in counts.keys() - found.keys():
+            self.losses.add(str(self.path), "messages of a channel nobody defines", ident, 0, counts[ident])
+        return found
+
+    def _compare_with_statistics(self) -> None:
+        missing = Counter(self._survey.expected or {}) - self._counts()
+        if missing:
+            reason = "messages the file's statistics promise are missing"
+            self.losses.add(str(self.path), reason, 0, 0, missing.total())

@@ -1,0 +1,119 @@
+"""Message definitions (ros2msg, ros2idl, ros1msg) as a tree that says how the bytes of a message lie."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, cast
+
+if TYPE_CHECKING:
+    from rosbags.interfaces.typing import FieldDesc, Typesdict
+
+DTYPES = {
+    "bool": "?", "byte": "u1", "char": "u1", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2",
+    "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8",
+}  # fmt: skip
+TIMES = frozenset({"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"})
+MAX_DEPTH = 32
+DIVIDER = re.compile(r"^={20,}\s*$", re.MULTILINE)
+
+
+class SchemaError(ValueError):
+    """A message definition that cannot be used; the message is the reason in a few words."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scalar:
+    """One number."""
+
+    dtype: str  # NumPy letter and size, e.g. "f8"; "?" for bool
+    size: int  # bytes, and so its alignment
+
+
+@dataclass(frozen=True, eq=False)
+class Text:
+    """A string."""
+
+
+@dataclass(frozen=True, eq=False)
+class Many:
+    """An array: of fixed `count`, or a sequence that says its length itself (None)."""
+
+    element: Node
+    count: int | None
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """A message or a part of one."""
+
+    name: str
+    fields: dict[str, Node]
+
+    @property
+    def is_time(self) -> bool:
+        """Whether this is a stamp or a duration: delivered as one number of nanoseconds."""
+        return self.name in TIMES
+
+
+Node = Scalar | Text | Many | Record
+
+
+def message_type(name: str) -> str:
+    """Spell a type name as pkg/msg/Name: "pkg/Name" and "pkg::msg::Name" are spellings of the same."""
+    parts = name.replace("::", "/").split("/")
+    return f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 else "/".join(parts)
+
+
+def parse(name: str, encoding: str, text: str) -> Record:
+    """Return the layout of message type `name`, whose definition `text` is in the language `encoding`."""
+    from rosbags.typesys import TypesysError
+
+    msgtype = message_type(name)
+    try:
+        types = _types(msgtype, encoding, text.replace("\r\n", "\n"))
+    except (TypesysError, RecursionError, ValueError, KeyError, AssertionError, TypeError):
+        raise SchemaError(f"its {encoding} definition of {msgtype} cannot be parsed") from None
+    return _record(msgtype, types, 0)
+
+
+def _types(msgtype: str, encoding: str, text: str) -> Typesdict:
+    from rosbags.typesys import get_types_from_idl, get_types_from_msg
+
+    if encoding != "ros2idl":
+        return get_types_from_msg(text, msgtype)
+    found: Typesdict = {}
+    for one in DIVIDER.split(text):
+        idl = "\n".join(line for line in one.split("\n") if not line.startswith(("IDL: ", "#include")))
+        if idl.strip():
+            found.update(get_types_from_idl(idl))
+    return found
+
+
+def _record(name: str, types: Typesdict, depth: int) -> Record:
+    if depth > MAX_DEPTH:
+        raise SchemaError("its definition contains itself")
+    if name not in types:
+        if name in TIMES:
+            return Record(name, {"sec": Scalar("i4", 4), "nanosec": Scalar("u4", 4)})
+        raise SchemaError(f"its definition names {name} and does not define it")
+    fields = {field: _node(desc, types, depth + 1) for field, desc in types[name][1]}
+    return Record(name, fields or {"structure_needs_at_least_one_member": Scalar("u1", 1)})
+
+
+def _node(desc: FieldDesc, types: Typesdict, depth: int) -> Node:
+    kind, detail = desc[0].name, desc[1]
+    if kind == "NAME":
+        return _record(str(detail), types, depth)
+    if kind == "BASE":
+        return _base(str(detail[0]))
+    element, size = cast("tuple[FieldDesc, int]", detail)
+    return Many(_node(element, types, depth), size if kind == "ARRAY" else None)
+
+
+def _base(name: str) -> Node:
+    if name == "string":
+        return Text()
+    if name not in DTYPES:
+        raise SchemaError(f"its definition uses {name}, which is not supported")
+    return Scalar(DTYPES[name], int(DTYPES[name][1:] or 1))

@@ -1,0 +1,64 @@
+"""What every kind of log file gives: channels, and batches of raw messages that lie in one buffer.
+
+A batch is one chunk, so memory stays flat; its messages are columns of offsets into the buffer, so that
+decoding can gather a field of all messages at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..fusion.data import Ints
+from .losses import Losses
+
+
+class ChannelInfo(NamedTuple):
+    """One channel of one file. Channels with the same topic are one stream."""
+
+    topic: str
+    msgtype: str  # as the file spells it
+    encoding: str  # of the messages: cdr, json, ros1
+    schema_encoding: str  # ros2msg, ros2idl, ros1msg, jsonschema
+    schema: bytes
+    n: int | None  # messages, where the file knows
+
+
+class Messages(NamedTuple):
+    """The messages of one channel in one batch, in file order."""
+
+    start: Ints  # (k,) first payload byte in the batch's buffer
+    length: Ints  # (k,) payload bytes
+    log_time: Ints  # (k,) ns
+    sequence: Ints  # (k,)
+
+    def take(self, rows: NDArray[Any] | slice) -> Messages:
+        """Return the given rows."""
+        return Messages(*(column[rows] for column in self))
+
+
+class Batch(NamedTuple):
+    """Messages that were read and decompressed together."""
+
+    data: NDArray[np.uint8]
+    messages: dict[int, Messages]  # by channel id
+
+
+class Source(Protocol):
+    """One file of a log."""
+
+    losses: Losses
+
+    @property
+    def channels(self) -> Mapping[int, ChannelInfo]:
+        """Channels by id."""
+
+    @property
+    def attachments(self) -> Mapping[str, bytes]:
+        """Attachments by name."""
+
+    def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
+        """Yield the messages of the wanted channels in file order; the same order at every call."""

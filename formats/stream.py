@@ -1,0 +1,128 @@
+"""One topic of a log as fusion sees it: its clock is settled, its fields are columns on request."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from ..fusion.data import Block, Column, Ints
+from . import clock as clocks
+from .columns import concat, n_bytes, take
+from .table import STAMP, Raw, Table
+
+BLOCK_BYTES = 32 * 1024 * 1024
+
+
+class Reader(Protocol):
+    """What a stream asks of its log."""
+
+    def read(self, wants: Mapping[str, Sequence[str]]) -> dict[str, Table]:
+        """Make sure that the fields of the topics are in memory."""
+
+    def raw(self, topic: str, rows: int) -> Iterator[Raw]:
+        """Yield the messages of one topic, at most `rows` at a time."""
+
+    def unreadable(self, topic: str) -> dict[str, int]:
+        """Count the messages on a topic that are of another type than the rest of it."""
+
+
+class LogStream:
+    """One topic: its clock is settled, its fields are columns on request (fusion.data.Stream)."""
+
+    def __init__(self, log: Reader, topic: str, msgtype: str, order: str) -> None:
+        self.topic = topic
+        self.msgtype = msgtype
+        self.order = order
+        self._log = log
+
+    @property
+    def _table(self) -> Table:
+        return self._log.read({self.topic: ()})[self.topic]
+
+    @cached_property
+    def _clock(self) -> clocks.Clock:
+        table = self._table
+        assert table.log_time is not None
+        stamp = table.columns.get(STAMP)
+        return clocks.settle(table.log_time, None if stamp is None else np.asarray(stamp), self.order)
+
+    @property
+    def frame_id(self) -> str:
+        """The frame of the first message's header, "" without one."""
+        return self._table.frame_id
+
+    @property
+    def t_ns(self) -> Ints:
+        """When the readings were taken, (n,), never decreasing."""
+        return self._clock.t_ns
+
+    @property
+    def clock(self) -> str:
+        """Which times were taken, in words."""
+        return self._clock.words
+
+    @property
+    def repaired(self) -> Mapping[str, int]:
+        """Stamps that were replaced, by reason."""
+        return self._clock.repaired
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Oddities of the stream's times in words."""
+        return self._clock.notes
+
+    @property
+    def dropped(self) -> Mapping[str, int]:
+        """Messages that are not among the rows, by reason."""
+        return {**self._log.unreadable(self.topic), **self._table.bad, **self._clock.dropped}
+
+    def columns(self, *fields: str) -> dict[str, Column]:
+        """Return whole columns by dotted field path, each with n rows."""
+        table = self._log.read({self.topic: fields})[self.topic]
+        rows = self._clock.rows
+        return {name: table.columns[name] if rows is None else take(table.columns[name], rows) for name in fields}
+
+    def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
+        """Yield (row numbers (k,), columns) chunk by chunk in file order; every row exactly once."""
+        row_of = self._row_of_walk()
+        waiting: list[Block] = []
+        at = 0
+        for raw in self._log.raw(self.topic, rows):
+            decoded = raw.columns(fields)
+            here = row_of[at : at + int(decoded.good.sum())]
+            at += len(here)
+            waiting.append(_rows(here, decoded.columns))
+            if sum(len(numbers) for numbers, _ in waiting) >= rows or _bytes(waiting) >= BLOCK_BYTES:
+                yield _joined(waiting)
+                waiting = []
+        if waiting:
+            yield _joined(waiting)
+
+    def _row_of_walk(self) -> Ints:
+        """Return the row of every readable message in file order, -1 for none."""
+        recorded = self._table.row
+        if self._clock.rows is None:
+            return recorded
+        row = np.full(len(recorded) + 1, -1, np.int64)  # the last one answers for -1
+        row[self._clock.rows] = np.arange(len(self._clock.rows))
+        return row[recorded]
+
+
+def _rows(numbers: Ints, columns: dict[str, Column]) -> Block:
+    keep = numbers >= 0
+    if keep.all():
+        return numbers, columns
+    rows = np.flatnonzero(keep)
+    return numbers[rows], {name: take(column, rows) for name, column in columns.items()}
+
+
+def _bytes(blocks: list[Block]) -> int:
+    return sum(n_bytes(column) for _, columns in blocks for column in columns.values())
+
+
+def _joined(blocks: list[Block]) -> Block:
+    numbers = np.concatenate([block[0] for block in blocks])
+    return numbers, {name: concat([block[1][name] for block in blocks]) for name in blocks[0][1]}

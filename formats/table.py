@@ -1,0 +1,170 @@
+"""One topic of a log, read into columns in recording order: (log time, sequence), never position in the file."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..fusion.data import Column, Ints, LocfuseError
+from .cdr import Decoded, Decoder
+from .columns import concat, take
+from .source import Messages
+
+STAMP = "header.stamp"
+FRAME = "header.frame_id"
+
+
+class Raw(NamedTuple):
+    """The messages of one channel in one batch, and what decodes them."""
+
+    data: NDArray[np.uint8]
+    messages: Messages
+    decoder: Decoder
+
+    def columns(self, fields: Sequence[str]) -> Decoded:
+        """Decode the named fields."""
+        return self.decoder.decode(self.data, self.messages.start, self.messages.length, fields)
+
+
+@dataclass
+class Pass:
+    """What one walk over the file collects."""
+
+    fields: tuple[str, ...]
+    log_time: list[Ints] = field(default_factory=list)
+    sequence: list[Ints] = field(default_factory=list)
+    columns: list[dict[str, Column]] = field(default_factory=list)
+
+
+class Table:
+    """The readable messages of one topic. Row = place in recording order; walk row = place in the files."""
+
+    def __init__(self, topic: str, decoder: Decoder) -> None:
+        self.topic = topic
+        self.decoder = decoder
+        self.stamped = decoder.is_time(STAMP)
+        self.frame_id = ""
+        self.bad: Counter[str] = Counter()  # reason -> messages that are no rows
+        self.log_time: Ints | None = None  # (n,) recording order; None before the first read
+        self.columns: dict[str, Column] = {}
+        self.row: Ints = np.empty(0, np.int64)  # walk row -> row, -1 for none
+        self._walk_rows: Ints | None = None  # row -> walk row; None: the same
+        self._pass = Pass(())
+        self._earliest: int | None = None
+        self._times: tuple[Ints, Ints] = (self.row, self.row)  # log time and sequence in walk order
+
+    def missing(self, fields: Sequence[str]) -> tuple[str, ...]:
+        """Return the fields that a walk has yet to read, the stamp among them."""
+        wanted = dict.fromkeys(fields)
+        if self.stamped:
+            wanted[STAMP] = None
+        return tuple(name for name in wanted if name not in self.columns)
+
+    @property
+    def known(self) -> bool:
+        """Whether the messages were read once."""
+        return self.log_time is not None
+
+    def begin(self, fields: Sequence[str]) -> None:
+        """Start collecting what is missing of `fields`."""
+        self._pass = Pass(self.missing(fields))
+
+    def feed(self, raw: Raw) -> None:
+        """Take the next messages in file order."""
+        decoded = raw.columns(self._pass.fields)
+        self._pass.columns.append(decoded.columns)
+        self._pass.log_time.append(raw.messages.log_time[decoded.good])
+        if self.known:
+            return
+        self._pass.sequence.append(raw.messages.sequence[decoded.good])
+        self.bad.update(decoded.bad)
+        if self.stamped and decoded.good.any():
+            self._take_frame(raw, decoded.good)
+
+    def _take_frame(self, raw: Raw, good: NDArray[np.bool_]) -> None:
+        rows = np.flatnonzero(good)
+        first = rows[np.argmin(raw.messages.log_time[rows])]
+        at = int(raw.messages.log_time[first])
+        if self._earliest is None or at < self._earliest:
+            self._earliest = at
+            one = raw._replace(messages=raw.messages.take(np.array([first])))
+            self.frame_id = str(one.columns((FRAME,)).columns[FRAME][0])
+
+    def end(self) -> bool:
+        """End the walk; return whether messages share a log time, so that their bytes must decide."""
+        columns = {name: self._joined(name) for name in self._pass.fields}
+        log_time = np.concatenate([np.empty(0, np.int64), *self._pass.log_time])
+        if self.known:
+            self._add(columns, len(log_time))
+            return False
+        self.columns = columns
+        self._times = (log_time, np.concatenate([np.empty(0, np.int64), *self._pass.sequence]))
+        ordered = np.sort(log_time)
+        return bool((np.diff(ordered) == 0).any())
+
+    def _joined(self, name: str) -> Column:
+        parts = [part[name] for part in self._pass.columns]
+        if not parts:
+            none = np.empty(0, np.int64)
+            parts = [self.decoder.decode(np.empty(0, np.uint8), none, none, (name,)).columns[name]]
+        return concat(parts)
+
+    def _add(self, columns: dict[str, Column], n: int) -> None:
+        if n != len(self.row):
+            raise LocfuseError(f"{self.topic}: the log changed while it was being read")
+        rows = self._walk_rows
+        self.columns |= {k: c if rows is None else take(c, rows) for k, c in columns.items()}
+
+    def tied(self) -> Ints:
+        """Return the log times that several messages share."""
+        times, counts = np.unique(self._times[0], return_counts=True)
+        return times[counts > 1]
+
+    def sort(self, digests: Ints | None) -> None:
+        """Put the rows into recording order; `digests` (n,) of the bytes, walk order, settle ties."""
+        log_time, sequence = self._times
+        n = len(log_time)
+        order = np.lexsort((sequence, log_time)) if digests is None else np.lexsort((digests, sequence, log_time))
+        if digests is not None:
+            order = self._without_repeats(order, log_time, digests)
+        identity = len(order) == n and (order == np.arange(n)).all()
+        self._walk_rows = None if identity else order
+        self.row = np.full(n, -1, np.int64)
+        self.row[order] = np.arange(len(order))
+        self.log_time = log_time[order]
+        if not identity:
+            self.columns = {name: take(column, order) for name, column in self.columns.items()}
+
+    def _without_repeats(self, order: Ints, log_time: Ints, digests: Ints) -> Ints:
+        """Leave out messages with the log time and the bytes of another: recorded twice, not measured twice."""
+        by_content = np.lexsort((self._times[1], digests, log_time))
+        same = (
+            (np.diff(log_time[by_content]) == 0)
+            & (np.diff(digests[by_content]) == 0)
+            & (digests[by_content[1:]] != 0)
+        )
+        repeats = by_content[1:][same]
+        if len(repeats):
+            self.bad["exact repeat"] += len(repeats)
+            keep = np.ones(len(order), bool)
+            keep[repeats] = False
+            order = order[keep[order]]
+        return order
+
+
+def digest(raw: Raw, tied: Ints) -> Ints:
+    """Return a number for the bytes of each readable message whose log time is among `tied`, 0 for the others."""
+    decoded = raw.columns(())
+    messages = raw.messages.take(decoded.good)
+    found = np.zeros(len(messages.start), np.int64)
+    for i in np.flatnonzero(np.isin(messages.log_time, tied)).tolist():
+        start = int(messages.start[i])
+        payload = raw.data[start : start + int(messages.length[i])].tobytes()
+        found[i] = int.from_bytes(hashlib.blake2b(payload, digest_size=8).digest(), "little") >> 1 | 1
+    return found

@@ -18,7 +18,7 @@ from ..data import VERDICTS, Array, Ints, MapLine, Measurements, Ragged, Stream
 from ..ekf import JointBelief, PoseBelief
 from ..gates import chi_square
 from ..line_map import LineMap
-from ..lines import Lines, extract_lines, to_base
+from ..lines import Lines, LineSettings, extract_lines, to_base
 from .base import Innovation, Model, SensorSettings, WheelMotion
 
 MapMode = Literal["first-scan", "consider", "refine", "grow"]
@@ -236,11 +236,13 @@ def _lines(
     lines = extract_lines(
         ranges,
         angles,
-        sigma_range=settings.sigma_range,
-        sigma_angle=math.radians(settings.sigma_angle_deg),
-        min_points=settings.min_points,
-        min_length=settings.min_length,
-        offsets=offsets,
+        LineSettings(
+            sigma_range=settings.sigma_range,
+            sigma_angle=math.radians(settings.sigma_angle_deg),
+            min_points=settings.min_points,
+            min_length=settings.min_length,
+        ),
+        offsets,
     )
     z, R_unit, ends = to_base(lines.z, lines.R_unit, lines.ends, *mount)
     return Lines(lines.first, z, R_unit, ends, lines.points, lines.chi2, lines.span), t

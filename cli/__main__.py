@@ -1,0 +1,5 @@
+"""`python -m locfuse.cli`."""
+
+from .main import main
+
+main()

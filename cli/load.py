@@ -1,0 +1,175 @@
+"""From what the user typed to a measured drive: log, robot, topics, streams, Drive."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from ..formats import robot_toml
+from ..formats.log import Log, open_log
+from ..fusion.data import Drive, LocfuseError, UsageError
+from ..fusion.measure import measure
+from ..fusion.robot import Robot, StartSettings, TruthSettings, WheelSettings
+from ..fusion.sensors.registry import REGISTRY
+from .topics import Choice, choose
+
+if TYPE_CHECKING:
+    from .options import LogOptions
+
+ORDERS = ("auto", "stamp", "recorded")
+BASE_FRAMES = ("base_link", "base_footprint", "base")
+ATTACHMENT = "robot.toml"
+TABLES: dict[str, type[msgspec.Struct]] = {
+    "wheels": WheelSettings,
+    "start": StartSettings,
+    "truth": TruthSettings,
+    **{name: sensor.Settings for name, sensor in REGISTRY.items()},
+}
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A measured log and everything that says where its numbers came from."""
+
+    log: Log
+    robot: Robot
+    choice: Choice
+    drive: Drive
+
+
+def find_log(words: Sequence[str]) -> list[Path]:
+    """Return paths of the logs named on the command line; a file beats a sample log's name."""
+    return [_find(word) for word in words]
+
+
+def _find(word: str) -> Path:
+    path = Path(word)
+    if path.exists():
+        return path
+    from .. import sample_logs
+
+    samples = sample_logs.names()
+    if word in samples:
+        return sample_logs.path(word)
+    raise UsageError(f"no such log: {word}. Sample logs: {', '.join(samples)}")
+
+
+def load(paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None] = lambda role: None) -> Loaded:
+    """Open, describe, choose topics, and measure. Raises LocfuseError with one line on what is wrong."""
+    progress("opening")
+    log = open_log(paths)
+    tables = merged_tables(log, how)
+    choice = choose(log, make_robot(tables))
+    streams = _streams(log, choice, str(tables.get("order", "auto")))
+    mounts = _mounts(log, {s: streams[s].frame_id for s in REGISTRY if s in streams})
+    robot = make_robot(robot_toml.merge(mounts, tables))
+    drive = measure(streams, robot, choice.absent, progress)
+    notes = (*choice.notes, *_clock_notes(streams), *_start_notes(robot, drive), *drive.notes)
+    return Loaded(log, robot, choice, replace(drive, notes=notes))
+
+
+def merged_tables(log: Log, how: LogOptions) -> dict[str, Any]:
+    """Return robot.toml as tables: the log's attachment, then --robot, then --set, key by key."""
+    layers: list[dict[str, Any]] = []
+    if ATTACHMENT in log.attachments:
+        layers.append(_checked(log.attachments[ATTACHMENT], f"{log.name}: attachment {ATTACHMENT}"))
+    if how.robot is not None:
+        layers.append(_checked(how.robot.read_bytes(), str(how.robot)))
+    try:
+        sets = robot_toml.apply_sets(how.sets)
+        make_robot(sets)
+    except LocfuseError as e:
+        raise UsageError(str(e)) from None
+    if how.order:
+        sets["order"] = how.order
+    return robot_toml.merge(*layers, sets)
+
+
+def _checked(data: bytes, source: str) -> dict[str, Any]:
+    """Parse one robot.toml and check its keys while its name is known."""
+    tables = robot_toml.parse(data, source)
+    try:
+        make_robot(tables)
+    except LocfuseError as e:
+        raise LocfuseError(f"{source}: {e}") from None
+    return tables
+
+
+def make_robot(tables: Mapping[str, Any]) -> Robot:
+    """Turn tables into typed settings; an unknown key is an error that names the nearest."""
+    tables = dict(tables)
+    order = tables.pop("order", "auto")
+    if order not in ORDERS:
+        raise LocfuseError(f"order = {order!r}; choose from {', '.join(ORDERS)}")
+    settings = robot_toml.convert(tables, TABLES)
+    defaults = {name: kind() for name, kind in TABLES.items()}
+    found: dict[str, Any] = {**defaults, **settings}
+    return Robot(
+        wheels=found["wheels"],
+        start=found["start"],
+        truth=found["truth"],
+        sensors={name: found[name] for name in REGISTRY},
+        order=order,
+        start_given="start" in tables,
+    )
+
+
+def _streams(log: Log, choice: Choice, order: str) -> dict[str, Any]:
+    from ..fusion.truth import TRUTH_READS
+    from ..fusion.wheels import WHEEL_READS
+
+    reads = {"wheels": WHEEL_READS, "truth": TRUTH_READS}
+    light: dict[str, tuple[str, ...]] = {}
+    for role, topic in choice.topics.items():
+        fields = (
+            reads[role][log.topics[topic].msgtype] if role in reads else _light(role, log.topics[topic].msgtype)
+        )
+        light[topic] = fields
+    streams = log.streams(light, order=order)
+    return {role: streams[topic] for role, topic in choice.topics.items()}
+
+
+def _light(sensor: str, msgtype: str) -> tuple[str, ...]:
+    """Return the fields to read in the common walk: none of a sensor that reads in blocks."""
+    return () if getattr(REGISTRY[sensor], "in_blocks", False) else REGISTRY[sensor].reads[msgtype]
+
+
+def _mounts(log: Log, frames: Mapping[str, str]) -> dict[str, Any]:
+    """Return where /tf_static puts the sensors on the base, as robot.toml tables."""
+    from ..formats.transforms import planar_mount
+
+    transforms = log.static_transforms()
+    tables: dict[str, Any] = {}
+    for sensor, frame in frames.items():
+        keys = set(REGISTRY[sensor].Settings.__struct_fields__)
+        if "yaw_deg" not in keys or not frame:
+            continue
+        mount = planar_mount(transforms, BASE_FRAMES, frame)
+        if mount is None:
+            continue
+        table = {"x": mount.x, "y": mount.y, "yaw_deg": math.degrees(mount.yaw), "flipped": mount.flipped}
+        tables[sensor] = {k: v for k, v in table.items() if k in keys}
+    return tables
+
+
+def _clock_notes(streams: Mapping[str, Any]) -> list[str]:
+    return [f"{role}: {stream.clock}" for role, stream in streams.items() if getattr(stream, "clock", "")]
+
+
+def _start_notes(robot: Robot, drive: Drive) -> list[str]:
+    """Warn where truth starts elsewhere than the drive and nobody said where the drive starts."""
+    truth = drive.truth
+    if truth is None or robot.start_given:
+        return []
+    x, y = truth.xy[0]
+    if math.hypot(x - robot.start.x, y - robot.start.y) < 0.05:
+        return []
+    return [
+        f"truth starts at ({x:.2f}, {y:.2f}) m but the drive at ({robot.start.x:g}, {robot.start.y:g}): "
+        "set [start], or judge the shape only with --align origin"
+    ]

@@ -1,0 +1,111 @@
+"""The entry: lazy subcommands, and the one place where errors become exit codes.
+
+`locfuse --help` must not import NumPy, OpenCV or Rerun (benchmarks: "--help"), so a command's module is imported
+when the command is used.
+"""
+
+from __future__ import annotations
+
+import errno
+import importlib
+import os
+import signal
+import sys
+from types import FrameType
+from typing import Any, NoReturn
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # 3 x 3 matrices need no threads; halves NumPy's import
+
+import click
+
+COMMANDS = {
+    "run": "Run one configuration: trajectory, covariances, run.json.",
+    "compare": "Run all configurations in one pass and report what each sensor bought.",
+    "simulate": "Drive a scenario and record it as a log with known truth.",
+}
+INTERRUPTED, TERMINATED = 130, 143
+
+
+class LazyGroup(click.Group):
+    """A group whose commands live in modules of the same name, imported on use."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the commands in the order a user meets them."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import and return one command."""
+        if cmd_name not in COMMANDS:
+            return None
+        module = importlib.import_module(f"locfuse.cli.{cmd_name}")
+        command: click.Command = getattr(module, cmd_name)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the commands without importing them."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(package_name="locfuse")
+def locfuse() -> None:
+    """Say what each sensor buys a robot: EKF localization from MCAP logs, compared.
+
+    \b
+    Start with:  locfuse compare rounded_rectangle
+    Your log:    locfuse info LOG
+    """
+
+
+def main(arguments: list[str] | None = None) -> NoReturn:
+    """Run the command line and exit with the code that design promises (0, 1, 2, 3, 4, 130, 143)."""
+    signal.signal(signal.SIGTERM, _terminate)
+    try:
+        code = locfuse.main(args=arguments, prog_name="locfuse", standalone_mode=False)
+        sys.stdout.flush()
+    except click.exceptions.Exit as e:
+        code = e.exit_code
+    except click.ClickException as e:
+        e.show()
+        code = 2
+    except (KeyboardInterrupt, click.Abort):
+        code = _say("interrupted; nothing was left half-written", INTERRUPTED)
+    except _Terminated:
+        code = _say("terminated; nothing was left half-written", TERMINATED)
+    except BrokenPipeError:
+        # the reader of stdout has gone (`| head`): nothing is wrong, and nothing more can be said
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 0
+    except MemoryError:
+        code = _say("out of memory", 1)
+    except Exception as e:
+        code = _expected(e)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _expected(e: Exception) -> int:
+    """Turn our own errors and the operating system's into one line; let bugs be seen."""
+    from ..fusion.data import LocfuseError
+
+    if isinstance(e, LocfuseError):
+        return _say(str(e), e.exit_code)
+    if isinstance(e, OSError) and e.errno is not None:
+        what = os.strerror(e.errno)
+        where = f" {e.filename}" if e.filename else ""
+        hint = ". Free some space or choose another folder with -o" if e.errno == errno.ENOSPC else ""
+        return _say(f"{what}:{where}{hint}" if where else f"{what}{hint}", 1)
+    raise e
+
+
+def _say(text: str, code: int) -> int:
+    click.echo(f"locfuse: {' '.join(text.split())}", err=True)
+    return code
+
+
+class _Terminated(BaseException):
+    """SIGTERM arrived."""
+
+
+def _terminate(number: int, frame: FrameType | None) -> Any:
+    raise _Terminated

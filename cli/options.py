@@ -1,0 +1,108 @@
+"""Options that several commands share, declared once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True)
+class LogOptions:
+    """How to read a log."""
+
+    robot: Path | None
+    sets: tuple[str, ...]
+    order: str | None
+    strict: bool
+    quiet: bool
+
+
+def log_options(command: F) -> F:
+    """Add --robot, --set, --order, --strict, --quiet; the command receives them as `how: LogOptions`."""
+    import functools
+
+    @functools.wraps(command)
+    def wrapped(
+        *args: Any,
+        robot: Path | None,
+        sets: tuple[str, ...],
+        order: str | None,
+        strict: bool,
+        quiet: bool,
+        **kwargs: Any,
+    ) -> Any:
+        return command(*args, how=LogOptions(robot, sets, order, strict, quiet), **kwargs)
+
+    decorated: Any = wrapped
+    for option in reversed(
+        (
+            click.option(
+                "--robot",
+                type=click.Path(path_type=Path, exists=True, dir_okay=False),
+                help="robot.toml that describes the robot; merged over the one in the log.",
+            ),
+            click.option(
+                "--set",
+                "sets",
+                multiple=True,
+                metavar="TABLE.KEY=VALUE",
+                help="Set one key of robot.toml, e.g. --set lrf.sigma_range=0.03. Repeatable.",
+            ),
+            click.option(
+                "--order",
+                type=click.Choice(["auto", "stamp", "recorded"]),
+                help="Which clock wins where stamps run backwards.  [default: auto]",
+            ),
+            click.option("--strict", is_flag=True, help="Exit with 3 on any loss of data."),
+            click.option("-q", "--quiet", is_flag=True, help="Print no progress and no notes."),
+        )
+    ):
+        decorated = option(decorated)
+    return decorated  # type: ignore[no-any-return]
+
+
+def out_options(kinds: tuple[str, ...]) -> Callable[[F], F]:
+    """Add -o, --overwrite and --write with these kinds of output."""
+
+    def decorate(command: F) -> F:
+        decorated: Any = command
+        for option in reversed(
+            (
+                click.option(
+                    "-o",
+                    "--out",
+                    type=click.Path(path_type=Path, file_okay=False),
+                    help="Folder for the results.  [default: locfuse-out/<log name>]",
+                ),
+                click.option("--overwrite", is_flag=True, help="Write into a folder that holds something else."),
+                click.option(
+                    "--write",
+                    metavar="KINDS",
+                    help=f"Comma-separated outputs to write: {', '.join(kinds)}.  [default: all]",
+                ),
+                click.option(
+                    "--json", "as_json", is_flag=True, help="Print the report as JSON instead of a table."
+                ),
+            )
+        ):
+            decorated = option(decorated)
+        return decorated  # type: ignore[no-any-return]
+
+    return decorate
+
+
+def chosen(write: str | None, kinds: tuple[str, ...]) -> set[str]:
+    """Return the kinds of output that --write names. Raises click.UsageError for an unknown one."""
+    if write is None:
+        return set(kinds)
+    names = {name.strip() for name in write.split(",") if name.strip()}
+    unknown = sorted(names - set(kinds))
+    if unknown:
+        raise click.UsageError(f"--write: unknown output {unknown[0]!r}; choose from {', '.join(kinds)}")
+    return names

@@ -1,0 +1,82 @@
+"""`locfuse run`: one configuration over one log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from .options import LogOptions, chosen, log_options, out_options
+
+KINDS = ("tum", "csv", "json")
+
+
+@click.command()
+@click.argument("log", nargs=-1, required=True)
+@click.option(
+    "--sensors",
+    default="all",
+    show_default=True,
+    help="Comma-separated sensors, or: all, odometry.",
+)
+@click.option(
+    "--align",
+    type=click.Choice(["none", "origin", "se2"]),
+    default="none",
+    show_default=True,
+    help="Move the estimate onto the truth before judging it.",
+)
+@log_options
+@out_options(KINDS)
+def run(
+    log: tuple[str, ...],
+    sensors: str,
+    align: str,
+    how: LogOptions,
+    out: Path | None,
+    overwrite: bool,
+    write: str | None,
+    as_json: bool,
+) -> int:
+    """Estimate the trajectory of LOG with one set of sensors.
+
+    LOG is an .mcap, the parts of a split one, a rosbag2 folder, or the name of a sample log.
+
+    \b
+    locfuse run rounded_rectangle --sensors all
+    locfuse run bag/ --sensors compass,lrf --robot robot.toml -o out
+    """
+    from ..formats import report_json, trajectory
+    from ..formats.outdir import write_results
+    from ..fusion.evaluate import evaluate
+    from ..fusion.fuse import fuse
+    from . import configurations, results, show
+    from .load import find_log, load
+
+    kinds = chosen(write, KINDS)
+    with show.progress(how.quiet) as progress:
+        loaded = load(find_log(log), how, progress)
+        drive, robot = loaded.drive, loaded.robot
+        names = configurations.parse(sensors, drive)
+        progress("fusing")
+        estimates = fuse(drive, robot, names)
+        evaluation = evaluate(estimates, drive, align)  # type: ignore[arg-type]
+        report = results.build(loaded, [evaluation])
+        progress("writing")
+        files: dict[str, str] = {"robot.toml": results.robot_file(robot)}
+        if "tum" in kinds:
+            files["trajectory.tum"] = trajectory.estimates_tum(drive, estimates)
+        if "csv" in kinds:
+            files["trajectory.csv"] = trajectory.estimates_csv(drive, estimates)
+        if "json" in kinds:
+            files["run.json"] = report_json.encode(report)
+        folder = out or results.default_folder(loaded.log.name)
+        write_results(folder, files, overwrite)
+    lost = results.loss_lines(loaded, names, how.strict)
+    if as_json:
+        click.echo(report_json.encode(report), nl=False)
+    else:
+        show.figures(report)
+        click.echo(f"{folder}: {', '.join(sorted(files))}")
+    show.notes(report, lost, how.quiet)
+    return results.LOSS if lost else 0

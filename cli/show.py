@@ -1,0 +1,110 @@
+"""What the user sees: tables on stdout, notes and progress on stderr."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any, Protocol
+
+import click
+
+COLUMNS = (
+    ("position rmse", "position_rmse_m", "{:.3f} m"),
+    ("max", "position_max_m", "{:.3f} m"),
+    ("final", "final_position_error_m", "{:.3f} m"),
+    ("heading rmse", "heading_rmse_deg", "{:.2f}°"),
+    ("drift /5 m", "drift_5m", "{:.2%}"),
+    ("ANEES", "anees", "{:.2f}"),
+)
+
+
+class Progress(Protocol):
+    """Says what is being worked on."""
+
+    def __call__(self, what: str) -> None:
+        """Name the current step."""
+
+
+@contextmanager
+def progress(quiet: bool) -> Iterator[Progress]:
+    """Show the current step on a terminal; nothing where stderr is a file or --quiet was given."""
+    if quiet or not sys.stderr.isatty():
+        yield lambda what: None
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status("opening", spinner="dots") as status:
+        yield lambda what: status.update(what)
+
+
+def figures(report: Mapping[str, Any]) -> None:
+    """Print the configurations and what became of each sensor's measurements."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console()
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    columns = [c for c in COLUMNS if any(v.get(c[1]) is not None for v in report["configurations"].values())]
+    table.add_column("configuration")
+    for title, _, _ in columns or (("distance", "", ""),):
+        table.add_column(title, justify="right", no_wrap=True)
+    for name, values in report["configurations"].items():
+        cells = [number(values.get(key), form) for _, key, form in columns]
+        table.add_row(Text(name), *(cells or [f"{values['distance_m']:.2f} m"]))
+    console.print(table)
+    sensors = _sensor_rows(report)
+    if sensors:
+        console.print(_sensor_table(sensors))
+
+
+def _sensor_rows(report: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    return [
+        (
+            name,
+            sensor,
+            str(counts["accepted"]),
+            str(counts["rejected"]),
+            str(counts["absent"]),
+            number(counts["nis"], "{:.2f}"),
+        )
+        for name, values in report["configurations"].items()
+        for sensor, counts in values["sensors"].items()
+    ]
+
+
+def _sensor_table(rows: Sequence[tuple[str, ...]]) -> Any:
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for i, title in enumerate(("in", "sensor", "accepted", "rejected", "absent", "NIS")):
+        table.add_column(title, justify="left" if i < 2 else "right")
+    for row in rows:
+        table.add_row(*(Text(cell) for cell in row))
+    return table
+
+
+def number(value: float | None, form: str) -> str:
+    """Format a figure; a dash where it does not exist."""
+    return "-" if value is None else form.format(value)
+
+
+def notes(report: Mapping[str, Any], losses: Sequence[str], quiet: bool) -> None:
+    """Print to stderr what a reader of the figures must know: absent sensors, oddities, losses."""
+    if quiet:
+        return
+    for sensor, why in report["absent"].items():
+        click.echo(f"absent: {sensor}: {why}", err=True)
+    for note in report["notes"]:
+        click.echo(f"note: {note}", err=True)
+    for stream, reasons in report["input"]["dropped"].items():
+        counted = ", ".join(f"{count} {reason.replace('_', ' ')}" for reason, count in reasons.items())
+        click.echo(f"dropped: {stream}: {counted}", err=True)
+    if report["truth"] is None:
+        click.echo("no truth in this log: the error figures do not exist (see --help for [truth] topic)", err=True)
+    for line in losses:
+        click.echo(f"lost: {line}", err=True)

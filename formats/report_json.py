@@ -1,0 +1,78 @@
+"""report.json and run.json: the contract that other programs rely on. SI units, the unit in the key, null for none."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import msgspec
+
+from ..fusion.data import Drive, Evaluation, SensorFigures
+
+
+def report(
+    drive: Drive,
+    evaluations: Sequence[Evaluation],
+    source: Mapping[str, Any],
+    settings: Mapping[str, Any],
+    version: str,
+) -> dict[str, Any]:
+    """Return the report as plain values: `configurations.<name>`, `input`, `settings`, `notes`, `absent`."""
+    return {
+        "locfuse": version,
+        "input": {**source, "dropped": {k: dict(v) for k, v in drive.dropped.items() if v}},
+        "configurations": {e.name: _configuration(e) for e in evaluations},
+        "truth": None if drive.truth is None else _truth(drive, evaluations),
+        "absent": drive.absent,
+        "notes": list(drive.notes),
+        "settings": dict(settings),
+    }
+
+
+def encode(value: Mapping[str, Any]) -> str:
+    """Return indented JSON with sorted-as-given keys; NaN and infinity become null."""
+    return msgspec.json.format(msgspec.json.encode(_finite(value)), indent=2).decode() + "\n"
+
+
+def _configuration(evaluation: Evaluation) -> dict[str, Any]:
+    return {
+        **evaluation.figures,
+        "align": evaluation.align,
+        "sensors": {name: _sensor(s) for name, s in evaluation.sensors.items()},
+    }
+
+
+def _sensor(figures: SensorFigures) -> dict[str, Any]:
+    return {
+        "accepted": figures.accepted,
+        "rejected": figures.rejected,
+        "absent": figures.absent,
+        "nis": figures.nis,
+        "verdicts": figures.verdicts,
+    }
+
+
+def _truth(drive: Drive, evaluations: Sequence[Evaluation]) -> dict[str, Any]:
+    truth = drive.truth
+    if truth is None:
+        return {}
+    used = len(evaluations[0].t) if evaluations else 0
+    return {
+        "topic": truth.topic,
+        "stamps": len(truth.t),
+        "used": used,
+        "heading": truth.theta is not None,
+        "distance_m": float(evaluations[0].distance[-1]) if used else None,
+    }
+
+
+def _finite(value: Any) -> Any:
+    """Replace what JSON cannot say by null, at any depth."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(k): _finite(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(v) for v in value]
+    return value

@@ -1,0 +1,89 @@
+"""Trajectories as text: TUM for evo and friends, CSV with covariances. Full precision, no alignment, no rounding."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..fusion.data import Array, Drive, Estimates, Ints, Truth
+
+CSV_HEADER = "t,x,y,theta,P_xx,P_xy,P_xt,P_yy,P_yt,P_tt"
+
+
+def seconds(t_ns: int) -> str:
+    """Return integer nanoseconds as exact decimal seconds."""
+    sign, t_ns = ("-", -t_ns) if t_ns < 0 else ("", t_ns)
+    return f"{sign}{t_ns // 1_000_000_000}.{t_ns % 1_000_000_000:09d}"
+
+
+def stamps(epoch_ns: int, t: Array) -> list[int]:
+    """Return seconds since the epoch as integer nanoseconds."""
+    return (epoch_ns + np.rint(t * 1e9).astype(np.int64)).tolist()
+
+
+def with_truth_rows(drive: Drive, estimates: Estimates) -> tuple[Array, Array, Array]:
+    """Return t (n,), pose (n, 3), P (n, 3, 3) at every instant and every truth stamp inside the drive.
+
+    evo pairs stamps within 10 ms and does not interpolate, so the prediction at each truth stamp is written
+    too. Rows at instants do not depend on the truth.
+    """
+    if drive.truth is None or estimates.truth_pose is None or estimates.truth_P is None:
+        return estimates.t, estimates.pose, estimates.P
+    extra = np.isfinite(estimates.truth_pose[:, 0]) & ~np.isin(drive.truth.t, estimates.t)
+    t = np.concatenate((estimates.t, drive.truth.t[extra]))
+    order = np.argsort(t, kind="stable")
+    pose = np.concatenate((estimates.pose, estimates.truth_pose[extra]))
+    P = np.concatenate((estimates.P, estimates.truth_P[extra]))
+    return t[order], pose[order], P[order]
+
+
+def tum(epoch_ns: int, t: Array, xy: Array, theta: Array | None) -> str:
+    """Return `t x y z qx qy qz qw` lines; without heading the rotation is the identity and line 1 says so."""
+    half = np.zeros(len(t)) if theta is None else 0.5 * theta
+    lines = [] if theta is not None else ["# heading unknown"]
+    lines += [
+        f"{seconds(s)} {x!r} {y!r} 0 0 0 {math.sin(h)!r} {math.cos(h)!r}"
+        for s, (x, y), h in zip(stamps(epoch_ns, t), xy.tolist(), half.tolist(), strict=True)
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def estimates_tum(drive: Drive, estimates: Estimates) -> str:
+    """Return one configuration's trajectory in TUM format."""
+    t, pose, _ = with_truth_rows(drive, estimates)
+    return tum(drive.epoch_ns, t, pose[:, :2], pose[:, 2])
+
+
+def truth_tum(drive: Drive, truth: Truth) -> str:
+    """Return the truth in TUM format, of the body point that was tracked."""
+    return tum(drive.epoch_ns, truth.t, truth.xy, truth.theta)
+
+
+def estimates_csv(drive: Drive, estimates: Estimates) -> str:
+    """Return `t,x,y,theta` and the upper triangle of P, one row per instant and truth stamp."""
+    t, pose, P = with_truth_rows(drive, estimates)
+    wrapped = pose.copy()
+    wrapped[:, 2] = (pose[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
+    upper = P[:, (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)]
+    rows = np.column_stack((wrapped, upper)).tolist()
+    lines = [
+        f"{seconds(s)}," + ",".join(map(repr, row)) for s, row in zip(stamps(drive.epoch_ns, t), rows, strict=True)
+    ]
+    return "\n".join((CSV_HEADER, *lines)) + "\n"
+
+
+def nanoseconds(text: str) -> int:
+    """Return exact decimal seconds as integer nanoseconds: the inverse of `seconds`."""
+    whole, _, part = text.strip().partition(".")
+    value = abs(int(whole)) * 1_000_000_000 + int((part + "0" * 9)[:9])
+    return -value if whole.startswith("-") else value
+
+
+def read_tum(text: str) -> tuple[Ints, Array]:
+    """Return t_ns (n,) and poses (n, 3) of a TUM text; comment lines are skipped."""
+    rows = [line.split() for line in text.splitlines() if line and not line.startswith("#")]
+    t_ns = np.array([nanoseconds(r[0]) for r in rows], dtype=np.int64)
+    v = np.array([[float(c) for c in r[1:8]] for r in rows]).reshape(-1, 7)
+    yaw = 2.0 * np.arctan2(v[:, 5], v[:, 6])
+    return t_ns, np.column_stack((v[:, 0], v[:, 1], (yaw + np.pi) % (2.0 * np.pi) - np.pi))

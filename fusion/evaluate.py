@@ -1,0 +1,272 @@
+"""Judging an estimate: deviation from truth where there is truth, and what the filter said of itself.
+
+Errors are taken at the truth's stamps, where the filter's own prediction is exact; nothing is aligned unless
+asked, since an aligned error hides the start.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import se2
+from .data import VERDICTS, Array, Audit, Drive, Estimates, Evaluation, SensorFigures, Truth
+
+Align = Literal["none", "origin", "se2"]
+DRIFT_LENGTHS = (1.0, 5.0, 10.0)  # m
+GAP_PERIODS, GAP_LEAST = 5.0, 0.5  # a longer hole in the truth is not bridged: median periods, and s
+SINGULAR = 1e-12  # relative eigenvalue below which a covariance is singular
+ERROR_KEYS = (
+    "position_rmse_m",
+    "position_mean_m",
+    "position_median_m",
+    "position_max_m",
+    "final_position_error_m",
+    "x_rmse_m",
+    "y_rmse_m",
+    "along_rmse_m",
+    "cross_rmse_m",
+    "heading_rmse_deg",
+    "heading_max_deg",
+    "drift_1m",
+    "drift_5m",
+    "drift_10m",
+)
+
+
+class _Pairs(NamedTuple):
+    """Estimate and truth at the truth stamps inside the drive."""
+
+    t: Array  # (q,)
+    pose: Array  # (q, 3) of the estimate
+    P: Array  # (q, 3, 3)
+    xy: Array  # (q, 2) truth of the tracked point
+    theta: Array | None  # (q,) truth
+
+
+def evaluate(estimates: Estimates, drive: Drive, align: Align = "none") -> Evaluation:
+    """Return deviations and figures of one configuration."""
+    sensors = {s: _sensor_figures(a, drive.measurements[s].absent) for s, a in estimates.audits.items()}
+    own = {"duration_s": float(drive.t[-1] - drive.t[0]), "distance_m": _length(estimates.pose[:, :2])}
+    truth = drive.truth
+    pairs = _pairs(estimates, truth) if truth is not None else None
+    if truth is None or pairs is None or len(pairs.t) == 0:
+        none: dict[str, float | None] = dict.fromkeys((*ERROR_KEYS, "anees", "truth_coverage"))
+        return _without_truth(estimates, sensors, {**none, **own})
+    if align != "none":
+        pairs = pairs._replace(pose=aligned(pairs, truth.point, align))
+    point = np.broadcast_to(np.array(truth.point), pairs.xy.shape)
+    estimate_xy = se2.transform(pairs.pose, point)
+    deviation = estimate_xy - pairs.xy
+    heading = None if pairs.theta is None else se2.wrap_all(pairs.pose[:, 2] - pairs.theta)
+    P = _at_point(pairs.P, pairs.pose, truth.point)
+    nees = _nees(deviation, heading, P, truth.sigma) if align == "none" else np.full(len(pairs.t), np.nan)
+    along_cross = _along_cross(deviation, pairs)
+    segments = _segments(pairs.t)
+    distance = _travelled(pairs.xy, segments)
+    figures = {
+        **_position_figures(deviation, along_cross),
+        **_heading_figures(heading),
+        **_drift_figures(pairs, deviation, distance, segments),
+        "anees": _mean(nees),
+        "truth_coverage": _coverage(pairs.t, drive),
+        **own,
+    }
+    sigma = np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 0.0))
+    return Evaluation(
+        estimates.name,
+        sensors,
+        figures,
+        pairs.t,
+        deviation,
+        heading,
+        along_cross,
+        sigma,
+        nees,
+        distance,
+        estimate_xy,
+        align,
+    )
+
+
+def _without_truth(
+    estimates: Estimates, sensors: dict[str, SensorFigures], figures: dict[str, float | None]
+) -> Evaluation:
+    none, none2 = np.zeros(0), np.zeros((0, 2))
+    return Evaluation(
+        estimates.name, sensors, figures, none, none2, None, none2, np.zeros((0, 3)), none, none, none2
+    )
+
+
+def _pairs(estimates: Estimates, truth: Truth) -> _Pairs:
+    if estimates.truth_pose is None or estimates.truth_P is None:
+        raise ValueError("estimates hold no prediction at the truth stamps")
+    inside = np.isfinite(estimates.truth_pose[:, 0])
+    theta = None if truth.theta is None else truth.theta[inside]
+    return _Pairs(
+        truth.t[inside], estimates.truth_pose[inside], estimates.truth_P[inside], truth.xy[inside], theta
+    )
+
+
+def aligned(pairs: _Pairs, point: tuple[float, float], align: Align) -> Array:
+    """Return the estimate's poses (q, 3) moved rigidly onto the truth.
+
+    "origin": its first pose onto the truth's first (its first position only, where the truth has no heading).
+    "se2": least squares over all positions (Umeyama 1991 without scale).
+    """
+    body = np.broadcast_to(np.array(point), pairs.xy.shape)
+    p = se2.transform(pairs.pose, body)
+    if align == "origin":
+        turn = 0.0 if pairs.theta is None else float(pairs.theta[0] - pairs.pose[0, 2])
+        a, b = p[0], pairs.xy[0]
+    else:
+        a, b = p.mean(axis=0), pairs.xy.mean(axis=0)
+        q, r = p - a, pairs.xy - b
+        turn = math.atan2(float((q[:, 0] * r[:, 1] - q[:, 1] * r[:, 0]).sum()), float((q * r).sum()))
+    c, s = math.cos(turn), math.sin(turn)
+    move = np.array([b[0] - c * a[0] + s * a[1], b[1] - s * a[0] - c * a[1], turn])
+    return se2.compose(np.broadcast_to(move, pairs.pose.shape), pairs.pose)
+
+
+def _at_point(P: Array, pose: Array, point: tuple[float, float]) -> Array:
+    """Covariance of (tracked point, theta): the point's lever arm turns heading error into position error."""
+    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    G = np.zeros_like(P)
+    G[:] = np.eye(3)
+    G[:, 0, 2] = -s * point[0] - c * point[1]
+    G[:, 1, 2] = c * point[0] - s * point[1]
+    return G @ P @ G.transpose(0, 2, 1)
+
+
+def _nees(deviation: Array, heading: Array | None, P: Array, truth_sigma: float) -> Array:
+    """Normalised estimation error squared per degree of freedom (Bar-Shalom 2001, 5.4.2); NaN where singular."""
+    dof = 2 if heading is None else 3
+    e = deviation if heading is None else np.column_stack((deviation, heading))
+    S = P[:, :dof, :dof].copy()
+    S[:, 0, 0] += truth_sigma**2
+    S[:, 1, 1] += truth_sigma**2
+    values, vectors = np.linalg.eigh(S)
+    good = values[:, 0] > SINGULAR * np.maximum(values[:, -1], SINGULAR)
+    across = np.einsum("qij,qi->qj", vectors, e)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        nees = (across**2 / values).sum(axis=1) / dof
+    return np.where(good, nees, np.nan)
+
+
+def _along_cross(deviation: Array, pairs: _Pairs) -> Array:
+    """Deviation along and left of the direction of travel: the truth's heading, else its path's tangent."""
+    theta = pairs.theta if pairs.theta is not None else _tangent(pairs.xy)
+    c, s = np.cos(theta), np.sin(theta)
+    return np.stack(
+        (c * deviation[:, 0] + s * deviation[:, 1], -s * deviation[:, 0] + c * deviation[:, 1]), axis=-1
+    )
+
+
+def _tangent(xy: Array) -> Array:
+    """Direction of a path (q, 2) by central differences; where it rests, the direction it had."""
+    if len(xy) < 2:
+        return np.zeros(len(xy))
+    d = np.gradient(xy, axis=0)
+    moving = np.hypot(d[:, 0], d[:, 1]) > 1e-6
+    last = np.maximum.accumulate(np.where(moving, np.arange(len(xy)), 0))
+    return np.arctan2(d[last, 1], d[last, 0])
+
+
+def _segments(t: Array) -> NDArray[np.int64]:
+    """Number the stretches of truth between holes, (q,)."""
+    return np.cumsum(np.diff(t, prepend=t[0]) > _longest_step(t))
+
+
+def _longest_step(t: Array) -> float:
+    period = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
+    return max(GAP_PERIODS * period, GAP_LEAST)
+
+
+def _travelled(xy: Array, segments: NDArray[np.int64]) -> Array:
+    """Distance along the truth, (q,) m; holes add nothing."""
+    step = np.hypot(*np.diff(xy, axis=0, prepend=xy[:1]).T)
+    return np.cumsum(np.where(np.diff(segments, prepend=0) > 0, 0.0, step))
+
+
+def _coverage(t: Array, drive: Drive) -> float:
+    """Share of the drive's time that the truth covers."""
+    steps = np.diff(t)
+    duration = float(drive.t[-1] - drive.t[0])
+    return min(1.0, float(steps[steps <= _longest_step(t)].sum()) / duration) if duration > 0 else 0.0
+
+
+def _position_figures(deviation: Array, along_cross: Array) -> dict[str, float | None]:
+    error = np.hypot(deviation[:, 0], deviation[:, 1])
+    return {
+        "position_rmse_m": _rms(error),
+        "position_mean_m": float(error.mean()),
+        "position_median_m": float(np.median(error)),
+        "position_max_m": float(error.max()),
+        "final_position_error_m": float(error[-1]),
+        "x_rmse_m": _rms(deviation[:, 0]),
+        "y_rmse_m": _rms(deviation[:, 1]),
+        "along_rmse_m": _rms(along_cross[:, 0]),
+        "cross_rmse_m": _rms(along_cross[:, 1]),
+    }
+
+
+def _heading_figures(heading: Array | None) -> dict[str, float | None]:
+    if heading is None:
+        return {"heading_rmse_deg": None, "heading_max_deg": None}
+    return {
+        "heading_rmse_deg": math.degrees(_rms(heading)),
+        "heading_max_deg": math.degrees(float(np.abs(heading).max())),
+    }
+
+
+def _drift_figures(
+    pairs: _Pairs, deviation: Array, distance: Array, segments: NDArray[np.int64]
+) -> dict[str, float | None]:
+    """Mean relative position error per metre over fixed lengths of the truth's path (m/m).
+
+    With heading the error is of the relative pose (Kümmerle et al. 2009); without, of the displacement.
+    """
+    out: dict[str, float | None] = {}
+    for length in DRIFT_LENGTHS:
+        j = np.searchsorted(distance, distance + length)
+        i = np.flatnonzero(j < len(distance))
+        j = j[i]
+        same = segments[i] == segments[j]
+        i, j = i[same], j[same]
+        if len(i) == 0:
+            out[f"drift_{length:.0f}m"] = None
+            continue
+        if pairs.theta is None:
+            error = deviation[j] - deviation[i]
+        else:
+            truth = np.column_stack((pairs.xy, pairs.theta))
+            estimate = np.column_stack((pairs.xy + deviation, pairs.pose[:, 2]))
+            error = se2.between(estimate[i], estimate[j])[:, :2] - se2.between(truth[i], truth[j])[:, :2]
+        out[f"drift_{length:.0f}m"] = float(np.hypot(error[:, 0], error[:, 1]).mean()) / length
+    return out
+
+
+def _sensor_figures(audit: Audit, absent: int) -> SensorFigures:
+    counts = np.bincount(audit.verdict, minlength=len(VERDICTS)).tolist()
+    verdicts = {name: n for name, n in zip(VERDICTS, counts, strict=True) if n}
+    accepted = verdicts.get("accepted", 0)
+    refused = sum(verdicts.values()) - accepted - verdicts.get("new", 0)
+    return SensorFigures(
+        accepted, refused, absent, _mean(audit.nis[audit.verdict == 0] / audit.y.shape[1]), verdicts
+    )
+
+
+def _length(xy: Array) -> float:
+    return float(np.hypot(*np.diff(xy, axis=0).T).sum())
+
+
+def _rms(values: Array) -> float:
+    return math.sqrt(float((values**2).mean()))
+
+
+def _mean(values: Array) -> float | None:
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if len(finite) else None

@@ -1,0 +1,172 @@
+"""Both beliefs against a textbook filter in plain matrices."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from locfuse.fusion.ekf import JointBelief, PoseBelief
+from locfuse.fusion.sensors.base import Block, Innovation
+from textbook import TextbookEkf
+
+POSE = (1.0, -2.0, 3.1)
+P0 = np.array([[0.04, 0.01, 0.002], [0.01, 0.09, -0.003], [0.002, -0.003, 0.01]])
+UPPER = (0.04, 0.01, 0.002, 0.09, -0.003, 0.01)
+
+
+def innovation(rng: np.random.Generator, d: int, columns: tuple[int, ...] = ()) -> Innovation:
+    L = np.tril(rng.normal(size=(d, d))) * 0.05 + 0.05 * np.eye(d)
+    y, H, Hb = rng.normal(size=d) * 0.05, rng.normal(size=(d, 3)), rng.normal(size=(d, len(columns)))
+    R = L @ L.T
+    return Innovation(
+        0,
+        0,
+        -1,
+        0.0,
+        math.inf,
+        tuple(y),
+        tuple(y),
+        tuple(map(tuple, H)),
+        tuple(map(tuple, R)),
+        columns,
+        tuple(map(tuple, Hb)) if columns else (),
+    )
+
+
+def dense(seen: list[Innovation], n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rows, y, blocks = [], [], []
+    for s in seen:
+        H = np.zeros((len(s.y), n))
+        H[:, :3] = s.H
+        for j, c in enumerate(s.columns):
+            H[:, c] = [row[j] for row in s.H_block]
+        rows.append(H)
+        y.extend(s.y)
+        blocks.append(np.array(s.R))
+    R = np.zeros((len(y), len(y)))
+    k = 0
+    for b in blocks:
+        R[k : k + len(b), k : k + len(b)] = b
+        k += len(b)
+    return np.array(y), np.vstack(rows), R
+
+
+def motion(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, list[float]]:
+    u = rng.normal(size=3) * [0.1, 0.01, 0.1]
+    L = rng.normal(size=(3, 3)) * 0.01
+    Q = L @ L.T
+    return u, Q, Q[[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]].tolist()
+
+
+def test_the_fast_pose_filter_equals_the_textbook_over_a_whole_drive() -> None:
+    rng = np.random.default_rng(0)
+    fast, book = PoseBelief(POSE, UPPER), TextbookEkf(np.array(POSE), P0)
+    for step in range(2000):
+        u, Q, triangle = motion(rng)
+        fast.predict(u.tolist(), triangle)
+        book.predict(u, Q)
+        seen = [innovation(rng, d) for d in ([], [1], [2, 2, 1], [2] * 6)[step % 4]]
+        fast.correct(seen)
+        if seen:
+            book.correct(*dense(seen, 3))
+        np.testing.assert_allclose((fast.x, fast.y, fast.theta), book.x, atol=1e-9)
+        np.testing.assert_allclose(fast.matrix(), book.P, atol=1e-9)
+        assert np.linalg.eigvalsh(fast.matrix())[0] > 0
+
+
+def joint(rng: np.random.Generator) -> tuple[JointBelief, TextbookEkf]:
+    offset = Block("offset", np.array([0.3]), np.array([[1.0]]), np.array([0.0]))
+    belief = JointBelief(POSE, UPPER, [offset])
+    book = TextbookEkf(np.array([*POSE, 0.3]), np.block([[P0, np.zeros((3, 1))], [np.zeros((1, 3)), np.eye(1)]]))
+    for _ in range(8):  # grows past the first allocation
+        G, noise = rng.normal(size=(2, belief.n)), np.diag(rng.uniform(0.01, 0.1, 2))
+        value = rng.normal(size=2)
+        belief.augment(value, G, noise)
+        book.x = np.append(book.x, value)
+        top = book.P @ G.T
+        book.P = np.block([[book.P, top], [top.T, G @ top + noise]])
+    return belief, book
+
+
+def test_the_joint_filter_equals_the_textbook_over_a_whole_drive() -> None:
+    rng = np.random.default_rng(1)
+    belief, book = joint(rng)
+    for _ in range(500):
+        u, Q, triangle = motion(rng)
+        belief.predict(u.tolist(), triangle)
+        book.predict(u, Q)
+        columns = [tuple(int(c) + k for k in range(2)) for c in rng.choice(np.arange(4, 20, 2), 3, replace=False)]
+        seen = [innovation(rng, 2, c) for c in columns] + [innovation(rng, 1, (3,))]
+        belief.correct(seen)
+        book.correct(*dense(seen, belief.n))
+        np.testing.assert_allclose(belief.state, book.x, atol=1e-9)
+        np.testing.assert_allclose(belief.covariance, book.P, atol=1e-9)
+    np.testing.assert_array_equal(belief.covariance, belief.covariance.T)
+
+
+def test_a_block_drifts_by_its_random_walk() -> None:
+    belief = JointBelief(POSE, UPPER, [Block("offset", np.zeros(1), np.eye(1) * 0.1, np.array([0.02]))])
+    belief.predict([0.0, 0.0, 0.0], [0.0] * 6, dt=2.5)
+    assert belief.covariance[3, 3] == pytest.approx(0.1 + 0.02 * 2.5)
+
+
+def test_considered_states_count_but_keep_their_values_as_schmidt_says() -> None:
+    rng = np.random.default_rng(2)
+    belief, book = joint(rng)
+    belief.consider(np.array([4, 5]))
+    seen = [innovation(rng, 2, (4, 5)), innovation(rng, 1, (3,))]
+    before = belief.state.copy()
+    belief.correct(seen)
+    y, H, R = dense(seen, belief.n)
+    S = H @ book.P @ H.T + R
+    K = book.P @ H.T @ np.linalg.inv(S)
+    K[4:6] = 0.0  # the suboptimal gain; its covariance is the Joseph form
+    J = np.eye(belief.n) - K @ H
+    np.testing.assert_allclose(belief.state, before + K @ y, atol=1e-12)
+    np.testing.assert_allclose(belief.covariance, J @ book.P @ J.T + K @ R @ K.T, atol=1e-12)
+
+
+def test_wheel_parameters_as_states_correct_the_motion() -> None:
+    rng = np.random.default_rng(3)
+    wheels = Block("wheels", np.array([0.01, -0.02, 0.03]), np.diag([0.1, 0.2, 0.3]) ** 2, np.zeros(3))
+    belief = JointBelief(POSE, UPPER, [wheels])
+    belief.drive_with("wheels")
+    u, Q, triangle = motion(rng)
+    J = rng.normal(size=(3, 3))
+    x = np.array([*POSE, 0.01, -0.02, 0.03])
+    P = np.zeros((6, 6))
+    P[:3, :3], P[3:, 3:] = P0, np.diag([0.1, 0.2, 0.3]) ** 2
+
+    def f(x: np.ndarray) -> np.ndarray:
+        v = u + J @ x[3:]
+        c, s = math.cos(x[2]), math.sin(x[2])
+        return np.array([x[0] + c * v[0] - s * v[1], x[1] + s * v[0] + c * v[1], x[2] + v[2], *x[3:]])
+
+    from textbook import numeric_jacobian
+
+    A = numeric_jacobian(f, x)
+    c, s = math.cos(POSE[2]), math.sin(POSE[2])
+    W = np.zeros((6, 3))
+    W[:3] = [[c, -s, 0], [s, c, 0], [0, 0, 1]]
+    belief.predict(u.tolist(), triangle, 0.1, J)
+    np.testing.assert_allclose(belief.state, f(x), atol=1e-12)
+    np.testing.assert_allclose(belief.covariance, A @ P @ A.T + W @ Q @ W.T, atol=1e-9)
+
+
+def test_removing_states_is_marginalising_them() -> None:
+    belief, book = joint(np.random.default_rng(4))
+    belief.remove(np.array([6, 7]))
+    keep = [i for i in range(20) if i not in (6, 7)]
+    np.testing.assert_allclose(belief.covariance, book.P[np.ix_(keep, keep)], rtol=1e-9)
+    np.testing.assert_array_equal(belief.state, book.x[keep])
+
+
+@pytest.mark.parametrize("heading", [math.pi, -math.pi, math.pi - 1e-9, 3 * math.pi])
+def test_heading_survives_the_wrap_at_pi(heading: float) -> None:
+    from locfuse.fusion.se2 import wrap
+
+    belief = PoseBelief((0.0, 0.0, heading), (0.0, 0.0, 0.0, 0.0, 0.0, 0.01))
+    y = wrap(heading + 0.02 - belief.theta)
+    belief.correct([Innovation(0, 0, -1, 0, 1, (y,), (1,), ((0, 0, 1),), ((0.01,),))])
+    assert belief.theta - heading == pytest.approx(0.01)

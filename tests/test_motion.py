@@ -1,0 +1,147 @@
+"""Wheel motion against closed forms, brute force and Monte Carlo."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from locfuse.fusion import se2
+from locfuse.fusion.motion import Wheels, body_increments, wheel_increments
+from textbook import numeric_jacobian
+
+TRACK, K = 0.6, 4e-4
+RNG = np.random.default_rng(5)
+
+
+def wheels_from(rolled: np.ndarray, dt: float = 0.02, track: float = TRACK) -> Wheels:
+    left, right = (np.append(0.0, np.cumsum(rolled[:, i])) for i in (0, 1))
+    return Wheels.from_wheels(np.arange(len(left)) * dt, left, right, track, K)
+
+
+def random_drive(n: int = 400) -> np.ndarray:
+    return 0.006 + 0.004 * RNG.standard_normal((n, 2))
+
+
+def test_the_printed_equations_1_and_2() -> None:
+    ds_left, ds_right = wheel_increments(0.05, np.array([2.0]), np.array([3.0]))
+    assert (ds_left[0], ds_right[0]) == (0.05 * 2.0, 0.05 * 3.0)
+    ds, turn = body_increments(ds_left, ds_right, 0.6)
+    assert ds[0] == (ds_right[0] + ds_left[0]) / 2
+    assert turn[0] == (ds_right[0] - ds_left[0]) / 0.6
+
+
+def test_a_circle_driven_with_constant_wheel_speeds_closes_exactly() -> None:
+    radius = 1.5
+    n = 100
+    left = 2 * math.pi * (radius - TRACK / 2) / n
+    right = 2 * math.pi * (radius + TRACK / 2) / n
+    wheels = wheels_from(np.tile([left, right], (n, 1)))
+    np.testing.assert_allclose(wheels.pose[-1], [0, 0, 2 * math.pi], atol=1e-12)
+    quarter = wheels.pose[n // 4]
+    np.testing.assert_allclose(quarter, [radius, radius, math.pi / 2], atol=1e-12)
+
+
+def test_cutting_an_arc_anywhere_moves_the_result_by_nothing() -> None:
+    wheels = wheels_from(random_drive())
+    ends = np.sort(RNG.uniform(0, wheels.t[-1], 57))
+    ends[-1] = wheels.t[-1]
+    starts = np.append(0.0, ends[:-1])
+    whole = wheels.between(np.array([0.0]), np.array([wheels.t[-1]]))
+    pose = np.zeros(3)
+    for u in wheels.between(starts, ends).u:
+        pose = se2.compose(pose, u)
+    np.testing.assert_allclose(pose, whole.u[0], atol=1e-12)
+    np.testing.assert_allclose(pose, wheels.pose[-1], atol=1e-12)
+
+
+def test_covariance_does_not_depend_on_where_the_drive_is_cut() -> None:
+    wheels = wheels_from(random_drive())
+    ends = np.sort(RNG.uniform(0, wheels.t[-1], 31))
+    ends[-1] = wheels.t[-1]
+    cut = wheels.between(np.append(0.0, ends[:-1]), ends)
+    P, x = np.zeros((3, 3)), np.zeros(3)
+    for u, Q in zip(cut.u, cut.Q, strict=True):
+        c, s = math.cos(x[2]), math.sin(x[2])
+        A = np.array([[1, 0, -s * u[0] - c * u[1]], [0, 1, c * u[0] - s * u[1]], [0, 0, 1]])
+        T = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+        P, x = A @ P @ A.T + T @ Q @ T.T, se2.compose(x, u)
+    whole = wheels.between(np.array([0.0]), np.array([wheels.t[-1]])).Q[0]
+    # a cut through a piece adds eq. 8 at two midpoints instead of one: second order in the piece's turn
+    np.testing.assert_allclose(P, whole, rtol=1e-5)
+
+
+def test_covariance_equals_monte_carlo_over_wheel_noise() -> None:
+    rolled = random_drive(120)
+    clean = wheels_from(rolled)
+    Q = clean.between(np.array([0.0]), np.array([clean.t[-1]])).Q[0]
+    rng = np.random.default_rng(1)
+    ends = []
+    for _ in range(4000):
+        noisy = rolled + np.sqrt(K * np.abs(rolled)) * rng.standard_normal(rolled.shape)
+        ends.append(se2.between(clean.pose[-1], wheels_from(noisy).pose[-1]))
+    turn = clean.pose[-1, 2]
+    c, s = math.cos(turn), math.sin(turn)
+    T = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    seen = T @ np.cov(np.array(ends).T) @ T.T
+    # relative standard error of a variance from 4000 drives is sqrt(2/4000) = 2.2 %
+    np.testing.assert_allclose(np.diag(seen), np.diag(Q), rtol=0.1)
+    correlation = Q / np.sqrt(np.outer(np.diag(Q), np.diag(Q)))
+    seen_correlation = seen / np.sqrt(np.outer(np.diag(seen), np.diag(seen)))
+    np.testing.assert_allclose(seen_correlation, correlation, atol=0.06)
+
+
+@pytest.mark.parametrize("steps", [1, 10, 1000])
+def test_a_straight_run_has_the_closed_form_variances_at_any_encoder_rate(steps: int) -> None:
+    D = 5.0
+    wheels = wheels_from(np.full((steps, 2), D / steps))
+    Q = wheels.between(np.array([0.0]), np.array([wheels.t[-1]])).Q[0]
+    assert Q[0, 0] == pytest.approx(K * D / 2, rel=1e-9)
+    assert Q[2, 2] == pytest.approx(2 * K * D / TRACK**2, rel=1e-9)
+    if steps == 1000:
+        assert Q[1, 1] == pytest.approx(2 * K * D**3 / (3 * TRACK**2), rel=2e-3)
+
+
+def test_a_turn_on_the_spot_has_the_closed_form_variance() -> None:
+    phi = 2.5
+    wheels = wheels_from(np.tile([-phi * TRACK / 2 / 50, phi * TRACK / 2 / 50], (50, 1)))
+    Q = wheels.between(np.array([0.0]), np.array([wheels.t[-1]])).Q[0]
+    assert Q[2, 2] == pytest.approx(K * phi / TRACK, rel=1e-9)
+
+
+def test_nothing_grows_at_rest() -> None:
+    wheels = wheels_from(np.zeros((50, 2)))
+    motion = wheels.between(np.array([0.0]), np.array([1.0]))
+    assert not motion.Q.any()
+    assert not motion.u.any()
+
+
+def test_wheel_parameter_derivatives_equal_finite_differences() -> None:
+    rolled = random_drive(200)
+
+    def end(p: np.ndarray) -> np.ndarray:
+        return wheels_from(rolled * (1 + p[:2]), track=TRACK * (1 + p[2])).pose[-1]
+
+    wheels = wheels_from(rolled)
+    J = wheels.between(np.array([0.0]), np.array([wheels.t[-1]]), parameters=True).J[0]
+    # a piece's own noise column uses the chord at mid-turn: third order in a piece's turn
+    np.testing.assert_allclose(J, numeric_jacobian(end, np.zeros(3)), rtol=2e-5, atol=2e-5)
+
+
+def test_another_odometry_gives_back_its_own_increments() -> None:
+    t = np.arange(30) * 0.05
+    poses = np.column_stack((np.cumsum(RNG.uniform(0, 0.02, 30)), RNG.uniform(-1, 1, 30) * 0.01, 3.0 + 0.02 * t))
+    poses[:, 2] = se2.wrap_all(poses[:, 2] + np.linspace(0, 1.0, 30))  # crosses pi on the way
+    wheels = Wheels.from_poses(t, poses, 0.3, K)
+    motion = wheels.between(t[:-1], t[1:])
+    expected = se2.between(poses[:-1], poses[1:])
+    expected[:, 2] = se2.wrap_all(expected[:, 2])
+    np.testing.assert_allclose(motion.u, expected, atol=1e-12)
+
+
+def test_relative_motion_between_any_two_times_follows_the_arc() -> None:
+    wheels = wheels_from(np.tile([0.01, 0.014], (50, 1)))
+    t = RNG.uniform(0, 1, (2, 20))
+    rate = np.array([0.012, 0.0, 0.004 / TRACK]) / 0.02
+    expected = se2.exp((t[1] - t[0])[:, None] * rate)
+    np.testing.assert_allclose(wheels.relative(t[0], t[1]), expected, atol=1e-12)

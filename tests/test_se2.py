@@ -1,0 +1,49 @@
+"""SE(2) against homogeneous matrices and the matrix exponential."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from locfuse.fusion import se2
+from scipy.linalg import expm
+
+POSES = np.array(
+    [[0, 0, 0], [1, 2, 0.3], [-3, 0.5, math.pi], [2, -1, -math.pi + 1e-9], [0.1, 0.2, 1e-9], [5, 5, 3.0]], float
+)
+
+
+def matrix(p: np.ndarray) -> np.ndarray:
+    c, s = math.cos(p[2]), math.sin(p[2])
+    return np.array([[c, -s, p[0]], [s, c, p[1]], [0, 0, 1]])
+
+
+@pytest.mark.parametrize("a", POSES)
+@pytest.mark.parametrize("b", POSES)
+def test_compose_and_inverse_are_matrix_product_and_inverse(a: np.ndarray, b: np.ndarray) -> None:
+    np.testing.assert_allclose(matrix(se2.compose(a, b)), matrix(a) @ matrix(b), atol=1e-12)
+    np.testing.assert_allclose(matrix(se2.inverse(a)), np.linalg.inv(matrix(a)), atol=1e-12)
+    np.testing.assert_allclose(se2.compose(a, se2.between(a, b)), b, atol=1e-12)
+
+
+@pytest.mark.parametrize("turn", [0.0, 1e-12, 1e-6, 0.5, -2.0, 3.0, math.pi])
+def test_exp_is_the_matrix_exponential_and_log_undoes_it(turn: float) -> None:
+    twist = np.array([0.7, -0.2, turn])
+    generator = np.array([[0, -turn, 0.7], [turn, 0, -0.2], [0, 0, 0]])
+    np.testing.assert_allclose(matrix(se2.exp(twist)), expm(generator), atol=1e-12)
+    np.testing.assert_allclose(se2.log(se2.exp(twist)), twist, atol=1e-12)
+
+
+@pytest.mark.parametrize("angle", [0.0, math.pi, -math.pi, 3 * math.pi, 7.0, -7.0, 1e4])
+def test_wrap_stays_in_the_half_open_turn(angle: float) -> None:
+    assert -math.pi <= se2.wrap(angle) < math.pi
+    assert math.isclose(math.cos(se2.wrap(angle)), math.cos(angle), abs_tol=1e-9)
+    assert math.isclose(math.sin(se2.wrap(angle)), math.sin(angle), abs_tol=1e-9)
+    assert se2.wrap_all(np.array([angle]))[0] == se2.wrap(angle)
+
+
+def test_transform_moves_points_like_the_matrix() -> None:
+    pose, points = np.array([1.0, -2.0, 0.7]), np.array([[0.0, 0.0], [1.0, 0.0], [0.3, -4.0]])
+    expected = (matrix(pose) @ np.column_stack((points, np.ones(3))).T).T[:, :2]
+    np.testing.assert_allclose(se2.transform(np.tile(pose, (3, 1)), points), expected, atol=1e-12)

@@ -1,0 +1,179 @@
+"""Small worlds for tests: a robot on an arc among straight walls, its readings as in-memory streams."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from locfuse.fusion.data import ArrayStream, Ragged
+from locfuse.fusion.robot import Robot, StartSettings, WheelSettings
+from locfuse.fusion.sensors.registry import REGISTRY
+
+Array = NDArray[np.float64]
+ROOM = ((0, 0, 8, 0), (8, 0, 8, 6), (8, 6, 0, 6), (0, 6, 0, 0))
+PLATES = ((3, 0, 3, 1), (5, 6, 5, 4.8), (8, 3, 7, 3), (0, 4, 0.8, 4))
+EPOCH = 1_700_000_000_000_000_000
+
+
+def cast(origin: Array, angles: Array, walls: Array) -> Array:
+    """Distance along each ray from `origin` (2,) to the nearest wall (k, 4), Inf for none."""
+    d = np.stack((np.cos(angles), np.sin(angles)), axis=-1)[:, None, :]
+    a, e = walls[None, :, :2], walls[None, :, 2:] - walls[None, :, :2]
+    w = a - origin
+    cross = d[..., 0] * e[..., 1] - d[..., 1] * e[..., 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = (w[..., 0] * e[..., 1] - w[..., 1] * e[..., 0]) / cross
+        s = (w[..., 0] * d[..., 1] - w[..., 1] * d[..., 0]) / cross
+    hit = (t > 1e-6) & (s >= 0) & (s <= 1) & (np.abs(cross) > 1e-12)
+    return np.where(hit, t, np.inf).min(axis=1)
+
+
+@dataclass
+class World:
+    """A drive with constant wheel speeds from `start`, 50 Hz wheels, 10 Hz scans, 20 Hz compass, 25 Hz truth."""
+
+    seconds: float = 20.0
+    speed: float = 0.3  # m/s
+    turning: float = 0.12  # rad/s
+    start: tuple[float, float, float] = (1.5, 1.5, 0.0)
+    walls: tuple[tuple[float, ...], ...] = (*ROOM, *PLATES)
+    beams: int = 181
+    mount: tuple[float, float, float] = (0.2, 0.05, 0.1)
+    sigma_range: float = 0.03
+    compass_offset: float = 0.7
+    compass_sigma: float = math.radians(1.0)
+    wheel_noise: float = 4e-4
+    track: float = 0.6
+    radius: float = 0.05
+    truth_shift: float = 0.0  # s by which the truth's stamps are moved along the same arc
+    seed: int = 0
+    wheels: dict[str, Any] = field(default_factory=dict)
+    settings: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    def pose(self, t: Array, x0: tuple[float, float, float] | None = None) -> Array:
+        """The arc in closed form, (n, 3)."""
+        x, y, a = x0 or self.start
+        theta = a + self.turning * t
+        if abs(self.turning) < 1e-12:
+            return np.stack((x + self.speed * t * math.cos(a), y + self.speed * t * math.sin(a), theta), axis=-1)
+        r = self.speed / self.turning
+        return np.stack(
+            (x + r * (np.sin(theta) - math.sin(a)), y - r * (np.cos(theta) - math.cos(a)), theta), axis=-1
+        )
+
+    def streams(self) -> dict[str, ArrayStream]:
+        rng = np.random.default_rng(self.seed)
+        return {
+            "wheels": self._wheels(rng),
+            "compass": self._compass(rng),
+            "lrf": self._scans(rng),
+            "truth": self._truth(),
+        }
+
+    def _wheels(self, rng: np.random.Generator) -> ArrayStream:
+        t = np.arange(0.0, self.seconds + 1e-9, 0.02)
+        rolled = []
+        for side in (-1, 1):
+            rate = self.speed + side * self.turning * self.track / 2
+            steps = np.full(len(t) - 1, rate * 0.02)
+            rolled.append(
+                np.append(
+                    0.0, np.cumsum(steps + np.sqrt(self.wheel_noise * np.abs(steps)) * rng.normal(size=len(steps)))
+                )
+            )
+        angles = np.stack(rolled, axis=-1) / self.radius
+        return stream(
+            "/joint_states",
+            "sensor_msgs/msg/JointState",
+            t,
+            {
+                "name": [("left_wheel_joint", "right_wheel_joint")] * len(t),
+                "position": Ragged(angles.ravel(), np.arange(len(t) + 1) * 2),
+            },
+        )
+
+    def _compass(self, rng: np.random.Generator) -> ArrayStream:
+        t = np.arange(0.013, self.seconds, 0.05)
+        heading = self.pose(t)[:, 2] + self.compass_offset + self.compass_sigma * rng.normal(size=len(t))
+        return stream(
+            "/compass",
+            "sensor_msgs/msg/MagneticField",
+            t,
+            {
+                "magnetic_field.x": 2e-5 * np.cos(heading),
+                "magnetic_field.y": -2e-5 * np.sin(heading),
+            },
+        )
+
+    def _scans(self, rng: np.random.Generator) -> ArrayStream:
+        t = np.arange(0.04, self.seconds, 0.1)
+        angles = np.linspace(-math.pi / 2, math.pi / 2, self.beams)
+        walls = np.array(self.walls, float)
+        lx, ly, yaw = self.mount
+        ranges = []
+        for x, y, a in self.pose(t):
+            c, s = math.cos(a), math.sin(a)
+            origin = np.array([x + c * lx - s * ly, y + s * lx + c * ly])
+            ranges.append(cast(origin, a + yaw + angles, walls) + self.sigma_range * rng.normal(size=self.beams))
+        n = len(t)
+        return stream(
+            "/scan",
+            "sensor_msgs/msg/LaserScan",
+            t,
+            {
+                "angle_min": np.full(n, angles[0]),
+                "angle_increment": np.full(n, angles[1] - angles[0]),
+                "time_increment": np.zeros(n),
+                "range_min": np.full(n, 0.04),
+                "range_max": np.full(n, 80.0),
+                "ranges": Ragged(np.concatenate(ranges), np.arange(n + 1) * self.beams),
+            },
+        )
+
+    def _truth(self) -> ArrayStream:
+        t = np.arange(0.0, self.seconds - 0.05, 0.04) + self.truth_shift
+        x, y, theta = self.pose(t).T
+        zero = np.zeros(len(t))
+        return stream(
+            "/ground_truth",
+            "geometry_msgs/msg/PoseStamped",
+            t,
+            {
+                "pose.position.x": x,
+                "pose.position.y": y,
+                "pose.orientation.x": zero,
+                "pose.orientation.y": zero,
+                "pose.orientation.z": np.sin(theta / 2),
+                "pose.orientation.w": np.cos(theta / 2),
+            },
+        )
+
+    def robot(self) -> Robot:
+        lx, ly, yaw = self.mount
+        given: dict[str, dict[str, Any]] = {
+            "lrf": {
+                "x": lx,
+                "y": ly,
+                "yaw_deg": math.degrees(yaw),
+                "sigma_range": max(self.sigma_range, 1e-3),
+                "sigma_angle_deg": 0.05,
+            },
+            "compass": {"sigma_deg": max(math.degrees(self.compass_sigma), 0.1)},
+        }
+        sensors = {
+            name: sensor.Settings(**{**given.get(name, {}), **self.settings.get(name, {})})
+            for name, sensor in REGISTRY.items()
+        }
+        x, y, a = self.start
+        wheels = WheelSettings(
+            **{"radius": self.radius, "track": self.track, "noise": max(self.wheel_noise, 1e-7), **self.wheels}
+        )
+        return Robot(wheels=wheels, start=StartSettings(x=x, y=y, theta_deg=math.degrees(a)), sensors=sensors)
+
+
+def stream(topic: str, msgtype: str, t: Array, data: dict[str, Any]) -> ArrayStream:
+    return ArrayStream(topic, msgtype, EPOCH + np.rint(t * 1e9).astype(np.int64), data)

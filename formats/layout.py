@@ -146,12 +146,6 @@ class _Walk:
         self.at += n
 
     def _count_items(self, count: int) -> None:
-        """Refuse what would take minutes; the verdict may not depend on what is wanted."""
-        self.items += count
-        if self.items > MAX_ITEMS:
-            raise MalformedError(f"more than {MAX_ITEMS} strings and structures of their own length")
-
-    def _count_items(self, count: int) -> None:
         """Refuse what would take minutes to walk; the verdict must not depend on what is wanted."""
         self.items += count
         if self.items > MAX_ITEMS:

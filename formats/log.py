@@ -13,6 +13,7 @@ import numpy as np
 
 from ..fusion.data import Ints, LocfuseError, UsageError
 from . import clock as clocks
+from . import transforms
 from .cdr import Decoder, FieldError
 from .layout import CDR
 from .log_files import log_files, log_name
@@ -22,6 +23,8 @@ from .schema import SchemaError, message_type, parse
 from .source import ChannelInfo, Source
 from .stream import LogStream
 from .table import Raw, Table, digest
+
+TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 
 @dataclass(frozen=True)
@@ -101,6 +104,18 @@ class Log:
         streams = {topic: self.stream(topic, order) for topic in wants}
         self.read(wants)
         return streams
+
+    def static_transforms(self) -> transforms.StaticTransforms:
+        """Return the transforms of /tf_static, namespaced ones too, by all its publishers."""
+        topics = [name for name, topic in self.topics.items() if _is_static_tf(name, topic)]
+        self.read(dict.fromkeys(topics, transforms.FIELDS))
+        return transforms.static_transforms(self.stream(topic).columns(*transforms.FIELDS) for topic in topics)
+
+    @property
+    def time_span_ns(self) -> tuple[int, int] | None:
+        """First and last log time of the messages, None for an empty log."""
+        spans = [span for source in self._sources if (span := source.time_span_ns) is not None]
+        return (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
 
     def _check(self, topic: str) -> None:
         if topic not in self.topics:
@@ -184,6 +199,10 @@ class Log:
         others = [c for _, _, c in self._channels[topic] if not same_kind(c, self.topics[topic])]
         count = sum(c.n or 0 for c in others)
         return {f"of type {others[0].msgtype}": count} if count else {}
+
+
+def _is_static_tf(name: str, topic: Topic) -> bool:
+    return name.rpartition("/")[2] == "tf_static" and topic.msgtype in TF_TYPES and not topic.problem
 
 
 def same_kind(channel: ChannelInfo, topic: Topic) -> bool:

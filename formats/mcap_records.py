@@ -47,6 +47,8 @@ class ChunkHeader(NamedTuple):
     compression: str
     start: int  # of the compressed bytes, from the content's start
     length: int  # of the compressed bytes
+    first: int  # log time of the first message, ns
+    last: int
 
 
 class ChunkIndex(NamedTuple):
@@ -111,10 +113,10 @@ def channel(data: bytes) -> Channel:
 def chunk_header(data: bytes) -> ChunkHeader:
     """Read the front of a Chunk record's content."""
     c = Cursor(data)
-    _, _, size, crc = c.integers("QQQI")
+    first, last, size, crc = c.integers("QQQI")
     compression = c.text()
     length = c.integer("Q")
-    return ChunkHeader(size, crc, compression, c.at, length)
+    return ChunkHeader(size, crc, compression, c.at, length, first, last)
 
 
 def chunk_index(data: bytes) -> ChunkIndex:

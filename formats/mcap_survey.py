@@ -62,6 +62,11 @@ class ChunkRef:
         return self.offset + rec.RECORD.size + self.header.start
 
     @property
+    def span(self) -> tuple[int, int]:
+        """Log times of its first and last message, ns."""
+        return self.header.first, self.header.last
+
+    @property
     def size(self) -> int:
         """Bytes to read: fewer than the header says where the file is cut off."""
         return self.available
@@ -79,6 +84,7 @@ class LooseRun:
     offset: int
     size: int
     counts: dict[int, int] | None = field(default_factory=dict)
+    span: tuple[int, int] = (0, 0)  # log times, ns
     cut_off: bool = False
 
     @property
@@ -231,13 +237,14 @@ class _Walk:
     def _message(self, at: int, length: int) -> None:
         if length < rec.MESSAGE_HEADER:
             raise DamagedError("a message is shorter than its header")
-        ident = rec.Cursor(self.data.read(at + rec.RECORD.size, 2)).integer("H")
+        ident, _, time = rec.Cursor(self.data.read(at + rec.RECORD.size, 14)).integers("HIQ")
         run = self.found.parts[-1] if self.found.parts else None
         size = rec.RECORD.size + length
         if not isinstance(run, LooseRun) or run.offset + run.size != at or run.size + size > RUN_BYTES:
-            run = LooseRun(at, 0)
+            run = LooseRun(at, 0, span=(time, time))
             self.found.parts.append(run)
         run.size += size
+        run.span = min(run.span[0], time), max(run.span[1], time)
         assert run.counts is not None
         run.counts[ident] = run.counts.get(ident, 0) + 1
 

@@ -48,6 +48,12 @@ class McapSource:
                 self.losses.add(str(self.path), str(problem), at, length)
         return found
 
+    @cached_property
+    def time_span_ns(self) -> tuple[int, int] | None:
+        """First and last log time, None without messages."""
+        spans = [part.span for part in self._survey.parts if part.counts and any(part.counts.values())]
+        return (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
+
     def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
         """Yield the messages of the wanted channels in file order."""
         for part in self._survey.parts:

@@ -60,5 +60,9 @@ class Source(Protocol):
     def attachments(self) -> Mapping[str, bytes]:
         """Attachments by name."""
 
+    @property
+    def time_span_ns(self) -> tuple[int, int] | None:
+        """First and last log time, None without messages."""
+
     def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
         """Yield the messages of the wanted channels in file order; the same order at every call."""

@@ -151,7 +151,7 @@ class Table:
         )
         repeats = by_content[1:][same]
         if len(repeats):
-            self.bad["exact repeat"] += len(repeats)
+            self.bad["repeat"] += len(repeats)
             keep = np.ones(len(order), bool)
             keep[repeats] = False
             order = order[keep[order]]

@@ -1,0 +1,162 @@
+"""robot.toml: the robot's description as typed settings, merged from several places key by key."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import msgspec
+
+from ..fusion.data import LocfuseError, UsageError
+
+FEW = 12  # keys are listed up to this many
+Tables = dict[str, Any]
+
+
+def parse(text: str | bytes, source: str) -> Tables:
+    """Return the tables of a robot.toml; `source` names it in errors."""
+    try:
+        if isinstance(text, bytes):
+            text = text.decode("utf-8")
+        tables = tomllib.loads(text.removeprefix("\ufeff"))
+    except UnicodeDecodeError as problem:
+        raise LocfuseError(f"{source}: not UTF-8 text (byte {problem.start})") from None
+    except tomllib.TOMLDecodeError as problem:
+        raise LocfuseError(f"{source}: not valid TOML: {_one_line(str(problem))}") from None
+    except RecursionError:
+        raise LocfuseError(f"{source}: not valid TOML: nested too deeply") from None
+    _refuse_infinite(tables, source)
+    return tables
+
+
+def merge(*tables: Mapping[str, Any]) -> Tables:
+    """Merge tables key by key; what comes later wins."""
+    merged: Tables = {}
+    for layer in tables:
+        for key, value in layer.items():
+            before = merged.get(key)
+            both = isinstance(before, Mapping) and isinstance(value, Mapping)
+            merged[key] = merge(before, value) if both and before is not None else value
+    return merged
+
+
+def apply_sets(sets: Sequence[str]) -> Tables:
+    """Turn ["lrf.topic=/scan", "wheels.radius=0.03"] into tables: a TOML value, else plain text."""
+    tables: Tables = {}
+    for text in sets:
+        path, equals, value = text.partition("=")
+        keys = [key.strip() for key in path.split(".")]
+        if not equals or not all(keys):
+            raise UsageError(f"--set {text}: write it as table.key=value, such as wheels.radius=0.033")
+        table = tables
+        for key in keys[:-1]:
+            table = table.setdefault(key, {})
+            if not isinstance(table, dict):
+                raise UsageError(f"--set {text}: {key} was set to a value before")
+        table[keys[-1]] = _value(value.strip())
+    try:
+        _refuse_infinite(tables, "--set")
+    except LocfuseError as problem:
+        raise UsageError(str(problem)) from None
+    return tables
+
+
+def _value(text: str) -> Any:
+    try:
+        parsed = tomllib.loads(f"value = {text}")
+    except (tomllib.TOMLDecodeError, RecursionError):
+        return text
+    return parsed["value"] if parsed.keys() == {"value"} else text
+
+
+def _refuse_infinite(value: Any, source: str, path: str = "") -> None:
+    if isinstance(value, float) and not math.isfinite(value):
+        raise LocfuseError(f"{source}: {path} = {value}: a finite number is needed")
+    children: Iterable[tuple[Any, Any]] = ()
+    if isinstance(value, dict):
+        children = value.items()
+    elif isinstance(value, list):
+        children = enumerate(value)
+    for key, child in children:
+        _refuse_infinite(child, source, f"{path}.{key}" if path else str(key))
+
+
+def convert(tables: Mapping[str, Any], types: Mapping[str, Any]) -> dict[str, Any]:
+    """Turn tables (and top-level values) into the type registered for each name.
+
+    Raises LocfuseError naming the key path and the value, or the nearest known key for an unknown one.
+    """
+    converted: dict[str, Any] = {}
+    for name, table in tables.items():
+        if name not in types:
+            raise LocfuseError(_unknown(name, "", list(types)))
+        kind = types[name]
+        if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+            _check_table(name, table, kind)
+        try:
+            converted[name] = msgspec.convert(table, kind)
+        except msgspec.ValidationError as problem:
+            raise LocfuseError(_mismatch(name, table, str(problem))) from None
+    return converted
+
+
+def _check_table(name: str, table: Any, kind: type[msgspec.Struct]) -> None:
+    if not isinstance(table, Mapping):
+        raise LocfuseError(f"{name} = {_shown(table)}: {name} is a table: write [{name}] and its keys below")
+    known = [field.encode_name for field in msgspec.structs.fields(kind)]
+    for key in table:
+        if key not in known:
+            raise LocfuseError(_unknown(key, name, known))
+
+
+def _unknown(key: str, table: str, known: Sequence[str]) -> str:
+    what = f"unknown key {table}.{key}" if table else f"unknown table or key {key}"
+    near = difflib.get_close_matches(key, known, 1)
+    hint = f"did you mean {near[0]}?" if near else ""
+    listed = f"known: {', '.join(known)}" if len(known) <= FEW or not near else ""
+    return f"{what}; {' '.join(part for part in (hint, listed) if part)}"
+
+
+def _mismatch(name: str, table: Any, problem: str) -> str:
+    """Say "wheels.radius = 'big': expected float, got str" for msgspec's "... - at `$.radius`"."""
+    reason, _, where = problem.partition(" - at `$")
+    path = where.rstrip("`")
+    value = table
+    for key in path.replace("[", ".").replace("]", "").split(".")[1:]:
+        try:
+            value = value[int(key)] if isinstance(value, list) else value[key]
+        except (KeyError, ValueError, IndexError, TypeError):
+            return f"{name}{path}: {_plain(reason)}"
+    return f"{name}{path} = {_shown(value)}: {_plain(reason)}"
+
+
+def _plain(reason: str) -> str:
+    return reason[:1].lower() + reason[1:].replace("`", "")
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def dump(tables: Mapping[str, Any]) -> str:
+    """Return tables as TOML: same tables, same text; floats in full precision; keys without a value left out."""
+    import tomli_w
+
+    _refuse_infinite(dict(tables), "robot.toml")
+    return tomli_w.dumps(_without_none(tables))
+
+
+def _without_none(tables: Mapping[str, Any]) -> Tables:
+    return {
+        key: _without_none(value) if isinstance(value, Mapping) else value
+        for key, value in tables.items()
+        if value is not None
+    }

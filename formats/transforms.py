@@ -1,0 +1,154 @@
+"""Where sensors sit on the robot: the transforms of /tf_static, chained into a mount on the base.
+
+`T_parent_child` maps coordinates in the child frame to coordinates in the parent frame (REP-105 trees).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..fusion.data import Array, Column, Ragged
+
+FIELDS = (
+    "transforms.header.frame_id",
+    "transforms.child_frame_id",
+    *(f"transforms.transform.translation.{axis}" for axis in "xyz"),
+    *(f"transforms.transform.rotation.{axis}" for axis in "xyzw"),
+)
+SAME_M = 1e-6  # differences below are rounding, not a conflict
+SAME_RAD = 1e-6
+
+
+@dataclass(frozen=True)
+class Transform:
+    """One edge of the tree."""
+
+    parent: str
+    child: str
+    T_parent_child: Array  # (4, 4)
+
+
+@dataclass(frozen=True)
+class StaticTransforms:
+    """What all publishers said, one transform per child frame: as in tf2, the last one said counts."""
+
+    edges: tuple[Transform, ...] = ()
+    conflicts: tuple[str, ...] = ()  # in words: frames said to be in two places, unusable rotations
+
+
+@dataclass(frozen=True)
+class Mount:
+    """Pose of a sensor on the base: metres, radians, base frame (x forward, y left, z up)."""
+
+    base: str  # the base frame it is relative to
+    frame: str
+    x: float
+    y: float
+    z: float
+    yaw: float  # direction of the sensor's x axis seen from above
+    roll: float
+    pitch: float
+    flipped: bool  # mounted upside-down: its z axis points down
+
+
+def static_transforms(columns: Iterable[Mapping[str, Column]]) -> StaticTransforms:
+    """Collect the transforms of TFMessage columns (FIELDS), one mapping per topic, rows in recording order."""
+    edges: dict[str, Transform] = {}
+    words: dict[str, None] = {}
+    for topic in columns:
+        for parent, child, numbers in _entries(topic):
+            T = _matrix(numbers)
+            if T is None:
+                words[f"{child}: a transform without a usable rotation is ignored"] = None
+                continue
+            said = Transform(parent, child, T)
+            if child in edges and _conflict(edges[child], said):
+                words[f"{child}: {_place(edges[child])} and {_place(said)} contradict; the last one counts"] = None
+            edges[child] = said
+    return StaticTransforms(tuple(edges.values()), tuple(words))
+
+
+def _entries(topic: Mapping[str, Column]) -> Iterable[tuple[str, str, list[float]]]:
+    parents, children = (column for name in FIELDS[:2] if isinstance(column := topic[name], list))
+    numbers = [column for column in (topic[name] for name in FIELDS[2:]) if isinstance(column, Ragged)]
+    for row, (names, kids) in enumerate(zip(parents, children, strict=True)):
+        values = np.stack([column[row] for column in numbers], axis=1).tolist() if names else []
+        for parent, child, value in zip(names, kids, values, strict=True):
+            yield parent.lstrip("/"), child.lstrip("/"), value
+
+
+def _matrix(numbers: Sequence[float]) -> Array | None:
+    """Return the (4, 4) matrix of x, y, z and a quaternion x, y, z, w; None where that is no rotation."""
+    tx, ty, tz, x, y, z, w = numbers
+    norm = math.sqrt(x * x + y * y + z * z + w * w)
+    if not (math.isfinite(tx + ty + tz) and math.isfinite(norm) and norm > 1e-6):
+        return None
+    x, y, z, w = x / norm, y / norm, z / norm, w / norm
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w), tx],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w), ty],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y), tz],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
+
+
+def _conflict(a: Transform, b: Transform) -> bool:
+    shift = np.abs(a.T_parent_child[:3, 3] - b.T_parent_child[:3, 3]).max()
+    turn = np.abs(a.T_parent_child[:3, :3] - b.T_parent_child[:3, :3]).max()
+    return bool(a.parent != b.parent or shift > SAME_M or turn > SAME_RAD)
+
+
+def _place(edge: Transform) -> str:
+    x, y, z = edge.T_parent_child[:3, 3]
+    roll, pitch, yaw = roll_pitch_yaw(edge.T_parent_child[:3, :3])
+    degrees = ", ".join(f"{math.degrees(angle):.1f}" for angle in (roll, pitch, yaw))
+    return f"({x:.3f}, {y:.3f}, {z:.3f}) m rpy ({degrees}) deg in {edge.parent}"
+
+
+def roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
+    """Return roll, pitch, yaw of a rotation matrix (3, 3) = Rz(yaw) Ry(pitch) Rx(roll), as in URDF."""
+    pitch = math.asin(min(max(-R[2, 0], -1.0), 1.0))
+    if abs(R[2, 0]) > 1 - 1e-9:  # x axis vertical: only yaw -+ roll is defined; take roll = 0
+        return 0.0, pitch, math.atan2(-R[0, 1], R[1, 1])
+    return math.atan2(R[2, 1], R[2, 2]), pitch, math.atan2(R[1, 0], R[0, 0])
+
+
+def planar_mount(transforms: StaticTransforms, base_frames: Sequence[str], frame: str) -> Mount | None:
+    """Return where `frame` sits on the first of the base frames it is connected with, None if with none."""
+    wanted = frame.lstrip("/")
+    for base in base_frames:
+        T = _chain(transforms, base, wanted)
+        if T is not None:
+            roll, pitch, yaw = roll_pitch_yaw(T[:3, :3])
+            x, y, z = (float(value) for value in T[:3, 3])
+            return Mount(base, wanted, x, y, z, yaw, roll, pitch, flipped=bool(T[2, 2] < 0))
+    return None
+
+
+def _chain(transforms: StaticTransforms, start: str, goal: str) -> Array | None:
+    """Return T_start_goal over the edges in either direction, None where there is no way."""
+    reached = {start: np.eye(4)}
+    waiting = [start]
+    while waiting and goal not in reached:
+        here = waiting.pop(0)
+        for edge in transforms.edges:
+            if edge.parent == here and edge.child not in reached:
+                reached[edge.child] = reached[here] @ edge.T_parent_child
+                waiting.append(edge.child)
+            if edge.child == here and edge.parent not in reached:
+                reached[edge.parent] = reached[here] @ _inverse(edge.T_parent_child)
+                waiting.append(edge.parent)
+    return reached.get(goal)
+
+
+def _inverse(T: Array) -> Array:
+    inverse = np.eye(4)
+    inverse[:3, :3] = T[:3, :3].T
+    inverse[:3, 3] = -T[:3, :3].T @ T[:3, 3]
+    return inverse

@@ -2,71 +2,145 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 if TYPE_CHECKING:
     from ..sample_logs.messages import Estimator, Pose, RawMessage
+    from ..sample_logs.record import Localise
     from ..sample_logs.scenario import Scenario
-
-
-def dead_reckoning(scenario: Scenario) -> Estimator:
-    """Return the plainest localisation: wheel angles, summed up from the start of the path."""
-    from ..sample_logs.path import PathFollower
-
-    x, y, theta = PathFollower(scenario.path, 1.0).start
-    last: list[float] = []
-
-    def estimate(messages: list[RawMessage]) -> Pose:
-        nonlocal x, y, theta
-        for message in messages:
-            if message.topic != "/joint_states":
-                continue
-            now = message.fields["position"].tolist()
-            if last:
-                left, right = (scenario.wheels.radius * (b - a) for a, b in zip(last, now, strict=True))
-                ds, turn = (left + right) / 2, (right - left) / scenario.wheels.track
-                x += ds * math.cos(theta + turn / 2)
-                y += ds * math.sin(theta + turn / 2)
-                theta += turn
-            last[:] = now
-        return x, y, theta
-
-    return estimate
+    from ..sample_logs.simulate import Outcome
 
 
 @click.command()
-@click.option("-o", "--out", type=click.Path(path_type=Path, dir_okay=False), required=True, help="Log to write.")
-@click.option("--seed", type=int, default=1, show_default=True)
-def simulate(out: Path, seed: int) -> None:
-    """Drive a scenario and record it as an MCAP log with known truth."""
-    import tomli_w
+@click.argument("scenario", required=False)
+@click.option("-o", "--out", type=click.Path(path_type=Path, dir_okay=False), help="Log to write (.mcap).")
+@click.option("--seed", type=click.IntRange(0), help="Seed of all chance.  [default: the scenario's]")
+@click.option(
+    "--set",
+    "sets",
+    multiple=True,
+    metavar="TABLE.KEY=VALUE",
+    help="Set one key of the scenario, e.g. --set compass.noise_deg=0.1. Repeatable.",
+)
+@click.option("--list", "listing", is_flag=True, help="List the shipped scenarios.")
+@click.option("--show", is_flag=True, help="Print the scenario with all its keys as TOML: a start for your own.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+@click.option("--json", "as_json", is_flag=True, help="Print what the simulator knows of the drive as JSON.")
+def simulate(
+    scenario: str | None,
+    out: Path | None,
+    seed: int | None,
+    sets: tuple[str, ...],
+    listing: bool,
+    show: bool,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Drive SCENARIO and record it as an MCAP log with known truth.
 
-    from ..formats.mcap_write import LogWriter
-    from ..sample_logs.scenario import Scenario
-    from ..sample_logs.simulate import robot_tables
-    from ..sample_logs.simulate import simulate as drive
+    SCENARIO is a TOML file or the name of a shipped scenario.
 
-    scenario = Scenario(seed=seed)
-    with LogWriter(out) as log:
-        log.attach("robot.toml", tomli_w.dumps(robot_tables(scenario)).encode())
+    \b
+    locfuse simulate rounded_rectangle -o drive.mcap --seed 7
+    locfuse simulate rounded_rectangle -o drive.mcap --set compass.noise_deg=0.1 --set control.estimator=all
+    locfuse simulate rounded_rectangle --show > mine.toml
+    """
+    from ..fusion.data import UsageError
+    from ..sample_logs import load
 
-        def emit(m: RawMessage) -> None:
-            log.write(
-                m.topic,
-                m.msgtype,
-                m.fields,
-                m.log_ns,
-                stamp_ns=m.stamp_ns,
-                frame_id=m.frame_id,
-                latched=m.topic == "/tf_static",
-            )
+    if listing:
+        for name in load.names():
+            click.echo(f"{name:24} {load.load(name).title}")
+        return
+    if scenario is None:
+        raise UsageError("which SCENARIO? See: locfuse simulate --list")
+    chosen = load.load(scenario, sets)
+    if show:
+        click.echo(load.dumps(chosen), nl=False)
+        return
+    if out is None:
+        raise UsageError("where to? Name the log with -o LOG.mcap")
+    if out.exists() and not overwrite:
+        raise UsageError(f"{out} exists: choose another name, or replace it with --overwrite")
+    _drive(chosen, chosen.seed if seed is None else seed, out, as_json)
 
-        outcome = drive(scenario, seed, dead_reckoning(scenario), emit)
-    click.echo(f"{outcome.duration:.1f} s in {out}")
+
+def _drive(scenario: Scenario, seed: int, out: Path, as_json: bool) -> None:
+    import json
+
+    from ..sample_logs.record import write_log
+
+    outcome = write_log(scenario, seed, localise(scenario.control.estimator), out)
+    facts = {"log": str(out), "seed": seed, **_facts(outcome)}
+    if as_json:
+        click.echo(json.dumps(facts, indent=2))
+    else:
+        click.echo(
+            f"{out}: {facts['duration_s']} s, {facts['way_m']} m; wheel speeds within "
+            f"{facts['speed_worst_percent']} % of their set points over 0.1 s"
+        )
+
+
+def _facts(outcome: Outcome) -> dict[str, Any]:
+    from ..sample_logs.stability import speed_stability
+
+    stability = speed_stability(outcome)
+    return {
+        "duration_s": round(outcome.duration, 3),
+        "way_m": round(outcome.way, 3),
+        "missed_encoder_transitions": outcome.missed,
+        "speed_worst_percent": round(100 * stability.worst, 2),
+        "speed_within_5_percent": round(stability.within_5_percent, 4),
+    }
+
+
+def localise(word: str) -> Localise:
+    """Return what builds the robot's localisation: "truth", "odometry", "all", or sensors such as compass+lrf."""
+    from ..sample_logs.record import on_truth
+
+    if word == "truth":
+        return on_truth
+    if word == "odometry":
+        return dead_reckoning
+
+    def build(tables: dict[str, dict[str, Any]]) -> Estimator:
+        from ..fusion.sensors.registry import REGISTRY
+        from .estimator import make_estimator
+
+        present = tuple(name for name in REGISTRY if name in tables)
+        sensors = present if word == "all" else tuple(word.replace(",", "+").split("+"))
+        return make_estimator(tables, sensors)
+
+    return build
+
+
+def dead_reckoning(tables: dict[str, dict[str, Any]]) -> Estimator:
+    """Return the plainest localisation: wheel angles, summed up along exact arcs from the start."""
+    import math
+
+    import numpy as np
+
+    from ..fusion.se2 import compose, exp
+
+    wheels, start = tables["wheels"], tables["start"]
+    pose = np.array([start["x"], start["y"], math.radians(start["theta_deg"])])
+    last: list[float] = []
+
+    def estimate(messages: list[RawMessage]) -> Pose:
+        nonlocal pose
+        for message in messages:
+            if message.topic != wheels["topic"]:
+                continue
+            now = message.fields["position"].tolist()
+            left, right = (wheels["radius"] * (b - a) for a, b in zip(last or now, now, strict=True))
+            pose = compose(pose, exp(np.array([(left + right) / 2, 0.0, (right - left) / wheels["track"]])))
+            last[:] = now
+        return float(pose[0]), float(pose[1]), float(pose[2])
+
+    return estimate
 
 
 if __name__ == "__main__":

@@ -1,9 +1,12 @@
-"""Readings as raw messages, and where they may go: a log file or columns in memory."""
+"""What flows through a simulated drive: raw messages, pose estimates, and named sources of chance."""
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable
 from typing import Any, NamedTuple
+
+import numpy as np
 
 
 class RawMessage(NamedTuple):
@@ -21,3 +24,14 @@ Emit = Callable[[RawMessage], None]
 Pose = tuple[float, float, float]  # x [m], y [m], theta [rad], map frame
 # The robot's localisation: the messages that arrived since the last call -> where it believes to be now.
 Estimator = Callable[[list[RawMessage]], Pose]
+# The generator of a named source of chance; no source can shift another's numbers.
+Streams = Callable[[str], np.random.Generator]
+
+
+def streams(seed: int) -> Streams:
+    """Return the sources of chance of one drive."""
+
+    def stream(name: str) -> np.random.Generator:
+        return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(zlib.crc32(name.encode()),)))
+
+    return stream

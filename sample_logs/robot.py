@@ -12,9 +12,13 @@ from typing import NamedTuple
 import numpy as np
 
 from ..fusion import se2
-from ..fusion.data import Array, Ints
+from ..fusion.data import Array
 from .encoder import COUNTS_PER_SLOT, decode, phases
-from .scenario import Motor, Wheels
+from .faults import Kidnap, Slip
+from .messages import Pose, Streams
+from .scenario import Motor, Scenario, Wheels
+
+SIDES = ("left", "right")
 
 STEPS_PER_TICK = 4  # physics steps per encoder tick
 
@@ -22,7 +26,7 @@ STEPS_PER_TICK = 4  # physics steps per encoder tick
 class Trail:
     """Where the robot has been: knots every `step` seconds, arcs between them."""
 
-    def __init__(self, step: float, start: tuple[float, float, float]) -> None:
+    def __init__(self, step: float, start: Pose) -> None:
         self.step = step
         self.count = 0  # steps made
         self._pose = np.zeros((1024, 3))
@@ -62,7 +66,7 @@ class Tick(NamedTuple):
     t: float  # s
     counts: tuple[int, int]  # left, right
     speed: tuple[float, float]  # rad/s, from the counts since the tick before
-    set_point: tuple[float, float]  # rad/s, of the interval that ended here
+    set_point: tuple[float, float]  # rad/s, mean since the tick before
 
 
 class Wheel:
@@ -76,14 +80,16 @@ class Wheel:
         self.step = self.dt / STEPS_PER_TICK
         self.slots = wheels.slots
         self.rad_per_count = 2 * math.pi / (wheels.slots * COUNTS_PER_SLOT)
-        self.samples = round(self.dt * wheels.sampling)
+        self.samples = max(1, round(self.dt * wheels.sampling))
         self.rng = rng
         self.angle = rng.uniform(0, self.rad_per_count)  # rad, true; the disc's rest position is not ours
         self.speed = 0.0  # rad/s, true
         self.load = 0.0  # share of the voltage that the load takes
         self.counts = 0
+        self.measured = 0.0  # rad/s, from the counts of the last tick
         self.missed = 0
-        self.set_point = 0.0
+        self.set_point = 0.0  # rad/s, mean of the last tick
+        self._reached = 0.0  # rad/s, where the set point's ramp is
         self._integral = 0.0
         self._error = 0.0
 
@@ -104,16 +110,17 @@ class Wheel:
         return turned
 
     def _control(self, target: float) -> float:
-        limit = self.motor.acceleration / self.radius * self.dt
-        self.set_point += min(max(target - self.set_point, -limit), limit)
+        """Return the voltage (share of the full one): PID on the speed, feed-forward of the set point's ramp."""
+        m = self.motor
+        limit = m.acceleration / self.radius * self.dt
         error = self.set_point - self.measured
         self._integral += error * self.dt
         slope, self._error = (error - self._error) / self.dt, error
-        m = self.motor
-        drive = self.set_point / m.no_load + m.kp * error + m.ki * self._integral + m.kd * slope
-        return min(max(drive, -1.0), 1.0)
-
-    measured = 0.0  # rad/s, from the counts of the last tick
+        goal = self._reached + min(max(target - self._reached, -limit), limit)
+        ramp = (goal - self._reached) / -math.expm1(-self.dt / m.time_constant)
+        forward = (self._reached + ramp) / m.no_load
+        self.set_point, self._reached = (self._reached + goal) / 2, goal
+        return min(max(forward + m.kp * error + m.ki * self._integral + m.kd * slope, -1.0), 1.0)
 
     def _count(self, angles: list[float]) -> None:
         at = np.linspace(0, STEPS_PER_TICK, self.samples + 1)
@@ -125,31 +132,48 @@ class Wheel:
 
 
 class Robot:
-    """Two wheels on a floor. `noise` is what the ground does to them, per metre rolled."""
+    """Two wheels on a floor that adds noise per metre rolled, and what faults do to them."""
 
-    def __init__(
-        self,
-        wheels: Wheels,
-        motor: Motor,
-        start: tuple[float, float, float],
-        motor_rng: tuple[np.random.Generator, np.random.Generator],
-        ground_rng: np.random.Generator,
-    ) -> None:
-        self.wheels = tuple(Wheel(wheels, motor, side, motor_rng[side]) for side in (0, 1))
-        self.track = wheels.track * (1 + wheels.track_error)
-        self.noise = wheels.noise
-        self.rng = ground_rng
+    def __init__(self, scenario: Scenario, start: Pose, streams: Streams) -> None:
+        self.wheels = tuple(
+            Wheel(scenario.wheels, scenario.motor, i, streams(f"{side} motor")) for i, side in enumerate(SIDES)
+        )
+        self.track = scenario.wheels.track * (1 + scenario.wheels.track_error)
+        self.noise = scenario.wheels.noise
+        self.slips = [f for f in scenario.faults if isinstance(f, Slip)]
+        self.kidnaps = [f for f in scenario.faults if isinstance(f, Kidnap)]
+        self.rng = streams("ground")
         self.trail = Trail(self.wheels[0].step, start)
         self.ticks: list[Tick] = [self._tick()]
 
     def drive(self, targets: tuple[float, float]) -> None:
         """Let one tick pass with the wheel speeds `targets` [rad/s] asked for."""
+        t = self.trail.end
         rolled = np.array([w.radius * np.array(w.turn(s)) for w, s in zip(self.wheels, targets, strict=True)])
-        gauss = self.rng.standard_normal(rolled.shape)
-        left, right = rolled + np.sqrt(self.noise * np.abs(rolled)) * gauss
+        grip = self._grip(t)
+        left, right = grip * rolled + np.sqrt(self.noise * np.abs(rolled)) * self._gauss(rolled.shape)
         twist = np.stack(((left + right) / 2, np.zeros_like(left), (right - left) / self.track), axis=-1)
-        self.trail.extend(twist)
+        lifted = next((f for f in self.kidnaps if f.active(t)), None)
+        self.trail.extend(twist if lifted is None else self._carried(lifted, len(twist)))
         self.ticks.append(self._tick())
+
+    def _gauss(self, shape: tuple[int, ...]) -> Array:
+        return self.rng.standard_normal(shape)
+
+    def _grip(self, t: float) -> Array:
+        """Return the share of its rolling that each wheel passes on to the robot, (2, 1)."""
+        grip = np.ones((2, 1))
+        for slip in self.slips:
+            if slip.active(t):
+                grip[SIDES.index(slip.wheel)] *= 1 - slip.ratio
+        return grip
+
+    def _carried(self, kidnap: Kidnap, steps: int) -> Array:
+        """Return the twists (steps, 3) of a robot in someone's arms: its wheels move nothing."""
+        share = self.trail.step / (kidnap.end - kidnap.start)
+        move = share * np.array([kidnap.x, kidnap.y, math.radians(kidnap.theta_deg)])
+        poses = self.trail.knots()[-1] + np.arange(steps + 1)[:, None] * move
+        return se2.log(se2.between(poses[:-1], poses[1:]))
 
     def _tick(self) -> Tick:
         left, right = self.wheels
@@ -159,7 +183,3 @@ class Robot:
             (left.measured, right.measured),
             (left.set_point, right.set_point),
         )
-
-    def counts(self) -> Ints:
-        """Return the counters at every tick, (n, 2)."""
-        return np.array([tick.counts for tick in self.ticks])

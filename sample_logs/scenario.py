@@ -8,134 +8,207 @@ from __future__ import annotations
 
 import msgspec
 
-Point = tuple[float, float]  # m, map frame
-Segment = tuple[float, float, float, float]  # x1, y1, x2, y2 [m], map frame
+from .faults import Fault
+from .table import Count, Percent, Pillar, Point, Positive, Segment, Share, Table
 
 
-class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A TOML table whose unknown keys are errors."""
-
-
-class Room(Table, frozen=True):
-    """Flat walls around the origin's first quadrant, lower wooden plates inside."""
+class Room(Table, frozen=True, kw_only=True):
+    """Flat walls around the first quadrant of the map, lower wooden plates and other things inside."""
 
     size: Point = (8.0, 6.0)  # m, along x and y
     walls: tuple[Segment, ...] | None = None  # None: the four sides; give them to leave a door open
-    plates: tuple[Segment, ...] = ((3, 0, 3, 1), (5, 6, 5, 5.2), (8, 3, 7, 3), (0, 5.2, 0.8, 5.2))
-    height: float = 2.6  # m, of walls and ceiling
-    plate_height: float = 1.2
+    plates: tuple[Segment, ...] = ((3, 0, 3, 1), (5, 6, 5, 5.4), (8, 3, 7, 3), (0, 5.2, 0.8, 5.2))
+    height: Positive = 2.6  # m, of walls and ceiling
+    plate_height: Positive = 1.2
+    pillars: tuple[Pillar, ...] = ()  # red ones are distractors
     north_deg: float = 65.0  # where magnetic north lies, counter-clockwise from the map's x axis
 
 
-class Pillar(Table, frozen=True):
-    """A vertical cylinder."""
-
-    x: float
-    y: float
-    radius: float = 0.06
-    bottom: float = 0.0
-    top: float = 1.6
-    colour: tuple[int, int, int] = (200, 20, 30)  # red, green, blue
-
-
-class Wheels(Table, frozen=True):
+class Wheels(Table, frozen=True, kw_only=True):
     """Two driven wheels, their encoders, and how they meet the ground."""
 
-    radius: float = 0.05  # m, what the user knows
-    track: float = 0.60
+    radius: Positive = 0.05  # m, what the user knows
+    track: Positive = 0.60
     radius_error: Point = (0.0, 0.0)  # left, right: true radius / radius - 1
     track_error: float = 0.0
-    noise: float = 4e-4  # m: variance of the ground way per metre rolled, per wheel
-    slots: int = 500  # of the encoder disc; x4 decoding gives four counts each
-    rate: float = 50.0  # Hz, counters read, speed controlled, /joint_states published
-    sampling: float = 10_000.0  # Hz, at which the decoder looks at the phases A and B
+    noise: float = 4e-4  # m: variance of the way over ground per metre rolled, of each wheel
+    slots: Count = 500  # of the encoder disc; x4 decoding gives four counts each
+    rate: Positive = 50.0  # Hz, counters read, speed controlled, /joint_states published
+    sampling: Positive = 10_000.0  # Hz, at which the decoder looks at the phases A and B
 
 
-class Motor(Table, frozen=True):
-    """A first-order motor and its PID speed controller."""
+class Motor(Table, frozen=True, kw_only=True):
+    """A first-order motor with a load, and its PID speed controller."""
 
-    no_load: float = 16.0  # rad/s of the wheel at full voltage
-    time_constant: float = 0.12  # s
+    no_load: Positive = 16.0  # rad/s of the wheel at full voltage
+    time_constant: Positive = 0.12  # s
     gain_error: Point = (0.03, -0.02)  # left, right: what the controller does not know
-    load: float = 0.02  # relative standard deviation of the load, and how long it lasts
-    load_time: float = 0.3  # s
-    kp: float = 0.04  # volt fraction per rad/s
+    load: float = 0.025  # relative standard deviation of what the load takes from the speed
+    load_time: Positive = 0.3  # s, how long a load lasts
+    kp: float = 0.04  # full voltages per rad/s
     ki: float = 0.4
     kd: float = 0.001
-    acceleration: float = 1.0  # m/s^2 at the rim, limit of the set point
+    acceleration: Positive = 1.0  # m/s^2 at the rim: how fast the set point may change
 
 
-class Control(Table, frozen=True):
-    """What closes the loop: the follower steers on this pose estimate."""
+class Control(Table, frozen=True, kw_only=True):
+    """What closes the loop: the follower steers on this estimate of the pose."""
 
-    estimator: str = "odometry"  # "truth", "odometry", "all", "compass+lrf", ...
-    period: float = 0.1  # s
-    speed: float = 0.3  # m/s
+    estimator: str = "odometry"  # "truth", "odometry", "all", or sensors: "compass+lrf"
+    period: Positive = 0.1  # s
+    speed: Positive = 0.3  # m/s
     wait: float = 1.0  # s of standing still before and after
-    clearance: float = 0.3  # m: a wall nearer than this to the axle's middle is a collision
-    time_limit: float = 600.0  # s
+    clearance: float = 0.35  # m: half the robot's width; a wall nearer to the axle's middle is a collision
+    time_limit: Positive = 900.0  # s
 
 
-class Path(Table, frozen=True):
+class Polygon(Table, frozen=True, tag_field="kind", tag="polygon"):
     """A closed polygon with rounded corners, driven from the start of its first straight."""
 
     vertices: tuple[Point, ...] = ((0.9, 1.5), (6.1, 1.5), (6.1, 4.7), (0.9, 4.7))
-    radius: float = 0.6
-    laps: float = 1.0
+    radius: Positive = 0.6
+    laps: Positive = 1.0
 
 
-class Compass(Table, frozen=True):
+class Leg(Table, frozen=True, kw_only=True):
+    """A straight run or a turn on the spot (one of the two), at its own speed."""
+
+    forward: float = 0.0  # m, negative backward
+    turn_deg: float = 0.0  # counter-clockwise
+    speed: Positive = 0.3  # m/s of the wheels
+    pause: float = 0.5  # s of standing still afterwards
+
+
+class Legs(Table, frozen=True, tag_field="kind", tag="legs"):
+    """Straight runs and turns on the spot, one after the other (the paper's experiments for delta)."""
+
+    legs: tuple[Leg, ...]
+    x: float = 2.0  # m, where to start
+    y: float = 2.2
+    theta_deg: float = 0.0
+
+
+class Tour(Table, frozen=True, tag_field="kind", tag="tour"):
+    """A random walk around the obstacles with rounded corners; every seed gives another one."""
+
+    length: Positive = 20.0  # m
+    radius: Positive = 0.4  # m, of the corners
+    legs: Point = (1.2, 4.0)  # m, shortest and longest distance of two corners
+    clearance: float = 0.7  # m, from the corners and the straights between them to any obstacle
+
+
+class Compass(Table, frozen=True, kw_only=True):
     """A two-axis magnetometer (the paper's CMPS03)."""
 
     enabled: bool = True
-    rate: float = 20.0
+    rate: Positive = 20.0  # Hz
     phase: float = 0.013  # s, of the first reading
-    field: float = 20e-6  # T, horizontal
-    noise_deg: float = 0.5  # white, as heading
+    field: Positive = 20e-6  # T, the earth's field in the plane
+    noise_deg: float = 0.5  # white, as an angle
     resolution_deg: float = 0.1
-    hard_iron: Point = (0.3e-6, -0.2e-6)  # T, on the robot
-    soft_iron: Point = (1.01, 0.99)  # gain of the two axes
-    sigma_deg: float = 3.0  # what its data sheet says, for robot.toml
+    hard_iron: Point = (0.3e-6, -0.2e-6)  # T, of magnets on the robot
+    soft_iron: tuple[float, float, float] = (1.01, 0.99, 0.005)  # gain of x, of y, and from one to the other
+    sigma_deg: float = 3.0  # what the data sheet says, for robot.toml
 
 
-class Lrf(Table, frozen=True):
+class Lrf(Table, frozen=True, kw_only=True):
     """A 2D laser range finder on the front of the robot."""
 
     enabled: bool = True
-    rate: float = 10.0
+    rate: Positive = 10.0
     phase: float = 0.031
-    x: float = 0.20
+    x: float = 0.20  # m, on the robot
     y: float = 0.0
     z: float = 0.25
     yaw_deg: float = 0.0
-    beams: int = 181
-    field_of_view_deg: float = 180.0
-    duration: float = 0.025  # s, from the first ray to the last
+    beams: Count = 181
+    field_of_view_deg: Positive = 180.0
+    duration: Positive = 0.025  # s, from the first ray to the last
     range_min: float = 0.04
-    range_max: float = 80.0
+    range_max: Positive = 80.0
     sigma_range: float = 0.03
     sigma_angle_deg: float = 0.25
-    lost: float = 0.002  # share of rays that do not return
+    lost: Share = 0.002  # share of rays that never return
 
 
-class Truth(Table, frozen=True):
+class Camera(Table, frozen=True, kw_only=True):
+    """A camera that looks up into a hyperbolic mirror Z^2/b^2 - rho^2/a^2 = 1."""
+
+    enabled: bool = True
+    rate: Positive = 2.0
+    phase: float = 0.171
+    latency: float = 0.03  # s, until the image is there
+    x: float = 0.10  # m, on the robot
+    y: float = 0.0
+    z: float = 0.9  # of the mirror's focus
+    yaw_deg: float = 0.0
+    size: tuple[int, int] = (480, 480)  # px, width and height
+    centre: Point = (241.5, 238.2)  # px, where the mirror's axis meets the image
+    focal: Positive = 320.0  # px
+    mirror_a: Positive = 28.095  # mm
+    mirror_b: Positive = 23.4125
+    inner: Positive = 62.0  # px: nearer to the centre the robot sees itself
+    outer: Positive = 232.0  # px: the mirror's rim
+    zero_deg: float = 0.0  # where "down" in the image (column 0 of the panorama) looks, from forward
+    clockwise: bool = False  # whether "right" in the image is the robot's right, as in an unmirrored image
+    brightness: float = 1.0
+    noise: float = 4.0  # grey levels
+    blur: float = 0.7  # px
+    quality: Percent = 75  # of the JPEG
+    sigma_deg: float = 0.5  # what its user would expect, for robot.toml
+
+
+class Sonar(Table, frozen=True, kw_only=True):
+    """An ultrasonic ranger: the nearest echo within its cone."""
+
+    name: str
+    x: float
+    y: float = 0.0
+    z: float = 0.3
+    yaw_deg: float = 0.0
+    rate: Positive = 10.0
+    phase: float = 0.043
+    field_of_view_deg: Positive = 20.0
+    range_min: float = 0.03
+    range_max: Positive = 4.0
+    sigma: float = 0.02
+
+
+class Gps(Table, frozen=True, kw_only=True):
+    """A satellite receiver, for a room without a roof."""
+
+    enabled: bool = False
+    rate: Positive = 1.0
+    phase: float = 0.057
+    latitude: float = 21.0380  # of the map's origin
+    longitude: float = 105.7820
+    altitude: float = 12.0  # m
+    east_deg: float = 0.0  # where east lies, counter-clockwise from the map's x axis
+    sigma: float = 1.5  # m, of each horizontal axis
+
+
+class Truth(Table, frozen=True, kw_only=True):
     """The reference pose, without noise."""
 
-    rate: float = 50.0
+    rate: Positive = 50.0
     phase: float = 0.007
 
 
-class Scenario(Table, frozen=True):
-    """Everything a drive is made of, but the seed."""
+class Scenario(Table, frozen=True, kw_only=True):
+    """Everything a drive is made of."""
 
     title: str = ""
     seed: int = 1
     room: Room = Room()
-    landmark: Pillar = Pillar(x=7.9, y=5.5)
+    landmark: Pillar = Pillar(x=7.9, y=5.5, radius=0.08)
     wheels: Wheels = Wheels()
     motor: Motor = Motor()
     control: Control = Control()
-    path: Path = Path()
+    path: Polygon | Legs | Tour = msgspec.field(default_factory=Polygon)
     compass: Compass = Compass()
     lrf: Lrf = Lrf()
+    camera: Camera = Camera()
+    sonar: tuple[Sonar, ...] = ()
+    gps: Gps = Gps()
     truth: Truth = Truth()
+    faults: tuple[Fault, ...] = ()

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..fusion.data import Array
 from ..fusion.se2 import compose
-from .robot import Robot
-from .scenario import Compass, Lrf, Scenario, Truth, Wheels
-from .world import Plan, cast, plates, walls
+from .faults import EncoderRollover, EncoderSpike
+from .robot import SIDES, Robot
+from .scenario import Compass, Lrf, Scenario, Truth
+from .world import Scene, cast
 
 JOINTS = ("left_wheel_joint", "right_wheel_joint")
 
@@ -31,30 +33,30 @@ class Sensor(Protocol):
         """Return the fields of the reading that begins at t; the robot's trail covers its duration."""
 
 
-class Mount(NamedTuple):
-    """Where a sensor sits on the robot, for /tf_static and robot.toml."""
-
-    frame_id: str
-    x: float
-    y: float
-    z: float
-    yaw: float  # rad
-
-
 class Encoders:
     """Both wheel angles, in whole counts."""
 
     name, topic, msgtype, frame_id = "wheels", "/joint_states", "sensor_msgs/msg/JointState", ""
     phase, duration, latency = 0.0, 0.0, 0.001
 
-    def __init__(self, wheels: Wheels, robot: Robot) -> None:
-        self.period = 1 / wheels.rate
+    def __init__(self, scenario: Scenario, robot: Robot) -> None:
+        self.period = 1 / scenario.wheels.rate
         self.robot = robot
+        self.faults = [f for f in scenario.faults if isinstance(f, EncoderSpike | EncoderRollover)]
 
     def read(self, t: float) -> dict[str, Any]:
         """Return the counters of the tick at t as joint angles."""
         tick = self.robot.ticks[round(t / self.period)]
-        angle = np.array(tick.counts) * self.robot.wheels[0].rad_per_count
+        counts = list(tick.counts)
+        for fault in self.faults:
+            if not fault.active(t):
+                continue
+            if isinstance(fault, EncoderSpike):
+                counts[SIDES.index(fault.wheel)] += fault.counts
+            else:
+                half = 1 << (fault.bits - 1)
+                counts = [(c + half) % (2 * half) - half for c in counts]
+        angle = np.array(counts) * self.robot.wheels[0].rad_per_count
         return {"name": JOINTS, "position": angle, "velocity": np.array(tick.speed), "effort": np.zeros(0)}
 
 
@@ -64,21 +66,25 @@ class Magnetometer:
     name, topic, msgtype, frame_id = "compass", "/compass", "sensor_msgs/msg/MagneticField", "compass"
     duration, latency = 0.0, 0.002
 
-    def __init__(self, compass: Compass, north: float, robot: Robot, rng: np.random.Generator) -> None:
+    def __init__(self, compass: Compass, scene: Scene, robot: Robot, rng: np.random.Generator) -> None:
         self.settings = compass
         self.period, self.phase = 1 / compass.rate, compass.phase
-        self.north = compass.field * np.array([np.cos(north), np.sin(north)])  # T, map frame
+        north = np.radians(scene.room.north_deg)
+        self.earth = compass.field * np.array([np.cos(north), np.sin(north)])  # T, map frame
+        gain_x, gain_y, cross = compass.soft_iron
+        self.iron = np.array([[gain_x, cross], [cross, gain_y]])
         self.sigma = compass.field * np.radians(compass.noise_deg)
         self.step = compass.field * np.radians(compass.resolution_deg)
+        self.scene = scene
         self.robot = robot
         self.rng = rng
 
     def read(self, t: float) -> dict[str, Any]:
         """Return the field strength on the two axes; the module has no third."""
-        theta = self.robot.trail.pose(np.array([t]))[0, 2]
-        c, s = np.cos(theta), np.sin(theta)
-        body = np.array([[c, s], [-s, c]]) @ self.north
-        axes = body * self.settings.soft_iron + self.settings.hard_iron
+        pose = self.robot.trail.pose(np.array([t]))
+        field = self.earth + self.scene.magnetic(t, pose[:, :2])[0]
+        c, s = np.cos(pose[0, 2]), np.sin(pose[0, 2])
+        axes = self.iron @ np.array([[c, s], [-s, c]]) @ field + self.settings.hard_iron
         axes = axes + self.sigma * self.rng.standard_normal(2)
         if self.step > 0:
             axes = np.round(axes / self.step) * self.step
@@ -96,10 +102,10 @@ class Laser:
     name, topic, msgtype, frame_id = "lrf", "/scan", "sensor_msgs/msg/LaserScan", "laser"
     latency = 0.002
 
-    def __init__(self, lrf: Lrf, plan: Plan, robot: Robot, rng: np.random.Generator) -> None:
+    def __init__(self, lrf: Lrf, scene: Scene, robot: Robot, rng: np.random.Generator) -> None:
         self.settings = lrf
         self.period, self.phase, self.duration = 1 / lrf.rate, lrf.phase, lrf.duration
-        self.plan = plan
+        self.scene = scene
         self.robot = robot
         self.rng = rng
         half = np.radians(lrf.field_of_view_deg) / 2
@@ -118,16 +124,18 @@ class Laser:
             "scan_time": self.period,
             "range_min": s.range_min,
             "range_max": s.range_max,
-            "ranges": self._ranges(compose(self.robot.trail.pose(t + self.times), self.mount)),
+            "ranges": self._ranges(t + self.times),
             "intensities": np.zeros(0, np.float32),
         }
 
-    def _ranges(self, laser: Array) -> Array:
+    def _ranges(self, times: Array) -> NDArray[np.float32]:
         s = self.settings
+        laser = compose(self.robot.trail.pose(times), self.mount)
+        plan = self.scene.plan(s.z, times)
         wobble = np.radians(s.sigma_angle_deg) * self.rng.standard_normal(s.beams)
         noise = s.sigma_range * self.rng.standard_normal(s.beams)
         lost = self.rng.random(s.beams) < s.lost
-        ranges = cast(self.plan, laser[:, :2], laser[:, 2] + self.angles + wobble) + noise
+        ranges = cast(plan, laser[:, :2], laser[:, 2] + self.angles + wobble) + noise
         seen = ~lost & (ranges >= s.range_min) & (ranges <= s.range_max)
         return np.where(seen, ranges, np.inf).astype(np.float32)
 
@@ -154,17 +162,3 @@ class GroundTruth:
             "pose.orientation.z": float(np.sin(theta / 2)),
             "pose.orientation.w": float(np.cos(theta / 2)),
         }
-
-
-def build(scenario: Scenario, robot: Robot, rngs: dict[str, np.random.Generator]) -> list[Sensor]:
-    """Return the scenario's sensors."""
-    room = scenario.room
-    mark = scenario.landmark
-    plan = Plan(np.concatenate((walls(room), plates(room))), np.array([[mark.x, mark.y, mark.radius]]))
-    sensors: list[Sensor] = [Encoders(scenario.wheels, robot)]
-    if scenario.compass.enabled:
-        sensors.append(Magnetometer(scenario.compass, np.radians(room.north_deg), robot, rngs["compass"]))
-    if scenario.lrf.enabled:
-        sensors.append(Laser(scenario.lrf, plan, robot, rngs["lrf"]))
-    sensors.append(GroundTruth(scenario.truth, robot))
-    return sensors

@@ -1,13 +1,16 @@
-"""The room in plan: segments and circles, and exact ray casting against them."""
+"""The room in plan and in time: what stands where, and exact ray casting against it."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from ..fusion.data import Array
-from .scenario import Room
+from .faults import HiddenLandmark, Magnetic, People, RedObject
+from .scenario import Room, Scenario
+from .table import Pillar
 
 
 class Plan(NamedTuple):
@@ -25,9 +28,61 @@ def walls(room: Room) -> Array:
     return np.array([(0, 0, w, 0), (w, 0, w, h), (w, h, 0, h), (0, h, 0, 0)], float)
 
 
-def plates(room: Room) -> Array:
-    """Return the plates inside the room, (m, 4)."""
-    return np.array(room.plates, float).reshape(-1, 4)
+class Scene:
+    """Everything in the room at any time."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.room = scenario.room
+        self.landmark = scenario.landmark
+        self.faults = scenario.faults
+        self.walls = walls(self.room)
+        self.plates = np.array(self.room.plates, float).reshape(-1, 4)
+
+    def pillars(self, t: float) -> tuple[Pillar, ...]:
+        """Return all cylinders at t [s], the landmark first."""
+        return (self._landmark(t), *self.room.pillars, *self._red_objects(t), *self._people(t, t))
+
+    def plan(self, z: float, times: Array | None = None) -> Plan:
+        """Return what lies at height z [m]: lasting things, or with `times` (n,) all there is at each of them."""
+        standing = [(self.walls, self.room.height), (self.plates, self.room.plate_height)]
+        segments = np.concatenate([part for part, height in standing if z < height] or [np.zeros((0, 4))])
+        lasting = (self.landmark, *self.room.pillars)
+        if times is None:
+            return Plan(segments, _circles(lasting, z))
+        begin, end = float(times[0]), float(times[-1])
+        lasting += self._red_objects(begin)
+        now, then = (_circles((*lasting, *self._people(begin, t)), z) for t in (begin, end))
+        if not self._people(begin, begin) or end == begin:
+            return Plan(segments, now)
+        share = (times - begin) / (end - begin)
+        return Plan(segments, now + share[:, None, None] * (then - now))
+
+    def magnetic(self, t: float, at: Array) -> Array:
+        """Return the field of the magnets that run at t, at points (n, 2) in the map, (n, 2) T."""
+        field = np.zeros_like(at)
+        for fault in self.faults:
+            if isinstance(fault, Magnetic) and fault.active(t):
+                field = field + fault.field(at)
+        return field
+
+    def _landmark(self, t: float) -> Pillar:
+        for fault in self.faults:
+            if isinstance(fault, HiddenLandmark) and fault.active(t):
+                return msgspec.structs.replace(self.landmark, colour=fault.colour)
+        return self.landmark
+
+    def _red_objects(self, t: float) -> tuple[Pillar, ...]:
+        return tuple(f.pillar() for f in self.faults if isinstance(f, RedObject) and f.active(t))
+
+    def _people(self, present: float, t: float) -> tuple[Pillar, ...]:
+        """Return those who are there at `present`, where they are at t."""
+        found = [f for f in self.faults if isinstance(f, People) and f.active(present)]
+        return tuple(solid for person in found for solid in person.solids(t))
+
+
+def _circles(pillars: tuple[Pillar, ...], z: float) -> Array:
+    cut = [(p.x, p.y, p.radius) for p in pillars if p.bottom <= z <= p.top]
+    return np.array(cut, float).reshape(-1, 3)
 
 
 def cast(plan: Plan, origin: Array, angle: Array) -> Array:
@@ -74,10 +129,16 @@ def hit_circles(circles: Array, origin: Array, direction: Array) -> Array:
     return np.where(hit, distance, np.inf)
 
 
-def clearance(segments: Array, points: Array) -> Array:
-    """Return the distance of every point (n, 2) from the nearest segment, (n,) m."""
-    a, along = segments[:, :2], segments[:, 2:] - segments[:, :2]
+def clearance(plan: Plan, points: Array) -> Array:
+    """Return the distance of every point (n, 2) from the nearest thing in the plan, (n,) m."""
+    a, along = plan.segments[:, :2], plan.segments[:, 2:] - plan.segments[:, :2]
     w = points[:, None] - a[None]
     share = np.clip((w * along).sum(axis=-1) / (along * along).sum(axis=-1), 0, 1)
     gap = w - share[..., None] * along
-    return np.asarray(np.sqrt((gap * gap).sum(axis=-1)).min(axis=1))
+    to_circles = points[:, None] - plan.circles[None, :, :2]
+    gaps = (
+        np.hypot(gap[..., 0], gap[..., 1]),
+        np.hypot(to_circles[..., 0], to_circles[..., 1]) - plan.circles[:, 2],
+        np.full((len(points), 1), np.inf),
+    )
+    return np.asarray(np.concatenate(gaps, axis=1).min(axis=1))

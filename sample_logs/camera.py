@@ -1,0 +1,87 @@
+"""The omni-directional camera: the room in a hyperbolic mirror, as a JPEG with the faults of a real image."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..fusion.data import Array
+from ..fusion.se2 import compose
+from .mirror import rays
+from .render import Standing, View
+from .robot import Robot
+from .scenario import Camera
+from .surface import Surface
+from .world import Scene
+
+DECK = (38.0, 38.0, 40.0)  # the robot itself, in the middle of the mirror
+BLACK = (6.0, 6.0, 6.0)  # around the mirror
+FLICKER = 0.02  # relative standard deviation of the exposure from image to image
+
+
+class OmniCamera:
+    """Renders the scene through the mirror at the robot's true pose."""
+
+    name, topic, msgtype = "camera", "/omni/image/compressed", "sensor_msgs/msg/CompressedImage"
+    frame_id = "omni_camera"
+    duration = 0.0
+
+    def __init__(self, camera: Camera, scene: Scene, robot: Robot, rng: np.random.Generator) -> None:
+        self.settings, self.scene, self.robot, self.rng = camera, scene, robot, rng
+        self.period, self.phase, self.latency = 1 / camera.rate, camera.phase, camera.latency
+        self.mount = np.array([camera.x, camera.y, np.radians(camera.yaw_deg)])
+        self.painter = Painter(camera, scene)
+
+    def read(self, t: float) -> dict[str, Any]:
+        """Return the image taken at t as a JPEG."""
+        pose = compose(self.robot.trail.pose(np.array([t])), self.mount)[0]
+        image = expose(self.painter.paint(pose, t), self.settings, self.rng)
+        quality = [cv2.IMWRITE_JPEG_QUALITY, self.settings.quality]
+        _, jpeg = cv2.imencode(".jpg", image, quality)
+        return {"format": "jpeg", "data": jpeg.tobytes()}
+
+
+class Painter:
+    """Turns a camera pose into a clean image: light that arrives, before lens and sensor spoil it."""
+
+    def __init__(self, camera: Camera, scene: Scene) -> None:
+        self.camera, self.scene = camera, scene
+        self.rays = rays(camera)
+        self.view = View(self.rays)
+        w, h = scene.room.size
+        lamp = scene.room.height - 0.1
+        self.lamps = np.array([(w / 4, h / 2, lamp), (3 * w / 4, h / 2, lamp)])
+        self.background = self._background()
+
+    def paint(self, pose: Array, t: float) -> NDArray[np.float32]:
+        """Return the image (height, width, 3) of red, green, blue seen from the camera pose (3,) at t [s]."""
+        room, scene = self.scene.room, self.scene
+        eye = np.array([pose[0], pose[1], self.camera.z, pose[2]])
+        standing = [
+            Standing(scene.walls, room.height, Surface.WALL),
+            Standing(scene.plates, room.plate_height, Surface.PLATE),
+        ]
+        seen = self.view.draw(eye, standing, scene.pillars(t), room.height, self.lamps)
+        image = self.background.copy()
+        image.reshape(-1, 3)[self.rays.pixel] = seen
+        return image
+
+    def _background(self) -> NDArray[np.float32]:
+        width, height = self.camera.size
+        v, u = np.mgrid[:height, :width]
+        radius = np.hypot(u - self.camera.centre[0], v - self.camera.centre[1])
+        inside = (radius < self.camera.inner)[..., None]
+        return np.where(inside, DECK, BLACK).astype(np.float32)
+
+
+def expose(light: NDArray[np.float32], camera: Camera, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Return the image (height, width, 3) blue, green, red as the sensor delivers it."""
+    gain = camera.brightness * (1 + FLICKER * rng.standard_normal())
+    image = np.multiply(cv2.cvtColor(light, cv2.COLOR_RGB2BGR), gain, dtype=np.float32)
+    if camera.blur > 0:
+        cv2.GaussianBlur(image, (0, 0), camera.blur, dst=image)
+    image += np.float32(camera.noise) * rng.standard_normal(image.shape, np.float32)
+    return np.asarray(np.clip(image, 0, 255), np.uint8)

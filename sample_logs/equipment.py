@@ -1,0 +1,101 @@
+"""What the robot carries: the sensors of a scenario, where they sit, and the robot.toml that describes them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from .camera import OmniCamera
+from .extras import Ranger, SatelliteReceiver
+from .messages import Pose, RawMessage, Streams
+from .robot import Robot
+from .scenario import Scenario
+from .sensors import JOINTS, Encoders, GroundTruth, Laser, Magnetometer, Sensor
+from .world import Scene
+
+
+def sensors(scenario: Scenario, scene: Scene, robot: Robot, streams: Streams) -> list[Sensor]:
+    """Return the sensors of the scenario, each with its own source of chance."""
+    carried: list[Sensor] = [Encoders(scenario, robot)]
+    if scenario.compass.enabled:
+        carried.append(Magnetometer(scenario.compass, scene, robot, streams("compass")))
+    if scenario.lrf.enabled:
+        carried.append(Laser(scenario.lrf, scene, robot, streams("lrf")))
+    if scenario.camera.enabled:
+        carried.append(OmniCamera(scenario.camera, scene, robot, streams("camera")))
+    carried += [Ranger(s, scene, robot, streams(f"sonar {s.name}")) for s in scenario.sonar]
+    if scenario.gps.enabled:
+        carried.append(SatelliteReceiver(scenario.gps, robot, streams("gps")))
+    carried.append(GroundTruth(scenario.truth, robot))
+    return carried
+
+
+def static_transforms(scenario: Scenario, epoch_ns: int) -> RawMessage:
+    """Return the /tf_static message: where the sensors sit on the robot."""
+    lrf, camera = scenario.lrf, scenario.camera
+    mounts = [("compass", 0.0, 0.0, 0.6, 0.0)] if scenario.compass.enabled else []
+    if lrf.enabled:
+        mounts.append(("laser", lrf.x, lrf.y, lrf.z, lrf.yaw_deg))
+    if camera.enabled:
+        mounts.append(("omni_camera", camera.x, camera.y, camera.z, camera.yaw_deg))
+    mounts += [(f"sonar_{s.name}", s.x, s.y, s.z, s.yaw_deg) for s in scenario.sonar]
+    if scenario.gps.enabled:
+        mounts.append(("gps", 0.0, 0.0, 1.0, 0.0))
+    stamp = {"sec": epoch_ns // 10**9, "nanosec": epoch_ns % 10**9}
+    transforms = [
+        {
+            "header": {"stamp": stamp, "frame_id": "base_link"},
+            "child_frame_id": child,
+            "transform": {
+                "translation": {"x": x, "y": y, "z": z},
+                "rotation": {"z": math.sin(math.radians(yaw) / 2), "w": math.cos(math.radians(yaw) / 2)},
+            },
+        }
+        for child, x, y, z, yaw in mounts
+    ]
+    fields = {"transforms": transforms}
+    return RawMessage("/tf_static", "tf2_msgs/msg/TFMessage", epoch_ns, epoch_ns, "", fields)
+
+
+def robot_tables(scenario: Scenario, start: Pose) -> dict[str, dict[str, Any]]:
+    """Return the robot.toml a user of this robot would write: nominal geometry, data-sheet accuracies.
+
+    What the scenario draws from (noise, iron, wheel errors, the field's direction) is not in it.
+    """
+    x, y, theta = start
+    wheels = scenario.wheels
+    tables: dict[str, dict[str, Any]] = {
+        "wheels": {
+            "topic": Encoders.topic,
+            "left": JOINTS[0],
+            "right": JOINTS[1],
+            "radius": wheels.radius,
+            "track": wheels.track,
+        },
+        "start": {"x": x, "y": y, "theta_deg": math.degrees(theta)},
+    }
+    if scenario.compass.enabled:
+        tables["compass"] = {"topic": Magnetometer.topic, "sigma_deg": scenario.compass.sigma_deg}
+    if scenario.lrf.enabled:
+        tables["lrf"] = _lrf_table(scenario)
+    if scenario.camera.enabled:
+        tables["camera"] = _camera_table(scenario)
+    tables["truth"] = {"topic": GroundTruth.topic, "x": 0.0, "y": 0.0}
+    return tables
+
+
+def _lrf_table(scenario: Scenario) -> dict[str, Any]:
+    lrf = scenario.lrf
+    keys = ("x", "y", "yaw_deg", "sigma_range", "sigma_angle_deg")
+    return {"topic": Laser.topic, **{key: getattr(lrf, key) for key in keys}}
+
+
+def _camera_table(scenario: Scenario) -> dict[str, Any]:
+    camera, mark = scenario.camera, scenario.landmark
+    keys = ("inner", "outer", "zero_deg", "clockwise", "x", "y", "yaw_deg", "sigma_deg")
+    return {
+        "topic": OmniCamera.topic,
+        "landmark": [mark.x, mark.y],
+        "centre": list(camera.centre),
+        **{key: getattr(camera, key) for key in keys},
+    }

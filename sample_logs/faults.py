@@ -1,0 +1,178 @@
+"""Faults as data: what goes wrong between `start` and `end`, and the labels that say so in the log.
+
+A fault changes the physics or the message it names and nothing else: no source of chance is shared, so the
+other sensors of a drive with open-loop wheels read the same numbers with and without it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+import msgspec
+import numpy as np
+
+from ..fusion.data import Array
+from .table import RED, Colour, Pillar, Point, Positive, Share, Table
+
+SensorWord = Literal["wheels", "compass", "lrf", "camera", "sonar", "gps", "truth"]
+Side = Literal["left", "right"]
+
+
+class Interval(Table, frozen=True, tag_field="kind"):
+    """Something that is wrong from `start` to `end` [s]; left out, the whole drive."""
+
+    start: float = 0.0
+    end: float = math.inf
+
+    def active(self, t: float) -> bool:
+        """Say whether t [s] lies within."""
+        return self.start <= t < self.end
+
+    def __post_init__(self) -> None:
+        if self.end <= self.start:
+            raise ValueError(f"end = {self.end:g} must come after start = {self.start:g}")
+
+
+class Dropout(Interval, frozen=True, kw_only=True, tag="dropout"):
+    """The sensor's messages are lost."""
+
+    sensor: SensorWord
+
+
+class Latency(Interval, frozen=True, kw_only=True, tag="latency"):
+    """The sensor's messages arrive late, and are dated on arrival unless the driver knows better."""
+
+    sensor: SensorWord
+    seconds: float
+    dated_on_arrival: bool = True
+
+
+class ClockOffset(Interval, frozen=True, kw_only=True, tag="clock_offset"):
+    """The sensor's clock is ahead: messages arrive in time but are dated later than they were taken."""
+
+    sensor: SensorWord
+    seconds: float
+
+
+class Magnetic(Interval, frozen=True, kw_only=True, tag="magnetic"):
+    """A magnet in the room (a running motor, a steel cabinet): a dipole in the plane."""
+
+    x: float
+    y: float
+    strength: float  # T at 1 m, across its axis; twice that along it
+    axis_deg: float = 0.0  # of the dipole, map frame
+
+    def field(self, at: Array) -> Array:
+        """Return its field at points (n, 2) in the map, (n, 2) T."""
+        r = at - (self.x, self.y)
+        distance = np.maximum(np.hypot(r[:, 0], r[:, 1]), 0.1)[:, None]
+        axis = np.array([math.cos(math.radians(self.axis_deg)), math.sin(math.radians(self.axis_deg))])
+        unit = r / distance
+        return np.asarray(self.strength * (3 * (unit @ axis)[:, None] * unit - axis) / distance**3)
+
+
+class Slip(Interval, frozen=True, kw_only=True, tag="slip"):
+    """A wheel moves the robot by less than it rolls."""
+
+    wheel: Side
+    ratio: Share  # share of the way that is lost; 1 spins on the spot
+
+
+class People(Interval, frozen=True, kw_only=True, tag="people"):
+    """A person walks along `path` at even speed: two legs, a body."""
+
+    path: tuple[Point, ...]
+    colour: Colour = (40, 60, 110)
+    stride: Positive = 0.7  # m, of one step
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if math.isinf(self.end) or len(self.path) < 2:
+            raise ValueError("a walk needs an `end` and at least two points in its `path`")
+
+    def solids(self, t: float) -> tuple[Pillar, ...]:
+        """Return legs and body at t [s]."""
+        p = np.array(self.path)
+        gone = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(p, axis=0).T))))
+        way = gone[-1] * (t - self.start) / (self.end - self.start)
+        x, y = float(np.interp(way, gone, p[:, 0])), float(np.interp(way, gone, p[:, 1]))
+        i = min(int(np.searchsorted(gone, way, side="right")) - 1, len(p) - 2)
+        ahead = (p[i + 1] - p[i]) / (gone[i + 1] - gone[i])
+        swing = self.stride / 2 * math.sin(math.pi * way / self.stride)
+        legs = []
+        for side in (-1, 1):
+            lx = x + side * (swing * ahead[0] - 0.1 * ahead[1])
+            ly = y + side * (swing * ahead[1] + 0.1 * ahead[0])
+            legs.append(Pillar(x=lx, y=ly, radius=0.07, top=0.8, colour=(30, 30, 45)))
+        return *legs, Pillar(x=x, y=y, radius=0.2, bottom=0.8, top=1.7, colour=self.colour)
+
+
+class HiddenLandmark(Interval, frozen=True, kw_only=True, tag="hidden_landmark"):
+    """A grey cloth hangs over the landmark: the laser still sees it, the camera sees no red."""
+
+    colour: Colour = (120, 120, 118)
+
+
+class RedObject(Interval, frozen=True, kw_only=True, tag="red_object"):
+    """A second red thing stands in the room."""
+
+    x: float
+    y: float
+    radius: float = 0.06
+    bottom: float = 0.0
+    top: float = 1.6
+    colour: Colour = RED
+
+    def pillar(self) -> Pillar:
+        """Return it as a thing in the room."""
+        return Pillar(x=self.x, y=self.y, radius=self.radius, bottom=self.bottom, top=self.top, colour=self.colour)
+
+
+class Kidnap(Interval, frozen=True, kw_only=True, tag="kidnap"):
+    """Someone lifts the robot, carries it by (x, y) m and theta_deg in the map, and puts it down again."""
+
+    x: float
+    y: float
+    theta_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if math.isinf(self.end):
+            raise ValueError("a kidnapping needs an `end`")
+
+
+class EncoderRollover(Interval, frozen=True, kw_only=True, tag="encoder_rollover"):
+    """The published counters have `bits` bits and wrap, as signed integers."""
+
+    bits: Annotated[int, msgspec.Meta(ge=8, le=32)] = 16
+
+
+class EncoderSpike(Interval, frozen=True, kw_only=True, tag="encoder_spike"):
+    """Readings of one counter jump by `counts` and return."""
+
+    wheel: Side
+    counts: int = 5000
+
+
+Fault = (
+    Dropout
+    | Latency
+    | ClockOffset
+    | Magnetic
+    | Slip
+    | People
+    | HiddenLandmark
+    | RedObject
+    | Kidnap
+    | EncoderRollover
+    | EncoderSpike
+)
+
+
+def label(fault: Fault, event: str) -> str:
+    """Return the JSON text of a label: the event, and the fault with all its settings."""
+    table: dict[str, Any] = msgspec.to_builtins(fault)
+    if math.isinf(table["end"]):
+        table["end"] = None
+    return msgspec.json.encode({"event": event, **table}).decode()

@@ -1,0 +1,141 @@
+"""Scenario files: found by name or path, put on top of their `base`, changed by settings, checked key by key."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any, get_args
+
+import msgspec
+import tomli_w
+
+from ..fusion.data import LocfuseError, UsageError
+from .scenario import Scenario
+from .table import Table
+
+
+def names() -> list[str]:
+    """Return the names of the shipped scenarios."""
+    files = resources.files(__package__).iterdir()
+    return sorted(f.name.removesuffix(".toml") for f in files if f.name.endswith(".toml"))
+
+
+def load(name: str, settings: Iterable[str] = ()) -> Scenario:
+    """Return the scenario of a TOML file or of a shipped name, with `table.key=value` settings applied.
+
+    Raises:
+        LocfuseError: the file is not a scenario; the message names the key and the nearest one.
+        UsageError: no such scenario, or a setting that does not fit.
+    """
+    tables = _tables(name)
+    convert(tables, name, LocfuseError)
+    for setting in settings:
+        tables = merge(tables, parse_setting(setting))
+    return convert(tables, f"{name} with --set", UsageError)
+
+
+def dumps(scenario: Scenario) -> str:
+    """Return the whole scenario as TOML, every key with its value: a start for one's own."""
+    return tomli_w.dumps(_without_none(msgspec.to_builtins(scenario)))
+
+
+def merge(tables: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `tables` with the keys of `above` put on top; a table of another `kind` replaces the old one."""
+    merged = dict(tables)
+    for key, value in above.items():
+        old = merged.get(key)
+        merged[key] = value
+        if isinstance(old, Mapping) and isinstance(value, Mapping):
+            other_kind = value.get("kind", old.get("kind")) != old.get("kind")
+            merged[key] = value if other_kind else merge(old, value)
+    return merged
+
+
+def parse_setting(setting: str) -> dict[str, Any]:
+    """Return `table.key=value` as nested tables; the value is TOML, or else plain text."""
+    path, equals, text = setting.partition("=")
+    if not equals or not path.strip():
+        raise UsageError(f"--set {setting}: expected table.key=value, such as control.speed=0.2")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text
+    for key in reversed(path.strip().split(".")):
+        value = {key: value}
+    return dict(value)
+
+
+def _tables(name: str) -> dict[str, Any]:
+    path = Path(name)
+    if path.is_file():
+        text, where = _read(path), str(path)
+    elif name in names():
+        text, where = resources.files(__package__).joinpath(f"{name}.toml").read_text(encoding="utf-8"), name
+    else:
+        near = difflib.get_close_matches(name, names(), 1)
+        hint = f"did you mean {near[0]}?" if near else f"shipped ones: {', '.join(names())}"
+        raise UsageError(f"no scenario {name}: neither a file nor a name; {hint}")
+    try:
+        tables = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise LocfuseError(f"{where} is not TOML: {error}") from error
+    base = tables.pop("base", None)
+    return tables if base is None else merge(_tables(str(base)), tables)
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise LocfuseError(f"{path} cannot be read as a scenario: {error}") from error
+
+
+def convert(tables: Mapping[str, Any], where: str, kind: type[LocfuseError]) -> Scenario:
+    """Return the tables as a Scenario, or raise an error that names the key and the nearest one."""
+    try:
+        return msgspec.convert(tables, Scenario)
+    except msgspec.ValidationError as error:
+        raise kind(f"{where}: {_explain(str(error))}") from error
+
+
+UNKNOWN = re.compile(r"unknown field `(?P<key>[^`]*)`(?: - at `\$(?P<path>[^`]*)`)?")
+BAD_KIND = re.compile(r"Invalid value '(?P<key>[^']*)' - at `\$(?P<path>[^`]*)\.kind`")
+
+
+def _explain(error: str) -> str:
+    if found := UNKNOWN.search(error):
+        known = {name for table in _tables_at(found["path"] or "") for name in table.__struct_fields__}
+        what = f"no key {found['key']} in {(found['path'] or '.')[1:] or 'a scenario'}"
+    elif found := BAD_KIND.search(error):
+        known = {str(table.__struct_config__.tag) for table in _tables_at(found["path"])}
+        what = f"no kind {found['key']} of {found['path'][1:]}"
+    else:
+        return error[:1].lower() + error[1:].replace("`$.", "`")
+    near = difflib.get_close_matches(found["key"], known, 1)
+    return f"{what}; {f'did you mean {near[0]}?' if near else 'known: ' + ', '.join(sorted(known))}"
+
+
+def _tables_at(path: str) -> list[type[Table]]:
+    """Return the tables that may stand at a msgspec path such as `.faults[0]`."""
+    found: list[type[Table]] = [Scenario]
+    for step in filter(None, path.replace("[...]", "").split(".")):
+        name = re.sub(r"\[\d+\]", "", step)
+        types = [f.type for table in found for f in msgspec.structs.fields(table) if f.name == name]
+        found = [table for t in types for table in _structs(t)]
+    return found
+
+
+def _structs(of: Any) -> list[type[Table]]:
+    if isinstance(of, type) and issubclass(of, Table):
+        return [of]
+    return [table for part in get_args(of) for table in _structs(part)]
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _without_none(v) for k, v in value.items() if v is not None}
+    return value

@@ -1,0 +1,50 @@
+"""The hyperbolic mirror of an omni-directional camera: which way every pixel looks.
+
+The mirror is the sheet Z > 0 of Z^2/b^2 - rho^2/a^2 = 1 and turns its hollow side down; its foci lie at
++c and -c, c^2 = a^2 + b^2. The camera's pinhole is at -c and looks up. A ray towards +c is reflected to -c,
+so the image is one of rays through a single point, the mirror's focus +c: azimuths stay, elevations bend.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..fusion.data import Array, Ints
+from .scenario import Camera
+
+
+class Rays(NamedTuple):
+    """The pixels that look into the mirror, in order of azimuth, and where they look."""
+
+    pixel: Ints  # (n,) index into the flattened image
+    azimuth: Array  # (n,) rad in [-pi, pi), from the camera's forward axis, counter-clockwise seen from above
+    slope: Array  # (n,) tangent of the elevation
+
+
+def slope(radius: Array, camera: Camera) -> Array:
+    """Return the tangent of the elevation seen at `radius` [px] from the image of the mirror's axis."""
+    a, b = camera.mirror_a, camera.mirror_b
+    c = np.hypot(a, b)
+    ray = np.hypot(camera.focal, radius)
+    sin, cos = camera.focal / ray, radius / ray  # of the elevation of the ray that leaves the pinhole
+    return np.asarray(((b**2 + c**2) * sin - 2 * b * c) / ((b**2 - c**2) * cos))
+
+
+def azimuth(u: Array, v: Array, camera: Camera) -> Array:
+    """Return which way pixels (u, v) look, rad in [-pi, pi): the image's "down" is `zero_deg` (paper eq. 1)."""
+    right_of_down = np.arctan2(u - camera.centre[0], v - camera.centre[1])
+    turn = -right_of_down if camera.clockwise else right_of_down
+    return np.asarray((turn + np.radians(camera.zero_deg) + np.pi) % (2 * np.pi) - np.pi)
+
+
+def rays(camera: Camera) -> Rays:
+    """Return the viewing rays of all pixels between the inner and the outer circle."""
+    width, height = camera.size
+    v, u = np.mgrid[:height, :width].astype(np.float64)
+    radius = np.hypot(u - camera.centre[0], v - camera.centre[1])
+    pixel = np.flatnonzero((radius >= camera.inner) & (radius <= camera.outer))
+    looks = azimuth(u.ravel()[pixel], v.ravel()[pixel], camera)
+    order = np.argsort(looks, kind="stable")
+    return Rays(pixel[order], looks[order], slope(radius.ravel()[pixel[order]], camera))

@@ -1,0 +1,138 @@
+"""Where the robot should go: polygons with rounded corners, given or drawn at random, sampled every centimetre."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ..fusion.data import Array, LocfuseError
+from ..fusion.se2 import wrap, wrap_all
+from .messages import Pose
+from .scenario import Polygon, Tour
+from .world import Plan, clearance
+
+SPACING = 0.01  # m between the points of a sampled path
+SHARPEST = math.radians(110)  # turn of a random tour: sharper corners would cut too far
+
+
+class Sampled(NamedTuple):
+    """A path as points every centimetre."""
+
+    pose: Array  # (n, 3)
+    curvature: Array  # (n,) 1/m
+
+    @property
+    def start(self) -> Pose:
+        """Return the pose at its beginning."""
+        x, y, theta = self.pose[0].tolist()
+        return x, y, theta
+
+
+def polygon(path: Polygon) -> Sampled:
+    """Return the closed polygon with its corners rounded, `laps` times, from its first straight on."""
+    p = np.array(path.vertices, float)
+    if len(p) < 3:
+        raise LocfuseError(f"path.vertices holds {len(p)} points: a closed path needs at least three")
+    corners = np.roll(p, -1, axis=0)  # the corner after each edge
+    edges = corners - p
+    turns = wrap_all(np.diff(_headings(edges), append=_headings(edges[:1])))
+    cuts = path.radius * np.tan(np.abs(turns) / 2)  # taken at the end of each edge for its corner
+    pieces = _pieces(np.hypot(*edges.T), np.roll(cuts, 1), cuts, turns, path.radius)
+    heading = float(_headings(edges)[0])
+    x, y = p[0] + cuts[-1] * np.array([math.cos(heading), math.sin(heading)])
+    lap = _lay((float(x), float(y), heading), pieces)
+    n = round(path.laps * len(lap.pose))
+    times = math.ceil(path.laps)
+    return Sampled(np.tile(lap.pose, (times, 1))[:n], np.tile(lap.curvature, times)[:n])
+
+
+def tour(path: Tour, plan: Plan, size: tuple[float, float], rng: np.random.Generator) -> Sampled:
+    """Return a random walk over corners in a room of `size` [m], each straight clear of the plan."""
+    if path.legs[0] < 2 * path.radius * math.tan(SHARPEST / 2):
+        raise LocfuseError(
+            f"path.legs = {list(path.legs)} m leave no room for corners of radius {path.radius} m: "
+            f"the shortest must be at least {2 * path.radius * math.tan(SHARPEST / 2):.2f} m"
+        )
+    for _ in range(100):
+        corners = _walk(path, plan, size, rng)
+        if corners is not None:
+            return _open(corners, path.radius)
+    raise LocfuseError(
+        f"no tour of {path.length} m found in this room: lower path.clearance ({path.clearance} m) or path.legs"
+    )
+
+
+def _walk(path: Tour, plan: Plan, size: tuple[float, float], rng: np.random.Generator) -> Array | None:
+    corners: list[Array] = []
+    length, heading = 0.0, None
+    for _ in range(2000):
+        candidate = rng.uniform((0, 0), size)
+        if not corners:
+            if clearance(plan, candidate[None])[0] >= path.clearance:
+                corners.append(candidate)
+            continue
+        step = candidate - corners[-1]
+        way, direction = math.hypot(*step), math.atan2(step[1], step[0])
+        if not path.legs[0] <= way <= path.legs[1]:
+            continue
+        if heading is not None and abs(wrap(direction - heading)) > SHARPEST:
+            continue
+        between = corners[-1] + np.linspace(0, 1, max(2, round(way / 0.05)))[:, None] * step
+        if clearance(plan, between).min() < path.clearance:
+            continue
+        corners.append(candidate)
+        length, heading = length + way, direction
+        if length >= path.length:
+            return np.array(corners)
+    return None
+
+
+def _open(corners: Array, radius: float) -> Sampled:
+    edges = np.diff(corners, axis=0)
+    headings = _headings(edges)
+    turns = np.append(wrap_all(np.diff(headings)), 0.0)
+    cuts = radius * np.tan(np.abs(turns) / 2)
+    pieces = _pieces(np.hypot(*edges.T), np.append(0.0, cuts[:-1]), cuts, turns, radius)
+    return _lay((float(corners[0, 0]), float(corners[0, 1]), float(headings[0])), pieces)
+
+
+def _headings(edges: Array) -> Array:
+    return np.asarray(np.arctan2(edges[:, 1], edges[:, 0]))
+
+
+def _pieces(
+    length: Array, cut_before: Array, cut_after: Array, turns: Array, radius: float
+) -> list[tuple[float, float]]:
+    """Return straight, arc, straight, arc... as (length, curvature)."""
+    straight = length - cut_before - cut_after
+    if (straight < 0).any():
+        raise LocfuseError(
+            f"path.radius = {radius} m does not fit: the edge after vertex {int(straight.argmin()) + 1} "
+            f"is {-straight.min():.2f} m too short"
+        )
+    arcs = [(radius * abs(turn), math.copysign(1 / radius, turn)) for turn in turns.tolist()]
+    pairs = zip(straight.tolist(), arcs, strict=True)
+    return [piece for way, arc in pairs for piece in ((way, 0.0), arc) if piece[0] > 0]
+
+
+def _lay(start: Pose, pieces: list[tuple[float, float]]) -> Sampled:
+    """Lay pieces of (length, curvature) end to end."""
+    poses, curvatures = [], []
+    for length, curvature in pieces:
+        n = max(1, round(length / SPACING))
+        poses.append(_along(start, np.linspace(0, length, n, endpoint=False), curvature))
+        curvatures.append(np.full(n, curvature))
+        x, y, theta = _along(start, np.array([length]), curvature)[0].tolist()
+        start = (x, y, theta)
+    return Sampled(np.concatenate(poses), np.concatenate(curvatures))
+
+
+def _along(start: Pose, s: Array, curvature: float) -> Array:
+    """Return the poses (n, 3) after the ways s (n,) on an arc."""
+    x, y, theta = start
+    turn = curvature * s
+    chord = s * np.sinc(turn / (2 * np.pi))
+    middle = theta + turn / 2
+    return np.stack((x + chord * np.cos(middle), y + chord * np.sin(middle), theta + turn), axis=-1)

@@ -1,0 +1,32 @@
+"""What the tables of a scenario have in common."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
+Percent = Annotated[int, msgspec.Meta(ge=1, le=100)]
+Count = Annotated[int, msgspec.Meta(ge=2)]
+Point = tuple[float, float]  # m, map frame
+Segment = tuple[float, float, float, float]  # x1, y1, x2, y2 [m], map frame
+Colour = tuple[int, int, int]  # red, green, blue, 0..255
+
+RED: Colour = (200, 20, 30)
+
+
+class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A TOML table whose unknown keys are errors."""
+
+
+class Pillar(Table, frozen=True):
+    """A vertical cylinder: the landmark, a distractor, a leg."""
+
+    x: float  # m, map frame
+    y: float
+    radius: float = 0.06
+    bottom: float = 0.0
+    top: float = 1.6
+    colour: Colour = RED

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 ORDERS = ("auto", "stamp", "recorded")
 BASE_FRAMES = ("base_link", "base_footprint", "base")
 ATTACHMENT = "robot.toml"
+PLAIN_CLOCK = "header stamps"
 TABLES: dict[str, type[msgspec.Struct]] = {
     "wheels": WheelSettings,
     "start": StartSettings,
@@ -158,7 +159,12 @@ def _mounts(log: Log, frames: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _clock_notes(streams: Mapping[str, Any]) -> list[str]:
-    return [f"{role}: {stream.clock}" for role, stream in streams.items() if getattr(stream, "clock", "")]
+    """Say which clock was taken where it is not simply the header's, and what is odd about it."""
+    notes = []
+    for role, stream in streams.items():
+        words = [] if stream.clock == PLAIN_CLOCK else [stream.clock]
+        notes += [f"{role}: {word}" for word in (*words, *stream.notes)]
+    return notes
 
 
 def _start_notes(robot: Robot, drive: Drive) -> list[str]:

@@ -10,11 +10,11 @@ from typing import Any, Protocol
 import click
 
 COLUMNS = (
-    ("position rmse", "position_rmse_m", "{:.3f} m"),
+    ("rmse", "position_rmse_m", "{:.3f} m"),
     ("max", "position_max_m", "{:.3f} m"),
     ("final", "final_position_error_m", "{:.3f} m"),
-    ("heading rmse", "heading_rmse_deg", "{:.2f}°"),
-    ("drift /5 m", "drift_5m", "{:.2%}"),
+    ("heading", "heading_rmse_deg", "{:.2f}°"),
+    ("drift/5 m", "drift_5m", "{:.2%}"),
     ("ANEES", "anees", "{:.2f}"),
 )
 
@@ -35,7 +35,7 @@ def progress(quiet: bool) -> Iterator[Progress]:
     from rich.console import Console
 
     with Console(stderr=True).status("opening", spinner="dots") as status:
-        yield lambda what: status.update(what)
+        yield lambda what: status.update(what)  # noqa: PLW0108 - its type differs from Progress
 
 
 def figures(report: Mapping[str, Any]) -> None:
@@ -48,7 +48,7 @@ def figures(report: Mapping[str, Any]) -> None:
     console = Console()
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     columns = [c for c in COLUMNS if any(v.get(c[1]) is not None for v in report["configurations"].values())]
-    table.add_column("configuration")
+    table.add_column("configuration", no_wrap=True, min_width=max(map(len, report["configurations"])))
     for title, _, _ in columns or (("distance", "", ""),):
         table.add_column(title, justify="right", no_wrap=True)
     for name, values in report["configurations"].items():

@@ -69,7 +69,8 @@ def _one(log: Log, role: str, named: str | None, candidates: list[str], reads: I
             f"{role}: {log.name} has {len(filled)} topics that fit: {', '.join(filled)}. "
             f"Choose one with --set {role}.topic={filled[0]}"
         )
-    return (filled or candidates or [None])[0]
+    fit = filled or candidates
+    return fit[0] if fit else None
 
 
 def _named(log: Log, role: str, topic: str, reads: Iterable[str]) -> str:

@@ -153,7 +153,8 @@ def _nees(deviation: Array, heading: Array | None, P: Array, truth_sigma: float)
     across = np.einsum("qij,qi->qj", vectors, e)
     with np.errstate(divide="ignore", invalid="ignore"):
         nees = (across**2 / values).sum(axis=1) / dof
-    return np.where(good, nees, np.nan)
+    judged: Array = np.where(good, nees, np.nan)
+    return judged
 
 
 def _along_cross(deviation: Array, pairs: _Pairs) -> Array:
@@ -172,7 +173,8 @@ def _tangent(xy: Array) -> Array:
     d = np.gradient(xy, axis=0)
     moving = np.hypot(d[:, 0], d[:, 1]) > 1e-6
     last = np.maximum.accumulate(np.where(moving, np.arange(len(xy)), 0))
-    return np.arctan2(d[last, 1], d[last, 0])
+    direction: Array = np.arctan2(d[last, 1], d[last, 0])
+    return direction
 
 
 def _segments(t: Array) -> NDArray[np.int64]:

@@ -76,6 +76,10 @@ class Compass:
             dropped=dropped,
         )
 
+    def heading(self, m: Measurements) -> tuple[Array, Array]:
+        """Return times (n,) and headings (n,) [rad, unwrapped, up to a constant] by this sensor alone."""
+        return m.t, np.unwrap(m.z[:, 0])
+
     def model(self, settings: CompassSettings, first: Measurements) -> CompassModel:
         """Return the compass' side of a new run."""
         return CompassModel(settings)

@@ -24,6 +24,7 @@ from .base import Innovation, Model, SensorSettings, WheelMotion
 MapMode = Literal["first-scan", "consider", "refine", "grow"]
 UNMATCHED, AMBIGUOUS, NEW = (VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new"))
 SCANS_PER_BLOCK = 128  # line extraction is level-synchronous over this many scans (benchmarks: "lines per scan")
+SAME_TURN, SAME_SHIFT = 0.6, 0.4  # rad, m: lines of neighbouring scans further apart are different walls
 KNOTS = 5  # instants of a scan at which the wheels are asked where the robot was
 
 
@@ -74,6 +75,18 @@ class Lrf:
                 lines, t[at] = _lines(scans, stamps[at], settings, wheels)
                 parts.append((at, lines))
         return _collect(parts, t, settings, dict(stream.dropped))
+
+    def heading(self, m: Measurements) -> tuple[Array, Array]:
+        """Return times (n,) and headings (n,) [rad, unwrapped, up to a constant] by lines from scan to scan.
+
+        A line of one scan and the line nearest to it in the next are the same wall; the median change of psi is
+        the robot's turn. Where no line carries over, the turn is unknown and counted as none.
+        """
+        turn = np.zeros(len(m.t))
+        for i in range(1, len(m.t)):
+            a, b, c = m.first[i - 1], m.first[i], m.first[i + 1]
+            turn[i] = _turn(m.z[a:b], m.z[b:c])
+        return m.t, np.cumsum(turn)
 
     def model(self, settings: LrfSettings, first: Measurements) -> LrfModel:
         """Return the laser's side of a new run."""
@@ -195,6 +208,19 @@ class LrfModel(Model):
 
 def _scan(m: Measurements, first: int, last: int) -> Scan:
     return Scan(m.z[first:last], m.R[first:last], m.extra["ends"][first:last])
+
+
+def _turn(before: Array, after: Array) -> float:
+    """Median turn of the robot [rad] between two scans' lines (k, 2), each paired with its nearest."""
+    if len(before) == 0 or len(after) == 0:
+        return 0.0
+    turn = se2.wrap_all(before[:, 1, None] - after[None, :, 1])
+    shift = before[:, 0, None] - after[None, :, 0]
+    cost = (turn / SAME_TURN) ** 2 + (shift / SAME_SHIFT) ** 2
+    nearest = cost.argmin(axis=1)
+    rows = np.arange(len(before))
+    good = cost[rows, nearest] < 1.0
+    return float(np.median(turn[rows, nearest][good])) if good.any() else 0.0
 
 
 def _nothing(row: int, verdict: int, gate: float) -> Innovation:

@@ -1,0 +1,140 @@
+"""Straight walls in laser scans: (r, psi), covariance, extent; many scans at once (paper section III, LRF).
+
+A line is x cos(psi) + y sin(psi) = r with r >= 0, in the frame of the scan. What is one line and what is two: a
+wall seen left and right of something that stands before it is one line if both parts are statistically the same
+line and the shadow is narrower than either of them and than `bridge`; all else are lines of their own. Beams that
+could belong to either of two walls meeting in a corner belong to none.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from .data import Array, Ints
+from .line_beams import LineSettings, Scans, cut_at_gaps
+from .line_corners import clear_beams
+from .line_fit import Fits, Mask, fit_lines, residuals
+from .line_walls import find_walls
+from .se2 import wrap_all
+
+__all__ = ["LineSettings", "Lines", "extract_lines", "to_base"]
+
+# glibc hands blocks larger than the largest one freed so far back to the kernel at once, and every new one is then
+# zeroed page by page: a third of the time here. One large block, freed untouched, ends that for the process.
+_POOL = 2_000_000  # numbers
+PAPER_LASER = LineSettings()
+_BATCH = 128  # scans worked on at once: enough to hide NumPy's overhead per call, few enough for the cache
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Lines of n scans in scan order, within a scan in beam order."""
+
+    first: Ints  # (n + 1,) scan i owns the lines first[i]:first[i + 1]
+    z: Array  # (m, 2) r [m] >= 0, psi [rad] in [-pi, pi), in the scan's frame
+    R_unit: Array  # (m, 2, 2) covariance / sigma_range^2: depends on sigma_angle / sigma_range only
+    ends: Array  # (m, 2) extent along the tangent (-sin psi, cos psi), lo < hi [m]
+    points: Ints  # (m,) beams in the fit
+    chi2: Array  # (m,) residual chi2 per degree of freedom
+    span: Ints  # (m, 2) first and last beam in the fit; first > last where the line crosses beam 0
+
+
+def extract_lines(
+    ranges: Array,
+    angles: Array,
+    settings: LineSettings = PAPER_LASER,
+    offsets: Array | None = None,
+    range_min: float = 0.0,
+    range_max: float = math.inf,
+) -> Lines:
+    """Return the straight walls in `ranges` (n, b) [m], seen along `angles` (b,) or (n, b) [rad].
+
+    `offsets` (n, b, 3) is each beam's laser pose (x [m], y [m], theta [rad]) in the frame of its scan: deskewing.
+    NaN, Inf, and ranges outside [range_min, range_max) are no returns. Angles grow or fall steadily; scans of the
+    whole circle may have walls across beam 0. The result of a scan does not depend on the scans beside it.
+    """
+    parts = []
+    np.empty(_POOL)
+    for i in range(0, max(len(ranges), 1), _BATCH):
+        rows = slice(i, i + _BATCH)
+        scans = Scans(
+            ranges[rows],
+            angles if angles.ndim == 1 else angles[rows],
+            None if offsets is None else offsets[rows],
+            range_min,
+            range_max,
+        )
+        parts.append(_extract(scans, settings))
+    return _joined(parts)
+
+
+def to_base(z: Array, R_unit: Array, ends: Array, x: float, y: float, yaw: float) -> tuple[Array, Array, Array]:
+    """Return (z, R_unit, ends) in the base frame, of lines seen by a laser at (x [m], y [m], yaw [rad]) on it.
+
+    Exact: r_b = r + l.n(psi_b), psi_b = psi + yaw, Jacobian [[1, u], [0, 1]] with u = l.t(psi_b), t the tangent
+    (-sin, cos). Where r_b < 0 the base stands beyond the line: (r, psi), the ends, and the sign of the r-psi
+    covariance turn over. For rows scaled by sigma_range^2 plus a floor, the floor is the base frame's.
+    """
+    psi = z[:, 1] + yaw
+    c, s = np.cos(psi), np.sin(psi)
+    r, u = z[:, 0] + x * c + y * s, y * c - x * s
+    flip = np.where(r < 0, -1.0, 1.0)
+    rr, rp, pp = R_unit[:, 0, 0], R_unit[:, 0, 1], R_unit[:, 1, 1]
+    cross = (rp + u * pp) * flip
+    R = np.stack((rr + u * (2.0 * rp + u * pp), cross, cross, pp), axis=-1).reshape(-1, 2, 2)
+    z = np.stack((r * flip, wrap_all(np.where(r < 0, psi + np.pi, psi))), axis=-1)
+    return z, R, np.sort((ends + u[:, None]) * flip[:, None], axis=1)
+
+
+def _extract(scans: Scans, settings: LineSettings) -> Lines:
+    """Return the lines of one batch."""
+    runs = cut_at_gaps(scans, settings.max_gap, settings.gap_spacings)
+    walls = find_walls(runs, settings)
+    rows, counts = walls.rows()
+    rays = runs.beams.rays.take(rows)
+    clear = clear_beams(runs, walls, rays, counts, settings)
+    head, tail, points = _first_and_last(clear, counts)
+    enough = points >= max(settings.min_points, 3)
+    clear |= np.repeat(~enough, counts)  # refused below; until then they need something to fit
+    fit = fit_lines(rays, counts, walls.r, walls.psi, settings.sigma_angle / settings.sigma_range, clear)
+    ends = np.stack((head, tail), axis=1)
+    two = np.full(len(ends), 2)
+    feet = residuals(rays.take(ends.ravel()), two, fit.r, fit.psi, 0.0)[1].reshape(-1, 2)
+    good = np.flatnonzero(enough & _straight(fit, points, feet, settings))
+    scan = runs.beams.scan[walls.head[good]]
+    return Lines(
+        first=np.concatenate(([0], np.cumsum(np.bincount(scan, minlength=len(scans.ranges))))),
+        z=np.stack((fit.r, wrap_all(fit.psi)), axis=1)[good],
+        R_unit=fit.R_unit[good],
+        ends=np.sort(feet[good], axis=1),
+        points=points[good],
+        chi2=(fit.misfit / settings.sigma_range**2 / np.maximum(points - 2, 1))[good],
+        span=runs.beams.beam[rows[ends[good]]],
+    )
+
+
+def _straight(fit: Fits, points: Ints, feet: Array, settings: LineSettings) -> Mask:
+    """Return which fits are a straight wall, known well enough to be of use, (m,)."""
+    variance = settings.sigma_range**2
+    rough = fit.misfit > settings.max_chi2 * variance * np.maximum(points - 2, 1)
+    bow = np.abs(fit.curvature * (feet[:, 1] - feet[:, 0])) / 4.0  # height over length
+    curved = (fit.bend > settings.max_bend * variance) & (bow > settings.max_bow)
+    vague = fit.R_unit[:, 1, 1] * variance > settings.max_sigma_psi**2
+    return np.asarray((fit.r > 0.0) & ~rough & ~curved & ~vague)
+
+
+def _first_and_last(clear: Mask, counts: Ints) -> tuple[Ints, Ints, Ints]:
+    """Return the first and the last clear row of every wall and how many it has, each (m,)."""
+    hits, end = np.append(np.flatnonzero(clear), 0), np.cumsum(counts)
+    begin, stop = np.searchsorted(hits[:-1], end - counts), np.searchsorted(hits[:-1], end)
+    return hits[begin], hits[stop - 1], stop - begin
+
+
+def _joined(parts: list[Lines]) -> Lines:
+    """Return the batches' lines as one."""
+    columns = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Lines)}
+    counts = np.concatenate([np.diff(part.first) for part in parts])
+    return Lines(**(columns | {"first": np.concatenate(([0], np.cumsum(counts)))}))

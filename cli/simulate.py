@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from ..sample_logs.messages import Estimator, Pose, RawMessage
+    from ..sample_logs.messages import Estimator
     from ..sample_logs.record import Localise
     from ..sample_logs.scenario import Scenario
     from ..sample_logs.simulate import Outcome
@@ -99,49 +99,20 @@ def _facts(outcome: Outcome) -> dict[str, Any]:
 
 def localise(word: str) -> Localise:
     """Return what builds the robot's localisation: "truth", "odometry", "all", or sensors such as compass+lrf."""
+    from ..fusion.data import UsageError
+    from ..fusion.sensors.registry import REGISTRY
     from ..sample_logs.record import on_truth
+    from .estimator import make_estimator
 
-    if word == "truth":
-        return on_truth
-    if word == "odometry":
-        return dead_reckoning
+    def build(tables: dict[str, dict[str, Any]]) -> Estimator | None:
+        carried = tuple(name for name in REGISTRY if name in tables)
+        if word in ("odometry", "all"):
+            return make_estimator(tables, carried if word == "all" else ())
+        sensors = word.replace("+", ",").split(",")
+        for name in sensors:
+            if name not in carried:
+                known = ", ".join(("truth", "odometry", *carried, "all"))
+                raise UsageError(f"control.estimator = {word}: this robot has no {name}; choose from {known}")
+        return make_estimator(tables, [name for name in carried if name in sensors])
 
-    def build(tables: dict[str, dict[str, Any]]) -> Estimator:
-        from ..fusion.sensors.registry import REGISTRY
-        from .estimator import make_estimator
-
-        present = tuple(name for name in REGISTRY if name in tables)
-        sensors = present if word == "all" else tuple(word.replace(",", "+").split("+"))
-        return make_estimator(tables, sensors)
-
-    return build
-
-
-def dead_reckoning(tables: dict[str, dict[str, Any]]) -> Estimator:
-    """Return the plainest localisation: wheel angles, summed up along exact arcs from the start."""
-    import math
-
-    import numpy as np
-
-    from ..fusion.se2 import compose, exp
-
-    wheels, start = tables["wheels"], tables["start"]
-    pose = np.array([start["x"], start["y"], math.radians(start["theta_deg"])])
-    last: list[float] = []
-
-    def estimate(messages: list[RawMessage]) -> Pose:
-        nonlocal pose
-        for message in messages:
-            if message.topic != wheels["topic"]:
-                continue
-            now = message.fields["position"].tolist()
-            left, right = (wheels["radius"] * (b - a) for a, b in zip(last or now, now, strict=True))
-            pose = compose(pose, exp(np.array([(left + right) / 2, 0.0, (right - left) / wheels["track"]])))
-            last[:] = now
-        return float(pose[0]), float(pose[1]), float(pose[2])
-
-    return estimate
-
-
-if __name__ == "__main__":
-    simulate()
+    return on_truth if word == "truth" else build

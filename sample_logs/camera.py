@@ -14,7 +14,7 @@ from .mirror import rays
 from .render import Standing, View
 from .robot import Robot
 from .scenario import Camera
-from .surface import Surface
+from .surface import Hits, Surface, shade
 from .world import Scene
 
 DECK = (38.0, 38.0, 40.0)  # the robot itself, in the middle of the mirror
@@ -58,16 +58,20 @@ class Painter:
 
     def paint(self, pose: Array, t: float) -> NDArray[np.float32]:
         """Return the image (height, width, 3) of red, green, blue seen from the camera pose (3,) at t [s]."""
-        room, scene = self.scene.room, self.scene
         eye = np.array([pose[0], pose[1], self.camera.z, pose[2]])
+        seen = shade(self.trace(eye, t), eye, self.lamps)
+        image = self.background.copy()
+        image.reshape(-1, 3)[self.rays.pixel] = seen
+        return image
+
+    def trace(self, eye: Array, t: float) -> Hits:
+        """Return what the pixels' rays meet from `eye` = (x, y, z, heading) at t [s]."""
+        room, scene = self.scene.room, self.scene
         standing = [
             Standing(scene.walls, room.height, Surface.WALL),
             Standing(scene.plates, room.plate_height, Surface.PLATE),
         ]
-        seen = self.view.draw(eye, standing, scene.pillars(t), room.height, self.lamps)
-        image = self.background.copy()
-        image.reshape(-1, 3)[self.rays.pixel] = seen
-        return image
+        return self.view.trace(eye, standing, scene.pillars(t), room.height)
 
     def _background(self) -> NDArray[np.float32]:
         width, height = self.camera.size

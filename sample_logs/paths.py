@@ -14,6 +14,7 @@ from .scenario import Polygon, Tour
 from .world import Plan, clearance
 
 SPACING = 0.01  # m between the points of a sampled path
+TRIES, CANDIDATES = 30, 600  # walks tried, and corners tried in each
 SHARPEST = math.radians(110)  # turn of a random tour: sharper corners would cut too far
 
 
@@ -55,7 +56,7 @@ def tour(path: Tour, plan: Plan, size: tuple[float, float], rng: np.random.Gener
             f"path.legs = {list(path.legs)} m leave no room for corners of radius {path.radius} m: "
             f"the shortest must be at least {2 * path.radius * math.tan(SHARPEST / 2):.2f} m"
         )
-    for _ in range(100):
+    for _ in range(TRIES):
         corners = _walk(path, plan, size, rng)
         if corners is not None:
             return _open(corners, path.radius)
@@ -67,7 +68,7 @@ def tour(path: Tour, plan: Plan, size: tuple[float, float], rng: np.random.Gener
 def _walk(path: Tour, plan: Plan, size: tuple[float, float], rng: np.random.Generator) -> Array | None:
     corners: list[Array] = []
     length, heading = 0.0, None
-    for _ in range(2000):
+    for _ in range(CANDIDATES):
         candidate = rng.uniform((0, 0), size)
         if not corners:
             if clearance(plan, candidate[None])[0] >= path.clearance:

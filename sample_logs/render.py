@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..fusion.data import Array
 from .mirror import Rays
-from .surface import Hits, Surface, shade
+from .surface import Hits, Surface
 from .table import Pillar
 
 Floats = NDArray[np.float32]
@@ -31,24 +31,22 @@ class Standing(NamedTuple):
 
 
 class View:
-    """Draws one scene after another for a fixed bundle of rays."""
+    """Traces a fixed bundle of rays through one scene after another."""
 
     def __init__(self, rays: Rays) -> None:
         self.rays = rays
         self.cos, self.sin = (f(rays.azimuth).astype(np.float32) for f in (np.cos, np.sin))
         self.slope = rays.slope.astype(np.float32)
 
-    def draw(
-        self, eye: Array, standing: list[Standing], pillars: tuple[Pillar, ...], ceiling: float, lamps: Array
-    ) -> Floats:
-        """Return what the rays see from `eye` = (x, y, z, heading), (n, 3) red, green, blue in 0..255."""
+    def trace(self, eye: Array, standing: list[Standing], pillars: tuple[Pillar, ...], ceiling: float) -> Hits:
+        """Return what every ray from `eye` = (x, y, z, heading) meets first, and where."""
         hits = self._empty_room(eye, ceiling)
         for kind in standing:
             for segment in kind.segments:
                 self._wall(hits, eye, segment, kind)
         for pillar in pillars:
             self._cylinder(hits, eye, pillar)
-        return shade(hits, eye, lamps)
+        return hits
 
     def _empty_room(self, eye: Array, ceiling: float) -> Hits:
         c, s = float(np.cos(eye[3])), float(np.sin(eye[3]))

@@ -53,6 +53,10 @@ class Trail:
         """Return the poses at all knots, (n, 3)."""
         return self._pose[: self.count + 1]
 
+    def steps(self) -> Array:
+        """Return the twist of every step, (n - 1, 3) = (m, m, rad) in the body frame."""
+        return self._twist[: self.count]
+
     def pose(self, t: Array) -> Array:
         """Return the poses (n, 3) at times t (n,) within [0, end], on the exact arcs."""
         i = np.clip((t / self.step).astype(np.int64), 0, max(self.count - 1, 0))

@@ -24,6 +24,14 @@ class Room(Table, frozen=True, kw_only=True):
     north_deg: float = 65.0  # where magnetic north lies, counter-clockwise from the map's x axis
 
 
+class Landmark(Pillar, frozen=True, kw_only=True):
+    """The red pole whose place is known."""
+
+    x: float = 7.9
+    y: float = 5.5
+    radius: Positive = 0.08
+
+
 class Wheels(Table, frozen=True, kw_only=True):
     """Two driven wheels, their encoders, and how they meet the ground."""
 
@@ -200,7 +208,7 @@ class Scenario(Table, frozen=True, kw_only=True):
     title: str = ""
     seed: int = 1
     room: Room = Room()
-    landmark: Pillar = Pillar(x=7.9, y=5.5, radius=0.08)
+    landmark: Landmark = Landmark()
     wheels: Wheels = Wheels()
     motor: Motor = Motor()
     control: Control = Control()

@@ -26,7 +26,7 @@ class Pillar(Table, frozen=True):
 
     x: float  # m, map frame
     y: float
-    radius: float = 0.06
+    radius: Positive = 0.06
     bottom: float = 0.0
     top: float = 1.6
     colour: Colour = RED

@@ -46,7 +46,7 @@ class Scene:
         """Return what lies at height z [m]: lasting things, or with `times` (n,) all there is at each of them."""
         standing = [(self.walls, self.room.height), (self.plates, self.room.plate_height)]
         segments = np.concatenate([part for part, height in standing if z < height] or [np.zeros((0, 4))])
-        lasting = (self.landmark, *self.room.pillars)
+        lasting: tuple[Pillar, ...] = (self.landmark, *self.room.pillars)
         if times is None:
             return Plan(segments, _circles(lasting, z))
         begin, end = float(times[0]), float(times[-1])

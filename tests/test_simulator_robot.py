@@ -1,0 +1,251 @@
+"""The robot as physics: encoders, motor control, exact motion, and a loop closed on what it has been told."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from reckoning import dead_reckoning
+
+from locfuse.fusion.data import Array, LocfuseError
+from locfuse.sample_logs import load
+from locfuse.sample_logs.encoder import decode, phases
+from locfuse.sample_logs.follow import LegFollower, PathFollower
+from locfuse.sample_logs.messages import Pose, RawMessage, streams
+from locfuse.sample_logs.paths import polygon, tour
+from locfuse.sample_logs.record import in_memory
+from locfuse.sample_logs.robot import Robot, Trail
+from locfuse.sample_logs.scenario import Leg, Motor, Polygon, Room, Scenario, Tour, Wheels
+from locfuse.sample_logs.simulate import EPOCH_NS, OBSTACLE_HEIGHT, Simulation
+from locfuse.sample_logs.stability import speed_stability
+from locfuse.sample_logs.world import Scene, clearance
+
+BLIND = ("camera.enabled=false", "lrf.enabled=false", "compass.enabled=false")
+NO_CHANCE = Scenario(wheels=Wheels(noise=0.0), motor=Motor(load=0.0, gain_error=(0.0, 0.0)))
+
+
+def counts_of(angle: Array, slots: int = 500) -> tuple[int, int]:
+    seen = decode(*phases(angle, slots))
+    return int(seen.counts.sum()), int(seen.missed.sum())
+
+
+def test_a_disc_of_500_slots_gives_2000_counts_a_turn_either_way() -> None:
+    forward = np.linspace(0.0, 2 * math.pi, 20_001) + 1e-4
+    assert counts_of(forward) == (2000, 0)
+    assert counts_of(forward[::-1]) == (-2000, 0)
+
+
+def test_the_decoder_agrees_with_counting_quarter_slots() -> None:
+    rng = np.random.default_rng(1)
+    angle = np.cumsum(rng.normal(0, 0.0008, 5000))  # to and fro, less than a count at a time
+    quarters = np.floor(angle * 2000 / (2 * math.pi))
+    counts = decode(*phases(angle, 500)).counts
+    np.testing.assert_array_equal(np.cumsum(counts), (quarters - quarters[0])[1:])
+
+
+def test_a_decoder_that_looks_too_seldom_reports_what_it_missed() -> None:
+    two_counts_at_once = np.array([0.1, 2.1, 4.1, 4.2]) * 2 * math.pi / 2000
+    seen = decode(*phases(two_counts_at_once, 500))
+    assert seen.missed.tolist() == [True, True, False]
+    assert seen.counts.tolist() == [0, 0, 0]
+
+
+def test_every_single_transition_has_the_sign_of_its_direction() -> None:
+    states = [(False, False), (True, False), (True, True), (False, True)]  # A leads B turning forward
+    for i, before in enumerate(states):
+        for step, expected in ((1, 1), (-1, -1), (0, 0)):
+            after = states[(i + step) % 4]
+            a, b = (np.array(pair) for pair in zip(before, after, strict=True))
+            assert decode(a, b).counts.tolist() == [expected]
+
+
+def test_encoder_counts_never_leave_the_true_wheel_angle() -> None:
+    robot = Robot(Scenario(), (0.0, 0.0, 0.0), streams(3))
+    rng = np.random.default_rng(3)
+    for _ in range(300):
+        robot.drive((float(rng.uniform(-10, 10)), float(rng.uniform(-10, 10))))
+        for wheel in robot.wheels:
+            assert 0 <= wheel.angle / wheel.rad_per_count - wheel.counts < 1.0 + 1e-9
+    assert sum(wheel.missed for wheel in robot.wheels) == 0
+
+
+def test_the_trail_between_knots_is_the_circular_arc() -> None:
+    trail = Trail(0.1, (1.0, 2.0, 0.5))
+    trail.extend(np.array([[0.3, 0.0, 0.6]]))
+    radius = 0.3 / 0.6
+    for share in (0.0, 0.2, 0.7, 1.0):
+        x, y, theta = trail.pose(np.array([0.1 * share]))[0]
+        turned = 0.6 * share
+        assert theta == pytest.approx(0.5 + turned)
+        assert x == pytest.approx(1.0 + radius * (math.sin(0.5 + turned) - math.sin(0.5)), abs=1e-12)
+        assert y == pytest.approx(2.0 - radius * (math.cos(0.5 + turned) - math.cos(0.5)), abs=1e-12)
+
+
+def test_cutting_a_motion_in_steps_changes_nothing() -> None:
+    once, often = Trail(1.0, (0.0, 0.0, 0.0)), Trail(0.01, (0.0, 0.0, 0.0))
+    once.extend(np.array([[1.0, 0.0, 2.0]]))
+    often.extend(np.full((100, 3), (0.01, 0.0, 0.02)))
+    np.testing.assert_allclose(once.knots()[-1], often.knots()[-1], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["rounded_rectangle", "rounded_triangle", "disturbed"])
+def test_the_motors_hold_their_speed_within_5_percent(name: str) -> None:
+    scenario = load.load(name, BLIND)
+    _, _, outcome = in_memory(scenario, scenario.seed, dead_reckoning)
+    stability = speed_stability(outcome)
+    assert stability.worst <= 0.05
+    assert stability.rms > 0.005  # a real motor is not perfect
+    assert outcome.missed == 0
+
+
+def test_without_control_the_motors_do_not_hold_it() -> None:
+    still = ("motor.kp=0", "motor.ki=0", "motor.kd=0", "motor.gain_error=[-0.08, 0.08]")
+    scenario = load.load("rounded_rectangle", (*BLIND, *still, "control.estimator=truth"))
+    _, _, outcome = in_memory(scenario, 1)
+    assert speed_stability(outcome).worst > 0.05
+
+
+def test_a_robot_without_chance_follows_the_path_within_centimetres() -> None:
+    scenario = load.load("rounded_rectangle", (*BLIND, "wheels.noise=0"))
+    _, _, outcome = in_memory(scenario, 1)
+    path = polygon(Polygon()).pose[:, :2]
+    off = np.array([np.hypot(*(path - p).T).min() for p in outcome.truth[::40, :2]])
+    assert off.max() < 0.03
+    assert outcome.way == pytest.approx(12 + 2 * math.pi * 0.6, abs=0.1)
+
+
+def test_the_rounded_rectangle_of_the_default_room_starts_and_measures_as_designed() -> None:
+    path = polygon(Polygon())
+    assert path.start == pytest.approx((1.5, 1.5, 0.0))
+    assert len(path.pose) == pytest.approx((12 + 2 * math.pi * 0.6) / 0.01, abs=5)
+    assert path.curvature.max() == pytest.approx(1 / 0.6)
+
+
+def test_corners_that_do_not_fit_are_refused_with_the_edge() -> None:
+    with pytest.raises(LocfuseError, match=r"path.radius = 3.0 m does not fit: the edge after vertex 2"):
+        polygon(Polygon(vertices=((0, 0), (9, 0), (9, 4), (0, 4)), radius=3.0))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_random_tours_stay_clear_of_everything(seed: int) -> None:
+    scenario = Scenario(path=Tour())
+    plan = Scene(scenario).plan(OBSTACLE_HEIGHT)
+    path = tour(Tour(), plan, (8.0, 6.0), np.random.default_rng(seed))
+    assert clearance(plan, path.pose[:, :2]).min() > scenario.control.clearance
+    assert 15 < len(path.pose) * 0.01 < 25
+    gaps = np.hypot(*np.diff(path.pose[:, :2], axis=0).T)
+    assert gaps.max() < 0.02  # in one piece
+
+
+def test_a_room_too_small_for_a_tour_is_an_error_not_an_endless_search() -> None:
+    room = Room(size=(1.0, 1.0), plates=())
+    plan = Scene(Scenario(room=room)).plan(OBSTACLE_HEIGHT)
+    with pytest.raises(LocfuseError, match="no tour"):
+        tour(Tour(), plan, room.size, np.random.default_rng(1))
+
+
+@pytest.mark.parametrize(
+    ("leg", "expected"),
+    [
+        (Leg(forward=2.0, speed=0.3), (2.0, 0.0, 0.0)),
+        (Leg(forward=-2.0, speed=0.6), (-2.0, 0.0, 0.0)),
+        (Leg(turn_deg=360, speed=0.1), (0.0, 0.0, 2 * math.pi)),
+        (Leg(turn_deg=-90, speed=0.6), (0.0, 0.0, -math.pi / 2)),
+    ],
+    ids=["straight", "backward", "full turn", "right turn"],
+)
+def test_a_leg_ends_where_it_was_asked_to(leg: Leg, expected: Pose) -> None:
+    robot = Robot(NO_CHANCE, (0.0, 0.0, 0.0), streams(1))
+    follower = LegFollower((leg,), 0.6)
+    while True:
+        x, y, theta = robot.trail.knots()[-1].tolist()
+        command = follower.command(robot.trail.end, (x, y, theta))
+        if command is None:
+            break
+        half = 0.3 * command.omega
+        for _ in range(5):
+            robot.drive(((command.v - half) / 0.05, (command.v + half) / 0.05))
+    assert robot.trail.knots()[-1] == pytest.approx(expected, abs=0.03)
+
+
+def test_the_path_follower_is_not_confused_where_the_path_crosses_itself() -> None:
+    eight = Polygon(vertices=((0, 0), (4, 3), (4, 0), (0, 3)), radius=0.3)
+    follower = PathFollower(polygon(eight), 0.3)
+    visited = []
+    for x, y, theta in polygon(eight).pose[::3].tolist():
+        follower.command(0.0, (x, y, theta))
+        visited.append(follower.at)
+    assert np.diff(visited).max() <= 4
+
+
+class Listener:
+    """A localisation that reckons, and remembers what it was told at each call."""
+
+    def __init__(self, tables: dict[str, dict[str, object]]) -> None:
+        self.reckon = dead_reckoning(tables)
+        self.heard: list[list[RawMessage]] = []
+
+    def __call__(self, messages: list[RawMessage]) -> Pose:
+        self.heard.append(messages)
+        return self.reckon(messages)
+
+
+def test_the_loop_is_causal_and_hands_out_every_message_once() -> None:
+    simulation = Simulation(load.load("rounded_triangle", ("camera.rate=0.5",)), 1)
+    listener = Listener(simulation.robot_tables)
+    emitted: list[RawMessage] = []
+    simulation.run(listener, emitted.append)
+    for call, messages in enumerate(listener.heard):
+        now = EPOCH_NS + round(call * 0.1 * 1e9)
+        assert all(now - 100_000_000 < m.log_ns <= now for m in messages)
+    told = [m for messages in listener.heard for m in messages]
+    without_statics = emitted[1:]
+    assert [id(m) for m in told] == [id(m) for m in without_statics[: len(told)]]
+    assert all(a.log_ns <= b.log_ns for a, b in itertools.pairwise(emitted))
+    for message in emitted:
+        assert message.stamp_ns <= message.log_ns
+        if message.topic == "/scan":
+            assert message.log_ns - message.stamp_ns > 25_000_000  # the last ray has returned
+
+
+def test_a_scan_is_cast_from_where_the_robot_is_at_each_ray() -> None:
+    """Driving at the wall x = 8 without noise: every ray's range is that of its own instant."""
+    calm = ("lrf.sigma_range=0", "lrf.sigma_angle_deg=0", "lrf.lost=0", "wheels.noise=0", "room.plates=[]")
+    scenario = load.load("rounded_rectangle", (*calm, "camera.enabled=false", "landmark.bottom=1.0"))
+    data, _, outcome = in_memory(scenario, 1)
+    scan = data["/scan"]
+    i = 60  # about 6 s: on the first straight, at full speed
+    ranges = scan.data["ranges"][i]
+    t = (scan.t_ns[i] - EPOCH_NS) * 1e-9 + np.arange(181) * 0.025 / 180
+    x, y, theta = (np.interp(t, outcome.truth_t, outcome.truth[:, k]) for k in range(3))
+    angle = theta + np.radians(np.arange(181) - 90.0)
+    to_wall = (8.0 - x - 0.2 * np.cos(theta)) / np.cos(angle)
+    ahead = slice(76, 110)  # the others meet the side walls
+    np.testing.assert_allclose(ranges[ahead], to_wall[ahead], atol=2e-6)
+    frozen = (8.0 - x[0] - 0.2 * np.cos(theta[0])) / np.cos(theta[0] + np.radians(np.arange(181) - 90.0))
+    assert np.abs(ranges[ahead] - frozen[ahead]).max() > 0.003  # 0.3 m/s for 15 ms
+    assert np.ptp(y[ahead]) < 0.01
+
+
+def test_steering_on_odometry_drifts_and_steering_on_the_truth_does_not() -> None:
+    scenario = load.load("rounded_rectangle", BLIND)
+    end = []
+    for localise in (dead_reckoning, lambda tables: None):
+        _, _, outcome = in_memory(scenario, 1, localise)
+        end.append(math.hypot(outcome.truth[-1, 0] - 1.5, outcome.truth[-1, 1] - 1.5))
+    assert end[0] > 0.3
+    assert end[1] < 0.15
+
+
+def test_a_robot_that_would_drive_into_a_wall_says_so() -> None:
+    scenario = load.load("disturbed", BLIND)
+    with pytest.raises(LocfuseError, match=r"the robot hits something after 5\d.\d s: at \(2.\d\d, 0.\d\d\)"):
+        in_memory(scenario, 1, dead_reckoning)
+
+
+def test_a_drive_that_never_ends_is_stopped() -> None:
+    scenario = load.load("rounded_rectangle", (*BLIND, "control.time_limit=5"))
+    with pytest.raises(LocfuseError, match=r"control\.time_limit = 5 s"):
+        in_memory(scenario, 1)

@@ -106,13 +106,12 @@ def localise(word: str) -> Localise:
 
     def build(tables: dict[str, dict[str, Any]]) -> Estimator | None:
         carried = tuple(name for name in REGISTRY if name in tables)
-        if word in ("odometry", "all"):
-            return make_estimator(tables, carried if word == "all" else ())
-        sensors = word.replace("+", ",").split(",")
-        for name in sensors:
+        asked = {"odometry": [], "all": list(carried)}.get(word, word.replace("+", ",").split(","))
+        for name in asked:
             if name not in carried:
                 known = ", ".join(("truth", "odometry", *carried, "all"))
                 raise UsageError(f"control.estimator = {word}: this robot has no {name}; choose from {known}")
-        return make_estimator(tables, [name for name in carried if name in sensors])
+        sensors = tuple(name for name in carried if name in asked)
+        return make_estimator({name: tables[name] for name in ("wheels", "start", *sensors)}, sensors)
 
     return on_truth if word == "truth" else build

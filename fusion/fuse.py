@@ -12,8 +12,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from . import se2
-from .data import Array, Audit, Drive, Estimates, LocfuseError, Measurements
+from .data import Array, Audit, Drive, Estimates, LocfuseError, Measurements, Motions
 from .ekf import JointBelief, PoseBelief, Triangle
+from .motion import Wheels
 from .robot import Robot, StartSettings, WheelSettings
 from .sensors.base import Block, Innovation, Model
 from .sensors.registry import REGISTRY
@@ -26,9 +27,9 @@ def fuse(drive: Drive, robot: Robot, sensors: Sequence[str], name: str | None = 
     for sensor in sensors:
         if sensor not in drive.measurements:
             raise LocfuseError(f"{sensor}: {drive.absent.get(sensor, 'not in this log')}")
-    run = Filter(robot, {s: drive.measurements[s] for s in sensors})
+    run = Filter(robot, sensors)
     due = _due(drive, sensors)
-    rows = Motion(drive)
+    rows = Motion.of(drive)
     for k in range(len(drive.t)):
         run.advance(k, rows, due[k], drive.measurements)
     return run.estimates(drive, name or configuration_name(sensors, drive))
@@ -46,27 +47,34 @@ def configuration_name(sensors: Sequence[str], drive: Drive) -> str:
 
 
 class Motion:
-    """The drive's motions as plain floats, so that the loop touches no NumPy scalar."""
+    """Motions as plain floats, so that the loop touches no NumPy scalar."""
 
-    def __init__(self, drive: Drive) -> None:
-        m = drive.motions
-        self.u = m.u.tolist()
-        self.Q = m.Q.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]].tolist()
-        self.J = m.J if m.J.shape[2] else None
-        self.dt = np.diff(drive.t, prepend=drive.t[:1]).tolist()
+    def __init__(self, motions: Motions, dt: Array) -> None:
+        self.u = motions.u.tolist()
+        self.Q = motions.Q.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]].tolist()
+        self.J = motions.J if motions.J.shape[2] else None
+        self.dt = dt.tolist()
+
+    @classmethod
+    def of(cls, drive: Drive) -> Motion:
+        """Return the motions of a whole drive."""
+        return cls(drive.motions, np.diff(drive.t, prepend=drive.t[:1]))
+
+    @classmethod
+    def between(cls, wheels: Wheels, t_from: float, t_to: float, parameters: bool = False) -> Motion:
+        """Return the one motion from t_from to t_to [s]."""
+        return cls(wheels.between(np.array([t_from]), np.array([t_to]), parameters), np.array([t_to - t_from]))
 
 
 class Filter:
     """The filter of one configuration: a belief, one model per sensor, and the record of what happened."""
 
-    def __init__(self, robot: Robot, measurements: Mapping[str, Measurements]) -> None:
-        self.models: dict[str, Model] = {
-            s: REGISTRY[s].model(robot.settings(s), measurements[s]) for s in REGISTRY if s in measurements
-        }
+    def __init__(self, robot: Robot, sensors: Sequence[str]) -> None:
+        self.models: dict[str, Model] = {s: REGISTRY[s].model(robot.settings(s)) for s in REGISTRY if s in sensors}
         self.belief = _begin(robot, list(self.models.values()))
         self._poses = array("d")  # flat: an hour of Python tuples would be hundreds of megabytes
         self._triangles = array("d")
-        self._records = {s: Record(measurements[s].z.shape[1]) for s in self.models}
+        self._records = {s: Record() for s in self.models}
         fixed = [b.name for m in self.models.values() for b in m.blocks()]
         if robot.wheels.estimate:
             fixed.append(WHEELS)
@@ -133,13 +141,14 @@ class Filter:
 class Record:
     """What became of every measurement of one sensor, as flat floats until the run ends."""
 
-    def __init__(self, width: int) -> None:
-        self._width = width
+    def __init__(self) -> None:
+        self._width = 1
         self._values = array("d")
 
     def add(self, k: int, seen: Sequence[Innovation]) -> None:
         """Note the innovations of one reading at instant k."""
         for i in seen:
+            self._width = len(i.y)
             self._values.extend((k, i.row, i.verdict, i.landmark, i.nis, i.threshold, *i.y, *i.sigma))
 
     def audit(self) -> Audit:

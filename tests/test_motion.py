@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 import pytest
+from textbook import numeric_jacobian
+
 from locfuse.fusion import se2
 from locfuse.fusion.motion import Wheels, body_increments, wheel_increments
-from textbook import numeric_jacobian
 
 TRACK, K = 0.6, 4e-4
 RNG = np.random.default_rng(5)

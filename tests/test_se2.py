@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from locfuse.fusion import se2
 from scipy.linalg import expm
+
+from locfuse.fusion import se2
 
 POSES = np.array(
     [[0, 0, 0], [1, 2, 0.3], [-3, 0.5, math.pi], [2, -1, -math.pi + 1e-9], [0.1, 0.2, 1e-9], [5, 5, 3.0]], float

@@ -108,5 +108,5 @@ class Sensor(Protocol):
     def measure(self, stream: Stream, settings: Any, wheels: WheelMotion, epoch_ns: int) -> Measurements:
         """Turn readings into pose-free measurements, in time order."""
 
-    def model(self, settings: Any, first: Measurements) -> Model:
-        """Return the sensor's side of a new filter run; `first` is what it measured (for start values)."""
+    def model(self, settings: Any) -> Model:
+        """Return the sensor's side of a new filter run."""

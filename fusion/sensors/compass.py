@@ -80,7 +80,7 @@ class Compass:
         """Return times (n,) and headings (n,) [rad, unwrapped, up to a constant] by this sensor alone."""
         return m.t, np.unwrap(m.z[:, 0])
 
-    def model(self, settings: CompassSettings, first: Measurements) -> CompassModel:
+    def model(self, settings: CompassSettings) -> CompassModel:
         """Return the compass' side of a new run."""
         return CompassModel(settings)
 
@@ -153,8 +153,10 @@ def from_imu(columns: dict[str, Array], settings: CompassSettings, topic: str) -
 def from_number(columns: dict[str, Array], settings: CompassSettings, topic: str) -> tuple[Array, Array]:
     """Heading from a bare number, by the convention the settings name."""
     value = columns["data"].astype(np.float64)
+    value[~np.isfinite(value)] = np.nan
     convention = settings.convention
-    largest = float(np.nanmax(np.abs(value))) if len(value) else 0.0
+    finite = np.abs(value[np.isfinite(value)])
+    largest = float(finite.max()) if len(finite) else 0.0
     if convention.endswith("rad") and largest > 4.0 * math.pi:
         raise LocfuseError(
             f"compass: {topic} reaches {largest:.0f}, which is no angle in radians. "

@@ -88,7 +88,7 @@ class Lrf:
             turn[i] = _turn(m.z[a:b], m.z[b:c])
         return m.t, np.cumsum(turn)
 
-    def model(self, settings: LrfSettings, first: Measurements) -> LrfModel:
+    def model(self, settings: LrfSettings) -> LrfModel:
         """Return the laser's side of a new run."""
         return LrfModel(settings)
 

@@ -1,0 +1,112 @@
+"""A real robot in a walled arena (LOCFUSE_DATA/brenner): the figures the product claims."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import locfuse
+
+DATA = os.environ.get("LOCFUSE_DATA")
+pytestmark = pytest.mark.skipif(not DATA, reason="LOCFUSE_DATA is not set: no real logs to try")
+LOG = Path(DATA or "") / "brenner" / "brenner.mcap"
+ROBOT = """\
+[wheels]
+radius = 0.0199962
+track = 0.155
+
+[start]
+x = 1.87516
+y = 1.91334
+theta_deg = 213
+
+[truth]
+x = 0.03
+
+[lrf]
+x = 0.03
+"""
+CURED = ("--set", "lrf.time_offset=-0.45", "--set", "lrf.range_scale=1.1286681715575622")
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Path:
+    path = tmp_path / "robot.toml"
+    path.write_text(ROBOT)
+    return path
+
+
+@pytest.mark.parametrize(("track", "rmse"), [(0.155, 0.599), (0.173, 0.069)])
+def test_odometry_reproduces_the_known_error(tmp_path: Path, robot: Path, track: float, rmse: float) -> None:
+    out = tmp_path / "out"
+    words = ("--robot", robot, "--set", f"wheels.track={track}", "-o", out)
+    done = locfuse("run", LOG, "--sensors", "odometry", *words)
+    assert done.exit_code == 0, done.stderr
+    report = json.loads((out / "run.json").read_text())
+    assert report["configurations"]["odometry"]["position_rmse_m"] == pytest.approx(rmse, rel=0.02)
+    assert report["input"]["dropped"]["wheels"] == {"repeat": 61}
+
+
+@pytest.mark.parametrize(("track", "most"), [(0.155, 0.08), (0.173, 0.09)])
+def test_wall_lines_correct_the_drive_once_clock_and_metre_are_set(
+    tmp_path: Path, robot: Path, track: float, most: float
+) -> None:
+    out = tmp_path / "out"
+    done = locfuse("compare", LOG, "--robot", robot, *CURED, "--set", f"wheels.track={track}", "-o", out)
+    assert done.exit_code == 0, done.stderr
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert set(report["configurations"]) == {"odometry", "lrf"}
+    assert report["configurations"]["lrf"]["position_rmse_m"] <= most
+
+
+def test_the_lag_of_the_scans_is_reported_and_its_cure_silences_it(tmp_path: Path, robot: Path) -> None:
+    done = locfuse("run", LOG, "--robot", robot, "-o", tmp_path / "a")
+    words = [line for line in done.stderr.splitlines() if "lrf.time_offset=" in line]
+    assert len(words) == 1, done.stderr
+    offset = float(words[0].split("lrf.time_offset=")[1].split()[0])
+    assert offset == pytest.approx(-0.45, abs=0.08)
+    done = locfuse("run", LOG, "--robot", robot, "--set", f"lrf.time_offset={offset}", "-o", tmp_path / "b")
+    assert "lrf.time_offset=" not in done.stderr
+
+
+def test_our_error_is_evos_error(tmp_path: Path, robot: Path) -> None:
+    """evo_ape tum without alignment pairs our rows at the truth's stamps and must find the same error."""
+    from evo.core import metrics, sync
+    from evo.tools import file_interface
+
+    # evo compares poses of one body: here the tracked point is the axle itself
+    done = locfuse("compare", LOG, "--robot", robot, *CURED, "--set", "truth.x=0", "-o", tmp_path / "out")
+    assert done.exit_code == 0, done.stderr
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    for name in ("odometry", "lrf"):
+        truth = file_interface.read_tum_trajectory_file(str(tmp_path / "out" / "truth.tum"))
+        estimate = file_interface.read_tum_trajectory_file(str(tmp_path / "out" / f"{name}.tum"))
+        pair = sync.associate_trajectories(truth, estimate, max_diff=1e-6)
+        ape = metrics.APE(metrics.PoseRelation.translation_part)
+        ape.process_data(pair)
+        ours = report["configurations"][name]
+        assert ape.get_statistic(metrics.StatisticsType.rmse) == pytest.approx(ours["position_rmse_m"], abs=1e-6)
+        assert ape.get_statistic(metrics.StatisticsType.max) == pytest.approx(ours["position_max_m"], abs=1e-6)
+        assert len(pair[0].timestamps) == report["truth"]["used"]
+
+
+def test_other_real_logs_run_and_say_what_they_lack(tmp_path: Path) -> None:
+    data = Path(DATA or "")
+    done = locfuse("compare", data / "turtlebot4", "-o", tmp_path / "tb4")
+    assert done.exit_code == 0, done.stderr
+    assert "no truth" in done.stderr
+    report = json.loads((tmp_path / "tb4" / "report.json").read_text())
+    assert report["settings"]["lrf"]["yaw_deg"] == pytest.approx(90.0, abs=0.1)  # only /tf_static says so
+    assert report["configurations"]["lrf"]["sensors"]["lrf"]["accepted"] > 1000
+    assert report["configurations"]["lrf"]["position_rmse_m"] is None
+    done = locfuse("compare", data / "bags" / "evo" / "nav2_turtlebot.mcap", "-o", tmp_path / "evo")
+    assert done.exit_code == 0, done.stderr
+    report = json.loads((tmp_path / "evo" / "report.json").read_text())
+    assert set(report["configurations"]) == {"odometry"}
+    assert {"compass", "lrf"} <= set(report["absent"])
+    tum = np.loadtxt(tmp_path / "evo" / "odometry.tum")
+    assert np.isfinite(tum).all()
+    assert (np.diff(tum[:, 0]) > 0).all()

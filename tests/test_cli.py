@@ -1,0 +1,233 @@
+"""The command line as a user meets it: results, one clear line for bad input, the same bytes twice."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import locfuse
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+
+from locfuse import sample_logs
+
+LOG = "rounded_rectangle"
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("compared") / "out"
+    done = locfuse("compare", LOG, "-o", out)
+    assert done.exit_code == 0, done.stderr
+    return out
+
+
+def report_of(folder: Path) -> dict:
+    return json.loads((folder / "report.json").read_text())
+
+
+def test_compare_says_what_each_sensor_bought(compared: Path) -> None:
+    report = report_of(compared)
+    rmse = {name: c["position_rmse_m"] for name, c in report["configurations"].items()}
+    assert {"odometry", "compass", "lrf", "all"} <= set(rmse)
+    assert rmse["all"] < 0.2 * rmse["odometry"]
+    for name in rmse:
+        assert (compared / f"{name}.tum").is_file()
+    for key in (
+        "position_rmse_m",
+        "position_max_m",
+        "final_position_error_m",
+        "heading_rmse_deg",
+        "anees",
+        "duration_s",
+    ):
+        assert report["configurations"]["all"][key] is not None
+    assert {"accepted", "rejected", "absent", "nis"} <= set(report["configurations"]["all"]["sensors"]["lrf"])
+    assert len(report["input"]["sha256"]) == 64
+
+
+def test_the_same_input_twice_gives_the_same_bytes(compared: Path, tmp_path: Path) -> None:
+    done = locfuse("compare", LOG, "-o", tmp_path / "again")
+    assert done.exit_code == 0
+    first = {p.name: p.read_bytes() for p in compared.iterdir() if p.name != "timing.json"}
+    again = {p.name: p.read_bytes() for p in (tmp_path / "again").iterdir() if p.name != "timing.json"}
+    assert first.keys() == again.keys()
+    different = [name for name, data in first.items() if data != again[name]]
+    assert not different
+
+
+@pytest.mark.parametrize("sensors", ["odometry", "compass", "lrf", "all"])
+def test_run_equals_compares_configuration(compared: Path, tmp_path: Path, sensors: str) -> None:
+    done = locfuse("run", LOG, "--sensors", sensors, "-o", tmp_path / "out")
+    assert done.exit_code == 0, done.stderr
+    a, b = np.loadtxt(tmp_path / "out" / "trajectory.tum"), np.loadtxt(compared / f"{sensors}.tum")
+    np.testing.assert_allclose(a, b, atol=1e-9)
+    one = json.loads((tmp_path / "out" / "run.json").read_text())["configurations"][sensors]
+    assert one["position_rmse_m"] == pytest.approx(
+        report_of(compared)["configurations"][sensors]["position_rmse_m"], abs=1e-9
+    )
+    header = (tmp_path / "out" / "trajectory.csv").read_text().split("\n", 1)[0]
+    assert header == "t,x,y,theta,P_xx,P_xy,P_xt,P_yy,P_yt,P_tt"
+
+
+def rewritten(target: Path, seed: int | None, without: str | None = None) -> Path:
+    """The sample log with its messages at other positions in the file, or without one topic."""
+    with sample_logs.path(LOG).open("rb") as source, target.open("wb") as sink:
+        reader = make_reader(source)
+        writer = Writer(sink, compression=CompressionType.NONE, chunk_size=20_000)
+        writer.start()
+        schemas: dict[int, int] = {}
+        channels: dict[int, int] = {}
+        messages = list(reader.iter_messages(log_time_order=False))
+        if seed is not None:
+            np.random.default_rng(seed).shuffle(messages)
+        for schema, channel, message in messages:
+            if channel.topic == without:
+                continue
+            if schema.id not in schemas:
+                schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
+            if channel.id not in channels:
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, schemas[schema.id]
+                )
+            writer.add_message(
+                channels[channel.id], message.log_time, message.data, message.publish_time, message.sequence
+            )
+        for attachment in reader.iter_attachments():
+            writer.add_attachment(0, 0, attachment.name, attachment.media_type, attachment.data)
+        writer.finish()
+    return target
+
+
+def test_messages_at_other_positions_in_the_file_give_identical_numbers(compared: Path, tmp_path: Path) -> None:
+    log = rewritten(tmp_path / "shuffled.mcap", seed=3)
+    done = locfuse("compare", log, "-o", tmp_path / "out")
+    assert done.exit_code == 0, done.stderr
+    assert report_of(tmp_path / "out")["configurations"] == report_of(compared)["configurations"]
+    for name in ("odometry.tum", "all.tum", "truth.tum"):
+        assert (tmp_path / "out" / name).read_bytes() == (compared / name).read_bytes()
+
+
+def test_without_truth_the_other_rows_are_the_same_bytes(compared: Path, tmp_path: Path) -> None:
+    topic = report_of(compared)["truth"]["topic"]
+    log = rewritten(tmp_path / "untrue.mcap", seed=None, without=topic)
+    done = locfuse("compare", log, "-o", tmp_path / "out")
+    assert done.exit_code == 0, done.stderr
+    assert "no truth" in done.stderr
+    with_truth = set((compared / "all.tum").read_text().splitlines())
+    without = (tmp_path / "out" / "all.tum").read_text().splitlines()
+    assert len(without) > 500
+    assert set(without) <= with_truth
+    assert report_of(tmp_path / "out")["configurations"]["all"]["position_rmse_m"] is None
+
+
+BAD = [
+    (("run", "nosuch.mcap"), 2, "no such log"),
+    (("run", "{text}"), 1, "not an MCAP file"),
+    (("run", "{empty}"), 1, "empty"),
+    (("run", LOG, "--sensors", "lrg"), 2, "unknown sensor 'lrg'"),
+    (("run", LOG, "--sensors", "sonar,lrf"), (1, 2), "sonar"),
+    (("run", LOG, "--set", "lrf.topic=/nowhere"), 1, "has no topic /nowhere"),
+    (("run", LOG, "--set", "lrf.topic=/joint_states"), 1, "accepted: sensor_msgs/LaserScan"),
+    (("run", LOG, "--set", "wheels.trak=0.5"), 2, "did you mean track"),
+    (("run", LOG, "--set", "whels.track=0.5"), 2, "did you mean wheels"),
+    (("run", LOG, "--set", "wheels.track=wide"), 2, "wheels.track"),
+    (("run", LOG, "--set", "wheels.track=-1"), 1, "must both be positive"),
+    (("run", LOG, "--set", "wheels.left=arm_joint"), 1, "no joint 'arm_joint'"),
+    (("run", LOG, "--robot", "{typo}"), 1, "did you mean track"),
+    (("run", LOG, "--robot", "{broken}"), 1, "broken.toml"),
+    (("run", LOG, "--write", "pdf"), 2, "unknown output 'pdf'"),
+    (("run", "{wheelless}"), 1, "nothing says how the robot moved"),
+    (("compare", LOG, "--bogus"), 2, "No such option"),
+    (("frobnicate",), 2, "No such command"),
+]
+
+
+@pytest.fixture(scope="module")
+def bad_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("bad")
+    paths = {name: folder / f"{name}.toml" for name in ("typo", "broken")}
+    paths |= {name: folder / f"{name}.mcap" for name in ("text", "empty", "wheelless")}
+    paths["typo"].write_text("[wheels]\ntrak = 0.6\n")
+    paths["broken"].write_text("[wheels\n")
+    paths["text"].write_text("hello")
+    paths["empty"].write_bytes(b"")
+    rewritten(paths["wheelless"], seed=None, without="/joint_states")
+    return paths
+
+
+@pytest.mark.parametrize(("words", "code", "says"), BAD, ids=[" ".join(b[0]) for b in BAD])
+def test_bad_input_gets_one_clear_line_and_nothing_is_written(
+    bad_files: dict[str, Path], tmp_path: Path, words: tuple[str, ...], code: int | tuple[int, ...], says: str
+) -> None:
+    out = tmp_path / "out"
+    where = ("-o", out) if words[0] in {"run", "compare"} else ()
+    done = locfuse(*(w.format(**bad_files) for w in words), *where)
+    assert done.exit_code in (code if isinstance(code, tuple) else (code,)), done.stderr
+    assert says in done.stderr
+    assert done.stdout == ""
+    assert "Traceback" not in done.stderr
+    if done.stderr.startswith("locfuse:"):
+        assert len(done.stderr.strip().splitlines()) == 1
+    assert not out.exists()
+
+
+def test_an_empty_log_is_refused_in_one_line(tmp_path: Path) -> None:
+    log = tmp_path / "nothing.mcap"
+    with log.open("wb") as sink:
+        writer = Writer(sink)
+        writer.start()
+        writer.finish()
+    done = locfuse("run", log, "-o", tmp_path / "out")
+    assert done.exit_code == 1
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_folder_with_something_else_is_not_touched_unless_told(tmp_path: Path) -> None:
+    out = tmp_path / "thesis"
+    out.mkdir()
+    (out / "chapter1.tex").write_text("precious")
+    done = locfuse("run", LOG, "--sensors", "odometry", "-o", out)
+    assert done.exit_code in {1, 2}
+    assert [p.name for p in out.iterdir()] == ["chapter1.tex"]
+    done = locfuse("run", LOG, "--sensors", "odometry", "-o", out, "--overwrite")
+    assert done.exit_code == 0, done.stderr
+    assert (out / "chapter1.tex").read_text() == "precious"
+
+
+def test_json_on_stdout_is_the_report(tmp_path: Path) -> None:
+    done = locfuse("run", LOG, "--sensors", "odometry", "--json", "-o", tmp_path / "out")
+    assert json.loads(done.stdout) == json.loads((tmp_path / "out" / "run.json").read_text())
+
+
+def test_write_chooses_the_outputs(tmp_path: Path) -> None:
+    done = locfuse("compare", LOG, "--sensors", "odometry", "--write", "json", "-o", tmp_path / "out")
+    assert done.exit_code == 0
+    assert {p.name for p in (tmp_path / "out").iterdir()} - {"timing.json"} == {"report.json", "robot.toml"}
+
+
+def test_the_written_robot_reproduces_the_run(compared: Path, tmp_path: Path) -> None:
+    done = locfuse("compare", LOG, "--robot", compared / "robot.toml", "-o", tmp_path / "out")
+    assert done.exit_code == 0, done.stderr
+    assert report_of(tmp_path / "out")["configurations"] == report_of(compared)["configurations"]
+
+
+def test_alignment_is_said_and_ends_consistency_figures(tmp_path: Path) -> None:
+    done = locfuse("run", LOG, "--sensors", "odometry", "--align", "se2", "-o", tmp_path / "out")
+    assert done.exit_code == 0
+    figures = json.loads((tmp_path / "out" / "run.json").read_text())["configurations"]["odometry"]
+    assert figures["align"] == "se2"
+    assert figures["anees"] is None
+
+
+def test_a_log_can_be_a_split_recording(tmp_path: Path, compared: Path) -> None:
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    shutil.copy(sample_logs.path(LOG), folder / "bag_0.mcap")
+    done = locfuse("run", folder, "--sensors", "lrf", "-o", tmp_path / "out")
+    assert done.exit_code == 0, done.stderr
+    a, b = np.loadtxt(tmp_path / "out" / "trajectory.tum"), np.loadtxt(compared / "lrf.tum")
+    np.testing.assert_array_equal(a, b)

@@ -1,0 +1,112 @@
+"""The compass: conventions, offset, disturbance."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from worlds import World, stream
+
+from locfuse.fusion.data import VERDICTS, ArrayStream, LocfuseError, Measurements
+from locfuse.fusion.ekf import PoseBelief
+from locfuse.fusion.fuse import fuse
+from locfuse.fusion.measure import measure
+from locfuse.fusion.motion import Wheels
+from locfuse.fusion.sensors.compass import Compass, CompassModel, CompassSettings
+
+STILL = Wheels.from_wheels(np.array([0.0, 100.0]), np.zeros(2), np.zeros(2), 0.5, 1e-4)
+T = np.arange(5) * 0.1
+
+
+def measured(s: ArrayStream, **settings: object) -> Measurements:
+    return Compass().measure(s, CompassSettings(**settings), STILL, int(s.t_ns[0]))
+
+
+@pytest.mark.parametrize(
+    ("convention", "value", "theta"),
+    [
+        ("enu_rad", 0.3, 0.3),
+        ("enu_deg", 30.0, math.radians(30)),
+        ("compass_deg", 0.0, math.pi / 2),  # north is +y
+        ("compass_deg", 90.0, 0.0),  # east is +x
+        ("compass_rad", math.pi, -math.pi / 2),
+    ],
+)
+def test_heading_numbers_follow_their_convention(convention: str, value: float, theta: float) -> None:
+    m = measured(stream("/heading", "std_msgs/msg/Float64", T, {"data": np.full(5, value)}), convention=convention)
+    np.testing.assert_allclose(m.z[:, 0], theta, atol=1e-12)
+
+
+def test_degrees_read_as_radians_are_refused_with_the_cure() -> None:
+    s = stream("/heading", "std_msgs/msg/Float64", T, {"data": np.full(5, 270.0)})
+    with pytest.raises(LocfuseError, match=r"compass\.convention=enu_deg"):
+        measured(s)
+
+
+@pytest.mark.parametrize("theta", [0.0, 1.0, 3.1, -3.1])
+def test_a_field_to_the_north_gives_the_heading_and_iron_is_taken_out(theta: float) -> None:
+    north = np.array([0.0, 2e-5])
+    c, s = math.cos(theta), math.sin(theta)
+    field = np.array([[c, s], [-s, c]]) @ north  # the field in the robot's frame
+    soft = np.array([[1.1, 0.1], [0.0, 0.9]])
+    raw = np.linalg.solve(soft, field) + np.array((3e-6, -1e-6))
+    m = measured(
+        stream(
+            "/mag",
+            "sensor_msgs/msg/MagneticField",
+            T,
+            {"magnetic_field.x": np.full(5, raw[0]), "magnetic_field.y": np.full(5, raw[1])},
+        ),
+        hard_iron=(3e-6, -1e-6),
+        soft_iron=(1.1, 0.1, 0.0, 0.9),
+    )
+    np.testing.assert_allclose(np.cos(m.z[:, 0] + math.pi / 2 - theta), 1.0, atol=1e-12)
+
+
+def test_an_imu_without_orientation_says_so() -> None:
+    n = len(T)
+    covariance = np.zeros((n, 9))
+    covariance[:, 0] = -1
+    data = {f"orientation.{a}": np.full(n, 1.0 if a == "w" else 0.0) for a in "xyzw"}
+    with pytest.raises(LocfuseError, match="no orientation"):
+        measured(stream("/imu", "sensor_msgs/msg/Imu", T, {**data, "orientation_covariance": covariance}))
+
+
+def test_nan_readings_are_counted_and_left_out() -> None:
+    values = np.array([0.1, np.nan, 0.2, np.inf, 0.3])
+    m = measured(stream("/heading", "std_msgs/msg/Float64", T, {"data": values}))
+    assert len(m.t) == 3
+    assert m.dropped == {"not_finite": 2}
+
+
+@pytest.mark.parametrize("theta", [0.0, math.pi, -math.pi + 1e-9, 12.0])
+def test_the_innovation_wraps_and_its_jacobian_is_one(theta: float) -> None:
+    settings = CompassSettings(offset_deg=10.0, sigma_deg=1.0)
+    h = 1e-6
+    y = []
+    for d in (-h, h):
+        m = measured(
+            stream(
+                "/heading", "std_msgs/msg/Float64", T, {"data": np.full(5, math.remainder(theta + 0.2, math.tau))}
+            )
+        )
+        belief = PoseBelief((0.0, 0.0, theta + d), (0, 0, 0, 0, 0, 0.01))
+        y.append(CompassModel(settings).innovations(m, 0, belief)[0].y[0])
+    assert y[0] == pytest.approx(0.2 - math.radians(10), abs=1e-5)
+    assert (y[1] - y[0]) / (2 * h) == pytest.approx(-1.0, abs=1e-6)  # y = z - h(x), H = +1
+
+
+def test_a_field_of_the_wrong_strength_is_disturbed_and_not_used() -> None:
+    world = World()
+    streams = world.streams()
+    x = streams["compass"].data["magnetic_field.x"].copy()
+    x[100:140] += 3e-5
+    data = {**streams["compass"].data, "magnetic_field.x": x}
+    streams["compass"] = ArrayStream("/compass", "sensor_msgs/msg/MagneticField", streams["compass"].t_ns, data)
+    robot = world.robot()
+    drive = measure(streams, robot)
+    audit = fuse(drive, robot, ["compass"]).audits["compass"]
+    disturbed = audit.row[audit.verdict == VERDICTS.index("disturbed")]
+    assert len(disturbed) >= 35
+    assert set(disturbed.tolist()) <= set(range(100, 140))

@@ -1,4 +1,4 @@
-"""report.json and run.json: the contract that other programs rely on. SI units, the unit in the key, null for none."""
+"""report.json and run.json: what other programs rely on. SI units, the unit in the key, null for none."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Trajectories as text: TUM for evo and friends, CSV with covariances. Full precision, no alignment, no rounding."""
+"""Trajectories as text: TUM for evo and friends, CSV with covariances. Full precision, no alignment."""
 
 from __future__ import annotations
 

@@ -160,6 +160,8 @@ def resolve(message: Record, path: str) -> tuple[Part, ...]:
             raise FieldError(_no_field(node, walked, name))
         node = node.fields[name]
         walked.append(name)
+    if isinstance(node, Many) and isinstance(node.element, Record) and node.element.is_time and not inside:
+        node, inside = node.element, True
     if isinstance(node, Record) and node.is_time:
         return tuple(Part(f"{path}.{name}", part, inside) for name, part in node.fields.items())
     if isinstance(node, Record) or (isinstance(node, Many) and isinstance(node.element, Record | Many)):

@@ -22,6 +22,8 @@ class DamagedError(ValueError):
 
 def decompress(data: bytes, compression: str, size: int) -> bytes:
     """Return exactly `size` bytes, or raise DamagedError with the reason."""
+    if size == 0 and not data:
+        return b""
     if size > MAX_BYTES:
         raise DamagedError(f"a chunk claims more than {MAX_BYTES >> 20} MiB")
     out = _codec(compression)(data, size + 1)

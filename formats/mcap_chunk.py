@@ -40,7 +40,7 @@ def records(data: NDArray[np.uint8], index: Index | None) -> Records:
     if index is not None and (found := _by_index(data, index)) is not None:
         return found
     scanned = scan(data)
-    if index is None or scanned.end == len(data):
+    if not index or scanned.end == len(data):
         return scanned
     return _salvage(data, scanned, index)
 
@@ -50,7 +50,7 @@ def scan(data: NDArray[np.uint8]) -> Records:
     offsets: list[int] = []
     definitions: list[tuple[int, int, int]] = []
     end = _walk(data.data, 0, len(data), offsets, definitions)
-    return Records(_gather(data, np.array(offsets, np.int64)), definitions, end)
+    return Records(_gather(data, _followed(data, np.array(offsets, np.int64))), definitions, end)
 
 
 def _walk(
@@ -145,17 +145,21 @@ def _gaps(offsets: Ints, ends: Ints, size: int) -> Iterator[tuple[int, int]]:
 
 
 def _salvage(data: NDArray[np.uint8], scanned: Records, index: Index) -> Records:
-    """Add the messages behind a damaged record that the index still reaches."""
+    """Read a damaged chunk: what the index says and the bytes confirm, before and behind the damage."""
     channel, log_time, offsets = _flatten(index)
-    good = _credible(data, channel, log_time, offsets) & (offsets >= scanned.end)
-    behind = _gather(data, _disjoint(data, offsets[good]))
-    messages = dict(scanned.messages)
-    for ident, more in behind.items():
-        before = messages.get(ident)
-        messages[ident] = (
-            more if before is None else Messages(*map(np.concatenate, zip(before, more, strict=True)))
-        )
-    return Records(messages, scanned.definitions, scanned.end)
+    good = offsets[_credible(data, channel, log_time, offsets)]
+    return Records(_gather(data, _followed(data, _disjoint(data, good))), scanned.definitions, scanned.end)
+
+
+def _followed(data: NDArray[np.uint8], offsets: Ints) -> Ints:
+    """Leave out messages that run into bytes that are no record: the damage began in them."""
+    ends = offsets + RECORD.size + view(data, "<u8", offsets + 1).astype(np.int64)
+    inside = ends < len(data)
+    opcode = data[np.where(inside, ends, 0)]
+    kept: Ints = offsets[
+        (ends == len(data)) | (inside & (opcode != 0) & ((opcode <= MESSAGE) | (opcode >= PRIVATE)))
+    ]
+    return kept
 
 
 def _disjoint(data: NDArray[np.uint8], offsets: Ints) -> Ints:

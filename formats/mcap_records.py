@@ -60,6 +60,12 @@ class ChunkIndex(NamedTuple):
     channels: frozenset[int]
 
 
+def opcode_and_length(head: bytes) -> tuple[int, int]:
+    """Read the front of any record."""
+    opcode, length = RECORD.unpack_from(head)
+    return int(opcode), int(length)
+
+
 class Cursor:
     """Take values off the front of a record; what does not fit is DamagedError."""
 

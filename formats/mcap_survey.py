@@ -6,44 +6,19 @@ is the safety net: its chunk index says where to go on after a hole, its statist
 
 from __future__ import annotations
 
-import os
-import zlib
 from dataclasses import dataclass, field
-from pathlib import Path
-
-import numpy as np
 
 from ..fusion.data import LocfuseError
 from . import mcap_records as rec
-from .decompress import CODECS, MAX_BYTES, DamagedError
+from .decompress import MAX_BYTES, DamagedError
 from .losses import Losses
 from .magic import describe
+from .mcap_file import FileBytes
+from .mcap_resync import CHUNK_HEAD, Resync
+from .mcap_summary import Summary, read_summary
 
-CUT_OFF = "the file ends without an end mark: the recording was cut off"
-WINDOW = 1 << 18
-SEARCH = 1 << 20
 RUN_BYTES = 1 << 20  # loose messages are read in runs of about this size
-
-
-class FileBytes:
-    """Random access to a file with a read-ahead window: never more than asked for plus the window."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._file = path.open("rb")
-        self.size = os.fstat(self._file.fileno()).st_size
-        self._start = 0
-        self._window = b""
-
-    def read(self, at: int, n: int) -> bytes:
-        """Return up to n bytes from `at` on (fewer at the end of the file)."""
-        if n > WINDOW:
-            return os.pread(self._file.fileno(), n, at)
-        offset = at - self._start
-        if not 0 <= offset <= len(self._window) - n:
-            self._window = os.pread(self._file.fileno(), WINDOW, at)
-            self._start, offset = at, 0
-        return self._window[offset : offset + n]
+CUT_OFF = "the file ends without an end mark: the recording was cut off"
 
 
 @dataclass
@@ -85,6 +60,7 @@ class LooseRun:
     size: int
     counts: dict[int, int] | None = field(default_factory=dict)
     span: tuple[int, int] = (0, 0)  # log times, ns
+    last: tuple[int, int] = (0, 0)  # channel and bytes of the last message
     cut_off: bool = False
 
     @property
@@ -94,17 +70,6 @@ class LooseRun:
 
 
 Part = ChunkRef | LooseRun
-
-
-@dataclass
-class Summary:
-    """What the file's last section says, if it can be believed."""
-
-    start: int = 0
-    schemas: dict[int, rec.Schema] = field(default_factory=dict)
-    channels: dict[int, rec.Channel] = field(default_factory=dict)
-    chunks: list[rec.ChunkIndex] = field(default_factory=list)
-    counts: dict[int, int] | None = None
 
 
 @dataclass
@@ -118,46 +83,6 @@ class Survey:
     expected: dict[int, int] | None = None  # channel -> messages, by the statistics
 
 
-def read_summary(data: FileBytes) -> Summary | None:
-    """Return the summary section if footer, checksum and records are whole, else None."""
-    tail = rec.RECORD.size + rec.FOOTER_LENGTH + len(rec.MAGIC)
-    foot = data.read(max(data.size - tail, 0), tail)
-    if len(foot) < tail or foot[-len(rec.MAGIC) :] != rec.MAGIC or foot[0] != rec.FOOTER:
-        return None
-    start, _, crc = rec.Cursor(foot, rec.RECORD.size).integers("QQI")
-    end = data.size - tail
-    if not start or not len(rec.MAGIC) <= start <= end or end - start > MAX_BYTES:
-        return None
-    section = data.read(start, end - start)
-    if crc and zlib.crc32(section + foot[: rec.RECORD.size + rec.FOOTER_LENGTH - 4]) != crc:
-        return None
-    try:
-        return _parse_summary(section, start)
-    except DamagedError:
-        return None
-
-
-def _parse_summary(section: bytes, start: int) -> Summary:
-    summary = Summary(start)
-    at = 0
-    while at < len(section):
-        cursor = rec.Cursor(section, at)
-        opcode, length = cursor.integers("BQ")
-        content = cursor.take(length)
-        at = cursor.at
-        if opcode == rec.SCHEMA:
-            schema = rec.schema(content)
-            summary.schemas[schema.id] = schema
-        elif opcode == rec.CHANNEL:
-            channel = rec.channel(content)
-            summary.channels[channel.id] = channel
-        elif opcode == rec.CHUNK_INDEX:
-            summary.chunks.append(rec.chunk_index(content))
-        elif opcode == rec.STATISTICS:
-            summary.counts = rec.message_counts(content)
-    return summary
-
-
 def survey(data: FileBytes, losses: Losses) -> Survey:
     """Walk the data section from the first record to DataEnd, over whatever damage there is."""
     magic = data.read(0, len(rec.MAGIC))
@@ -165,11 +90,6 @@ def survey(data: FileBytes, losses: Losses) -> Survey:
     if magic != rec.MAGIC and summary is None:
         raise LocfuseError(f"{data.path}: not an MCAP file: it is {describe(data.read(0, 64))}")
     return _Walk(data, summary, losses).run()
-
-
-def _opcode_and_length(head: bytes) -> tuple[int, int]:
-    opcode, length = rec.RECORD.unpack_from(head)
-    return int(opcode), int(length)
 
 
 class _Walk:
@@ -180,16 +100,17 @@ class _Walk:
         self.found = Survey()
         if summary is not None:
             self.found = Survey(schemas=summary.schemas, channels=summary.channels, expected=summary.counts)
-        self.starts = sorted(chunk.offset for chunk in summary.chunks) if summary else []
+        self.resync = Resync(data, summary)
+        self.chunked = False
+        self.index_end = 0  # where the message indexes of the last chunk end, as the summary says
 
     def run(self) -> Survey:
         at: int | None = len(rec.MAGIC)
         while at is not None and at < self.data.size:
             at = self._step(at)
         if at is not None:
-            self.losses.add(
-                str(self.data.path), "the file ends without an end mark: the recording was cut off", 0, 0
-            )
+            self.losses.add(str(self.data.path), CUT_OFF, 0, 0)
+        self._distrust_unconfirmed()
         return self.found
 
     def _step(self, at: int) -> int | None:
@@ -197,14 +118,18 @@ class _Walk:
         head = self.data.read(at, rec.RECORD.size)
         if len(head) < rec.RECORD.size:
             return self._lost(at, "the file is cut off inside a record")
-        opcode, length = _opcode_and_length(head)
-        if opcode in (rec.DATA_END, rec.FOOTER):
+        opcode, length = rec.opcode_and_length(head)
+        if self._is_end(at, opcode, length):
+            self._check_data_crc(at, opcode)
             return None
         end = at + rec.RECORD.size + length
-        known = 0 < opcode < rec.DATA_END or opcode >= rec.PRIVATE
         try:
-            if not known:
+            if not (0 < opcode < rec.DATA_END or opcode >= rec.PRIVATE) or opcode == rec.FOOTER:
                 raise DamagedError("bytes that are no record")
+            if opcode != rec.CHUNK and self.summary and at in self.summary.chunks:
+                raise DamagedError("no chunk where the index promises one")
+            if opcode != rec.MESSAGE_INDEX and at < self.index_end:
+                raise DamagedError("no message index where the chunk index promises one")
             if end > self.data.size and opcode != rec.CHUNK:
                 raise DamagedError("a record reaches beyond the end of the file")
             handler = self.HANDLERS.get(opcode)
@@ -212,14 +137,52 @@ class _Walk:
                 handler(self, at, length)
         except DamagedError as problem:
             self._distrust_index()
-            return self._lost(at, str(problem))
+            return self._lost(self._reach_of_damage(at, opcode), str(problem))
         return min(end, self.data.size)
+
+    def _is_end(self, at: int, opcode: int, length: int) -> bool:
+        """Tell a real end of the data section from a flipped bit that looks like one."""
+        if opcode == rec.FOOTER:
+            return at + rec.RECORD.size + length + len(rec.MAGIC) == self.data.size
+        if opcode != rec.DATA_END or length != 4:
+            return False
+        end = at + rec.RECORD.size + length
+        if self.summary and self.summary.start:
+            return end == self.summary.start
+        return 0 < self.data.read(end, 1)[:1][0] <= rec.DATA_END if end < self.data.size else True
+
+    def _check_data_crc(self, at: int, opcode: int) -> None:
+        """Check what no chunk's checksum covers, where the writer gave a checksum of everything."""
+        if opcode == rec.DATA_END and any(isinstance(part, LooseRun) for part in self.found.parts):
+            crc = rec.Cursor(self.data.read(at + rec.RECORD.size, 4)).integer("I")
+            if crc and self.data.crc32(at) != crc:
+                self.losses.add(str(self.data.path), "the file fails its checksum: values may be wrong", 0, 0)
+
+    def _distrust_unconfirmed(self) -> None:
+        """Skip chunks only by indexes that the summary confirms; the others are read to know their channels."""
+        promised = self.summary.chunks if self.summary else {}
+        for part in self.found.parts:
+            if isinstance(part, ChunkRef):
+                entry = promised.get(part.offset)
+                if entry is None or entry.channels != part.index.keys():
+                    part.counts = None
 
     def _distrust_index(self) -> None:
         """Damage behind a chunk may have taken some of its message indexes: read the chunk itself."""
         if self.found.parts and isinstance(chunk := self.found.parts[-1], ChunkRef):
             chunk.index.clear()
             chunk.counts = None
+
+    def _reach_of_damage(self, at: int, opcode: int) -> int:
+        """Bytes that are no record are a hole: it began in the loose message before them."""
+        run = self.found.parts[-1] if self.found.parts else None
+        if not isinstance(run, LooseRun) or run.start + run.size != at or 0 < opcode <= rec.DATA_END:
+            return at
+        ident, size = run.last
+        assert run.counts is not None
+        run.size -= size
+        run.counts[ident] -= 1
+        return at - size
 
     def _content(self, at: int, length: int) -> bytes:
         if length > MAX_BYTES:
@@ -244,18 +207,22 @@ class _Walk:
             run = LooseRun(at, 0, span=(time, time))
             self.found.parts.append(run)
         run.size += size
+        run.last = ident, size
         run.span = min(run.span[0], time), max(run.span[1], time)
         assert run.counts is not None
         run.counts[ident] = run.counts.get(ident, 0) + 1
 
     def _chunk(self, at: int, length: int) -> None:
-        header = rec.chunk_header(self.data.read(at + rec.RECORD.size, min(length, 64)))
+        header = rec.chunk_header(self.data.read(at, CHUNK_HEAD)[rec.RECORD.size :])
         if header.start + header.length != length:
             raise DamagedError("a chunk header that contradicts itself")
         start = at + rec.RECORD.size + header.start
         available = min(header.length, max(self.data.size - start, 0))
-        if available < header.length and self._next_start(at + 1) is not None:
+        if available < header.length and self._onward(at + 1) is not None:
             raise DamagedError("a chunk reaches beyond the end of the file")
+        self.chunked = True
+        if self.summary and at in self.summary.chunks:
+            self.index_end = at + rec.RECORD.size + length + self.summary.chunks[at].index_length
         self.found.parts.append(ChunkRef(at, header, available=available))
 
     def _message_index(self, at: int, length: int) -> None:
@@ -280,61 +247,13 @@ class _Walk:
         rec.ATTACHMENT: _attachment,
     }
 
+    def _onward(self, at: int) -> int | None:
+        return self.resync.next(at, self.chunked, self.found.channels.keys())
+
     def _lost(self, at: int, reason: str) -> int:
         """Count the bytes up to the next chunk (or the end) as lost and go on there."""
-        onward = self._next_start(at + 1)
+        onward = self._onward(at + 1)
         if onward is None:
             onward = self.summary.start if self.summary and self.summary.start > at else self.data.size
         self.losses.add(str(self.data.path), reason, at, onward - at)
         return onward
-
-    def _next_start(self, at: int) -> int | None:
-        """Return where to go on: by the chunk index, else at the next bytes that look like a chunk."""
-        for start in self.starts:
-            if start >= at:
-                return start
-        return None if self.starts else self._search(at)
-
-    def _search(self, at: int) -> int | None:
-        chunked = any(isinstance(part, ChunkRef) for part in self.found.parts)
-        check = self._is_chunk if chunked else self._starts_records
-        while at + rec.RECORD.size <= self.data.size:
-            window = np.frombuffer(self.data.read(at, SEARCH), np.uint8)
-            n = len(window) - rec.RECORD.size + 1
-            wanted = (window[:n] == rec.CHUNK) | ((window[:n] == rec.MESSAGE) & (not chunked))
-            wanted &= (window[5 : n + 5] == 0) & (window[6 : n + 6] == 0)  # shorter than 4 GiB
-            for i in np.flatnonzero(wanted).tolist():
-                if check(at + i):
-                    return at + int(i)
-            at += max(n, 1)
-        return None
-
-    def _is_chunk(self, at: int) -> bool:
-        head = self.data.read(at, rec.RECORD.size + 64)
-        if len(head) < rec.RECORD.size + 40 or head[0] != rec.CHUNK:
-            return False
-        length = _opcode_and_length(head)[1]
-        try:
-            header = rec.chunk_header(head[rec.RECORD.size :])
-        except DamagedError:
-            return False
-        fits = at + rec.RECORD.size + length <= self.data.size
-        return fits and header.compression in CODECS and header.start + header.length == length
-
-    def _starts_records(self, at: int) -> bool:
-        """Tell whether a chunk or three plausible records in a row begin here."""
-        if self._is_chunk(at):
-            return True
-        for _ in range(3):
-            head = self.data.read(at, rec.RECORD.size + 2)
-            if len(head) < rec.RECORD.size + 2:
-                return False
-            opcode, length = _opcode_and_length(head)
-            if opcode == rec.MESSAGE and rec.Cursor(head, rec.RECORD.size).integer("H") not in self.found.channels:
-                return False
-            if not 0 < opcode <= rec.DATA_END or at + rec.RECORD.size + length > self.data.size:
-                return False
-            if opcode == rec.DATA_END:
-                return True
-            at += rec.RECORD.size + length
-        return True

@@ -15,7 +15,8 @@ from . import mcap_records as rec
 from .decompress import MAX_BYTES, DamagedError, decompress, decompress_prefix
 from .losses import Losses
 from .mcap_chunk import Index, Records, counted, records
-from .mcap_survey import ChunkRef, FileBytes, LooseRun, Part, survey
+from .mcap_file import FileBytes
+from .mcap_survey import ChunkRef, LooseRun, Part, survey
 from .source import Batch, ChannelInfo
 
 Bytes = NDArray[np.uint8]

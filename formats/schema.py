@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, cast
 
@@ -15,6 +16,7 @@ DTYPES = {
 }  # fmt: skip
 TIMES = frozenset({"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"})
 MAX_DEPTH = 32
+FILLER = "structure_needs_at_least_one_member"  # the byte that an empty message takes in CDR
 DIVIDER = re.compile(r"^={20,}\s*$", re.MULTILINE)
 
 
@@ -98,7 +100,7 @@ def _record(name: str, types: Typesdict, depth: int) -> Record:
             return Record(name, {"sec": Scalar("i4", 4), "nanosec": Scalar("u4", 4)})
         raise SchemaError(f"its definition names {name} and does not define it")
     fields = {field: _node(desc, types, depth + 1) for field, desc in types[name][1]}
-    return Record(name, fields or {"structure_needs_at_least_one_member": Scalar("u1", 1)})
+    return Record(name, fields or {FILLER: Scalar("u1", 1)})
 
 
 def _node(desc: FieldDesc, types: Typesdict, depth: int) -> Node:
@@ -117,3 +119,23 @@ def _base(name: str) -> Node:
     if name not in DTYPES:
         raise SchemaError(f"its definition uses {name}, which is not supported")
     return Scalar(DTYPES[name], int(DTYPES[name][1:] or 1))
+
+
+def paths(message: Record) -> list[str]:
+    """Return the dotted path of every field of a message type that can be a column."""
+    return list(_paths(message, "", inside=False))
+
+
+def _paths(node: Node, path: str, *, inside: bool) -> Iterator[str]:
+    if isinstance(node, Record) and not node.is_time:
+        for name, part in node.fields.items():
+            if name == FILLER:
+                continue
+            yield from _paths(part, f"{path}.{name}" if path else name, inside=inside)
+    elif not isinstance(node, Many):
+        yield path
+    elif not inside:
+        if isinstance(node.element, Record):
+            yield from _paths(node.element, path, inside=True)
+        else:
+            yield path

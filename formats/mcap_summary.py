@@ -1,0 +1,62 @@
+"""The summary section at the end of an MCAP file, believed only when footer, checksum and records are whole."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass, field
+
+from . import mcap_records as rec
+from .decompress import MAX_BYTES, DamagedError
+from .mcap_file import FileBytes
+
+
+@dataclass
+class Summary:
+    """What the writer said about the whole file."""
+
+    start: int  # file offset of the section
+    schemas: dict[int, rec.Schema] = field(default_factory=dict)
+    channels: dict[int, rec.Channel] = field(default_factory=dict)
+    chunks: dict[int, rec.ChunkIndex] = field(default_factory=dict)  # by file offset
+    counts: dict[int, int] | None = None  # channel -> messages
+
+
+def read_summary(data: FileBytes) -> Summary | None:
+    """Return the summary, None where there is none to believe."""
+    tail = rec.RECORD.size + rec.FOOTER_LENGTH + len(rec.MAGIC)
+    foot = data.read(max(data.size - tail, 0), tail)
+    if len(foot) < tail or foot[-len(rec.MAGIC) :] != rec.MAGIC or foot[0] != rec.FOOTER:
+        return None
+    start, _, crc = rec.Cursor(foot, rec.RECORD.size).integers("QQI")
+    end = data.size - tail
+    if not len(rec.MAGIC) <= start <= end or end - start > MAX_BYTES:
+        return None
+    section = data.read(start, end - start)
+    if crc and zlib.crc32(section + foot[: rec.RECORD.size + rec.FOOTER_LENGTH - 4]) != crc:
+        return None
+    try:
+        return _parse(section, start)
+    except DamagedError:
+        return None
+
+
+def _parse(section: bytes, start: int) -> Summary:
+    summary = Summary(start)
+    at = 0
+    while at < len(section):
+        cursor = rec.Cursor(section, at)
+        opcode, length = cursor.integers("BQ")
+        content = cursor.take(length)
+        at = cursor.at
+        if opcode == rec.SCHEMA:
+            schema = rec.schema(content)
+            summary.schemas[schema.id] = schema
+        elif opcode == rec.CHANNEL:
+            channel = rec.channel(content)
+            summary.channels[channel.id] = channel
+        elif opcode == rec.CHUNK_INDEX:
+            chunk = rec.chunk_index(content)
+            summary.chunks[chunk.offset] = chunk
+        elif opcode == rec.STATISTICS:
+            summary.counts = rec.message_counts(content)
+    return summary

@@ -1,0 +1,379 @@
+"""Columns are what rosbags and mcap-ros2-support read, in every real log and in types nobody wrote."""
+
+from __future__ import annotations
+
+import random
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from bags import STORE, cdr, header, real_log, real_logs, recorded, rows
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.serde.errors import SerdeError
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from locfuse.formats import cdr as ours
+from locfuse.formats.cdr import Decoder, FieldError
+from locfuse.formats.layout import MAX_ITEMS
+from locfuse.formats.schema import SchemaError, message_type, parse, paths
+from locfuse.fusion.data import Ragged
+
+SCAN = "sensor_msgs/msg/LaserScan"
+
+
+def decode(decoder: Decoder, messages: list[bytes], fields: list[str]) -> ours.Decoded:
+    """Decode messages that lie one behind the other, at odd places."""
+    data, start = b"\x00" * 7, []
+    for message in messages:
+        start.append(len(data))
+        data += message + b"\xff"
+    length = [len(message) for message in messages]
+    buffer = np.frombuffer(data, np.uint8)
+    return decoder.decode(buffer, np.array(start, np.int64), np.array(length, np.int64), fields)
+
+
+def at_path(value: Any, path: str) -> Any:
+    """The value of a dotted path in a message object; inside arrays of structures one value per element."""
+    for name in path.split("."):
+        value = [getattr(one, name) for one in value] if isinstance(value, list) else getattr(value, name)
+    return nanoseconds(value)
+
+
+def nanoseconds(value: Any) -> Any:
+    if isinstance(value, list):
+        return [nanoseconds(one) for one in value]
+    if hasattr(value, "nanosec"):
+        return value.sec * 10**9 + value.nanosec
+    return value
+
+
+def assert_same(got: Any, expected: Any) -> None:
+    if isinstance(expected, str):
+        assert got == expected
+    elif isinstance(expected, list | tuple) and expected and isinstance(expected[0], str):
+        assert list(got) == list(expected)
+    else:
+        one, other = (
+            np.frombuffer(v, np.uint8) if isinstance(v, bytes) else np.asarray(v) for v in (got, expected)
+        )
+        if one.dtype == np.uint8:  # for `byte` and `char` rosbags says int8, mcap-ros2-support uint8
+            other = other.astype(np.int64).astype(np.uint8)
+        np.testing.assert_array_equal(one.ravel(), other.ravel())
+
+
+def by_rosbags(schema: Any) -> Callable[[bytes], Any]:
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(schema.data.decode(), schema.name))
+    return lambda data: store.deserialize_cdr(data, message_type(schema.name))
+
+
+def by_mcap_ros2(schema: Any) -> Callable[[bytes], Any]:
+    decode = DecoderFactory().decoder_for("cdr", schema)
+    assert decode is not None
+    return decode
+
+
+@pytest.mark.parametrize("oracle", [by_rosbags, by_mcap_ros2])
+@pytest.mark.parametrize("name", [n for n in real_logs() if "truncated" not in n and "json" not in n] or [None])
+def test_every_field_of_every_message_is_what_public_readers_say(
+    name: str | None, oracle: Callable[..., Any]
+) -> None:
+    for topic, messages in recorded(real_log(name or "none")).items():
+        schema = messages[0][0]
+        if "_service_event" in topic:
+            continue  # no public parser reads them either
+        decoder = Decoder(parse(schema.name, "ros2msg", schema.data.decode()))
+        fields = paths(decoder.message)
+        some = messages[:: max(len(messages) // 150, 1)]
+        decoded = decode(decoder, [m.data for _, m in some], fields)
+        assert decoded.good.all(), (topic, decoded.bad)
+        reference = oracle(schema)
+        expected = [reference(m.data) for _, m in some]
+        for field in fields:
+            column = decoded.columns[field]
+            assert len(column) == len(some)
+            for i, message in enumerate(expected):
+                assert_same(column[i], at_path(message, field))
+
+
+PRIMITIVES = ["bool", "byte", "char", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64"]
+PRIMITIVES += ["float32", "float64", "string"]
+ARRAYS = ["", "", "", "[]", "[3]", "[<=4]"]
+
+
+def invented_type(rng: random.Random) -> str:
+    """A message definition nobody wrote: primitives, strings, arrays and two levels of parts."""
+
+    def body(parts: list[str]) -> str:
+        kinds = PRIMITIVES + 3 * parts + ["builtin_interfaces/Time"]
+        lines = [f"{rng.choice(kinds)}{rng.choice(ARRAYS)} f{i}" for i in range(rng.randint(1, 6))]
+        return "\n".join(lines) + "\n"
+
+    rule = "=" * 80 + "\n"
+    time = "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+    return rule.join(
+        [body(["Inner", "Leaf"]), f"MSG: t/Inner\n{body(['Leaf'])}", f"MSG: t/Leaf\n{body([])}", time]
+    )
+
+
+def invented_value(rng: random.Random, desc: Any, store: Any) -> Any:
+    kind, detail = desc[0].name, desc[1]
+    if kind == "NAME":
+        definition = store.get_msgdef(detail)
+        return store.types[detail](**{n: invented_value(rng, d, store) for n, d in definition.fields})
+    if kind == "BASE":
+        return invented_scalar(rng, detail[0])
+    element, size = detail
+    n = size if kind == "ARRAY" else rng.choice([0, 1, 2, 3])
+    values = [invented_value(rng, element, store) for _ in range(n)]
+    if element[0].name == "NAME" or element[1][0] == "string":
+        return values
+    return np.array(values, {"byte": "uint8", "char": "uint8"}.get(element[1][0], element[1][0]))
+
+
+def invented_scalar(rng: random.Random, name: str) -> Any:
+    if name == "string":
+        return rng.choice(["", "a", "laser", "Räder", "left_wheel_joint"])
+    if name == "bool":
+        return rng.random() < 0.5
+    if name.startswith("float"):
+        return rng.choice([0.0, -1.5, 2.0**90, float("inf"), float("nan"), 0.25])
+    info = np.iinfo({"byte": "int8", "char": "int8"}.get(name, name))
+    if name in {"byte", "char"}:  # ROS 2 says uint8, rosbags int8: stay where they agree
+        return rng.randint(0, 127)
+    return rng.randint(int(info.min), int(info.max))
+
+
+@pytest.mark.parametrize("seed", range(80))
+@pytest.mark.parametrize("little", [True, False])
+def test_invented_types_read_the_same_as_by_rosbags(seed: int, little: bool) -> None:
+    rng = random.Random(seed)
+    text = invented_type(rng)
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(text, "t/msg/Top"))
+    definition = store.get_msgdef("t/msg/Top")
+    messages = [
+        store.types["t/msg/Top"](**{n: invented_value(rng, d, store) for n, d in definition.fields})
+        for _ in range(8)
+    ]
+    raw = [bytes(store.serialize_cdr(m, "t/msg/Top", little_endian=little)) for m in messages]
+    decoder = Decoder(parse("t/Top", "ros2msg", text))
+    fields = paths(decoder.message)
+    for _ in range(2):  # the second time all layouts are known
+        decoded = decode(decoder, raw, fields)
+        assert decoded.good.all(), decoded.bad
+        for field in fields:
+            for i, message in enumerate(messages):
+                assert_same(decoded.columns[field][i], at_path(message, field))
+    assert decoder.fast >= 8
+
+
+def scan(i: int, beams: int = 20, little: bool = True) -> bytes:
+    ranges = np.linspace(1, 2 + i, beams).astype(np.float32)
+    return cdr(SCAN, little, header=header(i, "laser"), ranges=ranges, intensities=ranges[:3])
+
+
+def scan_decoder() -> Decoder:
+    return Decoder(parse(SCAN, "ros2msg", STORE.generate_msgdef(SCAN, ros_version=2)[0]))
+
+
+def test_equal_layouts_are_gathered_after_walking_one_message() -> None:
+    decoder = scan_decoder()
+    decoded = decode(decoder, [scan(i) for i in range(100)], ["ranges"])
+    assert decoded.good.all()
+    assert (decoder.fast, decoder.general) == (99, 1)
+
+
+def test_messages_of_one_length_and_different_layouts_are_told_apart() -> None:
+    """9 + 3 and 3 + 9 beams take the same bytes."""
+    one = cdr(SCAN, header=header(1, "a"), ranges=np.arange(9), intensities=np.arange(3))
+    other = cdr(SCAN, header=header(1, "a"), ranges=np.arange(3), intensities=np.arange(9))
+    assert len(one) == len(other)
+    decoded = decode(scan_decoder(), [one, other, one, other, other], ["ranges"])
+    column = decoded.columns["ranges"]
+    assert isinstance(column, Ragged)
+    assert column.lengths.tolist() == [9, 3, 9, 3, 3]
+
+
+def test_both_byte_orders_in_one_stream() -> None:
+    decoded = decode(scan_decoder(), [scan(i, little=i % 2 == 0) for i in range(10)], ["header.stamp", "ranges"])
+    stamp, ranges = decoded.columns["header.stamp"], decoded.columns["ranges"]
+    np.testing.assert_array_equal(np.asarray(stamp), range(10))
+    assert [float(ranges[i][-1]) for i in range(10)] == [2.0 + i for i in range(10)]
+
+
+@pytest.mark.parametrize("cut", range(1, 60))
+def test_a_truncated_message_is_dropped_and_counted(cut: int) -> None:
+    whole = scan(0)
+    decoded = decode(scan_decoder(), [whole, whole[:-cut], whole], ["ranges"])
+    kept = decoded.good.tolist()
+    assert kept == [True, False, True]
+    assert sum(decoded.bad.values()) == 1
+    assert len(decoded.columns["ranges"]) == 2
+
+
+def test_garbage_never_raises_and_never_differs_from_rosbags_where_both_read_it() -> None:
+    rng = random.Random(0)
+    definition = STORE.generate_msgdef("sensor_msgs/msg/JointState", ros_version=2)[0]
+    decoder = Decoder(parse("sensor_msgs/msg/JointState", "ros2msg", definition))
+    good = cdr(
+        "sensor_msgs/msg/JointState", header=header(5, "b"), name=["l", "r"], position=[1, 2], velocity=[3, 4]
+    )
+    n_read = 0
+    for _ in range(3000):
+        bad = bytearray(good)
+        for _ in range(rng.randint(1, 3)):
+            bad[rng.randrange(len(bad))] = rng.choice([0, 1, 255, rng.randrange(256)])
+        decoded = decode(decoder, [bytes(bad)], ["name", "position", "effort"])
+        try:
+            reference: Any = STORE.deserialize_cdr(bytes(bad), "sensor_msgs/msg/JointState")
+        except (SerdeError, UnicodeDecodeError):
+            continue
+        if decoded.good[0]:
+            n_read += 1
+            assert_same(decoded.columns["position"][0], reference.position)
+            assert_same(decoded.columns["name"][0], reference.name)
+    assert n_read > 500
+
+
+def test_a_sequence_of_four_billion_is_refused_at_once() -> None:
+    bad = bytearray(scan(0, beams=1))
+    at = bytes(bad).index(struct.pack("<If", 1, 1.0))
+    bad[at : at + 4] = b"\xff\xff\xff\xff"
+    assert decode(scan_decoder(), [bytes(bad)], ["ranges"]).bad == {"shorter than its type": 1}
+
+
+def test_a_message_of_a_million_strings_is_refused() -> None:
+    n = MAX_ITEMS + 1
+    decoder = Decoder(parse("t/Names", "ros2msg", "string[] names"))
+    message = b"\x00\x01\x00\x00" + struct.pack("<I", n) + struct.pack("<I", 0) * n
+    for fields in (["names"], []):
+        assert decode(decoder, [message], fields).bad.total() == 1
+
+
+def test_xcdr2_and_parameter_lists_are_refused_by_name() -> None:
+    assert decode(scan_decoder(), [b"\x00\x07" + scan(0)[2:]], []).bad == {"not plain CDR": 1}
+
+
+def test_fields_inside_arrays_of_structures_are_ragged_columns() -> None:
+    kind = "tf2_msgs/msg/TFMessage"
+    decoder = Decoder(parse(kind, "ros2msg", STORE.generate_msgdef(kind, ros_version=2)[0]))
+    moves = [
+        [
+            {"header": header(i, "odom"), "child_frame_id": f"f{k}", "transform": {"translation": {"x": k}}}
+            for k in range(i)
+        ]
+        for i in (2, 0, 3)
+    ]
+    decoded = decode(decoder, [cdr(kind, transforms=move) for move in moves], paths(decoder.message))
+    assert decoded.columns["transforms.child_frame_id"] == [("f0", "f1"), (), ("f0", "f1", "f2")]
+    x = decoded.columns["transforms.transform.translation.x"]
+    assert [list(row) for row in rows(x)] == [[0, 1], [], [0, 1, 2]]
+
+
+IDL = """================================================================================
+IDL: t/msg/Pair
+#include "builtin_interfaces/msg/Time.idl"
+module t {
+  module msg {
+    typedef double double__2[2];
+    struct Pair {
+      @verbatim (language="comment", text="when")
+      builtin_interfaces::msg::Time stamp;
+      string frame;
+      double__2 xy;
+      sequence<float> ranges;
+      sequence<t::msg::Tag> tags;
+    };
+  };
+};
+================================================================================
+IDL: t/msg/Tag
+module t {
+  module msg {
+    struct Tag { string name; uint8 id; };
+  };
+};
+================================================================================
+IDL: builtin_interfaces/msg/Time
+module builtin_interfaces {
+  module msg {
+    struct Time { long sec; unsigned long nanosec; };
+  };
+};
+"""
+TWIN = """builtin_interfaces/Time stamp
+string frame
+float64[2] xy
+float32[] ranges
+Tag[] tags
+================================================================================
+MSG: t/Tag
+string name
+uint8 id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+
+
+def test_an_idl_definition_reads_like_its_msg_twin() -> None:
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(TWIN, "t/msg/Pair"))
+    types = store.types
+    message = types["t/msg/Pair"](
+        stamp=types["builtin_interfaces/msg/Time"](sec=5, nanosec=7),
+        frame="map",
+        xy=np.array([1.0, 2.0]),
+        ranges=np.array([3, 4], np.float32),
+        tags=[types["t/msg/Tag"](name="a", id=1), types["t/msg/Tag"](name="bc", id=2)],
+    )
+    raw = bytes(store.serialize_cdr(message, "t/msg/Pair"))
+    by_idl, by_msg = (
+        Decoder(parse("t/msg/Pair", encoding, text)) for encoding, text in (("ros2idl", IDL), ("ros2msg", TWIN))
+    )
+    fields = paths(by_msg.message)
+    assert paths(by_idl.message) == fields
+    one, other = (decode(decoder, [raw], fields).columns for decoder in (by_idl, by_msg))
+    for field in fields:
+        assert_same(one[field][0], other[field][0])
+    assert one["stamp"][0] == 5_000_000_007
+    assert one["tags.name"] == [("a", "bc")]
+
+
+@pytest.mark.parametrize(
+    ("path", "says"),
+    [
+        ("rangez", "did you mean 'ranges'"),
+        ("header.stemp", "header has no field 'stemp'"),
+        ("header", "header is a structure: name a part of it"),
+        ("ranges.x", "ranges has no parts"),
+    ],
+)
+def test_a_wrong_field_path_names_the_nearest_field(path: str, says: str) -> None:
+    with pytest.raises(FieldError, match=says):
+        scan_decoder().check(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("float64 x\nnonsense !!", "cannot be parsed"),
+        ("t/Missing part", "names t/msg/Missing and does not define it"),
+        ("t/Top again", "contains itself"),
+        ("wstring w", "wstring"),
+    ],
+)
+def test_a_definition_that_cannot_be_used_says_why_in_one_line(text: str, says: str) -> None:
+    with pytest.raises(SchemaError, match=says) as raised:
+        parse("t/Top", "ros2msg", text)
+    assert "\n" not in str(raised.value)
+    assert len(str(raised.value)) < 120
+
+
+@pytest.mark.parametrize("spelling", ["sensor_msgs/msg/Imu", "sensor_msgs/Imu", "sensor_msgs::msg::Imu"])
+def test_type_names_are_spelt_one_way(spelling: str) -> None:
+    assert message_type(spelling) == "sensor_msgs/msg/Imu"

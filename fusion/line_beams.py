@@ -46,6 +46,7 @@ class LineSettings:
     max_incidence: float = math.radians(85.0)  # rad; flatter beams are not used: range noise is not linear there
     corner_sigmas: float = 2.5  # a beam closer to the neighbouring wall than this could belong to either
     max_sigma_psi: float = math.radians(3.0)  # rad; a line known worse is too short for its noise
+    max_swing: float = 0.5  # in sigmas: beyond it (r, psi) is not Gaussian, and no covariance is honest
     max_chi2: float = 4.0  # residual chi2 per degree of freedom; more is not a straight wall
     max_bow: float = 0.03  # height of the bow over its chord: more is a column, or two walls ...
     max_bend: float = 12.0  # ... if the bow is not noise: chi2 that a parabola explains (99.95 % of 1 degree)

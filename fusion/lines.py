@@ -122,7 +122,10 @@ def _straight(fit: Fits, points: Ints, feet: Array, settings: LineSettings) -> M
     rough = fit.misfit > settings.max_chi2 * variance * np.maximum(points - 2, 1)
     bow = np.abs(fit.curvature * (feet[:, 1] - feet[:, 0])) / 4.0  # height over length
     curved = (fit.bend > settings.max_bend * variance) & (bow > settings.max_bow)
-    vague = fit.R_unit[:, 1, 1] * variance > settings.max_sigma_psi**2
+    R = fit.R_unit * variance
+    swing = 0.5 * fit.r * R[:, 1, 1]  # turning about its middle by sigma(psi) moves the line's foot by this [m]
+    sigma_r = np.sqrt(R[:, 0, 0] - R[:, 0, 1] ** 2 / R[:, 1, 1])  # of r where psi is known
+    vague = (R[:, 1, 1] > settings.max_sigma_psi**2) | (swing > settings.max_swing * sigma_r)
     return np.asarray((fit.r > 0.0) & ~rough & ~curved & ~vague)
 
 

@@ -1,0 +1,355 @@
+"""Line extraction is held to rooms that are known exactly and to a plain recursive split-and-merge."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+import textbook_lines
+from rooms import ARENA, box, pole, poses, ranges, scan, wall_lines
+
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array
+from locfuse.fusion.line_fit import misfit
+from locfuse.fusion.line_split import merge, split
+from locfuse.fusion.lines import Lines, LineSettings, extract_lines, to_base
+
+HALF = np.radians(np.linspace(-90.0, 90.0, 361))
+CIRCLE = np.radians(np.arange(720) * 0.5 - 180.0)
+NOISE = {"30mm_0.25deg": (0.03, math.radians(0.25)), "5mm_0.1deg": (0.005, math.radians(0.1))}
+SHARP = LineSettings(sigma_range=0.005, sigma_angle=math.radians(0.1))
+
+
+def noisy(
+    rng: np.random.Generator, at: Array, angles: Array, noise: tuple[float, float], walls: Array = ARENA
+) -> Array:
+    """Scans (n, b) from poses (n, 3): beams leave at wrong angles and come back with wrong ranges."""
+    size = (len(at), len(angles))
+    real = angles + rng.normal(0.0, noise[1], size)
+    return np.array([scan(walls, p, a) for p, a in zip(at, real, strict=True)]) + rng.normal(0.0, noise[0], size)
+
+
+def settings(noise: tuple[float, float]) -> LineSettings:
+    return LineSettings(sigma_range=noise[0], sigma_angle=noise[1])
+
+
+def rows(lines: Lines, i: int) -> slice:
+    return slice(lines.first[i], lines.first[i + 1])
+
+
+def errors(lines: Lines, at: Array, sigma: float, walls: Array = ARENA) -> tuple[Array, Array]:
+    """Return each line's squared Mahalanobis distance from the nearest wall, and the error itself (m, 2)."""
+    nees, error = [], []
+    for i, pose in enumerate(at):
+        truth = wall_lines(walls, pose)
+        for z, R_unit in zip(lines.z[rows(lines, i)], lines.R_unit[rows(lines, i)], strict=True):
+            e = z - truth
+            e[:, 1] = se2.wrap_all(e[:, 1])
+            d2 = np.einsum("qi,ij,qj->q", e, np.linalg.inv(R_unit * sigma**2), e)
+            nees.append(d2.min())
+            error.append(e[d2.argmin()])
+    return np.array(nees), np.array(error)
+
+
+def nearest(truth: Array, z: Array) -> int:
+    """Return which of the walls (q, 2) a line is."""
+    return int(np.argmin(np.abs(truth[:, 0] - z[0]) + np.abs(se2.wrap_all(truth[:, 1] - z[1]))))
+
+
+def same_bytes(a: Lines, b: Lines) -> bool:
+    return all(getattr(a, f.name).tobytes() == getattr(b, f.name).tobytes() for f in fields(Lines))
+
+
+# --- what is found
+
+
+def test_a_room_without_noise_is_found_exactly() -> None:
+    pose = np.array([0.6, -0.4, 0.3])
+    walls = box(-2.0, -3.0, 4.0, 3.0)
+    lines = extract_lines(scan(walls, pose, CIRCLE)[None], CIRCLE, SHARP)
+    truth = wall_lines(walls, pose)
+    assert len(lines.z) == 4
+    for z, ends in zip(lines.z, lines.ends, strict=True):
+        i = nearest(truth, z)
+        assert z[0] == pytest.approx(truth[i, 0], abs=1e-9)
+        assert se2.wrap(z[1] - truth[i, 1]) == pytest.approx(0.0, abs=1e-9)
+        corners = se2.transform(se2.inverse(pose), walls[i].reshape(2, 2))
+        along = np.sort(corners @ [-math.sin(z[1]), math.cos(z[1])])
+        assert ends == pytest.approx(along, abs=0.12)  # less the beams near the corners
+        assert along[0] <= ends[0] < ends[1] <= along[1]
+    assert (lines.chi2 < 1e-12).all()
+    assert lines.points.sum() > 650
+
+
+@pytest.mark.parametrize("noise", NOISE.values(), ids=NOISE.keys())
+@pytest.mark.parametrize("angles", [HALF, CIRCLE], ids=["half", "circle"])
+def test_walls_in_a_room_with_corners_have_honest_covariances(noise: tuple[float, float], angles: Array) -> None:
+    """Splitting, corners, short plates and occlusions included: mean NEES within 95 % bounds of 2, few strays."""
+    rng = np.random.default_rng(3)
+    at = poses(rng, 160)
+    lines = extract_lines(noisy(rng, at, angles, noise), angles, settings(noise))
+    nees, error = errors(lines, at, noise[0])
+    assert len(nees) > 4.5 * len(at) * (len(angles) / 361) ** 0.9
+    usual = nees[nees < 18.4]  # 99.99 %
+    assert len(nees) - len(usual) <= 0.005 * len(nees)
+    assert usual.mean() == pytest.approx(2.0, abs=1.96 * 2.0 / math.sqrt(len(usual)))
+    sigma = noise[0] * np.sqrt(lines.R_unit[:, [0, 1], [0, 1]])[nees < 18.4]
+    assert np.abs((error[nees < 18.4] / sigma).mean(axis=0)).max() < 0.15
+
+
+def test_a_sharp_scanner_sees_every_plate_that_shows_a_side() -> None:
+    pose = np.array([4.0, 3.0, 0.0])
+    d = noisy(np.random.default_rng(0), pose[None], CIRCLE, NOISE["5mm_0.1deg"])
+    truth = wall_lines(ARENA, pose)
+    seen = {nearest(truth, z) for z in extract_lines(d, CIRCLE, SHARP).z}
+    assert seen == set(range(8)) - {6}  # plate 6 is seen edge-on from here
+
+
+# --- against the textbook
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_splitting_level_by_level_equals_the_recursion(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    d = noisy(rng, poses(rng, 12), HALF, NOISE["30mm_0.25deg"])
+    x, y = (d * np.cos(HALF)).ravel(), (d * np.sin(HALF)).ravel()
+    tolerance = rng.uniform(0.03, 0.12, len(x))
+    first = split(x, y, tolerance, np.arange(13) * 361)
+    points = np.stack((x, y), axis=1)
+    expected = [
+        s
+        for i in range(0, len(x), 361)
+        for s in textbook_lines.split(points[i : i + 361], tolerance[i : i + 361], i)
+    ]
+    assert first.tolist() == [*expected, len(x)]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_merging_equals_best_pair_first(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    d = noisy(rng, poses(rng, 1), HALF, NOISE["30mm_0.25deg"])[0]
+    points, w = np.stack((d * np.cos(HALF), d * np.sin(HALF)), axis=1), rng.uniform(500.0, 1500.0, 361)
+    starts = np.array(textbook_lines.split(points, np.full(361, 0.08)))
+    x, y = points.T
+    moments = np.add.reduceat(w * np.stack((1 + 0 * x, x, y, x * x, x * y, y * y)), starts, axis=1)
+    groups = merge(moments, np.ones(len(starts) - 1, bool), 20.0)
+    assert starts[groups[:-1]].tolist() == textbook_lines.merge(points, w, starts.tolist(), 20.0)
+    assert misfit(moments)[0] == pytest.approx(
+        textbook_lines.misfit(points[: starts[1]], w[: starts[1]]), abs=1e-6
+    )
+
+
+@pytest.mark.parametrize("angles", [HALF, CIRCLE], ids=["half", "circle"])
+@pytest.mark.parametrize("deskewed", [False, True])
+def test_a_scan_has_the_same_lines_alone_and_in_any_batch(angles: Array, deskewed: bool) -> None:
+    rng = np.random.default_rng(5)
+    d = noisy(rng, poses(rng, 300), angles, NOISE["30mm_0.25deg"])
+    d[rng.uniform(size=d.shape) < 0.1] = np.inf
+    d[17] = np.nan
+    offsets = rng.normal(0.0, 0.02, (*d.shape, 3)) if deskewed else None
+    own = np.broadcast_to(angles, d.shape) if deskewed else angles
+    together = extract_lines(d, own, offsets=offsets)
+    for i in (0, 16, 17, 18, 127, 128, 129, 299):
+        alone = extract_lines(
+            d[i : i + 1],
+            own[i : i + 1] if deskewed else own,
+            offsets=None if offsets is None else offsets[i : i + 1],
+        )
+        assert alone.first[1] == together.first[i + 1] - together.first[i]
+        for name in ("z", "R_unit", "ends", "points", "chi2", "span"):
+            assert getattr(alone, name).tobytes() == getattr(together, name)[rows(together, i)].tobytes()
+    assert same_bytes(together, extract_lines(d, own, offsets=offsets))
+
+
+# --- one wall or two
+
+
+def facing(walls: list[tuple[float, float, float, float]], noise: float = 0.005, angles: Array = HALF) -> Lines:
+    """What a laser at the origin, looking along x, makes of some walls."""
+    rng = np.random.default_rng(2)
+    d = scan(np.array(walls, float), np.zeros(3), angles) + rng.normal(0.0, noise, len(angles))
+    return extract_lines(d[None], angles, replace(SHARP, sigma_range=noise))
+
+
+def test_parallel_walls_20_cm_apart_are_two_lines() -> None:
+    lines = facing([(2.0, -2.0, 2.0, 0.0), (2.2, 0.0, 2.2, 2.0)])
+    assert sorted(lines.z[:, 0].tolist()) == pytest.approx([2.0, 2.2], abs=0.005)
+
+
+def test_a_doorway_separates_its_walls() -> None:
+    lines = facing([(2.0, -2.0, 2.0, -0.5), (2.0, 0.5, 2.0, 2.0), (4.0, -3.0, 4.0, 3.0)])
+    assert sorted(lines.z[:, 0].tolist()) == pytest.approx([2.0, 2.0, 4.0], abs=0.005)
+
+
+def test_a_wall_behind_a_pole_is_one_line_and_the_pole_is_none() -> None:
+    lines = facing([(3.0, -2.0, 3.0, 2.0), *map(tuple, pole(1.5, 0.0, 0.08))])
+    assert len(lines.z) == 1
+    assert lines.ends[0] == pytest.approx([-2.0, 2.0], abs=0.05)
+    assert lines.span[0, 1] - lines.span[0, 0] > lines.points[0]
+
+
+def test_a_wall_behind_a_box_is_two_lines() -> None:
+    lines = facing([(3.0, -2.0, 3.0, 2.0), (1.5, -0.4, 1.5, 0.4)])
+    assert sorted(lines.z[:, 0].tolist()) == pytest.approx([1.5, 3.0, 3.0], abs=0.005)
+
+
+@pytest.mark.parametrize("noise", [0.005, 0.01, 0.03])
+@pytest.mark.parametrize("radius", [0.05, 0.1, 0.15])
+@pytest.mark.parametrize("distance", [0.5, 1.0, 2.0, 3.0])
+def test_round_poles_are_not_lines(noise: float, radius: float, distance: float) -> None:
+    rng = np.random.default_rng(4)
+    clean = scan(pole(distance, 0.2, radius), np.zeros(3), CIRCLE)
+    lines = extract_lines(clean + rng.normal(0.0, noise, (50, 720)), CIRCLE, replace(SHARP, sigma_range=noise))
+    assert len(lines.z) <= 1
+
+
+def test_a_column_is_not_a_line() -> None:
+    rng = np.random.default_rng(4)
+    d = scan(pole(2.0, 0.0, 0.4), np.zeros(3), CIRCLE) + rng.normal(0.0, 0.005, (50, 720))
+    assert len(extract_lines(d, CIRCLE, SHARP).z) == 0
+
+
+def test_a_wall_seen_flat_keeps_its_evenly_spaced_beams() -> None:
+    """At 78 degrees neighbouring beams are 30 cm apart: no gap, for the spacing grows with the range."""
+    lines = facing([(1.0, 0.8, 6.0, 0.8)], angles=np.radians(np.linspace(-90.0, 90.0, 181)))
+    assert len(lines.z) == 1
+    assert lines.z[0] == pytest.approx([0.8, math.pi / 2], abs=0.02)
+    assert lines.ends[0, 0] < -4.5 or lines.ends[0, 1] > 4.5
+
+
+def test_beams_that_graze_the_wall_are_left_out() -> None:
+    lines = facing([(0.2, 0.15, 6.0, 0.15)], angles=np.radians(np.linspace(-90.0, 90.0, 1441)))
+    assert len(lines.z) == 1
+    assert np.abs(lines.ends).max() <= 0.15 * math.tan(math.radians(85.0)) + 0.02
+
+
+# --- scanners
+
+
+def test_a_wall_across_the_first_beam_is_one_line() -> None:
+    rng = np.random.default_rng(6)
+    for walls, pieces in ((box(-2.0, -1.5, 3.0, 2.0), 4), (np.array([(-2.0, -1.5, -2.0, 2.0)]), 1)):
+        d = scan(walls, np.zeros(3), CIRCLE) + rng.normal(0.0, 0.005, 720)
+        lines = extract_lines(d[None], CIRCLE, SHARP)
+        assert len(lines.z) == pieces
+        back = nearest(lines.z, np.array([2.0, math.pi]))
+        assert lines.ends[back] == pytest.approx([-2.0, 1.5], abs=0.05)
+        assert lines.span[back, 0] > lines.span[back, 1]
+
+
+@pytest.mark.parametrize("shift", [1, 100, 359, 360, 500])
+def test_where_the_circle_starts_does_not_matter(shift: int) -> None:
+    rng = np.random.default_rng(8)
+    d = noisy(rng, poses(rng, 40), CIRCLE, NOISE["5mm_0.1deg"])
+    one = extract_lines(d, CIRCLE, SHARP)
+    two = extract_lines(np.roll(d, -shift, axis=1), CIRCLE + math.radians(0.5 * shift), SHARP)
+    for i in range(40):
+        a, b = one.z[rows(one, i)], two.z[rows(two, i)]
+        a, b = (v[np.lexsort((v[:, 0], np.round(se2.wrap_all(v[:, 1] + 0.01), 3)))] for v in (a, b))
+        np.testing.assert_allclose(a[:, 0], b[:, 0], atol=1e-9)
+        np.testing.assert_allclose(se2.wrap_all(a[:, 1] - b[:, 1]), 0.0, atol=1e-9)
+
+
+def test_a_clockwise_scanner_sees_the_same_lines() -> None:
+    """A corner's own beam goes with the wall scanned after it, so a few lines differ, within their noise."""
+    rng = np.random.default_rng(9)
+    d = noisy(rng, poses(rng, 40), HALF, NOISE["5mm_0.1deg"])
+    one, two = extract_lines(d, HALF, SHARP), extract_lines(d[:, ::-1], HALF[::-1], SHARP)
+    both = [i for i in range(40) if len(one.z[rows(one, i)]) == len(two.z[rows(two, i)])]
+    assert len(both) >= 39
+    gap = np.concatenate([one.z[rows(one, i)] - two.z[rows(two, i)][::-1] for i in both])
+    gap[:, 1] = se2.wrap_all(gap[:, 1])
+    sigma = 0.005 * np.sqrt(np.concatenate([one.R_unit[rows(one, i)][:, [0, 1], [0, 1]] for i in both]))
+    assert np.median(np.abs(gap)) < 1e-9
+    assert (np.abs(gap) < 0.5 * sigma).mean() > 0.95
+    assert (two.ends[:, 0] < two.ends[:, 1]).all()
+
+
+def test_a_laser_that_moves_while_it_scans_is_deskewed() -> None:
+    """Each beam leaves from its own place; seen from the middle of the scan the walls are where they are."""
+    rng, noise = np.random.default_rng(10), NOISE["5mm_0.1deg"]
+    at = poses(rng, 120, clearance=0.5)
+    share = np.linspace(-0.5, 0.5, 361)
+    offsets = np.stack((0.12 * share, 0.01 * share, 0.15 * share), axis=1)  # 12 cm and 8.6 degrees in a scan
+    d = np.empty((120, 361))
+    for i, pose in enumerate(at):
+        beam = se2.compose(pose, offsets)
+        d[i] = ranges(ARENA, beam[:, :2], beam[:, 2] + HALF + rng.normal(0.0, noise[1], 361))
+    d += rng.normal(0.0, noise[0], d.shape)
+    lines = extract_lines(d, HALF, SHARP, np.broadcast_to(offsets, (120, 361, 3)))
+    nees, _ = errors(lines, at, noise[0])
+    assert len(nees) > 500
+    assert nees.mean() == pytest.approx(2.0, abs=1.96 * 2.0 / math.sqrt(len(nees)))
+    skewed, _ = errors(extract_lines(d, HALF, SHARP), at, noise[0])
+    assert np.median(skewed) > 50.0
+
+
+# --- what is no return
+
+
+def test_returns_that_are_none_are_as_if_the_beam_were_not_there() -> None:
+    rng = np.random.default_rng(11)
+    d = noisy(rng, poses(rng, 30), HALF, NOISE["5mm_0.1deg"])
+    gone = rng.uniform(size=361) < 0.3
+    spaced = replace(SHARP, gap_spacings=0.0)
+    kept = extract_lines(d[:, ~gone], HALF[~gone], spaced)
+    for value in (np.nan, np.inf, -np.inf, 0.0, -1.0, 80.0, 0.01):
+        masked = np.where(gone, value, d)
+        found = extract_lines(masked, HALF, spaced, range_min=0.04, range_max=80.0)
+        assert found.z.tobytes() == kept.z.tobytes()
+        assert found.R_unit.tobytes() == kept.R_unit.tobytes()
+        assert (found.span == np.flatnonzero(~gone)[kept.span]).all()
+
+
+@pytest.mark.parametrize("shape", [(0, 361), (3, 0), (3, 1), (0, 0), (3, 361)])
+@pytest.mark.parametrize("value", [np.nan, 1e-9, np.inf, 2.0])
+def test_scans_with_nothing_to_see_have_no_lines(shape: tuple[int, int], value: float) -> None:
+    lines = extract_lines(np.full(shape, value), np.linspace(-1.0, 1.0, shape[1]), offsets=np.zeros((*shape, 3)))
+    if value != 2.0 or shape[1] < 2:  # (an arc of 2 m at 2 m is another matter)
+        assert len(lines.z) == 0
+    assert lines.first.shape == (shape[0] + 1,)
+    assert lines.z.shape[1:] == (2,)
+    assert lines.R_unit.shape[1:] == (2, 2)
+    assert lines.ends.shape[1:] == lines.span.shape[1:] == (2,)
+
+
+def test_noise_alone_gives_next_to_no_lines() -> None:
+    rng = np.random.default_rng(12)
+    lines = extract_lines(rng.uniform(0.1, 10.0, (200, 361)), HALF)
+    assert len(lines.z) < 10
+
+
+# --- from the laser to the base
+
+
+@pytest.mark.parametrize("mount", [(0.0, 0.0, 0.0), (0.2, -0.1, 0.4), (-1.0, 2.0, 3.0), (-0.3, 0.0, math.pi)])
+def test_lines_move_into_the_base_frame_exactly(mount: tuple[float, float, float]) -> None:
+    rng = np.random.default_rng(13)
+    r, psi = rng.uniform(0.05, 3.0, 50), rng.uniform(-math.pi, math.pi, 50)
+    ends = np.sort(rng.uniform(-3.0, 3.0, (50, 2)), axis=1)
+    A = rng.normal(0.0, 1.0, (50, 2, 2))
+    R_unit = A @ A.transpose(0, 2, 1)
+    z, R, moved = to_base(np.stack((r, psi), axis=1), R_unit, ends, *mount)
+    assert (z[:, 0] >= 0.0).all()
+    assert (moved[:, 0] < moved[:, 1]).all()
+    for i in range(50):
+        points = foot_points(r[i], psi[i], ends[i])
+        expected = se2.transform(np.array(mount), points)
+        back = foot_points(z[i, 0], z[i, 1], moved[i])
+        straight = np.abs(back - expected).max()
+        turned = np.abs(back[::-1] - expected).max()
+        assert min(straight, turned) < 1e-12
+        J = np.empty((2, 2))
+        for k, step in enumerate(np.eye(2) * 1e-6):
+            near = np.array([r[i], psi[i]]) + np.array([step, -step])
+            (ahead, behind), _, _ = to_base(near, R_unit[:2], ends[:2], *mount)
+            J[:, k] = (ahead[0] - behind[0]) / 2e-6, se2.wrap(ahead[1] - behind[1]) / 2e-6
+        np.testing.assert_allclose(R[i], J @ R_unit[i] @ J.T, rtol=1e-6, atol=1e-8)
+
+
+def foot_points(r: float, psi: float, ends: Array) -> Array:
+    """Return the end points (2, 2) of a line."""
+    n, t = np.array([math.cos(psi), math.sin(psi)]), np.array([-math.sin(psi), math.cos(psi)])
+    return np.asarray(r * n + ends[:, None] * t)

@@ -1,0 +1,90 @@
+"""Image messages to BGR pictures (h, w, 3) uint8; what cannot be used comes back as the reason, a word."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .cv import MAX_PIXELS, cv2
+from .data import Stream
+
+Picture = NDArray[np.uint8]
+
+# message type -> the fields a picture is made of
+FIELDS: dict[str, tuple[str, ...]] = {
+    "sensor_msgs/msg/CompressedImage": ("data", "format"),
+    "sensor_msgs/msg/Image": ("data", "width", "height", "encoding", "step"),
+}
+ROWS = 16  # pictures held undecoded at a time
+# why a message gives no picture
+NO_COLOUR = "no_colour"  # grey (mono8): red needs colour
+UNREADABLE = "unreadable"  # truncated, or neither JPEG nor PNG
+TOO_LARGE = "too_large"  # more than MAX_PIXELS
+TOO_SHORT = "too_short"  # less data than height x step
+ENCODING = "unknown_encoding"
+GREY = ("mono", "8UC1", "16UC1", "32FC1")
+
+# encoding -> (channels, conversion to BGR)
+_ENCODINGS: dict[str, tuple[int, int | None]] = {
+    "bgr8": (3, None),
+    "8UC3": (3, None),
+    "rgb8": (3, cv2.COLOR_RGB2BGR),
+    "bgra8": (4, cv2.COLOR_BGRA2BGR),
+    "rgba8": (4, cv2.COLOR_RGBA2BGR),
+}
+
+
+def compressed(data: Any, layout: str) -> Picture | str:
+    """Return the BGR picture of a sensor_msgs/CompressedImage, or why there is none.
+
+    `layout` is the message's format: "jpeg", or image_transport's "bgr8; jpeg compressed bgr8", where
+    "compressed rgb8" says that the file itself holds R and B swapped. Pixels stay where the sensor put
+    them: an EXIF rotation is not applied.
+    """
+    encoding, _, rest = layout.partition(";")
+    if encoding.startswith(GREY):
+        return NO_COLOUR
+    try:
+        flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
+        picture = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error as e:
+        return TOO_LARGE if "MAX_IMAGE_PIXELS" in str(e) else UNREADABLE
+    if picture is None:
+        return UNREADABLE
+    if picture.ndim != 3:
+        return NO_COLOUR
+    swapped = "compressed rgb" in rest
+    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR) if swapped else picture, np.uint8)
+
+
+def raw(data: Any, width: int, height: int, encoding: str, step: int) -> Picture | str:
+    """Return the BGR picture of a sensor_msgs/Image, or why there is none; rows may be padded to `step`."""
+    if encoding not in _ENCODINGS:
+        return NO_COLOUR if encoding.startswith(GREY) else ENCODING
+    channels, conversion = _ENCODINGS[encoding]
+    if width * height > MAX_PIXELS:
+        return TOO_LARGE
+    if min(width, height) < 1 or step < width * channels or len(data) < height * step:
+        return TOO_SHORT
+    rows = np.frombuffer(data, np.uint8, count=height * step).reshape(height, step)
+    pixels = rows[:, : width * channels].reshape(height, width, channels)
+    return pixels if conversion is None else np.asarray(cv2.cvtColor(pixels, conversion), np.uint8)
+
+
+def decode(message: tuple[Any, ...]) -> Picture | str:
+    """Return the picture of one message, given its `FIELDS` in order."""
+    if len(message) == 2:
+        return compressed(*message)
+    data, width, height, encoding, step = message
+    return raw(data, int(width), int(height), encoding, int(step))
+
+
+def messages(stream: Stream, rows: int = ROWS) -> Iterator[list[tuple[int, tuple[Any, ...]]]]:
+    """Yield blocks of (row number, fields): the undecoded pictures of a stream, few at a time."""
+    fields = FIELDS[stream.msgtype]
+    for numbers, columns in stream.blocks(*fields, rows=rows):
+        values: list[Any] = [columns[name] for name in fields]
+        yield list(zip(numbers.tolist(), zip(*values, strict=True), strict=True))

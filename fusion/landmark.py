@@ -1,0 +1,76 @@
+"""From image messages to red vertical candidates: which chain, which calibration, on all cores.
+
+OpenCV lets go of the interpreter while it decodes, so a few threads share a block of pictures. Every picture is
+looked at alone and answers are taken in order: the number of threads does not change the result.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, Literal, NamedTuple
+
+from . import panorama, radial
+from .data import Stream
+from .images import decode, messages
+from .optics import Optics
+from .panorama import Candidate, Picture, Red
+
+Chain = Literal["fast", "paper", "printed"]
+THREADS = 4  # at most: more only wait for the interpreter
+
+
+class Look(NamedTuple):
+    """What one picture showed."""
+
+    shape: tuple[int, int]  # px, height and width
+    optics: Optics
+    candidates: list[Candidate]
+
+
+@dataclass(frozen=True)
+class Detector:
+    """Finds red vertical things in pictures; a calibration that is None is taken from the picture's size."""
+
+    chain: Chain = "fast"
+    red: Red = field(default_factory=Red)
+    centre: tuple[float, float] | None = None  # px
+    inner: float | None = None  # px
+    outer: float | None = None  # px
+    width: int = 720
+    zero: float = 0.0  # rad
+    clockwise: bool = False
+
+    def optics(self, shape: tuple[int, ...]) -> Optics:
+        """Return the calibration for pictures (h, w, 3); by default centred, and as large as fits."""
+        height, width = shape[:2]
+        x, y = self.centre or ((width - 1) / 2.0, (height - 1) / 2.0)
+        outer = self.outer or max(1.0, min(x, y, width - 1 - x, height - 1 - y))
+        inner = outer / 4.0 if self.inner is None else self.inner
+        return Optics(x, y, inner, outer, self.width, self.zero, self.clockwise)
+
+    def find(self, picture: Picture) -> Look:
+        """Return the candidates of a BGR picture, the largest first."""
+        optics = self.optics(picture.shape)
+        if self.chain == "fast":
+            found = radial.candidates(picture, optics, self.red)
+        else:
+            found = panorama.candidates(picture, optics, self.red, printed=self.chain == "printed")
+        return Look((picture.shape[0], picture.shape[1]), optics, found)
+
+
+def look(message: tuple[Any, ...], detector: Detector) -> Look | str:
+    """Return what the picture of one message shows, or the reason why there is no picture."""
+    picture = decode(message)
+    return picture if isinstance(picture, str) else detector.find(picture)
+
+
+def looks(stream: Stream, detector: Detector) -> Iterator[tuple[int, Look | str]]:
+    """Yield (row number, what it showed or why it did not) for every message of a stream, in order."""
+    with ThreadPoolExecutor(min(THREADS, os.cpu_count() or 1)) as pool:
+        for block in messages(stream):
+            found = pool.map(partial(look, detector=detector), [fields for _, fields in block])
+            yield from zip((row for row, _ in block), found, strict=True)

@@ -1,0 +1,68 @@
+"""The geometry of an omni picture: which pixel looks where (omni eq. 1). Plain numbers, no OpenCV.
+
+Pixel (i, j) has its centre at x = i (right), y = j (down). Picture angle theta grows from straight down in
+the picture, counter-clockwise on the screen (down, right, up, left), as eq. (1) has it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from .data import Array
+from .se2 import TAU, wrap_all
+
+
+class Optics(NamedTuple):
+    """Calibration of an omni picture."""
+
+    x_c: float  # px, where the mirror's axis meets the picture
+    y_c: float  # px
+    inner: float  # px, radius of the panorama's row 0: nearer the centre the robot sees itself
+    outer: float  # px, radius where the mirror ends
+    width: int = 720  # columns of the panorama
+    zero: float = 0.0  # rad, bearing in the camera's frame that column 0 looks at
+    clockwise: bool = False  # columns turn clockwise in the world, seen from above
+
+    @property
+    def rows(self) -> int:
+        """Height of the panorama, px."""
+        return max(1, int(self.outer - self.inner) + 1)
+
+
+def omni_1(x_p: Array, y_p: Array, optics: Optics) -> tuple[Array, Array]:
+    """Omni eq. (1), corrected: the picture's pixel (x_0, y_0) shown by panorama pixel (x_p, y_p), any shape.
+
+    The print has x_c in both lines, counts columns in half degrees and starts at the centre. Right are
+    y_c in the second, theta = 2 pi x_p / W for W columns, and r = r_inner + y_p.
+    """
+    theta = picture_angle(x_p, optics.width)
+    r = optics.inner + y_p
+    return optics.x_c + r * np.sin(theta), optics.y_c + r * np.cos(theta)
+
+
+def paper_omni_1(x_p: Array, y_p: Array, x_c: float) -> tuple[Array, Array]:
+    """Omni eq. (1) as printed: x_c in both lines, theta = x_p / 2 in degrees, r = y_p."""
+    theta = np.radians(x_p / 2.0)
+    return x_c + y_p * np.sin(theta), x_c + y_p * np.cos(theta)
+
+
+def picture_angle(x_p: Array, width: int) -> Array:
+    """Return theta = 2 pi x_p / W [rad] of panorama columns; the paper's x_p / 2 [deg] where W = 720."""
+    return TAU * np.asarray(x_p, float) / width
+
+
+def column(theta: Array, width: int) -> Array:
+    """Return the panorama column x_p in [0, W) of picture angles [rad]."""
+    return np.asarray(np.mod(theta, TAU) * width / TAU)
+
+
+def bearing(theta: Array, optics: Optics) -> Array:
+    """Return the bearing [rad, -pi..pi) in the camera's frame, counter-clockwise from above, of theta [rad]."""
+    return np.asarray(wrap_all(optics.zero + (-theta if optics.clockwise else theta)))
+
+
+def angle_of_bearing(phi: Array, optics: Optics) -> Array:
+    """Return the picture angle [rad] where bearing phi [rad, camera frame] appears: the inverse of `bearing`."""
+    return np.asarray(np.mod(optics.zero - phi if optics.clockwise else phi - optics.zero, TAU))

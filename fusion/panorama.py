@@ -1,0 +1,163 @@
+"""The paper's landmark detection (section II): filter, red, grey, unwrap, Hough, x_p / 2.
+
+Slow and plain; `radial` finds the same bearing without unwrapping. What both agree on, the red rule and the
+form of a candidate, is here.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .cv import cv2
+from .data import Array
+from .optics import Optics, omni_1, paper_omni_1, picture_angle
+from .se2 import TAU
+
+Picture = NDArray[np.uint8]
+
+EDGE = 2.0  # px within which an edge is known: a JPEG keeps colour at half resolution
+SHADE = 0.02  # error of the centre as part of the width: light that falls on a pole from one side
+LEAN = 0.1  # sideways px per px of height that a "vertical" Hough line may lean
+MOST = 8  # candidates kept of one picture, the largest first
+
+
+class Red(NamedTuple):
+    """What counts as a red landmark: R - max(G, B) >= max(minimum, ratio R), and a radial line."""
+
+    ratio: float = 0.4  # share of R that green and blue lack
+    minimum: float = 30.0  # grey levels, below which the colour of a pixel is noise
+    length: float = 12.0  # px along the radius
+    slender: float = 1.5  # length over width
+
+
+class Candidate(NamedTuple):
+    """A vertical red thing in a picture."""
+
+    theta: float  # rad, picture angle of its middle, [0, 2 pi)
+    variance: float  # rad^2
+    pixels: float  # area in the raw picture
+    length: float  # px along the radius
+    width: float  # rad
+    radius: float  # px, middle of its length
+
+
+def denoise(picture: Picture) -> Picture:
+    """Return the picture (h, w, 3) without single wrong pixels: the paper's digital filter, a 3 x 3 median."""
+    return np.asarray(cv2.medianBlur(picture, 3), np.uint8)
+
+
+def red_grey(picture: Picture, red: Red) -> Picture:
+    """Return how red every pixel of a BGR picture is, (h, w): R - max(G, B) where that is red, else 0.
+
+    The difference is linear in the share of a pixel that a red thing covers, whatever grey is beside it:
+    this is what carries the centre below a pixel. The ratio keeps the rule when the light changes.
+    """
+    b, g, r = cv2.split(picture)
+    grey = cv2.subtract(r, cv2.max(b, g))
+    enough = cv2.compare(grey, cv2.convertScaleAbs(r, alpha=red.ratio), cv2.CMP_GE)
+    _, grey = cv2.threshold(grey, max(red.minimum, 1.0) - 1.0, 0, cv2.THRESH_TOZERO)
+    return np.asarray(cv2.bitwise_and(grey, enough), np.uint8)
+
+
+@lru_cache(maxsize=4)
+def unwrap_maps(optics: Optics, printed: bool) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the pixels (x_0, y_0), both (rows, W), that the panorama's pixels show."""
+    y_p, x_p = np.meshgrid(np.arange(optics.rows, dtype=float), np.arange(optics.width), indexing="ij")
+    x_0, y_0 = paper_omni_1(x_p, y_p, optics.x_c) if printed else omni_1(x_p, y_p, optics)
+    return x_0.astype(np.float32), y_0.astype(np.float32)
+
+
+def unwrap(picture: Picture, optics: Optics, printed: bool = False) -> Picture:
+    """Return the panorama (rows, W[, 3]) of a picture (h, w[, 3]) by omni eq. (1), as printed or corrected."""
+    x_0, y_0 = unwrap_maps(optics, printed)
+    return np.asarray(cv2.remap(picture, x_0, y_0, cv2.INTER_LINEAR), np.uint8)
+
+
+def vertical_lines(panorama: Picture, red: Red) -> NDArray[np.int64]:
+    """Return vertical Hough lines (n, 3) of a grey panorama: column at mid-height, first and last row.
+
+    Some columns are repeated past the right edge, so that a landmark on column 0 is whole once.
+    """
+    rows, width = panorama.shape
+    wrapped = np.hstack((panorama, panorama[:, : width // 12]))
+    binary = np.where(wrapped > 0, np.uint8(255), np.uint8(0))
+    length = min(red.length, rows)
+    found = cv2.HoughLinesP(binary, 1, np.pi / 180, int(length), minLineLength=length, maxLineGap=4)
+    x1, y1, x2, y2 = _lines(found).T
+    upright = np.abs(x2 - x1) <= LEAN * np.abs(y2 - y1)
+    lines = np.stack(((x1 + x2) // 2 % width, np.minimum(y1, y2), np.maximum(y1, y2)), axis=1)
+    return np.asarray(lines[upright], np.int64)
+
+
+def _lines(found: Any) -> NDArray[np.int64]:
+    """HoughLinesP gives (n, 1, 4) in OpenCV 4, (n, 4) in 5, None when there is no line."""
+    return np.empty((0, 4), np.int64) if found is None else np.asarray(found, np.int64).reshape(-1, 4)
+
+
+def candidates(picture: Picture, optics: Optics, red: Red, printed: bool = False) -> list[Candidate]:
+    """Return the vertical red things of a BGR picture by the paper's chain, the largest first."""
+    grey = red_grey(denoise(picture), red)
+    panorama = unwrap(grey, optics, printed)
+    inner = 0.0 if printed else optics.inner
+    found: list[Candidate] = []
+    taken = np.zeros(panorama.shape[1], bool)
+    lines = vertical_lines(panorama, red)
+    for x_p, top, bottom in lines[np.argsort(lines[:, 1] - lines[:, 2], kind="stable")].tolist():
+        if not taken[x_p]:
+            columns, weight = _blob(panorama[top : bottom + 1], x_p)
+            taken[columns % len(taken)] = True
+            found.append(_measured(panorama, columns, weight, inner))
+    return largest(found, red)
+
+
+def _blob(band: Picture, x_p: int) -> tuple[NDArray[np.int64], Array]:
+    """Return the columns (k,) of the red blob around column x_p, counted on past the edges, and their weight."""
+    width = band.shape[1]
+    bright = band[band > 0]
+    weight = np.minimum(band, cap(bright)).sum(axis=0, dtype=float) if len(bright) else np.zeros(width)
+    profile = np.roll(weight, width // 2 - x_p)
+    empty = np.flatnonzero(profile == 0)
+    middle = np.searchsorted(empty, width // 2)
+    left = int(empty[middle - 1]) + 1 if middle > 0 else 0
+    right = int(empty[middle]) if middle < len(empty) else width
+    return np.arange(left, right) + x_p - width // 2, profile[left:right]
+
+
+def _measured(panorama: Picture, columns: NDArray[np.int64], weight: Array, inner: float) -> Candidate:
+    """Return the candidate that fills these columns of the panorama; x_p is the columns' centre of weight."""
+    width = panorama.shape[1]
+    area = panorama[:, columns % width] > 0
+    rows = np.flatnonzero(area.any(axis=1))
+    r = inner + rows
+    x_p = float((columns * weight).sum() / weight.sum())
+    across = float(weight.sum() / weight.max()) * TAU / width
+    pixels = float((area.sum(axis=1)[rows] * r).sum() * TAU / width)
+    theta = float(picture_angle(np.asarray(x_p), width)) % TAU
+    radius = float(r.mean())
+    return Candidate(theta, variance(theta, radius, len(rows), across), pixels, len(rows), across, radius)
+
+
+def cap(grey: NDArray[Any]) -> float:
+    """Return the grey level from which a pixel counts fully: so that shading does not shift the middle."""
+    return 0.75 * float(grey.mean())
+
+
+def variance(theta: float, radius: float, length: float, width: float) -> float:
+    """Return the variance [rad^2] of a candidate's middle, from its pixels.
+
+    One edge of one pixel row is known within EDGE: variance EDGE^2 / 12; the middle of two edges: EDGE^2 / 24.
+    Rows err together while the edge runs along the pixel grid, so only the `1 + length min(|sin|, |cos|)` grid
+    lines that it crosses are independent. Uneven light adds SHADE of the width.
+    """
+    crossed = 1.0 + length * min(abs(np.sin(theta)), abs(np.cos(theta)))
+    return float(EDGE**2 / (24.0 * radius**2 * crossed) + (SHADE * width) ** 2)
+
+
+def largest(found: list[Candidate], red: Red) -> list[Candidate]:
+    """Return the candidates that are radial lines, the largest first, at most MOST."""
+    lines = [c for c in found if c.length >= max(red.length, red.slender * c.width * c.radius)]
+    return sorted(lines, key=lambda c: (-c.pixels, c.theta))[:MOST]

@@ -1,0 +1,241 @@
+"""Omni-directional camera: the bearing of one red vertical landmark whose place in the map is known.
+
+The paper takes the landmark's column as the robot's orientation, which is right only for a landmark far away.
+Here the bearing is compared with the one predicted from the pose; `bearing = "absolute"` is the printed reading.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from ..bearing import H_ORIENTATION, Point, Row, paper_orientation, predict_bearing
+from ..data import VERDICTS, LocfuseError, Measurements, Stream
+from ..gates import chi_square
+from ..se2 import wrap
+from .base import Belief, Innovation, Model, SensorSettings, WheelMotion
+
+GATE, AMBIGUOUS, UNMATCHED = (VERDICTS.index(v) for v in ("gate", "ambiguous", "unmatched"))
+MARGIN = 9.0  # by how much the second-best candidate must fit worse (squared sigmas: odds of 90 to 1)
+
+
+class CameraSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """[camera]: where the landmark stands, how the picture is calibrated, what counts as red."""
+
+    landmark: Point | None = None  # m, map frame; without it the camera cannot be used
+    centre: Point | None = None  # px, where the mirror's axis meets the picture; None: its middle
+    inner: float | None = None  # px, radius below which the robot sees itself; None: outer / 4
+    outer: float | None = None  # px, radius of the mirror's rim; None: to the picture's nearest edge
+    width: int = 720  # columns of the panorama
+    zero_deg: float = 0.0  # bearing that column 0 (straight down in the picture) looks at
+    clockwise: bool = False  # columns turn clockwise in the world, seen from above
+    x: float = 0.0  # m, camera on the base
+    y: float = 0.0
+    yaw_deg: float = 0.0
+    sigma_deg: float = 0.3  # of a bearing, beyond what its pixels explain
+    chain: Literal["fast", "paper", "printed"] = "fast"  # printed: eq. (1) with its misprints
+    bearing: Literal["relative", "absolute"] = "relative"  # absolute: the paper's orientation
+    red_ratio: float = 0.4  # red is R - max(G, B) >= red_ratio R
+    red_min: float = 30.0  # and >= red_min grey levels
+    min_length: float = 12.0  # px along the radius
+    min_slender: float = 1.5  # length over width
+
+    def __post_init__(self) -> None:
+        """Raise ValueError where the numbers cannot be a calibration."""
+        numbers = [v for f in self.__struct_fields__ for v in _numbers(getattr(self, f))]
+        if not all(map(math.isfinite, numbers)):
+            raise ValueError("camera: every number must be finite")
+        if not 36 <= self.width <= 7200:
+            raise ValueError(f"camera.width = {self.width}, must be within 36..7200 columns")
+        inner = self.inner or 0.0
+        if inner < 0.0 or (self.outer is not None and self.outer <= inner):
+            raise ValueError(f"camera: outer = {self.outer} px must exceed inner = {self.inner} px, both positive")
+        if self.sigma_deg <= 0.0:
+            raise ValueError(f"camera.sigma_deg = {self.sigma_deg}, must be positive")
+
+
+def _numbers(value: Any) -> tuple[float, ...]:
+    return value if isinstance(value, tuple) else (value,) if isinstance(value, float) else ()
+
+
+class Camera:
+    """Reads CompressedImage (JPEG, PNG) and Image (rgb8, bgr8, rgba8, bgra8)."""
+
+    name: ClassVar[str] = "camera"
+    Settings: ClassVar[type[SensorSettings]] = CameraSettings
+    in_blocks: ClassVar[bool] = True  # pictures are never all in memory
+    reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "sensor_msgs/msg/CompressedImage": ("data", "format"),
+        "sensor_msgs/msg/Image": ("data", "width", "height", "encoding", "step"),
+    }
+
+    def missing(self, settings: CameraSettings) -> str | None:
+        """Return why the camera cannot be used with these settings, or None."""
+        if settings.landmark is not None:
+            return None
+        return (
+            "camera.landmark is not set. Look at the pictures with: locfuse info LOG --preview DIR, "
+            "then --set camera.landmark=[X,Y]"
+        )
+
+    def measure(
+        self, stream: Stream, settings: CameraSettings, wheels: WheelMotion, epoch_ns: int
+    ) -> Measurements:
+        """Turn pictures into bearings z (m, 1) [rad, camera frame], one row per candidate, the largest first.
+
+        Pictures of another size than most are not used: their calibration would be another one.
+        Raises LocfuseError where no landmark is set.
+        """
+        missing = self.missing(settings)
+        if missing:
+            raise LocfuseError(f"{stream.topic}: {missing}")
+        from ..landmark import Look, looks  # imports OpenCV
+
+        found: list[tuple[int, Look]] = []
+        dropped = Counter(stream.dropped)
+        for row, seen in looks(stream, detector(settings)):
+            if isinstance(seen, str):
+                dropped[seen] += 1
+            else:
+                found.append((row, seen))
+        sizes = Counter(seen.shape for _, seen in found)
+        if len(sizes) > 1:
+            usual = max(sizes, key=lambda size: (sizes[size], size))
+            dropped["other_size"] += len(found) - sizes[usual]
+            found = [(row, seen) for row, seen in found if seen.shape == usual]
+        return _collect(found, stream, settings, epoch_ns, dict(dropped))
+
+    def model(self, settings: CameraSettings) -> Model:
+        """Return the camera's side of a new run."""
+        missing = self.missing(settings)
+        if missing or settings.landmark is None:
+            raise LocfuseError(f"camera: {missing}")
+        if settings.bearing == "absolute":
+            return OrientationModel(settings, settings.landmark)
+        return BearingModel(settings, settings.landmark)
+
+
+def detector(settings: CameraSettings) -> Any:
+    """Return the `fusion.landmark.Detector` that these settings describe."""
+    from ..landmark import Detector
+    from ..panorama import Red
+
+    return Detector(
+        chain=settings.chain,
+        red=Red(settings.red_ratio, settings.red_min, settings.min_length, settings.min_slender),
+        centre=settings.centre,
+        inner=settings.inner,
+        outer=settings.outer,
+        width=settings.width,
+        zero=math.radians(settings.zero_deg),
+        clockwise=settings.clockwise,
+    )
+
+
+def _collect(
+    found: list[tuple[int, Any]], stream: Stream, settings: CameraSettings, epoch_ns: int, dropped: dict[str, int]
+) -> Measurements:
+    from ..optics import bearing
+
+    rows = np.array([row for row, _ in found], np.int64)
+    every = [(c, seen.optics) for _, seen in found for c in seen.candidates]
+    sigma = math.radians(settings.sigma_deg)
+    R_unit = np.array([1.0 + c.variance / sigma**2 for c, _ in every])
+    if settings.bearing == "absolute":  # the paper's var(gamma) knows no pixels
+        R_unit = np.ones(len(every))
+    return Measurements(
+        t=(stream.t_ns[rows] - epoch_ns) * np.float64(1e-9) + settings.time_offset,
+        first=np.concatenate(([0], np.cumsum([len(seen.candidates) for _, seen in found], dtype=np.int64))),
+        z=np.array([float(bearing(np.asarray(c.theta), optics)) for c, optics in every]).reshape(-1, 1),
+        R_unit=R_unit.reshape(-1, 1, 1),
+        scale=sigma,
+        floor=np.zeros((1, 1)),
+        extra={
+            "pixels": np.array([c.pixels for c, _ in every]),
+            "length": np.array([c.length for c, _ in every]),  # px
+            "width": np.array([c.width for c, _ in every]),  # rad
+        },
+        dropped=dropped,
+    )
+
+
+class BearingModel(Model):
+    """z = wrap(atan2(dy, dx) - theta - yaw) + noise, (dx, dy) from the camera to the landmark."""
+
+    def __init__(self, settings: CameraSettings, landmark: Point) -> None:
+        self.landmark = landmark
+        self.lever = (settings.x, settings.y)
+        self.yaw = math.radians(settings.yaw_deg)
+        self.threshold = chi_square(settings.gate, 1)
+
+    def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
+        """Compare the candidates of picture i with the belief: the one inside the gate is the landmark.
+
+        Two that fit about equally well are ambiguous, and neither is used.
+        """
+        predicted = predict_bearing((belief.x, belief.y, belief.theta), self.landmark, self.lever, self.yaw)
+        first, last = int(m.first[i]), int(m.first[i + 1])
+        if predicted is None or first == last:
+            return []
+        z, variances = m.scalars
+        h, H = predicted
+        bend = belief.spread(((H[0], H[1], 0.0),))[0][0]
+        spread = belief.spread((H,))[0][0]
+        judged = []
+        for row in range(first, last):
+            # the bearing is not linear in the position: second-order variance (sigma_position / distance)^4
+            r = variances[row] + bend * bend
+            judged.append(self._judge(row, wrap(z[row] - h), spread + r, r, H))
+        return choose(judged)
+
+    def _judge(self, row: int, y: float, S: float, r: float, H: Row) -> Innovation:
+        nis = y * y / S
+        return Innovation(row, 0, 0, nis, self.threshold, (y,), (math.sqrt(S),), (H,), ((r,),))
+
+
+class OrientationModel(Model):
+    """The paper's camera: gamma = direction of the landmark at the start - bearing observes theta, H = [0 0 1].
+
+    The start is the belief at the first picture. The largest candidate is the landmark.
+    """
+
+    def __init__(self, settings: CameraSettings, landmark: Point) -> None:
+        self.landmark = landmark
+        self.yaw = math.radians(settings.yaw_deg)
+        self.threshold = chi_square(settings.gate, 1)
+        self.direction: float | None = None  # rad, map frame
+
+    def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
+        """Compare the orientation by the largest candidate of picture i with the belief."""
+        if self.direction is None:
+            self.direction = math.atan2(self.landmark[1] - belief.y, self.landmark[0] - belief.x)
+        row = int(m.first[i])
+        if row == int(m.first[i + 1]):
+            return []
+        z, variances = m.scalars
+        y = wrap(paper_orientation(self.direction, z[row] + self.yaw) - belief.theta)
+        S = belief.spread((H_ORIENTATION,))[0][0] + variances[row]
+        seen = Innovation(
+            row, 0, 0, y * y / S, self.threshold, (y,), (math.sqrt(S),), (H_ORIENTATION,), ((variances[row],),)
+        )
+        return choose([seen])
+
+
+def choose(judged: list[Innovation]) -> list[Innovation]:
+    """Give the candidates of one picture their verdicts: at most one is accepted."""
+    best, *others = sorted(judged, key=lambda seen: seen.nis)
+    if best.nis > best.threshold:
+        verdict = GATE
+    elif others and others[0].nis <= min(best.threshold, best.nis + MARGIN):
+        verdict = AMBIGUOUS
+    else:
+        verdict = 0
+    rest = (AMBIGUOUS if verdict == AMBIGUOUS and o.nis <= o.threshold else UNMATCHED for o in others)
+    return [
+        best._replace(verdict=verdict),
+        *(o._replace(verdict=v, landmark=-1) for o, v in zip(others, rest, strict=True)),
+    ]

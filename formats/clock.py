@@ -6,15 +6,16 @@ contradicts it is replaced: it is dated by its recording time, between the trust
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fusion.data import Ints
+from ..fusion.data import Array, Ints
+from .monotone import never_decreasing
 
 ORDERS = ("auto", "stamp", "recorded")
+MS = 10**6
 JUMP_NS = 10 * 10**9  # a stamp that moves by this much more or less than its recording time has left its clock
 LATENCY_NS = 10**9  # stamps that differ from recording by more are another clock, not a delay
 
@@ -100,8 +101,18 @@ def _untrusted(log_time: Ints, stamp: Ints) -> dict[str, Mask]:
     off[ordinary] = _off_the_clock(log_time[ordinary], stamp[ordinary])
     backwards = np.zeros(len(stamp), bool)
     left = np.flatnonzero((stamp > 0) & ~off)
-    backwards[left] = ~_increasing(stamp[left])
+    backwards[left] = ~never_decreasing(stamp[left], _credibility(log_time[left] - stamp[left]))
     return {"zero": zero, "negative": negative, "off the stream's clock": off, "backwards": backwards}
+
+
+def _credibility(delay: Ints) -> Array:
+    """Weigh stamps by how usual their delay (n,) is, with the long tail of a Cauchy distribution."""
+    if not len(delay):
+        return np.empty(0)
+    unusual = np.abs(delay - np.median(delay))
+    scale = max(float(np.median(unusual)), MS)
+    weights: Array = 1 / (1 + (unusual / scale) ** 2) + 1e-6  # all else equal, the more stamps the better
+    return weights
 
 
 def _off_the_clock(log_time: Ints, stamp: Ints) -> Mask:
@@ -115,30 +126,6 @@ def _off_the_clock(log_time: Ints, stamp: Ints) -> Mask:
     middle = delay[edges[:-1] + lengths // 2]  # a piece's delay: that of its middle reading
     off = np.abs(middle - middle[np.argmax(lengths)]) > JUMP_NS
     return np.repeat(off, lengths)
-
-
-def _increasing(values: Ints) -> Mask:
-    """Mark a longest never-decreasing subsequence (patience sorting); all of it in the ordinary case."""
-    keep = np.ones(len(values), bool)
-    if not (np.diff(values) < 0).any():
-        return keep
-    tails: list[int] = []  # smallest last value of a run of each length
-    holders: list[int] = []  # its row
-    before = np.full(len(values), -1, np.int64)
-    for i, value in enumerate(values.tolist()):
-        at = bisect_right(tails, value)
-        before[i] = holders[at - 1] if at else -1
-        if at == len(tails):
-            tails.append(value)
-            holders.append(i)
-        else:
-            tails[at], holders[at] = value, i
-    keep[:] = False
-    row = holders[-1]
-    while row >= 0:
-        keep[row] = True
-        row = int(before[row])
-    return keep
 
 
 def _differ(log_time: Ints, stamp: Ints) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -114,7 +115,7 @@ class LogWriter:
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, tuple[int, str]] = {}  # topic -> channel id, message type
         self._sequence: dict[str, int] = {}
-        self._file: IO[bytes] = self._part.open("wb")
+        self._file = self._open()
         self._writer: Any = Writer(  # Any: its `finish` is untyped
             self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD, enable_data_crcs=True
         )
@@ -167,17 +168,29 @@ class LogWriter:
         self._sequence[topic] = 0
         return channel
 
+    def _open(self) -> IO[bytes]:
+        try:
+            return self._part.open("wb")
+        except OSError as error:
+            folder = self.path.parent
+            raise LocfuseError(f"{self.path} cannot be written: {folder}: {error.strerror}") from error
+
     def close(self) -> None:
-        """Finish the file and give it its name."""
-        self._writer.finish()
-        self._file.flush()
-        os.fsync(self._file.fileno())
-        self._file.close()
-        self._part.replace(self.path)
+        """Finish the file and give it its name; if that fails, nothing is left behind."""
+        try:
+            self._writer.finish()
+            self._file.flush()
+            os.fsync(self._file.fileno())
+            self._file.close()
+            self._part.replace(self.path)
+        except BaseException:
+            self.abort()
+            raise
 
     def abort(self) -> None:
         """Throw away what was written; a file of that name, if there was one, stays as it is."""
-        self._file.close()
+        with contextlib.suppress(OSError):  # closing flushes: on a full disk that fails once more
+            self._file.close()
         self._part.unlink(missing_ok=True)
 
     def __enter__(self) -> Self:

@@ -1,0 +1,242 @@
+"""What did each sensor buy? Its share of the improvement, how sure that is, and a verdict in one word.
+
+The value of a set of sensors is -ln(position RMSE), so that effects are factors: +0.69 halves the error. A
+sensor's credit is its Shapley value (Shapley 1953): its effect averaged over every order in which the sensors
+could have been added; credits sum to what all sensors together bought. Beside it stand what it buys alone
+(against odometry) and last (leave one out: `all` against `all` without it).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+
+from .data import Array, Evaluation
+from .resample import CONFIDENCE, Errors, student_t
+
+Subset = frozenset[str]
+Verdict = Literal["helps", "does nothing", "hurts"]
+
+NOTHING = 0.02  # an effect below 2 % is none, however sure
+EXPECTED = 0.15  # what filter and truth must both say where one drive cannot settle it
+LAST_HURTS = 0.10  # a set that is surely 10 % better without the sensor is hurt by it
+HALVES = math.log(2.0)
+OVERCONFIDENT, WORSE_ANEES = 10.0, 5.0  # confidently wrong: ANEES above this, and this many times the one before
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A contrast of ln(position RMSE): positive means that the sensor makes the error smaller."""
+
+    value: float
+    low: float
+    high: float
+    expected: float | None  # the same contrast of the filter's own predicted standard deviations
+
+
+@dataclass(frozen=True)
+class SensorCredit:
+    """What one sensor bought."""
+
+    verdict: Verdict
+    credit: Effect | None  # Shapley value; None unless every subset was run
+    alone: Effect | None  # against odometry
+    last: Effect | None  # leave one out
+    share: float | None  # of the whole improvement
+    anees: tuple[float, float] | None  # without and with it, where adding it made the filter most overconfident
+
+
+@dataclass(frozen=True)
+class Credit:
+    """Every sensor's credit, and what the intervals rest on."""
+
+    sensors: Mapping[str, SensorCredit]
+    total: float | None  # ln of how many times smaller the error is with all sensors than with none
+    complete: bool  # every subset was run
+    method: str
+    effective_samples: float  # independent stretches of one drive, or logs
+    block_s: float | None
+    logs: int = 1
+
+
+def credit(judged: Mapping[Subset, Evaluation], sensors: Sequence[str]) -> Credit | None:
+    """Return the credit of `sensors` on one drive from evaluations by subset; None without truth.
+
+    What can be said depends on which subsets were run: all 2^n for Shapley values, else alone and leave one out.
+    """
+    if not judged or not sensors or any(len(e.t) == 0 for e in judged.values()):
+        return None
+    errors = Errors.of(np.stack([e.deviation for e in judged.values()]))
+    book = _Book(list(judged), errors, _expected(judged.values()), [_anees(e) for e in judged.values()])
+    found = {s: book.sensor(s, sensors) for s in sensors}
+    t = next(iter(judged.values())).t
+    return Credit(
+        sensors=found,
+        total=book.total(sensors),
+        complete=book.complete(sensors),
+        method="moving-block bootstrap",
+        effective_samples=float(errors.samples.min()),
+        block_s=errors.block * float(t[-1] - t[0]) / max(1, len(t) - 1),
+    )
+
+
+def credit_over_logs(drives: Sequence[Credit]) -> Credit:
+    """Return the mean credit over several drives; its intervals are Student's, over the drives."""
+    names = [s for s in drives[0].sensors if all(s in c.sensors for c in drives)]
+    sensors = {s: _over_logs([c.sensors[s] for c in drives]) for s in names}
+    totals = [c.total for c in drives if c.total is not None]
+    return Credit(
+        sensors=sensors,
+        total=float(np.mean(totals)) if len(totals) == len(drives) else None,
+        complete=all(c.complete for c in drives),
+        method="Student's t over logs",
+        effective_samples=float(len(drives)),
+        block_s=None,
+        logs=len(drives),
+    )
+
+
+def subsets(sensors: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return all 2^n sets: none, each alone, pairs, ..., all; in the order of `sensors`."""
+    return [c for k in range(len(sensors) + 1) for c in combinations(sensors, k)]
+
+
+def shapley_weights(sensor: str, sensors: Sequence[str]) -> dict[Subset, float]:
+    """Return the weights w with which the Shapley value is sum(w[S] * ln_rmse[S]); positive: error shrinks."""
+    others = [s for s in sensors if s != sensor]
+    n = len(sensors)
+    weights: dict[Subset, float] = {}
+    for before in subsets(others):
+        k = len(before)
+        w = math.factorial(k) * math.factorial(n - k - 1) / math.factorial(n)
+        weights[frozenset(before)] = w
+        weights[frozenset((*before, sensor))] = -w
+    return weights
+
+
+@dataclass(frozen=True)
+class _Book:
+    """Errors by subset, and the questions asked of them."""
+
+    sets: list[Subset]
+    errors: Errors
+    expected: Array | None  # (k,) ln of the predicted rms deviation
+    anees: list[float | None]
+
+    def complete(self, sensors: Sequence[str]) -> bool:
+        return all(frozenset(s) in self.sets for s in subsets(sensors))
+
+    def total(self, sensors: Sequence[str]) -> float | None:
+        effect = self.effect({frozenset(): 1.0, frozenset(sensors): -1.0})
+        return None if effect is None else effect.value
+
+    def effect(self, weights: Mapping[Subset, float]) -> Effect | None:
+        """Return a contrast with its interval; None where a subset was not run."""
+        if any(s not in self.sets for s in weights):
+            return None
+        w = np.array([weights.get(s, 0.0) for s in self.sets])
+        value, (low, high) = float(w @ self.errors.ln_rmse), self.errors.interval(w)
+        if self.expected is None:
+            return Effect(value, low, high, None)
+        expected = float(w @ self.expected)
+        chance = _chance(expected, self.errors.samples_for(w))
+        return Effect(value, min(low, value - chance), max(high, value + chance), expected)
+
+    def sensor(self, sensor: str, sensors: Sequence[str]) -> SensorCredit:
+        every = frozenset(sensors)
+        shapley = self.effect(shapley_weights(sensor, sensors)) if self.complete(sensors) else None
+        alone = self.effect({frozenset(): 1.0, frozenset((sensor,)): -1.0})
+        last = self.effect({every - {sensor}: 1.0, every: -1.0})
+        total = self.total(sensors)
+        share = shapley.value / total if shapley and total is not None and total > NOTHING else None
+        anees = self._worst_anees(sensor)
+        return SensorCredit(verdict(shapley, alone, last, anees), shapley, alone, last, share, anees)
+
+    def _worst_anees(self, sensor: str) -> tuple[float, float] | None:
+        """ANEES without and with the sensor, for the honest set of sensors whose ANEES it multiplies most."""
+        pairs = [
+            (a, b)
+            for s, a in zip(self.sets, self.anees, strict=True)
+            if sensor not in s and s | {sensor} in self.sets
+            for b in (self.anees[self.sets.index(s | {sensor})],)
+            if a is not None and b is not None and 0.0 < a <= OVERCONFIDENT
+        ]
+        return max(pairs, key=lambda p: p[1] / p[0]) if pairs else None
+
+
+def verdict(
+    shapley: Effect | None, alone: Effect | None, last: Effect | None, anees: tuple[float, float] | None
+) -> Verdict:
+    """Return one of three words. A difference that the drive cannot tell from chance is none.
+
+    Hurts: the error surely grows, or the set is surely better off without the sensor, or the sensor turns an
+    honest estimate into a confidently wrong one and does not surely halve the error. Helps: the error surely
+    shrinks, or it shrinks and the filter's own covariances say that it should.
+    """
+    main = shapley or alone or last
+    if main is None:
+        return "does nothing"
+    if _surely(main, -1.0) or (last is not None and last.high < -LAST_HURTS):
+        return "hurts"
+    overconfident = anees is not None and anees[1] > max(OVERCONFIDENT, WORSE_ANEES * anees[0])
+    if _surely(main, 1.0) and (not overconfident or main.low > HALVES):
+        return "helps"
+    if overconfident:
+        return "hurts"
+    if main.value > EXPECTED and main.expected is not None and main.expected > EXPECTED:
+        return "helps"
+    return "does nothing"
+
+
+def _surely(effect: Effect, sign: float) -> bool:
+    """Whether an effect of this sign is large enough to matter and its interval excludes none."""
+    bound = effect.low if sign > 0 else effect.high
+    return sign * effect.value > NOTHING and sign * bound > 0.0
+
+
+def _chance(expected: float, samples: float) -> float:
+    """How far ln(RMSE) moves by luck (2 sigma) when a filter makes corrections that small.
+
+    A sensor that shrinks the predicted variance by a factor f has moved the estimate by sqrt(1 - f) of its
+    standard deviation. On a drive worth few independent stretches this helps or hurts by luck alone, and the
+    bootstrap cannot see it: the moved error has the shape of the old one.
+    """
+    moved = 1.0 - math.exp(-2.0 * abs(expected))
+    return 2.0 * math.sqrt(moved / (2.0 * samples))
+
+
+def _expected(judged: Iterable[Evaluation]) -> Array | None:
+    """Ln of the position deviation that each filter predicts of itself, (k,)."""
+    mean = np.array([float((e.sigma[:, :2] ** 2).sum(axis=1).mean()) for e in judged])
+    return 0.5 * np.log(mean) if (mean > 0.0).all() else None
+
+
+def _anees(evaluation: Evaluation) -> float | None:
+    return evaluation.figures.get("anees")
+
+
+def _over_logs(found: Sequence[SensorCredit]) -> SensorCredit:
+    credit, alone, last = (_mean_effect([getattr(f, name) for f in found]) for name in ("credit", "alone", "last"))
+    shares = [f.share for f in found if f.share is not None]
+    pairs = [f.anees for f in found if f.anees is not None]
+    anees = (float(np.median([p[0] for p in pairs])), float(np.median([p[1] for p in pairs]))) if pairs else None
+    share = float(np.mean(shares)) if len(shares) == len(found) else None
+    return SensorCredit(verdict(credit, alone, last, anees), credit, alone, last, share, anees)
+
+
+def _mean_effect(effects: Sequence[Effect | None]) -> Effect | None:
+    known = [e for e in effects if e is not None]
+    if len(known) < len(effects) or len(known) < 2:
+        return None
+    values = np.array([e.value for e in known])
+    half = student_t(CONFIDENCE, len(values) - 1.0) * float(values.std(ddof=1)) / math.sqrt(len(values))
+    expected = [e.expected for e in known if e.expected is not None]
+    mean = float(values.mean())
+    return Effect(
+        mean, mean - half, mean + half, float(np.mean(expected)) if len(expected) == len(known) else None
+    )

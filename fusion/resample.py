@@ -1,0 +1,140 @@
+"""How sure is a comparison made on one drive? Intervals for contrasts of ln(RMSE) from correlated errors.
+
+Errors of one drive are not independent samples: odometry's are one random walk. So the drive is resampled in
+blocks longer than the errors remember (moving-block bootstrap, Künsch 1989), and since few blocks understate
+the spread, the interval is never narrower than what so many independent Gaussian pairs could tell (Pitman 1939,
+Morgan 1939: for paired errors the ln of the ratio of their deviations is known to asinh(t sqrt((1 - r^2) / n))).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from .data import Array
+
+CONFIDENCE = 0.95
+RESAMPLES = 2000
+MOST_BLOCKS = 200  # longer blocks do no harm, shorter ones cost memory
+LEAST = 1e-18  # m^2: a mean squared error below is taken as this
+
+
+class Interval(NamedTuple):
+    """Where a contrast lies, at CONFIDENCE."""
+
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Deviations of k configurations at the same q truth stamps of one drive, and how much they repeat."""
+
+    deviation: Array  # (k, q, 2) m
+    ln_rmse: Array  # (k,)
+    samples: Array  # (k,) effective number of independent stamps
+    correlation: Array  # (k, k) of the deviations, no larger than so few samples support
+    resampled: Array  # (RESAMPLES, k) ln_rmse of the bootstrap's drives
+    block: int  # stamps per block
+
+    @classmethod
+    def of(cls, deviation: Array) -> Errors:
+        """Prepare deviations (k, q, 2) of q >= 1 stamps."""
+        q = deviation.shape[1]
+        squares = (deviation**2).sum(axis=2)
+        samples = np.array([effective_samples(d) for d in deviation])
+        block = max(math.ceil(q / MOST_BLOCKS), min(q, math.ceil(2.0 * q / float(samples.min()))))
+        return cls(
+            deviation,
+            _ln_rms(squares.mean(axis=1)),
+            samples,
+            _correlation(deviation, samples),
+            _ln_rms(block_means(squares, block)),
+            block,
+        )
+
+    def interval(self, weights: Array) -> Interval:
+        """Return the interval of sum(weights * ln_rmse) for weights (k,) that sum to zero."""
+        value = float(weights @ self.ln_rmse)
+        tail = 50.0 * (1.0 - CONFIDENCE)
+        low, high = np.percentile(self.resampled @ weights, (tail, 100.0 - tail))
+        least = self._gaussian(weights)
+        return Interval(min(float(low), value - least), max(float(high), value + least))
+
+    def _gaussian(self, weights: Array) -> float:
+        """Half width for Gaussian errors with so many independent pairs (x and y count)."""
+        n = 2.0 * self.samples
+        scaled = weights / np.sqrt(n)
+        variance = 0.5 * float(scaled @ self.correlation**2 @ scaled)
+        own = weights**2 / n
+        if not own.any():
+            return 0.0
+        freedom = float(own.sum() ** 2 / (own**2 / n).sum())  # Welch and Satterthwaite
+        return math.asinh(student_t(CONFIDENCE, max(1.0, freedom - 1.0)) * math.sqrt(max(variance, 0.0)))
+
+    def samples_for(self, weights: Array) -> float:
+        """Return the effective sample size of a contrast: that of its most repetitive configuration."""
+        used = weights != 0.0
+        return float(self.samples[used].min()) if used.any() else float(self.samples.min())
+
+
+def effective_samples(deviation: Array) -> float:
+    """Return how many independent stamps a series of deviations (q, 2) is worth: q / (1 + 2 sum rho).
+
+    The autocorrelation is about zero, not about the mean: an error that stays is one error. It is summed until
+    it first turns negative (Geyer 1992).
+    """
+    q = len(deviation)
+    size = 1 << (2 * q - 1).bit_length()
+    power = (np.abs(np.fft.rfft(deviation, size, axis=0)) ** 2).sum(axis=1)
+    covariance = np.fft.irfft(power, size)[:q]
+    if covariance[0] <= 0.0:
+        return float(q)
+    rho = covariance / covariance[0]
+    negative = np.flatnonzero(rho <= 0.0)
+    until = int(negative[0]) if len(negative) else q
+    return max(1.0, q / (1.0 + 2.0 * float(rho[1:until].sum())))
+
+
+def block_means(values: Array, block: int, seed: int = 1) -> Array:
+    """Return means of `values` (k, q) over RESAMPLES drives pieced together from blocks, (RESAMPLES, k).
+
+    Blocks start anywhere and wrap around the end; all k rows use the same blocks, so that pairs stay pairs.
+    """
+    k, q = values.shape
+    count = math.ceil(q / block)
+    twice = np.concatenate((np.zeros((k, 1)), values, values), axis=1)
+    sums = np.cumsum(twice, axis=1)
+    starts = np.random.default_rng(seed).integers(0, q, size=(RESAMPLES, count))
+    totals = np.stack([(row[starts + block] - row[starts]).sum(axis=1) for row in sums], axis=-1)
+    means: Array = np.maximum(totals, 0.0) / (count * block)
+    return means
+
+
+def _ln_rms(mean_squares: Array) -> Array:
+    return 0.5 * np.log(np.maximum(mean_squares, LEAST))
+
+
+def _correlation(deviation: Array, samples: Array) -> Array:
+    """Return correlations (k, k) about zero, each lowered by what so few samples leave open (Fisher's z)."""
+    k = len(deviation)
+    flat = deviation.reshape(k, -1)
+    norms = np.linalg.norm(flat, axis=1)
+    r = np.clip(flat @ flat.T / np.maximum(np.outer(norms, norms), LEAST), -1.0, 1.0)
+    n = 2.0 * np.minimum.outer(samples, samples)
+    open_ = np.where(n > 3.0, 1.0 / np.sqrt(np.maximum(n - 3.0, 1e-9)), np.inf)
+    z = np.arctanh(np.minimum(np.abs(r), 1.0 - 1e-12))
+    lowered: Array = np.tanh(np.maximum(z - open_, 0.0))
+    np.fill_diagonal(lowered, 1.0)
+    return lowered
+
+
+def student_t(confidence: float, freedom: float) -> float:
+    """Return the two-sided quantile of Student's t: with x = sqrt(f) tan(a) the density is cos(a)^(f-1) da."""
+    a = np.linspace(0.0, 0.5 * math.pi, 20001)
+    density = np.cos(a) ** (freedom - 1.0)
+    mass = np.concatenate(([0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))))
+    return math.sqrt(freedom) * math.tan(float(np.interp(confidence * mass[-1], mass, a)))

@@ -19,6 +19,7 @@ FIELDS = (
     *(f"transforms.transform.translation.{axis}" for axis in "xyz"),
     *(f"transforms.transform.rotation.{axis}" for axis in "xyzw"),
 )
+FLIPPED = -0.5  # cosine of the angle between a sensor's z axis and up
 SAME_M = 1e-6  # differences below are rounding, not a conflict
 SAME_RAD = 1e-6
 
@@ -113,7 +114,7 @@ def _place(edge: Transform) -> str:
 
 def roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
     """Return roll, pitch, yaw of a rotation matrix (3, 3) = Rz(yaw) Ry(pitch) Rx(roll), as in URDF."""
-    pitch = math.asin(min(max(-R[2, 0], -1.0), 1.0))
+    pitch = math.asin(min(max(-R[2, 0], -1.0), 1.0)) + 0.0  # + 0.0: no negative zero
     if abs(R[2, 0]) > 1 - 1e-9:  # x axis vertical: only yaw -+ roll is defined; take roll = 0
         return 0.0, pitch, math.atan2(-R[0, 1], R[1, 1])
     return math.atan2(R[2, 1], R[2, 2]), pitch, math.atan2(R[1, 0], R[0, 0])
@@ -127,7 +128,7 @@ def planar_mount(transforms: StaticTransforms, base_frames: Sequence[str], frame
         if T is not None:
             roll, pitch, yaw = roll_pitch_yaw(T[:3, :3])
             x, y, z = (float(value) for value in T[:3, 3])
-            return Mount(base, wanted, x, y, z, yaw, roll, pitch, flipped=bool(T[2, 2] < 0))
+            return Mount(base, wanted, x, y, z, yaw, roll, pitch, flipped=bool(T[2, 2] < FLIPPED))
     return None
 
 

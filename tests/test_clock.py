@@ -92,7 +92,7 @@ def test_a_log_whose_stamps_run_backwards_keeps_the_order_of_recording() -> None
     stamp[late] -= rng.integers(250 * MS, 900 * MS, len(late))
     clock = settle(truth + 10 * MS, stamp)
     assert (np.diff(clock.t_ns) >= 0).all()
-    assert (np.abs(clock.t_ns - truth) > 1 * MS).mean() < 0.001  # late stamps beside later ones contradict nothing
+    assert (np.abs(clock.t_ns - truth) > 1 * MS).mean() < 0.002  # late stamps beside later ones contradict nothing
     assert 600 < clock.repaired["backwards"] <= 640
     assert clock.rows is None
 

@@ -325,15 +325,3 @@ def test_wrong_encoding_of_a_real_log_is_refused_in_one_line() -> None:
 def test_two_clocks_are_said_in_words() -> None:
     stream = open_log([real_log("bags/evo/nav2_turtlebot.mcap")]).stream("/odom")
     assert "differ by 1778233424" in stream.notes[0]
-
-
-def test_the_turtlebots_laser_is_turned_a_quarter() -> None:
-    from locfuse.formats.transforms import planar_mount
-
-    log = open_log([real_log("turtlebot4")])
-    transforms = log.static_transforms()
-    mount = planar_mount(transforms, ("base_link",), log.stream("/scan").frame_id)
-    assert mount is not None
-    assert mount.yaw == pytest.approx(np.pi / 2, abs=1e-6)
-    assert not mount.flipped
-    assert len(transforms.conflicts) == 21

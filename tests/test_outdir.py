@@ -1,0 +1,164 @@
+"""Results appear whole or not at all, and never over somebody else's files."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import pytest
+
+from locfuse.formats import outdir
+from locfuse.formats.outdir import whole_file, write_results
+from locfuse.fusion.data import LocfuseError
+
+FILES: dict[str, str | bytes] = {"run.json": "{}\n", "trajectory.tum": "1 2 3\n", "robot.toml": b"[wheels]\n"}
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_a_new_folder_with_its_parents_is_made(tmp_path: Path) -> None:
+    write_results(tmp_path / "a" / "b", FILES)
+    assert names(tmp_path / "a" / "b") == sorted(FILES)
+    assert (tmp_path / "a" / "b" / "trajectory.tum").read_text() == "1 2 3\n"
+
+
+def test_a_locfuse_result_is_replaced_file_by_file(tmp_path: Path) -> None:
+    write_results(tmp_path, FILES)
+    (tmp_path / "notes.txt").write_text("mine")
+    write_results(tmp_path, {"run.json": "[]"})
+    assert (tmp_path / "run.json").read_text() == "[]"
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+def test_another_folder_is_refused_unless_told_to_overwrite(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("mine")
+    with pytest.raises(LocfuseError, match=r"not empty and holds no locfuse result.*--overwrite"):
+        write_results(tmp_path, FILES)
+    assert names(tmp_path) == ["thesis.tex"]
+    write_results(tmp_path, FILES, overwrite=True)
+    assert names(tmp_path) == sorted([*FILES, "thesis.tex"])
+
+
+def test_a_file_in_place_of_the_folder_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("")
+    with pytest.raises(LocfuseError, match="is a file, not a folder"):
+        write_results(tmp_path / "out", FILES)
+    with pytest.raises(LocfuseError, match="cannot write to"):
+        write_results(tmp_path / "out" / "deeper", FILES)
+
+
+def test_the_json_takes_its_name_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    order: list[str] = []
+    replace = Path.replace
+
+    def noted(self: Path, target: Path) -> Path:
+        order.append(Path(target).name)
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", noted)
+    write_results(tmp_path, {"report.json": "{}", "z.tum": "", "a.csv": ""})
+    assert order == ["a.csv", "z.tum", "report.json"]
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt(), SystemExit(143)])
+def test_a_failure_leaves_neither_half_files_nor_temporary_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException
+) -> None:
+    write_results(tmp_path / "old", FILES)
+    before = {path: path.read_bytes() for path in (tmp_path / "old").iterdir()}
+    calls = iter(range(100))
+
+    def failing(handle: int) -> None:
+        if next(calls) % 3 == 1:
+            raise error
+
+    monkeypatch.setattr(os, "fsync", failing)
+    expected = LocfuseError if isinstance(error, OSError) else type(error)
+    for folder in ("old", "new"):
+        with pytest.raises(expected) as raised:
+            write_results(tmp_path / folder, {"run.json": "[]", "a.tum": "x", "b.tum": "y"})
+        if isinstance(raised.value, LocfuseError):
+            assert str(raised.value) == f"cannot write to {tmp_path / folder}: No space left on device"
+    assert {path: path.read_bytes() for path in (tmp_path / "old").iterdir()} == before
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_full_disk_is_one_line(tmp_path: Path) -> None:
+    """/dev/full takes no byte: as a temporary name it stands for a full disk."""
+    target = tmp_path / "x.tum"
+    temporary = target.with_name(f".{target.name}.{os.getpid()}{outdir.TEMPORARY}")
+    temporary.symlink_to("/dev/full")
+    with pytest.raises(LocfuseError, match="No space left on device"), whole_file(target) as path:
+        path.write_text("data")
+    assert names(tmp_path) == []
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_read_only_folder_is_one_line(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    with pytest.raises(LocfuseError, match="Permission denied"):
+        write_results(tmp_path / "out", FILES)
+
+
+def test_a_folder_that_cannot_be_made_is_one_line() -> None:
+    with pytest.raises(LocfuseError, match="cannot write to /proc/nothing/out"):
+        write_results(Path("/proc/nothing/out"), FILES)
+
+
+def test_left_overs_of_a_killed_run_are_cleared_away_and_do_not_count(tmp_path: Path) -> None:
+    (tmp_path / f".run.json.123{outdir.TEMPORARY}").write_text("half")
+    write_results(tmp_path, FILES)
+    assert names(tmp_path) == sorted(FILES)
+
+
+def test_a_whole_file_keeps_the_old_one_when_the_block_fails(tmp_path: Path) -> None:
+    target = tmp_path / "log.mcap"
+    target.write_text("old")
+    with pytest.raises(UnicodeEncodeError), whole_file(target) as path:
+        path.write_text("half\ud800", encoding="utf-8")
+    assert (names(tmp_path), target.read_text()) == (["log.mcap"], "old")
+    with whole_file(target) as path:
+        path.write_text("new")
+    assert (names(tmp_path), target.read_text()) == (["log.mcap"], "new")
+
+
+WRITER = """
+    import sys, time
+    from pathlib import Path
+    from locfuse.formats.outdir import write_results
+    print("ready", flush=True)
+    while True:
+        write_results(Path(sys.argv[1]), {name: "x" * 1_000_000 for name in ("run.json", "a.tum", "b.csv")})
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
+def test_a_killed_writer_leaves_whole_files_only(tmp_path: Path, number: signal.Signals) -> None:
+    rng = random.Random(number)
+    for attempt in range(3):
+        folder = tmp_path / str(attempt)
+        writer = subprocess.Popen(
+            [sys.executable, "-c", textwrap.dedent(WRITER), str(folder)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+        )
+        with writer:
+            assert writer.stdout is not None
+            writer.stdout.readline()
+            time.sleep(rng.uniform(0.02, 0.25))
+            writer.send_signal(number)
+            writer.wait(10)
+        present = names(folder) if folder.exists() else []
+        finals = [name for name in present if not name.endswith(outdir.TEMPORARY)]
+        assert all((folder / name).stat().st_size == 1_000_000 for name in finals)
+        if number != signal.SIGKILL:
+            assert finals == present
+            assert writer.returncode in {143, -signal.SIGTERM, 130, -signal.SIGINT, 1}

@@ -1,0 +1,145 @@
+"""robot.toml: merged key by key, checked against typed settings, one line for whatever is wrong."""
+
+from __future__ import annotations
+
+import tomllib
+from typing import Any, Literal
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from locfuse.formats.robot_toml import apply_sets, convert, dump, merge, parse
+from locfuse.fusion.data import LocfuseError, UsageError
+
+
+class Wheels(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    radius: float | None = None
+    track: float | None = None
+    left: str = "left"
+    ticks_per_revolution: int | None = None
+    limits: tuple[float, ...] = ()
+
+
+class Laser(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    topic: str | None = None
+    map: Literal["grow", "first-scan"] = "grow"
+    gate: float = 0.999
+
+
+TYPES = {"wheels": Wheels, "lrf": Laser, "order": Literal["auto", "stamp", "recorded"]}
+
+
+def test_tables_become_settings_and_top_level_values_too() -> None:
+    tables = parse(
+        'order = "stamp"\n[wheels]\nradius = 0.033\ntrack = 1\n[lrf]\nmap = "first-scan"\n', "robot.toml"
+    )
+    assert convert(tables, TYPES) == {
+        "order": "stamp",
+        "wheels": Wheels(radius=0.033, track=1.0),
+        "lrf": Laser(map="first-scan"),
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[wheels]\ntrak = 0.2", "unknown key wheels.trak; did you mean track?"),
+        ("[wheels]\nzzz = 0.2", "unknown key wheels.zzz; known: radius, track, left"),
+        ("[wheel]\nradius = 1", "unknown table or key wheel; did you mean wheels?"),
+        ("wheels = 3", "wheels = 3: wheels is a table"),
+        ('[wheels]\nradius = "big"', "wheels.radius = 'big': expected float | null, got str"),
+        ("[wheels]\nticks_per_revolution = 1.5", "wheels.ticks_per_revolution = 1.5: expected int"),
+        ('[wheels]\nlimits = [1, "x"]', r"wheels.limits\[1\] = 'x': expected float, got str"),
+        ('[lrf]\nmap = "shrink"', "lrf.map = 'shrink': invalid enum value 'shrink'"),
+        ('order = "sideways"', "order = 'sideways': invalid enum value"),
+    ],
+)
+def test_what_is_wrong_is_said_with_its_key_and_the_nearest_known_one(text: str, says: str) -> None:
+    with pytest.raises(LocfuseError, match=says) as raised:
+        convert(parse(text, "robot.toml"), TYPES)
+    assert "\n" not in str(raised.value)
+    assert raised.value.exit_code == 1
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (b"[wheels\nradius = 1", "r.toml: not valid TOML: .*line 1"),
+        (b"[wheels]\nradius = \xff", r"r.toml: not UTF-8 text \(byte 18\)"),
+        (b"[wheels]\nradius = nan", "r.toml: wheels.radius = nan: a finite number is needed"),
+        (b"[wheels]\nlimits = [1.0, -inf]", "r.toml: wheels.limits.1 = -inf: a finite number"),
+        (b"a = " + b"[" * 5000, "r.toml: not valid TOML"),
+        (b"a = 1\na = 2", "r.toml: not valid TOML"),
+    ],
+)
+def test_a_file_that_cannot_be_read_names_itself_in_one_line(data: bytes, says: str) -> None:
+    with pytest.raises(LocfuseError, match=says) as raised:
+        parse(data, "r.toml")
+    assert "\n" not in str(raised.value)
+
+
+def test_what_comes_later_wins_key_by_key() -> None:
+    log = parse("[wheels]\nradius = 1.0\ntrack = 2.0\n", "attachment")
+    file = parse('[wheels]\ntrack = 3.0\n[lrf]\ntopic = "/a"\n', "file")
+    assert merge(log, file, apply_sets(["lrf.topic=/b"])) == {
+        "wheels": {"radius": 1.0, "track": 3.0},
+        "lrf": {"topic": "/b"},
+    }
+    assert log == {"wheels": {"radius": 1.0, "track": 2.0}}
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("lrf.topic=/scan", "/scan"),
+        ("lrf.topic=scan", "scan"),
+        ('lrf.topic="/scan"', "/scan"),
+        ("lrf.topic=3", 3),
+        ("lrf.topic=0.5", 0.5),
+        ("lrf.topic=true", True),
+        ("lrf.topic=[1, 2]", [1, 2]),
+        ("lrf.topic=a=b", "a=b"),
+        ("lrf.topic=", ""),
+        ("lrf.topic = /scan ", "/scan"),
+        ("lrf.topic=1\nx=2", "1\nx=2"),
+    ],
+)
+def test_a_set_is_a_toml_value_or_else_plain_text(text: str, value: Any) -> None:
+    assert apply_sets([text]) == {"lrf": {"topic": value}}
+
+
+@pytest.mark.parametrize("text", ["lrf.topic", "=3", "lrf.=3", ".x=1", "lrf.gate=nan"])
+def test_a_set_that_cannot_be_understood_is_a_usage_error(text: str) -> None:
+    with pytest.raises(UsageError, match="--set"):
+        apply_sets([text])
+
+
+def test_sets_that_contradict_each_other_are_a_usage_error() -> None:
+    with pytest.raises(UsageError, match="wheels was set to a value"):
+        apply_sets(["wheels=3", "wheels.radius=1"])
+
+
+NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
+KEYS = st.text(min_size=1, max_size=8)
+VALUES = st.one_of(
+    NUMBERS, st.integers(-(2**63), 2**63 - 1), st.booleans(), st.text(), st.lists(NUMBERS, max_size=3)
+)
+
+
+@given(st.dictionaries(KEYS, st.one_of(VALUES, st.dictionaries(KEYS, VALUES, max_size=4)), max_size=4))
+def test_what_is_dumped_reads_back_the_same_to_the_last_bit(tables: dict[str, Any]) -> None:
+    text = dump(tables)
+    assert parse(text, "again") == tables
+    assert dump(tables) == text
+
+
+def test_keys_without_a_value_are_left_out_of_a_dump() -> None:
+    text = dump({"order": "auto", "wheels": {"radius": 0.1, "track": None}})
+    assert tomllib.loads(text) == {"order": "auto", "wheels": {"radius": 0.1}}
+
+
+def test_a_dump_refuses_what_it_could_not_read_back() -> None:
+    with pytest.raises(LocfuseError, match=r"wheels\.radius = nan"):
+        dump({"wheels": {"radius": float("nan")}})

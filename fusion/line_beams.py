@@ -44,6 +44,7 @@ class LineSettings:
     flatness: float = 0.005  # m by which real walls are not flat: added to the noise where lines are compared
     merge_chi2: float = 20.0  # two pieces are one line below it (2 degrees of freedom, cut where it looked worst)
     max_incidence: float = math.radians(85.0)  # rad; flatter beams are not used: range noise is not linear there
+    stray_sigmas: float = 3.3  # a beam farther from its line than this is not of the wall
     corner_sigmas: float = 2.5  # a beam closer to the neighbouring wall than this could belong to either
     max_sigma_psi: float = math.radians(3.0)  # rad; a line known worse is too short for its noise
     max_swing: float = 0.5  # in sigmas: beyond it (r, psi) is not Gaussian, and no covariance is honest

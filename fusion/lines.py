@@ -16,7 +16,7 @@ import numpy as np
 from .data import Array, Ints
 from .line_beams import LineSettings, Scans, cut_at_gaps
 from .line_corners import clear_beams
-from .line_fit import Fits, Mask, fit_lines, residuals
+from .line_fit import Fits, Mask, Rays, fit_lines, residuals
 from .line_walls import find_walls
 from .se2 import wrap_all
 
@@ -99,7 +99,8 @@ def _extract(scans: Scans, settings: LineSettings) -> Lines:
     head, tail, points = _first_and_last(clear, counts)
     enough = points >= max(settings.min_points, 3)
     clear |= np.repeat(~enough, counts)  # refused below; until then they need something to fit
-    fit = fit_lines(rays, counts, walls.r, walls.psi, settings.sigma_angle / settings.sigma_range, clear)
+    fit = _without_strays(rays, counts, walls.r, walls.psi, clear, settings)
+    head, tail, points = _first_and_last(clear, counts)
     ends = np.stack((head, tail), axis=1)
     two = np.full(len(ends), 2)
     feet = residuals(rays.take(ends.ravel()), two, fit.r, fit.psi, 0.0)[1].reshape(-1, 2)
@@ -114,6 +115,28 @@ def _extract(scans: Scans, settings: LineSettings) -> Lines:
         chi2=(fit.misfit / settings.sigma_range**2 / np.maximum(points - 2, 1))[good],
         span=runs.beams.beam[rows[ends[good]]],
     )
+
+
+def _without_strays(rays: Rays, counts: Ints, r: Array, psi: Array, clear: Mask, settings: LineSettings) -> Fits:
+    """Return the fits after leaving out rays that are not of the wall: a pole or a person's leg before it.
+
+    A few such beams are too few to be cut off as a piece of their own, and pull the whole line towards them.
+    """
+    ratio = settings.sigma_angle / settings.sigma_range
+    fit = fit_lines(rays, counts, r, psi, ratio, clear)
+    e, _, w = residuals(rays, counts, fit.r, fit.psi, ratio)
+    stray = clear & (e * e * w > (settings.stray_sigmas * settings.sigma_range) ** 2)
+    left = np.add.reduceat(clear & ~stray, np.cumsum(counts) - counts, dtype=np.int64)
+    stray &= np.repeat(left >= max(settings.min_points, 3), counts)
+    lines = np.unique(np.repeat(np.arange(len(counts)), counts)[stray])
+    if len(lines) == 0:
+        return fit
+    clear &= ~stray
+    rows = np.flatnonzero(np.isin(np.repeat(np.arange(len(counts)), counts), lines))
+    again = fit_lines(rays.take(rows), counts[lines], fit.r[lines], fit.psi[lines], ratio, clear[rows])
+    for f in fields(Fits):
+        getattr(fit, f.name)[lines] = getattr(again, f.name)
+    return fit
 
 
 def _straight(fit: Fits, points: Ints, feet: Array, settings: LineSettings) -> Mask:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from .data import Array, Drive, Ints, Measurements, Motions, Stream
+from .data import Array, Drive, Ints, LocfuseError, Measurements, Motions, Stream
 from .lag import Lag, find_lag, worth_saying
 from .motion import Wheels
 from .robot import Robot
@@ -37,13 +37,18 @@ def measure(
     wheels, epoch_ns, dropped = read_wheels(streams["wheels"], robot.wheels)
     drops = {"wheels": dropped}
     measurements: dict[str, Measurements] = {}
+    missing = dict(absent or {})
     for name, sensor in REGISTRY.items():
         if name in streams:
             progress(name)
-            found = sensor.measure(streams[name], robot.settings(name), wheels, epoch_ns)
+            try:
+                found = sensor.measure(streams[name], robot.settings(name), wheels, epoch_ns)
+            except LocfuseError as e:
+                missing[name] = str(e)  # the others can still be compared; asking for this one is an error
+                continue
             measurements[name] = _within(found, wheels)
             drops[name] = dict(measurements[name].dropped)
-    return cut(wheels, epoch_ns, measurements, robot, dict(absent or {}), streams.get("truth"), drops)
+    return cut(wheels, epoch_ns, measurements, robot, missing, streams.get("truth"), drops)
 
 
 def cut(

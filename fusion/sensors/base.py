@@ -15,7 +15,9 @@ class SensorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 
     topic: str | None = None  # None: the only topic of a type the sensor reads
     time_offset: float = 0.0  # s, added to the stamps of this sensor
-    gate: float = 0.999  # confidence of the chi-square gate; 1 accepts everything
+    gate: float = (
+        0.9999  # confidence of the chi-square gate; 1 accepts everything. One good reading in 10 000 is lost
+    )
 
 
 class WheelMotion(Protocol):

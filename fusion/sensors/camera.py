@@ -20,6 +20,7 @@ from ..se2 import wrap
 from .base import Belief, Innovation, Model, SensorSettings, WheelMotion
 
 GATE, AMBIGUOUS, UNMATCHED = (VERDICTS.index(v) for v in ("gate", "ambiguous", "unmatched"))
+MOST_COLUMNS, MOST_ROWS = 3600, 8192  # of a panorama: its maps stay below 250 MB
 MARGIN = 9.0  # by how much the second-best candidate must fit worse (squared sigmas: odds of 90 to 1)
 
 
@@ -49,11 +50,13 @@ class CameraSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw
         numbers = [v for f in self.__struct_fields__ for v in _numbers(getattr(self, f))]
         if not all(map(math.isfinite, numbers)):
             raise ValueError("camera: every number must be finite")
-        if not 36 <= self.width <= 7200:
-            raise ValueError(f"camera.width = {self.width}, must be within 36..7200 columns")
+        if not 36 <= self.width <= MOST_COLUMNS:
+            raise ValueError(f"camera.width = {self.width}, must be within 36..{MOST_COLUMNS} columns")
         inner = self.inner or 0.0
         if inner < 0.0 or (self.outer is not None and self.outer <= inner):
             raise ValueError(f"camera: outer = {self.outer} px must exceed inner = {self.inner} px, both positive")
+        if (self.outer or 0.0) > MOST_ROWS or inner > MOST_ROWS:
+            raise ValueError(f"camera: inner and outer must be at most {MOST_ROWS} px")
         if self.sigma_deg <= 0.0:
             raise ValueError(f"camera.sigma_deg = {self.sigma_deg}, must be positive")
 

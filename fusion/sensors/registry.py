@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from .base import Sensor
+from .camera import Camera
 from .compass import Compass
 from .lrf import Lrf
 
@@ -11,5 +12,6 @@ REGISTRY: dict[str, Sensor] = {
     for sensor in (
         Compass(),
         Lrf(),
+        Camera(),
     )
 }

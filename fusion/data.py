@@ -238,3 +238,35 @@ class Estimates:
     truth_pose: Array | None = None  # (q, 3) predicted at the truth stamps, NaN before the drive
     truth_P: Array | None = None  # (q, 3, 3)
     notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class SensorFigures:
+    """What became of one sensor's measurements in one configuration."""
+
+    accepted: int
+    rejected: int
+    absent: int  # readings that gave no measurement
+    nis: float | None  # mean squared Mahalanobis distance of what was accepted, per degree of freedom
+    verdicts: dict[str, int]  # count of every verdict that occurred
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """One configuration judged: deviations from truth at the truth's stamps, and its figures.
+
+    Without truth the columns are empty and the error figures None.
+    """
+
+    name: str
+    sensors: dict[str, SensorFigures]
+    figures: dict[str, float | None]  # flat, SI units with the unit in the key
+    t: Array  # (q,) s since Drive.epoch_ns
+    deviation: Array  # (q, 2) estimate - truth of the tracked point, map frame [m]
+    heading: Array | None  # (q,) estimate - truth [rad], wrapped
+    along_cross: Array  # (q, 2) deviation along and left of the truth's direction [m]
+    sigma: Array  # (q, 3) predicted standard deviation of x, y [m], theta [rad]
+    nees: Array  # (q,) NaN where P is singular or after alignment
+    distance: Array  # (q,) m travelled by the truth
+    estimate_xy: Array  # (q, 2) tracked point of the estimate, aligned as asked
+    align: str = "none"

@@ -65,7 +65,7 @@ def load(paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None]
     progress("opening")
     log = open_log(paths)
     tables = merged_tables(log, how)
-    choice = choose(log, make_robot(tables))
+    choice = choose(log, make_robot(tables), _named_by_hand(how.sets))
     streams = _streams(log, choice, str(tables.get("order", "auto")))
     mounts = _mounts(log, {s: streams[s].frame_id for s in REGISTRY if s in streams})
     robot = make_robot(robot_toml.merge(mounts, tables))
@@ -89,6 +89,13 @@ def merged_tables(log: Log, how: LogOptions) -> dict[str, Any]:
     if how.order:
         sets["order"] = how.order
     return robot_toml.merge(*layers, sets)
+
+
+def _named_by_hand(sets: Sequence[str]) -> set[str]:
+    """Return the tables whose topic the command line names."""
+    return {
+        table for table, keys in robot_toml.apply_sets(sets).items() if isinstance(keys, dict) and "topic" in keys
+    }
 
 
 def _checked(data: bytes, source: str) -> dict[str, Any]:

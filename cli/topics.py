@@ -5,7 +5,7 @@ Truth is never guessed by type: /odom and /amcl_pose are estimates, and an estim
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -28,16 +28,23 @@ class Choice:
     notes: list[str] = field(default_factory=list)
 
 
-def choose(log: Log, robot: Robot) -> Choice:
-    """Choose topics. Raises LocfuseError where several fit, none gives the wheels, or a named one is unfit."""
+def choose(log: Log, robot: Robot, insisted: Collection[str] = ()) -> Choice:
+    """Choose topics. Raises LocfuseError where several fit, none gives the wheels, or a named one is unfit.
+
+    A robot.toml serves many logs, so a sensor or truth topic that it names may be missing; one named by --set
+    (`insisted`) may not.
+    """
     choice = Choice()
-    truth = _truth(log, robot)
+    truth = _truth(log, robot, "truth" in insisted)
     if truth:
         choice.topics["truth"] = truth
     choice.topics["wheels"] = _wheels(log, robot, truth, choice)
     taken = set(choice.topics.values())
     for name, sensor in REGISTRY.items():
         named = robot.settings(name).topic
+        if named is not None and named not in log.topics and name not in insisted:
+            choice.absent[name] = f"{log.name} has no topic {named}, which robot.toml names"
+            continue
         candidates = [t for t in _of_type(log, sensor.reads) if t not in taken]
         candidates = [t for t in candidates if _named_well(t, log.topics[t].msgtype, getattr(sensor, "named", {}))]
         topic = _one(log, name, named, candidates, sensor.reads)
@@ -85,7 +92,9 @@ def _named(log: Log, role: str, topic: str, reads: Iterable[str]) -> str:
     return topic
 
 
-def _truth(log: Log, robot: Robot) -> str | None:
+def _truth(log: Log, robot: Robot, insisted: bool) -> str | None:
+    if robot.truth.topic is not None and robot.truth.topic not in log.topics and not insisted:
+        return None
     candidates = [t for t in _of_type(log, TRUTH_READS) if looks_like_truth(t)]
     return _one(log, "truth", robot.truth.topic, candidates, TRUTH_READS)
 

@@ -140,7 +140,7 @@ BAD = [
     (("run", LOG, "--robot", "{typo}"), 1, "did you mean track"),
     (("run", LOG, "--robot", "{broken}"), 1, "broken.toml"),
     (("run", LOG, "--write", "pdf"), 2, "unknown output 'pdf'"),
-    (("run", "{wheelless}"), 1, "nothing says how the robot moved"),
+    (("run", "{wheelless}"), 1, "has no topic /joint_states"),
     (("compare", LOG, "--bogus"), 2, "No such option"),
     (("frobnicate",), 2, "No such command"),
 ]

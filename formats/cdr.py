@@ -7,45 +7,26 @@ gather out of the chunk. A message that differs founds a group of its own, so wh
 
 from __future__ import annotations
 
-import difflib
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..fusion.data import Column, Ints, Ragged
 from .columns import concat, take
+from .fields import Part, resolve
 from .layout import CDR, Layout, Leaf, MalformedError, Rules, read_layout
-from .schema import Many, Node, Record, Scalar, Text
+from .messages import Decoded
+from .schema import Many, Record, Scalar, Text
 
 Bytes = NDArray[np.uint8]
 
 KNOWN_LAYOUTS = 32  # per message length, kept from chunk to chunk
 GROUPS = 64  # layouts of one length tried on all remaining messages of a chunk; then one by one
 GATHER = 1 << 21  # length words compared in one go
-
-
-class FieldError(KeyError):
-    """A field path that the message type does not have; the message is the reason in a few words."""
-
-
-class Decoded(NamedTuple):
-    """The messages of one channel in one batch, as columns of those that could be read."""
-
-    good: NDArray[np.bool_]  # (k,) which of the messages are rows
-    columns: dict[str, Column]
-    bad: Counter[str]  # reason -> messages that are not
-
-
-class Part(NamedTuple):
-    """A field as it lies in the message: a stamp is two of them."""
-
-    path: str
-    node: Node
-    inside: bool  # in an array of structures: one value per element
 
 
 @dataclass
@@ -66,17 +47,6 @@ class Decoder:
         self.fast = 0  # messages gathered by a layout that another message gave
         self.general = 0  # messages walked by themselves
         self._requests: dict[tuple[str, ...], Request] = {}
-
-    def check(self, path: str) -> None:
-        """Raise FieldError if the type has no such field."""
-        resolve(self.message, path)
-
-    def is_time(self, path: str) -> bool:
-        """Tell whether the type has this field and it is a stamp."""
-        try:
-            return len(resolve(self.message, path)) == 2
-        except FieldError:
-            return False
 
     def decode(self, data: Bytes, start: Ints, length: Ints, fields: Sequence[str]) -> Decoded:
         """Return the fields of the messages that lie at data[start[i] : start[i] + length[i]]."""
@@ -144,39 +114,6 @@ class Decoder:
             self.general += 1
             self.fast += int(same.sum()) - 1
         return groups
-
-
-def resolve(message: Record, path: str) -> tuple[Part, ...]:
-    """Find a dotted field path in a message type. Raises FieldError naming the nearest field."""
-    node: Node = message
-    inside = False
-    walked: list[str] = []
-    for name in path.split("."):
-        if isinstance(node, Many) and isinstance(node.element, Record) and not inside:
-            node, inside = node.element, True
-        if not isinstance(node, Record):
-            raise FieldError(f"{'.'.join(walked)} has no parts" if walked else "no such field")
-        if name not in node.fields:
-            raise FieldError(_no_field(node, walked, name))
-        node = node.fields[name]
-        walked.append(name)
-    if isinstance(node, Many) and isinstance(node.element, Record) and node.element.is_time and not inside:
-        node, inside = node.element, True
-    if isinstance(node, Record) and node.is_time:
-        return tuple(Part(f"{path}.{name}", part, inside) for name, part in node.fields.items())
-    if isinstance(node, Record) or (isinstance(node, Many) and isinstance(node.element, Record | Many)):
-        raise FieldError(f"{path} is a structure: name a part of it")
-    if isinstance(node, Many) and inside:
-        raise FieldError(f"{path} is an array inside an array: it cannot be a column")
-    return (Part(path, node, inside),)
-
-
-def _no_field(node: Record, walked: list[str], name: str) -> str:
-    near = difflib.get_close_matches(name, node.fields, 1)
-    where = ".".join(walked) or node.name
-    return f"{where} has no field {name!r}; " + (
-        f"did you mean {near[0]!r}?" if near else f"it has {', '.join(node.fields)}"
-    )
 
 
 def _want(tree: dict[str, Any], path: str) -> None:

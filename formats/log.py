@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 import hashlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -14,56 +13,36 @@ import numpy as np
 from ..fusion.data import Ints, LocfuseError, UsageError
 from . import clock as clocks
 from . import transforms
-from .cdr import Decoder, FieldError
-from .layout import CDR
-from .log_files import log_files, log_name
+from .fields import FieldError, resolve
+from .log_files import log_files, log_name, open_source
 from .losses import Losses
-from .mcap_walk import McapSource
-from .schema import SchemaError, message_type, parse
-from .source import ChannelInfo, Source
+from .packed import unpack
+from .schema import SchemaError
+from .source import Source
 from .stream import LogStream
 from .table import Raw, Table, digest
+from .topics import Topic, by_topic
 
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-
-
-@dataclass(frozen=True)
-class Topic:
-    """One topic of a log, over all its files."""
-
-    msgtype: str  # pkg/msg/Name
-    count: int
-    encoding: str  # of the messages
-    schema_encoding: str
-    problem: str | None = None  # why it cannot be read, None = it can
 
 
 def open_log(paths: Sequence[Path]) -> Log:
     """Open one log made of the given files and folders; messages are merged by topic over all files."""
     files = sorted({file for path in paths for file in log_files(path)}, key=lambda file: (file.name, str(file)))
     losses = Losses()
-    sources: list[Source] = [_open(file, losses) for file in files]
-    return Log(files, sources, log_name(paths))
-
-
-def _open(file: Path, losses: Losses) -> Source:
-    try:
-        return McapSource(file, losses)
-    except OSError as problem:
-        raise LocfuseError(f"{file}: cannot be read: {problem.strerror}") from None
+    return Log(files, [open_source(file, losses) for file in files], log_name(paths), losses)
 
 
 class Log:
     """A log of one or more files. Streams with light columns are read together, in one walk over the files."""
 
-    def __init__(self, paths: Sequence[Path], sources: Sequence[Source], name: str) -> None:
+    def __init__(self, paths: Sequence[Path], sources: Sequence[Source], name: str, losses: Losses) -> None:
         self.paths = tuple(paths)
         self.name = name
         self._sources = tuple(sources)
-        self.losses = sources[0].losses if sources else Losses()
-        self._channels = _by_topic(sources)
-        self.topics = {topic: _describe(channels) for topic, channels in sorted(self._channels.items())}
-        self._decoders: dict[tuple[str, str, bytes], Decoder] = {}
+        self.losses = losses
+        self._channels = by_topic(sources)
+        self.topics = {topic: channels.topic for topic, channels in self._channels.items()}
         self._tables: dict[str, Table] = {}
         self._streams: dict[tuple[str, str], LogStream] = {}
 
@@ -85,12 +64,12 @@ class Log:
     @property
     def decoded_fast(self) -> int:
         """Messages gathered by a layout that another message gave."""
-        return sum(decoder.fast for decoder in self._decoders.values())
+        return sum(table.decoder.fast for table in self._tables.values())
 
     @property
     def decoded_general(self) -> int:
         """Messages walked by themselves."""
-        return sum(decoder.general for decoder in self._decoders.values())
+        return sum(table.decoder.general for table in self._tables.values())
 
     def stream(self, topic: str, order: str = "auto") -> LogStream:
         """Return a topic's stream; nothing is read before its rows are asked for."""
@@ -150,15 +129,16 @@ class Log:
 
     def _table(self, topic: str) -> Table:
         if topic not in self._tables:
-            decoder = self._decoder(self._channels[topic][0][2], topic)
-            self._tables[topic] = Table(topic, decoder)
+            try:
+                self._tables[topic] = Table(topic, self._channels[topic].decoder)
+            except SchemaError as problem:
+                raise LocfuseError(f"{self.name}: {topic} cannot be read: {problem}") from None
         return self._tables[topic]
 
     def _check_fields(self, topic: str, fields: Sequence[str]) -> None:
-        decoder = self._decoder(self._channels[topic][0][2], topic)
         for path in fields:
             try:
-                decoder.check(path)
+                resolve(self._channels[topic].decoder.message, path)
             except FieldError as problem:
                 raise LocfuseError(f"{topic} ({self.topics[topic].msgtype}): {problem.args[0]}") from None
 
@@ -166,15 +146,15 @@ class Log:
         """Yield the messages of several topics, batch by batch over all files."""
         for source in self._sources:
             wanted = {
-                ident: (topic, self._decoder(channel, topic))
+                ident: (topic, decoder)
                 for topic in topics
-                for where, ident, channel in self._channels[topic]
-                if where is source and same_kind(channel, self.topics[topic])
+                for ident, decoder in self._channels[topic].of(source).items()
             }
             for batch in source.batches(wanted.keys()):
                 for ident, messages in batch.messages.items():
                     topic, decoder = wanted[ident]
-                    yield topic, Raw(batch.data, messages, decoder)
+                    for data, unpacked in unpack(batch.data, messages):
+                        yield topic, Raw(data, unpacked, decoder)
 
     def raw(self, topic: str, rows: int) -> Iterator[Raw]:
         """Yield the messages of one topic, at most `rows` at a time."""
@@ -182,55 +162,10 @@ class Log:
             for at in range(0, len(raw.messages.start), rows):
                 yield raw._replace(messages=raw.messages.take(slice(at, at + rows)))
 
-    def _decoder(self, channel: ChannelInfo, topic: str) -> Decoder:
-        key = (channel.msgtype, channel.schema_encoding, channel.schema)
-        if key not in self._decoders:
-            try:
-                message = parse(
-                    channel.msgtype, channel.schema_encoding, channel.schema.decode("utf-8", "replace")
-                )
-            except SchemaError as problem:
-                raise LocfuseError(f"{self.name}: {topic} cannot be read: {problem}") from None
-            self._decoders[key] = Decoder(message, CDR)
-        return self._decoders[key]
-
-    def unreadable(self, topic: str) -> dict[str, int]:
+    def left_out(self, topic: str) -> Mapping[str, int]:
         """Count the messages on a topic that are of another type than the rest of it."""
-        others = [c for _, _, c in self._channels[topic] if not same_kind(c, self.topics[topic])]
-        count = sum(c.n or 0 for c in others)
-        return {f"of type {others[0].msgtype}": count} if count else {}
+        return self._channels[topic].left_out()
 
 
 def _is_static_tf(name: str, topic: Topic) -> bool:
     return name.rpartition("/")[2] == "tf_static" and topic.msgtype in TF_TYPES and not topic.problem
-
-
-def same_kind(channel: ChannelInfo, topic: Topic) -> bool:
-    """Tell whether a channel's messages are of the topic's type and encoding."""
-    return message_type(channel.msgtype) == topic.msgtype and channel.encoding == topic.encoding
-
-
-def _by_topic(sources: Sequence[Source]) -> dict[str, list[tuple[Source, int, ChannelInfo]]]:
-    found: dict[str, list[tuple[Source, int, ChannelInfo]]] = {}
-    for source in sources:
-        for ident, channel in source.channels.items():
-            found.setdefault(channel.topic, []).append((source, ident, channel))
-    for channels in found.values():
-        channels.sort(key=lambda entry: -(entry[2].n or 0))
-    return found
-
-
-def _describe(channels: Sequence[tuple[Source, int, ChannelInfo]]) -> Topic:
-    """Describe a topic by its busiest channel; what is of another type is left out and counted."""
-    main = channels[0][2]
-    topic = Topic(message_type(main.msgtype), 0, main.encoding, main.schema_encoding, _problem(main))
-    count = sum(channel.n or 0 for _, _, channel in channels if same_kind(channel, topic))
-    return replace(topic, count=count)
-
-
-def _problem(channel: ChannelInfo) -> str | None:
-    if channel.encoding != "cdr":
-        return f"its messages are encoded as {channel.encoding!r}; cdr is read"
-    if channel.schema_encoding not in {"ros2msg", "ros2idl"}:
-        return f"its type is described in {channel.schema_encoding!r}; ros2msg and ros2idl are read"
-    return None

@@ -7,6 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..fusion.data import LocfuseError, UsageError
+from .losses import Losses
+from .mcap_walk import McapSource
+from .source import Source
 
 RESULTS = ("run.json", "report.json")
 
@@ -47,3 +50,11 @@ def log_name(paths: Sequence[Path]) -> str:
     if first.name == "metadata.yaml":
         return first.parent.resolve().name
     return first.resolve().name if first.is_dir() else first.stem
+
+
+def open_source(file: Path, losses: Losses) -> Source:
+    """Open one file of a log by what its first bytes say it is."""
+    try:
+        return McapSource(file, losses)
+    except OSError as problem:
+        raise LocfuseError(f"{file}: cannot be read: {problem.strerror}") from None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, cast
 
@@ -67,8 +66,11 @@ def message_type(name: str) -> str:
     return f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 else "/".join(parts)
 
 
-def parse(name: str, encoding: str, text: str) -> Record:
-    """Return the layout of message type `name`, whose definition `text` is in the language `encoding`."""
+def parse(name: str, encoding: str, text: str, filler: bool = True) -> Record:
+    """Return the layout of message type `name`, whose definition `text` is in the language `encoding`.
+
+    `filler`: an empty message takes a byte, as in ROS 2.
+    """
     from rosbags.typesys import TypesysError
 
     msgtype = message_type(name)
@@ -76,7 +78,8 @@ def parse(name: str, encoding: str, text: str) -> Record:
         types = _types(msgtype, encoding, text.replace("\r\n", "\n"))
     except (TypesysError, RecursionError, ValueError, KeyError, AssertionError, TypeError):
         raise SchemaError(f"its {encoding} definition of {msgtype} cannot be parsed") from None
-    return _record(msgtype, types, 0)
+    tree = _record(msgtype, types, 0)
+    return tree if filler else _without_filler(tree)
 
 
 def _types(msgtype: str, encoding: str, text: str) -> Typesdict:
@@ -103,6 +106,17 @@ def _record(name: str, types: Typesdict, depth: int) -> Record:
     return Record(name, fields or {FILLER: Scalar("u1", 1)})
 
 
+def _without_filler(record: Record) -> Record:
+    """Return the same tree with its empty parts really empty."""
+    return Record(record.name, {name: _bare(part) for name, part in record.fields.items() if name != FILLER})
+
+
+def _bare(node: Node) -> Node:
+    if isinstance(node, Record):
+        return _without_filler(node)
+    return Many(_bare(node.element), node.count) if isinstance(node, Many) else node
+
+
 def _node(desc: FieldDesc, types: Typesdict, depth: int) -> Node:
     kind, detail = desc[0].name, desc[1]
     if kind == "NAME":
@@ -121,21 +135,10 @@ def _base(name: str) -> Node:
     return Scalar(DTYPES[name], int(DTYPES[name][1:] or 1))
 
 
-def paths(message: Record) -> list[str]:
-    """Return the dotted path of every field of a message type that can be a column."""
-    return list(_paths(message, "", inside=False))
-
-
-def _paths(node: Node, path: str, *, inside: bool) -> Iterator[str]:
-    if isinstance(node, Record) and not node.is_time:
-        for name, part in node.fields.items():
-            if name == FILLER:
-                continue
-            yield from _paths(part, f"{path}.{name}" if path else name, inside=inside)
-    elif not isinstance(node, Many):
-        yield path
-    elif not inside:
-        if isinstance(node.element, Record):
-            yield from _paths(node.element, path, inside=True)
-        else:
-            yield path
+def signature(node: Node) -> object:
+    """Return a value that is equal for definitions whose columns are alike."""
+    if isinstance(node, Record):
+        return tuple((name, signature(part)) for name, part in node.fields.items())
+    if isinstance(node, Many):
+        return (node.count, signature(node.element))
+    return node.dtype if isinstance(node, Scalar) else "text"

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..fusion.data import Ints
-from .losses import Losses
 
 
 class ChannelInfo(NamedTuple):
@@ -49,8 +48,6 @@ class Batch(NamedTuple):
 
 class Source(Protocol):
     """One file of a log."""
-
-    losses: Losses
 
     @property
     def channels(self) -> Mapping[int, ChannelInfo]:

@@ -11,7 +11,7 @@ import numpy as np
 from ..fusion.data import Block, Column, Ints
 from . import clock as clocks
 from .columns import concat, n_bytes, take
-from .table import STAMP, Raw, Table
+from .table import Raw, Table
 
 BLOCK_BYTES = 32 * 1024 * 1024
 
@@ -25,7 +25,7 @@ class Reader(Protocol):
     def raw(self, topic: str, rows: int) -> Iterator[Raw]:
         """Yield the messages of one topic, at most `rows` at a time."""
 
-    def unreadable(self, topic: str) -> dict[str, int]:
+    def left_out(self, topic: str) -> Mapping[str, int]:
         """Count the messages on a topic that are of another type than the rest of it."""
 
 
@@ -46,8 +46,8 @@ class LogStream:
     def _clock(self) -> clocks.Clock:
         table = self._table
         assert table.log_time is not None
-        stamp = table.columns.get(STAMP)
-        return clocks.settle(table.log_time, None if stamp is None else np.asarray(stamp), self.order)
+        stamp = np.asarray(table.columns[table.stamp]) if table.stamp else None
+        return clocks.settle(table.log_time, stamp, self.order)
 
     @property
     def frame_id(self) -> str:
@@ -77,7 +77,7 @@ class LogStream:
     @property
     def dropped(self) -> Mapping[str, int]:
         """Messages that are not among the rows, by reason."""
-        return {**self._log.unreadable(self.topic), **self._table.bad, **self._clock.dropped}
+        return {**self._log.left_out(self.topic), **self._table.bad, **self._clock.dropped}
 
     def columns(self, *fields: str) -> dict[str, Column]:
         """Return whole columns by dotted field path, each with n rows."""

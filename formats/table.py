@@ -12,12 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..fusion.data import Column, Ints, LocfuseError
-from .cdr import Decoded, Decoder
 from .columns import concat, take
+from .fields import frame_path, stamp_path
+from .messages import Decoded, MessageDecoder
 from .source import Messages
-
-STAMP = "header.stamp"
-FRAME = "header.frame_id"
 
 
 class Raw(NamedTuple):
@@ -25,7 +23,7 @@ class Raw(NamedTuple):
 
     data: NDArray[np.uint8]
     messages: Messages
-    decoder: Decoder
+    decoder: MessageDecoder
 
     def columns(self, fields: Sequence[str]) -> Decoded:
         """Decode the named fields."""
@@ -45,10 +43,11 @@ class Pass:
 class Table:
     """The readable messages of one topic. Row = place in recording order; walk row = place in the files."""
 
-    def __init__(self, topic: str, decoder: Decoder) -> None:
+    def __init__(self, topic: str, decoder: MessageDecoder) -> None:
         self.topic = topic
         self.decoder = decoder
-        self.stamped = decoder.is_time(STAMP)
+        self.stamp = stamp_path(decoder.message)  # the field that dates the messages
+        self._frame = frame_path(decoder.message)
         self.frame_id = ""
         self.bad: Counter[str] = Counter()  # reason -> messages that are no rows
         self.log_time: Ints | None = None  # (n,) recording order; None before the first read
@@ -62,8 +61,8 @@ class Table:
     def missing(self, fields: Sequence[str]) -> tuple[str, ...]:
         """Return the fields that a walk has yet to read, the stamp among them."""
         wanted = dict.fromkeys(fields)
-        if self.stamped:
-            wanted[STAMP] = None
+        if self.stamp:
+            wanted[self.stamp] = None
         return tuple(name for name in wanted if name not in self.columns)
 
     @property
@@ -84,17 +83,17 @@ class Table:
             return
         self._pass.sequence.append(raw.messages.sequence[decoded.good])
         self.bad.update(decoded.bad)
-        if self.stamped and decoded.good.any():
-            self._take_frame(raw, decoded.good)
+        if self._frame and decoded.good.any():
+            self._take_frame(raw, decoded.good, self._frame)
 
-    def _take_frame(self, raw: Raw, good: NDArray[np.bool_]) -> None:
+    def _take_frame(self, raw: Raw, good: NDArray[np.bool_], path: str) -> None:
         rows = np.flatnonzero(good)
         first = rows[np.argmin(raw.messages.log_time[rows])]
         at = int(raw.messages.log_time[first])
         if self._earliest is None or at < self._earliest:
             self._earliest = at
             one = raw._replace(messages=raw.messages.take(np.array([first])))
-            self.frame_id = str(one.columns((FRAME,)).columns[FRAME][0])
+            self.frame_id = str(one.columns((path,)).columns[path][0])
 
     def end(self) -> bool:
         """End the walk; return whether messages share a log time, so that their bytes must decide."""
@@ -138,6 +137,7 @@ class Table:
         self.row = np.full(n, -1, np.int64)
         self.row[order] = np.arange(len(order))
         self.log_time = log_time[order]
+        self._times = (self.row, self.row)  # needed no more
         if not identity:
             self.columns = {name: take(column, order) for name, column in self.columns.items()}
 

@@ -14,16 +14,17 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.serde.errors import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from locfuse.formats import cdr as ours
-from locfuse.formats.cdr import Decoder, FieldError
+from locfuse.formats.cdr import Decoder
+from locfuse.formats.fields import FieldError, paths, resolve
 from locfuse.formats.layout import MAX_ITEMS
-from locfuse.formats.schema import SchemaError, message_type, parse, paths
+from locfuse.formats.messages import Decoded
+from locfuse.formats.schema import SchemaError, message_type, parse
 from locfuse.fusion.data import Ragged
 
 SCAN = "sensor_msgs/msg/LaserScan"
 
 
-def decode(decoder: Decoder, messages: list[bytes], fields: list[str]) -> ours.Decoded:
+def decode(decoder: Decoder, messages: list[bytes], fields: list[str]) -> Decoded:
     """Decode messages that lie one behind the other, at odd places."""
     data, start = b"\x00" * 7, []
     for message in messages:
@@ -355,7 +356,7 @@ def test_an_idl_definition_reads_like_its_msg_twin() -> None:
 )
 def test_a_wrong_field_path_names_the_nearest_field(path: str, says: str) -> None:
     with pytest.raises(FieldError, match=says):
-        scan_decoder().check(path)
+        resolve(scan_decoder().message, path)
 
 
 @pytest.mark.parametrize(

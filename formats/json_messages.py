@@ -1,0 +1,176 @@
+"""JSON messages, such as Foxglove's, as the same columns: a value that is missing is NaN, "" or an empty array."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from ..fusion.data import Column, Ints, Ragged
+from .fields import Part, resolve
+from .layout import MAX_MESSAGE
+from .messages import Decoded
+from .schema import MAX_DEPTH, TIMES, Many, Node, Record, Scalar, SchemaError, Text
+
+NUMBER = Scalar("f8", 8)
+SCALARS: dict[str, Node] = {"number": NUMBER, "integer": NUMBER, "boolean": Scalar("?", 1), "string": Text()}
+TIME = Record(min(TIMES - {"builtin_interfaces/msg/Duration"}), {"sec": NUMBER, "nanosec": NUMBER})
+NANOSECONDS = ("nsec", "nanosec", "nsecs")
+NAN = float("nan")
+
+
+def parse_jsonschema(name: str, text: str) -> Record:
+    """Return the tree of a JSON schema: numbers, strings, base64 bytes, arrays, objects; a time is one value."""
+    try:
+        tree = _node(name, msgspec.json.decode(text), 0)
+    except (msgspec.DecodeError, RecursionError):
+        raise SchemaError(f"its jsonschema definition of {name} cannot be parsed") from None
+    if not isinstance(tree, Record):
+        raise SchemaError(f"its jsonschema definition of {name} is not that of an object")
+    return tree
+
+
+def _node(name: str, schema: Any, depth: int) -> Node | None:
+    """Return a schema's tree, None for what cannot be a column."""
+    if not isinstance(schema, Mapping) or depth > MAX_DEPTH:
+        return None
+    kind = schema.get("type")
+    if isinstance(kind, list):  # such as ["number", "null"]
+        kind = next((k for k in kind if k != "null"), None)
+    if kind == "array":
+        element = _node(name, schema.get("items"), depth + 1)
+        return Many(element, None) if element is not None else None
+    if kind != "object":
+        if schema.get("contentEncoding") == "base64":
+            return Many(Scalar("u1", 1), None)
+        return SCALARS.get(str(kind))
+    properties = schema.get("properties")
+    if not isinstance(properties, Mapping):
+        return None
+    if "sec" in properties and len(properties) == 2 and not properties.keys().isdisjoint(NANOSECONDS):
+        return TIME
+    parts = {key: _node(key, value, depth + 1) for key, value in properties.items()}
+    return Record(name, {key: node for key, node in parts.items() if node is not None})
+
+
+class JsonDecoder:
+    """Columns out of JSON messages."""
+
+    def __init__(self, message: Record) -> None:
+        self.message = message
+        self.fast = 0
+        self.general = 0
+
+    def decode(self, data: NDArray[np.uint8], start: Ints, length: Ints, fields: Sequence[str]) -> Decoded:
+        """Return the fields of the messages that lie at data[start[i] : start[i] + length[i]]."""
+        objects = [
+            _object(data[at : at + n].tobytes()) for at, n in zip(start.tolist(), length.tolist(), strict=True)
+        ]
+        found = [one for one in objects if one is not None]
+        self.general += len(found)
+        good = np.array([one is not None for one in objects], bool)
+        columns = {path: _column(found, path, resolve(self.message, path)) for path in fields}
+        bad = Counter({"not a JSON object": len(objects) - len(found)}) if len(found) < len(objects) else Counter()
+        return Decoded(good, columns, Counter(bad))
+
+
+def _object(text: bytes) -> dict[str, Any] | None:
+    value: Any = None
+    if len(text) <= MAX_MESSAGE:
+        try:
+            value = msgspec.json.decode(text)
+        except (msgspec.DecodeError, RecursionError):
+            try:
+                value = json.loads(text)  # some writers put NaN and Infinity, which JSON does not have
+            except (ValueError, RecursionError):
+                return None
+    return value if isinstance(value, dict) else None
+
+
+def _column(objects: list[dict[str, Any]], path: str, parts: tuple[Part, ...]) -> Column:
+    inside = parts[0].inside
+    values = [_at(one, path.split(".")) for one in objects]
+    node = TIME if len(parts) == 2 else parts[0].node
+    if inside:
+        rows = [value if isinstance(value, list) else [] for value in values]
+        if isinstance(node, Text):
+            return [tuple(_text(v) for v in row) for row in rows]
+        return _ragged([_scalars(node, row) for row in rows], _dtype(node))
+    if isinstance(node, Many):
+        return _many(node, values)
+    return [_text(v) for v in values] if isinstance(node, Text) else _scalars(node, values)
+
+
+def _at(value: Any, names: Sequence[str]) -> Any:
+    """Follow a path; through an array of objects it gives one value per element."""
+    for i, name in enumerate(names):
+        if isinstance(value, list):
+            return [_at(one, names[i:]) for one in value]
+        value = value.get(name) if isinstance(value, dict) else None
+    return value
+
+
+def _scalars(node: Node, values: list[Any]) -> NDArray[Any]:
+    convert = _nanoseconds if node is TIME else bool if _dtype(node) == "?" else _number
+    return np.array([convert(value) for value in values], _dtype(node))
+
+
+def _dtype(node: Node) -> str:
+    return "i8" if node is TIME else node.dtype if isinstance(node, Scalar) else "f8"
+
+
+def _number(value: Any) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError, OverflowError):
+        return NAN
+
+
+def _nanoseconds(value: Any) -> int:
+    """Return a time in ns, 0 where there is none (the clock then repairs it)."""
+    if not isinstance(value, dict):
+        return 0
+    fraction = next((value[key] for key in NANOSECONDS if key in value), 0)
+    total = _number(value.get("sec", 0)), _number(fraction)
+    if not all(abs(one) < 2**33 for one in total):
+        return 0
+    return int(total[0]) * 10**9 + int(total[1])
+
+
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else ""
+
+
+def _many(node: Many, values: list[Any]) -> Column:
+    if isinstance(node.element, Scalar) and node.element.dtype == "u1":
+        return [_bytes(value) for value in values]
+    rows = [value if isinstance(value, list) else [] for value in values]
+    if isinstance(node.element, Text):
+        return [tuple(_text(v) for v in row) for row in rows]
+    return _ragged([_floats(row) for row in rows], "f8")
+
+
+def _floats(row: list[Any]) -> NDArray[Any]:
+    try:
+        return np.array(row, float)  # None (what JSON has for NaN) becomes NaN
+    except (TypeError, ValueError):
+        return np.array([_number(value) for value in row], float)
+
+
+def _ragged(rows: list[NDArray[Any]], dtype: str) -> Ragged:
+    first = np.concatenate(([0], np.cumsum([len(row) for row in rows], dtype=np.int64)))
+    return Ragged(np.concatenate([np.empty(0, dtype), *rows]).astype(dtype), first)
+
+
+def _bytes(value: Any) -> bytes:
+    try:
+        return base64.b64decode(value)
+    except (TypeError, ValueError, binascii.Error):
+        return b""

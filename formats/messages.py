@@ -1,0 +1,85 @@
+"""From a channel to the decoder of its messages: one entry per encoding."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..fusion.data import Column, Ints
+from .schema import Record, SchemaError
+from .source import ChannelInfo
+
+
+class Decoded(NamedTuple):
+    """The messages of one channel in one batch, as columns of those that could be read."""
+
+    good: NDArray[np.bool_]  # (k,) which of the messages are rows
+    columns: dict[str, Column]
+    bad: Counter[str]  # reason -> messages that are not
+
+
+class MessageDecoder(Protocol):
+    """Columns out of the messages of one type. Which messages are good must not depend on the fields."""
+
+    message: Record
+    fast: int  # messages decoded together with others
+    general: int  # messages decoded by themselves
+
+    def decode(self, data: NDArray[np.uint8], start: Ints, length: Ints, fields: Sequence[str]) -> Decoded:
+        """Return the fields of the messages that lie at data[start[i] : start[i] + length[i]]."""
+
+
+def encoding_problem(channel: ChannelInfo) -> str | None:
+    """Return why a channel's messages cannot be read at all, None if they can."""
+    if channel.encoding not in ENCODINGS:
+        return f"its messages are encoded as {channel.encoding!r}; {', '.join(ENCODINGS)} are read"
+    languages = ENCODINGS[channel.encoding][0]
+    if channel.schema_encoding not in languages:
+        found = f"described in {channel.schema_encoding!r}" if channel.schema_encoding else "not described"
+        return f"its type is {found}; for {channel.encoding} {' and '.join(languages)} are read"
+    return None
+
+
+def make_decoder(channel: ChannelInfo) -> MessageDecoder:
+    """Return the decoder of a channel's messages. Raises SchemaError with the reason where there is none."""
+    problem = encoding_problem(channel)
+    if problem:
+        raise SchemaError(problem)
+    return ENCODINGS[channel.encoding][1](channel)
+
+
+def _cdr(channel: ChannelInfo) -> MessageDecoder:
+    from .cdr import Decoder
+    from .layout import CDR
+    from .schema import parse
+
+    return Decoder(parse(channel.msgtype, channel.schema_encoding, _text(channel)), CDR)
+
+
+def _ros1(channel: ChannelInfo) -> MessageDecoder:
+    from .cdr import Decoder
+    from .layout import ROS1
+    from .schema import parse
+
+    return Decoder(parse(channel.msgtype, channel.schema_encoding, _text(channel), filler=False), ROS1)
+
+
+def _json(channel: ChannelInfo) -> MessageDecoder:
+    from .json_messages import JsonDecoder, parse_jsonschema
+
+    return JsonDecoder(parse_jsonschema(channel.msgtype, _text(channel)))
+
+
+def _text(channel: ChannelInfo) -> str:
+    return channel.schema.decode("utf-8", "replace")
+
+
+ENCODINGS: dict[str, tuple[tuple[str, ...], Callable[[ChannelInfo], MessageDecoder]]] = {
+    "cdr": (("ros2msg", "ros2idl"), _cdr),
+    "ros1": (("ros1msg",), _ros1),
+    "json": (("jsonschema",), _json),
+}

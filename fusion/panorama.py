@@ -50,17 +50,21 @@ def denoise(picture: Picture) -> Picture:
     return np.asarray(cv2.medianBlur(picture, 3), np.uint8)
 
 
-def red_grey(picture: Picture, red: Red) -> Picture:
+def red_grey(picture: Picture, red: Red, planes: Picture | None = None) -> Picture:
     """Return how red every pixel of a BGR picture is, (h, w): R - max(G, B) where that is red, else 0.
 
     The difference is linear in the share of a pixel that a red thing covers, whatever grey is beside it:
     this is what carries the centre below a pixel. The ratio keeps the rule when the light changes.
+    `planes` (3, h, w) is room to work in, and the answer lies in there: fresh memory for every picture costs
+    up to ten times the arithmetic (benchmarks: "omni bearing").
     """
-    b, g, r = cv2.split(picture)
-    grey = cv2.subtract(r, cv2.max(b, g))
-    enough = cv2.compare(grey, cv2.convertScaleAbs(r, alpha=red.ratio), cv2.CMP_GE)
-    _, grey = cv2.threshold(grey, max(red.minimum, 1.0) - 1.0, 0, cv2.THRESH_TOZERO)
-    return np.asarray(cv2.bitwise_and(grey, enough), np.uint8)
+    planes = np.empty((3, *picture.shape[:2]), np.uint8) if planes is None else planes
+    b, g, r = planes
+    cv2.split(picture, [b, g, r])
+    grey = cv2.subtract(r, cv2.max(b, g, dst=b), dst=b)
+    enough = cv2.compare(grey, cv2.convertScaleAbs(r, dst=r, alpha=red.ratio), cv2.CMP_GE, dst=g)
+    cv2.threshold(grey, max(red.minimum, 1.0) - 1.0, 0, cv2.THRESH_TOZERO, dst=b)
+    return np.asarray(cv2.bitwise_and(b, enough, dst=b), np.uint8)
 
 
 @lru_cache(maxsize=4)

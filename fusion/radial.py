@@ -6,6 +6,7 @@ Red pixels inside the mirror are few, and only those get an angle. The bearing i
 
 from __future__ import annotations
 
+import threading
 from functools import lru_cache
 
 import numpy as np
@@ -19,6 +20,7 @@ from .se2 import TAU
 
 GAP = 2.0  # px: red pixels further apart than this, along the circle, belong to two things
 CLUSTERS = 32  # clusters looked at in one picture, the largest first: noise can make thousands
+_ROOM = threading.local()  # memory that one picture leaves for the next
 
 
 @lru_cache(maxsize=4)
@@ -35,12 +37,21 @@ def _window(height: int, width: int, optics: Optics) -> tuple[slice, slice, Pict
     return rows, columns, np.where(inside, np.uint8(255), np.uint8(0))
 
 
+def _planes(shape: tuple[int, ...]) -> Picture:
+    """Return this thread's room (3, h, w) for the planes of a picture."""
+    planes: Picture | None = getattr(_ROOM, "planes", None)
+    if planes is None or planes.shape[1:] != shape:
+        planes = _ROOM.planes = np.empty((3, *shape), np.uint8)
+    return planes
+
+
 def red_pixels(picture: Picture, optics: Optics, red: Red) -> tuple[NDArray[np.int64], Array]:
     """Return the red pixels (n, 2) x, y inside the mirror, lone ones left out, and how red each is (n,)."""
     rows, columns, mirror = _window(*picture.shape[:2], optics)
     if mirror.size == 0:
         return np.empty((0, 2), np.int64), np.empty(0)
-    grey = cv2.bitwise_and(red_grey(picture[rows, columns], red), mirror)
+    grey = red_grey(picture[rows, columns], red, _planes(mirror.shape))
+    cv2.bitwise_and(grey, mirror, dst=grey)
     x, y, w, h = cv2.boundingRect(grey)
     left, top = max(0, x - 1), max(0, y - 1)  # the noise filter sees one pixel more
     part = grey[top : y + h + 1, left : x + w + 1]

@@ -1,0 +1,105 @@
+"""Pictures for setting a camera up: what came in, what counts as red, the panorama, and what was found."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from .cv import cv2
+from .data import LocfuseError, Stream
+from .images import decode, messages
+from .landmark import Detector, Look
+from .optics import Optics, angle_of_bearing, bearing, omni_1
+from .panorama import Picture, red_grey, unwrap
+
+RINGS, GRID, FOUND = (255, 200, 0), (0, 200, 255), (80, 255, 80)  # blue, green, red
+
+
+class PreviewPictures(NamedTuple):
+    """One message of the stream, looked at."""
+
+    row: int  # of the stream
+    raw: Picture  # (h, w, 3) BGR
+    mask: Picture  # (h, w) 255 where red counts
+    panorama: Picture  # (rows, W, 3) column 0 at the left
+    detection: Picture  # (h, w, 3) calibration and candidates drawn over the raw picture
+    bearings_deg: tuple[float, ...]  # of the candidates, camera frame, the largest first
+
+    def named(self) -> dict[str, Picture]:
+        """Return the pictures by file name, such as "000012-mask"."""
+        pictures = {key: getattr(self, key) for key in ("raw", "mask", "panorama", "detection")}
+        return {f"{self.row:06d}-{key}": picture for key, picture in pictures.items()}
+
+
+def preview(stream: Stream, detector: Detector, count: int = 4) -> list[PreviewPictures]:
+    """Return `count` messages of a stream, evenly spread, as pictures.
+
+    Raises LocfuseError where none of them can be read.
+    """
+    total = len(stream.t_ns)
+    wanted = set(np.unique(np.linspace(0, max(0, total - 1), max(1, min(count, total))).astype(int)).tolist())
+    shown: list[PreviewPictures] = []
+    reasons: list[str] = []
+    for row, message in ((r, m) for block in messages(stream) for r, m in block if r in wanted):
+        picture = decode(message)
+        if isinstance(picture, str):
+            reasons.append(picture)
+        else:
+            shown.append(_pictures(row, picture, detector))
+        if len(shown) + len(reasons) == len(wanted):
+            break
+    if not shown:
+        why = ", ".join(sorted(set(reasons))) or "no messages"
+        raise LocfuseError(f"{stream.topic}: none of {len(reasons)} pictures looked at can be shown ({why})")
+    return shown
+
+
+def _pictures(row: int, picture: Picture, detector: Detector) -> PreviewPictures:
+    seen = detector.find(picture)
+    grey = red_grey(picture, detector.red) * _inside(picture, seen.optics)
+    bearings = [math.degrees(float(bearing(np.asarray(c.theta), seen.optics))) for c in seen.candidates]
+    return PreviewPictures(
+        row=row,
+        raw=picture,
+        mask=np.where(grey > 0, np.uint8(255), np.uint8(0)),
+        panorama=unwrap(picture, seen.optics, printed=detector.chain == "printed"),
+        detection=_drawn(picture, seen, bearings),
+        bearings_deg=tuple(bearings),
+    )
+
+
+def _inside(picture: Picture, optics: Optics) -> Picture:
+    y, x = np.mgrid[: picture.shape[0], : picture.shape[1]]
+    r = np.hypot(x - optics.x_c, y - optics.y_c)
+    return np.where((r >= optics.inner) & (r <= optics.outer), np.uint8(1), np.uint8(0))
+
+
+def _drawn(picture: Picture, seen: Look, bearings: list[float]) -> Picture:
+    """Draw the mirror's circles, a compass rose of bearings in the camera's frame, and the candidates."""
+    canvas, optics = picture.copy(), seen.optics
+    centre = (round(optics.x_c), round(optics.y_c))
+    for radius in (optics.inner, optics.outer):
+        cv2.circle(canvas, centre, round(radius), RINGS, 1, cv2.LINE_AA)
+    cv2.drawMarker(canvas, centre, RINGS, cv2.MARKER_CROSS, 12, 1)
+    for degrees in range(-150, 181, 30):
+        theta = float(angle_of_bearing(np.asarray(math.radians(degrees)), optics))
+        word = "0 forward" if degrees == 0 else str(degrees)
+        _ray(canvas, optics, theta, (0.92 * optics.outer, optics.outer), GRID, word)
+    for candidate, found in zip(seen.candidates, bearings, strict=True):
+        reach = candidate.radius - candidate.length / 2, candidate.radius + candidate.length / 2
+        _ray(canvas, optics, candidate.theta, reach, FOUND, f"{found:.2f}")
+    return canvas
+
+
+def _ray(
+    canvas: Picture, optics: Optics, theta: float, reach: tuple[float, float], colour: tuple[int, ...], word: str
+) -> None:
+    """Draw part of a radius and write beside it."""
+    x_p = np.full(2, theta) * optics.width / (2.0 * math.pi)
+    x, y = omni_1(x_p, np.array(reach) - optics.inner, optics)
+    (x1, x2), (y1, y2) = np.rint(x).astype(int).tolist(), np.rint(y).astype(int).tolist()
+    cv2.line(canvas, (x1, y1), (x2, y2), colour, 1, cv2.LINE_AA)
+    scale = max(0.35, canvas.shape[0] / 1600)
+    cv2.putText(canvas, word, (x1 + 4, y1 + 4), cv2.FONT_HERSHEY_SIMPLEX, scale, colour, 1, cv2.LINE_AA)

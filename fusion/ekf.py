@@ -266,22 +266,33 @@ class JointBelief:
         """Paper eq. 10-12 with everything one instant saw stacked; considered columns keep their values."""
         if not seen:
             return
+        V, e = self._whitened(seen)
+        if len(self._considered):
+            self._schmidt(V, e, self._considered)
+            return
+        n = self.n
+        self._x[:n] += e @ V
+        self._P[:n, :n] -= V.T @ V
+
+    def listen(self, seen: Sequence[Innovation]) -> None:
+        """Let innovations teach only the block columns that they name; the pose and all else is considered."""
+        named = np.array([c for s in seen for c in s.columns], dtype=np.int64)
+        if len(named):
+            kept = np.setdiff1d(np.arange(self.n), named)
+            self._schmidt(*self._whitened(seen), np.union1d(kept, self._considered))
+
+    def _whitened(self, seen: Sequence[Innovation]) -> tuple[Array, Array]:
+        """Return V (m, n) and e (m,): with S = L L' the update is x + e V, P - V'V, symmetric by construction."""
         y, H, R = stacked(seen, self.n)
         n, P = self.n, self._P
         PH = P[:n, :n] @ H.T
         S = H @ PH + R
-        # whitened by S = L L', the update is V'V, symmetric by construction
         V = np.linalg.solve(np.linalg.cholesky(0.5 * (S + S.T)), np.column_stack((PH.T, y)))
-        V, e = V[:, :n], V[:, n]
-        if len(self._considered):
-            self._correct_considered(V, e)
-            return
-        self._x[:n] += e @ V
-        P[:n, :n] -= V.T @ V
+        return V[:, :n], V[:, n]
 
-    def _correct_considered(self, V: Array, e: Array) -> None:
-        """Schmidt's update: rows and columns of considered states change only against updated ones."""
-        n, kept = self.n, self._considered
+    def _schmidt(self, V: Array, e: Array, kept: Ints) -> None:
+        """Schmidt's update: rows and columns of the `kept` states change only against updated ones."""
+        n = self.n
         step = e @ V
         step[kept] = 0.0
         self._x[:n] += step

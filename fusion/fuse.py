@@ -22,13 +22,19 @@ from .sensors.registry import REGISTRY
 WHEELS = "wheels"
 
 
-def fuse(drive: Drive, robot: Robot, sensors: Sequence[str], name: str | None = None) -> Estimates:
-    """Run the filter with these sensors. Raises LocfuseError where the drive lacks one of them."""
-    for sensor in sensors:
+def fuse(
+    drive: Drive, robot: Robot, sensors: Sequence[str], name: str | None = None, listen: Sequence[str] = ()
+) -> Estimates:
+    """Run the filter with these sensors. Raises LocfuseError where the drive lacks one of them.
+
+    Sensors that `listen` are compared with the belief and audited, and learn what is their own (a map, an
+    offset), but never move the pose: how well the others predict them is a judgement without truth.
+    """
+    for sensor in (*sensors, *listen):
         if sensor not in drive.measurements:
             raise LocfuseError(f"{sensor}: {drive.absent.get(sensor, 'not in this log')}")
-    run = Filter(robot, sensors)
-    due = _due(drive, sensors)
+    run = Filter(robot, sensors, listen)
+    due = _due(drive, (*sensors, *listen))
     rows = Motion.of(drive)
     for k in range(len(drive.t)):
         run.advance(k, rows, due[k], drive.measurements)
@@ -69,8 +75,11 @@ class Motion:
 class Filter:
     """The filter of one configuration: a belief, one model per sensor, and the record of what happened."""
 
-    def __init__(self, robot: Robot, sensors: Sequence[str]) -> None:
-        self.models: dict[str, Model] = {s: REGISTRY[s].model(robot.settings(s)) for s in REGISTRY if s in sensors}
+    def __init__(self, robot: Robot, sensors: Sequence[str], listen: Sequence[str] = ()) -> None:
+        self.models: dict[str, Model] = {
+            s: REGISTRY[s].model(robot.settings(s)) for s in REGISTRY if s in sensors or s in listen
+        }
+        self._listening = frozenset(listen) - frozenset(sensors)
         self.belief = _begin(robot, list(self.models.values()))
         self._poses = array("d")  # flat: an hour of Python tuples would be hundreds of megabytes
         self._triangles = array("d")
@@ -90,10 +99,14 @@ class Filter:
         else:
             belief.predict(motion.u[k], motion.Q[k], motion.dt[k], None if motion.J is None else motion.J[k])
         accepted: list[Innovation] = []
+        heard: list[Innovation] = []
         for sensor, i in due:
             seen = self.models[sensor].innovations(measurements[sensor], i, belief)
             self._records[sensor].add(k, seen)
-            accepted += [innovation for innovation in seen if innovation.verdict == 0]
+            used = heard if sensor in self._listening else accepted
+            used += [innovation for innovation in seen if innovation.verdict == 0]
+        if heard and isinstance(belief, JointBelief):
+            belief.listen(heard)
         belief.correct(accepted)
         for sensor, i in due:
             self.models[sensor].learn(measurements[sensor], i, belief)
@@ -124,7 +137,7 @@ class Filter:
         truth_pose, truth_P = _at_truth(drive, pose, P, blocks.get(WHEELS))
         return Estimates(
             name=name,
-            sensors=tuple(self.models),
+            sensors=tuple(s for s in self.models if s not in self._listening),
             t=drive.t,
             pose=pose,
             P=P,

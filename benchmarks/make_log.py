@@ -1,4 +1,4 @@
-"""Write a large log for timing: python benchmarks/make_log.py OUT.mcap --minutes 60.
+"""Write a large log for timing: python -m benchmarks.make_log OUT.mcap --minutes 60.
 
 A robot drives laps in a room (benchmarks/loop_drive.py) while encoders, a compass, a laser and, on request, a
 camera are recorded with consistent noise. What is drawn depends on --seed alone.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,10 +16,13 @@ from typing import Any, NamedTuple
 import click
 import numpy as np
 import tomli_w
-from loop_drive import LANDMARK, Array, Loop, OmniView, ranges, walls
 from mcap.writer import CompressionType, Writer
 
 from locfuse.formats.mcap_write import Messages
+
+if not __package__:  # run as a script: python benchmarks/make_log.py
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from benchmarks.loop_drive import LANDMARK, Array, Loop, OmniView, ranges, walls
 
 EPOCH_NS = 1_700_000_000_000_000_000
 LATENCY_NS = 2_000_000  # from a reading's stamp to the recorder

@@ -1,0 +1,98 @@
+"""Speed as ratios against public packages: python -m benchmarks.
+
+Generates its logs, runs every figure against its yardstick, taking turns, and prints a markdown table: medians,
+the ratio's spread over the rounds, and the goal. CPU times of whole processes, wall times beside them: trust the
+ratios. Run it from the repository's root.
+"""
+
+from __future__ import annotations
+
+import json
+import statistics
+import subprocess
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+
+import click
+
+from benchmarks.figures import MINUTE, Command, Figure, Kernel, Logs, figures, kernels, module
+from benchmarks.process import Cost, cost
+
+Row = tuple[str, ...]
+
+
+def logs(folder: Path, minutes: float) -> Logs:
+    """Generate the logs where they are not there yet."""
+    found = Logs(folder / "minute.mcap", folder / f"{minutes:g}_minutes.mcap")
+    for path, options in ((found.minute, MINUTE), (found.hour, ("--minutes", str(minutes)))):
+        if not path.exists():
+            subprocess.run(module("make_log", path, *options), check=True)
+    return found
+
+
+def in_turns(commands: Iterable[Command], rounds: int) -> dict[Command, list[Cost]]:
+    """Run every command once per round, so that a slow minute of the machine hits all of them."""
+    costs: dict[Command, list[Cost]] = {command: [] for command in commands}
+    for i in range(rounds):
+        for command, seen in costs.items():
+            click.echo(f"round {i + 1}: {' '.join(command[2:6])}", err=True)
+            seen.append(cost(command))
+    return costs
+
+
+def process_row(figure: Figure, costs: dict[Command, list[Cost]]) -> Row:
+    """Return one line of the table."""
+    ours, theirs = costs[figure.ours], costs[figure.theirs]
+    ratios = [a.cpu / b.cpu for a, b in zip(ours, theirs, strict=True)]
+    wall = " / ".join(f"{statistics.median(c.wall for c in seen):.2f}" for seen in (ours, theirs))
+    peak = f"{statistics.median(c.peak for c in ours):.0f} MB"
+    cpu = (f"{statistics.median(c.cpu for c in seen):.2f} s" for seen in (ours, theirs))
+    return (figure.name, *cpu, *judged(ratios, figure.goal), f"{wall} s", peak)
+
+
+def kernel_row(kernel: Kernel) -> Row:
+    """Measure one inner loop and return its line of the table."""
+    click.echo(kernel.name, err=True)
+    answer = subprocess.run(kernel.command, check=True, capture_output=True, text=True).stdout
+    times = json.loads(answer)
+    ratios = [a / b for a, b in zip(times["ours"], times["theirs"], strict=True)]
+    each = (f"{statistics.median(times[who]) * 1e6:.1f} us" for who in ("ours", "theirs"))
+    return (kernel.name, *each, *judged(ratios, kernel.goal), "", "")
+
+
+def judged(ratios: list[float], goal: float) -> Row:
+    """Return median and spread of a ratio, the goal, and whether it is met."""
+    middle = statistics.median(ratios)
+    return f"{middle:.3g} ({min(ratios):.3g}-{max(ratios):.3g})", f"≤ {goal:g}", "yes" if middle <= goal else "no"
+
+
+def table(rows: list[Row]) -> str:
+    """Return the rows as markdown."""
+    head = ("figure", "ours", "yardstick", "ratio (min-max)", "goal", "met", "wall", "peak")
+    lines = [head, tuple("---" for _ in head), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+@click.command()
+@click.option("--rounds", default=5, show_default=True)
+@click.option("--minutes", default=60.0, show_default=True, help="Length of the long log.")
+@click.option("--only", default="", help="Only figures whose name holds this.")
+@click.option("--folder", type=click.Path(file_okay=False, path_type=Path), help="Where the logs are kept.")
+def main(rounds: int, minutes: float, only: str, folder: Path | None) -> None:
+    """Measure the product's speed against public packages and print a markdown table."""
+    with tempfile.TemporaryDirectory() as temporary:
+        place = folder or Path(temporary)
+        place.mkdir(parents=True, exist_ok=True)
+        on = logs(place, minutes)
+        wanted = [f for f in figures(on, Path(temporary) / "out") if only in f.name]
+        inner = [k for k in kernels(on) if only in k.name]
+        costs = in_turns([c for f in wanted for c in (f.ours, f.theirs)], rounds)
+        rows = [process_row(f, costs) for f in wanted] + [kernel_row(k) for k in inner]
+        click.echo(table(rows))
+        said = subprocess.run(module("decode", "ours", on.hour), check=True, capture_output=True, text=True).stdout
+        click.echo(f"\nThe long log: {said.strip()}.")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,84 @@
+"""What is measured, against what, and how good it must be."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+Command = tuple[str, ...]
+
+
+class Logs(NamedTuple):
+    """The logs that figures are taken on."""
+
+    minute: Path  # with pictures
+    hour: Path
+
+
+class Figure(NamedTuple):
+    """Two whole processes, ours and the yardstick, and the ratio of their CPU times that is the goal."""
+
+    name: str
+    goal: float
+    ours: Command
+    theirs: Command
+
+
+class Kernel(NamedTuple):
+    """Two inner loops in one process (benchmarks.kernels) and the goal for their ratio."""
+
+    name: str
+    goal: float
+    command: Command
+
+
+MINUTE = ("--minutes", "1", "--image-hz", "10")
+FROZEN = ("--set", "lrf.map=first-scan")
+
+
+def module(name: str, *words: str | Path) -> Command:
+    """Return the command that runs a module of this folder."""
+    return (sys.executable, "-m", f"benchmarks.{name}", *map(str, words))
+
+
+def locfuse(*words: str | Path) -> Command:
+    """Return a command line of the product."""
+    return (sys.executable, "-m", "locfuse.cli", *map(str, words))
+
+
+def figures(logs: Logs, out: Path) -> list[Figure]:
+    """Return what is measured in whole processes."""
+    how = ("--write", "json", "--quiet", "--overwrite", "--out", out)
+    stock, stock_minute = module("decode", "stock", logs.hour), module("decode", "stock", logs.minute)
+    ours = module("decode", "ours", logs.hour)
+    one = locfuse("run", logs.hour, *FROZEN, *how)
+    five = locfuse("compare", logs.hour, *FROZEN, *how)
+    return [
+        Figure(
+            "60 s, 600 pictures: five configurations / stock",
+            1.25,
+            locfuse("compare", logs.minute, *how),
+            stock_minute,
+        ),
+        Figure("1 h: one configuration, frozen map / stock", 0.45, one, stock),
+        Figure("1 h: five configurations, frozen map / stock", 0.70, five, stock),
+        Figure("1 h: one configuration, `grow` / stock", 0.90, locfuse("run", logs.hour, *how), stock),
+        Figure("1 h: reading and decoding / stock", 0.10, ours, stock),
+        Figure("1 h: reading and decoding / rosbags", 0.35, ours, module("decode", "rosbags", logs.hour)),
+        Figure("1 h: five configurations / one", 1.60, five, one),
+        Figure(
+            "`locfuse --help` / `import click`", 1.50, locfuse("--help"), (sys.executable, "-c", "import click")
+        ),
+    ]
+
+
+def kernels(logs: Logs) -> list[Kernel]:
+    """Return the inner loops that are measured."""
+    return [
+        Kernel("EKF step, predict + heading / filterpy", 0.08, module("kernels", "ekf_heading", logs.minute)),
+        Kernel("EKF step, predict + six lines / filterpy", 0.20, module("kernels", "ekf_lines", logs.minute)),
+        Kernel("lines of a 361-beam scan / small_gicp ICP", 0.05, module("kernels", "lines", logs.minute)),
+        Kernel("the same / recursive split-and-merge", 0.30, module("kernels", "lines_recursive", logs.minute)),
+        Kernel("omni bearing, decoding included / imdecode", 1.50, module("kernels", "omni", logs.minute)),
+    ]

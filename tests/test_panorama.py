@@ -259,9 +259,9 @@ def test_red_noise_costs_bounded_time_and_few_candidates(chain: Chain) -> None:
     assert time.perf_counter() - begin < 5.0
 
 
-@pytest.mark.parametrize(("fine", "least"), [(1, 0.2), (2, 0.02)], ids=["jagged", "antialiased"])
-def test_the_variance_tells_how_good_the_bearings_are(fine: int, least: float) -> None:
-    """Noise and blur as of a cheap camera; where edges are smooth the variance may be careful, never careless."""
+@pytest.mark.parametrize("fine", [1, 2], ids=["jagged", "smooth"])
+def test_the_variance_tells_how_good_the_bearings_are(fine: int) -> None:
+    """Noise, blur and edges as of a cheap camera: the variance may be careful, never careless."""
     rng = np.random.default_rng(11)
     lens = Lens(fine=fine)
     share = []
@@ -272,7 +272,7 @@ def test_the_variance_tells_how_good_the_bearings_are(fine: int, least: float) -
         (found,) = radial.candidates(shot, optics_of(lens), Red())
         error = math.radians(wrapped_deg(math.degrees(found.theta) - pole.bearing_deg))
         share.append(error**2 / found.variance)
-    assert least < np.mean(share) < 1.5
+    assert 0.02 < np.mean(share) < 1.0
 
 
 def test_a_longer_line_farther_out_has_the_smaller_variance() -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from .options import LogOptions, chosen, log_options, out_options
+from .rerun_options import RerunOptions, record, rerun_options
 
 KINDS = ("json", "md", "tum")
 
@@ -28,6 +29,7 @@ KINDS = ("json", "md", "tum")
 )
 @log_options
 @out_options(KINDS)
+@rerun_options
 def compare(
     log: tuple[str, ...],
     sensors: tuple[str, ...],
@@ -37,6 +39,7 @@ def compare(
     overwrite: bool,
     write: str | None,
     as_json: bool,
+    rerun: RerunOptions,
 ) -> int:
     """Say what each sensor of LOG bought: all configurations in one pass, and a report.
 
@@ -83,4 +86,5 @@ def compare(
         show.figures(report)
         click.echo(f"{folder}: {', '.join(sorted(files))}")
     show.notes(report, lost, how.quiet)
+    record(rerun, loaded, estimates, evaluations, report, folder)
     return results.LOSS if lost else 0

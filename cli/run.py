@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from .options import LogOptions, chosen, log_options, out_options
+from .rerun_options import RerunOptions, record, rerun_options
 
 KINDS = ("tum", "csv", "json")
 
@@ -28,6 +29,7 @@ KINDS = ("tum", "csv", "json")
 )
 @log_options
 @out_options(KINDS)
+@rerun_options
 def run(
     log: tuple[str, ...],
     sensors: str,
@@ -37,6 +39,7 @@ def run(
     overwrite: bool,
     write: str | None,
     as_json: bool,
+    rerun: RerunOptions,
 ) -> int:
     """Estimate the trajectory of LOG with one set of sensors.
 
@@ -79,4 +82,5 @@ def run(
         show.figures(report)
         click.echo(f"{folder}: {', '.join(sorted(files))}")
     show.notes(report, lost, how.quiet)
+    record(rerun, loaded, [estimates], [evaluation], report, folder)
     return results.LOSS if lost else 0

@@ -1,0 +1,179 @@
+"""Rerun from `run` and `compare`: the shared options, and the one call that records and shows.
+
+Whatever goes wrong here costs one warning: the results are already written.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+if TYPE_CHECKING:
+    from ..fusion.data import Estimates, Evaluation
+    from .load import Loaded
+
+F = TypeVar("F", bound=Callable[..., Any])
+ADDRESS = re.compile(r"rerun(?:\+https?)?://(?P<host>\[[^\]/]+\]|[^/:@]+)(?::(?P<port>\d{1,5}))?/proxy")
+LOCAL_VIEWER = "rerun+http://127.0.0.1:9876/proxy"
+RECORDING = "recording.rrd"  # in the results' folder, unless --rerun-save names another
+
+
+@dataclass(frozen=True)
+class RerunOptions:
+    """What to record of a run, and where to show it."""
+
+    show: bool = False
+    save: Path | None = None
+    connect: str | None = None
+    images: int | None = None  # every n-th; 0 none; None as many as stay light
+    full: bool = False
+
+    @property
+    def wanted(self) -> bool:
+        """Whether anything of Rerun was asked for; if not, it is not imported."""
+        return self.show or self.save is not None or self.connect is not None
+
+
+def every(ctx: click.Context, param: click.Parameter, value: str | None) -> int | None:
+    """Return N of `every=N`, 0 for `none`. Raises click.BadParameter for anything else."""
+    if value is None or value == "none":
+        return None if value is None else 0
+    word = value.strip().removeprefix("every=")
+    if not word.isdecimal() or int(word) == 0:
+        raise click.BadParameter(f"{value!r} is neither every=N (N from 1) nor none")
+    return int(word)
+
+
+def address(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
+    """Return a viewer's address as it is. Raises click.BadParameter for what cannot be one."""
+    if value is not None and ADDRESS.fullmatch(value) is None:
+        raise click.BadParameter(f"{value!r} is no viewer's address; try {LOCAL_VIEWER}")
+    return value
+
+
+def detail_options(prefix: str) -> tuple[Any, ...]:
+    """Return --images and --full, under a prefix where the command has other outputs too."""
+    return (
+        click.option(
+            f"--{prefix}images",
+            f"{prefix.replace('-', '_')}images",
+            callback=every,
+            metavar="every=N|none",
+            help="Which pictures go into the recording.  [default: evenly, at most 600]",
+        ),
+        click.option(
+            f"--{prefix}full",
+            f"{prefix.replace('-', '_')}full",
+            is_flag=True,
+            help="Record everything: no thinning of curves (4000 points) and scans (2000).",
+        ),
+    )
+
+
+def rerun_options(command: F) -> F:
+    """Add --rerun and its relatives; the command receives them as `rerun: RerunOptions`."""
+    import functools
+
+    @functools.wraps(command)
+    def wrapped(
+        *args: Any,
+        rerun: bool,
+        rerun_save: Path | None,
+        rerun_connect: str | None,
+        rerun_images: int | None,
+        rerun_full: bool,
+        **kwargs: Any,
+    ) -> Any:
+        options = RerunOptions(rerun, rerun_save, rerun_connect, rerun_images, rerun_full)
+        return command(*args, rerun=options, **kwargs)
+
+    decorated: Any = wrapped
+    for option in reversed(
+        (
+            click.option(
+                "--rerun", is_flag=True, help="Show the drive in Rerun: in a running viewer, else a new one."
+            ),
+            click.option(
+                "--rerun-save",
+                type=click.Path(path_type=Path, dir_okay=False),
+                metavar="FILE.rrd",
+                help="Write the Rerun recording to this file.",
+            ),
+            click.option(
+                "--rerun-connect",
+                callback=address,
+                metavar="URL",
+                help=f"Send the recording to the viewer at this address, e.g. {LOCAL_VIEWER}.",
+            ),
+            *detail_options("rerun-"),
+        )
+    ):
+        decorated = option(decorated)
+    return decorated  # type: ignore[no-any-return]
+
+
+def record(
+    options: RerunOptions,
+    loaded: Loaded,
+    estimates: Sequence[Estimates],
+    evaluations: Sequence[Evaluation],
+    report: Mapping[str, Any],
+    folder: Path,
+) -> None:
+    """Record the configurations and show them as the options say; at worst warn.
+
+    Without --rerun-save the recording lies beside the results, where `locfuse view FOLDER` finds it.
+    """
+    if not options.wanted:
+        return
+    from ..fusion.data import LocfuseError
+
+    path = options.save or folder / RECORDING
+    try:
+        _write(path, options, loaded, estimates, evaluations, report)
+    except LocfuseError as problem:
+        warn(str(problem))
+    except (ImportError, OSError, RuntimeError, ValueError, TypeError) as problem:
+        warn(f"no recording was made: {type(problem).__name__}: {problem}")
+    else:
+        click.echo(f"{path}: Rerun recording", err=True)
+        _show(path, options)
+
+
+def _write(
+    path: Path,
+    options: RerunOptions,
+    loaded: Loaded,
+    estimates: Sequence[Estimates],
+    evaluations: Sequence[Evaluation],
+    report: Mapping[str, Any],
+) -> None:
+    from ..formats import report_md
+    from ..formats.rerun_file import save_recording
+    from .rerun_scene import make_scene
+
+    table = report_md.render(report)
+    save_recording(path, make_scene(loaded, estimates, evaluations, table, options.images, options.full))
+
+
+def _show(path: Path, options: RerunOptions) -> None:
+    from ..fusion.data import LocfuseError
+    from .rerun_viewer import send, show
+
+    try:
+        if options.connect is not None:
+            send(path, options.connect)
+        if options.show:
+            show(path)
+    except LocfuseError as problem:
+        warn(f"{problem}. The recording is whole; open it with: locfuse view {path}")
+
+
+def warn(text: str) -> None:
+    """Say in one line on stderr what did not work."""
+    click.echo(f"warning: rerun: {' '.join(text.split())}", err=True)

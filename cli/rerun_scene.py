@@ -1,0 +1,146 @@
+"""From a measured log and its estimates to what a recording shows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..formats.rerun_scene import Detail, Picture, RawTopic, ScanPoints, Scene, Sight
+from ..fusion.data import Array, Column, Estimates, Evaluation, Ragged
+from ..fusion.gates import chi_square
+from ..fusion.robot import VIRTUAL_TRACK, Robot
+from ..fusion.sensors.registry import REGISTRY
+from ..fusion.truth import TRUTH_READS
+from ..fusion.wheels import WHEEL_READS
+from .load import Loaded
+from .rerun_scans import BEAMS, scan_points
+
+DEG = 180.0 / math.pi
+LOOKS: dict[str, tuple[Any, tuple[str, ...], tuple[float, ...]]] = {
+    "compass": ("heading", ("heading [deg]",), (DEG,)),
+    "lrf": ("segments", ("r [m]", "psi [deg]"), (1.0, DEG)),
+    "camera": ("bearing", ("bearing [deg]",), (DEG,)),
+}
+MOST_PICTURES = 600  # kept by default
+MOST_COLUMNS = 8  # of a numeric array that is drawn as curves: a scan's ranges are not
+LOW, HIGH = 0.025, 0.975  # between them lie 95 % of consistent NIS
+
+
+def make_scene(
+    loaded: Loaded,
+    estimates: Sequence[Estimates],
+    evaluations: Sequence[Evaluation],
+    table: str,
+    images: int | None = None,
+    full: bool = False,
+) -> Scene:
+    """Return what a recording of these configurations shows.
+
+    `images` = n keeps every n-th picture, 0 none, None as many as stay light.
+    """
+    detail = Detail.everything() if full else Detail()
+    best = max(estimates, key=lambda e: len(e.sensors))
+    shown, rows = _pictures(loaded, best, images)
+    return Scene(
+        name=loaded.log.name,
+        drive=loaded.drive,
+        estimates=estimates,
+        evaluations={e.name: e for e in evaluations},
+        sights=sights(loaded),
+        track=loaded.robot.wheels.track or VIRTUAL_TRACK,
+        table=table,
+        scans=_scans(loaded, best, detail, full),
+        pictures=shown,
+        picture_rows=rows,
+        raw=raw_topics(loaded),
+        detail=detail,
+    )
+
+
+def sights(loaded: Loaded) -> dict[str, Sight]:
+    """Return how each measured sensor is drawn; one that is not known here still gets its curves."""
+    return {s: _sight(s, m.z.shape[1], loaded.robot) for s, m in loaded.drive.measurements.items()}
+
+
+def _sight(sensor: str, width: int, robot: Robot) -> Sight:
+    numbered = tuple(f"y{i}" for i in range(width))
+    kind, components, scale = LOOKS.get(sensor, ("", numbered, (1.0,) * width))
+    settings = robot.settings(sensor)
+    mount = [float(getattr(settings, key, 0.0)) for key in ("x", "y", "yaw_deg")]
+    return Sight(
+        components=components,
+        scale=scale,
+        bounds=(chi_square(LOW, width), chi_square(HIGH, width)),
+        kind=kind,
+        mount=(mount[0], mount[1], math.radians(mount[2])),
+        landmark=getattr(settings, "landmark", None),
+    )
+
+
+def _stream(loaded: Loaded, role: str) -> Any:
+    """Return a fusion.data.Stream of the log."""
+    return loaded.log.stream(loaded.choice.topics[role], order=loaded.robot.order)
+
+
+def _scans(loaded: Loaded, best: Estimates, detail: Detail, full: bool) -> ScanPoints | None:
+    if "lrf" not in loaded.drive.measurements:
+        return None
+    beams = 2**62 if full else BEAMS
+    return scan_points(_stream(loaded, "lrf"), loaded.robot.settings("lrf"), loaded.drive, detail.scans, beams)
+
+
+def _pictures(loaded: Loaded, best: Estimates, images: int | None) -> tuple[Any, int | None]:
+    """Return an iterator over the pictures and the height of their panoramas."""
+    nothing: tuple[Picture, ...] = ()
+    if "camera" not in loaded.drive.measurements or images == 0:
+        return nothing, None
+    from .rerun_pictures import panorama_rows, pictures
+
+    stream, settings = _stream(loaded, "camera"), loaded.robot.settings("camera")
+    every = images or max(1, math.ceil(len(stream.t_ns) / MOST_PICTURES))
+    return pictures(stream, settings, loaded.drive, best, every), panorama_rows(stream, settings)
+
+
+def raw_topics(loaded: Loaded) -> list[RawTopic]:
+    """Return the numbers of every topic that was read, as the log holds them."""
+    found = []
+    for role in loaded.choice.topics:
+        stream = _stream(loaded, role)
+        fields = _fields(role, stream.msgtype)
+        columns = stream.columns(*fields) if fields else {}
+        t: Array = (stream.t_ns - loaded.drive.epoch_ns) * np.float64(1e-9)
+        found.append(RawTopic(stream.topic, t, _curves(columns)))
+    return found
+
+
+def _fields(role: str, msgtype: str) -> tuple[str, ...]:
+    """Return the fields of a topic that are numbers: none where rows are scans or pictures."""
+    sensor = REGISTRY.get(role)
+    if sensor is not None and (getattr(sensor, "in_blocks", False) or role == "lrf"):
+        return ()
+    reads = {"wheels": WHEEL_READS, "truth": TRUTH_READS}.get(role) or (sensor.reads if sensor else {})
+    return tuple(reads.get(msgtype, ()))
+
+
+def _curves(columns: Mapping[str, Column]) -> dict[str, Array]:
+    """Return what can be drawn as curves (n,): numbers, and arrays of a few numbers per row."""
+    names = columns.get("name")
+    curves: dict[str, Array] = {}
+    for field, column in columns.items():
+        values = column.matrix() if isinstance(column, Ragged) else column
+        if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiub" or values.ndim > 2:
+            continue
+        if values.ndim == 1:
+            curves[field] = values.astype(np.float64)
+        elif values.shape[1] <= MOST_COLUMNS:
+            curves |= {_named(field, i, names): values[:, i].astype(np.float64) for i in range(values.shape[1])}
+    return curves
+
+
+def _named(field: str, i: int, names: Column | None) -> str:
+    """Return the name of one number of an array: by the message's own names where it has them (JointState)."""
+    first = names[0] if isinstance(names, list) and names else ()
+    return f"{field}.{first[i]}" if isinstance(first, tuple) and i < len(first) else f"{field}.{i}"

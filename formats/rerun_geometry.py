@@ -1,0 +1,73 @@
+"""Plane geometry of what is drawn: poses, ellipses, walls with their uncertainty. NumPy only."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..fusion.data import Array, MapLine
+
+SIGMAS = 3.0
+
+
+def to_map(pose: Array, points: Array) -> Array:
+    """Return points (..., 2) given in the frame of poses (..., 3), in the map."""
+    c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
+    x, y = points[..., 0], points[..., 1]
+    return np.stack((pose[..., 0] + c * x - s * y, pose[..., 1] + s * x + c * y), axis=-1)
+
+
+def mounted(pose: Array, mount: tuple[float, float, float]) -> Array:
+    """Return the poses (n, 3) in the map of a sensor that sits at `mount` on the robot at `pose` (n, 3)."""
+    at = to_map(pose, np.broadcast_to(np.array(mount[:2]), (len(pose), 2)))
+    return np.column_stack((at, pose[:, 2] + mount[2]))
+
+
+def steps(xy: Array) -> Array:
+    """Return a path (n, 2) as its n - 1 steps, (n - 1, 2, 2)."""
+    return np.stack((xy[:-1], xy[1:]), axis=1)
+
+
+def ellipses(P: Array) -> tuple[Array, Array]:
+    """Return half axes (n, 2) and direction (n,) of the 3-sigma ellipses of position covariances (n, >=2, >=2)."""
+    xx, yy, xy = P[:, 0, 0], P[:, 1, 1], P[:, 0, 1]
+    mean, half = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
+    values = np.maximum(np.stack((mean + half, mean - half), axis=-1), 0.0)
+    return SIGMAS * np.sqrt(values), 0.5 * np.arctan2(2.0 * xy, xx - yy)
+
+
+def quaternions(angle: Array) -> Array:
+    """Return rotations by `angle` (n,) [rad] about z as x, y, z, w, (n, 4)."""
+    zero = np.zeros_like(angle)
+    return np.column_stack((zero, zero, np.sin(0.5 * angle), np.cos(0.5 * angle)))
+
+
+def segments(z: Array, ends: Array) -> Array:
+    """Return lines z (k, 2) = (r, psi) as points (k, 2, 2); `ends` (k, 2) m along (-sin psi, cos psi)."""
+    c, s = np.cos(z[:, 1]), np.sin(z[:, 1])
+    foot = np.stack((z[:, 0] * c, z[:, 0] * s), axis=-1)
+    along = np.stack((-s, c), axis=-1)
+    points: Array = foot[:, None] + ends[:, :, None] * along[:, None]
+    return points
+
+
+def wall(line: MapLine) -> Array:
+    """Return both ends of a map line, (2, 2) m."""
+    (ends,) = segments(np.array([[line.rho, line.beta]]), np.array([line.ends]))
+    return np.asarray(ends)
+
+
+def wall_band(line: MapLine, points: int = 9) -> Array:
+    """Return the outline (2 points + 1, 2) of where the wall is within 3 sigma, first point repeated.
+
+    At t along the tangent the wall is off by drho - t dbeta, so the band is narrowest near the middle of what
+    was seen and opens towards the ends.
+    """
+    t = np.linspace(*line.ends, points)
+    variance = line.P[0, 0] - 2.0 * t * line.P[0, 1] + t**2 * line.P[1, 1]
+    width = SIGMAS * np.sqrt(np.maximum(variance, 0.0))
+    normal = np.array([math.cos(line.beta), math.sin(line.beta)])
+    middle = segments(np.full((points, 2), (line.rho, line.beta)), np.column_stack((t, t)))[:, 0]
+    out, back = middle + width[:, None] * normal, middle - width[:, None] * normal
+    return np.concatenate((out, back[::-1], out[:1]))

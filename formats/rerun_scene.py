@@ -1,0 +1,88 @@
+"""What a recording shows, as values: everything that `rerun_recording` draws, and nothing of Rerun."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+from ..fusion.data import Array, Drive, Estimates, Evaluation, Ints
+from .rerun_thin import CURVE_POINTS, SCANS
+
+Rgb = tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class Sight:
+    """How one sensor's measurements are drawn and named."""
+
+    components: tuple[str, ...]  # of its innovation, unit in the name: "heading [deg]"
+    scale: tuple[float, ...]  # SI to that unit
+    bounds: tuple[float, float]  # of the NIS: 95 % of consistent measurements lie between
+    kind: Literal["segments", "bearing", "heading", ""] = ""  # what it looks like on the map
+    mount: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, m, rad on the base
+    landmark: tuple[float, float] | None = None  # m, map: what a bearing points at
+
+
+class ScanPoints(NamedTuple):
+    """Some scans as points in the base frame, each deskewed to its instant."""
+
+    t: Array  # (s,) s since Drive.epoch_ns
+    counts: Ints  # (s,) points of each scan
+    xy: Array  # (sum of counts, 2) m
+
+
+class Picture(NamedTuple):
+    """One image of the log with what was found in it."""
+
+    t: float  # s since Drive.epoch_ns
+    omni: bytes  # JPEG or PNG
+    omni_type: str  # its media type
+    panorama: bytes | None  # JPEG, the floor at the bottom
+    rays: Array  # (k, 2, 2) px in `omni`: inner and outer end of the ray through each thing found
+    columns: Array  # (k,) px in the panorama
+    verdicts: tuple[str, ...]  # (k,) group of each: matched, rejected, new
+
+
+class RawTopic(NamedTuple):
+    """Numbers of one topic as the log holds them."""
+
+    topic: str
+    t: Array  # (n,) s since Drive.epoch_ns
+    fields: Mapping[str, Array]  # name -> (n,)
+
+
+@dataclass(frozen=True)
+class Detail:
+    """How much of a long log is drawn."""
+
+    curve: int = CURVE_POINTS
+    scans: int = SCANS
+
+    @classmethod
+    def everything(cls) -> Detail:
+        """Leave nothing out."""
+        return cls(2**62, 2**62)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A drive, its configurations, and what was seen on the way."""
+
+    name: str  # of the log
+    drive: Drive
+    estimates: Sequence[Estimates]
+    evaluations: Mapping[str, Evaluation]  # by configuration
+    sights: Mapping[str, Sight] = field(default_factory=dict)  # by sensor
+    track: float = 0.3  # m, size of the robot on the map
+    table: str = ""  # the result table, Markdown
+    scans: ScanPoints | None = None
+    pictures: Iterable[Picture] = ()
+    picture_rows: int | None = None  # px, height of the panoramas; None without pictures
+    raw: Sequence[RawTopic] = ()
+    detail: Detail = field(default_factory=Detail)
+
+    @property
+    def best(self) -> Estimates:
+        """The configuration with the most sensors: its map, scan and matches are shown from the start."""
+        return max(self.estimates, key=lambda e: len(e.sensors))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 
 # A 5 kB JPEG can claim 20000 x 20000 pixels. An 8K frame (7680 x 4320) still fits: 100 MB decoded.
+# images.py holds every header to the same cap, whoever imported OpenCV first.
 MAX_PIXELS = 2**25
 os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MAX_PIXELS))
 

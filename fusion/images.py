@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .cv import MAX_PIXELS, cv2
 from .data import Stream
+from .image_header import image_size
 
 Picture = NDArray[np.uint8]
 
@@ -47,17 +48,26 @@ def compressed(data: Any, layout: str) -> Picture | str:
     encoding, _, rest = layout.partition(";")
     if encoding.startswith(GREY):
         return NO_COLOUR
-    try:
-        flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
-        picture = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except cv2.error as e:
-        return TOO_LARGE if "MAX_IMAGE_PIXELS" in str(e) else UNREADABLE
+    size = image_size(memoryview(data).cast("B"))
+    if size is None:
+        return UNREADABLE
+    if size[0] * size[1] > MAX_PIXELS:
+        return TOO_LARGE
+    picture = _decoded(data)
     if picture is None:
         return UNREADABLE
     if picture.ndim != 3:
         return NO_COLOUR
     swapped = "compressed rgb" in rest
     return np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR) if swapped else picture, np.uint8)
+
+
+def _decoded(data: Any) -> NDArray[Any] | None:
+    flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
+    try:
+        return cast("NDArray[Any] | None", cv2.imdecode(np.frombuffer(data, np.uint8), flags))
+    except cv2.error:
+        return None
 
 
 def raw(data: Any, width: int, height: int, encoding: str, step: int) -> Picture | str:

@@ -1,0 +1,39 @@
+"""How large a JPEG or PNG says it is, read from its header: before anything is decoded.
+
+What is truncated is told here too: OpenCV 4 and 5 differ there, and libjpeg writes to stderr about it.
+"""
+
+from __future__ import annotations
+
+PNG = b"\x89PNG\r\n\x1a\n"
+JPEG, EOI = b"\xff\xd8", b"\xff\xd9"
+FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # SOF markers: the frame's size follows
+BARE = frozenset({0x01, *range(0xD0, 0xD8)})  # markers without a length
+END = frozenset({0xD9, 0xDA})  # end of image, start of scan: the size should have come before
+
+
+def image_size(data: memoryview) -> tuple[int, int] | None:
+    """Return (width, height) [px] that a picture declares; None where it is no JPEG or PNG, or has no end."""
+    if bytes(data[:8]) == PNG and bytes(data[12:16]) == b"IHDR" and b"IEND" in bytes(data[24:]):
+        return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
+    return _jpeg_size(data) if bytes(data[:2]) == JPEG else None
+
+
+def _jpeg_size(data: memoryview) -> tuple[int, int] | None:
+    """Walk the JPEG's segments to its frame header (ITU-T T.81, B.2.2)."""
+    at = 2
+    while at + 9 <= len(data) and data[at] == 0xFF:
+        marker = data[at + 1]
+        if marker in FRAMES:
+            whole = EOI in bytes(data[at + 9 :])  # inside a scan 0xFF is always followed by 0
+            height, width = (int.from_bytes(data[at + k : at + k + 2], "big") for k in (5, 7))
+            return (width, height) if whole else None
+        if marker in END:
+            return None
+        if marker == 0xFF:  # fill byte
+            at += 1
+        elif marker in BARE:
+            at += 2
+        else:
+            at += 2 + max(2, int.from_bytes(data[at + 2 : at + 4], "big"))
+    return None

@@ -1,0 +1,472 @@
+"""The camera as a sensor: pictures to bearings with every refusal counted, and bearings against the belief."""
+
+from __future__ import annotations
+
+import math
+import struct
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from omni_scene import Lens, Picture, Pole, picture, wrapped_deg
+
+from locfuse.formats.preview import write_pictures
+from locfuse.fusion import landmark as landmark_module
+from locfuse.fusion.bearing import paper_orientation, predict_bearing
+from locfuse.fusion.data import VERDICTS, ArrayStream, LocfuseError, Measurements
+from locfuse.fusion.ekf import PoseBelief
+from locfuse.fusion.image_header import image_size
+from locfuse.fusion.preview import preview
+from locfuse.fusion.se2 import wrap, wrap_all
+from locfuse.fusion.sensors.camera import Camera, CameraSettings, detector
+
+LENS = Lens()
+SETTINGS = CameraSettings(
+    landmark=(4.0, 1.0), centre=(LENS.x_c, LENS.y_c), inner=LENS.inner, outer=LENS.outer, sigma_deg=0.2
+)
+POSES = [
+    (0.0, 0.0, 0.0),
+    (3.0, 2.0, 1.0),
+    (4.0, 3.0, -math.pi / 2),
+    (9.0, 1.0, math.pi),
+    (4.2, 1.1, -3.0),
+    (3.7, 1.0, 40.0),
+]
+MOUNTS = [((0.0, 0.0), 0.0), ((0.1, -0.05), 0.4), ((-0.3, 0.2), 3.1)]
+
+
+class NoWheels:
+    """The camera asks nothing of the wheels."""
+
+    def relative(self, t_from: NDArray[np.float64], t_to: NDArray[np.float64]) -> NDArray[np.float64]:
+        raise AssertionError
+
+
+def coded(shot: NDArray[Any], ending: str = ".jpg") -> bytes:
+    return bytes(cv2.imencode(ending, shot)[1].tobytes())
+
+
+def compressed(*data: bytes, layout: str = "jpeg") -> Any:
+    t_ns = 10**18 + np.arange(len(data)) * 10**8
+    columns: dict[str, Any] = {"data": list(data), "format": [layout] * len(data)}
+    return ArrayStream("/omni", "sensor_msgs/msg/CompressedImage", t_ns, columns)
+
+
+def raw(shot: Picture, encoding: str, pad: int = 0, short: int = 0) -> Any:
+    height, width = shot.shape[:2]
+    rows = np.pad(shot.reshape(height, -1), ((0, 0), (0, pad)), constant_values=77)
+    data = rows.tobytes()
+    columns: dict[str, Any] = {
+        "data": [memoryview(data)[: len(data) - short]],
+        "width": np.array([width], np.uint32),
+        "height": np.array([height], np.uint32),
+        "encoding": [encoding],
+        "step": np.array([rows.shape[1]], np.uint32),
+    }
+    return ArrayStream("/omni", "sensor_msgs/msg/Image", np.array([10**18]), columns)
+
+
+def measured(stream: Any, settings: CameraSettings = SETTINGS) -> Measurements:
+    return Camera().measure(stream, settings, NoWheels(), 10**18)
+
+
+def errors_deg(m: Measurements, *bearings: float) -> list[float]:
+    return [wrapped_deg(math.degrees(z) - b) for z, b in zip(m.z[:, 0], bearings, strict=True)]
+
+
+# --- pictures to bearings ---
+
+
+def test_every_picture_is_a_reading_with_one_row_per_candidate() -> None:
+    shots = (picture(LENS), picture(LENS, Pole(30.0)), picture(LENS, Pole(80.0, 4.0), Pole(-20.0, 1.2)))
+    m = measured(compressed(*map(coded, shots)), msgspec.structs.replace(SETTINGS, time_offset=-0.5))
+    assert m.first.tolist() == [0, 0, 1, 3]
+    assert m.absent == 1  # the hidden landmark
+    np.testing.assert_allclose(m.t, (-0.5, -0.4, -0.3), atol=1e-9)
+    np.testing.assert_allclose(errors_deg(m, 30.0, -20.0, 80.0), 0.0, atol=0.15)
+    assert m.dropped == {}
+    sigma = np.degrees(np.sqrt(m.R[:, 0, 0]))
+    assert ((sigma > 0.2) & (sigma < 0.4)).all()  # what the settings say, and what the pixels add
+
+
+@pytest.mark.parametrize("chain", ["fast", "paper"])
+def test_a_png_a_raw_picture_and_a_swapped_jpeg_give_the_same_bearing(chain: Any) -> None:
+    settings = msgspec.structs.replace(SETTINGS, chain=chain)
+    shot = picture(LENS, Pole(-130.0))
+    rgb, one = shot[..., ::-1], np.full((480, 640, 1), 255, np.uint8)
+    streams = [
+        compressed(coded(shot, ".png"), layout="png"),
+        compressed(coded(shot, ".png"), layout="bgr8; png compressed bgr8"),
+        compressed(coded(rgb, ".png"), layout="rgb8; png compressed rgb8"),
+        raw(shot, "bgr8"),
+        raw(rgb, "rgb8", pad=11),
+        raw(np.dstack((shot, one)), "bgra8", pad=4),
+        raw(np.dstack((rgb, one)), "rgba8"),
+    ]
+    found = [measured(stream, settings).z for stream in streams]
+    for z in found:
+        np.testing.assert_array_equal(z, found[0])
+
+
+def bomb() -> bytes:
+    """A small JPEG that claims 20000 x 20000 pixels."""
+    data = bytearray(coded(picture(LENS)))
+    at = data.index(b"\xff\xc0") + 5
+    data[at : at + 4] = struct.pack(">HH", 20000, 20000)
+    return bytes(data)
+
+
+def test_a_pictures_size_is_read_from_its_header() -> None:
+    shot = np.zeros((37, 91, 3), np.uint8)
+    progressive = cv2.imencode(".jpg", shot, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
+    for data in (coded(shot), coded(shot, ".png"), progressive):
+        assert image_size(memoryview(data)) == (91, 37)
+        for end in range(len(data) - 12):
+            assert image_size(memoryview(data[:end])) is None  # truncated
+    thumbnail = b"\xff\xe1" + struct.pack(">H", 2 + 40) + coded(np.zeros((8, 8, 3), np.uint8))[:40]
+    assert image_size(memoryview(coded(shot)[:2] + thumbnail + coded(shot)[2:])) == (91, 37)
+    for other in (coded(shot, ".bmp"), b"", b"\xff\xd8" + b"\xff" * 50, b"\xff\xd8\xff\xe0\x00\x00"):
+        assert image_size(memoryview(other)) is None
+
+
+def test_what_is_no_picture_is_dropped_and_counted_by_reason(capfd: pytest.CaptureFixture[str]) -> None:
+    shot = picture(LENS, Pole(30.0))
+    good, grey = coded(shot), coded(shot[..., 1])
+    m = measured(compressed(good, b"", good[: len(good) // 2], b"no picture at all", bomb(), grey, good))
+    assert m.dropped == {"unreadable": 3, "too_large": 1, "no_colour": 1}
+    assert capfd.readouterr().err == ""  # OpenCV's decoders have nothing to say beside
+    assert len(m.t) == 2
+    np.testing.assert_allclose(m.t, (0.0, 0.6), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "short", "reason"),
+    [("mono8", 0, "no_colour"), ("bayer_rggb8", 0, "unknown_encoding"), ("bgr8", 1, "too_short")],
+)
+def test_a_raw_picture_that_cannot_be_used_is_refused(encoding: str, short: int, reason: str) -> None:
+    shot = picture(LENS, Pole(30.0))
+    m = measured(raw(shot[..., 0] if encoding != "bgr8" else shot, encoding, short=short))
+    assert (m.dropped, len(m.t), m.z.shape, m.R.shape) == ({reason: 1}, 0, (0, 1), (0, 1, 1))
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "step"), [(0, 480, 1920), (640, 480, 0), (2**31, 2**31, 4), (640, 480, 9)]
+)
+def test_a_raw_pictures_header_is_not_believed(width: int, height: int, step: int) -> None:
+    stream = raw(picture(LENS), "bgr8")
+    lie: dict[str, Any] = {
+        **stream.data,
+        "width": np.array([width]),
+        "height": np.array([height]),
+        "step": np.array([step]),
+    }
+    m = measured(ArrayStream("/omni", stream.msgtype, stream.t_ns, lie))
+    assert sum(m.dropped.values()) == 1
+
+
+def test_mono8_behind_a_compressed_format_is_refused_too() -> None:
+    assert measured(compressed(coded(picture(LENS)), layout="mono8; jpeg compressed ")).dropped == {"no_colour": 1}
+
+
+def test_pictures_of_another_size_have_another_calibration_and_are_not_used() -> None:
+    shot = picture(LENS, Pole(30.0))
+    small = cv2.resize(shot, (320, 240))
+    m = measured(compressed(coded(small), coded(shot), coded(shot), coded(small), coded(shot)))
+    assert m.dropped == {"other_size": 2}
+    np.testing.assert_allclose(m.t, (0.1, 0.2, 0.4), atol=1e-9)
+    np.testing.assert_allclose(errors_deg(m, 30.0, 30.0, 30.0), 0.0, atol=0.15)
+
+
+def test_the_number_of_threads_does_not_change_a_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    shots = [coded(picture(LENS, Pole(13.0 * k, 1.0 + 0.3 * k))) for k in range(12)]
+    results = []
+    for threads in (1, 3):
+        monkeypatch.setattr(landmark_module, "THREADS", threads)
+        monkeypatch.setattr("os.cpu_count", lambda: 8)
+        m = measured(compressed(*shots))
+        results.append((m.z.tobytes(), m.R.tobytes(), m.first.tobytes(), m.extra["pixels"].tobytes()))
+    assert results[0] == results[1]
+
+
+def test_a_long_stream_is_read_a_few_pictures_at_a_time() -> None:
+    asked: list[int] = []
+
+    class Long(ArrayStream):
+        def blocks(self, *fields: str, rows: int = 256) -> Any:
+            asked.append(rows)
+            yield from super().blocks(*fields, rows=rows)
+
+    stream = compressed(coded(picture(LENS, Pole(1.0))))
+    measured(Long("/omni", stream.msgtype, stream.t_ns, stream.data))
+    assert asked == [16]
+    assert Camera.in_blocks
+
+
+def test_a_calibration_left_out_is_taken_from_the_pictures_size() -> None:
+    lens = Lens(width=480, height=480, x_c=239.5, y_c=239.5, inner=59.9, outer=239.5)
+    m = measured(compressed(coded(picture(lens, Pole(77.0)))), CameraSettings(landmark=(1.0, 1.0)))
+    np.testing.assert_allclose(errors_deg(m, 77.0), 0.0, atol=0.15)
+
+
+def test_without_a_landmark_the_error_names_the_key_and_the_command() -> None:
+    with pytest.raises(LocfuseError, match=r"camera\.landmark.*locfuse info LOG --preview DIR"):
+        measured(compressed(b""), CameraSettings())
+    with pytest.raises(LocfuseError, match=r"camera\.landmark"):
+        Camera().model(CameraSettings())
+
+
+@pytest.mark.parametrize(
+    ("table", "word"),
+    [
+        ({"inner": 100.0, "outer": 80.0}, "outer"),
+        ({"inner": -1.0}, "inner"),
+        ({"outer": 1e9}, "at most"),
+        ({"width": 3}, "width"),
+        ({"width": 10**7}, "width"),
+        ({"sigma_deg": 0.0}, "sigma_deg"),
+        ({"landmark": [math.nan, 0.0]}, "finite"),
+        ({"chain": "quick"}, "quick"),
+        ({"centr": [1.0, 2.0]}, "centr"),
+    ],
+)
+def test_impossible_settings_are_refused_where_the_table_is_read(table: dict[str, Any], word: str) -> None:
+    with pytest.raises(msgspec.ValidationError, match=word):
+        msgspec.convert(table, CameraSettings)
+
+
+# --- the model ---
+
+
+@pytest.mark.parametrize("pose", POSES)
+@pytest.mark.parametrize(("lever", "yaw"), MOUNTS)
+def test_h_is_the_derivative_of_the_bearing(pose: tuple[float, float, float], lever: Any, yaw: float) -> None:
+    predicted = predict_bearing(pose, (4.0, 1.0), lever, yaw)
+    assert predicted is not None
+    eps = 1e-6
+    for k in range(3):
+        step = np.zeros(3)
+        step[k] = eps
+        ahead, behind = (
+            predict_bearing(tuple(np.array(pose) + s * step), (4.0, 1.0), lever, yaw) for s in (1.0, -1.0)
+        )
+        assert ahead is not None
+        assert behind is not None
+        assert wrap(ahead[0] - behind[0]) / (2 * eps) == pytest.approx(predicted[1][k], rel=1e-5, abs=1e-6)
+
+
+@pytest.mark.parametrize(("lever", "yaw"), MOUNTS)
+def test_the_bearing_is_the_landmark_seen_from_the_cameras_frame(lever: tuple[float, float], yaw: float) -> None:
+    for x, y, theta in POSES:
+        to_map = np.array([[math.cos(theta), -math.sin(theta)], [math.sin(theta), math.cos(theta)]])
+        eye = np.array([x, y]) + to_map @ np.array(lever)
+        turn = theta + yaw
+        to_camera = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+        seen = to_camera @ (np.array([4.0, 1.0]) - eye)
+        predicted = predict_bearing((x, y, theta), (4.0, 1.0), lever, yaw)
+        assert predicted is not None
+        assert wrap(predicted[0] - math.atan2(seen[1], seen[0])) == pytest.approx(0.0, abs=1e-12)
+
+
+def readings(*pictures: tuple[float, ...], sigma: float = 0.005) -> Measurements:
+    z = np.array([b for p in pictures for b in p], np.float64).reshape(-1, 1)
+    first = np.concatenate(([0], np.cumsum([len(p) for p in pictures], dtype=np.int64)))
+    ones = np.ones((len(z), 1, 1))
+    return Measurements(np.arange(len(pictures)) * np.float64(0.1), first, z, ones, sigma, np.zeros((1, 1)))
+
+
+def belief(x: float, y: float, theta: float, sigma_xy: float = 0.02, sigma_theta: float = 0.02) -> PoseBelief:
+    return PoseBelief((x, y, theta), (sigma_xy**2, 0.0, 0.0, sigma_xy**2, 0.0, sigma_theta**2))
+
+
+def verdicts(*bearings: float, **kwargs: Any) -> dict[float, str]:
+    """What becomes of the candidates of one picture, seen from the origin; the landmark stands at (4, 0)."""
+    model = Camera().model(CameraSettings(landmark=(4.0, 0.0)))
+    seen = model.innovations(readings(bearings), 0, belief(0.0, 0.0, 0.0, **kwargs))
+    return {bearings[s.row]: VERDICTS[s.verdict] for s in seen}
+
+
+def test_the_gate_tells_the_landmark_from_a_wrong_red_thing() -> None:
+    assert verdicts(0.9, 0.01) == {0.01: "accepted", 0.9: "unmatched"}
+    assert verdicts(0.01) == {0.01: "accepted"}
+
+
+def test_a_wrong_red_thing_alone_is_gated() -> None:
+    assert verdicts(0.9) == {0.9: "gate"}
+    assert verdicts(0.9, -1.2) == {0.9: "gate", -1.2: "unmatched"}
+
+
+def test_two_that_fit_are_ambiguous_and_neither_is_used() -> None:
+    assert verdicts(0.02, -0.015, 2.0) == {0.02: "ambiguous", -0.015: "ambiguous", 2.0: "unmatched"}
+
+
+def test_no_candidate_is_no_innovation() -> None:
+    assert verdicts() == {}
+
+
+def test_the_innovation_is_wrapped() -> None:
+    model = Camera().model(CameraSettings(landmark=(4.0, 0.0)))
+    (seen,) = model.innovations(readings((math.pi - 0.001,)), 0, belief(8.0, 0.0, 0.002))
+    assert seen.y[0] == pytest.approx(0.001)  # pi - 0.001 against -pi + ... : behind, slightly left
+    assert VERDICTS[seen.verdict] == "accepted"
+
+
+def test_inside_the_landmark_there_is_no_bearing() -> None:
+    model = Camera().model(CameraSettings(landmark=(4.0, 0.0), x=0.1))
+    assert model.innovations(readings((0.0,)), 0, belief(3.9, 0.01, 0.0)) == []
+
+
+@pytest.mark.parametrize("distance", [0.15, 0.4, 2.0])
+def test_near_the_landmark_the_innovation_is_as_large_as_predicted(distance: float) -> None:
+    """Bearings of poses drawn from the belief: mean NIS 1 far away, not above it where h(x) bends."""
+    rng = np.random.default_rng(2)
+    sigma_xy, sigma_theta, noise = 0.04, 0.02, 0.005
+    now = belief(4.0 - distance, 0.0, 0.0, sigma_xy, sigma_theta)
+    model = Camera().model(CameraSettings(landmark=(4.0, 0.0), gate=1.0))
+    off = rng.normal(size=(4000, 3)) * (sigma_xy, sigma_xy, sigma_theta)
+    true = np.arctan2(-off[:, 1], distance - off[:, 0]) - off[:, 2] + noise * rng.normal(size=4000)
+    m = readings(*((z,) for z in wrap_all(true).tolist()), sigma=noise)
+    nis = [model.innovations(m, i, now)[0].nis for i in range(4000)]
+    assert 0.85 < np.mean(nis) < 1.12
+    if distance == 2.0:
+        assert np.mean(nis) > 0.95
+
+
+def test_the_papers_orientation_is_the_landmarks_first_direction_minus_its_bearing() -> None:
+    settings = CameraSettings(landmark=(3.0, 4.0), bearing="absolute", yaw_deg=10.0, gate=1.0)
+    model = Camera().model(settings)
+    m = readings((0.2,), (0.1, 2.0), ())
+    gamma = [math.atan2(4.0, 3.0) - (z + math.radians(10.0)) for z in (0.2, 0.1)]
+    (first,) = model.innovations(m, 0, belief(0.0, 0.0, 0.5))
+    (second,) = model.innovations(m, 1, belief(1.0, 1.0, 0.6))  # the robot has moved: the print does not know
+    assert first.y[0] == pytest.approx(gamma[0] - 0.5)
+    assert second.y[0] == pytest.approx(gamma[1] - 0.6)
+    assert first.H == second.H == ((0.0, 0.0, 1.0),)  # eq. 13
+    assert model.innovations(m, 2, belief(0.0, 0.0, 0.5)) == []
+    assert paper_orientation(1.0, 0.3) == pytest.approx(0.7)
+
+
+def test_the_printed_orientation_errs_by_a_degree_five_centimetres_off_at_three_metres() -> None:
+    pose = (0.0, 0.05, 0.0)
+    right = predict_bearing(pose, (3.0, 0.0), (0.0, 0.0), 0.0)
+    assert right is not None
+    gamma = paper_orientation(0.0, right[0])  # the direction from the start (0, 0) is 0
+    assert math.degrees(gamma) == pytest.approx(0.95, abs=0.01)
+
+
+def test_the_papers_variance_knows_no_pixels() -> None:
+    shots = compressed(coded(picture(LENS, Pole(30.0, 6.0))))
+    m = measured(shots, msgspec.structs.replace(SETTINGS, bearing="absolute", chain="paper", sigma_deg=0.5))
+    assert m.R[:, 0, 0] == pytest.approx(math.radians(0.5) ** 2)
+
+
+# --- previews ---
+
+
+def test_a_preview_shows_pictures_evenly_spread_with_what_was_found(tmp_path: Path) -> None:
+    shots = [coded(picture(LENS, Pole(10.0 * k)), ".png") for k in range(7)]
+    shown = preview(compressed(*shots, layout="png"), detector(SETTINGS), count=3)
+    assert [p.row for p in shown] == [0, 3, 6]
+    for p in shown:
+        np.testing.assert_allclose(p.bearings_deg, (10.0 * p.row,), atol=0.15)
+        np.testing.assert_array_equal(p.raw, picture(LENS, Pole(10.0 * p.row)))
+        assert set(np.unique(p.mask)) == {0, 255}
+        assert p.panorama.shape == (173, 720, 3)
+        assert (p.detection != p.raw).any()
+    paths = write_pictures(tmp_path / "a" / "b", shown[1].named())
+    assert [p.name for p in paths] == [f"000003-{k}.png" for k in ("raw", "mask", "panorama", "detection")]
+    np.testing.assert_array_equal(cv2.imread(str(paths[0])), shown[1].raw)
+    assert sorted(p.name for p in (tmp_path / "a" / "b").iterdir()) == sorted(p.name for p in paths)
+
+
+def test_a_preview_needs_no_landmark_and_no_calibration() -> None:
+    (shown,) = preview(compressed(coded(picture(LENS, Pole(10.0)))), detector(CameraSettings()), count=4)
+    assert shown.row == 0
+
+
+def test_a_preview_passes_by_broken_pictures_and_says_so_where_all_are() -> None:
+    good = coded(picture(LENS))
+    assert len(preview(compressed(b"x", good), detector(SETTINGS), count=2)) == 1
+    with pytest.raises(LocfuseError, match=r"/omni.*2 pictures.*unreadable"):
+        preview(compressed(b"x", b"y"), detector(SETTINGS))
+    with pytest.raises(LocfuseError, match="no messages"):
+        preview(compressed(), detector(SETTINGS))
+
+
+def test_pictures_that_cannot_be_written_are_one_line(tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("a file")
+    with pytest.raises(LocfuseError, match="cannot write"):
+        write_pictures(tmp_path / "taken", {"a": picture(LENS)})
+
+
+# --- OpenCV ---
+
+
+def in_fresh_python(code: str) -> str:
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return done.stdout.strip()
+
+
+def test_opencv_is_imported_only_when_a_picture_is_looked_at() -> None:
+    code = (
+        "import sys; from locfuse.fusion.sensors.registry import REGISTRY; import locfuse.fusion.fuse\n"
+        "import locfuse.fusion.measure; print('cv2' in sys.modules)"
+    )
+    assert in_fresh_python(code) == "False"
+
+
+def test_opencvs_pixel_cap_is_set_before_its_import() -> None:
+    code = (
+        "from locfuse.fusion.cv import MAX_PIXELS, cv2; import os\n"
+        "print(os.environ['OPENCV_IO_MAX_IMAGE_PIXELS'] == str(MAX_PIXELS), cv2.getNumThreads())"
+    )
+    assert in_fresh_python(code) == "True 1"
+
+
+# --- the shipped logs ---
+
+SAMPLES = Path(__file__).parent.parent / "sample_logs"
+
+
+@pytest.mark.parametrize("name", ["rounded_rectangle", "rounded_triangle"])
+def test_bearings_of_the_clean_sample_logs_are_within_a_fifth_of_a_degree_of_the_truth(name: str) -> None:
+    fast, paper = (sample_errors_deg(name, chain) for chain in ("fast", "paper"))
+    assert np.sqrt(np.mean(fast**2)) < 0.2
+    assert np.abs(fast).max() < 1.0  # no gross error
+    assert np.abs(fast - paper).max() < 0.15
+
+
+def sample_errors_deg(name: str, chain: str) -> NDArray[np.float64]:
+    """Error of the bearing in every picture of a shipped log, by the simulator's truth, [deg]."""
+    import tomllib
+
+    from locfuse.formats.log import open_log
+    from locfuse.fusion.truth import TRUTH_READS
+
+    log: Any = open_log([SAMPLES / f"{name}.mcap"])
+    table = tomllib.loads(log.attachments["robot.toml"].decode())["camera"]
+    settings = msgspec.convert({**table, "chain": chain}, CameraSettings)
+    assert settings.topic is not None
+    assert settings.landmark is not None
+    reads = TRUTH_READS["geometry_msgs/msg/PoseStamped"]
+    streams = log.streams({settings.topic: (), "/ground_truth/pose": reads}, order="auto")
+    truth = streams["/ground_truth/pose"]
+    at = truth.columns(*reads)
+    x, y, z, w = (
+        np.asarray(at[f"pose.{k}"]) for k in ("position.x", "position.y", "orientation.z", "orientation.w")
+    )
+    m = Camera().measure(streams[settings.topic], settings, NoWheels(), int(truth.t_ns[0]))
+    assert (np.diff(m.first) == 1).all()
+    t = (truth.t_ns - truth.t_ns[0]) * 1e-9
+    pose = [np.interp(m.t, t, column) for column in (x, y, np.unwrap(2 * np.arctan2(z, w)))]
+    mount = np.hypot(settings.x, settings.y), math.atan2(settings.y, settings.x)
+    eye_x = pose[0] + mount[0] * np.cos(pose[2] + mount[1])
+    eye_y = pose[1] + mount[0] * np.sin(pose[2] + mount[1])
+    direction = np.arctan2(settings.landmark[1] - eye_y, settings.landmark[0] - eye_x)
+    off = m.z[:, 0] - (direction - pose[2] - math.radians(settings.yaw_deg))
+    return np.asarray(np.degrees(wrap_all(off)), float)

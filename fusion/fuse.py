@@ -10,6 +10,7 @@ from array import array
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from . import se2
 from .data import Array, Audit, Drive, Estimates, LocfuseError, Measurements, Motions
@@ -23,13 +24,19 @@ WHEELS = "wheels"
 
 
 def fuse(
-    drive: Drive, robot: Robot, sensors: Sequence[str], name: str | None = None, listen: Sequence[str] = ()
+    drive: Drive,
+    robot: Robot,
+    sensors: Sequence[str],
+    name: str | None = None,
+    listen: Mapping[str, NDArray[np.bool_]] | None = None,
 ) -> Estimates:
     """Run the filter with these sensors. Raises LocfuseError where the drive lacks one of them.
 
-    Sensors that `listen` are compared with the belief and audited, and learn what is their own (a map, an
-    offset), but never move the pose: how well the others predict them is a judgement without truth.
+    Readings that `listen` marks (sensor -> one flag per reading) are compared with the belief and audited, and
+    teach their sensor what is its own (a map, an offset), but never move the pose: how well they are predicted
+    is a judgement without truth.
     """
+    listen = listen or {}
     for sensor in (*sensors, *listen):
         if sensor not in drive.measurements:
             raise LocfuseError(f"{sensor}: {drive.absent.get(sensor, 'not in this log')}")
@@ -75,11 +82,14 @@ class Motion:
 class Filter:
     """The filter of one configuration: a belief, one model per sensor, and the record of what happened."""
 
-    def __init__(self, robot: Robot, sensors: Sequence[str], listen: Sequence[str] = ()) -> None:
+    def __init__(
+        self, robot: Robot, sensors: Sequence[str], listen: Mapping[str, NDArray[np.bool_]] | None = None
+    ) -> None:
+        self._sensors = tuple(s for s in REGISTRY if s in sensors)
+        self._listens = {s: flags.tolist() for s, flags in (listen or {}).items()}
         self.models: dict[str, Model] = {
-            s: REGISTRY[s].model(robot.settings(s)) for s in REGISTRY if s in sensors or s in listen
+            s: REGISTRY[s].model(robot.settings(s)) for s in REGISTRY if s in sensors or s in self._listens
         }
-        self._listening = frozenset(listen) - frozenset(sensors)
         self.belief = _begin(robot, list(self.models.values()))
         self._poses = array("d")  # flat: an hour of Python tuples would be hundreds of megabytes
         self._triangles = array("d")
@@ -103,7 +113,7 @@ class Filter:
         for sensor, i in due:
             seen = self.models[sensor].innovations(measurements[sensor], i, belief)
             self._records[sensor].add(k, seen)
-            used = heard if sensor in self._listening else accepted
+            used = heard if sensor in self._listens and self._listens[sensor][i] else accepted
             used += [innovation for innovation in seen if innovation.verdict == 0]
         if heard and isinstance(belief, JointBelief):
             belief.listen(heard)
@@ -137,7 +147,7 @@ class Filter:
         truth_pose, truth_P = _at_truth(drive, pose, P, blocks.get(WHEELS))
         return Estimates(
             name=name,
-            sensors=tuple(s for s in self.models if s not in self._listening),
+            sensors=self._sensors,
             t=drive.t,
             pose=pose,
             P=P,

@@ -110,7 +110,7 @@ def block_means(values: Array, block: int, seed: int = 1) -> Array:
     sums = np.cumsum(twice, axis=1)
     starts = np.random.default_rng(seed).integers(0, q, size=(RESAMPLES, count))
     totals = np.stack([(row[starts + block] - row[starts]).sum(axis=1) for row in sums], axis=-1)
-    means: Array = np.maximum(totals, 0.0) / (count * block)
+    means: Array = totals / (count * block)
     return means
 
 

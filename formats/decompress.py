@@ -6,6 +6,7 @@ the declared and the actual size are held against the cap before and while bytes
 
 from __future__ import annotations
 
+import bz2
 from collections.abc import Callable
 
 import lz4.frame
@@ -71,6 +72,13 @@ def _lz4(data: bytes, limit: int) -> bytes:
         raise DamagedError("a chunk does not decompress (lz4)") from None
 
 
+def _bz2(data: bytes, limit: int) -> bytes:
+    try:
+        return bz2.BZ2Decompressor().decompress(data, max_length=limit)
+    except (OSError, EOFError):
+        raise DamagedError("a chunk does not decompress (bz2)") from None
+
+
 def _zstd_prefix(data: bytes, limit: int) -> bytes:
     reader = zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True)
     parts: list[bytes] = []
@@ -101,4 +109,4 @@ def _lz4_prefix(data: bytes, limit: int) -> bytes:
     return b"".join(parts)
 
 
-CODECS: dict[str, Codec] = {"": _stored, "zstd": _zstd, "lz4": _lz4}
+CODECS: dict[str, Codec] = {"": _stored, "zstd": _zstd, "lz4": _lz4, "bz2": _bz2}

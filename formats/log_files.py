@@ -3,14 +3,34 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from ..fusion.data import LocfuseError, UsageError
+from .file_bytes import FileBytes
 from .losses import Losses
 from .mcap_walk import McapSource
 from .source import Source
+from .zstd_file import ZSTD_MAGIC, unpack_file
 
+
+def _sqlite(data: FileBytes, losses: Losses) -> Source:
+    from .sqlite_source import SqliteSource
+
+    return SqliteSource(data, losses)
+
+
+def _bag(data: FileBytes, losses: Losses) -> Source:
+    from .bag_source import BagSource
+
+    return BagSource(data, losses)
+
+
+SOURCES: dict[bytes, Callable[[FileBytes, Losses], Source]] = {
+    b"SQLite format 3\x00": _sqlite,
+    b"#ROSBAG V2.0\n": _bag,
+}
+ENDINGS = ("*.mcap", "*.mcap.zstd", "*.db3", "*.db3.zstd", "*.bag")  # of the files in a folder without metadata
 RESULTS = ("run.json", "report.json")
 
 
@@ -25,12 +45,17 @@ def log_files(path: Path) -> list[Path]:
 
 def _folder(folder: Path) -> list[Path]:
     listed = [folder / name for name in _listed(folder / "metadata.yaml")]
-    files = [file for file in listed if file.is_file()] or sorted(folder.glob("*.mcap"))
+    files = [file for file in listed if file.is_file()] or _by_ending(folder)
     if files:
         return files
     if any((folder / name).exists() for name in RESULTS):
         raise LocfuseError(f"{folder} is a locfuse result, not a log; see: locfuse view {folder}")
-    raise LocfuseError(f"{folder}: no .mcap file in this folder")
+    raise LocfuseError(f"{folder}: no log in this folder (.mcap, .db3, .bag)")
+
+
+def _by_ending(folder: Path) -> list[Path]:
+    """Return the files of the first ending there are any of: kinds are not mixed."""
+    return next((files for ending in ENDINGS if (files := sorted(folder.glob(ending)))), [])
 
 
 def _listed(metadata: Path) -> list[str]:
@@ -41,7 +66,8 @@ def _listed(metadata: Path) -> list[str]:
         return []
     block = re.search(r"^\s*relative_file_paths:\s*\n((?:\s*- .*\n?)*)", text, re.MULTILINE)
     names = re.findall(r"^\s*- (.*)$", block[1], re.MULTILINE) if block else []
-    return [Path(name.strip().strip("'\"")).name for name in names]
+    listed = [Path(name.strip().strip("'\"")).name for name in names]
+    return [name for given in listed for name in (given, f"{given}.zstd")]  # some versions leave the .zstd out
 
 
 def log_name(paths: Sequence[Path]) -> str:
@@ -49,12 +75,19 @@ def log_name(paths: Sequence[Path]) -> str:
     first = paths[0]
     if first.name == "metadata.yaml":
         return first.parent.resolve().name
-    return first.resolve().name if first.is_dir() else first.stem
+    return first.resolve().name if first.is_dir() else Path(first.name.removesuffix(".zstd")).stem
 
 
 def open_source(file: Path, losses: Losses) -> Source:
     """Open one file of a log by what its first bytes say it is."""
     try:
-        return McapSource(file, losses)
+        data = FileBytes(file)
+        if data.read(0, len(ZSTD_MAGIC)) == ZSTD_MAGIC:
+            data = unpack_file(file, losses)
+        head = data.read(0, 64)
+        for magic, source in SOURCES.items():
+            if head.startswith(magic):
+                return source(data, losses)
+        return McapSource(data, losses)  # which says what else the file is
     except OSError as problem:
         raise LocfuseError(f"{file}: cannot be read: {problem.strerror}") from None

@@ -9,7 +9,7 @@ import numpy as np
 
 from . import mcap_records as rec
 from .decompress import CODECS, DamagedError
-from .mcap_file import FileBytes
+from .file_bytes import FileBytes
 from .mcap_summary import Summary
 
 SEARCH = 1 << 20

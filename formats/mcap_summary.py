@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from . import mcap_records as rec
 from .decompress import MAX_BYTES, DamagedError
-from .mcap_file import FileBytes
+from .file_bytes import FileBytes
 
 
 @dataclass

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from ..fusion.data import LocfuseError
 from . import mcap_records as rec
 from .decompress import MAX_BYTES, DamagedError
+from .file_bytes import FileBytes
 from .losses import Losses
 from .magic import describe
-from .mcap_file import FileBytes
 from .mcap_resync import CHUNK_HEAD, Resync
 from .mcap_summary import Summary, read_summary
 

@@ -6,16 +6,15 @@ import zlib
 from collections import Counter
 from collections.abc import Collection, Iterator
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import mcap_records as rec
 from .decompress import MAX_BYTES, DamagedError, decompress, decompress_prefix
+from .file_bytes import FileBytes
 from .losses import Losses
 from .mcap_chunk import Index, Records, counted, records
-from .mcap_file import FileBytes
 from .mcap_survey import ChunkRef, LooseRun, Part, survey
 from .source import Batch, ChannelInfo
 
@@ -25,11 +24,11 @@ Bytes = NDArray[np.uint8]
 class McapSource:
     """One .mcap file. Opening it walks the outermost records only; messages are read by `batches`."""
 
-    def __init__(self, path: Path, losses: Losses) -> None:
-        self.path = path
+    def __init__(self, data: FileBytes, losses: Losses) -> None:
+        self.path = data.path
         self.losses = losses
-        self._data = FileBytes(path)
-        self._survey = survey(self._data, losses)
+        self._data = data
+        self._survey = survey(data, losses)
         self._discover()
         self.channels = self._channels()
         self._compare_with_statistics()

@@ -47,25 +47,25 @@ def real_log(name: str) -> Path:
     return data_folder() / name
 
 
-def build(msgtype: str, **values: Any) -> Any:
+def build(msgtype: str, store: Any = STORE, **values: Any) -> Any:
     """A message with zeros but for `values`: dicts make sub-messages, lists become arrays."""
-    kind = STORE.types[msgtype]
+    kind = store.types[msgtype]
     made = {}
-    for name, desc in STORE.get_msgdef(msgtype).fields:
-        made[name] = _value(desc, values.pop(name, None))
+    for name, desc in store.get_msgdef(msgtype).fields:
+        made[name] = _value(desc, values.pop(name, None), store)
     assert not values, f"{msgtype} has no {list(values)}"
     return kind(**made)
 
 
-def _value(desc: Any, given: Any) -> Any:
+def _value(desc: Any, given: Any, store: Any) -> Any:
     kind, detail = desc[0].name, desc[1]
     if kind == "NAME":
-        return build(detail, **(given or {}))
+        return build(detail, store, **(given or {}))
     if kind == "BASE":
         return given if given is not None else ("" if detail[0] == "string" else 0)
     element, size = detail
     if element[0].name == "NAME":
-        return [build(element[1], **one) for one in given or [{}] * (size if kind == "ARRAY" else 0)]
+        return [build(element[1], store, **one) for one in given or [{}] * (size if kind == "ARRAY" else 0)]
     if element[1][0] == "string":
         return list(given or [""] * (size if kind == "ARRAY" else 0))
     dtype = {"byte": "uint8", "octet": "uint8", "char": "uint8"}.get(element[1][0], element[1][0])

@@ -255,8 +255,8 @@ def test_an_unknown_order_is_a_usage_error(tmp_path: Path) -> None:
     ("content", "says"),
     [
         (b"", r"empty \(0 bytes\)"),
-        (b"SQLite format 3\x00" + b"\x00" * 100, "sqlite3"),
-        (b"#ROSBAG V2.0\n", "ROS 1 bag"),
+        (b"SQLite format 3\x00" + b"\x00" * 100, "not a readable rosbag2 database"),
+        (b"#ROSBAG V1.2\n", "ROS 1 bag of an old version"),
         (b"\xff\xd8\xff\xe0" + b"\x00" * 100, "JPEG"),
         (b"\x00" * 500, "zeros"),
         (b"hello, this is not a log\n", "text"),
@@ -273,7 +273,7 @@ def test_a_file_that_is_no_log_is_named_in_one_line(tmp_path: Path, content: byt
 def test_paths_that_do_not_exist_and_folders_without_a_log(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no such file"):
         open_log([tmp_path / "nothing.mcap"])
-    with pytest.raises(LocfuseError, match=r"no \.mcap file"):
+    with pytest.raises(LocfuseError, match=r"no log in this folder"):
         open_log([tmp_path])
     (tmp_path / "report.json").write_text("{}")
     with pytest.raises(LocfuseError, match="is a locfuse result"):

@@ -23,6 +23,7 @@ from mcap.writer import CompressionType
 
 from locfuse.formats import decompress as codecs
 from locfuse.formats.decompress import DamagedError, decompress
+from locfuse.formats.file_bytes import FileBytes
 from locfuse.formats.log import Log, open_log
 from locfuse.formats.losses import Losses
 from locfuse.formats.mcap_chunk import records, scan
@@ -36,7 +37,7 @@ PLAIN: dict[str, Any] = {"enable_crcs": False, "chunk_size": 4000}
 
 def payloads(path: Path) -> list[tuple[str, int, bytes]]:
     """(topic, log time, bytes) of every message the source delivers."""
-    source = McapSource(path, Losses())
+    source = McapSource(FileBytes(path), Losses())
     return [
         (
             source.channels[ident].topic,
@@ -93,7 +94,7 @@ def test_the_message_index_and_the_record_scan_find_the_same(tmp_path: Path, com
 
 def test_an_index_that_misses_messages_is_not_believed(tmp_path: Path) -> None:
     path = write(tmp_path / "x.mcap", drive(60))
-    source = McapSource(path, Losses())
+    source = McapSource(FileBytes(path), Losses())
     batch = next(iter(source.batches(source.channels.keys())))
     messages = batch.messages[1]
     entries = np.stack([messages.log_time, messages.start - 31], axis=1).astype("<u8")

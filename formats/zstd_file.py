@@ -1,0 +1,66 @@
+"""A log file compressed as a whole (rosbag2 "file mode": .mcap.zstd, .db3.zstd), unpacked to a temporary file."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+from typing import BinaryIO
+
+import zstandard
+
+from ..fusion.data import LocfuseError
+from .file_bytes import FileBytes
+from .losses import Losses
+
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+PIECE = 1 << 20
+HEAD_BYTES = 18  # of the longest frame header
+LEAST_CAP = 1 << 30  # any file may unpack to a gigabyte,
+GREATEST_RATIO = 200  # a larger one to so many times its size (real bags: 2 to 20)
+
+
+def unpack_file(path: Path, losses: Losses) -> FileBytes:
+    """Return the unpacked bytes; what a cut-off or damaged file still gives is kept and the rest counted."""
+    handle, name = tempfile.mkstemp(prefix="locfuse-")
+    temporary = Path(name)
+    try:
+        with os.fdopen(handle, "wb") as plain:
+            _unpack(path, plain, losses)
+    except OSError as problem:
+        temporary.unlink()
+        raise LocfuseError(f"{path}: cannot be unpacked to {temporary.parent}: {problem.strerror}") from None
+    except BaseException:
+        temporary.unlink()
+        raise
+    return FileBytes(path, temporary)
+
+
+def _unpack(path: Path, plain: BinaryIO, losses: Losses) -> None:
+    size = path.stat().st_size
+    cap = max(LEAST_CAP, GREATEST_RATIO * size)
+    total, complete = 0, True
+    with path.open("rb") as packed:
+        declared = _declared_size(packed.read(HEAD_BYTES))
+        packed.seek(0)
+        reader = zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True)
+        try:
+            while piece := reader.read(PIECE):
+                total += len(piece)
+                if total > cap:
+                    raise LocfuseError(f"{path}: unpacks to more than {cap >> 20} MiB; try: zstd -d {path.name}")
+                plain.write(piece)
+        except zstandard.ZstdError:
+            complete = False
+    if not total:
+        raise LocfuseError(f"{path}: its compression is damaged from the beginning ({size} bytes)")
+    if not complete or total < declared:
+        losses.add(str(path), "the compression is damaged or cut off", 0, max(declared - total, 0))
+
+
+def _declared_size(head: bytes) -> int:
+    """Return the size that the first frame declares, 0 where it declares none."""
+    try:
+        return max(zstandard.frame_content_size(head), 0)
+    except zstandard.ZstdError:
+        return 0

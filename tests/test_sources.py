@@ -1,0 +1,429 @@
+"""Every kind of bag is the same log: sqlite3, compressed files and messages, ROS 1, JSON."""
+
+from __future__ import annotations
+
+import base64
+import gc
+import json
+import math
+import random
+import shutil
+import sqlite3
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zstandard
+from bags import LIGHT, STORE, T0, S, Said, build, drive, real_log, rows, write
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as Ros2Writer
+from rosbags.typesys import Stores, get_typestore
+
+from locfuse.formats.fields import paths
+from locfuse.formats.log import Log, open_log
+from locfuse.formats.messages import make_decoder
+from locfuse.fusion.data import LocfuseError
+
+NOETIC = get_typestore(Stores.ROS1_NOETIC)
+
+
+def contents(log: Log, wants: dict[str, tuple[str, ...]] = LIGHT) -> dict[str, Any]:
+    """Everything the fields say, as plain values."""
+    found: dict[str, Any] = {}
+    for topic, stream in log.streams(wants).items():
+        found[topic] = (stream.msgtype, stream.t_ns.tolist(), stream.frame_id)
+        for name, column in stream.columns(*wants[topic]).items():
+            found[f"{topic}.{name}"] = [np.asarray(row).tolist() for row in rows(column)]
+    return found
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    return contents(open_log([write(tmp_path_factory.mktemp("ref") / "ref.mcap", drive())]))
+
+
+def rosbag2(folder: Path, plugin: StoragePlugin, mode: CompressionMode | None = None) -> Path:
+    """The drive as rosbags writes it."""
+    writer = Ros2Writer(folder, version=9, storage_plugin=plugin)
+    if mode is not None:
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        connections: dict[str, Any] = {}
+        for m in drive():
+            if m.topic not in connections:
+                connections[m.topic] = writer.add_connection(m.topic, m.msgtype, typestore=STORE)
+            writer.write(connections[m.topic], m.log_time, m.data)
+    return folder
+
+
+@pytest.mark.parametrize("plugin", list(StoragePlugin))
+@pytest.mark.parametrize("mode", [None, CompressionMode.FILE, CompressionMode.MESSAGE, CompressionMode.STORAGE])
+def test_rosbag2_folders_of_every_storage_and_compression(
+    tmp_path: Path, reference: dict[str, Any], plugin: StoragePlugin, mode: CompressionMode | None
+) -> None:
+    if plugin is StoragePlugin.SQLITE3 and mode is CompressionMode.STORAGE:
+        pytest.skip("sqlite3 storage has no compression of its own")
+    folder = rosbag2(tmp_path / "bag", plugin, mode)
+    log = open_log([folder])
+    assert contents(log) == reference
+    assert not log.losses
+    assert sum(len(n) for n, _ in log.stream("/scan").blocks("ranges")) == 50
+    (folder / "metadata.yaml").unlink()
+    assert contents(open_log([folder])) == reference
+
+
+def test_a_real_sqlite3_bag_without_definitions_is_its_mcap_twin() -> None:
+    """The definitions of standard types are rosbags'; the MCAP carries its own."""
+    db3, mcap = open_log([real_log("turtlebot4/db3")]), open_log([real_log("turtlebot4")])
+    assert db3.topics.keys() == mcap.topics.keys()
+    assert db3.time_span_ns == mcap.time_span_ns
+    channels = {c.topic: c for source in mcap._sources for c in source.channels.values()}
+    wants = {topic: tuple(paths(make_decoder(channels[topic]).message)) for topic in mcap.topics}
+    for topic, fields in wants.items():
+        one, other = (log.stream(topic) for log in (db3, mcap))
+        np.testing.assert_array_equal(one.t_ns, other.t_ns)
+        a, b = one.columns(*fields), other.columns(*fields)
+        for name in fields:
+            for x, y in zip(rows(a[name]), rows(b[name]), strict=True):
+                np.testing.assert_array_equal(x, y)
+
+
+def test_a_type_nobody_defines_is_refused_by_name(tmp_path: Path) -> None:
+    folder = rosbag2(tmp_path / "bag", StoragePlugin.SQLITE3)
+    file = next(folder.glob("*.db3"))
+    with sqlite3.connect(file) as database:
+        database.execute("DROP TABLE message_definitions")
+        database.execute("UPDATE topics SET type = 'my_msgs/msg/Special' WHERE name = '/heading'")
+    database.close()
+    log = open_log([file])
+    assert len(log.stream("/scan").t_ns) == 50
+    with pytest.raises(LocfuseError, match="/heading cannot be read: its type is not described"):
+        log.stream("/heading")
+
+
+def test_a_damaged_sqlite3_bag_gives_what_can_be_read_and_counts_the_rest(tmp_path: Path) -> None:
+    file = next(rosbag2(tmp_path / "bag", StoragePlugin.SQLITE3).glob("*.db3"))
+    content = file.read_bytes()
+    rng = random.Random(0)
+    outcomes = {"lossy": 0, "refused": 0, "whole": 0}
+    for _ in range(60):
+        bad = bytearray(content)
+        if rng.random() < 0.5:
+            bad = bad[: rng.randrange(100, len(bad))]
+        else:
+            at = rng.randrange(len(bad))
+            bad[at : at + 600] = bytes(600)
+        file.write_bytes(bad)
+        try:
+            log = open_log([file])
+            for topic in log.topics:
+                if log.topics[topic].problem is None:
+                    log.stream(topic).columns()
+        except LocfuseError as problem:
+            line = str(problem)
+        else:
+            outcomes["lossy" if log.losses else "whole"] += 1
+            continue
+        assert "\n" not in line
+        outcomes["refused"] += 1
+    assert outcomes["lossy"] > 2
+
+
+def test_a_sqlite3_file_that_is_no_bag_is_one_line(tmp_path: Path) -> None:
+    file = tmp_path / "x.db3"
+    database = sqlite3.connect(file)
+    database.execute("CREATE TABLE music (title TEXT)")
+    database.close()
+    with pytest.raises(LocfuseError, match="not a readable rosbag2 database: no such table"):
+        open_log([file])
+
+
+def test_a_journal_of_a_crashed_recording_is_read_too(tmp_path: Path, reference: dict[str, Any]) -> None:
+    file = next(rosbag2(tmp_path / "bag", StoragePlugin.SQLITE3).glob("*.db3"))
+    live = sqlite3.connect(file)
+    live.execute("PRAGMA journal_mode=WAL")
+    live.execute("DELETE FROM messages WHERE id > 100")
+    live.commit()
+    crashed = tmp_path / "crashed.db3"
+    shutil.copy(file, crashed)
+    shutil.copy(f"{file}-wal", f"{crashed}-wal")
+    live.close()
+    log = open_log([crashed])
+    assert sum(topic.count for topic in log.topics.values()) == 100
+    assert contents(log) != reference
+
+
+@pytest.mark.parametrize("cut", [0.3, 0.7, 0.95])
+def test_a_cut_off_compressed_file_gives_its_beginning(tmp_path: Path, cut: float) -> None:
+    said = drive(4000)
+    plain = write(tmp_path / "x.mcap", said, chunk_size=3000)
+    packed = zstandard.ZstdCompressor(level=1).compress(plain.read_bytes())
+    file = tmp_path / "x.mcap.zstd"
+    file.write_bytes(packed[: int(len(packed) * cut)])
+    log = open_log([file])
+    assert log.name == "x"
+    assert "the compression is damaged or cut off" in log.losses.lines()[0]
+    assert cut - 0.15 < len(log.stream("/joint_states").t_ns) / 4000 < 1
+
+
+def test_temporary_files_go_with_the_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "tmp").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "tmp"))
+    plain = write(tmp_path / "x.mcap", drive(40))
+    packed = tmp_path / "x.mcap.zstd"
+    packed.write_bytes(zstandard.ZstdCompressor().compress(plain.read_bytes()))
+    log = open_log([packed])
+    assert len(log.stream("/scan").t_ns) == 10
+    assert len(list((tmp_path / "tmp").iterdir())) == 1
+    del log
+    gc.collect()
+    assert list((tmp_path / "tmp").iterdir()) == []
+
+
+def test_a_bomb_of_a_compressed_file_stops_at_its_cap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("locfuse.formats.zstd_file.LEAST_CAP", 1 << 20)
+    file = tmp_path / "x.mcap.zstd"
+    file.write_bytes(zstandard.ZstdCompressor().compress(bytes(64 << 20)))
+    with pytest.raises(LocfuseError, match="unpacks to more than 1 MiB"):
+        open_log([file])
+
+
+def test_messages_that_do_not_unpack_are_dropped_and_counted(tmp_path: Path) -> None:
+    pack = zstandard.ZstdCompressor().compress
+    said = [m._replace(data=pack(m.data)[: -9 if i % 10 == 0 else None]) for i, m in enumerate(drive(40))]
+    log = open_log([write(tmp_path / "x.mcap", said)])
+    found = log.streams(LIGHT)
+    n_bad = sum(sum(stream.dropped.values()) for stream in found.values())
+    assert n_bad == len(range(0, len(said), 10))
+    assert sum(len(stream.t_ns) for stream in found.values()) == len(said) - n_bad
+
+
+# ROS 1
+
+
+def ros1(path: Path, compression: Ros1Writer.CompressionFormat | None = None) -> Path:
+    """The drive as a ROS 1 bag."""
+    writer = Ros1Writer(path)
+    if compression:
+        writer.set_compression(compression)
+    writer.chunk_threshold = 4000
+    with writer:
+        connections: dict[str, Any] = {}
+        for m in drive():
+            message: Any = STORE.deserialize_cdr(m.data, m.msgtype)
+            if m.topic not in connections:
+                connections[m.topic] = writer.add_connection(m.topic, m.msgtype, typestore=NOETIC)
+            kind = m.msgtype
+            fields = {name: getattr(message, name) for name, _ in NOETIC.get_msgdef(kind).fields}
+            if "header" in fields:
+                stamp = {"sec": message.header.stamp.sec, "nanosec": message.header.stamp.nanosec}
+                head = {"seq": 7, "stamp": stamp, "frame_id": message.header.frame_id}
+                fields["header"] = build("std_msgs/msg/Header", NOETIC, **head)
+            raw = NOETIC.serialize_ros1(NOETIC.types[kind](**fields), kind)
+            writer.write(connections[m.topic], m.log_time, raw)
+    return path
+
+
+@pytest.mark.parametrize("compression", [None, *Ros1Writer.CompressionFormat])
+def test_a_ros1_bag_is_the_same_log(tmp_path: Path, reference: dict[str, Any], compression: Any) -> None:
+    log = open_log([ros1(tmp_path / "x.bag", compression)])
+    assert contents(log) == reference
+    assert not log.losses
+    assert log.time_span_ns == open_log([write(tmp_path / "x.mcap", drive())]).time_span_ns
+    assert log.decoded_fast > 0.9 * (log.decoded_fast + log.decoded_general)
+
+
+def test_a_truncated_ros1_bag_gives_every_message_that_is_wholly_there(tmp_path: Path) -> None:
+    content = ros1(tmp_path / "x.bag").read_bytes()
+    whole = open_log([tmp_path / "x.bag"])
+    stamps = {topic: stream.t_ns.tolist() for topic, stream in whole.streams(LIGHT).items()}
+    path = tmp_path / "cut.bag"
+    counts = []
+    for cut in range(5000, len(content), len(content) // 25):
+        path.write_bytes(content[:cut])
+        log = open_log([path])
+        n = 0
+        for topic in log.topics:
+            t_ns = log.stream(topic).t_ns.tolist()
+            assert t_ns == stamps[topic][: len(t_ns)]
+            n += len(t_ns)
+        assert log.losses
+        counts.append(n)
+    assert counts == sorted(counts)
+    assert counts[-1] == sum(map(len, stamps.values()))
+
+
+def test_a_hole_in_a_ros1_bag_loses_what_lies_in_it_and_nothing_behind(tmp_path: Path) -> None:
+    content = bytearray(ros1(tmp_path / "x.bag").read_bytes())
+    at = len(content) // 3
+    content[at : at + 500] = bytes(500)
+    path = tmp_path / "hole.bag"
+    path.write_bytes(content)
+    log = open_log([path])
+    stream = log.stream("/joint_states")
+    assert log.losses or sum(stream.dropped.values())
+    assert 120 < len(stream.t_ns) < 200
+    assert stream.t_ns[-1] == T0 + 199 * S // 20
+
+
+def test_damaged_ros1_bags_never_raise_but_one_line(tmp_path: Path) -> None:
+    content = ros1(tmp_path / "x.bag").read_bytes()
+    rng = random.Random(3)
+    path = tmp_path / "bad.bag"
+    lines = []
+    for _ in range(60):
+        bad = bytearray(content)
+        for _ in range(3):
+            bad[rng.randrange(13, len(bad))] = rng.randrange(256)
+        path.write_bytes(bad)
+        try:
+            log = open_log([path])
+            for topic in log.topics:
+                if log.topics[topic].problem is None:
+                    assert (np.diff(log.stream(topic).t_ns) >= 0).all()
+        except LocfuseError as problem:
+            lines.append(str(problem))
+    assert not any("\n" in line for line in lines)
+
+
+def test_an_old_or_encrypted_ros1_bag_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "old.bag"
+    path.write_bytes(b"#ROSBAG V1.2\n" + bytes(100))
+    with pytest.raises(LocfuseError, match="a ROS 1 bag of an old version"):
+        open_log([path])
+
+
+# JSON
+
+
+def json_schema(**properties: Any) -> bytes:
+    time = {
+        "type": "object",
+        "title": "time",
+        "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
+    }
+    return json.dumps(
+        {"type": "object", "properties": {"timestamp": time, "frame_id": {"type": "string"}, **properties}}
+    ).encode()
+
+
+NUMBER = {"type": "number"}
+POSE = {
+    "type": "object",
+    "properties": {k: {"type": "object", "properties": dict.fromkeys("xyz", NUMBER)} for k in ("position",)},
+}
+SCAN = json_schema(start_angle=NUMBER, end_angle=NUMBER, ranges={"type": "array", "items": NUMBER}, pose=POSE)
+IMAGE = json_schema(data={"type": "string", "contentEncoding": "base64"}, format={"type": "string"})
+
+
+def json_log(path: Path, name: str, schema: bytes, messages: list[bytes]) -> Path:
+    with path.open("wb") as file:
+        writer: Any = McapWriter(file)
+        writer.start()
+        channel = writer.register_channel("/topic", "json", writer.register_schema(name, "jsonschema", schema))
+        for i, message in enumerate(messages):
+            writer.add_message(channel, T0 + i * S // 10 + 1000, message, T0, i)
+        writer.finish()
+    return path
+
+
+def said_in_json(i: int, **values: Any) -> bytes:
+    t = T0 + i * S // 10
+    return json.dumps({"timestamp": {"sec": t // S, "nsec": t % S}, "frame_id": "laser", **values}).encode()
+
+
+def test_foxglove_json_scans_are_columns(tmp_path: Path) -> None:
+    messages = [
+        said_in_json(i, start_angle=-1, end_angle=1.5, ranges=[1, 2.5, i], pose={"position": {"x": i}})
+        for i in range(5)
+    ]
+    stream = open_log([json_log(tmp_path / "x.mcap", "foxglove.LaserScan", SCAN, messages)]).stream("/topic")
+    assert stream.msgtype == "foxglove.LaserScan"
+    assert stream.frame_id == "laser"
+    assert stream.t_ns.tolist() == [T0 + i * S // 10 for i in range(5)]
+    columns = stream.columns("start_angle", "ranges", "pose.position.x")
+    assert np.asarray(columns["start_angle"]).tolist() == [-1.0] * 5
+    assert [row.tolist() for row in rows(columns["ranges"])] == [[1, 2.5, i] for i in range(5)]
+    assert np.asarray(columns["pose.position.x"]).tolist() == list(range(5))
+
+
+def test_foxglove_json_images_are_bytes(tmp_path: Path) -> None:
+    picture = bytes(range(256))
+    message = said_in_json(0, data=base64.b64encode(picture).decode(), format="jpeg")
+    stream = open_log([json_log(tmp_path / "x.mcap", "foxglove.CompressedImage", IMAGE, [message])]).stream(
+        "/topic"
+    )
+    assert stream.columns("data", "format") == {"data": [picture], "format": ["jpeg"]}
+
+
+@pytest.mark.parametrize("value", [None, "x", {}, [None], "NaN"])
+def test_values_that_are_missing_or_of_another_type_are_nan_or_empty(tmp_path: Path, value: Any) -> None:
+    message = said_in_json(0, start_angle=value, ranges=value)
+    stream = open_log(
+        [json_log(tmp_path / "x.mcap", "foxglove.LaserScan", SCAN, [message, said_in_json(1)])]
+    ).stream("/topic")
+    columns = stream.columns("start_angle", "end_angle", "ranges")
+    assert np.isnan(np.asarray(columns["start_angle"])).all()
+    assert np.isnan(np.asarray(columns["end_angle"])).all()
+    assert all(math.isnan(x) for row in rows(columns["ranges"]) for x in row)
+
+
+def test_nan_and_infinity_in_json_are_read(tmp_path: Path) -> None:
+    message = said_in_json(0, start_angle=0, ranges=[1.0, float("nan"), float("inf")])
+    stream = open_log([json_log(tmp_path / "x.mcap", "foxglove.LaserScan", SCAN, [message])]).stream("/topic")
+    ranges = rows(stream.columns("ranges")["ranges"])[0]
+    np.testing.assert_array_equal(ranges, [1, np.nan, np.inf])
+
+
+@pytest.mark.parametrize("bad", [b"", b"[1, 2]", b"{", b"\xff\xfe", b"[" * 100_000])
+def test_what_is_no_json_object_is_dropped_and_counted(tmp_path: Path, bad: bytes) -> None:
+    log = open_log([json_log(tmp_path / "x.mcap", "foxglove.LaserScan", SCAN, [bad, said_in_json(1)])])
+    stream = log.stream("/topic")
+    assert len(stream.t_ns) == 1
+    assert stream.dropped == {"not a JSON object": 1}
+
+
+@pytest.mark.parametrize("schema", [b"", b"{", b"[]", b'{"type": "string"}', b"{}"])
+def test_a_json_schema_that_cannot_be_used_says_so(tmp_path: Path, schema: bytes) -> None:
+    log = open_log([json_log(tmp_path / "x.mcap", "foxglove.LaserScan", schema, [said_in_json(0)])])
+    with pytest.raises(LocfuseError, match="/topic cannot be read: its jsonschema definition"):
+        assert log.stream("/topic").t_ns is not None
+
+
+@pytest.mark.parametrize("name", ["custom-camera-model", "example", "example_logs"])
+def test_real_json_logs_read_like_by_the_json_module(name: str) -> None:
+    from mcap.reader import make_reader
+
+    path = real_log(f"bags/foxglove-json/{name}.mcap")
+    log = open_log([path])
+    said: dict[str, list[Said]] = {}
+    with path.open("rb") as file:
+        for schema, channel, m in make_reader(file).iter_messages():
+            assert schema is not None
+            said.setdefault(channel.topic, []).append(
+                Said(channel.topic, schema.name, m.data, m.log_time, m.sequence)
+            )
+    for topic, messages in said.items():
+        stream = log.stream(topic)
+        unique = list({(m.log_time, m.data): m for m in messages}.values())
+        assert len(stream.t_ns) == len(unique)
+        channels = [c for source in log._sources for c in source.channels.values() if c.topic == topic]
+        fields = [f for f in paths(make_decoder(channels[0]).message) if "." not in f and f != "timestamp"]
+        columns = stream.columns(*fields)
+        values = [json.loads(m.data) for m in unique]
+        for field in fields:
+            got = sorted(map(str, (np.asarray(x).tolist() for x in rows(columns[field]))))
+            expected = sorted(map(str, (_plain(v[field], columns[field]) for v in values)))
+            assert got == expected
+
+
+def _plain(value: Any, column: Any) -> Any:
+    if isinstance(column, list) and column and isinstance(column[0], bytes):
+        return np.asarray(base64.b64decode(value)).tolist()
+    if isinstance(value, list):
+        return [float(x) for x in value]
+    return float(value) if isinstance(value, int) else value

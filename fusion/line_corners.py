@@ -11,7 +11,7 @@ import numpy as np
 
 from .data import Array, Ints
 from .line_beams import LineSettings, Runs
-from .line_fit import Mask, Rays, residuals
+from .line_fit import Mask
 from .line_walls import Walls, point_sigma
 
 _TOUCHING = 4  # walls whose facing ends are this many beams apart meet in a corner
@@ -19,11 +19,10 @@ _SHARE = 0.2  # of a wall's length may be left out at either end
 _BENT = 0.1  # sine of the least angle that is a corner
 
 
-def clear_beams(runs: Runs, walls: Walls, rays: Rays, counts: Ints, settings: LineSettings) -> Mask:
-    """Return which of the walls' `rays` (k,), `counts` (m,) each, show their wall as it is."""
+def clear_beams(runs: Runs, walls: Walls, foot: Array, counts: Ints, settings: LineSettings) -> Mask:
+    """Return which of the walls' beams show their wall as it is, (k,), by their predicted feet (k,) [m]."""
     low, high = _corner_limits(runs, walls, settings)
     flat = walls.r * np.tan(settings.max_incidence)
-    foot = residuals(rays, counts, walls.r, walls.psi, 0.0)[1]
     clear = foot >= np.repeat(np.maximum(low, -flat), counts)
     clear &= foot <= np.repeat(np.minimum(high, flat), counts)
     return clear

@@ -12,6 +12,7 @@ The rays of all lines stand one line after another; `counts` (m,) says how many 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,37 +71,51 @@ def misfit(moments: Array) -> Array:
     return _small_eigenvalue(sxx - sx * mx, sxy - sx * my, syy - sy * my)
 
 
-def fit_lines(
-    rays: Rays, counts: Ints, r: Array, psi: Array, ratio: float, used: Array | Mask | None = None, steps: int = 2
-) -> Fits:
+class Seen(NamedTuple):
+    """Rays beside the line they are counted to; every array is (k,)."""
+
+    e: Array  # distance from the line [m]
+    q: Array  # foot of the predicted point along the line [m]
+    w: Array  # sigma_range^2 / var(e), 0 for what is not in the fit
+
+
+def fit_lines(rays: Rays, counts: Ints, r: Array, psi: Array, ratio: float, steps: int = 2) -> Fits:
     """Return the best lines near (r, psi), each (m,), after Gauss-Newton steps on the ranges.
 
-    `ratio` is sigma_angle / sigma_range [rad/m]; `used` (k,) is 1 for rays in the fit and 0 for others, of which
-    every line needs two. Times n.u, the range residual d - p is the distance e = (d - p) n.u and its derivative by
-    (r, psi) is (-1, q), q the foot of the *predicted* point along the wall: taking the measured one instead is the
-    bias of perpendicular fits.
+    `ratio` is sigma_angle / sigma_range [rad/m]; every line needs two rays.
     """
+    for _ in range(steps - 1):
+        r, psi = improved(residuals(rays, counts, r, psi, ratio), counts, r, psi)
+    return fitted(residuals(rays, counts, r, psi, ratio), counts, r, psi)
+
+
+def improved(seen: Seen, counts: Ints, r: Array, psi: Array) -> tuple[Array, Array]:
+    """Return (r, psi) after one Gauss-Newton step from where the residuals were taken."""
+    dr, dpsi = _step(np.add.reduceat(_summands(seen), np.cumsum(counts) - counts, axis=1))
+    return r + dr, psi + dpsi
+
+
+def fitted(seen: Seen, counts: Ints, r: Array, psi: Array) -> Fits:
+    """Return the lines after a last Gauss-Newton step, with covariance and misfit."""
     first = np.cumsum(counts) - counts
-    for _ in range(steps):
-        e, q, w = residuals(rays, counts, r, psi, ratio)
-        if used is not None:
-            w *= used
-        a, b, c, f, g, ee = np.add.reduceat(_summands(e, q, w), first, axis=1)
-        det = a * c - b * b
-        dr, dpsi = (c * f - b * g) / det, (b * f - a * g) / det
-        r, psi = r + dr, psi + dpsi
+    sums = np.add.reduceat(_summands(seen), first, axis=1)
+    dr, dpsi = _step(sums)
+    a, b, c, f, g, ee = sums
+    det = a * c - b * b
     R_unit = np.stack((c / det, b / det, b / det, a / det), axis=-1).reshape(-1, 2, 2)
     # q^2 less its part along 1 and q, which the line already has: what a parabola would explain on top
-    cubic, quartic, qqe = np.add.reduceat(_parabola(e, q, w), first, axis=1)
+    cubic, quartic, qqe = np.add.reduceat(_parabola(seen), first, axis=1)
     norm = quartic - (c * (c * c - b * cubic) + cubic * (a * cubic - b * c)) / det
     product = qqe - dr * c + dpsi * cubic
     misfit = np.maximum(ee - dr * f + dpsi * g, 0.0)
-    return Fits(r, psi, R_unit, misfit, product * product / norm, product / norm)
+    return Fits(r + dr, psi + dpsi, R_unit, misfit, product * product / norm, product / norm)
 
 
-def residuals(rays: Rays, counts: Ints, r: Array, psi: Array, ratio: float) -> tuple[Array, Array, Array]:
-    """Return per ray: distance e from its line [m], foot q of the predicted point [m], sigma_range^2 / var(e).
+def residuals(rays: Rays, counts: Ints, r: Array, psi: Array, ratio: float) -> Seen:
+    """Return the rays beside the lines (r, psi), each (m,).
 
+    Times n.u, the range residual d - p is the distance e = (d - p) n.u, and its derivative by (r, psi) is (-1, q),
+    q the foot of the *predicted* point: taking the measured one instead is the bias of perpendicular fits.
     Worked in place: at these sizes fetching memory for every intermediate result would double the time.
     """
     nx, ny, q = (np.repeat(a, counts) for a in (np.cos(psi), np.sin(psi), r))
@@ -119,11 +134,19 @@ def residuals(rays: Rays, counts: Ints, r: Array, psi: Array, ratio: float) -> t
     w *= w
     w += np.multiply(cos, cos, out=cos)
     np.divide(1.0, w, out=w)
-    return e, q if foot is None else np.add(q, foot, out=q), w
+    return Seen(e, q if foot is None else np.add(q, foot, out=q), w)
 
 
-def _summands(e: Array, q: Array, w: Array) -> Array:
+def _step(sums: Array) -> tuple[Array, Array]:
+    """Return the solution (dr, dpsi) of the normal equations, from their sums (6, m)."""
+    a, b, c, f, g, _ = sums
+    det = a * c - b * b
+    return (c * f - b * g) / det, (b * f - a * g) / det
+
+
+def _summands(seen: Seen) -> Array:
     """Return the summands of the normal equations, (6, k): w, wq, wqq, we, wqe, wee."""
+    e, q, w = seen
     rows = np.empty((6, len(e)))
     rows[0] = w
     np.multiply(w, q, out=rows[1])
@@ -134,8 +157,9 @@ def _summands(e: Array, q: Array, w: Array) -> Array:
     return rows
 
 
-def _parabola(e: Array, q: Array, w: Array) -> Array:
+def _parabola(seen: Seen) -> Array:
     """Return the summands that a parabola adds, (3, k): wqqq, wqqqq, wqqe."""
+    e, q, w = seen
     rows = np.empty((3, len(e)))
     wqq = w * q
     wqq *= q

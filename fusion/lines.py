@@ -14,10 +14,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from .data import Array, Ints
-from .line_beams import LineSettings, Scans, cut_at_gaps
+from .line_beams import LineSettings, Runs, Scans, cut_at_gaps
 from .line_corners import clear_beams
-from .line_fit import Fits, Mask, Rays, fit_lines, residuals
-from .line_walls import find_walls
+from .line_fit import Fits, Mask, Rays, Seen, fitted, improved, residuals
+from .line_walls import Walls, find_walls
 from .se2 import wrap_all
 
 __all__ = ["LineSettings", "Lines", "extract_lines", "to_base"]
@@ -95,15 +95,11 @@ def _extract(scans: Scans, settings: LineSettings) -> Lines:
     walls = find_walls(runs, settings)
     rows, counts = walls.rows()
     rays = runs.beams.rays.take(rows)
-    clear = clear_beams(runs, walls, rays, counts, settings)
-    head, tail, points = _first_and_last(clear, counts)
-    enough = points >= max(settings.min_points, 3)
-    clear |= np.repeat(~enough, counts)  # refused below; until then they need something to fit
-    fit = _without_strays(rays, counts, walls.r, walls.psi, clear, settings)
+    fit, clear, enough = _fit(runs, walls, rays, counts, settings)
     head, tail, points = _first_and_last(clear, counts)
     ends = np.stack((head, tail), axis=1)
     two = np.full(len(ends), 2)
-    feet = residuals(rays.take(ends.ravel()), two, fit.r, fit.psi, 0.0)[1].reshape(-1, 2)
+    feet = residuals(rays.take(ends.ravel()), two, fit.r, fit.psi, 0.0).q.reshape(-1, 2)
     good = np.flatnonzero(enough & _straight(fit, points, feet, settings))
     scan = runs.beams.scan[walls.head[good]]
     return Lines(
@@ -117,26 +113,34 @@ def _extract(scans: Scans, settings: LineSettings) -> Lines:
     )
 
 
-def _without_strays(rays: Rays, counts: Ints, r: Array, psi: Array, clear: Mask, settings: LineSettings) -> Fits:
-    """Return the fits after leaving out rays that are not of the wall: a pole or a person's leg before it.
+def _fit(runs: Runs, walls: Walls, rays: Rays, counts: Ints, settings: LineSettings) -> tuple[Fits, Mask, Mask]:
+    """Return the walls' fits, which beams are in them (k,), and which walls have enough beams (m,).
 
-    A few such beams are too few to be cut off as a piece of their own, and pull the whole line towards them.
+    Two Gauss-Newton steps. Corners leave before the first, strays before the second.
     """
-    ratio = settings.sigma_angle / settings.sigma_range
-    fit = fit_lines(rays, counts, r, psi, ratio, clear)
-    e, _, w = residuals(rays, counts, fit.r, fit.psi, ratio)
-    stray = clear & (e * e * w > (settings.stray_sigmas * settings.sigma_range) ** 2)
-    left = np.add.reduceat(clear & ~stray, np.cumsum(counts) - counts, dtype=np.int64)
-    stray &= np.repeat(left >= max(settings.min_points, 3), counts)
-    lines = np.unique(np.repeat(np.arange(len(counts)), counts)[stray])
-    if len(lines) == 0:
-        return fit
-    clear &= ~stray
-    rows = np.flatnonzero(np.isin(np.repeat(np.arange(len(counts)), counts), lines))
-    again = fit_lines(rays.take(rows), counts[lines], fit.r[lines], fit.psi[lines], ratio, clear[rows])
-    for f in fields(Fits):
-        getattr(fit, f.name)[lines] = getattr(again, f.name)
-    return fit
+    ratio, least = settings.sigma_angle / settings.sigma_range, max(settings.min_points, 3)
+    seen = residuals(rays, counts, walls.r, walls.psi, ratio)
+    clear = clear_beams(runs, walls, seen.q, counts, settings)
+    points = _first_and_last(clear, counts)[2]
+    enough = points >= least
+    clear |= np.repeat(~enough, counts)  # refused in the end; until then they need something to fit
+    np.multiply(seen.w, clear, out=seen.w)
+    r, psi = improved(seen, counts, walls.r, walls.psi)
+    seen = residuals(rays, counts, r, psi, ratio)
+    clear[_strays(seen, clear, counts, points - least, settings)] = False
+    np.multiply(seen.w, clear, out=seen.w)
+    return fitted(seen, counts, r, psi), clear, enough
+
+
+def _strays(seen: Seen, clear: Mask, counts: Ints, spare: Ints, settings: LineSettings) -> Ints:
+    """Return the rows of beams that are not of their wall: a pole or a person's leg before it.
+
+    A few such beams are too few to be cut off as a piece of their own, and pull the whole line towards them. Walls
+    that have fewer beams to `spare` (m,) than strays keep them, and their misfit shows.
+    """
+    rows = np.flatnonzero((seen.e * seen.e * seen.w > (settings.stray_sigmas * settings.sigma_range) ** 2) & clear)
+    wall = np.searchsorted(np.cumsum(counts), rows, side="right")
+    return rows[(np.bincount(wall, minlength=len(counts)) <= spare)[wall]]
 
 
 def _straight(fit: Fits, points: Ints, feet: Array, settings: LineSettings) -> Mask:

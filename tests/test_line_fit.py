@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from locfuse.fusion.data import Array
-from locfuse.fusion.line_fit import Fits, Rays, fit_lines, misfit, total_least_squares
+from locfuse.fusion.line_fit import Fits, Rays, fit_lines, fitted, misfit, residuals, total_least_squares
 
 NOISE = {"30mm_0.25deg": (0.03, math.radians(0.25)), "5mm_0.1deg": (0.005, math.radians(0.1))}
 WALLS = {  # r [m], psi [rad], from where to where along the tangent [m]
@@ -148,17 +148,17 @@ def test_lines_fitted_together_are_the_lines_fitted_alone() -> None:
             assert getattr(alone, name)[0].tobytes() == getattr(together, name)[i].tobytes()
 
 
-def test_unused_rays_do_not_count() -> None:
-    noise = NOISE["5mm_0.1deg"]
-    wall = WALLS["off_centre"]
+def test_rays_of_no_weight_do_not_count() -> None:
+    noise, wall = NOISE["5mm_0.1deg"], WALLS["off_centre"]
     rays = simulated(wall, noise, None).take(np.arange(60))
     used = np.ones(60, bool)
     used[[0, 5, 59]] = False
     rays.d[~used] += 1.0
-    ratio = noise[1] / noise[0]
     start = np.array([wall[0]]), np.array([wall[1]])
-    masked = fit_lines(rays, np.array([60]), *start, ratio, used)
-    fewer = fit_lines(rays.take(np.flatnonzero(used)), np.array([57]), *start, ratio)
+    ratio = noise[1] / noise[0]
+    seen = residuals(rays, np.array([60]), *start, ratio)
+    masked = fitted(seen._replace(w=seen.w * used), np.array([60]), *start)
+    fewer = fit_lines(rays.take(np.flatnonzero(used)), np.array([57]), *start, ratio, steps=1)
     assert [masked.r[0], masked.psi[0]] == pytest.approx([fewer.r[0], fewer.psi[0]], abs=1e-12)
     np.testing.assert_allclose(masked.R_unit, fewer.R_unit, rtol=1e-9)
 

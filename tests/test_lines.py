@@ -225,6 +225,18 @@ def test_beams_that_graze_the_wall_are_left_out() -> None:
     assert np.abs(lines.ends).max() <= 0.15 * math.tan(math.radians(85.0)) + 0.02
 
 
+def test_single_beams_off_the_wall_do_not_pull_it() -> None:
+    """Four sigmas: too near to be cut off as a piece of its own, too far to be of the wall."""
+    rng = np.random.default_rng(14)
+    d = scan(np.array([(3.0, -2.0, 3.0, 2.0)]), np.zeros(3), HALF) + rng.normal(0.0, 0.03, 361)
+    stray, gone = d.copy(), d.copy()
+    at = [130, 180, 235]
+    stray[at] = (3.0 - 0.12) / np.cos(HALF[at])
+    gone[at] = np.nan
+    found, expected = extract_lines(np.stack((stray, gone)), HALF).z
+    assert found == pytest.approx(expected, abs=1e-4)  # 2e-3 with them
+
+
 # --- scanners
 
 

@@ -47,8 +47,11 @@ def choose(log: Log, robot: Robot, insisted: Collection[str] = ()) -> Choice:
             continue
         candidates = [t for t in _of_type(log, sensor.reads) if t not in taken]
         candidates = [t for t in candidates if _named_well(t, log.topics[t].msgtype, getattr(sensor, "named", {}))]
-        topic = _one(log, name, named, candidates, sensor.reads)
-        if topic is None:
+        unset = getattr(sensor, "missing", lambda settings: None)(robot.settings(name)) if candidates else None
+        topic = None if unset else _one(log, name, named, candidates, sensor.reads)
+        if unset:
+            choice.absent[name] = unset
+        elif topic is None:
             choice.absent[name] = f"no topic of type {_types(sensor.reads)} in {log.name}"
         elif log.topics[topic].count == 0:
             choice.absent[name] = f"{topic} holds no messages"

@@ -7,6 +7,7 @@ import struct
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -16,6 +17,8 @@ import pytest
 from numpy.typing import NDArray
 from omni_scene import Lens, Picture, Pole, picture, wrapped_deg
 
+from locfuse.cli.load import make_robot
+from locfuse.cli.topics import choose
 from locfuse.formats.preview import write_pictures
 from locfuse.fusion import landmark as landmark_module
 from locfuse.fusion.bearing import paper_orientation, predict_bearing
@@ -219,6 +222,18 @@ def test_without_a_landmark_the_error_names_the_key_and_the_command() -> None:
         measured(compressed(b""), CameraSettings())
     with pytest.raises(LocfuseError, match=r"camera\.landmark"):
         Camera().model(CameraSettings())
+
+
+def test_a_log_with_pictures_but_no_landmark_is_a_log_without_a_camera() -> None:
+    """A first bag has cameras, perhaps several, and no settings: that is no reason to stop."""
+    kinds = {"/odom": "nav_msgs/msg/Odometry", "/rgb": "sensor_msgs/msg/Image", "/depth": "sensor_msgs/msg/Image"}
+    topics = {t: SimpleNamespace(msgtype=kind, count=5, problem=None) for t, kind in kinds.items()}
+    log: Any = SimpleNamespace(name="bag", topics=topics)
+    choice = choose(log, make_robot({}))
+    assert choice.topics == {"wheels": "/odom"}
+    assert "camera.landmark is not set" in choice.absent["camera"]
+    with pytest.raises(LocfuseError, match=r"2 topics that fit: /depth, /rgb"):
+        choose(log, make_robot({"camera": {"landmark": [1.0, 2.0]}}))
 
 
 @pytest.mark.parametrize(

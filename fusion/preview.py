@@ -13,6 +13,7 @@ from .images import decode, messages
 from .landmark import Detector, Look
 from .optics import Optics, angle_of_bearing, bearing, omni_1
 from .panorama import Picture, red_grey, unwrap
+from .sensors.camera import CameraSettings, detector
 
 RINGS, GRID, FOUND = (255, 200, 0), (0, 200, 255), (80, 255, 80)  # blue, green, red
 
@@ -33,12 +34,12 @@ class PreviewPictures(NamedTuple):
         return {f"{self.row:06d}-{key}": picture for key, picture in pictures.items()}
 
 
-def preview(stream: Stream, detector: Detector, count: int = 4) -> list[PreviewPictures]:
+def preview(stream: Stream, settings: CameraSettings, count: int = 4) -> list[PreviewPictures]:
     """Return `count` messages of a stream, evenly spread, as pictures.
 
     Raises LocfuseError where none of them can be read.
     """
-    total = len(stream.t_ns)
+    total, find = len(stream.t_ns), detector(settings)
     wanted = set(np.unique(np.linspace(0, max(0, total - 1), max(1, min(count, total))).astype(int)).tolist())
     shown: list[PreviewPictures] = []
     reasons: list[str] = []
@@ -47,7 +48,7 @@ def preview(stream: Stream, detector: Detector, count: int = 4) -> list[PreviewP
         if isinstance(picture, str):
             reasons.append(picture)
         else:
-            shown.append(_pictures(row, picture, detector))
+            shown.append(_pictures(row, picture, find))
         if len(shown) + len(reasons) == len(wanted):
             break
     if not shown:
@@ -56,15 +57,15 @@ def preview(stream: Stream, detector: Detector, count: int = 4) -> list[PreviewP
     return shown
 
 
-def _pictures(row: int, picture: Picture, detector: Detector) -> PreviewPictures:
-    seen = detector.find(picture)
-    grey = red_grey(picture, detector.red) * _inside(picture, seen.optics)
+def _pictures(row: int, picture: Picture, find: Detector) -> PreviewPictures:
+    seen = find.find(picture)
+    grey = red_grey(picture, find.red) * _inside(picture, seen.optics)
     bearings = [math.degrees(float(bearing(np.asarray(c.theta), seen.optics))) for c in seen.candidates]
     return PreviewPictures(
         row=row,
         raw=picture,
         mask=np.where(grey > 0, np.uint8(255), np.uint8(0)),
-        panorama=unwrap(picture, seen.optics, printed=detector.chain == "printed"),
+        panorama=unwrap(picture, seen.optics, printed=find.chain == "printed"),
         detection=_drawn(picture, seen, bearings),
         bearings_deg=tuple(bearings),
     )

@@ -27,7 +27,7 @@ from locfuse.fusion.ekf import PoseBelief
 from locfuse.fusion.image_header import image_size
 from locfuse.fusion.preview import preview
 from locfuse.fusion.se2 import wrap, wrap_all
-from locfuse.fusion.sensors.camera import Camera, CameraSettings, detector
+from locfuse.fusion.sensors.camera import Camera, CameraSettings
 
 LENS = Lens()
 SETTINGS = CameraSettings(
@@ -385,7 +385,7 @@ def test_the_papers_variance_knows_no_pixels() -> None:
 
 def test_a_preview_shows_pictures_evenly_spread_with_what_was_found(tmp_path: Path) -> None:
     shots = [coded(picture(LENS, Pole(10.0 * k)), ".png") for k in range(7)]
-    shown = preview(compressed(*shots, layout="png"), detector(SETTINGS), count=3)
+    shown = preview(compressed(*shots, layout="png"), SETTINGS, count=3)
     assert [p.row for p in shown] == [0, 3, 6]
     for p in shown:
         np.testing.assert_allclose(p.bearings_deg, (10.0 * p.row,), atol=0.15)
@@ -400,17 +400,17 @@ def test_a_preview_shows_pictures_evenly_spread_with_what_was_found(tmp_path: Pa
 
 
 def test_a_preview_needs_no_landmark_and_no_calibration() -> None:
-    (shown,) = preview(compressed(coded(picture(LENS, Pole(10.0)))), detector(CameraSettings()), count=4)
+    (shown,) = preview(compressed(coded(picture(LENS, Pole(10.0)))), CameraSettings(), count=4)
     assert shown.row == 0
 
 
 def test_a_preview_passes_by_broken_pictures_and_says_so_where_all_are() -> None:
     good = coded(picture(LENS))
-    assert len(preview(compressed(b"x", good), detector(SETTINGS), count=2)) == 1
+    assert len(preview(compressed(b"x", good), SETTINGS, count=2)) == 1
     with pytest.raises(LocfuseError, match=r"/omni.*2 pictures.*unreadable"):
-        preview(compressed(b"x", b"y"), detector(SETTINGS))
+        preview(compressed(b"x", b"y"), SETTINGS)
     with pytest.raises(LocfuseError, match="no messages"):
-        preview(compressed(), detector(SETTINGS))
+        preview(compressed(), SETTINGS)
 
 
 def test_pictures_that_cannot_be_written_are_one_line(tmp_path: Path) -> None:

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from ..fusion.data import Column, Ragged
 
+TRUSTED = 1 << 22  # elements allocated on the word of a file that so many will come
+
 
 def concat(parts: Sequence[Column]) -> Column:
     """Join columns of one kind end to end."""
@@ -50,3 +52,67 @@ def n_bytes(column: Column) -> int:
     if isinstance(column, list):
         return sum(len(value) for value in column)
     return int(column.nbytes)
+
+
+class Growing:
+    """A column that is added to piece by piece, in one allocation where the number of rows is known beforehand.
+
+    Joining a list of pieces instead would hold everything twice and leave the heap in fragments.
+    """
+
+    def __init__(self, rows: int) -> None:
+        self._expected = rows
+        self._values = _Array(rows)
+        self._lengths = _Array(rows)
+        self._list: list[Any] = []
+        self._kind: type | None = None
+
+    def add(self, piece: Column) -> None:
+        """Append the rows of a piece."""
+        self._kind = type(piece)
+        if isinstance(piece, Ragged):
+            if self._values.used == 0 and len(piece):
+                mean = (piece.first[-1] - piece.first[0]) / len(piece)
+                self._values = _Array(max(round(mean * self._expected), 1))
+            self._lengths.add(piece.lengths)
+            self._values.add(piece.values[piece.first[0] : piece.first[-1]])
+        elif isinstance(piece, list):
+            self._list += piece
+        else:
+            self._values.add(piece)
+
+    def column(self) -> Column | None:
+        """Return what was added, None for nothing."""
+        if self._kind is None:
+            return None
+        if self._kind is list:
+            return self._list
+        if self._kind is not Ragged:
+            return self._values.array()
+        lengths = self._lengths.array()
+        first = np.zeros(len(lengths) + 1, np.int64)
+        np.cumsum(lengths, out=first[1:])
+        return Ragged(self._values.array(), first)
+
+
+class _Array:
+    """An array with room for more."""
+
+    def __init__(self, capacity: int) -> None:
+        self.used = 0
+        self._capacity = min(capacity, TRUSTED)
+        self._data: NDArray[Any] | None = None
+
+    def add(self, piece: NDArray[Any]) -> None:
+        end = self.used + len(piece)
+        if self._data is None:
+            self._data = np.empty((max(self._capacity, end), *piece.shape[1:]), piece.dtype)
+        if end > len(self._data):
+            grown = np.empty((max(end, len(self._data) * 3 // 2), *piece.shape[1:]), piece.dtype)
+            grown[: self.used] = self._data[: self.used]
+            self._data = grown
+        self._data[self.used : end] = piece
+        self.used = end
+
+    def array(self) -> NDArray[Any]:
+        return np.empty(0, np.int64) if self._data is None else self._data[: self.used]

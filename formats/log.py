@@ -130,7 +130,7 @@ class Log:
     def _table(self, topic: str) -> Table:
         if topic not in self._tables:
             try:
-                self._tables[topic] = Table(topic, self._channels[topic].decoder)
+                self._tables[topic] = Table(topic, self._channels[topic].decoder, self.topics[topic].count)
             except SchemaError as problem:
                 raise LocfuseError(f"{self.name}: {topic} cannot be read: {problem}") from None
         return self._tables[topic]

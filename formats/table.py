@@ -5,14 +5,13 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..fusion.data import Column, Ints, LocfuseError
-from .columns import concat, take
+from .columns import Growing, take
 from .fields import frame_path, stamp_path
 from .messages import Decoded, MessageDecoder
 from .source import Messages
@@ -30,33 +29,37 @@ class Raw(NamedTuple):
         return self.decoder.decode(self.data, self.messages.start, self.messages.length, fields)
 
 
-@dataclass
-class Pass:
-    """What one walk over the file collects."""
+NO_TIMES: tuple[Ints, Ints] = (np.empty(0, np.int64), np.empty(0, np.int64))
 
-    fields: tuple[str, ...]
-    log_time: list[Ints] = field(default_factory=list)
-    sequence: list[Ints] = field(default_factory=list)
-    columns: list[dict[str, Column]] = field(default_factory=list)
+
+class Pass:
+    """What one walk over the files collects."""
+
+    def __init__(self, fields: Sequence[str], rows: int) -> None:
+        self.fields = tuple(fields)
+        self.columns = {name: Growing(rows) for name in self.fields}
+        self.log_time = Growing(rows)
+        self.sequence = Growing(rows)
 
 
 class Table:
     """The readable messages of one topic. Row = place in recording order; walk row = place in the files."""
 
-    def __init__(self, topic: str, decoder: MessageDecoder) -> None:
+    def __init__(self, topic: str, decoder: MessageDecoder, expected: int) -> None:
         self.topic = topic
         self.decoder = decoder
+        self._expected = expected  # messages, as the files say
         self.stamp = stamp_path(decoder.message)  # the field that dates the messages
         self._frame = frame_path(decoder.message)
         self.frame_id = ""
         self.bad: Counter[str] = Counter()  # reason -> messages that are no rows
         self.log_time: Ints | None = None  # (n,) recording order; None before the first read
         self.columns: dict[str, Column] = {}
-        self.row: Ints = np.empty(0, np.int64)  # walk row -> row, -1 for none
         self._walk_rows: Ints | None = None  # row -> walk row; None: the same
-        self._pass = Pass(())
+        self._pass = Pass((), 0)
         self._earliest: int | None = None
-        self._times: tuple[Ints, Ints] = (self.row, self.row)  # log time and sequence in walk order
+        self._n = 0  # readable messages
+        self._times = NO_TIMES  # log time and sequence in walk order, until the rows are sorted
 
     def missing(self, fields: Sequence[str]) -> tuple[str, ...]:
         """Return the fields that a walk has yet to read, the stamp among them."""
@@ -72,16 +75,17 @@ class Table:
 
     def begin(self, fields: Sequence[str]) -> None:
         """Start collecting what is missing of `fields`."""
-        self._pass = Pass(self.missing(fields))
+        self._pass = Pass(self.missing(fields), self._expected)
 
     def feed(self, raw: Raw) -> None:
         """Take the next messages in file order."""
         decoded = raw.columns(self._pass.fields)
-        self._pass.columns.append(decoded.columns)
-        self._pass.log_time.append(raw.messages.log_time[decoded.good])
+        for name, piece in decoded.columns.items():
+            self._pass.columns[name].add(piece)
+        self._pass.log_time.add(raw.messages.log_time[decoded.good])
         if self.known:
             return
-        self._pass.sequence.append(raw.messages.sequence[decoded.good])
+        self._pass.sequence.add(raw.messages.sequence[decoded.good])
         self.bad.update(decoded.bad)
         if self._frame and decoded.good.any():
             self._take_frame(raw, decoded.good, self._frame)
@@ -97,25 +101,27 @@ class Table:
 
     def end(self) -> bool:
         """End the walk; return whether messages share a log time, so that their bytes must decide."""
-        columns = {name: self._joined(name) for name in self._pass.fields}
-        log_time = np.concatenate([np.empty(0, np.int64), *self._pass.log_time])
+        collected, self._pass = self._pass, Pass((), 0)
+        columns = {name: self._finished(name, column) for name, column in collected.columns.items()}
+        log_time, sequence = _integers(collected.log_time), _integers(collected.sequence)
         if self.known:
             self._add(columns, len(log_time))
             return False
         self.columns = columns
-        self._times = (log_time, np.concatenate([np.empty(0, np.int64), *self._pass.sequence]))
-        ordered = np.sort(log_time)
+        self._n = len(log_time)
+        self._times = log_time, sequence
+        ordered = log_time if (np.diff(log_time) >= 0).all() else np.sort(log_time)
         return bool((np.diff(ordered) == 0).any())
 
-    def _joined(self, name: str) -> Column:
-        parts = [part[name] for part in self._pass.columns]
-        if not parts:
+    def _finished(self, name: str, growing: Growing) -> Column:
+        column = growing.column()
+        if column is None:
             none = np.empty(0, np.int64)
-            parts = [self.decoder.decode(np.empty(0, np.uint8), none, none, (name,)).columns[name]]
-        return concat(parts)
+            column = self.decoder.decode(np.empty(0, np.uint8), none, none, (name,)).columns[name]
+        return column
 
     def _add(self, columns: dict[str, Column], n: int) -> None:
-        if n != len(self.row):
+        if n != self._n:
             raise LocfuseError(f"{self.topic}: the log changed while it was being read")
         rows = self._walk_rows
         self.columns |= {k: c if rows is None else take(c, rows) for k, c in columns.items()}
@@ -128,22 +134,31 @@ class Table:
     def sort(self, digests: Ints | None) -> None:
         """Put the rows into recording order; `digests` (n,) of the bytes, walk order, settle ties."""
         log_time, sequence = self._times
-        n = len(log_time)
-        order = np.lexsort((sequence, log_time)) if digests is None else np.lexsort((digests, sequence, log_time))
+        self._times = NO_TIMES  # needed no more
+        if digests is None and (np.diff(log_time) > 0).all():
+            self.log_time = log_time
+            return
+        keys = (sequence, log_time) if digests is None else (digests, sequence, log_time)
+        order = np.lexsort(keys)
         if digests is not None:
-            order = self._without_repeats(order, log_time, digests)
-        identity = len(order) == n and (order == np.arange(n)).all()
-        self._walk_rows = None if identity else order
-        self.row = np.full(n, -1, np.int64)
-        self.row[order] = np.arange(len(order))
+            order = self._without_repeats(order, keys)
+        self._walk_rows = order
         self.log_time = log_time[order]
-        self._times = (self.row, self.row)  # needed no more
-        if not identity:
-            self.columns = {name: take(column, order) for name, column in self.columns.items()}
+        self.columns = {name: take(column, order) for name, column in self.columns.items()}
 
-    def _without_repeats(self, order: Ints, log_time: Ints, digests: Ints) -> Ints:
+    @property
+    def row(self) -> Ints:
+        """Return the row of every readable message in walk order, -1 for none, (n,)."""
+        if self._walk_rows is None:
+            return np.arange(self._n)
+        row = np.full(self._n, -1, np.int64)
+        row[self._walk_rows] = np.arange(len(self._walk_rows))
+        return row
+
+    def _without_repeats(self, order: Ints, keys: tuple[Ints, ...]) -> Ints:
         """Leave out messages with the log time and the bytes of another: recorded twice, not measured twice."""
-        by_content = np.lexsort((self._times[1], digests, log_time))
+        digests, sequence, log_time = keys
+        by_content = np.lexsort((sequence, digests, log_time))
         same = (
             (np.diff(log_time[by_content]) == 0)
             & (np.diff(digests[by_content]) == 0)
@@ -156,6 +171,11 @@ class Table:
             keep[repeats] = False
             order = order[keep[order]]
         return order
+
+
+def _integers(growing: Growing) -> Ints:
+    column = growing.column()
+    return NO_TIMES[0] if column is None else np.asarray(column)
 
 
 def digest(raw: Raw, tied: Ints) -> Ints:

@@ -139,7 +139,7 @@ def _nanoseconds(value: Any) -> int:
         return 0
     fraction = next((value[key] for key in NANOSECONDS if key in value), 0)
     total = _number(value.get("sec", 0)), _number(fraction)
-    if not all(abs(one) < 2**33 for one in total):
+    if not all(abs(one) < 2**32 for one in total):
         return 0
     return int(total[0]) * 10**9 + int(total[1])
 

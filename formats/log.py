@@ -20,7 +20,7 @@ from .packed import unpack
 from .schema import SchemaError
 from .source import Source
 from .stream import LogStream
-from .table import Raw, Table, digest
+from .table import Raw, Table, dated, digest
 from .topics import Topic, by_topic
 
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
@@ -154,7 +154,7 @@ class Log:
                 for ident, messages in batch.messages.items():
                     topic, decoder = wanted[ident]
                     for data, unpacked in unpack(batch.data, messages):
-                        yield topic, Raw(data, unpacked, decoder)
+                        yield topic, dated(Raw(data, unpacked, decoder))
 
     def raw(self, topic: str, rows: int) -> Iterator[Raw]:
         """Yield the messages of one topic, at most `rows` at a time."""

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..fusion.data import Ints
-from .mcap_records import CHANNEL, MESSAGE, MESSAGE_HEADER, PRIVATE, RECORD, SCHEMA
+from .mcap_records import CHANNEL, DATA_END, MESSAGE, MESSAGE_HEADER, PRIVATE, RECORD, SCHEMA
 from .source import Messages
 
 Index = dict[int, NDArray[np.uint64]]  # channel -> (k, 2) log time, offset of the record in the chunk
@@ -50,7 +50,9 @@ def scan(data: NDArray[np.uint8]) -> Records:
     offsets: list[int] = []
     definitions: list[tuple[int, int, int]] = []
     end = _walk(data.data, 0, len(data), offsets, definitions)
-    return Records(_gather(data, _followed(data, np.array(offsets, np.int64))), definitions, end)
+    if offsets and not len(_followed(data, np.array(offsets[-1:], np.int64))):
+        end = offsets.pop()
+    return Records(_gather(data, np.array(offsets, np.int64)), definitions, end)
 
 
 def _walk(
@@ -157,7 +159,7 @@ def _followed(data: NDArray[np.uint8], offsets: Ints) -> Ints:
     inside = ends < len(data)
     opcode = data[np.where(inside, ends, 0)]
     kept: Ints = offsets[
-        (ends == len(data)) | (inside & (opcode != 0) & ((opcode <= MESSAGE) | (opcode >= PRIVATE)))
+        (ends == len(data)) | (inside & (opcode != 0) & ((opcode <= DATA_END) | (opcode >= PRIVATE)))
     ]
     return kept
 

@@ -6,7 +6,7 @@ is the safety net: its chunk index says where to go on after a hole, its statist
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import numpy as np
 
 from ..fusion.data import LocfuseError
 from . import mcap_records as rec
@@ -14,73 +14,13 @@ from .decompress import MAX_BYTES, DamagedError
 from .file_bytes import FileBytes
 from .losses import Losses
 from .magic import describe
+from .mcap_chunk import scan
+from .mcap_parts import ChunkRef, LooseRun, Survey
 from .mcap_resync import CHUNK_HEAD, Resync
 from .mcap_summary import Summary, read_summary
 
-RUN_BYTES = 1 << 20  # loose messages are read in runs of about this size
+RUN_BYTES = 1 << 20  # loose messages are read in runs of at most this size, if they are not larger themselves
 CUT_OFF = "the file ends without an end mark: the recording was cut off"
-
-
-@dataclass
-class ChunkRef:
-    """One chunk of the file."""
-
-    offset: int  # of its record
-    header: rec.ChunkHeader
-    index: dict[int, tuple[int, int]] = field(default_factory=dict)  # channel -> (file offset, content length)
-    available: int = 0  # compressed bytes present: less than header.length where the file is cut off
-    counts: dict[int, int] | None = None  # channel -> messages, once known
-
-    @property
-    def start(self) -> int:
-        """File offset of the compressed bytes."""
-        return self.offset + rec.RECORD.size + self.header.start
-
-    @property
-    def span(self) -> tuple[int, int]:
-        """Log times of its first and last message, ns."""
-        return self.header.first, self.header.last
-
-    @property
-    def size(self) -> int:
-        """Bytes to read: fewer than the header says where the file is cut off."""
-        return self.available
-
-    @property
-    def cut_off(self) -> bool:
-        """Whether the file ends inside this chunk."""
-        return self.available < self.header.length
-
-
-@dataclass
-class LooseRun:
-    """Consecutive messages outside any chunk."""
-
-    offset: int
-    size: int
-    counts: dict[int, int] | None = field(default_factory=dict)
-    span: tuple[int, int] = (0, 0)  # log times, ns
-    last: tuple[int, int] = (0, 0)  # channel and bytes of the last message
-    cut_off: bool = False
-
-    @property
-    def start(self) -> int:
-        """File offset of the bytes."""
-        return self.offset
-
-
-Part = ChunkRef | LooseRun
-
-
-@dataclass
-class Survey:
-    """What the walk found."""
-
-    parts: list[Part] = field(default_factory=list)
-    schemas: dict[int, rec.Schema] = field(default_factory=dict)
-    channels: dict[int, rec.Channel] = field(default_factory=dict)
-    attachments: list[tuple[int, int]] = field(default_factory=list)  # (content offset, length)
-    expected: dict[int, int] | None = None  # channel -> messages, by the statistics
 
 
 def survey(data: FileBytes, losses: Losses) -> Survey:
@@ -95,6 +35,7 @@ def survey(data: FileBytes, losses: Losses) -> Survey:
 class _Walk:
     def __init__(self, data: FileBytes, summary: Summary | None, losses: Losses) -> None:
         self.data = data
+        self.name = str(data.path)
         self.summary = summary
         self.losses = losses
         self.found = Survey()
@@ -109,7 +50,7 @@ class _Walk:
         while at is not None and at < self.data.size:
             at = self._step(at)
         if at is not None:
-            self.losses.add(str(self.data.path), CUT_OFF, 0, 0)
+            self.losses.add(self.name, CUT_OFF, 0, 0)
         self._distrust_unconfirmed()
         return self.found
 
@@ -132,12 +73,11 @@ class _Walk:
                 raise DamagedError("no message index where the chunk index promises one")
             if end > self.data.size and opcode != rec.CHUNK:
                 raise DamagedError("a record reaches beyond the end of the file")
-            handler = self.HANDLERS.get(opcode)
-            if handler is not None:
-                handler(self, at, length)
+            if (handler := self.HANDLERS.get(opcode)) is not None:
+                end = handler(self, at, length) or end
         except DamagedError as problem:
             self._distrust_index()
-            return self._lost(self._reach_of_damage(at, opcode), str(problem))
+            return self._lost(at, str(problem))
         return min(end, self.data.size)
 
     def _is_end(self, at: int, opcode: int, length: int) -> bool:
@@ -156,7 +96,7 @@ class _Walk:
         if opcode == rec.DATA_END and any(isinstance(part, LooseRun) for part in self.found.parts):
             crc = rec.Cursor(self.data.read(at + rec.RECORD.size, 4)).integer("I")
             if crc and self.data.crc32(at) != crc:
-                self.losses.add(str(self.data.path), "the file fails its checksum: values may be wrong", 0, 0)
+                self.losses.add(self.name, "the file fails its checksum: values may be wrong", 0, 0)
 
     def _distrust_unconfirmed(self) -> None:
         """Skip chunks only by indexes that the summary confirms; the others are read to know their channels."""
@@ -173,44 +113,33 @@ class _Walk:
             chunk.index.clear()
             chunk.counts = None
 
-    def _reach_of_damage(self, at: int, opcode: int) -> int:
-        """Bytes that are no record are a hole: it began in the loose message before them."""
-        run = self.found.parts[-1] if self.found.parts else None
-        if not isinstance(run, LooseRun) or run.start + run.size != at or 0 < opcode <= rec.DATA_END:
-            return at
-        ident, size = run.last
-        assert run.counts is not None
-        run.size -= size
-        run.counts[ident] -= 1
-        return at - size
-
     def _content(self, at: int, length: int) -> bytes:
         if length > MAX_BYTES:
             raise DamagedError(f"a record claims more than {MAX_BYTES >> 20} MiB")
         return self.data.read(at + rec.RECORD.size, length)
 
     def _schema(self, at: int, length: int) -> None:
-        schema = rec.schema(self._content(at, length))
-        self.found.schemas.setdefault(schema.id, schema)
+        self.found.define(rec.SCHEMA, self._content(at, length))
 
     def _channel(self, at: int, length: int) -> None:
-        channel = rec.channel(self._content(at, length))
-        self.found.channels.setdefault(channel.id, channel)
+        self.found.define(rec.CHANNEL, self._content(at, length))
 
-    def _message(self, at: int, length: int) -> None:
-        if length < rec.MESSAGE_HEADER:
-            raise DamagedError("a message is shorter than its header")
-        ident, _, time = rec.Cursor(self.data.read(at + rec.RECORD.size, 14)).integers("HIQ")
-        run = self.found.parts[-1] if self.found.parts else None
-        size = rec.RECORD.size + length
-        if not isinstance(run, LooseRun) or run.offset + run.size != at or run.size + size > RUN_BYTES:
-            run = LooseRun(at, 0, span=(time, time))
-            self.found.parts.append(run)
-        run.size += size
-        run.last = ident, size
-        run.span = min(run.span[0], time), max(run.span[1], time)
-        assert run.counts is not None
-        run.counts[ident] = run.counts.get(ident, 0) + 1
+    def _loose(self, at: int, length: int) -> int:
+        """Take messages outside any chunk, as many as lie in a row; return where they end."""
+        n_bytes = max(rec.RECORD.size + length, RUN_BYTES)
+        if n_bytes > MAX_BYTES:
+            self.losses.add(self.name, f"a message is larger than {MAX_BYTES >> 20} MiB", at, n_bytes, 1)
+            return at + n_bytes
+        data = np.frombuffer(self.data.read(at, n_bytes), np.uint8)
+        found = scan(data)
+        if not found.messages:
+            raise DamagedError("bytes that are no record")
+        for opcode, start, size in found.definitions:
+            self.found.define(opcode, data[start : start + size].tobytes())
+        counts = {ident: len(messages.start) for ident, messages in found.messages.items()}
+        times = np.concatenate([messages.log_time for messages in found.messages.values()])
+        self.found.parts.append(LooseRun(at, found.end, counts, (int(times.min()), int(times.max()))))
+        return at + found.end
 
     def _chunk(self, at: int, length: int) -> None:
         header = rec.chunk_header(self.data.read(at, CHUNK_HEAD)[rec.RECORD.size :])
@@ -241,7 +170,7 @@ class _Walk:
     HANDLERS = {  # noqa: RUF012
         rec.SCHEMA: _schema,
         rec.CHANNEL: _channel,
-        rec.MESSAGE: _message,
+        rec.MESSAGE: _loose,
         rec.CHUNK: _chunk,
         rec.MESSAGE_INDEX: _message_index,
         rec.ATTACHMENT: _attachment,
@@ -255,5 +184,5 @@ class _Walk:
         onward = self._onward(at + 1)
         if onward is None:
             onward = self.summary.start if self.summary and self.summary.start > at else self.data.size
-        self.losses.add(str(self.data.path), reason, at, onward - at)
+        self.losses.add(self.name, reason, at, onward - at)
         return onward

@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 from collections import Counter
 from collections.abc import Collection, Iterator
+from contextlib import suppress
 from functools import cached_property
 
 import numpy as np
@@ -15,10 +16,12 @@ from .decompress import MAX_BYTES, DamagedError, decompress, decompress_prefix
 from .file_bytes import FileBytes
 from .losses import Losses
 from .mcap_chunk import Index, Records, counted, records
-from .mcap_survey import ChunkRef, LooseRun, Part, survey
+from .mcap_parts import ChunkRef, LooseRun, Part
+from .mcap_survey import survey
 from .source import Batch, ChannelInfo
 
 Bytes = NDArray[np.uint8]
+MAX_ATTACHMENT = 16 * 1024 * 1024  # larger ones are no robot.toml and stay in the file
 
 
 class McapSource:
@@ -35,9 +38,11 @@ class McapSource:
 
     @cached_property
     def attachments(self) -> dict[str, bytes]:
-        """Attachments by name; one that fails its checksum is lost."""
+        """Attachments up to a size by name; one that fails its checksum is lost."""
         found: dict[str, bytes] = {}
         for at, length in self._survey.attachments:
+            if length > MAX_ATTACHMENT:
+                continue
             content = self._data.read(at, length)
             try:
                 name, data, crc = rec.attachment(content)
@@ -118,18 +123,8 @@ class McapSource:
             if part.counts is None:
                 part.counts = {ident: len(m.start) for ident, m in found.messages.items()}
             for opcode, start, length in found.definitions:
-                self._define(opcode, data[start : start + length].tobytes())
-
-    def _define(self, opcode: int, content: bytes) -> None:
-        try:
-            if opcode == rec.SCHEMA:
-                schema = rec.schema(content)
-                self._survey.schemas.setdefault(schema.id, schema)
-            elif opcode == rec.CHANNEL:
-                channel = rec.channel(content)
-                self._survey.channels.setdefault(channel.id, channel)
-        except DamagedError:
-            return  # a channel nobody defines is reported by _channels
+                with suppress(DamagedError):  # then the channel is one that nobody defines
+                    known.define(opcode, data[start : start + length].tobytes())
 
     def _counts(self) -> Counter[int]:
         total: Counter[int] = Counter()

@@ -18,6 +18,7 @@ from .losses import Losses
 from .schema import message_type
 from .source import Batch, ChannelInfo, Messages
 
+ERRORS = (sqlite3.Error, UnicodeDecodeError, ValueError)  # of a damaged database
 BATCH_BYTES = 1 << 20
 DAMAGED = "the database is damaged: what lies behind the damage is lost"
 
@@ -36,7 +37,7 @@ class SqliteSource:
         try:
             with closing(self._connect()) as database:
                 self.channels, self._counts = _channels(database)
-        except sqlite3.Error as problem:
+        except ERRORS as problem:
             raise LocfuseError(f"{self.path}: not a readable rosbag2 database: {problem}") from None
 
     def _connect(self) -> sqlite3.Connection:
@@ -48,7 +49,7 @@ class SqliteSource:
             try:
                 database = sqlite3.connect(f"file:{quoted}?mode=ro", uri=True)
                 database.execute("SELECT count(*) FROM sqlite_master")
-            except sqlite3.OperationalError:
+            except ERRORS:
                 self.losses.add(str(self.path), "its journal (-wal) cannot be read", 0, journal.stat().st_size)
             else:
                 return database
@@ -60,9 +61,9 @@ class SqliteSource:
         with closing(self._connect()) as database:
             try:
                 first, last = database.execute("SELECT min(timestamp), max(timestamp) FROM messages").fetchone()
-            except sqlite3.Error:
+                return None if first is None else (int(first), int(last))
+            except ERRORS:
                 return None
-        return None if first is None else (int(first), int(last))
 
     def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
         """Yield the messages of the wanted topics in file order, about a megabyte at a time."""
@@ -80,7 +81,8 @@ class SqliteSource:
     def _rows(self, wanted: Collection[int]) -> Iterator[Row]:
         topics = sorted(wanted)
         query = (
-            "SELECT topic_id, timestamp, CASE WHEN length(data) <= ? THEN CAST(data AS BLOB) END FROM messages "
+            "SELECT topic_id, COALESCE(CAST(timestamp AS INTEGER), -1), "
+            "CASE WHEN length(data) <= ? THEN CAST(data AS BLOB) END FROM messages "
             f"WHERE topic_id IN ({','.join('?' * len(topics))}) ORDER BY id"
         )
         n = 0
@@ -89,7 +91,7 @@ class SqliteSource:
                 for row in database.execute(query, (MAX_MESSAGE, *topics)):
                     n += 1
                     yield row
-            except sqlite3.Error:
+            except ERRORS:
                 expected = sum(self._counts.get(topic, 0) for topic in topics)
                 self.losses.add(str(self.path), DAMAGED, 0, 0, max(expected - n, 0) or None)
 
@@ -99,12 +101,13 @@ def _channels(database: sqlite3.Connection) -> tuple[dict[int, ChannelInfo], dic
     texts = _definitions(database)
     try:
         counts = dict(database.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id"))
-    except sqlite3.DatabaseError:
+    except ERRORS:
         counts = {}
     found = {}
-    for ident, topic, msgtype, encoding in database.execute(
+    for ident, *texts_of_topic in database.execute(
         "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
     ):
+        topic, msgtype, encoding = (str(text or "") for text in texts_of_topic)
         language, text = texts.get(msgtype) or ("ros2msg", definition(message_type(msgtype)))
         schema = (language, text.encode()) if text else ("", b"")
         found[ident] = ChannelInfo(topic, msgtype, encoding, *schema, counts.get(ident, 0))
@@ -116,9 +119,9 @@ def _definitions(database: sqlite3.Connection) -> dict[str, tuple[str, str]]:
     columns = "topic_type, encoding, encoded_message_definition"
     try:
         rows = database.execute(f"SELECT {columns} FROM message_definitions").fetchall()
-    except sqlite3.DatabaseError:
+    except ERRORS:
         return {}
-    return {name: (language, text) for name, language, text in rows if text}
+    return {str(name): (str(language), str(text)) for name, language, text in rows if text}
 
 
 def _batch(rows: list[Row]) -> Batch:

@@ -23,12 +23,14 @@ class Raw(NamedTuple):
     data: NDArray[np.uint8]
     messages: Messages
     decoder: MessageDecoder
+    undated: int = 0  # messages left out: their recording time is absurd
 
     def columns(self, fields: Sequence[str]) -> Decoded:
         """Decode the named fields."""
         return self.decoder.decode(self.data, self.messages.start, self.messages.length, fields)
 
 
+END_OF_TIME = 2**62  # ns
 NO_TIMES: tuple[Ints, Ints] = (np.empty(0, np.int64), np.empty(0, np.int64))
 
 
@@ -87,6 +89,8 @@ class Table:
             return
         self._pass.sequence.add(raw.messages.sequence[decoded.good])
         self.bad.update(decoded.bad)
+        if raw.undated:
+            self.bad["absurd recording time"] += raw.undated
         if self._frame and decoded.good.any():
             self._take_frame(raw, decoded.good, self._frame)
 
@@ -176,6 +180,14 @@ class Table:
 def _integers(growing: Growing) -> Ints:
     column = growing.column()
     return NO_TIMES[0] if column is None else np.asarray(column)
+
+
+def dated(raw: Raw) -> Raw:
+    """Leave out messages recorded before 1970 or after 2116: their log time is not a time."""
+    plausible = (raw.messages.log_time >= 0) & (raw.messages.log_time < END_OF_TIME)
+    if plausible.all():
+        return raw
+    return raw._replace(messages=raw.messages.take(plausible), undated=int((~plausible).sum()))
 
 
 def digest(raw: Raw, tied: Ints) -> Ints:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from .cv import cv2
 from .data import Array
 from .optics import Optics
-from .panorama import Candidate, Picture, Red, cap, largest, red_grey, variance
+from .panorama import Candidate, Picture, Red, cap, largest, red_excess, red_share, room_for_planes, variance
 from .se2 import TAU
 
 GAP = 2.0  # px: red pixels further apart than this, along the circle, belong to two things
@@ -37,49 +37,52 @@ def _window(height: int, width: int, optics: Optics) -> tuple[slice, slice, Pict
     return rows, columns, np.where(inside, np.uint8(255), np.uint8(0))
 
 
-def _planes(shape: tuple[int, ...]) -> Picture:
-    """Return this thread's room (3, h, w) for the planes of a picture."""
-    planes: Picture | None = getattr(_ROOM, "planes", None)
-    if planes is None or planes.shape[1:] != shape:
-        planes = _ROOM.planes = np.empty((3, *shape), np.uint8)
+def _planes(shape: tuple[int, ...]) -> list[Picture]:
+    """Return this thread's room for the three colour planes (h, w) of a picture."""
+    planes: list[Picture] = getattr(_ROOM, "planes", [])
+    if not planes or planes[0].shape != shape:
+        planes = _ROOM.planes = room_for_planes(shape)
     return planes
 
 
-def red_pixels(picture: Picture, optics: Optics, red: Red) -> tuple[NDArray[np.int64], Array]:
-    """Return the red pixels (n, 2) x, y inside the mirror, lone ones left out, and how red each is (n,)."""
+def red_pixels(picture: Picture, optics: Optics, red: Red) -> NDArray[np.int64]:
+    """Return the red pixels inside the mirror, lone ones left out: columns x, y, and how red, (3, n)."""
     rows, columns, mirror = _window(*picture.shape[:2], optics)
     if mirror.size == 0:
-        return np.empty((0, 2), np.int64), np.empty(0)
-    grey = red_grey(picture[rows, columns], red, _planes(mirror.shape))
-    cv2.bitwise_and(grey, mirror, dst=grey)
-    x, y, w, h = cv2.boundingRect(grey)
+        return np.empty((3, 0), np.int64)
+    excess, r = red_excess(picture[rows, columns], red, _planes(mirror.shape))
+    cv2.bitwise_and(excess, mirror, dst=excess)
+    x, y, w, h = cv2.boundingRect(excess)
     left, top = max(0, x - 1), max(0, y - 1)  # the noise filter sees one pixel more
-    part = grey[top : y + h + 1, left : x + w + 1]
+    part = np.s_[top : y + h + 1, left : x + w + 1]
     if w == 0:
-        return np.empty((0, 2), np.int64), np.empty(0)
-    found = cv2.findNonZero(cv2.min(part, cv2.medianBlur(part, 3)))
-    xy = np.empty((0, 2), np.int64) if found is None else np.asarray(found, np.int64).reshape(-1, 2)
-    level = part[xy[:, 1], xy[:, 0]].astype(float)
-    return xy + np.array((left + columns.start, top + rows.start)), level
+        return np.empty((3, 0), np.int64)
+    grey = red_share(excess[part], r[part], red)
+    found = cv2.findNonZero(cv2.min(grey, cv2.medianBlur(grey, 3)))
+    if found is None:
+        return np.empty((3, 0), np.int64)
+    i, j = np.asarray(found, np.int64).reshape(-1, 2).T
+    return np.stack((i + (left + columns.start), j + (top + rows.start), grey[j, i]))
 
 
 def candidates(picture: Picture, optics: Optics, red: Red) -> list[Candidate]:
     """Return the vertical red things of a BGR picture, the largest first."""
-    xy, level = red_pixels(picture, optics, red)
-    x, y = xy[:, 0] - optics.x_c, xy[:, 1] - optics.y_c
-    r, theta = np.hypot(x, y), np.arctan2(x, y)
+    x, y, level = red_pixels(picture, optics, red)
+    if len(x) < red.length:
+        return []
+    dx, dy = x - optics.x_c, y - optics.y_c
+    r, theta = np.hypot(dx, dy), np.arctan2(dx, dy)
     parts = _clusters(theta, r, red.length)
     h, w = picture.shape[:2]
-    edge = (xy[:, 0] == 0) | (xy[:, 1] == 0) | (xy[:, 0] == w - 1) | (xy[:, 1] == h - 1)
-    found = (_measured(_unwrapped(theta[i]), r[i], level[i], edge[i]) for i in parts)
-    return largest([c for c in found if c is not None], red)
+    if optics.outer >= min(optics.x_c, optics.y_c, w - 1 - optics.x_c, h - 1 - optics.y_c):
+        edge = (x == 0) | (y == 0) | (x == w - 1) | (y == h - 1)
+        parts = [_whole_circles(part, r, edge) for part in parts]
+    return largest([_measured(_unwrapped(theta[i]), r[i], level[i]) for i in parts if len(i)], red)
 
 
 def _clusters(theta: Array, r: Array, least: float) -> list[NDArray[np.int64]]:
     """Return the pixels of each thing: neighbours along the circle less than GAP apart, column 0 included."""
     order = np.argsort(theta, kind="stable")
-    if len(order) < max(least, 1):
-        return []
     around = np.append(order, order[0])
     step = np.diff(theta[around])
     step[-1] += TAU
@@ -91,22 +94,23 @@ def _clusters(theta: Array, r: Array, least: float) -> list[NDArray[np.int64]]:
     return sorted((p for p in parts if len(p) >= least), key=len, reverse=True)[:CLUSTERS]
 
 
+def _whole_circles(part: NDArray[np.int64], r: Array, edge: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return the pixels of a thing on circles that the picture's border, which cuts slantwise, leaves whole."""
+    cut = r[part[edge[part]]]
+    return part[r[part] < cut.min() - 1.0] if len(cut) else part
+
+
 def _unwrapped(theta: Array) -> Array:
-    """Return the angles (n,) of one thing without a jump where theta passes pi."""
-    return np.asarray(theta[0] + (theta - theta[0]) % TAU)
+    """Return the angles (n,) of one thing, which begins at theta[0], without a jump where theta passes pi."""
+    return theta if theta[0] <= theta[-1] else np.where(theta < theta[0], theta + TAU, theta)
 
 
-def _measured(theta: Array, r: Array, level: Array, edge: NDArray[np.bool_]) -> Candidate | None:
+def _measured(theta: Array, r: Array, level: NDArray[np.int64]) -> Candidate:
     """Return the candidate made of these pixels (n,); its middle is their centre of weight."""
-    if edge.any():  # the picture's border cuts slantwise: keep the circles that are whole
-        whole = r < r[edge].min() - 1.0
-        theta, r, level = theta[whole], r[whole], level[whole]
-    if len(r) == 0:
-        return None
     weight = np.minimum(level, cap(level))
     middle = float(weight @ theta / weight.sum()) % TAU
-    rings = np.bincount((r - r.min()).astype(np.int64))
-    length = float((rings > 0).sum())
-    radius = float(0.5 * (r.min() + r.max()))
+    near, far = float(r.min()), float(r.max())
+    rings = np.bincount((r - near).astype(np.int64))
+    length, radius = float(np.count_nonzero(rings)), 0.5 * (near + far)
     width = len(r) / (length * radius)
     return Candidate(middle, variance(middle, radius, length, width), float(len(r)), length, width, radius)

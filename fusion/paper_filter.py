@@ -1,0 +1,188 @@
+"""The paper's filter as printed, in lock-step: every 100 ms the newest of everything, stacked as in eq. 16.
+
+It shares the front end (lines, headings, bearings) with the product's filter, so that what differs is the filter.
+What the print leaves open, and what is done here, stands in docs/paper.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import paper
+from .data import Array, Drive, Estimates, Ints, LocfuseError
+from .fuse import Record, configuration_name
+from .motion import Wheels
+from .paper import PRINTED, Printed
+from .paper_rows import PARTS, LineRows, Rows
+from .robot import Robot
+from .sensors.base import Innovation
+
+EARLY = 1e-9  # s: a stamp that is rounding away from the grid is on it
+
+
+def fuse_as_printed(
+    drive: Drive,
+    robot: Robot,
+    sensors: Sequence[str],
+    name: str | None = None,
+    listen: Mapping[str, NDArray[np.bool_]] | None = None,
+    numbers: Printed = PRINTED,
+) -> Estimates:
+    """Run the printed filter with these sensors: same arguments and result as `fuse.fuse`.
+
+    Between two steps the pose is moved on by the wheels, so that the print is not charged with waiting. Raises
+    LocfuseError where the drive lacks a sensor or the print has no equation for it.
+    """
+    listen = listen or {}
+    for sensor in (*sensors, *listen):
+        if sensor not in drive.measurements:
+            raise LocfuseError(f"{sensor}: {drive.absent.get(sensor, 'not in this log')}")
+        if sensor not in PARTS:
+            raise LocfuseError(
+                f"{sensor}: the paper has no equation for it; leave it out, or use --preset default"
+            )
+    run = PrintedFilter(drive, robot, sensors, listen, numbers)
+    for k in range(len(run.grid)):
+        run.step(k)
+    return run.estimates(name or configuration_name(sensors, drive))
+
+
+class Counts:
+    """Distances that the wheels have rolled, as the paper's robot knows them: by what the encoders last said."""
+
+    def __init__(self, wheels: Wheels) -> None:
+        self.t = wheels.t
+        self.rolled = np.concatenate((np.zeros((1, 2)), np.cumsum(wheels.rolled, axis=0)))  # (n, 2) left, right
+
+    def latest(self, t: Array) -> Array:
+        """Return the distances by the newest reading at each time, (..., 2)."""
+        newest = np.searchsorted(self.t, t + EARLY, side="right") - 1
+        distances: Array = self.rolled[np.maximum(newest, 0)]
+        return distances
+
+    def interpolated(self, t: Array) -> Array:
+        """Return the distances at each time, between readings too, (..., 2)."""
+        return np.stack([np.interp(t, self.t, side) for side in self.rolled.T], axis=-1)
+
+
+class PrintedFilter:
+    """State, covariance, each sensor's part of eq. 16, and the record of what happened."""
+
+    def __init__(
+        self,
+        drive: Drive,
+        robot: Robot,
+        sensors: Sequence[str],
+        listen: Mapping[str, NDArray[np.bool_]],
+        numbers: Printed = PRINTED,
+    ) -> None:
+        self.drive, self.numbers, self.listen = drive, numbers, listen
+        self.grid = np.arange(0.0, float(drive.t[-1]) + EARLY, numbers.period)  # (m,) s
+        self.counts = Counts(drive.wheels)
+        self.rolled = np.diff(self.counts.latest(self.grid), axis=0, prepend=0.0)  # (m, 2) left, right by step
+        self.L = float(drive.wheels.track)
+        self.dt_R = numbers.period * (
+            robot.wheels.radius or 1.0
+        )  # an odometry topic has no radius; it cancels out
+        start = robot.start
+        self.x = np.array([start.x, start.y, math.radians(start.theta_deg)])
+        self.P = np.diag([start.sigma_xy**2, start.sigma_xy**2, math.radians(start.sigma_theta_deg) ** 2])
+        self.used = tuple(s for s in drive.measurements if s in sensors)
+        self.parts: dict[str, Rows] = {s: PARTS[s](robot, numbers) for s in PARTS if s in sensors or s in listen}
+        self._newest = {s: newest(self.grid, drive.measurements[s].t) for s in self.parts}
+        self._records = {s: Record() for s in self.parts}
+        self._poses = np.empty((len(self.grid), 3))
+        self._covariances = np.empty((len(self.grid), 3, 3))
+
+    def step(self, k: int) -> None:
+        """One sampling period: predict by the wheels, correct by what has arrived since the last step."""
+        self.x, self.P = self.predict(self.x, self.P, self.rolled[k])
+        seen: dict[str, list[Innovation]] = {}
+        for sensor, part in self.parts.items():
+            i = int(self._newest[sensor][k])
+            if i >= 0:
+                found = part.rows(self.drive.measurements[sensor], i, self.x, self.P)
+                self._records[sensor].add(int(self.drive.instant[sensor][i]), found)
+                listens = sensor in self.listen and bool(self.listen[sensor][i])
+                seen[sensor] = [] if listens else [s for s in found if s.verdict == 0]
+        self.correct(seen)
+        self._poses[k], self._covariances[k] = self.x, self.P
+
+    def predict(self, x: Array, P: Array, rolled: Array) -> tuple[Array, Array]:
+        """Eq. 2, 3, 6-9 for the distances (..., 2) [m] that the left and the right wheel rolled.
+
+        Eq. 8 takes wheel speeds straight into the pose; literally that is 108 degrees of noise a step at 0.4 m/s.
+        The lost factor dt R is put back.
+        """
+        ds, dtheta = paper.eq2_increments(rolled[..., 1], rolled[..., 0], self.L)
+        A = paper.eq7_A(ds, dtheta, x[..., 2])
+        W = self.dt_R * paper.eq8_W(ds, dtheta, x[..., 2], self.L)
+        omega = rolled / self.dt_R
+        Q = paper.eq9_Q(self.numbers.delta, omega[..., 1], omega[..., 0])
+        return paper.eq3_motion(x, ds, dtheta), paper.eq6_P(P, A, W, Q)
+
+    def correct(self, seen: dict[str, list[Innovation]]) -> None:
+        """Eq. 10-12 with everything stacked as in eq. 16."""
+        stacked = [s for sensor in PARTS for s in seen.get(sensor, [])]
+        if not stacked:
+            return
+        y = np.concatenate([s.y for s in stacked])
+        H = np.concatenate([s.H for s in stacked])
+        lines, compass, camera = (len(seen.get(sensor, [])) for sensor in PARTS)
+        R = paper.eq19_R(lines, bool(compass), bool(camera), self.numbers)
+        K = paper.eq10_K(self.P, H, R)
+        self.x, self.P = paper.eq11_x(self.x, K, y), paper.eq12_P(K, H, self.P)
+
+    def at(self, t: Array) -> tuple[Array, Array]:
+        """Return pose (n, 3) and covariance (n, 3, 3) at any times of the drive: the last step's, moved on."""
+        k = np.clip(np.searchsorted(self.grid, t + EARLY, side="right") - 1, 0, len(self.grid) - 1)
+        moved = self.counts.interpolated(t) - self.counts.interpolated(self.grid[k])
+        return self.predict(self._poses[k], self._covariances[k], moved)
+
+    def estimates(self, name: str) -> Estimates:
+        """Return the run at the drive's instants and the truth's stamps."""
+        drive = self.drive
+        pose, P = self.at(drive.t)
+        truth_pose = truth_P = None
+        if drive.truth is not None and drive.truth_instant is not None:
+            truth_pose, truth_P = self.at(drive.truth.t)
+            outside = drive.truth_instant < 0
+            truth_pose[outside], truth_P[outside] = np.nan, np.nan
+        lines = [line for part in self.parts.values() if isinstance(part, LineRows) for line in part.lines()]
+        return Estimates(
+            name=name,
+            sensors=self.used,
+            t=drive.t,
+            pose=pose,
+            P=P,
+            audits={s: self._records[s].audit() for s in drive.measurements if s in self._records},
+            first_map=lines,
+            final_map=lines,
+            truth_pose=truth_pose,
+            truth_P=truth_P,
+            notes=tuple(self._notes()),
+        )
+
+    def _notes(self) -> list[str]:
+        """Say how many readings the fixed grid leaves out."""
+        notes = []
+        for sensor, used in self._newest.items():
+            n = len(self.drive.measurements[sensor].t)
+            late = n - int((used >= 0).sum())
+            if late:
+                notes.append(
+                    f"{sensor}: {late} of {n} readings were not the newest of their 100 ms and are not used"
+                )
+        return notes
+
+
+def newest(grid: Array, t: Array) -> Ints:
+    """Return for each step the newest reading since the step before, (m,); -1 for none. t (n,) s, in order."""
+    last = np.searchsorted(t, grid + EARLY, side="right") - 1
+    before = np.concatenate(([-1], last[:-1]))
+    found: Ints = np.where(last > before, last, -1)
+    return found

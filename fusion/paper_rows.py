@@ -1,0 +1,146 @@
+"""What each sensor puts into the paper's measurement vector (16): rows of z - h(x) and of H, as printed."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import numpy as np
+
+from . import paper, se2
+from .bearing import paper_orientation
+from .data import VERDICTS, Array, LocfuseError, MapLine, Measurements
+from .paper import Printed
+from .robot import Robot
+from .sensors.base import Innovation
+
+UNMATCHED, NEW = VERDICTS.index("unmatched"), VERDICTS.index("new")
+TO_RIGHT = math.pi / 2  # the scan's 0 degrees point to the robot's right, the base frame's ahead
+
+
+class Rows(Protocol):
+    """One sensor's part of (16)."""
+
+    def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[Innovation]:
+        """Compare reading i with the predicted pose x (3,), P (3, 3)."""
+
+
+class LineRows:
+    """Lines (r, psi) against the map of the first scan, which is taken as the truth from then on."""
+
+    def __init__(self, robot: Robot, numbers: Printed) -> None:
+        self.numbers = numbers
+        self.R = paper.eq19_R(1, compass=False, camera=False, numbers=numbers)
+        self.map: list[tuple[float, float]] = []  # (rho, beta)
+        self.ends: list[tuple[float, float]] = []
+        self.hits: list[int] = []
+
+    def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[Innovation]:
+        """Match every line of scan i with the nearest line of the map; the first scan makes the map."""
+        lines = range(int(m.first[i]), int(m.first[i + 1]))
+        if not self.map:
+            self._remember(m, lines, x)
+            return [_no_prediction(row, NEW) for row in lines]
+        return [self._row(row, float(m.z[row, 0]), float(m.z[row, 1]) + TO_RIGHT, x, P) for row in lines]
+
+    def _remember(self, m: Measurements, lines: range, x: Array) -> None:
+        for row in lines:
+            rho, beta = paper.eq14_line(x, float(m.z[row, 0]), float(m.z[row, 1]) + TO_RIGHT)
+            along = float(x[1]) * math.cos(beta) - float(x[0]) * math.sin(beta)
+            low, high = (m.extra["ends"][row] + along).tolist()
+            self.map.append((rho, beta))
+            self.ends.append((low, high))
+            self.hits.append(1)
+
+    def _row(self, row: int, r: float, psi: float, x: Array, P: Array) -> Innovation:
+        j, dr, dpsi = self._nearest(r, psi, x)
+        if j < 0:
+            return _no_prediction(row, UNMATCHED)
+        self.hits[j] += 1
+        rho, beta = self.map[j]
+        C = paper.eq17_C(rho, beta, float(x[0]), float(x[1]))
+        return innovation(row, j, np.array([dr, dpsi]), paper.eq13_H_line(C, beta), self.R, P)
+
+    def _nearest(self, r: float, psi: float, x: Array) -> tuple[int, float, float]:
+        """Return the map line nearest in (r, psi) and both differences; -1 where none is in the window."""
+        best, least = (-1, math.nan, math.nan), math.inf
+        for j, (rho, beta) in enumerate(self.map):
+            C = paper.eq17_C(rho, beta, float(x[0]), float(x[1]))
+            r_, psi_ = paper.eq18_prediction(C, beta, float(x[2]))
+            dr, dpsi = r - r_, se2.wrap(psi - psi_)
+            far = max(abs(dr) / self.numbers.window_r, abs(dpsi) / self.numbers.window_psi)
+            if (
+                far <= 1.0
+                and (distance := math.hypot(dr / self.numbers.window_r, dpsi / self.numbers.window_psi)) < least
+            ):
+                best, least = (j, dr, dpsi), distance
+        return best
+
+    def lines(self) -> list[MapLine]:
+        """Return the map; its covariance is taken as zero."""
+        known = zip(self.map, self.ends, self.hits, strict=True)
+        return [MapLine(j, rho, beta, ends, np.zeros((2, 2)), n) for j, ((rho, beta), ends, n) in enumerate(known)]
+
+
+class CompassRow:
+    """phi: the heading itself. Where no offset is given, the first reading is the predicted heading."""
+
+    def __init__(self, robot: Robot, numbers: Printed) -> None:
+        offset = robot.settings("compass").offset_deg
+        self.offset = None if offset is None else math.radians(offset)
+        self.R = paper.eq19_R(0, compass=True, camera=False, numbers=numbers)
+
+    def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[Innovation]:
+        """Compare heading i with the predicted one."""
+        z, theta = float(m.z[i, 0]), float(x[2])
+        if self.offset is None:
+            self.offset = z - theta
+        y = se2.wrap(z - self.offset - theta)
+        return [innovation(i, -1, np.array([y]), paper.eq13_H_heading(), self.R, P)]
+
+
+class CameraRow:
+    """gamma: the landmark's direction from the start pose minus its bearing, taken as the heading."""
+
+    def __init__(self, robot: Robot, numbers: Printed) -> None:
+        settings, start = robot.settings("camera"), robot.start
+        if settings.landmark is None:
+            raise LocfuseError("camera: camera.landmark is not set; --set camera.landmark=[X,Y]")
+        self.direction = math.atan2(settings.landmark[1] - start.y, settings.landmark[0] - start.x)
+        self.yaw = math.radians(settings.yaw_deg)
+        self.R = paper.eq19_R(0, compass=False, camera=True, numbers=numbers)
+
+    def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[Innovation]:
+        """Compare the heading by the largest candidate of picture i with the predicted one."""
+        row = int(m.first[i])
+        if row == int(m.first[i + 1]):
+            return []
+        gamma = paper_orientation(self.direction, float(m.z[row, 0]) + self.yaw)
+        y = se2.wrap(gamma - float(x[2]))
+        return [innovation(row, 0, np.array([y]), paper.eq13_H_heading(), self.R, P)]
+
+
+def innovation(row: int, landmark: int, y: Array, H: Array, R: Array, P: Array) -> Innovation:
+    """Return an accepted measurement with y (d,), H (d, 3), R (d, d): the print knows no gate."""
+    S = H @ P @ H.T + R
+    nis = float(y @ np.linalg.solve(S, y))
+    sigma = np.sqrt(np.maximum(np.diag(S), 0.0))
+    columns = (
+        tuple(y.tolist()),
+        tuple(sigma.tolist()),
+        tuple(map(tuple, H.tolist())),
+        tuple(map(tuple, R.tolist())),
+    )
+    return Innovation(row, 0, landmark, nis, math.inf, *columns)
+
+
+def _no_prediction(row: int, verdict: int) -> Innovation:
+    nan = math.nan
+    return Innovation(row, verdict, -1, nan, math.inf, (nan, nan), (nan, nan), (), ())
+
+
+PARTS: dict[str, type[LineRows] | type[CompassRow] | type[CameraRow]] = {
+    "lrf": LineRows,
+    "compass": CompassRow,
+    "camera": CameraRow,
+}  # in the order of eq. 16

@@ -1,0 +1,324 @@
+"""The printed preset: each equation against the expression in print, typed out here, and the lock-step of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import small_drive
+from numpy.typing import NDArray
+
+from locfuse.fusion import paper
+from locfuse.fusion.data import Drive, LocfuseError, Measurements
+from locfuse.fusion.evaluate import evaluate
+from locfuse.fusion.measure import cut
+from locfuse.fusion.paper_filter import PrintedFilter, fuse_as_printed, newest
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.camera import CameraSettings
+
+Array = NDArray[np.float64]
+RNG = np.random.default_rng(0)
+CASES = [pytest.param(*row, id=f"case {i}") for i, row in enumerate(RNG.uniform(-3, 3, (6, 4)).tolist())]
+LANDMARK = (7.9, 5.5)
+DEG = math.pi / 180
+
+
+@pytest.mark.parametrize(("a", "b", "c", "d"), CASES)
+def test_equations_1_to_3_are_the_printed_kinematics(a: float, b: float, c: float, d: float) -> None:
+    dt, R, omega_R, omega_L, L = 0.1, 0.05, a, b, 0.6
+    ds_L, ds_R = dt * R * omega_L, dt * R * omega_R
+    assert paper.eq1_distance(dt, R, np.array([omega_L, omega_R])).tolist() == [ds_L, ds_R]
+    ds, dtheta = (ds_L + ds_R) / 2, (ds_R - ds_L) / L
+    assert [float(v) for v in paper.eq2_increments(np.array(ds_R), np.array(ds_L), L)] == [ds, dtheta]
+    x, y, theta = 1.0, 2.0, c
+    moved = paper.eq3_motion(np.array([x, y, theta]), np.array(ds), np.array(dtheta))
+    by_hand = [x + ds * math.cos(theta + dtheta / 2), y + ds * math.sin(theta + dtheta / 2), theta + dtheta]
+    assert moved.tolist() == pytest.approx(by_hand, abs=1e-15)
+
+
+@pytest.mark.parametrize(("ds", "dtheta", "theta", "d"), CASES)
+def test_equation_7_is_the_printed_matrix(ds: float, dtheta: float, theta: float, d: float) -> None:
+    A = [
+        [1, 0, -ds * math.sin(theta + dtheta / 2)],
+        [0, 1, ds * math.cos(theta + dtheta / 2)],
+        [0, 0, 1],
+    ]
+    printed = np.array(A)
+    np.testing.assert_allclose(paper.eq7_A(*map(np.array, (ds, dtheta, theta))), printed, atol=1e-15)
+
+
+@pytest.mark.parametrize(("ds", "dtheta", "theta", "d"), CASES)
+def test_equation_8_is_the_printed_matrix(ds: float, dtheta: float, theta: float, d: float) -> None:
+    l = 0.6
+    s, c = math.sin(theta + dtheta / 2), math.cos(theta + dtheta / 2)
+    W = [
+        [-ds * s / (2 * l), ds * s / (2 * l)],
+        [ds * c / (2 * l), -ds * c / (2 * l)],
+        [1 / l, -1 / l],
+    ]
+    found = paper.eq8_W(np.array(ds), np.array(dtheta), np.array(theta), l)
+    np.testing.assert_allclose(found, np.array(W), rtol=1e-14)
+    assert np.linalg.matrix_rank(W) == 1, "the print has no noise along the way"
+
+
+@pytest.mark.parametrize(("omega_R", "omega_L", "c", "d"), CASES)
+def test_equation_9_is_the_printed_matrix(omega_R: float, omega_L: float, c: float, d: float) -> None:
+    Q = np.array([[0.01 * omega_R**2, 0], [0, 0.01 * omega_L**2]])
+    np.testing.assert_allclose(paper.eq9_Q(0.01, np.array(omega_R), np.array(omega_L)), Q, rtol=1e-15)
+
+
+def test_equation_8_read_literally_is_108_degrees_of_noise_a_step() -> None:
+    omega = np.array(0.4 / 0.05)  # both wheels at 0.4 m/s
+    zero = np.array(0.0)
+    W, Q = paper.eq8_W(zero, zero, zero, 0.6), paper.eq9_Q(0.01, omega, omega)
+    assert math.degrees(math.sqrt((W @ Q @ W.T)[2, 2])) == pytest.approx(108.0, abs=0.1)
+
+
+def test_equations_6_10_11_12_are_the_printed_products() -> None:
+    A, B, H = RNG.normal(size=(3, 3)), RNG.normal(size=(3, 3)), RNG.normal(size=(2, 3))
+    P, Q, R, W = B @ B.T, np.diag([0.3, 0.2]), np.diag([0.5, 0.1]), RNG.normal(size=(3, 2))
+    np.testing.assert_allclose(paper.eq6_P(P, A, W, Q), A @ P @ A.T + W @ Q @ W.T)
+    K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+    np.testing.assert_allclose(paper.eq10_K(P, H, R), K)
+    x, y = RNG.normal(size=3), RNG.normal(size=2)
+    np.testing.assert_allclose(paper.eq11_x(x, K, y), x + K @ y)
+    np.testing.assert_allclose(paper.eq12_P(K, H, P), (np.eye(3) - K @ H) @ P)
+
+
+@pytest.mark.parametrize(("C", "beta", "c", "d"), CASES)
+def test_equation_13_has_the_printed_rows(C: float, beta: float, c: float, d: float) -> None:
+    rows = [[-C * math.cos(beta), -C * math.sin(beta), 0], [0, 0, -1]]
+    np.testing.assert_allclose(paper.eq13_H_line(C, beta), np.array(rows), rtol=1e-15)
+    np.testing.assert_array_equal(paper.eq13_H_heading(), [[0, 0, 1]])
+
+
+def test_equation_13_is_the_derivative_only_at_a_distance_of_one_metre() -> None:
+    x, beta, h = np.array([0.4, 0.7, 0.2]), 0.3, 1e-6
+    for distance in (1.0, 2.0, 3.0):
+        rho = distance + x[0] * math.cos(beta) + x[1] * math.sin(beta)
+
+        def predicted(at: Array, rho: float = rho) -> Array:
+            C = paper.eq17_C(rho, beta, at[0], at[1])
+            return np.array(paper.eq18_prediction(C, beta, at[2]))
+
+        steps = np.eye(3) * h
+        numeric = np.stack([(predicted(x + s) - predicted(x - s)) / (2 * h) for s in steps], axis=-1)
+        off = paper.eq13_H_line(distance, beta) - numeric
+        np.testing.assert_allclose(off[0], (distance - 1.0) * numeric[0], atol=1e-8)
+        np.testing.assert_allclose(off[1], 0.0, atol=1e-8)
+
+
+@pytest.mark.parametrize(("rho", "beta", "x", "y"), CASES)
+def test_equations_17_and_18_are_the_printed_prediction(rho: float, beta: float, x: float, y: float) -> None:
+    C = rho - x * math.cos(beta) - y * math.sin(beta)
+    assert paper.eq17_C(rho, beta, x, y) == pytest.approx(C, abs=1e-15)
+    theta = 0.4
+    sign = 1 if C > 0 else -1
+    psi = beta - (theta - math.pi / 2) + (-0.5 * sign + 0.5) * math.pi
+    assert paper.eq18_prediction(C, beta, theta) == pytest.approx((abs(C), psi), abs=1e-14)
+
+
+@pytest.mark.parametrize(("r", "psi", "x", "theta"), CASES)
+def test_a_line_put_into_the_map_is_predicted_where_it_was_seen(
+    r: float, psi: float, x: float, theta: float
+) -> None:
+    pose = np.array([x, -0.3, theta])
+    rho, beta = paper.eq14_line(pose, abs(r), psi)
+    C = paper.eq17_C(rho, beta, x, -0.3)
+    r_, psi_ = paper.eq18_prediction(C, beta, theta)
+    assert r_ == pytest.approx(abs(r), abs=1e-12)
+    assert math.remainder(psi_ - psi, math.tau) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_equation_19_is_diagonal_with_the_printed_variances() -> None:
+    R = paper.eq19_R(2, compass=True, camera=True)
+    line = [0.03**2, (0.25 * DEG) ** 2]
+    np.testing.assert_allclose(R, np.diag([*line, *line, 0.01, (0.5 * DEG) ** 2]), rtol=1e-15)
+    assert paper.eq19_R(0, compass=True, camera=False).tolist() == [[0.01]]
+
+
+def test_a_step_takes_the_newest_reading_since_the_step_before() -> None:
+    grid = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
+    t = np.array([0.03, 0.09, 0.1, 0.11, 0.35])
+    assert newest(grid, t).tolist() == [-1, 2, 3, -1, 4]
+    assert newest(grid, np.zeros(0)).tolist() == [-1] * 5
+
+
+def with_camera(drive: Drive, robot: Robot, seed: int = 5) -> tuple[Drive, Robot]:
+    """Add bearings of LANDMARK at 2 Hz: from the axle, 0.5 degrees of noise, every seventh picture without one."""
+    assert drive.truth is not None
+    assert drive.truth.theta is not None
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.17, float(drive.t[-1]), 0.5)
+    x, y = (np.interp(t, drive.truth.t, v) for v in drive.truth.xy.T)
+    theta = np.interp(t, drive.truth.t, np.unwrap(drive.truth.theta))
+    seen = np.arange(len(t)) % 7 > 0
+    z = np.arctan2(LANDMARK[1] - y, LANDMARK[0] - x) - theta + 0.5 * DEG * rng.normal(size=len(t))
+    n = int(seen.sum())
+    camera = Measurements(
+        t=t,
+        first=np.concatenate(([0], np.cumsum(seen))),
+        z=z[seen, None],
+        R_unit=np.ones((n, 1, 1)),
+        scale=0.5 * DEG,
+        floor=np.zeros((1, 1)),
+    )
+    measurements = {**drive.measurements, "camera": camera}
+    more = cut(drive.wheels, drive.epoch_ns, measurements, robot, {}, None, {})
+    sensors = {**robot.sensors, "camera": CameraSettings(landmark=LANDMARK)}
+    return more, replace(robot, sensors=sensors)
+
+
+def by_hand(drive: Drive, robot: Robot) -> tuple[Array, Array]:
+    """The printed filter with all sensors, straight from the page; poses and covariances at every 100 ms."""
+    wheels, m = drive.wheels, drive.measurements
+    rolled = np.vstack(([0.0, 0.0], np.cumsum(wheels.rolled, axis=0)))
+    x = np.array([*small_drive.START])
+    P = np.zeros((3, 3))
+    lines: list[tuple[float, float]] = []
+    phi_0 = None
+    start_direction = math.atan2(LANDMARK[1] - x[1], LANDMARK[0] - x[0])
+    last, poses, covariances = np.zeros(2), [], []
+    for k in range(int(drive.t[-1] / 0.1 + 1e-6) + 1):
+        now = rolled[np.flatnonzero(wheels.t <= 0.1 * k + 1e-9)[-1]]
+        (x, P), last = rolled_by_hand(x, P, *(now - last)), now
+        z, h, H, R = [], [], [], []
+        for i in newest_by_hand(m["lrf"], k):
+            scan = m["lrf"].z[m["lrf"].first[i] : m["lrf"].first[i + 1]] + np.array([0.0, math.pi / 2])
+            if not lines:
+                betas = scan[:, 1] + x[2] - math.pi / 2
+                lines += zip(scan[:, 0] + x[0] * np.cos(betas) + x[1] * np.sin(betas), betas, strict=True)
+                continue
+            for r, psi in scan:
+                for _, r_, psi_, dpsi, rows in sorted(in_window(lines, x, r, psi), key=lambda n: n[0])[:1]:
+                    z += [r, psi_ + dpsi]
+                    h += [r_, psi_]
+                    H += rows
+                    R += [0.03**2, (0.25 * DEG) ** 2]
+        for i in newest_by_hand(m["compass"], k):
+            phi = m["compass"].z[i, 0]
+            phi_0 = phi - x[2] if phi_0 is None else phi_0
+            z.append(x[2] + math.remainder(phi - phi_0 - x[2], math.tau))
+            h.append(x[2])
+            H.append([0, 0, 1])
+            R.append(0.01)
+        for i in newest_by_hand(m["camera"], k):
+            for bearing in m["camera"].z[m["camera"].first[i] : m["camera"].first[i + 1], 0]:
+                z.append(x[2] + math.remainder(start_direction - bearing - x[2], math.tau))
+                h.append(x[2])
+                H.append([0, 0, 1])
+                R.append((0.5 * DEG) ** 2)
+        if z:
+            H_ = np.array(H)
+            K = P @ H_.T @ np.linalg.inv(H_ @ P @ H_.T + np.diag(R))
+            x = x + K @ (np.array(z) - np.array(h))
+            P = (np.eye(3) - K @ H_) @ P
+        poses.append(x)
+        covariances.append(P)
+    return np.array(poses), np.array(covariances)
+
+
+def rolled_by_hand(x: Array, P: Array, ds_L: float, ds_R: float) -> tuple[Array, Array]:
+    L = small_drive.TRACK
+    ds, dth, th = (ds_L + ds_R) / 2, (ds_R - ds_L) / L, x[2]
+    s, c = math.sin(th + dth / 2), math.cos(th + dth / 2)
+    A = np.array([[1, 0, -ds * s], [0, 1, ds * c], [0, 0, 1]])
+    W = np.array([[-ds * s / 2, ds * s / 2], [ds * c / 2, -ds * c / 2], [1, -1]]) / L
+    P = A @ P @ A.T + W @ np.diag([0.01 * ds_R**2, 0.01 * ds_L**2]) @ W.T
+    return x + np.array([ds * c, ds * s, dth]), P
+
+
+def in_window(lines: list[tuple[float, float]], x: Array, r: float, psi: float) -> list[Any]:
+    """Map lines within 0.5 m and 15 degrees of (r, psi): distance, prediction, difference in psi, rows of H."""
+    near = []
+    for rho, beta in lines:
+        C = rho - x[0] * math.cos(beta) - x[1] * math.sin(beta)
+        r_, psi_ = abs(C), beta - (x[2] - math.pi / 2) + (-0.5 * np.sign(C) + 0.5) * math.pi
+        dr, dpsi = r - r_, math.remainder(psi - psi_, math.tau)
+        if abs(dr) <= 0.5 and abs(dpsi) <= 15 * DEG:
+            rows = [[-C * math.cos(beta), -C * math.sin(beta), 0], [0, 0, -1]]
+            near.append(((dr / 0.5) ** 2 + (dpsi / (15 * DEG)) ** 2, r_, psi_, dpsi, rows))
+    return near
+
+
+def newest_by_hand(m: Measurements, k: int) -> list[int]:
+    return [int(i) for i in np.flatnonzero((m.t > 0.1 * (k - 1) + 1e-9) & (m.t <= 0.1 * k + 1e-9))[-1:]]
+
+
+def test_the_lock_step_filter_is_the_print_line_by_line() -> None:
+    robot = small_drive.robot()
+    drive, robot = with_camera(small_drive.drive(3, robot, laps=0.5), robot)
+    run = PrintedFilter(drive, robot, ("compass", "lrf", "camera"), {})
+    for k in range(len(run.grid)):
+        run.step(k)
+    pose, P = run.at(run.grid)
+    expected, expected_P = by_hand(drive, robot)
+    assert len(expected) > 200
+    np.testing.assert_allclose(pose, expected, atol=1e-9)
+    np.testing.assert_allclose(P, expected_P, atol=1e-12)
+
+
+def test_without_sensors_the_print_is_equation_3_and_has_no_noise_along_a_straight() -> None:
+    robot = small_drive.robot()
+    drive = small_drive.drive(1, robot)
+    estimates = fuse_as_printed(drive, robot, ())
+    reckoned = drive.wheels.at(drive.t)[2] + np.array(small_drive.START)
+    np.testing.assert_allclose(estimates.pose, reckoned, atol=2e-3)
+    assert estimates.name == "odometry"
+    on_first_straight = int(np.searchsorted(drive.t, 10.0))
+    right = small_drive.NOISE * 3.0 / 2.0  # var(along) after 3 m
+    assert estimates.P[on_first_straight, 0, 0] < 0.2 * right
+
+
+def test_results_go_through_the_same_judging_as_the_products_filter() -> None:
+    robot = small_drive.robot()
+    drive = small_drive.drive(2, robot)
+    estimates = fuse_as_printed(drive, robot, ("compass", "lrf"))
+    judged = evaluate(estimates, drive)
+    assert estimates.name == "all"
+    assert len(estimates.pose) == len(drive.t)
+    assert judged.figures["position_rmse_m"] is not None
+    lines = judged.sensors["lrf"].verdicts
+    assert lines["new"] == len(small_drive.ROOM)
+    assert lines["accepted"] > 0.9 * len(drive.measurements["lrf"].z)
+    assert [line.id for line in estimates.first_map] == [0, 1, 2, 3]
+    assert not np.any([line.P for line in estimates.first_map]), "the print takes its map as the truth"
+    wall = min(estimates.first_map, key=lambda line: abs(line.rho - 8.0))
+    assert wall.ends[1] - wall.ends[0] == pytest.approx(6.0, abs=1e-6)
+
+
+def test_readings_that_the_fixed_grid_leaves_out_are_counted() -> None:
+    robot = small_drive.robot()
+    drive = small_drive.drive(2, robot, headings=20.0)
+    notes = fuse_as_printed(drive, robot, ("compass",)).notes
+    n = len(drive.measurements["compass"].t)
+    assert len(notes) == 1
+    assert f"of {n} readings were not the newest" in notes[0]
+
+
+def test_a_listening_sensor_is_audited_but_moves_nothing() -> None:
+    robot = small_drive.robot()
+    drive = small_drive.drive(2, robot)
+    alone = fuse_as_printed(drive, robot, ("compass",))
+    every = np.ones(len(drive.measurements["lrf"].t), bool)
+    heard = fuse_as_printed(drive, robot, ("compass",), listen={"lrf": every})
+    np.testing.assert_array_equal(alone.pose, heard.pose)
+    assert heard.sensors == ("compass",)
+    assert np.isfinite(heard.audits["lrf"].nis).sum() > 100
+    half = fuse_as_printed(
+        drive, robot, ("compass", "lrf"), listen={"lrf": every & (np.arange(len(every)) % 2 > 0)}
+    )
+    assert np.abs(half.pose - heard.pose).max() > 0.01
+
+
+def test_what_the_print_has_no_equation_for_is_refused_by_name() -> None:
+    robot = small_drive.robot()
+    drive = small_drive.drive(2, robot, laps=0.1)
+    sonar: Any = {**drive.measurements, "sonar": drive.measurements["compass"]}
+    with pytest.raises(LocfuseError, match="sonar: the paper has no equation"):
+        fuse_as_printed(replace(drive, measurements=sonar), robot, ("sonar",))
+    with pytest.raises(LocfuseError, match="camera"):
+        fuse_as_printed(drive, robot, ("camera",))

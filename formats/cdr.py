@@ -1,8 +1,8 @@
 """Decode serialised messages into columns: a field of all messages of a chunk at once.
 
-Messages of one length are grouped by layout: the first of a group is walked (`layout.read_layout`), the length
-words that its layout depends on are compared for all the others in one go, and each wanted field is then one
-gather out of the chunk. A message that differs founds a group of its own, so what is odd is slow, never wrong.
+Messages are grouped by layout: the first of a group is walked (`layout.read_layout`), the length words that its
+layout depends on are compared for all the others in one go, and each wanted field is then one gather out of the
+chunk. A message that differs founds a group of its own, so what is odd is slow, never wrong.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..fusion.data import Column, Ints, Ragged
-from .columns import concat, take
+from .columns import concat, take, view
 from .fields import Part, resolve
 from .layout import CDR, Layout, Leaf, MalformedError, Rules, read_layout
 from .messages import Decoded
@@ -24,9 +24,17 @@ from .schema import Many, Record, Scalar, Text
 
 Bytes = NDArray[np.uint8]
 
-KNOWN_LAYOUTS = 32  # per message length, kept from chunk to chunk
-GROUPS = 64  # layouts of one length tried on all remaining messages of a chunk; then one by one
+KNOWN_LAYOUTS = 64  # kept from chunk to chunk
+GROUPS = 64  # new layouts tried on all remaining messages of a chunk; then one by one
 GATHER = 1 << 21  # length words compared in one go
+
+
+class Group(NamedTuple):
+    """Messages that share a layout."""
+
+    rows: Ints  # which of the batch's messages
+    layout: Layout
+    tails: Ints  # (rows,) elements of the array at the end; all 0 where the layout has none
 
 
 @dataclass
@@ -35,7 +43,7 @@ class Request:
 
     fields: dict[str, tuple[Part, ...]]  # (seconds, nanoseconds) for a stamp
     wanted: dict[str, Any] = field(default_factory=dict)
-    layouts: dict[int, list[Layout]] = field(default_factory=dict)  # by message length
+    layouts: list[Layout] = field(default_factory=list)  # the one met last comes first
 
 
 class Decoder:
@@ -53,8 +61,8 @@ class Decoder:
         request = self._request(tuple(fields))
         groups, bad = self._groups(data, start, length, request)
         good = np.zeros(len(start), bool)
-        for rows, _ in groups:
-            good[rows] = True
+        for group in groups:
+            good[group.rows] = True
         columns = {name: _gather(data, start, groups, parts) for name, parts in request.fields.items()}
         return Decoded(good, columns, bad)
 
@@ -69,51 +77,49 @@ class Decoder:
 
     def _groups(
         self, data: Bytes, start: Ints, length: Ints, request: Request
-    ) -> tuple[list[tuple[Ints, Layout]], Counter[str]]:
+    ) -> tuple[list[Group], Counter[str]]:
         """Split the messages into groups of equal layout; count the malformed ones by reason."""
-        groups: list[tuple[Ints, Layout]] = []
-        bad: Counter[str] = Counter()
-        for n in np.unique(length).tolist():
-            rows = np.flatnonzero(length == n)
-            known = request.layouts.setdefault(n, [])
-            for layout in known:
-                same = _same(data, start[rows], layout)
-                if same.any():
-                    groups.append((rows[same], layout))
-                    self.fast += int(same.sum())
-                    rows = rows[~same]
-                if not len(rows):
-                    break
-            groups += self._new_groups(data, start, rows, n, request, bad)
-        return groups, bad
+        rows = np.arange(len(start))
+        groups: list[Group] = []
+        for layout in list(request.layouts):
+            if not len(rows):
+                break
+            same, tails = _same(data, start[rows], length[rows], layout, self.rules.spare)
+            if same.any():
+                groups.append(Group(rows[same], layout, tails[same]))
+                self.fast += len(groups[-1].rows)
+                rows = rows[~same]
+                request.layouts.remove(layout)
+                request.layouts.insert(0, layout)
+        new, bad = self._new_groups(data, start, length, rows, request)
+        return groups + new, bad
 
     def _new_groups(
-        self, data: Bytes, start: Ints, rows: Ints, n: int, request: Request, bad: Counter[str]
-    ) -> list[tuple[Ints, Layout]]:
+        self, data: Bytes, start: Ints, length: Ints, rows: Ints, request: Request
+    ) -> tuple[list[Group], Counter[str]]:
         """Walk the first of the remaining messages, gather those like it, and so on."""
-        groups: list[tuple[Ints, Layout]] = []
+        groups: list[Group] = []
+        bad: Counter[str] = Counter()
         i = 0
         while i < len(rows):
-            at = int(start[rows[i]])
+            at, n = int(start[rows[i]]), int(length[rows[i]])
             try:
                 layout = read_layout(self.message, request.wanted, data[at : at + n].data, self.rules)
             except MalformedError as problem:
                 bad[str(problem)] += 1
                 i += 1
                 continue
-            rest = rows[i:]
-            same = np.zeros(len(rest), bool)
-            same[0] = True
+            rest = rows[i:] if len(groups) < GROUPS else rows[i : i + 1]
+            same, tails = _same(data, start[rest], length[rest], layout, self.rules.spare)
+            groups.append(Group(rest[same], layout, tails[same]))
             if len(groups) < GROUPS:
-                same |= _same(data, start[rest], layout)
-                request.layouts[n] = [layout, *request.layouts[n][: KNOWN_LAYOUTS - 1]]
+                request.layouts = [layout, *request.layouts[: KNOWN_LAYOUTS - 1]]
                 rows, i = rest[~same], 0
             else:
                 i += 1
-            groups.append((rest[same], layout))
             self.general += 1
-            self.fast += int(same.sum()) - 1
-        return groups
+            self.fast += len(groups[-1].rows) - 1
+        return groups, bad
 
 
 def _want(tree: dict[str, Any], path: str) -> None:
@@ -123,32 +129,39 @@ def _want(tree: dict[str, Any], path: str) -> None:
     tree[last] = path
 
 
-def _same(data: Bytes, start: Ints, layout: Layout) -> NDArray[np.bool_]:
-    """Tell which messages have the length words of a layout (they have its length already)."""
-    spots = np.array(layout.spots, np.int64)
-    same: NDArray[np.bool_] = np.ones(len(start), bool)
-    if not len(spots):
-        return same
-    step = max(GATHER // len(spots), 1)
-    words = np.ndarray((len(data) - 3,), "<u4", data, 0, (1,))
-    expected = np.array(layout.words, "<u4")
-    for i in range(0, len(start), step):
-        same[i : i + step] = (words[start[i : i + step, None] + spots] == expected).all(axis=1)
-    return same
+def _same(data: Bytes, start: Ints, length: Ints, layout: Layout, spare: int) -> tuple[NDArray[np.bool_], Ints]:
+    """Tell which messages (k,) have a layout, and how many elements (k,) the array at their end has."""
+    tail = layout.tail
+    tails = np.zeros(len(start), np.int64)
+    same = length == layout.length if tail is None else length >= tail.spot + 4
+    near = np.flatnonzero(same)
+    if tail is not None and len(near):
+        count = _numbers(data, start[near] + tail.spot, "u4", layout.little).astype(np.int64)
+        end = np.where(count > 0, tail.start + count * tail.size, tail.spot + 4)
+        fits = (end <= length[near]) & (length[near] - end <= spare)
+        tails[near] = count
+        same[near] = fits
+        near = near[fits]
+    if len(layout.spots):
+        step = max(GATHER // len(layout.spots), 1)
+        for i in range(0, len(near), step):
+            some = near[i : i + step]
+            words = view(data, "<u4", start[some, None] + layout.spots)
+            same[some] = (words == layout.words).all(axis=1)
+    return same, tails
 
 
-def _gather(data: Bytes, start: Ints, groups: list[tuple[Ints, Layout]], parts: tuple[Part, ...]) -> Column:
+def _gather(data: Bytes, start: Ints, groups: list[Group], parts: tuple[Part, ...]) -> Column:
     """Return one field of all groups, in the order of the messages."""
     if len(parts) == 2:
         return _nanoseconds(*(_gather(data, start, groups, (part,)) for part in parts))
-    part = parts[0]
-    pieces = [_leaf(data, start[rows], layout, part) for rows, layout in groups]
+    pieces = [_leaf(data, start[group.rows], group, parts[0]) for group in groups]
     if not pieces:
-        return _empty(part)
+        return _empty(parts[0])
     column = concat(pieces)
     if len(pieces) == 1:
         return column
-    return take(column, np.argsort(np.concatenate([rows for rows, _ in groups]), kind="stable"))
+    return take(column, np.argsort(np.concatenate([group.rows for group in groups]), kind="stable"))
 
 
 def _nanoseconds(seconds: Column, nanoseconds: Column) -> Column:
@@ -158,46 +171,50 @@ def _nanoseconds(seconds: Column, nanoseconds: Column) -> Column:
     return total
 
 
-def _leaf(data: Bytes, start: Ints, layout: Layout, part: Part) -> Column:
+def _leaf(data: Bytes, start: Ints, group: Group, part: Part) -> Column:
     """Gather one field of messages that share a layout."""
-    leaf = layout.leaves.get(part.path, Leaf())
+    leaf = group.layout.leaves.get(part.path, Leaf())
     node = part.node
     if isinstance(node, Scalar):
         offsets = np.array(leaf.offsets, np.int64)
-        values = _numbers(data, start[:, None] + offsets, node.dtype, layout.little)
+        values = _numbers(data, start[:, None] + offsets, node.dtype, group.layout.little)
         return _rows(values) if part.inside else values[:, 0]
-    if isinstance(node, Text):
-        if part.inside:
-            return _texts(data, start, leaf)
+    if isinstance(node, Text) and not part.inside:
         texts = _text(data, start + leaf.offsets[0], leaf.counts[0])
         return texts * (len(start) // len(texts))
-    assert isinstance(node, Many)
-    if isinstance(node.element, Text):
-        return _texts(data, start, leaf)
-    assert isinstance(node.element, Scalar)
-    return _array(data, start + leaf.offsets[0], leaf.counts[0], node, layout.little)
+    if isinstance(node, Many) and isinstance(node.element, Scalar):
+        return _array(data, start, group, leaf, part)
+    return _texts(data, start, leaf)
 
 
-def _array(data: Bytes, at: Ints, count: int, node: Many, little: bool) -> Column:
-    assert isinstance(node.element, Scalar)
-    dtype = node.element.dtype
-    if node.count is None and dtype == "u1":
-        return [data[i : i + count].tobytes() for i in at.tolist()]
-    size = node.element.size
+def _array(data: Bytes, start: Ints, group: Group, leaf: Leaf, part: Part) -> Column:
+    """Gather an array of numbers: a matrix if its length is fixed, bytes, or ragged rows."""
+    node, tail, little = cast("Many", part.node), group.layout.tail, group.layout.little
+    element = cast("Scalar", node.element)
+    at, counts = start + leaf.offsets[0], np.full(len(start), leaf.counts[0], np.int64)
+    if tail is not None and tail.path == part.path:
+        at, counts = start + tail.start, group.tails
+    if node.count is None and element.dtype == "u1":
+        return [data[i : i + n].tobytes() for i, n in zip(at.tolist(), counts.tolist(), strict=True)]
+    if (counts == counts[0]).all():
+        values = _matrix(data, at, int(counts[0]), element, little)
+        return _rows(values) if node.count is None else values
+    first = np.concatenate(([0], np.cumsum(counts)))
+    inside = np.arange(first[-1]) - np.repeat(first[:-1], counts)
+    return Ragged(_numbers(data, np.repeat(at, counts) + element.size * inside, element.dtype, little), first)
+
+
+def _matrix(data: Bytes, at: Ints, count: int, element: Scalar, little: bool) -> NDArray[Any]:
+    """Read `count` numbers from each offset (k,) on, (k, count)."""
     if not count:
-        values = np.empty((len(at), 0), dtype)
-    else:
-        rows = np.ndarray((len(data) - count * size + 1,), f"V{count * size}", data, 0, (1,))[at]
-        values = _native(rows.view(np.uint8).reshape(len(at), -1).view(_stored(dtype, little)), dtype)
-    return _rows(values) if node.count is None else values
+        return np.empty((len(at), 0), element.dtype)
+    rows = view(data, f"V{count * element.size}", at).view(np.uint8).reshape(len(at), -1)
+    return _native(rows.view(_stored(element.dtype, little)), element.dtype)
 
 
 def _numbers(data: Bytes, at: Ints, dtype: str, little: bool) -> NDArray[Any]:
     """Read a number at each offset, aligned or not."""
-    stored = np.dtype(_stored(dtype, little))
-    if not at.size:
-        return np.empty(at.shape, dtype)
-    return _native(np.ndarray((len(data) - stored.itemsize + 1,), stored, data, 0, (1,))[at], dtype)
+    return _native(view(data, _stored(dtype, little), at), dtype)
 
 
 def _stored(dtype: str, little: bool) -> str:
@@ -228,7 +245,7 @@ def _text(data: Bytes, at: Ints, n: int) -> list[str]:
     """Read a string of n bytes at each offset; one entry when all are equal."""
     if not n:
         return [""]
-    rows = np.ndarray((len(data) - n + 1,), f"V{n}", data, 0, (1,))[at].view(np.uint8).reshape(len(at), n)
+    rows = view(data, f"V{n}", at).view(np.uint8).reshape(len(at), n)
     if (rows == rows[0]).all():
         return [rows[0].tobytes().decode("utf-8", "replace")]
     return [row.tobytes().decode("utf-8", "replace") for row in rows]

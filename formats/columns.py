@@ -8,9 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fusion.data import Column, Ragged
+from ..fusion.data import Column, Ints, Ragged
 
 TRUSTED = 1 << 22  # elements allocated on the word of a file that so many will come
+
+
+def view(data: NDArray[np.uint8], dtype: str, at: Ints) -> NDArray[Any]:
+    """Read one value of `dtype` at each of the byte offsets `at` (k,), aligned or not."""
+    size = np.dtype(dtype).itemsize
+    return np.ndarray((max(len(data) - size + 1, 0),), dtype, data, 0, (1,))[at]
 
 
 def concat(parts: Sequence[Column]) -> Column:

@@ -1,8 +1,9 @@
 """Where the fields of one message lie: a checked walk over its bytes, remembering what the result depends on.
 
 Strings and arrays say their own lengths, so the layout of a message depends on its length words and nothing
-else: a second message of the same size with the same words at the same places has the same layout. That is
-what lets `cdr` gather a field of a thousand messages at once after walking the first.
+else: a second message with the same words at the same places has the same layout, but for the length of an
+array of numbers at its very end (an image's bytes). That is what lets `cdr` gather a field of a thousand
+messages at once after walking the first.
 """
 
 from __future__ import annotations
@@ -13,8 +14,13 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from ..fusion.data import Ints
 from .schema import Many, Node, Record, Scalar, Text
 
+WORD = struct.Struct("<I")
 MAX_ITEMS = 100_000  # strings, arrays and structs walked one by one in a message
 MAX_MESSAGE = 64 * 1024 * 1024  # bytes
 
@@ -29,10 +35,11 @@ class Rules(NamedTuple):
     header: int  # bytes before the first value; alignment counts from behind them
     aligned: bool  # numbers stand at multiples of their size
     nul: int  # bytes that end a string and count in its length
+    spare: int  # bytes of padding allowed at the end
 
 
-CDR = Rules(header=4, aligned=True, nul=1)  # OMG DDSI-RTPS, plain CDR as in ROS 2
-ROS1 = Rules(header=0, aligned=False, nul=0)
+CDR = Rules(header=4, aligned=True, nul=1, spare=3)  # OMG DDSI-RTPS, plain CDR as in ROS 2
+ROS1 = Rules(header=0, aligned=False, nul=0, spare=0)
 
 # Which parts of a message are wanted: field name -> its wanted parts, or the dotted path of a wanted leaf.
 Wanted = Mapping[str, "Wanted | str"]
@@ -46,28 +53,45 @@ class Leaf:
     counts: list[int] = field(default_factory=list)  # elements (arrays) or bytes (strings) at each offset
 
 
-class Layout(NamedTuple):
-    """The layout shared by all messages of `length` bytes with `words` at the byte offsets `spots`."""
+class Tail(NamedTuple):
+    """An array of numbers at the very end of a message: its length is free."""
+
+    spot: int  # where its length word lies
+    start: int  # where its elements begin, if there are any
+    size: int  # bytes of an element
+    path: str | None  # if it is wanted
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """The layout shared by all messages with `words` at the byte offsets `spots` that are `length` bytes long.
+
+    Where there is a tail, its word is not among them and the length follows from it.
+    """
 
     length: int
     little: bool  # byte order of its numbers
-    spots: list[int]
-    words: list[int]  # the 4 bytes at each spot, as a little-endian number
+    spots: Ints  # (s,)
+    words: NDArray[np.uint32]  # (s,) the 4 bytes at each spot
     leaves: dict[str, Leaf]
+    tail: Tail | None
 
 
 def read_layout(message: Record, wanted: Wanted, payload: memoryview, rules: Rules) -> Layout:
-    """Walk one message. Raises MalformedError when it does not fill its bytes exactly (but for 3 of padding)."""
+    """Walk one message. Raises MalformedError when it does not fill its bytes exactly (but for padding)."""
     walk = _Walk(payload, rules)
     try:
         walk.step(message, wanted)
     except struct.error:
         raise MalformedError("shorter than its type") from None
     walk.room(0)
-    if len(payload) - walk.at > 3:
+    if len(payload) - walk.at > rules.spare:
         raise MalformedError("longer than its type")
-    words = [struct.unpack_from("<I", payload, spot)[0] for spot in walk.spots]
-    return Layout(len(payload), walk.little, walk.spots, words, walk.leaves)
+    tail = walk.tail if walk.at == walk.tail_end else None
+    if tail:
+        walk.spots.pop()
+    words = np.array([WORD.unpack_from(payload, spot)[0] for spot in walk.spots], "<u4")
+    return Layout(len(payload), walk.little, np.array(walk.spots, np.int64), words, walk.leaves, tail)
 
 
 class _Walk:
@@ -78,6 +102,8 @@ class _Walk:
         self.items = 0
         self.spots: list[int] = []
         self.leaves: dict[str, Leaf] = {}
+        self.tail: Tail | None = None  # the last sequence of numbers
+        self.tail_end = -1
         self.little = self._encapsulation() if rules.header else True
         self.word = struct.Struct("<I" if self.little else ">I")
 
@@ -145,6 +171,11 @@ class _Walk:
         self._note(wanted, max(n - self.rules.nul, 0))
         self.at += n
 
+    def _tail(self, size: int, wanted: Wanted | str | None) -> Tail:
+        """Describe the sequence whose length word was just read as the last of the message."""
+        padding = -(self.at - self.rules.header) % size if self.rules.aligned else 0
+        return Tail(self.at - 4, self.at + padding, size, wanted if isinstance(wanted, str) else None)
+
     def _count_items(self, count: int) -> None:
         """Refuse what would take minutes to walk; the verdict must not depend on what is wanted."""
         self.items += count
@@ -154,7 +185,10 @@ class _Walk:
     def _many(self, node: Many, wanted: Wanted | str | None) -> None:
         count = self._length() if node.count is None else node.count
         if isinstance(node.element, Scalar):
+            if node.count is None:
+                self.tail = self._tail(node.element.size, wanted)
             self._numbers(node.element, count, wanted)
+            self.tail_end = self.at if node.count is None else -1
             return
         size = _fixed_run(node.element, count, self._phase(), self.rules.aligned)
         if size is None:

@@ -7,12 +7,13 @@ channel and log time, and what lies between the messages are whole Schema and Ch
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..fusion.data import Ints
+from .columns import view
 from .mcap_records import CHANNEL, DATA_END, MESSAGE, MESSAGE_HEADER, PRIVATE, RECORD, SCHEMA
 from .source import Messages
 
@@ -27,12 +28,6 @@ class Records(NamedTuple):
     messages: dict[int, Messages]
     definitions: list[tuple[int, int, int]]  # Schema and Channel records: (opcode, content start, length)
     end: int  # where the records stop making sense; the chunk's size when all is well
-
-
-def view(data: NDArray[np.uint8], dtype: str, at: Ints) -> NDArray[Any]:
-    """Read one value of `dtype` at each of the byte offsets `at` (k,), aligned or not."""
-    size = np.dtype(dtype).itemsize
-    return np.ndarray((max(len(data) - size + 1, 0),), dtype, data, 0, (1,))[at]
 
 
 def records(data: NDArray[np.uint8], index: Index | None) -> Records:

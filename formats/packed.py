@@ -11,8 +11,8 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
+from .columns import view
 from .layout import MAX_MESSAGE
-from .mcap_chunk import view
 from .source import Messages
 
 ZSTD_MAGIC = 0xFD2FB528

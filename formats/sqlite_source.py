@@ -18,7 +18,7 @@ from .losses import Losses
 from .schema import message_type
 from .source import Batch, ChannelInfo, Messages
 
-ERRORS = (sqlite3.Error, UnicodeDecodeError, ValueError)  # of a damaged database
+ERRORS = (sqlite3.Error, UnicodeDecodeError, ValueError, MemoryError)  # of a damaged database
 BATCH_BYTES = 1 << 20
 DAMAGED = "the database is damaged: what lies behind the damage is lost"
 

@@ -187,6 +187,29 @@ def test_equal_layouts_are_gathered_after_walking_one_message() -> None:
     assert (decoder.fast, decoder.general) == (99, 1)
 
 
+@pytest.mark.parametrize("little", [True, False])
+def test_images_of_different_sizes_are_gathered_after_walking_one(little: bool) -> None:
+    kind = "sensor_msgs/msg/CompressedImage"
+    decoder = Decoder(parse(kind, "ros2msg", STORE.generate_msgdef(kind, ros_version=2)[0]))
+    pictures = [bytes(range(n)) for n in (5, 0, 17, 200, 17, 1)]
+    messages = [cdr(kind, little, header=header(i), format="jpeg", data=list(p)) for i, p in enumerate(pictures)]
+    decoded = decode(decoder, messages, ["data", "format"])
+    assert decoded.columns["data"] == pictures
+    assert (decoder.fast, decoder.general) == (5, 1)
+    cut = decode(decoder, [messages[3][:-1], messages[3] + bytes(4)], ["data"])
+    assert cut.bad == {"shorter than its type": 1, "longer than its type": 1}
+
+
+def test_numbers_at_the_end_of_a_message_may_differ_in_length() -> None:
+    kind = "std_msgs/msg/Float64MultiArray"
+    decoder = Decoder(parse(kind, "ros2msg", STORE.generate_msgdef(kind, ros_version=2)[0]))
+    rows_said = [np.arange(n, dtype=float) for n in (0, 3, 1, 0, 40)]
+    decoded = decode(decoder, [cdr(kind, data=row) for row in rows_said], ["data", "layout.data_offset"])
+    for got, said in zip(rows(decoded.columns["data"]), rows_said, strict=True):
+        np.testing.assert_array_equal(got, said)
+    assert (decoder.fast, decoder.general) == (4, 1)
+
+
 def test_messages_of_one_length_and_different_layouts_are_told_apart() -> None:
     """9 + 3 and 3 + 9 beams take the same bytes."""
     one = cdr(SCAN, header=header(1, "a"), ranges=np.arange(9), intensities=np.arange(3))

@@ -16,12 +16,14 @@ from ..fusion.data import Drive, LocfuseError, UsageError
 from ..fusion.measure import measure
 from ..fusion.robot import Robot, StartSettings, TruthSettings, WheelSettings
 from ..fusion.sensors.registry import REGISTRY
+from . import filters
 from .topics import Choice, choose
 
 if TYPE_CHECKING:
     from .options import LogOptions
 
 ORDERS = ("auto", "stamp", "recorded")
+PRESETS = ("default", "paper")
 BASE_FRAMES = ("base_link", "base_footprint", "base")
 ATTACHMENT = "robot.toml"
 PLAIN_CLOCK = "header stamps"
@@ -70,12 +72,13 @@ def load(paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None]
     mounts = _mounts(log, {s: streams[s].frame_id for s in REGISTRY if s in streams})
     robot = make_robot(robot_toml.merge(mounts, tables))
     drive = measure(streams, robot, choice.absent, progress)
-    notes = (*choice.notes, *_clock_notes(streams), *_start_notes(robot, drive), *drive.notes)
+    preset = (filters.NOTE,) if robot.preset == "paper" else ()
+    notes = (*preset, *choice.notes, *_clock_notes(streams), *_start_notes(robot, drive), *drive.notes)
     return Loaded(log, robot, choice, replace(drive, notes=notes))
 
 
 def merged_tables(log: Log, how: LogOptions) -> dict[str, Any]:
-    """Return robot.toml as tables: the log's attachment, then --robot, then --set, key by key."""
+    """Return robot.toml as tables: the preset's, then the log's attachment, --robot, and --set, key by key."""
     layers: list[dict[str, Any]] = []
     if ATTACHMENT in log.attachments:
         layers.append(_checked(log.attachments[ATTACHMENT], f"{log.name}: attachment {ATTACHMENT}"))
@@ -88,7 +91,10 @@ def merged_tables(log: Log, how: LogOptions) -> dict[str, Any]:
         raise UsageError(str(e)) from None
     if how.order:
         sets["order"] = how.order
-    return robot_toml.merge(*layers, sets)
+    if how.preset:
+        sets["preset"] = how.preset
+    tables = robot_toml.merge(*layers, sets)
+    return robot_toml.merge(filters.TABLES[tables.get("preset", "default")], tables)
 
 
 def _named_by_hand(sets: Sequence[str]) -> set[str]:
@@ -114,6 +120,9 @@ def make_robot(tables: Mapping[str, Any]) -> Robot:
     order = tables.pop("order", "auto")
     if order not in ORDERS:
         raise LocfuseError(f"order = {order!r}; choose from {', '.join(ORDERS)}")
+    preset = tables.pop("preset", "default")
+    if preset not in PRESETS:
+        raise LocfuseError(f"preset = {preset!r}; choose from {', '.join(PRESETS)}")
     settings = robot_toml.convert(tables, TABLES)
     defaults = {name: kind() for name, kind in TABLES.items()}
     found: dict[str, Any] = {**defaults, **settings}
@@ -123,6 +132,7 @@ def make_robot(tables: Mapping[str, Any]) -> Robot:
         truth=found["truth"],
         sensors={name: found[name] for name in REGISTRY},
         order=order,
+        preset=preset,
         start_given="start" in tables,
     )
 

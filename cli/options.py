@@ -21,6 +21,24 @@ class LogOptions:
     order: str | None
     strict: bool
     quiet: bool
+    preset: str | None = None
+
+
+def preset_option(command: F) -> F:
+    """Add --preset to a command with @log_options below it: it arrives in `how`."""
+    import functools
+    from dataclasses import replace
+
+    @functools.wraps(command)
+    def wrapped(*args: Any, how: LogOptions, preset: str | None, **kwargs: Any) -> Any:
+        return command(*args, how=replace(how, preset=preset), **kwargs)
+
+    option = click.option(
+        "--preset",
+        type=click.Choice(["default", "paper"]),
+        help="The filter: our own, or the paper's equations as printed (docs/paper.md).  [default: default]",
+    )
+    return option(wrapped)  # type: ignore[return-value]
 
 
 def log_options(command: F) -> F:

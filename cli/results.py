@@ -21,7 +21,7 @@ NOT_A_LOSS = ("repeat", "outside_wheels")  # exact repeats, and readings before 
 def settings_tables(robot: Robot) -> dict[str, Any]:
     """Return the effective settings as robot.toml tables, keys without a value left out."""
     structs = {"wheels": robot.wheels, "start": robot.start, "truth": robot.truth, **robot.sensors}
-    tables: dict[str, Any] = {"order": robot.order}
+    tables: dict[str, Any] = {"order": robot.order, "preset": robot.preset}
     for name, struct in structs.items():
         tables[name] = {k: v for k, v in msgspec.to_builtins(struct).items() if v is not None}
     return tables

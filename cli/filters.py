@@ -1,0 +1,30 @@
+"""Which filter a preset runs: the product's own, or the paper's as printed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from ..fusion.data import Estimates
+from ..fusion.robot import Preset
+
+# Settings under which a preset measures a log; robot.toml and --set go over them.
+TABLES: dict[Preset, dict[str, Any]] = {
+    "default": {},
+    "paper": {"lrf": {"map": "first-scan"}, "camera": {"chain": "paper", "bearing": "absolute"}},
+}
+NOTE = (
+    "preset paper: the printed equations with the printed noise (delta, R); the sigmas, gates and the map of "
+    "robot.toml are not used. See docs/paper.md"
+)
+
+
+def fuser(preset: Preset) -> Callable[..., Estimates]:
+    """Return what fuses a drive under a preset; both have the arguments of `fusion.fuse.fuse`."""
+    if preset == "paper":
+        from ..fusion.paper_filter import fuse_as_printed
+
+        return fuse_as_printed
+    from ..fusion.fuse import fuse
+
+    return fuse

@@ -74,24 +74,21 @@ def candidates(picture: Picture, optics: Optics, red: Red) -> list[Candidate]:
     r, theta = np.hypot(dx, dy), np.arctan2(dx, dy)
     parts = _clusters(theta, r, red.length)
     h, w = picture.shape[:2]
-    if optics.outer >= min(optics.x_c, optics.y_c, w - 1 - optics.x_c, h - 1 - optics.y_c):
+    if optics.outer > min(optics.x_c, optics.y_c, w - 1 - optics.x_c, h - 1 - optics.y_c):
         edge = (x == 0) | (y == 0) | (x == w - 1) | (y == h - 1)
         parts = [_whole_circles(part, r, edge) for part in parts]
     return largest([_measured(_unwrapped(theta[i]), r[i], level[i]) for i in parts if len(i)], red)
 
 
 def _clusters(theta: Array, r: Array, least: float) -> list[NDArray[np.int64]]:
-    """Return the pixels of each thing: neighbours along the circle less than GAP apart, column 0 included."""
+    """Return the pixels of each thing: neighbours along the circle at most GAP apart, column 0 included."""
     order = np.argsort(theta, kind="stable")
-    around = np.append(order, order[0])
-    step = np.diff(theta[around])
-    step[-1] += TAU
-    ends = np.flatnonzero(step * 0.5 * (r[around[1:]] + r[around[:-1]]) > GAP) + 1
-    if len(ends) == 0:
-        return [order]
-    turned = np.roll(order, -ends[-1])
-    parts = np.split(turned, np.cumsum(np.diff(ends, prepend=ends[-1] - len(order)))[:-1])
-    return sorted((p for p in parts if len(p) >= least), key=len, reverse=True)[:CLUSTERS]
+    t, twice = theta[order], 2.0 * r[order]
+    apart = (t[1:] - t[:-1]) * (twice[1:] + twice[:-1])  # four times the arc [px]
+    parts = np.split(order, np.flatnonzero(apart > 4.0 * GAP) + 1)
+    if len(parts) > 1 and (t[0] + TAU - t[-1]) * (twice[0] + twice[-1]) <= 4.0 * GAP:
+        parts[0] = np.concatenate((parts.pop(), parts[0]))
+    return sorted((part for part in parts if len(part) >= least), key=len, reverse=True)[:CLUSTERS]
 
 
 def _whole_circles(part: NDArray[np.int64], r: Array, edge: NDArray[np.bool_]) -> NDArray[np.int64]:

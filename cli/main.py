@@ -21,6 +21,7 @@ import click
 COMMANDS = {
     "run": "Run one configuration: trajectory, covariances, run.json.",
     "compare": "Run all configurations in one pass and report what each sensor bought.",
+    "view": "Look at a log, a result or a recording in Rerun.",
     "simulate": "Drive a scenario and record it as a log with known truth.",
 }
 INTERRUPTED, TERMINATED = 130, 143

@@ -56,23 +56,27 @@ def address(ctx: click.Context, param: click.Parameter, value: str | None) -> st
     return value
 
 
-def detail_options(prefix: str) -> tuple[Any, ...]:
-    """Return --images and --full, under a prefix where the command has other outputs too."""
-    return (
-        click.option(
+def detail_options(prefix: str) -> Callable[[F], F]:
+    """Add --images and --full, with a prefix where the command has other outputs too."""
+    name = prefix.replace("-", "_")
+
+    def decorate(command: F) -> F:
+        images = click.option(
             f"--{prefix}images",
-            f"{prefix.replace('-', '_')}images",
+            f"{name}images",
             callback=every,
             metavar="every=N|none",
             help="Which pictures go into the recording.  [default: evenly, at most 600]",
-        ),
-        click.option(
+        )
+        full = click.option(
             f"--{prefix}full",
-            f"{prefix.replace('-', '_')}full",
+            f"{name}full",
             is_flag=True,
             help="Record everything: no thinning of curves (4000 points) and scans (2000).",
-        ),
-    )
+        )
+        return images(full(command))
+
+    return decorate
 
 
 def rerun_options(command: F) -> F:
@@ -110,7 +114,7 @@ def rerun_options(command: F) -> F:
                 metavar="URL",
                 help=f"Send the recording to the viewer at this address, e.g. {LOCAL_VIEWER}.",
             ),
-            *detail_options("rerun-"),
+            detail_options("rerun-"),
         )
     ):
         decorated = option(decorated)

@@ -8,13 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from ..formats.rerun_scene import Detail, Picture, RawTopic, ScanPoints, Scene, Sight
+from ..formats.palette import colours
+from ..formats.rerun_scene import Detail, Picture, RawTopic, Rgb, ScanPoints, Scene, Sight
 from ..fusion.data import Array, Column, Estimates, Evaluation, Ragged
 from ..fusion.gates import chi_square
 from ..fusion.robot import VIRTUAL_TRACK, Robot
 from ..fusion.sensors.registry import REGISTRY
 from ..fusion.truth import TRUTH_READS
 from ..fusion.wheels import WHEEL_READS
+from .configurations import parse
 from .load import Loaded
 from .rerun_scans import BEAMS, scan_points
 
@@ -57,7 +59,19 @@ def make_scene(
         picture_rows=rows,
         raw=raw_topics(loaded),
         detail=detail,
+        palette=palette([e.name for e in estimates]),
+        thinned={e.name: parse(e.name, loaded.drive).drive(loaded.drive) for e in estimates if "@" in e.name},
     )
+
+
+def palette(configurations: Sequence[str]) -> dict[str, Rgb]:
+    """Return the colours that configurations have in the report, on its dark page."""
+    return {name: _rgb(c.dark) for name, c in colours(configurations, list(REGISTRY)).items()}
+
+
+def _rgb(web: str) -> Rgb:
+    red, green, blue = bytes.fromhex(web.removeprefix("#"))
+    return red, green, blue
 
 
 def sights(loaded: Loaded) -> dict[str, Sight]:

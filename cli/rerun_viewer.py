@@ -13,7 +13,11 @@ import socket
 import subprocess
 import sys
 import time
+import webbrowser
 from pathlib import Path
+from urllib.parse import quote
+
+import click
 
 from ..fusion.data import LocfuseError
 from .rerun_options import ADDRESS, LOCAL_VIEWER
@@ -25,8 +29,11 @@ RATE = 5e6  # bytes per second on top of that
 START = 2.0  # s in which a viewer that cannot start has said so
 
 
-def show(path: Path) -> None:
-    """Show a recording in a running viewer, else in a new one. Raises LocfuseError where there is neither."""
+def show(path: Path) -> subprocess.Popen[bytes] | None:
+    """Show a recording in a running viewer, else in a new one, which is returned.
+
+    Raises LocfuseError where there is neither.
+    """
     if listening(HOST, PORT):
         try:
             send(path, LOCAL_VIEWER)
@@ -34,10 +41,10 @@ def show(path: Path) -> None:
             if not has_display():
                 raise
         else:
-            return
+            return None
     if not has_display():
         raise LocfuseError(f"there is no display, and no viewer runs at {HOST}:{PORT}")
-    start(path)
+    return start(path)
 
 
 def has_display() -> bool:
@@ -78,45 +85,70 @@ def send(path: Path, url: str) -> None:
         raise LocfuseError(f"the viewer at {host}:{port} did not take the recording: {said[:160]}")
 
 
-def start(path: Path) -> None:
+def show_and_wait(path: Path) -> None:
+    """Show a recording like `show`, and where a viewer is started wait until its window is closed."""
+    viewer = show(path)
+    if viewer is None:
+        return
+    try:
+        code = viewer.wait()
+    except BaseException:
+        viewer.terminate()
+        raise
+    if code != 0:
+        raise LocfuseError(f"the viewer ended with code {code}; in a browser it may work: --web")
+
+
+def start(path: Path) -> subprocess.Popen[bytes]:
     """Open a viewer of our own on the loopback interface and leave it running.
 
     Raises LocfuseError where it ends at once (no graphics driver, no such program).
     """
-    command = [program(), "--bind", HOST, "--port", str(free_port()), str(path)]
-    environment = {**os.environ, "RERUN_APP_ONLY": "true", "RUST_LOG": "error"}
-    try:
-        viewer = subprocess.Popen(
-            command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
-        )
-    except OSError as problem:
-        raise LocfuseError(f"the viewer cannot be started: {problem.strerror}") from None
+    viewer = _popen([program(), "--bind", HOST, "--port", str(free_port(PORT)), str(path)])
     deadline = time.monotonic() + START
     while time.monotonic() < deadline:
         if viewer.poll() is not None and viewer.returncode != 0:
             raise LocfuseError(f"the viewer ended at once with code {viewer.returncode}")
         time.sleep(0.1)
+    return viewer
 
 
-def serve(path: Path, port: int) -> int:
-    """Serve a recording to browsers on this machine until interrupted; return the server's exit code."""
-    command = [program(), "--bind", HOST, "--port", str(free_port()), "--web-viewer"]
-    command += ["--web-viewer-port", str(port), str(path)]
-    environment = {**os.environ, "RUST_LOG": os.environ.get("RUST_LOG", "error")}
-    with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL) as server:
-        try:
-            return server.wait()
-        except BaseException:
-            server.terminate()
-            raise
+def serve(path: Path, wanted: int) -> None:
+    """Serve a recording to browsers on this machine until interrupted. Raises LocfuseError where that fails."""
+    port, data = free_port(wanted), free_port(PORT)
+    command = [program(), "--bind", HOST, "--port", str(data), "--serve-web", "--web-viewer-port", str(port)]
+    server = _popen([*command, str(path)])
+    try:
+        address = f"http://{HOST}:{port}/?url=" + quote(f"rerun+http://{HOST}:{data}/proxy", safe="")
+        click.echo(f"{address}\nCtrl-C ends it", err=True)
+        if has_display():
+            webbrowser.open(address)
+        code = server.wait()
+    except BaseException:
+        server.terminate()
+        server.wait()
+        raise
+    raise LocfuseError(f"the web viewer ended with code {code}")
 
 
-def free_port() -> int:
-    """Return Rerun's usual port if it is free, else one that is."""
-    for wanted in (PORT, 0):
+def _popen(command: list[str]) -> subprocess.Popen[bytes]:
+    """Start Rerun's program: quiet, out of reach of the terminal's Ctrl-C, without its first-start questions."""
+    environment = {**os.environ, "RERUN_APP_ONLY": "true", "RUST_LOG": os.environ.get("RUST_LOG", "off")}
+    nowhere = subprocess.DEVNULL
+    try:
+        return subprocess.Popen(
+            command, env=environment, stdin=nowhere, stdout=nowhere, stderr=nowhere, start_new_session=True
+        )
+    except OSError as problem:
+        raise LocfuseError(f"the viewer cannot be started: {problem.strerror}") from None
+
+
+def free_port(wanted: int) -> int:
+    """Return this port if it is free, else one that is."""
+    for port in (wanted, 0):
         with socket.socket() as probe:
             try:
-                probe.bind((HOST, wanted))
+                probe.bind((HOST, port))
             except OSError:
                 continue
             return int(probe.getsockname()[1])

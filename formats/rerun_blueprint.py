@@ -10,7 +10,7 @@ from ..fusion.data import Array
 from . import rerun_images, rerun_series
 from .rerun_geometry import wall
 from .rerun_map import ROOT
-from .rerun_recorder import STEP, TIME
+from .rerun_recorder import STEP, TIME, part
 from .rerun_scene import Scene
 
 BACKGROUND = (20, 21, 26)
@@ -78,7 +78,7 @@ def _map_overrides(scene: Scene) -> dict[Any, list[Any]]:
     hidden = rrb.EntityBehavior(visible=False)
     overrides: dict[Any, list[Any]] = {f"{ROOT}/truth/path": [until_now]}
     for e in scene.estimates:
-        root = f"{ROOT}/{e.name}"
+        root = f"{ROOT}/{part(e.name)}"
         overrides[f"{root}/path"] = [until_now]
         for walls in ("refined", "three_sigma"):
             overrides[f"{root}/walls/{walls}"] = [until_now]
@@ -127,7 +127,7 @@ def scan_view(scene: Scene) -> Any:
     """Return the view from the robot: x ahead to the right, y to the left upwards."""
     import rerun.blueprint as rrb
 
-    root = f"{ROOT}/{scene.best.name}"
+    root = f"{ROOT}/{part(scene.best.name)}"
     reach = _reach(scene)
     contents = [f"+ /{root}/**", f"+ /{ROOT}/landmark/**", f"- /{root}/path/**", f"- /{root}/sigma/**"]
     overrides: dict[Any, list[Any]] = {f"{root}/walls/{w}": [_until_now()] for w in ("refined", "three_sigma")}
@@ -183,7 +183,9 @@ def _deviations(scene: Scene, name: str, close: list[float] | None) -> Any | Non
     views = []
     for i, component in enumerate(rerun_series.DEVIATIONS[:count]):
         origin = f"/deviation/{rerun_series.entity(component)}"
-        bands = {f"{origin}/{e.name}/three_sigma": [rrb.EntityBehavior(visible=e.name == best)] for e in judged}
+        bands = {
+            f"{origin}/{part(e.name)}/three_sigma": [rrb.EntityBehavior(visible=e.name == best)] for e in judged
+        }
         views.append(_plot(component, origin, legend=i == 0, span=close[i] if close else None, overrides=bands))
     return rrb.Vertical(contents=views, name=name)
 
@@ -273,6 +275,7 @@ def _plot(
 ) -> Any:
     """Return a time series view; `span` limits it to +-span, or to low..span."""
     import rerun.blueprint as rrb
+    from rerun.blueprint.archetypes import PlotBackground
 
     limits = None if span is None else (-span if low is None else low, span)
     return rrb.TimeSeriesView(
@@ -281,5 +284,6 @@ def _plot(
         axis_x=rrb.TimeAxis(link="LinkToGlobal"),
         axis_y=rrb.ScalarAxis(range=limits) if limits else None,
         plot_legend=rrb.PlotLegend(visible=legend, corner="RightTop"),
+        background=PlotBackground(color=BACKGROUND),
         overrides=overrides,
     )

@@ -1,16 +1,12 @@
-"""Colours of configurations and of verdicts, the same in every panel and readable on dark and light."""
+"""Colours of what is drawn beside the configurations, on a dark page."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 from ..fusion.data import VERDICTS
 from .rerun_scene import Rgb
 
-ODOMETRY: Rgb = (150, 150, 158)
-ALL: Rgb = (67, 190, 105)
-TRUTH: Rgb = (240, 240, 240)
-ALONE: tuple[Rgb, ...] = ((240, 165, 40), (80, 165, 235), (215, 110, 190), (150, 120, 240), (60, 190, 190))
+TRUTH: Rgb = (244, 245, 247)
+FIELDS: tuple[Rgb, ...] = ((240, 165, 40), (80, 165, 235), (215, 110, 190), (150, 120, 240), (60, 190, 190))
 LANDMARK: Rgb = (235, 70, 60)
 FIRST_WALL: Rgb = (135, 125, 110)
 WALL: Rgb = (215, 205, 185)
@@ -30,13 +26,6 @@ STATES: dict[str, Rgb] = {
     "partly": (200, 165, 60),
     "rejected": (205, 70, 60),
 }
-
-
-def of_configurations(names: Sequence[str]) -> dict[str, Rgb]:
-    """Return a colour for every configuration: odometry grey, all green, the others in turn."""
-    fixed = {"odometry": ODOMETRY, "all": ALL}
-    others = [name for name in names if name not in fixed]
-    return {**fixed, **{name: ALONE[i % len(ALONE)] for i, name in enumerate(others)}}
 
 
 def faded(colour: Rgb, alpha: int) -> tuple[int, int, int, int]:

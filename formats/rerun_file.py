@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import warnings
 from collections import Counter
 from pathlib import Path
@@ -31,25 +32,40 @@ def save_recording(path: Path, scene: Scene, tab: str | None = None) -> None:
 
 def verify(path: Path, sent: Counter[str]) -> None:
     """Read a recording back. Raises LocfuseError unless every entity has the rows that were sent to it."""
+    found = check(path)
+    lost = [entity for entity, n in sent.items() if found[entity] != n]
+    if lost:
+        raise LocfuseError(f"{path.name} lacks what was written: {len(lost)} entities differ, first {lost[0]}")
+
+
+def check(path: Path) -> Counter[str]:
+    """Return the rows of every entity of a recording.
+
+    Raises LocfuseError for a file that is no recording, was cut short, or has no blueprint.
+    """
+    quiet_rust()
     from rerun.chunk import RrdReader
 
+    rows: Counter[str] = Counter()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # a file without its footer was cut short
             reader = RrdReader(path)
-            blueprints = len(reader.blueprints())
-            found: Counter[str] = Counter()
+            whole = bool(reader.recordings()) and bool(reader.blueprints())
             for chunk in reader.stream():
                 if not chunk.is_static:
-                    found[chunk.entity_path.strip("/")] += chunk.num_rows
-    except (RuntimeError, ValueError, Warning) as problem:
-        raise LocfuseError(f"{path.name} cannot be read back: {_first_line(problem)}") from None
-    lost = {entity: n - found[entity] for entity, n in sent.items() if found[entity] != n}
-    if lost or not blueprints:
-        what = next(iter(lost), "its blueprint")
-        raise LocfuseError(
-            f"{path.name} does not hold what was written: {len(lost)} entities differ, first {what}"
-        )
+                    rows[chunk.entity_path.strip("/")] += chunk.num_rows
+    except (RuntimeError, ValueError, OSError, Warning) as problem:
+        raise LocfuseError(f"{path.name} is no whole recording: {_first_line(problem)}") from None
+    if not whole:
+        raise LocfuseError(f"{path.name} is no recording of ours: it holds no drive or no blueprint")
+    return rows
+
+
+def copy(source: Path, target: Path) -> None:
+    """Copy a recording, whole or not at all. Raises LocfuseError where it cannot be written."""
+    with whole_file(target) as temporary:
+        shutil.copyfile(source, temporary)
 
 
 def quiet_rust() -> None:

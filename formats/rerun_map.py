@@ -13,7 +13,7 @@ from ..fusion.data import Array, Estimates, Ints, MapLine
 from . import rerun_colours as colours
 from . import rerun_style as style
 from .rerun_geometry import ellipses, quaternions, steps, wall, wall_band
-from .rerun_recorder import Recorder
+from .rerun_recorder import Recorder, part
 from .rerun_scene import Rgb, Scene
 from .rerun_thin import evenly, extremes
 
@@ -27,10 +27,9 @@ def draw_map(to: Recorder, scene: Scene) -> None:
     import rerun as rr
 
     to.static(ROOT, rr.Transform3D(mat3x3=FLIP))
-    palette = colours.of_configurations([e.name for e in scene.estimates])
     for order, estimates in enumerate(scene.estimates):
-        root = f"{ROOT}/{estimates.name}"
-        colour = palette[estimates.name]
+        root = f"{ROOT}/{part(estimates.name)}"
+        colour = scene.colour(estimates.name)
         picks = extremes(estimates.pose[:, :2], scene.detail.curve)
         draw_path(
             to, f"{root}/path", estimates.t[picks], estimates.pose[picks, :2], colour, 1.5, PATH_ORDER + order
@@ -59,6 +58,8 @@ def _draw_pose(to: Recorder, root: str, e: Estimates, picks: Ints, colour: Rgb) 
     place = np.column_stack((pose[:, :2], np.zeros(len(pose))))
     move = rr.Transform3D.columns(translation=place, quaternion=quaternions(pose[:, 2]))
     to.send(f"{root}/pose", t, move)
+    if not e.P.any():
+        return  # a trajectory from a file, without its covariances
     axes, angle = ellipses(e.P[picks])
     turned = rr.Transform3D.columns(translation=place, quaternion=quaternions(angle))
     thin: Any = style.on_screen(0.75)

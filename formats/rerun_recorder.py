@@ -57,3 +57,8 @@ class Recorder:
             else rr.TimeColumn(TIME, duration=ns.astype("timedelta64[ns]"))
         )
         return [when, rr.TimeColumn(STEP, sequence=self.step(t))]
+
+
+def part(name: str) -> str:
+    """Return a name as one part of an entity path: what Rerun would read as grammar is escaped."""
+    return "".join(c if c.isalnum() or c in "_-." else f"\\{c}" for c in name)

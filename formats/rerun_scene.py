@@ -10,6 +10,7 @@ from ..fusion.data import Array, Drive, Estimates, Evaluation, Ints
 from .rerun_thin import CURVE_POINTS, SCANS
 
 Rgb = tuple[int, int, int]
+GREY: Rgb = (148, 151, 156)
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,16 @@ class Scene:
     picture_rows: int | None = None  # px, height of the panoramas; None without pictures
     raw: Sequence[RawTopic] = ()
     detail: Detail = field(default_factory=Detail)
+    palette: Mapping[str, Rgb] = field(default_factory=dict)  # by configuration
+    thinned: Mapping[str, Drive] = field(default_factory=dict)  # configurations that saw fewer readings
+
+    def colour(self, configuration: str) -> Rgb:
+        """Return the colour of a configuration."""
+        return self.palette.get(configuration, GREY)
+
+    def seen_by(self, configuration: str) -> Drive:
+        """Return the drive as a configuration saw it: its audit counts the readings of this one."""
+        return self.thinned.get(configuration, self.drive)
 
     @property
     def best(self) -> Estimates:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..fusion.data import VERDICTS, Array, Audit, Estimates, Evaluation, Ints, Measurements
 from . import rerun_colours as colours
-from .rerun_recorder import Recorder
+from .rerun_recorder import Recorder, part
 from .rerun_scene import Rgb, Scene, Sight
 from .rerun_thin import extremes
 
@@ -20,16 +20,16 @@ ACCEPTED, NEW = VERDICTS.index("accepted"), VERDICTS.index("new")
 
 def draw_series(to: Recorder, scene: Scene) -> None:
     """Send all curves."""
-    palette = colours.of_configurations([e.name for e in scene.estimates])
     for e in scene.estimates:
-        colour, limit = palette[e.name], scene.detail.curve
+        colour, limit, name = scene.colour(e.name), scene.detail.curve, part(e.name)
+        drive = scene.seen_by(e.name)
         if e.name in scene.evaluations:
             draw_deviation(to, scene.evaluations[e.name], colour, limit)
         for sensor, audit in e.audits.items():
-            draw_nis(to, f"nis/{sensor}/{e.name}", e, audit, colour, limit)
+            draw_nis(to, f"nis/{sensor}/{name}", e, audit, colour, limit)
             draw_innovation(to, f"innovation/{sensor}", e, audit, scene.sights.get(sensor), colour, limit)
-            m, instant = scene.drive.measurements[sensor], scene.drive.instant[sensor]
-            draw_gate(to, f"gate/{sensor}/{e.name}", scene.drive.t[instant], m, audit, limit)
+            m, instant = drive.measurements[sensor], drive.instant[sensor]
+            draw_gate(to, f"gate/{sensor}/{name}", drive.t[instant], m, audit, limit)
     for sensor, sight in scene.sights.items():
         draw_limits(to, scene, sensor, sight)
     draw_raw(to, scene)
@@ -47,10 +47,11 @@ def draw_deviation(to: Recorder, judged: Evaluation, colour: Rgb, limit: int) ->
         columns.append(np.degrees(judged.heading))
     to_unit = (1.0, 1.0, 180.0 / np.pi)
     for i, values in enumerate(columns):
-        path = f"deviation/{entity(DEVIATIONS[i])}/{judged.name}"
+        path = f"deviation/{entity(DEVIATIONS[i])}/{part(judged.name)}"
         curve(to, path, judged.t, values, judged.name, colour, limit)
         bound = BAND * to_unit[i] * judged.sigma[:, i]
-        band(to, f"{path}/three_sigma", judged.t, bound, judged.name, colour, limit)
+        if bound.any():
+            band(to, f"{path}/three_sigma", judged.t, bound, judged.name, colour, limit)
 
 
 def draw_nis(to: Recorder, path: str, e: Estimates, audit: Audit, colour: Rgb, limit: int) -> None:
@@ -80,7 +81,7 @@ def draw_innovation(
     t = e.t[audit.instant[some]]
     for i in range(audit.y.shape[1]):
         name, scale = (sight.components[i], sight.scale[i]) if sight else (f"y{i}", 1.0)
-        path = f"{root}/{entity(name)}/{e.name}"
+        path = f"{root}/{entity(name)}/{part(e.name)}"
         dots(to, path, t, scale * audit.y[some, i], e.name, colour, limit)
         bound = INNOVATION_BAND * scale * audit.sigma[some, i]
         band(to, f"{path}/two_sigma", t, bound, e.name, colour, limit)
@@ -132,15 +133,14 @@ def draw_raw(to: Recorder, scene: Scene) -> None:
     """Send the numbers of every topic that was read, as the log holds them."""
     for topic in scene.raw:
         for i, (name, values) in enumerate(topic.fields.items()):
-            colour = colours.ALONE[i % len(colours.ALONE)]
+            colour = colours.FIELDS[i % len(colours.FIELDS)]
             path = raw_path(topic.topic, name)
             curve(to, path, topic.t, values, name, colour, scene.detail.curve)
 
 
 def raw_path(topic: str, name: str = "") -> str:
-    """Return the entity of a raw topic, or of one of its fields; other characters become underscores."""
-    parts = [p for p in (*topic.split("/"), name) if p]
-    return "/".join(("raw", *("".join(c if c.isalnum() or c in "_-." else "_" for c in p) for p in parts)))
+    """Return the entity of a raw topic, or of one of its fields."""
+    return "/".join(("raw", *(part(p) for p in (*topic.split("/"), name) if p)))
 
 
 def curve(to: Recorder, path: str, t: Array, values: Array, name: str, colour: Rgb, limit: int) -> None:

@@ -15,7 +15,7 @@ from . import rerun_colours as colours
 from . import rerun_style as style
 from .rerun_geometry import mounted, quaternions, segments, to_map
 from .rerun_map import FLIP, ROOT
-from .rerun_recorder import Recorder
+from .rerun_recorder import Recorder, part
 from .rerun_scene import Scene, Sight
 from .rerun_thin import evenly
 
@@ -41,10 +41,11 @@ def draw_sights(to: Recorder, scene: Scene) -> None:
             sight = scene.sights.get(sensor)
             if sight is None or not sight.kind or len(audit.instant) == 0:
                 continue
-            m = scene.drive.measurements[sensor]
-            seen = some_readings(m, scene.drive.instant[sensor], audit, estimates, scene.detail.scans)
+            drive = scene.seen_by(estimates.name)
+            m = drive.measurements[sensor]
+            seen = some_readings(m, drive.instant[sensor], audit, estimates, scene.detail.scans)
             strips = _strips(m, seen, sight, scene.track)
-            _send_groups(to, f"{ROOT}/{estimates.name}/seen/{sensor}", seen, strips, WIDTH[sight.kind])
+            _send_groups(to, f"{ROOT}/{part(estimates.name)}/seen/{sensor}", seen, strips, WIDTH[sight.kind])
     draw_scans(to, scene)
 
 
@@ -111,7 +112,7 @@ def draw_scans(to: Recorder, scene: Scene) -> None:
     if scans is None or len(scans.t) == 0:
         return
     k = np.clip(np.searchsorted(best.t, scans.t), 0, len(best.t) - 1)
-    pose, root = best.pose[k], f"{ROOT}/{best.name}/scan"
+    pose, root = best.pose[k], f"{ROOT}/{part(best.name)}/scan"
     place = np.column_stack((pose[:, :2], np.zeros(len(pose))))
     to.send(root, scans.t, rr.Transform3D.columns(translation=place, quaternion=quaternions(pose[:, 2])))
     to.static(f"{root}/points", style.points(colours.faded(colours.SCAN, 190), 1.25))

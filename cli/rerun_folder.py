@@ -1,0 +1,121 @@
+"""A results' folder as a scene: trajectories, truth, table. Scans and gates are not in its files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from ..formats import report_md
+from ..formats.rerun_scene import Scene
+from ..formats.trajectory import read_tum
+from ..fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Motions, Truth
+from ..fusion.evaluate import evaluate
+from .rerun_scene import palette
+
+REPORTS = ("report.json", "run.json")
+TRUTH = "truth.tum"
+COVARIANCE = "trajectory.csv"
+
+
+def report_of(folder: Path) -> Path | None:
+    """Return the report that makes a folder a result, None where there is none."""
+    return next((folder / name for name in REPORTS if (folder / name).is_file()), None)
+
+
+def scene_of(folder: Path) -> Scene:
+    """Return what the files of a results' folder show. Raises LocfuseError where they cannot be read."""
+    path = report_of(folder)
+    if path is None:
+        raise LocfuseError(f"{folder} holds no locfuse result: neither report.json nor run.json")
+    try:
+        report = msgspec.json.decode(path.read_bytes())
+        tracks = {name: _track(folder, name, path.name) for name in report["configurations"]}
+        return _scene(folder, report, tracks)
+    except FileNotFoundError as problem:
+        missing = Path(str(problem.filename)).name
+        raise LocfuseError(
+            f"{folder} lacks {missing}, so there is no trajectory to show; make it again without --write"
+        ) from None
+    except (msgspec.DecodeError, UnicodeDecodeError, ValueError, KeyError, IndexError, TypeError) as problem:
+        raise LocfuseError(f"{folder}: its files are not as locfuse writes them: {problem}") from None
+
+
+def _track(folder: Path, name: str, report: str) -> tuple[Ints, Array]:
+    """Return t_ns (n,) and poses (n, 3), theta unwrapped, of one configuration."""
+    file = "trajectory.tum" if report == "run.json" else f"{name}.tum"
+    t_ns, pose = read_tum((folder / file).read_text())
+    if len(t_ns) < 2:
+        raise ValueError(f"{file} has {len(t_ns)} poses")
+    pose[:, 2] = np.unwrap(pose[:, 2])
+    return t_ns, pose
+
+
+def _scene(folder: Path, report: Mapping[str, Any], tracks: Mapping[str, tuple[Ints, Array]]) -> Scene:
+    t_ns = next(iter(tracks.values()))[0]
+    truth, stamps = _truth(folder, report, int(t_ns[0]))
+    t = seconds(t_ns, int(t_ns[0]))
+    still = Motions(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3, 0)))
+    drive = Drive(int(t_ns[0]), t, still, {}, {}, {}, truth)
+    estimates = [
+        _estimates(folder, name, report["configurations"][name], track, int(t_ns[0]), stamps)
+        for name, track in tracks.items()
+    ]
+    judged = {e.name: evaluate(e, drive, report["configurations"][e.name]["align"]) for e in estimates}
+    track_width = report["settings"].get("wheels", {}).get("track", 0.3)
+    return Scene(
+        str(report["input"]["name"]),
+        drive,
+        estimates,
+        judged,
+        track=track_width,
+        table=report_md.render(report),
+        palette=palette(list(tracks)),
+    )
+
+
+def _truth(folder: Path, report: Mapping[str, Any], epoch_ns: int) -> tuple[Truth | None, Ints]:
+    """Return the truth and its stamps [ns], (q,)."""
+    path = folder / TRUTH
+    if not path.is_file() or not report["truth"]:
+        return None, np.zeros(0, np.int64)
+    t_ns, pose = read_tum(path.read_text())
+    settings = report["settings"].get("truth", {})
+    point = (float(settings.get("x", 0.0)), float(settings.get("y", 0.0)))
+    theta = np.unwrap(pose[:, 2]) if report["truth"]["heading"] else None
+    return Truth(str(report["truth"]["topic"]), seconds(t_ns, epoch_ns), pose[:, :2], theta, point), t_ns
+
+
+def _estimates(
+    folder: Path,
+    name: str,
+    figures: Mapping[str, Any],
+    track: tuple[Ints, Array],
+    epoch_ns: int,
+    stamps: Ints,
+) -> Estimates:
+    t_ns, pose = track
+    P = _covariances(folder / COVARIANCE, len(t_ns))
+    at = np.minimum(np.searchsorted(t_ns, stamps), len(t_ns) - 1)
+    known = t_ns[at] == stamps  # a .tum has a row at every truth stamp within the drive
+    truth_pose = np.where(known[:, None], pose[at], np.nan)
+    t = seconds(t_ns, epoch_ns)
+    return Estimates(name, tuple(figures["sensors"]), t, pose, P, {}, truth_pose=truth_pose, truth_P=P[at])
+
+
+def seconds(t_ns: Ints, epoch_ns: int) -> Array:
+    """Return stamps as seconds since an epoch."""
+    return (t_ns - epoch_ns) * np.float64(1e-9)
+
+
+def _covariances(path: Path, n: int) -> Array:
+    """Return the covariances (n, 3, 3) that a run wrote beside its trajectory, zeros where there are none."""
+    if not path.is_file():
+        return np.zeros((n, 3, 3))
+    upper = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)[:, 4:10]
+    if len(upper) != n:
+        raise ValueError(f"{path.name} has {len(upper)} rows, the trajectory {n}")
+    return upper[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)

@@ -1,0 +1,142 @@
+"""`locfuse view`: look at a log, a result or a recording in Rerun."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from .options import LogOptions, log_options
+from .rerun_options import RECORDING, address, detail_options
+
+if TYPE_CHECKING:
+    from ..formats.rerun_scene import Scene
+    from .show import Progress
+
+TABS = ("Deviation", "Close-up", "NIS", "Innovation", "Gates", "Result", "Raw topics")
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What the recording of a log shall show."""
+
+    sensors: Sequence[str]
+    images: int | None
+    full: bool
+    how: LogOptions
+
+
+@click.command()
+@click.argument("what", nargs=-1, required=True, metavar="LOG|OUT|FILE.rrd")
+@click.option("--sensors", multiple=True, help="A configuration to show. Repeatable.  [default: those of compare]")
+@click.option(
+    "--save",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.rrd",
+    help="Write the recording to this file and open nothing.",
+)
+@click.option("--connect", callback=address, metavar="URL", help="Send it to the viewer at this address.")
+@click.option("--web", is_flag=True, help="Serve it to a browser on this machine, on 127.0.0.1 only.")
+@click.option("--web-port", type=click.IntRange(1, 65535), default=9090, show_default=True)
+@click.option("--tab", type=click.Choice(TABS, case_sensitive=False), help="Which curves lie in front.")
+@detail_options("")
+@log_options
+def view(
+    what: tuple[str, ...],
+    sensors: tuple[str, ...],
+    save: Path | None,
+    connect: str | None,
+    web: bool,
+    web_port: int,
+    tab: str | None,
+    images: int | None,
+    full: bool,
+    how: LogOptions,
+) -> None:
+    """Show a log with all its configurations, a folder of results, or a recording, in Rerun's viewer.
+
+    A viewer that is running is used; otherwise one is started, and this command waits until it is closed.
+
+    \b
+    locfuse view rounded_rectangle
+    locfuse view bag/ --sensors odometry --sensors lrf --web
+    locfuse view locfuse-out/bag
+    locfuse view rounded_rectangle --save drive.rrd
+    """
+    from . import rerun_viewer, show
+
+    with tempfile.TemporaryDirectory(prefix="locfuse-") as scratch:
+        with show.progress(how.quiet) as progress:
+            path = ready(what)
+            if path is None or save is not None:
+                wish = Wish(sensors, images, full, how)
+                path = _record(what, path, wish, save or Path(scratch) / RECORDING, tab, progress)
+        if save is not None:
+            click.echo(f"{save}: Rerun recording")
+        elif connect is not None:
+            rerun_viewer.send(path, connect)
+        elif web:
+            rerun_viewer.serve(path, web_port)
+        else:
+            rerun_viewer.show_and_wait(path)
+
+
+def ready(what: Sequence[str]) -> Path | None:
+    """Return the recording that was named, or that lies fresh in the results' folder; None where one must be made.
+
+    Raises LocfuseError for a recording that was cut short.
+    """
+    from ..formats.rerun_file import check
+    from .rerun_folder import report_of
+
+    path = Path(what[0])
+    if len(what) == 1 and path.is_file() and path.suffix == ".rrd":
+        check(path)
+        return path
+    report, recording = report_of(path), path / RECORDING
+    if len(what) > 1 or report is None or not recording.is_file():
+        return None
+    if recording.stat().st_mtime < report.stat().st_mtime:
+        return None  # a recording older than the report tells of other settings
+    check(recording)
+    return recording
+
+
+def _record(
+    what: Sequence[str], made: Path | None, wish: Wish, target: Path, tab: str | None, progress: Progress
+) -> Path:
+    """Write the recording of a log or of a results' folder to `target`, or copy the one that is made."""
+    from ..formats.rerun_file import copy, save_recording
+    from .rerun_folder import report_of, scene_of
+
+    if made is not None:
+        copy(made, target)
+        return target
+    progress("recording")
+    folder = Path(what[0])
+    is_result = len(what) == 1 and report_of(folder) is not None
+    save_recording(target, scene_of(folder) if is_result else _scene_of_log(what, wish, progress), tab)
+    return target
+
+
+def _scene_of_log(what: Sequence[str], wish: Wish, progress: Progress) -> Scene:
+    """Measure a log and run its configurations."""
+    from ..formats import report_md
+    from ..fusion.evaluate import evaluate
+    from . import configurations, results
+    from .load import find_log, load
+    from .rerun_scene import make_scene
+
+    loaded = load(find_log(what), wish.how, progress)
+    estimates, evaluations = [], []
+    for configuration in configurations.for_comparison(wish.sensors, loaded.drive):
+        progress(f"fusing {configuration.name}")
+        estimates.append(configuration.fuse(loaded.drive, loaded.robot))
+        evaluations.append(evaluate(estimates[-1], configuration.drive(loaded.drive)))
+    table = report_md.render(results.build(loaded, evaluations))
+    progress("recording")
+    return make_scene(loaded, estimates, evaluations, table, wish.images, wish.full)

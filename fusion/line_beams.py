@@ -77,6 +77,7 @@ class Runs:
 
     beams: Beams
     first: Ints  # (runs + 1,)
+    counts: Ints  # (n,) valid beams of each scan
     closed: Mask  # (n,) scans that go all the way round and have no gap where they start
 
 
@@ -87,18 +88,19 @@ def cut_at_gaps(scans: Scans, max_gap: float, gap_spacings: float) -> Runs:
     wall seen head-on, since that distance grows with the range and with the angle of incidence. A scan of the
     whole circle is turned so that it starts behind its widest gap, or at its farthest point where there is none.
     """
-    beams, spacing = valid_beams(scans), scans.spacing()
-    bounds = np.flatnonzero(np.diff(beams.scan, prepend=-1, append=-1))
-    jump = _jumps(beams, bounds, max_gap, gap_spacings * spacing[beams.scan[bounds[:-1]]])
+    (beams, counts), spacing = valid_beams(scans), scans.spacing()
+    seeing = counts > 0
+    bounds = np.concatenate(([0], np.cumsum(counts[seeing])))
+    jump = _jumps(beams, bounds, max_gap, gap_spacings * spacing[seeing])
     ring = spacing * (scans.ranges.shape[1] + 0.5) > 2.0 * math.pi
     closed = np.zeros(len(ring), bool)
     if ring.any() and len(jump):
         score = np.where(jump > 1.0, 1e9 + jump, beams.rays.d)
-        order, start = _turned(score, bounds, ring[beams.scan[bounds[:-1]]])
+        order, start = _turned(score, bounds, ring[seeing])
         closed[beams.scan[start]] = ring[beams.scan[start]] & (jump[start] <= 1.0)
         beams, jump = beams.take(order), jump.take(order)
     jump[bounds[:-1]] = np.inf
-    return Runs(beams, np.append(np.flatnonzero(jump > 1.0), len(jump)), closed)
+    return Runs(beams, np.append(np.flatnonzero(jump > 1.0), len(jump)), counts, closed)
 
 
 def _jumps(beams: Beams, bounds: Ints, max_gap: float, growth: Array) -> Array:
@@ -109,7 +111,10 @@ def _jumps(beams: Beams, bounds: Ints, max_gap: float, growth: Array) -> Array:
     x, y, d = beams.x, beams.y, beams.rays.d
     first, last = bounds[:-1], bounds[1:] - 1
     jump, limit = np.empty_like(d), np.empty_like(d)
-    jump[1:] = (x[1:] - x[:-1]) ** 2 + (y[1:] - y[:-1]) ** 2
+    dx, dy = x[1:] - x[:-1], y[1:] - y[:-1]
+    dx *= dx
+    dy *= dy
+    np.add(dx, dy, out=jump[1:])
     jump[first] = (x[first] - x[last]) ** 2 + (y[first] - y[last]) ** 2
     np.maximum(d[1:], d[:-1], out=limit[1:])
     limit[first] = np.maximum(d[first], d[last])
@@ -120,22 +125,26 @@ def _jumps(beams: Beams, bounds: Ints, max_gap: float, growth: Array) -> Array:
     return jump
 
 
-def valid_beams(scans: Scans) -> Beams:
-    """Return the beams that hit something, row by row."""
+def valid_beams(scans: Scans) -> tuple[Beams, Ints]:
+    """Return the beams that hit something, row by row, and how many each scan has, (n,)."""
     ranges, angles = scans.ranges, scans.angles
-    valid = (ranges >= scans.range_min) & (ranges > 0.0) & (ranges < scans.range_max)
+    if angles.ndim == 2 and len(angles) and (angles == angles[0]).all():
+        angles = angles[0]  # one sine per angle instead of one per beam
+    valid = ranges >= max(scans.range_min, np.finfo(float).tiny)
+    valid &= ranges < scans.range_max
     hit = np.flatnonzero(valid)
-    scan = np.repeat(np.arange(len(ranges)), np.count_nonzero(valid, axis=1))
+    counts = np.count_nonzero(valid, axis=1)
+    scan = np.repeat(np.arange(len(ranges)), counts)
     beam = hit - scan * ranges.shape[1]
     d = ranges.ravel().take(hit).astype(np.float64, copy=False)
     rows = beam if angles.ndim == 1 else hit
     if scans.offsets is None:
         c, s = np.cos(angles).ravel().take(rows), np.sin(angles).ravel().take(rows)
-        return Beams(scan, beam, Rays(d, c, s), d * c, d * s)
+        return Beams(scan, beam, Rays(d, c, s), d * c, d * s), counts
     ox, oy, turn = (scans.offsets[..., i].ravel().take(hit) for i in range(3))
     heading = angles.ravel().take(rows) + turn
     c, s = np.cos(heading), np.sin(heading)
-    return Beams(scan, beam, Rays(d, c, s, ox, oy), ox + d * c, oy + d * s)
+    return Beams(scan, beam, Rays(d, c, s, ox, oy), ox + d * c, oy + d * s), counts
 
 
 def argmax_each(values: Array, first: Ints) -> Ints:

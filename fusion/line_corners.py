@@ -52,8 +52,8 @@ def _corners(runs: Runs, walls: Walls, reach: float) -> tuple[Ints, Ints]:
     i = np.arange(len(scan))
     last = np.append(scan[1:] != scan[:-1], True)
     j = np.where(last, np.searchsorted(scan, scan), i + 1)  # behind the last wall comes the scan's first
-    head, tail, size = walls.head[j], walls.tail, np.bincount(beams.scan, minlength=len(runs.closed))
-    apart = (head - tail) % size[scan]
+    head, tail = walls.head[j], walls.tail
+    apart = (head - tail) % runs.counts[scan]
     gap = np.hypot(beams.x[head] - beams.x[tail], beams.y[head] - beams.y[tail])
     bent = np.abs(np.sin(walls.psi[j] - walls.psi)) > _BENT
     pair = (apart <= _TOUCHING) & (gap <= reach) & bent & (runs.closed[scan] | ~last)

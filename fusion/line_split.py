@@ -10,34 +10,41 @@ Pieces are given by `first` (p + 1,): piece i owns the points first[i]:first[i +
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from .data import Array, Ints
-from .line_beams import argmax_each
 from .line_fit import Mask, misfit
 
+Floats = NDArray[Any]  # of single or double precision
 
-def split(x: Array, y: Array, tolerance: Array, first: Ints) -> Ints:
+
+def split(x: Floats, y: Floats, tolerance: Floats, first: Ints) -> Ints:
     """Cut runs of points into straight pieces and return their `first`, (p + 1,).
 
     A piece whose farthest point lies more than its `tolerance` [m] from the chord between the piece's end points
     is cut there; the farthest point starts the second half. Points x, y [m] and tolerance are (k,).
     """
-    cuts, bounds, origin = [first], first, np.arange(len(x))
-    while len(origin):
-        excess = _off_chord(x, y, tolerance, bounds)
-        vertex = argmax_each(excess, bounds)
-        found = excess[vertex] > 1.0
-        stay = np.flatnonzero(np.repeat(found, np.diff(bounds)))
-        cuts.append(origin[vertex[found]])
-        halves = np.stack((vertex - bounds[:-1], bounds[1:] - vertex), axis=1)[found]
+    cuts, bounds, at = [first], first, first[:-1]  # at: where the pieces begin among all points
+    while len(x):
+        excess = _off_chord(x, y, bounds)
+        excess /= tolerance
+        greatest = np.maximum.reduceat(excess, bounds[:-1])
+        found, counts = greatest > 1.0, np.diff(bounds)
+        stay = np.flatnonzero(np.repeat(found, counts))
+        x, y, tolerance, excess = x.take(stay), y.take(stay), tolerance.take(stay), excess.take(stay)
+        counts, at = counts[found], at[found]
+        left = _first_hits(excess, greatest[found], counts)
+        halves = np.stack((left, counts - left), axis=1).ravel()
         bounds = np.concatenate(([0], np.cumsum(halves)))
-        x, y, tolerance = x.take(stay), y.take(stay), tolerance.take(stay)
-        origin = origin.take(stay)
+        at = np.stack((at, at + left), axis=1).ravel()
+        cuts.append(at[1::2])
     return np.sort(np.concatenate(cuts))
 
 
-def chords(x: Array, y: Array, first: Ints) -> tuple[Array, Array, Array]:
+def chords(x: Floats, y: Floats, first: Ints) -> tuple[Floats, Floats, Floats]:
     """Return unit normal (nx, ny) and offset n.P [m] of the line through each piece's end points, each (p,)."""
     x0, y0 = x[first[:-1]], y[first[:-1]]
     dx, dy = x[first[1:] - 1] - x0, y[first[1:] - 1] - y0
@@ -48,16 +55,21 @@ def chords(x: Array, y: Array, first: Ints) -> tuple[Array, Array, Array]:
     return nx, ny, nx * x0 + ny * y0
 
 
-def _off_chord(x: Array, y: Array, tolerance: Array, first: Ints) -> Array:
-    """Return every point's distance from its piece's chord, in units of its tolerance, (k,)."""
+def _off_chord(x: Floats, y: Floats, first: Ints) -> Floats:
+    """Return every point's distance from its piece's chord [m], (k,)."""
     nx, ny, offset = (np.repeat(a, np.diff(first)) for a in chords(x, y, first))
     nx *= x
     ny *= y
     nx += ny
     nx -= offset
-    np.abs(nx, out=nx)
-    nx /= tolerance
-    return nx
+    return np.asarray(np.abs(nx, out=nx))
+
+
+def _first_hits(values: Floats, greatest: Floats, counts: Ints) -> Ints:
+    """Return how far into its piece each piece's greatest value stands, the earliest of equals, (p,)."""
+    hits = np.flatnonzero(values == np.repeat(greatest, counts))
+    begin = np.cumsum(counts) - counts
+    return hits[np.searchsorted(hits, begin)] - begin
 
 
 def merge(moments: Array, linked: Mask, limit: float) -> Ints:
@@ -67,27 +79,24 @@ def merge(moments: Array, linked: Mask, limit: float) -> Ints:
     likelihood ratio, chi-square with 2 degrees of freedom. The best pairs go first. `moments` (6, p) are those of
     `line_fit.misfit`, weighted by 1/variance; `linked` (p - 1,) says which neighbours may be joined at all.
     """
-    rows, start = moments.T.copy(), np.arange(moments.shape[1])
-    own, cost = misfit(moments), np.full(len(linked), np.inf)
+    pieces = moments.shape[1]
+    rows, own = moments.T.copy(), misfit(moments)
+    after, before = np.arange(1, pieces + 2), np.arange(-1, pieces)  # the last row stands for no piece
+    cost = np.full(pieces + 1, np.inf)  # of joining a piece with the one after it
     pair = np.flatnonzero(linked)
+    alive = np.ones(pieces, bool)
     while len(pair):
-        cost[pair] = misfit((rows[pair] + rows[pair + 1]).T) - own[pair] - own[pair + 1]
-        best = np.flatnonzero(_lowest(cost, limit))
-        rows[best] += rows[best + 1]
+        cost[pair] = misfit((rows[pair] + rows[after[pair]]).T) - own[pair] - own[after[pair]]
+        low = np.flatnonzero(cost < limit)
+        best = low[(cost[low] < cost[before[low]]) & (cost[low] <= cost[after[low]])]
+        gone = after[best]
+        rows[best] += rows[gone]
         own[best] = misfit(rows[best].T)
-        keep = np.ones(len(start), bool)
-        keep[best + 1] = False
-        rows, own, start, cost = rows[keep], own[keep], start[keep], cost[keep[1:]]
-        joined = best - np.arange(len(best))  # the pairs on both sides of a new group must be compared again
-        pair = np.concatenate((joined - 1, joined))
-        pair = pair[(pair >= 0) & (pair < len(cost))]
+        cost[best] = cost[gone]
+        cost[gone] = np.inf
+        after[best] = after[gone]
+        before[after[best]] = best
+        alive[gone] = False
+        pair = np.concatenate((before[best], best))
         pair = pair[np.isfinite(cost[pair])]
-    return np.append(start, moments.shape[1])
-
-
-def _lowest(cost: Array, limit: float) -> Mask:
-    """Return the pairs to join now: cost below the limit and below both neighbours' (the earlier wins a tie)."""
-    low = cost < limit
-    low[1:] &= cost[1:] < cost[:-1]
-    low[:-1] &= cost[:-1] <= cost[1:]
-    return np.asarray(low)
+    return np.append(np.flatnonzero(alive), pieces)

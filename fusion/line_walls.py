@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .data import Array, Ints
 from .line_beams import Beams, LineSettings, Runs
@@ -42,8 +44,9 @@ class Walls:
 def find_walls(runs: Runs, settings: LineSettings) -> Walls:
     """Return the straight walls among the beams."""
     beams = runs.beams
-    tolerance = np.maximum(settings.split_sigmas * point_sigma(beams.rays.d, settings), settings.split_floor)
-    first = split(beams.x, beams.y, tolerance, runs.first)
+    x, y, d = (a.astype(np.float32) for a in (beams.x, beams.y, beams.rays.d))  # a micrometre decides no corner
+    tolerance = np.maximum(settings.split_sigmas * point_sigma(d, settings), settings.split_floor)
+    first = split(x, y, tolerance, runs.first)
     moments = _weighted_moments(beams, first, settings)
     first, moments = _merge_neighbours(runs, first, moments, settings.merge_chi2)
     wall = _long_enough(beams, first, settings)
@@ -54,9 +57,12 @@ def find_walls(runs: Runs, settings: LineSettings) -> Walls:
     return Walls(*parts, bounds, r, psi)
 
 
-def point_sigma(d: Array, settings: LineSettings) -> Array:
+def point_sigma(d: NDArray[Any], settings: LineSettings) -> NDArray[Any]:
     """Return the larger standard deviation of a beam's end point at range d [m], whatever the wall's direction."""
-    return np.asarray(np.sqrt(settings.sigma_range**2 + (settings.sigma_angle * d) ** 2))
+    across = settings.sigma_angle * d
+    across *= across
+    across += settings.sigma_range**2
+    return np.asarray(np.sqrt(across, out=across))
 
 
 def _weighted_moments(beams: Beams, first: Ints, settings: LineSettings) -> Array:
@@ -67,10 +73,13 @@ def _weighted_moments(beams: Beams, first: Ints, settings: LineSettings) -> Arra
     cos += ny * rays.s
     sin -= ny * rays.c
     sin *= rays.d
-    variance = (settings.sigma_range * cos) ** 2
-    variance += (settings.sigma_angle * sin) ** 2
+    cos *= settings.sigma_range
+    cos *= cos
+    sin *= settings.sigma_angle
+    sin *= sin
+    variance = np.add(cos, sin, out=cos)
     variance += settings.flatness**2
-    rows = np.empty((6, len(beams.rays.d)))
+    rows = np.empty((6, len(cos)))
     np.divide(1.0, variance, out=rows[0])
     np.multiply(rows[0], beams.x, out=rows[1])
     np.multiply(rows[0], beams.y, out=rows[2])

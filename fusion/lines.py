@@ -158,9 +158,10 @@ def _straight(fit: Fits, points: Ints, feet: Array, settings: LineSettings) -> M
 
 def _first_and_last(clear: Mask, counts: Ints) -> tuple[Ints, Ints, Ints]:
     """Return the first and the last clear row of every wall and how many it has, each (m,)."""
-    hits, end = np.append(np.flatnonzero(clear), 0), np.cumsum(counts)
-    begin, stop = np.searchsorted(hits[:-1], end - counts), np.searchsorted(hits[:-1], end)
-    return hits[begin], hits[stop - 1], stop - begin
+    hits, end = np.flatnonzero(clear), np.cumsum(counts)
+    stop = np.searchsorted(hits, end)
+    begin = np.concatenate(([0], stop))[:-1]
+    return hits.take(begin, mode="clip"), hits.take(stop - 1, mode="clip"), stop - begin
 
 
 def _joined(parts: list[Lines]) -> Lines:

@@ -38,10 +38,10 @@ class FileBytes:
             self._start, offset = at, 0
         return self._window[offset : offset + n]
 
-    def crc32(self, stop: int) -> int:
-        """Return the checksum of the bytes before `stop`."""
+    def crc32(self, start: int, stop: int) -> int:
+        """Return the checksum of the bytes from `start` up to `stop`."""
         crc = 0
-        for at in range(0, stop, WINDOW):
+        for at in range(start, stop, WINDOW):
             crc = zlib.crc32(self._pread(min(WINDOW, stop - at), at), crc)
         return crc
 

@@ -36,11 +36,14 @@ RESULTS = ("run.json", "report.json")
 
 def log_files(path: Path) -> list[Path]:
     """Return the files of the log that `path` names: a file, a rosbag2 folder, or its metadata.yaml."""
-    if not path.exists():
-        raise UsageError(f"{path}: no such file or folder")
-    if path.is_dir():
-        return _folder(path)
-    return _folder(path.parent) if path.name == "metadata.yaml" else [path]
+    try:
+        if not path.exists():
+            raise UsageError(f"{path}: no such file or folder")
+        if path.is_dir():
+            return _folder(path)
+        return _folder(path.parent) if path.name == "metadata.yaml" else [path]
+    except OSError as problem:
+        raise LocfuseError(f"{path}: cannot be read: {problem.strerror}") from None
 
 
 def _folder(folder: Path) -> list[Path]:

@@ -20,6 +20,7 @@ from .mcap_resync import CHUNK_HEAD, Resync
 from .mcap_summary import Summary, read_summary
 
 RUN_BYTES = 1 << 20  # loose messages are read in runs of at most this size, if they are not larger themselves
+LARGE_CHUNK = 32 * 1024 * 1024
 CUT_OFF = "the file ends without an end mark: the recording was cut off"
 
 
@@ -95,7 +96,7 @@ class _Walk:
         """Check what no chunk's checksum covers, where the writer gave a checksum of everything."""
         if opcode == rec.DATA_END and any(isinstance(part, LooseRun) for part in self.found.parts):
             crc = rec.Cursor(self.data.read(at + rec.RECORD.size, 4)).integer("I")
-            if crc and self.data.crc32(at) != crc:
+            if crc and self.data.crc32(0, at) != crc:
                 self.losses.add(self.name, "the file fails its checksum: values may be wrong", 0, 0)
 
     def _distrust_unconfirmed(self) -> None:
@@ -141,7 +142,7 @@ class _Walk:
         self.found.parts.append(LooseRun(at, found.end, counts, (int(times.min()), int(times.max()))))
         return at + found.end
 
-    def _chunk(self, at: int, length: int) -> None:
+    def _chunk(self, at: int, length: int) -> int | None:
         header = rec.chunk_header(self.data.read(at, CHUNK_HEAD)[rec.RECORD.size :])
         if header.start + header.length != length:
             raise DamagedError("a chunk header that contradicts itself")
@@ -149,10 +150,21 @@ class _Walk:
         available = min(header.length, max(self.data.size - start, 0))
         if available < header.length and self._onward(at + 1) is not None:
             raise DamagedError("a chunk reaches beyond the end of the file")
+        if not header.compression and header.length > LARGE_CHUNK:
+            return self._opened(header, start, available)
         self.chunked = True
         if self.summary and at in self.summary.chunks:
             self.index_end = at + rec.RECORD.size + length + self.summary.chunks[at].index_length
         self.found.parts.append(ChunkRef(at, header, available=available))
+        return None
+
+    def _opened(self, header: rec.ChunkHeader, start: int, available: int) -> int:
+        """Walk into an uncompressed chunk too large to hold: its messages are as good as loose ones."""
+        whole = available == header.length
+        if whole and header.crc and self.data.crc32(start, start + available) != header.crc:
+            self.losses.add(self.name, "a chunk fails its checksum", start, available)
+            return start + available
+        return start
 
     def _message_index(self, at: int, length: int) -> None:
         chunk = self.found.parts[-1] if self.found.parts else None

@@ -27,12 +27,13 @@ def unpack(data: Bytes, messages: Messages) -> Iterator[tuple[Bytes, Messages]]:
         yield data, messages
         return
     pieces: list[bytes] = []
-    first = 0
+    first, size = 0, 0
     for i, (at, n) in enumerate(zip(messages.start.tolist(), messages.length.tolist(), strict=True)):
         pieces.append(_unpacked(data[at : at + n].tobytes()))
-        if sum(map(len, pieces)) >= TOGETHER:
+        size += len(pieces[-1])
+        if size >= TOGETHER:
             yield _portion(pieces, messages.take(slice(first, i + 1)))
-            pieces, first = [], i + 1
+            pieces, first, size = [], i + 1, 0
     if pieces:
         yield _portion(pieces, messages.take(slice(first, None)))
 

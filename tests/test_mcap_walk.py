@@ -358,6 +358,22 @@ def test_a_lone_giant_message_is_refused_and_the_others_are_read(
     assert len(payloads(path)) == len(said)
 
 
+@pytest.mark.parametrize("crcs", [True, False])
+def test_an_uncompressed_chunk_too_large_to_hold_is_walked_into(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, crcs: bool
+) -> None:
+    monkeypatch.setattr("locfuse.formats.mcap_survey.LARGE_CHUNK", 5000)
+    monkeypatch.setattr("locfuse.formats.mcap_survey.RUN_BYTES", 2000)
+    said = drive(100)
+    path = write(tmp_path / "x.mcap", said, chunk_size=20_000, enable_crcs=crcs)
+    assert sorted(payloads(path)) == whole(said)
+    assert not losses_of(path)
+    content = bytearray(path.read_bytes())
+    content[content.index(said[10].data) + 30] ^= 1
+    path.write_bytes(content)
+    assert bool(losses_of(path)) is crcs
+
+
 def test_a_message_index_record_says_channel_times_and_offsets() -> None:
     data = struct.pack("<HI4Q", 7, 32, 1, 2, 3, 4)
     ident, entries = message_index(data)

@@ -255,6 +255,16 @@ def test_impossible_settings_are_refused_where_the_table_is_read(table: dict[str
         msgspec.convert(table, CameraSettings)
 
 
+def test_the_camera_page_explains_every_key_with_its_default() -> None:
+    page = (Path(__file__).parent.parent / "docs" / "camera.md").read_text()
+    rows = [line for line in page.splitlines() if line.startswith("| `")]
+    for field in msgspec.structs.fields(CameraSettings):
+        (row,) = [r for r in rows if f"`{field.name}`" in r.split("|")[1]]
+        if isinstance(field.default, float | str) and field.name not in {"x", "y", "yaw_deg"}:
+            shown = f"{field.default:g}" if isinstance(field.default, float) else field.default
+            assert row.split("|")[2].strip(" `") == shown, field.name
+
+
 # --- the model ---
 
 

@@ -17,6 +17,7 @@ Picture = NDArray[np.uint8]
 # message type -> the fields a picture is made of
 FIELDS: dict[str, tuple[str, ...]] = {
     "sensor_msgs/msg/CompressedImage": ("data", "format"),
+    "foxglove.CompressedImage": ("data", "format"),
     "sensor_msgs/msg/Image": ("data", "width", "height", "encoding", "step"),
 }
 ROWS = 16  # pictures held undecoded at a time

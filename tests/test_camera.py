@@ -25,6 +25,7 @@ from locfuse.fusion.bearing import paper_orientation, predict_bearing
 from locfuse.fusion.data import VERDICTS, ArrayStream, LocfuseError, Measurements
 from locfuse.fusion.ekf import PoseBelief
 from locfuse.fusion.image_header import image_size
+from locfuse.fusion.images import FIELDS
 from locfuse.fusion.preview import preview
 from locfuse.fusion.se2 import wrap, wrap_all
 from locfuse.fusion.sensors.camera import Camera, CameraSettings
@@ -171,6 +172,14 @@ def test_a_raw_pictures_header_is_not_believed(width: int, height: int, step: in
     }
     m = measured(ArrayStream("/omni", stream.msgtype, stream.t_ns, lie))
     assert sum(m.dropped.values()) == 1
+
+
+def test_every_type_the_camera_reads_can_be_decoded() -> None:
+    data = coded(picture(LENS, Pole(30.0)))
+    assert dict(Camera.reads) == FIELDS
+    stream: Any = compressed(data)
+    m = measured(ArrayStream("/omni", "foxglove.CompressedImage", stream.t_ns, stream.data))
+    np.testing.assert_allclose(errors_deg(m, 30.0), 0.0, atol=0.15)
 
 
 def test_mono8_behind_a_compressed_format_is_refused_too() -> None:

@@ -73,6 +73,7 @@ class Camera:
     in_blocks: ClassVar[bool] = True  # pictures are never all in memory
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "sensor_msgs/msg/CompressedImage": ("data", "format"),
+        "foxglove.CompressedImage": ("data", "format"),
         "sensor_msgs/msg/Image": ("data", "width", "height", "encoding", "step"),
     }
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import click
 
-from .options import LogOptions, chosen, log_options, out_options
+from .options import LogOptions, chosen, log_options, out_options, preset_option
 from .rerun_options import RerunOptions, record, rerun_options
 
-KINDS = ("json", "md", "tum")
+KINDS = ("html", "md", "json", "tum", "csv", "tex")
 
 
 @click.command()
@@ -17,8 +17,13 @@ KINDS = ("json", "md", "tum")
 @click.option(
     "--sensors",
     multiple=True,
-    help="A configuration to compare, e.g. --sensors odometry --sensors compass,lrf. Repeatable.  "
-    "[default: odometry, each sensor alone, all]",
+    help="A configuration to compare, e.g. --sensors odometry --sensors compass,lrf, or a what-if at a lower "
+    "rate, --sensors lrf@2Hz. Repeatable.  [default: odometry, each sensor alone, all]",
+)
+@click.option(
+    "--all-subsets",
+    is_flag=True,
+    help="Run every subset of the sensors: each one's credit, not only its effect alone.",
 )
 @click.option(
     "--align",
@@ -27,13 +32,38 @@ KINDS = ("json", "md", "tum")
     show_default=True,
     help="Move each estimate onto the truth before judging it.",
 )
+@click.option(
+    "--figures",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Also write every figure there as SVG and PDF, for a paper.",
+)
+@click.option(
+    "--fail-if",
+    multiple=True,
+    metavar="GATE",
+    help='Exit with 4 if it holds, e.g. "all.position_rmse_m > 0.02". Repeatable.',
+)
+@click.option(
+    "--baseline",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    metavar="REPORT.JSON",
+    help="Exit with 4 if an error figure is worse than in this earlier report.",
+)
+@click.option("--tolerance", default="5%", show_default=True, help="How much worse than the baseline is allowed.")
 @log_options
+@preset_option
 @out_options(KINDS)
 @rerun_options
 def compare(
     log: tuple[str, ...],
     sensors: tuple[str, ...],
+    all_subsets: bool,
     align: str,
+    figures: Path | None,
+    fail_if: tuple[str, ...],
+    baseline: Path | None,
+    tolerance: str,
     how: LogOptions,
     out: Path | None,
     overwrite: bool,
@@ -47,44 +77,42 @@ def compare(
 
     \b
     locfuse compare rounded_rectangle
+    locfuse compare rounded_rectangle --all-subsets
     locfuse compare bag/ --sensors odometry --sensors lrf -o out
+    locfuse compare log.mcap --fail-if "all.position_rmse_m > 0.02"
     """
-    from ..formats import report_json, report_md, trajectory
+    from ..formats import report_json
     from ..formats.outdir import write_results
-    from ..fusion.evaluate import evaluate
-    from ..fusion.fuse import fuse
-    from . import configurations, results, show
+    from . import configurations, gates, outputs, results, show
+    from .comparison import compare_log, report_of
     from .load import find_log, load
 
     kinds = chosen(write, KINDS)
+    limits = [gates.parse_gate(text) for text in fail_if]
+    before = gates.read_baseline(baseline, tolerance) if baseline else None
     with show.progress(how.quiet) as progress:
         loaded = load(find_log(log), how, progress)
-        drive, robot = loaded.drive, loaded.robot
-        estimates = []
-        for names in configurations.for_comparison(sensors, drive):
-            progress(f"fusing {'+'.join(names) or 'odometry'}")
-            estimates.append(fuse(drive, robot, names))
-        evaluations = [evaluate(e, drive, align) for e in estimates]  # type: ignore[arg-type]
-        report = results.build(loaded, evaluations)
+        wanted = configurations.for_comparison(sensors, loaded.drive, all_subsets)
+        compared = compare_log(loaded, wanted, align, progress)
+        report = report_of(compared)
         progress("writing")
-        files: dict[str, str] = {"robot.toml": results.robot_file(robot)}
-        if "tum" in kinds:
-            files |= {f"{e.name}.tum": trajectory.estimates_tum(drive, e) for e in estimates}
-            if drive.truth is not None:
-                files["truth.tum"] = trajectory.truth_tum(drive, drive.truth)
-        if "md" in kinds:
-            files["report.md"] = report_md.render(report)
-        if "json" in kinds:
-            files["report.json"] = report_json.encode(report)
+        files = outputs.files(compared, report, kinds)
         folder = out or results.default_folder(loaded.log.name)
         write_results(folder, files, overwrite)
-    used = sorted({s for e in estimates for s in e.sensors})
+        if figures is not None:
+            progress("drawing figures")
+            write_results(figures, outputs.figure_files(compared), overwrite=True)
+    used = sorted({s for e in compared.estimates for s in e.sensors})
     lost = results.loss_lines(loaded, used, how.strict)
     if as_json:
         click.echo(report_json.encode(report), nl=False)
     else:
         show.figures(report)
+        show.verdicts(report)
         click.echo(f"{folder}: {', '.join(sorted(files))}")
     show.notes(report, lost, how.quiet)
-    record(rerun, loaded, estimates, evaluations, report, folder)
-    return results.LOSS if lost else 0
+    record(rerun, loaded, compared.estimates, compared.evaluations, report, folder)
+    failed = gates.failures(report, limits, before)
+    for line in failed:
+        click.echo(f"gate: {line}", err=True)
+    return gates.FAILED if failed else results.LOSS if lost else 0

@@ -1,41 +1,98 @@
-"""Which sets of sensors a command runs: the words of --sensors, or the paper's five."""
+"""Which sets of sensors a command runs: the words of --sensors, or the paper's five, or every subset."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
-from ..fusion.data import Drive, LocfuseError, UsageError
+from ..fusion.credit import subsets
+from ..fusion.data import Drive, Estimates, LocfuseError, UsageError
+from ..fusion.fuse import configuration_name
+from ..fusion.robot import Robot
 from ..fusion.sensors.registry import REGISTRY
+from ..fusion.thin import thinned
+from .filters import fuser
 
-Sensors = tuple[str, ...]
+RATE = re.compile(r"(\d+(?:\.\d+)?)\s*hz", re.IGNORECASE)
+MOST_SUBSETS = 6  # sensors: 64 subsets
 
 
-def parse(words: str, drive: Drive) -> Sensors:
-    """Return the sensors that one --sensors names, in registry order.
+@dataclass(frozen=True)
+class Configuration:
+    """A set of sensors in registry order, some perhaps at a lower rate than the log has them."""
+
+    name: str
+    sensors: tuple[str, ...]
+    rates: Mapping[str, float] = field(default_factory=dict)  # Hz
+
+    def drive(self, drive: Drive) -> Drive:
+        """Return the drive as this configuration sees it."""
+        return thinned(drive, self.rates) if self.rates else drive
+
+    def fuse(self, drive: Drive, robot: Robot) -> Estimates:
+        """Run the filter."""
+        return fuser(robot.preset)(self.drive(drive), robot, self.sensors, self.name)
+
+
+def parse(words: str, drive: Drive) -> Configuration:
+    """Return the configuration that one --sensors names.
 
     Raises UsageError for an unknown word, LocfuseError for a sensor that this log lacks.
     """
     present = tuple(s for s in REGISTRY if s in drive.measurements)
     names = [w.strip() for w in words.replace("+", ",").split(",") if w.strip()]
     if names == ["all"]:
-        return present
+        return plain(present, drive)
     if names == ["odometry"]:
-        return ()
+        return plain((), drive)
+    rates: dict[str, float] = {}
+    written: dict[str, str] = {}
     for name in names:
-        if name not in REGISTRY:
+        sensor, at, rate = name.partition("@")
+        if sensor not in REGISTRY:
             raise UsageError(
-                f"--sensors: unknown sensor {name!r}; choose from odometry, {', '.join(REGISTRY)}, all"
+                f"--sensors: unknown sensor {sensor!r}; choose from odometry, {', '.join(REGISTRY)}, all"
             )
-        if name not in present:
-            raise LocfuseError(f"--sensors {name}: {drive.absent.get(name, 'not in this log')}")
-    return tuple(s for s in REGISTRY if s in names)
+        if sensor not in present:
+            raise LocfuseError(f"--sensors {name}: {drive.absent.get(sensor, 'not in this log')}")
+        written[sensor] = name
+        if at:
+            rates[sensor] = _rate(name, rate)
+    sensors = tuple(s for s in REGISTRY if s in written)
+    if not rates:
+        return plain(sensors, drive)
+    return Configuration("+".join(written[s] for s in sensors), sensors, rates)
 
 
-def for_comparison(words: Sequence[str], drive: Drive) -> list[Sensors]:
-    """Return the configurations to compare: those named, else odometry, each sensor alone, and all."""
-    if words:
-        return list(dict.fromkeys(parse(w, drive) for w in words))
+def _rate(name: str, text: str) -> float:
+    """Return Hz. Raises UsageError for anything but a positive number followed by Hz."""
+    found = RATE.fullmatch(text.strip())
+    if found is None or float(found[1]) <= 0.0:
+        raise UsageError(f"--sensors {name}: a lower rate reads like lrf@2Hz")
+    return float(found[1])
+
+
+def plain(sensors: tuple[str, ...], drive: Drive) -> Configuration:
+    """Return a configuration of sensors at the rates of the log."""
+    return Configuration(configuration_name(sensors, drive), sensors)
+
+
+def for_comparison(words: Sequence[str], drive: Drive, every: bool = False) -> list[Configuration]:
+    """Return the configurations to compare.
+
+    Those named; else odometry, each sensor alone, and all; `every`: all subsets, and those named beside them.
+    """
     present = tuple(s for s in REGISTRY if s in drive.measurements)
-    alone: list[Sensors] = [(s,) for s in present]
-    together = [present] if len(present) > 1 else []
-    return [(), *alone, *together]
+    named = [parse(w, drive) for w in words]
+    if every:
+        if len(present) > MOST_SUBSETS:
+            raise UsageError(
+                f"--all-subsets: {len(present)} sensors have {2 ** len(present)} subsets; leave it out"
+            )
+        named = [plain(s, drive) for s in subsets(present)] + named
+    if not named:
+        alone: list[tuple[str, ...]] = [(s,) for s in present]
+        together = [present] if len(present) > 1 else []
+        named = [plain(s, drive) for s in [(), *alone, *together]]
+    return list({c.name: c for c in named}.values())

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from .options import LogOptions, chosen, log_options, out_options
+from .options import LogOptions, chosen, log_options, out_options, preset_option
 from .rerun_options import RerunOptions, record, rerun_options
 
 KINDS = ("tum", "csv", "json")
@@ -28,6 +28,7 @@ KINDS = ("tum", "csv", "json")
     help="Move the estimate onto the truth before judging it.",
 )
 @log_options
+@preset_option
 @out_options(KINDS)
 @rerun_options
 def run(
@@ -52,7 +53,6 @@ def run(
     from ..formats import report_json, trajectory
     from ..formats.outdir import write_results
     from ..fusion.evaluate import evaluate
-    from ..fusion.fuse import fuse
     from . import configurations, results, show
     from .load import find_log, load
 
@@ -60,10 +60,10 @@ def run(
     with show.progress(how.quiet) as progress:
         loaded = load(find_log(log), how, progress)
         drive, robot = loaded.drive, loaded.robot
-        names = configurations.parse(sensors, drive)
+        configuration = configurations.parse(sensors, drive)
         progress("fusing")
-        estimates = fuse(drive, robot, names)
-        evaluation = evaluate(estimates, drive, align)  # type: ignore[arg-type]
+        estimates = configuration.fuse(drive, robot)
+        evaluation = evaluate(estimates, configuration.drive(drive), align)  # type: ignore[arg-type]
         report = results.build(loaded, [evaluation])
         progress("writing")
         files: dict[str, str] = {"robot.toml": results.robot_file(robot)}
@@ -75,7 +75,7 @@ def run(
             files["run.json"] = report_json.encode(report)
         folder = out or results.default_folder(loaded.log.name)
         write_results(folder, files, overwrite)
-    lost = results.loss_lines(loaded, names, how.strict)
+    lost = results.loss_lines(loaded, configuration.sensors, how.strict)
     if as_json:
         click.echo(report_json.encode(report), nl=False)
     else:

@@ -108,3 +108,13 @@ def notes(report: Mapping[str, Any], losses: Sequence[str], quiet: bool) -> None
         click.echo("no truth in this log: the error figures do not exist (see --help for [truth] topic)", err=True)
     for line in losses:
         click.echo(f"lost: {line}", err=True)
+
+
+def verdicts(report: Mapping[str, Any]) -> None:
+    """Print what each sensor bought, in words."""
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console()
+    for sensor, verdict in report["verdicts"].items():
+        console.print(Text.assemble((f"{sensor} {verdict['verdict']}. ", "bold"), verdict["words"]))

@@ -1,40 +1,44 @@
-"""report.md: the comparison as Markdown that fits a pull request."""
+"""report.md: the comparison as Markdown that fits a pull request: verdicts, one table, the rest folded away."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-COLUMNS = (
-    ("position rmse", "position_rmse_m", "{:.4f} m"),
-    ("median", "position_median_m", "{:.4f} m"),
-    ("max", "position_max_m", "{:.4f} m"),
-    ("final", "final_position_error_m", "{:.4f} m"),
-    ("along rmse", "along_rmse_m", "{:.4f} m"),
-    ("cross rmse", "cross_rmse_m", "{:.4f} m"),
-    ("heading rmse", "heading_rmse_deg", "{:.3f}°"),
-    ("drift /1 m", "drift_1m", "{:.2%}"),
-    ("/5 m", "drift_5m", "{:.2%}"),
-    ("/10 m", "drift_10m", "{:.2%}"),
-    ("ANEES", "anees", "{:.2f}"),
-)
+from .report_columns import cell, columns_of
+
+SIGNS = {"helps": "▲", "does nothing": "■", "hurts": "▼"}
 
 
 def render(report: Mapping[str, Any]) -> str:
     """Return the report as Markdown. Text from the log is escaped."""
     source = report["input"]
+    details = [
+        _table(report, main=False) if report["truth"] else "",
+        _sensors(report),
+        _listing("Absent", dict(report["absent"])),
+        _listing("Dropped", {k: counts(v) for k, v in source["dropped"].items()}),
+        _listing("Lost", {k: counts(v) for k, v in source["losses"].items()}),
+    ]
     parts = [
         f"# locfuse: {escape(source['name'])}",
+        _verdicts(report),
+        _table(report, main=True),
         _truth_line(report),
-        _table(report),
-        _sensors(report),
-        _listing("Absent", {k: v for k, v in report["absent"].items()}),
-        _listing("Dropped", {k: _counts(v) for k, v in source["dropped"].items()}),
-        _listing("Lost", {k: _counts(v) for k, v in source["losses"].items()}),
+        _prediction(report),
         _listing("Notes", dict.fromkeys(report["notes"], "")),
-        f"Input `{source['sha256'][:16]}`, locfuse {report['locfuse']}. Deviation = estimate - truth.",
+        _folded("All figures, sensors, and what was dropped", details),
+        f"Input {code(source['sha256'][:16])}, locfuse {escape(report['locfuse'])}. Deviation = estimate - truth.",
     ]
     return "\n\n".join(p for p in parts if p) + "\n"
+
+
+def _verdicts(report: Mapping[str, Any]) -> str:
+    return "\n".join(
+        f"- {SIGNS.get(v['verdict'], '●')} **{escape(sensor)} {v['verdict']}.** {escape(v['words'])}"
+        for sensor, v in report.get("verdicts", {}).items()
+    )
 
 
 def _truth_line(report: Mapping[str, Any]) -> str:
@@ -44,36 +48,58 @@ def _truth_line(report: Mapping[str, Any]) -> str:
     aligned = {v["align"] for v in report["configurations"].values()} - {"none"}
     how = f" Estimates were aligned to the truth ({', '.join(sorted(aligned))})." if aligned else ""
     heading = "" if truth["heading"] else " It has no heading."
-    return f"Truth: `{escape(truth['topic'])}`, {truth['used']} of {truth['stamps']} stamps used.{heading}{how}"
+    return f"Truth: {code(truth['topic'])}, {truth['used']} of {truth['stamps']} stamps used.{heading}{how}"
 
 
-def _table(report: Mapping[str, Any]) -> str:
-    rows = report["configurations"]
-    columns = [c for c in COLUMNS if any(v.get(c[1]) is not None for v in rows.values())]
-    if not columns:
-        columns = [("distance", "distance_m", "{:.2f} m"), ("duration", "duration_s", "{:.1f} s")]
-    lines = [
-        "| configuration | " + " | ".join(c[0] for c in columns) + " |",
-        "|---|" + "--:|" * len(columns),
+def _prediction(report: Mapping[str, Any]) -> str:
+    prediction = report.get("prediction")
+    if not prediction:
+        return ""
+    rows = [
+        (
+            escape(r["configuration"]),
+            "-" if r["gain_nats"] is None else f"{r['gain_nats']:+.3f}",
+            ", ".join(r["sensors"]),
+        )
+        for r in prediction["ranking"]
     ]
-    for name, values in rows.items():
-        cells = ["-" if values.get(key) is None else form.format(values[key]) for _, key, form in columns]
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+    return escape(prediction["trust"]) + "\n\n" + _grid(("ranked by prediction", "nats", "of"), rows, "lrl")
+
+
+def _table(report: Mapping[str, Any], main: bool) -> str:
+    rows = report["configurations"]
+    columns = columns_of(rows, main)
+    heads = ["configuration", *(f"{c.title}, {c.unit}" if c.unit else c.title for c in columns)]
+    cells = [(escape(name), *(cell(c, v.get(c.key)) for c in columns)) for name, v in rows.items()]
+    return _grid(heads, cells, "l" + "r" * len(columns))
 
 
 def _sensors(report: Mapping[str, Any]) -> str:
     rows = [
-        f"| {name} | {sensor} | {c['accepted']} | {c['rejected']} | {c['absent']} | "
-        + ("-" if c["nis"] is None else f"{c['nis']:.2f}")
-        + f" | {_counts({k: v for k, v in c['verdicts'].items() if k != 'accepted'})} |"
+        (
+            escape(name),
+            escape(sensor),
+            str(c["accepted"]),
+            str(c["rejected"]),
+            str(c["absent"]),
+            "-" if c["nis"] is None else f"{c['nis']:.2f}",
+            counts({k: v for k, v in c["verdicts"].items() if k != "accepted"}),
+        )
         for name, values in report["configurations"].items()
         for sensor, c in values["sensors"].items()
     ]
-    if not rows:
-        return ""
-    head = ["| in | sensor | accepted | rejected | absent | NIS | not accepted |", "|---|---|--:|--:|--:|--:|---|"]
-    return "\n".join(head + rows)
+    heads = ("in", "sensor", "accepted", "rejected", "absent", "NIS", "not accepted")
+    return _grid(heads, rows, "llrrrrl") if rows else ""
+
+
+def _grid(heads: Sequence[str], rows: Sequence[Sequence[str]], sides: str) -> str:
+    rule = "|" + "".join("--:|" if side == "r" else "---|" for side in sides)
+    return "\n".join(["| " + " | ".join(heads) + " |", rule, *("| " + " | ".join(row) + " |" for row in rows)])
+
+
+def _folded(title: str, parts: Sequence[str]) -> str:
+    inside = "\n\n".join(p for p in parts if p)
+    return f"<details><summary>{title}</summary>\n\n{inside}\n\n</details>" if inside else ""
 
 
 def _listing(title: str, entries: Mapping[str, str]) -> str:
@@ -83,8 +109,9 @@ def _listing(title: str, entries: Mapping[str, str]) -> str:
     return f"**{title}**\n\n" + "\n".join(lines)
 
 
-def _counts(counts: Mapping[str, int]) -> str:
-    return ", ".join(f"{v} {k.replace('_', ' ')}" for k, v in counts.items())
+def counts(by_reason: Mapping[str, int]) -> str:
+    """Return "3 out of order, 1 repeat"."""
+    return ", ".join(f"{v} {k.replace('_', ' ')}" for k, v in by_reason.items())
 
 
 def escape(text: str) -> str:
@@ -92,3 +119,11 @@ def escape(text: str) -> str:
     for character in "\\`*_[]<>|":
         text = text.replace(character, "\\" + character)
     return " ".join(text.split())
+
+
+def code(text: str) -> str:
+    """Return a code span, fenced so that no backtick of the text can end it."""
+    text = " ".join(text.split()).replace("|", "\\|")
+    fence = "`" * (1 + max((len(run) for run in re.findall(r"`+", text)), default=0))
+    pad = " " if text.startswith("`") or text.endswith("`") else ""
+    return f"{fence}{pad}{text}{pad}{fence}"

@@ -10,6 +10,7 @@ from .data import Array, Audit
 from .gates import mean_bounds
 
 STRETCHES = 80
+LEAST = 8  # accepted measurements that a stretch should hold
 CONFIDENCE = 0.95
 
 
@@ -24,8 +25,9 @@ class Running(NamedTuple):
 
 def running_nis(audit: Audit, t: Array, stretches: int = STRETCHES) -> Running:
     """Return the running NIS of what one run accepted; `t` (n,) are the drive's instants [s]."""
-    edges = np.linspace(t[0], t[-1], stretches + 1)
     accepted = audit.verdict == 0
+    stretches = int(np.clip(int(accepted.sum()) // LEAST, 1, stretches))
+    edges = np.linspace(t[0], t[-1], stretches + 1)
     dof = audit.y.shape[1]
     nis = audit.nis[accepted] / dof
     place = np.clip(np.searchsorted(edges, t[audit.instant[accepted]], side="right") - 1, 0, stretches - 1)

@@ -1,0 +1,88 @@
+"""The files of a comparison, by kind. Each kind imports what it needs: `--write json` needs no plotting."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import TYPE_CHECKING, Any
+
+from ..fusion.gates import chi_square
+from ..fusion.running import running_nis
+from ..fusion.sensors.registry import REGISTRY
+from . import results
+from .comparison import Compared
+
+if TYPE_CHECKING:
+    from ..formats.figures import Scene
+
+
+def files(compared: Compared, report: Mapping[str, Any], kinds: Collection[str]) -> dict[str, str | bytes]:
+    """Return the content of every file of these kinds by its name."""
+    from ..formats import report_json, report_md, report_tables
+
+    out: dict[str, str | bytes] = {"robot.toml": results.robot_file(compared.loaded.robot)}
+    if "tum" in kinds:
+        out |= trajectories(compared)
+    if "html" in kinds:
+        out["report.html"] = page(compared, report)
+    if "md" in kinds:
+        out["report.md"] = report_md.render(report)
+    if "csv" in kinds:
+        out["report.csv"] = report_tables.csv(report)
+    if "tex" in kinds:
+        out["report.tex"] = report_tables.latex(report)
+    if "json" in kinds:
+        out["report.json"] = report_json.encode(report)
+    return out
+
+
+def trajectories(compared: Compared) -> dict[str, str]:
+    """Return one .tum for each configuration, and the truth's."""
+    from ..formats import trajectory
+
+    drive = compared.loaded.drive
+    out = {f"{e.name}.tum": trajectory.estimates_tum(drive, e) for e in compared.estimates}
+    if drive.truth is not None:
+        out["truth.tum"] = trajectory.truth_tum(drive, drive.truth)
+    return out
+
+
+def page(compared: Compared, report: Mapping[str, Any]) -> str:
+    """Return report.html."""
+    from ..formats import report_html
+    from ..formats.figures import sections
+
+    return report_html.render(report, sections(scene(compared)), list(REGISTRY))
+
+
+def figure_files(compared: Compared) -> dict[str, bytes]:
+    """Return every figure as SVG and PDF by its file's name."""
+    from ..formats.figure_paper import paper_figures
+    from ..formats.figures import sections
+
+    return paper_figures(sections(scene(compared)), list(REGISTRY))
+
+
+def scene(compared: Compared) -> Scene:
+    """Return what the figures show: estimates, judgements, and consistency with its chi-square bounds."""
+    from ..formats.figures import Component, Scene, Stretches
+    from .rerun_scene import LOOKS
+
+    drive = compared.loaded.drive
+    nis = {(e.name, s): Stretches(*running_nis(a, e.t)) for e in compared.estimates for s, a in e.audits.items()}
+    dof = 3 if any(j.heading is not None for j in compared.evaluations) else 2
+    components = {}
+    for sensor, m in drive.measurements.items():
+        numbered = tuple(f"y{i}" for i in range(m.z.shape[1]))
+        _, names, scales = LOOKS.get(sensor, ("", numbered, (1.0,) * len(numbered)))
+        components[sensor] = [
+            Component(n.split(" [")[0], n.partition("[")[2].rstrip("]").replace("deg", "°"), scale)
+            for n, scale in zip(names, scales, strict=True)
+        ]
+    return Scene(
+        drive=drive,
+        estimates=compared.estimates,
+        evaluations=compared.evaluations,
+        nis=nis,
+        nees_bounds=(chi_square(0.025, dof) / dof, chi_square(0.975, dof) / dof),
+        components=components,
+    )

@@ -1,0 +1,135 @@
+"""The same panels for a paper: SVG and PDF by matplotlib, one column wide, in the colours of a light page.
+
+Same input, same bytes: no date, ids from a fixed salt. Text stays text, so that a paper's fonts can replace it.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from typing import Any
+
+import numpy as np
+
+from . import palette
+from .panels import Band, Curve, Dots, Mark, Panel, Section, Strokes, ranges
+from .rerun_thin import extremes
+
+INCHES = (3.5, 2.1)  # one column of a two-column paper
+SQUARE = (3.5, 3.0)
+POINTS = 1600  # of a curve: more than 3.5 inches at 300 dpi can show
+STYLE: dict[Any, Any] = {
+    "svg.hashsalt": "locfuse",
+    "svg.fonttype": "none",
+    "pdf.fonttype": 42,
+    "font.size": 7.0,
+    "axes.linewidth": 0.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.linewidth": 0.3,
+    "grid.color": "#dddfe3",
+    "lines.linewidth": 0.9,
+    "legend.frameon": False,
+    "legend.fontsize": 6.0,
+    "xtick.major.width": 0.5,
+    "ytick.major.width": 0.5,
+    "path.simplify": True,
+}
+
+
+def paper_figures(sections: Sequence[Section], registry: Sequence[str]) -> dict[str, bytes]:
+    """Return {name}.svg and {name}.pdf of every panel."""
+    names = list(dict.fromkeys(m.of for s in sections for p in s.panels for m in p.marks))
+    own = [n for n in names if n not in palette.ROLES]
+    inks = {**{n: c.light for n, c in palette.colours(own, registry).items()}, **_light_roles()}
+    out: dict[str, bytes] = {}
+    for section in sections:
+        for panel in section.panels:
+            name = file_name(panel.name)
+            out[f"{name}.svg"], out[f"{name}.pdf"] = draw(panel, inks)
+    return out
+
+
+def file_name(panel: str) -> str:
+    """Return a panel's name as a file's: letters, digits, and what configurations are written with."""
+    return "".join(c if c.isalnum() or c in "_-+@." else "_" for c in panel)
+
+
+def draw(panel: Panel, inks: dict[str, str]) -> tuple[bytes, bytes]:
+    """Return one panel as (SVG, PDF)."""
+    from matplotlib.backends.backend_pdf import FigureCanvasPdf
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    with _style():
+        figure = Figure(figsize=SQUARE if panel.equal else INCHES, layout="constrained")
+        axes = figure.add_subplot()
+        for mark in panel.marks:
+            _mark(axes, mark, inks)
+        _dress(axes, panel)
+        svg, pdf = io.BytesIO(), io.BytesIO()
+        to_svg: Any = FigureCanvasSVG(figure)
+        to_pdf: Any = FigureCanvasPdf(figure)
+        to_svg.print_svg(svg, metadata={"Date": None, "Creator": "locfuse"})
+        to_pdf.print_pdf(pdf, metadata={"CreationDate": None, "Creator": "locfuse", "Producer": None})
+    return svg.getvalue(), pdf.getvalue()
+
+
+def _style() -> AbstractContextManager[Any]:
+    from matplotlib import rc_context
+
+    return rc_context(STYLE)
+
+
+def _light_roles() -> dict[str, str]:
+    return {role: colour.light for role, colour in palette.ROLES.items()}
+
+
+def _dress(axes: Any, panel: Panel) -> None:
+    """Set limits, words and the legend."""
+    x, y = ranges(panel)
+    axes.set_xlabel(panel.x_label)
+    axes.set_ylabel(panel.y_label)
+    if panel.equal:
+        axes.set_aspect("equal", adjustable="datalim")
+    else:
+        axes.set_xlim(*x)
+        axes.set_ylim(*y)
+    if panel.log:
+        axes.set_yscale("log")
+    if panel.lanes:
+        axes.set_yticks([i + 0.5 for i in range(len(panel.lanes))], panel.lanes)
+        axes.grid(visible=False, axis="y")
+    handles, labels = axes.get_legend_handles_labels()
+    if len(handles) > 1 or panel.keys:
+        axes.legend(handles, labels, ncols=min(4, len(handles)), loc="lower left", bbox_to_anchor=(0.0, 1.0))
+
+
+def _mark(axes: Any, mark: Mark, inks: dict[str, str]) -> None:
+    ink, label = inks[mark.of], _label(axes, mark)
+    if isinstance(mark, Curve):
+        _curve(axes, mark, ink, label)
+    elif isinstance(mark, Band):
+        kept = extremes(np.stack((mark.low, mark.high), axis=-1), POINTS)
+        alpha = 1.0 if mark.solid else 0.18
+        axes.fill_between(mark.x[kept], mark.low[kept], mark.high[kept], color=ink, alpha=alpha, lw=0, label=label)
+    elif isinstance(mark, Dots):
+        axes.plot(mark.x, mark.y, ".", color=ink, ms=1.2, mew=0, label=label, rasterized=len(mark.x) > POINTS)
+    elif isinstance(mark, Strokes):
+        for i, (a, b) in enumerate(mark.ends):
+            axes.plot((a[0], b[0]), (a[1], b[1]), color=ink, lw=1.8, label=label if i == 0 else None)
+
+
+def _curve(axes: Any, mark: Curve, ink: str, label: str | None) -> None:
+    dash = (0, (1, 2)) if mark.of == "truth" else (0, (4, 2)) if palette.dashed(mark.of) else "solid"
+    grows = bool((np.diff(mark.x) >= 0).all())
+    kept = extremes(mark.y, POINTS) if grows else np.arange(len(mark.x))
+    axes.plot(mark.x[kept], mark.y[kept], color=ink, ls=dash, label=label)
+
+
+def _label(axes: Any, mark: Mark) -> str | None:
+    """Return the mark's name for the legend, once."""
+    taken = set(axes.get_legend_handles_labels()[1])
+    return None if mark.of in taken or mark.of == "bounds" else mark.of

@@ -1,0 +1,92 @@
+"""Points as SVG path text: no more of them than pixels show, in tenths of a pixel.
+
+Noise keeps its peaks (the least and the greatest value of every pixel), smooth stretches keep few points.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..fusion.data import Array, Ints
+from .rerun_thin import extremes
+
+FLAT = 0.2  # px: a point this near to the line between its neighbours is not seen
+PASSES = 8
+
+
+def curve_path(x: Array, y: Array, pixels: int) -> str:
+    """Return the path of a curve (n,) in px whose x grows; NaN breaks it."""
+    kept = extremes(y, 2 * pixels)
+    return _pieces(np.stack((x[kept], y[kept]), axis=-1))
+
+
+def free_path(x: Array, y: Array) -> str:
+    """Return the path of a curve (n,) in px that goes anywhere: a trajectory."""
+    return _pieces(np.stack((x, y), axis=-1))
+
+
+def band_path(x: Array, low: Array, high: Array, pixels: int) -> str:
+    """Return the outline of a band (n,) in px."""
+    good = np.isfinite(low) & np.isfinite(high)
+    edges = np.stack((low, high), axis=-1)
+    parts = []
+    for run in _runs(good):
+        kept = run[extremes(edges[run], 4 * pixels)]
+        top = straightened(np.stack((x[kept], high[kept]), axis=-1))
+        bottom = straightened(np.stack((x[kept], low[kept]), axis=-1))
+        parts.append(_text(np.concatenate((top, bottom[::-1]))) + "z")
+    return "".join(parts)
+
+
+def dots_path(x: Array, y: Array) -> str:
+    """Return one zero-long stroke per pixel that holds a dot; round caps make them dots."""
+    good = np.isfinite(x) & np.isfinite(y)
+    cells = np.unique(np.rint(np.stack((x[good], y[good]), axis=-1)).astype(np.int64), axis=0)
+    return "".join(f"M{a}0 {b}0h0" for a, b in cells.tolist())
+
+
+def strokes_path(ends: Array) -> str:
+    """Return straight pieces (k, 2, 2) in px."""
+    return "".join(_text(pair) for pair in ends)
+
+
+def straightened(points: Array) -> Array:
+    """Drop points that lie within FLAT of the line between their neighbours, never two neighbours at once."""
+    for _ in range(PASSES):
+        if len(points) < 3:
+            break
+        a, b, c = points[:-2], points[1:-1], points[2:]
+        chord, to = c - a, b - a
+        length = np.hypot(chord[:, 0], chord[:, 1])
+        along = (chord * to).sum(axis=1)
+        off = np.abs(chord[:, 0] * to[:, 1] - chord[:, 1] * to[:, 0])
+        flat = (off <= FLAT * length) & (along >= 0.0) & (along <= length**2)
+        flat[1::2] &= ~flat[:-1:2][: len(flat[1::2])]
+        flat[2::2] &= ~flat[1::2][: len(flat[2::2])]
+        if not flat.any():
+            break
+        points = points[np.concatenate(([True], ~flat, [True]))]
+    return points
+
+
+def _pieces(points: Array) -> str:
+    good = np.isfinite(points[:, 0]) & np.isfinite(points[:, 1])
+    return "".join(_text(straightened(points[run])) for run in _runs(good))
+
+
+def _runs(good: NDArray[np.bool_]) -> list[Ints]:
+    """Return the positions of each unbroken run of True."""
+    at = np.flatnonzero(good)
+    return [run for run in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if len(run)]
+
+
+def _text(points: Array) -> str:
+    """Return "M x y l dx dy ..." in tenths of a pixel, without spaces that a minus sign can replace."""
+    tenths = np.rint(np.clip(points, -1e5, 1e5) * 10.0).astype(np.int64)
+    steps = np.diff(tenths, axis=0)
+    steps = steps[(steps != 0).any(axis=1)]
+    start = f"M{tenths[0, 0]} {tenths[0, 1]}"
+    if len(steps) == 0:
+        return start + "h0"
+    return start + "l" + " ".join(map(str, steps.ravel().tolist())).replace(" -", "-")

@@ -1,0 +1,216 @@
+"""What the filter says of itself: NEES and NIS with their bounds, innovations, gates over time, learnt states."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..fusion.data import VERDICTS, Array, Audit, Estimates, Evaluation
+from .figures import Component, Scene
+from .panels import Band, Curve, Dots, Mark, Panel, Section
+
+TIME = "time, s"
+STRETCHES = 120  # of a drive, over which NEES is averaged for drawing
+BINS = 150  # of the gate timeline
+INNOVATION_SIGMAS = 2.0
+DEG = 180.0 / np.pi
+BLOCKS = {  # state blocks as people read them
+    "compass_offset": (Component("compass offset", "°", DEG),),
+    "wheels": (
+        Component("left wheel's scale", "%", 100.0),
+        Component("right wheel's scale", "%", 100.0),
+        Component("track", "%", 100.0),
+    ),
+}
+
+
+def consistency(scene: Scene) -> Section:
+    """Return NEES of every configuration and NIS of every sensor, between their chi-square bounds."""
+    span = (0.0, float(scene.drive.t[-1]))
+    panels = []
+    judged = [j for _, j in scene.shown() if np.isfinite(j.nees).any()]
+    if judged:
+        panels.append(_nees(judged, scene.nees_bounds, span))
+    panels += [p for s in scene.drive.measurements if (p := _nis(scene, s, span)) is not None]
+    text = (
+        "1 is right; above, the filter is surer than it may be; below, it is more careful than it need be. "
+        "Grey: where 95 % should lie. NIS near 1 alone proves nothing."
+    )
+    return Section("consistency", "Is the filter as sure as it may be?", text, tuple(panels))
+
+
+def _nees(judged: list[Evaluation], bounds: tuple[float, float], span: tuple[float, float]) -> Panel:
+    low, high = (np.full(2, b) for b in bounds)
+    marks: list[Mark] = [Band("bounds", np.array(span), low, high)]
+    marks += [Curve(j.name, *means(j.t, j.nees, STRETCHES)) for j in judged]
+    words = ", ".join(f"{j.name} {value:.2f}" for j in judged if (value := j.figures.get("anees")) is not None)
+    return Panel(
+        "nees",
+        "NEES per degree of freedom",
+        "NEES / dof",
+        TIME,
+        tuple(marks),
+        f"Normalised estimation error squared over time; means: {words}.",
+        log=True,
+        x_range=span,
+        y_range=_log_range([m.y for m in marks if isinstance(m, Curve)], bounds),
+    )
+
+
+def _nis(scene: Scene, sensor: str, span: tuple[float, float]) -> Panel | None:
+    found = {name: v for (name, s), v in scene.nis.items() if s == sensor and np.isfinite(v.value).any()}
+    names = [e.name for e, _ in scene.shown() if e.name in found]
+    if not names:
+        return None
+    widest = found[names[-1]]
+    marks: list[Mark] = [Band("bounds", widest.t, widest.low, widest.high)]
+    marks += [Curve(name, found[name].t, found[name].value) for name in names]
+    limits = (float(np.nanmin(widest.low)), float(np.nanmax(widest.high)))
+    figures = {j.name: j.sensors[sensor].nis for _, j in scene.shown() if j.name in names}
+    words = ", ".join(f"in {n} {value:.2f}" for n, value in figures.items() if value is not None)
+    return Panel(
+        f"nis_{sensor}",
+        f"{sensor}: NIS per degree of freedom",
+        f"{sensor}: NIS / dof",
+        TIME,
+        tuple(marks),
+        f"Normalised innovation squared of {sensor} over stretches of the drive; means: {words}.",
+        log=True,
+        x_range=span,
+        y_range=_log_range([found[n].value for n in names], limits),
+    )
+
+
+def innovations(scene: Scene) -> Section:
+    """Return each sensor's innovations in the configuration with most sensors, between 2 sigma."""
+    best = scene.best
+    panels = []
+    for sensor, audit in best.audits.items():
+        for i, component in enumerate(scene.components.get(sensor, ())):
+            if np.isfinite(audit.y[:, i]).any():
+                panels.append(_innovation(best, sensor, audit, i, component))
+    text = (
+        f"What each sensor measured minus what “{best.name}” expected, with the 2 sigma expected of it "
+        "(rms over short stretches)."
+    )
+    return Section("innovations", "Innovations", text, tuple(panels))
+
+
+def _innovation(e: Estimates, sensor: str, audit: Audit, i: int, c: Component) -> Panel:
+    t, y = e.t[audit.instant], c.scale * audit.y[:, i]
+    accepted = audit.verdict == 0
+    refused = ~accepted & np.isfinite(y)
+    used = sensor if len(e.sensors) > 1 else e.name
+    stretches = int(np.clip(int(accepted.sum()) // 3, 1, STRETCHES))
+    at, variance = means(t[accepted], (c.scale * audit.sigma[accepted, i]) ** 2, stretches)
+    sigma = INNOVATION_SIGMAS * np.sqrt(variance)
+    marks: list[Mark] = [Band("bounds", at, -sigma, sigma)]
+    if refused.any():
+        marks.append(Dots("gate", t[refused], y[refused]))
+    marks.append(Dots(used, t[accepted], y[accepted]))
+    return Panel(
+        f"innovation_{sensor}_{i}",
+        f"{sensor}: innovation of {c.name}",
+        f"{sensor} {c.name}, {c.unit}",
+        TIME,
+        tuple(marks),
+        f"{int(accepted.sum())} accepted, and those that were compared and refused.",
+        x_range=(0.0, float(e.t[-1])),
+        y_range=_robust(y[accepted], sigma, y[refused]),
+        keys=("gate",) if refused.any() else (),
+    )
+
+
+def gates(scene: Scene) -> Section:
+    """Return the gate timeline: what became of each sensor's measurements, as shares over time."""
+    best = scene.best
+    marks: list[Mark] = []
+    for lane, audit in enumerate(best.audits.values()):
+        marks += _shares(audit, best.t, lane)
+    if not marks:
+        return Section("gates", "", "", ())
+    present = {m.of for m in marks}
+    panel = Panel(
+        "gates",
+        "What became of every measurement",
+        "",
+        TIME,
+        tuple(marks),
+        "Shares of accepted, new, ambiguous and refused measurements of each sensor over time.",
+        x_range=(0.0, float(best.t[-1])),
+        y_range=(float(len(best.audits)), 0.0),
+        lanes=tuple(best.audits),
+        keys=tuple(v for v in VERDICTS if v in present),
+    )
+    text = f"In “{best.name}”. An empty stretch means that the sensor measured nothing there."
+    return Section("gates", "What became of every measurement", text, (panel,), columns=1)
+
+
+def _shares(audit: Audit, t: Array, lane: int) -> list[Band]:
+    """Return stacked shares of every verdict in lane [lane + 0.1, lane + 0.9], accepted at the bottom."""
+    bins = int(np.clip(len(np.unique(audit.instant)) // 3, 1, BINS))
+    edges = np.linspace(0.0, float(t[-1]), bins + 1)
+    place = np.clip(np.searchsorted(edges, t[audit.instant], side="right") - 1, 0, bins - 1)
+    counts = np.stack([np.bincount(place[audit.verdict == v], minlength=bins) for v in range(len(VERDICTS))])
+    total = counts.sum(axis=0)
+    shares = np.where(total > 0, counts / np.maximum(total, 1), np.nan)
+    tops = lane + 0.9 - 0.8 * np.cumsum(shares, axis=0)
+    x = np.repeat(edges, 2)[1:-1]
+    out = []
+    below = np.where(total > 0, lane + 0.9, np.nan)
+    for verdict, top in zip(VERDICTS, tops, strict=True):
+        if counts[VERDICTS.index(verdict)].any():
+            out.append(Band(verdict, x, np.repeat(below, 2), np.repeat(top, 2), solid=True))
+        below = top
+    return out
+
+
+def learnt(scene: Scene) -> Section:
+    """Return the states beyond the pose (compass offset, wheel parameters) with their 3 sigma."""
+    best = scene.best
+    panels = []
+    for name, values in best.blocks.items():
+        known = BLOCKS.get(name, tuple(Component(f"{name} {i}", "", 1.0) for i in range(values.shape[1])))
+        for i, c in enumerate(known[: values.shape[1]]):
+            v, s = c.scale * values[:, i], 3.0 * c.scale * best.block_sigmas[name][:, i]
+            final = float(s[-1]) if len(s) else 1.0
+            low, high = float(v[-1]) - 6.0 * final, float(v[-1]) + 6.0 * final
+            seen = np.abs(v - v[-1]) < 20.0 * max(final, 1e-9)
+            low, high = min(low, float(v[seen].min())), max(high, float(v[seen].max()))
+            marks: tuple[Mark, ...] = (Band(best.name, best.t, v - s, v + s), Curve(best.name, best.t, v))
+            label = f"{c.name}, {c.unit}" if c.unit else c.name
+            limits = (low, max(high, low + 1e-9))
+            words = f"{c.name} as estimated over time, in the band of its 3 sigma."
+            panels.append(Panel(f"learnt_{name}_{i}", c.name, label, TIME, marks, words, y_range=limits))
+    text = f"States besides the pose that “{best.name}” estimated while driving, with 3 sigma."
+    return Section("learnt", "What the filter learnt", text, tuple(panels))
+
+
+def means(t: Array, values: Array, count: int) -> tuple[Array, Array]:
+    """Return middles and means of `count` stretches; NaN where a stretch holds no finite value."""
+    if len(t) == 0:
+        return np.zeros(0), np.zeros(0)
+    good = np.isfinite(values)
+    edges = np.linspace(t[0], t[-1], count + 1)
+    place = np.clip(np.searchsorted(edges, t[good], side="right") - 1, 0, count - 1)
+    n = np.bincount(place, minlength=count)
+    total = np.bincount(place, weights=values[good], minlength=count)
+    return 0.5 * (edges[1:] + edges[:-1]), np.where(n > 0, total / np.maximum(n, 1), np.nan)
+
+
+def _log_range(curves: list[Array], bounds: tuple[float, float]) -> tuple[float, float]:
+    """Return limits that show the bounds and the curves, four decades at most below and above 1."""
+    positive = [c[np.isfinite(c) & (c > 0)] for c in (*curves, np.array(bounds))]
+    values = np.concatenate(positive)
+    low, high = (float(values.min()), float(values.max())) if len(values) else (0.1, 10.0)
+    return max(low / 1.5, 1e-2), min(max(high * 1.5, 2.0), 1e6)
+
+
+def _robust(y: Array, sigma: Array, refused: Array) -> tuple[float, float]:
+    """Return limits that show what was used but for one in 200; far refused ones lie beyond."""
+    most = max(
+        float(np.nanpercentile(np.abs(y), 99.5)) if len(y) else 0.0,
+        float(np.nanpercentile(sigma, 95)) if np.isfinite(sigma).any() else 0.0,
+        float(np.nanpercentile(np.abs(refused), 80)) if len(refused) else 0.0,
+        1e-9,
+    )
+    return -1.15 * most, 1.15 * most

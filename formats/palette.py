@@ -1,0 +1,70 @@
+"""One colour per configuration, the same in every figure and every report, apart for every kind of colour vision.
+
+Chosen by search so that all pairs stay apart under protanopia, deuteranopia and tritanopia and each has a
+contrast of 3 against its page (tests/test_figures.py measures both). A sensor keeps its colour whatever else the
+log holds, since colours go by the registry's order; sets of several sensors are dashed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+
+class Colour(NamedTuple):
+    """A colour on a light page and on a dark one."""
+
+    light: str
+    dark: str
+
+
+PAGE = Colour("#ffffff", "#14171c")
+ODOMETRY = Colour("#686a70", "#94979c")
+ALL = Colour("#8a0a55", "#bf2f80")
+TRUTH = Colour("#0d0f12", "#f4f5f7")
+SENSORS = (
+    Colour("#cb7627", "#ec8c10"),
+    Colour("#1a34b0", "#3a78de"),
+    Colour("#2aa090", "#74f0a4"),
+    Colour("#a93fc6", "#ec92fd"),
+    Colour("#4f3510", "#7d7a3c"),
+)
+SETS = (  # of several sensors but not all: told apart by their dashes and names too
+    Colour("#0b6e6e", "#58c6c6"),
+    Colour("#6d4fc4", "#a58bf0"),
+    Colour("#8c6a00", "#d2b13a"),
+    Colour("#b0413e", "#f08a80"),
+    Colour("#4d7a1f", "#9fce62"),
+)
+ROLES = {  # what is drawn besides configurations
+    "truth": TRUTH,
+    "walls of the first scan": Colour("#9aa3af", "#667080"),
+    "walls seen later": Colour("#cfc09f", "#6f6750"),
+    "bounds": Colour("#8c94a0", "#6b7480"),
+    "accepted": Colour("#c5cad3", "#47505d"),
+    "new": Colour("#7f97e8", "#4a66b8"),
+    "ambiguous": Colour("#e2b04a", "#b98a2c"),
+    "unmatched": Colour("#c7843a", "#a8642a"),
+    "gate": Colour("#a3123a", "#e0566f"),
+    "disturbed": Colour("#6a1b6a", "#b06ab8"),
+}
+
+
+def colours(configurations: Sequence[str], registry: Sequence[str]) -> dict[str, Colour]:
+    """Return a colour for every configuration: `registry` is the order of all sensors known to the product."""
+    return {name: _colour(name, registry) for name in configurations}
+
+
+def dashed(configuration: str) -> bool:
+    """Return whether a configuration is drawn dashed: sets that are not `all`, and what-ifs at a lower rate."""
+    return "+" in configuration or "@" in configuration
+
+
+def _colour(name: str, registry: Sequence[str]) -> Colour:
+    if name in {"odometry", "all"}:
+        return ODOMETRY if name == "odometry" else ALL
+    members = [part.split("@")[0] for part in name.split("+")]
+    places = [registry.index(m) if m in registry else len(registry) for m in members]
+    if len(places) == 1 and places[0] < len(SENSORS):
+        return SENSORS[places[0]]
+    return SETS[sum(2**p for p in places) % len(SETS)]

@@ -1,0 +1,115 @@
+"""What a figure shows, as values: series with their roles, axes with their words. Two renderers draw them.
+
+`figure_svg` draws for the page (theme, phone, toggles), `figure_paper` for print (PDF, SVG by matplotlib).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..fusion.data import Array
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A line through points; NaN breaks it. `of` is a configuration or a role of the palette."""
+
+    of: str
+    x: Array  # (n,)
+    y: Array  # (n,)
+    faint: bool = False
+
+
+@dataclass(frozen=True)
+class Band:
+    """The area between two curves."""
+
+    of: str
+    x: Array  # (n,)
+    low: Array  # (n,)
+    high: Array  # (n,)
+    solid: bool = False
+
+
+@dataclass(frozen=True)
+class Dots:
+    """Single points."""
+
+    of: str
+    x: Array  # (n,)
+    y: Array  # (n,)
+
+
+@dataclass(frozen=True)
+class Strokes:
+    """Straight pieces: walls."""
+
+    of: str
+    ends: Array  # (k, 2, 2) both ends
+
+
+Mark = Curve | Band | Dots | Strokes
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One pair of axes."""
+
+    name: str  # of its file and its anchor
+    title: str
+    y_label: str  # with the unit
+    x_label: str
+    marks: tuple[Mark, ...]
+    summary: str = ""  # what it shows, for those who cannot see it
+    log: bool = False  # logarithmic y
+    equal: bool = False  # one metre is as long in x as in y
+    x_range: tuple[float, float] | None = None
+    y_range: tuple[float, float] | None = None
+    lanes: tuple[str, ...] = ()  # names of unit-high lanes on y, from the top
+    keys: tuple[str, ...] = ()  # roles that need a legend of their own
+
+
+@dataclass(frozen=True)
+class Section:
+    """Panels that belong together, under one heading."""
+
+    name: str
+    title: str
+    text: str
+    panels: tuple[Panel, ...]
+    columns: int = 2
+    rows: tuple[str, ...] = field(default=())  # a heading per row of panels, where rows are configurations
+
+
+def ranges(panel: Panel) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return the limits of x and y: as given, else what the marks need with a little air."""
+    xs = [_x(m) for m in panel.marks]
+    ys = [v for m in panel.marks for v in _y(m)]
+    return panel.x_range or _span(xs, 0.0), panel.y_range or _span(ys, 0.04, panel.log)
+
+
+def _x(mark: Mark) -> Array:
+    return mark.ends[:, :, 0].ravel() if isinstance(mark, Strokes) else mark.x
+
+
+def _y(mark: Mark) -> tuple[Array, ...]:
+    if isinstance(mark, Strokes):
+        return (mark.ends[:, :, 1].ravel(),)
+    return (mark.low, mark.high) if isinstance(mark, Band) else (mark.y,)
+
+
+def _span(columns: list[Array], air: float, log: bool = False) -> tuple[float, float]:
+    values = np.concatenate([c[np.isfinite(c)] for c in columns]) if columns else np.zeros(0)
+    if log:
+        values = values[values > 0.0]
+    if len(values) == 0:
+        return (0.1, 10.0) if log else (0.0, 1.0)
+    low, high = float(values.min()), float(values.max())
+    if log:
+        return low / 1.2, high * 1.2
+    if high - low < 1e-12:
+        pad = max(abs(high) * 0.1, 1e-3)
+        return low - pad, high + pad
+    return low - air * (high - low), high + air * (high - low)

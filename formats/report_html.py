@@ -1,0 +1,138 @@
+"""report.html: one page that opens offline anywhere: verdicts and table first, then figures, then the small print.
+
+Every number on it is a <data> element that names its place in report.json (RFC 6901), so that the two cannot
+drift apart unseen; text from logs goes through the template's escaping.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any
+
+from . import palette
+from .figure_svg import HEIGHT, WIDTH, slugs_of, svg
+from .palette import Colour
+from .panels import Section
+from .report_columns import columns_of
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
+
+SIGNS = {"helps": "▲", "does nothing": "■", "hurts": "▼"}
+TONES = {"helps": "good", "hurts": "bad"}
+SIZES = {1: (860, 500), 2: (WIDTH, HEIGHT), 3: (330, 190)}  # px of a panel by columns in its section
+STRIP = 200.0  # px, width of an effect strip
+
+
+def render(report: Mapping[str, Any], sections: Sequence[Section], registry: Sequence[str]) -> str:
+    """Return the page. `registry` is the order of all sensors known to the product: it settles the colours."""
+    from jinja2 import Environment, StrictUndefined
+    from markupsafe import Markup
+
+    folder = files(__package__)
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    template = environment.from_string((folder / "report.html.j2").read_text(encoding="utf-8"))
+    names = list(report["configurations"])
+    inks = palette.colours([*names, *(s for s in registry if s not in names)], registry)
+    roles = {**inks, **palette.ROLES}
+    slugs = slugs_of(list(roles))
+    page = template.render(
+        report=report,
+        style=Markup(_style((folder / "report.css").read_text(encoding="utf-8"), roles, slugs)),
+        figures=Figures(report),
+        columns=columns_of(report["configurations"], main=True),
+        every_column=columns_of(report["configurations"]),
+        sections=[_drawn(s, slugs) for s in sections],
+        legend=[(name, slugs[name], palette.dashed(name)) for name in names],
+        slugs=slugs,
+        dashed=palette.dashed,
+        signs=SIGNS,
+        tones=TONES,
+        strips=_strips(report),
+        bars=_bars(report),
+        roles=("truth", "bounds") if report["truth"] else ("bounds",),
+    )
+    return page if page.endswith("\n") else page + "\n"
+
+
+class Figures:
+    """Looks figures up in the report and writes them as <data> that says where they are from."""
+
+    def __init__(self, report: Mapping[str, Any]) -> None:
+        self._report = report
+
+    def __call__(self, path: Sequence[str | int], form: str = "{}", missing: str = "–") -> Markup:
+        """Return the figure at `path`, formatted; a dash where it does not exist."""
+        from markupsafe import Markup
+
+        value: Any = self._report
+        for key in path:
+            value = value[key]
+        if value is None or (isinstance(value, float) and not math.isfinite(value)):
+            return Markup('<span class="none">{}</span>').format(missing)
+        return Markup('<data value="{}" data-from="{}">{}</data>').format(
+            repr(value), pointer(path), form.format(value)
+        )
+
+
+def pointer(path: Sequence[str | int]) -> str:
+    """Return a path as a JSON pointer (RFC 6901)."""
+    return "".join("/" + str(key).replace("~", "~0").replace("/", "~1") for key in path)
+
+
+def _style(css: str, roles: Mapping[str, Colour], slugs: Mapping[str, str]) -> str:
+    """Return the style sheet with one variable per role for a light page and for a dark one."""
+    light = "".join(f"--{slugs[r]}:{c.light};" for r, c in roles.items())
+    dark = "".join(f"--{slugs[r]}:{c.dark};" for r, c in roles.items())
+    uses = "".join(f".{s}{{--c:var(--{s})}}" for s in slugs.values())
+    hides = "".join(f":root:has(#show-{s}:not(:checked)) .fig .{s}{{display:none}}" for s in slugs.values())
+    return css.replace("/*light*/", light).replace("/*dark*/", dark) + uses + f"@media screen{{{hides}}}"
+
+
+def _drawn(section: Section, slugs: dict[str, str]) -> dict[str, Any]:
+    """Return a section with its panels as SVG, row by row."""
+    from markupsafe import Markup
+
+    width, height = SIZES[section.columns]
+    drawn = [(p, Markup(svg(p, p_id(section, i), slugs, width, height))) for i, p in enumerate(section.panels)]
+    per_row = section.columns if section.rows else max(1, len(drawn))
+    rows = [drawn[i : i + per_row] for i in range(0, len(drawn), per_row)]
+    keys = list(dict.fromkeys(k for p in section.panels for k in p.keys))
+    return {"section": section, "rows": rows, "keys": keys}
+
+
+def p_id(section: Section, number: int) -> str:
+    """Return an id for a panel that no text from a log can spoil."""
+    return f"{section.name}-{number}"
+
+
+def _bars(report: Mapping[str, Any]) -> dict[str, float]:
+    """Return each configuration's position rmse as a share of the worst, for the bars in the table."""
+    values = {n: v.get("position_rmse_m") for n, v in report["configurations"].items()}
+    worst = max((v for v in values.values() if v), default=0.0)
+    return {n: 100.0 * v / worst for n, v in values.items() if v is not None and worst > 0.0}
+
+
+def _strips(report: Mapping[str, Any]) -> dict[str, dict[str, float | str]]:
+    """Return each sensor's effect as px on one logarithmic scale: interval, value, and where 'no effect' lies."""
+    credit = report.get("credit")
+    if not credit:
+        return {}
+    effects = {s: (kind, v[kind]) for s, v in credit["sensors"].items() for kind in _kind(v)}
+    ln = [math.log(max(e[k], 1e-6)) for _, e in effects.values() for k in ("low", "high", "factor")]
+    low, high = max(-5.0, min([*ln, -0.2])), min(7.0, max([*ln, 0.2]))
+
+    def px(factor: float) -> float:
+        share = (math.log(max(factor, 1e-6)) - low) / (high - low)
+        return round(4.0 + (STRIP - 8.0) * min(1.0, max(0.0, share)), 1)
+
+    return {
+        s: {"kind": kind, "low": px(e["low"]), "high": px(e["high"]), "value": px(e["factor"]), "none": px(1.0)}
+        for s, (kind, e) in effects.items()
+    }
+
+
+def _kind(values: Mapping[str, Any]) -> list[str]:
+    return [k for k in ("credit", "alone", "leave_one_out") if values[k] is not None][:1]

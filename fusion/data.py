@@ -192,7 +192,7 @@ class Drive:
     notes: tuple[str, ...] = ()  # oddities in words: choices made, lags found
 
 
-VERDICTS = ("accepted", "gate", "ambiguous", "unmatched", "new", "disturbed")
+VERDICTS = ("accepted", "gate", "ambiguous", "unmatched", "new", "disturbed", "lost")
 
 
 @dataclass(frozen=True)
@@ -237,7 +237,9 @@ class Estimates:
     final_map: Sequence[MapLine] = ()
     truth_pose: Array | None = None  # (q, 3) predicted at the truth stamps, NaN before the drive
     truth_P: Array | None = None  # (q, 3, 3)
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # slips, being lost and found again
+    lost: tuple[tuple[float, float], ...] = ()  # s: when the filter did not know where it was
+    smoothed: bool = False  # by the whole drive, its end included; audits are the filter's
 
 
 @dataclass(frozen=True)

@@ -89,6 +89,17 @@ class PoseBelief:
                     tt - g2 * p2,
                 )
 
+    def shift(self, turn: float, xy: float, theta: float) -> None:
+        """Turn the pose by `turn` [rad] and add variances xy [m^2] and theta [rad^2]: a slip was found."""
+        xx, xy_, xt, yy, yt, tt = self.P
+        self.theta += turn
+        self.P = (xx + xy, xy_, xt, yy + xy, yt, tt + theta)
+
+    def place(self, pose: Pose, xy: float, theta: float) -> None:
+        """Set the pose with variances xy [m^2] and theta [rad^2]: the robot was carried off, or found again."""
+        self.x, self.y, self.theta = pose
+        self.P = (xy, 0.0, 0.0, xy, 0.0, theta)
+
     def matrix(self) -> Array:
         """Return the pose covariance, (3, 3)."""
         xx, xy, xt, yy, yt, tt = self.P
@@ -177,18 +188,30 @@ class JointBelief:
         """Let a block's values correct the wheel motion: `predict` takes J = du/d(block)."""
         self._motion_block = self._slices[name]
 
-    def augment(self, values: Array, G_x: Array, noise: Array) -> int:
-        """Append states that are functions of the state plus noise: returns the first new column.
+    def shift(self, turn: float, xy: float, theta: float) -> None:
+        """Turn the pose by `turn` [rad] and add variances xy [m^2] and theta [rad^2]: a slip was found."""
+        self._x[2] += turn
+        self._P[(0, 1, 2), (0, 1, 2)] += (xy, xy, theta)
 
-        values (k,), G_x (k, n) their derivative by the state, noise (k, k) independent of the state.
+    def place(self, pose: Pose, xy: float, theta: float) -> None:
+        """Set the pose with variances xy [m^2] and theta [rad^2]: the robot was carried off, or found again."""
+        self._x[:3] = pose
+        self._P[:3, : self.n] = 0.0
+        self._P[: self.n, :3] = 0.0
+        self._P[(0, 1, 2), (0, 1, 2)] = (xy, xy, theta)
+
+    def augment(self, values: Array, G_pose: Array, noise: Array) -> int:
+        """Append states that are functions of the pose plus noise: returns the first new column.
+
+        values (k,), G_pose (k, 3) their derivative by the pose, noise (k, k) independent of the state.
         """
         n = self.n
         where = self._grow(len(values))
-        PG = self._P[:n, :n] @ G_x.T
+        PG = self._P[:n, :3] @ G_pose.T
         self._x[where] = values
         self._P[:n, where] = PG
         self._P[where, :n] = PG.T
-        own = G_x @ PG + noise
+        own = G_pose @ PG[:3] + noise
         self._P[where, where] = 0.5 * (own + own.T)
         return int(where.start)
 
@@ -283,10 +306,10 @@ class JointBelief:
 
     def _whitened(self, seen: Sequence[Innovation]) -> tuple[Array, Array]:
         """Return V (m, n) and e (m,): with S = L L' the update is x + e V, P - V'V, symmetric by construction."""
-        y, H, R = stacked(seen, self.n)
+        y, columns, H, R = stacked(seen)
         n, P = self.n, self._P
-        PH = P[:n, :n] @ H.T
-        S = H @ PH + R
+        PH = P[:n, columns] @ H.T  # H has entries for the pose and the blocks in question only
+        S = H @ PH[columns] + R
         V = np.linalg.solve(np.linalg.cholesky(0.5 * (S + S.T)), np.column_stack((PH.T, y)))
         return V[:, :n], V[:, n]
 
@@ -301,17 +324,19 @@ class JointBelief:
         self._P[:n, :n] -= change
 
 
-def stacked(seen: Sequence[Innovation], n: int) -> tuple[Array, Array, Array]:
-    """Return y (m,), H (m, n), R (m, m) of all that one instant saw."""
+def stacked(seen: Sequence[Innovation]) -> tuple[Array, Ints, Array, Array]:
+    """Return y (m,), the state columns (c,) that all of it depends on, H (m, c), R (m, m)."""
     m = sum(len(s.y) for s in seen)
-    y, H, R = np.empty(m), np.zeros((m, n)), np.zeros((m, m))
+    columns = [0, 1, 2, *dict.fromkeys(c for s in seen for c in s.columns)]
+    at = {c: i for i, c in enumerate(columns)}
+    y, H, R = np.empty(m), np.zeros((m, len(columns))), np.zeros((m, m))
     k = 0
     for s in seen:
         d = len(s.y)
         y[k : k + d] = s.y
         H[k : k + d, :3] = s.H
         if s.columns:
-            H[k : k + d, s.columns] = s.H_block
+            H[k : k + d, [at[c] for c in s.columns]] = s.H_block
         R[k : k + d, k : k + d] = s.R
         k += d
-    return y, H, R
+    return y, np.array(columns), H, R

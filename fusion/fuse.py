@@ -7,20 +7,22 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import se2
 from .data import Array, Audit, Drive, Estimates, LocfuseError, Measurements, Motions
-from .ekf import JointBelief, PoseBelief, Triangle
+from .ekf import JointBelief, Pose, PoseBelief, Triangle
 from .motion import Wheels
 from .robot import Robot, StartSettings, WheelSettings
 from .sensors.base import Block, Innovation, Model
 from .sensors.registry import REGISTRY
 
 WHEELS = "wheels"
+# what makes the belief at the start: of the pose alone, or with blocks
+Beliefs = tuple[Callable[[Pose, Triangle], PoseBelief], Callable[[Pose, Triangle, Sequence[Block]], JointBelief]]
 
 
 def fuse(
@@ -29,18 +31,19 @@ def fuse(
     sensors: Sequence[str],
     name: str | None = None,
     listen: Mapping[str, NDArray[np.bool_]] | None = None,
+    beliefs: Beliefs = (PoseBelief, JointBelief),
 ) -> Estimates:
     """Run the filter with these sensors. Raises LocfuseError where the drive lacks one of them.
 
     Readings that `listen` marks (sensor -> one flag per reading) are compared with the belief and audited, and
     teach their sensor what is its own (a map, an offset), but never move the pose: how well they are predicted
-    is a judgement without truth.
+    is a judgement without truth. `beliefs` may keep a journal of what happens (smooth, tape).
     """
     listen = listen or {}
     for sensor in (*sensors, *listen):
         if sensor not in drive.measurements:
             raise LocfuseError(f"{sensor}: {drive.absent.get(sensor, 'not in this log')}")
-    run = Filter(robot, sensors, listen)
+    run = Filter(robot, sensors, listen, beliefs)
     due = _due(drive, (*sensors, *listen))
     rows = Motion.of(drive)
     for k in range(len(drive.t)):
@@ -83,14 +86,18 @@ class Filter:
     """The filter of one configuration: a belief, one model per sensor, and the record of what happened."""
 
     def __init__(
-        self, robot: Robot, sensors: Sequence[str], listen: Mapping[str, NDArray[np.bool_]] | None = None
+        self,
+        robot: Robot,
+        sensors: Sequence[str],
+        listen: Mapping[str, NDArray[np.bool_]] | None = None,
+        beliefs: Beliefs = (PoseBelief, JointBelief),
     ) -> None:
         self._sensors = tuple(s for s in REGISTRY if s in sensors)
         self._listens = {s: flags.tolist() for s, flags in (listen or {}).items()}
         self.models: dict[str, Model] = {
             s: REGISTRY[s].model(robot.settings(s)) for s in REGISTRY if s in sensors or s in self._listens
         }
-        self.belief = _begin(robot, list(self.models.values()))
+        self.belief = _begin(robot, list(self.models.values()), beliefs)
         self._poses = array("d")  # flat: an hour of Python tuples would be hundreds of megabytes
         self._triangles = array("d")
         self._records = {s: Record() for s in self.models}
@@ -158,6 +165,8 @@ class Filter:
             final_map=[line for _, final in maps for line in final],
             truth_pose=truth_pose,
             truth_P=truth_P,
+            notes=tuple(f"{name}: {note}" for name, m in self.models.items() for note in m.notes()),
+            lost=tuple(interval for m in self.models.values() for interval in m.lost_intervals()),
         )
 
 
@@ -190,15 +199,15 @@ class Record:
         )
 
 
-def _begin(robot: Robot, models: Sequence[Model]) -> PoseBelief | JointBelief:
+def _begin(robot: Robot, models: Sequence[Model], beliefs: Beliefs) -> PoseBelief | JointBelief:
     """Return the belief at the start: plain floats unless somebody owns a block of the state."""
     pose, P = _start(robot.start)
     blocks = [block for model in models for block in model.blocks()]
     if robot.wheels.estimate:
         blocks.append(_wheel_block(robot.wheels))
     if not blocks and not any(getattr(model, "joint", False) for model in models):
-        return PoseBelief(pose, P)
-    belief = JointBelief(pose, P, blocks)
+        return beliefs[0](pose, P)
+    belief = beliefs[1](pose, P, blocks)
     if robot.wheels.estimate:
         belief.drive_with(WHEELS)
     return belief

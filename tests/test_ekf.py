@@ -81,10 +81,11 @@ def joint(rng: np.random.Generator) -> tuple[JointBelief, TextbookEkf]:
     belief = JointBelief(POSE, UPPER, [offset])
     book = TextbookEkf(np.array([*POSE, 0.3]), np.block([[P0, np.zeros((3, 1))], [np.zeros((1, 3)), np.eye(1)]]))
     for _ in range(8):  # grows past the first allocation
-        G, noise = rng.normal(size=(2, belief.n)), np.diag(rng.uniform(0.01, 0.1, 2))
+        G, noise = rng.normal(size=(2, 3)), np.diag(rng.uniform(0.01, 0.1, 2))
         value = rng.normal(size=2)
         belief.augment(value, G, noise)
         book.x = np.append(book.x, value)
+        G = np.hstack((G, np.zeros((2, len(book.x) - 2 - 3))))
         top = book.P @ G.T
         book.P = np.block([[book.P, top], [top.T, G @ top + noise]])
     return belief, book

@@ -99,6 +99,14 @@ class Model:
         """Return the map after the first scan and the map at the end, for the report."""
         return [], []
 
+    def lost_intervals(self) -> list[tuple[float, float]]:
+        """Return when this sensor found the robot not to know where it was, (start, end) [s]."""
+        return []
+
+    def notes(self) -> list[str]:
+        """Return in words what a reader of the results must know of this run."""
+        return []
+
 
 class Sensor(Protocol):
     """A sensor: one file in this folder and one line in the registry."""

@@ -1,0 +1,181 @@
+"""The line map inside one run: what a scan says of the pose, and what it teaches the map."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from . import se2
+from .association import Association, Scan, associate
+from .data import VERDICTS, Array, MapLine, Measurements
+from .ekf import JointBelief, PoseBelief
+from .gates import chi_square
+from .line_map import AnyBelief, LineMap
+from .map_keeping import merge_doubles, prune
+from .recovery import Guard
+from .sensors.base import Innovation, Model
+
+UNMATCHED, AMBIGUOUS, NEW, LOST = (VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new", "lost"))
+TIDY_EVERY = 10  # scans
+# A scan in which only one line matches says little about whether the match is right: it must fit nearly perfectly.
+LONE_D2, LONE_ANGLE, LONE_OFFSET = 5.0, math.radians(3.0), 0.15
+
+
+class LineTracker(Model):
+    """Association, extents and growth of the line map; `mode` is how the map enters the filter."""
+
+    def __init__(self, mode: str, gate: float, recover: bool = True) -> None:
+        self.mode = mode
+        self.map = LineMap()
+        self.joint = mode != "first-scan"
+        # only a map that holds what was seen since can say that something is wrong
+        self.guard = Guard() if recover and mode == "grow" else None
+        self._first_map: list[MapLine] = []
+        self._gate = chi_square(gate, 2)
+        self._scan = 0
+        self._last: Association | None = None
+        self._teach = True
+
+    def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
+        """Associate the lines of scan i; each becomes one innovation with its verdict."""
+        first, last = int(m.first[i]), int(m.first[i + 1])
+        self._last, self._teach = None, True
+        if first == last:
+            return []
+        if len(self.map) == 0:
+            return [_nothing(row, NEW, self._gate) for row in range(first, last)]
+        scan = scan_of(m, first, last)
+        found = associate(scan, self.map, belief, self._gate)
+        if self.guard is not None:
+            found, self._teach = self.guard.watch(float(m.t[i]), scan, found, self.map, belief, self._gate)
+        self._last = found
+        if not self._teach:
+            return [_nothing(first + k, LOST, self._gate) for k in range(last - first)]
+        if self.mode == "grow":
+            _refuse_a_lone_match(found)
+        return [self._innovation(found, k, first + k, scan) for k in range(last - first)]
+
+    def _innovation(self, found: Association, k: int, row: int, scan: Scan) -> Innovation:
+        p, verdict = found.match[k], 0
+        if p < 0:
+            p = found.best[k]
+            if p < 0 or not found.near[k]:
+                grows = self.mode == "grow" and not found.near[k]
+                return _nothing(row, NEW if grows else UNMATCHED, self._gate)
+            verdict = AMBIGUOUS if found.ambiguous[k] else UNMATCHED
+        pairs = found.pairs
+        which = int(pairs.which[p])
+        c, s, u = (float(a[p]) for a in (pairs.prediction.cos, pairs.prediction.sin, pairs.prediction.u))
+        (s00, _), (_, s11) = pairs.S[p].tolist()
+        (r00, r01), (_, r11) = scan.R[k].tolist()
+        r01 *= float(pairs.flip[p])
+        columns: tuple[int, ...] = ()
+        H_block: tuple[tuple[float, ...], ...] = ()
+        column = int(self.map.column[which])
+        if column >= 0:
+            columns, H_block = (column, column + 1), ((1.0, u), (0.0, 1.0))
+        else:
+            (m00, m01), (_, m11) = self.map.P[which].tolist()
+            r00, r01, r11 = r00 + m00 + u * (2.0 * m01 + u * m11), r01 + m01 + u * m11, r11 + m11
+        return Innovation(
+            row,
+            verdict,
+            int(self.map.ids[which]),
+            float(pairs.d2[p]),
+            self._gate,
+            (float(pairs.y[p, 0]), float(pairs.y[p, 1])),
+            (math.sqrt(s00), math.sqrt(s11)),
+            ((-c, -s, 0.0), (0.0, 0.0, -1.0)),
+            ((r00, r01), (r01, r11)),
+            columns,
+            H_block,
+        )
+
+    def learn(self, m: Measurements, i: int, belief: Any) -> None:
+        """Let matched extents grow, and add what is new: all of the first scan, later only in `grow`."""
+        first, last = int(m.first[i]), int(m.first[i + 1])
+        if first == last or not self._teach:
+            return
+        self._scan += 1
+        scan = scan_of(m, first, last)
+        found = self._last
+        if found is None:
+            for k in range(last - first):
+                self._add(scan, k, belief)
+            self._first_map = self._first_map or self.map.lines(belief)
+            return
+        for k, p in enumerate(found.match):
+            if p >= 0:
+                self._extend(int(found.pairs.which[p]), float(found.pairs.lo[p]), float(found.pairs.hi[p]))
+            elif self.mode == "grow" and not found.near[k]:
+                self._add(scan, k, belief)
+        if self.mode == "grow" and self._scan % TIDY_EVERY == 0 and isinstance(belief, JointBelief):
+            prune(self.map, belief, self._scan)
+            merge_doubles(self.map, belief, self._scan)
+
+    def lines(self, belief: Any) -> tuple[list[MapLine], list[MapLine]]:
+        """Return the map after the first scan and the map now."""
+        return self._first_map, self.map.lines(belief)
+
+    def lost_intervals(self) -> list[tuple[float, float]]:
+        """Return when the robot did not know where it was, (start, end) [s]."""
+        return self.guard.intervals() if self.guard is not None else []
+
+    def notes(self) -> list[str]:
+        """Say in words what the guard did."""
+        return self.guard.words() if self.guard is not None else []
+
+    def _extend(self, which: int, lo: float, hi: float) -> None:
+        self.map.lo[which] = min(self.map.lo[which], lo)
+        self.map.hi[which] = max(self.map.hi[which], hi)
+        self.map.hits[which] += 1
+        self.map.seen[which] = self._scan
+
+    def _add(self, scan: Scan, k: int, belief: AnyBelief) -> None:
+        """New line from (r, psi): maths.md "new line"; its anchor is the middle of the segment."""
+        r, psi = map(float, scan.z[k])
+        beta = se2.wrap(psi + belief.theta)
+        c, s = math.cos(beta), math.sin(beta)
+        middle = 0.5 * float(scan.ends[k, 0] + scan.ends[k, 1])
+        half = 0.5 * float(scan.ends[k, 1] - scan.ends[k, 0])
+        anchor = np.array([belief.x + r * c - middle * s, belief.y + r * s + middle * c])
+        dx, dy = belief.x - anchor[0], belief.y - anchor[1]
+        u = dy * c - dx * s
+        value = np.array([r + dx * c + dy * s, beta])
+        G_pose = np.array([[c, s, u], [0.0, 0.0, 1.0]])
+        G_z = np.array([[1.0, u], [0.0, 1.0]])
+        noise = G_z @ scan.R[k] @ G_z.T
+        column, P = -1, np.zeros((2, 2))
+        if self.joint and isinstance(belief, JointBelief):
+            column = belief.augment(value, G_pose, noise)
+            if self.mode == "consider":
+                belief.consider(np.array([column, column + 1]))
+        elif isinstance(belief, PoseBelief):
+            P = G_pose @ belief.matrix() @ G_pose.T + noise
+        self.map.append(anchor, value, P, column, (-half, half), self._scan)
+
+
+def scan_of(m: Measurements, first: int, last: int) -> Scan:
+    """Return rows first:last of the laser's measurements as one scan."""
+    return Scan(m.z[first:last], m.R[first:last], m.extra["ends"][first:last])
+
+
+def _refuse_a_lone_match(found: Association) -> None:
+    """Turn a scan's only match into none where others failed to match and it does not fit nearly perfectly."""
+    matched = [k for k, p in enumerate(found.match) if p >= 0]
+    if len(matched) != 1 or len(found.match) == 1:
+        return
+    k = matched[0]
+    p = found.match[k]
+    y: Array = found.pairs.y[p]
+    if found.pairs.d2[p] > LONE_D2 or abs(y[1]) > LONE_ANGLE or abs(y[0]) > LONE_OFFSET:
+        found.match[k] = -1
+        found.near[k] = True
+
+
+def _nothing(row: int, verdict: int, gate: float) -> Innovation:
+    """Return an innovation without a prediction: nothing in the map was near, or nothing was asked."""
+    nan = math.nan
+    return Innovation(row, verdict, -1, nan, gate, (nan, nan), (nan, nan), (), ())

@@ -1,0 +1,97 @@
+"""Keeping a growing map small and single: lines that proved nothing leave, doubles become one.
+
+Joining two lines that are one wall is how loops close: the constraint "these are equal" is a measurement with a
+stated noise, and the filter carries it into every state that depends on either.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .data import Array, Ints
+from .ekf import JointBelief
+from .line_map import LineMap
+from .sensors.base import Innovation
+
+LEAST_HITS = 4
+PATIENCE = 15  # scans after its birth in which a line must earn its hits
+DOUBLE_ANGLE, DOUBLE_OFFSET = math.radians(8.0), 0.25  # further apart is two walls, whatever the covariance says
+APART = 0.3  # m along the wall between two pieces that may still be one
+DOUBLE_D2 = 9.2  # chi-square with 2 degrees of freedom at 99 %
+FLATNESS, FLATNESS_ANGLE = 0.005, math.radians(0.2)  # how well two pieces of one real wall agree
+
+
+def prune(lines: LineMap, belief: JointBelief, scan: int) -> None:
+    """Drop lines that were born PATIENCE scans ago and hardly seen since: people, poles, bad fits."""
+    gone = np.flatnonzero((lines.hits < LEAST_HITS) & (scan - lines.born > PATIENCE) & (lines.born > 0))
+    if len(gone):
+        belief.remove(lines.drop(gone))
+
+
+def merge_doubles(lines: LineMap, belief: JointBelief, scan: int) -> None:
+    """Join recently seen lines with any line that is statistically the same wall, facing the same way."""
+    for j in np.flatnonzero(scan - lines.seen <= PATIENCE)[::-1].tolist():
+        if j >= len(lines):
+            continue
+        i = _double_of(lines, belief, j)
+        if i is not None:
+            _join(lines, belief, *sorted((i, j)))
+
+
+def _double_of(lines: LineMap, belief: JointBelief, j: int) -> int | None:
+    """Return the line that is most clearly the same wall as line j, None where there is none."""
+    values = lines.values(belief)
+    turn = np.abs((values[:, 1] - values[j, 1] + math.pi) % (2.0 * math.pi) - math.pi)
+    near = np.flatnonzero(turn < DOUBLE_ANGLE)
+    near = near[near != j]
+    best, found = DOUBLE_D2, None
+    for i in near.tolist():
+        y, H, lo, hi = _difference(lines, values, i, j)
+        if abs(y[0]) > DOUBLE_OFFSET or min(lines.hi[i], hi) - max(lines.lo[i], lo) < -APART:
+            continue
+        S = H @ _joint(lines, belief, i, j) @ H.T + np.diag([FLATNESS**2, FLATNESS_ANGLE**2])
+        d2 = float(y @ np.linalg.solve(S, y))
+        if d2 < best:
+            best, found = d2, i
+    return found
+
+
+def _difference(lines: LineMap, values: Array, i: int, j: int) -> tuple[Array, Array, float, float]:
+    """Return y = line i - line j about i's anchor, dy/d(i, j) with the sign of H, and j's extent along i."""
+    rho, beta = values[j]
+    c, s = math.cos(beta), math.sin(beta)
+    ax, ay = lines.anchor[j] - lines.anchor[i]
+    turn = (values[i, 1] - beta + math.pi) % (2.0 * math.pi) - math.pi
+    y = np.array([values[i, 0] - (rho + ax * c + ay * s), turn])
+    H = np.array([[-1.0, 0.0, 1.0, ay * c - ax * s], [0.0, -1.0, 0.0, 1.0]])
+    along = ay * math.cos(values[i, 1]) - ax * math.sin(values[i, 1])
+    return y, H, float(lines.lo[j] + along), float(lines.hi[j] + along)
+
+
+def _columns(lines: LineMap, i: int, j: int) -> Ints:
+    a, b = int(lines.column[i]), int(lines.column[j])
+    return np.array([a, a + 1, b, b + 1])
+
+
+def _joint(lines: LineMap, belief: JointBelief, i: int, j: int) -> Array:
+    columns = _columns(lines, i, j)
+    P: Array = belief.covariance[np.ix_(columns, columns)]
+    return P
+
+
+def _join(lines: LineMap, belief: JointBelief, i: int, j: int) -> None:
+    """Measure that lines i and j are equal, then keep i with the extent of both."""
+    y, H, lo, hi = _difference(lines, lines.values(belief), i, j)
+    columns = tuple(int(c) for c in _columns(lines, i, j))
+    zero = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    R = ((FLATNESS**2, 0.0), (0.0, FLATNESS_ANGLE**2))
+    rows = tuple(tuple(float(v) for v in row) for row in H)
+    innovation = (float(y[0]), float(y[1]))
+    belief.correct([Innovation(-1, 0, -1, 0.0, 0.0, innovation, innovation, zero, R, columns, rows)])
+    lines.lo[i], lines.hi[i] = min(lines.lo[i], lo), max(lines.hi[i], hi)
+    lines.hits[i] += lines.hits[j]
+    lines.seen[i] = max(lines.seen[i], lines.seen[j])
+    lines.born[i] = min(lines.born[i], lines.born[j])
+    belief.remove(lines.drop(np.array([j])))

@@ -1,0 +1,154 @@
+"""Finding a pose on a line map from one scan: every pair of seen walls against every pair of known ones.
+
+Two walls that are not parallel fix a pose. Each such pose is scored by how much of the scan it explains and
+refused where the scan sees through walls; a pose counts only if no other, different one explains nearly as much. A
+rectangle alone has two (turned by 180 degrees): then nothing is returned, and the robot stays lost.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .association import Association, Scan
+from .data import Array, Ints
+from .line_map import AnyBelief, LineMap
+
+LONGEST = 5  # seen walls from which pairs are made
+KNOWN = 60  # map lines that are considered, the best seen first
+LEAST_HITS = 4
+SKEW = math.radians(25.0)  # two walls must differ by this much in direction to fix a pose
+SAME_ANGLE, SAME_OFFSET = math.radians(5.0), 0.25  # a seen wall is a known one within these
+EXPLAINED, LINES = 0.7, 3  # share of the seen length, and walls, that a pose must explain
+RIVAL = 0.85  # another pose that explains this share of the best one's length makes it ambiguous
+APART, TURNED = 0.5, math.radians(20.0)  # m, rad: poses further apart are different
+HEADING_SIGMAS, HEADING_SLACK = 4.0, math.radians(10.0)
+SAMPLES = 5  # points along a seen wall at which sight lines are tested
+BEHIND = 0.3  # m by which a point must lie behind a known wall
+MARGIN = 0.2  # m at either end of a known wall that is not trusted to block the sight
+TOO_MUCH_THROUGH = 0.15
+
+
+def matched_share(found: Association, scan: Scan) -> float:
+    """Return the share of a scan's line length that was matched."""
+    length = scan.ends[:, 1] - scan.ends[:, 0]
+    matched = np.array([p >= 0 for p in found.match])
+    total = float(length.sum())
+    return float(length[matched].sum()) / total if total > 0 else 1.0
+
+
+def seen_through(scan: Scan, lines: LineMap, values: Array, x: float, y: float, theta: float) -> float:
+    """Return the share of the seen wall length that lies behind known walls, from a supposed pose.
+
+    `values` (J, 2) are rho and beta of the map's lines.
+    """
+    known = np.flatnonzero(lines.hits >= LEAST_HITS)
+    if len(known) == 0 or len(scan.z) == 0:
+        return 0.0
+    points = _points(scan)  # (k * SAMPLES, 2) base frame
+    distance = np.hypot(points[:, 0], points[:, 1])
+    bearing = np.arctan2(points[:, 1], points[:, 0]) + theta
+    values = values[known]
+    d = np.stack((np.cos(bearing), np.sin(bearing)), axis=-1)
+    n = np.stack((np.cos(values[:, 1]), np.sin(values[:, 1])), axis=-1)
+    offset = np.array([x, y]) - lines.anchor[known]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        range_ = (values[:, 0] - (offset * n).sum(axis=1)) / (d @ n.T)
+    tangent = np.stack((-n[:, 1], n[:, 0]), axis=-1)
+    along = (offset * tangent).sum(axis=1) + range_ * (d @ tangent.T)
+    blocks = (range_ > 0) & (range_ < distance[:, None] - BEHIND) & (d @ n.T > 0.1)
+    blocks &= (along > lines.lo[known] + MARGIN) & (along < lines.hi[known] - MARGIN)
+    behind = blocks.any(axis=1).reshape(-1, SAMPLES).mean(axis=1)
+    length = scan.ends[:, 1] - scan.ends[:, 0]
+    return float((behind * length).sum() / length.sum())
+
+
+def _points(scan: Scan) -> Array:
+    share = (np.arange(SAMPLES) + 0.5) / SAMPLES
+    along = scan.ends[:, :1] + share * (scan.ends[:, 1:] - scan.ends[:, :1])
+    c, s = np.cos(scan.z[:, 1:]), np.sin(scan.z[:, 1:])
+    r = scan.z[:, :1]
+    return np.stack((r * c - along * s, r * s + along * c), axis=-1).reshape(-1, 2)
+
+
+def find_pose(scan: Scan, lines: LineMap, belief: AnyBelief) -> tuple[float, float, float] | None:
+    """Return the only pose (x, y, theta) that explains the scan, None where there is none or several."""
+    values = lines.values(belief)
+    known = np.flatnonzero(lines.hits >= LEAST_HITS)
+    known = known[np.argsort(-lines.hits[known], kind="stable")][:KNOWN]
+    if len(scan.z) < LINES or len(known) < 2:
+        return None
+    poses = _hypotheses(scan, lines, values, known)
+    poses = poses[_heading_fits(poses[:, 2], belief)]
+    if len(poses) == 0:
+        return None
+    share, count = _explained(poses, scan, lines, values, known)
+    good = (share >= EXPLAINED) & (count >= LINES)
+    poses, share = poses[good], share[good]
+    if len(poses) == 0:
+        return None
+    best = int(np.argmax(share))
+    pose = poses[best]
+    apart = np.hypot(*(poses[:, :2] - pose[:2]).T) > APART
+    apart |= np.abs(_wrap(poses[:, 2] - pose[2])) > TURNED
+    for rival in poses[apart & (share >= RIVAL * share[best])]:
+        if seen_through(scan, lines, values, *rival.tolist()) < TOO_MUCH_THROUGH:
+            return None
+    if seen_through(scan, lines, values, *pose.tolist()) >= TOO_MUCH_THROUGH:
+        return None
+    x, y, theta = pose.tolist()
+    return x, y, belief.theta + float(_wrap(np.array(theta - belief.theta)))
+
+
+def _heading_fits(theta: Array, belief: AnyBelief) -> NDArray[np.bool_]:
+    """Return which headings the belief allows: a compass may have kept it while the place was lost."""
+    slack = HEADING_SIGMAS * math.sqrt(max(float(belief.matrix()[2, 2]), 0.0)) + HEADING_SLACK
+    return np.asarray(np.abs(_wrap(theta - belief.theta)) <= slack)
+
+
+def _hypotheses(scan: Scan, lines: LineMap, values: Array, known: Ints) -> Array:
+    """Return poses (h, 3) from pairs of seen walls laid onto pairs of known walls at the same angle."""
+    longest = np.argsort(-(scan.ends[:, 1] - scan.ends[:, 0]), kind="stable")[:LONGEST]
+    beta, n = values[known, 1], np.stack((np.cos(values[known, 1]), np.sin(values[known, 1])), axis=-1)
+    rho = values[known, 0] + (lines.anchor[known] * n).sum(axis=1)
+    found = [np.zeros((0, 3))]
+    for a, b in combinations(longest.tolist(), 2):
+        between = float(_wrap(scan.z[b, 1] - scan.z[a, 1]))
+        if abs(math.sin(between)) < math.sin(SKEW):
+            continue
+        j, k = np.nonzero(np.abs(_wrap(beta[None, :] - beta[:, None] - between)) < SAME_ANGLE)
+        slack = 0.5 * _wrap(beta[k] - beta[j] - between)
+        theta = _wrap(beta[j] - scan.z[a, 1] + slack)
+        det = n[j, 0] * n[k, 1] - n[j, 1] * n[k, 0]
+        p, q = rho[j] - scan.z[a, 0], rho[k] - scan.z[b, 0]
+        x, y = (p * n[k, 1] - q * n[j, 1]) / det, (n[j, 0] * q - n[k, 0] * p) / det
+        found.append(np.stack((x, y, theta), axis=-1))
+    return np.concatenate(found)
+
+
+def _explained(poses: Array, scan: Scan, lines: LineMap, values: Array, known: Ints) -> tuple[Array, Ints]:
+    """Return the share of seen length and the number of seen walls that each pose explains, (h,)."""
+    length = scan.ends[:, 1] - scan.ends[:, 0]
+    share, count = np.zeros(len(poses)), np.zeros(len(poses), dtype=np.int64)
+    for at in range(0, len(poses), 512):
+        x, y, theta = (poses[at : at + 512, i, None, None] for i in range(3))
+        rho, beta = values[known, 0], values[known, 1]
+        c, s = np.cos(beta), np.sin(beta)
+        dx, dy = x - lines.anchor[known, 0], y - lines.anchor[known, 1]
+        turn = _wrap(scan.z[:, 1, None] + theta - beta)
+        offset = scan.z[:, 0, None] - (rho - dx * c - dy * s)
+        along = c * dy - s * dx
+        lo, hi = scan.ends[:, :1] + along, scan.ends[:, 1:] + along
+        overlap = np.minimum(hi, lines.hi[known]) - np.maximum(lo, lines.lo[known])
+        same = (np.abs(turn) < SAME_ANGLE) & (np.abs(offset) < SAME_OFFSET) & (overlap > 0.6 * length[:, None])
+        seen = same.any(axis=2)
+        share[at : at + 512] = (seen * length).sum(axis=1) / length.sum()
+        count[at : at + 512] = seen.sum(axis=1)
+    return share, count
+
+
+def _wrap(angle: Array) -> Array:
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi

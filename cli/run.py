@@ -35,6 +35,7 @@ def run(
     log: tuple[str, ...],
     sensors: str,
     align: str,
+    audit: Path | None,
     how: LogOptions,
     out: Path | None,
     overwrite: bool,
@@ -51,7 +52,8 @@ def run(
     locfuse run bag/ --sensors compass,lrf --robot robot.toml -o out
     """
     from ..formats import report_json, trajectory
-    from ..formats.outdir import write_results
+    from ..formats.audit_csv import audit_csv
+    from ..formats.outdir import whole_file, write_results
     from ..fusion.evaluate import evaluate
     from . import configurations, results, show
     from .load import find_log, load
@@ -75,6 +77,9 @@ def run(
             files["run.json"] = report_json.encode(report)
         folder = out or results.default_folder(loaded.log.name)
         write_results(folder, files, overwrite)
+        if audit is not None:
+            with whole_file(audit) as path:
+                path.write_text(audit_csv(drive, estimates))
     lost = results.loss_lines(loaded, configuration.sensors, how.strict)
     if as_json:
         click.echo(report_json.encode(report), nl=False)

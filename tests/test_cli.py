@@ -231,3 +231,20 @@ def test_a_log_can_be_a_split_recording(tmp_path: Path, compared: Path) -> None:
     assert done.exit_code == 0, done.stderr
     a, b = np.loadtxt(tmp_path / "out" / "trajectory.tum"), np.loadtxt(compared / "lrf.tum")
     np.testing.assert_array_equal(a, b)
+
+
+def test_the_audit_accounts_for_every_measurement(tmp_path: Path) -> None:
+    done = locfuse(
+        "run", LOG, "--sensors", "compass,lrf", "--audit", tmp_path / "audit.csv", "-o", tmp_path / "out"
+    )
+    assert done.exit_code == 0, done.stderr
+    rows = [line.split(",") for line in (tmp_path / "audit.csv").read_text().splitlines()]
+    head, rows = rows[0], rows[1:]
+    assert head[:5] == ["t", "sensor", "measurement", "verdict", "landmark"]
+    report = json.loads((tmp_path / "out" / "run.json").read_text())["configurations"]["compass+lrf"]["sensors"]
+    for sensor, figures in report.items():
+        counted = [r[3] for r in rows if r[1] == sensor]
+        assert {v: counted.count(v) for v in figures["verdicts"]} == figures["verdicts"]
+    assert [float(r[0]) for r in rows] == sorted(float(r[0]) for r in rows)
+    accepted = [r for r in rows if r[3] == "accepted"]
+    assert all(float(r[5]) <= float(r[6]) for r in accepted)

@@ -8,6 +8,7 @@ configurations is array subtraction.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -34,7 +35,7 @@ def measure(
     Raises LocfuseError where the wheels give no motion or a sensor's readings cannot be understood.
     """
     progress("wheels")
-    wheels, epoch_ns, dropped = read_wheels(streams["wheels"], robot.wheels)
+    wheels, epoch_ns, dropped, notes = read_wheels(streams["wheels"], robot.wheels)
     drops = {"wheels": dropped}
     measurements: dict[str, Measurements] = {}
     missing = dict(absent or {})
@@ -48,7 +49,8 @@ def measure(
                 continue
             measurements[name] = _within(found, wheels)
             drops[name] = dict(measurements[name].dropped)
-    return cut(wheels, epoch_ns, measurements, robot, missing, streams.get("truth"), drops)
+    drive = cut(wheels, epoch_ns, measurements, robot, missing, streams.get("truth"), drops)
+    return replace(drive, notes=(*(f"wheels: {note}" for note in notes), *drive.notes))
 
 
 def cut(

@@ -50,7 +50,11 @@ class Wheels:
         """Build from another odometry's poses (n, 3): only their increments count."""
         step = se2.between(poses[:-1], poses[1:])
         step[:, 2] = se2.wrap_all(step[:, 2])
-        twist = se2.log(step)
+        return cls.from_twists(t, se2.log(step), track, noise)
+
+    @classmethod
+    def from_twists(cls, t: Array, twist: Array, track: float, noise: float) -> Wheels:
+        """Build from body twists (n-1, 3) between the times t (n,)."""
         half = 0.5 * track * twist[:, 2]
         rolled = np.stack((twist[:, 0] - half, twist[:, 0] + half), axis=-1)
         return cls(t, twist, rolled, dead_reckoning(twist), track, noise)

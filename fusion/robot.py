@@ -16,6 +16,7 @@ from .sensors.base import SensorSettings
 
 Order = Literal["auto", "stamp", "recorded"]
 Preset = Literal["default", "paper"]
+Mirrored = Literal["none", "left", "right", "both"]
 VIRTUAL_TRACK = 0.3  # m: carries the noise of an odometry topic, which knows no wheels
 
 
@@ -23,16 +24,29 @@ class WheelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     """[wheels]: geometry, encoder and noise of the drive."""
 
     topic: str | None = None
+    left_topic: str | None = None  # where either wheel has a topic of its own (std_msgs numbers)
+    right_topic: str | None = None
     left: str | None = None  # joint name
     right: str | None = None
-    radius: float | None = None  # m
+    radius: float | None = None  # m, mean of both wheels
+    ratio: float = 1.0  # right wheel's radius over the left one's
     track: float | None = None  # m between the wheels' contact points
     ticks_per_revolution: float | None = None  # positions are ticks, not radians
+    mirrored: Mirrored = "none"  # wheels whose count falls while the robot drives forward
+    rollover: float | None = None  # the counter's range, in its own unit; 0: it never rolls over; None: found
+    max_speed: float | None = None  # m/s of a wheel; readings that need more are faults; None: found
+    reverse_by_twist: bool = True  # an odometry's pose that goes ahead while its twist says backward is turned
     noise: float = 4e-4  # m: variance per metre that a wheel rolls (maths.md eq. 9: k)
     time_offset: float = 0.0  # s
     estimate: bool = False  # scale of either wheel and track as states
     sigma_scale: float = 0.02  # prior of the estimated scales, relative
-    sigma_track: float = 0.1  # prior of the estimated track, relative
+    sigma_track: float = 0.2  # prior of the estimated track, relative
+
+    @property
+    def shares(self) -> tuple[float, float]:
+        """Radius of the left and of the right wheel over their mean."""
+        left = 2.0 / (1.0 + self.ratio)
+        return left, left * self.ratio
 
 
 class StartSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -1,0 +1,70 @@
+"""Several topics that are one thing: two wheels on two topics, a ring of sonars."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import cast
+
+import numpy as np
+
+from .data import Array, Block, Column, Ints, Stream
+
+
+@dataclass(frozen=True)
+class Joined:
+    """Streams of numbers as one Stream, in time order; `source` says which of the parts a row came from."""
+
+    parts: tuple[Stream, ...]
+
+    @property
+    def topic(self) -> str:
+        """The parts' topics in words."""
+        return " and ".join(part.topic for part in self.parts)
+
+    @property
+    def msgtype(self) -> str:
+        """The first part's type."""
+        return self.parts[0].msgtype
+
+    @property
+    def frame_id(self) -> str:
+        """The first part's frame."""
+        return self.parts[0].frame_id
+
+    @cached_property
+    def dropped(self) -> Mapping[str, int]:
+        """Messages of all parts that are not among the rows, by reason."""
+        return dict(sum((Counter(part.dropped) for part in self.parts), Counter()))
+
+    @cached_property
+    def _order(self) -> Ints:
+        return np.argsort(np.concatenate([part.t_ns for part in self.parts]), kind="stable")
+
+    @cached_property
+    def t_ns(self) -> Ints:
+        """When the readings were taken, (n,), never decreasing."""
+        times: Ints = np.concatenate([part.t_ns for part in self.parts])[self._order]
+        return times
+
+    @cached_property
+    def source(self) -> Ints:
+        """Position in `parts` of every row, (n,)."""
+        counts = [len(part.t_ns) for part in self.parts]
+        return np.repeat(np.arange(len(self.parts)), counts)[self._order]
+
+    def columns(self, *fields: str) -> dict[str, Column]:
+        """Return whole columns of numbers by dotted field path, each with n rows."""
+        found = [cast("dict[str, Array]", part.columns(*fields)) for part in self.parts]
+        return {name: np.concatenate([columns[name] for columns in found])[self._order] for name in fields}
+
+    def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
+        """Yield everything as one block: numbers are light."""
+        yield np.arange(len(self.t_ns)), self.columns(*fields)
+
+
+def joined(streams: Sequence[Stream]) -> Stream | Joined:
+    """Return one stream; a single one stays what it is."""
+    return streams[0] if len(streams) == 1 else Joined(tuple(streams))

@@ -1,0 +1,126 @@
+"""Another odometry as wheels: increments of its poses, held against its twist.
+
+Only increments count, so that a first pose far from 0 does not matter. Some drivers put wheel turns without their
+sign into the pose, while the twist still knows that the robot backs up: then the pose moves ahead wherever the
+twist is negative (fr079: 513 messages).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from . import se2
+from .data import Array
+from .jumps import Mask, limits, restarted, spikes
+from .wheel_repairs import times
+
+FIELDS = (
+    "pose.pose.position.x",
+    "pose.pose.position.y",
+    "pose.pose.orientation.x",
+    "pose.pose.orientation.y",
+    "pose.pose.orientation.z",
+    "pose.pose.orientation.w",
+    "twist.twist.linear.x",
+    "twist.twist.angular.z",
+)
+STILL = 1e-3  # m: steps below say nothing about a direction
+AGREES = 3.0  # |pose step| and |twist| dt within this factor speak of the same motion
+MOSTLY = 0.8  # share of the moving steps that must agree before the twist is believed
+SPEED = "wheels.max_speed [m/s] says how far it may step"
+RARELY = 0.1  # share of backing up that the pose may know of and still be called blind to it
+
+
+class Way(NamedTuple):
+    """What an odometry topic says of the motion."""
+
+    keep: Mask  # (n,) readings used
+    twist: Array  # (k-1, 3) forward, left [m], turn [rad] between the readings used
+    spikes: int
+    notes: tuple[str, ...]
+
+
+def pose_and_twist(columns: dict[str, Array]) -> Array:
+    """Return (n, 5) x, y, yaw, forward speed, turning rate."""
+    x, y, z, w = (columns[f"pose.pose.orientation.{a}"] for a in "xyzw")
+    yaw = np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    position = (columns["pose.pose.position.x"], columns["pose.pose.position.y"])
+    return np.stack((*position, yaw, columns["twist.twist.linear.x"], columns["twist.twist.angular.z"]), axis=-1)
+
+
+def travelled(t: Array, values: Array, by_twist: bool, max_speed: float | None) -> Way:
+    """Return the way of poses (n, 5); the twist counts only where the pose never changes, or for its sign."""
+    everything = np.ones(len(t), dtype=bool)
+    if np.ptp(values[:, :3], axis=0).max() <= 0.0 and values[:, 3:].any():
+        return Way(everything, _integrated(t, values[:, 3:]), 0, ("its pose never changes: its twist is used",))
+    bad = spikes(t, values[:, :2], _limits(t, values, max_speed))
+    t, values = t[~bad], values[~bad]
+    twist = _steps(values)
+    restart = restarted(t, twist, np.hypot(twist[:, 0], twist[:, 1]) > _limits(t, values, max_speed))
+    steps = restart.steps
+    backing = backing_up(t, steps, values[:, 3]) if by_twist else np.zeros(len(steps), dtype=bool)
+    steps[backing, :2] *= -1.0
+    return Way(~bad, steps, int(bad.sum()), tuple(_words(int(bad.sum()), restart.number, int(backing.sum()))))
+
+
+def _words(spiked: int, restarts: int, turned: int) -> list[str]:
+    words = []
+    if spiked:
+        words.append(f"its pose jumped away and back in {spiked} messages, not used; {SPEED}")
+    if restarts:
+        words.append(f"its pose jumped {times(restarts)}; the motion there is taken from around it; {SPEED}")
+    if turned:
+        words.append(
+            f"its pose moves ahead in {turned} steps whose twist says backward; "
+            "they are turned round (wheels.reverse_by_twist=false leaves them)"
+        )
+    return words
+
+
+def backing_up(t: Array, steps: Array, speed: Array) -> Mask:
+    """Mark steps (n-1, 3) that go ahead while the twist's speed (n,) says backward.
+
+    None where the twist is not to be believed (it disagrees with most steps), or where the pose does know how to
+    back up, so that a disagreement is something else.
+    """
+    said = 0.5 * (speed[1:] + speed[:-1]) * np.diff(t)
+    ahead = steps[:, 0]
+    moving = (np.abs(ahead) > STILL) & (np.abs(said) > STILL)
+    wrong = moving & (said < 0.0) & (ahead > 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.abs(said / ahead)
+    agrees = moving & (ratio < AGREES) & (ratio > 1.0 / AGREES)
+    forward = moving & (said > 0.0) & (ahead > 0.0)
+    known = moving & (said < 0.0) & (ahead < 0.0)
+    believed = agrees.sum() >= MOSTLY * moving.sum() and forward.sum() > wrong.sum()
+    blind = known.sum() <= RARELY * wrong.sum()
+    return (
+        ((said < 0.0) & (ahead > 0.0)) if believed and blind and wrong.any() else np.zeros(len(said), dtype=bool)
+    )
+
+
+def contradictions(t: Array, steps: Array, speed: Array) -> tuple[int, int]:
+    """Return how many moving steps (n-1, 3) go against the twist's speed (n,), and how many there are."""
+    said = 0.5 * (speed[1:] + speed[:-1]) * np.diff(t)
+    moving = (np.abs(steps[:, 0]) > STILL) & (np.abs(said) > STILL)
+    return int((moving & (said * steps[:, 0] < 0.0)).sum()), int(moving.sum())
+
+
+def _steps(values: Array) -> Array:
+    step = se2.between(values[:-1, :3], values[1:, :3])
+    step[:, 2] = se2.wrap_all(step[:, 2])
+    twist: Array = se2.log(step)
+    return twist
+
+
+def _limits(t: Array, values: Array, max_speed: float | None) -> Array:
+    return limits(t, np.hypot(*np.diff(values[:, :2], axis=0).T), max_speed)
+
+
+def _integrated(t: Array, speeds: Array) -> Array:
+    """Twists (n-1, 3) of speed and turning rate (n, 2)."""
+    dt = np.diff(t)
+    ds, turn = (0.5 * (speeds[1:, i] + speeds[:-1, i]) * dt for i in (0, 1))
+    return np.stack((ds, np.zeros_like(ds), turn), axis=-1)

@@ -1,0 +1,186 @@
+"""What publishes wheels: joint angles, tick messages, and pairs of bare numbers on two topics."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, cast
+
+import numpy as np
+
+from .data import Array, Ints, LocfuseError, Ragged, Stream
+from .joined import Joined
+from .jumps import Mask
+from .robot import WheelSettings
+from .wheel_repairs import Side
+
+JOINTS = "sensor_msgs/msg/JointState"
+# Message type -> fields of the left and the right counter.
+TICKS: Mapping[str, tuple[str, str]] = {
+    "irobot_create_msgs/msg/WheelTicks": ("ticks_left", "ticks_right"),
+    "turtlebot3_msgs/msg/SensorState": ("left_encoder", "right_encoder"),
+}
+# One wheel per topic -> bits of its counter; 0: a number that may be an angle.
+NUMBERS: Mapping[str, int] = {
+    "std_msgs/msg/Int16": 16,
+    "std_msgs/msg/UInt16": 16,
+    "std_msgs/msg/Int32": 32,
+    "std_msgs/msg/UInt32": 32,
+    "std_msgs/msg/Int64": 64,
+    "std_msgs/msg/Float32": 0,
+    "std_msgs/msg/Float64": 0,
+}
+KNOWN_TICKS = {
+    "irobot_create_msgs/msg/WheelTicks": 508.8,  # Create 3, and the TurtleBot 4 on it
+    "turtlebot3_msgs/msg/SensorState": 4096.0,  # the TurtleBot 3's Dynamixels
+}
+
+
+class Counters(NamedTuple):
+    """Both wheels' readings, and what was refused on the way."""
+
+    left: Side
+    right: Side
+    zero_ns: int  # the sides' times are seconds after it
+    dropped: dict[str, int]
+    notes: tuple[str, ...] = ()
+
+
+def read_counters(stream: Stream, settings: WheelSettings) -> Counters:
+    """Return both wheels' counters from whatever publishes them. Raises LocfuseError where it does not."""
+    if isinstance(stream, Joined):
+        return _pair(stream, settings)
+    dropped = dict(stream.dropped)
+    found = _joints(stream, settings, dropped) if stream.msgtype == JOINTS else _ticks(stream)
+    keep = usable(found.t_ns, found.values, dropped)
+    require_two(stream.topic, len(keep), len(stream.t_ns))
+    zero_ns = int(found.t_ns[keep[0]])
+    t: Array = (found.t_ns[keep] - zero_ns) * np.float64(1e-9)
+    likely = (*found.likely, *_revolution(settings))
+    left, right = (Side(name, t, found.values[keep, i], likely) for i, name in enumerate(("left", "right")))
+    return Counters(left, right, zero_ns, dropped, found.notes)
+
+
+class _Found(NamedTuple):
+    t_ns: Ints  # (n,)
+    values: Array  # (n, 2) left, right
+    likely: tuple[float, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def usable(t_ns: Ints, values: Array, dropped: dict[str, int]) -> Ints:
+    """Return the rows that are finite and later than the row before; count the others in `dropped`."""
+    finite = np.isfinite(values).all(axis=1)
+    _count(dropped, "not_finite", int((~finite).sum()))
+    rows = np.flatnonzero(finite)
+    if len(rows) == 0:
+        return rows
+    # of several readings with one stamp the last one counts: a repeat carries the newest value
+    last = np.append(t_ns[rows[1:]] > t_ns[rows[:-1]], True)
+    same = (values[rows[1:]] == values[rows[:-1]]).all(axis=1) & ~last[:-1]
+    _count(dropped, "repeat", int(same.sum()))
+    _count(dropped, "same_stamp", int((~last[:-1] & ~same).sum()))
+    kept: Ints = rows[last]
+    return kept
+
+
+def _count(dropped: dict[str, int], reason: str, n: int) -> None:
+    if n:
+        dropped[reason] = dropped.get(reason, 0) + n
+
+
+def require_two(topic: str, found: int, n: int) -> None:
+    """Raise LocfuseError where fewer than two readings are left."""
+    if found < 2:
+        raise LocfuseError(f"wheels: {topic} has {found} usable readings of {n}; two are the least")
+
+
+def _revolution(settings: WheelSettings) -> tuple[float, ...]:
+    return (settings.ticks_per_revolution,) if settings.ticks_per_revolution else ()
+
+
+def _ticks(stream: Stream) -> _Found:
+    left, right = TICKS[stream.msgtype]
+    columns = cast("dict[str, Array]", stream.columns(left, right))
+    values = np.stack((columns[left], columns[right]), axis=-1).astype(np.float64)
+    return _Found(stream.t_ns, values, (2.0**32,))
+
+
+def _pair(stream: Joined, settings: WheelSettings) -> Counters:
+    """Two topics with a bare number each: they come unsynchronised, and only the recording dates them."""
+    dropped: dict[str, int] = {}
+    zero_ns = int(max(part.t_ns[0] if len(part.t_ns) else 0 for part in stream.parts))
+    sides = []
+    for name, part in zip(("left", "right"), stream.parts, strict=True):
+        values = cast("dict[str, Array]", part.columns("data"))["data"].astype(np.float64)
+        own = dict(part.dropped)
+        keep = usable(part.t_ns, values[:, None], own)
+        require_two(part.topic, len(keep), len(part.t_ns))
+        for reason, n in own.items():
+            _count(dropped, reason, n)
+        bits = NUMBERS[part.msgtype]
+        likely = (2.0**bits, *_revolution(settings)) if bits else _revolution(settings)
+        sides.append(Side(name, (part.t_ns[keep] - zero_ns) * np.float64(1e-9), values[keep], likely))
+    note = "the two topics are not synchronised: the right wheel is interpolated to the left one's instants"
+    return Counters(sides[0], sides[1], zero_ns, dropped, (note,))
+
+
+def _joints(stream: Stream, settings: WheelSettings, dropped: dict[str, int]) -> _Found:
+    """Return the wheels' joints, matched by name only; messages of other joints (an arm) are set aside."""
+    columns = stream.columns("name", "position")
+    names, positions = cast("list[tuple[str, ...]]", columns["name"]), cast("Ragged", columns["position"])
+    left, right = joint_names(names, stream.topic, settings)
+    values, held = _by_name(names, positions, (left, right))
+    if not held.any():
+        raise LocfuseError(f"wheels: no message on {stream.topic} holds a position of {left} or {right}")
+    notes: tuple[str, ...] = ()
+    if not held.all():
+        others = int((~held).sum())
+        dropped["other_joints"] = others
+        notes = (f"{others} of {len(held)} messages are of other joints than {left} and {right}; set aside",)
+    return _Found(stream.t_ns[held], values[held], (), notes)
+
+
+def _by_name(names: list[tuple[str, ...]], positions: Ragged, joints: Sequence[str]) -> tuple[Array, Mask]:
+    """Return (n, 2) positions of two joints, NaN where missing, and which messages (n,) hold either."""
+    out = np.full((len(names), 2), np.nan)
+    at: dict[tuple[str, ...], list[int]] = {}
+    for i, row in enumerate(names):
+        at.setdefault(row, []).append(i)
+    held = np.zeros(len(names), dtype=bool)
+    lengths = positions.lengths
+    for row, where in at.items():
+        rows = np.array(where)
+        for side, joint in enumerate(joints):
+            if joint in row:
+                k = row.index(joint)
+                ok = rows[lengths[rows] > k]
+                out[ok, side] = positions.values[positions.first[ok] + k]
+                held[ok] = True
+    return out, held
+
+
+def joint_names(names: list[tuple[str, ...]], topic: str, settings: WheelSettings) -> tuple[str, str]:
+    """Return the joints of the left and right wheel: as set, else the only pair whose names say so."""
+    known = sorted({joint for row in set(names) for joint in row})
+    found = []
+    for side, given in (("left", settings.left), ("right", settings.right)):
+        if given is not None and given not in known:
+            raise LocfuseError(
+                f"wheels: {topic} has no joint {given!r}; it has {', '.join(known) or 'none'}. "
+                f"Name one with --set wheels.{side}=<joint>"
+            )
+        guesses = [given] if given is not None else _guesses(known, side)
+        if len(guesses) != 1:
+            what = f"{len(guesses)} joints are" if guesses else "no joint is"
+            example = guesses[0] if guesses else "<joint>"
+            raise LocfuseError(
+                f"wheels: {what} named like the {side} wheel on {topic} "
+                f"({', '.join(known) or 'no joints'}). Name it with --set wheels.{side}={example}"
+            )
+        found.append(guesses[0])
+    return found[0], found[1]
+
+
+def _guesses(joints: Sequence[str], side: str) -> list[str]:
+    found = [j for j in joints if side in j.lower()]
+    return [j for j in found if "wheel" in j.lower()] or found

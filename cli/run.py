@@ -27,6 +27,11 @@ KINDS = ("tum", "csv", "json")
     show_default=True,
     help="Move the estimate onto the truth before judging it.",
 )
+@click.option(
+    "--audit",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Write every measurement with its distance, threshold and verdict to this CSV.",
+)
 @log_options
 @preset_option
 @out_options(KINDS)

@@ -20,7 +20,8 @@ from .source import Batch, ChannelInfo, Messages
 
 ERRORS = (sqlite3.Error, UnicodeDecodeError, ValueError, MemoryError)  # of a damaged database
 BATCH_BYTES = 1 << 20
-DAMAGED = "the database is damaged: what lies behind the damage is lost"
+DAMAGED = "the database is damaged: rows may be missing"
+CUT_SHORT = "the messages behind a damaged place of the database are lost"
 
 Row = tuple[int, int, bytes | None]  # topic, time in ns, message
 
@@ -36,9 +37,19 @@ class SqliteSource:
         self._data = data
         try:
             with closing(self._connect()) as database:
+                self._check(database)
                 self.channels, self._counts = _channels(database)
         except ERRORS as problem:
             raise LocfuseError(f"{self.path}: not a readable rosbag2 database: {problem}") from None
+
+    def _check(self, database: sqlite3.Connection) -> None:
+        """Look for damage, which sqlite would meet in silence: rows it cannot reach are just not there."""
+        try:
+            verdict = str(database.execute("PRAGMA quick_check(1)").fetchone()[0])
+        except ERRORS as problem:
+            verdict = str(problem)
+        if verdict != "ok":
+            self.losses.add(str(self.path), DAMAGED, 0, 0)
 
     def _connect(self) -> sqlite3.Connection:
         """Open read-only; with the journal of a crashed recording where there is one and it can be read."""
@@ -93,7 +104,7 @@ class SqliteSource:
                     yield row
             except ERRORS:
                 expected = sum(self._counts.get(topic, 0) for topic in topics)
-                self.losses.add(str(self.path), DAMAGED, 0, 0, max(expected - n, 0) or None)
+                self.losses.add(str(self.path), CUT_SHORT, 0, 0, max(expected - n, 0) or None)
 
 
 def _channels(database: sqlite3.Connection) -> tuple[dict[int, ChannelInfo], dict[int, int]]:

@@ -1,0 +1,210 @@
+"""A journal of one run of the filter: how the state before follows from the state after, change by change.
+
+A prediction is undone by before = c + G after + an independent rest of covariance D, which is all that a smoother
+must know (Rauch, Tung, Striebel 1965). A correction only adds knowledge and needs no note. Walls and offsets do
+not move, so only the rows of what does (pose, drifting blocks) are kept: a few times n numbers an instant, never
+n x n (maths.md: "smoothing with a static map").
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from .data import Array, Ints
+from .ekf import JointBelief, Pose, PoseBelief, Triangle
+from .sensors.base import Block
+
+POSE = np.arange(3)
+
+
+class Step(NamedTuple):
+    """A motion undone: x[rows] = c + G x + noise of covariance D."""
+
+    rows: Ints  # (r,) pose, then drifting states
+    c: Array  # (r,)
+    G: Array  # (r, n)
+    D: Array  # (r, r)
+    instant: bool = True  # led to the next instant; else the pose was shifted or set within one
+
+
+class Birth(NamedTuple):
+    """New states were appended."""
+
+    before: int  # number of states until then
+
+
+class Drop(NamedTuple):
+    """States were dropped. They follow from those that stayed: dropped = c + G stayed + noise of covariance D."""
+
+    columns: Ints  # (k,) in the layout before the drop
+    c: Array  # (k,)
+    G: Array  # (k, n after)
+    D: Array  # (k, k)
+
+
+class Journal:
+    """What the smoother must know of one run of the filter; `pose` and `joint` make beliefs that write it."""
+
+    def __init__(self) -> None:
+        self.events: list[Step | Birth | Drop] = []
+        self.belief: PoseBelief | JointBelief | None = None
+
+    def pose(self, pose: Pose, P: Triangle) -> PoseBelief:
+        """Return a belief of the pose alone."""
+        self.belief = belief = NotedPose(pose, P)
+        belief.events = self.events
+        return belief
+
+    def joint(self, pose: Pose, P: Triangle, blocks: Sequence[Block]) -> JointBelief:
+        """Return a belief with blocks."""
+        self.belief = belief = NotedJoint(pose, P, blocks)
+        belief.events = self.events
+        return belief
+
+    def final(self) -> tuple[Array, Array]:
+        """Return copies of the last state (n,) and covariance (n, n)."""
+        belief = self.belief
+        if isinstance(belief, JointBelief):
+            return belief.state.copy(), belief.covariance.copy()
+        if belief is None:
+            raise ValueError("no filter has written this journal")
+        return np.array((belief.x, belief.y, belief.theta)), belief.matrix()
+
+
+class NotedPose(PoseBelief):
+    """A pose belief that notes its predictions."""
+
+    events: list[Step | Birth | Drop]
+
+    def predict(self, u: Sequence[float], Q: Sequence[float]) -> None:
+        """Predict as ever, and note how to go back."""
+        x, P = np.array((self.x, self.y, self.theta)), self.matrix()
+        super().predict(u, Q)
+        after = np.array((self.x, self.y, self.theta))
+        self.events.append(undone(x, P, after, self.matrix(), POSE, _in_map(Q, float(x[2]))))
+
+    def shift(self, turn: float, xy: float, theta: float) -> None:
+        """Shift as ever, and note how to go back."""
+        x, P = np.array((self.x, self.y, self.theta)), self.matrix()
+        super().shift(turn, xy, theta)
+        after = np.array((self.x, self.y, self.theta))
+        step = undone(x, P, after, self.matrix(), POSE, np.diag((xy, xy, theta)))
+        self.events.append(step._replace(instant=False))
+
+    def place(self, pose: Pose, xy: float, theta: float) -> None:
+        """Place as ever, and note what was."""
+        x = np.array((self.x, self.y, self.theta))
+        self.events.append(Step(POSE, x, np.zeros((3, 3)), self.matrix(), instant=False))
+        super().place(pose, xy, theta)
+
+
+class NotedJoint(JointBelief):
+    """A joint belief that notes its predictions, births and drops."""
+
+    events: list[Step | Birth | Drop]
+
+    def predict(self, u: Sequence[float], Q: Sequence[float], dt: float = 0.0, J: Array | None = None) -> None:
+        """Predict as ever, and note how to go back."""
+        x, P = self.state.copy(), self.covariance.copy()
+        super().predict(u, Q, dt, J)
+        theta = float(x[2])
+        rows = np.concatenate((np.arange(3), *(columns for columns, _ in self._drift))).astype(np.int64)
+        noise = np.zeros((len(rows), len(rows)))
+        noise[:3, :3] = _in_map(Q, theta)
+        np.fill_diagonal(noise[3:, 3:], dt * np.concatenate([np.zeros(0), *(drift for _, drift in self._drift)]))
+        coupling = None
+        if self._motion_block is not None and J is not None:
+            coupling = np.zeros((3, self.n))
+            coupling[:, self._motion_block] = turning(theta) @ J
+        self.events.append(undone(x, P, self.state, self.covariance, rows, noise, coupling))
+
+    def shift(self, turn: float, xy: float, theta: float) -> None:
+        """Shift as ever, and note how to go back."""
+        x, P = self.state.copy(), self.covariance.copy()
+        super().shift(turn, xy, theta)
+        step = undone(x, P, self.state, self.covariance, POSE, np.diag((xy, xy, theta)))
+        self.events.append(step._replace(instant=False))
+
+    def place(self, pose: Pose, xy: float, theta: float) -> None:
+        """Place as ever, and note what the map alone says of the pose before."""
+        G = np.zeros((3, self.n))
+        c, G[:, 3:], D = self._given_others(POSE)
+        self.events.append(Step(POSE, c, G, D, instant=False))
+        super().place(pose, xy, theta)
+
+    def augment(self, values: Array, G_pose: Array, noise: Array) -> int:
+        """Append states as ever, and note that they are new."""
+        self.events.append(Birth(self.n))
+        return super().augment(values, G_pose, noise)
+
+    def remove(self, columns: Ints) -> None:
+        """Drop states as ever, and note what the others say of them."""
+        self.events.append(Drop(np.asarray(columns), *self._given_others(columns)))
+        super().remove(columns)
+
+    def _given_others(self, columns: Ints) -> tuple[Array, Array, Array]:
+        """Return c, G, D with which these states follow from all others: c + G others + noise of covariance D."""
+        stay = np.setdiff1d(np.arange(self.n), columns)
+        x, P = self.state, self.covariance
+        G = _solved(P[np.ix_(stay, stay)], P[np.ix_(stay, columns)]).T
+        rest = np.zeros((len(columns), self.n))
+        rest[np.arange(len(columns)), columns] = 1.0
+        rest[:, stay] = -G
+        return rest @ x, G, rest @ P @ rest.T
+
+
+def undone(
+    x: Array, P: Array, x_next: Array, P_next: Array, rows: Ints, noise: Array, coupling: Array | None = None
+) -> Step:
+    """Return the backward step of the prediction x_next = F x + noise, which acts on `rows` only (r,).
+
+    x, P and x_next, P_next are (n,), (n, n); `coupling` (3, n) is how static states enter the pose's motion.
+    Gain P F' P_next^-1 (Särkkä 2013, eq. 8.6); D = (1 - G F) P (1 - G F)' + G Q G' stays positive and is blind to
+    rounding in G, which matters after an exact start, where P_next is singular.
+    """
+    n, r = len(x), len(rows)
+    A = np.eye(3)
+    A[0, 2], A[1, 2] = x[1] - x_next[1], x_next[0] - x[0]
+    unit = np.zeros((r, n))
+    unit[np.arange(r), rows] = 1.0
+    if not noise.any():
+        G = unit if coupling is None else unit - np.vstack((coupling, np.zeros((r - 3, n))))
+        G[:3] = np.linalg.inv(A) @ G[:3]
+        return Step(rows, x[rows] - G @ x_next, G, noise)
+    cross = P[:, rows]
+    pose = A @ cross[:3] if coupling is None else A @ cross[:3] + coupling @ cross
+    cross[:3] = pose
+    G = _solved(P_next, cross).T
+    GF = G.copy()
+    GF[:, :3] = G[:, :3] @ A
+    if coupling is not None:
+        GF += G[:, :3] @ coupling
+    rest = unit - GF
+    D = rest @ P @ rest.T + G[:, rows] @ noise @ G[:, rows].T
+    return Step(rows, x[rows] - G @ x_next, G, D)
+
+
+def _solved(P: Array, B: Array) -> Array:
+    """Return P^-1 B; where P is singular (an exact start), the least of all solutions."""
+    try:
+        return np.asarray(np.linalg.solve(P, B), np.float64)
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.pinv(P, hermitian=True) @ B, np.float64)
+
+
+def _in_map(Q: Sequence[float], theta: float) -> Array:
+    """Turn a motion's covariance triangle from the frame of its start into the map, (3, 3)."""
+    xx, xy, xt, yy, yt, tt = Q
+    turn = turning(theta)
+    turned: Array = turn @ np.array(((xx, xy, xt), (xy, yy, yt), (xt, yt, tt))) @ turn.T
+    return turned
+
+
+def turning(theta: float) -> Array:
+    """Return the rotation of (x, y, theta) by theta, (3, 3)."""
+    c, s = math.cos(theta), math.sin(theta)
+    return np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))

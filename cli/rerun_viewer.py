@@ -24,7 +24,7 @@ from .rerun_options import ADDRESS, LOCAL_VIEWER
 
 HOST, PORT = "127.0.0.1", 9876
 PROBE = 1.0  # s to wait for a port
-PATIENCE = 20.0  # s to wait for a viewer to take a recording, and
+PATIENCE = 10.0  # s to wait for a viewer to take a recording, and
 RATE = 5e6  # bytes per second on top of that
 START = 2.0  # s in which a viewer that cannot start has said so
 

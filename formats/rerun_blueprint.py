@@ -6,9 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..fusion.data import Array
 from . import rerun_images, rerun_series
-from .rerun_geometry import wall
 from .rerun_map import ROOT
 from .rerun_recorder import STEP, TIME, part
 from .rerun_scene import Scene
@@ -53,7 +51,7 @@ def _right(scene: Scene, tab: str | None) -> Any | None:
     parts = [part for part in (looks, reasons) if part is not None]
     if len(parts) < 2:
         return parts[0] if parts else None
-    return rrb.Vertical(contents=parts, row_shares=[0.38, 0.62])
+    return rrb.Vertical(contents=parts, row_shares=[0.34, 0.66])
 
 
 def map_view(scene: Scene) -> Any:
@@ -99,14 +97,8 @@ def _until_now() -> Any:
 
 
 def _bounds(scene: Scene) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return x and y ranges [m] of what matters: truth, the best path, its walls, and the landmarks."""
-    parts: list[Array] = [scene.best.pose[:, :2]]
-    if scene.drive.truth is not None:
-        parts.append(scene.drive.truth.xy)
-    parts += [wall(line) for line in scene.best.final_map if line.hits > 1]
-    parts += [np.array([s.landmark]) for s in scene.sights.values() if s.landmark is not None]
-    points = np.concatenate(parts)
-    low, high = points.min(axis=0), points.max(axis=0)
+    """Return x and y ranges [m] around what matters."""
+    low, high = scene.extent
     margin = MARGIN * max(float((high - low).max()), 1.0)
     (x0, y0), (x1, y1) = (low - margin).tolist(), (high + margin).tolist()
     return (x0, x1), (y0, y1)
@@ -142,11 +134,11 @@ def scan_view(scene: Scene) -> Any:
 
 
 def _reach(scene: Scene) -> float:
-    """Return how far the scan view looks [m]: nine of ten returns are nearer."""
+    """Return how far the scan view looks [m]: four of five returns are nearer."""
     if scene.scans is None or len(scene.scans.xy) == 0:
         return SCAN_RANGE[0]
     least, most = SCAN_RANGE
-    return float(np.clip(1.1 * np.quantile(np.hypot(*scene.scans.xy.T), 0.9), least, most))
+    return float(np.clip(1.1 * np.quantile(np.hypot(*scene.scans.xy.T), 0.8), least, most))
 
 
 def _reasons(scene: Scene, tab: str | None) -> Any | None:
@@ -187,7 +179,7 @@ def _deviations(scene: Scene, name: str, close: list[float] | None) -> Any | Non
             f"{origin}/{part(e.name)}/three_sigma": [rrb.EntityBehavior(visible=e.name == best)] for e in judged
         }
         views.append(_plot(component, origin, legend=i == 0, span=close[i] if close else None, overrides=bands))
-    return rrb.Vertical(contents=views, name=name)
+    return rrb.Vertical(contents=views, name=name, row_shares=[1.35, *[1.0] * (count - 1)])  # room for the legend
 
 
 def _close(scene: Scene) -> list[float] | None:
@@ -277,11 +269,13 @@ def _plot(
     import rerun.blueprint as rrb
     from rerun.blueprint.archetypes import PlotBackground
 
+    edge = rrb.TimeRangeBoundary.infinite()
+    whole = rrb.TimeAxis(view_range=rrb.TimeRange(start=edge, end=edge))
     limits = None if span is None else (-span if low is None else low, span)
     return rrb.TimeSeriesView(
         name=name,
         origin=origin,
-        axis_x=rrb.TimeAxis(link="LinkToGlobal"),
+        axis_x=whole,
         axis_y=rrb.ScalarAxis(range=limits) if limits else None,
         plot_legend=rrb.PlotLegend(visible=legend, corner="RightTop"),
         background=PlotBackground(color=BACKGROUND),

@@ -19,6 +19,7 @@ from .rerun_thin import evenly, extremes
 
 ROOT = "world"
 PATH_ORDER = 40.0  # above walls and scans; truth above the estimates, a thin line on broad ones
+LEAST_BODY = 0.02  # of the map: smaller robots would not be seen
 FLIP = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -36,7 +37,7 @@ def draw_map(to: Recorder, scene: Scene) -> None:
         )
         _draw_pose(to, root, estimates, evenly(len(estimates.t), scene.detail.curve), colour)
         width = 2.0 if estimates is scene.best else 1.0
-        body = rr.LineStrips2D([_body(scene.track)])
+        body = rr.LineStrips2D([_body(scene)])
         to.static(f"{root}/pose/body", body, style.lines(colour, width, PATH_ORDER + order))
         _draw_walls(to, f"{root}/walls", estimates)
     _draw_truth(to, scene)
@@ -67,9 +68,11 @@ def _draw_pose(to: Recorder, root: str, e: Estimates, picks: Ints, colour: Rgb) 
     to.send(f"{root}/sigma", t, turned, rr.Ellipses2D.columns(half_sizes=axes))
 
 
-def _body(track: float) -> Array:
-    """Return the robot's outline (5, 2): an arrow head on the axle, as long as the wheels are apart."""
-    return track * np.array([[0.6, 0.0], [-0.4, 0.45], [-0.2, 0.0], [-0.4, -0.45], [0.6, 0.0]])
+def _body(scene: Scene) -> Array:
+    """Return the robot's outline (5, 2): an arrow head on the axle, as wide as the track or as can be seen."""
+    low, high = scene.extent
+    size = max(scene.track, LEAST_BODY * float((high - low).max()))
+    return size * np.array([[0.6, 0.0], [-0.4, 0.45], [-0.2, 0.0], [-0.4, -0.45], [0.6, 0.0]])
 
 
 def _draw_walls(to: Recorder, root: str, e: Estimates) -> None:

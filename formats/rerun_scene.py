@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal, NamedTuple
 
+import numpy as np
+
 from ..fusion.data import Array, Drive, Estimates, Evaluation, Ints
+from .rerun_geometry import wall
 from .rerun_thin import CURVE_POINTS, SCANS
 
 Rgb = tuple[int, int, int]
@@ -97,3 +101,14 @@ class Scene:
     def best(self) -> Estimates:
         """The configuration with the most sensors: its map, scan and matches are shown from the start."""
         return max(self.estimates, key=lambda e: len(e.sensors))
+
+    @cached_property
+    def extent(self) -> tuple[Array, Array]:
+        """Least and greatest corner (2,) [m] of what matters: truth, the best path, its walls, the landmarks."""
+        parts: list[Array] = [self.best.pose[:, :2]]
+        if self.drive.truth is not None and len(self.drive.truth.xy):
+            parts.append(self.drive.truth.xy)
+        parts += [wall(line) for line in self.best.final_map if line.hits > 1]
+        parts += [np.array([s.landmark]) for s in self.sights.values() if s.landmark is not None]
+        points = np.concatenate(parts)
+        return points.min(axis=0), points.max(axis=0)

@@ -147,6 +147,8 @@ def curve(to: Recorder, path: str, t: Array, values: Array, name: str, colour: R
     """Send one line."""
     import rerun as rr
 
+    if len(t) == 0:
+        return
     picks = extremes(values, limit)
     to.static(path, rr.SeriesLines(colors=[colour], names=[name], widths=[1.5]))
     to.send(path, t[picks], rr.Scalars.columns(scalars=values[picks]))
@@ -156,6 +158,8 @@ def dots(to: Recorder, path: str, t: Array, values: Array, name: str, colour: Rg
     """Send one cloud of dots."""
     import rerun as rr
 
+    if len(t) == 0:
+        return
     picks = extremes(values, limit)
     to.static(path, rr.SeriesPoints(colors=[colour], names=[name], markers=["circle"], marker_sizes=[1.5]))
     to.send(path, t[picks], rr.Scalars.columns(scalars=values[picks]))
@@ -165,6 +169,8 @@ def band(to: Recorder, path: str, t: Array, bound: Array, name: str, colour: Rgb
     """Send the two lines +-bound around zero; under the curve's own name the legend switches both."""
     import rerun as rr
 
+    if len(t) == 0:
+        return
     picks = extremes(bound, limit)
     faint = colours.faded(colour, 200)
     to.static(path, rr.SeriesLines(colors=[faint, faint], names=[name, name], widths=[0.75, 0.75]))

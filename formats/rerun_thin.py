@@ -27,10 +27,11 @@ def extremes(values: Array, limit: int) -> Ints:
     Every bucket gives the positions of its least and its greatest value, of each curve; NaN is never one.
     Both ends are kept.
     """
-    curves = values.reshape(len(values), -1)
-    n, k = curves.shape
+    n = len(values)
     if n <= limit:
         return np.arange(n)
+    curves = values.reshape(n, -1)
+    k = curves.shape[1]
     buckets = max(1, (limit - 2) // (2 * k))
     width = -(-n // buckets)
     flat = np.full((buckets * width, k), np.nan)

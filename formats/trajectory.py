@@ -19,7 +19,8 @@ def seconds(t_ns: int) -> str:
 
 def stamps(epoch_ns: int, t: Array) -> list[int]:
     """Return seconds since the epoch as integer nanoseconds."""
-    return (epoch_ns + np.rint(t * 1e9).astype(np.int64)).tolist()
+    t_ns: list[int] = (epoch_ns + np.rint(t * 1e9).astype(np.int64)).tolist()
+    return t_ns
 
 
 def with_truth_rows(drive: Drive, estimates: Estimates) -> tuple[Array, Array, Array]:

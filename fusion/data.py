@@ -71,11 +71,25 @@ class Stream(Protocol):
     Row order is the log's order (log time, topic, sequence) and `t_ns` never decreases.
     """
 
-    topic: str
-    msgtype: str  # e.g. "sensor_msgs/msg/LaserScan"
-    frame_id: str  # of the first message's header, "" without one
-    t_ns: Ints  # (n,) when the readings were taken
-    dropped: Mapping[str, int]  # reason -> messages of this topic that are not among the rows
+    @property
+    def topic(self) -> str:
+        """Where the messages were published."""
+
+    @property
+    def msgtype(self) -> str:
+        """Their type, such as sensor_msgs/msg/LaserScan."""
+
+    @property
+    def frame_id(self) -> str:
+        """The frame of the first message's header, "" without one."""
+
+    @property
+    def t_ns(self) -> Ints:
+        """When the readings were taken, (n,), never decreasing."""
+
+    @property
+    def dropped(self) -> Mapping[str, int]:
+        """Messages of this topic that are not among the rows, by reason."""
 
     def columns(self, *fields: str) -> dict[str, Column]:
         """Return whole columns by dotted field path ("magnetic_field.x"), each with n rows."""

@@ -107,7 +107,8 @@ def clock_lag(name: str, m: Measurements, wheels: Wheels) -> Lag | None:
     if heading is None or len(m.t) < 2:
         return None
     first = m.take(np.arange(min(len(m.t), LAG_READINGS)))
-    return find_lag(*heading(first), wheels, (float(wheels.t[0]), float(wheels.t[-1])))
+    t, angle = heading(first)
+    return find_lag(t, angle, wheels, (float(wheels.t[0]), float(wheels.t[-1])))
 
 
 def instants(wheel_t: Array, sensor_t: list[Array]) -> Array:

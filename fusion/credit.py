@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -106,17 +106,26 @@ def subsets(sensors: Sequence[str]) -> list[tuple[str, ...]]:
     return [c for k in range(len(sensors) + 1) for c in combinations(sensors, k)]
 
 
-def shapley_weights(sensor: str, sensors: Sequence[str]) -> dict[Subset, float]:
-    """Return the weights w with which the Shapley value is sum(w[S] * ln_rmse[S]); positive: error shrinks."""
-    others = [s for s in sensors if s != sensor]
+class Step(NamedTuple):
+    """One way of adding a sensor: how much it counts, the set before, the set after."""
+
+    weight: float
+    before: Subset
+    after: Subset
+
+
+def shapley_steps(sensor: str, sensors: Sequence[str]) -> list[Step]:
+    """Return the 2^(n-1) ways of adding a sensor; the Shapley value is their weighted mean effect."""
     n = len(sensors)
-    weights: dict[Subset, float] = {}
-    for before in subsets(others):
-        k = len(before)
-        w = math.factorial(k) * math.factorial(n - k - 1) / math.factorial(n)
-        weights[frozenset(before)] = w
-        weights[frozenset((*before, sensor))] = -w
-    return weights
+    sets = subsets([s for s in sensors if s != sensor])
+    return [
+        Step(
+            math.factorial(len(s)) * math.factorial(n - len(s) - 1) / math.factorial(n),
+            frozenset(s),
+            frozenset((*s, sensor)),
+        )
+        for s in sets
+    ]
 
 
 @dataclass(frozen=True)
@@ -132,26 +141,41 @@ class _Book:
         return all(frozenset(s) in self.sets for s in subsets(sensors))
 
     def total(self, sensors: Sequence[str]) -> float | None:
-        effect = self.effect({frozenset(): 1.0, frozenset(sensors): -1.0})
+        effect = self.effect([Step(1.0, frozenset(), frozenset(sensors))])
         return None if effect is None else effect.value
 
-    def effect(self, weights: Mapping[Subset, float]) -> Effect | None:
-        """Return a contrast with its interval; None where a subset was not run."""
-        if any(s not in self.sets for s in weights):
+    def effect(self, steps: Sequence[Step]) -> Effect | None:
+        """Return the weighted sum of ln(RMSE before / RMSE after); None where a subset was not run."""
+        if any(s not in self.sets for step in steps for s in (step.before, step.after)):
             return None
-        w = np.array([weights.get(s, 0.0) for s in self.sets])
+        w = np.zeros(len(self.sets))
+        chance = 0.0
+        for step in steps:
+            i, j = self.sets.index(step.before), self.sets.index(step.after)
+            w[i] += step.weight
+            w[j] -= step.weight
+            chance += step.weight * self._chance(i, j)
         value, (low, high) = float(w @ self.errors.ln_rmse), self.errors.interval(w)
-        if self.expected is None:
-            return Effect(value, low, high, None)
-        expected = float(w @ self.expected)
-        chance = _chance(expected, self.errors.samples_for(w))
+        expected = None if self.expected is None else float(w @ self.expected)
         return Effect(value, min(low, value - chance), max(high, value + chance), expected)
+
+    def _chance(self, i: int, j: int) -> float:
+        """How far ln(RMSE) moves by luck (2 sigma) when the filter makes as small corrections as it says.
+
+        A sensor that shrinks the predicted variance by a factor f has moved the estimate by sqrt(1 - f) of its
+        standard deviation. On a drive worth few independent stretches this helps or hurts by luck alone, and
+        the bootstrap cannot see it: the moved error has the shape of the old one.
+        """
+        if self.expected is None:
+            return 0.0
+        moved = 1.0 - math.exp(-2.0 * abs(float(self.expected[i] - self.expected[j])))
+        return 2.0 * math.sqrt(moved / (2.0 * float(self.errors.samples[[i, j]].min())))
 
     def sensor(self, sensor: str, sensors: Sequence[str]) -> SensorCredit:
         every = frozenset(sensors)
-        shapley = self.effect(shapley_weights(sensor, sensors)) if self.complete(sensors) else None
-        alone = self.effect({frozenset(): 1.0, frozenset((sensor,)): -1.0})
-        last = self.effect({every - {sensor}: 1.0, every: -1.0})
+        shapley = self.effect(shapley_steps(sensor, sensors)) if self.complete(sensors) else None
+        alone = self.effect([Step(1.0, frozenset(), frozenset((sensor,)))])
+        last = self.effect([Step(1.0, every - {sensor}, every)])
         total = self.total(sensors)
         share = shapley.value / total if shapley and total is not None and total > NOTHING else None
         anees = self._worst_anees(sensor)
@@ -197,17 +221,6 @@ def _surely(effect: Effect, sign: float) -> bool:
     """Whether an effect of this sign is large enough to matter and its interval excludes none."""
     bound = effect.low if sign > 0 else effect.high
     return sign * effect.value > NOTHING and sign * bound > 0.0
-
-
-def _chance(expected: float, samples: float) -> float:
-    """How far ln(RMSE) moves by luck (2 sigma) when a filter makes corrections that small.
-
-    A sensor that shrinks the predicted variance by a factor f has moved the estimate by sqrt(1 - f) of its
-    standard deviation. On a drive worth few independent stretches this helps or hurts by luck alone, and the
-    bootstrap cannot see it: the moved error has the shape of the old one.
-    """
-    moved = 1.0 - math.exp(-2.0 * abs(expected))
-    return 2.0 * math.sqrt(moved / (2.0 * samples))
 
 
 def _expected(judged: Iterable[Evaluation]) -> Array | None:

@@ -75,11 +75,6 @@ class Errors:
         freedom = float(own.sum() ** 2 / (own**2 / n).sum())  # Welch and Satterthwaite
         return math.asinh(student_t(CONFIDENCE, max(1.0, freedom - 1.0)) * math.sqrt(max(variance, 0.0)))
 
-    def samples_for(self, weights: Array) -> float:
-        """Return the effective sample size of a contrast: that of its most repetitive configuration."""
-        used = weights != 0.0
-        return float(self.samples[used].min()) if used.any() else float(self.samples.min())
-
 
 def effective_samples(deviation: Array) -> float:
     """Return how many independent stamps a series of deviations (q, 2) is worth: q / (1 + 2 sum rho).

@@ -156,11 +156,11 @@ class Log:
                     for data, unpacked in unpack(batch.data, messages):
                         yield topic, dated(Raw(data, unpacked, decoder))
 
-    def raw(self, topic: str, rows: int) -> Iterator[Raw]:
-        """Yield the messages of one topic, at most `rows` at a time."""
+    def raw(self, topic: str, fields: Sequence[str]) -> Iterator[Raw]:
+        """Yield the messages of one topic, of which `fields` will be asked, batch by batch."""
+        self._check_fields(topic, fields)
         for _, raw in self._walk({topic}):
-            for at in range(0, len(raw.messages.start), rows):
-                yield raw._replace(messages=raw.messages.take(slice(at, at + rows)))
+            yield raw
 
     def left_out(self, topic: str) -> Mapping[str, int]:
         """Count the messages on a topic that are of another type than the rest of it."""

@@ -22,8 +22,8 @@ class Reader(Protocol):
     def read(self, wants: Mapping[str, Sequence[str]]) -> dict[str, Table]:
         """Make sure that the fields of the topics are in memory."""
 
-    def raw(self, topic: str, rows: int) -> Iterator[Raw]:
-        """Yield the messages of one topic, at most `rows` at a time."""
+    def raw(self, topic: str, fields: Sequence[str]) -> Iterator[Raw]:
+        """Yield the messages of one topic, of which `fields` will be asked, batch by batch."""
 
     def left_out(self, topic: str) -> Mapping[str, int]:
         """Count the messages on a topic that are of another type than the rest of it."""
@@ -86,19 +86,22 @@ class LogStream:
         return {name: table.columns[name] if rows is None else take(table.columns[name], rows) for name in fields}
 
     def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
-        """Yield (row numbers (k,), columns) chunk by chunk in file order; every row exactly once."""
+        """Yield (row numbers (k,), columns), k at most `rows`, in file order; every row exactly once."""
         row_of = self._row_of_walk()
         waiting: list[Block] = []
-        at = 0
-        for raw in self._log.raw(self.topic, rows):
-            decoded = raw.columns(fields)
-            here = row_of[at : at + int(decoded.good.sum())]
-            at += len(here)
-            waiting.append(_rows(here, decoded.columns))
-            if sum(len(numbers) for numbers, _ in waiting) >= rows or _bytes(waiting) >= BLOCK_BYTES:
-                yield _joined(waiting)
-                waiting = []
-        if waiting:
+        room, at = rows, 0
+        for raw in self._log.raw(self.topic, fields):
+            while len(raw.messages.start):
+                some, raw = raw.split(room)  # noqa: PLW2901
+                decoded = some.columns(fields)
+                here = row_of[at : at + int(decoded.good.sum())]
+                at += len(here)
+                waiting.append(_rows(here, decoded.columns))
+                room -= len(waiting[-1][0])
+                if room <= 0 or _bytes(waiting) >= BLOCK_BYTES:
+                    yield _joined(waiting)
+                    waiting, room = [], rows
+        if room < rows:
             yield _joined(waiting)
 
     def _row_of_walk(self) -> Ints:

@@ -29,6 +29,11 @@ class Raw(NamedTuple):
         """Decode the named fields."""
         return self.decoder.decode(self.data, self.messages.start, self.messages.length, fields)
 
+    def split(self, n: int) -> tuple[Raw, Raw]:
+        """Return the first n messages and the rest."""
+        first, rest = self.messages.take(slice(n)), self.messages.take(slice(n, None))
+        return self._replace(messages=first), self._replace(messages=rest)
+
 
 END_OF_TIME = 2**62  # ns
 NO_TIMES: tuple[Ints, Ints] = (np.empty(0, np.int64), np.empty(0, np.int64))

@@ -112,6 +112,7 @@ def test_blocks_give_every_row_exactly_once(tmp_path: Path, rows_per_block: int,
         for number, row in zip(numbers.tolist(), rows(columns["ranges"]), strict=True):
             np.testing.assert_array_equal(row, whole[number])
         seen += numbers.tolist()
+        assert 0 < len(numbers) <= rows_per_block
     assert sorted(seen) == list(range(len(stream.t_ns)))
 
 
@@ -234,6 +235,8 @@ def test_a_wrong_topic_or_field_is_one_line(
     log = open_log([write(tmp_path / "log.mcap", drive(5))])
     with pytest.raises(LocfuseError, match=says):
         log.streams({topic: fields})
+    with pytest.raises(LocfuseError, match=says):
+        list(log.stream(topic).blocks(*fields))
 
 
 def test_a_wrong_encoding_names_topic_found_and_accepted(tmp_path: Path) -> None:

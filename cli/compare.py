@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from .options import LogOptions, chosen, log_options, out_options, preset_option
+from .options import LogOptions, chosen, log_options, out_options, preset_option, smooth_option
 from .rerun_options import RerunOptions, record, rerun_options
 
 KINDS = ("html", "md", "json", "tum", "csv", "tex")
@@ -32,6 +32,7 @@ KINDS = ("html", "md", "json", "tum", "csv", "tex")
     show_default=True,
     help="Move each estimate onto the truth before judging it.",
 )
+@smooth_option
 @click.option(
     "--figures",
     type=click.Path(path_type=Path, file_okay=False),
@@ -60,6 +61,7 @@ def compare(
     sensors: tuple[str, ...],
     all_subsets: bool,
     align: str,
+    smooth: bool,
     figures: Path | None,
     fail_if: tuple[str, ...],
     baseline: Path | None,
@@ -93,7 +95,7 @@ def compare(
     with show.progress(how.quiet) as progress:
         loaded = load(find_log(log), how, progress)
         wanted = configurations.for_comparison(sensors, loaded.drive, all_subsets)
-        compared = compare_log(loaded, wanted, align, progress)
+        compared = compare_log(loaded, wanted, align, progress, smooth)
         report = report_of(compared)
         progress("writing")
         files = outputs.files(compared, report, kinds)

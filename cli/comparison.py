@@ -18,6 +18,10 @@ from .filters import fuser
 from .load import Loaded
 from .verdicts import credit_values, prediction_values, verdicts
 
+PSEUDO = (
+    "there is no truth in this log. The smoothed estimate has seen the whole drive and serves as a "
+    "pseudo-reference: it shows what only the future corrects, and shares every error of its own sensors and map"
+)
 Progress = Callable[[str], None]
 
 
@@ -34,21 +38,38 @@ class Compared:
 
 
 def compare_log(
-    loaded: Loaded, configurations: Sequence[Configuration], align: str, progress: Progress
+    loaded: Loaded, configurations: Sequence[Configuration], align: str, progress: Progress, smooth: bool = False
 ) -> Compared:
-    """Run and judge every configuration."""
+    """Run and judge every configuration; smoothed ones come after all others."""
     drive, robot = loaded.drive, loaded.robot
-    estimates = []
+    if smooth:
+        refuse_smoothing(robot, configurations)
+    estimates, smoothed = [], []
     for c in configurations:
         progress(f"fusing {c.name}")
-        estimates.append(c.fuse(drive, robot))
+        if smooth and c.sensors:
+            filtered, after = c.fuse_and_smooth(drive, robot)
+            estimates.append(filtered)
+            smoothed.append((c, after))
+        else:
+            estimates.append(c.fuse(drive, robot))
     how = cast("Literal['none', 'origin', 'se2']", align)
     judged = [evaluate(e, c.drive(drive), how) for c, e in zip(configurations, estimates, strict=True)]
     plain = {frozenset(c.sensors): j for c, j in zip(configurations, judged, strict=True) if not c.rates}
     present = [s for s in REGISTRY if s in drive.measurements]
     found = credit(plain, present) if drive.truth is not None else None
     predicted = [] if found is not None else predict(drive, robot, configurations, progress)
-    return Compared(loaded, configurations, estimates, judged, found, predicted)
+    late = [evaluate(e, c.drive(drive), how) for c, e in smoothed]
+    every = [*estimates, *(e for _, e in smoothed)]
+    return Compared(loaded, configurations, every, [*judged, *late], found, predicted)
+
+
+def refuse_smoothing(robot: Robot, configurations: Sequence[Configuration]) -> None:
+    """Raise UsageError before any work is done where one of the filters does not weigh optimally."""
+    from ..fusion.smooth import check_optimal
+
+    for c in configurations:
+        check_optimal(robot, c.sensors)
 
 
 def predict(
@@ -72,4 +93,18 @@ def report_of(compared: Compared) -> dict[str, Any]:
     report["verdicts"] = verdicts(compared.credit, compared.scores, sets)
     report["credit"] = None if compared.credit is None else credit_values(compared.credit)
     report["prediction"] = prediction_values(compared.scores, list(sets)) if compared.scores else None
+    add_pseudo_reference(report, compared.loaded.drive, compared.estimates)
     return report
+
+
+def add_pseudo_reference(report: dict[str, Any], drive: Drive, estimates: Sequence[Estimates]) -> None:
+    """Where there is no truth, compare every configuration with the smoothed one of most sensors, and say so."""
+    smoothed = [e for e in estimates if e.smoothed]
+    if drive.truth is not None or not smoothed:
+        return
+    from ..fusion.smooth import against
+
+    best = max(smoothed, key=lambda e: len(e.sensors))
+    report["pseudo_reference"] = {"configuration": best.name, "words": PSEUDO}
+    for e in estimates:
+        report["configurations"][e.name]["against_smoothed"] = against(best, e)

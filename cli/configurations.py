@@ -34,6 +34,12 @@ class Configuration:
         """Run the filter."""
         return fuser(robot.preset)(self.drive(drive), robot, self.sensors, self.name)
 
+    def fuse_and_smooth(self, drive: Drive, robot: Robot) -> tuple[Estimates, Estimates]:
+        """Run the filter, then the smoother. Raises UsageError where the filter does not weigh optimally."""
+        from ..fusion.smooth import fuse_and_smooth
+
+        return fuse_and_smooth(self.drive(drive), robot, self.sensors, self.name)
+
 
 def parse(words: str, drive: Drive) -> Configuration:
     """Return the configuration that one --sensors names.

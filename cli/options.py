@@ -41,6 +41,12 @@ def preset_option(command: F) -> F:
     return option(wrapped)  # type: ignore[return-value]
 
 
+def smooth_option(command: F) -> F:
+    """Add --smooth."""
+    words = "Also smooth: what the whole drive, its end included, says of every instant."
+    return click.option("--smooth", is_flag=True, help=words)(command)
+
+
 def log_options(command: F) -> F:
     """Add --robot, --set, --order, --strict, --quiet; the command receives them as `how: LogOptions`."""
     import functools

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from .options import LogOptions, chosen, log_options, out_options, preset_option
+from .options import LogOptions, chosen, log_options, out_options, preset_option, smooth_option
 from .rerun_options import RerunOptions, record, rerun_options
 
 KINDS = ("tum", "csv", "json")
@@ -27,6 +27,7 @@ KINDS = ("tum", "csv", "json")
     show_default=True,
     help="Move the estimate onto the truth before judging it.",
 )
+@smooth_option
 @click.option(
     "--audit",
     type=click.Path(path_type=Path, dir_okay=False),
@@ -40,6 +41,7 @@ def run(
     log: tuple[str, ...],
     sensors: str,
     align: str,
+    smooth: bool,
     audit: Path | None,
     how: LogOptions,
     out: Path | None,
@@ -69,22 +71,23 @@ def run(
         drive, robot = loaded.drive, loaded.robot
         configuration = configurations.parse(sensors, drive)
         progress("fusing")
-        estimates = configuration.fuse(drive, robot)
-        evaluation = evaluate(estimates, configuration.drive(drive), align)  # type: ignore[arg-type]
-        report = results.build(loaded, [evaluation])
+        found = configuration.fuse_and_smooth(drive, robot) if smooth else (configuration.fuse(drive, robot),)
+        judged = [evaluate(e, configuration.drive(drive), align) for e in found]  # type: ignore[arg-type]
+        report = results.build(loaded, judged)
         progress("writing")
         files: dict[str, str] = {"robot.toml": results.robot_file(robot)}
-        if "tum" in kinds:
-            files["trajectory.tum"] = trajectory.estimates_tum(drive, estimates)
-        if "csv" in kinds:
-            files["trajectory.csv"] = trajectory.estimates_csv(drive, estimates)
+        for name, estimates in zip(("trajectory", "smoothed"), found, strict=False):
+            if "tum" in kinds:
+                files[f"{name}.tum"] = trajectory.estimates_tum(drive, estimates)
+            if "csv" in kinds:
+                files[f"{name}.csv"] = trajectory.estimates_csv(drive, estimates)
         if "json" in kinds:
             files["run.json"] = report_json.encode(report)
         folder = out or results.default_folder(loaded.log.name)
         write_results(folder, files, overwrite)
         if audit is not None:
             with whole_file(audit) as path:
-                path.write_text(audit_csv(drive, estimates))
+                path.write_text(audit_csv(drive, found[0]))
     lost = results.loss_lines(loaded, configuration.sensors, how.strict)
     if as_json:
         click.echo(report_json.encode(report), nl=False)
@@ -92,5 +95,5 @@ def run(
         show.figures(report)
         click.echo(f"{folder}: {', '.join(sorted(files))}")
     show.notes(report, lost, how.quiet)
-    record(rerun, loaded, [estimates], [evaluation], report, folder)
+    record(rerun, loaded, found, judged, report, folder)
     return results.LOSS if lost else 0

@@ -49,11 +49,17 @@ def figures(report: Mapping[str, Any]) -> None:
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     columns = [c for c in COLUMNS if any(v.get(c[1]) is not None for v in report["configurations"].values())]
     table.add_column("configuration", no_wrap=True, min_width=max(map(len, report["configurations"])))
-    for title, _, _ in columns or (("distance", "", ""),):
+    pseudo = report.get("pseudo_reference")
+    titles = [title for title, _, _ in columns] or ["distance", *(["rms to smoothed"] if pseudo else [])]
+    for title in titles:
         table.add_column(title, justify="right", no_wrap=True)
     for name, values in report["configurations"].items():
         cells = [number(values.get(key), form) for _, key, form in columns]
-        table.add_row(Text(name), *(cells or [f"{values['distance_m']:.2f} m"]))
+        if not columns:
+            cells = [f"{values['distance_m']:.2f} m"]
+            if pseudo:
+                cells.append(f"{values['against_smoothed']['position_rmse_m']:.3f} m")
+        table.add_row(Text(name), *cells)
     console.print(table)
     sensors = _sensor_rows(report)
     if sensors:
@@ -72,6 +78,7 @@ def _sensor_rows(report: Mapping[str, Any]) -> list[tuple[str, ...]]:
         )
         for name, values in report["configurations"].items()
         for sensor, counts in values["sensors"].items()
+        if not values.get("smoothed")  # its measurements are those of the filter
     ]
 
 
@@ -104,6 +111,8 @@ def notes(report: Mapping[str, Any], losses: Sequence[str], quiet: bool) -> None
     for stream, reasons in report["input"]["dropped"].items():
         counted = ", ".join(f"{count} {reason.replace('_', ' ')}" for reason, count in reasons.items())
         click.echo(f"dropped: {stream}: {counted}", err=True)
+    if "pseudo_reference" in report:
+        click.echo(f"note: {report['pseudo_reference']['words']}", err=True)
     if report["truth"] is None:
         click.echo("no truth in this log: the error figures do not exist (see --help for [truth] topic)", err=True)
     for line in losses:

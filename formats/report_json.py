@@ -39,6 +39,7 @@ def _configuration(evaluation: Evaluation) -> dict[str, Any]:
     return {
         **evaluation.figures,
         "align": evaluation.align,
+        "smoothed": evaluation.smoothed,
         "sensors": {name: _sensor(s) for name, s in evaluation.sensors.items()},
     }
 

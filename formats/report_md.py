@@ -87,6 +87,7 @@ def _sensors(report: Mapping[str, Any]) -> str:
         )
         for name, values in report["configurations"].items()
         for sensor, c in values["sensors"].items()
+        if not values.get("smoothed")  # its measurements are those of the filter
     ]
     heads = ("in", "sensor", "accepted", "rejected", "absent", "NIS", "not accepted")
     return _grid(heads, rows, "llrrrrl") if rows else ""

@@ -286,3 +286,4 @@ class Evaluation:
     distance: Array  # (q,) m travelled by the truth
     estimate_xy: Array  # (q, 2) tracked point of the estimate, aligned as asked
     align: str = "none"
+    smoothed: bool = False

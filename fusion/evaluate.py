@@ -89,6 +89,7 @@ def evaluate(estimates: Estimates, drive: Drive, align: Align = "none") -> Evalu
         distance,
         estimate_xy,
         align,
+        estimates.smoothed,
     )
 
 
@@ -97,7 +98,18 @@ def _without_truth(
 ) -> Evaluation:
     none, none2 = np.zeros(0), np.zeros((0, 2))
     return Evaluation(
-        estimates.name, sensors, figures, none, none2, None, none2, np.zeros((0, 3)), none, none, none2
+        estimates.name,
+        sensors,
+        figures,
+        none,
+        none2,
+        None,
+        none2,
+        np.zeros((0, 3)),
+        none,
+        none,
+        none2,
+        smoothed=estimates.smoothed,
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,10 +13,12 @@ import msgspec
 from ..formats import robot_toml
 from ..formats.log import Log, open_log
 from ..fusion.data import Drive, LocfuseError, UsageError
+from ..fusion.joined import Joined, joined
 from ..fusion.measure import measure
 from ..fusion.robot import Robot, StartSettings, TruthSettings, WheelSettings
 from ..fusion.sensors.registry import REGISTRY
 from . import filters
+from .mounts import mount_tables
 from .topics import Choice, choose
 
 if TYPE_CHECKING:
@@ -24,7 +26,6 @@ if TYPE_CHECKING:
 
 ORDERS = ("auto", "stamp", "recorded")
 PRESETS = ("default", "paper")
-BASE_FRAMES = ("base_link", "base_footprint", "base")
 ATTACHMENT = "robot.toml"
 PLAIN_CLOCK = "header stamps"
 TABLES: dict[str, type[msgspec.Struct]] = {
@@ -62,14 +63,25 @@ def _find(word: str) -> Path:
     raise UsageError(f"no such log: {word}. Sample logs: {', '.join(samples)}")
 
 
-def load(paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None] = lambda role: None) -> Loaded:
-    """Open, describe, choose topics, and measure. Raises LocfuseError with one line on what is wrong."""
+def load(
+    paths: Sequence[Path],
+    how: LogOptions,
+    progress: Callable[[str], None] = lambda role: None,
+    only: Collection[str] | None = None,
+) -> Loaded:
+    """Open, describe, choose topics, and measure all sensors, or `only` some.
+
+    Raises LocfuseError with one line on what is wrong.
+    """
     progress("opening")
     log = open_log(paths)
     tables = merged_tables(log, how)
     choice = choose(log, make_robot(tables), _named_by_hand(how.sets))
+    for sensor in REGISTRY:
+        if only is not None and sensor not in only:
+            choice.topics.pop(sensor, None)
     streams = _streams(log, choice, str(tables.get("order", "auto")))
-    mounts = _mounts(log, {s: streams[s].frame_id for s in REGISTRY if s in streams})
+    mounts = mount_tables(log.static_transforms(), {s: parts(streams[s]) for s in REGISTRY if s in streams})
     robot = make_robot(robot_toml.merge(mounts, tables))
     drive = measure(streams, robot, choice.absent, progress)
     preset = (filters.NOTE,) if robot.preset == "paper" else ()
@@ -99,9 +111,8 @@ def merged_tables(log: Log, how: LogOptions) -> dict[str, Any]:
 
 def _named_by_hand(sets: Sequence[str]) -> set[str]:
     """Return the tables whose topic the command line names."""
-    return {
-        table for table, keys in robot_toml.apply_sets(sets).items() if isinstance(keys, dict) and "topic" in keys
-    }
+    tables = robot_toml.apply_sets(sets).items()
+    return {table for table, keys in tables if isinstance(keys, dict) and ("topic" in keys or "topics" in keys)}
 
 
 def _checked(data: bytes, source: str) -> dict[str, Any]:
@@ -138,50 +149,40 @@ def make_robot(tables: Mapping[str, Any]) -> Robot:
 
 
 def _streams(log: Log, choice: Choice, order: str) -> dict[str, Any]:
+    """Return the stream of every role, light columns read in one walk; what two roles share is read once."""
+    wants: dict[str, tuple[str, ...]] = {}
+    for role in choice.topics:
+        for topic in choice.of(role):
+            fields = _light(role, log.topics[topic].msgtype)
+            wants[topic] = tuple(dict.fromkeys((*wants.get(topic, ()), *fields)))
+    streams = log.streams(wants, order=order)
+    return {role: joined([streams[topic] for topic in choice.of(role)]) for role in choice.topics}
+
+
+def _light(role: str, msgtype: str) -> tuple[str, ...]:
+    """Return the fields to read in the common walk: none of a sensor that reads in blocks."""
     from ..fusion.truth import TRUTH_READS
     from ..fusion.wheels import WHEEL_READS
 
     reads = {"wheels": WHEEL_READS, "truth": TRUTH_READS}
-    light: dict[str, tuple[str, ...]] = {}
-    for role, topic in choice.topics.items():
-        fields = (
-            reads[role][log.topics[topic].msgtype] if role in reads else _light(role, log.topics[topic].msgtype)
-        )
-        light[topic] = fields
-    streams = log.streams(light, order=order)
-    return {role: streams[topic] for role, topic in choice.topics.items()}
-
-
-def _light(sensor: str, msgtype: str) -> tuple[str, ...]:
-    """Return the fields to read in the common walk: none of a sensor that reads in blocks."""
-    return () if getattr(REGISTRY[sensor], "in_blocks", False) else REGISTRY[sensor].reads[msgtype]
-
-
-def _mounts(log: Log, frames: Mapping[str, str]) -> dict[str, Any]:
-    """Return where /tf_static puts the sensors on the base, as robot.toml tables."""
-    from ..formats.transforms import planar_mount
-
-    transforms = log.static_transforms()
-    tables: dict[str, Any] = {}
-    for sensor, frame in frames.items():
-        keys = set(REGISTRY[sensor].Settings.__struct_fields__)
-        if "yaw_deg" not in keys or not frame:
-            continue
-        mount = planar_mount(transforms, BASE_FRAMES, frame)
-        if mount is None:
-            continue
-        table = {"x": mount.x, "y": mount.y, "yaw_deg": math.degrees(mount.yaw), "flipped": mount.flipped}
-        tables[sensor] = {k: v for k, v in table.items() if k in keys}
-    return tables
+    if role in reads:
+        return reads[role][msgtype]
+    return () if getattr(REGISTRY[role], "in_blocks", False) else REGISTRY[role].reads[msgtype]
 
 
 def _clock_notes(streams: Mapping[str, Any]) -> list[str]:
     """Say which clock was taken where it is not simply the header's, and what is odd about it."""
-    notes = []
+    notes: dict[str, None] = {}  # as a set in order: several topics of one role may say the same
     for role, stream in streams.items():
-        words = [] if stream.clock == PLAIN_CLOCK else [stream.clock]
-        notes += [f"{role}: {word}" for word in (*words, *stream.notes)]
-    return notes
+        for part in parts(stream):
+            words = [] if part.clock == PLAIN_CLOCK else [part.clock]
+            notes |= dict.fromkeys(f"{role}: {word}" for word in (*words, *part.notes))
+    return list(notes)
+
+
+def parts(stream: Any) -> tuple[Any, ...]:
+    """Return the streams of single topics that a role's stream is made of."""
+    return stream.parts if isinstance(stream, Joined) else (stream,)
 
 
 def _start_notes(robot: Robot, drive: Drive) -> list[str]:

@@ -15,7 +15,8 @@ from .load import Loaded
 
 LOSS = 3
 REFUSED_SHARE = 0.01  # of a used sensor's readings: more is a loss
-NOT_A_LOSS = ("repeat", "outside_wheels")  # exact repeats, and readings before or after the wheels
+# exact repeats, readings before or after the wheels, messages of an arm on the wheels' topic
+NOT_A_LOSS = ("repeat", "outside_wheels", "other_joints")
 
 
 def settings_tables(robot: Robot) -> dict[str, Any]:
@@ -68,7 +69,7 @@ def loss_lines(loaded: Loaded, used: Sequence[str], strict: bool) -> list[str]:
     lines = list(loaded.log.losses.lines())
     for stream in ("wheels", *used):
         reasons = loaded.drive.dropped.get(stream, {})
-        total = loaded.log.topics[loaded.choice.topics[stream]].count
+        total = sum(loaded.log.topics[topic].count for topic in loaded.choice.of(stream))
         refused = _refused(reasons)
         if refused > (0 if strict else REFUSED_SHARE * total):
             lines.append(f"{stream}: {refused} of {total} readings refused ({_words(reasons)})")

@@ -5,27 +5,41 @@ Truth is never guessed by type: /odom and /amcl_pose are estimates, and an estim
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..fusion.data import LocfuseError
 from ..fusion.robot import Robot
 from ..fusion.sensors.registry import REGISTRY
 from ..fusion.truth import TRUTH_READS, looks_like_truth
-from ..fusion.wheels import WHEEL_READS
 
 if TYPE_CHECKING:
     from ..formats.log import Log
+
+NAMED = "named in the settings"
+ONLY = "the only topic of its type"
 
 
 @dataclass
 class Choice:
     """Topics by role ("wheels", a sensor, "truth"), and why a sensor has none."""
 
-    topics: dict[str, str] = field(default_factory=dict)
+    topics: dict[str, str] = field(default_factory=dict)  # the first of each role
+    more: dict[str, tuple[str, ...]] = field(default_factory=dict)  # the others of a role that has several
+    why: dict[str, str] = field(default_factory=dict)  # role -> how its topic was chosen
     absent: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+
+    def of(self, role: str) -> tuple[str, ...]:
+        """Return all topics of a role."""
+        return (self.topics[role], *self.more.get(role, ())) if role in self.topics else ()
+
+    def take(self, role: str, topics: Sequence[str], why: str) -> None:
+        """Give a role its topics."""
+        self.topics[role], self.why[role] = topics[0], why
+        if len(topics) > 1:
+            self.more[role] = tuple(topics[1:])
 
 
 def choose(log: Log, robot: Robot, insisted: Collection[str] = ()) -> Choice:
@@ -34,30 +48,75 @@ def choose(log: Log, robot: Robot, insisted: Collection[str] = ()) -> Choice:
     A robot.toml serves many logs, so a sensor or truth topic that it names may be missing; one named by --set
     (`insisted`) may not.
     """
+    from .wheel_topics import choose_wheels
+
     choice = Choice()
-    truth = _truth(log, robot, "truth" in insisted)
-    if truth:
-        choice.topics["truth"] = truth
-    choice.topics["wheels"] = _wheels(log, robot, truth, choice)
-    taken = set(choice.topics.values())
+    choose_truth(log, robot, "truth" in insisted, choice)
+    choose_wheels(log, robot, choice)
+    for name in REGISTRY:
+        choose_sensor(log, robot, name, name in insisted, choice)
     for name, sensor in REGISTRY.items():
-        named = robot.settings(name).topic
-        if named is not None and named not in log.topics and name not in insisted:
-            choice.absent[name] = f"{log.name} has no topic {named}, which robot.toml names"
-            continue
-        candidates = [t for t in _of_type(log, sensor.reads) if t not in taken]
-        candidates = [t for t in candidates if _named_well(t, log.topics[t].msgtype, getattr(sensor, "named", {}))]
-        unset = getattr(sensor, "missing", lambda settings: None)(robot.settings(name)) if candidates else None
-        topic = None if unset else _one(log, name, named, candidates, sensor.reads)
-        if unset:
-            choice.absent[name] = unset
-        elif topic is None:
-            choice.absent[name] = f"no topic of type {_types(sensor.reads)} in {log.name}"
-        elif log.topics[topic].count == 0:
-            choice.absent[name] = f"{topic} holds no messages"
-        else:
-            choice.topics[name] = topic
+        for other in getattr(sensor, "needs", ()):
+            if name in choice.topics and other not in choice.topics:
+                del choice.topics[name]
+                choice.absent[name] = f"it is held against the map of {other}, and that is absent"
     return choice
+
+
+def choose_sensor(log: Log, robot: Robot, name: str, insisted: bool, choice: Choice) -> None:
+    """Take the topics of one sensor, or say why it has none."""
+    sensor, settings = REGISTRY[name], robot.settings(name)
+    named = _names(settings)
+    gone = [t for t in named if t not in log.topics]
+    if gone and not insisted:
+        choice.absent[name] = f"{log.name} has no topic {gone[0]}, which robot.toml names"
+        return
+    candidates = _candidates(log, name, choice)
+    unset = getattr(sensor, "missing", lambda settings: None)(settings) if candidates or named else None
+    if unset:
+        choice.absent[name] = unset
+        return
+    if named:
+        choice.take(name, [checked(log, name, topic, sensor.reads) for topic in named], NAMED)
+    elif not candidates:
+        choice.absent[name] = f"no topic of type {types(sensor.reads)} in {log.name}"
+        return
+    else:
+        _by_type(log, name, candidates, choice)
+    empty = all(log.topics[t].count == 0 for t in choice.of(name))
+    if name in choice.topics and empty:
+        choice.absent[name] = f"{choice.topics.pop(name)} holds no messages"
+
+
+def _names(settings: Any) -> tuple[str, ...]:
+    """Return the topics that a sensor's table names."""
+    several = tuple(getattr(settings, "topics", None) or ())
+    return several or ((settings.topic,) if settings.topic is not None else ())
+
+
+def _candidates(log: Log, name: str, choice: Choice) -> list[str]:
+    """Return the topics that a sensor could read and nobody but another sensor does, those with messages first."""
+    sensor = REGISTRY[name]
+    taken = {*choice.of("truth"), *choice.of("wheels")}
+    named: Mapping[str, tuple[str, ...]] = getattr(sensor, "named", {})
+    found = [t for t in of_type(log, sensor.reads) if t not in taken]
+    found = [t for t in found if _named_well(t, log.topics[t].msgtype, named)]
+    return [t for t in found if log.topics[t].count != 0] or found
+
+
+def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None:
+    """Take the only candidate; all of a sensor that has several; where a sensor beside it has one, the same."""
+    sensor = REGISTRY[name]
+    if len(candidates) == 1:
+        choice.take(name, candidates, ONLY)
+    elif getattr(sensor, "several", False):
+        choice.take(name, candidates, f"all {len(candidates)} topics of its type")
+    elif not getattr(sensor, "extra", False):
+        raise several_fit(log, name, candidates)
+    elif shared := [t for t in candidates if t in choice.topics.values()]:
+        choice.take(name, shared[:1], "another sensor reads it too")
+    else:  # beside the paper's sensors: a guess would be worse than none, and an error would stop the others
+        choice.absent[name] = str(several_fit(log, name, candidates)).partition(": ")[2]
 
 
 def _named_well(topic: str, msgtype: str, named: Mapping[str, tuple[str, ...]]) -> bool:
@@ -65,64 +124,54 @@ def _named_well(topic: str, msgtype: str, named: Mapping[str, tuple[str, ...]]) 
     return msgtype not in named or any(word in topic.lower() for word in named[msgtype])
 
 
-def _of_type(log: Log, reads: Iterable[str]) -> list[str]:
+def of_type(log: Log, reads: Iterable[str]) -> list[str]:
+    """Return the readable topics of these types."""
     return [t for t, info in sorted(log.topics.items()) if info.msgtype in reads and info.problem is None]
 
 
-def _one(log: Log, role: str, named: str | None, candidates: list[str], reads: Iterable[str]) -> str | None:
+def one(log: Log, role: str, named: str | None, candidates: list[str], reads: Iterable[str]) -> str | None:
     """Return the named topic if it fits, else the only candidate with messages, else None."""
     if named is not None:
-        return _named(log, role, named, reads)
+        return checked(log, role, named, reads)
     filled = [t for t in candidates if log.topics[t].count != 0]
     if len(filled) > 1:
-        raise LocfuseError(
-            f"{role}: {log.name} has {len(filled)} topics that fit: {', '.join(filled)}. "
-            f"Choose one with --set {role}.topic={filled[0]}"
-        )
+        raise several_fit(log, role, filled)
     fit = filled or candidates
     return fit[0] if fit else None
 
 
-def _named(log: Log, role: str, topic: str, reads: Iterable[str]) -> str:
+def several_fit(log: Log, role: str, topics: Sequence[str]) -> LocfuseError:
+    """Return the error that names the candidates and how to choose."""
+    return LocfuseError(
+        f"{role}: {log.name} has {len(topics)} topics that fit: {', '.join(topics)}. "
+        f"Choose one with --set {role}.topic={topics[0]}"
+    )
+
+
+def checked(log: Log, role: str, topic: str, reads: Iterable[str]) -> str:
+    """Return a topic that was named. Raises LocfuseError where it is missing or cannot be read."""
     info = log.topics.get(topic)
     if info is None:
         have = ", ".join(sorted(log.topics)[:12]) or "no topics"
         raise LocfuseError(f"{role}: {log.name} has no topic {topic}; it has {have}. See: locfuse info {log.name}")
     if info.msgtype not in reads:
-        raise LocfuseError(f"{role}: {topic} is {info.msgtype}; accepted: {_types(reads)}")
+        raise LocfuseError(f"{role}: {topic} is {info.msgtype}; accepted: {types(reads)}")
     if info.problem is not None:
         raise LocfuseError(f"{role}: {topic} cannot be read: {info.problem}")
     return topic
 
 
-def _truth(log: Log, robot: Robot, insisted: bool) -> str | None:
-    if robot.truth.topic is not None and robot.truth.topic not in log.topics and not insisted:
-        return None
-    candidates = [t for t in _of_type(log, TRUTH_READS) if looks_like_truth(t)]
-    return _one(log, "truth", robot.truth.topic, candidates, TRUTH_READS)
+def choose_truth(log: Log, robot: Robot, insisted: bool, choice: Choice) -> None:
+    """Take the truth's topic: by its name only."""
+    named = robot.truth.topic
+    if named is not None and named not in log.topics and not insisted:
+        return
+    candidates = [t for t in of_type(log, TRUTH_READS) if looks_like_truth(t)]
+    topic = one(log, "truth", named, candidates, TRUTH_READS)
+    if topic is not None:
+        choice.take("truth", [topic], NAMED if named else "its name says so")
 
 
-def _wheels(log: Log, robot: Robot, truth: str | None, choice: Choice) -> str:
-    """Return the wheels' topic: joint angles where the geometry is known, else another odometry."""
-    fit = [t for t in _of_type(log, WHEEL_READS) if t != truth]
-    joints = [t for t in fit if log.topics[t].msgtype != "nav_msgs/msg/Odometry"]
-    odometry = [t for t in fit if t not in joints and log.topics[t].count != 0 and not looks_like_truth(t)]
-    known = robot.wheels.radius is not None and robot.wheels.track is not None
-    if robot.wheels.topic is None and joints and odometry and not known:
-        topic = _one(log, "wheels", None, odometry, WHEEL_READS)
-        choice.notes.append(
-            f"wheels: {topic} is used, since {joints[0]} gives wheel angles and no wheels.radius and "
-            "wheels.track are set"
-        )
-    else:
-        topic = _one(log, "wheels", robot.wheels.topic, joints or odometry, WHEEL_READS)
-    if topic is None:
-        raise LocfuseError(
-            f"wheels: {log.name} has no topic of type {_types(WHEEL_READS)}, so nothing says how the robot "
-            f"moved. It has {', '.join(sorted(log.topics)[:12]) or 'no topics'}"
-        )
-    return topic
-
-
-def _types(reads: Iterable[str]) -> str:
+def types(reads: Iterable[str]) -> str:
+    """Return message types as people write them."""
     return " or ".join(t.replace("/msg/", "/") for t in reads)

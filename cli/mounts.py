@@ -1,0 +1,44 @@
+"""Where /tf_static puts the sensors on the base, as tables of robot.toml."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from ..formats.transforms import Mount, StaticTransforms, planar_mount
+from ..fusion.sensors.registry import REGISTRY
+
+if TYPE_CHECKING:
+    from ..formats.stream import LogStream
+
+BASE_FRAMES = ("base_link", "base_footprint", "base")
+
+
+def mount_tables(transforms: StaticTransforms, streams: Mapping[str, Sequence[LogStream]]) -> dict[str, Any]:
+    """Return the mounts that /tf_static knows of sensors (name -> its topics' streams), for the keys they have."""
+    tables: dict[str, Any] = {}
+    for sensor, parts in streams.items():
+        keys = set(REGISTRY[sensor].Settings.__struct_fields__)
+        mounts = {part.topic: m for part in parts if (m := mount_of(transforms, part.frame_id)) is not None}
+        if "mounts" in keys:
+            tables[sensor] = {"mounts": {t: [m.x, m.y, math.degrees(m.yaw)] for t, m in mounts.items()}}
+        elif parts[0].topic in mounts:
+            tables[sensor] = {k: v for k, v in _table(mounts[parts[0].topic]).items() if k in keys}
+    return tables
+
+
+def mount_of(transforms: StaticTransforms, frame: str) -> Mount | None:
+    """Return where a frame sits on the base, None where nothing says so."""
+    return planar_mount(transforms, BASE_FRAMES, frame) if frame else None
+
+
+def _table(mount: Mount) -> dict[str, Any]:
+    return {
+        "x": mount.x,
+        "y": mount.y,
+        "roll_deg": math.degrees(mount.roll),
+        "pitch_deg": math.degrees(mount.pitch),
+        "yaw_deg": math.degrees(mount.yaw),
+        "flipped": mount.flipped,
+    }

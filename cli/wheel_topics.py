@@ -1,0 +1,135 @@
+"""Which topics feed the wheels: joint angles, ticks, a pair of numbers, or another odometry."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, cast
+
+from ..fusion.data import LocfuseError
+from ..fusion.robot import Robot
+from ..fusion.truth import looks_like_truth
+from ..fusion.wheel_sources import JOINTS, NUMBERS, TICKS, joint_names
+from ..fusion.wheels import ODOMETRY, WHEEL_READS, counts_ticks
+from .topics import NAMED, ONLY, Choice, checked, of_type, one, several_fit, types
+
+if TYPE_CHECKING:
+    from ..formats.log import Log
+
+OTHER_SIDE = {"left": "right", "l": "r", "lwheel": "rwheel", "lw": "rw"}
+COUNTS = ("tick", "enc", "wheel", "count", "angle")  # what a wheel's own topic is called ...
+COMMANDS = ("cmd", "command", "speed", "vel", "power", "pwm", "current", "effort", "target", "setpoint", "rpm")
+
+
+def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
+    """Take the wheels' topic, or topics. Raises LocfuseError where none fits, or several do."""
+    settings = robot.wheels
+    if settings.left_topic is not None or settings.right_topic is not None:
+        choice.take("wheels", _named_pair(log, robot), NAMED)
+        return
+    if settings.topic is not None:
+        topic = checked(log, "wheels", settings.topic, WHEEL_READS)
+        if log.topics[topic].msgtype in NUMBERS:
+            raise LocfuseError(
+                f"wheels: {topic} holds one number, which is one wheel. Name both with "
+                f"--set wheels.left_topic={topic} --set wheels.right_topic=<topic>"
+            )
+        choice.take("wheels", [topic], NAMED)
+        return
+    counters, kind = _counters(log, robot)
+    odometry = [t for t in of_type(log, (ODOMETRY,)) if not looks_like_truth(t) and log.topics[t].count != 0]
+    odometry = [t for t in odometry if t not in choice.topics.values()]
+    unknown = _unknown(log, robot, counters)
+    if counters and not (unknown and odometry):
+        choice.take("wheels", counters, kind)
+        return
+    topic_or_none = one(log, "wheels", None, odometry, WHEEL_READS)
+    if topic_or_none is None:
+        raise _nothing(log)
+    choice.take("wheels", [topic_or_none], ONLY)
+    if counters:
+        choice.notes.append(
+            f"wheels: {topic_or_none} is used, since {' and '.join(counters)} gives wheel angles and no {unknown} "
+            f"{'are' if ' and ' in unknown else 'is'} set"
+        )
+
+
+def _unknown(log: Log, robot: Robot, counters: Sequence[str]) -> str:
+    """Return which settings are missing before these counters become metres, in words; "" for none."""
+    settings = robot.wheels
+    missing = [key for key in ("radius", "track") if getattr(settings, key) is None]
+    if counters and counts_ticks(log.topics[counters[0]].msgtype) and settings.ticks_per_revolution is None:
+        missing.append("ticks_per_revolution")
+    return " and ".join(f"wheels.{key}" for key in missing)
+
+
+def _named_pair(log: Log, robot: Robot) -> list[str]:
+    """Return the topics that the settings name, left first."""
+    pair = []
+    for side in ("left", "right"):
+        topic = getattr(robot.wheels, f"{side}_topic")
+        if topic is None:
+            raise LocfuseError(
+                f"wheels: one wheel has its topic; name the other with --set wheels.{side}_topic=<topic>"
+            )
+        pair.append(checked(log, "wheels", topic, NUMBERS))
+    return pair
+
+
+def _counters(log: Log, robot: Robot) -> tuple[list[str], str]:
+    """Return what counts wheel turns, best kind first, and why; nothing where nothing does."""
+    joints, ticks = ([t for t in of_type(log, kind) if log.topics[t].count != 0] for kind in ((JOINTS,), TICKS))
+    pairs = pair_topics(log)
+    if len(joints) + len(ticks) + len(pairs) > 1:
+        joints = [t for t in joints if _has_wheels(log, t, robot)]
+    for found in (joints, ticks):
+        if len(found) > 1:
+            raise several_fit(log, "wheels", found)
+        if found:
+            return found, ONLY
+    if len(pairs) > 1:
+        listed = "; ".join(f"{left} and {right}" for left, right in pairs)
+        raise LocfuseError(
+            f"wheels: {log.name} has {len(pairs)} pairs of topics that fit: {listed}. Choose one with "
+            f"--set wheels.left_topic={pairs[0][0]} --set wheels.right_topic={pairs[0][1]}"
+        )
+    return (list(pairs[0]), "the only pair of numbers named left and right") if pairs else ([], "")
+
+
+def _has_wheels(log: Log, topic: str, robot: Robot) -> bool:
+    """Return whether joints on a topic are named like wheels: an arm's joints share the type."""
+    names = cast("list[tuple[str, ...]]", log.stream(topic).columns("name")["name"])
+    try:
+        joint_names(names, topic, robot.wheels)
+    except LocfuseError:
+        return False
+    return True
+
+
+def pair_topics(log: Log) -> list[tuple[str, str]]:
+    """Return pairs of topics with a number each, named alike but for left and right, that read like wheels."""
+    numbers = [t for t in of_type(log, NUMBERS) if log.topics[t].count != 0]
+    found = []
+    for topic in numbers:
+        partner = other_side(topic)
+        low = topic.lower()
+        if partner in numbers and any(w in low for w in COUNTS) and not any(w in low for w in COMMANDS):
+            found.append((topic, partner))
+    return found
+
+
+def other_side(topic: str) -> str | None:
+    """Return the right wheel's topic for the left one's: /left_ticks -> /right_ticks, /lwheel -> /rwheel."""
+    words = re.split(r"([/_])", topic)
+    for i, word in enumerate(words):
+        if word.lower() in OTHER_SIDE:
+            return "".join([*words[:i], OTHER_SIDE[word.lower()], *words[i + 1 :]])
+    return None
+
+
+def _nothing(log: Log) -> LocfuseError:
+    kinds = (JOINTS, *TICKS, ODOMETRY)
+    return LocfuseError(
+        f"wheels: {log.name} has no topic of type {types(kinds)}, nor two std_msgs numbers named left and right, "
+        f"so nothing says how the robot moved. It has {', '.join(sorted(log.topics)[:12]) or 'no topics'}"
+    )

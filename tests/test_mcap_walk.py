@@ -158,7 +158,7 @@ def test_a_flipped_bit_is_noticed_or_without_effect_where_the_file_has_checksums
     rng = random.Random(0)
     path = tmp_path / "bad.mcap"
     n_lossy = 0
-    for _ in range(150):
+    for _ in range(100):
         bad = bytearray(content)
         bad[rng.randrange(len(bad))] ^= 1 << rng.randrange(8)
         path.write_bytes(bad)
@@ -169,7 +169,7 @@ def test_a_flipped_bit_is_noticed_or_without_effect_where_the_file_has_checksums
         assert found <= original
         assert found == original or log.losses
         n_lossy += bool(log.losses)
-    assert n_lossy > 30
+    assert n_lossy > 20
 
 
 def opened(path: Path) -> Log | None:
@@ -201,7 +201,7 @@ def test_flipped_bits_without_checksums_never_raise_and_never_lose_more_than_a_c
     content = write(tmp_path / "whole.mcap", said, **PLAIN).read_bytes()
     rng = random.Random(1)
     path = tmp_path / "bad.mcap"
-    for _ in range(150):
+    for _ in range(100):
         bad = bytearray(content)
         for _ in range(rng.choice([1, 1, 3])):
             bad[rng.randrange(8, len(bad))] ^= 1 << rng.randrange(8)
@@ -326,12 +326,12 @@ BOMB = """
 
 @pytest.mark.parametrize("declared", ["the truth", "a lie"])
 def test_a_decompression_bomb_is_refused_within_the_memory_limit(tmp_path: Path, declared: str) -> None:
-    """Four gigabytes of zeros in some hundred kilobytes of zstd."""
+    """A gigabyte of zeros in some kilobytes of zstd."""
     assert resource.getrlimit(resource.RLIMIT_AS)
     path = write(tmp_path / "x.mcap", drive(20), compression=CompressionType.ZSTD)
     packer = zstandard.ZstdCompressor(level=1).compressobj()
-    bomb = b"".join(packer.compress(bytes(1 << 20)) for _ in range(4096)) + packer.flush()
-    size = 4096 << 20 if declared == "the truth" else 50_000
+    bomb = b"".join(packer.compress(bytes(1 << 20)) for _ in range(1024)) + packer.flush()
+    size = 1024 << 20 if declared == "the truth" else 50_000
     content = path.read_bytes()
     at = content.index(b"\x28\xb5\x2f\xfd")
     chunk_at = at - 9 - 3 * 8 - 4 - 4 - len("zstd") - 8

@@ -1,0 +1,69 @@
+"""--smooth as a user meets it: extra configurations and files, labelled; refused where it has no meaning."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import locfuse
+from test_cli import rewritten
+
+LOG = "rounded_rectangle"
+
+
+def test_compare_smooths_every_configuration_with_sensors(tmp_path: Path) -> None:
+    done = locfuse("compare", LOG, "--sensors", "odometry", "--sensors", "lrf", "--smooth", "-o", tmp_path / "out")
+    assert done.exit_code == 0, done.stderr
+    found = json.loads((tmp_path / "out" / "report.json").read_text())["configurations"]
+    assert list(found) == ["odometry", "lrf", "lrf smoothed"]
+    assert [c["smoothed"] for c in found.values()] == [False, False, True]
+    assert found["lrf smoothed"]["position_rmse_m"] < found["lrf"]["position_rmse_m"]
+    assert (tmp_path / "out" / "lrf smoothed.tum").is_file()
+    assert "pseudo" not in done.stderr
+
+
+def test_run_writes_the_smoothed_drive_beside_the_filtered_one(tmp_path: Path) -> None:
+    plain = locfuse("run", LOG, "--sensors", "lrf", "-o", tmp_path / "plain")
+    done = locfuse("run", LOG, "--sensors", "lrf", "--smooth", "-o", tmp_path / "out")
+    assert (plain.exit_code, done.exit_code) == (0, 0), done.stderr
+    for kind in ("tum", "csv"):
+        filtered = (tmp_path / "out" / f"trajectory.{kind}").read_bytes()
+        assert filtered == (tmp_path / "plain" / f"trajectory.{kind}").read_bytes()
+        assert filtered != (tmp_path / "out" / f"smoothed.{kind}").read_bytes()
+    rows = np.loadtxt(tmp_path / "out" / "smoothed.csv", delimiter=",", skiprows=1)
+    before = np.loadtxt(tmp_path / "out" / "trajectory.csv", delimiter=",", skiprows=1)
+    np.testing.assert_array_equal(rows[:, 0], before[:, 0])
+    assert (np.abs(rows[:, 3]) <= np.pi).all()
+    assert rows[:, [4, 7, 9]].mean() < before[:, [4, 7, 9]].mean()
+
+
+@pytest.mark.parametrize("command", ["run", "compare"])
+@pytest.mark.parametrize("mode", ["first-scan", "consider"])
+def test_a_map_without_optimal_weights_is_refused_in_one_line(command: str, mode: str, tmp_path: Path) -> None:
+    done = locfuse(command, LOG, "--smooth", "--set", f"lrf.map={mode}", "-o", tmp_path / "out")
+    assert done.exit_code == 2
+    assert f"lrf.map = {mode}" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_printed_filter_is_not_smoothed(tmp_path: Path) -> None:
+    done = locfuse("run", LOG, "--smooth", "--preset", "paper", "-o", tmp_path / "out")
+    assert done.exit_code == 2
+    assert "--preset paper" in done.stderr
+
+
+def test_without_truth_the_smoothed_drive_is_a_labelled_pseudo_reference(tmp_path: Path) -> None:
+    log = rewritten(tmp_path / "untrue.mcap", seed=None, without="/ground_truth/pose")
+    words = ("--sensors", "odometry", "--sensors", "lrf", "--smooth")
+    done = locfuse("compare", log, *words, "-o", tmp_path / "out")
+    assert done.exit_code == 0, done.stderr
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["pseudo_reference"]["configuration"] == "lrf smoothed"
+    away = {n: c["against_smoothed"]["position_rmse_m"] for n, c in report["configurations"].items()}
+    assert away["lrf smoothed"] == 0.0
+    assert 0.0 < away["lrf"] < 0.05 < away["odometry"]
+    assert all(c["position_rmse_m"] is None for c in report["configurations"].values())
+    assert "pseudo-reference" in done.stderr

@@ -52,6 +52,11 @@ def imports(path: Path) -> Iterator[tuple[str, bool]]:
                 yield name, node in top
 
 
+def types_only(node: ast.stmt) -> bool:
+    """Tell `if TYPE_CHECKING:`, whose imports never run."""
+    return isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+
+
 ALL = [pytest.param(f, path, id=str(path.relative_to(ROOT))) for f in FOLDERS for path in files(f)]
 
 

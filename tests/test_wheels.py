@@ -1,0 +1,495 @@
+"""Wheels of every kind: whatever counts the turns and whatever happens to the counter, the way is the same."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bags import T0, S, Said, cdr, header
+from commands import locfuse
+from numpy.typing import NDArray
+from wheel_bags import (
+    CREATE,
+    CREATE_TEXT,
+    GEOMETRY,
+    RADIUS,
+    TICKS,
+    TRACK,
+    TURTLE,
+    TURTLE_TEXT,
+    angles,
+    custom,
+    joint_states,
+    log_of,
+    numbers,
+    pose_of,
+)
+
+from locfuse.cli.load import make_robot
+from locfuse.fusion.data import ArrayStream, Column, LocfuseError, Ragged
+from locfuse.fusion.measure import measure
+from locfuse.fusion.robot import WheelSettings
+from locfuse.fusion.wheels import WheelReading, read_wheels
+from locfuse.sample_logs import load as scenarios
+from locfuse.sample_logs.record import in_memory
+
+Array = NDArray[np.float64]
+RNG = np.random.default_rng(7)
+ODOMETRY = "nav_msgs/msg/Odometry"
+QUIET = tuple(f"{sensor}.enabled=false" for sensor in ("camera", "lrf", "compass"))
+
+
+def settings(**keys: Any) -> WheelSettings:
+    return WheelSettings(**{"radius": RADIUS, "track": TRACK, **keys})
+
+
+def joints(t: Array, angle: Array) -> ArrayStream:
+    n = len(t)
+    data: dict[str, Column] = {
+        "name": [("left_wheel", "right_wheel")] * n,
+        "position": Ragged(angle.ravel(), np.arange(0, 2 * n + 1, 2)),
+    }
+    return ArrayStream("/joint_states", "sensor_msgs/msg/JointState", np.rint(t * 1e9).astype(np.int64), data)
+
+
+def read(t: Array, angle: Array, **keys: Any) -> WheelReading:
+    return read_wheels(joints(t, angle), settings(**keys))
+
+
+def final(reading: WheelReading) -> Array:
+    pose: Array = reading.wheels.pose[-1]
+    return pose
+
+
+def words(reading: WheelReading) -> str:
+    return " | ".join(reading.notes)
+
+
+@pytest.fixture(scope="module")
+def truth() -> tuple[Array, Array]:
+    return angles()
+
+
+def test_clean_angles_give_the_plain_sum_of_arcs_and_no_words(truth: tuple[Array, Array]) -> None:
+    reading = read(*truth)
+    np.testing.assert_allclose(final(reading), pose_of(truth[1]), atol=1e-12)
+    assert reading.notes == ()
+    assert reading.dropped == {}
+
+
+def test_a_first_sample_far_from_zero_does_not_matter(truth: tuple[Array, Array]) -> None:
+    t, angle = truth
+    np.testing.assert_allclose(final(read(t, angle + np.array([813.2, -77.1]))), pose_of(angle), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("unit", "low", "modulus"),
+    [
+        pytest.param(1.0, -np.pi, 2 * np.pi, id="angle wrapped to +-pi"),
+        pytest.param(1.0, 0.0, 2 * np.pi, id="angle wrapped to 0..2 pi"),
+        pytest.param(2 * np.pi / 4000, -128 * 2 * np.pi / 4000, 256 * 2 * np.pi / 4000, id="8-bit angle of ticks"),
+        pytest.param(2 * np.pi / 4096, -(2**15) * 2 * np.pi / 4096, 2**16 * 2 * np.pi / 4096, id="16-bit angle"),
+    ],
+)
+def test_a_counter_that_rolls_over_is_counted_on(
+    truth: tuple[Array, Array], unit: float, low: float, modulus: float
+) -> None:
+    t, angle = truth
+    whole = np.round(angle * 1.0 / unit) * unit if unit != 1.0 else angle
+    published = (whole + 0.98 * modulus / 2 - low) % modulus + low
+    reading = read(t, published)
+    np.testing.assert_allclose(final(reading), pose_of(whole), atol=1e-9)
+    assert "rolled over" in words(reading)
+    assert "wheels.rollover" in words(reading)
+
+
+def test_rollover_can_be_set_and_switched_off(truth: tuple[Array, Array]) -> None:
+    t, angle = truth
+    published = angle % 7.0
+    reading = read(t, published, rollover=7.0)
+    np.testing.assert_allclose(final(reading), pose_of(angle), atol=1e-9)
+    off = read(t, (angle + 3.0) % (2 * np.pi), rollover=0)
+    assert "rolled over" not in words(off)
+    assert "started anew" in words(off)
+
+
+def test_a_wheel_that_stands_at_the_end_of_its_range_and_trembles_is_no_spike() -> None:
+    t = np.arange(0, 10, 0.02)
+    angle = np.stack([np.interp(t, [0, 4, 6, 10], [0, 3.14159, 3.14159, 6.0])] * 2, axis=-1)
+    angle[200:300] += 1e-3 * RNG.standard_normal((100, 2))
+    reading = read(t, (angle + np.pi) % (2 * np.pi) - np.pi)
+    np.testing.assert_allclose(final(reading), pose_of(angle), atol=1e-9)
+    assert "spike" not in reading.dropped
+
+
+@pytest.mark.parametrize("length", [1, 3, 8])
+@pytest.mark.parametrize("size", [-1e6, 15.7, 0.8 / RADIUS])
+def test_a_spike_that_jumps_and_returns_is_left_out_and_counted(
+    truth: tuple[Array, Array], length: int, size: float
+) -> None:
+    t, angle = truth
+    published = angle.copy()
+    published[300 : 300 + length, 1] += size
+    reading = read(t, published)
+    assert reading.dropped == {"spike": length}
+    assert "jumped away and back" in words(reading)
+    np.testing.assert_allclose(final(reading)[:2], pose_of(angle)[:2], atol=2e-3)
+
+
+def test_a_spike_and_rollovers_in_one_drive_are_both_repaired(truth: tuple[Array, Array]) -> None:
+    t, angle = truth
+    published = (angle + np.pi) % (2 * np.pi) - np.pi
+    published[420:423, 0] += 250.0
+    reading = read(t, published)
+    assert reading.dropped == {"spike": 3}
+    np.testing.assert_allclose(final(reading)[:2], pose_of(angle)[:2], atol=3e-3)
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_an_encoder_that_starts_anew_loses_one_step_and_says_so(truth: tuple[Array, Array], side: int) -> None:
+    t, angle = truth
+    published = angle + 500.0
+    published[330:, side] -= published[330, side]
+    reading = read(t, published)
+    np.testing.assert_allclose(final(reading), pose_of(angle), atol=2e-3)
+    assert "started anew once" in words(reading)
+    assert "wheels.max_speed" in words(reading)
+    assert reading.dropped == {}
+
+
+def test_nan_and_repeats_and_two_values_with_one_stamp_are_counted(truth: tuple[Array, Array]) -> None:
+    t, angle = (a.copy() for a in truth)
+    angle[100, 0] = np.nan
+    angle[101, 1] = np.inf
+    t[200] = t[201]
+    angle[300], t[300] = angle[301], t[301]
+    reading = read(t, angle)
+    assert reading.dropped == {"not_finite": 2, "same_stamp": 1, "repeat": 1}
+    np.testing.assert_allclose(final(reading), pose_of(truth[1]), atol=2e-3)
+
+
+def test_a_real_burst_of_speed_is_not_a_fault() -> None:
+    t = np.arange(0, 20, 0.05)
+    speed = np.interp(t, [0, 9.5, 10.0, 10.5, 11.0, 20], [1.0, 1.0, 18.0, 18.0, 1.0, 1.0])
+    angle = np.stack((np.cumsum(speed) * 0.05, np.cumsum(speed) * 0.05), axis=-1)
+    reading = read(t, angle)
+    np.testing.assert_allclose(final(reading), pose_of(angle), atol=1e-9)
+    assert not reading.dropped
+
+
+def test_a_gap_while_driving_is_motion_and_not_a_fault(truth: tuple[Array, Array]) -> None:
+    t, angle = truth
+    keep = (t < 4.0) | (t > 6.5)
+    reading = read(t[keep], angle[keep])
+    assert reading.notes == ()
+    assert final(reading)[2] == pytest.approx(pose_of(angle)[2], abs=1e-9)
+
+
+def test_messages_that_arrive_in_bursts_are_not_jumps(truth: tuple[Array, Array]) -> None:
+    t, angle = truth
+    n = np.arange(len(t))
+    bursts = n // 10 * 0.2 + 1e-4 * (n % 10)  # ten messages within a millisecond
+    reading = read(bursts, angle)
+    assert reading.notes == ()
+    assert not reading.dropped
+
+
+@pytest.mark.parametrize(("mirrored", "sides"), [("left", (-1, 1)), ("right", (1, -1)), ("both", (-1, -1))])
+def test_a_mirrored_wheel_is_turned_by_its_setting(
+    truth: tuple[Array, Array], mirrored: str, sides: tuple[int, int]
+) -> None:
+    t, angle = truth
+    assert abs(final(read(t, angle * sides)) - pose_of(angle)).max() > 0.1
+    np.testing.assert_allclose(final(read(t, angle * sides, mirrored=mirrored)), pose_of(angle), atol=1e-9)
+
+
+def test_an_arm_on_the_same_topic_is_set_aside(truth: tuple[Array, Array]) -> None:
+    t, angle = truth
+    n = len(t)
+    both = np.repeat(t, 2) + np.tile([0.0, 0.004], n)
+    names = [("left_wheel", "right_wheel"), ("shoulder", "elbow", "wrist")] * n
+    values = np.concatenate([[*row, 0.1, 0.2, 0.3] for row in angle.tolist()])
+    first = np.concatenate(([0], np.cumsum([2, 3] * n)))
+    data: dict[str, Column] = {"name": names, "position": Ragged(values, first)}
+    stream = ArrayStream("/joint_states", "sensor_msgs/msg/JointState", np.rint(both * 1e9).astype(np.int64), data)
+    reading = read_wheels(stream, settings())
+    np.testing.assert_allclose(final(reading), pose_of(angle), atol=1e-9)
+    assert reading.dropped == {"other_joints": n}
+
+
+def test_names_decide_and_not_positions(truth: tuple[Array, Array]) -> None:
+    t, angle = truth
+    n = len(t)
+    rows = [("rear", "right_wheel", "left_wheel"), ("left_wheel", "rear", "right_wheel")] * (n // 2)
+    spot = {"rear": None, "left_wheel": 0, "right_wheel": 1}
+    values = [9.9 if spot[j] is None else angle[i, int(spot[j] or 0)] for i, row in enumerate(rows) for j in row]
+    data: dict[str, Column] = {"name": rows, "position": Ragged(np.array(values), np.arange(0, 3 * n + 1, 3))}
+    stream = ArrayStream("/joint_states", "sensor_msgs/msg/JointState", np.rint(t * 1e9).astype(np.int64), data)
+    np.testing.assert_allclose(final(read_wheels(stream, settings())), pose_of(angle), atol=1e-9)
+
+
+# --- other messages, as logs
+
+
+def run(tmp_path: Path, log: Path, *words: str) -> tuple[dict[str, Any], Array, str]:
+    done = locfuse("run", log, "--sensors", "odometry", "-o", tmp_path / "out", "--overwrite", *words)
+    assert done.exit_code == 0, done.stderr
+    tum = np.loadtxt(tmp_path / "out" / "trajectory.tum")
+    theta = 2 * np.arctan2(tum[-1, 6], tum[-1, 7])
+    return json.loads((tmp_path / "out" / "run.json").read_text()), np.array([*tum[-1, 1:3], theta]), done.stderr
+
+
+def assert_pose(found: Array, wanted: Array, atol: float) -> None:
+    np.testing.assert_allclose(found[:2], wanted[:2], atol=atol)
+    assert abs((found[2] - wanted[2] + np.pi) % (2 * np.pi) - np.pi) < 5 * atol
+
+
+@pytest.mark.parametrize("offset", [0, 2**31 - 300])
+def test_create_ticks_are_read_also_over_the_end_of_32_bits(
+    tmp_path: Path, truth: tuple[Array, Array], offset: int
+) -> None:
+    t, angle = truth
+    ticks = np.round(angle * TICKS / (2 * np.pi)).astype(np.int64) + offset
+    wrapped = (ticks + 2**31) % 2**32 - 2**31
+    rows = [{"ticks_left": int(a), "ticks_right": int(b)} for a, b in wrapped.tolist()]
+    log = custom(tmp_path / "create.mcap", "/wheel_ticks", CREATE, CREATE_TEXT, t, rows)
+    _, pose, _ = run(tmp_path, log, *GEOMETRY, "--set", f"wheels.ticks_per_revolution={TICKS}")
+    assert_pose(pose, pose_of(ticks * 2 * np.pi / TICKS), 1e-6)
+
+
+def test_turtlebot3_encoders_are_read(tmp_path: Path, truth: tuple[Array, Array]) -> None:
+    t, angle = truth
+    ticks = np.round(angle * 4096 / (2 * np.pi)).astype(np.int64)
+    rows = [{"left_encoder": int(a), "right_encoder": int(b)} for a, b in ticks.tolist()]
+    log = custom(tmp_path / "tb3.mcap", "/sensor_state", TURTLE, TURTLE_TEXT, t, rows)
+    done = locfuse("run", log, "-o", tmp_path / "no", *GEOMETRY)
+    assert done.exit_code == 1
+    assert "--set wheels.ticks_per_revolution=4096" in done.stderr
+    _, pose, _ = run(tmp_path, log, *GEOMETRY, "--set", "wheels.ticks_per_revolution=4096")
+    assert_pose(pose, pose_of(ticks * 2 * np.pi / 4096), 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("kind", "left", "right", "bits"),
+    [
+        ("Int16", "/lwheel", "/rwheel", 16),
+        ("Int32", "/left_ticks", "/right_ticks", 32),
+        ("Int64", "/encoder/left", "/encoder/right", 64),
+        ("Float32", "/wheel/left/angle", "/wheel/right/angle", 0),
+    ],
+)
+def test_two_unsynchronised_topics_are_one_pair_of_wheels(
+    tmp_path: Path, truth: tuple[Array, Array], kind: str, left: str, right: str, bits: int
+) -> None:
+    t, angle = truth
+    late = t + 0.007  # the right wheel is read 7 ms later
+    seen = np.stack((angle[:, 0], np.interp(late, t, angle[:, 1])), axis=-1)
+    values: Any = seen.tolist()
+    how: tuple[str, ...] = GEOMETRY
+    if bits:
+        ticks = np.round(seen * TICKS / (2 * np.pi)).astype(np.int64)
+        if bits == 16:
+            ticks = (ticks + 32_000 + 2**15) % 2**16 - 2**15
+        values = ticks.tolist()
+        how = (*GEOMETRY, "--set", f"wheels.ticks_per_revolution={TICKS}")
+    log = log_of(
+        tmp_path / "pair.mcap",
+        numbers(left, kind, t, [v[0] for v in values]),
+        numbers(right, kind, late, [v[1] for v in values]),
+    )
+    report, pose, stderr = run(tmp_path, log, *how)
+    assert_pose(pose, pose_of(angle), 2e-3)
+    assert report["input"]["topics"]["wheels"] == left
+    assert "not synchronised" in stderr
+
+
+def test_a_pair_can_be_named_and_half_a_pair_is_one_clear_line(tmp_path: Path, truth: tuple[Array, Array]) -> None:
+    t, angle = truth
+    log = log_of(
+        tmp_path / "odd.mcap",
+        numbers("/m1", "Float64", t, angle[:, 0].tolist()),
+        numbers("/m2", "Float64", t, angle[:, 1].tolist()),
+    )
+    done = locfuse("run", log, *GEOMETRY, "-o", tmp_path / "a")
+    assert done.exit_code == 1
+    done = locfuse("run", log, *GEOMETRY, "--set", "wheels.left_topic=/m1", "-o", tmp_path / "a")
+    assert done.exit_code == 1
+    assert "--set wheels.right_topic=" in done.stderr
+    done = locfuse("run", log, *GEOMETRY, "--set", "wheels.topic=/m1", "-o", tmp_path / "a")
+    assert "--set wheels.left_topic=/m1" in done.stderr
+    named = ("--set", "wheels.left_topic=/m1", "--set", "wheels.right_topic=/m2")
+    _, pose, _ = run(tmp_path, log, *GEOMETRY, *named)
+    assert_pose(pose, pose_of(angle), 1e-6)
+
+
+def test_ticks_beat_the_joints_of_an_arm(tmp_path: Path, truth: tuple[Array, Array]) -> None:
+    t, angle = truth
+    ticks = np.round(angle * TICKS / (2 * np.pi)).astype(np.int64)
+    log = log_of(
+        tmp_path / "arm.mcap",
+        joint_states(t, np.zeros_like(angle), ("left_shoulder", "elbow")),
+        numbers("/left_ticks", "Int32", t, ticks[:, 0].tolist()),
+        numbers("/right_ticks", "Int32", t, ticks[:, 1].tolist()),
+    )
+    report, pose, _ = run(tmp_path, log, *GEOMETRY, "--set", f"wheels.ticks_per_revolution={TICKS}")
+    assert report["input"]["topics"]["wheels"] == "/left_ticks"
+    assert_pose(pose, pose_of(ticks * 2 * np.pi / TICKS), 1e-6)
+
+
+# --- other odometries
+
+
+def odometry(t: Array, pose: Array, speed: Array, turn: Array) -> ArrayStream:
+    half = 0.5 * pose[:, 2]
+    zero = np.zeros(len(t))
+    data = {
+        "pose.pose.position.x": pose[:, 0],
+        "pose.pose.position.y": pose[:, 1],
+        "pose.pose.orientation.x": zero,
+        "pose.pose.orientation.y": zero,
+        "pose.pose.orientation.z": np.sin(half),
+        "pose.pose.orientation.w": np.cos(half),
+        "twist.twist.linear.x": speed,
+        "twist.twist.angular.z": turn,
+    }
+    return ArrayStream("/odom", ODOMETRY, np.rint(t * 1e9).astype(np.int64), data)
+
+
+def driven(speed: Array, turn: Array, dt: float) -> Array:
+    pose = np.zeros((len(speed) + 1, 3))
+    for i, (v, w) in enumerate(zip(speed.tolist(), turn.tolist(), strict=True)):
+        x, y, theta = pose[i]
+        pose[i + 1] = (
+            x + v * dt * np.cos(theta + w * dt / 2),
+            y + v * dt * np.sin(theta + w * dt / 2),
+            theta + w * dt,
+        )
+    return pose
+
+
+def way() -> tuple[Array, Array, Array]:
+    t = np.arange(0, 30, 0.1)
+    speed = np.interp(t, [0, 1, 9, 10, 11, 14, 15, 30], [0, 0.4, 0.4, 0, -0.3, -0.3, 0.4, 0.4])
+    return t, speed, 0.3 * np.sin(t / 3)
+
+
+def test_a_pose_that_cannot_back_up_is_turned_round_where_the_twist_says_so() -> None:
+    t, speed, turn = way()
+    right = driven(speed[:-1], turn[:-1], 0.1)
+    blind = driven(np.abs(speed[:-1]), turn[:-1], 0.1)
+    assert np.hypot(*(right[-1] - blind[-1])[:2]) > 1.0
+    reading = read_wheels(odometry(t, blind, speed, turn), WheelSettings())
+    assert "whose twist says backward" in words(reading)
+    assert "wheels.reverse_by_twist=false" in words(reading)
+    assert np.hypot(*(final(reading) - right[-1])[:2]) < 0.06
+    left = read_wheels(odometry(t, blind, speed, turn), WheelSettings(reverse_by_twist=False))
+    np.testing.assert_allclose(final(left)[:2], blind[-1, :2], atol=1e-9)
+    assert left.notes == ()
+
+
+def test_a_pose_that_backs_up_is_left_alone() -> None:
+    t, speed, turn = way()
+    pose = driven(speed[:-1], turn[:-1], 0.1)
+    reading = read_wheels(odometry(t, pose, speed, turn), WheelSettings())
+    np.testing.assert_allclose(final(reading)[:2], pose[-1, :2], atol=1e-9)
+    assert reading.notes == ()
+
+
+@pytest.mark.parametrize("wrong", [-1.0, 40.0])
+def test_a_twist_that_disagrees_with_most_of_the_pose_is_not_believed(wrong: float) -> None:
+    t, speed, turn = way()
+    pose = driven(np.abs(speed[:-1]), turn[:-1], 0.1)
+    reading = read_wheels(odometry(t, pose, wrong * speed, turn), WheelSettings())
+    np.testing.assert_allclose(final(reading)[:2], pose[-1, :2], atol=1e-9)
+
+
+def test_an_odometry_that_starts_anew_or_spikes_is_mended() -> None:
+    t, speed, turn = way()
+    pose = driven(speed[:-1], turn[:-1], 0.1)
+    anew = pose.copy()
+    anew[150:, :2] -= anew[150, :2]
+    reading = read_wheels(odometry(t, anew, speed, turn), WheelSettings())
+    assert "jumped once" in words(reading)
+    np.testing.assert_allclose(final(reading)[:2], pose[-1, :2], atol=0.02)
+    spiked = pose.copy()
+    spiked[200:202, 0] += 30.0
+    reading = read_wheels(odometry(t, spiked, speed, turn), WheelSettings())
+    assert reading.dropped == {"spike": 2}
+    np.testing.assert_allclose(final(reading)[:2], pose[-1, :2], atol=0.02)
+
+
+def test_an_odometry_far_from_zero_counts_by_increments_and_a_frozen_pose_by_twist() -> None:
+    t, speed, turn = way()
+    pose = driven(speed[:-1], turn[:-1], 0.1)
+    moved = pose + np.array([1200.0, -35.0, 0.0])
+    reading = read_wheels(odometry(t, moved, speed, turn), WheelSettings())
+    np.testing.assert_allclose(final(reading)[:2], pose[-1, :2], atol=1e-8)
+    reading = read_wheels(odometry(t, np.zeros_like(pose), speed, turn), WheelSettings())
+    assert "its twist is used" in words(reading)
+    np.testing.assert_allclose(final(reading)[:2], pose[-1, :2], atol=0.05)
+
+
+@pytest.mark.skipif(not os.environ.get("LOCFUSE_DATA"), reason="LOCFUSE_DATA is not set: no real logs to try")
+def test_turning_the_reverse_driving_of_fr079_round_brings_its_short_relations_to_33_mm() -> None:
+    from locfuse.formats.log import open_log
+
+    folder = Path(os.environ["LOCFUSE_DATA"]) / "fr079"
+    stream = open_log([folder / "fr079.mcap"]).stream("/odom")
+    relations = np.loadtxt(folder / "fr079.relations")
+    relations[:, :2] += 1e9 - 0.13  # log stamps; the relations hold at the scans, which are 0.13 s older
+    short = np.diff(relations[:, :2], axis=1)[:, 0] < 20.0
+    mean = {}
+    for by_twist in (False, True):
+        reading = read_wheels(stream, WheelSettings(reverse_by_twist=by_twist))
+        when = relations[short, :2] - reading.epoch_ns * 1e-9
+        t, pose = reading.wheels.t, reading.wheels.pose
+        a, b = (np.stack([np.interp(when[:, i], t, c) for c in pose.T], axis=-1) for i in (0, 1))
+        c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
+        dx, dy = (b - a)[:, 0], (b - a)[:, 1]
+        found = np.stack((c * dx + s * dy, -s * dx + c * dy), axis=-1)
+        error = np.hypot(*(found - relations[short][:, 2:4]).T)  # the length of its difference, whatever the frame
+        mean[by_twist] = float(error.mean())
+    assert mean[False] == pytest.approx(0.0537, abs=0.0005)
+    assert mean[True] == pytest.approx(0.0330, abs=0.0005)
+
+
+def test_the_bad_electronics_of_the_simulator_cost_less_than_a_millimetre() -> None:
+    found = {}
+    for name, faults in (("bad", ()), ("good", ("faults=[]",))):
+        streams, tables, _ = in_memory(scenarios.load("bad_electronics", (*QUIET, *faults)), 1)
+        drive = measure({"wheels": streams["/joint_states"]}, make_robot(tables))
+        found[name] = drive
+    bad, good = found["bad"].wheels, found["good"].wheels
+    np.testing.assert_allclose(bad.pose[-1], good.pose[-1], atol=1e-3)
+    assert found["bad"].dropped["wheels"] == {"spike": 2}
+    assert sum("rolled over" in note for note in found["bad"].notes) == 2
+    assert found["good"].notes == ()
+
+
+def test_too_few_readings_and_missing_geometry_are_one_line() -> None:
+    t, angle = angles()
+    with pytest.raises(LocfuseError, match="two are the least"):
+        read(t[:1], angle[:1])
+    with pytest.raises(LocfuseError, match=r"--set wheels\.radius=<metres>"):
+        read_wheels(joints(t, angle), WheelSettings())
+
+
+def test_messages_of_an_arm_are_no_loss(tmp_path: Path, truth: tuple[Array, Array]) -> None:
+    t, angle = truth
+    arm = [
+        Said(
+            "/joint_states",
+            "sensor_msgs/msg/JointState",
+            cdr("sensor_msgs/msg/JointState", header=header(T0 + i * S // 10), name=["elbow"], position=[0.1]),
+            T0 + i * S // 10 + 3_000_000,
+        )
+        for i in range(190)
+    ]
+    log = log_of(tmp_path / "arm.mcap", joint_states(t, angle), arm)
+    report, pose, _ = run(tmp_path, log, *GEOMETRY)
+    assert_pose(pose, pose_of(angle), 1e-6)
+    assert report["input"]["dropped"]["wheels"] == {"other_joints": 190}

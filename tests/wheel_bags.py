@@ -1,0 +1,109 @@
+"""Wheel readings of a known drive, as each kind of message publishes them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from bags import T0, S, Said, cdr, header, write
+from mcap.writer import Writer
+from numpy.typing import NDArray
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+Array = NDArray[np.float64]
+RADIUS, TRACK, TICKS = 0.05, 0.3, 1000.0
+GEOMETRY = ("--set", f"wheels.radius={RADIUS}", "--set", f"wheels.track={TRACK}")
+CREATE = "irobot_create_msgs/msg/WheelTicks"
+CREATE_TEXT = "std_msgs/Header header\nint32 ticks_left\nint32 ticks_right\n"
+TURTLE = "turtlebot3_msgs/msg/SensorState"
+TURTLE_TEXT = """std_msgs/Header header
+uint8 bumper
+float32 cliff
+float32 sonar
+float32 illumination
+uint8 led
+uint8 button
+bool torque
+int32 left_encoder
+int32 right_encoder
+float32 battery
+"""
+HEADER_TEXT = """
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+
+
+def angles(duration: float = 20.0, rate: float = 50.0) -> tuple[Array, Array]:
+    """Times (n,) and true wheel angles (n, 2): stand, accelerate, curve, stop, back up, turn on the spot."""
+    t = np.arange(0.0, duration, 1.0 / rate)
+    knots = np.array([0, 1, 2, 7, 8, 9, 12, 13, 14, 18, 19]) * duration / 20.0
+    left = np.interp(t, knots, [0, 0, 6, 6, 0, -5, -5, 0, 3, 3, 0])
+    right = np.interp(t, knots, [0, 0, 6, 8, 0, -5, -5, 0, -3, -3, 0])
+    angle = np.stack((np.cumsum(left), np.cumsum(right)), axis=-1) / rate
+    return t, angle
+
+
+def pose_of(angle: NDArray[np.floating[Any]]) -> Array:
+    """Final pose of dead reckoning along arcs, the plainest way: (x, y, theta)."""
+    x = y = theta = 0.0
+    for d_left, d_right in np.diff(angle, axis=0) * RADIUS:
+        ds, turn = (d_left + d_right) / 2, (d_right - d_left) / TRACK
+        chord = ds * (np.sin(turn / 2) / (turn / 2) if turn else 1.0)
+        x, y, theta = x + chord * np.cos(theta + turn / 2), y + chord * np.sin(theta + turn / 2), theta + turn
+    return np.array([x, y, theta])
+
+
+def stamps(t: Array) -> list[int]:
+    return [T0 + round(s * S) for s in t.tolist()]
+
+
+def joint_states(t: Array, angle: Array, names: tuple[str, str] = ("left_wheel", "right_wheel")) -> list[Said]:
+    return [
+        Said(
+            "/joint_states",
+            "sensor_msgs/msg/JointState",
+            cdr("sensor_msgs/msg/JointState", header=header(ns), name=list(names), position=row),
+            ns + 1_000_000,
+        )
+        for ns, row in zip(stamps(t), angle.tolist(), strict=True)
+    ]
+
+
+def numbers(topic: str, kind: str, t: Array, values: Any) -> list[Said]:
+    """A topic of std_msgs numbers, dated by their recording alone."""
+    kind = f"std_msgs/msg/{kind}"
+    return [Said(topic, kind, cdr(kind, data=v), ns) for ns, v in zip(stamps(t), values, strict=True)]
+
+
+def custom(path: Path, topic: str, msgtype: str, text: str, t: Array, rows: list[dict[str, Any]]) -> Path:
+    """A log of a type that no standard store knows, as its driver's package would define it."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg(text, msgtype))
+    with path.open("wb") as file:
+        writer: Any = Writer(file)
+        writer.start()
+        schema = writer.register_schema(msgtype, "ros2msg", (text + HEADER_TEXT).encode())
+        channel = writer.register_channel(topic, "cdr", schema)
+        for ns, row in zip(stamps(t), rows, strict=True):
+            message = _filled(store, msgtype, {"header": header(ns), **row})
+            writer.add_message(channel, ns, bytes(store.serialize_cdr(message, msgtype)), ns, 0)
+        writer.finish()
+    return path
+
+
+def _filled(store: Any, msgtype: str, values: dict[str, Any]) -> Any:
+    from bags import build
+
+    return build(msgtype, store, **values)
+
+
+def log_of(path: Path, *said: list[Said]) -> Path:
+    return write(path, sorted((m for part in said for m in part), key=lambda m: m.log_time))

@@ -36,9 +36,9 @@ def imports(path: Path) -> Iterator[tuple[str, bool]]:
     """Yield (module as "fusion.data" or "numpy", whether it is imported at module level)."""
     package = path.relative_to(ROOT).with_suffix("").parts[:-1]
     tree = ast.parse(path.read_text())
-    top = set(
-        ast.walk(ast.Module([n for n in tree.body if not isinstance(n, ast.FunctionDef | ast.ClassDef)], []))
-    )
+    deferred = (ast.FunctionDef, ast.ClassDef)
+    now = [n for n in tree.body if not isinstance(n, deferred) and not types_only(n)]
+    top = set(ast.walk(ast.Module(now, [])))
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             for alias in node.names:

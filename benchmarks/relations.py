@@ -13,9 +13,10 @@ from pathlib import Path
 
 import click
 import numpy as np
+from numpy.typing import NDArray
+
 from locfuse.formats.trajectory import read_tum
 from locfuse.fusion import se2
-from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 

@@ -1,0 +1,77 @@
+"""The commands that README.md and the docs show are run, and what they print is what the page says.
+
+    python -m benchmarks.readme           exit 1 where a page differs from what its commands print today
+    python -m benchmarks.readme --write   put today's output into the pages
+
+A block is a fence of ```console with lines `$ locfuse ...`, each followed by its stdout.
+"""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+PAGES = ("README.md",)
+BLOCK = re.compile(r"```console\n(.*?)```", re.DOTALL)
+WIDTH = "100"
+
+
+def commands(block: str) -> list[str]:
+    """Return the commands of one block."""
+    return [line[2:] for line in block.splitlines() if line.startswith("$ ")]
+
+
+def output(command: str, folder: Path) -> str:
+    """Run one command in `folder` as a user would and return its stdout, without blank lines."""
+    words = shlex.split(command)
+    if words[0] != "locfuse":
+        raise ValueError(f"only locfuse commands are run: {command}")
+    environment = {**os.environ, "COLUMNS": WIDTH, "NO_COLOR": "1", "TERM": "dumb"}
+    done = subprocess.run(
+        [sys.executable, "-m", "locfuse.cli", *words[1:]],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode != 0:
+        raise RuntimeError(f"{command}: exit {done.returncode}\n{done.stderr}")
+    return "\n".join(line.rstrip() for line in done.stdout.splitlines() if line.strip())
+
+
+def replayed(page: str, folder: Path) -> str:
+    """Return the page with today's output in every block; commands share one folder, in page order."""
+
+    def replay(match: re.Match[str]) -> str:
+        parts = [f"$ {c}\n{output(c, folder)}".rstrip() for c in commands(match.group(1))]
+        return "```console\n" + "\n".join(parts) + "\n```"
+
+    return BLOCK.sub(replay, page)
+
+
+def main(write: bool) -> int:
+    """Check or rewrite all pages."""
+    wrong = 0
+    for name in PAGES:
+        path = ROOT / name
+        page = path.read_text()
+        with tempfile.TemporaryDirectory() as folder:
+            now = replayed(page, Path(folder))
+        if write:
+            path.write_text(now)
+        elif now != page:
+            wrong += 1
+            sys.stdout.writelines(difflib.unified_diff(page.splitlines(True), now.splitlines(True), name, "today"))
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main("--write" in sys.argv))

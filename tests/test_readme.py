@@ -1,0 +1,31 @@
+"""Docs are tests: every command the README shows runs, and prints what the page says."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+sys.path.insert(0, str(ROOT))
+
+from benchmarks import readme  # noqa: E402
+
+PAGE = (ROOT / "README.md").read_text()
+
+
+def test_every_command_in_the_readme_prints_what_it_shows(tmp_path: Path) -> None:
+    assert len(readme.commands("\n".join(readme.BLOCK.findall(PAGE)))) >= 2
+    assert readme.replayed(PAGE, tmp_path) == PAGE
+
+
+def test_the_two_set_up_commands_are_the_ones_ci_uses() -> None:
+    assert "python3 -m venv .venv && .venv/bin/pip install -e '.[test]' && .venv/bin/locfuse" in PAGE
+    assert ".venv/bin/python -m pytest" in PAGE
+
+
+@pytest.mark.parametrize("link", sorted(set(re.findall(r"\]\(((?!http)[^)#]+)", PAGE))))
+def test_every_link_of_the_readme_leads_somewhere(link: str) -> None:
+    assert (ROOT / link).exists(), link

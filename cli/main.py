@@ -22,6 +22,7 @@ COMMANDS = {
     "run": "Run one configuration: trajectory, covariances, run.json.",
     "compare": "Run all configurations in one pass and report what each sensor bought.",
     "view": "Look at a log, a result or a recording in Rerun.",
+    "calibrate": "Find wheel noise, wheel geometry and magnetometer iron from logs.",
     "simulate": "Drive a scenario and record it as a log with known truth.",
 }
 INTERRUPTED, TERMINATED = 130, 143

@@ -85,6 +85,15 @@ def send(path: Path, url: str) -> None:
         raise LocfuseError(f"the viewer at {host}:{port} did not take the recording: {said[:160]}")
 
 
+def require() -> None:
+    """Raise LocfuseError where nothing could show a recording: before anything is computed for it."""
+    if not has_display() and not listening(HOST, PORT):
+        raise LocfuseError(
+            f"there is no display, and no viewer runs at {HOST}:{PORT}. Save the recording with --save FILE.rrd, "
+            "or look at it in a browser with --web"
+        )
+
+
 def show_and_wait(path: Path) -> None:
     """Show a recording like `show`, and where a viewer is started wait until its window is closed."""
     viewer = show(path)

@@ -69,6 +69,8 @@ def view(
     """
     from . import rerun_viewer, show
 
+    if save is None and connect is None and not web:
+        rerun_viewer.require()
     with tempfile.TemporaryDirectory(prefix="locfuse-") as scratch:
         with show.progress(how.quiet) as progress:
             path = ready(what)
@@ -126,17 +128,13 @@ def _record(
 def _scene_of_log(what: Sequence[str], wish: Wish, progress: Progress) -> Scene:
     """Measure a log and run its configurations."""
     from ..formats import report_md
-    from ..fusion.evaluate import evaluate
-    from . import configurations, results
+    from .comparison import compare_log, report_of
+    from .configurations import for_comparison
     from .load import find_log, load
     from .rerun_scene import make_scene
 
     loaded = load(find_log(what), wish.how, progress)
-    estimates, evaluations = [], []
-    for configuration in configurations.for_comparison(wish.sensors, loaded.drive):
-        progress(f"fusing {configuration.name}")
-        estimates.append(configuration.fuse(loaded.drive, loaded.robot))
-        evaluations.append(evaluate(estimates[-1], configuration.drive(loaded.drive)))
-    table = report_md.render(results.build(loaded, evaluations))
+    compared = compare_log(loaded, for_comparison(wish.sensors, loaded.drive), "none", progress)
+    table = report_md.render(report_of(compared))
     progress("recording")
-    return make_scene(loaded, estimates, evaluations, table, wish.images, wish.full)
+    return make_scene(loaded, compared.estimates, compared.evaluations, table, wish.images, wish.full)

@@ -27,7 +27,9 @@ def save_recording(path: Path, scene: Scene, tab: str | None = None) -> None:
     except OSError as problem:
         raise LocfuseError(f"cannot write {path}: {problem.strerror or problem}") from None
     except RuntimeError as problem:  # what Rerun's writer thread says when the disk is full
-        raise LocfuseError(f"cannot write {path}: {_first_line(problem)} (is the disk full?)") from None
+        full = "prematurely" in str(problem)
+        why = "the disk is full or went away" if full else _first_line(problem)
+        raise LocfuseError(f"cannot write {path}: {why}") from None
 
 
 def verify(path: Path, sent: Counter[str]) -> None:
@@ -55,7 +57,9 @@ def check(path: Path) -> Counter[str]:
             for chunk in reader.stream():
                 if not chunk.is_static:
                     rows[chunk.entity_path.strip("/")] += chunk.num_rows
-    except (RuntimeError, ValueError, OSError, Warning) as problem:
+    except Warning:
+        raise LocfuseError(f"{path.name} is no whole recording: it was cut short") from None
+    except (RuntimeError, ValueError, OSError) as problem:
         raise LocfuseError(f"{path.name} is no whole recording: {_first_line(problem)}") from None
     if not whole:
         raise LocfuseError(f"{path.name} is no recording of ours: it holds no drive or no blueprint")

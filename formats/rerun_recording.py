@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -29,12 +30,13 @@ def write_recording(path: Path, scene: Scene, tab: str | None = None) -> Counter
     """
     import rerun as rr
 
-    stream = rr.RecordingStream(f"{APPLICATION} {scene.name}")
+    stream = rr.RecordingStream(application(scene))
     stream.set_log_time_enabled(False)
     stream.set_log_tick_enabled(False)
     with _strict():
-        stream.save(path, default_blueprint=blueprint(scene, tab))
+        stream.save(path)
         try:
+            stream.send_blueprint(blueprint(scene, tab))  # active at once, in a viewer that runs already too
             rows = draw(stream, scene)
             stream.flush()
         finally:
@@ -52,9 +54,23 @@ def draw(stream: rr.RecordingStream, scene: Scene) -> Counter[str]:
     draw_sights(to, scene)
     draw_series(to, scene)
     if scene.table:
-        to.static("result", rr.TextDocument(scene.table, media_type=rr.MediaType.MARKDOWN))
+        to.static("result", rr.TextDocument(unfolded(scene.table), media_type=rr.MediaType.MARKDOWN))
     draw_pictures(to, scene)
     return to.rows
+
+
+def application(scene: Scene) -> str:
+    """Return the name under which a viewer keeps the layout: recordings that show the same things share it."""
+    names = [e.name for e in scene.estimates]
+    what = names[0] if len(names) == 1 else f"{len(names)} configurations"
+    pictures = "" if scene.picture_rows is None else ", pictures"
+    return f"{APPLICATION} {scene.name}: {what}{pictures}"
+
+
+def unfolded(table: str) -> str:
+    """Return Markdown without the HTML that folds parts of it away: the viewer shows tags as text."""
+    table = re.sub(r"<summary>(.*?)</summary>", r"\n\n### \1\n", table)
+    return re.sub(r"</?details>", "", table)
 
 
 @contextmanager

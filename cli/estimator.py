@@ -74,9 +74,9 @@ class Localiser:
             return
         settings, names = self.robot.wheels, list(message.fields["name"])
         angle = dict(zip(names, np.asarray(message.fields["position"]).tolist(), strict=True))
-        radius = settings.radius or 0.0
+        radius, (left, right) = settings.radius or 0.0, settings.shares
         self._wheel_t.append(t)
-        self._rolled.append((radius * angle[settings.left], radius * angle[settings.right]))
+        self._rolled.append((radius * left * angle[settings.left], radius * right * angle[settings.right]))
 
     def _wheels(self) -> Wheels:
         rolled = np.array(self._rolled)

@@ -52,7 +52,7 @@ def test_equation_7_is_the_printed_matrix(ds: float, dtheta: float, theta: float
 
 @pytest.mark.parametrize(("ds", "dtheta", "theta", "d"), CASES)
 def test_equation_8_is_the_printed_matrix(ds: float, dtheta: float, theta: float, d: float) -> None:
-    l = 0.6
+    l = 0.6  # noqa: E741 - the name in print
     s, c = math.sin(theta + dtheta / 2), math.cos(theta + dtheta / 2)
     W = [
         [-ds * s / (2 * l), ds * s / (2 * l)],

@@ -1,0 +1,61 @@
+"""Several words on a command line: finished results, the parts of one log, or several logs."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+
+from ..fusion.data import UsageError
+
+PART = re.compile(r"(?P<name>.+)_(?P<number>\d+)\.(?:mcap(?:\.zstd)?|db3(?:\.zstd)?)")
+OVERLAP_NS = 1_000_000_000  # parts of one recording follow each other; two drives need not
+RESULTS = ("report.json", "run.json")
+
+
+def result_file(word: str) -> Path | None:
+    """Return the report of a finished result that a word names (its folder or the file itself), else None."""
+    path = Path(word)
+    if path.name in RESULTS and path.is_file():
+        return path
+    return next((path / name for name in RESULTS if (path / name).is_file()), None)
+
+
+def results_of(words: Sequence[str]) -> list[Path] | None:
+    """Return the reports where every word names a finished result, None where none does.
+
+    A single word is never a comparison of results. Raises UsageError for logs and results mixed.
+    """
+    found = {word: result_file(word) for word in words}
+    reports = [file for file in found.values() if file is not None]
+    if len(words) < 2 or not reports:
+        return None
+    if len(reports) < len(words):
+        log = next(word for word, file in found.items() if file is None)
+        raise UsageError(f"{log} is no result, {reports[0].parent} is one: compare either logs or results")
+    return reports
+
+
+def logs_of(words: Sequence[str]) -> list[list[str]]:
+    """Return the logs that the words name, each as its parts: NAME_0.mcap, NAME_1.mcap of one folder are one log.
+
+    Parts follow each other in time; recordings that overlap are logs of their own, whatever their names.
+    """
+    groups: dict[object, list[str]] = {}
+    for word in dict.fromkeys(words):
+        part = PART.fullmatch(Path(word).name)
+        key = (Path(word).resolve().parent, part["name"]) if part and Path(word).is_file() else word
+        groups.setdefault(key, []).append(word)
+    return [log for parts in groups.values() for log in _split(parts)]
+
+
+def _split(parts: list[str]) -> list[list[str]]:
+    """Return the parts as one log, or as several where they overlap in time."""
+    if len(parts) < 2:
+        return [parts]
+    from ..formats.log import open_log
+
+    spans = sorted(span for part in parts if (span := open_log([Path(part)]).time_span_ns) is not None)
+    apart = all(b[0] > a[1] - OVERLAP_NS for a, b in pairwise(spans))
+    return [parts] if apart else [[part] for part in parts]

@@ -1,0 +1,235 @@
+"""Wheel noise and wheel geometry from logs with truth: the paper's experiment for delta, by likelihood.
+
+Drives are cut into straight runs and turns on the spot, and these into pieces. Over each piece the motion by the
+truth is compared with that by the wheels. Ground noise is white along the way, so the errors of pieces are
+independent, with the covariance k Q of fusion/motion. Closed forms: straight D: var(along) = k D/2, var(yaw) =
+2 k D/L^2, var(across) = 2 k D^3/(3 L^2); turn phi: var(yaw) = k |phi|/L. Wheel scales and track enter linearly and
+are fitted jointly, so that a systematic error is not taken for noise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import se2
+from .data import Array, Drive, Ints, LocfuseError, Truth
+from .gates import chi_square
+from .motion import Wheels
+from .scale_fit import Figure, Residuals
+from .segments import LEAST, STANDSTILL, STRAIGHT, TURN, cut_runs, find_runs
+
+PERIOD = 0.1  # s, the paper's sampling time: what its delta refers to
+PRIOR = np.array([0.1, 0.1, 0.3])  # relative, of mean scale, scale difference, track: wide enough to say nothing
+FIXED = 1e-9  # prior of what the log cannot tell
+UNSEEN = 1e6  # m^2, rad^2: variance of what the truth does not say
+FROM_PARAMETERS = np.array([[1.0, -0.5, 0.0], [1.0, 0.5, 0.0], [0.0, 0.0, 1.0]])  # to left, right, track
+OUTLIER = 0.99999  # a piece less likely than this is a slip or a jump of the truth
+MEDIAN = {1: 0.4549, 3: 2.3660}  # of chi-square, by degrees of freedom
+FEWEST = 4  # pieces
+QUIET = 0.5  # s of standstill that tell the truth's noise
+
+
+class Sigma(NamedTuple):
+    """The truth's own noise."""
+
+    xy: float  # m, per axis
+    theta: float  # rad
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """What the wheels said against what happened, over n pieces."""
+
+    kind: Ints  # (n,)
+    size: Array  # (n,) m or rad
+    e: Array  # (n, 3) truth's motion - wheels' motion, in the frame of the piece's start [m, m, rad]
+    X: Array  # (n, 3, 3) derivative of the wheels' motion by (mean scale, scale difference, track)
+    Q: Array  # (n, 3, 3) covariance per k [m]
+    Q_delta: Array  # (n, 3, 3) covariance per delta
+    T: Array  # (n, 3, 3) covariance of the truth
+    dof: Ints  # (n,) components of e that the truth can tell
+
+    def take(self, keep: NDArray[np.bool_]) -> Pieces:
+        """Return some of the pieces."""
+        return Pieces(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Pieces]) -> Pieces:
+        """Return the pieces of several drives."""
+        return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in cls.__dataclass_fields__))
+
+    @property
+    def prior(self) -> Array:
+        """How vague each parameter is to begin with; FIXED where no piece can tell it."""
+        straight, turn = self.kind == STRAIGHT, self.kind == TURN
+        tells = (straight.any(), ((self.dof > 1) & (straight | turn)).any(), turn.any())
+        return np.where(tells, PRIOR, FIXED)
+
+    def residuals(self, Q: Array) -> Residuals:
+        """Return the errors with covariance shapes `Q`."""
+        return Residuals(self.e, self.X, Q, self.T, self.prior)
+
+
+@dataclass(frozen=True)
+class WheelCalibration:
+    """What straight runs and turns say of the wheels. Geometry is relative to what was given: 0 = it was right."""
+
+    k: Figure  # m: variance per metre rolled
+    delta: Figure  # the paper's, for its period
+    prefers_k: float  # ln of how much likelier noise per metre makes the drives than the paper's delta
+    parameters: Array  # (3,) mean scale, scale difference (right - left), track
+    sigmas: Array  # (3,) NaN where the drives cannot tell
+    pieces: dict[str, int]  # kind -> how many were used
+    outliers: int
+    straight_m: float
+    turned_rad: float
+
+
+def calibrate_wheels(drives: Sequence[Drive]) -> WheelCalibration:
+    """Fit noise and geometry over all straight runs and turns on the spot of one robot's drives.
+
+    Raises LocfuseError where a drive has no truth or there are too few pieces.
+    """
+    moved = np.zeros(3)  # left, right, track, relative
+    sideways = any(drive.wheels.twist[:, 1].any() for drive in drives)  # an odometry's poses: no wheels to move
+    for _ in range(1 if sideways else 3):  # Gauss-Newton: a track error of 10 % is not linear in the turn
+        found = Pieces.joined([find_pieces(drive, moved) for drive in drives])
+        used = without_outliers(found)
+        if len(used.e) < FEWEST:
+            raise LocfuseError(_too_few(len(used.e)))
+        residuals = used.residuals(used.Q)
+        step, spread = residuals.parameters(residuals.best()[0])
+        moved = (1.0 + moved) * (1.0 + FROM_PARAMETERS @ step) - 1.0
+    k, ln_k = residuals.fit()
+    delta, ln_delta = used.residuals(used.Q_delta).fit()
+    straight = used.kind == STRAIGHT
+    return WheelCalibration(
+        k=k,
+        delta=delta,
+        prefers_k=ln_k - ln_delta,
+        parameters=np.array([0.5 * (moved[0] + moved[1]), moved[1] - moved[0], moved[2]]),
+        sigmas=np.where(used.prior > FIXED, np.sqrt(np.diag(spread)), np.nan),
+        pieces={"straight": int(straight.sum()), "turn": int((~straight).sum())},
+        outliers=len(found.e) - len(used.e),
+        straight_m=float(used.size[straight].sum()),
+        turned_rad=float(used.size[~straight].sum()),
+    )
+
+
+def find_pieces(drive: Drive, moved: Array) -> Pieces:
+    """Return the pieces of one drive, its wheels' left scale, right scale and track moved by (3,), relative."""
+    truth = drive.truth
+    if truth is None:
+        raise LocfuseError("calibrate: no truth to compare the wheels with (see [truth] topic)")
+    wheels = adjusted(drive.wheels, moved)
+    inside = (truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1])
+    stamps, pose = truth.t[inside], _body(truth)[inside]
+    sigma = truth_sigma(truth, wheels)
+    kind, a, b = cut_runs(find_runs(wheels), wheels, stamps, piece_length(sigma, wheels))
+    if truth.theta is None:  # a turn cannot be seen
+        kind, a, b = (column[kind == STRAIGHT] for column in (kind, a, b))
+    motions = replace(wheels, noise=1.0).between(stamps[a], stamps[b], parameters=True)
+    seen = se2.between(pose[a], pose[b])
+    if truth.theta is None:
+        e, T = _lengths(seen, motions.u, sigma)
+    else:
+        e = np.column_stack((seen[:, :2] - motions.u[:, :2], se2.wrap_all(seen[:, 2] - motions.u[:, 2])))
+        T = _truth_noise(seen, sigma)
+    # eq. 9: the variance of a wheel's way in one period is delta (omega dt R)^2, so per metre delta v dt
+    per_period = wheels.rolled**2 * (PERIOD / np.diff(wheels.t))[:, None]
+    return Pieces(
+        kind=kind,
+        size=np.where(kind == STRAIGHT, np.hypot(motions.u[:, 0], motions.u[:, 1]), np.abs(motions.u[:, 2])),
+        e=e,
+        X=motions.J @ FROM_PARAMETERS,
+        Q=motions.Q,
+        Q_delta=replace(wheels, rolled=per_period, noise=1.0).between(stamps[a], stamps[b]).Q,
+        T=T,
+        dof=np.full(len(kind), 1 if truth.theta is None else 3),
+    )
+
+
+def without_outliers(pieces: Pieces) -> Pieces:
+    """Drop pieces that the median piece makes unbelievable: a slip, a jump of the truth."""
+    for _ in range(2):
+        if len(pieces.e) < FEWEST:
+            break
+        residuals = pieces.residuals(pieces.Q)
+        scale, _ = residuals.best()
+        p = residuals.parameters(scale)[0]
+        middle = np.array([MEDIAN[d] for d in pieces.dof.tolist()])
+        scale *= float(np.median(residuals.squares(scale, p) / middle))
+        limit = np.array([chi_square(OUTLIER, d) for d in pieces.dof.tolist()])
+        pieces = pieces.take(residuals.squares(scale, p) <= limit)
+    return pieces
+
+
+def adjusted(wheels: Wheels, moved: Array) -> Wheels:
+    """Return the wheels with left scale, right scale and track changed by (3,), relative."""
+    if not moved.any():
+        return wheels
+    left, right = (np.append(0.0, np.cumsum(side)) for side in (wheels.rolled * (1.0 + moved[:2])).T)
+    return Wheels.from_wheels(wheels.t, left, right, wheels.track * (1.0 + float(moved[2])), wheels.noise)
+
+
+def truth_sigma(truth: Truth, wheels: Wheels) -> Sigma:
+    """Return the truth's noise: as set, else its scatter while the robot stands."""
+    middle = 0.5 * (wheels.t[1:] + wheels.t[:-1])
+    still = np.abs(wheels.rolled).max(axis=1) < STANDSTILL * np.diff(wheels.t)
+    edges = np.flatnonzero(np.diff(still, prepend=False, append=False))
+    xy, theta = [np.zeros(0)], [np.zeros(0)]
+    for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        rows = (truth.t >= middle[a]) & (truth.t <= middle[b - 1])
+        if middle[b - 1] - middle[a] < QUIET or rows.sum() < 3:
+            continue
+        xy.append((truth.xy[rows] - truth.xy[rows].mean(axis=0)).ravel())
+        if truth.theta is not None:
+            theta.append(se2.wrap_all(truth.theta[rows] - truth.theta[rows][0]))
+            theta[-1] -= theta[-1].mean()
+    scatter = [float(np.concatenate(v).std()) if len(v) > 1 else 0.0 for v in (xy, theta)]
+    return Sigma(truth.sigma or scatter[0], scatter[1])
+
+
+def piece_length(sigma: Sigma, wheels: Wheels) -> tuple[float, float]:
+    """Return how long pieces must be (m, rad) for the truth's noise to be a small part of their error."""
+    straight = 16.0 * sigma.xy**2 / wheels.noise
+    turn = 8.0 * sigma.theta**2 * wheels.track / wheels.noise
+    return max(LEAST[STRAIGHT], straight), max(LEAST[TURN], turn)
+
+
+def _body(truth: Truth) -> Array:
+    """Poses of the body (n, 3) from those of the tracked point; heading 0 where the truth has none."""
+    theta = np.zeros(len(truth.t)) if truth.theta is None else truth.theta
+    c, s = np.cos(theta), np.sin(theta)
+    x, y = truth.point
+    return np.stack((truth.xy[:, 0] - c * x + s * y, truth.xy[:, 1] - s * x - c * y, theta), axis=-1)
+
+
+def _truth_noise(seen: Array, sigma: Sigma) -> Array:
+    """Covariance (n, 3, 3) of the truth's relative poses (n, 3): both ends err, the first one in heading too."""
+    T = np.zeros((len(seen), 3, 3))
+    lever = np.stack((seen[:, 1], -seen[:, 0], -np.ones(len(seen))), axis=-1)
+    T += sigma.theta**2 * lever[:, :, None] * lever[:, None, :]
+    T += np.diag([2.0 * sigma.xy**2, 2.0 * sigma.xy**2, sigma.theta**2])
+    return T
+
+
+def _lengths(seen: Array, u: Array, sigma: Sigma) -> tuple[Array, Array]:
+    """Errors and covariances of straight pieces where the truth has no heading: only their length is known."""
+    e = np.zeros_like(u)
+    e[:, 0] = np.sign(u[:, 0]) * (np.hypot(seen[:, 0], seen[:, 1]) - np.hypot(u[:, 0], u[:, 1]))
+    return e, np.tile(np.diag([2.0 * sigma.xy**2, UNSEEN, UNSEEN]), (len(u), 1, 1))
+
+
+def _too_few(n: int) -> str:
+    least = f"{LEAST[STRAIGHT]:g} m straight or {math.degrees(LEAST[TURN]):.0f} degrees on the spot"
+    return (
+        f"calibrate: {n} usable pieces of straight runs and turns on the spot; at least {FEWEST} of {least} are "
+        "needed. See how such a drive looks: locfuse simulate straight_runs"
+    )

@@ -1,0 +1,139 @@
+"""Hard and soft iron of a magnetometer, from any drive that turns once: no pose, no truth.
+
+In a uniform field the two axes trace a circle about zero. Magnets on the robot move its centre (hard iron), steel
+makes it an ellipse (soft iron). The fit finds the centre c and the symmetric matrix A for which |A (m - c)| = 1;
+a turn of the axes cannot be seen this way, and is part of the compass offset.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from .data import Array, LocfuseError
+from .se2 import wrap_all
+
+FEWEST = 50  # readings
+GAP = math.radians(60.0)  # largest part of the circle that may be missing
+ROUNDS = 100
+TUKEY = 4.685  # of the scatter: readings further off do not count (95 % efficient for Gaussian noise)
+ROUGH = 0.2  # relative scatter above which the readings lie on no ellipse
+
+
+@dataclass(frozen=True)
+class Iron:
+    """What turns field readings into headings: heading of soft (m - hard)."""
+
+    hard: Array  # (2,) in the unit of the message
+    soft: Array  # (2, 2) symmetric, determinant 1
+    hard_sigma: Array  # (2,)
+    soft_sigma: Array  # (2, 2)
+    strength: float  # of the field, in the unit of the message
+    scatter: float  # relative, of the strength: robust
+    error_before_deg: float  # rms of the heading error that the iron makes over a full turn, its mean left out
+    gap_deg: float  # largest part of the circle without a reading
+    readings: int
+
+    def headings(self, field: Array) -> Array:
+        """Return atan2 of the corrected field (n, 2), (n,) rad."""
+        corrected = (field - self.hard) @ self.soft.T
+        angles: Array = np.arctan2(corrected[:, 1], corrected[:, 0])
+        return angles
+
+
+def fit_iron(field: Array) -> Iron:
+    """Fit an ellipse to field readings (n, 2). Raises LocfuseError where they show too little of one."""
+    field = field[np.isfinite(field).all(axis=1)]
+    if len(field) < FEWEST:
+        raise LocfuseError(f"compass: {len(field)} field readings; at least {FEWEST} are needed")
+    unit = float(np.abs(field - field.mean(axis=0)).max()) or 1.0
+    c, A = _start(field / unit)
+    weights = np.ones(len(field))
+    for _ in range(ROUNDS):
+        step, e, spread = _gauss_newton(field / unit, c, A, weights)
+        c, A = c + step[:2], A + np.array([[step[2], step[3]], [step[3], step[4]]])
+        scatter = 1.4826 * float(np.median(np.abs(e)))
+        weights = np.clip(1.0 - (e / (TUKEY * max(scatter, 1e-9))) ** 2, 0.0, None) ** 2
+        if np.abs(step).max() < 1e-12:
+            break
+    return _judged(field, unit, c, A, scatter, spread * scatter**2)
+
+
+def _start(m: Array) -> tuple[Array, Array]:
+    """Return the centre and shape of the algebraic fit a x^2 + b x y + d y^2 + e x + f y = 1 about the mean."""
+    mean = m.mean(axis=0)
+    x, y = (m - mean).T
+    if min(np.ptp(x), np.ptp(y)) < 1e-6:
+        raise LocfuseError("compass: the field reading does not change: turn the robot once, or check the topic")
+    a, b, d, e, f = np.linalg.lstsq(np.column_stack((x * x, x * y, y * y, x, y)), np.ones(len(x)), rcond=None)[0]
+    G = np.array([[a, 0.5 * b], [0.5 * b, d]])
+    if a * d - 0.25 * b * b <= 0.0 or a <= 0.0:
+        raise LocfuseError("compass: the field readings lie on no ellipse: turn the robot once on the spot")
+    centre = np.linalg.solve(G, [-0.5 * e, -0.5 * f])
+    values, vectors = np.linalg.eigh(G / (1.0 + centre @ G @ centre))
+    return mean + centre, (vectors * np.sqrt(values)) @ vectors.T
+
+
+def _gauss_newton(m: Array, c: Array, A: Array, weights: Array) -> tuple[Array, Array, Array]:
+    """Return the step of (c_x, c_y, A_xx, A_xy, A_yy), the residuals |A (m - c)| - 1 (n,), the unit covariance."""
+    d = m - c
+    v = d @ A
+    length = np.hypot(v[:, 0], v[:, 1])
+    n = v / length[:, None]
+    J = np.column_stack((-n @ A, n[:, 0] * d[:, 0], n[:, 0] * d[:, 1] + n[:, 1] * d[:, 0], n[:, 1] * d[:, 1]))
+    e = length - 1.0
+    M = J.T @ (J * weights[:, None])
+    spread = np.asarray(np.linalg.inv(M), np.float64)
+    return -spread @ (J.T @ (weights * e)), e, spread
+
+
+def _judged(field: Array, unit: float, c: Array, A: Array, scatter: float, spread: Array) -> Iron:
+    """Return the fit in the message's unit, or say why it is none."""
+    size = math.sqrt(float(np.linalg.det(A)))
+    if scatter > ROUGH:
+        raise LocfuseError(
+            f"compass: the field's strength scatters by {scatter:.0%} about the best ellipse: the readings are "
+            "disturbed by more than iron on the robot"
+        )
+    v = (field / unit - c) @ A
+    angles = np.sort(np.arctan2(v[:, 1], v[:, 0]))
+    gap = float(np.diff(angles, append=angles[0] + 2.0 * math.pi).max())
+    if gap > GAP:
+        raise LocfuseError(
+            f"compass: the field turned through {360 - math.degrees(gap):.0f} of 360 degrees: "
+            "turn the robot once on the spot while recording"
+        )
+    return Iron(
+        hard=c * unit,
+        soft=A / size,
+        hard_sigma=np.sqrt(np.diag(spread)[:2]) * unit,
+        soft_sigma=_shape_sigma(A, spread[2:, 2:]) / size,
+        strength=unit / size,
+        scatter=scatter,
+        error_before_deg=iron_error_deg(c, A),
+        gap_deg=math.degrees(gap),
+        readings=len(field),
+    )
+
+
+def _shape_sigma(A: Array, spread: Array) -> Array:
+    """Standard deviations (2, 2) of A over its fixed size, from the covariance of (A_xx, A_xy, A_yy).
+
+    d(A / size) = (dA - A tr(A^-1 dA) / 2) / size.
+    """
+    B = np.linalg.inv(A)
+    shape = np.array([A[0, 0], A[0, 1], A[1, 1]])
+    G = np.eye(3) - 0.5 * np.outer(shape, [B[0, 0], 2.0 * B[0, 1], B[1, 1]])
+    xx, xy, yy = np.sqrt(np.maximum(np.diag(G @ spread @ G.T), 0.0)).tolist()
+    return np.array([[xx, xy], [xy, yy]])
+
+
+def iron_error_deg(c: Array, A: Array) -> float:
+    """Return the rms heading error of raw readings m = c + A^-1 (cos, sin) over a full turn, its mean left out."""
+    a = np.linspace(0.0, 2.0 * math.pi, 720, endpoint=False)
+    raw = c + np.column_stack((np.cos(a), np.sin(a))) @ np.linalg.inv(A)
+    error = wrap_all(np.arctan2(raw[:, 1], raw[:, 0]) - a)
+    middle = math.atan2(float(np.sin(error).mean()), float(np.cos(error).mean()))
+    return math.degrees(float(np.sqrt((wrap_all(error - middle) ** 2).mean())))

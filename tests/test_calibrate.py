@@ -1,0 +1,265 @@
+"""Calibration against closed forms, against noise that was drawn, and against the simulator."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import locfuse
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from locfuse.cli.load import make_robot
+from locfuse.fusion import se2
+from locfuse.fusion.calibrate import WheelCalibration, calibrate_wheels, find_pieces
+from locfuse.fusion.data import Drive, LocfuseError, Measurements, Truth
+from locfuse.fusion.measure import measure
+from locfuse.fusion.motion import Wheels
+from locfuse.fusion.scale_fit import Residuals
+from locfuse.fusion.segments import STRAIGHT, TURN, find_runs
+from locfuse.sample_logs.load import load
+from locfuse.sample_logs.record import in_memory
+
+Array = NDArray[np.float64]
+K, TRACK = 4e-4, 0.6
+STRAIGHT_RUNS = [("forward", way) for _ in range(6) for way in (3.0, -3.0)]
+SHORT = {
+    "straight_runs": "[{forward=3, speed=0.2}, {forward=-3, speed=0.4}, {forward=3, speed=0.6}]",
+    "turns_on_the_spot": "[{turn_deg=360, speed=0.2}, {turn_deg=-360, speed=0.4}, {turn_deg=360, speed=0.6}]",
+}
+TURNS = [("turn", math.tau * sign) for _ in range(6) for sign in (1, -1)]
+
+
+def legs(
+    seed: int,
+    plan: list[tuple[str, float]],
+    k: float = K,
+    errors: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    truth_noise: tuple[float, float] = (0.0, 0.0),
+    heading: bool = True,
+) -> Drive:
+    """A drive of straight runs and turns at 0.3 m/s with pauses: truth at 50 Hz, what the wheels say beside it.
+
+    `errors` are relative, of the left radius, the right radius and the track that the wheels are computed with.
+    """
+    rng = np.random.default_rng(seed)
+    dt, speed = 0.02, 0.3
+    sides = []
+    for what, amount in plan:
+        way = amount if what == "forward" else 0.5 * TRACK * amount
+        n = round(abs(way) / speed / dt)
+        step = math.copysign(speed * dt, way)
+        sides += [(step if what == "forward" else -step, step)] * n + [(0.0, 0.0)] * 50
+    rolled = np.array(sides)
+    over_ground = rolled + np.sqrt(k * np.abs(rolled)) * rng.normal(size=rolled.shape)
+    t = np.asarray(np.arange(len(rolled) + 1) * dt, np.float64)
+    ds, turn = over_ground.mean(axis=1), (over_ground[:, 1] - over_ground[:, 0]) / TRACK
+    middle = np.cumsum(turn) - 0.5 * turn
+    chord = ds * np.sinc(0.5 * turn / math.pi)
+    pose = np.zeros((len(t), 3))
+    pose[1:] = np.cumsum(np.stack((chord * np.cos(middle), chord * np.sin(middle), turn), axis=-1), axis=0)
+    left, right = (np.append(0.0, np.cumsum(side)) for side in (rolled / (1.0 + np.array(errors[:2]))).T)
+    wheels = Wheels.from_wheels(t, left, right, TRACK / (1.0 + errors[2]), K)
+    xy = pose[:, :2] + truth_noise[0] * rng.normal(size=(len(t), 2))
+    theta = se2.wrap_all(pose[:, 2] + truth_noise[1] * rng.normal(size=len(t))) if heading else None
+    none = np.zeros(0, np.int64)
+    return Drive(
+        0,
+        t,
+        wheels.between(t[:1], t[:1]),
+        dict[str, Measurements](),
+        {},
+        {},
+        Truth("/gt", t, xy, theta),
+        truth_instant=none,
+        wheels=wheels,
+    )
+
+
+def test_straight_runs_and_turns_are_found_with_their_directions() -> None:
+    runs = find_runs(legs(0, [("forward", 3.0), ("turn", 2.0), ("forward", -2.0), ("turn", -6.0)]).wheels)
+    assert runs.kind.tolist() == [STRAIGHT, TURN, STRAIGHT, TURN]
+    lengths = (runs.end - runs.start) * 0.3 / np.array([3.0, 0.3 * 2.0, 2.0, 0.3 * 6.0])
+    np.testing.assert_allclose(lengths, 1.0, atol=0.15)
+
+
+def test_arcs_and_short_moves_are_neither() -> None:
+    t = np.arange(0.0, 20.0, 0.02)
+    arc = Wheels.from_wheels(t, 0.2 * t, 0.4 * t, TRACK, K)
+    assert len(find_runs(arc).kind) == 0
+    assert len(find_runs(legs(0, [("forward", 0.3), ("turn", 0.5)] * 5).wheels).kind) == 0
+
+
+def test_a_straight_piece_has_the_closed_form_covariance() -> None:
+    pieces = find_pieces(legs(1, STRAIGHT_RUNS, k=0.0), np.zeros(3))
+    D = pieces.size
+    forms = {(0, 0): D / 2, (2, 2): 2 * D / TRACK**2, (1, 1): 2 * D**3 / (3 * TRACK**2)}
+    for (i, j), variance in forms.items():
+        np.testing.assert_allclose(pieces.Q[:, i, j], variance, rtol=1e-3)
+    np.testing.assert_allclose(np.abs(pieces.e).max(), 0.0, atol=1e-9)
+
+
+def test_a_turn_has_the_closed_form_covariance() -> None:
+    pieces = find_pieces(legs(1, TURNS, k=0.0), np.zeros(3))
+    np.testing.assert_allclose(pieces.Q[:, 2, 2], pieces.size / TRACK, rtol=1e-9)
+
+
+def test_the_papers_delta_is_k_over_the_way_of_one_period() -> None:
+    pieces = find_pieces(legs(1, STRAIGHT_RUNS, k=0.0), np.zeros(3))
+    np.testing.assert_allclose(pieces.Q_delta, pieces.Q * 0.3 * 0.1, rtol=1e-6, atol=1e-12)
+
+
+def test_without_truth_noise_the_interval_is_the_chi_square_one() -> None:
+    rng = np.random.default_rng(3)
+    n, d, p, s = 80, 3, 2, 5e-4
+    roots = rng.normal(size=(n, d, d))
+    X = rng.normal(size=(n, d, p))
+    e = math.sqrt(s) * np.einsum("nij,nj->ni", roots, rng.normal(size=(n, d))) + X @ np.array([0.3, -0.2])
+    Q = roots @ roots.transpose(0, 2, 1)
+    figure, _ = Residuals(e, X, Q, np.zeros((n, d, d)), np.full(p, 100.0)).fit()
+    white = np.linalg.solve(np.linalg.cholesky(Q), np.concatenate((e[..., None], X), axis=2)).reshape(n * d, -1)
+    squares = float(np.linalg.lstsq(white[:, 1:], white[:, 0], rcond=None)[1][0])
+    dof = n * d - p
+    assert figure.value == pytest.approx(squares / dof, rel=1e-3)
+    assert figure.low == pytest.approx(squares / chi2.ppf(0.975, dof), rel=0.02)
+    assert figure.high == pytest.approx(squares / chi2.ppf(0.025, dof), rel=0.02)
+
+
+@pytest.mark.parametrize("plan", [STRAIGHT_RUNS, TURNS], ids=["straight", "turns"])
+def test_the_noise_that_was_drawn_lies_in_its_interval_as_often_as_that_says(
+    plan: list[tuple[str, float]],
+) -> None:
+    found = [calibrate_wheels([legs(1000 + seed, plan)]).k for seed in range(20)]
+    assert sum(f.low <= K <= f.high for f in found) >= 17  # of 95 %: fewer in one of 60 such tests
+    assert np.mean([f.value for f in found]) == pytest.approx(K, rel=0.06)
+
+
+def test_a_longer_experiment_gives_a_narrower_interval() -> None:
+    short, long = (calibrate_wheels([legs(seed, STRAIGHT_RUNS) for seed in range(n)]).k for n in (1, 4))
+    assert math.log(long.high / long.low) == pytest.approx(0.5 * math.log(short.high / short.low), rel=0.15)
+
+
+def within(found: WheelCalibration, expected: tuple[float, float, float]) -> bool:
+    return bool((np.abs(found.parameters - np.array(expected)) < 3.3 * found.sigmas).all())
+
+
+def test_wrong_radii_and_track_are_found_and_not_taken_for_noise() -> None:
+    errors = (0.02, -0.01, 0.12)
+    found = calibrate_wheels([legs(seed, STRAIGHT_RUNS + TURNS, errors=errors) for seed in range(2)])
+    assert within(found, (0.005, -0.03, 0.12)), (found.parameters, found.sigmas)
+    assert found.sigmas.max() < 0.01
+    assert found.k.low < K < found.k.high
+    assert found.outliers == 0
+
+
+def test_what_a_drive_cannot_tell_is_said_and_stays_as_it_is() -> None:
+    straight, turns = (calibrate_wheels([legs(3, plan)]) for plan in (STRAIGHT_RUNS, TURNS))
+    assert np.isnan(straight.sigmas).tolist() == [False, False, True]
+    assert np.isnan(turns.sigmas).tolist() == [True, False, False]
+    assert straight.parameters[2] == pytest.approx(0.0, abs=1e-6)
+    assert turns.parameters[0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_noise_of_the_truth_is_not_taken_for_noise_of_the_wheels() -> None:
+    noise = (0.01, math.radians(0.5))
+    drives = [legs(seed, STRAIGHT_RUNS + TURNS, truth_noise=noise) for seed in range(3)]
+    found = calibrate_wheels(drives)
+    assert found.k.low < K < found.k.high
+    ignorant = [replace(d, truth=replace(d.truth, sigma=1e-6)) for d in drives if d.truth is not None]
+    assert calibrate_wheels(ignorant).k.value > found.k.value
+
+
+def test_a_truth_of_points_tells_the_radius_and_nothing_of_turns() -> None:
+    found = calibrate_wheels(
+        [legs(seed, STRAIGHT_RUNS + TURNS, errors=(0.03, 0.03, 0.0), heading=False) for seed in range(3)]
+    )
+    assert found.pieces["turn"] == 0
+    assert np.isnan(found.sigmas).tolist() == [False, True, True]
+    assert abs(found.parameters[0] - 0.03) < 3.3 * found.sigmas[0]
+    assert found.k.low < K < found.k.high
+
+
+def test_a_jump_of_the_truth_is_an_outlier_and_not_noise() -> None:
+    drive = legs(5, STRAIGHT_RUNS)
+    assert drive.truth is not None
+    xy = drive.truth.xy.copy()
+    xy[250:] += np.array([0.3, -0.2])
+    found = calibrate_wheels([replace(drive, truth=replace(drive.truth, xy=xy))])
+    assert found.outliers == 1
+    assert found.k.value == pytest.approx(calibrate_wheels([drive]).k.value, rel=0.1)
+
+
+def test_too_little_motion_is_refused_with_what_is_needed() -> None:
+    with pytest.raises(LocfuseError, match="at least 4"):
+        calibrate_wheels([legs(0, [("forward", 1.0)])])
+    with pytest.raises(LocfuseError, match="no truth"):
+        calibrate_wheels([replace(legs(0, STRAIGHT_RUNS), truth=None)])
+
+
+def test_the_simulators_noise_lies_in_the_interval() -> None:
+    off = ("camera.enabled=false", "lrf.enabled=false", "compass.enabled=false")
+    drives = []
+    for name in ("straight_runs", "turns_on_the_spot"):
+        topics, tables, _ = in_memory(load(name, (*off, f"path.legs={SHORT[name]}")), 101)
+        streams = {role: topics[tables[role]["topic"]] for role in ("wheels", "truth")}
+        drives.append(measure(streams, make_robot(tables)))
+    found = calibrate_wheels(drives)
+    assert found.k.low < K < found.k.high
+    assert found.prefers_k > 0.0, "the simulator's noise grows per metre, whatever the speed"
+    assert within(found, (0.0, 0.0, 0.0))
+
+
+@pytest.fixture(scope="module")
+def strong_iron(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    log = tmp_path_factory.mktemp("iron") / "drive.mcap"
+    words = ("lrf.enabled=false", "camera.enabled=false", "control.estimator=truth")
+    iron = ("compass.hard_iron=[9e-6, -6e-6]", "compass.soft_iron=[1.25, 0.85, 0.1]")
+    done = locfuse("simulate", "rounded_rectangle", "-o", log, *(w for s in (*words, *iron) for w in ("--set", s)))
+    assert done.exit_code == 0, done.stderr
+    return log
+
+
+def test_iron_found_without_truth_makes_the_headings_right(strong_iron: Path, tmp_path: Path) -> None:
+    robot = tmp_path / "robot.toml"
+    done = locfuse("calibrate", strong_iron, "-o", robot)
+    assert done.exit_code == 0, done.stderr
+    assert "compass.hard_iron x" in done.stdout
+    before, after = (
+        json.loads(
+            locfuse("run", strong_iron, "--sensors", "compass", "--json", "-o", tmp_path / name, *more).stdout
+        )
+        for name, more in (("before", ()), ("after", ("--robot", robot)))
+    )
+    rmse = [report["configurations"]["compass"]["heading_rmse_deg"] for report in (before, after)]
+    assert rmse[0] > 5.0
+    assert rmse[1] < 1.0
+
+
+def test_the_result_as_json_and_what_it_needs(strong_iron: Path, tmp_path: Path) -> None:
+    done = locfuse("calibrate", strong_iron, "--json")
+    found = json.loads(done.stdout)
+    assert found["compass"]["hard_iron"] == pytest.approx([9e-6, -6e-6], abs=1e-7)
+    assert found["wheels"]["noise_m"]["low"] < K < found["wheels"]["noise_m"]["high"]
+    assert found["robot"]["compass"]["soft_iron"] == pytest.approx(found["compass"]["soft_iron"], rel=1e-5)
+    taken = tmp_path / "robot.toml"
+    taken.write_text("precious")
+    refused = locfuse("calibrate", strong_iron, "-o", taken)
+    assert refused.exit_code == 2
+    assert "--overwrite" in refused.stderr
+    assert taken.read_text() == "precious"
+
+
+def test_a_log_that_allows_nothing_says_why(tmp_path: Path) -> None:
+    log = tmp_path / "still.mcap"
+    sets = ("lrf.enabled=false", "camera.enabled=false", "compass.enabled=false", "path.legs=[{forward=0.4}]")
+    words = [w for s in sets for w in ("--set", s)]
+    assert locfuse("simulate", "straight_runs", "-o", log, *words).exit_code == 0
+    done = locfuse("calibrate", log)
+    assert done.exit_code == 1
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert "straight runs" in done.stderr
+    assert "magnetometer" in done.stderr

@@ -13,6 +13,7 @@ TABLES: dict[Preset, dict[str, Any]] = {
     "default": {},
     "paper": {"lrf": {"map": "first-scan"}, "camera": {"chain": "paper", "bearing": "absolute"}},
 }
+PAPER_SENSORS = ("compass", "lrf", "camera")
 NOTE = (
     "preset paper: the printed equations with the printed noise (delta, R); the sigmas, gates and the map of "
     "robot.toml are not used. See docs/paper.md"

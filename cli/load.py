@@ -77,9 +77,7 @@ def load(
     log = open_log(paths)
     tables = merged_tables(log, how)
     choice = choose(log, make_robot(tables), _named_by_hand(how.sets))
-    for sensor in REGISTRY:
-        if only is not None and sensor not in only:
-            choice.topics.pop(sensor, None)
+    _leave_out(choice, only, tables["preset"])
     streams = _streams(log, choice, str(tables.get("order", "auto")))
     mounts = mount_tables(log.static_transforms(), {s: parts(streams[s]) for s in REGISTRY if s in streams})
     robot = make_robot(robot_toml.merge(mounts, tables))
@@ -87,6 +85,15 @@ def load(
     preset = (filters.NOTE,) if robot.preset == "paper" else ()
     notes = (*preset, *choice.notes, *_clock_notes(streams), *_start_notes(robot, drive), *drive.notes)
     return Loaded(log, robot, choice, replace(drive, notes=notes))
+
+
+def _leave_out(choice: Choice, only: Collection[str] | None, preset: str) -> None:
+    """Drop sensors that nobody asks for, and those that the preset's filter does not know."""
+    for sensor in REGISTRY:
+        if only is not None and sensor not in only:
+            choice.topics.pop(sensor, None)
+        if preset == "paper" and sensor not in filters.PAPER_SENSORS and choice.topics.pop(sensor, None):
+            choice.absent[sensor] = "the paper has no equation for it (--preset paper)"
 
 
 def merged_tables(log: Log, how: LogOptions) -> dict[str, Any]:
@@ -106,7 +113,8 @@ def merged_tables(log: Log, how: LogOptions) -> dict[str, Any]:
     if how.preset:
         sets["preset"] = how.preset
     tables = robot_toml.merge(*layers, sets)
-    return robot_toml.merge(filters.TABLES[tables.get("preset", "default")], tables)
+    tables.setdefault("preset", "default")
+    return robot_toml.merge(filters.TABLES[tables["preset"]], tables)
 
 
 def _named_by_hand(sets: Sequence[str]) -> set[str]:

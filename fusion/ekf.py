@@ -134,6 +134,7 @@ class JointBelief:
         self._drift: list[tuple[Ints, Array]] = []
         self._considered: Ints = np.zeros(0, dtype=np.int64)  # columns that count but are never updated
         self._motion_block: slice | None = None
+        self._clones: set[int] = set()  # columns that hold the heading of an earlier instant
         for block in blocks:
             self.add(block)
 
@@ -190,15 +191,49 @@ class JointBelief:
 
     def shift(self, turn: float, xy: float, theta: float) -> None:
         """Turn the pose by `turn` [rad] and add variances xy [m^2] and theta [rad^2]: a slip was found."""
+        behind = self._behind()
+        self._shift(turn, xy, theta)
+        self._carry(behind)
+
+    def _shift(self, turn: float, xy: float, theta: float) -> None:
         self._x[2] += turn
         self._P[(0, 1, 2), (0, 1, 2)] += (xy, xy, theta)
 
     def place(self, pose: Pose, xy: float, theta: float) -> None:
         """Set the pose with variances xy [m^2] and theta [rad^2]: the robot was carried off, or found again."""
+        behind = self._behind()
+        self._place(pose, xy, theta)
+        self._carry(behind)
+
+    def _place(self, pose: Pose, xy: float, theta: float) -> None:
         self._x[:3] = pose
         self._P[:3, : self.n] = 0.0
         self._P[: self.n, :3] = 0.0
         self._P[(0, 1, 2), (0, 1, 2)] = (xy, xy, theta)
+
+    def clone_heading(self, column: int, behind: float = 0.0) -> None:
+        """Let a state be the heading as it is now, less `behind` [rad] (stochastic cloning, sensors/gyro)."""
+        n, x, P = self.n, self._x, self._P
+        x[column] = x[2] - behind
+        P[column, :n] = P[2, :n]
+        P[:n, column] = P[:n, 2]
+        P[column, column] = P[2, 2]
+        self._clones.add(column)
+
+    def _behind(self) -> dict[int, float]:
+        return {column: float(self._x[2] - self._x[column]) for column in self._clones}
+
+    def _carry(self, behind: dict[int, float]) -> None:
+        """Move kept headings along with a pose that was found wrong: nothing has turned."""
+        for column, turn in behind.items():
+            self.clone_heading(column, turn)
+
+    def transform(self, columns: Ints, values: Array, G: Array) -> None:
+        """Replace states (k,) by functions of themselves: their values (k,) and derivative G (k, k)."""
+        n, P = self.n, self._P
+        self._x[columns] = values
+        P[columns, :n] = G @ P[columns, :n]
+        P[:n, columns] = P[:n, columns] @ G.T
 
     def augment(self, values: Array, G_pose: Array, noise: Array) -> int:
         """Append states that are functions of the pose plus noise: returns the first new column.
@@ -315,13 +350,14 @@ class JointBelief:
 
     def _schmidt(self, V: Array, e: Array, kept: Ints) -> None:
         """Schmidt's update: rows and columns of the `kept` states change only against updated ones."""
-        n = self.n
-        step = e @ V
-        step[kept] = 0.0
-        self._x[:n] += step
-        change = V.T @ V
-        change[np.ix_(kept, kept)] = 0.0
-        self._P[:n, :n] -= change
+        n, P = self.n, self._P
+        moved = np.setdiff1d(np.arange(n), kept)
+        U = V[:, moved]
+        self._x[moved] += e @ U
+        across = P[np.ix_(moved, kept)] - U.T @ V[:, kept]  # with few states moved: n, not n^2
+        P[np.ix_(moved, moved)] -= U.T @ U
+        P[np.ix_(moved, kept)] = across
+        P[np.ix_(kept, moved)] = across.T
 
 
 def stacked(seen: Sequence[Innovation]) -> tuple[Array, Ints, Array, Array]:

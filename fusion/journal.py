@@ -122,19 +122,36 @@ class NotedJoint(JointBelief):
             coupling[:, self._motion_block] = turning(theta) @ J
         self.events.append(undone(x, P, self.state, self.covariance, rows, noise, coupling))
 
-    def shift(self, turn: float, xy: float, theta: float) -> None:
+    def _shift(self, turn: float, xy: float, theta: float) -> None:
         """Shift as ever, and note how to go back."""
         x, P = self.state.copy(), self.covariance.copy()
-        super().shift(turn, xy, theta)
+        super()._shift(turn, xy, theta)
         step = undone(x, P, self.state, self.covariance, POSE, np.diag((xy, xy, theta)))
         self.events.append(step._replace(instant=False))
 
-    def place(self, pose: Pose, xy: float, theta: float) -> None:
+    def _place(self, pose: Pose, xy: float, theta: float) -> None:
         """Place as ever, and note what the map alone says of the pose before."""
         G = np.zeros((3, self.n))
         c, G[:, 3:], D = self._given_others(POSE)
         self.events.append(Step(POSE, c, G, D, instant=False))
-        super().place(pose, xy, theta)
+        super()._place(pose, xy, theta)
+
+    def clone_heading(self, column: int, behind: float = 0.0) -> None:
+        """Clone as ever, and note what the others say of the heading that is given up."""
+        G = np.zeros((1, self.n))
+        others = np.setdiff1d(np.arange(self.n), (column,))
+        c, G[:, others], D = self._given_others(np.array([column]))
+        self.events.append(Step(np.array([column]), c, G, D, instant=False))
+        super().clone_heading(column, behind)
+
+    def transform(self, columns: Ints, values: Array, G: Array) -> None:
+        """Transform as ever, and note the way back."""
+        back = np.zeros((len(columns), self.n))
+        back[:, columns] = np.linalg.inv(G)
+        before = self.state[columns].copy()
+        super().transform(columns, values, G)
+        none = np.zeros((len(columns), len(columns)))
+        self.events.append(Step(np.asarray(columns), before - back @ self.state, back, none, instant=False))
 
     def augment(self, values: Array, G_pose: Array, noise: Array) -> int:
         """Append states as ever, and note that they are new."""

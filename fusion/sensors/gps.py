@@ -1,0 +1,210 @@
+"""GPS: positions on the earth, tied to the map by a place and a direction: states, where they are not given.
+
+With R = [[cos e, sin e], [-sin e, cos e]], e the direction of east in the map, the fix of an antenna at p is
+
+    (east, north) = R (p - p_ref) + (c, d) + noise
+
+Nobody knows e at the start, and a filter must not be linearised about a direction that may be anything. So while e
+is unknown the state holds a = cos e and b = sin e, in which the fix is linear: any direction is found without a
+guess. Once e is known to ten degrees it takes their place, and a^2 + b^2 = 1 is said once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..data import VERDICTS, Array, LocfuseError, Measurements, Stream
+from ..gates import chi_square
+from ..geodesy import east_north
+from .base import Block, Innovation, Model, SensorSettings, WheelMotion
+
+GATE = VERDICTS.index("gate")
+FRAME = "_gps_frame"
+WIDE = 100.0  # m: how far the first fix may be from where the robot was
+KNOWN = math.radians(10.0)  # from here on the direction of east is a state of its own
+LENGTH = 1e-4  # how well a^2 + b^2 = 1 is said
+LEAST = 1e-3  # m, of a standard deviation
+
+Rows = tuple[tuple[float, float, float], ...]
+Geographic = tuple[float, float]
+
+
+class GpsSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """[gps]."""
+
+    origin: Geographic | None = None  # latitude, longitude [deg] of the map's origin; None: estimated
+    east_deg: float | None = None  # where east lies in the map, counter-clockwise from its x axis; None: estimated
+    x: float = 0.0  # m, antenna on the base
+    y: float = 0.0
+    sigma: float = 1.5  # m per axis, where the receiver does not say
+
+
+class Gps:
+    """Reads NavSatFix."""
+
+    name: ClassVar[str] = "gps"
+    Settings: ClassVar[type[SensorSettings]] = GpsSettings
+    extra: ClassVar[bool] = True
+    reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "sensor_msgs/msg/NavSatFix": (
+            "status.status",
+            "latitude",
+            "longitude",
+            "position_covariance",
+            "position_covariance_type",
+        ),
+        "foxglove.LocationFix": ("latitude", "longitude", "position_covariance", "position_covariance_type"),
+    }
+
+    def measure(self, stream: Stream, settings: GpsSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
+        """Turn fixes into z (n, 2) metres east and north of the origin, or of the first fix."""
+        columns = cast("dict[str, Array]", stream.columns(*self.reads[stream.msgtype]))
+        where = np.stack((columns["latitude"], columns["longitude"]), axis=-1).astype(np.float64)
+        dropped = dict(stream.dropped)
+        good = _usable(where, columns.get("status.status"), dropped)
+        if not good.any():
+            reasons = ", ".join(f"{n} {why.replace('_', ' ')}" for why, n in dropped.items())
+            raise LocfuseError(f"gps: {stream.topic} has no fix in {len(good)} messages ({reasons or 'none'})")
+        where = where[good]
+        origin = settings.origin or (float(where[0, 0]), float(where[0, 1]))
+        n = len(where)
+        t: Array = (stream.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset
+        return Measurements(
+            t=t[good],
+            first=np.arange(n + 1),
+            z=east_north(where[:, 0], where[:, 1], origin),
+            R_unit=_covariance(columns, settings.sigma)[good] / settings.sigma**2,
+            scale=settings.sigma,
+            floor=np.zeros((2, 2)),
+            dropped=dropped,
+        )
+
+    def model(self, settings: GpsSettings) -> Model:
+        """Return the GPS' side of a new run."""
+        return GpsModel(settings)
+
+
+def _usable(where: Array, status: Array | None, dropped: dict[str, int]) -> NDArray[np.bool_]:
+    """Return which fixes (n,) are fixes; count the others."""
+    finite = np.isfinite(where).all(axis=1)
+    fixed = finite if status is None else finite & (np.asarray(status) >= 0)
+    real: NDArray[np.bool_] = fixed & (np.abs(where[:, 0]) <= 90.0) & (where != 0.0).any(axis=1)
+    for reason, n in (("not_finite", ~finite), ("no_fix", finite & ~fixed), ("nowhere", fixed & ~real)):
+        if n.any():
+            dropped[reason] = dropped.get(reason, 0) + int(n.sum())
+    return real
+
+
+def _covariance(columns: Mapping[str, Any], sigma: float) -> Array:
+    """Return the covariance of (east, north), (n, 2, 2): the receiver's where it says one, else sigma^2."""
+    raw = columns["position_covariance"]
+    matrix = np.asarray(raw if isinstance(raw, np.ndarray) else raw.matrix(), np.float64).reshape(-1, 9)
+    own = matrix[:, [0, 1, 3, 4]].reshape(-1, 2, 2)
+    told = np.asarray(columns["position_covariance_type"]) > 0
+    told &= (own[:, 0, 0] > LEAST**2) & (own[:, 1, 1] > LEAST**2) & np.isfinite(own).all(axis=(1, 2))
+    told &= np.linalg.det(np.where(told[:, None, None], own, np.eye(2))) > 0.0
+    return np.where(told[:, None, None], 0.5 * (own + own.transpose(0, 2, 1)), sigma**2 * np.eye(2))
+
+
+class GpsModel(Model):
+    """(east, north) = R(e) (p - p_ref) + (c, d) + noise; four states: a, b, c, d, later e, |(a, b)|, c, d."""
+
+    def __init__(self, settings: GpsSettings) -> None:
+        self.settings = settings
+        self.threshold = chi_square(settings.gate, 2)
+        self.lever = (settings.x, settings.y)
+        self.known = settings.east_deg is not None  # whether the direction of east is a state of its own
+        self.east = math.radians(settings.east_deg or 0.0)
+        self.fixed = self.known and settings.origin is not None
+        self.reference: tuple[float, float] | None = (0.0, 0.0) if settings.origin is not None else None
+        self._sigma_east = math.pi
+
+    def blocks(self) -> list[Block]:
+        """Return the tie between map and earth as states, unless place and direction are given."""
+        if self.fixed:
+            return []
+        place = 0.0 if self.settings.origin is not None else WIDE**2
+        x = np.array([self.east, 1.0, 0.0, 0.0]) if self.known else np.zeros(4)
+        # a and b of a direction that may be anything have mean 0 and variance 1/2
+        direction = 0.0 if self.known else 0.5
+        return [Block(FRAME, x, np.diag([direction, direction, place, place]), np.zeros(4))]
+
+    def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
+        """Compare one fix with the belief."""
+        h, H, columns, H_block = self._predicted(belief)
+        z = m.z[i]
+        y = (float(z[0]) - h[0], float(z[1]) - h[1])
+        (r00, r01), (_, r11) = m.R[i].tolist()
+        (s00, s01), (_, s11) = belief.spread(H, columns, H_block)
+        s00, s01, s11 = s00 + r00, s01 + r01, s11 + r11
+        nis = (s11 * y[0] ** 2 - 2.0 * s01 * y[0] * y[1] + s00 * y[1] ** 2) / (s00 * s11 - s01**2)
+        verdict = 0 if nis <= self.threshold else GATE
+        R = ((r00, r01), (r01, r11))
+        sigma = (math.sqrt(s00), math.sqrt(s11))
+        return [Innovation(i, verdict, -1, nis, self.threshold, y, sigma, H, R, columns, H_block)]
+
+    def _predicted(
+        self, belief: Any
+    ) -> tuple[tuple[float, float], Rows, tuple[int, ...], tuple[tuple[float, ...], ...]]:
+        """Return the fix as predicted, its derivative by the pose, and by the states of the tie."""
+        c, s = math.cos(belief.theta), math.sin(belief.theta)
+        lx, ly = c * self.lever[0] - s * self.lever[1], s * self.lever[0] + c * self.lever[1]
+        if self.reference is None:
+            self.reference = (belief.x + lx, belief.y + ly)
+        x, y = belief.x + lx - self.reference[0], belief.y + ly - self.reference[1]
+        if self.fixed:
+            a, b, offset = math.cos(self.east), math.sin(self.east), (0.0, 0.0)
+            columns: tuple[int, ...] = ()
+            H_block: tuple[tuple[float, ...], ...] = ()
+        else:
+            first, now = belief.block(FRAME)
+            columns = (first, first + 1, first + 2, first + 3)
+            a, b = float(now[0]), float(now[1])
+            if self.known:
+                a, b = math.cos(float(now[0])), math.sin(float(now[0]))
+                H_block = ((-b * x + a * y, 0.0, 1.0, 0.0), (-a * x - b * y, 0.0, 0.0, 1.0))
+            else:
+                H_block = ((x, y, 1.0, 0.0), (y, -x, 0.0, 1.0))
+            offset = (float(now[2]), float(now[3]))
+        h = (a * x + b * y + offset[0], -b * x + a * y + offset[1])
+        H = ((a, b, -a * ly + b * lx), (-b, a, b * ly + a * lx))
+        return h, H, columns, H_block
+
+    def learn(self, m: Measurements, i: int, belief: Any) -> None:
+        """Let the direction of east become a state of its own once it is known well enough."""
+        if self.fixed:
+            return
+        first, now = belief.block(FRAME)
+        columns = np.arange(first, first + 4)
+        P = belief.covariance[np.ix_(columns, columns)]
+        if self.known:
+            self.east, self._sigma_east = float(now[0]), math.sqrt(max(float(P[0, 0]), 0.0))
+            return
+        a, b = float(now[0]), float(now[1])
+        length = math.hypot(a, b)
+        if length < 0.5:
+            return
+        G = np.eye(4)
+        G[0, :2], G[1, :2] = (-b / length**2, a / length**2), (a / length, b / length)
+        if float(G[0] @ P @ G[0]) > KNOWN**2:
+            return
+        belief.transform(columns, np.array([math.atan2(b, a), length, now[2], now[3]]), G)
+        zero, one = ((0.0, 0.0, 0.0),), ((1.0,),)
+        belief.correct(
+            [Innovation(-1, 0, -1, 0.0, 0.0, (1.0 - length,), (1.0,), zero, ((LENGTH**2,),), (first + 1,), one)]
+        )
+        self.known = True
+
+    def notes(self) -> list[str]:
+        """Say where east was found to lie."""
+        if self.fixed or self.settings.east_deg is not None:
+            return []
+        if not self.known:
+            return ["the drive was too short to tell where east lies; fixes hardly counted (gps.east_deg)"]
+        east, sigma = math.degrees(self.east), math.degrees(self._sigma_east)
+        return [f"east lies {east:.1f} deg (1 sigma: {sigma:.1f}) from the map's x axis (gps.east_deg)"]

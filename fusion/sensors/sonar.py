@@ -1,0 +1,128 @@
+"""Sonar: the nearest echo in a cone, held against the laser's line map.
+
+A smooth wall sends sound back only where it stands square to a ray of the cone. So an echo is the distance to a
+wall whose foot point lies within the cone and on the wall; nothing else that the map knows may stand nearer.
+With the sonar at p and the wall n.(q - a) = rho it is C = rho - n.(p - a) (paper eq. 17 without its sign).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar, cast
+
+import msgspec
+import numpy as np
+
+from ..data import VERDICTS, Array, Ints, Measurements, Stream
+from ..echo import Cone, Echo, nearest_echo
+from ..gates import chi_square
+from ..joined import Joined
+from .base import Innovation, Model, SensorSettings, WheelMotion
+
+GATE, UNMATCHED = (VERDICTS.index(v) for v in ("gate", "unmatched"))
+Mount = tuple[float, float, float]
+
+
+class SonarSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """[sonar]: one or several rangers, which are one sensor."""
+
+    topics: tuple[str, ...] = ()  # none: all topics of the type
+    mounts: dict[str, Mount] = msgspec.field(default_factory=dict)  # topic -> x [m], y [m], yaw [deg] on the base
+    sigma: float = 0.03  # m
+    widen_deg: float = 3.0  # walls count that stand square this far outside the cone: no heading is exact
+
+
+class Sonar:
+    """Reads Range."""
+
+    name: ClassVar[str] = "sonar"
+    Settings: ClassVar[type[SensorSettings]] = SonarSettings
+    extra: ClassVar[bool] = True
+    several: ClassVar[bool] = True  # all topics of the type are one sensor
+    needs: ClassVar[tuple[str, ...]] = ("lrf",)  # whose map it is held against
+    reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "sensor_msgs/msg/Range": ("field_of_view", "min_range", "max_range", "range"),
+    }
+
+    def measure(self, stream: Stream, settings: SonarSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
+        """Turn readings into distances z (m, 1) [m]; a reading without an echo has no row."""
+        columns = cast("dict[str, Array]", stream.columns(*self.reads[stream.msgtype]))
+        distance = columns["range"].astype(np.float64)
+        t: Array = (stream.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset
+        known = ~np.isnan(distance)
+        dropped = dict(stream.dropped)
+        if not known.all():
+            dropped["not_finite"] = dropped.get("not_finite", 0) + int((~known).sum())
+        # at either end of the range nothing was measured (REP 117 says inf, old drivers say max_range)
+        echo = (distance > columns["min_range"]) & (distance < columns["max_range"]) & np.isfinite(distance)
+        rows = np.flatnonzero(known & echo)
+        mounts = _mounts(stream, settings)[rows]
+        return Measurements(
+            t=t[known],
+            first=np.concatenate(([0], np.cumsum(echo[known], dtype=np.int64))),
+            z=distance[rows, None],
+            R_unit=np.ones((len(rows), 1, 1)),
+            scale=settings.sigma,
+            floor=np.zeros((1, 1)),
+            extra={
+                "x": mounts[:, 0],
+                "y": mounts[:, 1],
+                "yaw": np.radians(mounts[:, 2]),
+                "half": 0.5 * columns["field_of_view"].astype(np.float64)[rows],
+            },
+            dropped=dropped,
+        )
+
+    def model(self, settings: SonarSettings) -> Model:
+        """Return the sonars' side of a new run."""
+        return SonarModel(settings)
+
+
+def _mounts(stream: Stream, settings: SonarSettings) -> Array:
+    """Return where the sonar of every row sits, (n, 3) m, m, degrees; on the base's origin where nobody says."""
+    parts = stream.parts if isinstance(stream, Joined) else (stream,)
+    source: Ints = stream.source if isinstance(stream, Joined) else np.zeros(len(stream.t_ns), dtype=np.int64)
+    table = np.array([settings.mounts.get(part.topic, (0.0, 0.0, 0.0)) for part in parts])
+    places: Array = table[source]
+    return places
+
+
+class SonarModel(Model):
+    """z = C + noise for the wall that must have answered."""
+
+    teaches = False
+
+    def __init__(self, settings: SonarSettings) -> None:
+        self.threshold = chi_square(settings.gate, 1)
+        self.widen = math.radians(settings.widen_deg)
+        self._laser: Any = None  # the model whose line map is read
+
+    def meet(self, others: Mapping[str, Model]) -> None:
+        """Read the map of the laser that runs in the same filter; without one there is nothing to compare with."""
+        self._laser = others.get("lrf")
+
+    def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
+        """Compare one echo with the wall that should have answered."""
+        row = int(m.first[i])
+        lines = None if self._laser is None else self._laser.map
+        if row == int(m.first[i + 1]) or lines is None or len(lines) == 0:
+            return []
+        x, y, yaw, half = (float(m.extra[key][row]) for key in ("x", "y", "yaw", "half"))
+        cone = Cone(x, y, yaw, half, self.widen)
+        z, variances = m.scalars
+        echo = nearest_echo(lines, belief, cone, math.sqrt(variances[row]))
+        if echo is None:
+            nan = math.nan
+            return [Innovation(row, UNMATCHED, -1, nan, self.threshold, (nan,), (nan,), (), ())]
+        return [self._judge(row, z[row] - echo.distance, variances[row], echo, belief)]
+
+    def _judge(self, row: int, y: float, r: float, echo: Echo, belief: Any) -> Innovation:
+        r += echo.map_variance
+        S = belief.spread(echo.H, echo.columns, echo.H_block)[0][0] + r
+        nis = y * y / S
+        verdict = 0 if nis <= self.threshold else GATE
+        sigma = (math.sqrt(S),)
+        return Innovation(
+            row, verdict, echo.line, nis, self.threshold, (y,), sigma, echo.H, ((r,),), echo.columns, echo.H_block
+        )

@@ -63,8 +63,8 @@ def application(scene: Scene) -> str:
     """Return the name under which a viewer keeps the layout: recordings that show the same things share it."""
     names = [e.name for e in scene.estimates]
     what = names[0] if len(names) == 1 else f"{len(names)} configurations"
-    pictures = "" if scene.picture_rows is None else ", pictures"
-    return f"{APPLICATION} {scene.name}: {what}{pictures}"
+    pictures = "" if scene.picture_rows is None else " with pictures"
+    return f"{APPLICATION} {scene.name} - {what}{pictures}"
 
 
 def unfolded(table: str) -> str:

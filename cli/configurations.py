@@ -66,6 +66,13 @@ def parse(words: str, drive: Drive) -> Configuration:
         if at:
             rates[sensor] = _rate(name, rate)
     sensors = tuple(s for s in REGISTRY if s in written)
+    for sensor in sensors:
+        lacking = [other for other in needs(sensor) if other not in sensors]
+        if lacking:
+            raise UsageError(
+                f"--sensors {words}: {sensor} is held against the map of {lacking[0]}; "
+                f"write --sensors {','.join((*lacking, *written.values()))}"
+            )
     if not rates:
         return plain(sensors, drive)
     return Configuration("+".join(written[s] for s in sensors), sensors, rates)
@@ -84,10 +91,16 @@ def plain(sensors: tuple[str, ...], drive: Drive) -> Configuration:
     return Configuration(configuration_name(sensors, drive), sensors)
 
 
+def needs(sensor: str) -> tuple[str, ...]:
+    """Return the sensors without whose map this one says nothing."""
+    return tuple(getattr(REGISTRY[sensor], "needs", ()))
+
+
 def for_comparison(words: Sequence[str], drive: Drive, every: bool = False) -> list[Configuration]:
     """Return the configurations to compare.
 
-    Those named; else odometry, each sensor alone, and all; `every`: all subsets, and those named beside them.
+    Those named; else odometry, each sensor alone (or with the one whose map it reads), and all; `every`: all
+    subsets, and those named beside them.
     """
     present = tuple(s for s in REGISTRY if s in drive.measurements)
     named = [parse(w, drive) for w in words]
@@ -98,7 +111,7 @@ def for_comparison(words: Sequence[str], drive: Drive, every: bool = False) -> l
             )
         named = [plain(s, drive) for s in subsets(present)] + named
     if not named:
-        alone: list[tuple[str, ...]] = [(s,) for s in present]
+        alone = [tuple(s for s in present if s in (name, *needs(name))) for name in present]
         together = [present] if len(present) > 1 else []
         named = [plain(s, drive) for s in [(), *alone, *together]]
     return list({c.name: c for c in named}.values())

@@ -38,7 +38,7 @@ class LineSettings:
     min_length: float = 0.30  # m, before corners are trimmed
     max_gap: float = 0.30  # m between neighbouring beams on one wall ...
     gap_spacings: float = 6.0  # ... or this many beam spacings at that range: a wall seen at 80 degrees
-    bridge: float = 0.5  # m, widest shadow across which a wall may go on
+    bridge: float = 0.1  # m, widest shadow across which a line goes on: a stray beam's, not a pole's
     split_sigmas: float = 3.0  # farther from the chord is a corner; what noise cuts, merging joins again
     split_floor: float = 0.02  # m, and never nearer than this
     flatness: float = 0.005  # m by which real walls are not flat: added to the noise where lines are compared

@@ -13,6 +13,8 @@ from .line_beams import Beams, LineSettings, Runs
 from .line_fit import Mask, misfit, total_least_squares
 from .line_split import chords, merge, split
 
+ISLAND = 2  # beams that hit something else and do not end a line: strays
+
 
 @dataclass(frozen=True)
 class Walls:
@@ -51,7 +53,7 @@ def find_walls(runs: Runs, settings: LineSettings) -> Walls:
     first, moments = _merge_neighbours(runs, first, moments, settings.merge_chi2)
     wall = _long_enough(beams, first, settings)
     parts, moments = (first[:-1][wall], first[1:][wall]), moments[:, wall]
-    bounds, moments = _bridge_shadows(beams, *parts, moments, settings)
+    bounds, moments = _bridge_shadows(runs, *parts, moments, settings)
     parts, bounds, moments = _close_rings(runs, parts, bounds, moments, settings)
     r, psi, _ = total_least_squares(moments)
     return Walls(*parts, bounds, r, psi)
@@ -105,22 +107,27 @@ def _long_enough(beams: Beams, first: Ints, settings: LineSettings) -> Mask:
 
 
 def _bridge_shadows(
-    beams: Beams, start: Ints, stop: Ints, moments: Array, settings: LineSettings
+    runs: Runs, start: Ints, stop: Ints, moments: Array, settings: LineSettings
 ) -> tuple[Ints, Array]:
     """Join parts of one wall left and right of what stands before it; return the groups' bounds and moments."""
-    linked = _near(beams, start[:-1], stop[:-1] - 1, start[1:], stop[1:] - 1, settings.bridge)
+    linked = _near(runs, start[:-1], stop[:-1] - 1, start[1:], stop[1:] - 1, settings)
     bounds = merge(moments, linked, settings.merge_chi2)
     return bounds, np.add.reduceat(moments, bounds[:-1], axis=1)
 
 
-def _near(beams: Beams, head: Ints, tail: Ints, next_head: Ints, next_tail: Ints, bridge: float) -> Mask:
-    """Return whether two parts of one scan are closer than both their lengths and `bridge` [m]."""
-    x, y = beams.x, beams.y
+def _near(runs: Runs, head: Ints, tail: Ints, next_head: Ints, next_tail: Ints, settings: LineSettings) -> Mask:
+    """Return whether one line may go on in the next part of its scan, given both parts' first and last rows.
+
+    It may if next to no beams are between them, or if they are closer than `bridge` and than both their lengths.
+    """
+    x, y, scan = runs.beams.x, runs.beams.y, runs.beams.scan
     gap = np.hypot(x[next_head] - x[tail], y[next_head] - y[tail])
     length = np.hypot(x[tail] - x[head], y[tail] - y[head])
     next_length = np.hypot(x[next_tail] - x[next_head], y[next_tail] - y[next_head])
-    near = gap <= np.minimum(np.minimum(length, next_length), bridge)
-    return np.asarray(near & (beams.scan[head] == beams.scan[next_head]))
+    near = gap <= np.minimum(np.minimum(length, next_length), settings.bridge)
+    between = (next_head - tail) % runs.counts[scan[head]] - 1
+    near |= (between <= ISLAND) & (gap <= settings.max_gap)
+    return np.asarray(near & (scan[head] == scan[next_head]))
 
 
 def _close_rings(
@@ -133,7 +140,7 @@ def _close_rings(
     scan = beams.scan[start[bounds[:-1]]]
     first, last = _first_and_last(scan)
     heads, tails = start[bounds[:-1]], stop[bounds[1:] - 1] - 1
-    near = _near(beams, heads[last], tails[last], heads[first], tails[first], settings.bridge)
+    near = _near(runs, heads[last], tails[last], heads[first], tails[first], settings)
     joint = moments[:, first] + moments[:, last]
     cost = misfit(joint) - misfit(moments[:, first]) - misfit(moments[:, last])
     one = runs.closed[scan[first]] & (first != last) & near & (cost < settings.merge_chi2)

@@ -1,9 +1,10 @@
 """Straight walls in laser scans: (r, psi), covariance, extent; many scans at once (paper section III, LRF).
 
-A line is x cos(psi) + y sin(psi) = r with r >= 0, in the frame of the scan. What is one line and what is two: a
-wall seen left and right of something that stands before it is one line if both parts are statistically the same
-line and the shadow is narrower than either of them and than `bridge`; all else are lines of their own. Beams that
-could belong to either of two walls meeting in a corner belong to none.
+A line is x cos(psi) + y sin(psi) = r with r >= 0, in the frame of the scan. What is one line and what is two: the
+two parts of a wall left and right of something that stands before it are two lines, unless the shadow is narrower
+than `bridge` and than either part, and both are statistically the same line. Joining across wider shadows
+sometimes succeeds and sometimes not as the robot moves, and what is one line here and two there cannot be matched
+with the map one to one. Beams that could belong to either of two walls meeting in a corner belong to none.
 """
 
 from __future__ import annotations

@@ -178,16 +178,34 @@ def test_parallel_walls_20_cm_apart_are_two_lines() -> None:
     assert sorted(lines.z[:, 0].tolist()) == pytest.approx([2.0, 2.2], abs=0.005)
 
 
-def test_a_doorway_separates_its_walls() -> None:
-    lines = facing([(2.0, -2.0, 2.0, -0.5), (2.0, 0.5, 2.0, 2.0), (4.0, -3.0, 4.0, 3.0)])
-    assert sorted(lines.z[:, 0].tolist()) == pytest.approx([2.0, 2.0, 4.0], abs=0.005)
+@pytest.mark.parametrize("behind", [[], [(4.0, -3.0, 4.0, 3.0)]])
+def test_a_doorway_separates_its_walls(behind: list[tuple[float, float, float, float]]) -> None:
+    lines = facing([(2.0, -2.0, 2.0, -0.5), (2.0, 0.5, 2.0, 2.0), *behind])
+    assert sorted(lines.z[:, 0].tolist()) == pytest.approx([2.0, 2.0, 4.0][: 2 + len(behind)], abs=0.005)
 
 
-def test_a_wall_behind_a_pole_is_one_line_and_the_pole_is_none() -> None:
+def test_a_wall_behind_a_pole_is_two_lines_and_the_pole_is_none() -> None:
     lines = facing([(3.0, -2.0, 3.0, 2.0), *map(tuple, pole(1.5, 0.0, 0.08))])
-    assert len(lines.z) == 1
-    assert lines.ends[0] == pytest.approx([-2.0, 2.0], abs=0.05)
-    assert lines.span[0, 1] - lines.span[0, 0] > lines.points[0]
+    assert lines.z[:, 0].tolist() == pytest.approx([3.0, 3.0], abs=0.005)
+    assert lines.ends.ravel() == pytest.approx([-2.0, -0.16, 0.16, 2.0], abs=0.05)
+
+
+@pytest.mark.parametrize("bridge", [0.0, 0.5])
+def test_a_shadow_narrower_than_the_bridge_does_not_end_a_line(bridge: float) -> None:
+    d = scan(np.concatenate(([(3.0, -2.0, 3.0, 2.0)], pole(1.5, 0.0, 0.08))), np.zeros(3), HALF)
+    lines = extract_lines(d[None], HALF, replace(SHARP, bridge=bridge))
+    assert len(lines.z) == (2 if bridge == 0.0 else 1)
+    if bridge > 0.0:
+        assert lines.ends[0] == pytest.approx([-2.0, 2.0], abs=0.05)
+        assert lines.span[0, 1] - lines.span[0, 0] > lines.points[0]
+
+
+def test_one_beam_that_hits_something_else_does_not_end_a_line() -> None:
+    d = scan(np.array([(3.0, -2.0, 3.0, 2.0)]), np.zeros(3), HALF)
+    d[180] = 1.0
+    lines = extract_lines(d[None], HALF, SHARP)
+    assert lines.ends.tolist() == [pytest.approx([-2.0, 2.0], abs=0.05)]
+    assert lines.points[0] == lines.span[0, 1] - lines.span[0, 0]
 
 
 def test_a_wall_behind_a_box_is_two_lines() -> None:

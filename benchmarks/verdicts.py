@@ -2,8 +2,8 @@
 
     python -m benchmarks.verdicts --drives 20
 
-`noise`: a compass whose noise is 180 degrees, and told so. `bias`: a compass that is constantly 5 degrees off, told
-to be absolute and good to 1 degree. `plain`: the scenario as shipped.
+`noise`: a compass whose noise is 180 degrees, and told so. `bias`: a compass that is constantly 5 degrees off,
+told to be absolute and good to 1 degree. `plain`: the scenario as shipped.
 """
 
 from __future__ import annotations

@@ -75,13 +75,16 @@ def compare(
 ) -> int:
     """Say what each sensor of LOG bought: all configurations in one pass, and a report.
 
-    LOG is an .mcap, the parts of a split one, a rosbag2 folder, or the name of a sample log.
+    LOG is an .mcap, the parts of a split one, a rosbag2 folder, or the name of a sample log. Several logs give a
+    summary over them; folders of finished results are set side by side.
 
     \b
     locfuse compare rounded_rectangle
     locfuse compare rounded_rectangle --all-subsets
     locfuse compare bag/ --sensors odometry --sensors lrf -o out
     locfuse compare log.mcap --fail-if "all.position_rmse_m > 0.02"
+    locfuse compare rounded_rectangle rounded_triangle disturbed
+    locfuse compare locfuse-out/before locfuse-out/after
     """
     from ..formats import report_json
     from ..formats.outdir import write_results
@@ -89,6 +92,11 @@ def compare(
     from .comparison import compare_log, report_of
     from .load import find_log, load
 
+    if len(log) > 1:
+        from .summary import several
+
+        if (code := several(log)) is not None:
+            return code
     kinds = chosen(write, KINDS)
     limits = [gates.parse_gate(text) for text in fail_if]
     before = gates.read_baseline(baseline, tolerance) if baseline else None

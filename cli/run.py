@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from .map_options import MapOptions, map_options
 from .options import LogOptions, chosen, log_options, out_options, preset_option, smooth_option
 from .rerun_options import RerunOptions, record, rerun_options
 
@@ -36,6 +37,7 @@ KINDS = ("tum", "csv", "json")
 @log_options
 @preset_option
 @out_options(KINDS)
+@map_options
 @rerun_options
 def run(
     log: tuple[str, ...],
@@ -48,6 +50,7 @@ def run(
     overwrite: bool,
     write: str | None,
     as_json: bool,
+    maps: MapOptions,
     rerun: RerunOptions,
 ) -> int:
     """Estimate the trajectory of LOG with one set of sensors.
@@ -67,9 +70,10 @@ def run(
 
     kinds = chosen(write, KINDS)
     with show.progress(how.quiet) as progress:
-        loaded = load(find_log(log), how, progress)
+        loaded = maps.give(load(find_log(log), how, progress))
         drive, robot = loaded.drive, loaded.robot
         configuration = configurations.parse(sensors, drive)
+        maps.check(configuration.sensors)
         progress("fusing")
         found = configuration.fuse_and_smooth(drive, robot) if smooth else (configuration.fuse(drive, robot),)
         judged = [evaluate(e, configuration.drive(drive), align) for e in found]  # type: ignore[arg-type]
@@ -85,6 +89,7 @@ def run(
             files["run.json"] = report_json.encode(report)
         folder = out or results.default_folder(loaded.log.name)
         write_results(folder, files, overwrite)
+        maps.keep(estimates, loaded.log.name)
         if audit is not None:
             with whole_file(audit) as path:
                 path.write_text(audit_csv(drive, found[0]))

@@ -101,7 +101,11 @@ def _candidates(log: Log, name: str, choice: Choice) -> list[str]:
     named: Mapping[str, tuple[str, ...]] = getattr(sensor, "named", {})
     found = [t for t in of_type(log, sensor.reads) if t not in taken]
     found = [t for t in found if _named_well(t, log.topics[t].msgtype, named)]
-    return [t for t in found if log.topics[t].count != 0] or found
+    found = [t for t in found if log.topics[t].count != 0] or found
+    carries = getattr(sensor, "carries", None)
+    if carries is not None and len(found) > 1:
+        found = [t for t in found if carries(log.stream(t))] or found[:1]
+    return found
 
 
 def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None:

@@ -107,6 +107,8 @@ def _main_words(c: SensorCredit, main: Effect, several: bool) -> str:
 def _last_words(last: Effect) -> str:
     if abs(last.value) < NOTHING:
         return "Beside all others it changes nothing."
+    if last.low <= 0.0 <= last.high:
+        return "Beside all others it changes no more than chance."
     return f"Beside all others it makes the error {times(last.value)} ({interval(last)})."
 
 
@@ -161,11 +163,11 @@ def _predicted_verdicts(found: Sequence[Score], sets: Mapping[str, Sequence[str]
         others = [s for s in found if s.configuration == name and not s.stretches]
         own = [s for s in found if s.configuration == name and s.stretches]
         against = [a if b == sensor else b for a, b in quarrels if sensor in {a, b}]
-        out[sensor] = _predicted(sensor, others or own, against, len(alone))
+        out[sensor] = _predicted(others or own, against, len(alone))
     return out
 
 
-def _predicted(sensor: str, mine: Sequence[Score], against: Sequence[str], sensors: int) -> dict[str, Any]:
+def _predicted(mine: Sequence[Score], against: Sequence[str], sensors: int) -> dict[str, Any]:
     if against:
         lone = sensors > 2 and len(against) == sensors - 1
         words = (
@@ -176,8 +178,22 @@ def _predicted(sensor: str, mine: Sequence[Score], against: Sequence[str], senso
     if not mine:
         return {"verdict": "cannot tell", "words": "Nothing in this log can check it."}
     gain = sum(s.gain for s in mine) / len(mine)
+    if mine[0].stretches:
+        return _by_itself(mine[0])
+    on = " and ".join(s.sensor for s in mine)
+    better = f"{abs(gain):.2f} nats per number {'better' if gain >= 0 else 'worse'} than odometry does"
     sure = all(s.low > 0.0 for s in mine) and gain > LEAST_GAIN
-    on = " and ".join(s.sensor for s in mine) if not mine[0].stretches else "its own readings five seconds ahead"
-    words = f"With it {on} {'are' if len(mine) > 1 or mine[0].stretches else 'is'} predicted "
-    words += f"{gain:.2f} nats per number better than by odometry." if gain >= 0 else f"{-gain:.2f} nats worse."
-    return {"verdict": "helps" if sure else "does nothing", "words": words}
+    return {"verdict": "helps" if sure else "does nothing", "words": f"With it, {on} can be predicted {better}."}
+
+
+def _by_itself(score: Score) -> dict[str, Any]:
+    """Judge the only sensor of a log by its own readings: that can show a fault, never that it is right."""
+    words = f"It predicts its own readings five seconds ahead {abs(score.gain):.2f} nats per number "
+    if score.high < 0.0:
+        words += "worse than odometry does. Its clock, mount or settings are probably wrong."
+        return {"verdict": "hurts", "words": words}
+    if score.low > 0.0:
+        words += "better than odometry does: it agrees with itself, which a biased sensor does too."
+    else:
+        words += "off odometry's, no more than chance."
+    return {"verdict": "cannot tell", "words": words}

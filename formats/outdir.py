@@ -15,7 +15,7 @@ from types import FrameType
 
 from ..fusion.data import LocfuseError
 
-RESULTS = ("run.json", "report.json")
+RESULTS = ("run.json", "report.json", "summary.json", "changes.json")
 TEMPORARY = ".locfuse-tmp"  # ending of files that are being written
 
 
@@ -30,6 +30,11 @@ def write_results(folder: Path, files: Mapping[str, str | bytes], overwrite: boo
         raise LocfuseError(f"cannot write to {folder}: {problem.strerror or problem}") from None
     finally:
         _remove_if_empty(folder, created)
+
+
+def may_write(folder: Path, overwrite: bool = False) -> None:
+    """Raise LocfuseError where `write_results` would refuse the folder: to know it before the work is done."""
+    _remove_if_empty(folder, _prepare(folder, overwrite))
 
 
 @contextmanager

@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from ..fusion.data import VERDICTS
+
 
 class Colour(NamedTuple):
     """A colour on a light page and on a dark one."""
@@ -36,7 +38,9 @@ SETS = (  # of several sensors but not all: told apart by their dashes and names
     Colour("#b0413e", "#f08a80"),
     Colour("#4d7a1f", "#9fce62"),
 )
+REFUSED = Colour("#a3123a", "#e0566f")
 ROLES = {  # what is drawn besides configurations
+    **dict.fromkeys(VERDICTS, REFUSED),
     "truth": TRUTH,
     "walls of the first scan": Colour("#9aa3af", "#667080"),
     "walls seen later": Colour("#cfc09f", "#6f6750"),
@@ -45,7 +49,7 @@ ROLES = {  # what is drawn besides configurations
     "new": Colour("#7f97e8", "#4a66b8"),
     "ambiguous": Colour("#e2b04a", "#b98a2c"),
     "unmatched": Colour("#c7843a", "#a8642a"),
-    "gate": Colour("#a3123a", "#e0566f"),
+    "lost": Colour("#3b3f46", "#b9bec7"),
     "disturbed": Colour("#6a1b6a", "#b06ab8"),
 }
 

@@ -38,6 +38,7 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], registry: Seq
     inks = palette.colours([*names, *(s for s in registry if s not in names)], registry)
     roles = {**inks, **palette.ROLES}
     slugs = slugs_of(list(roles))
+    drawn = {m.of for s in sections for p in s.panels for m in p.marks}
     page = template.render(
         report=report,
         style=Markup(_style((folder / "report.css").read_text(encoding="utf-8"), roles, slugs)),
@@ -45,7 +46,7 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], registry: Seq
         columns=columns_of(report["configurations"], main=True),
         every_column=columns_of(report["configurations"]),
         sections=[_drawn(s, slugs) for s in sections],
-        legend=[(name, slugs[name], palette.dashed(name)) for name in names],
+        legend=[(name, slugs[name]) for name in names if name in drawn],
         slugs=slugs,
         dashed=palette.dashed,
         signs=SIGNS,

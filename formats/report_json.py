@@ -40,6 +40,8 @@ def _configuration(evaluation: Evaluation) -> dict[str, Any]:
         **evaluation.figures,
         "align": evaluation.align,
         "smoothed": evaluation.smoothed,
+        "lost": [list(interval) for interval in evaluation.lost],
+        "notes": list(evaluation.notes),
         "sensors": {name: _sensor(s) for name, s in evaluation.sensors.items()},
     }
 

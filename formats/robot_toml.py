@@ -13,6 +13,7 @@ import msgspec
 from ..fusion.data import LocfuseError, UsageError
 
 FEW = 12  # keys are listed up to this many
+LARGEST = 1e20  # no robot's number is larger; a 64-bit counter's range is not
 Tables = dict[str, Any]
 
 
@@ -28,7 +29,7 @@ def parse(text: str | bytes, source: str) -> Tables:
         raise LocfuseError(f"{source}: not valid TOML: {_one_line(str(problem))}") from None
     except RecursionError:
         raise LocfuseError(f"{source}: not valid TOML: nested too deeply") from None
-    _refuse_infinite(tables, source)
+    _refuse_absurd(tables, source)
     return tables
 
 
@@ -58,7 +59,7 @@ def apply_sets(sets: Sequence[str]) -> Tables:
                 raise UsageError(f"--set {text}: {key} was set to a value before")
         table[keys[-1]] = _value(value.strip())
     try:
-        _refuse_infinite(tables, "--set")
+        _refuse_absurd(tables, "--set")
     except LocfuseError as problem:
         raise UsageError(str(problem)) from None
     return tables
@@ -72,16 +73,18 @@ def _value(text: str) -> Any:
     return parsed["value"] if parsed.keys() == {"value"} else text
 
 
-def _refuse_infinite(value: Any, source: str, path: str = "") -> None:
+def _refuse_absurd(value: Any, source: str, path: str = "") -> None:
     if isinstance(value, float) and not math.isfinite(value):
         raise LocfuseError(f"{source}: {path} = {value}: a finite number is needed")
+    if isinstance(value, int | float) and abs(value) > LARGEST:
+        raise LocfuseError(f"{source}: {path} = {_shown(value)}: no number of a robot is larger than {LARGEST:g}")
     children: Iterable[tuple[Any, Any]] = ()
     if isinstance(value, dict):
         children = value.items()
     elif isinstance(value, list):
         children = enumerate(value)
     for key, child in children:
-        _refuse_infinite(child, source, f"{path}.{key}" if path else str(key))
+        _refuse_absurd(child, source, f"{path}.{key}" if path else str(key))
 
 
 def convert(tables: Mapping[str, Any], types: Mapping[str, Any]) -> dict[str, Any]:
@@ -150,7 +153,7 @@ def dump(tables: Mapping[str, Any]) -> str:
     """Return tables as TOML: same tables, same text; floats in full precision; keys without a value left out."""
     import tomli_w
 
-    _refuse_infinite(dict(tables), "robot.toml")
+    _refuse_absurd(dict(tables), "robot.toml")
     return tomli_w.dumps(_without_none(tables))
 
 

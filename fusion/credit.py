@@ -160,7 +160,7 @@ class _Book:
         return Effect(value, min(low, value - chance), max(high, value + chance), expected)
 
     def _chance(self, i: int, j: int) -> float:
-        """How far ln(RMSE) moves by luck (2 sigma) when the filter makes as small corrections as it says.
+        """How far ln(RMSE) moves by luck when the filter makes as small corrections as it says, at CONFIDENCE.
 
         A sensor that shrinks the predicted variance by a factor f has moved the estimate by sqrt(1 - f) of its
         standard deviation. On a drive worth few independent stretches this helps or hurts by luck alone, and
@@ -169,7 +169,8 @@ class _Book:
         if self.expected is None:
             return 0.0
         moved = 1.0 - math.exp(-2.0 * abs(float(self.expected[i] - self.expected[j])))
-        return 2.0 * math.sqrt(moved / (2.0 * float(self.errors.samples[[i, j]].min())))
+        n = 2.0 * float(self.errors.samples[[i, j]].min())  # x and y count
+        return math.asinh(student_t(CONFIDENCE, max(1.0, n - 1.0)) * math.sqrt(moved / n))
 
     def sensor(self, sensor: str, sensors: Sequence[str]) -> SensorCredit:
         every = frozenset(sensors)

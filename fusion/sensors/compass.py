@@ -14,6 +14,7 @@ import numpy as np
 
 from ..data import VERDICTS, Array, LocfuseError, Measurements, Stream
 from ..gates import chi_square
+from ..mounting import rotated, rotation
 from ..se2 import wrap, wrap_all
 from .base import Belief, Block, Innovation, Model, SensorSettings, WheelMotion
 
@@ -21,6 +22,8 @@ Convention = Literal["enu_rad", "enu_deg", "compass_rad", "compass_deg"]
 OFFSET = "compass_offset"
 H_HEADING = ((0.0, 0.0, 1.0),)
 H_OFFSET = ((1.0,),)
+STUCK_READINGS, STUCK_TURN = 10, math.radians(20.0)  # the same heading this often while the robot turned this far
+SAYS_SO = ("compass", "heading", "yaw", "azimuth", "bearing", "mag")  # topics of bare numbers that are headings
 
 
 class CompassSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -30,7 +33,10 @@ class CompassSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, k
     offset_deg: float | None = None  # measured heading minus theta; None: estimated from the drive
     offset_drift_deg: float = 0.0  # random walk of an estimated offset, degrees per sqrt(s)
     convention: Convention = "enu_rad"  # of heading messages: 0 = east, ccw; or 0 = north, clockwise
-    hard_iron: tuple[float, float] = (0.0, 0.0)  # centre of the field's circle, in the message's unit
+    roll_deg: float = 0.0  # mount on the base, of a magnetometer or an IMU
+    pitch_deg: float = 0.0
+    yaw_deg: float = 0.0
+    hard_iron: tuple[float, float] = (0.0, 0.0)  # centre of the field's circle in the base's plane, message's unit
     soft_iron: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 1.0)  # row by row, applied after hard_iron
     field_tolerance: float = 0.25  # share by which the field's strength may leave its median
 
@@ -41,7 +47,7 @@ class Compass:
     name: ClassVar[str] = "compass"
     Settings: ClassVar[type[SensorSettings]] = CompassSettings
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
-        "sensor_msgs/msg/MagneticField": ("magnetic_field.x", "magnetic_field.y"),
+        "sensor_msgs/msg/MagneticField": ("magnetic_field.x", "magnetic_field.y", "magnetic_field.z"),
         "sensor_msgs/msg/Imu": (
             "orientation.x",
             "orientation.y",
@@ -52,15 +58,31 @@ class Compass:
         "std_msgs/msg/Float64": ("data",),
         "std_msgs/msg/Float32": ("data",),
     }
+    named: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "std_msgs/msg/Float64": SAYS_SO,
+        "std_msgs/msg/Float32": SAYS_SO,
+    }
+
+    def carries(self, stream: Stream) -> bool:
+        """Return whether a topic says a heading at all: many IMUs leave their orientation empty."""
+        if stream.msgtype != "sensor_msgs/msg/Imu":
+            return True
+        columns = cast("dict[str, Array]", stream.columns(*self.reads[stream.msgtype]))
+        heading, _ = from_imu(columns, CompassSettings(), stream.topic, refuse=False)
+        return bool(np.isfinite(heading).any() and np.ptp(heading[np.isfinite(heading)]) > 0.0)
 
     def measure(
         self, stream: Stream, settings: CompassSettings, wheels: WheelMotion, epoch_ns: int
     ) -> Measurements:
         """Turn readings into headings z (n, 1) [rad] in the field's frame."""
-        columns = cast("dict[str, Array]", stream.columns(*self.reads[stream.msgtype]))
+        fields = self.reads[stream.msgtype]
+        if stream.msgtype.endswith("MagneticField") and not settings.roll_deg and not settings.pitch_deg:
+            fields = fields[:2]  # a level sensor's third axis says nothing
+        columns = cast("dict[str, Array]", stream.columns(*fields))
         heading, strength = _HEADING[stream.msgtype](columns, settings, stream.topic)
         t = (stream.t_ns - epoch_ns) * 1e-9 + settings.time_offset
         good = np.isfinite(heading)
+        _refuse_stuck(t[good], heading[good], wheels, stream.topic)
         dropped = dict(stream.dropped)
         if not good.all():
             dropped["not_finite"] = dropped.get("not_finite", 0) + int((~good).sum())
@@ -131,23 +153,46 @@ GATE = VERDICTS.index("gate")
 DISTURBED = VERDICTS.index("disturbed")
 
 
+def _refuse_stuck(t: Array, heading: Array, wheels: WheelMotion, topic: str) -> None:
+    """Raise LocfuseError where the heading never changes while the robot turns."""
+    if len(t) < STUCK_READINGS or np.ptp(heading) > 0.0:
+        return
+    turn = wheels.relative(np.full(len(t), t[0]), t)[:, 2]
+    if np.ptp(turn) > STUCK_TURN:
+        raise LocfuseError(
+            f"compass: {topic} says {math.degrees(heading[0]):.1f} deg in all {len(t)} readings while the wheels "
+            f"turned the robot by up to {math.degrees(np.ptp(turn)):.0f} deg: no compass writes there"
+        )
+
+
 def from_field(columns: dict[str, Array], settings: CompassSettings, topic: str) -> tuple[Array, Array]:
     """Heading from two field axes in the base frame: theta = phi_B - atan2(m_y, m_x); and the strength."""
-    mx = columns["magnetic_field.x"] - settings.hard_iron[0]
-    my = columns["magnetic_field.y"] - settings.hard_iron[1]
+    mx, my = _in_base(columns, settings)
+    mx, my = mx - settings.hard_iron[0], my - settings.hard_iron[1]
     a, b, c, d = settings.soft_iron
     mx, my = a * mx + b * my, c * mx + d * my
     return -np.arctan2(my, mx), np.hypot(mx, my)
 
 
-def from_imu(columns: dict[str, Array], settings: CompassSettings, topic: str) -> tuple[Array, Array]:
-    """Yaw of an IMU's orientation; a first covariance element of -1 means that there is none."""
-    x, y, z, w = (columns[f"orientation.{a}"] for a in "xyzw")
-    none = (columns["orientation_covariance"][:, 0] == -1.0) | (x * x + y * y + z * z + w * w < 0.25)
-    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    if len(yaw) and none.all():
+def _in_base(columns: dict[str, Array], settings: CompassSettings) -> tuple[Array, Array]:
+    """Return the field along the base's x and y axes, (n,) each."""
+    x, y = columns["magnetic_field.x"], columns["magnetic_field.y"]
+    R = rotation(settings.roll_deg, settings.pitch_deg, settings.yaw_deg)
+    z = columns.get("magnetic_field.z", np.zeros_like(x))
+    return R[0, 0] * x + R[0, 1] * y + R[0, 2] * z, R[1, 0] * x + R[1, 1] * y + R[1, 2] * z
+
+
+def from_imu(
+    columns: dict[str, Array], settings: CompassSettings, topic: str, refuse: bool = True
+) -> tuple[Array, Array]:
+    """Yaw of the base by an IMU's orientation; a first covariance element of -1 means that there is none."""
+    q = np.stack([columns[f"orientation.{a}"] for a in "xyzw"], axis=-1)
+    none = (columns["orientation_covariance"][:, 0] == -1.0) | ((q**2).sum(axis=1) < 0.25)
+    if refuse and len(q) and none.all():
         raise LocfuseError(f"compass: {topic} carries no orientation (orientation_covariance[0] is -1)")
-    return np.where(none, np.nan, yaw), np.ones_like(yaw)
+    # the base's x axis in the IMU's axes, turned into the world
+    ahead = rotated(q, rotation(settings.roll_deg, settings.pitch_deg, settings.yaw_deg)[0])
+    return np.where(none, np.nan, np.arctan2(ahead[:, 1], ahead[:, 0])), np.ones(len(q))
 
 
 def from_number(columns: dict[str, Array], settings: CompassSettings, topic: str) -> tuple[Array, Array]:

@@ -21,6 +21,7 @@ import numpy as np
 
 from ..data import VERDICTS, Array, Ints, LocfuseError, Measurements, Stream
 from ..gates import chi_square
+from ..mounting import rotation
 from .base import Block, Innovation, Model, SensorSettings, WheelMotion
 
 GATE = VERDICTS.index("gate")
@@ -62,6 +63,15 @@ class Gyro:
             "angular_velocity_covariance",
         ),
     }
+
+    def carries(self, stream: Stream) -> bool:
+        """Return whether a topic says an angular velocity at all."""
+        columns = cast("dict[str, Array]", stream.columns(*self.reads[stream.msgtype]))
+        try:
+            up_rate(columns, GyroSettings(), stream.topic)
+        except LocfuseError:
+            return False
+        return True
 
     def measure(self, stream: Stream, settings: GyroSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
         """Sum readings up to angles turned since the first one: z (n, 1) [rad], one row every `period`.
@@ -155,14 +165,8 @@ def up_rate(columns: dict[str, Array], settings: GyroSettings, topic: str) -> Ar
     finite = omega[np.isfinite(omega).all(axis=1)]
     if not finite.any():
         raise LocfuseError(f"gyro: {topic} says 0 in all {len(omega)} messages: no gyro writes there")
-    rate: Array = omega @ up(settings.roll_deg, settings.pitch_deg)
+    rate: Array = omega @ rotation(settings.roll_deg, settings.pitch_deg, 0.0)[2]
     return np.radians(rate) if settings.unit == "deg" else rate
-
-
-def up(roll_deg: float, pitch_deg: float) -> Array:
-    """Return the robot's vertical axis in a sensor's axes (3,): the last row of Ry(pitch) Rx(roll)."""
-    roll, pitch = math.radians(roll_deg), math.radians(pitch_deg)
-    return np.array([-math.sin(pitch), math.cos(pitch) * math.sin(roll), math.cos(pitch) * math.cos(roll)])
 
 
 def _summed(t: Array, rate: Array) -> tuple[Array, Ints]:

@@ -70,6 +70,10 @@ def test_what_is_wrong_is_said_with_its_key_and_the_nearest_known_one(text: str,
         (b"[wheels]\nradius = \xff", r"r.toml: not UTF-8 text \(byte 18\)"),
         (b"[wheels]\nradius = nan", "r.toml: wheels.radius = nan: a finite number is needed"),
         (b"[wheels]\nlimits = [1.0, -inf]", "r.toml: wheels.limits.1 = -inf: a finite number"),
+        (
+            b"[wheels]\nradius = 1e308",
+            r"r.toml: wheels.radius = 1e\+308: no number of a robot is larger than 1e\+20",
+        ),
         (b"a = " + b"[" * 5000, "r.toml: not valid TOML"),
         (b"a = 1\na = 2", "r.toml: not valid TOML"),
     ],
@@ -121,7 +125,7 @@ def test_sets_that_contradict_each_other_are_a_usage_error() -> None:
         apply_sets(["wheels=3", "wheels.radius=1"])
 
 
-NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
+NUMBERS = st.floats(-1e20, 1e20)
 KEYS = st.text(min_size=1, max_size=8)
 VALUES = st.one_of(
     NUMBERS, st.integers(-(2**63), 2**63 - 1), st.booleans(), st.text(), st.lists(NUMBERS, max_size=3)

@@ -1,0 +1,292 @@
+"""Several words after `compare`: logs give a summary, results stand side by side, parts are one log."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+from commands import locfuse
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+from locfuse.cli.grouping import logs_of, results_of
+from locfuse.cli.summary import read_credit, summarised
+from locfuse.cli.verdicts import credit_values
+from locfuse.formats import changes as sides
+from locfuse.formats import summary as over
+from locfuse.fusion.credit import Credit, Effect, SensorCredit
+from locfuse.fusion.data import UsageError
+
+LIGHT = ("camera.enabled=false", "lrf.enabled=false", "path.legs=[{forward=1.5}, {turn_deg=180}, {forward=1.5}]")
+
+
+def report(rmse: dict[str, float | None], anees: float = 1.0, sha: str = "00", **settings: Any) -> dict[str, Any]:
+    """A report.json as far as summaries read it."""
+    rows = {
+        name: {"position_rmse_m": value, "anees": anees, "duration_s": 9.0, "align": "none", "smoothed": False}
+        for name, value in rmse.items()
+    }
+    return {
+        "locfuse": "0.1.0",
+        "input": {"name": "drive", "sha256": sha},
+        "configurations": rows,
+        "settings": settings,
+        "credit": None,
+    }
+
+
+def test_mean_median_and_worst_over_logs() -> None:
+    values = (0.1, 0.2, 0.6)
+    found = over.summarise({f"log {i}": report({"all": v, "lrf": 2 * v}) for i, v in enumerate(values)})
+    figure = found["configurations"]["all"]["figures"]["position_rmse_m"]
+    assert figure["mean"] == pytest.approx(0.3)
+    assert figure["median"] == pytest.approx(0.2)
+    assert (figure["worst"], figure["worst_log"], figure["logs"]) == (0.6, "log 2", 3)
+    assert "duration_s" not in found["configurations"]["all"]["figures"]
+    assert "smoothed" not in found["configurations"]["all"]["figures"]
+
+
+def test_the_worst_anees_is_the_one_furthest_from_one() -> None:
+    found = over.summarise({str(a): report({"all": 0.1}, anees=a) for a in (0.1, 1.0, 5.0)})
+    figure = found["configurations"]["all"]["figures"]["anees"]
+    assert (figure["worst"], figure["worst_log"]) == (0.1, "0.1")
+
+
+def test_the_best_has_the_smallest_mean_among_those_that_every_log_has() -> None:
+    reports = {
+        "a": report({"odometry": 0.5, "lrf": 0.1, "all": 0.2, "camera": 0.01}),
+        "b": report({"odometry": 0.5, "lrf": 0.5, "all": 0.2}),
+        "c": report({"odometry": 0.5, "lrf": 0.1, "all": 0.2}),
+        "no truth": report({"odometry": None, "lrf": None, "all": None}),
+    }
+    found = over.summarise(reports)
+    assert found["best"] == "all"
+    assert found["judged"] == 3
+    assert [found["logs"][name]["best"] for name in reports] == ["camera", "all", "lrf", None]
+    assert {n: c["best_in"] for n, c in found["configurations"].items()} == {
+        "odometry": 0,
+        "lrf": 1,
+        "all": 1,
+        "camera": 1,
+    }
+    assert over.headline(found).startswith("Best is all: mean position rmse 0.2000 m; the best in 1 of 3 logs")
+    assert "1 without truth" in over.headline(found)
+
+
+def test_logs_without_truth_have_no_best_and_it_is_said() -> None:
+    found = over.summarise({"a": report({"all": None}), "b": report({"all": None})})
+    assert found["best"] is None
+    assert "None of these logs has a truth" in over.headline(found)
+    assert "| a |" in over.render({**found, "locfuse": "0.1.0"})
+
+
+def test_names_from_logs_do_not_become_markup() -> None:
+    found = over.summarise({"a|b*": report({"all": 0.1})})
+    assert r"a\|b\*" in over.render({**found, "locfuse": "0.1.0"})
+
+
+def test_the_table_for_machines_has_a_row_per_log_and_configuration() -> None:
+    lines = over.csv({"a": report({"odometry": 0.5, "all": 0.125}), "b": report({"all": None})}).splitlines()
+    assert lines == [
+        "log,configuration,position_rmse_m,anees",
+        "a,odometry,0.5,1.0",
+        "a,all,0.125,1.0",
+        "b,all,,1.0",
+    ]
+
+
+def sensor(ln: float) -> SensorCredit:
+    effect = Effect(ln, ln - 0.5, ln + 0.5, ln)
+    return SensorCredit("helps", effect, effect, None, 0.5, (1.0, 1.5))
+
+
+def test_credit_is_read_back_as_it_was_written() -> None:
+    credit = Credit({"lrf": sensor(0.7)}, 1.4, True, "moving-block bootstrap", 12.0, 3.0)
+    back = read_credit(credit_values(credit))
+    assert back.total == pytest.approx(1.4)
+    effect = back.sensors["lrf"].credit
+    assert effect is not None
+    assert (effect.value, effect.low, effect.high, effect.expected) == pytest.approx((0.7, 0.2, 1.2, 0.7))
+    assert back.sensors["lrf"].last is None
+    assert (back.sensors["lrf"].anees, back.method, back.block_s) == ((1.0, 1.5), credit.method, 3.0)
+
+
+def test_credit_over_logs_is_their_mean_with_an_interval_over_them() -> None:
+    reports = {}
+    for i, ln in enumerate((0.6, 0.7, 0.8)):
+        one = Credit({"lrf": sensor(ln)}, ln, True, "moving-block bootstrap", 12.0, 3.0)
+        reports[str(i)] = {**report({"odometry": 0.5, "lrf": 0.2}), "credit": credit_values(one)}
+    found = summarised(reports)
+    effect = found["credit"]["sensors"]["lrf"]["credit"]
+    assert effect["ln"] == pytest.approx(0.7)
+    half = 4.303 * 0.1 / math.sqrt(3)  # Student's t, 2 degrees of freedom
+    assert math.log(effect["high"]) == pytest.approx(0.7 + half, abs=1e-3)
+    assert found["verdicts"]["lrf"]["verdict"] == "helps"
+
+
+def test_changes_of_every_figure_and_setting_between_two_results() -> None:
+    before = report({"all": 0.2, "lrf": 0.4}, lrf={"map": "grow", "x": 0.2}, order="auto")
+    after = report({"all": 0.3, "camera": 0.1}, sha="11", lrf={"map": "refine", "x": 0.2}, order="auto")
+    found = sides.changes(before, after)
+    figure = found["configurations"]["all"]["position_rmse_m"]
+    assert figure == pytest.approx({"before": 0.2, "after": 0.3, "change": 0.1, "share": 0.5})
+    assert found["settings"] == {"lrf.map": ["grow", "refine"]}
+    assert (found["only_before"], found["only_after"]) == (["lrf"], ["camera"])
+    said = " ".join(sides.remarks(found))
+    assert "different input" in said
+    assert "lrf.map: grow -> refine" in said
+    assert "| all | position rmse | 0.2000 m | 0.3000 m | +50.0% |" in sides.render(("a", "b"), found)
+
+
+def test_a_figure_that_only_one_result_has_is_no_change() -> None:
+    found = sides.changes(report({"all": None}), report({"all": 0.3}))
+    assert found["configurations"]["all"]["position_rmse_m"]["change"] is None
+    assert [column.key for _, column, _ in sides.rows(found)] == ["anees"]
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Three short drives that begin at the same instant, named as the parts of a split recording are."""
+    folder = tmp_path_factory.mktemp("drives")
+    logs = [folder / f"drive_{seed}.mcap" for seed in range(3)]
+    sets = [w for s in LIGHT for w in ("--set", s)]
+    for seed, log in enumerate(logs):
+        done = locfuse("simulate", "straight_runs", "-o", log, "--seed", seed, *sets)
+        assert done.exit_code == 0, done.stderr
+    return logs
+
+
+@pytest.fixture(scope="module")
+def summary(drives: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("summary") / "out"
+    done = locfuse("compare", *drives, "-o", out, "--write", "json,md,csv")
+    assert done.exit_code == 0, done.stderr
+    assert "Best is" in done.stdout
+    assert "mean" in done.stdout
+    return out
+
+
+def test_several_logs_give_a_summary_and_a_folder_each(drives: list[Path], summary: Path) -> None:
+    assert {p.name for p in summary.iterdir()} == {
+        "summary.json",
+        "summary.md",
+        "summary.csv",
+        *(d.stem for d in drives),
+    }
+    found = json.loads((summary / "summary.json").read_text())
+    each = [json.loads((summary / d.stem / "report.json").read_text()) for d in drives]
+    for name in ("odometry", "compass"):
+        values = [r["configurations"][name]["position_rmse_m"] for r in each]
+        assert found["configurations"][name]["figures"]["position_rmse_m"]["mean"] == pytest.approx(
+            sum(values) / 3
+        )
+        assert found["configurations"][name]["figures"]["position_rmse_m"]["worst"] == max(values)
+    assert found["logs"].keys() == {d.stem for d in drives}
+
+
+def test_a_log_in_a_summary_has_the_report_it_has_alone(drives: list[Path], summary: Path, tmp_path: Path) -> None:
+    done = locfuse("compare", drives[1], "-o", tmp_path / "alone", "--write", "json")
+    assert done.exit_code == 0, done.stderr
+    assert (tmp_path / "alone" / "report.json").read_bytes() == (
+        summary / drives[1].stem / "report.json"
+    ).read_bytes()
+
+
+def test_a_summary_is_replaced_and_a_foreign_folder_is_not(
+    drives: list[Path], summary: Path, tmp_path: Path
+) -> None:
+    before = (summary / "summary.json").read_bytes()
+    done = locfuse("compare", *drives, "-o", summary, "--write", "json", "--json")
+    assert done.exit_code == 0, done.stderr
+    assert (summary / "summary.json").read_bytes() == before == done.stdout.encode()
+    (tmp_path / "chapter1.tex").write_text("precious")
+    done = locfuse("compare", *drives, "-o", tmp_path)
+    assert done.exit_code == 1
+    assert "--overwrite" in done.stderr
+    assert [p.name for p in tmp_path.iterdir()] == ["chapter1.tex"]
+
+
+def test_a_gate_that_one_log_fails_fails_the_summary(drives: list[Path], tmp_path: Path) -> None:
+    words = ("--sensors", "odometry", "--write", "json", "-o", tmp_path / "out")
+    done = locfuse("compare", *drives, *words, "--fail-if", "odometry.position_rmse_m > 0.0001")
+    assert done.exit_code == 4
+
+
+def test_results_are_set_side_by_side(drives: list[Path], summary: Path, tmp_path: Path) -> None:
+    other = tmp_path / "noisier"
+    words = ("--set", "compass.sigma_deg=30", "--write", "json")
+    assert locfuse("compare", drives[0], *words, "-o", other).exit_code == 0
+    done = locfuse("compare", summary / drives[0].stem, other)
+    assert done.exit_code == 0, done.stderr
+    assert "compass.sigma_deg: 3.0 -> 30.0" in done.stdout
+    assert "odometry" in done.stdout
+    assert "different input" not in done.stdout
+    as_json = json.loads(locfuse("compare", summary / drives[0].stem, other, "--json").stdout)
+    odometry = as_json["after"][str(other)]["configurations"]["odometry"]["position_rmse_m"]
+    assert odometry["change"] == 0.0
+    written = locfuse("compare", summary / drives[0].stem, other, "-o", tmp_path / "changes")
+    assert written.exit_code == 0, written.stderr
+    assert {p.name for p in (tmp_path / "changes").iterdir()} == {"changes.json", "changes.md"}
+
+
+def test_logs_and_results_are_not_mixed(drives: list[Path], summary: Path) -> None:
+    done = locfuse("compare", drives[0], summary / drives[0].stem)
+    assert done.exit_code == 2
+    assert "either logs or results" in done.stderr
+    with pytest.raises(UsageError):
+        results_of([str(drives[0]), str(summary / drives[0].stem)])
+    assert results_of([str(summary / drives[0].stem)]) is None
+
+
+def test_a_broken_result_is_refused_in_one_line(summary: Path, drives: list[Path], tmp_path: Path) -> None:
+    (tmp_path / "report.json").write_text('{"configurations": 3}')
+    done = locfuse("compare", summary / drives[0].stem, tmp_path)
+    assert done.exit_code == 1
+    assert "not a report of locfuse" in done.stderr
+
+
+def test_numbered_recordings_that_overlap_in_time_are_logs_of_their_own(drives: list[Path]) -> None:
+    words = [str(d) for d in drives]
+    assert logs_of(words) == [[w] for w in words]
+
+
+def test_numbered_recordings_that_follow_each_other_are_one_log(tmp_path: Path) -> None:
+    parts = [tmp_path / f"bag_{i}.mcap" for i in range(2)]
+    sets = [
+        w for s in ("camera.enabled=false", "lrf.enabled=false", "path.legs=[{forward=0.5}]") for w in ("--set", s)
+    ]
+    assert locfuse("simulate", "straight_runs", "-o", parts[0], *sets).exit_code == 0
+    later(parts[0], parts[1], 3600.0)
+    other = tmp_path / "elsewhere.mcap"
+    shutil.copy(parts[0], other)
+    assert logs_of([str(p) for p in (*parts, other)]) == [[str(p) for p in parts], [str(other)]]
+
+
+def later(source: Path, target: Path, seconds: float) -> None:
+    """The same recording, with every message logged so much later."""
+    shift = round(seconds * 1e9)
+    with source.open("rb") as stream, target.open("wb") as sink:
+        writer: Any = Writer(sink)
+        writer.start()
+        channels: dict[int, int] = {}
+        for schema, channel, message in make_reader(stream).iter_messages():
+            assert schema is not None
+            if channel.id not in channels:
+                ident = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, ident)
+            t = message.log_time + shift
+            writer.add_message(channels[channel.id], t, message.data, t, message.sequence)
+        writer.finish()
+
+
+def test_equal_names_get_folders_of_their_own(drives: list[Path], tmp_path: Path) -> None:
+    twin = tmp_path / "again" / drives[0].name
+    twin.parent.mkdir()
+    shutil.copy(drives[0], twin)
+    done = locfuse("compare", drives[0], twin, "-o", tmp_path / "out", "--write", "json", "--sensors", "odometry")
+    assert done.exit_code == 0, done.stderr
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"drive_0", "drive_0_2", "summary.json"}

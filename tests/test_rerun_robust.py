@@ -1,0 +1,260 @@
+"""No display, no viewer, a stranger's port, a full disk: the run completes, one warning, no hang."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from commands import locfuse
+from recordings import read
+from small_drive import drive as small_drive
+from small_drive import robot as small_robot
+
+from locfuse.cli import rerun_viewer
+from locfuse.formats.rerun_file import check, save_recording, verify
+from locfuse.formats.rerun_scene import Scene
+from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.fuse import fuse
+
+LOG = "rounded_triangle"
+LIGHT = ("--sensors", "odometry", "--write", "json")
+
+
+@pytest.fixture(autouse=True)
+def lonely(monkeypatch: pytest.MonkeyPatch) -> int:
+    """No display, and a port where no viewer is."""
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    port = rerun_viewer.free_port(0)
+    monkeypatch.setattr(rerun_viewer, "PORT", port)
+    monkeypatch.setattr(rerun_viewer, "LOCAL_VIEWER", f"rerun+http://127.0.0.1:{port}/proxy")
+    return port
+
+
+def poor_scene() -> Scene:
+    robot = small_robot()
+    drive = small_drive(1, robot, sensors=(), laps=0.2, truth=False)
+    return Scene("poor", drive, [fuse(drive, robot, [])], {})
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("whole") / "whole.rrd"
+    save_recording(path, poor_scene())
+    return path
+
+
+@pytest.fixture
+def stranger(lonely: int) -> Iterator[list[str]]:
+    """Somebody else's server on the viewer's port: `manner` says whether it is silent or hangs up."""
+    manner = ["silent"]
+    server = socket.create_server(("127.0.0.1", lonely))
+    server.settimeout(0.1)
+    done = threading.Event()
+    callers = []
+
+    def listen() -> None:
+        while not done.is_set():
+            try:
+                caller, _ = server.accept()
+            except TimeoutError:
+                continue
+            if manner[0] == "silent":
+                callers.append(caller)
+            else:
+                caller.close()
+
+    thread = threading.Thread(target=listen)
+    thread.start()
+    yield manner
+    done.set()
+    thread.join()
+    for caller in callers:
+        caller.close()
+    server.close()
+
+
+def warnings_of(stderr: str) -> list[str]:
+    return [line for line in stderr.splitlines() if line.startswith("warning: rerun: ")]
+
+
+def test_without_display_and_viewer_the_recording_lies_with_the_results(tmp_path: Path) -> None:
+    done = locfuse("run", LOG, *LIGHT, "-o", tmp_path / "out", "--rerun", "--rerun-images", "none")
+    assert done.exit_code == 0
+    (warning,) = warnings_of(done.stderr)
+    assert "no display" in warning
+    assert "locfuse view" in warning
+    assert "world/odometry/pose" in read(tmp_path / "out" / "recording.rrd")
+    assert json.loads((tmp_path / "out" / "run.json").read_text())["configurations"]
+
+
+@pytest.mark.parametrize("manner", ["silent", "rude"])
+def test_a_stranger_on_the_port_costs_a_warning_and_no_hang(
+    tmp_path: Path, stranger: list[str], manner: str, monkeypatch: pytest.MonkeyPatch, recording: Path
+) -> None:
+    stranger[0] = manner
+    monkeypatch.setattr(rerun_viewer, "PATIENCE", 2.0)
+    began = time.monotonic()
+    with pytest.raises(LocfuseError, match="take"):
+        rerun_viewer.show(recording)
+    assert time.monotonic() - began < 10.0
+
+
+def test_a_viewer_that_is_not_there_is_said_so_at_once(recording: Path, lonely: int) -> None:
+    began = time.monotonic()
+    with pytest.raises(LocfuseError, match=f"no viewer answers at 127.0.0.1:{lonely}"):
+        rerun_viewer.send(recording, f"rerun+http://127.0.0.1:{lonely}/proxy")
+    assert time.monotonic() - began < 2.0
+
+
+def test_a_display_that_does_not_exist_is_noticed(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DISPLAY", ":4711")
+    with pytest.raises(LocfuseError, match="viewer ended"):
+        rerun_viewer.show(recording)
+
+
+FULL_DISK = """
+import resource, signal, sys
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+from locfuse.cli.main import main
+from locfuse.formats import outdir
+import locfuse.formats.rerun_file as rerun_file
+before = rerun_file.save_recording
+def full(*a):
+    resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
+    before(*a)
+rerun_file.save_recording = full
+main(sys.argv[1:])
+"""
+
+
+def test_a_full_disk_costs_a_warning_and_leaves_nothing_half_written(tmp_path: Path) -> None:
+    save = tmp_path / "drive.rrd"
+    words = ["run", LOG, *LIGHT, "-o", str(tmp_path / "out"), "--rerun-save", str(save)]
+    done = subprocess.run(
+        [sys.executable, "-c", FULL_DISK, *words], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    (warning,) = warnings_of(done.stderr)
+    assert "disk is full" in warning
+    assert "ERROR" not in done.stderr  # Rerun's own log stays quiet
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["out"]
+    assert (tmp_path / "out" / "run.json").is_file()
+
+
+def test_a_place_that_cannot_be_written_costs_a_warning(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    save = tmp_path / "file" / "drive.rrd"
+    done = locfuse("run", LOG, *LIGHT, "-o", tmp_path / "out", "--rerun-save", save, "--rerun-images", "none")
+    assert done.exit_code == 0
+    assert len(warnings_of(done.stderr)) == 1
+
+
+def test_rerun_is_imported_only_when_asked_for(tmp_path: Path) -> None:
+    code = (
+        "import sys\nfrom locfuse.cli.main import main\n"
+        "try: main(sys.argv[1:])\nexcept SystemExit as e: assert not e.code\n"
+        "assert 'rerun' not in sys.modules and 'rerun_bindings' not in sys.modules"
+    )
+    words = ["compare", LOG, "--sensors", "odometry", "--write", "json", "-o", str(tmp_path / "out")]
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.99])
+def test_a_recording_cut_short_is_refused(recording: Path, tmp_path: Path, share: float) -> None:
+    data = recording.read_bytes()
+    cut = tmp_path / "cut.rrd"
+    cut.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(LocfuseError, match="no whole recording"):
+        check(cut)
+
+
+def test_a_recording_with_a_flipped_byte_is_refused(recording: Path, tmp_path: Path) -> None:
+    data = bytearray(recording.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    (tmp_path / "flipped.rrd").write_bytes(data)
+    with pytest.raises(LocfuseError):
+        verify(tmp_path / "flipped.rrd", check(recording))
+
+
+def test_a_recording_that_lacks_a_row_is_noticed(recording: Path) -> None:
+    rows = check(recording)
+    verify(recording, rows)
+    with pytest.raises(LocfuseError, match="1 entities differ, first world/odometry/pose"):
+        verify(recording, rows + Counter({"world/odometry/pose": 1}))
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--rerun-connect", "127.0.0.1:9876"), "no viewer's address"),
+        (("--rerun-connect", "http://127.0.0.1:9876/proxy"), "no viewer's address"),
+        (("--rerun-images", "every=0"), "neither every=N"),
+        (("--rerun-images", "some"), "neither every=N"),
+    ],
+)
+def test_words_that_make_no_sense_are_refused_before_anything_is_computed(
+    words: tuple[str, str], said: str
+) -> None:
+    done = locfuse("run", LOG, *words)
+    assert done.exit_code == 2
+    assert said in done.stderr
+
+
+def test_everything_we_start_listens_on_loopback_only(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    commands = []
+
+    class Process:
+        returncode = 0
+
+        def poll(self) -> int:
+            return 0
+
+        def wait(self) -> int:
+            return 0
+
+    def popen(command: list[str]) -> Process:
+        commands.append(command)
+        return Process()
+
+    monkeypatch.setattr(rerun_viewer, "_popen", popen)
+    monkeypatch.setattr(rerun_viewer, "START", 0.0)
+    rerun_viewer.start(recording)
+    with pytest.raises(LocfuseError, match="ended"):
+        rerun_viewer.serve(recording, 0)
+    assert len(commands) == 2
+    for command in commands:
+        assert command[command.index("--bind") + 1] == "127.0.0.1"
+
+
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="needs Linux to see who listens where")
+def test_the_web_view_is_reachable_from_this_machine_only(recording: Path) -> None:
+    port = rerun_viewer.free_port(0)
+    environment = {k: v for k, v in os.environ.items() if k not in {"DISPLAY", "WAYLAND_DISPLAY"}}
+    command = [sys.executable, "-m", "locfuse.cli", "view", str(recording), "--web", "--web-port", str(port)]
+    server = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
+    try:
+        deadline = time.monotonic() + 30
+        while not rerun_viewer.listening("127.0.0.1", port) and time.monotonic() < deadline:
+            time.sleep(0.1)
+        listeners = [
+            line.split()[1] for line in Path("/proc/net/tcp").read_text().splitlines()[1:] if " 0A " in line
+        ]
+        (mine,) = [a for a in listeners if a.endswith(f":{port:04X}")]
+        assert mine.startswith("0100007F")  # 127.0.0.1
+    finally:
+        server.terminate()
+        _, said = server.communicate(timeout=20)
+    assert f"http://127.0.0.1:{port}/?url=" in said
+    assert server.returncode == 143
+    assert not rerun_viewer.listening("127.0.0.1", port)  # the server does not outlive the command

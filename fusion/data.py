@@ -287,3 +287,5 @@ class Evaluation:
     estimate_xy: Array  # (q, 2) tracked point of the estimate, aligned as asked
     align: str = "none"
     smoothed: bool = False
+    lost: tuple[tuple[float, float], ...] = ()  # s: when the filter said that it was lost; all figures include it
+    notes: tuple[str, ...] = ()  # what the filter said of the run

@@ -90,6 +90,8 @@ def evaluate(estimates: Estimates, drive: Drive, align: Align = "none") -> Evalu
         estimate_xy,
         align,
         estimates.smoothed,
+        estimates.lost,
+        estimates.notes,
     )
 
 
@@ -110,6 +112,8 @@ def _without_truth(
         none,
         none2,
         smoothed=estimates.smoothed,
+        lost=estimates.lost,
+        notes=estimates.notes,
     )
 
 

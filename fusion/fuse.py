@@ -17,6 +17,7 @@ from .data import Array, Audit, Drive, Estimates, LocfuseError, Measurements, Mo
 from .ekf import JointBelief, Pose, PoseBelief, Triangle
 from .motion import Wheels
 from .robot import Robot, StartSettings, WheelSettings
+from .robust import inflated
 from .sensors.base import Block, Innovation, Model
 from .sensors.registry import REGISTRY
 
@@ -93,15 +94,21 @@ class Filter:
         beliefs: Beliefs = (PoseBelief, JointBelief),
     ) -> None:
         self._sensors = tuple(s for s in REGISTRY if s in sensors)
+        self._inflates = {s for s in REGISTRY if s in sensors and robot.settings(s).outliers == "inflate"}
         self._listens = {s: flags.tolist() for s, flags in (listen or {}).items()}
         self.models: dict[str, Model] = {
             s: REGISTRY[s].model(robot.settings(s)) for s in REGISTRY if s in sensors or s in self._listens
         }
         self.belief = _begin(robot, list(self.models.values()), beliefs)
+        for model in self.models.values():
+            model.begin(robot.lines, self.belief)
+        for s, model in self.models.items():
+            # a sensor that is used must not read what only listens
+            model.meet({o: other for o, other in self.models.items() if o in sensors or s not in sensors})
         self._poses = array("d")  # flat: an hour of Python tuples would be hundreds of megabytes
         self._triangles = array("d")
         self._records = {s: Record() for s in self.models}
-        fixed = [b.name for m in self.models.values() for b in m.blocks()]
+        fixed = [b.name for m in self.models.values() for b in m.blocks() if not b.name.startswith("_")]
         if robot.wheels.estimate:
             fixed.append(WHEELS)
         self._blocks: dict[str, tuple[array[float], array[float]]] = {n: (array("d"), array("d")) for n in fixed}
@@ -119,9 +126,13 @@ class Filter:
         heard: list[Innovation] = []
         for sensor, i in due:
             seen = self.models[sensor].innovations(measurements[sensor], i, belief)
+            if sensor in self._inflates:
+                seen = [inflated(innovation) for innovation in seen]
             self._records[sensor].add(k, seen)
-            used = heard if sensor in self._listens and self._listens[sensor][i] else accepted
-            used += [innovation for innovation in seen if innovation.verdict == 0]
+            if sensor not in self._listens or not self._listens[sensor][i]:
+                accepted += [innovation for innovation in seen if innovation.verdict == 0]
+            elif self.models[sensor].teaches:
+                heard += [innovation for innovation in seen if innovation.verdict == 0]
         if heard and isinstance(belief, JointBelief):
             belief.listen(heard)
         belief.correct(accepted)

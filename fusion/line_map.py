@@ -128,6 +128,14 @@ class LineMap:
         return MapLine(int(self.ids[j]), rho + ax * c + ay * s, beta, ends, G @ P @ G.T, int(self.hits[j]))
 
 
+def about_middle(line: MapLine) -> tuple[Array, float, Array]:
+    """Return the middle (2,) of a line in the paper's form, half its length, its covariance about the middle."""
+    c, s = math.cos(line.beta), math.sin(line.beta)
+    along, half = 0.5 * (line.ends[0] + line.ends[1]), 0.5 * (line.ends[1] - line.ends[0])
+    G = np.array([[1.0, -along], [0.0, 1.0]])
+    return np.array([line.rho * c - along * s, line.rho * s + along * c]), half, G @ line.P @ G.T
+
+
 def _pose_spread(P: Array, c: Array, s: Array) -> Array:
     """H P H' for H = [[-c, -s, 0], [0, 0, -1]], (k, 2, 2)."""
     out = np.empty((len(c), 2, 2))

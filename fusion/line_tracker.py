@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from . import se2
 from .association import Association, Scan, associate
-from .data import VERDICTS, Array, MapLine, Measurements
+from .data import VERDICTS, Array, LocfuseError, MapLine, Measurements
 from .ekf import JointBelief, PoseBelief
 from .gates import chi_square
-from .line_map import AnyBelief, LineMap
-from .map_keeping import merge_doubles, prune
+from .line_map import AnyBelief, LineMap, about_middle
+from .map_keeping import LEAST_HITS, merge_doubles, prune
 from .recovery import Guard
 from .sensors.base import Innovation, Model
 
@@ -31,12 +32,28 @@ class LineTracker(Model):
         self.map = LineMap()
         self.joint = mode != "first-scan"
         # only a map that holds what was seen since can say that something is wrong
-        self.guard = Guard() if recover and mode == "grow" else None
+        self.guard = Guard() if recover and mode in ("grow", "given") else None
         self._first_map: list[MapLine] = []
         self._gate = chi_square(gate, 2)
         self._scan = 0
         self._last: Association | None = None
         self._teach = True
+
+    def begin(self, given: Sequence[MapLine], belief: Any) -> None:
+        """Enter a given map: its lines are considered, so their covariance counts and they stay as they are."""
+        if self.mode != "given":
+            return
+        if not given:
+            raise LocfuseError(
+                "lrf.map = given needs a map: add --map FILE, written by locfuse run LOG --save-map FILE"
+            )
+        for line in given:
+            anchor, half, P = about_middle(line)
+            column = belief.augment(np.array([0.0, line.beta]), np.zeros((2, 3)), P)
+            belief.consider(np.array([column, column + 1]))
+            self.map.append(anchor, np.array([0.0, line.beta]), P, column, (-half, half), 0)
+        self.map.hits = np.array([max(line.hits, LEAST_HITS) for line in given])
+        self._first_map = list(given)
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
         """Associate the lines of scan i; each becomes one innovation with its verdict."""
@@ -96,7 +113,7 @@ class LineTracker(Model):
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Let matched extents grow, and add what is new: all of the first scan, later only in `grow`."""
         first, last = int(m.first[i]), int(m.first[i + 1])
-        if first == last or not self._teach:
+        if first == last or not self._teach or self.mode == "given":
             return
         self._scan += 1
         scan = scan_of(m, first, last)

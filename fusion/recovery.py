@@ -2,19 +2,22 @@
 
 The guard watches how much of what a scan shows is matched. New lines are no disagreement: a robot that explores
 sees new walls. Disagreement is seeing *through* walls that the map has. A wheel that slipped is a wrong heading: a
-few headings near the old one are tried. What stays is a robot that was carried off, or a map that was moved: nothing
-is corrected or learnt, the covariance says so, and the pose is looked for on the whole map until one place fits.
+few near the old one are tried. What stays is a robot that was carried off, or a map that was moved: nothing is
+corrected or learnt, the covariance says so, and the pose is looked for on the whole map until one place fits.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 
+from . import se2
 from .association import Association, Scan, associate
 from .data import Array, Ints
-from .ekf import PoseBelief
+from .ekf import Pose
 from .line_map import AnyBelief, LineMap
 from .relocalise import find_pose, matched_share, seen_through
 
@@ -24,11 +27,16 @@ SUSTAINED, SUSTAINED_SCANS = 0.5, 4  # s and scans of disagreement before the ro
 MOVED, TURNED = 0.01, math.radians(0.5)  # since the last scan: at rest nothing slips
 LARGEST_SLIP = math.radians(30.0)
 SLIP_SHARE = 0.6  # of the seen length that a slipped heading must explain, with two lines
-SLIP_XY, SLIP_THETA = 0.1, math.radians(2.0)  # m, rad: what is left to correct after a slip's heading was found
+HARDLY = 0.2  # a slip turns everything: where more than this share still matches, there was none
+SLIP_XY, SLIP_THETA = 0.03, math.radians(1.5)  # m, rad: what is left to correct after a slip's heading was found
 CANDIDATES = 8
 LOST_XY = 5.0  # m: standard deviation of a robot that does not know where it is
 PLACED_XY, PLACED_THETA = 0.15, math.radians(3.0)  # m, rad: after it was found again
+CARRY, CARRY_TURN = 0.5, math.radians(30.0)  # m, rad within a second: somebody may carry a lost robot
 RECENT = 60  # scans
+SERIES, CARRIED = 1.0, 4  # s between slips of one series, and slips that make it one
+CONFIRMED = 5  # scans in a row that must agree on where a lost robot is
+SAME_XY, SAME_THETA = 0.12, math.radians(4.0)  # m, rad: within which they agree
 
 
 class Guard:
@@ -40,6 +48,8 @@ class Guard:
         self._lost_from: float | None = None
         self._intervals: list[tuple[float, float]] = []
         self._slips = 0
+        self._place: tuple[Array, Pose, int] | None = None  # belief and pose found first, scans that agree
+        self._carried: tuple[float, float, int] | None = None  # first and last slip of a series, how many
         self._last = (math.inf, math.inf, math.inf)
         self._now = 0.0
 
@@ -47,44 +57,76 @@ class Guard:
         self, t: float, scan: Scan, found: Association, lines: LineMap, belief: AnyBelief, gate: float
     ) -> tuple[Association, bool]:
         """Return the association to use and whether the scan may correct the pose and teach the map."""
-        self._now = t
+        dt, self._now = t - self._now, t
         moved = self._moved(belief)
         if self._lost_from is not None:
+            _keep_open(belief, dt)
             return self._search(t, scan, found, lines, belief, gate)
-        if matched_share(found, scan) >= ENOUGH:
+        share = matched_share(found, scan)
+        if share >= ENOUGH:
             self._since = None
             return found, True
-        if moved:
-            slipped = _slipped_heading(scan, lines, belief, gate)
+        if moved and share < HARDLY:
+            slipped = _after_slip(scan, lines, belief, gate)
             if slipped is not None:
-                belief.shift(slipped, SLIP_XY**2, SLIP_THETA**2)
-                self._slips += 1
                 self._since = None
-                return associate(scan, lines, belief, gate), True
+                return slipped, not self._carried_off(t, belief)
         if seen_through(scan, lines, lines.values(belief), belief.x, belief.y, belief.theta) < THROUGH:
             self._since = None
             return found, True
         return found, self._disagree(t, belief)
+
+    def _carried_off(self, t: float, belief: AnyBelief) -> bool:
+        """Count a slip; a series of them is none: somebody carries the robot, and it is lost from the first on."""
+        self._slips += 1
+        first, last, count = self._carried or (t, t, 0)
+        if t - last > SERIES:
+            first, count = t, 0
+        self._carried = (first, t, count + 1)
+        if count + 1 < CARRIED:
+            return False
+        self._slips -= CARRIED
+        self._carried = None
+        self._lose(first, belief)
+        return True
+
+    def _lose(self, since: float, belief: AnyBelief) -> None:
+        self._lost_from = since
+        belief.place((belief.x, belief.y, belief.theta), LOST_XY**2, math.pi**2 / 3.0)
 
     def _disagree(self, t: float, belief: AnyBelief) -> bool:
         if self._since is None:
             self._since, self._scans = t, 0
         self._scans += 1
         if t - self._since >= SUSTAINED and self._scans >= SUSTAINED_SCANS:
-            self._lost_from = self._since
-            belief.place((belief.x, belief.y, belief.theta), LOST_XY**2, math.pi**2 / 3.0)
+            self._lose(self._since, belief)
         return False
 
     def _search(
         self, t: float, scan: Scan, found: Association, lines: LineMap, belief: AnyBelief, gate: float
     ) -> tuple[Association, bool]:
         pose = find_pose(scan, lines, belief)
-        if pose is None or self._lost_from is None:
+        if pose is None or self._lost_from is None or not self._confirmed(pose, belief):
             return found, False
         belief.place(pose, PLACED_XY**2, PLACED_THETA**2)
         self._intervals.append((self._lost_from, t))
-        self._lost_from = self._since = None
+        self._lost_from = self._since = self._place = None
         return associate(scan, lines, belief, gate), True
+
+    def _confirmed(self, pose: Pose, belief: AnyBelief) -> bool:
+        """Return whether CONFIRMED scans in a row put the robot where the wheels took it from the last place.
+
+        One scan of a few walls fits somewhere by chance; several, from places a robot drove between, hardly do.
+        """
+        here = np.array([belief.x, belief.y, belief.theta])
+        if self._place is not None:
+            there, place, times = self._place
+            off = np.array(pose) - se2.compose(np.array(place), se2.between(there, here))
+            if math.hypot(off[0], off[1]) < SAME_XY and abs(se2.wrap(float(off[2]))) < SAME_THETA:
+                self._place = (there, place, times + 1)
+                return times + 1 >= CONFIRMED
+        self._place = (here, pose, 1)
+        return False
 
     def _moved(self, belief: AnyBelief) -> bool:
         x, y, theta = self._last
@@ -107,25 +149,40 @@ class Guard:
         return words
 
 
-def _slipped_heading(scan: Scan, lines: LineMap, belief: AnyBelief, gate: float) -> float | None:
-    """Return the change of heading [rad] under which most of the scan matches recent lines, None without one."""
+def _keep_open(belief: AnyBelief, dt: float) -> None:
+    """Let what is known of a lost pose fade: its wheels may hang in the air; a compass keeps it up to date."""
+    theta = float(belief.matrix()[2, 2])
+    fades = min(CARRY_TURN**2 * dt, max(math.pi**2 / 3.0 - theta, 0.0))
+    belief.shift(0.0, CARRY**2 * dt, fades)
+
+
+def _after_slip(scan: Scan, lines: LineMap, belief: AnyBelief, gate: float) -> Association | None:
+    """Turn the belief by the heading change that makes most of the scan match; None, and no change, without one.
+
+    Every heading is tried on the belief itself and the whole map: what is accepted here is what will be matched.
+    """
     recent = np.flatnonzero(lines.seen.max(initial=0) - lines.seen <= RECENT)
-    turns = _turns(scan, lines, recent, belief)
-    best, found = SLIP_SHARE, None
-    for turn in turns:
-        tried = PoseBelief((belief.x, belief.y, belief.theta + turn), _slip_triangle(belief))
-        there = associate(scan, _frozen(lines, recent, belief), tried, gate)
+    least, found = SLIP_SHARE, None
+    for turn in _turns(scan, lines, recent, belief):
+        with tried(belief, turn, SLIP_XY**2, SLIP_THETA**2):
+            there = associate(scan, lines, belief, gate)
         share = matched_share(there, scan)
-        if sum(p >= 0 for p in there.match) >= 2 and share >= best:
-            best, found = share + 1e-9, turn
-    return found
+        if share >= least and sum(p >= 0 for p in there.match) >= 2:
+            least, found = share + 1e-9, turn
+    if found is None:
+        return None
+    belief.shift(found, SLIP_XY**2, SLIP_THETA**2)
+    return associate(scan, lines, belief, gate)
 
 
-def _slip_triangle(belief: AnyBelief) -> tuple[float, float, float, float, float, float]:
-    """Pose covariance of a slipped robot: where it was known to be, plus what a slip moves."""
-    P = belief.matrix()
-    xy = SLIP_XY**2
-    return (float(P[0, 0]) + xy, float(P[0, 1]), 0.0, float(P[1, 1]) + xy, 0.0, SLIP_THETA**2)
+@contextmanager
+def tried(belief: AnyBelief, turn: float, xy: float, theta: float) -> Iterator[None]:
+    """Shift the belief for as long as the block lasts."""
+    belief.shift(turn, xy, theta)
+    try:
+        yield
+    finally:
+        belief.shift(-turn, -xy, -theta)
 
 
 def _turns(scan: Scan, lines: LineMap, recent: Ints, belief: AnyBelief) -> list[float]:
@@ -140,22 +197,6 @@ def _turns(scan: Scan, lines: LineMap, recent: Ints, belief: AnyBelief) -> list[
         support[cell] = support.get(cell, 0.0) + weight
     ranked = sorted(support, key=lambda c: (-support[c], abs(c), c))[:CANDIDATES]
     return [c * math.radians(2.0) for c in ranked if c != 0]
-
-
-def _frozen(lines: LineMap, which: Ints, belief: AnyBelief) -> LineMap:
-    """Return some lines as a map of its own with their present values, to be tried against."""
-    return LineMap(
-        ids=lines.ids[which],
-        anchor=lines.anchor[which],
-        lo=lines.lo[which],
-        hi=lines.hi[which],
-        hits=lines.hits[which],
-        column=np.full(len(which), -1),
-        value=lines.values(belief)[which],
-        P=np.broadcast_to(np.diag([1e-4, 1e-5]), (len(which), 2, 2)).copy(),
-        seen=lines.seen[which],
-        born=lines.born[which],
-    )
 
 
 def _wrap(angle: Array) -> Array:

@@ -23,7 +23,7 @@ LEAST_HITS = 4
 SKEW = math.radians(25.0)  # two walls must differ by this much in direction to fix a pose
 SAME_ANGLE, SAME_OFFSET = math.radians(5.0), 0.25  # a seen wall is a known one within these
 EXPLAINED, LINES = 0.7, 3  # share of the seen length, and walls, that a pose must explain
-RIVAL = 0.85  # another pose that explains this share of the best one's length makes it ambiguous
+RIVAL = 0.8  # another pose that explains this share of the best one's length makes it ambiguous
 APART, TURNED = 0.5, math.radians(20.0)  # m, rad: poses further apart are different
 HEADING_SIGMAS, HEADING_SLACK = 4.0, math.radians(10.0)
 SAMPLES = 5  # points along a seen wall at which sight lines are tested
@@ -85,16 +85,15 @@ def find_pose(scan: Scan, lines: LineMap, belief: AnyBelief) -> tuple[float, flo
     poses = poses[_heading_fits(poses[:, 2], belief)]
     if len(poses) == 0:
         return None
-    share, count = _explained(poses, scan, lines, values, known)
-    good = (share >= EXPLAINED) & (count >= LINES)
-    poses, share = poses[good], share[good]
-    if len(poses) == 0:
-        return None
+    share, possible, count = _explained(poses, scan, lines, values, known)
+    share = np.where((share >= EXPLAINED) & (count >= LINES), share, 0.0)
     best = int(np.argmax(share))
+    if share[best] <= 0.0:
+        return None
     pose = poses[best]
     apart = np.hypot(*(poses[:, :2] - pose[:2]).T) > APART
     apart |= np.abs(_wrap(poses[:, 2] - pose[2])) > TURNED
-    for rival in poses[apart & (share >= RIVAL * share[best])]:
+    for rival in _distinct(poses[apart & (possible >= RIVAL * share[best])]):
         if seen_through(scan, lines, values, *rival.tolist()) < TOO_MUCH_THROUGH:
             return None
     if seen_through(scan, lines, values, *pose.tolist()) >= TOO_MUCH_THROUGH:
@@ -129,10 +128,19 @@ def _hypotheses(scan: Scan, lines: LineMap, values: Array, known: Ints) -> Array
     return np.concatenate(found)
 
 
-def _explained(poses: Array, scan: Scan, lines: LineMap, values: Array, known: Ints) -> tuple[Array, Ints]:
-    """Return the share of seen length and the number of seen walls that each pose explains, (h,)."""
+def _distinct(poses: Array) -> Array:
+    """Return one of the poses (h, 3) in every cell of half the size within which poses count as the same."""
+    cells = np.floor(np.column_stack((poses[:, :2] / (0.5 * APART), _wrap(poses[:, 2]) / (0.5 * TURNED))))
+    return poses[np.sort(np.unique(cells, axis=0, return_index=True)[1])]
+
+
+def _explained(poses: Array, scan: Scan, lines: LineMap, values: Array, known: Ints) -> tuple[Array, Array, Ints]:
+    """Return (h,) each: share of the seen length explained, the same were walls longer than known, and walls.
+
+    What is known of a wall grows with what was seen of it: a rival may look at a part that nobody saw yet.
+    """
     length = scan.ends[:, 1] - scan.ends[:, 0]
-    share, count = np.zeros(len(poses)), np.zeros(len(poses), dtype=np.int64)
+    share, possible, count = np.zeros(len(poses)), np.zeros(len(poses)), np.zeros(len(poses), dtype=np.int64)
     for at in range(0, len(poses), 512):
         x, y, theta = (poses[at : at + 512, i, None, None] for i in range(3))
         rho, beta = values[known, 0], values[known, 1]
@@ -143,11 +151,12 @@ def _explained(poses: Array, scan: Scan, lines: LineMap, values: Array, known: I
         along = c * dy - s * dx
         lo, hi = scan.ends[:, :1] + along, scan.ends[:, 1:] + along
         overlap = np.minimum(hi, lines.hi[known]) - np.maximum(lo, lines.lo[known])
-        same = (np.abs(turn) < SAME_ANGLE) & (np.abs(offset) < SAME_OFFSET) & (overlap > 0.6 * length[:, None])
-        seen = same.any(axis=2)
+        same = (np.abs(turn) < SAME_ANGLE) & (np.abs(offset) < SAME_OFFSET)
+        possible[at : at + 512] = (same.any(axis=2) * length).sum(axis=1) / length.sum()
+        seen = (same & (overlap > 0.6 * length[:, None])).any(axis=2)
         share[at : at + 512] = (seen * length).sum(axis=1) / length.sum()
         count[at : at + 512] = seen.sum(axis=1)
-    return share, count
+    return share, possible, count
 
 
 def _wrap(angle: Array) -> Array:

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from .data import LocfuseError
+from .data import LocfuseError, MapLine
 from .sensors.base import SensorSettings
 
 Order = Literal["auto", "stamp", "recorded"]
@@ -79,6 +79,7 @@ class Robot:
     sensors: Mapping[str, SensorSettings] = field(default_factory=dict)
     order: Order = "auto"
     preset: Preset = "default"
+    lines: tuple[MapLine, ...] = ()  # a line map to localise in (lrf.map = given)
     start_given: bool = False
 
     def settings(self, sensor: str) -> Any:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple, Protocol
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 import msgspec
 
@@ -15,9 +15,8 @@ class SensorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 
     topic: str | None = None  # None: the only topic of a type the sensor reads
     time_offset: float = 0.0  # s, added to the stamps of this sensor
-    gate: float = (
-        0.9999  # confidence of the chi-square gate; 1 accepts everything. One good reading in 10 000 is lost
-    )
+    gate: float = 0.9999  # confidence of the chi-square gate: one good reading in 10 000 is lost; 1 accepts all
+    outliers: Literal["reject", "inflate"] = "reject"  # beyond the gate: refused, or R grown until they fit
 
 
 class WheelMotion(Protocol):
@@ -83,10 +82,17 @@ class Model:
     """One sensor inside one run of the filter; holds what it has learnt (a map), never the pose."""
 
     joint: bool = False  # whether it adds states while driving, beyond its blocks
+    teaches: bool = True  # whether states that it names are its own: what only listens teaches nobody else
 
     def blocks(self) -> list[Block]:
         """Return the state blocks this sensor adds at the start."""
         return []
+
+    def begin(self, given: Sequence[MapLine], belief: Any) -> None:
+        """Take in a map that was made before this run. Raises LocfuseError where it is needed and missing."""
+
+    def meet(self, others: Mapping[str, Model]) -> None:
+        """Get to know the other models of the run, by sensor: one may read the map that another keeps."""
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
         """Compare reading i with the prior belief. Verdict 0 ("accepted") corrects the filter."""
@@ -109,7 +115,15 @@ class Model:
 
 
 class Sensor(Protocol):
-    """A sensor: one file in this folder and one line in the registry."""
+    """A sensor: one file in this folder and one line in the registry.
+
+    What a sensor may say besides, and what holds where it does not: `in_blocks` (False) its readings are too big
+    to be in memory at once; `several` (False) all topics of its types are one sensor; `extra` (False) where topics
+    cannot be told apart it is absent, and the others run; `needs` (()) sensors whose map it reads; `named` ({})
+    words that a bare number's topic must hold, by type; `missing(settings)` why it cannot be used with these
+    settings; `carries(stream)` whether a topic says anything, where several fit; `heading(m)` its own turning, for
+    finding clock lags.
+    """
 
     name: ClassVar[str]  # its CLI word and TOML table
     Settings: ClassVar[type[SensorSettings]]

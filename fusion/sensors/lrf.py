@@ -2,6 +2,7 @@
 
 The paper freezes the map of its first scan (eq. 14). Here that is one mode of four: `first-scan` (frozen),
 `consider` (its covariance counts, Schmidt-Kalman), `refine` (its lines are states), `grow` (new lines join).
+A fifth, `given`, localises in the map of an earlier run, whose covariance counts.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from ..lines import Lines, LineSettings
 from ..scans import Laser, equal_scans, in_order, lines_in_base, turn_between
 from .base import SensorSettings, WheelMotion
 
-MapMode = Literal["first-scan", "consider", "refine", "grow"]
+MapMode = Literal["first-scan", "consider", "refine", "grow", "given"]
 SCANS_PER_BLOCK = 128  # line extraction is level-synchronous over this many scans (benchmarks: "lines per scan")
 
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 from .base import Sensor
 from .camera import Camera
 from .compass import Compass
+from .gps import Gps
+from .gyro import Gyro
 from .lrf import Lrf
+from .sonar import Sonar
 
 REGISTRY: dict[str, Sensor] = {
     sensor.name: sensor
@@ -13,5 +16,8 @@ REGISTRY: dict[str, Sensor] = {
         Compass(),
         Lrf(),
         Camera(),
+        Sonar(),
+        Gps(),
+        Gyro(),
     )
 }

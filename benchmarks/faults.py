@@ -1,0 +1,134 @@
+"""What a fault costs: each kind of fault in simulated drives, against drives without the sensor or the fault.
+
+    python -m benchmarks.faults --drives 10
+
+A sensor fault may make `all` at most twice as wrong as `all` without that sensor; a wheel slip at most
+three times as wrong as the same drive without it. Outside the fault (plus 5 s) the filter must stay consistent. A
+clock offset must be reported within 20 ms and cost nothing once it is set.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import click
+import numpy as np
+
+from locfuse.cli.load import make_robot
+from locfuse.formats import robot_toml
+from locfuse.fusion.data import Drive, Evaluation
+from locfuse.fusion.evaluate import evaluate
+from locfuse.fusion.fuse import fuse
+from locfuse.fusion.measure import clock_lag, measure
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.sample_logs.load import load
+from locfuse.sample_logs.record import in_memory
+
+from .accuracy import FIRST_SEED, streams_by_role
+
+START, END, RECOVERY = 15.0, 25.0, 5.0  # s
+OFFSET = 0.12  # s, of the shifted clock
+ALL = ("compass", "lrf", "camera")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One fault, the sensor it hits, and how much worse `all` may become than its yardstick."""
+
+    name: str
+    fault: str  # inline TOML
+    sensor: str  # the yardstick is `all` without it; "" = `all` without the fault
+    factor: float
+
+
+def _interval(kind: str, more: str) -> str:
+    return f'{{kind="{kind}", start={START}, end={END}, {more}}}'
+
+
+CASES = (
+    *(Case(f"dropout of {s}", _interval("dropout", f'sensor="{s}"'), s, 2.0) for s in ALL),
+    Case("magnet", _interval("magnetic", "x=6.9, y=2.2, strength=8e-6, axis_deg=20.0"), "compass", 2.0),
+    Case("people", _interval("people", "path=[[7.4, 1.0], [5.5, 2.6], [7.2, 5.0]]"), "lrf", 2.0),
+    Case("hidden landmark", _interval("hidden_landmark", "colour=[120, 120, 118]"), "camera", 2.0),
+    Case("wrong red object", _interval("red_object", "x=1.1, y=5.6, radius=0.08"), "camera", 2.0),
+    Case("slip", f'{{kind="slip", start={START}, end={START + 1.5}, wheel="left", ratio=0.35}}', "", 3.0),
+)
+
+
+def simulated(seed: int, faults: str) -> tuple[Drive, Robot, dict[str, Any]]:
+    """Return a measured drive of the shipped scenario, steered on truth, with these faults."""
+    sets = (f"faults=[{faults}]",) if faults else ()
+    topics, tables, _ = in_memory(load("rounded_rectangle", sets), seed)
+    known = {n: t for n, t in tables.items() if n in {"wheels", "start", "truth", *REGISTRY}}
+    robot = make_robot(known)
+    return measure(streams_by_role(topics, known), robot), robot, {"topics": topics, "tables": known}
+
+
+def judged(drive: Drive, robot: Robot, sensors: tuple[str, ...]) -> Evaluation:
+    """Return one configuration's evaluation."""
+    return evaluate(fuse(drive, robot, [s for s in sensors if s in drive.measurements]), drive)
+
+
+def rmse(e: Evaluation) -> float:
+    """Return the position error [m]."""
+    return float(e.figures["position_rmse_m"] or math.nan)
+
+
+def anees_outside(e: Evaluation) -> float:
+    """Return the mean NEES per degree of freedom outside the fault and the time to recover from it."""
+    outside = (e.t < START) | (e.t > END + RECOVERY)
+    nees = e.nees[outside]
+    return float(nees[np.isfinite(nees)].mean())
+
+
+def clock_case(seed: int) -> tuple[float, float]:
+    """Return the error of the reported lag [s], and how much worse `all` is once it is set."""
+    fault = f'{{kind="clock_offset", sensor="lrf", seconds={OFFSET}}}'
+    drive, _, raw = simulated(seed, fault)
+    lag = clock_lag("lrf", drive.measurements["lrf"], drive.wheels)
+    if lag is None:
+        return math.inf, math.inf
+    cure = {"lrf": {"time_offset": lag.offset}}
+    robot = make_robot(robot_toml.merge(raw["tables"], cure))
+    cured = judged(measure(streams_by_role(raw["topics"], raw["tables"]), robot), robot, ALL)
+    clean, plain, _ = simulated(seed, "")
+    return abs(lag.offset + OFFSET), rmse(cured) / rmse(judged(clean, plain, ALL))
+
+
+def cost(case: Case, seeds: range) -> tuple[float, float, float]:
+    """Return the error with the fault [m], its ratio to the yardstick, and the worst ANEES outside the fault."""
+    with_fault, yard, anees = [], [], []
+    for seed in seeds:
+        drive, robot, _ = simulated(seed, case.fault)
+        e = judged(drive, robot, ALL)
+        with_fault.append(rmse(e))
+        anees.append(anees_outside(e))
+        if case.sensor:
+            yard.append(rmse(judged(drive, robot, tuple(s for s in ALL if s != case.sensor))))
+        else:
+            clean, plain, _ = simulated(seed, "")
+            yard.append(rmse(judged(clean, plain, ALL)))
+    return float(np.mean(with_fault)), float(np.mean(with_fault) / np.mean(yard)), float(np.mean(anees))
+
+
+@click.command()
+@click.option("--drives", default=10, show_default=True)
+def main(drives: int) -> None:
+    """Print what each fault costs."""
+    seeds = range(FIRST_SEED, FIRST_SEED + drives)
+    click.echo("| fault | all with it | against yardstick | allowed | ANEES outside |\n|---|--:|--:|--:|--:|")
+    for case in CASES:
+        error, ratio, anees = cost(case, seeds)
+        click.echo(f"| {case.name} | {1000 * error:.1f} mm | {ratio:.2f} | {case.factor:g} | {anees:.2f} |")
+    found = np.array([clock_case(seed) for seed in seeds])
+    click.echo(
+        f"| clock offset of lrf | reported within {1000 * found[:, 0].max():.0f} ms "
+        f"| {found[:, 1].mean():.2f} | 2 | |"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,74 @@
+"""--save-map and --map: a line map leaves one run and is given to another."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+import msgspec
+
+from ..fusion.data import Estimates, UsageError
+from .load import Loaded
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True)
+class MapOptions:
+    """Which map the laser is given, and where the map that it made goes."""
+
+    given: Path | None
+    save: Path | None
+
+    def give(self, loaded: Loaded) -> Loaded:
+        """Return the log with a robot that localises in the given map. Raises LocfuseError for a bad file."""
+        if self.given is None:
+            return loaded
+        from ..formats import line_map_file
+
+        robot = loaded.robot
+        lrf = msgspec.structs.replace(robot.settings("lrf"), map="given")
+        lines = tuple(line_map_file.read(self.given))
+        return replace(loaded, robot=replace(robot, sensors={**robot.sensors, "lrf": lrf}, lines=lines))
+
+    def check(self, sensors: tuple[str, ...]) -> None:
+        """Raise UsageError where maps are asked of a run without a laser."""
+        asked = "--map" if self.given is not None else "--save-map" if self.save is not None else None
+        if asked and "lrf" not in sensors:
+            raise UsageError(f"{asked}: only the laser has a map; add lrf to --sensors")
+
+    def keep(self, estimates: Estimates, made_from: str) -> None:
+        """Write the final map where it was asked for."""
+        if self.save is None:
+            return
+        from ..formats import line_map_file
+        from ..formats.outdir import whole_file
+
+        with whole_file(self.save) as path:
+            path.write_text(line_map_file.encode(estimates.final_map, made_from))
+
+
+def map_options(command: F) -> F:
+    """Add --map and --save-map; the command receives them as `maps: MapOptions`."""
+
+    @functools.wraps(command)
+    def wrapped(*args: Any, given_map: Path | None, save_map: Path | None, **kwargs: Any) -> Any:
+        return command(*args, maps=MapOptions(given_map, save_map), **kwargs)
+
+    decorated: Any = wrapped
+    file = click.Path(path_type=Path, dir_okay=False)
+    for option in (
+        click.option("--save-map", type=file, help="Write the line map of this run, with covariances, as JSON."),
+        click.option(
+            "--map",
+            "given_map",
+            type=click.Path(path_type=Path, dir_okay=False, exists=True),
+            help="Localise in this line map, which --save-map wrote; it is not changed.",
+        ),
+    ):
+        decorated = option(decorated)
+    return decorated  # type: ignore[no-any-return]

@@ -1,0 +1,100 @@
+"""The line map as a file that people can read and change: every wall by its two ends, as JSON.
+
+Walking from `from` to `to`, the robot saw the wall from its left. `covariance` is that of the wall's offset [m]
+along its normal at the wall's middle and of its direction [rad]: there the two hardly depend on each other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from ..fusion.data import Array, LocfuseError, MapLine
+
+FORMAT, VERSION = "locfuse line map", 1
+Point = tuple[float, float]
+
+
+class Wall(msgspec.Struct, forbid_unknown_fields=True, rename={"start": "from", "end": "to"}):
+    """One line of the map."""
+
+    id: int
+    start: Point  # m, map frame
+    end: Point
+    covariance: tuple[Point, Point] = ((1e-4, 0.0), (0.0, 1e-5))  # m^2, m rad, rad^2
+    hits: int = 0  # scans that saw it
+
+
+class _File(msgspec.Struct, forbid_unknown_fields=True):
+    format: Literal["locfuse line map"]
+    version: int
+    lines: list[Wall]
+    made_from: str = ""
+
+
+def encode(lines: Sequence[MapLine], made_from: str = "") -> str:
+    """Return the map as indented JSON, one wall per line."""
+    walls = (msgspec.json.encode(_wall(line)).decode() for line in lines)
+    head = {"format": FORMAT, "version": VERSION, "made_from": made_from}
+    start = msgspec.json.encode(head).decode()[:-1]
+    body = ",\n  ".join(walls)
+    return f'{start},\n "lines": [\n  {body}\n ]}}\n'
+
+
+def read(path: Path) -> list[MapLine]:
+    """Read a map file. Raises LocfuseError where it is not one, or says what cannot be."""
+    try:
+        text = path.read_bytes()
+    except OSError as problem:
+        raise LocfuseError(f"cannot read the map {path}: {problem.strerror or problem}") from None
+    return decode(text, str(path))
+
+
+def decode(text: bytes | str, name: str) -> list[MapLine]:
+    """Return the lines of a map file's text."""
+    try:
+        file = msgspec.json.decode(text, type=_File)
+    except (msgspec.DecodeError, UnicodeDecodeError) as problem:
+        raise LocfuseError(
+            f"{name} is not a line map: {problem}. Write one with: locfuse run LOG --save-map FILE"
+        ) from None
+    if file.version != VERSION:
+        raise LocfuseError(f"{name} is a line map of version {file.version}; this locfuse reads version {VERSION}")
+    if not file.lines:
+        raise LocfuseError(f"{name} holds no lines: nothing can be localised in it")
+    return [_line(wall, f"{name}: wall {wall.id}") for wall in file.lines]
+
+
+def _wall(line: MapLine) -> Wall:
+    c, s = math.cos(line.beta), math.sin(line.beta)
+    a, b = ((line.rho * c - t * s, line.rho * s + t * c) for t in line.ends)
+    G = _about_middle(line)
+    (p, q), (_, r) = (G @ line.P @ G.T).tolist()
+    return Wall(line.id, a, b, ((p, q), (q, r)), line.hits)
+
+
+def _about_middle(line: MapLine) -> Array:
+    """d(offset at the middle, beta)/d(rho, beta): rho - (middle of the wall).n with the middle held."""
+    return np.array([[1.0, -0.5 * (line.ends[0] + line.ends[1])], [0.0, 1.0]])
+
+
+def _line(wall: Wall, where: str) -> MapLine:
+    dx, dy = wall.end[0] - wall.start[0], wall.end[1] - wall.start[1]
+    length = math.hypot(dx, dy)
+    P = np.array(wall.covariance)
+    if not (math.isfinite(length) and length > 0.0):
+        raise LocfuseError(f"{where} has no length: its ends are {wall.start} and {wall.end}")
+    if not np.isfinite(P).all() or abs(P[0, 1] - P[1, 0]) > 1e-12 or np.linalg.eigvalsh(P)[0] < 0.0:
+        raise LocfuseError(f"{where} has a covariance that is not symmetric and positive: {P.tolist()}")
+    c, s = dy / length, -dx / length  # the normal lies to the right of from -> to
+    ends = tuple(-s * x + c * y for x, y in (wall.start, wall.end))
+    line = MapLine(
+        wall.id, c * wall.start[0] + s * wall.start[1], math.atan2(s, c), (ends[0], ends[1]), P, wall.hits
+    )
+    G = np.linalg.inv(_about_middle(line))
+    return MapLine(line.id, line.rho, line.beta, line.ends, G @ P @ G.T, line.hits)

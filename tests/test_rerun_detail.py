@@ -31,7 +31,7 @@ SIGHTS: Mapping[str, Sight] = {
 def long_scene(epoch_ns: int = 1_700_000_000_000_000_000) -> Scene:
     """A compass that speaks 30 000 times on a long spiral."""
     rng = np.random.default_rng(3)
-    t = np.arange(N) * 0.1
+    t = np.linspace(0.0, 0.1 * (N - 1), N)
     turn = t * 0.01
     pose = np.column_stack((turn * np.cos(turn), turn * np.sin(turn), turn))
     heading = Measurements(t, np.arange(N + 1), pose[:, 2:], np.ones((N, 1, 1)), 0.02, np.zeros((1, 1)))

@@ -16,10 +16,11 @@ from pathlib import Path
 
 import click
 
-from benchmarks.figures import MINUTE, Command, Figure, Kernel, Logs, figures, kernels, module
+from benchmarks.figures import MINUTE, PEAK, Command, Figure, Kernel, Logs, figures, kernels, module
 from benchmarks.process import Cost, cost
 
 Row = tuple[str, ...]
+FAILED, UNKNOWN = ("failed", ""), ("", "", "no", "")
 
 
 def logs(folder: Path, minutes: float) -> Logs:
@@ -32,33 +33,53 @@ def logs(folder: Path, minutes: float) -> Logs:
 
 
 def in_turns(commands: Iterable[Command], rounds: int) -> dict[Command, list[Cost]]:
-    """Run every command once per round, so that a slow minute of the machine hits all of them."""
+    """Run every command once per round, so that a slow minute of the machine hits all of them.
+
+    A command that fails says why on stderr, and has no costs.
+    """
     costs: dict[Command, list[Cost]] = {command: [] for command in commands}
+    failed: set[Command] = set()
     for i in range(rounds):
-        for command, seen in costs.items():
+        for command in [c for c in costs if c not in failed]:
             click.echo(f"round {i + 1}: {' '.join(command[2:6])}", err=True)
-            seen.append(cost(command))
-    return costs
+            try:
+                costs[command].append(cost(command))
+            except RuntimeError as e:
+                click.echo(str(e), err=True)
+                failed.add(command)
+    return {command: [] if command in failed else seen for command, seen in costs.items()}
 
 
 def process_row(figure: Figure, costs: dict[Command, list[Cost]]) -> Row:
     """Return one line of the table."""
     ours, theirs = costs[figure.ours], costs[figure.theirs]
+    if not ours or not theirs:
+        return (figure.name, *FAILED, *UNKNOWN)
     ratios = [a.cpu / b.cpu for a, b in zip(ours, theirs, strict=True)]
     wall = " / ".join(f"{statistics.median(c.wall for c in seen):.2f}" for seen in (ours, theirs))
-    peak = f"{statistics.median(c.peak for c in ours):.0f} MB"
     cpu = (f"{statistics.median(c.cpu for c in seen):.2f} s" for seen in (ours, theirs))
-    return (figure.name, *cpu, *judged(ratios, figure.goal), f"{wall} s", peak)
+    return (figure.name, *cpu, *judged(ratios, figure.goal), f"{wall} s")
+
+
+def memory_row(name: str, goal: float, seen: list[Cost]) -> Row:
+    """Return the line of the table that says how much memory a command held at most, MB."""
+    if not seen:
+        return (name, *FAILED, *UNKNOWN)
+    peak = statistics.median(c.peak for c in seen)
+    return (name, f"{peak:.0f} MB", "", "", f"≤ {goal:g} MB", "yes" if peak <= goal else "no", "")
 
 
 def kernel_row(kernel: Kernel) -> Row:
     """Measure one inner loop and return its line of the table."""
     click.echo(kernel.name, err=True)
-    answer = subprocess.run(kernel.command, check=True, capture_output=True, text=True).stdout
-    times = json.loads(answer)
+    done = subprocess.run(kernel.command, check=False, capture_output=True, text=True)
+    if done.returncode != 0:
+        click.echo(done.stderr[-400:], err=True)
+        return (kernel.name, *FAILED, *UNKNOWN)
+    times = json.loads(done.stdout)
     ratios = [a / b for a, b in zip(times["ours"], times["theirs"], strict=True)]
     each = (f"{statistics.median(times[who]) * 1e6:.1f} us" for who in ("ours", "theirs"))
-    return (kernel.name, *each, *judged(ratios, kernel.goal), "", "")
+    return (kernel.name, *each, *judged(ratios, kernel.goal), "")
 
 
 def judged(ratios: list[float], goal: float) -> Row:
@@ -69,7 +90,7 @@ def judged(ratios: list[float], goal: float) -> Row:
 
 def table(rows: list[Row]) -> str:
     """Return the rows as markdown."""
-    head = ("figure", "ours", "yardstick", "ratio (min-max)", "goal", "met", "wall", "peak")
+    head = ("figure", "ours", "yardstick", "ratio (min-max)", "goal", "met", "wall")
     lines = [head, tuple("---" for _ in head), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
@@ -85,10 +106,14 @@ def main(rounds: int, minutes: float, only: str, folder: Path | None) -> None:
         place = folder or Path(temporary)
         place.mkdir(parents=True, exist_ok=True)
         on = logs(place, minutes)
-        wanted = [f for f in figures(on, Path(temporary) / "out") if only in f.name]
+        length = "1 h" if minutes == 60 else f"{minutes:g} min"
+        every = figures(on, Path(temporary) / "out", length)
+        wanted = [f for f in every if only in f.name]
         inner = [k for k in kernels(on) if only in k.name]
         costs = in_turns([c for f in wanted for c in (f.ours, f.theirs)], rounds)
-        rows = [process_row(f, costs) for f in wanted] + [kernel_row(k) for k in inner]
+        rows = [process_row(f, costs) for f in wanted]
+        rows += [memory_row(f"peak memory, {f.name}", PEAK, costs[f.ours]) for f in wanted if f.memory]
+        rows += [kernel_row(k) for k in inner]
         click.echo(table(rows))
         said = subprocess.run(module("decode", "ours", on.hour), check=True, capture_output=True, text=True).stdout
         click.echo(f"\nThe long log: {said.strip()}.")

@@ -23,6 +23,7 @@ class Figure(NamedTuple):
     goal: float
     ours: Command
     theirs: Command
+    memory: bool = False  # our peak memory is a figure too
 
 
 class Kernel(NamedTuple):
@@ -34,6 +35,7 @@ class Kernel(NamedTuple):
 
 
 MINUTE = ("--minutes", "1", "--image-hz", "10")
+PEAK = 200.0  # MB
 FROZEN = ("--set", "lrf.map=first-scan")
 
 
@@ -47,8 +49,8 @@ def locfuse(*words: str | Path) -> Command:
     return (sys.executable, "-m", "locfuse.cli", *map(str, words))
 
 
-def figures(logs: Logs, out: Path) -> list[Figure]:
-    """Return what is measured in whole processes."""
+def figures(logs: Logs, out: Path, length: str) -> list[Figure]:
+    """Return what is measured in whole processes; `length` is that of the long log, in words."""
     how = ("--write", "json", "--quiet", "--overwrite", "--out", out)
     stock, stock_minute = module("decode", "stock", logs.hour), module("decode", "stock", logs.minute)
     ours = module("decode", "ours", logs.hour)
@@ -61,12 +63,12 @@ def figures(logs: Logs, out: Path) -> list[Figure]:
             locfuse("compare", logs.minute, *how),
             stock_minute,
         ),
-        Figure("1 h: one configuration, frozen map / stock", 0.45, one, stock),
-        Figure("1 h: five configurations, frozen map / stock", 0.70, five, stock),
-        Figure("1 h: one configuration, `grow` / stock", 0.90, locfuse("run", logs.hour, *how), stock),
-        Figure("1 h: reading and decoding / stock", 0.10, ours, stock),
-        Figure("1 h: reading and decoding / rosbags", 0.35, ours, module("decode", "rosbags", logs.hour)),
-        Figure("1 h: five configurations / one", 1.60, five, one),
+        Figure(f"{length}: one configuration, frozen map / stock", 0.45, one, stock),
+        Figure(f"{length}: five configurations, frozen map / stock", 0.70, five, stock, memory=True),
+        Figure(f"{length}: one configuration, `grow` / stock", 0.90, locfuse("run", logs.hour, *how), stock),
+        Figure(f"{length}: reading and decoding / stock", 0.10, ours, stock),
+        Figure(f"{length}: reading and decoding / rosbags", 0.35, ours, module("decode", "rosbags", logs.hour)),
+        Figure(f"{length}: five configurations / one", 1.60, five, one),
         Figure(
             "`locfuse --help` / `import click`", 1.50, locfuse("--help"), (sys.executable, "-c", "import click")
         ),

@@ -102,8 +102,6 @@ class Filter:
         self.belief = _begin(robot, list(self.models.values()), beliefs)
         for model in self.models.values():
             model.begin(robot.lines, self.belief)
-        for model in self.models.values():
-            model.begin(robot.lines, self.belief)
         for s, model in self.models.items():
             # a sensor that is used must not read what only listens
             model.meet({o: other for o, other in self.models.items() if o in sensors or s not in sensors})

@@ -94,9 +94,6 @@ class Model:
     def meet(self, others: Mapping[str, Model]) -> None:
         """Get to know the other models of the run, by sensor: one may read the map that another keeps."""
 
-    def begin(self, given: Sequence[MapLine], belief: Any) -> None:
-        """Take in a map that was made before this run. Raises LocfuseError where it is needed and missing."""
-
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
         """Compare reading i with the prior belief. Verdict 0 ("accepted") corrects the filter."""
         raise NotImplementedError

@@ -21,14 +21,29 @@ class Summary:
     counts: dict[int, int] | None = None  # channel -> messages
 
 
+TAIL = rec.RECORD.size + rec.FOOTER_LENGTH + len(rec.MAGIC)  # bytes of footer and magic
+
+
+def lost_summary(data: FileBytes) -> bool:
+    """Tell whether a file without a summary to believe should have one: its footer is damaged or points at it."""
+    foot = _footer(data)
+    return not foot or rec.Cursor(foot, rec.RECORD.size).integers("QQI")[0] != 0
+
+
+def _footer(data: FileBytes) -> bytes:
+    """Return the footer's record and the magic behind it, nothing where either is not there."""
+    foot = data.read(max(data.size - TAIL, 0), TAIL)
+    whole = len(foot) == TAIL and foot[-len(rec.MAGIC) :] == rec.MAGIC and foot[0] == rec.FOOTER
+    return foot if whole else b""
+
+
 def read_summary(data: FileBytes) -> Summary | None:
     """Return the summary, None where there is none to believe."""
-    tail = rec.RECORD.size + rec.FOOTER_LENGTH + len(rec.MAGIC)
-    foot = data.read(max(data.size - tail, 0), tail)
-    if len(foot) < tail or foot[-len(rec.MAGIC) :] != rec.MAGIC or foot[0] != rec.FOOTER:
+    foot = _footer(data)
+    if not foot:
         return None
     start, _, crc = rec.Cursor(foot, rec.RECORD.size).integers("QQI")
-    end = data.size - tail
+    end = data.size - TAIL
     if not len(rec.MAGIC) <= start <= end or end - start > MAX_BYTES:
         return None
     section = data.read(start, end - start)

@@ -17,11 +17,12 @@ from .magic import describe
 from .mcap_chunk import scan
 from .mcap_parts import ChunkRef, LooseRun, Survey
 from .mcap_resync import CHUNK_HEAD, Resync
-from .mcap_summary import Summary, read_summary
+from .mcap_summary import Summary, lost_summary, read_summary
 
 RUN_BYTES = 1 << 20  # loose messages are read in runs of at most this size, if they are not larger themselves
 LARGE_CHUNK = 32 * 1024 * 1024
 CUT_OFF = "the file ends without an end mark: the recording was cut off"
+NO_SUMMARY = "the summary is damaged: messages may be missing that nobody counts"
 
 
 def survey(data: FileBytes, losses: Losses) -> Survey:
@@ -47,11 +48,14 @@ class _Walk:
         self.index_end = 0  # where the message indexes of the last chunk end, as the summary says
 
     def run(self) -> Survey:
-        at: int | None = len(rec.MAGIC)
+        here = len(rec.MAGIC)
+        at: int | None = here
         while at is not None and at < self.data.size:
-            at = self._step(at)
+            here, at = at, self._step(at)
         if at is not None:
             self.losses.add(self.name, CUT_OFF, 0, 0)
+        elif self.summary is None and lost_summary(self.data):
+            self.losses.add(self.name, NO_SUMMARY, here, self.data.size - here)
         self._distrust_unconfirmed()
         return self.found
 

@@ -92,7 +92,7 @@ def _leave_out(choice: Choice, only: Collection[str] | None, preset: str) -> Non
     for sensor in REGISTRY:
         if only is not None and sensor not in only:
             choice.topics.pop(sensor, None)
-        if preset == "paper" and sensor not in filters.PAPER_SENSORS and choice.topics.pop(sensor, None):
+        if preset == "paper" and sensor not in filters.PAPER_SENSORS and choice.topics.pop(sensor, ""):
             choice.absent[sensor] = "the paper has no equation for it (--preset paper)"
 
 

@@ -65,7 +65,7 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     """Run the command line and exit with the code that design promises (0, 1, 2, 3, 4, 130, 143)."""
     signal.signal(signal.SIGTERM, _terminate)
     if arguments is None and not sys.warnoptions:
-        # absurd readings overflow on their way to the gate that counts them; NumPy's own words about it help nobody
+        # absurd readings overflow on their way to the gate that counts them; NumPy's words about it help nobody
         warnings.simplefilter("ignore", RuntimeWarning)
     try:
         code = locfuse.main(args=arguments, prog_name="locfuse", standalone_mode=False)

@@ -23,6 +23,7 @@ from .schema import Many, Node, Record, Scalar, Text
 WORD = struct.Struct("<I")
 MAX_ITEMS = 100_000  # strings, arrays and structs walked one by one in a message
 MAX_MESSAGE = 64 * 1024 * 1024  # bytes
+MAX_TEXT = 4 * 1024 * 1024  # bytes of one string; a robot's description has some hundred thousand
 
 
 class MalformedError(ValueError):
@@ -168,6 +169,8 @@ class _Walk:
 
     def _text(self, wanted: Wanted | str | None) -> None:
         n = self._length()
+        if n > MAX_TEXT:
+            raise MalformedError(f"a text longer than {MAX_TEXT >> 20} MiB")
         self._note(wanted, max(n - self.rules.nul, 0))
         self.at += n
 

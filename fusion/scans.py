@@ -11,6 +11,8 @@ from .data import Array, Ints, Ragged
 from .lines import Lines, LineSettings, extract_lines, to_base
 from .sensors.base import WheelMotion
 
+MAX_BEAMS = 100_000  # of one scan: no 2D laser has more
+BEAMS_AT_ONCE = 1 << 19  # lines are extracted from scans of at most so many beams together: memory is bounded
 KNOTS = 5  # instants of a scan at which the wheels are asked where the robot was
 SAME_TURN, SAME_SHIFT = 0.6, 0.4  # rad, m: lines of neighbouring scans further apart are different walls
 
@@ -28,18 +30,27 @@ class Laser(NamedTuple):
 
 
 def equal_scans(columns: dict[str, Any]) -> list[tuple[Ints, dict[str, Any]]]:
-    """Split a block into groups of scans with equally many beams: (positions, columns with ranges (k, b))."""
+    """Split a block into groups of scans with equally many beams: (positions, columns with ranges (k, b)).
+
+    Groups hold at most BEAMS_AT_ONCE beams; scans of more than MAX_BEAMS are left out.
+    """
     ranges = cast("Ragged", columns["ranges"])
     scalars = {k: v for k, v in columns.items() if k != "ranges"}
     matrix = ranges.matrix()
-    if matrix is not None:
+    if matrix is not None and matrix.size <= BEAMS_AT_ONCE and matrix.shape[1] <= MAX_BEAMS:
         return [(np.arange(len(ranges)), {**scalars, "ranges": matrix})]
     groups = []
-    for beams in np.unique(ranges.lengths).tolist():
-        at = np.flatnonzero(ranges.lengths == beams)
-        rows = np.stack([ranges[i] for i in at.tolist()]) if beams else np.zeros((len(at), 0))
-        groups.append((at, {**{k: v[at] for k, v in scalars.items()}, "ranges": rows}))
+    for beams in np.unique(ranges.lengths[ranges.lengths <= MAX_BEAMS]).tolist():
+        same = np.flatnonzero(ranges.lengths == beams)
+        for at in np.array_split(same, len(same) * beams // BEAMS_AT_ONCE + 1):
+            rows = np.stack([ranges[i] for i in at.tolist()]) if beams else np.zeros((len(at), 0))
+            groups.append((at, {**{k: v[at] for k, v in scalars.items()}, "ranges": rows}))
     return groups
+
+
+def too_many_beams(columns: dict[str, Any]) -> int:
+    """Count the scans of a block that have more than MAX_BEAMS beams."""
+    return int((cast("Ragged", columns["ranges"]).lengths > MAX_BEAMS).sum())
 
 
 def lines_in_base(scans: dict[str, Any], stamps: Array, laser: Laser, wheels: WheelMotion) -> tuple[Lines, Array]:

@@ -16,7 +16,7 @@ import numpy as np
 from ..data import Array, Ints, Measurements, Stream
 from ..line_tracker import LineTracker
 from ..lines import Lines, LineSettings
-from ..scans import Laser, equal_scans, in_order, lines_in_base, turn_between
+from ..scans import Laser, equal_scans, in_order, lines_in_base, too_many_beams, turn_between
 from .base import SensorSettings, WheelMotion
 
 MapMode = Literal["first-scan", "consider", "refine", "grow", "given"]
@@ -66,14 +66,16 @@ class Lrf:
         stamps: Array = (stream.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset
         t, laser = stamps.copy(), laser_of(settings)
         parts: list[tuple[Ints, Lines]] = []
+        giants = 0
         for rows, columns in stream.blocks(*self.reads[stream.msgtype], rows=SCANS_PER_BLOCK):
+            giants += too_many_beams(columns)
             for group, scans in equal_scans(columns):
                 at = rows[group]
                 lines, t[at] = lines_in_base(scans, stamps[at], laser, wheels)
                 parts.append((at, lines))
         first, z, R_unit, ends = in_order(parts, len(t))
         floor = np.diag([settings.floor_range**2, math.radians(settings.floor_angle_deg) ** 2])
-        dropped = dict(stream.dropped)
+        dropped = {**stream.dropped, **({"too_many_beams": giants} if giants else {})}
         return Measurements(t, first, z, R_unit, settings.sigma_range, floor, {"ends": ends}, dropped)
 
     def heading(self, m: Measurements) -> tuple[Array, Array]:

@@ -177,7 +177,9 @@ class Filter:
             truth_pose=truth_pose,
             truth_P=truth_P,
             notes=tuple(f"{name}: {note}" for name, m in self.models.items() for note in m.notes()),
-            lost=tuple(interval for m in self.models.values() for interval in m.lost_intervals()),
+            lost=tuple(
+                (a, min(b, float(drive.t[-1]))) for m in self.models.values() for a, b in m.lost_intervals()
+            ),
         )
 
 

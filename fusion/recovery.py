@@ -134,8 +134,8 @@ class Guard:
         return math.hypot(belief.x - x, belief.y - y) > MOVED or abs(belief.theta - theta) > TURNED
 
     def intervals(self) -> list[tuple[float, float]]:
-        """Return when the robot was lost, (start, end) [s]; an interval that never ended ends with the run."""
-        open_end = [] if self._lost_from is None else [(self._lost_from, self._now)]
+        """Return when the robot was lost, (start, end) [s]; one that never ended is open (infinite)."""
+        open_end = [] if self._lost_from is None else [(self._lost_from, math.inf)]
         return [*self._intervals, *open_end]
 
     def words(self) -> list[str]:

@@ -1,0 +1,110 @@
+"""How well does a growing map hold a whole building? Relation errors, also under perturbations.
+
+    LOCFUSE_DATA=... python -m benchmarks.building --runs 10
+
+The log is measured anew for every run: with extra range noise, with scans dropped, and from another start heading.
+The relations are between scans, so the stamps are those of the scans: it is the wheels that are 0.13 s off.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from locfuse.cli.load import load
+from locfuse.cli.options import LogOptions
+from locfuse.fusion.data import Array, Estimates, Ints, Measurements
+from locfuse.fusion.fuse import fuse
+from locfuse.fusion.sensors import lrf
+
+from .relations import relation_errors, summary
+
+SETTINGS = ("lrf.x=-0.04", "wheels.time_offset=0.13")
+EXTRA_RANGE, DROPPED = 0.008, 0.02  # m of extra range noise, share of scans dropped
+DATA = "LOCFUSE_DATA"
+
+
+@contextmanager
+def noisier(sigma: float, rng: np.random.Generator) -> Iterator[None]:
+    """Add noise [m] to every range before lines are extracted, for as long as the block lasts."""
+    plain = vars(lrf)["lines_in_base"]
+
+    def noisy(scans: dict[str, Any], *rest: Any) -> Any:
+        ranges = scans["ranges"]
+        return plain({**scans, "ranges": ranges + sigma * rng.normal(size=ranges.shape)}, *rest)
+
+    vars(lrf)["lines_in_base"] = noisy
+    try:
+        yield
+    finally:
+        vars(lrf)["lines_in_base"] = plain
+
+
+def without_some(m: Measurements, rng: np.random.Generator) -> Measurements:
+    """Return the scans with DROPPED of them empty: their lines are gone, their instants stay."""
+    counts = np.diff(m.first)
+    gone = rng.random(len(counts)) < DROPPED
+    rows = np.flatnonzero(~np.repeat(gone, counts))
+    first: Ints = np.concatenate(([0], np.cumsum(np.where(gone, 0, counts))))
+    extra = {k: v[rows] for k, v in m.extra.items()}
+    return Measurements(m.t, first, m.z[rows], m.R_unit[rows], m.scale, m.floor, extra, m.dropped)
+
+
+def one_run(folder: Path, seed: int | None, sets: tuple[str, ...]) -> dict[str, Any]:
+    """Measure, fuse and judge once; `seed` None is the log as it is."""
+    rng = np.random.default_rng(seed)
+    heading = () if seed is None else (f"start.theta_deg={rng.uniform(-180.0, 180.0):.3f}",)
+    how = LogOptions(None, (*SETTINGS, *heading, *sets), None, False, True)
+    with noisier(EXTRA_RANGE if seed is not None else 0.0, rng):
+        loaded = load([folder / "fr079" / "fr079.mcap"], how)
+    drive = loaded.drive
+    if seed is not None:
+        scans = without_some(drive.measurements["lrf"], rng)
+        drive = replace(drive, measurements={**drive.measurements, "lrf": scans})
+    start = time.process_time()
+    estimates = fuse(drive, loaded.robot, ["lrf"])
+    seconds = time.process_time() - start
+    table = np.loadtxt(folder / "fr079" / "fr079.relations")
+    table[:, :2] += 1e9 - drive.epoch_ns * 1e-9
+    errors = relation_errors(estimates.t, estimates.pose, table)
+    return {
+        "seed": seed,
+        **summary(*errors),
+        "within_3_sigma": contained(estimates, table, errors[0]),
+        "ms_per_scan": 1000.0 * seconds / len(drive.instant["lrf"]),
+        "lines": len(estimates.final_map),
+        "lost": [list(interval) for interval in estimates.lost],
+        "notes": estimates.notes,
+    }
+
+
+def contained(estimates: Estimates, relations: Array, translation: Array) -> float:
+    """Return the share of relations whose error lies within 3 sigma of both poses' covariances (independent)."""
+    inside = (relations[:, :2] >= estimates.t[0]).all(axis=1) & (relations[:, :2] <= estimates.t[-1]).all(axis=1)
+    variance = estimates.P[:, 0, 0] + estimates.P[:, 1, 1]
+    both = sum(np.interp(relations[inside, i], estimates.t, variance) for i in (0, 1))
+    return float((translation <= 3.0 * np.sqrt(both)).mean())
+
+
+@click.command()
+@click.option("--runs", default=10, show_default=True, help="Perturbed runs after the one of the log as it is.")
+@click.option("--set", "sets", multiple=True, help="robot.toml key.")
+def main(runs: int, sets: tuple[str, ...]) -> None:
+    """Judge the map of the building; one JSON line per run."""
+    if DATA not in os.environ:
+        raise click.UsageError(f"set {DATA} to the folder that holds fr079/")
+    for seed in (None, *range(runs)):
+        click.echo(json.dumps(one_run(Path(os.environ[DATA]), seed, sets)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,98 @@
+"""Carried off, slipped, lost: what the guard must notice, and what it must never claim."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from worlds import PLATES, ROOM, World
+
+from locfuse.fusion.data import Estimates, Evaluation
+from locfuse.fusion.evaluate import evaluate
+from locfuse.fusion.fuse import fuse
+from locfuse.fusion.measure import measure
+
+Array = NDArray[np.float64]
+AT = 12.0  # s
+
+
+@dataclass
+class Carried(World):
+    """At AT the robot is somewhere else, at once: its wheels felt nothing."""
+
+    jump: tuple[float, float, float] = (0.7, 0.5, math.radians(40.0))
+    seconds: float = 24.0
+
+    def pose(self, t: Array, x0: tuple[float, float, float] | None = None) -> Array:
+        before = super().pose(t, x0)
+        x, y, a = super().pose(np.array([AT]), x0)[0] + np.array(self.jump)
+        after = super().pose(t - AT, (float(x), float(y), float(a)))
+        return np.where(t[:, None] < AT, before, after)
+
+
+def judged(world: World, sensors: list[str]) -> tuple[Estimates, Evaluation]:
+    robot = world.robot()
+    drive = measure(world.streams(), robot)
+    estimates = fuse(drive, robot, sensors)
+    return estimates, evaluate(estimates, drive)
+
+
+def outside(estimates: Estimates, judged: Evaluation) -> Array:
+    """Position errors [m] where the run does not say that it is lost."""
+    known = np.ones(len(judged.t), dtype=bool)
+    for start, end in estimates.lost:
+        known &= (judged.t < start) | (judged.t > end)
+    known &= np.abs(judged.t - AT) > 0.15  # between two scans nobody can know
+    return np.hypot(*judged.deviation[known].T)
+
+
+@pytest.mark.parametrize("jump", [(0.7, 0.5, 40.0), (1.5, 1.0, 130.0), (-0.5, -1.0, -90.0)])
+@pytest.mark.parametrize("sensors", [["lrf"], ["compass", "lrf"]])
+def test_a_robot_that_was_carried_off_says_so_and_is_never_confidently_wrong(
+    jump: tuple[float, float, float], sensors: list[str]
+) -> None:
+    world = Carried(jump=(jump[0], jump[1], math.radians(jump[2])), walls=(*ROOM, *PLATES))
+    found, figures = judged(world, sensors)
+    assert found.lost
+    assert AT <= found.lost[0][0] <= AT + 3.0
+    assert outside(found, figures).max() < 0.1
+    assert any("lost" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("turn", [90.0, 180.0])
+def test_in_a_rectangle_without_a_compass_the_robot_does_not_guess(turn: float) -> None:
+    """Turned by 180 degrees about its middle a rectangle is the same: no scan can tell."""
+    world = Carried(jump=(-0.5, -1.0, math.radians(turn)), walls=ROOM)
+    found, figures = judged(world, ["lrf"])
+    assert found.lost[-1][1] == pytest.approx(found.t[-1], abs=0.2)
+    assert "several" in " ".join(found.notes)
+    assert outside(found, figures).max() < 0.1
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_ordinary_drive_is_never_lost_and_never_slips(seed: int) -> None:
+    found, _ = judged(World(seed=seed), ["lrf"])
+    assert found.lost == ()
+    assert found.notes == ()
+
+
+def test_a_slip_of_a_wheel_is_found_and_turned_back() -> None:
+    """The wheels say a turn of 12 degrees that never was; the lines say where the robot looks."""
+
+    @dataclass
+    class Slipped(World):
+        def pose(self, t: Array, x0: tuple[float, float, float] | None = None) -> Array:
+            out = super().pose(t, x0)
+            if x0 is None:
+                x, y, a = super().pose(np.array([8.0]))[0]
+                turned = super().pose(t - 8.0, (float(x), float(y), float(a) + math.radians(12.0)))
+                out = np.where(t[:, None] < 8.0, out, turned)
+            return out
+
+    found, figures = judged(Slipped(seconds=14.0), ["lrf"])
+    after = figures.t > 8.2
+    assert np.hypot(*figures.deviation[after].T).max() < 0.05
+    assert found.notes == ("lrf: 1 wheel slips recovered by the lines of the map",)

@@ -1,0 +1,164 @@
+"""Damage logs and robots at random and see that nothing breaks: python -m benchmarks.fuzz --cases 10000.
+
+Each case is a seed (benchmarks/fuzz_cases.py), run by forked workers under a memory limit and a time limit. A case
+that fails is saved: its log, its robot.toml, what went wrong; `--only SEED` runs one again. Exit 1 if any failed.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import resource
+import tempfile
+import time
+import warnings
+from collections import Counter
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+
+import click
+
+from benchmarks.fuzz_cases import Case, Workshop, judge
+from benchmarks.fuzz_logs import bases
+
+FORK = multiprocessing.get_context("fork")
+BATCH = 50  # cases per process: what leaks or is poisoned does not live long
+GIB = 1 << 30
+
+
+class Worker:
+    """A forked process that works through some seeds, one answer per seed."""
+
+    def __init__(self, shop: Workshop, seeds: list[int], folder: Path, memory: int) -> None:
+        self.seeds = seeds
+        self.answers, theirs = FORK.Pipe(duplex=False)
+        self.process: BaseProcess = FORK.Process(target=_work, args=(shop, seeds, folder, memory, theirs))
+        self.process.start()
+        theirs.close()
+        self.since = time.monotonic()
+
+    def answer(self) -> str | None:
+        """Return what is wrong with the case at hand, None where the process has ended without an answer."""
+        try:
+            wrong: str = self.answers.recv()
+        except EOFError:
+            return None
+        self.since = time.monotonic()
+        return wrong
+
+    def end(self) -> int | None:
+        """End the process and return its exit code."""
+        self.process.kill()
+        self.process.join()
+        self.answers.close()
+        return self.process.exitcode
+
+
+def _work(shop: Workshop, seeds: list[int], folder: Path, memory: int, answers: Connection) -> None:
+    with open("/proc/self/statm") as f:  # noqa: PTH123
+        baseline = int(f.read().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (baseline + memory, baseline + memory))
+    warnings.simplefilter("ignore", RuntimeWarning)  # as the program does
+    for seed in seeds:
+        case = shop.case(seed)
+        try:
+            wrong = judge(case, folder, shop.trajectories.get(case.title.split(":")[0]))
+        except Exception as e:
+            wrong = f"the oracle: {type(e).__name__}: {e}"
+        answers.send(wrong)
+    answers.send("done")
+
+
+class Pool:
+    """Some workers, each in a folder of its own; who dies or hangs is replaced and its case has failed."""
+
+    def __init__(
+        self, shop: Workshop, seeds: list[int], folder: Path, jobs: int, memory: int, seconds: float
+    ) -> None:
+        self.shop, self.memory, self.seconds = shop, memory, seconds
+        self.waiting = [seeds[i : i + BATCH] for i in range(0, len(seeds), BATCH)][::-1]
+        self.free = [folder / str(i) for i in range(jobs)]
+        self.busy: dict[Connection, tuple[Worker, Path]] = {}
+        self.wrong: dict[int, str] = {}  # seed -> what went wrong
+
+    def run(self) -> dict[int, str]:
+        """Run all seeds and return what went wrong by seed."""
+        while self.waiting or self.busy:
+            while self.waiting and self.free:
+                place = self.free.pop()
+                worker = Worker(self.shop, self.waiting.pop(), place, self.memory)
+                self.busy[worker.answers] = worker, place
+            for ready in wait(list(self.busy), timeout=1.0):
+                self._take(self.busy[ready][0])  # type: ignore[index]
+            for worker, _ in list(self.busy.values()):
+                if time.monotonic() - worker.since > self.seconds:
+                    self.wrong[worker.seeds[0]] = f"no answer within {self.seconds:g} s"
+                    self._close(worker, worker.seeds[1:])
+        return self.wrong
+
+    def _take(self, worker: Worker) -> None:
+        answer = worker.answer()
+        if answer == "done":
+            self._close(worker, [])
+            return
+        seed, worker.seeds = worker.seeds[0], worker.seeds[1:]
+        if answer is None:
+            self.wrong[seed] = f"the process died (exit code {self._close(worker, worker.seeds)})"
+        elif answer:
+            self.wrong[seed] = answer
+
+    def _close(self, worker: Worker, rest: list[int]) -> int | None:
+        self.free.append(self.busy.pop(worker.answers)[1])
+        if rest:
+            self.waiting.append(rest)
+        return worker.end()
+
+
+def save(case: Case, seed: int, wrong: str, folder: Path) -> None:
+    """Keep a failing case to be looked at."""
+    place = folder / str(seed)
+    place.mkdir(parents=True, exist_ok=True)
+    (place / f"log{case.suffix}").write_bytes(case.log)
+    if case.robot is not None:
+        (place / "robot.toml").write_bytes(case.robot)
+    facts = {"seed": seed, "case": case.title, "command": [case.command, *case.words], "wrong": wrong}
+    (place / "case.json").write_text(json.dumps(facts, indent=2))
+
+
+@click.command()
+@click.option("--cases", default=300, show_default=True)
+@click.option("--first", default=0, show_default=True, help="The first seed.")
+@click.option("--only", type=int, help="Run the case of one seed.")
+@click.option("--jobs", default=2, show_default=True)
+@click.option("--memory", default=1.0, show_default=True, help="GiB of address space a case may take on top.")
+@click.option("--seconds", default=60.0, show_default=True, help="Time a case may take.")
+@click.option(
+    "--keep",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("fuzz-failures"),
+    show_default=True,
+    help="Where failing cases are saved.",
+)
+def main(cases: int, first: int, only: int | None, jobs: int, memory: float, seconds: float, keep: Path) -> None:
+    """Run random cases and print what failed."""
+    seeds = list(range(first, first + cases)) if only is None else [only]
+    memory_first = Path("/dev/shm")  # results are synced to the disk, thousands of times
+    with tempfile.TemporaryDirectory(dir=memory_first if memory_first.is_dir() else None) as temporary:
+        shop = Workshop(bases())
+        shop.learn(Path(temporary) / "healthy")
+        began = time.monotonic()
+        wrong = Pool(shop, seeds, Path(temporary), jobs, int(memory * GIB), seconds).run()
+        kinds: Counter[str] = Counter(shop.case(seed).title.split(": ", 1)[1] for seed in wrong)
+        for seed, words in sorted(wrong.items()):
+            case = shop.case(seed)
+            save(case, seed, words, keep)
+            click.echo(f"seed {seed}: {case.title}: {words.strip().splitlines()[-1][:300]}")
+        for kind, count in kinds.most_common():
+            click.echo(f"{count} failed: {kind}")
+    click.echo(f"{len(seeds)} cases, {len(wrong)} failed, {time.monotonic() - began:.0f} s")
+    raise SystemExit(1 if wrong else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,277 @@
+"""One fuzz case: a seed decides what is damaged and how, the command line is run, an oracle judges what it did.
+
+What must hold: a log with checksums gives the trajectory of its healthy twin, or exit 3 with the loss counted, or
+exit 1 with one line. Where the damage cannot be seen (no checksums, other messages, another robot.toml) values may
+change too, but every number is finite, every P positive. Never a traceback.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import random
+import shutil
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import click
+import numpy as np
+from mcap.writer import CompressionType
+
+from benchmarks import fuzz_damage as damage
+from benchmarks.fuzz_logs import Base, Spoken, contents, written
+from locfuse.cli.main import COMMANDS, main
+
+REAL_ROBOT = ("--set", "wheels.radius=0.033", "--set", "wheels.track=0.16")  # for logs that do not say
+COLUMNS = 10  # of trajectory.csv: t, x, y, theta and the upper triangle of P
+
+
+@dataclass(frozen=True)
+class Case:
+    """A damaged log and how to run it."""
+
+    title: str  # base: damage, damage
+    log: bytes
+    suffix: str
+    visible: bool  # whether the damage can be noticed
+    robot: bytes | None = None  # a robot.toml to give along
+    words: tuple[str, ...] = ()  # more of the command line
+    command: str = "run"
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a command did."""
+
+    code: int
+    out: str
+    err: str
+
+
+@dataclass
+class Workshop:
+    """Healthy logs, and what the product made of them."""
+
+    bases: list[Base]
+    trajectories: dict[str, bytes] = field(default_factory=dict)  # base -> trajectory.csv
+    robots: dict[str, str] = field(default_factory=dict)  # base -> its effective robot.toml
+
+    def learn(self, folder: Path) -> None:
+        """Run every healthy log once."""
+        for base in self.bases:
+            healthy = Case(base.name, base.data, base.suffix, visible=False, words=_words(base))
+            run(healthy, folder)
+            csv, toml = folder / "out" / "trajectory.csv", folder / "out" / "robot.toml"
+            if csv.exists():
+                self.trajectories[base.name] = csv.read_bytes()
+                self.robots[base.name] = toml.read_text()
+
+    def case(self, seed: int) -> Case:
+        """Return the case that belongs to a seed."""
+        rng = random.Random(seed)
+        base = rng.choices(self.bases, [b.weight for b in self.bases])[0]
+        case = Case(base.name, base.data, base.suffix, base.checked, words=_words(base))
+        deeds = [_damaged] * 6
+        if base.suffix == ".mcap" and base.name in self.robots:
+            deeds += [_other_messages] * 3
+        if base.name in self.robots:
+            deeds += [self._other_robot] * 2
+        case = rng.choice(deeds)(rng, case)
+        return replace(case, command="compare" if rng.random() < 0.05 else "run")
+
+    def _other_robot(self, rng: Random, case: Case) -> Case:
+        text = damage.odd_toml(rng, self.robots[case.title])
+        return replace(case, title=f"{case.title}: robot.toml", robot=text, visible=False)
+
+
+def _words(base: Base) -> tuple[str, ...]:
+    return REAL_ROBOT if base.real else ()
+
+
+def _damaged(rng: Random, case: Case) -> Case:
+    ways = damage.MCAP if case.suffix == ".mcap" else damage.ANY_FILE
+    name, data, names = case.title, case.log, []
+    for _ in range(rng.choice((1, 1, 1, 2))):
+        # records are those of the healthy file: what follows a damaged one is found by bytes only
+        way = rng.choice(ways if data is case.log else damage.ANY_FILE)
+        try:
+            data = way(rng, data) if data else data
+        except (IndexError, ValueError):  # a real log that is damaged already
+            continue
+        names.append(way.__name__)
+    return replace(case, title=f"{name}: {', '.join(names)}", log=data)
+
+
+def _other_messages(rng: Random, case: Case) -> Case:
+    spoken, attachments = contents(case.log)
+    deeds = rng.sample(MESSAGES, rng.choice((1, 1, 2)))
+    for deed in deeds:
+        spoken = deed(rng, spoken)
+    try:
+        log = written(spoken, attachments, chunk_size=4000, compression=rng.choice(list(CompressionType)))
+    except Exception:  # the public writer refuses: nothing to read
+        log = case.log
+    return replace(case, title=f"{case.title}: {', '.join(d.__name__ for d in deeds)}", log=log, visible=False)
+
+
+def _some(rng: Random, spoken: list[Spoken]) -> list[int]:
+    """Return which messages to change: one, a stretch, or all of a topic."""
+    if rng.random() < 0.4:
+        topic = rng.choice(spoken).channel.topic
+        return [i for i, s in enumerate(spoken) if s.channel.topic == topic]
+    return list(range(len(spoken))[damage.span(rng, len(spoken))])
+
+
+def odd_payloads(rng: Random, spoken: list[Spoken]) -> list[Spoken]:
+    """Let messages say something else, all of them alike or each by itself."""
+    alike = rng.random() < 0.5
+    seed = rng.random()
+    out = list(spoken)
+    for i in _some(rng, spoken):
+        own = random.Random(seed if alike else f"{seed} {i}")
+        message = spoken[i].message
+        out[i] = spoken[i]._replace(message=replace(message, data=damage.odd_payload(own, message.data)))
+    return out
+
+
+def odd_times(rng: Random, spoken: list[Spoken]) -> list[Spoken]:
+    """Let recording times be absurd, equal, shifted or noisy."""
+    out, deed = list(spoken), rng.randrange(4)
+    shift = rng.choice((-1, 1)) * int(10 ** rng.uniform(6, 15))
+    for i in _some(rng, spoken):
+        was = spoken[i].message.log_time
+        new = (
+            rng.choice(damage.INTERESTING),
+            spoken[0].message.log_time,
+            was + shift,
+            was + rng.randrange(-(10**9), 10**9),
+        )[deed]
+        out[i] = spoken[i]._replace(message=replace(spoken[i].message, log_time=min(max(new, 0), 2**64 - 1)))
+    return out
+
+
+def other_order(rng: Random, spoken: list[Spoken]) -> list[Spoken]:
+    """Drop, repeat, reverse or shuffle messages."""
+    where = damage.span(rng, len(spoken))
+    piece = spoken[where]
+    shuffled = rng.sample(piece, len(piece))
+    return spoken[: where.start] + rng.choice(([], piece * 2, piece[::-1], shuffled)) + spoken[where.stop :]
+
+
+def other_channel(rng: Random, spoken: list[Spoken]) -> list[Spoken]:
+    """Let a topic have another name, encoding or definition."""
+    topic = rng.choice(spoken).channel.topic
+    other = rng.choice(spoken)
+    deed, seed = rng.randrange(5), rng.random()
+    out = list(spoken)
+    for i, (schema, channel, message) in enumerate(spoken):
+        if channel.topic != topic:
+            continue
+        if deed == 0:
+            name = random.Random(seed).choice(("", "/x" * 5000, other.channel.topic, "/\N{ROBOT FACE}\n\x1b[31m"))
+            out[i] = Spoken(schema, replace(channel, topic=name), message)
+        elif deed == 1:
+            encoding = random.Random(seed).choice(("", "json", "protobuf", "ros1", "\x00"))
+            out[i] = Spoken(schema, replace(channel, message_encoding=encoding), message)
+        elif deed == 2:
+            out[i] = Spoken(other.schema, channel, message)
+        elif schema is not None:
+            own = random.Random(seed)
+            text = damage.odd_text(own, schema.data.decode()).encode()
+            names = ("sensor_msgs/msg/LaserScan", "", "a/b/c/d", "sensor_msgs/LaserScan", schema.name)
+            new = replace(schema, data=text) if deed == 3 else replace(schema, name=own.choice(names))
+            out[i] = Spoken(new, channel, message)
+    return out
+
+
+Deed = Callable[[Random, list[Spoken]], list[Spoken]]
+MESSAGES: list[Deed] = [odd_payloads, odd_payloads, odd_times, other_order, other_channel]
+
+
+def run(case: Case, folder: Path) -> Done:
+    """Run the case in a folder that is emptied first."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    log = folder / f"log{case.suffix}"
+    log.write_bytes(case.log)
+    words = [case.command, str(log), "-o", str(folder / "out"), *case.words]
+    if case.robot is not None:
+        (folder / "robot.toml").write_bytes(case.robot)
+        words += ["--robot", str(folder / "robot.toml")]
+    return locfuse(*words)
+
+
+def locfuse(*words: str) -> Done:
+    """Run the command line in this process."""
+    out, err = io.StringIO(), io.StringIO()
+    code = 0
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            main(list(words))
+        except SystemExit as e:
+            code = int(e.code or 0)
+        except Exception:
+            traceback.print_exc()
+            code = -1
+    return Done(code, out.getvalue(), err.getvalue())
+
+
+def judge(case: Case, folder: Path, healthy: bytes | None) -> str:
+    """Run a case and return what is wrong with the outcome, "" for nothing."""
+    done = run(case, folder)
+    wrong = _of_words(done) or (_of_files(folder, done) if done.code in {0, 3} else "")
+    if not wrong and done.code == 0 and case.visible and case.command == "run" and healthy is not None:
+        same = (folder / "out" / "trajectory.csv").read_bytes() == healthy
+        wrong = "" if same else "damage that checksums show changed the trajectory in silence"
+    if not wrong and "info" in COMMANDS and len(case.log) % 4 == 0:
+        wrong = _of_words(locfuse("info", str(folder / f"log{case.suffix}")))
+    return wrong
+
+
+def _of_words(done: Done) -> str:
+    """Hold exit code and stderr against the contract."""
+    text = done.err
+    if "Traceback" in text:
+        return text[text.index("Traceback") :][-3000:]
+    if "Warning:" in text:
+        return f"a warning of the runtime reaches the user: {text[-500:]}"
+    if done.code not in {0, 1, 2, 3}:
+        return f"exit {done.code}: {text[-500:]}"
+    if done.code in {1, 2} and (text.count("\n") != 1 or not text.startswith("locfuse: ")):
+        return f"exit {done.code} is not one line: {text[-500:]}"
+    if done.code == 3 and not any(c.isdigit() for line in text.splitlines() if "lost" in line for c in line):
+        return f"exit 3 without numbers: {text[-500:]}"
+    return ""
+
+
+def _of_files(folder: Path, done: Done) -> str:
+    """Hold the results against: finite everywhere, P positive, a loss counted."""
+    report = next((folder / "out" / n for n in ("run.json", "report.json") if (folder / "out" / n).exists()), None)
+    if report is None:
+        return f"exit {done.code} without a result"
+    found = json.loads(report.read_text(), parse_constant=_refuse)
+    if done.code == 3 and not (found["input"]["losses"] or found["input"]["dropped"]):
+        return "exit 3, but nothing is counted as lost"
+    for path in (folder / "out").glob("*.tum"):
+        if not np.isfinite(np.loadtxt(path, ndmin=2)).all():
+            return f"{path.name} is not finite"
+    csv = folder / "out" / "trajectory.csv"
+    return _of_trajectory(np.loadtxt(csv, delimiter=",", skiprows=1, ndmin=2)) if csv.exists() else ""
+
+
+def _refuse(word: str) -> None:
+    raise click.ClickException(f"{word} in a report")
+
+
+def _of_trajectory(rows: np.ndarray[Any, np.dtype[np.float64]]) -> str:
+    if rows.shape[1] != COLUMNS or not np.isfinite(rows).all():
+        return "the trajectory is not finite"
+    P = rows[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)
+    scale = np.sqrt(np.maximum(np.einsum("nii->ni", P), 1e-300))
+    least = np.linalg.eigvalsh(P / (scale[:, :, None] * scale[:, None, :])).min()
+    return "" if least > -1e-9 else f"P is not positive: {least:g} after scaling its diagonal to 1"

@@ -1,0 +1,149 @@
+"""The paper's filter as printed against the product's, over many drives; and what each misprint costs.
+
+    python -m benchmarks.printed --drives 20
+
+Both filters get the same measurements of the same simulated drives, and the same figures judge them. A row called
+`repaired` is the printed filter with some of its equations put right, the rest as printed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
+from functools import partial
+from typing import Any
+from unittest.mock import patch
+
+import click
+import numpy as np
+
+from benchmarks.accuracy import FIRST_SEED, LOCK_STEP, figures, streams_by_role
+from locfuse.cli.load import make_robot
+from locfuse.fusion import paper, paper_rows
+from locfuse.fusion.bearing import predict_bearing
+from locfuse.fusion.data import Array, Drive, Estimates, Measurements
+from locfuse.fusion.evaluate import evaluate
+from locfuse.fusion.fuse import fuse
+from locfuse.fusion.measure import measure
+from locfuse.fusion.paper_filter import fuse_as_printed
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.se2 import wrap
+from locfuse.fusion.sensors.base import Innovation
+from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.sample_logs.load import load
+from locfuse.sample_logs.record import in_memory
+
+PRINTED_W = paper.eq8_W
+SETS: tuple[tuple[str, ...], ...] = ((), ("compass",), ("lrf",), ("camera",), ("compass", "lrf", "camera"))
+
+
+def right_W(ds: Array, dtheta: Array, theta: Array, L: float) -> Array:
+    """Equation 8 with the terms that the print dropped (docs/paper.md)."""
+    m = theta + dtheta / 2
+    half = 0.5 * np.stack((np.cos(m), np.sin(m), np.zeros_like(m)), axis=-1)
+    printed: Array = PRINTED_W(ds, dtheta, theta, L)
+    return printed + half[..., None]
+
+
+def right_H(C: float, beta: float) -> Array:
+    """Equation 13 with the derivative of |C|."""
+    s = math.copysign(1.0, C)
+    return np.array([[-s * math.cos(beta), -s * math.sin(beta), 0.0], [0.0, 0.0, -1.0]])
+
+
+class BearingRow(paper_rows.CameraRow):
+    """The camera's bearing against the one predicted from the pose, instead of a heading."""
+
+    def __init__(self, robot: Robot, numbers: paper.Printed) -> None:
+        super().__init__(robot, numbers)
+        settings = robot.settings("camera")
+        self.landmark, self.lever = settings.landmark, (settings.x, settings.y)
+
+    def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[Innovation]:
+        """Compare the bearing of the largest candidate of picture i."""
+        row = int(m.first[i])
+        predicted = predict_bearing((float(x[0]), float(x[1]), float(x[2])), self.landmark, self.lever, self.yaw)
+        if row == int(m.first[i + 1]) or predicted is None:
+            return []
+        y = wrap(float(m.z[row, 0]) - predicted[0])
+        return [paper_rows.innovation(row, 0, np.array([y]), np.array([predicted[1]]), self.R, P)]
+
+
+def repairs() -> Mapping[str, Any]:
+    """Return what replaces an equation while the printed filter runs."""
+    return {
+        "(8)": patch.object(paper, "eq8_W", right_W),
+        "(13)": patch.object(paper, "eq13_H_line", right_H),
+        "camera": patch.dict(paper_rows.PARTS, {"camera": BearingRow}),
+    }
+
+
+ROWS: Mapping[str, tuple[str, ...]] = {
+    "as printed": (),
+    "(8) repaired": ("(8)",),
+    "(13) repaired": ("(13)",),
+    "camera repaired": ("camera",),
+    "all three repaired": ("(8)", "(13)", "camera"),
+}
+
+
+def repaired(names: tuple[str, ...]) -> Callable[..., Estimates]:
+    """Return the printed filter with some repairs."""
+
+    def run(drive: Drive, robot: Robot, sensors: tuple[str, ...]) -> Estimates:
+        with ExitStack() as stack:
+            for name in names:
+                stack.enter_context(repairs()[name])
+            return fuse_as_printed(drive, robot, sensors)
+
+    return run
+
+
+def drive(seed: int, scenario: str, sets: tuple[str, ...]) -> dict[str, dict[str, Any]]:
+    """Simulate one drive and judge both filters on it: "<filter> | <configuration>" -> figures."""
+    topics, tables, _ = in_memory(load(scenario, sets), seed)
+    known = {name: table for name, table in tables.items() if name in {"wheels", "start", "truth", *REGISTRY}}
+    known["camera"] = {**known["camera"], "chain": "paper"}
+    robot = make_robot(known)
+    measured = measure(streams_by_role(topics, known), robot)
+    filters: dict[str, Callable[..., Estimates]] = {name: repaired(put_right) for name, put_right in ROWS.items()}
+    found = {}
+    for name, run in {**filters, "default": fuse}.items():
+        for sensors in SETS:
+            judged = evaluate(run(measured, robot, sensors), measured)
+            found[f"{name} | {judged.name}"] = figures(judged)
+    return found
+
+
+@click.command()
+@click.option("--drives", default=20, show_default=True)
+@click.option("--scenario", default="rounded_rectangle", show_default=True)
+@click.option("--set", "sets", multiple=True, help="Scenario key.")
+@click.option(
+    "--lock-step", is_flag=True, help="Every sensor once per 0.1 s and at the same instant, as in the paper."
+)
+@click.option("--jobs", default=2, show_default=True)
+def main(drives: int, scenario: str, sets: tuple[str, ...], lock_step: bool, jobs: int) -> None:
+    """Judge the printed filter, its repairs, and the product's over many simulated drives."""
+    base = LOCK_STEP if lock_step else ()
+    with ProcessPoolExecutor(jobs) as pool:
+        run = partial(drive, scenario=scenario, sets=(*base, *sets))
+        found = list(pool.map(run, range(FIRST_SEED, FIRST_SEED + drives)))
+    click.echo("| filter | " + " | ".join(name.split(" | ")[1] for name in list(found[0])[: len(SETS)]) + " |")
+    click.echo("|---|" + "--:|" * len(SETS))
+    for row in (*ROWS, "default"):
+        names = [name for name in found[0] if name.startswith(f"{row} | ")]
+        click.echo(f"| {row} | " + " | ".join(cell([f[name] for f in found]) for name in names) + " |")
+
+
+def cell(rows: list[dict[str, Any]]) -> str:
+    """Mean position rmse over drives [mm], and the median ANEES."""
+    position = 1000 * float(np.mean([r["position_rmse_m"] for r in rows]))
+    anees = float(np.median([r["anees"] for r in rows]))
+    return f"{position:.1f} mm ({anees:.2g})" if anees < 1000 else f"{position:.1f} mm (> 1000)"
+
+
+if __name__ == "__main__":
+    main()

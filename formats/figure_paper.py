@@ -12,12 +12,25 @@ from typing import Any
 
 import numpy as np
 
-from . import palette
+from . import palette, ticks
 from .panels import Band, Curve, Dots, Mark, Panel, Section, Strokes, ranges
 from .rerun_thin import extremes
 
 INCHES = (3.5, 2.1)  # one column of a two-column paper
 SQUARE = (3.5, 3.0)
+AREA = (0.17, 0.19, 0.8, 0.66)  # of the axes in the figure: a layout engine costs a third of the time
+LANES = (0.24, 0.19, 0.73, 0.66)
+LEGEND: dict[str, Any] = {
+    "ncols": 4,
+    "loc": "lower left",
+    "bbox_to_anchor": (-0.12, 1.0),
+    "columnspacing": 0.9,
+    "handlelength": 1.3,
+    "handletextpad": 0.4,
+    "labelspacing": 0.25,
+    "markerscale": 4.0,
+    "borderpad": 0.1,
+}
 POINTS = 1600  # of a curve: more than 3.5 inches at 300 dpi can show
 STYLE: dict[Any, Any] = {
     "svg.hashsalt": "locfuse",
@@ -32,7 +45,7 @@ STYLE: dict[Any, Any] = {
     "grid.color": "#dddfe3",
     "lines.linewidth": 0.9,
     "legend.frameon": False,
-    "legend.fontsize": 6.0,
+    "legend.fontsize": 5.8,
     "xtick.major.width": 0.5,
     "ytick.major.width": 0.5,
     "path.simplify": True,
@@ -64,8 +77,8 @@ def draw(panel: Panel, inks: dict[str, str]) -> tuple[bytes, bytes]:
     from matplotlib.figure import Figure
 
     with _style():
-        figure = Figure(figsize=SQUARE if panel.equal else INCHES, layout="constrained")
-        axes = figure.add_subplot()
+        figure = Figure(figsize=SQUARE if panel.equal else INCHES)
+        axes = figure.add_axes(LANES if panel.lanes else AREA)
         for mark in panel.marks:
             _mark(axes, mark, inks)
         _dress(axes, panel)
@@ -95,16 +108,25 @@ def _dress(axes: Any, panel: Panel) -> None:
     if panel.equal:
         axes.set_aspect("equal", adjustable="datalim")
     else:
-        axes.set_xlim(*x)
-        axes.set_ylim(*y)
-    if panel.log:
-        axes.set_yscale("log")
+        _scales(axes, panel, x, y)
     if panel.lanes:
         axes.set_yticks([i + 0.5 for i in range(len(panel.lanes))], panel.lanes)
         axes.grid(visible=False, axis="y")
     handles, labels = axes.get_legend_handles_labels()
     if len(handles) > 1 or panel.keys:
-        axes.legend(handles, labels, ncols=min(4, len(handles)), loc="lower left", bbox_to_anchor=(0.0, 1.0))
+        axes.legend(handles, labels, **LEGEND)
+
+
+def _scales(axes: Any, panel: Panel, x: tuple[float, float], y: tuple[float, float]) -> None:
+    """Set limits and the page's own ticks."""
+    if panel.log:
+        axes.set_yscale("log")
+    axes.set_xlim(*x)
+    axes.set_ylim(*y)
+    if not panel.lanes:
+        marks = ticks.logarithmic(*y) if panel.log else ticks.linear(*y)
+        axes.set_yticks(*map(list, zip(*marks, strict=True)))
+        axes.minorticks_off()
 
 
 def _mark(axes: Any, mark: Mark, inks: dict[str, str]) -> None:
@@ -132,4 +154,5 @@ def _curve(axes: Any, mark: Curve, ink: str, label: str | None) -> None:
 def _label(axes: Any, mark: Mark) -> str | None:
     """Return the mark's name for the legend, once."""
     taken = set(axes.get_legend_handles_labels()[1])
-    return None if mark.of in taken or mark.of == "bounds" else mark.of
+    name = "refused" if mark.of == "gate" else mark.of
+    return None if name in taken or name == "bounds" else name

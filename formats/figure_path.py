@@ -13,6 +13,8 @@ from .rerun_thin import extremes
 
 FLAT = 0.2  # px: a point this near to the line between its neighbours is not seen
 PASSES = 8
+TOUCHING = 2  # px: dots this near in one column look like a line
+FAR = 1e4  # px: beyond lies nothing that is drawn
 
 
 def curve_path(x: Array, y: Array, pixels: int) -> str:
@@ -40,10 +42,16 @@ def band_path(x: Array, low: Array, high: Array, pixels: int) -> str:
 
 
 def dots_path(x: Array, y: Array) -> str:
-    """Return one zero-long stroke per pixel that holds a dot; round caps make them dots."""
-    good = np.isfinite(x) & np.isfinite(y)
+    """Return one stroke per run of dots in a column of pixels; round caps make a single dot round."""
+    good = np.isfinite(x) & np.isfinite(y) & (np.abs(y) < FAR)
     cells = np.unique(np.rint(np.stack((x[good], y[good]), axis=-1)).astype(np.int64), axis=0)
-    return "".join(f"M{a}0 {b}0h0" for a, b in cells.tolist())
+    if len(cells) == 0:
+        return ""
+    step = np.diff(cells, axis=0)
+    starts = np.flatnonzero(np.concatenate(([True], (step[:, 0] > 0) | (step[:, 1] > TOUCHING))))
+    ends = np.append(starts[1:] - 1, len(cells) - 1)
+    runs = zip(cells[starts].tolist(), (cells[ends, 1] - cells[starts, 1]).tolist(), strict=True)
+    return "".join(f"M{a}0 {b}0v{length}0" for (a, b), length in runs)
 
 
 def strokes_path(ends: Array) -> str:
@@ -83,7 +91,7 @@ def _runs(good: NDArray[np.bool_]) -> list[Ints]:
 
 def _text(points: Array) -> str:
     """Return "M x y l dx dy ..." in tenths of a pixel, without spaces that a minus sign can replace."""
-    tenths = np.rint(np.clip(points, -1e5, 1e5) * 10.0).astype(np.int64)
+    tenths = np.rint(np.clip(points, -FAR, FAR) * 10.0).astype(np.int64)
     steps = np.diff(tenths, axis=0)
     steps = steps[(steps != 0).any(axis=1)]
     start = f"M{tenths[0, 0]} {tenths[0, 1]}"

@@ -17,6 +17,7 @@ from ..data import Array, Ints, Measurements, Stream
 from ..line_tracker import LineTracker
 from ..lines import Lines, LineSettings
 from ..scans import Laser, equal_scans, in_order, lines_in_base, too_many_beams, turn_between
+from ..wall_floor import wall_floor
 from .base import SensorSettings, WheelMotion
 
 MapMode = Literal["first-scan", "consider", "refine", "grow", "given"]
@@ -40,6 +41,7 @@ class LrfSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_on
     min_length: float = 0.3  # m
     floor_range: float = 0.002  # m: walls are not planes to less than this
     floor_angle_deg: float = 0.05
+    walls: Literal["found", "flat"] = "found"  # found: the floors rise to what the walls of the log show
     map: MapMode = "grow"
     recover: bool = True  # from slips and being carried away
 
@@ -74,7 +76,7 @@ class Lrf:
                 lines, t[at] = lines_in_base(scans, stamps[at], laser, wheels)
                 parts.append((at, lines))
         first, z, R_unit, ends = in_order(parts, len(t))
-        floor = np.diag([settings.floor_range**2, math.radians(settings.floor_angle_deg) ** 2])
+        floor = np.diag(np.square(floors(settings, t, first, z, R_unit, wheels)))
         dropped = {**stream.dropped, **({"too_many_beams": giants} if giants else {})}
         return Measurements(t, first, z, R_unit, settings.sigma_range, floor, {"ends": ends}, dropped)
 
@@ -93,6 +95,16 @@ class Lrf:
     def model(self, settings: LrfSettings) -> LineTracker:
         """Return the laser's side of a new run."""
         return LineTracker(settings.map, settings.gate, settings.recover)
+
+
+def floors(
+    settings: LrfSettings, t: Array, first: Ints, z: Array, R_unit: Array, wheels: WheelMotion
+) -> tuple[float, float]:
+    """Return the standard deviations of r [m] and psi [rad] below which no line is known."""
+    r, psi = 0.0, 0.0
+    if settings.walls == "found":
+        r, psi = wall_floor(t, first, z, settings.sigma_range**2 * R_unit[:, 1, 1], wheels)
+    return max(settings.floor_range, r), max(math.radians(settings.floor_angle_deg), psi)
 
 
 def laser_of(settings: LrfSettings) -> Laser:

@@ -1,0 +1,49 @@
+"""Walls that are not planes are recognised from the lines alone, and flat ones are left alone."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from locfuse.fusion.se2 import wrap_all
+from locfuse.fusion.wall_floor import wall_floor
+
+Array = NDArray[np.float64]
+FIT = math.radians(0.2)
+
+
+class Straight:
+    """A robot that drives 0.1 m from scan to scan along x."""
+
+    def relative(self, t_from: Array, t_to: Array) -> Array:
+        ahead = np.asarray(t_to - t_from)
+        return np.stack((0.1 * ahead, 0.0 * ahead, 0.0 * ahead), axis=-1)
+
+
+def corridor(bend: float, seed: int, scans: int = 600) -> tuple[float, float]:
+    """Floors found from a corridor whose walls point off by `bend` [rad], anew wherever they are looked at."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(scans, dtype=float)
+    psi = np.tile([math.pi / 2, -math.pi / 2], scans) + rng.normal(0.0, math.hypot(FIT, bend), 2 * scans)
+    z = np.stack((np.ones(2 * scans), wrap_all(psi)), axis=-1)
+    return wall_floor(t, np.arange(scans + 1) * 2, z, np.full(2 * scans, FIT**2), Straight())
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("bend_deg", [0.3, 0.6])
+def test_the_floor_is_what_walls_bend(bend_deg: float, seed: int) -> None:
+    _, angle = corridor(math.radians(bend_deg), seed)
+    assert math.degrees(angle) == pytest.approx(bend_deg, rel=0.2)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_flat_walls_ask_for_no_floor(seed: int) -> None:
+    assert corridor(0.0, seed) == (0.0, 0.0)
+
+
+def test_too_few_walls_say_nothing() -> None:
+    assert corridor(math.radians(1.0), 0, scans=100) == (0.0, 0.0)
+    assert corridor(math.radians(1.0), 0, scans=5) == (0.0, 0.0)

@@ -86,7 +86,7 @@ def innovations(scene: Scene) -> Section:
     panels = []
     for sensor, audit in best.audits.items():
         for i, component in enumerate(scene.components.get(sensor, ())):
-            if np.isfinite(audit.y[:, i]).any():
+            if len(audit.y) and np.isfinite(audit.y[:, i]).any():
                 panels.append(_innovation(best, sensor, audit, i, component))
     text = (
         f"What each sensor measured minus what “{best.name}” expected, with the 2 sigma expected of it "

@@ -108,7 +108,8 @@ def per_state(judged: Evaluation) -> list[float]:
         return []
     e = np.column_stack((judged.deviation, judged.heading))
     good = (judged.sigma > 0).all(axis=1)
-    return ((e[good] / judged.sigma[good]) ** 2).mean(axis=0).tolist()
+    ratios: list[float] = ((e[good] / judged.sigma[good]) ** 2).mean(axis=0).tolist()
+    return ratios
 
 
 def over_drives(results: Sequence[dict[str, dict[str, Any]]]) -> dict[str, dict[str, float]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,8 +26,9 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def report_of(folder: Path) -> dict:
-    return json.loads((folder / "report.json").read_text())
+def report_of(folder: Path) -> dict[str, Any]:
+    report: dict[str, Any] = json.loads((folder / "report.json").read_text())
+    return report
 
 
 def test_compare_says_what_each_sensor_bought(compared: Path) -> None:
@@ -77,7 +79,7 @@ def rewritten(target: Path, seed: int | None, without: str | None = None) -> Pat
     """The sample log with its messages at other positions in the file, or without one topic."""
     with sample_logs.path(LOG).open("rb") as source, target.open("wb") as sink:
         reader = make_reader(source)
-        writer = Writer(sink, compression=CompressionType.NONE, chunk_size=20_000)
+        writer: Any = Writer(sink, compression=CompressionType.NONE, chunk_size=20_000)
         writer.start()
         schemas: dict[int, int] = {}
         channels: dict[int, int] = {}
@@ -85,6 +87,7 @@ def rewritten(target: Path, seed: int | None, without: str | None = None) -> Pat
         if seed is not None:
             np.random.default_rng(seed).shuffle(messages)
         for schema, channel, message in messages:
+            assert schema is not None
             if channel.topic == without:
                 continue
             if schema.id not in schemas:
@@ -178,7 +181,7 @@ def test_bad_input_gets_one_clear_line_and_nothing_is_written(
 def test_an_empty_log_is_refused_in_one_line(tmp_path: Path) -> None:
     log = tmp_path / "nothing.mcap"
     with log.open("wb") as sink:
-        writer = Writer(sink)
+        writer: Any = Writer(sink)
         writer.start()
         writer.finish()
     done = locfuse("run", log, "-o", tmp_path / "out")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,10 +17,10 @@ from locfuse.fusion.motion import Wheels
 from locfuse.fusion.sensors.compass import Compass, CompassModel, CompassSettings
 
 STILL = Wheels.from_wheels(np.array([0.0, 100.0]), np.zeros(2), np.zeros(2), 0.5, 1e-4)
-T = np.arange(5) * 0.1
+T: Any = np.arange(5) * 0.1
 
 
-def measured(s: ArrayStream, **settings: object) -> Measurements:
+def measured(s: ArrayStream, **settings: Any) -> Measurements:
     return Compass().measure(s, CompassSettings(**settings), STILL, int(s.t_ns[0]))
 
 
@@ -100,7 +101,8 @@ def test_the_innovation_wraps_and_its_jacobian_is_one(theta: float) -> None:
 def test_a_field_of_the_wrong_strength_is_disturbed_and_not_used() -> None:
     world = World()
     streams = world.streams()
-    x = streams["compass"].data["magnetic_field.x"].copy()
+    columns: Any = streams["compass"].data
+    x = columns["magnetic_field.x"].copy()
     x[100:140] += 3e-5
     data = {**streams["compass"].data, "magnetic_field.x": x}
     streams["compass"] = ArrayStream("/compass", "sensor_msgs/msg/MagneticField", streams["compass"].t_ns, data)

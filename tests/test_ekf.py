@@ -36,7 +36,9 @@ def innovation(rng: np.random.Generator, d: int, columns: tuple[int, ...] = ()) 
 
 
 def dense(seen: list[Innovation], n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    rows, y, blocks = [], [], []
+    rows: list[np.ndarray] = []
+    y: list[float] = []
+    blocks: list[np.ndarray] = []
     for s in seen:
         H = np.zeros((len(s.y), n))
         H[:, :3] = s.H
@@ -150,7 +152,7 @@ def test_wheel_parameters_as_states_correct_the_motion() -> None:
     A = numeric_jacobian(f, x)
     c, s = math.cos(POSE[2]), math.sin(POSE[2])
     W = np.zeros((6, 3))
-    W[:3] = [[c, -s, 0], [s, c, 0], [0, 0, 1]]
+    W[:3] = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     belief.predict(u.tolist(), triangle, 0.1, J)
     np.testing.assert_allclose(belief.state, f(x), atol=1e-12)
     np.testing.assert_allclose(belief.covariance, A @ P @ A.T + W @ Q @ W.T, atol=1e-9)

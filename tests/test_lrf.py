@@ -38,7 +38,7 @@ def predicted(x: np.ndarray, anchor: tuple[float, float]) -> np.ndarray:
 
 @pytest.mark.parametrize(("pose", "line", "anchor"), PLACES)
 def test_line_jacobians_equal_finite_differences(
-    pose: tuple[float, ...], line: tuple[float, ...], anchor: tuple[float, float]
+    pose: tuple[float, float, float], line: tuple[float, ...], anchor: tuple[float, float]
 ) -> None:
     belief = JointBelief(pose, UPPER, [])
     column = belief.augment(np.array(line), np.zeros((2, 3)), np.diag([0.01, 0.001]))
@@ -156,7 +156,7 @@ def test_past_parallel_walls_and_through_a_doorway_no_line_is_matched_wrongly(mo
         wrong += abs(x * math.cos(line.beta) + y * math.sin(line.beta) - line.rho) > 0.1
     assert (audit.verdict == 0).sum() > 200
     assert wrong == 0
-    assert evaluate(found, drive).figures["position_max_m"] < 0.15
+    assert (evaluate(found, drive).figures["position_max_m"] or math.inf) < 0.15
 
 
 def test_two_walls_that_explain_a_line_equally_well_are_ambiguous() -> None:

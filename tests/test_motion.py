@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,8 @@ RNG = np.random.default_rng(5)
 
 def wheels_from(rolled: np.ndarray, dt: float = 0.02, track: float = TRACK) -> Wheels:
     left, right = (np.append(0.0, np.cumsum(rolled[:, i])) for i in (0, 1))
-    return Wheels.from_wheels(np.arange(len(left)) * dt, left, right, track, K)
+    t: Any = np.arange(len(left)) * dt
+    return Wheels.from_wheels(t, left, right, track, K)
 
 
 def random_drive(n: int = 400) -> np.ndarray:
@@ -121,7 +123,8 @@ def test_wheel_parameter_derivatives_equal_finite_differences() -> None:
     rolled = random_drive(200)
 
     def end(p: np.ndarray) -> np.ndarray:
-        return wheels_from(rolled * (1 + p[:2]), track=TRACK * (1 + p[2])).pose[-1]
+        pose: np.ndarray = wheels_from(rolled * (1 + p[:2]), track=TRACK * (1 + p[2])).pose[-1]
+        return pose
 
     wheels = wheels_from(rolled)
     J = wheels.between(np.array([0.0]), np.array([wheels.t[-1]]), parameters=True).J[0]
@@ -130,7 +133,7 @@ def test_wheel_parameter_derivatives_equal_finite_differences() -> None:
 
 
 def test_another_odometry_gives_back_its_own_increments() -> None:
-    t = np.arange(30) * 0.05
+    t: Any = np.arange(30) * 0.05
     poses = np.column_stack((np.cumsum(RNG.uniform(0, 0.02, 30)), RNG.uniform(-1, 1, 30) * 0.01, 3.0 + 0.02 * t))
     poses[:, 2] = se2.wrap_all(poses[:, 2] + np.linspace(0, 1.0, 30))  # crosses pi on the way
     wheels = Wheels.from_poses(t, poses, 0.3, K)

@@ -46,7 +46,8 @@ def outside(estimates: Estimates, judged: Evaluation) -> Array:
     for start, end in estimates.lost:
         known &= (judged.t < start) | (judged.t > end)
     known &= np.abs(judged.t - AT) > 0.15  # between two scans nobody can know
-    return np.hypot(*judged.deviation[known].T)
+    errors: Array = np.hypot(*judged.deviation[known].T)
+    return errors
 
 
 @pytest.mark.parametrize("jump", [(0.7, 0.5, 40.0), (1.5, 1.0, 130.0), (-0.5, -1.0, -90.0)])

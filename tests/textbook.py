@@ -45,7 +45,7 @@ class TextbookEkf:
         A[0, 2] = -s * u[0] - c * u[1]
         A[1, 2] = c * u[0] - s * u[1]
         W = np.zeros((n, 3))
-        W[:3] = [[c, -s, 0], [s, c, 0], [0, 0, 1]]
+        W[:3] = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
         self.x[:3] = move(self.x[:3], u)
         self.P = A @ self.P @ A.T + W @ Q @ W.T
 

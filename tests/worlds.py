@@ -29,7 +29,8 @@ def cast(origin: Array, angles: Array, walls: Array) -> Array:
         t = (w[..., 0] * e[..., 1] - w[..., 1] * e[..., 0]) / cross
         s = (w[..., 0] * d[..., 1] - w[..., 1] * d[..., 0]) / cross
     hit = (t > 1e-6) & (s >= 0) & (s <= 1) & (np.abs(cross) > 1e-12)
-    return np.where(hit, t, np.inf).min(axis=1)
+    nearest: Array = np.where(hit, t, np.inf).min(axis=1)
+    return nearest
 
 
 @dataclass

@@ -49,8 +49,18 @@ def measure(
                 continue
             measurements[name] = _within(found, wheels)
             drops[name] = dict(measurements[name].dropped)
+    _drop_dependent(measurements, missing)
     drive = cut(wheels, epoch_ns, measurements, robot, missing, streams.get("truth"), drops)
     return replace(drive, notes=(*(f"wheels: {note}" for note in notes), *drive.notes))
+
+
+def _drop_dependent(measurements: dict[str, Measurements], missing: dict[str, str]) -> None:
+    """Leave out sensors whose map another one would have kept, had it been there."""
+    for name in list(measurements):
+        for other in getattr(REGISTRY[name], "needs", ()):
+            if other not in measurements:
+                missing[name] = f"it is held against the map of {other}, and that is absent"
+                measurements.pop(name, None)
 
 
 def cut(

@@ -2,6 +2,9 @@
 
 A smooth wall sends sound back only where it stands square to a ray of the cone. So an echo is the distance to a
 wall whose foot point lies within the cone and on the wall; nothing else that the map knows may stand nearer.
+What the map lacks answers too, from anywhere before the wall: an echo counts as the wall's only where that is the
+likelier story.
+
 With the sonar at p and the wall n.(q - a) = rho it is C = rho - n.(p - a) (paper eq. 17 without its sign).
 """
 
@@ -22,6 +25,7 @@ from .base import Innovation, Model, SensorSettings, WheelMotion
 
 GATE, UNMATCHED = (VERDICTS.index(v) for v in ("gate", "unmatched"))
 Mount = tuple[float, float, float]
+CLUTTER = 0.25  # share of the echoes that come from something the map lacks, anywhere before the wall
 
 
 class SonarSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -120,9 +124,15 @@ class SonarModel(Model):
     def _judge(self, row: int, y: float, r: float, echo: Echo, belief: Any) -> Innovation:
         r += echo.map_variance
         S = belief.spread(echo.H, echo.columns, echo.H_block)[0][0] + r
-        nis = y * y / S
-        verdict = 0 if nis <= self.threshold else GATE
-        sigma = (math.sqrt(S),)
+        nis, sigma = y * y / S, math.sqrt(S)
+        threshold = min(self.threshold, _likelier(echo.distance, sigma))
+        verdict = 0 if nis <= threshold else GATE
         return Innovation(
-            row, verdict, echo.line, nis, self.threshold, (y,), sigma, echo.H, ((r,),), echo.columns, echo.H_block
+            row, verdict, echo.line, nis, threshold, (y,), (sigma,), echo.H, ((r,),), echo.columns, echo.H_block
         )
+
+
+def _likelier(distance: float, sigma: float) -> float:
+    """Return the squared distance up to which N(y; 0, sigma) outweighs clutter, uniform over `distance` [m]."""
+    odds = (1.0 - CLUTTER) / CLUTTER * distance / (math.sqrt(2.0 * math.pi) * sigma)
+    return 2.0 * math.log(max(odds, 1.0))

@@ -1,0 +1,273 @@
+"""GPS: metres against published geodesic lengths, and a frame that is found without a guess."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from locfuse.cli.load import make_robot
+from locfuse.fusion.data import ArrayStream, Column, Drive, Estimates
+from locfuse.fusion.fuse import Filter, fuse
+from locfuse.fusion.geodesy import east_north
+from locfuse.fusion.measure import measure
+from locfuse.fusion.robot import Robot
+from locfuse.sample_logs.extras import radii
+
+Array = NDArray[np.float64]
+T0 = 1_700_000_000_000_000_000
+ORIGIN = (52.38, 9.72)
+SIGMA = 0.8
+
+
+def drive_of(
+    seed: int,
+    gps: dict[str, Any] | None = None,
+    east_deg: float = 70.0,
+    length: float = 300.0,
+    start: tuple[float, float, float] = (12.0, -7.0, 0.3),
+    antenna: tuple[float, float] = (0.0, 0.0),
+    noise: float = 4e-4,
+    columns: dict[str, Any] | None = None,
+) -> tuple[Drive, Robot, Array]:
+    """A wide loop with drifting wheels, a fix a second, and the true poses at the fixes."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, length / 1.0, 0.1)
+    turning = 0.06 * np.sin(t / 17.0) + 0.025
+    pose = np.zeros((len(t), 3))
+    pose[0] = start
+    for i in range(1, len(t)):
+        x, y, theta = pose[i - 1]
+        middle = theta + 0.05 * turning[i]
+        pose[i] = x + 0.1 * math.cos(middle), y + 0.1 * math.sin(middle), theta + 0.1 * turning[i]
+    at = np.arange(3, len(t), 10)
+    fixes = fixes_of(t[at], pose[at], east_deg, antenna, rng, columns or {})
+    described = make_robot(
+        {
+            "wheels": {"track": 0.5, "noise": noise},
+            "start": {"x": start[0], "y": start[1], "theta_deg": math.degrees(start[2])},
+            "gps": {"x": antenna[0], "y": antenna[1], **(gps or {})},
+        }
+    )
+    drive = measure({"wheels": odometry(t, pose, rng, noise), "gps": fixes}, described)
+    return drive, described, pose[at]
+
+
+def odometry(t: Array, pose: Array, rng: np.random.Generator, k: float) -> ArrayStream:
+    """Dead reckoning with the noise that robot.toml says, from (0, 0, 0)."""
+    track = 0.5
+    ds = np.full(len(t) - 1, 0.1)
+    turn = np.diff(pose[:, 2])
+    sides = np.stack((ds - 0.5 * track * turn, ds + 0.5 * track * turn), axis=-1)
+    sides += np.sqrt(k * np.abs(sides)) * rng.normal(size=sides.shape)
+    ds, turn = sides.mean(axis=1), np.diff(sides, axis=1)[:, 0] / track
+    theta = np.concatenate(([0.0], np.cumsum(turn)))
+    middle = theta[:-1] + 0.5 * turn
+    x, y = (np.concatenate(([0.0], np.cumsum(ds * f(middle)))) for f in (np.cos, np.sin))
+    zero = np.zeros(len(t))
+    data: dict[str, Column] = {
+        "pose.pose.position.x": x,
+        "pose.pose.position.y": y,
+        "pose.pose.orientation.x": zero,
+        "pose.pose.orientation.y": zero,
+        "pose.pose.orientation.z": np.sin(0.5 * theta),
+        "pose.pose.orientation.w": np.cos(0.5 * theta),
+        "twist.twist.linear.x": zero,
+        "twist.twist.angular.z": zero,
+    }
+    return ArrayStream("/odom", "nav_msgs/msg/Odometry", T0 + np.rint(t * 1e9).astype(np.int64), data)
+
+
+def fixes_of(
+    t: Array,
+    pose: Array,
+    east_deg: float,
+    antenna: tuple[float, float],
+    rng: np.random.Generator,
+    columns: dict[str, Any],
+) -> ArrayStream:
+    """Latitude and longitude by the local radii of the ellipsoid: another way than the product's."""
+    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    x = pose[:, 0] + c * antenna[0] - s * antenna[1] + SIGMA * rng.normal(size=len(t))
+    y = pose[:, 1] + s * antenna[0] + c * antenna[1] + SIGMA * rng.normal(size=len(t))
+    e = math.radians(east_deg)
+    meridian, parallel = radii(ORIGIN[0])
+    n = len(t)
+    data: dict[str, Column] = {
+        "status.status": np.zeros(n, np.int8),
+        "latitude": ORIGIN[0] + np.degrees((-math.sin(e) * x + math.cos(e) * y) / meridian),
+        "longitude": ORIGIN[1] + np.degrees((math.cos(e) * x + math.sin(e) * y) / parallel),
+        "position_covariance": np.tile(np.diag([SIGMA**2, SIGMA**2, 4.0]).ravel(), (n, 1)),
+        "position_covariance_type": np.full(n, 2, np.uint8),
+    }
+    return ArrayStream(
+        "/fix", "sensor_msgs/msg/NavSatFix", T0 + np.rint(t * 1e9).astype(np.int64), {**data, **columns}
+    )
+
+
+def errors(drive: Drive, e: Estimates, truth: Array) -> Array:
+    found = e.pose[drive.instant["gps"], :2]
+    apart: Array = np.hypot(*(found - truth[:, :2]).T)
+    return apart
+
+
+@pytest.mark.parametrize(
+    ("here", "there", "metres"),
+    [
+        # lengths of one degree on WGS 84 as tables print them (arc; the chord is shorter by 1.4 m)
+        ((-0.5, 0.0), (0.5, 0.0), 110_574.0),
+        ((44.5, 0.0), (45.5, 0.0), 111_132.0),
+        ((89.0, 0.0), (90.0, 0.0), 111_694.0),
+        ((0.0, 10.0), (0.0, 11.0), 111_320.0),
+        ((45.0, -3.0), (45.0, -2.0), 78_847.0),
+        ((60.0, 179.5), (60.0, -179.5), 55_800.0),
+    ],
+)
+def test_one_degree_is_as_long_as_the_tables_say(
+    here: tuple[float, float], there: tuple[float, float], metres: float
+) -> None:
+    found = east_north(np.array([there[0]]), np.array([there[1]]), here)[0]
+    assert np.hypot(*found) == pytest.approx(metres, rel=2e-4)
+
+
+def test_north_is_north_and_east_is_east_everywhere() -> None:
+    for latitude in (-70.0, -20.0, 0.0, 21.0, 52.0, 80.0):
+        place = (latitude, 105.0)
+        moved = east_north(np.array([latitude + 1e-4, latitude]), np.array([105.0, 105.0 + 1e-4]), place)
+        meridian, parallel = radii(latitude)
+        np.testing.assert_allclose(moved[0], [0.0, math.radians(1e-4) * meridian], atol=1e-3)
+        np.testing.assert_allclose(moved[1], [math.radians(1e-4) * parallel, 0.0], atol=1e-3)
+
+
+@pytest.mark.parametrize("east_deg", [-170.0, -90.0, -30.0, 0.0, 45.0, 120.0, 180.0])
+def test_any_direction_of_east_is_found_without_a_guess(east_deg: float) -> None:
+    drive, described, truth = drive_of(3, east_deg=east_deg, noise=2e-5)
+    e = fuse(drive, described, ("gps",))
+    said, sigma = found_east(e)
+    assert sigma < 5.0
+    assert abs((said - east_deg + 180.0) % 360.0 - 180.0) < 3.0 * sigma
+    assert e.audits["gps"].verdict.tolist().count(0) > 0.98 * len(truth)
+
+
+def found_east(e: Estimates) -> tuple[float, float]:
+    said, sigma = (float(v) for v in re.findall(r"-?\d+\.\d", e.notes[0]))
+    return said, sigma
+
+
+def test_the_direction_of_east_is_as_uncertain_as_said_and_the_drift_is_bounded() -> None:
+    squares, gained = [], []
+    for seed in range(12):
+        drive, described, truth = drive_of(seed, east_deg=33.0, length=250.0, noise=2e-5)
+        e = fuse(drive, described, ("gps",))
+        said, sigma = found_east(e)
+        squares.append(((said - 33.0) / sigma) ** 2)
+        drifted = fuse(drive, described, ())
+        gained.append(errors(drive, e, truth)[-50:].mean() / errors(drive, drifted, truth)[-50:].mean())
+    assert np.mean(squares) < 2.2  # chi-square over 12 drives: above once in a hundred
+    assert np.median(gained) < 0.9
+
+
+def test_a_given_frame_needs_no_state_and_gives_metres_on_the_map() -> None:
+    known = {"origin": list(ORIGIN), "east_deg": 70.0}
+    found, sizes = [], []
+    for seed in range(4):
+        drive, described, truth = drive_of(seed, known)
+        assert Filter(described, ("gps",)).models["gps"].blocks() == []
+        e = fuse(drive, described, ("gps",))
+        error = e.pose[drive.instant["gps"], :2] - truth[:, :2]
+        P = e.P[drive.instant["gps"], :2, :2]
+        found.append(float(np.einsum("ni,nij,nj->n", error, np.linalg.inv(P), error)[20:].mean() / 2))
+        sizes.append(float(np.hypot(*error.T)[20:].mean()))
+        assert e.notes == ()
+    assert np.mean(sizes) < 0.5
+    assert 0.6 < np.mean(found) < 1.5
+
+
+@pytest.mark.parametrize("known", [{"origin": list(ORIGIN)}, {"east_deg": 70.0}])
+def test_half_a_frame_may_be_given(known: dict[str, Any]) -> None:
+    drive, described, truth = drive_of(5, known)
+    e = fuse(drive, described, ("gps",))
+    assert errors(drive, e, truth)[100:].mean() < 1.5
+
+
+def test_the_antenna_may_sit_anywhere_on_the_robot() -> None:
+    known = {"origin": list(ORIGIN), "east_deg": 70.0}
+    drive, described, truth = drive_of(6, known, antenna=(2.0, -1.5))
+    right = errors(drive, fuse(drive, described, ("gps",)), truth)[20:].mean()
+    blind = make_robot(
+        {"wheels": {"track": 0.5}, "start": {"x": 12.0, "y": -7.0, "theta_deg": math.degrees(0.3)}, "gps": known}
+    )
+    wrong = errors(drive, fuse(drive, blind, ("gps",)), truth)[20:].mean()
+    assert right < 0.5
+    assert wrong > 1.5
+
+
+def test_innovations_agree_with_finite_differences_in_every_phase() -> None:
+    settings: list[dict[str, Any]] = [{}, {"east_deg": 70.0}, {"origin": list(ORIGIN), "east_deg": 70.0}]
+    for known in settings:
+        drive, described, _ = drive_of(7, known, antenna=(0.4, 0.2), length=60.0)
+        run = Filter(described, ("gps",))
+        model, belief, m = run.models["gps"], run.belief, drive.measurements["gps"]
+        model.innovations(m, 0, belief)
+        x = np.array([14.0, -5.0, 1.1])
+        own = np.array([0.4, -0.7, 2.0, -3.0])
+
+        def seen(values: Array, model: Any = model, belief: Any = belief, m: Any = m) -> Any:
+            if hasattr(belief, "state"):
+                belief.state[: len(values)] = values
+            else:
+                belief.x, belief.y, belief.theta = values.tolist()
+            return model.innovations(m, 5, belief)[0]
+
+        at = np.concatenate((x, own)) if hasattr(belief, "state") else x
+        one = seen(at)
+        H = np.hstack((np.array(one.H), np.array(one.H_block))) if one.columns else np.array(one.H)
+        for k in range(len(at)):
+            step = np.zeros(len(at))
+            step[k] = 1e-6
+            up, down = np.array(seen(at + step).y), np.array(seen(at - step).y)
+            np.testing.assert_allclose(-(up - down) / 2e-6, H[:, k], atol=1e-6)
+
+
+def test_no_fix_nan_and_zero_are_left_out_and_counted() -> None:
+    drive, *_ = drive_of(8)
+    n = len(drive.measurements["gps"].t)
+    status = np.zeros(n, np.int8)
+    status[:5] = -1
+    full, *_ = drive_of(8, columns={"status.status": status})
+    assert full.dropped["gps"] == {"no_fix": 5}
+    assert len(full.measurements["gps"].t) == n - 5
+    nowhere, *_ = drive_of(8, columns={"latitude": np.zeros(n), "longitude": np.zeros(n)})
+    assert "no fix" in nowhere.absent["gps"]
+    nan, *_ = drive_of(8, columns={"latitude": np.full(n, np.nan)})
+    assert "not finite" in nan.absent["gps"]
+
+
+def test_a_receiver_that_says_nothing_of_its_accuracy_is_given_sigma() -> None:
+    drive, *_ = drive_of(9, {"sigma": 2.5})
+    assert drive.measurements["gps"].R[0, 0, 0] == pytest.approx(SIGMA**2)
+    n = len(drive.measurements["gps"].t)
+    unknown, *_ = drive_of(9, {"sigma": 2.5}, columns={"position_covariance_type": np.zeros(n, np.uint8)})
+    np.testing.assert_allclose(unknown.measurements["gps"].R[3], 2.5**2 * np.eye(2))
+
+
+def test_a_jump_of_the_receiver_is_gated() -> None:
+    known = {"origin": list(ORIGIN), "east_deg": 70.0}
+    drive, described, truth = drive_of(10, known)
+    m = drive.measurements["gps"]
+    m.z[150:155] += 60.0
+    e = fuse(drive, described, ("gps",))
+    assert (e.audits["gps"].verdict[150:155] != 0).all()
+    assert errors(drive, e, truth)[20:].max() < 3.0
+
+
+def test_a_short_drive_says_that_it_cannot_tell() -> None:
+    drive, described, _ = drive_of(11, length=4.0)
+    e = fuse(drive, described, ("gps",))
+    assert "too short" in e.notes[0]
+    assert np.isfinite(e.pose).all()
+    assert np.hypot(*(e.pose[-1, :2] - fuse(drive, described, ()).pose[-1, :2])) < 0.2

@@ -1,0 +1,291 @@
+"""The gyro: turns against a kept heading, held to a batch solution of the same measurements."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from locfuse.cli.load import make_robot
+from locfuse.fusion.data import ArrayStream, Column, Drive, LocfuseError, Ragged
+from locfuse.fusion.fuse import fuse
+from locfuse.fusion.measure import measure
+from locfuse.fusion.mounting import rotation
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.gyro import Gyro, GyroSettings
+from locfuse.fusion.smooth import fuse_and_smooth
+from locfuse.fusion.thin import thinned
+
+Array = NDArray[np.float64]
+T0 = 1_700_000_000_000_000_000
+RADIUS, TRACK, NOISE = 0.05, 0.4, 1e-3
+IMU = "sensor_msgs/msg/Imu"
+
+
+def way(duration: float = 30.0, rate: float = 50.0) -> tuple[Array, Array, Array]:
+    """Times (n,), true headings (n,) and speeds (n,): two seconds of standing, then wide curves."""
+    t = np.arange(0.0, duration, 1.0 / rate)
+    speed = np.interp(t, [0, 2, 3, duration], [0, 0, 0.4, 0.4])
+    turning = np.where(t < 2.5, 0.0, 0.5 * np.sin(0.7 * (t - 2.5)))
+    theta = np.concatenate(([0.0], np.cumsum(0.5 * (turning[1:] + turning[:-1]) / rate)))
+    return t, theta, speed
+
+
+def stamps(t: Array) -> NDArray[np.int64]:
+    return T0 + np.rint(t * 1e9).astype(np.int64)
+
+
+def wheels(
+    t: Array, theta: Array, speed: Array, rng: np.random.Generator, slip: Array | None = None
+) -> ArrayStream:
+    ds = 0.5 * (speed[1:] + speed[:-1]) * np.diff(t)
+    turn = np.diff(theta)
+    sides = np.stack((ds - 0.5 * TRACK * turn, ds + 0.5 * TRACK * turn), axis=-1)
+    sides = sides + np.sqrt(NOISE * np.abs(sides)) * rng.normal(size=sides.shape)
+    if slip is not None:
+        sides[:, 0] += slip
+    angle = np.concatenate((np.zeros((1, 2)), np.cumsum(sides, axis=0))) / RADIUS
+    n = len(t)
+    data: dict[str, Column] = {
+        "name": [("left", "right")] * n,
+        "position": Ragged(angle.ravel(), np.arange(0, 2 * n + 1, 2)),
+    }
+    return ArrayStream("/joint_states", "sensor_msgs/msg/JointState", stamps(t), data)
+
+
+def imu(
+    t: Array,
+    theta: Array,
+    rng: np.random.Generator,
+    bias: float = 0.0,
+    walk: float = 0.0,
+    mount: Array | None = None,
+    **columns: Any,
+) -> ArrayStream:
+    """Rates whose trapezoids are the true turns, plus a bias [rad/s] and white noise [rad/sqrt(s)]."""
+    turn = np.diff(theta) / np.diff(t)
+    rate = np.concatenate((turn[:1], turn))
+    rate = np.interp(t, t, rate) + bias + walk / math.sqrt(float(np.diff(t)[0])) * rng.normal(size=len(t))
+    up = np.array([0.0, 0.0, 1.0]) if mount is None else mount[2]
+    data: dict[str, Column] = {f"angular_velocity.{a}": rate * up[i] for i, a in enumerate("xyz")}
+    data["angular_velocity_covariance"] = np.zeros((len(t), 9))
+    return ArrayStream("/imu", IMU, stamps(t), {**data, **columns})
+
+
+def robot(gyro: dict[str, Any] | None = None, **tables: Any) -> Robot:
+    return make_robot({"wheels": {"radius": RADIUS, "track": TRACK, "noise": NOISE}, "gyro": gyro or {}, **tables})
+
+
+def compass(t: Array, theta: Array, rng: np.random.Generator, sigma: float) -> ArrayStream:
+    return ArrayStream(
+        "/heading", "std_msgs/msg/Float64", stamps(t), {"data": theta + sigma * rng.normal(size=len(t))}
+    )
+
+
+def turned_since_first(at: Array, t: Array, theta: Array) -> Array:
+    heading: Array = np.interp(at, t, theta) - np.interp(at[0], t, theta)
+    return heading
+
+
+def drive_with_all(seed: int) -> tuple[Drive, Robot]:
+    rng = np.random.default_rng(seed)
+    t, theta, speed = way(12.0)
+    at = np.arange(0.203, 11.5, 0.37)  # never at the gyro's instants
+    described = robot(
+        {"sigma_deg": 0.2, "sigma_scale": 0.0, "bias_drift_deg": 0.0},
+        compass={"sigma_deg": 2.0, "offset_deg": 0.0},
+        start={"sigma_theta_deg": 1.0},
+    )
+    streams = {
+        "wheels": wheels(t, theta, speed, rng),
+        "gyro": imu(t, theta, rng, math.radians(0.7), math.radians(0.2)),
+        "compass": compass(at, np.interp(at, t, theta), rng, math.radians(2.0)),
+    }
+    return measure(streams, described), described
+
+
+def batch(drive: Drive, robot: Robot) -> tuple[Array, Array]:
+    """Headings at all instants and the bias, and their covariance, by least squares of everything at once."""
+    n = len(drive.t)
+    rows: list[Array] = []
+    values: list[float] = []
+
+    def add(entries: dict[int, float], value: float, variance: float) -> None:
+        row = np.zeros(n + 1)
+        for k, v in entries.items():
+            row[k] += v
+        rows.append(row / math.sqrt(variance))
+        values.append(value / math.sqrt(variance))
+
+    add({0: 1.0}, 0.0, math.radians(robot.start.sigma_theta_deg) ** 2)
+    add({n: 1.0}, 0.0, math.radians(robot.settings("gyro").sigma_bias_deg) ** 2)
+    for k in range(1, n):
+        # where the wheels stand still they are certain: a variance of nothing, within double precision
+        add({k: 1.0, k - 1: -1.0}, float(drive.motions.u[k, 2]), max(float(drive.motions.Q[k, 2, 2]), 1e-14))
+    c, at = drive.measurements["compass"], drive.instant["compass"]
+    for i, k in enumerate(at.tolist()):
+        add({k: 1.0}, float(c.z[i, 0]), float(c.R[i, 0, 0]))
+    g, at = drive.measurements["gyro"], drive.instant["gyro"]
+    for i in range(1, len(g.t)):
+        dt = float(g.t[i] - g.t[i - 1])
+        value, variance = float(g.z[i, 0] - g.z[i - 1, 0]), g.scale**2 * dt
+        add({int(at[i]): 1.0, int(at[i - 1]): -1.0, n: dt}, value, variance)
+    A = np.array(rows)
+    information = A.T @ A
+    P = np.asarray(np.linalg.inv(information), np.float64)
+    return P @ (A.T @ np.array(values)), P
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_filter_and_smoother_with_a_kept_heading_are_the_batch_solution(seed: int) -> None:
+    drive, described = drive_with_all(seed)
+    filtered, smoothed = fuse_and_smooth(drive, described, ("compass", "gyro"))
+    x, P = batch(drive, described)
+    assert filtered.pose[-1, 2] == pytest.approx(x[-2], abs=1e-7)
+    assert filtered.P[-1, 2, 2] == pytest.approx(P[-2, -2], rel=1e-5)
+    assert filtered.blocks["gyro_bias"][-1, 0] == pytest.approx(x[-1], abs=1e-7)
+    assert filtered.block_sigmas["gyro_bias"][-1, 0] == pytest.approx(math.sqrt(P[-1, -1]), rel=1e-5)
+    np.testing.assert_allclose(smoothed.pose[:, 2], x[:-1], atol=1e-6)
+    np.testing.assert_allclose(smoothed.P[:, 2, 2], np.diag(P)[:-1], rtol=1e-3)
+
+
+def test_the_bias_is_found_while_standing_and_the_heading_beats_the_wheels() -> None:
+    rng = np.random.default_rng(4)
+    t, theta, speed = way(60.0)
+    described = robot()
+    streams = {"wheels": wheels(t, theta, speed, rng), "gyro": imu(t, theta, rng, math.radians(-1.1), 1e-4)}
+    drive = measure(streams, described)
+    with_gyro, odometry = fuse(drive, described, ("gyro",)), fuse(drive, described, ())
+    standing = int(np.searchsorted(drive.t, 1.9))
+    assert math.degrees(with_gyro.blocks["gyro_bias"][standing, 0]) == pytest.approx(-1.1, abs=0.1)
+    wanted = np.interp(drive.t, t, theta)
+    error = {e.name: np.sqrt(((e.pose[:, 2] - wanted) ** 2).mean()) for e in (with_gyro, odometry)}
+    assert error["gyro"] < 0.25 * error["odometry"]
+    nees = (with_gyro.pose[:, 2] - wanted) ** 2 / np.maximum(with_gyro.P[:, 2, 2], 1e-12)
+    assert nees[standing + 50 :].mean() < 6.0
+
+
+def test_a_wheel_that_slips_is_noticed_by_the_gyro_alone() -> None:
+    rng = np.random.default_rng(5)
+    t, theta, speed = way()
+    slip = np.where((t[1:] > 14.0) & (t[1:] < 15.0), 0.004, 0.0)  # the left wheel spins 0.2 m away
+    described = robot()
+    drive = measure({"wheels": wheels(t, theta, speed, rng, slip), "gyro": imu(t, theta, rng)}, described)
+    final = {s: fuse(drive, described, s).pose[-1, 2] - theta[-1] for s in ((), ("gyro",))}
+    assert abs(final[()]) > math.radians(25.0)
+    assert abs(final["gyro",]) < math.radians(2.0)
+
+
+def test_readings_are_summed_so_that_their_rate_costs_nothing() -> None:
+    rng = np.random.default_rng(6)
+    t, theta, speed = way(20.0, rate=200.0)
+    drive = measure({"wheels": wheels(t, theta, speed, rng), "gyro": imu(t, theta, rng)}, robot())
+    m = drive.measurements["gyro"]
+    assert 195 <= len(m.t) <= 201
+    np.testing.assert_allclose(
+        m.z[:, 0] - m.z[0, 0], np.interp(m.t, t, theta) - np.interp(m.t[0], t, theta), atol=2e-3
+    )
+
+
+def test_a_thinned_gyro_compares_turns_over_its_own_longer_periods() -> None:
+    rng = np.random.default_rng(7)
+    t, theta, speed = way()
+    described = robot()
+    drive = measure({"wheels": wheels(t, theta, speed, rng), "gyro": imu(t, theta, rng, 0.01)}, described)
+    slow = fuse(thinned(drive, {"gyro": 1.0}), described, ("gyro",))
+    assert np.isfinite(slow.pose).all()
+    sigma = math.sqrt(slow.P[-1, 2, 2])
+    assert sigma < math.radians(5.0)
+    assert abs(slow.pose[-1, 2] - theta[-1]) < 3.0 * sigma
+    assert slow.audits["gyro"].nis.mean() < 2.0
+
+
+def test_over_a_gap_nothing_is_claimed() -> None:
+    rng = np.random.default_rng(8)
+    t, theta, speed = way()
+    keep = (t < 8.0) | (t > 13.0)
+    full = imu(t, theta, rng, 0.0)
+    gappy = replace(full, t_ns=full.t_ns[keep], data={k: np.asarray(v)[keep] for k, v in full.data.items()})
+    described = robot()
+    drive = measure({"wheels": wheels(t, theta, speed, rng), "gyro": gappy}, described)
+    e = fuse(drive, described, ("gyro",))
+    before, after = (int(np.searchsorted(drive.t, s)) for s in (8.0, 13.0))
+    assert e.P[after, 2, 2] > 20 * e.P[before, 2, 2]
+    assert (
+        len(e.audits["gyro"].nis) == len(drive.measurements["gyro"].t) - 2
+    )  # the first of either piece only begins
+    assert e.audits["gyro"].nis.max() < 20.0
+
+
+@pytest.mark.parametrize("turned", [(180.0, 0.0), (90.0, 0.0), (-90.0, 0.0), (0.0, 90.0), (30.0, -50.0)])
+def test_an_imu_mounted_at_any_angle_measures_the_same_turn(turned: tuple[float, float]) -> None:
+    rng = np.random.default_rng(9)
+    t, theta, speed = way()
+    mounted = imu(t, theta, rng, mount=rotation(*turned, 17.0))
+    streams = {"wheels": wheels(t, theta, speed, rng), "gyro": mounted}
+    drive = measure(streams, robot({"roll_deg": turned[0], "pitch_deg": turned[1]}))
+    m = drive.measurements["gyro"]
+    np.testing.assert_allclose(
+        m.z[:, 0] - m.z[0, 0], np.interp(m.t, t, theta) - np.interp(m.t[0], t, theta), atol=5e-3
+    )
+
+
+@pytest.mark.parametrize(
+    ("rate", "cure"), [(180.0 / math.pi, "--set gyro.unit=deg"), (-1.0, "--set gyro.roll_deg=180")]
+)
+def test_degrees_and_an_upside_down_imu_are_refused_with_the_cure(rate: float, cure: str) -> None:
+    rng = np.random.default_rng(10)
+    t, theta, speed = way()
+    wrong = imu(t, rate * theta, rng)
+    streams = {"wheels": wheels(t, theta, speed, rng), "gyro": wrong}
+    drive = measure(streams, robot())
+    assert cure in drive.absent["gyro"]
+    key, _, value = cure.removeprefix("--set gyro.").partition("=")
+    cured = measure(streams, robot({key: value if key == "unit" else float(value)}))
+    assert not cured.absent
+    e = fuse(cured, robot({key: value if key == "unit" else float(value)}), ("gyro",))
+    assert abs(e.pose[-1, 2] - theta[-1]) < math.radians(2.0)
+
+
+def test_an_imu_without_angular_velocity_is_no_gyro() -> None:
+    rng = np.random.default_rng(11)
+    t, theta, speed = way()
+    n = len(t)
+    none = np.tile(np.array([-1.0, 0, 0, 0, 0, 0, 0, 0, 0]), (n, 1))
+    for stream, word in (
+        (imu(t, theta, rng, angular_velocity_covariance=none), "covariance"),
+        (imu(t, 0.0 * theta, rng), "says 0"),
+    ):
+        drive = measure({"wheels": wheels(t, theta, speed, rng), "gyro": stream}, robot())
+        assert word in drive.absent["gyro"]
+        with pytest.raises(LocfuseError, match="gyro"):
+            fuse(drive, robot(), ("gyro",))
+
+
+def test_nan_rates_are_left_out_and_counted() -> None:
+    rng = np.random.default_rng(12)
+    t, theta, speed = way()
+    stream = imu(t, theta, rng)
+    rate = np.asarray(stream.data["angular_velocity.z"]).copy()
+    rate[200:210] = np.nan
+    bad = replace(stream, data={**stream.data, "angular_velocity.z": rate})
+    drive = measure({"wheels": wheels(t, theta, speed, rng), "gyro": bad}, robot())
+    assert drive.dropped["gyro"] == {"not_finite": 10}
+    e = fuse(drive, robot(), ("gyro",))
+    assert np.isfinite(e.pose).all()
+    assert (np.linalg.eigvalsh(e.P)[1:] > -1e-15).all()
+
+
+def test_a_given_bias_is_taken_out_and_no_state() -> None:
+    t, theta, _ = way()
+    model = Gyro().model(GyroSettings(bias_deg=0.5))
+    assert [b.name for b in model.blocks()] == ["_gyro_before"]
+    rng = np.random.default_rng(13)
+    described = robot({"bias_deg": 0.5})
+    drive = measure({"wheels": wheels(*way(), rng), "gyro": imu(t, theta, rng, math.radians(0.5))}, described)
+    e = fuse(drive, described, ("gyro",))
+    assert abs(e.pose[-1, 2] - theta[-1]) < math.radians(1.0)

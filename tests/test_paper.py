@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import small_drive
+from commands import locfuse
 from numpy.typing import NDArray
 
 from locfuse.fusion import paper
@@ -322,3 +325,55 @@ def test_what_the_print_has_no_equation_for_is_refused_by_name() -> None:
         fuse_as_printed(replace(drive, measurements=sonar), robot, ("sonar",))
     with pytest.raises(LocfuseError, match="camera"):
         fuse_as_printed(drive, robot, ("camera",))
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short simulated drive with a sonar that the paper has no equation for."""
+    path = tmp_path_factory.mktemp("paper") / "drive.mcap"
+    legs = "path.legs=[{forward=2.0}, {turn_deg=90}, {forward=1.0}]"
+    sets = ("camera.enabled=false", legs, 'sonar=[{name="front", x=0.2}]')
+    done = locfuse("simulate", "straight_runs", "-o", path, *(w for s in sets for w in ("--set", s)))
+    assert done.exit_code == 0, done.stderr
+    return path
+
+
+def test_the_preset_is_said_and_recorded_and_reproduces(log: Path, tmp_path: Path) -> None:
+    done = locfuse("compare", log, "--preset", "paper", "--write", "json", "-o", tmp_path / "paper")
+    assert done.exit_code == 0, done.stderr
+    assert "note: preset paper" in done.stderr
+    report = json.loads((tmp_path / "paper" / "report.json").read_text())
+    assert report["settings"]["preset"] == "paper"
+    assert report["settings"]["camera"]["chain"] == "paper"
+    assert "no equation" in report["absent"]["sonar"]
+    assert list(report["configurations"]) == ["odometry", "compass", "lrf", "all"]
+    robot = tmp_path / "paper" / "robot.toml"
+    again = locfuse("compare", log, "--robot", robot, "--write", "json", "-o", tmp_path / "again")
+    assert again.exit_code == 0, again.stderr
+    same = json.loads((tmp_path / "again" / "report.json").read_text())
+    assert same["configurations"] == report["configurations"]
+    ours = locfuse(
+        "run", log, "--robot", robot, "--preset", "default", "--sensors", "lrf", "-o", tmp_path / "ours"
+    )
+    assert ours.exit_code == 0, ours.stderr
+    figures = json.loads((tmp_path / "ours" / "run.json").read_text())["configurations"]["lrf"]
+    assert figures["position_rmse_m"] != report["configurations"]["lrf"]["position_rmse_m"]
+
+
+def test_run_gives_what_compare_gives_under_the_preset(log: Path, tmp_path: Path) -> None:
+    words = ("--preset", "paper", "--json")
+    run = locfuse("run", log, "--sensors", "compass,lrf", "-o", tmp_path / "run", *words)
+    both = locfuse("compare", log, "--sensors", "compass,lrf", "-o", tmp_path / "both", "--write", "json", *words)
+    assert run.exit_code == both.exit_code == 0, run.stderr + both.stderr
+    one, other = (json.loads(done.stdout)["configurations"] for done in (run, both))
+    assert one == other
+
+
+def test_an_unknown_preset_is_refused_with_the_known_ones(log: Path, tmp_path: Path) -> None:
+    done = locfuse("run", log, "--preset", "papr", "-o", tmp_path / "out")
+    assert done.exit_code == 2
+    robot = tmp_path / "robot.toml"
+    robot.write_text('preset = "papr"\n')
+    done = locfuse("run", log, "--robot", robot, "-o", tmp_path / "out")
+    assert done.exit_code == 1
+    assert "choose from default, paper" in done.stderr

@@ -1,0 +1,310 @@
+"""The promise about damaged and hostile logs, failure by failure: one clear outcome, the loss in numbers."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import struct
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import zstandard
+from bags import T0, S, Said, cdr, drive, header, shuffled, write
+from commands import Done, locfuse
+from mcap.records import Chunk, Message
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType
+
+from locfuse import sample_logs
+from locfuse.formats.file_bytes import FileBytes
+from locfuse.formats.losses import Losses
+from locfuse.formats.mcap_walk import McapSource
+
+ROBOT = {"robot.toml": b"[wheels]\nradius = 0.05\ntrack = 0.4\n[camera]\nlandmark = [1.0, 1.0]\n"}
+ROBOT["robot.toml"] += b"centre = [8.0, 8.0]\ninner = 2.0\nouter = 7.0\n"
+WHEELS, SCAN, IMAGE = "sensor_msgs/msg/JointState", "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/CompressedImage"
+
+
+def log(path: Path, said: Any = None, **options: Any) -> Path:
+    return write(path, drive(100) if said is None else said, attachments=ROBOT, **{"chunk_size": 4000, **options})
+
+
+def run(path: Path, *words: str) -> Done:
+    """Run and hold what every outcome has in common."""
+    done = locfuse("run", path, "-o", path.parent / "out", "--overwrite", *words)
+    assert "Traceback" not in done.stderr
+    if done.exit_code == 1:
+        assert re.fullmatch(r"locfuse: [^\n]+\n", done.stderr)
+    if done.exit_code == 3:
+        assert re.search(r"^lost: .*\d+", done.stderr, re.MULTILINE)
+    return done
+
+
+def trajectory(path: Path) -> np.ndarray[Any, np.dtype[np.float64]]:
+    rows = np.loadtxt(path.parent / "out" / "trajectory.csv", delimiter=",", skiprows=1)
+    P = rows[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)
+    assert np.isfinite(rows).all()
+    assert (np.linalg.eigvalsh(P) >= -1e-12).all()
+    return rows
+
+
+def report(path: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((path.parent / "out" / "run.json").read_text())
+    return found
+
+
+def chunks(content: bytes | bytearray) -> list[tuple[int, int]]:
+    """Where the chunks of a healthy file begin and end."""
+    found, at = [], 8
+    while at < len(content) - 8:
+        stop = at + 9 + struct.unpack_from("<Q", content, at + 1)[0]
+        if content[at] == 6:
+            found.append((at, stop))
+        at = stop
+    return found
+
+
+def streamed(content: bytes) -> Counter[tuple[int, bytes]]:
+    """What the public streaming reader gets out of a file before it meets its end: (log time, payload)."""
+    found: Counter[tuple[int, bytes]] = Counter()
+    try:
+        for record in StreamReader(io.BytesIO(content)).records:
+            if isinstance(record, Message):
+                found[record.log_time, record.data] += 1
+    except Exception:  # the reader's ways to stumble are many
+        return found
+    return found
+
+
+def recovered(path: Path) -> Counter[tuple[int, bytes]]:
+    source = McapSource(FileBytes(path), Losses())
+    found: Counter[tuple[int, bytes]] = Counter()
+    for batch in source.batches(source.channels.keys()):
+        for m in batch.messages.values():
+            for at, length, t in zip(m.start.tolist(), m.length.tolist(), m.log_time.tolist(), strict=True):
+                found[t, batch.data[at : at + length].tobytes()] += 1
+    return found
+
+
+def test_truncated_at_and_inside_every_chunk_a_sample_log_gives_all_that_lies_before(tmp_path: Path) -> None:
+    content = sample_logs.path("rounded_rectangle").read_bytes()
+    edges = chunks(content)
+    cuts = {edge + d for start, stop in edges for edge in (start, stop) for d in (-1, 0, 1, 12)}
+    cuts |= {start + (stop - start) // 2 for start, stop in edges}
+    everything = streamed(content)
+    path = tmp_path / "cut.mcap"
+    chosen = sorted(cuts)[:: max(1, len(cuts) // 24)]
+    assert len(chosen) >= 20
+    for cut in chosen:
+        path.write_bytes(content[:cut])
+        found, whole = recovered(path), streamed(content[:cut])
+        assert whole <= found <= everything, cut
+
+
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD])
+def test_truncated_at_and_inside_each_chunk_is_done_with_loss(
+    tmp_path: Path, compression: CompressionType
+) -> None:
+    content = log(tmp_path / "whole.mcap", compression=compression).read_bytes()
+    wheels = {m.data for m in drive(100) if m.topic == "/joint_states"}
+    for start, stop in chunks(content)[1:]:
+        for cut in (start, (start + stop) // 2):
+            (tmp_path / "cut.mcap").write_bytes(content[:cut])
+            # the attachment lies at the end: the robot has to be told
+            told = [f"--set={s}" for s in ("wheels.radius=0.05", "wheels.track=0.4")]
+            done = run(tmp_path / "cut.mcap", "--sensors", "odometry", *told)
+            assert done.exit_code == 3, done.stderr
+            t, *pose = trajectory(tmp_path / "cut.mcap")[-1, :4]
+            i = round((t - T0 / S) * 20)  # the last wheel reading; the wheels roll 0.1 and 0.11 rad per reading
+            assert i + 1 >= sum(payload in wheels for _, payload in streamed(content[:cut]))
+            theta = 0.05 * 0.01 * i / 0.4
+            arc = 0.05 * 0.105 * i / theta
+            np.testing.assert_allclose(pose, [arc * np.sin(theta), arc * (1 - np.cos(theta)), theta], atol=1e-9)
+
+
+def test_bit_flipped_with_checksums_is_the_same_or_a_loss(tmp_path: Path) -> None:
+    content = log(tmp_path / "whole.mcap").read_bytes()
+    run(tmp_path / "whole.mcap")
+    healthy = (tmp_path / "out" / "trajectory.csv").read_bytes()
+    codes = set()
+    for at in range(100, len(content) - 100, len(content) // 12):
+        bad = bytearray(content)
+        bad[at] ^= 16
+        (tmp_path / "bad.mcap").write_bytes(bad)
+        done = run(tmp_path / "bad.mcap")
+        codes.add(done.exit_code)
+        if done.exit_code == 0:
+            assert (tmp_path / "out" / "trajectory.csv").read_bytes() == healthy
+        else:
+            assert done.exit_code in {1, 3}
+    assert 3 in codes
+
+
+def test_zero_filled_hole_is_done_with_loss(tmp_path: Path) -> None:
+    content = bytearray(log(tmp_path / "x.mcap").read_bytes())
+    start, stop = chunks(content)[2]
+    content[start + 50 : stop + 50] = bytes(stop - start)
+    (tmp_path / "x.mcap").write_bytes(content)
+    assert run(tmp_path / "x.mcap").exit_code == 3
+    assert trajectory(tmp_path / "x.mcap")[-1, 0] == pytest.approx(T0 / S + 99 / 20)
+    lost = report(tmp_path / "x.mcap")["input"]["losses"]
+    assert sum(reason["messages"] for reason in lost.values()) > 10
+
+
+@pytest.mark.parametrize("content", [b"", b"\0" * 5000, b"hello", b"\x89MCAP0\r\n", b"PK\3\4" + b"x" * 100])
+def test_empty_or_not_mcap_is_one_line(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "x.mcap").write_bytes(content)
+    done = run(tmp_path / "x.mcap")
+    assert done.exit_code == 1
+    assert re.search(r"\bx\b", done.stderr)
+    assert not (tmp_path / "out").exists()
+
+
+LIMITED = """
+import resource, sys
+import cv2, rosbags.typesys, zstandard
+import locfuse.cli.load, locfuse.cli.run, locfuse.cli.results, locfuse.fusion.evaluate
+from locfuse.cli.main import main
+size = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize() + (400 << 20)
+resource.setrlimit(resource.RLIMIT_AS, (size, size))
+main(sys.argv[1:])
+"""
+
+
+def run_in_400_mb(path: Path, *words: str) -> Done:
+    command: list[Any] = [sys.executable, "-c", LIMITED, "run", path, "-o", path.parent / "out", *words]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert "Traceback" not in done.stderr, done.stderr[-1500:]
+    return Done(done.returncode, done.stdout, done.stderr)
+
+
+def test_decompression_bomb_is_refused_at_its_cap(tmp_path: Path) -> None:
+    content = log(tmp_path / "x.mcap", compression=CompressionType.ZSTD).read_bytes()
+    packer = zstandard.ZstdCompressor(level=1).compressobj()
+    bomb = b"".join(packer.compress(bytes(1 << 20)) for _ in range(1024)) + packer.flush()
+    head = struct.pack("<QQQII4sQ", T0, T0, 1 << 30, 0, 4, b"zstd", len(bomb))
+    start, _ = chunks(content)[1]
+    record = struct.pack("<BQ", 6, len(head) + len(bomb)) + head + bomb
+    (tmp_path / "x.mcap").write_bytes(content[:start] + record + content[start:])
+    done = run_in_400_mb(tmp_path / "x.mcap")
+    assert done.exit_code == 3, done.stderr
+    assert "claims more than 256 MiB" in done.stderr
+    assert trajectory(tmp_path / "x.mcap")[-1, 0] == pytest.approx(T0 / S + 99 / 20)
+
+
+def test_10_to_the_6_beam_scans_and_a_huge_string_are_refused_at_their_caps(tmp_path: Path) -> None:
+    scan: dict[str, Any] = {
+        "angle_min": -1.5,
+        "angle_increment": 3e-6,
+        "range_max": 30.0,
+        "ranges": np.full(10**6, 2.0),
+    }
+    said = drive(100)
+    for i in range(12):
+        t = T0 + i * S // 5 + 1
+        said.append(Said("/scan", SCAN, cdr(SCAN, header=header(t, "laser"), **scan), t, 1000 + i))
+    for i in range(30):
+        t = T0 + i * S // 20 + 2
+        name = ["left", "right", "x" * (8 << 20)]
+        long = cdr(WHEELS, header=header(t), name=name, position=[0.0, 0.0, 0.0])
+        said.append(Said("/joint_states", WHEELS, long, t, 1000 + i))
+    path = log(tmp_path / "x.mcap", said, compression=CompressionType.ZSTD, chunk_size=1 << 22)
+    assert path.stat().st_size < 2_000_000
+    done = run_in_400_mb(path)
+    assert done.exit_code == 3, done.stderr
+    assert "12 too many beams" in done.stderr
+    assert "30 a text longer than 4 MiB" in done.stderr
+    trajectory(path)
+
+
+def test_image_bomb_is_refused_by_its_header(tmp_path: Path) -> None:
+    _, small = cv2.imencode(".jpg", np.zeros((16, 16, 3), np.uint8))
+    jpeg = bytearray(small.tobytes())
+    at = jpeg.index(b"\xff\xc0") + 5
+    jpeg[at : at + 4] = struct.pack(">HH", 20000, 20000)
+    images = [
+        Said("/image", IMAGE, cdr(IMAGE, header=header(t), format="jpeg", data=list(jpeg)), t)
+        for t in range(T0, T0 + 2 * S, S // 5)
+    ]
+    done = run_in_400_mb(log(tmp_path / "x.mcap", drive(100) + images))
+    assert done.exit_code == 3, done.stderr
+    assert "10 too large" in done.stderr
+
+
+def test_wrong_schema_names_topic_type_and_types_accepted(tmp_path: Path) -> None:
+    done = run(log(tmp_path / "x.mcap"), "--set", "lrf.topic=/heading")
+    assert done.exit_code == 1
+    for word in ("/heading", "std_msgs/msg/Float64", "sensor_msgs/LaserScan"):
+        assert word in done.stderr
+
+
+def test_unknown_encoding_names_topic_and_encoding(tmp_path: Path) -> None:
+    done = run(log(tmp_path / "x.mcap", encoding="protobuf"), "--set", "wheels.topic=/joint_states")
+    assert done.exit_code == 1
+    assert "/joint_states" in done.stderr
+    assert "protobuf" in done.stderr
+
+
+def test_missing_field_names_topic_and_field(tmp_path: Path) -> None:
+    content = log(tmp_path / "x.mcap", enable_crcs=False).read_bytes()
+    (tmp_path / "x.mcap").write_bytes(content.replace(b"float64[] position", b"float64[] posizion"))
+    done = run(tmp_path / "x.mcap")
+    assert done.exit_code == 1
+    assert "/joint_states" in done.stderr
+    assert "position" in done.stderr
+
+
+def stamped(said: list[Said], changes: dict[int, int]) -> list[Said]:
+    """Messages with some header stamps replaced: number of the wheel reading -> stamp [ns]."""
+    wheels = [i for i, m in enumerate(said) if m.topic == "/joint_states"]
+    for number, stamp in changes.items():
+        m = said[wheels[number]]
+        data = m.data[:4] + struct.pack("<iI", stamp // S, stamp % S) + m.data[12:]
+        said[wheels[number]] = m._replace(data=data)
+    return said
+
+
+DT = S // 20
+STAMPS = {
+    "zero": ({30: 0, 31: 0}, "2 zero"),
+    "absurd": ({40: 2_147_000_000 * S, 41: 2_147_000_000 * S}, "2 off the stream's clock"),
+    "out-of-order": ({50: T0 + 10 * DT}, "1 backwards"),
+    "jump forward and back": ({i: T0 + i * DT + 100 * S for i in range(20, 25)}, "5 off the stream's clock"),
+    "simulation reset": ({i: (i - 90) * DT + S for i in range(90, 100)}, "10 off the stream's clock"),
+}
+
+
+@pytest.mark.parametrize("name", STAMPS)
+def test_odd_stamps_are_repaired_and_counted(tmp_path: Path, name: str) -> None:
+    changes, words = STAMPS[name]
+    run(log(tmp_path / "healthy.mcap"), "--sensors", "odometry")
+    healthy = trajectory(tmp_path / "healthy.mcap")
+    done = run(log(tmp_path / "x.mcap", stamped(drive(100), changes)), "--sensors", "odometry")
+    assert done.exit_code in {0, 3}
+    assert words in done.stderr
+    rows = trajectory(tmp_path / "x.mcap")
+    assert (np.diff(rows[:, 0]) >= 0).all()
+    np.testing.assert_allclose(rows[-1, :4], healthy[-1, :4], atol=1e-6)
+
+
+def test_duplicates_are_counted_and_positions_in_the_file_do_not_matter(tmp_path: Path) -> None:
+    run(log(tmp_path / "healthy.mcap"))
+    healthy = (tmp_path / "out" / "trajectory.csv").read_bytes()
+    said = drive(100)
+    done = run(log(tmp_path / "x.mcap", list(shuffled([*said, *said[20:50]]))))
+    assert done.exit_code == 0, done.stderr
+    assert "repeat" in done.stderr
+    assert (tmp_path / "out" / "trajectory.csv").read_bytes() == healthy
+
+
+def test_no_chunk_of_a_sample_log_is_without_checksum() -> None:
+    for name in sample_logs.names():
+        records = StreamReader(io.BytesIO(sample_logs.path(name).read_bytes()), emit_chunks=True).records
+        assert all(r.uncompressed_crc for r in records if isinstance(r, Chunk))

@@ -90,11 +90,14 @@ def _main_words(c: SensorCredit, main: Effect, several: bool) -> str:
     how = (
         "Over every order of adding the sensors, it makes"
         if c.credit is not None and several
+        else f"Beside {' and '.join(c.beside)} it makes"
+        if c.beside
         else "Alone it makes"
     )
-    what = f"{how} odometry's position error {times(main.value)} ({interval(main)})"
+    whose = f"{'+'.join(c.beside)}'s" if c.beside else "odometry's"
+    what = f"{how} {whose} position error {times(main.value)} ({interval(main)})"
     if c.credit is not None and several:
-        what = what.replace("odometry's", "the")
+        what = what.replace(whose, "the")
     if c.verdict == "does nothing":
         return f"{what}: no more than chance."
     if main.low > 0.0 or main.high < 0.0:

@@ -18,6 +18,7 @@ import numpy as np
 
 from .data import Array, Evaluation
 from .resample import CONFIDENCE, Errors, student_t
+from .sensors.registry import REGISTRY
 
 Subset = frozenset[str]
 Verdict = Literal["helps", "does nothing", "hurts"]
@@ -49,6 +50,7 @@ class SensorCredit:
     last: Effect | None  # leave one out
     share: float | None  # of the whole improvement
     anees: tuple[float, float] | None  # without and with it, where adding it made the filter most overconfident
+    beside: tuple[str, ...] = ()  # sensors whose map it reads: "alone" is beside them
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,11 @@ def credit_over_logs(drives: Sequence[Credit]) -> Credit:
 def subsets(sensors: Sequence[str]) -> list[tuple[str, ...]]:
     """Return all 2^n sets: none, each alone, pairs, ..., all; in the order of `sensors`."""
     return [c for k in range(len(sensors) + 1) for c in combinations(sensors, k)]
+
+
+def beside_whom(sensor: str) -> tuple[str, ...]:
+    """Return the sensors without which this one says nothing: what it buys "alone" is what it adds to them."""
+    return tuple(getattr(REGISTRY.get(sensor), "needs", ()))
 
 
 class Step(NamedTuple):
@@ -175,12 +182,13 @@ class _Book:
     def sensor(self, sensor: str, sensors: Sequence[str]) -> SensorCredit:
         every = frozenset(sensors)
         shapley = self.effect(shapley_steps(sensor, sensors)) if self.complete(sensors) else None
-        alone = self.effect([Step(1.0, frozenset(), frozenset((sensor,)))])
+        beside = beside_whom(sensor)
+        alone = self.effect([Step(1.0, frozenset(beside), frozenset((*beside, sensor)))])
         last = self.effect([Step(1.0, every - {sensor}, every)])
         total = self.total(sensors)
         share = shapley.value / total if shapley and total is not None and total > NOTHING else None
         anees = self._worst_anees(sensor)
-        return SensorCredit(verdict(shapley, alone, last, anees), shapley, alone, last, share, anees)
+        return SensorCredit(verdict(shapley, alone, last, anees), shapley, alone, last, share, anees, beside)
 
     def _worst_anees(self, sensor: str) -> tuple[float, float] | None:
         """ANEES without and with the sensor, for the honest set of sensors whose ANEES it multiplies most."""
@@ -240,7 +248,8 @@ def _over_logs(found: Sequence[SensorCredit]) -> SensorCredit:
     pairs = [f.anees for f in found if f.anees is not None]
     anees = (float(np.median([p[0] for p in pairs])), float(np.median([p[1] for p in pairs]))) if pairs else None
     share = float(np.mean(shares)) if len(shares) == len(found) else None
-    return SensorCredit(verdict(credit, alone, last, anees), credit, alone, last, share, anees)
+    beside = found[0].beside if found else ()
+    return SensorCredit(verdict(credit, alone, last, anees), credit, alone, last, share, anees, beside)
 
 
 def _mean_effect(effects: Sequence[Effect | None]) -> Effect | None:

@@ -1,0 +1,183 @@
+"""Credit, intervals and verdicts, held to brute force, closed forms and drives whose answer is known."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from itertools import permutations
+
+import numpy as np
+import pytest
+import small_drive
+from numpy.typing import NDArray
+from scipy import stats
+
+from locfuse.fusion.credit import Credit, Effect, credit, credit_over_logs, shapley_steps, subsets, verdict
+from locfuse.fusion.evaluate import evaluate
+from locfuse.fusion.fuse import fuse
+from locfuse.fusion.resample import Errors, block_means, effective_samples, student_t
+
+Array = NDArray[np.float64]
+SENSORS = ("compass", "lrf")
+
+
+def ar1(rng: np.random.Generator, q: int, phi: float, sigma: float = 1.0) -> Array:
+    """Two independent AR(1) series with standard deviation sigma, (q, 2)."""
+    noise = rng.normal(size=(q, 2)) * sigma * math.sqrt(1.0 - phi**2)
+    out = np.empty((q, 2))
+    out[0] = sigma * rng.normal(size=2)
+    for k in range(1, q):
+        out[k] = phi * out[k - 1] + noise[k]
+    return out
+
+
+@cache
+def credit_of(seed: int, noise_deg: float = 1.0, bias_deg: float = 0.0, **compass: float) -> Credit:
+    robot = small_drive.robot(compass=compass)
+    drive = small_drive.drive(seed, robot, laps=0.7, compass_noise_deg=noise_deg, compass_bias_deg=bias_deg)
+    judged = {frozenset(s): evaluate(fuse(drive, robot, s), drive) for s in subsets(SENSORS)}
+    found = credit(judged, SENSORS)
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 4])
+def test_shapley_steps_are_the_mean_over_all_orders_of_adding(n: int) -> None:
+    rng = np.random.default_rng(n)
+    sensors = [f"s{i}" for i in range(n)]
+    value = {frozenset(s): float(v) for s, v in zip(subsets(sensors), rng.normal(size=2**n), strict=True)}
+    for sensor in sensors:
+        gains = []
+        for order in permutations(sensors):
+            before = frozenset(order[: order.index(sensor)])
+            gains.append(value[before] - value[before | {sensor}])
+        found = sum(s.weight * (value[s.before] - value[s.after]) for s in shapley_steps(sensor, sensors))
+        assert found == pytest.approx(np.mean(gains), abs=1e-12)
+
+
+def test_credits_sum_to_what_all_sensors_bought() -> None:
+    found = credit_of(1)
+    assert found.complete
+    assert found.total is not None
+    credits_ = [c.credit.value for c in found.sensors.values() if c.credit]
+    assert sum(credits_) == pytest.approx(found.total, abs=1e-12)
+    assert sum(c.share for c in found.sensors.values() if c.share) == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("freedom", [1.0, 1.5, 2.0, 3.3, 10.0, 200.0])
+def test_students_t_equals_scipys(freedom: float) -> None:
+    assert student_t(0.95, freedom) == pytest.approx(stats.t.ppf(0.975, freedom), rel=1e-5)
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.6, 0.9])
+def test_effective_samples_of_a_series_with_known_memory(phi: float) -> None:
+    rng = np.random.default_rng(3)
+    q = 4000
+    found = np.mean([effective_samples(ar1(rng, q, phi)) for _ in range(10)])
+    assert found == pytest.approx(q * (1 - phi) / (1 + phi), rel=0.25)
+
+
+def test_an_error_that_stays_is_one_error() -> None:
+    assert effective_samples(np.full((500, 2), 0.3)) < 1.01
+
+
+def test_block_means_keep_pairs_and_the_mean() -> None:
+    values = np.random.default_rng(0).normal(size=300) ** 2
+    means = block_means(np.stack((values, 2.0 * values)), 20)
+    np.testing.assert_allclose(means[:, 1], 2.0 * means[:, 0])
+    assert means[:, 0].mean() == pytest.approx(values.mean(), rel=0.02)
+
+
+def test_the_interval_of_a_ratio_contains_the_truth_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(5)
+    inside = 0
+    for _ in range(100):
+        common, own = ar1(rng, 300, 0.8), ar1(rng, 300, 0.8, 0.5)
+        errors = Errors.of(np.stack((common, 0.6 * common + own)))
+        low, high = errors.interval(np.array([1.0, -1.0]))
+        truth = -0.5 * math.log(0.6**2 + 0.5**2)
+        inside += low <= truth <= high
+    assert inside >= 90  # 95 expected; 2.2 sigma below
+
+
+def test_many_independent_pairs_give_pitmans_and_morgans_interval() -> None:
+    rng = np.random.default_rng(6)
+    q = 4000
+    a = rng.normal(size=(q, 2))
+    b = 0.8 * a + 0.6 * rng.normal(size=(q, 2))
+    low, high = Errors.of(np.stack((a, b))).interval(np.array([1.0, -1.0]))
+    expected = 1.96 * math.sqrt((1.0 - 0.8**2) / (2 * q))
+    assert 0.5 * (high - low) == pytest.approx(expected, rel=0.15)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_sensor_whose_noise_carries_nothing_does_nothing(seed: int) -> None:
+    found = credit_of(seed, noise_deg=180.0, sigma_deg=180.0)
+    assert found.sensors["compass"].verdict == "does nothing"
+    assert found.sensors["lrf"].verdict == "helps"
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_compass_with_a_constant_bias_that_claims_to_be_good_hurts(seed: int) -> None:
+    found = credit_of(seed, noise_deg=0.5, bias_deg=5.0, sigma_deg=1.0, offset_deg=0.0)
+    assert found.sensors["compass"].verdict == "hurts"
+    assert found.sensors["lrf"].verdict == "helps"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_good_sensors_help(seed: int) -> None:
+    assert {c.verdict for c in credit_of(seed).sensors.values()} == {"helps"}
+
+
+def test_without_every_subset_only_the_effect_alone_is_known() -> None:
+    robot = small_drive.robot()
+    drive = small_drive.drive(1, robot)
+    judged = {frozenset(s): evaluate(fuse(drive, robot, s), drive) for s in ((), ("compass",), ("lrf",))}
+    found = credit(judged, SENSORS)
+    assert found is not None
+    assert not found.complete
+    assert found.sensors["lrf"].credit is None
+    assert found.sensors["lrf"].last is None
+    assert found.sensors["lrf"].alone is not None
+
+
+def test_there_is_no_credit_without_truth() -> None:
+    robot = small_drive.robot()
+    drive = small_drive.drive(1, robot, truth=False)
+    judged = {frozenset(s): evaluate(fuse(drive, robot, s), drive) for s in ((), ("compass",))}
+    assert credit(judged, ("compass",)) is None
+
+
+def test_over_several_logs_the_interval_is_students() -> None:
+    drives = [credit_of(seed) for seed in range(4)]
+    found = credit_over_logs(drives)
+    values = [d.sensors["lrf"].credit.value for d in drives if d.sensors["lrf"].credit]
+    effect = found.sensors["lrf"].credit
+    assert effect is not None
+    low, high = stats.t.interval(0.95, 3, loc=np.mean(values), scale=stats.sem(values))
+    assert (effect.low, effect.high) == pytest.approx((low, high), rel=1e-4)
+    assert found.logs == 4
+    assert found.effective_samples == 4
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "high", "expected", "anees", "word"),
+    [
+        (0.7, 0.3, 1.1, 0.8, None, "helps"),
+        (0.7, -0.3, 1.7, 0.8, None, "helps"),  # not sure, but the filter's covariances say the same
+        (0.7, -0.3, 1.7, 0.0, None, "does nothing"),  # not sure, and nobody else says so
+        (0.01, 0.005, 0.015, 0.01, None, "does nothing"),  # sure, and too small to matter
+        (-0.7, -1.1, -0.3, 0.8, None, "hurts"),
+        (0.2, -0.5, 0.9, 2.0, (1.0, 200.0), "hurts"),  # no sure gain, and confidently wrong
+        (3.0, 2.0, 4.0, 3.0, (1.0, 26.0), "helps"),  # the paper's frozen map: overconfident, but far better
+    ],
+)
+def test_verdicts(
+    value: float, low: float, high: float, expected: float, anees: tuple[float, float] | None, word: str
+) -> None:
+    assert verdict(Effect(value, low, high, expected), None, None, anees) == word
+
+
+def test_a_set_that_is_surely_better_off_without_a_sensor_is_hurt_by_it() -> None:
+    helps, hurts = Effect(0.9, 0.5, 1.3, 1.0), Effect(-0.4, -0.6, -0.2, 0.0)
+    assert verdict(helps, helps, hurts, None) == "hurts"

@@ -75,7 +75,7 @@ def _credit_words(c: SensorCredit, credit: Credit) -> str:
     main = c.credit or c.alone or c.last
     if main is None:
         return "It was not compared with the same set without it."
-    parts = [_main_words(c, main, len(credit.sensors) > 1)]
+    parts = [_main_words(c, main, len(credit.sensors) > 1, credit.logs)]
     if c.verdict == "hurts" and c.anees is not None and c.anees[1] > OVERCONFIDENT:
         parts.append(
             f"It makes the filter sure and wrong: ANEES {short(c.anees[1])} with it, {short(c.anees[0])} without "
@@ -86,7 +86,7 @@ def _credit_words(c: SensorCredit, credit: Credit) -> str:
     return " ".join(parts)
 
 
-def _main_words(c: SensorCredit, main: Effect, several: bool) -> str:
+def _main_words(c: SensorCredit, main: Effect, several: bool, logs: int) -> str:
     how = (
         "Over every order of adding the sensors, it makes"
         if c.credit is not None and several
@@ -103,8 +103,12 @@ def _main_words(c: SensorCredit, main: Effect, several: bool) -> str:
     if main.low > 0.0 or main.high < 0.0:
         return f"{what}."
     if c.verdict == "helps":
-        return f"{what}. One drive does not prove that, but the filter's own covariances say the same."
-    return f"{what}. One drive does not prove that."
+        return f"{what}. {_few(logs)} not prove that, but the filter's own covariances say the same."
+    return f"{what}. {_few(logs)} not prove that."
+
+
+def _few(logs: int) -> str:
+    return "One drive does" if logs == 1 else f"{logs} drives do"
 
 
 def _last_words(last: Effect) -> str:

@@ -1,0 +1,87 @@
+"""Make docs/images/rerun.png: python docs/images/make_rerun_picture.py [TAB] [PICTURE]
+
+Records the sample log `disturbed`, opens the recording in Rerun's viewer without a window, and takes a picture at
+34 s: a person stands before the laser, a red cabinet is not the landmark. Without a graphics card, Debian's
+mesa-vulkan-drivers draw it.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+import warnings
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from locfuse.cli import rerun_viewer
+from locfuse.cli.main import main as locfuse
+
+LOG, TAB, SECONDS = "disturbed", "Deviation", 34.0
+SIZE = (1600, 1000)
+TOP_BAR = 36  # px: the viewer's own buttons and what it says of this machine's graphics
+
+
+def record(path: Path, tab: str) -> None:
+    """Run `locfuse view LOG --save path`."""
+    try:
+        locfuse(["view", LOG, "--tab", tab, "--save", str(path)])
+    except SystemExit as end:
+        if end.code:
+            raise
+
+
+def screenshot(path: Path) -> bytes:
+    """Return the viewer's picture of a recording as PNG."""
+    port = rerun_viewer.free_port(0)
+    command = [rerun_viewer.program(), "--headless", "--bind", "127.0.0.1", "--port", str(port)]
+    command += ["--window-size", f"{SIZE[0]}x{SIZE[1]}", "--hide-welcome-screen", str(path)]
+    with tempfile.TemporaryDirectory() as runtime:
+        environment = {"XDG_RUNTIME_DIR": runtime, **os.environ, "RUST_LOG": "off", "RERUN_APP_ONLY": "true"}
+        viewer = subprocess.Popen(command, env=environment)
+        try:
+            client = connected(f"rerun+http://127.0.0.1:{port}/proxy")
+            (timeline,) = [t for t in client.get_state().recordings[0].timelines if t.name == "log time"]
+            client.set_time("log time", duration=timeline.start * 1e-9 + SECONDS, play_state="paused")
+            time.sleep(8.0)  # notices fade, pictures are decoded
+            return bytes(client.take_screenshot())
+        finally:
+            viewer.terminate()
+            viewer.wait(10)
+
+
+def connected(url: str) -> Any:
+    """Return a client of the viewer, once it has loaded the recording."""
+    from rerun.experimental import ViewerClient
+
+    deadline = time.monotonic() + 60.0
+    while True:
+        try:
+            client = ViewerClient.connect(url)
+            state = client.get_state()
+            if state.recordings and state.views and not state.loading:
+                return client
+        except (ConnectionError, RuntimeError):
+            if time.monotonic() > deadline:
+                raise
+        time.sleep(0.3)
+
+
+def main(tab: str = TAB, target: str = str(Path(__file__).with_name("rerun.png"))) -> None:
+    """Write the picture."""
+    warnings.simplefilter("ignore")  # ViewerClient is experimental
+    with tempfile.TemporaryDirectory() as folder:
+        recording = Path(folder) / "drive.rrd"
+        record(recording, tab)
+        picture = cv2.imdecode(np.frombuffer(screenshot(recording), np.uint8), cv2.IMREAD_COLOR)
+    cv2.imwrite(target, picture[TOP_BAR:], [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    print(target)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -135,6 +135,7 @@ def _read_sensor(values: Mapping[str, Any]) -> SensorCredit:
         last=_read_effect(values["leave_one_out"]),
         share=values["share"],
         anees=None if None in anees else anees,
+        beside=tuple(values.get("beside", ())),
     )
 
 

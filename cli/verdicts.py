@@ -56,6 +56,7 @@ def _sensor_values(c: SensorCredit) -> dict[str, Any]:
         "share": c.share,
         "anees_without": None if c.anees is None else c.anees[0],
         "anees_with": None if c.anees is None else c.anees[1],
+        "beside": list(c.beside),
     }
 
 

@@ -101,7 +101,7 @@ def test_the_table_for_machines_has_a_row_per_log_and_configuration() -> None:
 
 def sensor(ln: float) -> SensorCredit:
     effect = Effect(ln, ln - 0.5, ln + 0.5, ln)
-    return SensorCredit("helps", effect, effect, None, 0.5, (1.0, 1.5))
+    return SensorCredit("helps", effect, effect, None, 0.5, (1.0, 1.5), ("compass",))
 
 
 def test_credit_is_read_back_as_it_was_written() -> None:
@@ -112,6 +112,7 @@ def test_credit_is_read_back_as_it_was_written() -> None:
     assert effect is not None
     assert (effect.value, effect.low, effect.high, effect.expected) == pytest.approx((0.7, 0.2, 1.2, 0.7))
     assert back.sensors["lrf"].last is None
+    assert back.sensors["lrf"].beside == ("compass",)
     assert (back.sensors["lrf"].anees, back.method, back.block_s) == ((1.0, 1.5), credit.method, 3.0)
 
 

@@ -119,6 +119,7 @@ def compare(
     else:
         show.figures(report)
         show.verdicts(report)
+        show.consistency(report)
         click.echo(f"{folder}: {', '.join(sorted(files))}")
     show.notes(report, lost, how.quiet)
     record(rerun, loaded, compared.estimates, compared.evaluations, report, folder)

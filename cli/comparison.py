@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, cast
 
+from ..fusion.consistency import Run
 from ..fusion.credit import Credit, credit
 from ..fusion.data import Drive, Estimates, Evaluation
 from ..fusion.evaluate import evaluate
@@ -16,6 +17,7 @@ from . import results
 from .configurations import Configuration
 from .filters import fuser
 from .load import Loaded
+from .trust import add_consistency
 from .verdicts import credit_values, prediction_values, verdicts
 
 PSEUDO = (
@@ -93,6 +95,9 @@ def report_of(compared: Compared) -> dict[str, Any]:
     report["verdicts"] = verdicts(compared.credit, compared.scores, sets)
     report["credit"] = None if compared.credit is None else credit_values(compared.credit)
     report["prediction"] = prediction_values(compared.scores, list(sets)) if compared.scores else None
+    drive = compared.loaded.drive
+    runs = [Run(c.drive(drive), e) for c, e in zip(compared.configurations, compared.estimates, strict=False)]
+    add_consistency(report, runs, compared.evaluations, compared.loaded.robot)
     add_pseudo_reference(report, compared.loaded.drive, compared.estimates)
     return report
 

@@ -64,9 +64,11 @@ def run(
     from ..formats import report_json, trajectory
     from ..formats.audit_csv import audit_csv
     from ..formats.outdir import whole_file, write_results
+    from ..fusion.consistency import Run
     from ..fusion.evaluate import evaluate
     from . import configurations, results, show
     from .load import find_log, load
+    from .trust import add_consistency
 
     kinds = chosen(write, KINDS)
     with show.progress(how.quiet) as progress:
@@ -78,6 +80,7 @@ def run(
         found = configuration.fuse_and_smooth(drive, robot) if smooth else (configuration.fuse(drive, robot),)
         judged = [evaluate(e, configuration.drive(drive), align) for e in found]  # type: ignore[arg-type]
         report = results.build(loaded, judged)
+        add_consistency(report, [Run(configuration.drive(drive), found[0])], judged, robot)
         progress("writing")
         files: dict[str, str] = {"robot.toml": results.robot_file(robot)}
         for name, estimates in zip(("trajectory", "smoothed"), found, strict=False):
@@ -98,6 +101,7 @@ def run(
         click.echo(report_json.encode(report), nl=False)
     else:
         show.figures(report)
+        show.consistency(report)
         click.echo(f"{folder}: {', '.join(sorted(files))}")
     show.notes(report, lost, how.quiet)
     record(rerun, loaded, found, judged, report, folder)

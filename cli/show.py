@@ -127,3 +127,14 @@ def verdicts(report: Mapping[str, Any]) -> None:
     console = Console()
     for sensor, verdict in report["verdicts"].items():
         console.print(Text.assemble((f"{sensor} {verdict['verdict']}. ", "bold"), verdict["words"]))
+
+
+def consistency(report: Mapping[str, Any]) -> None:
+    """Print what is not as robot.toml says of the sensors' noise, and how to cure it."""
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console()
+    for found in report.get("consistency", {}).values():
+        if found["verdict"] != "consistent":
+            console.print(Text.assemble(("Noise: ", "bold"), found["words"]))

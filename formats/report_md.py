@@ -27,6 +27,7 @@ def render(report: Mapping[str, Any]) -> str:
         _table(report, main=True),
         _truth_line(report),
         _prediction(report),
+        _listing("Noise", {v["words"]: "" for v in report.get("consistency", {}).values()}),
         _listing("Notes", dict.fromkeys(report["notes"], "")),
         _folded("All figures, sensors, and what was dropped", details),
         f"Input {code(source['sha256'][:16])}, locfuse {escape(report['locfuse'])}. Deviation = estimate - truth.",

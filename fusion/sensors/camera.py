@@ -70,6 +70,7 @@ class Camera:
 
     name: ClassVar[str] = "camera"
     Settings: ClassVar[type[SensorSettings]] = CameraSettings
+    bias_key: ClassVar[tuple[str, float]] = ("zero_deg", -1.0)  # what cures a mean innovation, and its sign
     in_blocks: ClassVar[bool] = True  # pictures are never all in memory
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "sensor_msgs/msg/CompressedImage": ("data", "format"),

@@ -46,6 +46,9 @@ class Compass:
 
     name: ClassVar[str] = "compass"
     Settings: ClassVar[type[SensorSettings]] = CompassSettings
+    bias_key: ClassVar[tuple[str, float]] = ("offset_deg", 1.0)  # what cures a mean innovation, and its sign
+    estimates_bias: ClassVar[bool] = True  # where that key is left out
+    drift_key: ClassVar[str] = "offset_drift_deg"  # what cures slow errors
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "sensor_msgs/msg/MagneticField": ("magnetic_field.x", "magnetic_field.y", "magnetic_field.z"),
         "sensor_msgs/msg/Imu": (

@@ -1,0 +1,163 @@
+"""Can the covariance be trusted? A verdict on every sensor's noise, without truth, in words that name the cure.
+
+A sensor is best judged by a run that does not use it and is healthy itself; else by its own innovations. Where two
+sensors disagree, the one that others disagree with too is to blame. A run that uses a sensor whose noise is
+understated judges nobody else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from .cures import (
+    LARGER,
+    REFUSED_LINES,
+    Finding,
+    Verdict,
+    biased,
+    by_itself,
+    by_witness,
+    contradicting,
+    disagrees,
+)
+from .data import Drive, Estimates
+from .innovations import Heard, Own, heard, own
+from .robot import Robot
+
+SICK = LARGER**2  # a run with a sensor whose variance is understated by more is no witness
+LEAST = 20  # readings
+
+
+@dataclass(frozen=True)
+class Consistency:
+    """What one run's innovations say of one sensor, and the verdict that all runs together reach."""
+
+    verdict: Verdict
+    words: str
+    nis_bounds: tuple[float, float] | None = None  # 95 % bounds of the mean NIS per degree of freedom
+    bias_sigma: tuple[float, ...] = ()  # mean innovation in predicted standard deviations
+    whiteness: tuple[float, ...] = ()  # autocorrelation of the innovations at lags 1, 2, ...
+    scale: float | None = None  # by which the sensor's sigma should be multiplied
+    refused: float | None = None  # share of what was compared
+    cures: Mapping[str, float] = field(default_factory=dict)  # robot.toml key -> value
+
+
+class Run(NamedTuple):
+    """One configuration's result on the drive as it saw it."""
+
+    drive: Drive
+    estimates: Estimates
+
+
+def judge(runs: Sequence[Run], robot: Robot) -> dict[str, dict[str, Consistency]]:
+    """Return the consistency of every sensor in every configuration: configuration -> sensor -> Consistency."""
+    court = Court([r for r in runs if not r.estimates.smoothed], robot)
+    findings = {s: court.finding(s) for s in court.sensors}
+    return {
+        r.estimates.name: {s: court.in_run(r, s, findings[s]) for s in r.estimates.sensors} for r in court.runs
+    }
+
+
+class Court:
+    """The evidence of all runs."""
+
+    def __init__(self, runs: Sequence[Run], robot: Robot) -> None:
+        self.robot, self.runs = robot, runs
+        self.sensors = sorted({s for r in runs for s in r.estimates.sensors})
+        self.own: dict[tuple[str, str], Own | None] = {
+            (r.estimates.name, s): own(r.estimates.audits[s], r.drive.measurements[s])
+            for r in runs
+            for s in r.estimates.sensors
+        }
+        self._heard: dict[tuple[str, str], Heard | None] = {}
+        self.blamed: dict[str, Heard] = {}
+        self.contradict: set[str] = set()
+        self._blame()
+
+    def in_run(self, run: Run, sensor: str, found: Finding) -> Consistency:
+        """Return the run's own figures with the verdict that all runs reach."""
+        o = self.own[run.estimates.name, sensor]
+        if o is None:
+            return Consistency(found.verdict, found.words, scale=found.scale, cures=found.cures)
+        return Consistency(
+            found.verdict, found.words, o.bounds, o.bias, o.whiteness, found.scale, o.refused, found.cures
+        )
+
+    def finding(self, sensor: str) -> Finding:
+        """Return the verdict on a sensor and its words."""
+        settings = self.robot.settings(sensor)
+        if sensor in self.blamed:
+            return biased(sensor, settings, self.blamed[sensor].bias or 0.0)
+        if sensor in self.contradict:
+            return contradicting(sensor, sorted(self.contradict - {sensor}))
+        for _, evidence in self.witnesses(sensor)[:1]:
+            found = by_witness(sensor, settings, evidence)
+            if found is not None:
+                return found
+        run = self._purest(sensor)
+        mine = None if run is None else self.own[run.estimates.name, sensor]
+        if run is None or mine is None or mine.compared < LEAST:
+            return self._unclear(sensor)
+        m = run.drive.measurements[sensor]
+        period = float(np.median(np.diff(m.t)))
+        return by_itself(sensor, settings, mine, np.diagonal(m.floor).tolist(), period)
+
+    def _unclear(self, sensor: str) -> Finding:
+        sick = sorted({s for (_, s), o in self.own.items() if s != sensor and o is not None and o.scale > SICK})
+        why = f"{' and '.join(sick)} must be set right first" if sick else "too few measurements"
+        return Finding("unclear", f"{sensor} cannot be judged: {why}")
+
+    def witnesses(self, sensor: str) -> list[tuple[Run, Heard]]:
+        """Return healthy runs without the sensor and without a blamed one, the surest first."""
+        found = []
+        for run in self.runs:
+            used = set(run.estimates.sensors)
+            if used and not used & {sensor, *self.blamed} and self._healthy(run):
+                evidence = self._hear(run, sensor)
+                if evidence is not None and evidence.readings >= LEAST:
+                    found.append((run, evidence))
+        return sorted(found, key=lambda w: w[1].reference)
+
+    def _hear(self, run: Run, sensor: str) -> Heard | None:
+        key = run.estimates.name, sensor
+        if key not in self._heard:
+            self._heard[key] = heard(run.drive, self.robot, run.estimates, sensor)
+        return self._heard[key]
+
+    def _healthy(self, run: Run, but: str = "") -> bool:
+        """Whether no sensor of a run (except one) has understated noise or is mostly refused."""
+        found = [self.own[run.estimates.name, s] for s in run.estimates.sensors if s != but]
+        return all(o is not None and o.scale < SICK and o.refused < REFUSED_LINES for o in found)
+
+    def _purest(self, sensor: str) -> Run | None:
+        """Return the run with the fewest other sensors, all healthy, that uses a sensor."""
+        using = [r for r in self.runs if sensor in r.estimates.sensors]
+        pure = [r for r in using if self._healthy(r, sensor) or self._worst(r) == sensor]
+        return min(pure, key=lambda r: len(r.estimates.sensors)) if pure else None
+
+    def _worst(self, run: Run) -> str:
+        """Return the sensor of a run whose innovations are the most too large."""
+        scales = {s: o.scale for s in run.estimates.sensors if (o := self.own[run.estimates.name, s])}
+        return max(scales, key=lambda s: scales[s]) if scales else ""
+
+    def _blame(self) -> None:
+        """Find the sensors whose mean is off, the surest evidence first."""
+        surest = {s: found[0][1] for s in self.sensors if (found := self.witnesses(s))}
+        for s in sorted(surest, key=lambda s: surest[s].reference):
+            found = self.witnesses(s)
+            if not found or not disagrees(found[0][1]):
+                continue
+            run, evidence = found[0]
+            rivals = [x for x in run.estimates.sensors if x in surest]
+            others = {x: [w for r, w in self.witnesses(x) if s not in r.estimates.sensors] for x in rivals}
+            if any(disagrees(w) for found_x in others.values() for w in found_x[:1]):
+                continue  # the witness is contradicted by others, and its turn comes
+            if rivals and not any(others.values()):
+                self.contradict |= {s, *rivals}
+            else:
+                self.blamed[s] = evidence
+        self.contradict -= self.blamed.keys()

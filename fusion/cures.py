@@ -1,0 +1,192 @@
+"""Verdicts on one sensor's noise and the words that name the cure: the key of robot.toml and its value."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from .innovations import Heard, Own
+from .sensors.registry import REGISTRY
+
+Verdict = Literal[
+    "consistent", "understated", "overstated", "biased", "contradicts", "correlated", "outliers", "unclear"
+]
+LARGER, SMALLER = 1.5, 1.0 / 1.5  # a factor on sigma between these is no complaint
+SURE = 3.0  # standard errors
+NOTABLE = 0.5  # of its noise: a smaller bias is no complaint
+SLOW = 3.0  # times the reference's own variance: slower errors must be the sensor's
+LONG = 4.0  # times the told variance: what a mean of many readings may be off
+CLEAR = 4.0  # times the sensor's variance: a reference with more is no judge
+WHITE = 0.3  # share of the innovations' variance: less is not white noise
+REPEATS = 0.5  # autocorrelation of innovations that follow their sensor's own slow errors
+WANDERS = 0.25  # autocorrelation of innovations from which the prediction is said to wander
+REFUSED, REFUSED_LINES = 0.05, 0.25  # share of readings; of the lines of scans
+
+
+NOISE = ("sigma", "sigma_deg", "sigma_range", "sigma_angle_deg")  # keys that say how exact a reading is
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A verdict, its words, and what to write into robot.toml."""
+
+    verdict: Verdict
+    words: str
+    scale: float | None = None  # by which the sensor's sigma should be multiplied
+    cures: Mapping[str, float] = field(default_factory=dict)  # table.key -> value
+
+
+def disagrees(h: Heard) -> bool:
+    """Return whether a sensor's mean is surely and notably off a run that does not use it."""
+    return h.bias is not None and abs(h.bias) > max(SURE * h.sure, NOTABLE * math.sqrt(h.white))
+
+
+def by_witness(sensor: str, settings: Any, h: Heard) -> Finding | None:
+    """Judge a sensor by a run that does not use it; None where that run is too vague."""
+    noise = min(h.white, max(h.spread - h.reference, 0.5 * h.white))
+    if h.slow > SLOW * h.reference and h.slow > 0.1 * h.white and not _drifts(sensor, settings, h):
+        return by_memory(sensor, settings, h.spread, h.memory, h.period, h.R)
+    if h.reference > CLEAR * noise:
+        return None
+    return by_share(sensor, h.wild, False, by_scale(sensor, settings, math.sqrt(noise / h.R)))
+
+
+def by_itself(sensor: str, settings: Any, o: Own, floor: Sequence[float], period: float) -> Finding:
+    """Judge a sensor by the innovations of a run that uses it."""
+    lines = len(o.R) > 1
+    if not lines and abs(o.middle[0]) > max(SURE * o.sure[0], math.sqrt(o.R[0])):
+        return biased(sensor, settings, o.middle[0])
+    if not lines and o.white < WHITE and o.whiteness[0] > REPEATS:
+        repeats = 1.0 + 2.0 * o.whiteness[0] / (1.0 - min(o.whiteness[0], 0.98))  # as of a Markov chain
+        # the state has followed the slow errors, so that the innovations show a part of them
+        return by_memory(sensor, settings, o.R[0] * o.nis, repeats, period, o.R[0] / LONG)
+    if o.raw > SMALLER and o.whiteness[0] > WANDERS:
+        return wanders(sensor, o)
+    factor = _on_sigma(o, floor)
+    if SMALLER < o.raw < 1.0:
+        factor = max(factor, SMALLER)  # innovations as large as told do not say that noise is overstated
+    return by_share(sensor, o.refused, lines, by_scale(sensor, settings, factor))
+
+
+def _drifts(sensor: str, settings: Any, h: Heard) -> bool:
+    """Whether an estimated offset already drifts as much as the slow errors need."""
+    key = getattr(REGISTRY[sensor], "drift_key", None)
+    if key is None or h.bias is not None:
+        return False
+    return (
+        float(getattr(settings, key)) > 0.5 * _human(math.sqrt(4.0 * h.spread / h.memory / h.period), settings)[0]
+    )
+
+
+def by_memory(sensor: str, settings: Any, variance: float, repeats: float, period: float, R: float) -> Finding:
+    """Judge slow errors: a mean of many readings is only as good as variance * repeats over their number."""
+    if variance * repeats > LONG * R:
+        return correlated(sensor, settings, math.sqrt(variance), repeats, period)
+    return by_scale(sensor, settings, min(1.0, math.sqrt(variance * repeats / R)))
+
+
+def _on_sigma(o: Own, floor: Sequence[float]) -> float:
+    """Turn a factor on R = sigma^2 R_unit + floor into the factor on sigma."""
+    parts = [(max(o.scale * r - f, 0.0) / (r - f)) for r, f in zip(o.R, floor, strict=True) if r > 1.1 * f]
+    return max(math.sqrt(sum(parts) / len(parts)) if parts else math.sqrt(o.scale), 0.1)
+
+
+def by_scale(sensor: str, settings: Any, factor: float) -> Finding:
+    """Complain about a sigma that is off by more than LARGER."""
+    if SMALLER <= factor <= LARGER:
+        return Finding("consistent", f"{sensor} noise is about as told", factor)
+    keys = noise_keys(settings)
+    cures = {f"{sensor}.{k}": rounded(getattr(settings, k) * factor) for k in keys}
+    verdict: Verdict = "understated" if factor > 1.0 else "overstated"
+    times = f"{rounded(max(factor, 1.0 / factor)):g} times {'larger' if factor > 1.0 else 'smaller'}"
+    first, *others = keys
+    words = f"{sensor} noise is {verdict}: {first} should be about {times} ({cures[f'{sensor}.{first}']:g})"
+    if others:
+        words += ", and so " + ", ".join(f"{k} ({cures[f'{sensor}.{k}']:g})" for k in others)
+    return Finding(verdict, words, factor, cures)
+
+
+def biased(sensor: str, settings: Any, bias: float) -> Finding:
+    """Complain about a mean that is off; `bias` is measured minus predicted [rad or m]."""
+    amount, unit = _human(bias, settings)
+    words = f"{sensor} disagrees with what the other sensors say by {amount:+.2g} {unit} on average"
+    key, sign = getattr(REGISTRY[sensor], "bias_key", (None, 0.0))
+    if key is None:
+        return Finding("biased", words)
+    value = _turned((getattr(settings, key) or 0.0) + sign * amount)
+    words += f": set {sensor}.{key}={value:g}"
+    if getattr(settings, key) is not None and getattr(REGISTRY[sensor], "estimates_bias", False):
+        words += f", or leave {key} out and let it be estimated"
+    return Finding("biased", words, None, {f"{sensor}.{key}": value})
+
+
+def contradicting(sensor: str, others: Sequence[str]) -> Finding:
+    """Complain about sensors of which nobody can say which is wrong."""
+    words = f"{sensor} and {' and '.join(others)} contradict each other; nothing else here can say which is wrong"
+    return Finding("contradicts", words)
+
+
+def correlated(sensor: str, settings: Any, sigma: float, repeats: float, period: float) -> Finding:
+    """Complain about slow errors: `sigma` [rad or m], repeating over so many readings."""
+    memory = repeats * period
+    amount, unit = _human(sigma, settings)
+    key = noise_keys(settings)[0]
+    value = rounded(amount * math.sqrt(repeats))
+    cures = {f"{sensor}.{key}": value}
+    parts = [f"{key} about {value:g}", f"fewer readings (--sensors {sensor}@{rounded(1.0 / memory):g}Hz)"]
+    drift = getattr(REGISTRY[sensor], "drift_key", None)
+    if drift is not None:
+        cures[f"{sensor}.{drift}"] = q = rounded(amount * math.sqrt(4.0 / memory))
+        offset, _ = getattr(REGISTRY[sensor], "bias_key", ("", 0.0))
+        given = getattr(settings, offset, None) is not None
+        parts.insert(0, f"{'an estimated offset with ' if given else ''}{drift} about {q:g}")
+    words = (
+        f"{sensor} errors are correlated in time: {amount:.1f} {unit} that last {memory:.1f} s, while the filter "
+        f"takes every reading for news. Cures: {', or '.join(parts)}"
+    )
+    return Finding("correlated", words, math.sqrt(repeats), cures)
+
+
+def wanders(sensor: str, o: Own) -> Finding:
+    """Complain about innovations that repeat without being small: what is predicted wanders off."""
+    words = (
+        f"{sensor} innovations repeat from reading to reading ({o.whiteness[0]:.0%}, NIS {o.nis:.1f}): the "
+        "motion is less certain than wheels.noise says, or its errors are systematic (wheels.track, "
+        f"{sensor}.time_offset, a metre that differs): see the notes, locfuse calibrate, then locfuse tune"
+    )
+    return Finding("correlated", words)
+
+
+def by_share(sensor: str, share: float, lines: bool, rest: Finding) -> Finding:
+    """Say that many readings are refused, unless their noise is understated anyway."""
+    if share <= (REFUSED_LINES if lines else REFUSED) or rest.verdict == "understated":
+        return rest
+    if lines:
+        words = (
+            f"{share:.0%} of its lines do not fit the map: people, or a wrong time_offset, mount or range scale"
+        )
+    else:
+        words = f"{share:.0%} of what it says is refused as outliers or disturbances; the rest is as told"
+    return Finding("outliers", f"{sensor}: {words}")
+
+
+def noise_keys(settings: Any) -> list[str]:
+    """Return the settings that say how exact a reading is."""
+    return [k for k in settings.__struct_fields__ if k in NOISE]
+
+
+def _human(value: float, settings: Any) -> tuple[float, str]:
+    """Return an amount in the unit of the sensor's sigma: degrees, or metres."""
+    angular = noise_keys(settings)[0].endswith("_deg")
+    return (math.degrees(value), "deg") if angular else (value, "m")
+
+
+def rounded(value: float) -> float:
+    """Return a number with two digits that mean something."""
+    return float(f"{value:.2g}")
+
+
+def _turned(degrees: float) -> float:
+    return round((degrees + 180.0) % 360.0 - 180.0, 2)

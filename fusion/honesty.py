@@ -1,0 +1,56 @@
+"""Where there is truth: are the errors as large as the filter says, all states together and each on its own?"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .data import Evaluation
+from .gates import mean_bounds
+from .resample import effective_samples
+
+CONFIDENCE = 0.95
+STATES = ("x", "y", "theta")
+
+
+@dataclass(frozen=True)
+class Honesty:
+    """Mean squared error over predicted variance: 1 is right, more is over-confident."""
+
+    anees: float
+    bounds: tuple[
+        float, float
+    ]  # where ANEES of an honest filter lies at CONFIDENCE, for one drive's worth of errors
+    states: Mapping[str, float] = field(default_factory=dict)  # of x, y and theta, each on its own
+    state_bounds: tuple[float, float] = (0.0, math.inf)
+    independent: float = 1.0  # how many independent errors the drive is worth
+    words: str = ""
+
+
+def honesty(judged: Evaluation) -> Honesty | None:
+    """Return how honest a configuration's covariance is; None without truth or after alignment."""
+    anees = judged.figures.get("anees")
+    e = judged.deviation if judged.heading is None else np.column_stack((judged.deviation, judged.heading))
+    sigma = judged.sigma[:, : e.shape[1]]
+    good = np.isfinite(judged.nees) & (sigma > 0).all(axis=1)
+    if anees is None or good.sum() < 2:
+        return None
+    unit = e[good] / sigma[good]
+    independent = effective_samples(unit)
+    bounds = mean_bounds(CONFIDENCE, unit.shape[1], independent)
+    states = dict(zip(STATES, (unit**2).mean(axis=0).tolist(), strict=False))
+    alone = mean_bounds(CONFIDENCE, 1, independent)
+    return Honesty(anees, bounds, states, alone, independent, _words(anees, bounds))
+
+
+def _words(anees: float, bounds: tuple[float, float]) -> str:
+    low, high = bounds
+    within = f"ANEES {anees:.2f}; an honest filter's lies within {low:.2f} and {high:.2f} on such a drive"
+    if anees > high:
+        return f"over-confident: errors are about {math.sqrt(anees):.1f} times what the covariance says ({within})"
+    if anees < low:
+        return f"too modest: errors are about {math.sqrt(anees):.1f} times what the covariance says ({within})"
+    return f"honest ({within})"

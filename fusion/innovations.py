@@ -1,0 +1,226 @@
+"""What innovations say of the noise a filter was told of, without truth (Mehra 1970; Bar-Shalom et al. 2001).
+
+`own` judges a sensor by the run that uses it: the filter has followed it, so that its errors show twice, in the
+innovation and in the state. `heard` judges a sensor by a run that does not use it: there its errors show alone.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .data import VERDICTS, Array, Audit, Drive, Estimates, Ints, Measurements
+from .gates import chi_square, mean_bounds
+from .robot import Robot
+from .se2 import wrap_all
+from .sensors.base import Block
+from .sensors.registry import REGISTRY
+
+ACCEPTED, GATE, UNMATCHED, DISTURBED, LOST = (
+    VERDICTS.index(v) for v in ("accepted", "gate", "unmatched", "disturbed", "lost")
+)
+CONFIDENCE = 0.95
+LAGS = 5
+MEMORY = 0.05  # autocorrelation below which errors have forgotten
+MOST_HEARD, STRETCH = 1500, 150  # readings that are heard, in stretches so that neighbours stay neighbours
+WILD = 6.0  # sigmas (by the median deviation) beyond which a reading is an outlier
+MAD = 0.6745  # median absolute deviation of a normal distribution
+
+
+class Own(NamedTuple):
+    """One sensor's innovations in a run that used it."""
+
+    compared: int
+    refused: float  # share
+    nis: float  # mean per degree of freedom of what was accepted
+    bounds: tuple[float, float]  # of the mean, for as many independent values
+    bias: tuple[float, ...]  # mean in predicted standard deviations, of all that was compared
+    middle: tuple[float, ...]  # median innovation, of all that was compared
+    sure: tuple[float, ...]  # standard error of it
+    whiteness: tuple[float, ...]  # autocorrelation at lags 1..LAGS
+    raw: float  # factor on the innovations' covariance S
+    scale: float  # factor on the covariance R
+    white: float  # share of the innovations' variance that is white
+    R: tuple[float, ...]  # mean variance told
+
+
+class Heard(NamedTuple):
+    """One sensor's readings against a run that did not use it."""
+
+    readings: int
+    wild: float  # share of outliers
+    bias: float | None  # None where the sensor's own offset is unknown
+    sure: float  # standard error of the bias, the reference's own uncertainty included
+    white: float  # variance of the part that is new in every reading
+    slow: float  # covariance of neighbouring readings
+    spread: float  # variance
+    memory: float  # readings over which the errors repeat: 1 is white
+    period: float  # s between readings
+    reference: float  # variance of the reference, as it says itself
+    R: float  # variance told
+
+
+def own(audit: Audit, m: Measurements) -> Own | None:
+    """Return what a run's innovations of one sensor say; None where too few were compared."""
+    d = audit.y.shape[1]
+    used = np.flatnonzero(audit.verdict == ACCEPTED)
+    far = np.isin(audit.verdict, (GATE, UNMATCHED)) & (audit.nis > audit.threshold)
+    compared = np.flatnonzero((audit.verdict == ACCEPTED) | (far & (audit.verdict == GATE)))
+    if len(compared) < 2 * LAGS:
+        return None
+    y, mark = audit.y[compared], audit.landmark[compared]
+    unit = y / audit.sigma[compared]
+    middle = np.median(y, axis=0)
+    deviation = np.median(np.abs(y - middle), axis=0) / MAD
+    whiteness = _by_landmark(unit - np.median(unit, axis=0), mark)
+    R = np.diagonal(m.R[audit.row[compared]], axis1=1, axis2=2)
+    told = float(np.median(audit.sigma[compared] ** 2 / R))  # S / R; the first S of an unknown offset is enormous
+    nis = audit.nis[used]
+    raw = _scale(nis, int(far.sum()), d)
+    refused = int(np.isin(audit.verdict, (GATE, UNMATCHED, LOST)).sum())
+    return Own(
+        compared=len(compared),
+        refused=refused / (len(used) + refused),
+        nis=float(nis.mean()) / d if len(nis) else math.nan,
+        bounds=mean_bounds(CONFIDENCE, d, max(1.0, len(nis) / _repeats(nis, audit.landmark[used]))),
+        bias=tuple(unit.mean(axis=0).tolist()),
+        middle=tuple(middle.tolist()),
+        sure=tuple((deviation * math.sqrt(_memory(np.append(1.0, whiteness)) / len(y))).tolist()),
+        whiteness=tuple(whiteness.tolist()),
+        raw=raw,
+        scale=raw * min(max(1.0 - whiteness[0] * told, 0.3), 2.0),
+        white=max(1.0 / told - whiteness[0], 0.0),
+        R=tuple(R.mean(axis=0).tolist()),
+    )
+
+
+def _scale(nis: Array, far: int, dof: int) -> float:
+    """Return the variance scale of chi-square values of which `far` lie beyond a gate: by the median of all."""
+    every = np.sort(nis)
+    at = (len(every) + far) // 2
+    return float(every[at]) / chi_square(0.5, dof) if at < len(every) else math.inf
+
+
+def _repeats(values: Array, landmark: Ints) -> float:
+    """Return over how many neighbours (k,) values repeat."""
+    return _memory(np.append(1.0, _by_landmark(values[:, None] - values.mean(), landmark))) if len(values) else 1.0
+
+
+def _by_landmark(values: Array, landmark: Ints) -> Array:
+    """Autocorrelation at lags 1..LAGS of values (k, d) along the sequence of each landmark, (LAGS,)."""
+    if len(values) < 2:
+        return np.zeros(LAGS)
+    order = np.argsort(landmark, kind="stable")
+    v, mark = values[order], landmark[order]
+    variance = np.maximum((v**2).mean(axis=0), 1e-300)
+    out = np.zeros(LAGS)
+    for lag in range(1, min(LAGS, len(v) - 1) + 1):
+        same = mark[lag:] == mark[:-lag]
+        if same.any():
+            out[lag - 1] = float(((v[lag:] * v[:-lag])[same].mean(axis=0) / variance).mean())
+    return out
+
+
+class Frozen:
+    """A belief that stands still: an estimate of another run, blocks at their start and certain."""
+
+    def __init__(self, blocks: list[Block]) -> None:
+        self.x = self.y = self.theta = 0.0
+        self._P: list[list[float]] = []
+        self._blocks = {b.name: b.x for b in blocks}
+
+    def at(self, pose: list[float], P: list[list[float]]) -> None:
+        """Stand at a pose with covariance P (3, 3)."""
+        (self.x, self.y, self.theta), self._P = pose, P
+
+    def block(self, name: str) -> tuple[int, Array]:
+        """Return a column and the block's start."""
+        return 3, self._blocks[name]
+
+    def spread(self, H: Any, columns: Any = (), H_block: Any = ()) -> tuple[tuple[float, ...], ...]:
+        """Return H P H' of the pose alone."""
+        rows = [[sum(h[i] * self._P[i][j] for i in range(3)) for j in range(3)] for h in H]
+        return tuple(tuple(sum(r[j] * h[j] for j in range(3)) for h in H) for r in rows)
+
+
+def heard(drive: Drive, robot: Robot, run: Estimates, sensor: str) -> Heard | None:
+    """Return how a sensor that measures one number agrees with a run that did not use it; None if it cannot be."""
+    m = drive.measurements[sensor]
+    model = REGISTRY[sensor].model(robot.settings(sensor))
+    if model.joint or m.z.shape[1] != 1 or len(m.t) < 2 * LAGS:
+        return None
+    blocks = model.blocks()
+    belief, rows = Frozen(blocks), []
+    readings = _some(len(m.t))
+    instants = drive.instant[sensor][readings]
+    poses, covariances = run.pose[instants].tolist(), run.P[instants].tolist()
+    for i, pose, P in zip(readings.tolist(), poses, covariances, strict=True):
+        belief.at(pose, P)
+        seen = model.innovations(m, i, belief)
+        if seen and seen[0].verdict != DISTURBED:
+            best = seen[0]
+            rows.append((float(m.t[i]), best.y[0], best.sigma[0] ** 2 - best.R[0][0], best.R[0][0]))
+    return _agreement(np.array(rows), bool(blocks)) if len(rows) >= 2 * LAGS else None
+
+
+def _some(n: int) -> Ints:
+    """Return all of n readings, or evenly spread stretches of neighbours."""
+    if n <= MOST_HEARD:
+        return np.arange(n)
+    starts = np.linspace(0, n - STRETCH, MOST_HEARD // STRETCH).astype(np.int64)
+    return (starts[:, None] + np.arange(STRETCH)).ravel()
+
+
+def _agreement(rows: Array, unknown: bool) -> Heard:
+    """Return the figures of readings (k, 4): t, y, variance of the reference, R. `unknown`: y has an offset."""
+    mean = math.atan2(float(np.sin(rows[:, 1]).mean()), float(np.cos(rows[:, 1]).mean()))
+    y = wrap_all(rows[:, 1] - mean)
+    middle = float(np.median(y))
+    deviation = float(np.median(np.abs(y - middle))) / MAD
+    tame = np.abs(y - middle) <= WILD * max(deviation, 1e-12)
+    t, _, h, R = rows[tame].T
+    y = y[tame]
+    centred = y - y.mean()
+    variance = float((centred**2).mean())
+    period = float(np.median(np.diff(t)))
+    near = np.diff(t) < 1.5 * period + 1e-9
+    white = 0.5 * float((np.diff(y)[near] ** 2).mean()) if near.any() else variance
+    correlation = _autocorrelation(centred, t, period)
+    memory = _memory(correlation)
+    bias = None if unknown else float(wrap_all(np.asarray(mean + y.mean())))
+    sure = math.sqrt(variance * memory / len(y) + float(h.mean()))
+    return Heard(
+        len(y),
+        1.0 - float(tame.mean()),
+        bias,
+        sure,
+        white,
+        variance - white,
+        variance,
+        memory,
+        period,
+        float(h.mean()),
+        float(R.mean()),
+    )
+
+
+def _autocorrelation(y: Array, t: Array, period: float) -> Array:
+    """Autocorrelation of y (k,) at lags 0.. of whole periods, pairs across a gap left out."""
+    n = len(y)
+    variance = float((y**2).mean())
+    out = [1.0]
+    for lag in range(1, min(n // 2, STRETCH)):
+        near = t[lag:] - t[:-lag] < (lag + 0.5) * period
+        if not near.any() or out[-1] < MEMORY:
+            break
+        out.append(float((y[lag:] * y[:-lag])[near].mean()) / max(variance, 1e-300))
+    return np.array(out)
+
+
+def _memory(correlation: Array) -> float:
+    """Return over how many values errors repeat: 1 + 2 sum of the autocorrelation until it is forgotten."""
+    forgotten = np.flatnonzero(correlation < MEMORY)
+    end = int(forgotten[0]) if len(forgotten) else len(correlation)
+    return 1.0 + 2.0 * float(correlation[1:end].sum())

@@ -1,0 +1,271 @@
+"""Verdicts on noise: figures against scalar filters of known noise, words against drives with a wrong setting."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import small_drive
+from commands import locfuse
+from small_drive import Array
+
+from locfuse.fusion.consistency import Consistency, Run, judge
+from locfuse.fusion.data import Audit, Drive, Evaluation, Measurements
+from locfuse.fusion.fuse import fuse
+from locfuse.fusion.honesty import honesty
+from locfuse.fusion.innovations import heard, own
+from locfuse.fusion.robot import Robot
+
+# --- one number that wanders, measured with noise: a scalar Kalman filter from the book
+
+
+def scalar_filter(
+    seed: int, q: float, r: float, told: float, n: int = 2000, gate: float = 15.1
+) -> tuple[Audit, Measurements]:
+    rng = np.random.default_rng(seed)
+    x, found, P = 0.0, 0.0, 0.0
+    rows = []
+    for k in range(n):
+        x += math.sqrt(q) * rng.normal()
+        P += q
+        y, S = x + math.sqrt(r) * rng.normal() - found, P + told
+        accepted = y * y / S <= gate
+        rows.append((k, 0 if accepted else 1, y * y / S, y, math.sqrt(S)))
+        if accepted:
+            found += P / S * y
+            P -= P * P / S
+    k, verdict, nis, y, sigma = np.array(rows).T
+    audit = Audit(
+        k.astype(np.int64),
+        k.astype(np.int64),
+        verdict.astype(np.int8),
+        np.full(n, -1),
+        nis,
+        np.full(n, gate),
+        y[:, None],
+        sigma[:, None],
+    )
+    m = Measurements(k, np.arange(n + 1), y[:, None], np.ones((n, 1, 1)), math.sqrt(told), np.zeros((1, 1)))
+    return audit, m
+
+
+@pytest.mark.parametrize("told", [0.25, 1.0, 4.0, 9.0])
+def test_the_noise_of_a_scalar_filter_is_found_whatever_it_was_told(told: float) -> None:
+    """True variance 1: the factor asked for is 1 / told, though state and innovation share the error."""
+    factors = []
+    for seed in range(5):
+        o = own(*scalar_filter(seed, 0.01, 1.0, told))
+        assert o is not None
+        factors.append(o.scale * told)
+    assert np.mean(factors) == pytest.approx(1.0, rel=0.25)
+
+
+def test_readings_beyond_the_gate_count_though_their_values_are_lost() -> None:
+    o = own(*scalar_filter(1, 1e-4, 9.0, 1.0, gate=4.0))
+    assert o is not None
+    assert o.refused > 0.3
+    assert o.scale == pytest.approx(9.0, rel=0.3)
+
+
+def test_right_noise_lies_within_its_bounds_and_is_white() -> None:
+    inside = 0
+    for seed in range(40):
+        o = own(*scalar_filter(seed, 0.05, 1.0, 1.0, n=400))
+        assert o is not None
+        inside += o.bounds[0] <= o.nis <= o.bounds[1]
+        assert abs(o.whiteness[0]) < 0.25
+    assert inside >= 34, f"{inside} of 40 within bounds that should hold 95 %"
+
+
+def test_too_few_readings_give_no_figures() -> None:
+    assert own(*scalar_filter(1, 0.01, 1.0, 1.0, n=6)) is None
+
+
+# --- whole drives with one wrong setting
+
+
+def court(seed: int, robot: Robot, drive: Drive) -> dict[str, Consistency]:
+    runs = [Run(drive, fuse(drive, robot, s)) for s in ((), ("compass",), ("lrf",), ("compass", "lrf"))]
+    found = judge(runs, robot)
+    assert set(found) == {"odometry", "compass", "lrf", "all"}
+    assert found["odometry"] == {}
+    assert {s: c.words for s, c in found["all"].items()} == {
+        "compass": found["compass"]["compass"].words,
+        "lrf": found["lrf"]["lrf"].words,
+    }
+    return found["all"]
+
+
+def told(drive: Drive, sensor: str, factor: float) -> Drive:
+    """The drive as if the sensor's sigma had been stated `factor` times as large."""
+    m = drive.measurements[sensor]
+    return replace(drive, measurements={**drive.measurements, sensor: replace(m, scale=factor * m.scale)})
+
+
+SEEDS = (1, 2)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_drive_with_the_right_noise_gets_no_complaint(seed: int) -> None:
+    robot = small_drive.robot()
+    found = court(seed, robot, small_drive.drive(seed, robot))
+    assert {s: c.verdict for s, c in found.items()} == {"compass": "consistent", "lrf": "consistent"}
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("sensor", ["compass", "lrf"])
+@pytest.mark.parametrize(
+    ("factor", "verdict", "word"), [(1 / 3, "understated", "larger"), (3.0, "overstated", "smaller")]
+)
+def test_a_sigma_wrong_by_three_is_named_with_its_key(
+    seed: int, sensor: str, factor: float, verdict: str, word: str
+) -> None:
+    robot = small_drive.robot()
+    drive = told(small_drive.drive(seed, robot), sensor, factor)
+    found = court(seed, robot, drive)
+    mine = found.pop(sensor)
+    assert mine.verdict == verdict, mine.words
+    assert mine.scale is not None
+    assert mine.scale * factor == pytest.approx(1.0, rel=0.4)
+    key = {"compass": "sigma_deg", "lrf": "sigma_range"}[sensor]
+    assert f"{sensor} noise is {verdict}: {key} should be about" in mine.words
+    assert word in mine.words
+    assert [c.verdict for c in found.values()] in (["consistent"], ["unclear"])
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_given_offset_that_is_wrong_is_named_with_the_right_one(seed: int) -> None:
+    robot = small_drive.robot(compass={"offset_deg": 0.0})
+    found = court(seed, robot, small_drive.drive(seed, robot, compass_bias_deg=5.0))
+    assert found["compass"].verdict == "biased"
+    assert found["compass"].cures["compass.offset_deg"] == pytest.approx(5.0, abs=1.0)
+    assert "let it be estimated" in found["compass"].words
+    assert "deg on average" in found["compass"].words
+    assert found["lrf"].verdict in {"consistent", "unclear"}
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_noise_that_lasts_is_not_called_white(seed: int) -> None:
+    robot = small_drive.robot(compass={"sigma_deg": 2.0})
+    drive = small_drive.drive(seed, robot, compass_noise_deg=0.3)
+    slow = markov(drive.measurements["compass"].t, math.radians(2.0), 3.0, seed)
+    m = drive.measurements["compass"]
+    drive = replace(drive, measurements={**drive.measurements, "compass": replace(m, z=m.z + slow[:, None])})
+    found = court(seed, robot, drive)["compass"]
+    assert found.verdict == "correlated"
+    assert found.cures["compass.sigma_deg"] > 4.0
+    assert found.cures["compass.offset_drift_deg"] == pytest.approx(2.0 * math.sqrt(2.0 / 3.0), rel=0.6)
+    assert "offset_drift_deg about" in found.words
+
+
+def markov(t: Array, sigma: float, time: float, seed: int) -> Array:
+    rng = np.random.default_rng(seed)
+    keep = math.exp(-float(np.median(np.diff(t))) / time)
+    out = [rng.normal()]
+    for _ in t[1:]:
+        out.append(keep * out[-1] + math.sqrt(1.0 - keep**2) * rng.normal())
+    return sigma * np.array(out)
+
+
+def test_the_cure_for_slow_noise_is_accepted_once_it_is_set() -> None:
+    for key in ("sigma_deg", "offset_drift_deg"):
+        robot = small_drive.robot(compass={"sigma_deg": 2.0})
+        drive = small_drive.drive(4, robot, compass_noise_deg=0.3)
+        m = drive.measurements["compass"]
+        slow = markov(m.t, math.radians(2.0), 3.0, 4)[:, None]
+        drive = replace(drive, measurements={**drive.measurements, "compass": replace(m, z=m.z + slow)})
+        cure = court(4, robot, drive)["compass"].cures[f"compass.{key}"]
+        cured = small_drive.robot(compass={"sigma_deg": 2.0, key: cure})
+        if key == "sigma_deg":
+            drive = told(drive, "compass", cure / 2.0)
+        assert court(4, cured, drive)["compass"].verdict != "correlated", key
+
+
+def test_one_run_alone_still_names_the_worst_sensor_and_judges_nobody_beside_it() -> None:
+    robot = small_drive.robot()
+    drive = told(small_drive.drive(1, robot), "lrf", 1 / 3)
+    found = judge([Run(drive, fuse(drive, robot, ("compass", "lrf")))], robot)["all"]
+    assert found["lrf"].verdict == "understated"
+    assert found["compass"].verdict == "unclear"
+    assert "lrf must be set right first" in found["compass"].words
+
+
+def test_what_is_heard_is_the_sensors_own_noise() -> None:
+    robot = small_drive.robot(compass={"offset_deg": 0.0})
+    drive = small_drive.drive(3, robot, compass_noise_deg=2.0)
+    h = heard(drive, robot, fuse(drive, robot, ("lrf",)), "compass")
+    assert h is not None
+    assert math.degrees(math.sqrt(h.white)) == pytest.approx(2.0, rel=0.1)
+    assert h.memory < 3.0
+    assert h.bias is not None
+    assert abs(h.bias) < 3.0 * h.sure
+
+
+# --- where there is truth
+
+
+def judged_with(errors: Array, sigma: float) -> Evaluation:
+    """Position errors (q, 2) of a filter that says `sigma` of each axis."""
+    q = len(errors)
+    none = np.zeros(0)
+    nees = ((errors / sigma) ** 2).mean(axis=1)
+    figures: dict[str, float | None] = {"anees": float(nees.mean())}
+    said = np.full((q, 3), sigma)
+    return Evaluation(
+        "x", {}, figures, np.arange(q, dtype=np.float64), errors, None, errors, said, nees, none, errors
+    )
+
+
+def test_honest_errors_lie_within_bounds_that_know_how_few_they_are() -> None:
+    rng = np.random.default_rng(3)
+    slow = np.repeat(rng.normal(size=(12, 2)), 50, axis=0)  # 600 stamps worth a dozen
+    found, fast = honesty(judged_with(slow, 1.0)), honesty(judged_with(rng.normal(size=(600, 2)), 1.0))
+    assert found is not None
+    assert fast is not None
+    assert found.independent < 40
+    assert fast.independent > 300
+    assert found.bounds[1] - found.bounds[0] > 3 * (fast.bounds[1] - fast.bounds[0])
+    assert fast.bounds[0] < fast.anees < fast.bounds[1]
+    assert fast.words.startswith("honest")
+
+
+def test_over_confidence_is_said_with_its_factor_and_by_state() -> None:
+    rng = np.random.default_rng(4)
+    errors = rng.normal(size=(800, 2)) * (1.0, 5.0)
+    found = honesty(judged_with(errors, 1.0))
+    assert found is not None
+    assert found.states["x"] == pytest.approx(1.0, rel=0.2)
+    assert found.states["y"] == pytest.approx(25.0, rel=0.2)
+    assert "over-confident: errors are about 3.6 times" in found.words
+
+
+# --- as a user meets it
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], str, Path]:
+    out = tmp_path_factory.mktemp("out") / "out"
+    words = ("--set", "compass.offset_deg=-60", "--write", "json,md")
+    done = locfuse("compare", "rounded_rectangle", *words, "-o", out)
+    assert done.exit_code == 0, done.stderr
+    return json.loads((out / "report.json").read_text()), done.stdout, out
+
+
+def test_the_report_carries_verdicts_figures_and_words(report: tuple[dict[str, Any], str, Path]) -> None:
+    found, stdout, out = report
+    mine = found["configurations"]["all"]["sensors"]["compass"]["consistency"]
+    assert {"verdict", "words", "nis_bounds", "bias_sigma", "whiteness", "scale"} <= set(mine)
+    assert mine["verdict"] == "biased"
+    assert mine["cures"]["compass.offset_deg"] == pytest.approx(-65.0, abs=1.0)
+    assert found["consistency"]["compass"]["words"] == mine["words"]
+    whole = " ".join(stdout.split())
+    assert f"Noise: {mine['words']}" in whole
+    assert "compass disagrees with what the other sensors say" in (out / "report.md").read_text()
+    honest = found["configurations"]["all"]["consistency"]
+    assert set(honest["states"]) == {"x", "y", "theta"}
+    assert honest["bounds"][0] < 1.0 < honest["bounds"][1]

@@ -27,7 +27,7 @@ __all__ = ["LineSettings", "Lines", "extract_lines", "to_base"]
 # zeroed page by page: a third of the time here. One large block, freed untouched, ends that for the process.
 _POOL = 2_000_000  # numbers
 PAPER_LASER = LineSettings()
-_BATCH = 128  # scans worked on at once: enough to hide NumPy's overhead per call, few enough for the cache
+_BATCH = 256  # scans worked on at once: enough to hide NumPy's overhead per call, few enough for the cache
 
 
 @dataclass(frozen=True)

@@ -151,7 +151,7 @@ def test_a_scan_has_the_same_lines_alone_and_in_any_batch(angles: Array, deskewe
     offsets = rng.normal(0.0, 0.02, (*d.shape, 3)) if deskewed else None
     own = np.broadcast_to(angles, d.shape) if deskewed else angles
     together = extract_lines(d, own, offsets=offsets)
-    for i in (0, 16, 17, 18, 127, 128, 129, 299):
+    for i in (0, 16, 17, 18, 255, 256, 257, 299):
         alone = extract_lines(
             d[i : i + 1],
             own[i : i + 1] if deskewed else own,

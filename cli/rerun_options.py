@@ -142,7 +142,8 @@ def record(
         _write(path, options, loaded, estimates, evaluations, report)
     except LocfuseError as problem:
         warn(str(problem))
-    except (ImportError, OSError, RuntimeError, ValueError, TypeError) as problem:
+    except Exception as problem:
+        # a Rerun of another version, or none, or broken: the results stand, so nothing here may fail the run
         warn(f"no recording was made: {type(problem).__name__}: {problem}")
     else:
         click.echo(f"{path}: Rerun recording", err=True)

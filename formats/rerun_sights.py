@@ -43,20 +43,21 @@ def draw_sights(to: Recorder, scene: Scene) -> None:
                 continue
             drive = scene.seen_by(estimates.name)
             m = drive.measurements[sensor]
-            seen = some_readings(m, drive.instant[sensor], audit, estimates, scene.detail.scans)
+            t = drive.t[drive.instant[sensor]]
+            seen = some_readings(m, t, audit, estimates, scene.detail.scans)
             strips = _strips(m, seen, sight, scene.track)
             _send_groups(to, f"{ROOT}/{part(estimates.name)}/seen/{sensor}", seen, strips, WIDTH[sight.kind])
     draw_scans(to, scene)
 
 
-def some_readings(m: Measurements, instant: Ints, audit: Audit, e: Estimates, limit: int) -> Seen:
-    """Return what became of at most `limit` readings, evenly over the drive."""
+def some_readings(m: Measurements, t: Array, audit: Audit, e: Estimates, limit: int) -> Seen:
+    """Return what became of at most `limit` readings, taken at t (n,), evenly over the drive."""
     readings = evenly(len(m.t), limit)
     owner = np.searchsorted(m.first, audit.row, side="right") - 1
     at = np.searchsorted(readings, owner)
     keep = np.flatnonzero(readings[np.minimum(at, len(readings) - 1)] == owner)
     rows = Audit(*(column[keep] for column in vars(audit).values()))
-    return Seen(e.t[instant[readings]], at[keep], rows, e.pose[rows.instant])
+    return Seen(t[readings], at[keep], rows, e.pose[rows.instant])
 
 
 def _strips(m: Measurements, seen: Seen, sight: Sight, track: float) -> Array:

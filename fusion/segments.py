@@ -15,6 +15,7 @@ KINDS = ("straight", "turn")
 WINDOW = 0.3  # s over which the motion is looked at
 STANDSTILL = 0.01  # m/s at the rim: below, nothing moves
 PURITY = 0.2  # at most this share of the rim's motion may be of the other kind
+BEND = 0.7  # rad/m: a straight run may wobble, but not turn more than that
 LEAST = (0.5, math.radians(45.0))  # m, rad: shorter runs are not used
 
 
@@ -50,9 +51,11 @@ def _labels(wheels: Wheels) -> Ints:
         np.stack([np.interp(middle + h, wheels.t, column) for column in way.T], axis=-1)
         for h in (-0.5 * WINDOW, 0.5 * WINDOW)
     )
-    ds, rim = after[:, 0] - before[:, 0], 0.5 * wheels.track * (after[:, 1] - before[:, 1])
+    ds, turn = (after - before).T
+    rim = 0.5 * wheels.track * turn
     moving = np.abs(ds) + np.abs(rim) > STANDSTILL * WINDOW
-    label = np.where(np.abs(rim) <= PURITY * np.abs(ds), np.sign(ds), 0.0)
+    straight = (np.abs(rim) <= PURITY * np.abs(ds)) & (np.abs(turn) <= BEND * np.abs(ds))
+    label = np.where(straight, np.sign(ds), 0.0)
     label = np.where(np.abs(ds) <= PURITY * np.abs(rim), 2.0 * np.sign(rim), label)
     return np.where(moving, label, 0.0).astype(np.int64)
 

@@ -45,7 +45,7 @@ def fuse(
         if sensor not in drive.measurements:
             raise LocfuseError(f"{sensor}: {drive.absent.get(sensor, 'not in this log')}")
     run = Filter(robot, sensors, listen, beliefs)
-    due = _due(drive, (*sensors, *listen))
+    due = due_readings(drive, (*sensors, *listen))
     rows = Motion.of(drive)
     for k in range(len(drive.t)):
         run.advance(k, rows, due[k], drive.measurements)
@@ -237,7 +237,7 @@ def _wheel_block(wheels: WheelSettings) -> Block:
     return Block(WHEELS, np.zeros(3), np.diag(variance), np.zeros(3))
 
 
-def _due(drive: Drive, sensors: Sequence[str]) -> list[list[tuple[str, int]]]:
+def due_readings(drive: Drive, sensors: Sequence[str]) -> list[list[tuple[str, int]]]:
     """Return for every instant the readings (sensor, i) that belong to it, in registry order."""
     due: list[list[tuple[str, int]]] = [[] for _ in range(len(drive.t))]
     for sensor in REGISTRY:

@@ -21,7 +21,7 @@ from ..wall_floor import wall_floor
 from .base import SensorSettings, WheelMotion
 
 MapMode = Literal["first-scan", "consider", "refine", "grow", "given"]
-SCANS_PER_BLOCK = 128  # line extraction is level-synchronous over this many scans (benchmarks: "lines per scan")
+SCANS_PER_BLOCK = 256  # line extraction is level-synchronous over this many scans (benchmarks: "lines per scan")
 
 
 class LrfSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -6,9 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..fusion.credit import Credit, SensorCredit
+from ..fusion.credit import NOTHING, OVERCONFIDENT, Credit, Effect, SensorCredit
 from ..fusion.predictive import LEAST_GAIN, Score, contradictions, ranking
-from ..fusion.verdict import NOTHING, OVERCONFIDENT, Effect
 
 TRUST_SENSORS = (
     "There is no truth in this log, so configurations are ranked by how well each predicts the sensors that it "

@@ -127,19 +127,6 @@ def _correlation(deviation: Array, samples: Array) -> Array:
     return lowered
 
 
-def luck(move: float, n: float, seed: int = 1) -> tuple[float, float]:
-    """Return the interval of ln(error before / after) when n >= 1 Gaussian moves are added to n equal errors.
-
-    `move` is a move's standard deviation over an error's. |e + d|^2 = (sqrt(n) e + d_1)^2 + d_2^2 + ... + d_n^2.
-    """
-    rng = np.random.default_rng(seed)
-    along = (math.sqrt(n) + move * rng.standard_normal(RESAMPLES)) ** 2
-    across = 2.0 * move**2 * rng.standard_gamma(0.5 * (n - 1.0), RESAMPLES)
-    tail = 50.0 * (1.0 - CONFIDENCE)
-    low, high = np.percentile(-0.5 * np.log((along + across) / n), (tail, 100.0 - tail))
-    return float(low), float(high)
-
-
 def student_t(confidence: float, freedom: float) -> float:
     """Return the two-sided quantile of Student's t: with x = sqrt(f) tan(a) the density is cos(a)^(f-1) da."""
     a = np.linspace(0.0, 0.5 * math.pi, 20001)

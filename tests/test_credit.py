@@ -12,11 +12,10 @@ import small_drive
 from numpy.typing import NDArray
 from scipy import stats
 
-from locfuse.fusion.credit import Credit, credit, credit_over_logs, shapley_steps, subsets
+from locfuse.fusion.credit import Credit, Effect, credit, credit_over_logs, shapley_steps, subsets, verdict
 from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.resample import Errors, block_means, effective_samples, luck, student_t
-from locfuse.fusion.verdict import Effect, verdict
+from locfuse.fusion.resample import Errors, block_means, effective_samples, student_t
 
 Array = NDArray[np.float64]
 SENSORS = ("compass", "lrf")

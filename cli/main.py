@@ -57,7 +57,7 @@ def locfuse() -> None:
 
     \b
     Start with:  locfuse compare rounded_rectangle
-    Your log:    locfuse info LOG
+    Your log:    locfuse compare LOG
     """
 
 

@@ -157,7 +157,7 @@ def checked(log: Log, role: str, topic: str, reads: Iterable[str]) -> str:
     info = log.topics.get(topic)
     if info is None:
         have = ", ".join(sorted(log.topics)[:12]) or "no topics"
-        raise LocfuseError(f"{role}: {log.name} has no topic {topic}; it has {have}. See: locfuse info {log.name}")
+        raise LocfuseError(f"{role}: {log.name} has no topic {topic}; it has {have}.")
     if info.msgtype not in reads:
         raise LocfuseError(f"{role}: {topic} is {info.msgtype}; accepted: {types(reads)}")
     if info.problem is not None:

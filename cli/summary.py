@@ -19,8 +19,9 @@ from ..formats import summary as over
 from ..formats.log_files import log_name
 from ..formats.outdir import may_write, write_results
 from ..formats.report_columns import cell
-from ..fusion.credit import Credit, Effect, SensorCredit, credit_over_logs
+from ..fusion.credit import Credit, SensorCredit, credit_over_logs
 from ..fusion.data import LocfuseError, UsageError
+from ..fusion.verdict import Effect
 from . import gates, results
 from .grouping import logs_of, results_of
 from .load import find_log

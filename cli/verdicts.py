@@ -6,8 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..fusion.credit import NOTHING, OVERCONFIDENT, Credit, Effect, SensorCredit
+from ..fusion.credit import Credit, SensorCredit
 from ..fusion.predictive import LEAST_GAIN, Score, contradictions, ranking
+from ..fusion.verdict import NOTHING, OVERCONFIDENT, Effect
 
 TRUST_SENSORS = (
     "There is no truth in this log, so configurations are ranked by how well each predicts the sensors that it "
@@ -100,6 +101,8 @@ def _main_words(c: SensorCredit, main: Effect, several: bool, logs: int) -> str:
     if c.credit is not None and several:
         what = what.replace(whose, "the")
     if c.verdict == "does nothing":
+        if main.low > 0.0 or main.high < 0.0:
+            return f"{what}. The filter takes next to nothing from it, so chance is the likelier reason."
         return f"{what}: no more than chance."
     if main.low > 0.0 or main.high < 0.0:
         return f"{what}."

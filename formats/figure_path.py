@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..fusion.data import Array, Ints
 from .rerun_thin import extremes
 
-FLAT = 0.2  # px: a point this near to the line between its neighbours is not seen
+FLAT = 0.1  # px: a point this near to the line between its neighbours is not seen
 PASSES = 8
 TOUCHING = 2  # px: dots this near in one column look like a line
 FAR = 1e4  # px: beyond lies nothing that is drawn
@@ -56,7 +56,7 @@ def dots_path(x: Array, y: Array) -> str:
 
 def strokes_path(ends: Array) -> str:
     """Return straight pieces (k, 2, 2) in px."""
-    return "".join(_text(pair) for pair in ends)
+    return "".join(_text(pair) for pair in ends if np.isfinite(pair).all())
 
 
 def straightened(points: Array) -> Array:

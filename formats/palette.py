@@ -20,6 +20,7 @@ class Colour(NamedTuple):
     dark: str
 
 
+SMOOTHED = " smoothed"  # ends the name of a configuration that has seen the whole drive
 PAGE = Colour("#ffffff", "#14171c")
 ODOMETRY = Colour("#686a70", "#94979c")
 ALL = Colour("#8a0a55", "#bf2f80")
@@ -60,11 +61,12 @@ def colours(configurations: Sequence[str], registry: Sequence[str]) -> dict[str,
 
 
 def dashed(configuration: str) -> bool:
-    """Return whether a configuration is drawn dashed: sets that are not `all`, and what-ifs at a lower rate."""
-    return "+" in configuration or "@" in configuration
+    """Return whether a configuration is drawn dashed: sets that are not `all`, what-ifs, smoothed ones."""
+    return "+" in configuration or "@" in configuration or configuration.endswith(SMOOTHED)
 
 
 def _colour(name: str, registry: Sequence[str]) -> Colour:
+    name = name.removesuffix(SMOOTHED)
     if name in {"odometry", "all"}:
         return ODOMETRY if name == "odometry" else ALL
     members = [part.split("@")[0] for part in name.split("+")]

@@ -55,7 +55,7 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], registry: Seq
         bars=_bars(report),
         roles=("truth", "bounds") if report["truth"] else ("bounds",),
     )
-    return page if page.endswith("\n") else page + "\n"
+    return page.strip() + "\n"
 
 
 class Figures:

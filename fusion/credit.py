@@ -12,32 +12,16 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from .data import Array, Evaluation
-from .resample import CONFIDENCE, Errors, student_t
+from .resample import CONFIDENCE, Errors, luck, student_t
 from .sensors.registry import REGISTRY
+from .verdict import NOTHING, OVERCONFIDENT, Effect, Verdict, verdict
 
 Subset = frozenset[str]
-Verdict = Literal["helps", "does nothing", "hurts"]
-
-NOTHING = 0.02  # an effect below 2 % is none, however sure
-EXPECTED = 0.15  # what filter and truth must both say where one drive cannot settle it
-LAST_HURTS = 0.10  # a set that is surely 10 % better without the sensor is hurt by it
-HALVES = math.log(2.0)
-OVERCONFIDENT, WORSE_ANEES = 10.0, 5.0  # confidently wrong: ANEES above this, and this many times the one before
-
-
-@dataclass(frozen=True)
-class Effect:
-    """A contrast of ln(position RMSE): positive means that the sensor makes the error smaller."""
-
-    value: float
-    low: float
-    high: float
-    expected: float | None  # the same contrast of the filter's own predicted standard deviations
 
 
 @dataclass(frozen=True)
@@ -156,28 +140,30 @@ class _Book:
         if any(s not in self.sets for step in steps for s in (step.before, step.after)):
             return None
         w = np.zeros(len(self.sets))
-        chance = 0.0
+        least = most = 0.0
         for step in steps:
             i, j = self.sets.index(step.before), self.sets.index(step.after)
             w[i] += step.weight
             w[j] -= step.weight
-            chance += step.weight * self._chance(i, j)
+            worst, best = self._luck(i, j)
+            least, most = least + step.weight * worst, most + step.weight * best
         value, (low, high) = float(w @ self.errors.ln_rmse), self.errors.interval(w)
         expected = None if self.expected is None else float(w @ self.expected)
-        return Effect(value, min(low, value - chance), max(high, value + chance), expected)
+        return Effect(value, min(low, value - most), max(high, value - least), expected)
 
-    def _chance(self, i: int, j: int) -> float:
-        """How far ln(RMSE) moves by luck when the filter makes as small corrections as it says, at CONFIDENCE.
+    def _luck(self, i: int, j: int) -> tuple[float, float]:
+        """Return between what ln(RMSE before / after) lies if the sensor knew nothing and only moved the estimate.
 
-        A sensor that shrinks the predicted variance by a factor f has moved the estimate by sqrt(1 - f) of its
-        standard deviation. On a drive worth few independent stretches this helps or hurts by luck alone, and
-        the bootstrap cannot see it: the moved error has the shape of the old one.
+        A sensor that shrinks the predicted variance has moved the estimate by the square root of what it shrank
+        it by. On a drive worth few independent stretches such a move helps or hurts by its direction alone, and
+        the bootstrap cannot see that: the moved error has the shape of the old one. Along a path, x and y and
+        neighbouring stretches err together through the heading, so that few stretches count as half as many.
         """
         if self.expected is None:
-            return 0.0
-        moved = 1.0 - math.exp(-2.0 * abs(float(self.expected[i] - self.expected[j])))
-        n = 2.0 * float(self.errors.samples[[i, j]].min())  # x and y count
-        return math.asinh(student_t(CONFIDENCE, max(1.0, n - 1.0)) * math.sqrt(moved / n))
+            return 0.0, 0.0
+        moved = math.sqrt(abs(math.exp(2.0 * self.expected[i]) - math.exp(2.0 * self.expected[j])))
+        error = math.exp(float(self.errors.ln_rmse[i]))
+        return luck(moved / error, max(1.0, 0.5 * float(self.errors.samples[[i, j]].min())))
 
     def sensor(self, sensor: str, sensors: Sequence[str]) -> SensorCredit:
         every = frozenset(sensors)
@@ -200,36 +186,6 @@ class _Book:
             if a is not None and b is not None and 0.0 < a <= OVERCONFIDENT
         ]
         return max(pairs, key=lambda p: p[1] / p[0]) if pairs else None
-
-
-def verdict(
-    shapley: Effect | None, alone: Effect | None, last: Effect | None, anees: tuple[float, float] | None
-) -> Verdict:
-    """Return one of three words. A difference that the drive cannot tell from chance is none.
-
-    Hurts: the error surely grows, or the set is surely better off without the sensor, or the sensor turns an
-    honest estimate into a confidently wrong one and does not surely halve the error. Helps: the error surely
-    shrinks, or it shrinks and the filter's own covariances say that it should.
-    """
-    main = shapley or alone or last
-    if main is None:
-        return "does nothing"
-    if _surely(main, -1.0) or (last is not None and last.high < -LAST_HURTS):
-        return "hurts"
-    overconfident = anees is not None and anees[1] > max(OVERCONFIDENT, WORSE_ANEES * anees[0])
-    if _surely(main, 1.0) and (not overconfident or main.low > HALVES):
-        return "helps"
-    if overconfident:
-        return "hurts"
-    if main.value > EXPECTED and main.expected is not None and main.expected > EXPECTED:
-        return "helps"
-    return "does nothing"
-
-
-def _surely(effect: Effect, sign: float) -> bool:
-    """Whether an effect of this sign is large enough to matter and its interval excludes none."""
-    bound = effect.low if sign > 0 else effect.high
-    return sign * effect.value > NOTHING and sign * bound > 0.0
 
 
 def _expected(judged: Iterable[Evaluation]) -> Array | None:

@@ -18,6 +18,7 @@ from .data import Array
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000
+DRAWS = 20_000  # of luck: its tails are thin
 MOST_BLOCKS = 200  # longer blocks do no harm, shorter ones cost memory
 LEAST = 1e-18  # m^2: a mean squared error below is taken as this
 
@@ -125,6 +126,19 @@ def _correlation(deviation: Array, samples: Array) -> Array:
     lowered: Array = np.tanh(np.maximum(z - open_, 0.0))
     np.fill_diagonal(lowered, 1.0)
     return lowered
+
+
+def luck(move: float, n: float, seed: int = 1) -> tuple[float, float]:
+    """Return the interval of ln(error before / after) when n >= 1 Gaussian moves are added to n equal errors.
+
+    `move` is a move's standard deviation over an error's. |e + d|^2 = (sqrt(n) e + d_1)^2 + d_2^2 + ... + d_n^2.
+    """
+    rng = np.random.default_rng(seed)
+    along = (math.sqrt(n) + move * rng.standard_normal(DRAWS)) ** 2
+    across = 2.0 * move**2 * rng.standard_gamma(0.5 * (n - 1.0), DRAWS)
+    tail = 50.0 * (1.0 - CONFIDENCE)
+    low, high = np.percentile(-0.5 * np.log((along + across) / n), (tail, 100.0 - tail))
+    return float(low), float(high)
 
 
 def student_t(confidence: float, freedom: float) -> float:

@@ -12,10 +12,11 @@ import small_drive
 from numpy.typing import NDArray
 from scipy import stats
 
-from locfuse.fusion.credit import Credit, Effect, credit, credit_over_logs, shapley_steps, subsets, verdict
+from locfuse.fusion.credit import Credit, credit, credit_over_logs, shapley_steps, subsets
 from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.resample import Errors, block_means, effective_samples, student_t
+from locfuse.fusion.resample import Errors, block_means, effective_samples, luck, student_t
+from locfuse.fusion.verdict import Effect, verdict
 
 Array = NDArray[np.float64]
 SENSORS = ("compass", "lrf")
@@ -100,6 +101,15 @@ def test_the_interval_of_a_ratio_contains_the_truth_as_often_as_it_says() -> Non
     assert inside >= 90  # 95 expected; 2.2 sigma below
 
 
+@pytest.mark.parametrize(("move", "n"), [(0.3, 1), (0.5, 4), (2.0, 3)])
+def test_luck_is_what_adding_random_moves_does(move: float, n: int) -> None:
+    rng = np.random.default_rng(9)
+    after = np.ones(n) + move * rng.normal(size=(40_000, n))
+    effect = -0.5 * np.log((after**2).mean(axis=1))
+    expected = np.percentile(effect, (2.5, 97.5))
+    np.testing.assert_allclose(luck(move, float(n)), expected, rtol=0.15)
+
+
 def test_many_independent_pairs_give_pitmans_and_morgans_interval() -> None:
     rng = np.random.default_rng(6)
     q = 4000
@@ -166,7 +176,9 @@ def test_over_several_logs_the_interval_is_students() -> None:
         (0.7, 0.3, 1.1, 0.8, None, "helps"),
         (0.7, -0.3, 1.7, 0.8, None, "helps"),  # not sure, but the filter's covariances say the same
         (0.7, -0.3, 1.7, 0.0, None, "does nothing"),  # not sure, and nobody else says so
-        (0.01, 0.005, 0.015, 0.01, None, "does nothing"),  # sure, and too small to matter
+        (0.01, 0.005, 0.015, 0.5, None, "does nothing"),  # sure, and too small to matter
+        (0.3, 0.1, 0.5, 0.05, None, "does nothing"),  # surprising: the filter took next to nothing from it
+        (0.3, 0.2, 0.4, 0.05, None, "helps"),  # surprising, and beyond doubt
         (-0.7, -1.1, -0.3, 0.8, None, "hurts"),
         (0.2, -0.5, 0.9, 2.0, (1.0, 200.0), "hurts"),  # no sure gain, and confidently wrong
         (3.0, 2.0, 4.0, 3.0, (1.0, 26.0), "helps"),  # the paper's frozen map: overconfident, but far better

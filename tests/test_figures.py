@@ -1,0 +1,241 @@
+"""Panels, their two renderers, ticks and colours."""
+
+from __future__ import annotations
+
+import math
+import re
+import xml.etree.ElementTree as ET
+from itertools import combinations, pairwise
+
+import numpy as np
+import pytest
+import small_scene
+from numpy.typing import NDArray
+
+from locfuse.formats import figure_path, figure_svg, palette, ticks
+from locfuse.formats.figure_paper import paper_figures
+from locfuse.formats.figures import sections
+from locfuse.formats.panels import Band, Curve, Dots, Panel, Strokes
+from locfuse.fusion.data import VERDICTS
+
+Array = NDArray[np.float64]
+REGISTRY = ["compass", "lrf", "camera", "sonar", "gps"]
+# Machado, Oliveira, Fernandes 2009: severity 1.0, on linear RGB
+VISION = {
+    "normal": np.eye(3),
+    "protanopia": np.array(
+        [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]]
+    ),
+    "deuteranopia": np.array(
+        [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.01182, 0.04294, 0.968881]]
+    ),
+    "tritanopia": np.array(
+        [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.3039]]
+    ),
+}
+TO_LMS = np.array(  # Ottosson 2020
+    [
+        [0.4122214708, 0.5363325363, 0.0514459929],
+        [0.2119034982, 0.6806995451, 0.1073969566],
+        [0.0883024619, 0.2817188376, 0.6299787005],
+    ]
+)
+TO_LAB = np.array(
+    [
+        [0.2104542553, 0.793617785, -0.0040720468],
+        [1.9779984951, -2.428592205, 0.4505937099],
+        [0.0259040371, 0.7827717662, -0.808675766],
+    ]
+)
+LOOKS: list[dict[str, object]] = [
+    {},
+    {"log": True, "y_range": (0.1, 20.0)},
+    {"equal": True},
+    {"lanes": ("a", "b"), "y_range": (2.0, 0.0)},
+]
+
+
+def linear_rgb(colour: str) -> Array:
+    c = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255.0
+    return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+
+
+def oklab(rgb: Array) -> Array:
+    """Distances here are about what the eye tells apart."""
+    lab: Array = TO_LAB @ np.cbrt(TO_LMS @ np.clip(rgb, 0.0, 1.0))
+    return lab
+
+
+def contrast(a: str, b: str) -> float:
+    """WCAG 2.1."""
+    light, dark = sorted((float(np.dot([0.2126, 0.7152, 0.0722], linear_rgb(c))) for c in (a, b)), reverse=True)
+    return (light + 0.05) / (dark + 0.05)
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("vision", VISION)
+def test_the_papers_five_configurations_and_the_truth_stay_apart(theme: str, vision: str) -> None:
+    inks = palette.colours(["odometry", "compass", "lrf", "camera", "all"], REGISTRY) | {"truth": palette.TRUTH}
+    labs = {n: oklab(VISION[vision] @ linear_rgb(getattr(c, theme))) for n, c in inks.items()}
+    for a, b in combinations(labs, 2):
+        assert np.linalg.norm(labs[a] - labs[b]) > 0.09, (a, b)  # just noticeable: 0.02
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_every_configuration_stands_out_from_its_page(theme: str) -> None:
+    names = ["odometry", "all", *REGISTRY, "compass+lrf", "lrf+camera", "compass+camera", "sonar+gps"]
+    for name, colour in palette.colours(names, REGISTRY).items():
+        assert contrast(getattr(colour, theme), getattr(palette.PAGE, theme)) >= 3.0, name
+
+
+def test_a_sensors_colour_does_not_depend_on_what_else_is_in_the_log() -> None:
+    assert (
+        palette.colours(["lrf"], REGISTRY)["lrf"]
+        == palette.colours(["odometry", "compass", "lrf"], REGISTRY)["lrf"]
+    )
+    assert palette.colours(["lrf@2Hz"], REGISTRY)["lrf@2Hz"] == palette.colours(["lrf"], REGISTRY)["lrf"]
+    assert palette.dashed("lrf@2Hz")
+    assert palette.dashed("compass+lrf")
+    assert not palette.dashed("lrf")
+
+
+def test_every_verdict_has_a_colour() -> None:
+    assert set(VERDICTS) <= set(palette.ROLES)
+
+
+@pytest.mark.parametrize(
+    ("low", "high"),
+    [(0.0, 1.0), (-0.55, 0.52), (0.0, 54.78), (-3e-5, 2e-5), (1e4, 3e4), (-20.1, 4.2), (0.99, 1.01)],
+)
+def test_linear_ticks_are_round_evenly_spaced_and_three_to_seven(low: float, high: float) -> None:
+    found = ticks.linear(low, high, 6)
+    values = [v for v, _ in found]
+    assert 3 <= len(found) <= 7
+    assert all(low - 1e-9 <= v <= high + 1e-9 for v in values)
+    step = values[1] - values[0]
+    assert round(step / 10.0 ** math.floor(math.log10(step) + 1e-9), 6) in {1.0, 2.0, 5.0}
+    for v, label in found:
+        assert float(label.replace("−", "-")) == pytest.approx(v, abs=1e-9 * max(1.0, abs(v)) + 1e-12)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.01, 100.0), (0.3, 2.5), (1e-9, 1e9), (0.0001, 1.3)])
+def test_logarithmic_ticks_lie_within_and_read_as_what_they_are(low: float, high: float) -> None:
+    found = ticks.logarithmic(low, high)
+    assert 2 <= len(found) <= 8
+    assert all(low <= v * (1 + 1e-9) and v <= high * (1 + 1e-9) for v, _ in found)
+
+
+def points(path: str) -> list[Array]:
+    """What a path made by figure_path draws: one array (n, 2) px per piece."""
+    pieces = []
+    for piece in re.findall(r"M[^M]*", path):
+        numbers = [int(n) for n in re.findall(r"-?\d+", piece)]
+        pieces.append(np.cumsum(np.array(numbers[: len(numbers) // 2 * 2]).reshape(-1, 2), axis=0) / 10.0)
+    return pieces
+
+
+def test_a_noisy_curve_keeps_its_peaks_and_loses_its_bulk() -> None:
+    rng = np.random.default_rng(0)
+    x, y = np.linspace(0.0, 400.0, 50_000), 100.0 + 20.0 * rng.normal(size=50_000)
+    y[31_234], y[777] = 500.0, -300.0
+    path = figure_path.curve_path(x, y, 400)
+    drawn = np.concatenate(points(path))
+    assert drawn[:, 1].max() == 500.0
+    assert drawn[:, 1].min() == -300.0
+    assert len(drawn) <= 2 * 400 + 4
+    assert len(path) < 10_000
+
+
+def test_a_smooth_curve_is_drawn_within_a_third_of_a_pixel_from_few_points() -> None:
+    x = np.linspace(0.0, 400.0, 5000)
+    y = 100.0 + 80.0 * np.sin(x / 40.0)
+    drawn = points(figure_path.curve_path(x, y, 400))[0]
+    np.testing.assert_allclose(np.interp(x, drawn[:, 0], drawn[:, 1]), y, atol=0.4)
+    assert len(drawn) < 150
+
+
+def test_nan_breaks_a_curve() -> None:
+    y = np.full(100, 5.0)
+    y[40:50] = np.nan
+    assert len(points(figure_path.curve_path(np.arange(100.0), y, 400))) == 2
+
+
+def test_dots_that_touch_become_one_stroke_and_none_is_lost() -> None:
+    x, y = np.array([3.0, 3.0, 3.0, 3.0, 8.0]), np.array([1.0, 2.0, 3.0, 30.0, 7.0])
+    path = figure_path.dots_path(x, y)
+    assert path.count("M") == 3
+    assert "M30 10v20" in path
+    assert figure_path.dots_path(np.array([np.nan]), np.array([1.0])) == ""
+
+
+def panel(**changes: object) -> Panel:
+    x = np.linspace(0.0, 10.0, 50)
+    marks = (
+        Band("bounds", x, x - 1.0, x + 1.0),
+        Curve("lrf", x, x),
+        Dots("gate", x[::5], x[::5]),
+        Strokes("walls of the first scan", np.array([[[0.0, 0.0], [10.0, 5.0]]])),
+    )
+    base = {"name": "p", "title": "T <b>", "y_label": "y, m", "x_label": "time, s", "marks": marks}
+    return Panel(**{**base, **changes})  # type: ignore[arg-type]
+
+
+SLUGS = figure_svg.slugs_of(["lrf", *palette.ROLES])
+
+
+@pytest.mark.parametrize("changes", LOOKS)
+def test_a_drawing_is_well_formed_and_labelled(changes: dict[str, object]) -> None:
+    root = ET.fromstring(figure_svg.svg(panel(**changes), "p-0", SLUGS))
+    ids = {e.get("id") for e in root.iter()}
+    assert set(root.get("aria-labelledby", "").split()) <= ids
+    assert root.find("title").text == "T <b>"  # type: ignore[union-attr]
+    assert not [e for e in root.iter() if e.get("style") or e.get("fill") or e.get("stroke")]  # CSS decides
+    text = [e.text for e in root.iter("text")]
+    assert "y, m" in text
+    assert "time, s" in text
+
+
+def test_points_are_drawn_where_the_axes_say() -> None:
+    x = np.array([0.0, 2.0, 10.0])
+    drawing = figure_svg.svg(panel(marks=(Curve("lrf", x, 3.0 * x),), x_range=(0.0, 10.0)), "p-0", SLUGS)
+    root = ET.fromstring(drawing)
+    labels = {e.text: (float(e.get("x", 0)), float(e.get("y", 0)), e.get("class")) for e in root.iter("text")}
+    drawn = points(re.search(r'class="curve[^"]*" d="([^"]*)"', drawing)[1])[0]  # type: ignore[index]
+    assert drawn[0, 0] == pytest.approx(labels["0"][0], abs=6)  # the y label "0" stands left of the axis
+    assert drawn[-1, 0] == pytest.approx(labels["10"][0] if labels["10"][2] == "m" else 450, abs=0.2)
+    middle = labels["20"][1] - 3.6  # of the row y = 20
+    at_20 = np.interp(20.0 / 3.0, [0.0, 10.0], [drawn[0, 1], drawn[-1, 1]])
+    assert at_20 == pytest.approx(middle, abs=0.2)
+
+
+def test_an_equal_panel_has_one_scale() -> None:
+    square = np.array([[[0.0, 0.0], [4.0, 0.0]], [[4.0, 0.0], [4.0, 4.0]]])
+    drawing = figure_svg.svg(panel(marks=(Strokes("walls of the first scan", square),), equal=True), "p-0", SLUGS)
+    drawn = points(re.search(r'class="stroke[^"]*" d="([^"]*)"', drawing)[1])  # type: ignore[index]
+    lengths = [np.hypot(*(b - a)) for piece in drawn for a, b in pairwise(piece)]
+    assert lengths[0] == pytest.approx(lengths[1], abs=0.3)
+
+
+def test_a_report_has_its_figures_and_each_its_words() -> None:
+    scene, _ = small_scene.long(0.2, 6)
+    found = sections(scene)
+    assert [s.name for s in found] == [
+        "trajectories", "deviation", "bands", "consistency", "innovations", "gates", "learnt",
+    ]  # fmt: skip
+    panels = [p for s in found for p in s.panels]
+    assert len({p.name for p in panels}) == len(panels)
+    assert all(p.summary and p.title for p in panels)
+
+
+def test_paper_figures_are_the_same_bytes_twice_with_real_fonts() -> None:
+    scene, _ = small_scene.long(0.05, 2)
+    some = [s for s in sections(scene) if s.name in {"trajectories", "gates"}]
+    first, second = (paper_figures(some, REGISTRY) for _ in range(2))
+    assert first == second
+    assert set(first) == {"trajectories.svg", "trajectories.pdf", "gates.svg", "gates.pdf"}
+    ET.fromstring(first["gates.svg"])
+    assert first["gates.pdf"].startswith(b"%PDF")
+    assert b"/CIDFontType2" in first["gates.pdf"]  # TrueType: journals refuse Type 3
+    assert b"/Type3" not in first["gates.pdf"]
+    assert b"<dc:date>" not in first["gates.svg"]
+    assert b"CreationDate" not in first["gates.pdf"]

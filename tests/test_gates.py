@@ -1,0 +1,184 @@
+"""Gates for CI: what fails, what does not exist, what is a typing mistake."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from commands import locfuse
+
+from locfuse.cli.gates import failures, figure, parse_gate, parse_tolerance, read_baseline
+from locfuse.fusion.data import LocfuseError, UsageError
+
+REPORT: dict[str, Any] = {
+    "truth": {"topic": "/gt"},
+    "configurations": {
+        "odometry": {"position_rmse_m": 0.5, "position_max_m": 0.9, "heading_rmse_deg": None, "sensors": {}},
+        "all": {
+            "position_rmse_m": 0.02,
+            "position_max_m": 0.05,
+            "anees": 1.1,
+            "align": "none",
+            "sensors": {"lrf": {"accepted": 10, "nis": 1.5}},
+        },
+        "lrf@2.5Hz": {"position_rmse_m": 0.03, "sensors": {}},
+    },
+}
+
+
+def lines(*gates: str) -> list[str]:
+    return failures(REPORT, [parse_gate(g) for g in gates], None)
+
+
+@pytest.mark.parametrize(
+    "gate", ["all.position_rmse_m > 0.01", "all.position_rmse_m>=0.02", "all.anees < 2", "all.anees <= 1.1"]
+)
+def test_a_gate_that_holds_fails_with_one_line_that_names_it_and_the_number(gate: str) -> None:
+    (line,) = lines(gate)
+    assert line.startswith(gate)
+    assert "it is" in line
+
+
+@pytest.mark.parametrize(
+    "gate", ["all.position_rmse_m > 0.02", "all.position_rmse_m >= 0.0200001", "all.anees < 1.1", "all.anees <= 1"]
+)
+def test_a_gate_that_does_not_hold_says_nothing(gate: str) -> None:
+    assert lines(gate) == []
+
+
+def test_gates_reach_into_sensors_and_names_with_dots() -> None:
+    assert figure(REPORT["configurations"], "all.sensors.lrf.nis") == ("all", 1.5)
+    assert figure(REPORT["configurations"], "lrf@2.5Hz.position_rmse_m") == ("lrf@2.5Hz", 0.03)
+
+
+@pytest.mark.parametrize(
+    ("gate", "why"),
+    [
+        ("camera.position_rmse_m > 1", "no such configuration"),
+        ("all.positon_rmse_m > 1", "no such figure"),
+        ("odometry.heading_rmse_deg > 1", "does not exist"),
+        ("all.align > 1", "does not exist"),
+        ("all.sensors.camera.nis > 1", "no such figure"),
+    ],
+)
+def test_a_figure_that_does_not_exist_fails(gate: str, why: str) -> None:
+    (line,) = lines(gate)
+    assert why in line
+
+
+def test_every_violated_gate_has_its_line() -> None:
+    assert len(lines("all.position_rmse_m > 0.01", "all.anees > 9", "odometry.position_max_m > 0.1")) == 2
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["all.position_rmse_m", "all.position_rmse_m = 1", "all.position_rmse_m > x", "> 1", "all > 1", "all.x > nan"],
+)
+def test_a_gate_that_is_none_is_a_usage_error(text: str) -> None:
+    with pytest.raises(UsageError, match="write it like"):
+        parse_gate(text)
+
+
+@pytest.mark.parametrize(("text", "value"), [("5%", 0.05), ("0.05", 0.05), ("0", 0.0), (" 12.5 % ", 0.125)])
+def test_tolerance_is_a_share(text: str, value: float) -> None:
+    assert parse_tolerance(text) == pytest.approx(value)
+
+
+@pytest.mark.parametrize("text", ["-1%", "much", "", "inf"])
+def test_a_tolerance_that_is_none_is_a_usage_error(text: str) -> None:
+    with pytest.raises(UsageError, match="tolerance"):
+        parse_tolerance(text)
+
+
+def baseline(tmp_path: Path, tolerance: str, **changes: float | None) -> list[str]:
+    old = json.loads(json.dumps(REPORT))
+    old["configurations"]["all"] |= changes
+    path = tmp_path / "old.json"
+    path.write_text(json.dumps(old))
+    return failures(REPORT, [], read_baseline(path, tolerance))
+
+
+def test_only_what_grew_by_more_than_the_tolerance_fails(tmp_path: Path) -> None:
+    assert baseline(tmp_path, "5%") == []
+    assert baseline(tmp_path, "5%", position_rmse_m=0.0191) == []
+    (line,) = baseline(tmp_path, "5%", position_rmse_m=0.0189)
+    assert line.startswith("all.position_rmse_m: 0.02 is 5.8% more")
+
+
+def test_what_got_better_and_what_is_no_error_does_not_fail(tmp_path: Path) -> None:
+    assert baseline(tmp_path, "0%", position_rmse_m=1.0, anees=0.1) == []
+
+
+def test_a_figure_only_one_report_has_is_not_compared(tmp_path: Path) -> None:
+    assert baseline(tmp_path, "0%", heading_rmse_deg=0.001) == []
+    assert baseline(tmp_path, "0%", position_rmse_m=None) == []
+
+
+def test_a_baseline_with_nothing_in_common_fails(tmp_path: Path) -> None:
+    path = tmp_path / "old.json"
+    path.write_text(json.dumps({"configurations": {"else": {"position_rmse_m": 1.0}}}))
+    (line,) = failures(REPORT, [], read_baseline(path, "5%"))
+    assert "no error figure in common" in line
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", '{"configurations": 3}', '{"configurations": {"all": 1}}', "\xff"]
+)
+def test_a_baseline_that_is_no_report_is_one_line(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "old.json"
+    path.write_text(text, encoding="latin-1")
+    with pytest.raises(LocfuseError, match="not a report"):
+        read_baseline(path, "5%")
+
+
+def test_the_command_exits_with_4_and_one_line_per_gate_and_writes_its_results(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    words = ("compare", "rounded_rectangle", "--sensors", "odometry", "--write", "json", "-o", out, "-q")
+    assert locfuse(*words, "--fail-if", "odometry.position_rmse_m > 100").exit_code == 0
+    done = locfuse(*words, "--fail-if", "odometry.position_rmse_m > 0", "--fail-if", "all.anees > 1")
+    assert done.exit_code == 4
+    assert len(done.stderr.splitlines()) == 2
+    assert (out / "report.json").exists()
+
+
+def test_the_command_compares_with_a_baseline(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    words = ("compare", "rounded_rectangle", "--sensors", "odometry", "--write", "json", "-q", "-o")
+    assert locfuse(*words, out).exit_code == 0
+    assert locfuse(*words, tmp_path / "b", "--baseline", out / "report.json", "--tolerance", "0%").exit_code == 0
+    report = json.loads((out / "report.json").read_text())
+    report["configurations"]["odometry"]["position_rmse_m"] *= 0.9
+    worse = tmp_path / "worse.json"
+    worse.write_text(json.dumps(report))
+    done = locfuse(*words, tmp_path / "c", "--baseline", worse)
+    assert done.exit_code == 4
+    assert "odometry.position_rmse_m" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        (("--fail-if", "nonsense"), 2),
+        (("--baseline", "no/such/file.json"), 2),
+        (("--sensors", "lrf@fast"), 2),
+        (("--sensors", "lrf@0Hz"), 2),
+        (("--sensors", "sonar@2Hz"), 1),
+    ],
+)
+def test_mistakes_are_found_before_anything_is_written(tmp_path: Path, words: tuple[str, ...], code: int) -> None:
+    done = locfuse("compare", "rounded_rectangle", "-o", tmp_path / "out", *words)
+    assert done.exit_code == code
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_what_if_keeps_its_name(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    words = ("--sensors", "compass,lrf@2Hz", "--sensors", "compass@1Hz", "--write", "json,tum")
+    assert locfuse("compare", "rounded_rectangle", "-o", out, *words).exit_code == 0
+    report = json.loads((out / "report.json").read_text())
+    assert list(report["configurations"]) == ["compass+lrf@2Hz", "compass@1Hz"]
+    counts = report["configurations"]["compass@1Hz"]["sensors"]["compass"]
+    assert sum(counts["verdicts"].values()) == pytest.approx(55, abs=1)
+    assert (out / "compass+lrf@2Hz.tum").exists()

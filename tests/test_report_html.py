@@ -1,0 +1,283 @@
+"""The page: complete, offline, escaped, the same numbers as report.json, the same bytes twice, small."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import small_scene
+from commands import locfuse
+
+from locfuse.formats import report_html, report_md, report_tables
+from locfuse.formats.figures import sections
+
+REGISTRY = ["compass", "lrf", "camera", "sonar", "gps"]
+EVIL = '/<script>alert(1)</script>"onload=x|`*_\\'
+VOID = {"meta", "input", "br"}
+# numbers that are words: what a column, a bound or a rule is called
+PHRASES = (
+    r"95\s%( bounds| intervals| from)?",
+    r"drift /\d+ m",
+    r"[23] sigma",
+    r"\b1 is right",
+    r"1 it grows",
+    r"\(rmse\)",
+    r"NIS near 1",
+)
+
+
+@dataclass
+class Page(HTMLParser):
+    """What a reader of the page sees outside its drawings, and every figure with its place in report.json."""
+
+    figures: list[tuple[str, str, str]] = field(default_factory=list)  # (pointer, value, text)
+    words: list[str] = field(default_factory=list)
+    attributes: list[tuple[str, str]] = field(default_factory=list)
+    tags: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        super().__init__()
+        self._open: list[tuple[str, dict[str, str]]] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        own = {k: v or "" for k, v in attrs}
+        self.tags.append(tag)
+        self.attributes += list(own.items())
+        if tag not in VOID:
+            self._open.append((tag, own))
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.attributes += [(k, v or "") for k, v in attrs]
+
+    def handle_endtag(self, tag: str) -> None:
+        while self._open and self._open.pop()[0] != tag:
+            pass
+
+    def handle_data(self, data: str) -> None:
+        tags = [tag for tag, _ in self._open]
+        if not data.strip() or ({"style", "title"} & set(tags) and "svg" not in tags):
+            return
+        if tags and tags[-1] == "data":
+            own = self._open[-1][1]
+            self.figures.append((own["data-from"], own["value"], data))
+        elif "svg" not in tags:
+            self.words.append(" ".join(data.split()))
+
+
+def read(html: str) -> Page:
+    page = Page()
+    page.feed(html)
+    return page
+
+
+def at(report: Any, pointer: str) -> Any:
+    for key in pointer.split("/")[1:]:
+        name = key.replace("~1", "/").replace("~0", "~")
+        report = report[int(name)] if isinstance(report, list) else report[name]
+    return report
+
+
+def strings(value: Any) -> Iterator[str]:
+    """Every key and every text of a report."""
+    if isinstance(value, Mapping):
+        for k, v in value.items():
+            yield k
+            yield from strings(v)
+    elif isinstance(value, list):
+        for v in value:
+            yield from strings(v)
+    elif isinstance(value, str):
+        yield value
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("report") / "out"
+    done = locfuse("compare", "rounded_rectangle", "--all-subsets", "--sensors", "lrf@2Hz", "-o", out)
+    assert done.exit_code == 0, done.stderr
+    return out
+
+
+@pytest.fixture(scope="module")
+def page(compared: Path) -> Page:
+    return read((compared / "report.html").read_text())
+
+
+@pytest.fixture(scope="module")
+def report(compared: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((compared / "report.json").read_text())
+    return found
+
+
+def test_every_figure_on_the_page_is_the_one_in_report_json(page: Page, report: dict[str, Any]) -> None:
+    assert len(page.figures) > 200
+    for pointer, value, text in page.figures:
+        expected = at(report, pointer)
+        assert float(value) == expected, pointer
+        number = re.search(r"[-+−]?\d+(\.\d+)?(e[-+]\d+)?", text)
+        assert number is not None, (pointer, text)
+        shown = float(number[0].replace("−", "-"))
+        scale = 100.0 if "%" in text else 1.0
+        digits = len((number[1] or ".")[1:])
+        tolerance = 0.5001 * 10.0**-digits if "e" not in number[0] else abs(shown) * 1e-2
+        tolerance = max(tolerance, abs(shown) * 5e-3 if "credit" in pointer else 0.0)  # three digits
+        assert shown == pytest.approx(scale * expected, abs=tolerance), (pointer, text)
+
+
+def test_no_other_number_is_on_the_page(page: Page, report: dict[str, Any]) -> None:
+    known = sorted({" ".join(s.split()) for s in strings(report) if re.search(r"\d", s)}, key=len, reverse=True)
+    for words in page.words:
+        rest = words
+        for text in known:
+            rest = rest.replace(text, "")
+        for phrase in PHRASES:
+            rest = re.sub(phrase, "", rest)
+        assert not re.search(r"\d", rest), words
+
+
+def test_nothing_on_the_page_asks_for_anything_outside_it(compared: Path, page: Page) -> None:
+    html = (compared / "report.html").read_text()
+    assert "http" not in html.replace("http-equiv", "")
+    assert not re.search(r"@import|url\((?!#)", html)
+    assert {"script", "link", "img", "iframe", "object"}.isdisjoint(page.tags)
+    assert all(value.startswith("#") for name, value in page.attributes if name in {"src", "href", "xlink:href"})
+    assert ("content", "default-src 'none'; style-src 'unsafe-inline'") in page.attributes
+
+
+def test_the_page_has_everything_a_reader_looks_for(compared: Path, report: dict[str, Any]) -> None:
+    html = (compared / "report.html").read_text()
+    for section in ("trajectories", "deviation", "bands", "consistency", "innovations", "gates", "credit"):
+        assert f'<section id="{section}">' in html, section
+    for section in ("table", "figures", "sensors", "input", "settings"):
+        assert f'<section id="{section}">' in html, section
+    assert report["input"]["sha256"] in html
+    assert f"locfuse {report['locfuse']}" in html
+    assert "lrf@2Hz" in html
+    assert html.index('class="verdicts"') < html.index('id="table"') < html.index('id="trajectories"')
+
+
+def test_every_drawing_says_what_it_shows(page: Page) -> None:
+    drawings = page.tags.count("svg")
+    assert drawings > 20
+    assert sum(1 for name, _ in page.attributes if name in {"aria-labelledby", "aria-label"}) >= drawings
+
+
+def test_every_class_of_a_drawing_has_a_colour_for_light_and_for_dark(compared: Path) -> None:
+    html = (compared / "report.html").read_text()
+    used = set(re.findall(r'<path class="[^"]*\b(k\d+)"', html))
+    light = html.split("/*")[0].split("@media")[0]
+    dark = html.split("@media (prefers-color-scheme:dark)")[1].split("@media print")[0]
+    assert used
+    for slug in used:
+        assert f"--{slug}:#" in light
+        assert f"--{slug}:#" in dark
+        assert f".{slug}{{--c:var(--{slug})}}" in html
+
+
+def test_two_runs_give_the_same_bytes(compared: Path, tmp_path: Path) -> None:
+    words = ("compare", "rounded_rectangle", "--all-subsets", "--sensors", "lrf@2Hz", "-o", tmp_path / "again")
+    locfuse(*words, "--write", "html,json,md,csv,tex")
+    for name in ("report.html", "report.json", "report.md", "report.csv", "report.tex"):
+        assert (tmp_path / "again" / name).read_bytes() == (compared / name).read_bytes(), name
+
+
+def test_the_shipped_samples_page_is_small(compared: Path) -> None:
+    assert len((compared / "report.html").read_bytes()) < 700_000
+
+
+def test_a_ten_minute_log_fits_in_one_and_a_half_megabytes() -> None:
+    scene, report = small_scene.long(minutes=10.0, configurations=6)
+    html = report_html.render(report, sections(scene), REGISTRY)
+    assert len(html.encode()) < 1_500_000
+
+
+@pytest.mark.parametrize("written", ["html", "md", "tex"])
+def test_text_from_logs_stays_text(written: str) -> None:
+    _, report = small_scene.long(minutes=0.2, configurations=2)
+    report["input"]["name"] = EVIL
+    report["input"]["topics"] = {"wheels": EVIL}
+    report["input"]["messages"] = {EVIL: 5}
+    report["input"]["dropped"] = {"wheels": {EVIL: 3}}
+    report["input"]["losses"] = {EVIL: {"places": 1, "bytes": 9, "messages": 2}}
+    report["notes"] = [EVIL]
+    report["absent"] = {"lrf": EVIL}
+    report["truth"] = {"topic": EVIL, "stamps": 3, "used": 2, "heading": True, "distance_m": 1.0}
+    report["verdicts"] = {"compass": {"verdict": "helps", "words": EVIL}}
+    if written == "html":
+        html = report_html.render(report, [], REGISTRY)
+        page = read(html)
+        assert "script" not in page.tags
+        assert "onload" not in dict(page.attributes)
+        assert EVIL in page.words
+    elif written == "md":
+        text = re.sub(r"(`+).*?\1", "", report_md.render(report))  # code spans aside
+        assert not re.search(r"(?<!\\)<script", text)
+    else:
+        assert r"\textbackslash" in report_tables.latex(report)
+
+
+def test_a_report_without_truth_says_so_and_ranks_by_prediction(tmp_path: Path) -> None:
+    scene, report = small_scene.untrue()
+    html = report_html.render(report, sections(scene), REGISTRY)
+    words = " ".join(read(html).words)
+    assert "There is no truth in this log" in words
+    assert report["prediction"]["trust"] in words
+    assert '<section id="uncertainty">' in html
+    assert '<section id="deviation">' not in html
+
+
+def test_csv_holds_every_figure_in_full(compared: Path, report: dict[str, Any]) -> None:
+    lines = (compared / "report.csv").read_text().splitlines()
+    heads = lines[0].split(",")
+    for line in lines[1:]:
+        row = dict(zip(heads, line.split(","), strict=True))
+        values = report["configurations"][row["configuration"]]
+        assert float(row["position_rmse_m"]) == values["position_rmse_m"]
+        for sensor, counts in values["sensors"].items():
+            assert int(row[f"{sensor}_accepted"]) == counts["accepted"]
+
+
+def test_writing_json_needs_neither_plotting_nor_templates(tmp_path: Path) -> None:
+    code = (
+        "import sys\n"
+        "from locfuse.cli.main import main\n"
+        f"words = ['compare', 'rounded_rectangle', '--write', 'json', '-o', {str(tmp_path / 'o')!r}]\n"
+        "try:\n    main(words)\nexcept SystemExit as e:\n    assert e.code == 0, e.code\n"
+        "heavy = {'matplotlib', 'jinja2', 'scipy', 'rerun'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_page_needs_no_matplotlib(compared: Path) -> None:
+    code = (
+        "import sys\nimport small_scene\n"
+        "from locfuse.formats import report_html\n"
+        "from locfuse.formats.figures import sections\n"
+        "scene, report = small_scene.long(0.1, 2)\n"
+        "report_html.render(report, sections(scene), ['compass'])\n"
+        "assert 'matplotlib' not in sys.modules\n"
+    )
+    tests = str(Path(__file__).parent)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, env={"PYTHONPATH": tests}
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_figure_that_is_not_finite_is_a_dash() -> None:
+    figures = report_html.Figures({"a": np.nan, "b": None, "c": 0.25})
+    assert "–" in figures(["a"])
+    assert "–" in figures(["b"])
+    assert figures(["c"], "{:.2f}") == '<data value="0.25" data-from="/c">0.25</data>'

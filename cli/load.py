@@ -76,7 +76,18 @@ def load(
     progress("opening")
     log = open_log(paths)
     tables = merged_tables(log, how)
-    choice = choose(log, make_robot(tables), _named_by_hand(how.sets))
+    choice = choose(log, make_robot(tables), named_by_hand(how.sets))
+    return measured(log, tables, choice, progress, only)
+
+
+def measured(
+    log: Log,
+    tables: Mapping[str, Any],
+    choice: Choice,
+    progress: Callable[[str], None] = lambda role: None,
+    only: Collection[str] | None = None,
+) -> Loaded:
+    """Measure the chosen topics of a log under the tables of robot.toml."""
     _leave_out(choice, only, tables["preset"])
     streams = _streams(log, choice, str(tables.get("order", "auto")))
     mounts = mount_tables(log.static_transforms(), {s: parts(streams[s]) for s in REGISTRY if s in streams})
@@ -117,7 +128,7 @@ def merged_tables(log: Log, how: LogOptions) -> dict[str, Any]:
     return robot_toml.merge(filters.TABLES[tables["preset"]], tables)
 
 
-def _named_by_hand(sets: Sequence[str]) -> set[str]:
+def named_by_hand(sets: Sequence[str]) -> set[str]:
     """Return the tables whose topic the command line names."""
     tables = robot_toml.apply_sets(sets).items()
     return {table for table, keys in tables if isinstance(keys, dict) and ("topic" in keys or "topics" in keys)}

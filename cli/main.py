@@ -22,6 +22,7 @@ import click
 COMMANDS = {
     "run": "Run one configuration: trajectory, covariances, run.json.",
     "compare": "Run all configurations in one pass and report what each sensor bought.",
+    "info": "Say what is in a log, what reads what, what is missing, and what is odd, with the cure.",
     "view": "Look at a log, a result or a recording in Rerun.",
     "calibrate": "Find wheel noise, wheel geometry and magnetometer iron from logs.",
     "simulate": "Drive a scenario and record it as a log with known truth.",

@@ -62,6 +62,11 @@ class Log:
         return {name: data for source in self._sources for name, data in source.attachments.items()}
 
     @property
+    def unchecked(self) -> list[str]:
+        """Names of the files in which a changed value cannot be noticed: without checksums, or not of MCAP."""
+        return [p.name for p, s in zip(self.paths, self._sources, strict=True) if not getattr(s, "checked", False)]
+
+    @property
     def decoded_fast(self) -> int:
         """Messages gathered by a layout that another message gave."""
         return sum(table.decoder.fast for table in self._tables.values())

@@ -53,6 +53,11 @@ class McapSource:
                 self.losses.add(str(self.path), str(problem), at, length)
         return found
 
+    @property
+    def checked(self) -> bool:
+        """Whether a changed value would be noticed: every chunk has a checksum, and nothing lies outside one."""
+        return all(isinstance(part, ChunkRef) and part.header.crc for part in self._survey.parts)
+
     @cached_property
     def time_span_ns(self) -> tuple[int, int] | None:
         """First and last log time, None without messages."""

@@ -60,6 +60,14 @@ class LogStream:
         return self._clock.t_ns
 
     @property
+    def delay_s(self) -> float | None:
+        """By how much recording lags behind the header stamps, median [s]; None without headers or messages."""
+        table = self._table
+        if table.stamp is None or table.log_time is None or not len(table.log_time):
+            return None
+        return float(np.median(table.log_time - np.asarray(table.columns[table.stamp]))) * 1e-9
+
+    @property
     def clock(self) -> str:
         """Which times were taken, in words."""
         return self._clock.words

@@ -43,6 +43,7 @@ class Own(NamedTuple):
     raw: float  # factor on the innovations' covariance S
     scale: float  # factor on the covariance R
     white: float  # share of the innovations' variance that is white
+    share: float  # of R in the innovations' predicted variance
     R: tuple[float, ...]  # mean variance told
 
 
@@ -92,6 +93,7 @@ def own(audit: Audit, m: Measurements) -> Own | None:
         raw=raw,
         scale=raw * min(max(1.0 - whiteness[0] * told, 0.3), 2.0),
         white=max(1.0 / told - whiteness[0], 0.0),
+        share=1.0 / told,
         R=tuple(R.mean(axis=0).tolist()),
     )
 

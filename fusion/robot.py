@@ -67,6 +67,7 @@ class TruthSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     y: float = 0.0
     time_offset: float = 0.0
     sigma: float = 0.0  # m, standard deviation per axis
+    max_speed: float | None = None  # m/s: readings that jump away faster and return are not used
 
 
 @dataclass(frozen=True)

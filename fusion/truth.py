@@ -8,6 +8,7 @@ from typing import cast
 import numpy as np
 
 from .data import Array, LocfuseError, Stream, Truth
+from .jumps import limits, spikes
 from .robot import TruthSettings
 
 
@@ -56,6 +57,13 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
     if not later.all():
         dropped["repeat"] = int((~later).sum())
     rows = rows[later]
+    if settings.max_speed is not None and len(rows) > 2:
+        t = (stream.t_ns[rows] - stream.t_ns[rows[0]]) * np.float64(1e-9)
+        xy = values[rows, :2]
+        away = spikes(t, xy, limits(t, np.hypot(*np.diff(xy, axis=0).T), settings.max_speed))
+        if away.any():
+            dropped["jump"] = int(away.sum())
+        rows = rows[~away]
     if len(rows) == 0:
         raise LocfuseError(f"truth: {stream.topic} has no usable reading of {len(stream.t_ns)}")
     theta = _yaw(values[rows, 2:]) if values.shape[1] == 6 else None

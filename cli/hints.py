@@ -1,0 +1,192 @@
+"""What else a log says of its robot: a robot description, an odometry made from the same wheels, telling names."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from ..formats.urdf import WheelGeometry, wheel_geometry
+from ..fusion.data import Array, LocfuseError, Ragged
+from ..fusion.geometry import Geometry, by_odometry
+from ..fusion.joined import joined
+from ..fusion.oddity import Oddity
+from ..fusion.robot import Robot
+from ..fusion.truth import TRUTH_READS, looks_like_truth
+from ..fusion.wheel_sources import JOINTS, KNOWN_TICKS, joint_names
+from ..fusion.wheels import ODOMETRY, counts_ticks
+from .topics import Choice, of_type
+
+if TYPE_CHECKING:
+    from ..formats.log import Log
+
+ESTIMATES = ("odom", "amcl", "slam", "ekf", "filter", "goal", "initial", "estimate", "fused", "map")
+MOVES = 0.05  # of a joint's readings, in its unit: a joint that never moves is no wheel
+
+
+@dataclass(frozen=True)
+class Hints:
+    """What was found."""
+
+    described: WheelGeometry | None = None  # by /robot_description
+    fitted: Geometry | None = None  # by an odometry topic made from the same wheels
+    odometry: str = ""  # that topic
+    ticks: float | None = None  # usual ticks per revolution of the message's type
+    joints: tuple[str, str] | None = None  # wheel joints, by name or because only they turn
+
+
+def hints(log: Log, robot: Robot, choice: Choice) -> Hints:
+    """Look for wheel geometry beyond robot.toml."""
+    described = _described(log)
+    topics = choice.of("wheels")
+    kind = log.topics[topics[0]].msgtype if topics else ""
+    counters = topics if topics and kind != ODOMETRY else _unused_counters(log, choice)
+    if not counters:
+        return Hints(described)
+    kind = log.topics[counters[0]].msgtype
+    odometry = [t for t in of_type(log, (ODOMETRY,)) if not looks_like_truth(t) and log.topics[t].count]
+    joints = _joints(log, counters[0], robot) if kind == JOINTS else None
+    settings = robot.wheels
+    if joints is not None:
+        import msgspec
+
+        settings = msgspec.structs.replace(settings, left=joints[0], right=joints[1])
+    fitted = None
+    if odometry:
+        fitted = by_odometry(joined([log.stream(t) for t in counters]), log.stream(odometry[0]), settings)
+    return Hints(described, fitted, odometry[0] if odometry else "", KNOWN_TICKS.get(kind), joints)
+
+
+def oddities(log: Log, robot: Robot, choice: Choice, found: Hints) -> list[Oddity]:
+    """Return what is missing of the wheels, with the values that were found, and topics that may be the truth."""
+    return [*_geometry(log, robot, choice, found), *_untold_truth(log, choice)]
+
+
+def _geometry(log: Log, robot: Robot, choice: Choice, found: Hints) -> list[Oddity]:
+    topics = choice.of("wheels") or _unused_counters(log, choice)
+    if not topics or log.topics[topics[0]].msgtype == ODOMETRY:
+        topics = _unused_counters(log, choice)
+    if not topics:
+        return []
+    cures, words = [], []
+    if robot.wheels.ticks_per_revolution is None and counts_ticks(log.topics[topics[0]].msgtype):
+        words.append("ticks per revolution")
+        if found.ticks is not None:
+            cures.append(f"wheels.ticks_per_revolution={found.ticks:g}")
+    values, source = geometry(robot, found)
+    for key in ("radius", "track"):
+        if getattr(robot.wheels, key) is None:
+            words.append(key)
+            if key in values:
+                cures.append(f"wheels.{key}={values[key]:.5g}")
+    named = robot.wheels.left is not None and robot.wheels.right is not None
+    if found.joints is not None and not named and not _named_well(log, topics[0], robot):
+        words.append("which joints are the wheels'")
+        cures += [f"wheels.left={found.joints[0]}", f"wheels.right={found.joints[1]}"]
+    if not words:
+        return []
+    other = choice.of("wheels") and log.topics[choice.of("wheels")[0]].msgtype == ODOMETRY
+    said = f"{' and '.join(topics)} counts wheel turns, but nothing says {', '.join(words)}"
+    said += f"; {source}" if source and cures else ""
+    return [Oddity("geometry", "wheels", said, tuple(cures), not other)]
+
+
+def geometry(robot: Robot, found: Hints) -> tuple[dict[str, float], str]:
+    """Return radius and track as far as anything tells, and what does."""
+    if found.described is not None and found.described.radius is not None:
+        values = {"radius": found.described.radius, "track": found.described.track}
+        return values, "/robot_description tells these"
+    if found.fitted is None:
+        return {}, ""
+    ticks = robot.wheels.ticks_per_revolution or found.ticks
+    scale = ticks / (2.0 * np.pi) if ticks and not robot.wheels.ticks_per_revolution else 1.0
+    values = {"radius": found.fitted.radius * scale}
+    if found.fitted.track is not None:
+        values["track"] = found.fitted.track
+    return values, f"{found.odometry} was made with these"
+
+
+def _unused_counters(log: Log, choice: Choice) -> tuple[str, ...]:
+    """Return topics of wheel turns that lost to an odometry for lack of geometry."""
+    from ..fusion.wheel_sources import TICKS
+    from .wheel_topics import pair_topics
+
+    taken = {t for role in choice.topics for t in choice.of(role)}
+    for kinds in ((JOINTS,), TICKS):
+        free = [t for t in of_type(log, kinds) if t not in taken and log.topics[t].count]
+        if len(free) == 1:
+            return (free[0],)
+    pairs = pair_topics(log)
+    return pairs[0] if len(pairs) == 1 and pairs[0][0] not in taken else ()
+
+
+def _named_well(log: Log, topic: str, robot: Robot) -> bool:
+    if log.topics[topic].msgtype != JOINTS:
+        return True
+    try:
+        joint_names(cast("Any", log.stream(topic).columns("name")["name"]), topic, robot.wheels)
+    except LocfuseError:
+        return False
+    return True
+
+
+def _joints(log: Log, topic: str, robot: Robot) -> tuple[str, str] | None:
+    """Return the wheel joints: by name, else the only two that turn on and on."""
+    columns = log.stream(topic).columns("name", "position")
+    names = cast("list[tuple[str, ...]]", columns["name"])
+    try:
+        return joint_names(names, topic, robot.wheels)
+    except LocfuseError:
+        pass
+    way = _ways(names, cast("Ragged", columns["position"]))
+    turning = [j for j, w in way.items() if w > MOVES]
+    fixed = {robot.wheels.left, robot.wheels.right}
+    if len(turning) != 2 or (fixed - {None} and not fixed & set(turning)):
+        return None
+    return _sorted_sides(turning[0], turning[1])
+
+
+def _ways(names: list[tuple[str, ...]], positions: Ragged) -> dict[str, float]:
+    """Return how far every joint moved in all, in its unit."""
+    at: dict[str, list[float]] = {}
+    for i, row in enumerate(names):
+        values = positions[i]
+        for joint, value in zip(row, values.tolist(), strict=False):
+            at.setdefault(joint, []).append(value)
+    ways: dict[str, float] = {}
+    for joint, values_of in at.items():
+        v: Array = np.array(values_of)
+        ways[joint] = float(np.abs(np.diff(v[np.isfinite(v)])).sum())
+    return ways
+
+
+def _sorted_sides(a: str, b: str) -> tuple[str, str]:
+    """Return the left joint first: by an l or r among the names' words, else as they come."""
+    words = {j: set(j.lower().replace("-", "_").split("_")) for j in (a, b)}
+    return (b, a) if words[a] & {"r", "right", "rw"} or words[b] & {"l", "left", "lw"} else (a, b)
+
+
+def _described(log: Log) -> WheelGeometry | None:
+    """Return what a robot description in the log says of the wheels."""
+    for topic in of_type(log, ("std_msgs/msg/String",)):
+        if topic.rpartition("/")[2] == "robot_description" and log.topics[topic].count:
+            try:
+                texts = log.stream(topic).columns("data")["data"]
+            except LocfuseError:
+                continue
+            for text in cast("list[str]", texts)[:1]:
+                return wheel_geometry(text)
+    return None
+
+
+def _untold_truth(log: Log, choice: Choice) -> list[Oddity]:
+    """Name topics of poses that might be the truth, had somebody said so: an estimate must not judge another."""
+    if "truth" in choice.topics:
+        return []
+    kinds = [k for k in TRUTH_READS if k != ODOMETRY]
+    poses = [t for t in of_type(log, kinds) if log.topics[t].count and not any(w in t.lower() for w in ESTIMATES)]
+    if not poses:
+        return []
+    words = f"none is named; if {' or '.join(poses)} is a reference (not an estimate), say so"
+    return [Oddity("truth?", "truth", words, (f"truth.topic={poses[0]}",))]

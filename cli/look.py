@@ -1,0 +1,215 @@
+"""Everything `info` and `init` know of a log: topics, roles, mounts, what is missing, oddities and their cures.
+
+Whatever is wrong becomes an oddity and the rest is looked at all the same: this is for logs that do not run yet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..formats.log import Log, open_log
+from ..formats.transforms import StaticTransforms
+from ..fusion.data import LocfuseError
+from ..fusion.doctor import examine
+from ..fusion.joined import joined
+from ..fusion.oddity import Oddity, settings_in
+from ..fusion.robot import Robot
+from ..fusion.sensors.registry import REGISTRY
+from . import hints
+from .load import PLAIN_CLOCK, Loaded, make_robot, measured, merged_tables, named_by_hand
+from .look_sensors import raw_oddities
+from .mounts import mount_of
+from .topic_facts import TopicFacts, topic_facts
+from .topics import Choice, choose_sensor, choose_truth
+from .wheel_topics import choose_wheels
+
+if TYPE_CHECKING:
+    from .options import LogOptions
+
+MOUNT_KEYS = ("x", "y", "roll_deg", "pitch_deg", "yaw_deg", "flipped", "mounts")
+
+
+@dataclass
+class Look:
+    """What was seen."""
+
+    log: Log
+    tables: dict[str, Any]  # robot.toml as merged, before mounts
+    choice: Choice
+    facts: list[TopicFacts]
+    transforms: StaticTransforms
+    robot: Robot  # with mounts where the log could be measured
+    loaded: Loaded | None = None
+    hints: hints.Hints = field(default_factory=hints.Hints)
+    oddities: list[Oddity] = field(default_factory=list)
+
+    @property
+    def spoils(self) -> bool:
+        """Whether an estimate would be wrong, or bytes are lost."""
+        return any(o.spoils for o in self.oddities)
+
+
+def look(paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None] = lambda role: None) -> Look:
+    """Look at a log. Raises LocfuseError only where it cannot be opened, or robot.toml cannot be read."""
+    progress("opening")
+    log = open_log(paths)
+    tables = merged_tables(log, how)
+    robot = make_robot(tables)
+    progress("topics")
+    facts = topic_facts(log, robot.order)
+    found: list[Oddity] = []
+    choice = _choose(log, robot, named_by_hand(how.sets), found)
+    transforms = _transforms(log, found)
+    seen = Look(log, tables, choice, facts, transforms, robot)
+    seen.hints = hints.hints(log, robot, choice)
+    seen.oddities = [
+        *_of_files(log),
+        *found,
+        *hints.oddities(log, robot, choice, seen.hints),
+        *_clocks(facts, choice),
+    ]
+    seen.oddities += raw_oddities(log, robot, choice)
+    _measure(seen, progress)
+    seen.oddities += [*_mounts(seen), *_conflicts(seen)]
+    return seen
+
+
+def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Oddity]) -> Choice:
+    """Choose every role by itself: what cannot be chosen becomes an oddity."""
+    choice = Choice()
+    steps: dict[str, Callable[[], None]] = {
+        "truth": lambda: choose_truth(log, robot, "truth" in insisted, choice),
+        "wheels": lambda: choose_wheels(log, robot, choice),
+    }
+    for name in REGISTRY:
+        steps[name] = lambda name=name: choose_sensor(log, robot, name, name in insisted, choice)  # type: ignore[misc]
+    for role, step in steps.items():
+        try:
+            step()
+        except LocfuseError as e:
+            words = str(e).removeprefix(f"{role}: ")
+            choice.absent[role] = words
+            found.append(Oddity("choice", role, words, settings_in(words), role == "wheels"))
+    found += [Oddity("choice", "wheels", note.removeprefix("wheels: ")) for note in choice.notes]
+    return choice
+
+
+def _transforms(log: Log, found: list[Oddity]) -> StaticTransforms:
+    try:
+        transforms = log.static_transforms()
+    except LocfuseError as e:
+        found.append(Oddity("tf_static", "/tf_static", str(e)))
+        return StaticTransforms()
+    return transforms
+
+
+def _conflicts(seen: Look) -> list[Oddity]:
+    """Name the frames that are said to be in two places: those that matter one by one, the others together."""
+    facts = {f.topic: f for f in seen.facts}
+    frames = {facts[t].frame_id: role for role in seen.choice.topics for t in seen.choice.of(role) if t in facts}
+    found, others = [], []
+    for words in seen.transforms.conflicts:
+        frame = words.partition(":")[0]
+        role = frames.get(frame)
+        if role is None:
+            others.append(frame)
+            continue
+        mount = extrinsics(seen).get(role, {})
+        cures = [f"{role}.{k}={mount[k]:.4g}" for k in ("x", "y", "yaw_deg") if isinstance(mount.get(k), float)]
+        found.append(Oddity("tf_static", role, words, tuple(cures), mount.get("by") == "/tf_static"))
+    if others:
+        listed = ", ".join(others[:3]) + (" ..." if len(others) > 3 else "")
+        words = f"{len(others)} frames are said to be in two places ({listed}); no sensor used here sits there"
+        found.append(Oddity("tf_static", "/tf_static", words))
+    return found
+
+
+def _of_files(log: Log) -> list[Oddity]:
+    """What the files themselves lost, and whether they could tell."""
+    found = [Oddity("lost", "file", line, spoils=True) for line in log.losses.lines()]
+    if log.unchecked:
+        names = ", ".join(log.unchecked[:3]) + (" ..." if len(log.unchecked) > 3 else "")
+        found.append(
+            Oddity("unchecked", "file", f"{names}: no checksums, so that a changed value cannot be detected")
+        )
+    return found
+
+
+def _clocks(facts: Sequence[TopicFacts], choice: Choice) -> list[Oddity]:
+    """Say which clock was taken where it is not simply the header's, of the topics that are used."""
+    roles = {topic: role for role in choice.topics for topic in choice.of(role)}
+    found = []
+    for f in facts:
+        if f.topic not in roles:
+            continue
+        words = [] if f.clock in {PLAIN_CLOCK, ""} else [f.clock]
+        found += [Oddity("clock", roles[f.topic], f"{f.topic}: {word}") for word in (*words, *f.notes)]
+    return found
+
+
+def _measure(seen: Look, progress: Callable[[str], None]) -> None:
+    """Measure what can be, and let the doctor look at it."""
+    if "wheels" not in seen.choice.topics:
+        return
+    try:
+        loaded = measured(seen.log, seen.tables, seen.choice, progress)
+    except LocfuseError as e:
+        words = str(e)
+        role, _, rest = words.partition(": ")
+        known = role in {"wheels", "truth", *REGISTRY}
+        if not any(o.stream == role and o.spoils for o in seen.oddities):
+            seen.oddities.append(
+                Oddity("unusable", role if known else "log", rest if known else words, settings_in(words), True)
+            )
+        return
+    progress("looking for oddities")
+    seen.loaded, seen.robot = loaded, loaded.robot
+    # a sensor that the log has but that says nothing useful: worth a line, and a cure where there is one
+    for name, why in loaded.drive.absent.items():
+        if name in seen.choice.topics:
+            words = why.removeprefix(f"{name}: ")
+            cures = settings_in(why)
+            seen.oddities.append(Oddity("unusable", name, words, cures, bool(cures)))
+    streams = {
+        role: joined([seen.log.stream(topic, loaded.robot.order) for topic in seen.choice.of(role)])
+        for role in seen.choice.topics
+    }
+    said = " ".join(o.words for o in seen.oddities if o.code == "clock")
+    seen.oddities += [o for o in examine(loaded.drive, loaded.robot, streams) if o.words not in said]
+
+
+def extrinsics(seen: Look) -> dict[str, dict[str, Any]]:
+    """Return where each sensor sits, and who says so."""
+    found: dict[str, dict[str, Any]] = {}
+    for name in seen.choice.topics:
+        if name not in REGISTRY:
+            continue
+        settings = seen.robot.settings(name)
+        values = {k: getattr(settings, k) for k in MOUNT_KEYS if hasattr(settings, k)}
+        if values:
+            found[name] = {**values, "by": _mount_by(seen, name, values)}
+    return found
+
+
+def _mount_by(seen: Look, name: str, keys: Mapping[str, Any]) -> str:
+    """Return who says where a sensor sits: the settings, /tf_static, or nobody."""
+    if any(key in seen.tables.get(name, {}) for key in keys):
+        return "settings"
+    facts = {f.topic: f for f in seen.facts}
+    frames = [facts[t].frame_id for t in seen.choice.of(name) if t in facts]
+    known = [frame for frame in frames if mount_of(seen.transforms, frame) is not None]
+    return "/tf_static" if known and len(known) == len(frames) else "nobody"
+
+
+def _mounts(seen: Look) -> list[Oddity]:
+    """Say of the sensors whose place matters that nobody says where they sit."""
+    found = []
+    for name, mount in extrinsics(seen).items():
+        if mount["by"] == "nobody" and name in {"lrf", "sonar"}:
+            keys = f"{name}.mounts" if "mounts" in mount else f"{name}.x, {name}.y, {name}.yaw_deg"
+            words = f"nothing says where it sits on the robot: the base's origin is assumed (set {keys})"
+            found.append(Oddity("mount", name, words))
+    return found

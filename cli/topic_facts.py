@@ -1,0 +1,87 @@
+"""What `locfuse info` says of every topic: how often, how regularly, by which clock, in which frame."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..fusion.data import LocfuseError
+from ..fusion.doctor import gaps
+
+if TYPE_CHECKING:
+    from ..formats.log import Log
+
+MOST_GAPS = 20  # listed for machines
+
+
+@dataclass(frozen=True)
+class TopicFacts:
+    """One topic."""
+
+    topic: str
+    msgtype: str
+    count: int
+    frame_id: str = ""
+    rate_hz: float | None = None
+    period_s: float | None = None  # median
+    gaps: tuple[tuple[float, float], ...] = ()  # (start, end) [s] since the log began
+    clock: str = ""  # which times were taken
+    delay_s: float | None = None  # recording behind header stamps, median
+    dropped: dict[str, int] | None = None
+    problem: str | None = None  # why it cannot be read
+    notes: tuple[str, ...] = ()
+
+    def values(self) -> dict[str, Any]:
+        """Return it for report and JSON."""
+        return {
+            "type": self.msgtype,
+            "messages": self.count,
+            "frame": self.frame_id or None,
+            "rate_hz": self.rate_hz,
+            "period_s": self.period_s,
+            "gaps": [list(g) for g in self.gaps[:MOST_GAPS]],
+            "longest_gap_s": max((b - a for a, b in self.gaps), default=None),
+            "clock": self.clock or None,
+            "delay_s": self.delay_s,
+            "dropped": self.dropped or {},
+            "problem": self.problem,
+        }
+
+
+def topic_facts(log: Log, order: str) -> list[TopicFacts]:
+    """Return the facts of all topics, by name. Only headers are read."""
+    readable = [name for name, topic in log.topics.items() if topic.problem is None and topic.count]
+    with suppress(LocfuseError):  # where one of them cannot be read, each says so for itself below
+        log.streams(dict.fromkeys(readable, ()), order=order)
+    return [_facts(log, name, order) for name in sorted(log.topics)]
+
+
+def _facts(log: Log, name: str, order: str) -> TopicFacts:
+    topic = log.topics[name]
+    if topic.problem is not None or not topic.count:
+        return TopicFacts(name, topic.msgtype, topic.count, problem=topic.problem)
+    try:
+        stream = log.stream(name, order)
+        t_ns = stream.t_ns
+    except LocfuseError as e:
+        return TopicFacts(name, topic.msgtype, topic.count, problem=str(e))
+    begin = (log.time_span_ns or (0, 0))[0]
+    t = (t_ns - begin) * np.float64(1e-9)
+    dt = np.diff(t)
+    moving = dt[dt > 0]
+    return TopicFacts(
+        topic=name,
+        msgtype=topic.msgtype,
+        count=topic.count,
+        frame_id=stream.frame_id,
+        rate_hz=float((len(t) - 1) / (t[-1] - t[0])) if len(t) > 1 and t[-1] > t[0] else None,
+        period_s=float(np.median(moving)) if len(moving) else None,
+        gaps=tuple(gaps(t)),
+        clock=stream.clock,
+        delay_s=stream.delay_s,
+        dropped=dict(stream.dropped),
+        notes=stream.notes,
+    )

@@ -1,0 +1,109 @@
+"""Wheel geometry from a robot description (URDF): which joints turn the wheels, their radius, how far apart."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..fusion.data import Array
+
+LARGEST = 4 * 1024 * 1024  # characters: no robot's description is longer
+TURNS = ("continuous", "revolute")
+
+
+class WheelGeometry(NamedTuple):
+    """What a description says of the two driven wheels."""
+
+    left: str  # joint names
+    right: str
+    radius: float | None  # m, of the wheel's cylinder or sphere
+    track: float  # m between both joints
+
+
+def wheel_geometry(text: str) -> WheelGeometry | None:
+    """Return the geometry of the one pair of wheels that stand side by side; None where the text tells none.
+
+    Descriptions with a DTD are not read: entities can be made to fill the memory.
+    """
+    if len(text) > LARGEST or "<!DOCTYPE" in text or "<!ENTITY" in text:
+        return None
+    try:
+        robot = ET.fromstring(text)
+    except ET.ParseError:
+        return None
+    joints = {j.get("name", ""): j for j in robot.iter("joint") if j.get("type")}
+    wheels = [n for n, j in joints.items() if j.get("type") in TURNS and "wheel" in n.lower()]
+    left = [n for n in wheels if "left" in n.lower() or n.lower().startswith("l")]
+    right = [n for n in wheels if "right" in n.lower() or n.lower().startswith("r")]
+    if len(left) != 1 or len(right) != 1:
+        return None
+    places = [_place(robot, joints[name]) for name in (left[0], right[0])]
+    track = abs(float(places[0][1] - places[1][1]))
+    if not 0.01 < track < 10.0:
+        return None
+    return WheelGeometry(left[0], right[0], _radius(robot, joints[left[0]]), track)
+
+
+def _place(robot: ET.Element, joint: ET.Element) -> Array:
+    """Return where a joint sits in the root link (3,), over the fixed joints above it."""
+    T = np.eye(4)
+    seen: set[str] = set()
+    here: ET.Element | None = joint
+    while here is not None and here.get("name", "") not in seen:
+        seen.add(here.get("name", ""))
+        T = _origin(here) @ T
+        parent = here.find("parent")
+        link = parent.get("link") if parent is not None else None
+        here = next((j for j in robot.iter("joint") if _child(j) == link and link is not None), None)
+    place: Array = T[:3, 3]
+    return place
+
+
+def _child(joint: ET.Element) -> str | None:
+    child = joint.find("child")
+    return child.get("link") if child is not None else None
+
+
+def _origin(joint: ET.Element) -> Array:
+    origin = joint.find("origin")
+    T = np.eye(4)
+    if origin is None:
+        return T
+    roll, pitch, yaw = _numbers(origin.get("rpy"))
+    cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
+    T[:3, :3] = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    T[:3, 3] = _numbers(origin.get("xyz"))
+    return T
+
+
+def _numbers(text: str | None) -> Sequence[float]:
+    try:
+        values = [float(word) for word in (text or "0 0 0").split()]
+    except ValueError:
+        return (0.0, 0.0, 0.0)
+    return values if len(values) == 3 and all(map(math.isfinite, values)) else (0.0, 0.0, 0.0)
+
+
+def _radius(robot: ET.Element, joint: ET.Element) -> float | None:
+    """Return the radius of the wheel that hangs on a joint, by its collision shape, else by what is drawn."""
+    link = next((ln for ln in robot.iter("link") if ln.get("name") == _child(joint)), None)
+    if link is None:
+        return None
+    for part in ("collision", "visual"):
+        for shape in ("cylinder", "sphere"):
+            for found in link.iterfind(f"{part}/geometry/{shape}"):
+                try:
+                    radius = float(found.get("radius", ""))
+                except ValueError:
+                    continue
+                if 0.005 < radius < 2.0:
+                    return radius
+    return None

@@ -1,0 +1,114 @@
+"""The log doctor: what the sensors of a drive say of each other, before any filter believes them.
+
+Nothing here needs a pose. Turning is compared over windows, motion between scans with the wheels', the truth with
+both; every complaint names the setting that cures it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from .data import Array, Drive, Measurements, Stream
+from .doctor_laser import laser_motion, of_laser
+from .doctor_tilt import tilted
+from .doctor_truth import metre, of_truth
+from .doctor_turning import Turning, aligned, of_track, of_turning, turnings
+from .lag import worth_saying
+from .measure import clock_lag
+from .oddity import Oddity
+from .robot import Robot
+
+GAP, GAP_PERIODS = 0.5, 5.0  # s, median periods: a longer silence is a gap
+BLIND = 0.9  # share of readings without any measurement: such a sensor is dead, or misunderstood
+SEES = {"lrf": "line", "sonar": "echo", "camera": "landmark"}
+LARGE_LAG = 0.15  # s: at half a metre per second and a radian per second this is centimetres and degrees
+
+
+def examine(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[Oddity]:
+    """Return everything odd about a measured drive; `streams` are the raw readings by role."""
+    found = [*_notes(drive), *_refused(drive)]
+    found += _gaps("wheels", drive.wheels.t)
+    found += [o for name, m in drive.measurements.items() for o in (*_gaps(name, m.t), *_blind(name, m))]
+    seen = turnings(drive)
+    tilts = tilted(drive, robot, streams)
+    turning = of_turning(drive, robot, seen, streams)
+    found += [*tilts, *(o for o in turning if o.stream not in {t.stream for t in tilts})]
+    if any(o.stream == "wheels" and o.spoils for o in turning):
+        return found  # nothing can be held against such wheels
+    return [*found, *_scales(drive, robot, seen, turning), *_lags(drive), *of_truth(drive, robot)]
+
+
+def _scales(drive: Drive, robot: Robot, seen: Mapping[str, Turning], turning: Sequence[Oddity]) -> list[Oddity]:
+    """Return what is odd about metres and the track; each cure is told in the metre that the others will leave."""
+    motion, lrf = None, drive.measurements.get("lrf")
+    if lrf is not None and len(lrf.t) > 20 and not any(o.stream == "lrf" for o in turning):
+        motion = laser_motion(lrf, aligned(lrf, seen.get("lrf")), drive, robot)
+    factor, scaled = metre(drive, robot)
+    track = of_track(robot.wheels, seen, motion, factor) if robot.wheels.radius is not None else []
+    if track:
+        scaled = [replace(o, cures=o.cures[:1]) for o in scaled]
+    return [*scaled, *track, *of_laser(motion, robot, factor)]
+
+
+def _notes(drive: Drive) -> list[Oddity]:
+    """What was repaired while reading the wheels; the clock lags among the notes are judged anew below."""
+    own = (note.removeprefix("wheels: ") for note in drive.notes if note.startswith("wheels: "))
+    return [Oddity("repaired", "wheels", note) for note in own]
+
+
+def _refused(drive: Drive) -> list[Oddity]:
+    return [
+        Oddity("refused", stream, ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in reasons.items()))
+        for stream, reasons in drive.dropped.items()
+        if reasons
+    ]
+
+
+def _gaps(name: str, t: Array) -> list[Oddity]:
+    """Silences are listed: without a sensor the filter keeps predicting, without wheels all motion is one arc."""
+    found = gaps(t)
+    if not found:
+        return []
+    longest = max(end - start for start, end in found)
+    where = ", ".join(f"{start:.1f}-{end:.1f} s" for start, end in found[:3])
+    more = " ..." if len(found) > 3 else ""
+    return [Oddity("gap", name, f"silent {len(found)} times, at most {longest:.1f} s ({where}{more})")]
+
+
+def gaps(t: Array) -> list[tuple[float, float]]:
+    """Return the silences (start, end) [s] in times (n,)."""
+    dt = np.diff(t)
+    if len(dt) < 2:
+        return []
+    long = np.flatnonzero(dt > max(GAP, GAP_PERIODS * float(np.median(dt))))
+    return [(float(t[i]), float(t[i + 1])) for i in long]
+
+
+def _blind(name: str, m: Measurements) -> list[Oddity]:
+    n = len(m.t)
+    if n and m.absent > BLIND * n:
+        words = (
+            f"no {SEES.get(name, 'value')} in {m.absent} of {n} readings: it is dead, or its settings do not fit"
+        )
+        return [Oddity("blind", name, words, spoils=name in {"lrf", "camera"})]
+    return [] if n else [Oddity("blind", name, "no reading within the wheels' time", spoils=True)]
+
+
+def _lags(drive: Drive) -> list[Oddity]:
+    found = []
+    for name, m in drive.measurements.items():
+        lag = clock_lag(name, m, drive.wheels)
+        if lag is None or not worth_saying(lag):
+            continue
+        behind = "behind" if lag.offset < 0 else "ahead of"
+        words = (
+            f"its turning runs {abs(lag.offset):.2f} s {behind} the wheels' (correlation {lag.without:.3f} as "
+            f"stamped, {lag.correlation:.3f} shifted)"
+        )
+        found.append(
+            Oddity("lag", name, words, (f"{name}.time_offset={lag.offset:.2f}",), abs(lag.offset) > LARGE_LAG)
+        )
+    return found

@@ -1,0 +1,175 @@
+"""Does the laser move and turn as the wheels say? Its metre, its direction on the robot, and the wheels' track.
+
+A wall seen from two places of the laser, d apart, changes its distance by n.d, whatever the room. Over many walls
+y = a n.d + b n.(Jd) gives the laser's metre, 1 / sqrt(a^2 + b^2), and by how much its assumed yaw is off. By how
+much the wall's direction changed is the robot's turn.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from . import se2
+from .data import Array, Drive, Ints, Measurements
+from .oddity import Oddity
+from .robot import Robot
+
+APART, ASTERN = 0.3, 0.35  # m, rad between the two places, whichever comes first
+LATER = 4.0  # s at most between them
+PAIRS = 1500
+TURN, SHIFT = math.radians(8.0), 0.25  # rad, m: further off than the wheels say is another wall
+FEWEST = 60  # walls seen twice
+BLOCKS = 8  # stretches of the drive whose estimates must agree
+OFF_SCALE, OFF_YAW, SURE = 0.03, math.radians(4.0), 3.0
+SPOILS_SCALE, SPOILS_YAW = 0.05, math.radians(8.0)
+LEAST_TURNED = 6.0  # rad, of all turns together
+
+
+class Walls(NamedTuple):
+    """Walls seen from two places of the laser, k of them, in time order."""
+
+    y: Array  # (k,) by how much the distance shrank [m]
+    n: Array  # (k, 2) normals in the base frame at the first place
+    d: Array  # (k, 2) how far the laser moved, same frame [m]
+    turn: Array  # (k,) by how much the wall's direction says that the robot turned [rad]
+    told: Array  # (k,) by how much the wheels do
+
+
+class Motion(NamedTuple):
+    """What the walls say."""
+
+    scale: float  # that makes the laser's metre the wheels'
+    scale_sigma: float
+    yaw: float  # rad, assumed yaw less the true one
+    yaw_sigma: float
+    turns: float | None  # the robot's turn per turn that the wheels tell; None where it hardly turned
+    turns_sigma: float
+    walls: int
+
+
+def laser_motion(m: Measurements, t: Array, drive: Drive, robot: Robot) -> Motion | None:
+    """Return what walls seen twice say, scans being taken at `t` (n,) on the wheels' clock; None if few were."""
+    settings = robot.settings("lrf")
+    walls = seen_twice(m, t, drive, np.array([settings.x, settings.y]))
+    fit = fitted(walls)
+    if fit is None:
+        return None
+    scale_sigma, yaw_sigma = _spread(lambda part: fitted(part, least=10), walls, 2)
+    turns = turned(walls)
+    turns_sigma = _spread(lambda part: None if (c := turned(part)) is None else (c,), walls, 1)[0]
+    return Motion(fit[0], scale_sigma, fit[1], yaw_sigma, turns, turns_sigma, len(walls.y))
+
+
+def of_laser(motion: Motion | None, robot: Robot, metre: float = 1.0) -> list[Oddity]:
+    """Return what is odd about range scale and yaw.
+
+    `metre` is by how much another cure will scale the wheels' metre: the laser's follows.
+    """
+    if motion is None:
+        return []
+    settings = robot.settings("lrf")
+    if abs(motion.yaw) > OFF_YAW + SURE * motion.yaw_sigma:
+        yaw = se2.wrap(math.radians(settings.yaw_deg) - motion.yaw)
+        words = (
+            f"walls come nearer as if it looked {math.degrees(-motion.yaw):+.0f} deg further left than its yaw of "
+            f"{settings.yaw_deg:.1f} deg says"
+        )
+        return [
+            Oddity("yaw", "lrf", words, (f"lrf.yaw_deg={math.degrees(yaw):.0f}",), abs(motion.yaw) > SPOILS_YAW)
+        ]
+    scale = motion.scale * metre
+    if abs(scale - 1.0) < OFF_SCALE + SURE * motion.scale_sigma:
+        return []
+    whose = "wheels'" if metre == 1.0 else "truth's"
+    words = f"its metre is {1.0 / scale:.3f} of the {whose} (1 sigma {motion.scale_sigma:.3f})"
+    words += ": scale it if the wheels are right, or wheels.radius if it is" if metre == 1.0 else ""
+    cure = f"lrf.range_scale={settings.range_scale * scale:.4g}"
+    return [Oddity("range scale", "lrf", words, (cure,), abs(scale - 1.0) > SPOILS_SCALE)]
+
+
+def fitted(walls: Walls, least: int = FEWEST) -> tuple[float, float] | None:
+    """Return the factor that makes the laser's metre the wheels', and its yaw error [rad]."""
+    along = (walls.n * walls.d).sum(axis=1)
+    across = walls.n[:, 1] * walls.d[:, 0] - walls.n[:, 0] * walls.d[:, 1]
+    A, keep = np.stack((along, across), axis=-1), np.ones(len(along), dtype=bool)
+    for _ in range(4):
+        if keep.sum() < least:
+            return None
+        x, *_ = np.linalg.lstsq(A[keep], walls.y[keep], rcond=None)
+        rest = np.abs(walls.y - A @ x)
+        keep = rest <= 3.0 * 1.4826 * max(float(np.median(rest[keep])), 1e-4)
+    length = float(np.hypot(*x))
+    return (1.0 / length, math.atan2(float(x[1]), float(x[0]))) if length > 0.2 else None
+
+
+def turned(walls: Walls) -> float | None:
+    """Return the robot's turn per turn that the wheels tell, None where it hardly turned."""
+    rest = walls.turn - walls.told
+    keep = np.abs(rest) < TURN
+    if float(np.abs(walls.told[keep]).sum()) < LEAST_TURNED:
+        return None
+    c = float((walls.turn[keep] * walls.told[keep]).sum() / (walls.told[keep] ** 2).sum())
+    keep &= np.abs(walls.turn - c * walls.told) < 3.0 * 1.4826 * float(np.median(np.abs(rest[keep])) + 1e-3)
+    return float((walls.turn[keep] * walls.told[keep]).sum() / (walls.told[keep] ** 2).sum())
+
+
+def _spread(estimate: Callable[[Walls], tuple[float, ...] | None], walls: Walls, numbers: int) -> list[float]:
+    """Return standard errors by estimating on stretches of the drive: pairs overlap and are not independent."""
+    parts = np.array_split(np.arange(len(walls.y)), BLOCKS)
+    found = [estimate(Walls(*(column[part] for column in walls))) for part in parts]
+    known = np.array([f for f in found if f is not None]).reshape(-1, numbers)
+    if len(known) < 3:
+        return [math.inf] * numbers
+    spread: list[float] = (known.std(axis=0, ddof=1) / math.sqrt(len(known))).tolist()
+    return spread
+
+
+def seen_twice(m: Measurements, t: Array, drive: Drive, mount: Array) -> Walls:
+    """Return walls seen from places apart from each other, paired by where the wheels say they must be."""
+    first, second = _places(t, drive)
+    moved = drive.wheels.relative(t[first], t[second])
+    c, s = np.cos(moved[:, 2]), np.sin(moved[:, 2])
+    swing = np.stack((c * mount[0] - s * mount[1], s * mount[0] + c * mount[1]), axis=-1) - mount
+    rows: list[Walls] = []
+    for k, (i, j) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
+        a, b = m.z[m.first[i] : m.first[i + 1]], m.z[m.first[j] : m.first[j + 1]]
+        if len(a) and len(b):
+            rows.append(_paired(a, b, moved[k], moved[k, :2] + swing[k], mount))
+    if not rows:
+        return Walls(np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+    return Walls(*(np.concatenate(column) for column in zip(*rows, strict=True)))
+
+
+def _places(t: Array, drive: Drive) -> tuple[Ints, Ints]:
+    """Return pairs of scans (k,), (k,) between which the wheels rolled or turned far enough."""
+    wheels = drive.wheels
+    step = np.maximum(np.abs(wheels.twist[:, 0]) / APART, np.abs(wheels.twist[:, 2]) / ASTERN)
+    way = np.interp(t, wheels.t, np.concatenate(([0.0], np.cumsum(step))))
+    second = np.searchsorted(way, way + 1.0)
+    first = np.flatnonzero(second < len(t))
+    first = first[t[second[first]] - t[first] < LATER]
+    every = max(1, len(first) // PAIRS)
+    return first[::every], second[first[::every]]
+
+
+def _paired(a: Array, b: Array, moved: Array, d: Array, mount: Array) -> Walls:
+    """Pair lines a (k, 2) and b (l, 2) of two scans where they must be the same wall."""
+    n = np.stack((np.cos(a[:, 1]), np.sin(a[:, 1])), axis=-1)
+    r, psi = a[:, 0] - n @ moved[:2], a[:, 1] - moved[2]
+    turn = np.abs(se2.wrap_all(psi[:, None] - b[None, :, 1]))
+    shift = np.abs(r[:, None] - b[None, :, 0])
+    cost = np.where((turn < TURN) & (shift < SHIFT), turn / TURN + shift / SHIFT, np.inf)
+    nearest = cost.argmin(axis=1)
+    best = cost[np.arange(len(a)), nearest]
+    # a rival nearly as good makes the pair worthless
+    good = np.isfinite(best) & ((cost < best[:, None] + 0.7).sum(axis=1) == 1)
+    b_near = b[nearest[good]]
+    n_b = np.stack((np.cos(b_near[:, 1]), np.sin(b_near[:, 1])), axis=-1)
+    y = (a[good, 0] - n[good] @ mount) - (b_near[:, 0] - n_b @ mount)
+    k = int(good.sum())
+    own = moved[2] + se2.wrap_all(a[good, 1] - b_near[:, 1] - moved[2])
+    return Walls(y, n[good], np.tile(d, (k, 1)), own, np.full(k, moved[2]))

@@ -1,0 +1,90 @@
+"""Is an IMU or magnetometer mounted as its table says? Gravity tells, and so does the plane the field turns in."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import cast
+
+import numpy as np
+
+from .data import Array, Drive, Stream
+from .mounting import rotation
+from .oddity import Oddity
+from .robot import Robot
+
+GRAVITY = (9.0, 10.6)  # m/s^2
+TILT = math.radians(25.0)
+TURNED = math.radians(270.0)  # a field must have been seen from most sides
+FLAT = 10.0  # the field's plane: how much less it varies across than within
+IMU, FIELD = "sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField"
+ACCELERATION = tuple(f"linear_acceleration.{a}" for a in "xyz")
+MAGNETIC = tuple(f"magnetic_field.{a}" for a in "xyz")
+
+
+def tilted(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[Oddity]:
+    """Return the mounts that gravity or the field contradicts."""
+    found = []
+    for name in ("compass", "gyro"):
+        stream = streams.get(name)
+        if stream is None:
+            continue
+        settings = robot.settings(name)
+        told = rotation(settings.roll_deg, settings.pitch_deg, 0.0)[2]
+        up, by = None, "gravity"
+        if stream.msgtype == IMU:
+            up = by_gravity(_vectors(stream, ACCELERATION))
+        elif stream.msgtype == FIELD:
+            up, by = by_field(stream, drive, told), "the plane in which the field turns"
+        if up is None or math.acos(float(np.clip(up @ told, -1.0, 1.0))) < TILT:
+            continue
+        roll, pitch = angles(up)
+        words = f"{by} says that it is mounted at roll {roll:.0f} deg, pitch {pitch:.0f} deg"
+        cures = (f"{name}.roll_deg={roll:.0f}", f"{name}.pitch_deg={pitch:.0f}")
+        found.append(Oddity("tilt", name, words, cures, True))
+    return found
+
+
+def by_gravity(acceleration: Array) -> Array | None:
+    """Return the direction of up in the sensor's axes (3,) by accelerations (n, 3); None without gravity."""
+    finite = acceleration[np.isfinite(acceleration).all(axis=1)]
+    if not len(finite):
+        return None
+    mean = np.median(finite, axis=0)
+    g = float(np.linalg.norm(mean))
+    return mean / g if GRAVITY[0] < g < GRAVITY[1] else None
+
+
+def by_field(stream: Stream, drive: Drive, told: Array) -> Array | None:
+    """Return the axis about which a magnetometer's field turns (3,), in the sense of the robot's turning."""
+    t = (stream.t_ns - drive.epoch_ns) * 1e-9
+    inside = (t >= drive.wheels.t[0]) & (t <= drive.wheels.t[-1])
+    field = _vectors(stream, MAGNETIC)
+    good = inside & np.isfinite(field).all(axis=1)
+    field, t = field[good], t[good]
+    if len(t) < 20:
+        return None
+    theta = drive.wheels.at(t)[2][:, 2]
+    if np.ptp(theta) < TURNED:
+        return None
+    centred = field - field.mean(axis=0)
+    values, axes = np.linalg.eigh(centred.T @ centred)
+    if values[1] < FLAT * values[0] or values[1] <= 0.0:
+        return None
+    axis: Array = axes[:, 0]
+    # seen from the robot the field turns against the robot
+    swept = float((np.cross(centred[:-1], centred[1:]) @ axis * np.diff(theta)).sum())
+    return axis if swept < 0.0 else -axis
+
+
+def angles(up: Array) -> tuple[float, float]:
+    """Return roll and pitch [deg] of a mount whose vertical is `up` in the sensor's axes: R's last row."""
+    x, y, z = (float(v) for v in up)
+    pitch = math.degrees(-math.asin(max(-1.0, min(1.0, x))))
+    roll = math.degrees(math.atan2(y, z)) if math.hypot(y, z) > 1e-3 else 0.0
+    return roll + 0.0, pitch + 0.0
+
+
+def _vectors(stream: Stream, fields: tuple[str, ...]) -> Array:
+    columns = cast("dict[str, Array]", stream.columns(*fields))
+    return np.stack([columns[f].astype(np.float64) for f in fields], axis=-1)

@@ -1,0 +1,232 @@
+"""Do the wheels turn the robot as its other sensors see it turn? Mirrored, swapped and dead wheels, and the track.
+
+Over windows of a second a sensor's own turn is a R + b L, with L, R what the wheels rolled: a = 1/track and
+b = -1/track on a robot that is described as it is. The signs of a and b tell what is the wrong way round.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from .data import Array, Drive, Measurements, Stream
+from .doctor_laser import Motion
+from .joined import Joined
+from .motion import Wheels
+from .oddity import Oddity
+from .robot import Robot, WheelSettings
+from .sensors.registry import REGISTRY
+from .wheels import ODOMETRY
+
+WINDOW = 1.0  # s
+LONGEST, STEP = 1.2, 0.05  # s: clocks may differ
+LEAST_TURN = math.radians(5.0)  # rms turn of a window
+EXPLAINED = 0.8  # share of a sensor's turning that the wheels must explain, in whatever sense
+ALONE = 0.98  # correlation of both wheels from which they cannot be told apart
+OFF, SURE = 0.04, 4.0  # relative error of the track worth saying; standard errors
+SPOILS_TRACK = 0.06
+STILL = 1e-3  # m per window
+READINGS = 3000
+
+
+@dataclass(frozen=True)
+class Turning:
+    """One sensor's turning explained by the wheels."""
+
+    a: float  # per metre of the right wheel [rad/m]
+    b: float  # per metre of the left wheel
+    sigma: float  # standard error of a - b
+    explained: float  # share of its variance
+    offset: float  # s to add to its stamps
+    distinct: bool  # both wheels could be told apart
+
+
+def turnings(drive: Drive) -> dict[str, Turning]:
+    """Return how the wheels explain the turning of every sensor that turns by itself."""
+    found = {}
+    for name, m in drive.measurements.items():
+        heading = getattr(REGISTRY[name], "heading", None)
+        if heading is None or len(m.t) < 20:
+            continue
+        first = m.take(np.arange(min(len(m.t), READINGS)))
+        t, own = heading(first)
+        turning = explain(t, own, drive.wheels, _untold(own) if name == "lrf" else np.zeros(len(t)))
+        if turning is not None:
+            found[name] = turning
+    return found
+
+
+def _untold(heading: Array) -> Array:
+    """Return how many turns up to each scan (n,) no line told: the laser's heading stands still, to the bit."""
+    return np.cumsum(np.diff(heading, prepend=np.nan) == 0.0).astype(np.float64)
+
+
+def explain(t: Array, heading: Array, wheels: Wheels, untold: Array) -> Turning | None:
+    """Fit a heading's turns by what either wheel rolled, at the clock offset that explains most, or None."""
+    start = t[(t >= wheels.t[0] + LONGEST) & (t <= wheels.t[-1] - LONGEST - WINDOW)]
+    start = start[start + WINDOW <= t[-1]]
+    start = start[np.interp(start + WINDOW, t, untold) == np.interp(start, t, untold)]
+    if len(start) < 20:
+        return None
+    own = np.interp(start + WINDOW, t, heading) - np.interp(start, t, heading)
+    if math.sqrt(float((own**2).mean())) < LEAST_TURN:
+        return None
+    way = np.concatenate((np.zeros((1, 2)), np.cumsum(wheels.rolled, axis=0)))
+    best: Turning | None = None
+    for offset in np.arange(-LONGEST, LONGEST + STEP / 2, STEP).tolist():
+        fit = _fit(own, _way(wheels, way, start + offset + WINDOW) - _way(wheels, way, start + offset), offset)
+        if fit is not None and (best is None or fit.explained > best.explained):
+            best = fit
+    return best if best is not None and best.explained > EXPLAINED else None
+
+
+def _way(wheels: Wheels, way: Array, t: Array) -> Array:
+    """Return what left and right wheel had rolled at t, (n, 2) m."""
+    return np.stack([np.interp(t, wheels.t, column) for column in way.T], axis=-1)
+
+
+def _fit(own: Array, rolled: Array, offset: float) -> Turning | None:
+    """Fit by least squares, then take the geometric mean of both regressions: the wheels err too."""
+    left, right = rolled.T
+    if np.std(left) < STILL or np.std(right) < STILL:
+        return None
+    distinct = abs(float(np.corrcoef(left, right)[0, 1])) < ALONE
+    A = np.stack((right, left, np.ones_like(left)) if distinct else (right - left, np.ones_like(left)), axis=-1)
+    x, *_ = np.linalg.lstsq(A, own, rcond=None)
+    rest = own - A @ x
+    explained = 1.0 - float(rest.var() / own.var()) if own.var() > 0 else 0.0
+    if explained <= 0.0:
+        return None
+    # windows overlap: as many are independent as fit side by side
+    independent = max(4.0, len(own) * 0.25)
+    covariance = np.linalg.inv(A.T @ A) * float(rest.var()) * len(own) / independent
+    x = x / math.sqrt(explained)
+    v = np.array([1.0, -1.0, 0.0]) if distinct else np.array([2.0, 0.0])
+    a, b = (float(x[0]), float(x[1])) if distinct else (float(x[0]), -float(x[0]))
+    return Turning(a, b, math.sqrt(float(v @ covariance @ v)), explained, offset, distinct)
+
+
+def of_turning(
+    drive: Drive, robot: Robot, seen: Mapping[str, Turning], streams: Mapping[str, Stream]
+) -> list[Oddity]:
+    """Return what the turning of all sensors together says of the senses of wheels and mounts."""
+    counts_wheels = streams["wheels"].msgtype != ODOMETRY
+    found = _dead_wheel(drive.wheels) if counts_wheels else []
+    if found or not seen:
+        return found or (_by_the_wheels_alone(drive.wheels, robot) if counts_wheels else [])
+    mirrored = [w for t in seen.values() if (w := _mirrored(t)) is not None]
+    if counts_wheels and len(mirrored) > len(seen) / 2:
+        wheel = max(set(mirrored), key=mirrored.count)
+        by = " and ".join(name for name, t in seen.items() if _mirrored(t) == wheel)
+        words = f"the {wheel} wheel counts backward: only so do the wheels turn as {by} does"
+        return [Oddity("mirrored", "wheels", words, (f"wheels.mirrored={_also(robot, wheel)}",), True)]
+    back = [name for name, t in seen.items() if t.a < 0.0 < t.b]
+    if len(back) > 1 and len(back) == len(seen):
+        words = f"the wheels turn against {' and '.join(back)}: left and right are swapped"
+        return [Oddity("swapped", "wheels", words, _swapped(robot.wheels, streams["wheels"]), True)]
+    return [_reversed(name, robot, streams) for name in back]
+
+
+def _mirrored(t: Turning) -> str | None:
+    """Return which wheel's sign is wrong, None where neither or where it cannot be told."""
+    weak = 0.3 * max(abs(t.a), abs(t.b))
+    if not t.distinct or abs(t.a) < weak or abs(t.b) < weak or t.a * t.b < 0.0:
+        return None
+    return "left" if t.a > 0.0 else "right"
+
+
+def _also(robot: Robot, wheel: str) -> str:
+    """Return what wheels.mirrored should be when one more wheel is found to count backward."""
+    now = robot.wheels.mirrored
+    other = "right" if wheel == "left" else "left"
+    return {"none": wheel, wheel: "none", other: "both", "both": other}[now]
+
+
+def _swapped(settings: WheelSettings, stream: Stream) -> tuple[str, ...]:
+    if isinstance(stream, Joined):
+        left, right = (part.topic for part in stream.parts)
+        return (f"wheels.left_topic={right}", f"wheels.right_topic={left}")
+    if settings.left is not None and settings.right is not None:
+        return (f"wheels.left={settings.right}", f"wheels.right={settings.left}")
+    return ("wheels.mirrored=both",)
+
+
+def _reversed(name: str, robot: Robot, streams: Mapping[str, Stream]) -> Oddity:
+    """Return what to do about one sensor that turns the other way round."""
+    settings = robot.settings(name)
+    if name == "lrf":
+        cures, why = (f"lrf.flipped={str(not settings.flipped).lower()}",), "the laser is mounted upside-down"
+    elif name == "compass" and streams[name].msgtype.startswith("std_msgs"):
+        now = settings.convention
+        other = now.replace("enu", "compass") if now.startswith("enu") else now.replace("compass", "enu")
+        cures, why = (f"compass.convention={other}",), "its headings grow clockwise"
+    else:
+        cures, why = (f"{name}.roll_deg={(settings.roll_deg + 180.0) % 360.0:g}",), "it is mounted upside-down"
+    return Oddity("reversed", name, f"it turns the other way round than the wheels: {why}", cures, True)
+
+
+def of_track(
+    settings: WheelSettings, seen: Mapping[str, Turning], motion: Motion | None, metre: float = 1.0
+) -> list[Oddity]:
+    """Hold the track against the laser's walls, else against the compass; a gyro's scale is not known any better.
+
+    `metre` is by how much another cure will scale the wheels' metre: the track follows.
+    """
+    told = settings.track
+    found = _told_track(told or 0.0, seen, motion)
+    if told is None or found is None:
+        return []
+    track, sigma, by = metre * found[0], metre * found[1], found[2]
+    off = track / (metre * told) - 1.0
+    if abs(off) < OFF + SURE * sigma / track:
+        return []
+    words = (
+        f"the track is {told:g} m, but the turning of {by} says {track:.3f} m (1 sigma {sigma:.3f}); "
+        "or let the filter find it (wheels.estimate=true)"
+    )
+    return [Oddity("track", "wheels", words, (f"wheels.track={track:.3f}",), abs(off) > SPOILS_TRACK)]
+
+
+def _told_track(
+    told: float, seen: Mapping[str, Turning], motion: Motion | None
+) -> tuple[float, float, str] | None:
+    """Return a track, its sigma, and who says so."""
+    if motion is not None and motion.turns is not None and math.isfinite(motion.turns_sigma):
+        return told / motion.turns, told * motion.turns_sigma / motion.turns**2, "the laser's walls"
+    t = seen.get("compass")
+    if t is None or t.a - t.b <= 0.0:
+        return None
+    track = 2.0 / (t.a - t.b)
+    return track, track * t.sigma / (t.a - t.b), "the compass"
+
+
+def _dead_wheel(wheels: Wheels) -> list[Oddity]:
+    left, right = np.abs(wheels.rolled).sum(axis=0).tolist()
+    for side, own, other in (("left", left, right), ("right", right, left)):
+        if other > 0.5 and own < 0.001 * other:
+            words = f"the {side} wheel never turns while the other rolls {other:.1f} m: its encoder is dead"
+            return [Oddity("dead", "wheels", words, (), True)]
+    return []
+
+
+def _by_the_wheels_alone(wheels: Wheels, robot: Robot) -> list[Oddity]:
+    """Return a suspicion where no other sensor turns: wheels that nearly always turn against each other."""
+    left, right = wheels.rolled.T
+    moving = (np.abs(left) > 1e-5) & (np.abs(right) > 1e-5)
+    against = float(np.mean(left[moving] * right[moving] < 0.0)) if moving.any() else 0.0
+    if against < 0.7 or moving.sum() < 50 or float(np.abs(left[moving]).sum()) < 0.5:
+        return []
+    words = (
+        f"they turn against each other {against:.0%} of the time: unless the robot only turned on the spot, one "
+        "counts backward (if it is the right one: wheels.mirrored=right)"
+    )
+    cure = "left" if float(right.sum()) > float(left.sum()) else "right"
+    return [Oddity("mirrored", "wheels", words, (f"wheels.mirrored={_also(robot, cure)}",), False)]
+
+
+def aligned(m: Measurements, turning: Turning | None) -> Array:
+    """Return a sensor's times (n,) on the wheels' clock."""
+    return m.t + (turning.offset if turning is not None else 0.0)

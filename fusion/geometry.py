@@ -1,0 +1,65 @@
+"""Wheel radius and track by holding wheel angles against the odometry that the robot itself computed from them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from .data import Array, LocfuseError, Stream
+from .robot import WheelSettings
+from .wheel_repairs import repaired
+from .wheel_sources import Counters, read_counters
+from .wheels import read_wheels
+
+WINDOW = 0.5  # s over which both are compared
+GUESS = 0.05  # m: radius under which jumps of the counters are looked for
+FEWEST, AGREES = 40, 0.95  # windows; correlation
+LEAST_TURN = 0.5  # rad, rms sum of turns, before the track is told
+
+
+class Geometry(NamedTuple):
+    """What the robot's own odometry took its wheels for."""
+
+    radius: float  # m; of ticks: metres per tick times ticks_per_revolution / 2 pi, one tick taken as a radian
+    track: float | None  # m; None where the robot hardly turned
+
+
+def by_odometry(counters: Stream, odometry: Stream, settings: WheelSettings) -> Geometry | None:
+    """Return radius and track under which the wheel angles give the odometry; None where they do not agree."""
+    known = msgspec.structs.replace(settings, ticks_per_revolution=settings.ticks_per_revolution or None)
+    try:
+        both = read_counters(counters, known)
+        theirs = read_wheels(odometry, WheelSettings())
+    except LocfuseError:
+        return None
+    t, left, right = _angles(both, known)
+    offset = (theirs.epoch_ns - both.zero_ns) * 1e-9
+    start = np.arange(max(t[0], offset), min(t[-1], offset + theirs.wheels.t[-1]) - WINDOW, WINDOW)
+    if len(start) < FEWEST:
+        return None
+    moved = theirs.wheels.relative(start - offset, start - offset + WINDOW)
+    rolled = [np.interp(start + WINDOW, t, side) - np.interp(start, t, side) for side in (left, right)]
+    return _fitted(0.5 * (rolled[0] + rolled[1]), rolled[1] - rolled[0], moved)
+
+
+def _angles(both: Counters, settings: WheelSettings) -> tuple[Array, Array, Array]:
+    """Return times and the angles of both wheels (n,) [rad]."""
+    turn = 2.0 * np.pi / settings.ticks_per_revolution if settings.ticks_per_revolution else 1.0
+    left, right = (
+        repaired(s, GUESS * turn, settings.rollover, settings.max_speed) for s in (both.left, both.right)
+    )
+    t = both.left.t[left.keep]
+    return t, left.rolled / GUESS, np.interp(t, both.right.t[right.keep], right.rolled / GUESS)
+
+
+def _fitted(mean: Array, difference: Array, moved: Array) -> Geometry | None:
+    ahead, turn = moved[:, 0], moved[:, 2]
+    if np.std(mean) == 0.0 or np.std(ahead) == 0.0 or float(np.corrcoef(mean, ahead)[0, 1]) < AGREES:
+        return None
+    radius = float((mean * ahead).sum() / (mean**2).sum())
+    turns = float(np.sqrt((turn**2).sum()))
+    if turns < LEAST_TURN or float(np.corrcoef(difference, turn)[0, 1]) < AGREES:
+        return Geometry(radius, None)
+    return Geometry(radius, radius * float((difference**2).sum() / (difference * turn).sum()))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import struct
 import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -124,6 +125,6 @@ def _real(path: Path) -> Base:
     data = path.read_bytes()
     try:
         checked = path.suffix == ".mcap" and has_checksums(data)
-    except McapError:  # damaged already
+    except (McapError, struct.error):  # damaged already
         checked = False
     return Base(path.name, path.suffix, data, checked, 0.4, real=True)

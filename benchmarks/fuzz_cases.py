@@ -236,6 +236,8 @@ def judge(case: Case, folder: Path, healthy: bytes | None) -> str:
 def _of_words(done: Done) -> str:
     """Hold exit code and stderr against the contract."""
     text = done.err
+    if done.code == 3 and "\n  file: " in done.out:  # info says what is lost among its results
+        text += f"lost: {done.out}"
     if "Traceback" in text:
         return text[text.index("Traceback") :][-3000:]
     if "Warning:" in text:

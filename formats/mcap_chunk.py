@@ -90,7 +90,7 @@ def _credible(
     """Tell which index entries (k,) point at a Message record of their channel and log time."""
     if len(data) < PAYLOAD:
         return np.zeros(len(offsets), bool)
-    inside = (offsets >= 0) & (offsets + PAYLOAD <= len(data))
+    inside = (offsets >= 0) & (offsets <= len(data) - PAYLOAD)
     at = np.where(inside, offsets, 0)
     length = view(data, "<u8", at + 1)
     found: NDArray[np.bool_] = (

@@ -87,7 +87,8 @@ def ranges(panel: Panel) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the limits of x and y: as given, else what the marks need with a little air."""
     xs = [_x(m) for m in panel.marks]
     ys = [v for m in panel.marks for v in _y(m)]
-    return panel.x_range or _span(xs, 0.0), panel.y_range or _span(ys, 0.04, panel.log)
+    x, y = panel.x_range or _span(xs, 0.0), panel.y_range or _span(ys, 0.04, panel.log)
+    return _opened(*x), _opened(*y)
 
 
 def _x(mark: Mark) -> Array:
@@ -109,7 +110,12 @@ def _span(columns: list[Array], air: float, log: bool = False) -> tuple[float, f
     low, high = float(values.min()), float(values.max())
     if log:
         return low / 1.2, high * 1.2
-    if high - low < 1e-12:
-        pad = max(abs(high) * 0.1, 1e-3)
-        return low - pad, high + pad
     return low - air * (high - low), high + air * (high - low)
+
+
+def _opened(low: float, high: float) -> tuple[float, float]:
+    """Return limits with something between them: a log may be one instant long, a value constant."""
+    if high - low >= 1e-12 * max(1.0, abs(high)):
+        return low, high
+    pad = max(abs(high) * 0.1, 1e-3)
+    return low - pad, high + pad

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .data import Array, Ints
+from .data import Array, Ints, LocfuseError
 from .sensors.base import Block, Innovation
 
 Pose = tuple[float, float, float]
@@ -345,7 +345,14 @@ class JointBelief:
         n, P = self.n, self._P
         PH = P[:n, columns] @ H.T  # H has entries for the pose and the blocks in question only
         S = H @ PH[columns] + R
-        V = np.linalg.solve(np.linalg.cholesky(0.5 * (S + S.T)), np.column_stack((PH.T, y)))
+        try:
+            L = np.linalg.cholesky(0.5 * (S + S.T))
+        except np.linalg.LinAlgError:
+            raise LocfuseError(
+                f"the filter's variances span too many powers of ten to be computed with (innovations of up to "
+                f"{S.diagonal().max():.0e}): are the sigmas and floors of robot.toml meant so?"
+            ) from None
+        V = np.linalg.solve(L, np.column_stack((PH.T, y)))
         return V[:, :n], V[:, n]
 
     def _schmidt(self, V: Array, e: Array, kept: Ints) -> None:

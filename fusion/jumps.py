@@ -13,6 +13,7 @@ WINDOW = 11  # steps whose median speed is the speed of the moment
 FACTOR = 8.0  # times the speed of the moment ...
 SLACK = 0.5  # ... plus this much [m/s] ...
 LEAST = 0.02  # ... plus this much [m]: less is no jump
+FASTEST = 1e6  # m/s: not even a counter in a unit that nobody told goes faster
 SPIKE_READINGS, SPIKE_S = 10, 0.5  # what returns later than this did not spike
 
 Mask = NDArray[np.bool_]
@@ -33,16 +34,16 @@ def limits(t: Array, steps: Array, max_speed: float | None = None) -> Array:
     suspects = np.flatnonzero(np.abs(steps) > least)
     out = least.copy()
     out[suspects] += FACTOR * _speeds(np.abs(steps) / usual, suspects) * usual[suspects]
-    return out
+    return np.minimum(out, FASTEST * usual)
 
 
 def _speeds(speed: Array, at: Ints) -> Array:
-    """Median of `speed` (n,) over WINDOW steps around the positions `at`, (k,)."""
+    """Median of `speed` (n,) over WINDOW steps around the positions `at`, (k,), or nearest to them at either end."""
     if not len(at):
         return np.zeros(0)
-    half = WINDOW // 2
-    around = np.clip(at[:, None] + np.arange(-half, half + 1), 0, len(speed) - 1)
-    median: Array = np.median(speed[around], axis=1)
+    window = min(WINDOW, len(speed))
+    begin = np.clip(at - WINDOW // 2, 0, len(speed) - window)
+    median: Array = np.median(speed[begin[:, None] + np.arange(window)], axis=1)
     return median
 
 
@@ -98,5 +99,5 @@ def restarted(t: Array, steps: Array, jumps: Mask) -> Restarts:
 
 
 def _length(steps: Array) -> Array:
-    length: Array = np.sqrt((steps**2).sum(axis=-1))
+    length: Array = np.hypot.reduce(steps, axis=-1)  # squares of absurd steps would overflow
     return length

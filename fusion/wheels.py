@@ -23,6 +23,7 @@ WHEEL_READS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(NUMBERS, ("data",)),
     ODOMETRY: odometry.FIELDS,
 }
+LEAST = 1e-6  # m: no wheel is smaller, and no two stand closer
 SIGNS = {"none": (1.0, 1.0), "left": (-1.0, 1.0), "right": (1.0, -1.0), "both": (-1.0, -1.0)}
 
 
@@ -84,8 +85,8 @@ def _geometry(settings: WheelSettings, stream: Stream) -> tuple[float, float]:
             f"Set them in robot.toml or with --set wheels.{missing[0]}=<metres>"
         )
     radius, track = float(settings.radius or 0.0), float(settings.track or 0.0)
-    if radius <= 0.0 or track <= 0.0:
-        raise LocfuseError(f"wheels: radius {radius:g} m and track {track:g} m must both be positive")
+    if min(radius, track) < LEAST:
+        raise LocfuseError(f"wheels: radius {radius:g} m and track {track:g} m must both be at least {LEAST:g} m")
     if settings.ratio <= 0.0:
         raise LocfuseError(f"wheels: ratio {settings.ratio:g} must be positive: right radius over left radius")
     if settings.ticks_per_revolution is None and counts_ticks(stream.msgtype):

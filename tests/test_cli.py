@@ -138,7 +138,7 @@ BAD = [
     (("run", LOG, "--set", "wheels.trak=0.5"), 2, "did you mean track"),
     (("run", LOG, "--set", "whels.track=0.5"), 2, "did you mean wheels"),
     (("run", LOG, "--set", "wheels.track=wide"), 2, "wheels.track"),
-    (("run", LOG, "--set", "wheels.track=-1"), 1, "must both be positive"),
+    (("run", LOG, "--set", "wheels.track=-1"), 1, "must both be at least 1e-06 m"),
     (("run", LOG, "--set", "wheels.left=arm_joint"), 1, "no joint 'arm_joint'"),
     (("run", LOG, "--robot", "{typo}"), 1, "did you mean track"),
     (("run", LOG, "--robot", "{broken}"), 1, "broken.toml"),

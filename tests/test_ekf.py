@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from textbook import TextbookEkf
 
+from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.ekf import JointBelief, PoseBelief
 from locfuse.fusion.sensors.base import Block, Innovation
 
@@ -174,3 +175,12 @@ def test_heading_survives_the_wrap_at_pi(heading: float) -> None:
     y = wrap(heading + 0.02 - belief.theta)
     belief.correct([Innovation(0, 0, -1, 0, 1, (y,), (1,), ((0, 0, 1),), ((0.01,),))])
     assert belief.theta - heading == pytest.approx(0.01)
+
+
+def test_variances_that_no_float_can_hold_side_by_side_are_refused_in_one_line() -> None:
+    """One number measured twice, exactly, of which nothing is known: to rounding, S is singular."""
+    belief = JointBelief(POSE, UPPER, [Block("map", np.zeros(1), np.array([[1e37]]), np.zeros(1))])
+    zero, pose = ((0.0, 0.0), (0.0, 0.0)), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    twice = Innovation(0, 0, -1, 0.0, math.inf, (0.1, 0.1), (1.0, 1.0), pose, zero, (3,), ((1.0,), (0.1,)))
+    with pytest.raises(LocfuseError, match=r"too many powers of ten .* robot\.toml"):
+        belief.correct([twice])

@@ -195,6 +195,11 @@ def test_a_drawing_is_well_formed_and_labelled(changes: dict[str, object]) -> No
     assert "time, s" in text
 
 
+@pytest.mark.parametrize("limits", [{"x_range": (0.0, 0.0)}, {"y_range": (3.0, 3.0)}, {"x_range": (2e9, 2e9)}])
+def test_a_panel_of_one_instant_or_one_value_is_drawn(limits: dict[str, object]) -> None:
+    ET.fromstring(figure_svg.svg(panel(**limits), "p-0", SLUGS))
+
+
 def test_points_are_drawn_where_the_axes_say() -> None:
     x = np.array([0.0, 2.0, 10.0])
     drawing = figure_svg.svg(panel(marks=(Curve("lrf", x, 3.0 * x),), x_range=(0.0, 10.0)), "p-0", SLUGS)

@@ -102,6 +102,15 @@ def test_an_index_that_misses_messages_is_not_believed(tmp_path: Path) -> None:
     assert sum(len(m.start) for m in found.messages.values()) == len(drive(60))
 
 
+@pytest.mark.parametrize("offset", [2**63 - 1, 2**63, 2**64 - 1])
+def test_an_index_that_points_beyond_all_numbers_is_not_believed(tmp_path: Path, offset: int) -> None:
+    path = write(tmp_path / "x.mcap", drive(60))
+    source = McapSource(FileBytes(path), Losses())
+    batch = next(iter(source.batches(source.channels.keys())))
+    found = records(batch.data, {1: np.array([[batch.messages[1].log_time[0], offset]], "<u8")})
+    assert sum(len(m.start) for m in found.messages.values()) == len(drive(60))
+
+
 @pytest.mark.parametrize("layout", [PLAIN, {"use_chunking": False}, {"chunk_size": 4000}])
 def test_a_truncated_file_gives_every_message_that_is_wholly_there(tmp_path: Path, layout: dict[str, Any]) -> None:
     said = drive(40)

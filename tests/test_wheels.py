@@ -140,6 +140,22 @@ def test_a_spike_that_jumps_and_returns_is_left_out_and_counted(
     np.testing.assert_allclose(final(reading)[:2], pose_of(angle)[:2], atol=2e-3)
 
 
+@pytest.mark.parametrize("at", [0, -1])
+@pytest.mark.parametrize("size", [1e30, 1e305, 50.0])
+def test_a_first_or_last_reading_that_is_absurd_does_not_carry_the_robot_off(
+    truth: tuple[Array, Array], at: int, size: float
+) -> None:
+    t, angle = truth
+    published = angle.copy()
+    published[at, 1] += size
+    reading = read(t, published)
+    assert "started anew" in words(reading)
+    np.testing.assert_allclose(final(reading)[:2], pose_of(angle)[:2], atol=2e-3)
+    motions = reading.wheels.between(t[:-1], t[1:])
+    assert np.isfinite(motions.u).all()
+    assert np.isfinite(motions.Q).all()
+
+
 def test_a_spike_and_rollovers_in_one_drive_are_both_repaired(truth: tuple[Array, Array]) -> None:
     t, angle = truth
     published = (angle + np.pi) % (2 * np.pi) - np.pi

@@ -16,7 +16,7 @@ from .sensors.base import WheelMotion
 
 WINDOW = 1.0  # s over which turning is compared
 LONGEST = 1.5  # s
-STEP = 0.01  # s
+COARSE, STEP = 0.05, 0.01  # s: correlations over a whole window are smooth, so the best is near the coarse best
 WORTH_SAYING = 0.04  # s
 LEAST_TURN = math.radians(3.0)  # rms turn per window below which there is nothing to correlate
 LEAST_CORRELATION = 0.8
@@ -43,22 +43,30 @@ def find_lag(t: Array, heading: Array, wheels: WheelMotion, span: tuple[float, f
         return None
     end = np.interp(start + WINDOW, t, t)
     own = np.interp(end, t, heading) - heading[inside]
-    lags = np.arange(-LONGEST, LONGEST + STEP / 2, STEP)
-    scores = np.array([_correlation(own, wheels.relative(start + lag, end + lag)[:, 2]) for lag in lags])
-    turned = math.sqrt(float((own**2).mean()))
-    best = int(np.argmax(scores))
-    if turned < LEAST_TURN or scores[best] <= LEAST_CORRELATION or best in (0, len(lags) - 1):
+    if math.sqrt(float((own**2).mean())) < LEAST_TURN:
         return None
-    at_zero = float(scores[np.argmin(np.abs(lags))])
-    return Lag(
-        float(lags[best]) + STEP * _vertex(*scores[best - 1 : best + 2].tolist()), float(scores[best]), at_zero
-    )
+
+    def scores(lags: Array) -> Array:
+        shifted = lags[:, None]
+        return _correlations(own, wheels.heading(end + shifted) - wheels.heading(start + shifted))
+
+    coarse = np.arange(-LONGEST, LONGEST + COARSE / 2, COARSE)
+    middle = coarse[np.argmax(scores(coarse))]
+    fine = middle + np.arange(-COARSE, COARSE + STEP / 2, STEP)
+    score = scores(fine)
+    best = int(np.argmax(score))
+    if score[best] <= LEAST_CORRELATION or abs(middle) > LONGEST - COARSE / 2 or best in (0, len(fine) - 1):
+        return None
+    offset = float(fine[best]) + STEP * _vertex(*score[best - 1 : best + 2].tolist())
+    return Lag(offset, float(score[best]), float(scores(np.zeros(1))[0]))
 
 
-def _correlation(a: Array, b: Array) -> float:
-    a, b = a - a.mean(), b - b.mean()
-    scale = math.sqrt(float((a**2).sum() * (b**2).sum()))
-    return float((a * b).sum()) / scale if scale > 0 else 0.0
+def _correlations(a: Array, b: Array) -> Array:
+    """Correlation of a (n,) with every row of b (k, n), (k,)."""
+    a, b = a - a.mean(), b - b.mean(axis=1, keepdims=True)
+    scale = np.sqrt((a @ a) * (b**2).sum(axis=1))
+    out: Array = np.divide(b @ a, scale, out=np.zeros(len(b)), where=scale > 0)
+    return out
 
 
 def _vertex(left: float, middle: float, right: float) -> float:

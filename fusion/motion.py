@@ -72,6 +72,10 @@ class Wheels:
         """Return the poses (..., 3) at t_to seen from those at t_from."""
         return se2.between(self.at(t_from)[2], self.at(t_to)[2])
 
+    def heading(self, t: Array) -> Array:
+        """Return the heading (...) [rad, not wrapped] by the wheels alone at times t (...) within the drive."""
+        return np.interp(t, self.t, self.pose[:, 2])
+
     def turn_rate(self) -> tuple[Array, Array]:
         """Return interval midpoints (n-1,) [s] and turning rates (n-1,) [rad/s]."""
         return 0.5 * (self.t[1:] + self.t[:-1]), self.twist[:, 2] / np.diff(self.t)

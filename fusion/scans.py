@@ -5,11 +5,13 @@ from __future__ import annotations
 from typing import Any, NamedTuple, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from . import se2
 from .data import Array, Ints, Ragged
 from .lines import Lines, LineSettings, extract_lines, to_base
 from .sensors.base import WheelMotion
+from .side_by_side import blocks, misfit, nearest, turn_of
 
 MAX_BEAMS = 100_000  # of one scan: no 2D laser has more
 BEAMS_AT_ONCE = 1 << 19  # lines are extracted from scans of at most so many beams together: memory is bounded
@@ -107,14 +109,26 @@ def in_order(parts: list[tuple[Ints, Lines]], n: int) -> tuple[Ints, Array, Arra
     return first, z, R_unit, ends
 
 
-def turn_between(before: Array, after: Array) -> float:
-    """Median turn of the robot [rad] between two scans' lines (k, 2), each paired with its nearest."""
-    if len(before) == 0 or len(after) == 0:
-        return 0.0
-    turn = se2.wrap_all(before[:, 1, None] - after[None, :, 1])
-    shift = before[:, 0, None] - after[None, :, 0]
-    cost = (turn / SAME_TURN) ** 2 + (shift / SAME_SHIFT) ** 2
-    nearest = cost.argmin(axis=1)
-    rows = np.arange(len(before))
-    good = cost[rows, nearest] < 1.0
-    return float(np.median(turn[rows, nearest][good])) if good.any() else 0.0
+def turns(first: Ints, z: Array) -> Array:
+    """Return the robot's turn [rad] since the scan before, (n,), by lines z (m, 2) that `first` (n + 1,) owns.
+
+    A line of one scan and the line nearest to it in the next are the same wall; the median change of psi is
+    the turn. Where no line carries over, the turn is unknown and counted as none.
+    """
+    out = np.zeros(len(first) - 1)
+    scans = np.arange(len(out))
+    for at, a, b in blocks(first, scans[:-1], scans[1:]):
+        turn = turn_of(z[a.row, 1], z[b.row, 1])
+        shift = z[a.row, 0][:, :, None] - z[b.row, 0][:, None, :]
+        turned, cost, _ = nearest(turn, misfit(turn, shift, (SAME_TURN, SAME_SHIFT), a, b))
+        out[at + 1] = _medians(turned, cost < 1.0)
+    return out
+
+
+def _medians(values: Array, good: NDArray[np.bool_]) -> Array:
+    """Return the median of the good values of each row (k, w), 0 where there are none."""
+    count = good.sum(axis=1)
+    ordered = np.sort(np.where(good, values, np.inf), axis=1)
+    rows = np.arange(len(values))
+    middle = 0.5 * (ordered[rows, np.maximum(count - 1, 0) // 2] + ordered[rows, count // 2])
+    return np.where(count > 0, middle, 0.0)

@@ -11,8 +11,8 @@ import math
 import numpy as np
 
 from .data import Array, Ints
-from .se2 import wrap_all
 from .sensors.base import WheelMotion
+from .side_by_side import blocks, misfit, nearest, turn_of
 
 LAG = 20  # scans: far enough that another part of a wall is seen, near enough that it is the same wall
 SURE = math.radians(0.6)  # standard deviation of a line's angle above which it says nothing about floors
@@ -44,20 +44,23 @@ def wall_floor(t: Array, first: Ints, z: Array, variance: Array, wheels: WheelMo
 def _changes(t: Array, first: Ints, z: Array, variance: Array, wheels: WheelMotion) -> tuple[Array, Array]:
     """Return how the angle between two walls changed over LAG scans [rad], and its variance by the fits."""
     sure = variance < SURE**2
-    motion = wheels.relative(t[:-LAG], t[LAG:]) if len(t) > LAG else np.zeros((0, 3))
-    change: list[Array] = []
-    noise: list[Array] = []
-    for i, u in enumerate(motion):
-        a = first[i] + np.flatnonzero(sure[first[i] : first[i + 1]])
-        b = first[i + LAG] + np.flatnonzero(sure[first[i + LAG] : first[i + LAG + 1]])
-        if len(a) < 2 or len(b) < 2:
-            continue
-        turn = wrap_all(z[a, 1, None] - u[2] - z[None, b, 1])
-        shift = (z[a, 0] - u[0] * np.cos(z[a, 1]) - u[1] * np.sin(z[a, 1]))[:, None] - z[None, b, 0]
-        cost = (turn / NEAR_TURN) ** 2 + (shift / NEAR_OFFSET) ** 2
-        j, rows = cost.argmin(axis=1), np.arange(len(a))
-        same = (cost[rows, j] < 1.0) & (cost.argmin(axis=0)[j] == rows)
-        turned, both = turn[rows, j][same], (variance[a] + variance[b[j]])[same]
-        change.append(np.diff(turned))
-        noise.append(both[1:] + both[:-1])
-    return np.concatenate([np.zeros(0), *change]), np.concatenate([np.zeros(0), *noise])
+    first = np.concatenate(([0], np.cumsum(sure)))[first]  # from here on the sure lines only
+    z, variance = z[sure], variance[sure]
+    several = np.diff(first) >= 2
+    before = np.flatnonzero(several[:-LAG] & several[LAG:]) if len(t) > LAG else np.zeros(0, np.int64)
+    motion = wheels.relative(t[before], t[before + LAG])
+    change, noise = [np.zeros(0)], [np.zeros(0)]
+    for at, a, b in blocks(first, before, before + LAG):
+        x, y, theta = motion[at].T[:, :, None]
+        r, psi = z[a.row].transpose(2, 0, 1)
+        shift = (r - x * np.cos(psi) - y * np.sin(psi))[:, :, None] - z[b.row, 0][:, None, :]
+        turn = turn_of(psi - theta, z[b.row, 1])
+        cost = misfit(turn, shift, (NEAR_TURN, NEAR_OFFSET), a, b)
+        turned, least, j = nearest(turn, cost)
+        mutual = np.take_along_axis(cost.argmin(axis=1), j, 1) == np.arange(j.shape[1])
+        scan, i = np.nonzero((least < 1.0) & mutual)
+        both = variance[a.row[scan, i]] + variance[b.row[scan, j[scan, i]]]
+        same_scan = np.diff(scan) == 0
+        change.append(np.diff(turned[scan, i])[same_scan])
+        noise.append((both[1:] + both[:-1])[same_scan])
+    return np.concatenate(change), np.concatenate(noise)

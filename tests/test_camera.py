@@ -51,6 +51,9 @@ class NoWheels:
     def relative(self, t_from: NDArray[np.float64], t_to: NDArray[np.float64]) -> NDArray[np.float64]:
         raise AssertionError
 
+    def heading(self, t: NDArray[np.float64]) -> NDArray[np.float64]:
+        raise AssertionError
+
 
 def coded(shot: NDArray[Any], ending: str = ".jpg") -> bytes:
     return bytes(cv2.imencode(ending, shot)[1].tobytes())

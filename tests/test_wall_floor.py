@@ -22,6 +22,9 @@ class Straight:
         ahead = np.asarray(t_to - t_from)
         return np.stack((0.1 * ahead, 0.0 * ahead, 0.0 * ahead), axis=-1)
 
+    def heading(self, t: Array) -> Array:
+        return np.zeros_like(t)
+
 
 def corridor(bend: float, seed: int, scans: int = 600) -> tuple[float, float]:
     """Floors found from a corridor whose walls point off by `bend` [rad], anew wherever they are looked at."""

@@ -25,6 +25,9 @@ class WheelMotion(Protocol):
     def relative(self, t_from: Array, t_to: Array) -> Array:
         """Return the pose (n, 3) at t_to seen from the pose at t_from, both (n,) s since the drive's epoch."""
 
+    def heading(self, t: Array) -> Array:
+        """Return the heading (...) [rad, not wrapped] by the wheels alone at times t (...) within the drive."""
+
 
 class Innovation(NamedTuple):
     """One measurement against the belief: y = z - h(x), with H = [H_pose | H_block] and its verdict."""

@@ -16,7 +16,7 @@ import numpy as np
 from ..data import Array, Ints, Measurements, Stream
 from ..line_tracker import LineTracker
 from ..lines import Lines, LineSettings
-from ..scans import Laser, equal_scans, in_order, lines_in_base, too_many_beams, turn_between
+from ..scans import Laser, equal_scans, in_order, lines_in_base, too_many_beams, turns
 from ..wall_floor import wall_floor
 from .base import SensorSettings, WheelMotion
 
@@ -81,16 +81,8 @@ class Lrf:
         return Measurements(t, first, z, R_unit, settings.sigma_range, floor, {"ends": ends}, dropped)
 
     def heading(self, m: Measurements) -> tuple[Array, Array]:
-        """Return times (n,) and headings (n,) [rad, unwrapped, up to a constant] by lines from scan to scan.
-
-        A line of one scan and the line nearest to it in the next are the same wall; the median change of psi is
-        the robot's turn. Where no line carries over, the turn is unknown and counted as none.
-        """
-        turn = np.zeros(len(m.t))
-        for i in range(1, len(m.t)):
-            a, b, c = m.first[i - 1], m.first[i], m.first[i + 1]
-            turn[i] = turn_between(m.z[a:b], m.z[b:c])
-        return m.t, np.cumsum(turn)
+        """Return times (n,) and headings (n,) [rad, unwrapped, up to a constant] by lines from scan to scan."""
+        return m.t, np.cumsum(turns(m.first, m.z))
 
     def model(self, settings: LrfSettings) -> LineTracker:
         """Return the laser's side of a new run."""

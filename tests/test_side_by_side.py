@@ -1,0 +1,92 @@
+"""Scans compared by the thousand against the same comparison one by one."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from textbook import wrap
+
+from locfuse.fusion import scans, side_by_side, wall_floor
+
+Array = NDArray[np.float64]
+
+
+def lines(rng: np.random.Generator, n: int) -> tuple[NDArray[np.int64], Array]:
+    """n scans of none to six lines that hardly change from scan to scan."""
+    walls = rng.uniform([0.5, -math.pi], [4.0, math.pi], (6, 2))
+    seen = [walls[rng.permutation(6)[: rng.integers(0, 7)]] for _ in range(n)]
+    first = np.concatenate(([0], np.cumsum([len(s) for s in seen])))
+    z = np.vstack(seen)
+    return first, z + rng.normal(0.0, 0.02, z.shape)
+
+
+def one_turn(before: Array, after: Array) -> float:
+    """The median turn of lines (k, 2) to their nearest, by loops."""
+    turned = []
+    for r, psi in before:
+        options = [(((wrap(psi - q)) / 0.6) ** 2 + ((r - s) / 0.4) ** 2, wrap(psi - q)) for s, q in after]
+        if options and min(options)[0] < 1.0:
+            turned.append(min(options)[1])
+    return float(np.median(turned)) if turned else 0.0
+
+
+@pytest.mark.parametrize("cells", [1 << 18, 200])
+def test_turns_of_all_scans_equal_those_found_one_by_one(cells: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(side_by_side, "CELLS", cells)
+    first, z = lines(np.random.default_rng(3), 80)
+    expected = [one_turn(z[a:b], z[b:c]) for a, b, c in zip(first[:-2], first[1:-1], first[2:], strict=True)]
+    np.testing.assert_allclose(scans.turns(first, z), [0.0, *expected], atol=1e-12)
+
+
+def test_scans_without_lines_have_no_turns() -> None:
+    np.testing.assert_array_equal(scans.turns(np.zeros(4, np.int64), np.zeros((0, 2))), np.zeros(3))
+
+
+class Standing:
+    """A robot that does not move."""
+
+    def relative(self, t_from: Array, t_to: Array) -> Array:
+        return np.zeros((len(t_from), 3))
+
+    def heading(self, t: Array) -> Array:
+        return np.zeros_like(t)
+
+
+def one_change(before: Array, after: Array, a: Array, b: Array) -> tuple[list[float], list[float]]:
+    """Changes of the angles between neighbouring walls that are each other's nearest, and their variances."""
+    if len(before) < 2 or len(after) < 2:
+        return [], []
+
+    def cost(i: int, j: int) -> float:
+        return float((wrap(before[i, 1] - after[j, 1]) / 0.3) ** 2 + ((before[i, 0] - after[j, 0]) / 0.3) ** 2)
+
+    kept = []
+    for i in range(len(before)):
+        j = min(range(len(after)), key=lambda j: cost(i, j))
+        if cost(i, j) < 1.0 and min(range(len(before)), key=lambda k: cost(k, j)) == i:
+            kept.append((wrap(before[i, 1] - after[j, 1]), float(a[i] + b[j])))
+    pairs = list(pairwise(kept))
+    return [q - p for (p, _), (q, _) in pairs], [v + w for (_, v), (_, w) in pairs]
+
+
+def test_changes_between_walls_equal_those_found_one_by_one() -> None:
+    rng = np.random.default_rng(4)
+    first, z = lines(rng, 60)
+    variance = rng.uniform(0.1, 1.2, len(z)) * wall_floor.SURE**2
+    change, noise = wall_floor._changes(np.arange(60.0), first, z, variance, Standing())
+    expected: tuple[list[float], list[float]] = ([], [])
+    for i in range(60 - wall_floor.LAG):
+        rows = []
+        for k in (i, i + wall_floor.LAG):
+            at = np.arange(first[k], first[k + 1])
+            rows.append(at[variance[at] < wall_floor.SURE**2])
+        a, b = rows
+        for total, more in zip(expected, one_change(z[a], z[b], variance[a], variance[b]), strict=True):
+            total.extend(more)
+    assert len(change) > 20
+    np.testing.assert_allclose(change, expected[0], atol=1e-12)
+    np.testing.assert_allclose(noise, expected[1], atol=1e-15)

@@ -25,6 +25,7 @@ COMMANDS = {
     "info": "Say what is in a log, what reads what, what is missing, and what is odd, with the cure.",
     "view": "Look at a log, a result or a recording in Rerun.",
     "calibrate": "Find wheel noise, wheel geometry and magnetometer iron from logs.",
+    "tune": "Find the noise of wheels and sensors from logs, without truth.",
     "simulate": "Drive a scenario and record it as a log with known truth.",
 }
 INTERRUPTED, TERMINATED = 130, 143

@@ -124,6 +124,7 @@ class Measurements:
 
     Reading i holds the rows first[i]:first[i+1]; none means the reading gave no measurement ("absent").
     The covariance of row j is scale^2 * R_unit[j] + floor, so that tuning re-fuses without re-measuring.
+    Where `extra` has a column "rest" (m,), this variance is in R_unit and yet not the sigma's to change.
     """
 
     t: Array  # (n,) s since Drive.epoch_ns, never decreasing, time_offset applied

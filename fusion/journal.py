@@ -85,7 +85,7 @@ class NotedPose(PoseBelief):
         x, P = np.array((self.x, self.y, self.theta)), self.matrix()
         super().predict(u, Q)
         after = np.array((self.x, self.y, self.theta))
-        self.events.append(undone(x, P, after, self.matrix(), POSE, _in_map(Q, float(x[2]))))
+        self.events.append(undone(x, P, after, self.matrix(), POSE, in_map(Q, float(x[2]))))
 
     def shift(self, turn: float, xy: float, theta: float) -> None:
         """Shift as ever, and note how to go back."""
@@ -114,7 +114,7 @@ class NotedJoint(JointBelief):
         theta = float(x[2])
         rows = np.concatenate((np.arange(3), *(columns for columns, _ in self._drift))).astype(np.int64)
         noise = np.zeros((len(rows), len(rows)))
-        noise[:3, :3] = _in_map(Q, theta)
+        noise[:3, :3] = in_map(Q, theta)
         np.fill_diagonal(noise[3:, 3:], dt * np.concatenate([np.zeros(0), *(drift for _, drift in self._drift)]))
         coupling = None
         if self._motion_block is not None and J is not None:
@@ -213,7 +213,7 @@ def _solved(P: Array, B: Array) -> Array:
         return np.asarray(np.linalg.pinv(P, hermitian=True) @ B, np.float64)
 
 
-def _in_map(Q: Sequence[float], theta: float) -> Array:
+def in_map(Q: Sequence[float], theta: float) -> Array:
     """Turn a motion's covariance triangle from the frame of its start into the map, (3, 3)."""
     xx, xy, xt, yy, yt, tt = Q
     turn = turning(theta)

@@ -125,7 +125,8 @@ class Sensor(Protocol):
     cannot be told apart it is absent, and the others run; `needs` (()) sensors whose map it reads; `named` ({})
     words that a bare number's topic must hold, by type; `missing(settings)` why it cannot be used with these
     settings; `carries(stream)` whether a topic says anything, where several fit; `heading(m)` its own turning, for
-    finding clock lags.
+    finding clock lags; `measures_by_sigma` (False) another sigma means another measurement;
+    `says_noise(m)` whether readings came with their own covariance: no sigma of ours to tune.
     """
 
     name: ClassVar[str]  # its CLI word and TOML table

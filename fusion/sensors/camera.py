@@ -149,17 +149,18 @@ def _collect(
     rows = np.array([row for row, _ in found], np.int64)
     every = [(c, seen.optics) for _, seen in found for c in seen.candidates]
     sigma = math.radians(settings.sigma_deg)
-    R_unit = np.array([1.0 + c.variance / sigma**2 for c, _ in every])
+    rest = np.array([c.variance for c, _ in every])
     if settings.bearing == "absolute":  # the paper's var(gamma) knows no pixels
-        R_unit = np.ones(len(every))
+        rest = np.zeros(len(every))
     return Measurements(
         t=(stream.t_ns[rows] - epoch_ns) * np.float64(1e-9) + settings.time_offset,
         first=np.concatenate(([0], np.cumsum([len(seen.candidates) for _, seen in found], dtype=np.int64))),
         z=np.array([float(bearing(np.asarray(c.theta), optics)) for c, optics in every]).reshape(-1, 1),
-        R_unit=R_unit.reshape(-1, 1, 1),
+        R_unit=(1.0 + rest / sigma**2).reshape(-1, 1, 1),
         scale=sigma,
         floor=np.zeros((1, 1)),
         extra={
+            "rest": rest,  # rad^2, what the pixels explain: not sigma's
             "pixels": np.array([c.pixels for c, _ in every]),
             "length": np.array([c.length for c, _ in every]),  # px
             "width": np.array([c.width for c, _ in every]),  # rad

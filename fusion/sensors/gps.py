@@ -84,6 +84,10 @@ class Gps:
             dropped=dropped,
         )
 
+    def says_noise(self, m: Measurements) -> bool:
+        """Return whether the receiver says how good its fixes are: then `sigma` changes nothing."""
+        return bool((m.R_unit != np.eye(2)).any())
+
     def model(self, settings: GpsSettings) -> Model:
         """Return the GPS' side of a new run."""
         return GpsModel(settings)

@@ -52,6 +52,7 @@ class Lrf:
     name: ClassVar[str] = "lrf"
     Settings: ClassVar[type[SensorSettings]] = LrfSettings
     in_blocks: ClassVar[bool] = True  # too big to be held in memory whole
+    measures_by_sigma: ClassVar[bool] = True  # where one line ends and the next begins is judged by its noise
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "sensor_msgs/msg/LaserScan": (
             "angle_min",

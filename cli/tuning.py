@@ -1,0 +1,194 @@
+"""What `tune` found, as values, as rows for people, and as robot.toml."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from ..formats import robot_toml
+from ..formats.outdir import whole_file
+from ..fusion.data import Evaluation, Measurements, UsageError
+from ..fusion.evaluate import evaluate
+from ..fusion.fuse import fuse
+from ..fusion.noise_figures import Figures
+from ..fusion.robot import Robot
+from ..fusion.sensors.registry import REGISTRY
+from ..fusion.tune import Row, Trial, Tuned, tune
+from .load import Loaded, load
+from .options import LogOptions
+
+WIDTH = 1.96  # standard deviations of a 95 % interval
+HELD_OUT = 0.2  # share of every log, its end, where no log is held out
+LIKELIHOOD = "ln likelihood per number, {part} ({numbers})"
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One log under the noise that was told and under the noise that was found."""
+
+    name: str
+    before: Evaluation
+    after: Evaluation
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Everything that the logs told."""
+
+    tuned: Tuned
+    judged: Sequence[Judged]
+    loaded: Sequence[Loaded]
+    notes: tuple[str, ...]
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """The sensors that were tuned by."""
+        return tuple(dict.fromkeys(s for j in self.judged for s in j.after.sensors))
+
+    def tables(self) -> dict[str, dict[str, float]]:
+        """Return what was found as robot.toml tables; what the logs cannot tell is left out."""
+        tables: dict[str, dict[str, float]] = {}
+        for row in self.tuned.rows:
+            table, _, key = row.key.partition(".")
+            if row.identifiable or row.after != row.before:
+                tables.setdefault(table, {})[key] = float(f"{row.after:.4g}")
+        return tables
+
+    def values(self) -> dict[str, Any]:
+        """Return everything as plain values: SI units or the key's, null for what could not be judged."""
+        tuned = self.tuned
+        parts = zip(("training", "held_out"), (tuned.train, tuned.held_out), tuned.numbers, strict=True)
+        return {
+            "noise": {row.key: _row_values(row) for row in tuned.rows},
+            "ln_likelihood_per_number": {
+                name: None if pair is None else {"before": pair[0], "after": pair[1], "numbers": numbers}
+                for name, pair, numbers in parts
+            },
+            "logs": [_log_values(j) for j in self.judged],
+            "measured_again": list(tuned.measured_again),
+            "robot": self.tables(),
+            "notes": list(self.notes),
+        }
+
+    def rows(self) -> list[tuple[str, str, str, str]]:
+        """Return (key, before, after, interval) for people."""
+        return [(r.key, f"{r.before:.3g}", *_found(r)) for r in self.tuned.rows]
+
+    def judgements(self) -> list[tuple[str, str, str]]:
+        """Return (figure, before, after) for people."""
+        tuned = self.tuned
+        rows: list[tuple[str, str, str]] = []
+        for part, pair, n in zip(
+            ("tuned on", "held out"), (tuned.train, tuned.held_out), tuned.numbers, strict=True
+        ):
+            if pair is not None:
+                rows.append((LIKELIHOOD.format(part=part, numbers=n), f"{pair[0]:.2f}", f"{pair[1]:.2f}"))
+        for j in self.judged:
+            for s in j.after.sensors:
+                before, after = (_cell(e.sensors[s].nis, "{:.2f}") for e in (j.before, j.after))
+                rows.append((f"mean NIS of {s}, {j.name}", before, after))
+            before, after = (_cell(e.figures.get("position_rmse_m"), "{:.4f} m") for e in (j.before, j.after))
+            if after:
+                rows.append((f"position error, {j.name}", before, after))
+        return rows
+
+
+def sensor_names(words: str) -> tuple[str, ...]:
+    """Return the sensors that `--sensors` names. Raises UsageError for an unknown one."""
+    if words.strip() == "all":
+        return tuple(REGISTRY)
+    names = tuple(dict.fromkeys(w.strip() for w in words.split(",") if w.strip()))
+    for name in names:
+        if name not in REGISTRY:
+            raise UsageError(f"--sensors: unknown sensor {name!r}; choose from {', '.join(REGISTRY)}, all")
+    return names
+
+
+def tune_logs(
+    logs: Sequence[Sequence[Path]],
+    held_out: Sequence[Sequence[Path]],
+    sensors: tuple[str, ...],
+    drift: bool,
+    how: LogOptions,
+    progress: Callable[[str], None],
+) -> Tuning:
+    """Measure the logs, tune, and judge every log before and after."""
+    paths = [*logs, *held_out]
+    loaded = [load(p, how, progress, only=sensors) for p in paths]
+    trials = []
+    for i, one in enumerate(loaded):
+        last = float(one.drive.t[-1])
+        until = -math.inf if i >= len(logs) else math.inf if held_out else (1.0 - HELD_OUT) * last
+        trials.append(Trial(one.log.name, one.drive, one.robot, until))
+
+    def remeasure(i: int, sensor: str, robot: Robot) -> Measurements:
+        progress(f"measuring {sensor} of {trials[i].name} with another sigma")
+        noise = Figures(robot, (sensor,)).values()
+        sets = tuple(f"{key}={value!r}" for key, value in noise.items() if key.startswith(f"{sensor}."))
+        again = load(paths[i], replace(how, sets=(*how.sets, *sets)), only=(sensor,))
+        return again.drive.measurements[sensor]
+
+    tuned = tune(trials, sensors, drift, remeasure, progress)
+    progress("judging the logs")
+    judged = [
+        Judged(before.name, _evaluated(before), _evaluated(after))
+        for before, after in zip(tuned.told, tuned.trials, strict=True)
+    ]
+    return Tuning(tuned, judged, loaded, tuple(_notes(tuned)))
+
+
+def write(path: Path, found: Tuning, how: LogOptions) -> None:
+    """Write robot.toml: what the user gave, with the noise that was found."""
+    given = [] if how.robot is None else [robot_toml.parse(how.robot.read_bytes(), str(how.robot))]
+    tables = robot_toml.merge(*given, robot_toml.apply_sets(how.sets), found.tables())
+    with whole_file(path) as temporary:
+        temporary.write_text("# noise found by locfuse tune\n" + robot_toml.dump(tables), encoding="utf-8")
+
+
+def _evaluated(trial: Trial) -> Evaluation:
+    return evaluate(fuse(trial.drive, trial.robot, list(trial.drive.measurements)), trial.drive)
+
+
+def _notes(tuned: Tuned) -> list[str]:
+    again = [
+        f"{s} was measured again: where one of its lines ends and the next begins is judged by its noise"
+        for s in tuned.measured_again
+    ]
+    return [*tuned.flags, *again]
+
+
+def _found(row: Row) -> tuple[str, str]:
+    """Return a figure and its interval, or that the logs do not tell."""
+    if not row.identifiable:
+        return f"{row.after:.3g}", "at most this" if row.after < row.before else "not identifiable"
+    low, high = row.after * math.exp(-WIDTH * row.error), row.after * math.exp(WIDTH * row.error)
+    return f"{row.after:.3g}", f"{low:.3g} .. {high:.3g}"
+
+
+def _row_values(row: Row) -> dict[str, Any]:
+    factor = math.exp(WIDTH * row.error) if row.identifiable else None
+    return {
+        "before": row.before,
+        "after": row.after,
+        "low": None if factor is None else row.after / factor,
+        "high": None if factor is None else row.after * factor,
+        "identifiable": row.identifiable,
+    }
+
+
+def _log_values(j: Judged) -> dict[str, Any]:
+    found = {
+        when: {
+            "position_rmse_m": e.figures.get("position_rmse_m"),
+            "nis": {s: figures.nis for s, figures in e.sensors.items()},
+        }
+        for when, e in (("before", j.before), ("after", j.after))
+    }
+    return {"name": j.name, **found}
+
+
+def _cell(value: float | None, form: str) -> str:
+    return "" if value is None else form.format(value)

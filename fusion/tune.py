@@ -1,0 +1,282 @@
+"""Noise figures from logs, without truth: those under which the innovations are most likely.
+
+A mean NIS of 1 proves nothing, since too much noise here hides too little there; the likelihood of the innovations
+punishes both (Schweppe 1965; maths.md). What is accepted and matched is decided once for each round and stays
+fixed while the noise is searched (tape), from several starts, in logarithms. What the likelihood does not care
+about is not identifiable, and is said so instead of being set.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from .cures import noise_keys
+from .data import Drive, LocfuseError, Measurements, Motions
+from .fuse import fuse
+from .innovations import Own, own
+from .noise_figures import DRIFT, WHEELS, Figures, drift_key, drifting
+from .noise_search import KNOWN, Problem, at_most, best, identify
+from .robot import Robot
+from .sensors.registry import REGISTRY
+from .tape import record
+
+ROUNDS, SETTLED = 6, 0.03  # of deciding anew what is accepted; change of a logarithm that ends them
+STARTS = (0.0, math.log(6.0), -math.log(6.0))
+PREVIEW = 30.0  # s of driving that tell the starts apart
+TRIES = 8  # to bring noise near enough for measurements to be accepted for what they are
+REFUSED, LARGE, SMALL = 0.3, 2.25, 0.2  # share; squared ratio of innovations to what was told: near lies between
+OWN_SHARE = 0.3  # of the innovations' variance: less is not the sensor's to shrink
+WIDER = 3.0  # factor on the sigma of a sensor that is mostly refused
+MEASURE_AGAIN = 1.5  # factor on a sigma from which lines that were cut by it are measured again
+OPTIMAL = {"first-scan": "refine", "consider": "refine"}  # frozen maps are not weighed optimally
+
+Remeasure = Callable[[int, str, Robot], Measurements]
+Progress = Callable[[str], None]
+
+
+class Trial(NamedTuple):
+    """One log to tune on."""
+
+    name: str
+    drive: Drive
+    robot: Robot
+    until: float = math.inf  # s: what is later is held out
+
+
+class Row(NamedTuple):
+    """One noise figure before and after."""
+
+    key: str  # of robot.toml
+    before: float
+    after: float
+    error: float  # standard error of ln(after)
+    identifiable: bool
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """What was found, and what speaks for it."""
+
+    rows: Sequence[Row]
+    train: tuple[float, ...] | None  # mean log likelihood per number before and after [nats]
+    held_out: tuple[float, ...] | None
+    numbers: tuple[int, int]  # in training, and held out
+    flags: Sequence[str]  # what these logs do not tell
+    measured_again: Sequence[str]  # sensors
+    told: Sequence[Trial]  # with the noise that was told, on the same measurements
+    trials: Sequence[Trial]  # with the noise that was found
+
+
+def tune(
+    trials: Sequence[Trial],
+    sensors: Sequence[str],
+    drift: bool = False,
+    remeasure: Remeasure | None = None,
+    progress: Progress = lambda what: None,
+) -> Tuned:
+    """Return the noise under which the innovations of these logs are most likely.
+
+    `remeasure` is asked for sensors whose lines were cut by a sigma that proved wrong; nothing else is measured
+    twice. Raises LocfuseError where there is nothing to tune by, or the logs were told of different noise.
+    """
+    bench = Bench(trials, sensors, drift, remeasure)
+    bench.bring_near(progress)
+    for n in range(ROUNDS):
+        progress(f"round {n + 1}: deciding what is accepted")
+        problem = bench.problem()
+        progress(f"round {n + 1}: searching the noise")
+        first = n == 0
+        step = best(problem, STARTS, bench.preview()) if first else best(problem, STARTS[:1])
+        bench.move(dict(zip(problem.names, step.tolist(), strict=True)))
+        if not first and np.abs(step).max() < SETTLED:
+            break
+    progress("judging what was found")
+    return bench.result()
+
+
+class Bench:
+    """The logs under the noise as it stands."""
+
+    def __init__(
+        self, trials: Sequence[Trial], sensors: Sequence[str], drift: bool, remeasure: Remeasure | None
+    ) -> None:
+        present = {s for t in trials for s in t.drive.measurements}
+        used = tuple(s for s in REGISTRY if s in sensors and s in present and not says_noise(s, trials))
+        if not used:
+            raise LocfuseError(f"tune: nothing to tune by: no log has {' or '.join(sensors) or 'a sensor'}")
+        if trials[0].robot.wheels.noise <= 0.0:
+            raise LocfuseError("tune: wheels.noise is 0: give a start, such as --set wheels.noise=4e-4")
+        check_told_alike(trials, used)
+        self.trials = [t._replace(robot=optimal(t.robot)) for t in trials]
+        self.figures = Figures(trials[0].robot, used, drifting(trials[0].robot, used, drift))
+        self._remeasure = remeasure
+        self._measured_at = dict.fromkeys(used, 0.0)
+        self._again: list[str] = []
+
+    def trial(self, trial: Trial, figures: Figures) -> Trial:
+        """Return a log with these figures."""
+        d = trial.drive
+        scaled = {
+            s: rescaled(m, math.exp(figures.factors.get(s, 0.0) - self._measured_at[s]))
+            for s, m in d.measurements.items()
+            if s in figures.sensors
+        }
+        more = figures.factor(WHEELS)
+        to_truth = None if d.truth_motions is None else _louder(d.truth_motions, more)
+        drive = replace(d, motions=_louder(d.motions, more), truth_motions=to_truth, measurements=scaled)
+        return trial._replace(drive=drive, robot=figures.robot(trial.robot))
+
+    def now(self) -> list[Trial]:
+        """Return the logs with the noise as it stands."""
+        return [self.trial(t, self.figures) for t in self.trials]
+
+    def bring_near(self, progress: Progress) -> None:
+        """Move sigmas by the sensors' own innovations until most measurements are accepted."""
+        for n in range(TRIES):
+            progress(f"bringing the noise near ({n + 1})")
+            found: dict[str, list[float]] = {}
+            for t in self.now():
+                run = fuse(t.drive, t.robot, list(t.drive.measurements))
+                for s, m in t.drive.measurements.items():
+                    found.setdefault(s, []).append(_off(own(run.audits[s], m)))
+            steps = {s: math.log(float(np.median(f))) for s, f in found.items()}
+            if not any(steps.values()):
+                return
+            self.move(steps)
+
+    def preview(self) -> list[float]:
+        """Return when PREVIEW seconds have been driven, per log [s]."""
+        ends = []
+        for t in self.trials:
+            d = t.drive
+            driven = np.cumsum(np.diff(d.t, prepend=d.t[0]) * (np.abs(d.motions.u).max(axis=1) > 0.0))
+            ends.append(float(d.t[min(int(np.searchsorted(driven, PREVIEW)), len(d.t) - 1)]))
+        return ends
+
+    def move(self, steps: dict[str, float]) -> None:
+        """Change logarithms; measure anew what was measured with a sigma that proves wrong."""
+        for name, step in steps.items():
+            self.figures.factors[name] = self.figures.factors.get(name, 0.0) + step
+        for s in self.figures.sensors:
+            now = self.figures.factors.get(s, 0.0)
+            wrong = abs(now - self._measured_at[s]) > math.log(MEASURE_AGAIN)
+            if wrong and self._remeasure is not None and getattr(REGISTRY[s], "measures_by_sigma", False):
+                for i, trial in enumerate(self.trials):
+                    if s in trial.drive.measurements:
+                        m = self._remeasure(i, s, self.figures.robot(trial.robot))
+                        self.trials[i] = trial._replace(drive=with_measurements(trial.drive, s, m))
+                self._measured_at[s] = now
+                self._again.append(s)
+
+    def problem(self) -> Problem:
+        """Record every log with the noise as it stands: what is accepted now stays."""
+        tapes = [record(t.drive, t.robot, list(t.drive.measurements)) for t in self.now()]
+        return Problem(tapes, [t.until for t in self.trials], self.figures.names)
+
+    def result(self) -> Tuned:
+        """Judge what was found, against what was told, on the same measurements."""
+        figures, problem = self.figures, self.problem()
+        errors, flags = identify(problem)
+        told = -np.array([figures.factors.get(name, 0.0) for name in figures.names])
+        for name, error in zip(figures.names, errors.tolist(), strict=True):
+            if error > KNOWN:
+                flags.append(self._leave(problem, name))
+        now = told + np.array([figures.factors.get(name, 0.0) for name in figures.names])
+        now[~np.isfinite(now)] = 0.0
+        (train, held_out), numbers = problem.means(np.stack((told, now)))
+        if held_out is not None and held_out[1] < held_out[0]:
+            flags.append("what was held out is less likely with the noise that was found: do not use it")
+        before = Figures(figures.told, figures.sensors, figures.drift)
+        error_of = dict(zip(figures.names, errors.tolist(), strict=True))
+        rows = [
+            Row(key, before.values()[key], after, error_of[name], error_of[name] <= KNOWN)
+            for key, after in figures.values().items()
+            for name in (figures.name_of(key),)
+        ]
+        again = list(dict.fromkeys(self._again))
+        as_told = [self.trial(t, before) for t in self.trials]
+        return Tuned(rows, train, held_out, numbers, flags, again, as_told, self.now())
+
+    def _leave(self, problem: Problem, name: str) -> str:
+        """Take back what the likelihood does not tell, as far as it allows, and say so."""
+        figures = self.figures
+        if name.endswith(DRIFT):
+            figures.factors[name] = -math.inf
+            sensor = name.removesuffix(DRIFT)
+            return f"no drift of the {sensor}'s offset is seen: {drift_key(sensor)} is 0"
+        key = next(key for key in figures.values() if figures.name_of(key) == name)
+        now = figures.factors.get(name, 0.0)
+        most = at_most(problem, figures.names.index(name), -now)
+        figures.factors[name] = min(0.0, now + most)
+        value = figures.values()[key]
+        if figures.factors[name] < 0.0:
+            return f"{key} is at most {value:.2g}: how much less is not identifiable from these logs"
+        return f"{key} is not identifiable from these logs: left as it was"
+
+
+def says_noise(sensor: str, trials: Sequence[Trial]) -> bool:
+    """Return whether a sensor's readings come with their own covariance: its sigma would change nothing."""
+    says = getattr(REGISTRY[sensor], "says_noise", None)
+    return says is not None and any(
+        says(t.drive.measurements[sensor]) for t in trials if sensor in t.drive.measurements
+    )
+
+
+def check_told_alike(trials: Sequence[Trial], sensors: Sequence[str]) -> None:
+    """Raise LocfuseError where two logs come with different noise figures: they must start from one."""
+    first = trials[0]
+    for t in trials[1:]:
+        pairs = [("wheels.noise", first.robot.wheels.noise, t.robot.wheels.noise)]
+        for s in sensors:
+            a, b = first.robot.settings(s), t.robot.settings(s)
+            pairs += [(f"{s}.{k}", getattr(a, k), getattr(b, k)) for k in noise_keys(a)]
+        for key, a, b in pairs:
+            if a != b:
+                raise LocfuseError(
+                    f"tune: {key} is {a:g} in {first.name} and {b:g} in {t.name}: is this one robot? "
+                    f"Start from one value with --set {key}={a:g}"
+                )
+
+
+def optimal(robot: Robot) -> Robot:
+    """Return the robot with maps that are weighed optimally, and outliers refused."""
+    settings = {}
+    for s, c in robot.sensors.items():
+        mode = getattr(c, "map", "")
+        changes = {"outliers": "reject", **({"map": OPTIMAL[mode]} if mode in OPTIMAL else {})}
+        settings[s] = msgspec.structs.replace(c, **changes)
+    return replace(robot, sensors=settings)
+
+
+def rescaled(m: Measurements, factor: float) -> Measurements:
+    """Return measurements whose sensor's sigma is `factor` times as large; floor and rest stay."""
+    rest = m.extra.get("rest")
+    if rest is None:
+        return replace(m, scale=m.scale * factor)
+    own = (rest / m.scale**2)[:, None, None] * np.eye(m.z.shape[1])
+    return replace(m, scale=m.scale * factor, R_unit=m.R_unit - own + own / factor**2)
+
+
+def with_measurements(drive: Drive, sensor: str, m: Measurements) -> Drive:
+    """Return the drive with a sensor measured anew at the same instants."""
+    instant = {**drive.instant, sensor: np.searchsorted(drive.t, m.t)}
+    return replace(drive, measurements={**drive.measurements, sensor: m}, instant=instant)
+
+
+def _louder(motions: Motions, factor: float) -> Motions:
+    return Motions(motions.u, factor * motions.Q, motions.J)
+
+
+def _off(o: Own | None) -> float:
+    """Return a factor on sigma that brings a sensor nearer, 1 where it is near."""
+    if o is None or o.refused > REFUSED or math.isinf(o.raw):
+        return WIDER
+    if SMALL <= o.raw <= LARGE or (o.raw < SMALL and o.share < OWN_SHARE):
+        return 1.0
+    return math.sqrt(min(max(o.raw, 0.04), 9.0))

@@ -1,0 +1,208 @@
+"""Noise by likelihood: the tape against the filter itself, and tuning against the noise that was drawn."""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import small_drive
+from commands import locfuse
+from scipy.stats import norm
+
+from locfuse.fusion.data import Array, Drive, LocfuseError, Measurements
+from locfuse.fusion.fuse import fuse
+from locfuse.fusion.noise_search import hessian, standard_errors
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.tape import record
+from locfuse.fusion.tape_play import Noise, play
+from locfuse.fusion.tune import Trial, Tuned, rescaled, tune
+
+
+def told(factor: float = 1.0, **compass: float) -> Robot:
+    """A robot whose every standard deviation is told `factor` times too large."""
+    true = small_drive.robot(
+        {"sigma_deg": factor, **compass},
+        {"sigma_range": 0.02 * factor, "sigma_angle_deg": 0.25 * factor, "map": "grow"},
+    )
+    return replace(true, wheels=type(true.wheels)(radius=0.05, track=0.6, noise=small_drive.NOISE * factor**2))
+
+
+def drawn(seed: int, robot: Robot, laps: float = 1.0, sensors: tuple[str, ...] = ("compass", "lrf")) -> Drive:
+    """A drive with true noise, measured under what the robot was told."""
+    drive = small_drive.drive(seed, robot, sensors, laps, scans=2.0, headings=4.0)
+    factor = robot.wheels.noise / small_drive.NOISE
+    motions = replace(drive.motions, Q=factor * drive.motions.Q)
+    measurements = dict(drive.measurements)
+    if "lrf" in measurements:  # R_unit was made for the sigma that was told
+        m, walls = measurements["lrf"], robot.settings("lrf").sigma_range
+        measurements["lrf"] = replace(m, R_unit=m.R_unit * (walls / 0.02) ** 2)
+    return replace(
+        drive, motions=motions, measurements=measurements, truth_motions=None, truth_instant=None, truth=None
+    )
+
+
+def nothing_but(theta: float) -> Noise:
+    return Noise(np.array([math.exp(theta)]), np.array([[math.exp(theta)]]), {})
+
+
+def innovations_likelihood(drive: Drive, robot: Robot) -> float:
+    """ln of the likelihood by the filter's own audit: every heading's innovation and its variance."""
+    audit = fuse(drive, robot, ["compass"]).audits["compass"]
+    assert (audit.verdict == 0).all()
+    return float(norm.logpdf(audit.y[:, 0], scale=audit.sigma[:, 0]).sum())
+
+
+@pytest.mark.parametrize("offset", [{"offset_deg": 0.0}, {}])
+def test_a_tape_played_as_recorded_says_what_the_filter_said(offset: dict[str, float]) -> None:
+    robot = told(**offset)
+    drive = drawn(1, robot, sensors=("compass",))
+    played = play(record(drive, robot, ["compass"]), nothing_but(0.0))
+    assert played.scores.sum() == pytest.approx(innovations_likelihood(drive, robot), rel=1e-9)
+    assert played.numbers.sum() == len(drive.measurements["compass"].t)
+
+
+def test_a_tape_played_with_other_noise_says_what_the_filter_would_say_with_it() -> None:
+    """Heading by a compass with a known offset is linear: replaying and filtering again must agree."""
+    robot = told(offset_deg=0.0)
+    drive = drawn(2, robot, sensors=("compass",))
+    tape = record(drive, robot, ["compass"])
+    for wheels, compass in ((4.0, 1.0), (1.0, 4.0), (0.3, 2.0)):
+        noise = Noise(np.array([1.0, wheels]), np.array([[1.0], [compass]]), {})
+        m = drive.measurements["compass"]
+        other = replace(
+            drive,
+            motions=replace(drive.motions, Q=wheels * drive.motions.Q),
+            measurements={"compass": replace(m, scale=math.sqrt(compass) * m.scale)},
+        )
+        scores = play(tape, noise).scores.sum(axis=1)
+        assert scores[0] == pytest.approx(innovations_likelihood(drive, robot), rel=1e-9)
+        assert scores[1] == pytest.approx(innovations_likelihood(other, robot), rel=1e-9)
+
+
+def test_a_tape_with_a_map_says_nearly_what_the_filter_would_say_with_other_noise() -> None:
+    """Only what is linearised differs; and lines, which the tape takes as unknown where they are born."""
+    robot = told()
+    drive = drawn(3, robot)
+    tape = record(drive, robot, ["compass", "lrf"])
+    louder = replace(drive, motions=replace(drive.motions, Q=2.0 * drive.motions.Q))
+    as_told, more = play(tape, Noise(np.array([1.0, 2.0]), np.ones((2, 2)), {})).scores.sum(axis=1)
+    again = play(record(louder, robot, ["compass", "lrf"]), Noise(np.ones(1), np.ones((1, 2)), {})).scores.sum()
+    assert more - as_told == pytest.approx(again - as_told, abs=0.2)
+    assert abs(more - as_told) > 5.0
+
+
+@pytest.fixture(scope="module")
+def tuned() -> Callable[[float], Tuned]:
+    """Tune two drives from figures `factor` times too large; the second is held out."""
+    found: dict[float, Tuned] = {}
+
+    def of(factor: float) -> Tuned:
+        if factor not in found:
+            robot = told(factor)
+            trials = [
+                Trial(f"drive {s}", drawn(s, robot), robot, until) for s, until in ((5, math.inf), (6, -math.inf))
+            ]
+            found[factor] = tune(trials, ["compass", "lrf"])
+        return found[factor]
+
+    return of
+
+
+@pytest.mark.parametrize("factor", [0.1, 10.0])
+def test_tuning_finds_the_noise_that_was_drawn(tuned: Callable[[float], Tuned], factor: float) -> None:
+    found = tuned(factor)
+    after = {row.key: row.after for row in found.rows}
+    assert after["compass.sigma_deg"] == pytest.approx(1.0, rel=0.2)
+    assert after["lrf.sigma_range"] == pytest.approx(0.02, rel=0.2)
+    # of one drive: three standard errors of its logarithm
+    wheels = next(row for row in found.rows if row.key == "wheels.noise")
+    assert abs(math.log(wheels.after / small_drive.NOISE)) < 3.0 * wheels.error < 1.0
+    assert all(row.identifiable for row in found.rows)
+
+
+def test_tuning_arrives_at_the_same_noise_from_either_side(tuned: Callable[[float], Tuned]) -> None:
+    for low, high in zip(tuned(0.1).rows, tuned(10.0).rows, strict=True):
+        assert low.key == high.key
+        assert low.after == pytest.approx(high.after, rel=0.05)
+
+
+def test_what_was_held_out_becomes_likelier_too(tuned: Callable[[float], Tuned]) -> None:
+    held_out = tuned(10.0).held_out
+    assert held_out is not None
+    assert held_out[1] > held_out[0] + 1.0
+    assert tuned(10.0).numbers[1] > 500
+
+
+def test_a_straight_drive_says_that_rotation_noise_is_not_identifiable() -> None:
+    robot = told()
+    found = tune([Trial("straight", drawn(7, robot, laps=0.25), robot)], ["compass", "lrf"])
+    assert any("rotation noise is not identifiable" in flag for flag in found.flags)
+    both = tune([Trial("round", drawn(7, robot), robot)], ["compass", "lrf"])
+    assert not any("rotation noise" in flag for flag in both.flags)
+
+
+def test_noise_that_nothing_depends_on_is_left_as_it_was() -> None:
+    """At rest the wheels say nothing of their noise."""
+    robot = told(3.0)
+    drive = drawn(8, robot, laps=0.25)
+    still = replace(
+        drive, motions=type(drive.motions)(0.0 * drive.motions.u, 0.0 * drive.motions.Q, drive.motions.J)
+    )
+    at = drive.measurements["compass"].t
+    rng = np.random.default_rng(9)
+    z = np.radians(rng.normal(size=(len(at), 1)))
+    compass = replace(drive.measurements["compass"], z=z)
+    found = tune([Trial("rest", replace(still, measurements={"compass": compass}), robot)], ["compass"])
+    wheels, sigma = found.rows
+    assert not wheels.identifiable
+    assert wheels.after == wheels.before == pytest.approx(9.0 * small_drive.NOISE)
+    assert sigma.after == pytest.approx(1.0, rel=0.3)
+    assert any("wheels.noise is not identifiable" in flag for flag in found.flags)
+
+
+def test_another_sigma_leaves_what_is_not_the_sigmas() -> None:
+    """A bearing's pixels stay as exact as they were."""
+    sigma, rest = 0.01, np.array([1e-5, 4e-5])
+    R_unit = (1.0 + rest / sigma**2).reshape(-1, 1, 1)
+    m = Measurements(np.zeros(2), np.arange(3), np.zeros((2, 1)), R_unit, sigma, np.zeros((1, 1)), {"rest": rest})
+    R = rescaled(m, 3.0).R.ravel()
+    assert pytest.approx((3.0 * sigma) ** 2 + rest) == R
+
+
+def test_logs_told_of_different_noise_are_refused() -> None:
+    trials = [Trial(str(f), drawn(1, told(f), laps=0.1), told(f)) for f in (1.0, 2.0)]
+    with pytest.raises(LocfuseError, match=r"wheels\.noise is 0\.0004 in 1\.0 and 0\.0016 in 2\.0"):
+        tune(trials, ["compass"])
+
+
+def test_curvature_gives_the_standard_errors_of_a_normal_likelihood() -> None:
+    C = np.array([[0.04, 0.01], [0.01, 0.09]])
+
+    def f(theta: Array) -> Array:
+        return np.asarray(0.5 * np.einsum("bi,ij,bj->b", theta, np.linalg.inv(C), theta))
+
+    assert standard_errors(hessian(f, 2)) == pytest.approx([0.2, 0.3])
+
+
+def test_the_command_writes_a_robot_that_the_next_command_takes(tmp_path: Path) -> None:
+    out = tmp_path / "tuned.toml"
+    start = ("--set", "compass.sigma_deg=30")
+    done = locfuse("tune", "rounded_rectangle", "--sensors", "compass", *start, "-o", out, "--json", "-q")
+    assert done.exit_code == 0, done.stderr
+    report = json.loads(done.stdout)
+    sigma = report["noise"]["compass.sigma_deg"]
+    assert sigma["before"] == 30.0
+    assert 0.4 < sigma["low"] < sigma["after"] < sigma["high"] < 2.0  # white 0.5, iron 1 degree
+    likelihood = report["ln_likelihood_per_number"]["held_out"]
+    assert likelihood["after"] > likelihood["before"]
+    assert tomllib.loads(out.read_text())["compass"]["sigma_deg"] == pytest.approx(sigma["after"], rel=1e-3)
+    assert locfuse("run", "rounded_rectangle", "--robot", out, "-o", tmp_path / "run").exit_code == 0
+    taken = locfuse("tune", "rounded_rectangle", "-o", out)
+    assert taken.exit_code == 2
+    assert "--overwrite" in taken.stderr

@@ -23,6 +23,7 @@ COMMANDS = {
     "run": "Run one configuration: trajectory, covariances, run.json.",
     "compare": "Run all configurations in one pass and report what each sensor bought.",
     "info": "Say what is in a log, what reads what, what is missing, and what is odd, with the cure.",
+    "init": "Print a commented robot.toml for a log: what it tells, what is guessed, what to measure.",
     "view": "Look at a log, a result or a recording in Rerun.",
     "calibrate": "Find wheel noise, wheel geometry and magnetometer iron from logs.",
     "tune": "Find the noise of wheels and sensors from logs, without truth.",

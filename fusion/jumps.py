@@ -38,7 +38,7 @@ def limits(t: Array, steps: Array, max_speed: float | None = None) -> Array:
 
 
 def _speeds(speed: Array, at: Ints) -> Array:
-    """Median of `speed` (n,) over WINDOW steps around the positions `at`, (k,), or nearest to them at either end."""
+    """Median of `speed` (n,) over the WINDOW steps around each of the positions `at`, (k,), or nearest to them."""
     if not len(at):
         return np.zeros(0)
     window = min(WINDOW, len(speed))

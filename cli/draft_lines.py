@@ -1,0 +1,143 @@
+"""One table of a robot.toml after the other: what is known is in force, what is not says how to find it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import msgspec
+
+from ..formats.commented_toml import Line
+from ..fusion.oddity import settings_in
+from ..fusion.sensors.registry import REGISTRY
+from ..fusion.wheel_sources import JOINTS
+from ..fusion.wheels import ODOMETRY, counts_ticks
+from .draft_words import ASKS, GUESSES, NEEDED
+from .load import TABLES
+from .look import Look
+from .mounts import mount_tables
+from .topics import of_type
+
+Known = dict[str, tuple[Any, str]]  # "table.key" -> its value, and who says so
+TOP = ("order", "preset")
+OF_COUNTERS = ("radius", "track", "ticks_per_revolution", "mirrored")  # an odometry needs none of them
+MOUNTED = ("x", "y", "yaw_deg")  # written even where zero: that is worth knowing
+ROUND = 6  # decimals of a mount: micrometres
+
+
+class Facts(NamedTuple):
+    """What the lines are made of."""
+
+    seen: Look
+    known: Known  # in force
+    suggested: Known  # cures that only the robot's owner can judge
+
+    def kind(self, role: str) -> str:
+        """Return the message type of a role's topic, "" without one."""
+        topics = self.seen.choice.of(role)
+        return self.seen.log.topics[topics[0]].msgtype if topics else ""
+
+
+def found(seen: Look) -> Known:
+    """Return what the log shows: topics, joints, mounts."""
+    known: Known = {}
+    for role in ("wheels", "truth", *REGISTRY):
+        known |= _topics(seen, role)
+    wheels = seen.choice.of("wheels")
+    if wheels and seen.log.topics[wheels[0]].msgtype == JOINTS and seen.hints.joints is not None:
+        why = "guess: the wheels' joints, by their names or because only they turn"
+        known |= {
+            f"wheels.{side}": (joint, why)
+            for side, joint in zip(("left", "right"), seen.hints.joints, strict=True)
+        }
+    return known | _mounts(seen)
+
+
+def _topics(seen: Look, role: str) -> Known:
+    topics, why = seen.choice.of(role), seen.choice.why.get(role, "")
+    if not topics and role in REGISTRY:  # a sensor that lacks a setting may have its topic all the same
+        fit = [t for t in of_type(seen.log, REGISTRY[role].reads) if seen.log.topics[t].count]
+        unset = role in seen.choice.absent and len(fit) == 1 and hasattr(REGISTRY[role], "missing")
+        topics, why = (tuple(fit), "the only topic of its type") if unset else ((), "")
+    if not topics:
+        return {}
+    words = f"{seen.log.topics[topics[0]].msgtype.replace('/msg/', '/')}: {why}"
+    if len(topics) == 1:
+        return {f"{role}.topic": (topics[0], words)}
+    if role == "wheels":
+        return {"wheels.left_topic": (topics[0], words), "wheels.right_topic": (topics[1], words)}
+    return {f"{role}.topics": (list(topics), words)}
+
+
+def _mounts(seen: Look) -> Known:
+    """Return where /tf_static puts the sensors; turns about level axes only where there are any."""
+    streams = {
+        name: [seen.log.stream(t) for t in seen.choice.of(name)] for name in REGISTRY if seen.choice.of(name)
+    }
+    known: Known = {}
+    for name, table in mount_tables(seen.transforms, streams).items():
+        frame = streams[name][0].frame_id
+        for key, raw in table.items():
+            value = _rounded(raw)
+            if value or key in MOUNTED:
+                known[f"{name}.{key}"] = value, f"by /tf_static: where {frame} sits on the base"
+    return known
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, float):
+        return round(value, ROUND) + 0.0
+    if isinstance(value, dict):
+        return {key: _rounded(v) for key, v in value.items()}
+    return [_rounded(v) for v in value] if isinstance(value, list) else value
+
+
+def lines(facts: Facts, table: str, missing: list[str]) -> Iterator[Line]:
+    """Yield the lines of one table, "" for keys above all tables; what is needed and unknown goes to `missing`."""
+    if not table:
+        yield from (Line(key, *facts.known[key]) for key in TOP if key in facts.known)
+        return
+    unsure = _suggested(facts, table)
+    shown = table in {"wheels", "start"} or any(key.startswith(f"{table}.") for key in facts.known)
+    defaults = {f.name: f.default for f in msgspec.structs.fields(TABLES[table])}
+    for key, default in defaults.items():
+        path = f"{table}.{key}"
+        if path in facts.known:
+            yield Line(key, *facts.known[path])
+        elif shown and path not in unsure and _concerns(facts, table, key):
+            yield from _unknown(key, path, default, missing)
+        if path in unsure:
+            yield Line(key, *unsure[path], holds=False)
+
+
+def _unknown(key: str, path: str, default: Any, missing: list[str]) -> Iterator[Line]:
+    if path in GUESSES:
+        yield Line(key, default, GUESSES[path])
+    elif path in NEEDED or path in ASKS:
+        ask = NEEDED.get(path) or ASKS[path]
+        yield Line(key, default if ask.example is None else ask.example, ask.words, holds=False)
+        if path in NEEDED:
+            missing.append(path)
+
+
+def _suggested(facts: Facts, table: str) -> Known:
+    """Return cures that are not in force, and the topics of a sensor that could not choose between several."""
+    here = {key: told for key, told in facts.suggested.items() if key.startswith(f"{table}.")}
+    why = facts.seen.choice.absent.get(table, "")
+    for cure in settings_in(why):
+        key, _, value = cure.partition("=")
+        if key == f"{table}.topic":
+            here[key] = value, why
+    return here
+
+
+def _concerns(facts: Facts, table: str, key: str) -> bool:
+    """Whether a key means anything to the kind of message that is read."""
+    kind = facts.kind(table)
+    if table == "wheels" and key in OF_COUNTERS:
+        return kind != ODOMETRY and (key != "ticks_per_revolution" or counts_ticks(kind))
+    if f"{table}.{key}" == "compass.convention":
+        return kind.startswith("std_msgs/")
+    if table in REGISTRY and key in MOUNTED:
+        return not any(f"{table}.{k}" in facts.known for k in MOUNTED)
+    return True

@@ -1,0 +1,71 @@
+"""`locfuse init`: a commented robot.toml for a log, to be corrected and gone on with."""
+
+from __future__ import annotations
+
+import shlex
+from typing import TYPE_CHECKING
+
+import click
+
+from .options import LogOptions, log_options
+
+if TYPE_CHECKING:
+    from .draft import Draft
+
+LOSS = 3
+
+
+@click.command()
+@click.argument("log", nargs=-1, required=True)
+@log_options
+def init(log: tuple[str, ...], how: LogOptions) -> int:
+    """Print a robot.toml for LOG: a starting point with a comment on every line.
+
+    What the log shows is in force: topics, joints, mounts by /tf_static, wheels by /robot_description, clock lags.
+    Guesses are marked as guesses. What no log can tell is a line behind a # that says what to measure.
+
+    \b
+    locfuse init bag/ > robot.toml
+    locfuse init bag/ --set wheels.radius=0.033 --set wheels.track=0.16 > robot.toml
+    locfuse compare bag/ --robot robot.toml
+    """
+    from ..formats.commented_toml import printable, render
+    from . import show
+    from .draft import draft
+    from .load import find_log
+
+    with show.progress(how.quiet) as progress:
+        made = draft(find_log(log), how, progress)
+    words = printable(shlex.join(log))
+    click.echo(render(_head(made, words), made.sections, _foot(made)), nl=False)
+    lost = made.seen.log.losses.lines()
+    if not how.quiet:
+        _say(made, words, lost)
+    return LOSS if lost else 0
+
+
+def _head(made: Draft, words: str) -> str:
+    return (
+        f"robot.toml of {made.seen.log.name}, a starting point by locfuse init. Behind a #, nothing is in force.\n"
+        f"\n"
+        f"  locfuse info {words} --check --robot robot.toml\n"
+        f"  locfuse compare {words} --robot robot.toml"
+    )
+
+
+def _foot(made: Draft) -> str:
+    """Return which sensors the log lacks, and why where that is not plain."""
+    written = {section.name for section in made.sections if section.lines}
+    absent = {name: why for name, why in made.seen.choice.absent.items() if name not in written}
+    plain = [name for name, why in absent.items() if why.startswith("no topic of type")]
+    odd = [f"{name}: {why}" for name, why in absent.items() if name not in plain]
+    return "\n".join(([f"Not in this log: {', '.join(plain)}."] if plain else []) + odd)
+
+
+def _say(made: Draft, words: str, lost: list[str]) -> None:
+    for line in lost:
+        click.echo(f"lost: {line}", err=True)
+    if made.missing:
+        click.echo(f"to be filled in: {', '.join(made.missing)} (their lines say how to measure them)", err=True)
+    else:
+        click.echo(f"nothing is missing; try: locfuse compare {words} --robot robot.toml", err=True)

@@ -14,6 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from .data import Array, Ints
+from .ekf import JointBelief
+from .laser_mount import Seat, mount_spread
 from .line_map import AnyBelief, LineMap, Prediction
 
 NEAR_ANGLE = math.radians(25.0)  # pairs further apart are not looked at
@@ -30,6 +32,7 @@ class Scan(NamedTuple):
     z: Array  # (k, 2) r, psi
     R: Array  # (k, 2, 2)
     ends: Array  # (k, 2) along the tangent (-sin psi, cos psi)
+    seat: Seat | None = None  # where the laser's mount is uncertain
 
 
 @dataclass(frozen=True)
@@ -115,6 +118,8 @@ def candidate_pairs(scan: Scan, lines: LineMap, belief: AnyBelief) -> Pairs:
     y = np.stack((offset[line, which], turn[line, which]), axis=-1)
     flip = flip[line, which]
     S = prediction.spread + _flipped(scan.R[line], flip)
+    if scan.seat is not None and isinstance(belief, JointBelief):
+        S += mount_spread(scan.seat, prediction.psi + y[:, 1], prediction, lines.column[which], belief)
     det = S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] ** 2
     d2 = (S[:, 1, 1] * y[:, 0] ** 2 - 2.0 * S[:, 0, 1] * y[:, 0] * y[:, 1] + S[:, 0, 0] * y[:, 1] ** 2) / det
     lo, hi = _extent(scan, line, flip, prediction, lines, which, belief)

@@ -32,3 +32,12 @@ def predict_bearing(
         return None
     turn = -1.0 - (lever[0] * (dx * c + dy * s) + lever[1] * (dy * c - dx * s)) / q
     return wrap(math.atan2(dy, dx) - pose[2] - yaw), (dy / q, -dx / q, turn)
+
+
+def bearing_by_mount(pose: tuple[float, float, float], landmark: Point, lever: Point) -> Row:
+    """Return the derivative of the predicted bearing by the camera's x, y and yaw on the base."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    dx = landmark[0] - pose[0] - c * lever[0] + s * lever[1]
+    dy = landmark[1] - pose[1] - s * lever[0] - c * lever[1]
+    q = dx * dx + dy * dy
+    return (dy * c - dx * s) / q, -(dx * c + dy * s) / q, -1.0

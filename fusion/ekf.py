@@ -235,18 +235,20 @@ class JointBelief:
         P[columns, :n] = G @ P[columns, :n]
         P[:n, columns] = P[:n, columns] @ G.T
 
-    def augment(self, values: Array, G_pose: Array, noise: Array) -> int:
-        """Append states that are functions of the pose plus noise: returns the first new column.
+    def augment(self, values: Array, G: Array, noise: Array, columns: Sequence[int] = ()) -> int:
+        """Append states that are functions of others plus noise: returns the first new column.
 
-        values (k,), G_pose (k, 3) their derivative by the pose, noise (k, k) independent of the state.
+        values (k,), G (k, 3 + c) their derivative by the pose and the states `columns` (c,), noise (k, k)
+        independent of the state.
         """
         n = self.n
         where = self._grow(len(values))
-        PG = self._P[:n, :3] @ G_pose.T
+        of = [0, 1, 2, *columns]
+        PG = self._P[:n, of] @ G.T
         self._x[where] = values
         self._P[:n, where] = PG
         self._P[where, :n] = PG.T
-        own = G_pose @ PG[:3] + noise
+        own = G @ PG[of] + noise
         self._P[where, where] = 0.5 * (own + own.T)
         return int(where.start)
 

@@ -153,10 +153,10 @@ class NotedJoint(JointBelief):
         none = np.zeros((len(columns), len(columns)))
         self.events.append(Step(np.asarray(columns), before - back @ self.state, back, none, instant=False))
 
-    def augment(self, values: Array, G_pose: Array, noise: Array) -> int:
+    def augment(self, values: Array, G: Array, noise: Array, columns: Sequence[int] = ()) -> int:
         """Append states as ever, and note that they are new."""
         self.events.append(Birth(self.n))
-        return super().augment(values, G_pose, noise)
+        return super().augment(values, G, noise, columns)
 
     def remove(self, columns: Ints) -> None:
         """Drop states as ever, and note what the others say of them."""

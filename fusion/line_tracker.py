@@ -11,12 +11,14 @@ import numpy as np
 from . import se2
 from .association import Association, Scan, associate
 from .data import VERDICTS, Array, LocfuseError, MapLine, Measurements
-from .ekf import JointBelief, PoseBelief
+from .ekf import JointBelief
 from .gates import chi_square
+from .laser_mount import seated
 from .line_map import AnyBelief, LineMap, about_middle
 from .map_keeping import LEAST_HITS, merge_doubles, prune
 from .recovery import Guard
-from .sensors.base import Innovation, Model
+from .sensors.base import Block, Innovation, Model
+from .sensors.mount import Mount
 
 UNMATCHED, AMBIGUOUS, NEW, LOST = (VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new", "lost"))
 TIDY_EVERY = 10  # scans
@@ -27,8 +29,9 @@ LONE_D2, LONE_ANGLE, LONE_OFFSET = 5.0, math.radians(3.0), 0.15
 class LineTracker(Model):
     """Association, extents and growth of the line map; `mode` is how the map enters the filter."""
 
-    def __init__(self, mode: str, gate: float, recover: bool = True) -> None:
+    def __init__(self, mode: str, gate: float, recover: bool = True, mount: Mount | None = None) -> None:
         self.mode = mode
+        self.mount = mount if mount is not None and mount.free else None  # None: known exactly
         self.map = LineMap()
         self.joint = mode != "first-scan"
         # only a map that holds what was seen since can say that something is wrong
@@ -38,6 +41,10 @@ class LineTracker(Model):
         self._scan = 0
         self._last: Association | None = None
         self._teach = True
+
+    def blocks(self) -> list[Block]:
+        """Return what is uncertain of the laser's mount."""
+        return self.mount.blocks() if self.mount is not None else []
 
     def begin(self, given: Sequence[MapLine], belief: Any) -> None:
         """Enter a given map: its lines are considered, so their covariance counts and they stay as they are."""
@@ -63,7 +70,7 @@ class LineTracker(Model):
             return []
         if len(self.map) == 0:
             return [_nothing(row, NEW, self._gate) for row in range(first, last)]
-        scan = scan_of(m, first, last)
+        scan = self._scan_of(m, first, last, belief)
         found = associate(scan, self.map, belief, self._gate)
         if self.guard is not None:
             found, self._teach = self.guard.watch(float(m.t[i]), scan, found, self.map, belief, self._gate)
@@ -89,13 +96,18 @@ class LineTracker(Model):
         (r00, r01), (_, r11) = scan.R[k].tolist()
         r01 *= float(pairs.flip[p])
         columns: tuple[int, ...] = ()
-        H_block: tuple[tuple[float, ...], ...] = ()
+        H_block: tuple[tuple[float, ...], ...] = ((), ())
         column = int(self.map.column[which])
         if column >= 0:
             columns, H_block = (column, column + 1), ((1.0, u), (0.0, 1.0))
         else:
             (m00, m01), (_, m11) = self.map.P[which].tolist()
             r00, r01, r11 = r00 + m00 + u * (2.0 * m01 + u * m11), r01 + m01 + u * m11, r11 + m11
+        if scan.seat is not None:
+            psi = pairs.prediction.psi[p : p + 1] + pairs.y[p : p + 1, 1]
+            by_mount = scan.seat.derivative(psi)[0].tolist()
+            columns += scan.seat.columns
+            H_block = ((*H_block[0], *by_mount[0]), (*H_block[1], *by_mount[1]))
         return Innovation(
             row,
             verdict,
@@ -116,7 +128,7 @@ class LineTracker(Model):
         if first == last or not self._teach or self.mode == "given":
             return
         self._scan += 1
-        scan = scan_of(m, first, last)
+        scan = self._scan_of(m, first, last, belief)
         found = self._last
         if found is None:
             for k in range(last - first):
@@ -131,6 +143,13 @@ class LineTracker(Model):
         if self.mode == "grow" and self._scan % TIDY_EVERY == 0 and isinstance(belief, JointBelief):
             prune(self.map, belief, self._scan)
             merge_doubles(self.map, belief, self._scan)
+
+    def _scan_of(self, m: Measurements, first: int, last: int, belief: Any) -> Scan:
+        """Return rows first:last as one scan, put into the base by the mount as the belief has it."""
+        scan = scan_of(m, first, last)
+        if self.mount is None:
+            return scan
+        return Scan(*seated(scan.z, scan.R, scan.ends, self.mount, belief))
 
     def lines(self, belief: Any) -> tuple[list[MapLine], list[MapLine]]:
         """Return the map after the first scan and the map now."""
@@ -161,16 +180,20 @@ class LineTracker(Model):
         dx, dy = belief.x - anchor[0], belief.y - anchor[1]
         u = dy * c - dx * s
         value = np.array([r + dx * c + dy * s, beta])
-        G_pose = np.array([[c, s, u], [0.0, 0.0, 1.0]])
+        G = np.array([[c, s, u], [0.0, 0.0, 1.0]])
         G_z = np.array([[1.0, u], [0.0, 1.0]])
         noise = G_z @ scan.R[k] @ G_z.T
+        columns: tuple[int, ...] = ()
+        if scan.seat is not None:  # what the reading is predicted to be falls by what the line in the base rises
+            columns = scan.seat.columns
+            G = np.hstack((G, -G_z @ scan.seat.derivative(scan.z[k : k + 1, 1])[0]))
         column, P = -1, np.zeros((2, 2))
         if self.joint and isinstance(belief, JointBelief):
-            column = belief.augment(value, G_pose, noise)
+            column = belief.augment(value, G, noise, columns)
             if self.mode == "consider":
                 belief.consider(np.array([column, column + 1]))
-        elif isinstance(belief, PoseBelief):
-            P = G_pose @ belief.matrix() @ G_pose.T + noise
+        else:
+            P = np.array(belief.spread(G[:, :3].tolist(), columns, G[:, 3:].tolist())) + noise
         self.map.append(anchor, value, P, column, (-half, half), self._scan)
 
 

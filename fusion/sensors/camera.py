@@ -13,18 +13,19 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from ..bearing import H_ORIENTATION, Point, Row, paper_orientation, predict_bearing
+from ..bearing import H_ORIENTATION, Point, bearing_by_mount, paper_orientation, predict_bearing
 from ..data import VERDICTS, LocfuseError, Measurements, Stream
 from ..gates import chi_square
 from ..se2 import wrap
-from .base import Belief, Innovation, Model, SensorSettings, WheelMotion
+from .base import Belief, Block, Innovation, Model, SensorSettings, WheelMotion
+from .mount import Mount, MountedSettings
 
 GATE, AMBIGUOUS, UNMATCHED = (VERDICTS.index(v) for v in ("gate", "ambiguous", "unmatched"))
 MOST_COLUMNS, MOST_ROWS = 3600, 8192  # of a panorama: its maps stay below 250 MB
 MARGIN = 9.0  # by how much the second-best candidate must fit worse (squared sigmas: odds of 90 to 1)
 
 
-class CameraSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class CameraSettings(MountedSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """[camera]: where the landmark stands, how the picture is calibrated, what counts as red."""
 
     landmark: Point | None = None  # m, map frame; without it the camera cannot be used
@@ -34,9 +35,6 @@ class CameraSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw
     width: int = 720  # columns of the panorama
     zero_deg: float = 0.0  # bearing that column 0 (straight down in the picture) looks at
     clockwise: bool = False  # columns turn clockwise in the world, seen from above
-    x: float = 0.0  # m, camera on the base
-    y: float = 0.0
-    yaw_deg: float = 0.0
     sigma_deg: float = 0.3  # of a bearing, beyond what its pixels explain
     chain: Literal["fast", "paper", "printed"] = "fast"  # printed: eq. (1) with its misprints
     bearing: Literal["relative", "absolute"] = "relative"  # absolute: the paper's orientation
@@ -47,6 +45,7 @@ class CameraSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw
 
     def __post_init__(self) -> None:
         """Raise ValueError where the numbers cannot be a calibration."""
+        super().__post_init__()
         numbers = [v for f in self.__struct_fields__ for v in _numbers(getattr(self, f))]
         if not all(map(math.isfinite, numbers)):
             raise ValueError("camera: every number must be finite")
@@ -59,6 +58,8 @@ class CameraSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw
             raise ValueError(f"camera: inner and outer must be at most {MOST_ROWS} px")
         if self.sigma_deg <= 0.0:
             raise ValueError(f"camera.sigma_deg = {self.sigma_deg}, must be positive")
+        if self.bearing == "absolute" and (self.sigma_x or self.sigma_y or self.sigma_yaw_deg):
+            raise ValueError("camera.bearing = absolute knows no mount: sigma_x, sigma_y, sigma_yaw_deg must be 0")
 
 
 def _numbers(value: Any) -> tuple[float, ...]:
@@ -174,33 +175,43 @@ class BearingModel(Model):
 
     def __init__(self, settings: CameraSettings, landmark: Point) -> None:
         self.landmark = landmark
-        self.lever = (settings.x, settings.y)
-        self.yaw = math.radians(settings.yaw_deg)
+        self.mount = Mount("camera", settings)
         self.threshold = chi_square(settings.gate, 1)
+
+    def blocks(self) -> list[Block]:
+        """Return what is uncertain of the camera's mount."""
+        return self.mount.blocks()
 
     def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
         """Compare the candidates of picture i with the belief: the one inside the gate is the landmark.
 
         Two that fit about equally well are ambiguous, and neither is used.
         """
-        predicted = predict_bearing((belief.x, belief.y, belief.theta), self.landmark, self.lever, self.yaw)
+        pose = belief.x, belief.y, belief.theta
+        x, y, yaw = self.mount.now(belief)
+        predicted = predict_bearing(pose, self.landmark, (x, y), yaw)
         first, last = int(m.first[i]), int(m.first[i + 1])
         if predicted is None or first == last:
             return []
         z, variances = m.scalars
         h, H = predicted
+        columns: tuple[int, ...] = ()
+        H_block: tuple[tuple[float, ...], ...] = ()
+        if self.mount.free:
+            columns = self.mount.columns(belief)
+            H_block = self.mount.rows((bearing_by_mount(pose, self.landmark, (x, y)),))
         bend = belief.spread(((H[0], H[1], 0.0),))[0][0]
-        spread = belief.spread((H,))[0][0]
+        spread = belief.spread((H,), columns, H_block)[0][0]
         judged = []
         for row in range(first, last):
             # the bearing is not linear in the position: second-order variance (sigma_position / distance)^4
             r = variances[row] + bend * bend
-            judged.append(self._judge(row, wrap(z[row] - h), spread + r, r, H))
+            y, S = wrap(z[row] - h), spread + r
+            sigma = math.sqrt(S)
+            judged.append(
+                Innovation(row, 0, 0, y * y / S, self.threshold, (y,), (sigma,), (H,), ((r,),), columns, H_block)
+            )
         return choose(judged)
-
-    def _judge(self, row: int, y: float, S: float, r: float, H: Row) -> Innovation:
-        nis = y * y / S
-        return Innovation(row, 0, 0, nis, self.threshold, (y,), (math.sqrt(S),), (H,), ((r,),))
 
 
 class OrientationModel(Model):

@@ -19,17 +19,15 @@ from ..lines import Lines, LineSettings
 from ..scans import Laser, equal_scans, in_order, lines_in_base, too_many_beams, turns
 from ..wall_floor import wall_floor
 from .base import SensorSettings, WheelMotion
+from .mount import Mount, MountedSettings
 
 MapMode = Literal["first-scan", "consider", "refine", "grow", "given"]
 SCANS_PER_BLOCK = 256  # line extraction is level-synchronous over this many scans (benchmarks: "lines per scan")
 
 
-class LrfSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class LrfSettings(MountedSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """[lrf]: where the laser sits, how well it measures, how its map is treated."""
 
-    x: float = 0.0  # m, laser on the base
-    y: float = 0.0
-    yaw_deg: float = 0.0
     flipped: bool = False  # mounted upside-down: beams run clockwise seen from above
     sigma_range: float = 0.02  # m
     sigma_angle_deg: float = 0.25
@@ -87,7 +85,7 @@ class Lrf:
 
     def model(self, settings: LrfSettings) -> LineTracker:
         """Return the laser's side of a new run."""
-        return LineTracker(settings.map, settings.gate, settings.recover)
+        return LineTracker(settings.map, settings.gate, settings.recover, Mount(self.name, settings))
 
 
 def floors(

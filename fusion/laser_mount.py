@@ -1,0 +1,67 @@
+"""A laser whose mount is uncertain: its lines as the estimated mount puts them into the base, and what that costs.
+
+A line (r, psi) in the base frame follows from the laser's own one and the mount (x, y, yaw) by psi = psi_L + yaw,
+r = r_L + x cos(psi) + y sin(psi). So what is predicted for the laser's reading depends on the mount by
+
+    d(r, psi)/d(x, y, yaw) = [[-cos(psi), -sin(psi), x sin(psi) - y cos(psi)], [0, 0, -1]]
+
+at the measured psi, in which this is exact. (At the predicted one the wheels' error in heading would enter, which
+goes with their error in distance: y came out wrong by k / (2 dtheta), 8 mm.) Derivatives by pose and line stay.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from . import se2
+from .data import Array, Ints
+from .ekf import JointBelief
+from .line_map import Prediction
+from .lines import to_base
+from .sensors.mount import Mount
+
+
+class Seat(NamedTuple):
+    """The estimated mount under which a scan's lines were put into the base, and where it lies in the state."""
+
+    x: float  # m
+    y: float
+    columns: tuple[int, ...]  # (f,) state columns of what is uncertain
+    free: tuple[int, ...]  # which of x, y, yaw they are
+
+    def derivative(self, psi: Array) -> Array:
+        """Return by how much predicted lines at psi (k,) [rad, base frame] depend on the states, (k, 2, f)."""
+        out = np.zeros((len(psi), 2, 3))
+        c, s = np.cos(psi), np.sin(psi)
+        out[:, 0, 0], out[:, 0, 1], out[:, 0, 2] = -c, -s, self.x * s - self.y * c
+        out[:, 1, 2] = -1.0
+        chosen: Array = out[:, :, list(self.free)]
+        return chosen
+
+
+def seated(z: Array, R: Array, ends: Array, mount: Mount, belief: JointBelief) -> tuple[Array, Array, Array, Seat]:
+    """Return lines (z, R, ends), put into the base by the mount as told, as the estimated mount puts them."""
+    now = mount.now(belief)
+    moved = se2.compose(np.array(now), se2.inverse(np.array(mount.told)))
+    lines = to_base(z, R, ends, *moved.tolist())
+    return *lines, Seat(now[0], now[1], mount.columns(belief), mount.free)
+
+
+def mount_spread(seat: Seat, psi: Array, lines: Prediction, columns: Ints, belief: JointBelief) -> Array:
+    """Return what the mount adds to the innovations' covariance of k lines, measured at psi (k,) and predicted.
+
+    (k, 2, 2). The lines' states lie at `columns` (k,), which are -1 where the map is none of the filter's.
+    """
+    P, at = belief.covariance, np.array(seat.columns)
+    H = seat.derivative(psi)
+    x, y, theta = P[:3, at]
+    c, s, u = lines.cos[:, None], lines.sin[:, None], lines.u[:, None]
+    shared = np.stack((-c * x - s * y, np.broadcast_to(-theta, (len(c), len(at)))), axis=1)  # H_pose P, (k, 2, f)
+    if len(columns) and columns[0] >= 0:
+        rho, beta = P[columns[:, None], at], P[columns[:, None] + 1, at]
+        shared += np.stack((rho + u * beta, beta), axis=1)
+    cross = shared @ H.transpose(0, 2, 1)
+    out: Array = H @ P[np.ix_(at, at)] @ H.transpose(0, 2, 1) + cross + cross.transpose(0, 2, 1)
+    return out

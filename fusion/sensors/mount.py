@@ -1,0 +1,63 @@
+"""Where a sensor sits on the base: known exactly, or as states that the drive improves (extrinsics).
+
+A laser that is turned by a degree more than told turns the whole map with it. No innovation shows that at once,
+and a filter that takes the mount for certain is confidently wrong. What is not known exactly is a state.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .base import Belief, Block, SensorSettings
+
+Row = tuple[float, ...]
+
+
+class MountedSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Keys of a sensor whose place on the base counts."""
+
+    x: float = 0.0  # m, sensor on the base
+    y: float = 0.0
+    yaw_deg: float = 0.0
+    sigma_x: float = 0.0  # m, standard deviation of x; above 0 it is a state
+    sigma_y: float = 0.0
+    sigma_yaw_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Raise ValueError where a standard deviation is negative."""
+        for key in ("sigma_x", "sigma_y", "sigma_yaw_deg"):
+            if not 0.0 <= getattr(self, key) < math.inf:
+                raise ValueError(f"{key} = {getattr(self, key)} must be 0 (known exactly) or above")
+
+
+class Mount:
+    """x [m], y [m], yaw [rad] of one sensor on the base; those that are uncertain are blocks of one state each."""
+
+    def __init__(self, sensor: str, settings: MountedSettings) -> None:
+        self.told = (settings.x, settings.y, math.radians(settings.yaw_deg))
+        sigmas = (settings.sigma_x, settings.sigma_y, math.radians(settings.sigma_yaw_deg))
+        self.free = tuple(i for i in range(3) if sigmas[i] > 0.0)  # which of x, y, yaw are states
+        self._names = {i: f"{sensor}_{('x', 'y', 'yaw')[i]}" for i in self.free}
+        self._variances = {i: sigmas[i] ** 2 for i in self.free}
+
+    def blocks(self) -> list[Block]:
+        """Return what is uncertain, at the value told."""
+        return [
+            Block(name, np.array([self.told[i]]), np.array([[self._variances[i]]]), np.zeros(1))
+            for i, name in self._names.items()
+        ]
+
+    def now(self, belief: Belief) -> tuple[float, float, float]:
+        """Return x, y, yaw as the belief has them."""
+        at = [float(belief.block(self._names[i])[1][0]) if i in self._names else self.told[i] for i in range(3)]
+        return at[0], at[1], at[2]
+
+    def columns(self, belief: Belief) -> tuple[int, ...]:
+        """Return the state columns of what is uncertain."""
+        return tuple(belief.block(name)[0] for name in self._names.values())
+
+    def rows(self, by_mount: tuple[Row, ...]) -> tuple[Row, ...]:
+        """Return the columns of a derivative by (x, y, yaw), (d, 3), that belong to states."""
+        return tuple(tuple(row[i] for i in self.free) for row in by_mount)

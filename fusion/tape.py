@@ -160,10 +160,10 @@ class Taped(JointBelief):
         told = (np.diagonal(R) >= 0.999 * np.diagonal(of_its_sigma)).all()
         return index, of_its_sigma if told else R  # a model that weighs by less than R: all of it is its sigma's
 
-    def augment(self, values: Array, G_pose: Array, noise: Array) -> int:
+    def augment(self, values: Array, G: Array, noise: Array, columns: Sequence[int] = ()) -> int:
         """Append as ever; on the tape nothing is known of what is new."""
         n, k = self.n, len(values)
-        column = super().augment(values, G_pose, noise)
+        column = super().augment(values, G, noise, columns)
         self._note(np.eye(n + k, n), np.diag(np.concatenate((np.zeros(n), np.full(k, UNKNOWN)))))
         return column
 

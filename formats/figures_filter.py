@@ -20,6 +20,11 @@ BLOCKS = {  # state blocks as people read them
         Component("right wheel's scale", "%", 100.0),
         Component("track", "%", 100.0),
     ),
+    **{
+        f"{sensor}_{part}": (Component(f"{sensor} mount {part}", unit, scale),)
+        for sensor in ("lrf", "camera")
+        for part, unit, scale in (("x", "m", 1.0), ("y", "m", 1.0), ("yaw", "°", DEG))
+    },
 }
 
 

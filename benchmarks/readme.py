@@ -3,7 +3,8 @@
     python -m benchmarks.readme           exit 1 where a page differs from what its commands print today
     python -m benchmarks.readme --write   put today's output into the pages
 
-A block is a fence of ```console with lines `$ locfuse ...`, each followed by its stdout.
+A block is a fence of ```console with lines `$ locfuse ...`, each followed by its stdout, if it is not sent to
+/dev/null.
 """
 
 from __future__ import annotations
@@ -18,9 +19,10 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
-PAGES = ("README.md",)
+PAGES = ("README.md", "docs/paper.md")
 BLOCK = re.compile(r"```console\n(.*?)```", re.DOTALL)
 WIDTH = "100"
+NOTHING = " > /dev/null"
 
 
 def commands(block: str) -> list[str]:
@@ -30,7 +32,7 @@ def commands(block: str) -> list[str]:
 
 def output(command: str, folder: Path) -> str:
     """Run one command in `folder` as a user would and return its stdout, without blank lines."""
-    words = shlex.split(command)
+    words = shlex.split(command.removesuffix(NOTHING))
     if words[0] != "locfuse":
         raise ValueError(f"only locfuse commands are run: {command}")
     environment = {**os.environ, "COLUMNS": WIDTH, "NO_COLOR": "1", "TERM": "dumb"}
@@ -44,6 +46,8 @@ def output(command: str, folder: Path) -> str:
     )
     if done.returncode != 0:
         raise RuntimeError(f"{command}: exit {done.returncode}\n{done.stderr}")
+    if command.endswith(NOTHING):
+        return ""
     return "\n".join(line.rstrip() for line in done.stdout.splitlines() if line.strip())
 
 
@@ -62,11 +66,11 @@ def main(write: bool) -> int:
     wrong = 0
     for name in PAGES:
         path = ROOT / name
-        page = path.read_text()
+        page = path.read_text(encoding="utf-8")
         with tempfile.TemporaryDirectory() as folder:
             now = replayed(page, Path(folder))
         if write:
-            path.write_text(now)
+            path.write_text(now, encoding="utf-8")
         elif now != page:
             wrong += 1
             sys.stdout.writelines(difflib.unified_diff(page.splitlines(True), now.splitlines(True), name, "today"))

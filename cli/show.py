@@ -9,6 +9,8 @@ from typing import Any, Protocol
 
 import click
 
+from ..formats.report_columns import written
+
 COLUMNS = (
     ("rmse", "position_rmse_m", "{:.3f} m"),
     ("max", "position_max_m", "{:.3f} m"),
@@ -97,7 +99,7 @@ def _sensor_table(rows: Sequence[tuple[str, ...]]) -> Any:
 
 def number(value: float | None, form: str) -> str:
     """Format a figure; a dash where it does not exist."""
-    return "-" if value is None else form.format(value)
+    return "-" if value is None else written(value, form)
 
 
 def notes(report: Mapping[str, Any], losses: Sequence[str], quiet: bool) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+LARGE = 1e5
+
 
 class Column(NamedTuple):
     """One figure of a configuration."""
@@ -47,4 +49,9 @@ def columns_of(configurations: Mapping[str, Mapping[str, Any]], main: bool = Fal
 
 def cell(column: Column, value: float | None, missing: str = "-") -> str:
     """Return a figure as text without its unit."""
-    return missing if value is None else column.form.format(value)
+    return missing if value is None else written(value, column.form)
+
+
+def written(value: float | str, form: str) -> str:
+    """Format a figure; powers of ten where it is too large to be read (the ANEES of the printed filter)."""
+    return f"{value:.1e}" if isinstance(value, float) and abs(value) >= LARGE else form.format(value)

@@ -15,7 +15,7 @@ from . import palette
 from .figure_svg import HEIGHT, WIDTH, slugs_of, svg
 from .palette import Colour
 from .panels import Section
-from .report_columns import columns_of
+from .report_columns import columns_of, written
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -74,7 +74,7 @@ class Figures:
         if value is None or (isinstance(value, float) and not math.isfinite(value)):
             return Markup('<span class="none">{}</span>').format(missing)
         return Markup('<data value="{}" data-from="{}">{}</data>').format(
-            repr(value), pointer(path), form.format(value)
+            repr(value), pointer(path), written(value, form)
         )
 
 

@@ -3,7 +3,7 @@
 A prediction is undone by before = c + G after + an independent rest of covariance D, which is all that a smoother
 must know (Rauch, Tung, Striebel 1965). A correction only adds knowledge and needs no note. Walls and offsets do
 not move, so only the rows of what does (pose, drifting blocks) are kept: a few times n numbers an instant, never
-n x n (maths.md: "smoothing with a static map").
+n x n.
 """
 
 from __future__ import annotations

@@ -170,7 +170,7 @@ class LineTracker(Model):
         self.map.seen[which] = self._scan
 
     def _add(self, scan: Scan, k: int, belief: AnyBelief) -> None:
-        """New line from (r, psi): maths.md "new line"; its anchor is the middle of the segment."""
+        """New line from (r, psi), the inverse of LineMap.predict; its anchor is the middle of the segment."""
         r, psi = map(float, scan.z[k])
         beta = se2.wrap(psi + belief.theta)
         c, s = math.cos(beta), math.sin(beta)

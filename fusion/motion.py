@@ -139,7 +139,7 @@ class _Pieces:
     def jacobian(self, track: float) -> Array:
         """Derivative of the interval's end pose by the (left, right) distance rolled in each piece, (m, 3, 2).
 
-        Paper eq. 8 in its right form (maths.md), plus the turn's lever arm from the piece to the interval's end.
+        Paper eq. 8 in its right form (docs/paper.md), plus the turn's lever arm from the piece to the end.
         """
         m = self.a[:, 2] + 0.5 * self.twist[:, 2]
         along = np.stack((np.cos(m), np.sin(m), np.zeros_like(m)), axis=-1)

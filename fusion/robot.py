@@ -36,7 +36,7 @@ class WheelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     rollover: float | None = None  # the counter's range, in its own unit; 0: it never rolls over; None: found
     max_speed: float | None = None  # m/s of a wheel; readings that need more are faults; None: found
     reverse_by_twist: bool = True  # an odometry's pose that goes ahead while its twist says backward is turned
-    noise: float = 4e-4  # m: variance per metre that a wheel rolls (maths.md eq. 9: k)
+    noise: float = 4e-4  # m: variance per metre that a wheel rolls (docs/paper.md, eq. 9: k)
     time_offset: float = 0.0  # s
     estimate: bool = False  # scale of either wheel and track as states
     sigma_scale: float = 0.02  # prior of the estimated scales, relative

@@ -1,9 +1,9 @@
 """Noise figures from logs, without truth: those under which the innovations are most likely.
 
 A mean NIS of 1 proves nothing, since too much noise here hides too little there; the likelihood of the innovations
-punishes both (Schweppe 1965; maths.md). What is accepted and matched is decided once for each round and stays
+punishes both (Schweppe 1965). What is accepted and matched is decided once for each round and stays
 fixed while the noise is searched (tape), from several starts, in logarithms. What the likelihood does not care
-about is not identifiable, and is said so instead of being set.
+about is not identifiable: that is said, and nothing is set.
 """
 
 from __future__ import annotations

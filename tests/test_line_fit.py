@@ -90,7 +90,7 @@ def test_the_covariance_is_honest(wall: Wall, noise: tuple[float, float], side: 
 
 @pytest.mark.parametrize("noise", NOISE.values(), ids=NOISE.keys())
 def test_dropping_the_correlation_would_be_dishonest_off_centre(noise: tuple[float, float]) -> None:
-    """The check above is able to fail: without its r-psi term the covariance is far too small (maths.md: 8-21)."""
+    """The check above is able to fail: without its r-psi term the covariance is far too small."""
     wall = WALLS["far_off_centre"]
     found = fit(simulated(wall, noise, None), RUNS, wall[0], wall[1], noise[1] / noise[0])
     inverse = np.linalg.inv(found.R_unit * noise[0] ** 2)

@@ -31,7 +31,7 @@ PLACES = [
 
 
 def predicted(x: np.ndarray, anchor: tuple[float, float]) -> np.ndarray:
-    """(r, psi) of a line (rho, beta) from a pose, straight from maths.md: state x = (pose, rho, beta)."""
+    """(r, psi) of a line (rho, beta) from a pose, written out: state x = (pose, rho, beta)."""
     n = np.array([math.cos(x[4]), math.sin(x[4])])
     return np.array([x[3] - (x[:2] - np.array(anchor)) @ n, x[4] - x[2]])
 

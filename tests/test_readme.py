@@ -16,9 +16,11 @@ from benchmarks import readme  # noqa: E402
 PAGE = (ROOT / "README.md").read_text()
 
 
-def test_every_command_in_the_readme_prints_what_it_shows(tmp_path: Path) -> None:
-    assert len(readme.commands("\n".join(readme.BLOCK.findall(PAGE)))) >= 2
-    assert readme.replayed(PAGE, tmp_path) == PAGE
+@pytest.mark.parametrize("name", readme.PAGES)
+def test_every_command_on_a_page_prints_what_it_shows(name: str, tmp_path: Path) -> None:
+    page = (ROOT / name).read_text(encoding="utf-8")
+    assert len(readme.commands("\n".join(readme.BLOCK.findall(page)))) >= 2
+    assert readme.replayed(page, tmp_path) == page
 
 
 def test_the_two_set_up_commands_are_the_ones_ci_uses() -> None:

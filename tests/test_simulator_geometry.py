@@ -115,7 +115,7 @@ def mean_angle(angle: Array, weight: Array) -> float:
 
 
 def bearing(scenario: Scenario, place: tuple[float, float, float]) -> float:
-    """Bearing of the landmark's axis from the camera [rad], by maths.md's formula."""
+    """Bearing of the landmark's axis from the camera [rad]."""
     camera, mark = scenario.camera, scenario.landmark
     x, y, theta = place
     dx = mark.x - x - camera.x * math.cos(theta) + camera.y * math.sin(theta)

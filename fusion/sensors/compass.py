@@ -1,7 +1,7 @@
 """Compass: the heading of the robot against the magnetic field, with an offset that is a state.
 
 The field's direction in the map is not known to a tenth of a degree, and the module's 0.1° is its resolution,
-not its accuracy (maths.md). So theta = measured heading - offset, and the offset is estimated unless it is given.
+not its accuracy (docs/paper.md). So theta = measured heading - offset, and the offset is estimated unless given.
 """
 
 from __future__ import annotations

@@ -36,7 +36,8 @@ def info(log: tuple[str, ...], check: bool, as_json: bool, preview: Path | None,
     locfuse info bag/ --check --set wheels.radius=0.033 --set wheels.track=0.16
     locfuse info bag/ --preview pictures --set camera.outer=230
     """
-    from . import info_text, show
+    from ..formats import report_json
+    from . import info_json, info_text, show
     from .load import find_log
     from .look import look
 
@@ -44,13 +45,17 @@ def info(log: tuple[str, ...], check: bool, as_json: bool, preview: Path | None,
         seen = look(find_log(log), how, progress)
         pictures = _preview(seen, preview) if preview is not None else []
     if as_json:
-        click.echo(info_text.as_json(seen), nl=False)
+        click.echo(report_json.encode(info_json.values(seen)), nl=False)
     else:
-        info_text.show(seen)
-        for line in pictures:
-            click.echo(line)
+        show.lines((*info_text.lines(seen, _typed(log, how), show.width()), *pictures), info_text.TITLES)
     lost = any(o.code == "lost" for o in seen.oddities)
     return ODD if lost or (check and seen.spoils) else 0
+
+
+def _typed(log: tuple[str, ...], how: LogOptions) -> list[str]:
+    """Return LOG and the options that describe it, as they were typed."""
+    robot = ["--robot", str(how.robot)] if how.robot is not None else []
+    return [*log, *robot, *(word for setting in how.sets for word in ("--set", setting))]
 
 
 def _preview(seen: Look, folder: Path) -> list[str]:

@@ -1,124 +1,184 @@
-"""What `locfuse info` prints: tables for people, JSON for machines."""
+"""What `locfuse info` prints for people: lines no wider than the terminal, whole sentences where there is none."""
 
 from __future__ import annotations
 
+import re
+import shlex
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-import click
-
-from ..formats import report_json
+from ..fusion.oddity import Oddity
 from ..fusion.sensors.registry import REGISTRY
+from .info_json import absent, configurations, wheels_missing
 from .look import Look, extrinsics
-from .topic_facts import TopicFacts
+from .text_table import Column, table
+from .topic_facts import TopicFacts, clock_word
+
+READS, CONFIGURATIONS, SPOILS, WORTH, NEXT = TITLES = (
+    "what reads what",
+    "configurations",
+    "would spoil an estimate",
+    "worth knowing",
+    "next",
+)
+MOST = 6  # unreadable topics, each with its reason
+OPTION = re.compile(r"[.;:?] (?=[^.;:?]*--set )")  # the clause that tells an option: it stands in the next line
 
 
-def as_json(seen: Look) -> str:
-    """Return everything as JSON text."""
-    return report_json.encode(values(seen))
+def lines(seen: Look, typed: Sequence[str], width: int | None) -> Iterator[str]:
+    """Yield everything about a log; `typed` is what the user gave `info`, `width` that of the screen or None."""
+    yield _headline(seen)
+    yield ""
+    yield from _topics(seen, width)
+    yield from _roles(seen, width)
+    yield from _configurations(seen, width)
+    for title, oddities in grouped(seen).items():
+        yield from _section(title, [line for o in oddities for line in _oddity(o, width)])
+    yield from _section(NEXT, [f"  {command}" for command in _next(seen, typed)])
 
 
-def values(seen: Look) -> dict[str, Any]:
-    """Return everything as plain values."""
-    span = seen.log.time_span_ns
+def grouped(seen: Look) -> dict[str, list[Oddity]]:
+    """Return the oddities under what they mean for an estimate."""
     return {
-        "name": seen.log.name,
-        "files": [p.name for p in seen.log.paths],
-        "bytes": sum(p.stat().st_size for p in seen.log.paths),
-        "duration_s": (span[1] - span[0]) * 1e-9 if span else None,
-        "start_ns": span[0] if span else None,
-        "checksums": not seen.log.unchecked,
-        "topics": {f.topic: f.values() for f in seen.facts},
-        "roles": {
-            role: {"topics": list(seen.choice.of(role)), "why": seen.choice.why.get(role)}
-            for role in seen.choice.topics
-        },
-        "absent": absent(seen),
-        "extrinsics": extrinsics(seen),
-        "configurations": configurations(seen),
-        "oddities": [
-            {"code": o.code, "stream": o.stream, "words": o.words, "cures": list(o.cures), "spoils": o.spoils}
-            for o in seen.oddities
-        ],
+        SPOILS: [o for o in seen.oddities if o.spoils],
+        WORTH: [o for o in seen.oddities if not o.spoils],
     }
 
 
-def absent(seen: Look) -> dict[str, str]:
-    """Return why a role has no topic, or a sensor no use."""
-    return {**seen.choice.absent, **(seen.loaded.drive.absent if seen.loaded is not None else {})}
+def _section(title: str, body: Sequence[str]) -> Iterator[str]:
+    if body:
+        yield ""
+        yield title
+        yield from body
 
 
-def configurations(seen: Look) -> dict[str, str | None]:
-    """Return for odometry and each sensor what is missing, None where nothing is."""
-    missing = absent(seen)
-    base = None
-    if seen.loaded is None:
-        base = next((o.words for o in seen.oddities if o.spoils), None) or missing.get(
-            "wheels", "it cannot be measured"
-        )
-    return {"odometry": base, **{name: missing.get(name) or base for name in REGISTRY}}
+def _headline(seen: Look) -> str:
+    span = seen.log.time_span_ns
+    seconds = f"{(span[1] - span[0]) * 1e-9:.1f} s" if span else "no messages"
+    count = sum(f.count for f in seen.facts)
+    size = sum(p.stat().st_size for p in seen.log.paths) / 1e6
+    files = f" in {len(seen.log.paths)} files" if len(seen.log.paths) > 1 else ""
+    return f"{seen.log.name}: {seconds}, {count} messages on {len(seen.facts)} topics, {size:.1f} MB{files}"
 
 
-def show(seen: Look) -> None:
-    """Print it for people."""
-    facts = values(seen)
-    seconds = f"{facts['duration_s']:.1f} s" if facts["duration_s"] is not None else "no messages"
-    files = f"{len(facts['files'])} file{'s' if len(facts['files']) > 1 else ''}"
-    click.echo(f"{facts['name']}: {seconds}, {files}, {facts['bytes'] / 1e6:.1f} MB")
-    _topics(seen)
-    click.echo("what reads what")
-    for role in seen.choice.topics:
-        topics = " and ".join(seen.choice.of(role))
-        click.echo(f"  {role:8} {topics} ({seen.choice.why.get(role, '')}){_mount(facts['extrinsics'].get(role))}")
-    click.echo("configurations")
-    for name, what in facts["configurations"].items():
-        click.echo(f"  {name:8} {'ready' if what is None else f'missing: {what}'}")
-    _oddities(seen)
+def _topics(seen: Look, width: int | None) -> Iterator[str]:
+    """Yield the table of the topics with messages, those that are read first; then the others."""
+    role: dict[str, list[str]] = {}
+    for name in seen.choice.topics:
+        for topic in seen.choice.of(name):
+            role.setdefault(topic, []).append(name)
+    full = [f for f in seen.facts if f.count and f.problem is None]
+    full.sort(key=lambda f: f.topic not in role)
+    yield from table(_columns(full, role), width)
+    if empty := [f.topic for f in seen.facts if not f.count]:
+        yield from _wrapped("empty: ", ", ".join(empty), width, "  ")
+    unreadable = [f for f in seen.facts if f.problem is not None and f.count]
+    for f in unreadable[:MOST]:
+        yield from _wrapped("not readable: ", f"{f.topic}: {f.problem}", width, "  ")
+    if len(unreadable) > MOST:
+        yield f"not readable: {len(unreadable) - MOST} more"
 
 
-def _topics(seen: Look) -> None:
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for i, title in enumerate(("topic", "type", "messages", "Hz", "gaps", "clock", "frame")):
-        table.add_column(title, justify="right" if i in {2, 3, 4} else "left", overflow="fold")
-    for f in seen.facts:
-        table.add_row(*(Text(cell) for cell in _cells(f)))
-    Console().print(table)
-
-
-def _cells(f: TopicFacts) -> tuple[str, ...]:
-    rate = f"{f.rate_hz:.1f}" if f.rate_hz is not None else "-"
-    silent = f"{len(f.gaps)}, {max(b - a for a, b in f.gaps):.1f} s" if f.gaps else "-"
-    late = f", {f.delay_s * 1e3:.0f} ms late" if f.delay_s is not None and abs(f.delay_s) < 10.0 else ""
-    clock = f.problem or (f"{f.clock.partition(';')[0]}{late}")
-    return f.topic, f.msgtype.replace("/msg/", "/"), str(f.count), rate, silent, clock, f.frame_id
-
-
-def _mount(mount: dict[str, Any] | None) -> str:
-    if mount is None:
-        return ""
-    if "mounts" in mount:
-        return f", mounts by {mount['by']}"
-    parts = [f"{mount[k]:.3g} m" for k in ("x", "y") if k in mount]
-    parts += [
-        f"{mount[k]:.3g} deg {k.removesuffix('_deg')}"
-        for k in ("roll_deg", "pitch_deg", "yaw_deg")
-        if mount.get(k)
+def _columns(facts: Sequence[TopicFacts], role: Mapping[str, Sequence[str]]) -> list[Column]:
+    kinds = [f.msgtype.replace("/msg/", "/") for f in facts]
+    return [
+        Column("topic", tuple(f.topic for f in facts)),
+        Column("type", tuple(kinds), short=tuple(k.rpartition("/")[2] for k in kinds)),
+        Column("messages", tuple(str(f.count) for f in facts), right=True),
+        Column("Hz", tuple(f"{f.rate_hz:.1f}" if f.rate_hz is not None else "" for f in facts), right=True),
+        Column("silent", tuple(_silence(f) for f in facts), right=True, rank=1),
+        Column("clock", tuple(clock_word(f) for f in facts), rank=2),
+        Column("frame", tuple(f.frame_id for f in facts), rank=3),
+        Column("read by", tuple(", ".join(role.get(f.topic, ())) for f in facts)),
     ]
+
+
+def _silence(f: TopicFacts) -> str:
+    return f"{max(b - a for a, b in f.gaps):.1f} s" if f.gaps else ""
+
+
+def _roles(seen: Look, width: int | None) -> Iterator[str]:
+    frames = {f.topic: f.frame_id for f in seen.facts}
+    mounts = extrinsics(seen)
+    body: list[str] = []
+    for role in seen.choice.topics:
+        topics = seen.choice.of(role)
+        words = f"{' and '.join(topics)}, {seen.choice.why.get(role, '')}"
+        if role in mounts:
+            words += f"; {_place(mounts[role], frames[topics[0]])}"
+        body += _wrapped(f"  {role:<9}", words, width)
+    yield from _section(READS, body)
+
+
+def _place(mount: dict[str, Any], frame: str) -> str:
+    """Say where a sensor sits, and who says so."""
+    of = f" of frame {frame}" if frame else ""
+    if mount["by"] == "nobody":
+        return f"nothing says where it sits{of}"
+    if "mounts" in mount:
+        return f"{len(mount['mounts'])} places by {mount['by']}"
+    parts = [f"{k} {mount[k] + 0.0:.3g} m" for k in ("x", "y") if k in mount]
+    angles = [(k, mount[k]) for k in ("roll_deg", "pitch_deg", "yaw_deg") if round(mount.get(k) or 0.0, 1)]
+    parts += [f"{k.removesuffix('_deg')} {v:.3g}°" for k, v in angles]
     parts += ["upside-down"] if mount.get("flipped") else []
-    return f", at {', '.join(parts)} by {mount['by']}" if parts else ""
+    return f"at {', '.join(parts)} by {mount['by']}" if parts else f"level by {mount['by']}"
 
 
-def _oddities(seen: Look) -> None:
-    spoil = [o for o in seen.oddities if o.spoils]
-    rest = [o for o in seen.oddities if not o.spoils]
-    for title, oddities in (("would spoil an estimate", spoil), ("worth knowing", rest)):
-        if oddities:
-            click.echo(title)
-        for o in oddities:
-            click.echo(f"  {o.stream}: {o.words}")
-            if o.cures:
-                click.echo("    cure: " + " ".join(f"--set {cure}" for cure in o.cures))
+def _configurations(seen: Look, width: int | None) -> Iterator[str]:
+    """Yield what can be estimated, what lacks a setting, and, without alarm, what the log does not carry."""
+    known, why = configurations(seen), absent(seen)
+    base = wheels_missing(seen)
+    ready = [name for name, what in known.items() if what is None]
+    body = _wrapped("  ready    ", ", ".join(ready), width) if ready else []
+    body += _wrapped("  not yet  ", f"all: {_briefly(base, 'wheels', seen)}", width) if base is not None else []
+    foreign = [name for name in REGISTRY if name in seen.choice.foreign]
+    for name in REGISTRY:
+        if name in why and name not in foreign:
+            body += _wrapped(
+                "  not yet  ", f"{name}: {_briefly(why[name].removeprefix(f'{name}: '), name, seen)}", width
+            )
+    body += _wrapped("  no topic ", ", ".join(foreign), width) if foreign else []
+    yield from _section(CONFIGURATIONS, body)
+
+
+def _briefly(words: str, stream: str, seen: Look) -> str:
+    """Say once what is told among the oddities too."""
+    told = any(o.stream == stream and (o.spoils or o.words == words) for o in seen.oddities)
+    return "see below" if told else words
+
+
+def _oddity(o: Oddity, width: int | None) -> list[str]:
+    words = OPTION.split(o.words)[0] if o.cures else o.words
+    body = _wrapped(f"  {o.stream}: ", words, width, "    ")
+    return [*body, *_options("    cure: ", o.cures, width)] if o.cures else body
+
+
+def _options(head: str, cures: Sequence[str], width: int | None) -> list[str]:
+    """Return --set options, never broken within one."""
+    rows, row = [], head
+    for option in (f"--set {shlex.quote(cure)}" for cure in cures):
+        if width is not None and row.strip() and row != head and len(row) + len(option) > width:
+            rows.append(row.rstrip())
+            row = " " * len(head)
+        row += f"{option} "
+    return [*rows, row.rstrip()]
+
+
+def _wrapped(head: str, words: str, width: int | None, indent: str | None = None) -> list[str]:
+    """Return a paragraph; later lines begin under its words, or with `indent`. Nothing is wrapped in a pipe."""
+    if width is None:
+        return [f"{head}{words}"]
+    later = " " * len(head) if indent is None else indent
+    return textwrap.wrap(
+        words, max(width, 40), initial_indent=head, subsequent_indent=later, break_long_words=False,
+        break_on_hyphens=False,
+    )  # fmt: skip
+
+
+def _next(seen: Look, typed: Sequence[str]) -> list[str]:
+    """Return the command to try next: once more with what cures the worst, or the comparison."""
+    cures = [cure for o in seen.oddities if o.spoils for cure in o.cures]
+    if cures:
+        return [shlex.join(("locfuse", "info", *typed, *(word for cure in cures for word in ("--set", cure))))]
+    return [] if seen.loaded is None else [shlex.join(("locfuse", "compare", *typed))]

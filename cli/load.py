@@ -44,6 +44,7 @@ class Loaded:
     robot: Robot
     choice: Choice
     drive: Drive
+    repairs: tuple[str, ...] = ()  # what measuring noted, of the drive's notes
 
 
 def find_log(words: Sequence[str]) -> list[Path]:
@@ -95,7 +96,7 @@ def measured(
     drive = measure(streams, robot, choice.absent, progress)
     preset = (filters.NOTE,) if robot.preset == "paper" else ()
     notes = (*preset, *choice.notes, *_clock_notes(streams), *_start_notes(robot, drive), *drive.notes)
-    return Loaded(log, robot, choice, replace(drive, notes=notes))
+    return Loaded(log, robot, choice, replace(drive, notes=notes), drive.notes)
 
 
 def _leave_out(choice: Choice, only: Collection[str] | None, preset: str) -> None:

@@ -6,7 +6,7 @@ Whatever is wrong becomes an oddity and the rest is looked at all the same: this
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +19,8 @@ from ..fusion.oddity import Oddity, settings_in
 from ..fusion.robot import Robot
 from ..fusion.sensors.registry import REGISTRY
 from . import hints
-from .load import PLAIN_CLOCK, Loaded, make_robot, measured, merged_tables, named_by_hand
+from .load import Loaded, make_robot, measured, merged_tables, named_by_hand
+from .look_clocks import of_stamps
 from .look_sensors import raw_oddities
 from .mounts import mount_of
 from .topic_facts import TopicFacts, topic_facts
@@ -69,7 +70,7 @@ def look(paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None]
         *_of_files(log),
         *found,
         *hints.oddities(log, robot, choice, seen.hints),
-        *_clocks(facts, choice),
+        *of_stamps(facts, choice, robot),
     ]
     seen.oddities += raw_oddities(log, robot, choice)
     _measure(seen, progress)
@@ -92,7 +93,7 @@ def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Oddity]) -> 
         except LocfuseError as e:
             words = str(e).removeprefix(f"{role}: ")
             choice.absent[role] = words
-            found.append(Oddity("choice", role, words, settings_in(words), role == "wheels"))
+            found.append(Oddity("choice", role, words, settings_in(words), True))  # run and compare refuse too
     found += [Oddity("choice", "wheels", note.removeprefix("wheels: ")) for note in choice.notes]
     return choice
 
@@ -113,13 +114,15 @@ def _conflicts(seen: Look) -> list[Oddity]:
     found, others = [], []
     for words in seen.transforms.conflicts:
         frame = words.partition(":")[0]
-        role = frames.get(frame)
-        if role is None:
-            others.append(frame)
-            continue
+        role = frames.get(frame, "")
         mount = extrinsics(seen).get(role, {})
-        cures = [f"{role}.{k}={mount[k]:.4g}" for k in ("x", "y", "yaw_deg") if isinstance(mount.get(k), float)]
-        found.append(Oddity("tf_static", role, words, tuple(cures), mount.get("by") == "/tf_static"))
+        if not role:
+            others.append(frame)
+        elif mount.get("by") == "/tf_static":  # whether it is wrong the walls tell, see doctor_laser
+            keys = [k for k in ("x", "y", "yaw_deg") if isinstance(mount.get(k), float)]
+            wrong = any(o.stream == role and o.code == "yaw" for o in seen.oddities)
+            cures = () if wrong else tuple(f"{role}.{k}={mount[k]:.4g}" for k in keys)
+            found.append(Oddity("tf_static", role, words, cures))
     if others:
         listed = ", ".join(others[:3]) + (" ..." if len(others) > 3 else "")
         words = f"{len(others)} frames are said to be in two places ({listed}); no sensor used here sits there"
@@ -135,18 +138,6 @@ def _of_files(log: Log) -> list[Oddity]:
         found.append(
             Oddity("unchecked", "file", f"{names}: no checksums, so that a changed value cannot be detected")
         )
-    return found
-
-
-def _clocks(facts: Sequence[TopicFacts], choice: Choice) -> list[Oddity]:
-    """Say which clock was taken where it is not simply the header's, of the topics that are used."""
-    roles = {topic: role for role in choice.topics for topic in choice.of(role)}
-    found = []
-    for f in facts:
-        if f.topic not in roles:
-            continue
-        words = [] if f.clock in {PLAIN_CLOCK, ""} else [f.clock]
-        found += [Oddity("clock", roles[f.topic], f"{f.topic}: {word}") for word in (*words, *f.notes)]
     return found
 
 
@@ -167,18 +158,22 @@ def _measure(seen: Look, progress: Callable[[str], None]) -> None:
         return
     progress("looking for oddities")
     seen.loaded, seen.robot = loaded, loaded.robot
-    # a sensor that the log has but that says nothing useful: worth a line, and a cure where there is one
-    for name, why in loaded.drive.absent.items():
-        if name in seen.choice.topics:
-            words = why.removeprefix(f"{name}: ")
-            cures = settings_in(why)
-            seen.oddities.append(Oddity("unusable", name, words, cures, bool(cures)))
     streams = {
         role: joined([seen.log.stream(topic, loaded.robot.order) for topic in seen.choice.of(role)])
         for role in seen.choice.topics
     }
-    said = " ".join(o.words for o in seen.oddities if o.code == "clock")
-    seen.oddities += [o for o in examine(loaded.drive, loaded.robot, streams) if o.words not in said]
+    seen.oddities += examine(replace(loaded.drive, notes=loaded.repairs), loaded.robot, streams)
+    seen.oddities += _unusable(seen, loaded)
+
+
+def _unusable(seen: Look, loaded: Loaded) -> list[Oddity]:
+    """Sensors that the log has but that say nothing useful, where nothing else told why."""
+    told = {o.stream for o in seen.oddities if o.spoils}
+    return [
+        Oddity("unusable", name, why.removeprefix(f"{name}: "), settings_in(why), bool(settings_in(why)))
+        for name, why in loaded.drive.absent.items()
+        if name in seen.choice.topics and name not in told
+    ]
 
 
 def extrinsics(seen: Look) -> dict[str, dict[str, Any]]:

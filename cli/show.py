@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, Protocol
 
@@ -38,6 +39,24 @@ def progress(quiet: bool) -> Iterator[Progress]:
 
     with Console(stderr=True).status("opening", spinner="dots") as status:
         yield lambda what: status.update(what)  # noqa: PLW0108 - its type differs from Progress
+
+
+def width() -> int | None:
+    """Return how wide the screen is; None in a pipe or a file, where nothing need be wrapped or left out."""
+    from rich.console import Console
+
+    console = Console()
+    return console.width if console.is_terminal or "COLUMNS" in os.environ else None
+
+
+def lines(text: Iterable[str], bold: Collection[str] = ()) -> None:
+    """Print lines as they are, some of them bold where the screen can."""
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console(soft_wrap=True, highlight=False)
+    for line in text:
+        console.print(Text(line, "bold" if line in bold else ""))
 
 
 def figures(report: Mapping[str, Any]) -> None:

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from ..formats.log import Log
 
 MOST_GAPS = 20  # listed for machines
+ANOTHER_CLOCK = 1.0  # s between stamp and recording: more is no delay
+FEWEST = 3  # messages before there is a rate
 
 
 @dataclass(frozen=True)
@@ -29,10 +31,15 @@ class TopicFacts:
     period_s: float | None = None  # median
     gaps: tuple[tuple[float, float], ...] = ()  # (start, end) [s] since the log began
     clock: str = ""  # which times were taken
+    repaired: dict[str, int] | None = None  # stamps replaced, by reason
     delay_s: float | None = None  # recording behind header stamps, median
     dropped: dict[str, int] | None = None
     problem: str | None = None  # why it cannot be read
-    notes: tuple[str, ...] = ()
+
+    @property
+    def by_stamps(self) -> bool:
+        """Whether its times are those of its headers."""
+        return self.delay_s is not None and self.clock.startswith("header")
 
     def values(self) -> dict[str, Any]:
         """Return it for report and JSON."""
@@ -46,9 +53,21 @@ class TopicFacts:
             "longest_gap_s": max((b - a for a, b in self.gaps), default=None),
             "clock": self.clock or None,
             "delay_s": self.delay_s,
+            "stamps_repaired": self.repaired or {},
             "dropped": self.dropped or {},
             "problem": self.problem,
         }
+
+
+def clock_word(f: TopicFacts) -> str:
+    """Return in a word or two how a topic is dated: by its stamps, so much before recording, or by what else."""
+    if f.delay_s is None:
+        return "no stamps" if f.count else ""
+    if f.repaired:
+        return "repaired"
+    if not f.by_stamps:
+        return "recorded"
+    return f"{f.delay_s * 1e3:.0f} ms late" if abs(f.delay_s) < ANOTHER_CLOCK else "two clocks"
 
 
 def topic_facts(log: Log, order: str) -> list[TopicFacts]:
@@ -67,7 +86,7 @@ def _facts(log: Log, name: str, order: str) -> TopicFacts:
         stream = log.stream(name, order)
         t_ns = stream.t_ns
     except LocfuseError as e:
-        return TopicFacts(name, topic.msgtype, topic.count, problem=str(e))
+        return TopicFacts(name, topic.msgtype, topic.count, problem=_plain(str(e), log, name))
     begin = (log.time_span_ns or (0, 0))[0]
     t = (t_ns - begin) * np.float64(1e-9)
     dt = np.diff(t)
@@ -77,11 +96,16 @@ def _facts(log: Log, name: str, order: str) -> TopicFacts:
         msgtype=topic.msgtype,
         count=topic.count,
         frame_id=stream.frame_id,
-        rate_hz=float((len(t) - 1) / (t[-1] - t[0])) if len(t) > 1 and t[-1] > t[0] else None,
+        rate_hz=float((len(t) - 1) / (t[-1] - t[0])) if len(t) >= FEWEST and t[-1] > t[0] else None,
         period_s=float(np.median(moving)) if len(moving) else None,
         gaps=tuple(gaps(t)),
         clock=stream.clock,
+        repaired=dict(stream.repaired),
         delay_s=stream.delay_s,
         dropped=dict(stream.dropped),
-        notes=stream.notes,
     )
+
+
+def _plain(words: str, log: Log, name: str) -> str:
+    """Return an error about a topic without saying again which."""
+    return words.removeprefix(f"{log.name}: ").removeprefix(f"{name} cannot be read: ")

@@ -29,6 +29,7 @@ class Choice:
     more: dict[str, tuple[str, ...]] = field(default_factory=dict)  # the others of a role that has several
     why: dict[str, str] = field(default_factory=dict)  # role -> how its topic was chosen
     absent: dict[str, str] = field(default_factory=dict)
+    foreign: set[str] = field(default_factory=set)  # sensors for which the log has no topic at all
     notes: list[str] = field(default_factory=list)
 
     def of(self, role: str) -> tuple[str, ...]:
@@ -81,6 +82,7 @@ def choose_sensor(log: Log, robot: Robot, name: str, insisted: bool, choice: Cho
     elif not candidates:
         if not getattr(sensor, "extra", False):  # nobody expects what lies beside the paper's sensors
             choice.absent[name] = f"no topic of type {types(sensor.reads)} in {log.name}"
+        choice.foreign.add(name)
         return
     else:
         _by_type(log, name, candidates, choice)

@@ -12,19 +12,27 @@ from dataclasses import replace
 import numpy as np
 
 from .data import Array, Drive, Measurements, Stream
+from .doctor_clock import of_clocks
+from .doctor_heading import of_convention
 from .doctor_laser import laser_motion, of_laser
 from .doctor_tilt import tilted
 from .doctor_truth import metre, of_truth
 from .doctor_turning import Turning, aligned, of_track, of_turning, turnings
-from .lag import worth_saying
-from .measure import clock_lag
 from .oddity import Oddity
 from .robot import Robot
+from .wheel_repairs import times
 
 GAP, GAP_PERIODS = 0.5, 5.0  # s, median periods: a longer silence is a gap
 BLIND = 0.9  # share of readings without any measurement: such a sensor is dead, or misunderstood
 SEES = {"lrf": "line", "sonar": "echo", "camera": "landmark"}
-LARGE_LAG = 0.15  # s: at half a metre per second and a radian per second this is centimetres and degrees
+REFUSED = {
+    "repeat": "repeat the one before",
+    "same_stamp": "share the stamp of another",
+    "not_finite": "hold NaN or Inf",
+    "outside_wheels": "before the first or after the last of the wheels",
+    "too_many_beams": "with more beams than can be true",
+}
+TOLD = {"spike", "other_joints"}
 
 
 def examine(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[Oddity]:
@@ -35,10 +43,11 @@ def examine(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[O
     seen = turnings(drive)
     tilts = tilted(drive, robot, streams)
     turning = of_turning(drive, robot, seen, streams)
-    found += [*tilts, *(o for o in turning if o.stream not in {t.stream for t in tilts})]
+    found += [*of_convention(drive, robot, streams), *tilts]
+    found += [o for o in turning if o.stream not in {t.stream for t in tilts}]
     if any(o.stream == "wheels" and o.spoils for o in turning):
         return found  # nothing can be held against such wheels
-    return [*found, *_scales(drive, robot, seen, turning), *_lags(drive), *of_truth(drive, robot)]
+    return [*found, *_scales(drive, robot, seen, turning), *of_clocks(drive, robot), *of_truth(drive, robot)]
 
 
 def _scales(drive: Drive, robot: Robot, seen: Mapping[str, Turning], turning: Sequence[Oddity]) -> list[Oddity]:
@@ -60,11 +69,13 @@ def _notes(drive: Drive) -> list[Oddity]:
 
 
 def _refused(drive: Drive) -> list[Oddity]:
-    return [
-        Oddity("refused", stream, ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in reasons.items()))
-        for stream, reasons in drive.dropped.items()
-        if reasons
-    ]
+    """Readings that are not used, by reason; what a repair counted is told with the repair."""
+    found = []
+    for stream, reasons in drive.dropped.items():
+        words = [f"{n} {REFUSED.get(why, why.replace('_', ' '))}" for why, n in reasons.items() if why not in TOLD]
+        if words:
+            found.append(Oddity("refused", stream, f"readings that are not used: {', '.join(words)}"))
+    return found
 
 
 def _gaps(name: str, t: Array) -> list[Oddity]:
@@ -75,7 +86,7 @@ def _gaps(name: str, t: Array) -> list[Oddity]:
     longest = max(end - start for start, end in found)
     where = ", ".join(f"{start:.1f}-{end:.1f} s" for start, end in found[:3])
     more = " ..." if len(found) > 3 else ""
-    return [Oddity("gap", name, f"silent {len(found)} times, at most {longest:.1f} s ({where}{more})")]
+    return [Oddity("gap", name, f"silent {times(len(found))}, at most {longest:.1f} s ({where}{more})")]
 
 
 def gaps(t: Array) -> list[tuple[float, float]]:
@@ -95,20 +106,3 @@ def _blind(name: str, m: Measurements) -> list[Oddity]:
         )
         return [Oddity("blind", name, words, spoils=name in {"lrf", "camera"})]
     return [] if n else [Oddity("blind", name, "no reading within the wheels' time", spoils=True)]
-
-
-def _lags(drive: Drive) -> list[Oddity]:
-    found = []
-    for name, m in drive.measurements.items():
-        lag = clock_lag(name, m, drive.wheels)
-        if lag is None or not worth_saying(lag):
-            continue
-        behind = "behind" if lag.offset < 0 else "ahead of"
-        words = (
-            f"its turning runs {abs(lag.offset):.2f} s {behind} the wheels' (correlation {lag.without:.3f} as "
-            f"stamped, {lag.correlation:.3f} shifted)"
-        )
-        found.append(
-            Oddity("lag", name, words, (f"{name}.time_offset={lag.offset:.2f}",), abs(lag.offset) > LARGE_LAG)
-        )
-    return found

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ LATER = 4.0  # s at most between them
 PAIRS = 1500
 TURN, SHIFT = math.radians(8.0), 0.25  # rad, m: further off than the wheels say is another wall
 FEWEST = 60  # walls seen twice
+REFINED = 3  # times at most
 BLOCKS = 8  # stretches of the drive whose estimates must agree
 OFF_SCALE, OFF_YAW, SURE = 0.03, math.radians(4.0), 3.0
 SPOILS_SCALE, SPOILS_YAW = 0.05, math.radians(8.0)
@@ -54,14 +56,27 @@ class Motion(NamedTuple):
 def laser_motion(m: Measurements, t: Array, drive: Drive, robot: Robot) -> Motion | None:
     """Return what walls seen twice say, scans being taken at `t` (n,) on the wheels' clock; None if few were."""
     settings = robot.settings("lrf")
-    walls = seen_twice(m, t, drive, np.array([settings.x, settings.y]))
-    fit = fitted(walls)
-    if fit is None:
-        return None
-    scale_sigma, yaw_sigma = _spread(lambda part: fitted(part, least=10), walls, 2)
+    mount = np.array([settings.x, settings.y])
+    yaw = 0.0
+    for _ in range(REFINED):  # walls pair badly while the laser is thought to look elsewhere
+        walls = seen_twice(_turned(m, yaw, mount), t, drive, mount)
+        if (fit := fitted(walls)) is None:
+            return None
+        scale, yaw = fit[0], yaw + fit[1]
+        if abs(fit[1]) < OFF_YAW:
+            break
+    scale_sigma, yaw_sigma = _spread(fitted, walls, 2)
     turns = turned(walls)
     turns_sigma = _spread(lambda part: None if (c := turned(part)) is None else (c,), walls, 1)[0]
-    return Motion(fit[0], scale_sigma, fit[1], yaw_sigma, turns, turns_sigma, len(walls.y))
+    return Motion(scale, scale_sigma, yaw, yaw_sigma, turns, turns_sigma, len(walls.y))
+
+
+def _turned(m: Measurements, yaw: float, mount: Array) -> Measurements:
+    """Return the lines as they are in the base frame if the laser's yaw is `yaw` less than assumed."""
+    r, psi = m.z.T
+    own = r - np.cos(psi) * mount[0] - np.sin(psi) * mount[1]
+    psi = psi - yaw
+    return replace(m, z=np.stack((own + np.cos(psi) * mount[0] + np.sin(psi) * mount[1], psi), axis=-1))
 
 
 def of_laser(motion: Motion | None, robot: Robot, metre: float = 1.0) -> list[Oddity]:
@@ -79,7 +94,7 @@ def of_laser(motion: Motion | None, robot: Robot, metre: float = 1.0) -> list[Od
             f"{settings.yaw_deg:.1f} deg says"
         )
         return [
-            Oddity("yaw", "lrf", words, (f"lrf.yaw_deg={math.degrees(yaw):.0f}",), abs(motion.yaw) > SPOILS_YAW)
+            Oddity("yaw", "lrf", words, (f"lrf.yaw_deg={math.degrees(yaw):.1f}",), abs(motion.yaw) > SPOILS_YAW)
         ]
     scale = motion.scale * metre
     if abs(scale - 1.0) < OFF_SCALE + SURE * motion.scale_sigma:
@@ -91,13 +106,13 @@ def of_laser(motion: Motion | None, robot: Robot, metre: float = 1.0) -> list[Od
     return [Oddity("range scale", "lrf", words, (cure,), abs(scale - 1.0) > SPOILS_SCALE)]
 
 
-def fitted(walls: Walls, least: int = FEWEST) -> tuple[float, float] | None:
+def fitted(walls: Walls) -> tuple[float, float] | None:
     """Return the factor that makes the laser's metre the wheels', and its yaw error [rad]."""
     along = (walls.n * walls.d).sum(axis=1)
     across = walls.n[:, 1] * walls.d[:, 0] - walls.n[:, 0] * walls.d[:, 1]
     A, keep = np.stack((along, across), axis=-1), np.ones(len(along), dtype=bool)
     for _ in range(4):
-        if keep.sum() < least:
+        if keep.sum() < FEWEST:
             return None
         x, *_ = np.linalg.lstsq(A[keep], walls.y[keep], rcond=None)
         rest = np.abs(walls.y - A @ x)
@@ -118,13 +133,13 @@ def turned(walls: Walls) -> float | None:
 
 
 def _spread(estimate: Callable[[Walls], tuple[float, ...] | None], walls: Walls, numbers: int) -> list[float]:
-    """Return standard errors by estimating on stretches of the drive: pairs overlap and are not independent."""
+    """Return standard errors by leaving out stretches of the drive (jackknife): pairs overlap, they depend."""
     parts = np.array_split(np.arange(len(walls.y)), BLOCKS)
-    found = [estimate(Walls(*(column[part] for column in walls))) for part in parts]
-    known = np.array([f for f in found if f is not None]).reshape(-1, numbers)
-    if len(known) < 3:
+    found = [estimate(Walls(*(np.delete(column, part, axis=0) for column in walls))) for part in parts]
+    if any(f is None for f in found):
         return [math.inf] * numbers
-    spread: list[float] = (known.std(axis=0, ddof=1) / math.sqrt(len(known))).tolist()
+    known = np.array(found).reshape(-1, numbers)
+    spread: list[float] = (known.std(axis=0) * math.sqrt(len(parts) - 1)).tolist()
     return spread
 
 

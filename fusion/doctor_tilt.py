@@ -12,10 +12,11 @@ from .data import Array, Drive, Stream
 from .mounting import rotation
 from .oddity import Oddity
 from .robot import Robot
+from .sensors.compass import CompassSettings
 
 GRAVITY = (9.0, 10.6)  # m/s^2
 TILT = math.radians(25.0)
-TURNED = math.radians(270.0)  # a field must have been seen from most sides
+TURNED = math.radians(120.0)  # an arc of the field shorter than this does not lie in one plane clearly
 FLAT = 10.0  # the field's plane: how much less it varies across than within
 IMU, FIELD = "sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField"
 ACCELERATION = tuple(f"linear_acceleration.{a}" for a in "xyz")
@@ -36,13 +37,24 @@ def tilted(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[Od
             up = by_gravity(_vectors(stream, ACCELERATION))
         elif stream.msgtype == FIELD:
             up, by = by_field(stream, drive, told), "the plane in which the field turns"
-        if up is None or math.acos(float(np.clip(up @ told, -1.0, 1.0))) < TILT:
+        if up is None or _apart(up, told) < TILT:
             continue
         roll, pitch = angles(up)
-        words = f"{by} says that it is mounted at roll {roll:.0f} deg, pitch {pitch:.0f} deg"
-        cures = (f"{name}.roll_deg={roll:.0f}", f"{name}.pitch_deg={pitch:.0f}")
+        if name == "compass" and by == "gravity" and _same_ahead(settings, roll, pitch):
+            continue  # an orientation knows where the robot's x axis points, however the IMU rolls about it
+        words = f"{by} says that it is mounted at roll {roll} deg, pitch {pitch} deg"
+        cures = (f"{name}.roll_deg={roll}", f"{name}.pitch_deg={pitch}")
         found.append(Oddity("tilt", name, words, cures, True))
     return found
+
+
+def _apart(a: Array, b: Array) -> float:
+    return math.acos(float(np.clip(a @ b, -1.0, 1.0)))
+
+
+def _same_ahead(settings: CompassSettings, roll: float, pitch: float) -> bool:
+    told = rotation(settings.roll_deg, settings.pitch_deg, settings.yaw_deg)[0]
+    return _apart(told, rotation(roll, pitch, settings.yaw_deg)[0]) < TILT
 
 
 def by_gravity(acceleration: Array) -> Array | None:
@@ -77,12 +89,12 @@ def by_field(stream: Stream, drive: Drive, told: Array) -> Array | None:
     return axis if swept < 0.0 else -axis
 
 
-def angles(up: Array) -> tuple[float, float]:
+def angles(up: Array) -> tuple[int, int]:
     """Return roll and pitch [deg] of a mount whose vertical is `up` in the sensor's axes: R's last row."""
     x, y, z = (float(v) for v in up)
     pitch = math.degrees(-math.asin(max(-1.0, min(1.0, x))))
     roll = math.degrees(math.atan2(y, z)) if math.hypot(y, z) > 1e-3 else 0.0
-    return roll + 0.0, pitch + 0.0
+    return (180 if round(roll) == -180 else round(roll)), round(pitch)
 
 
 def _vectors(stream: Stream, fields: tuple[str, ...]) -> Array:

@@ -197,10 +197,15 @@ def _check_against(
     theirs = wheels.relative(t[:-1], t[1:])[np.diff(piece) == 0, 2]
     if len(own) < 20 or math.sqrt(float(theirs.var()) * len(theirs)) < LEAST_TURN:
         return
+    if not own.any():
+        raise LocfuseError(
+            f"gyro: {topic} never turns about the robot's vertical axis while the wheels turn it: it is mounted "
+            "on its side (gyro.roll_deg, gyro.pitch_deg), or dead"
+        )
     slope = float(np.cov(own, theirs)[0, 1] / theirs.var(ddof=1))
     if abs(float(np.corrcoef(own, theirs)[0, 1])) < AGREES or 1.0 / WRONG_SCALE < slope < WRONG_SCALE:
         return
-    cure = "is it upside-down? --set gyro.roll_deg=180; or a wheel is mirrored (--set wheels.mirrored=both)"
+    cure = "is it upside-down? --set gyro.roll_deg=180; or both wheels are mirrored (wheels.mirrored=both)"
     if 30.0 < slope < 115.0:
         cure = "it is in degrees: --set gyro.unit=deg"
     elif slope > 0:

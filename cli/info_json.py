@@ -1,0 +1,61 @@
+"""Everything `locfuse info` knows as plain values: the keys of its --json (docs/bags.md)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..fusion.oddity import Oddity
+from ..fusion.sensors.registry import REGISTRY
+from .look import Look, extrinsics
+from .topics import types
+
+
+def values(seen: Look) -> dict[str, Any]:
+    """Return everything as plain values."""
+    span = seen.log.time_span_ns
+    return {
+        "name": seen.log.name,
+        "files": [p.name for p in seen.log.paths],
+        "bytes": sum(p.stat().st_size for p in seen.log.paths),
+        "duration_s": (span[1] - span[0]) * 1e-9 if span else None,
+        "start_ns": span[0] if span else None,
+        "messages": sum(f.count for f in seen.facts),
+        "checksums": not seen.log.unchecked,
+        "topics": {f.topic: f.values() for f in seen.facts},
+        "roles": {
+            role: {"topics": list(seen.choice.of(role)), "why": seen.choice.why.get(role)}
+            for role in seen.choice.topics
+        },
+        "absent": absent(seen),
+        "extrinsics": extrinsics(seen),
+        "configurations": configurations(seen),
+        "oddities": [_oddity(o) for o in seen.oddities],
+        "spoils": seen.spoils,
+    }
+
+
+def absent(seen: Look) -> dict[str, str]:
+    """Return why a role has no topic, or a sensor no use."""
+    foreign = {name: f"no topic of type {types(REGISTRY[name].reads)}" for name in sorted(seen.choice.foreign)}
+    measured = seen.loaded.drive.absent if seen.loaded is not None else {}
+    return {**foreign, **seen.choice.absent, **measured}
+
+
+def configurations(seen: Look) -> dict[str, str | None]:
+    """Return for odometry, each sensor and all of them what is missing, None where nothing is."""
+    missing, base = absent(seen), wheels_missing(seen)
+    ready = {name: missing.get(name) or base for name in REGISTRY}
+    together = None if any(why is None for why in ready.values()) else base or "no sensor beside the wheels"
+    return {"odometry": base, **ready, "all": together}
+
+
+def wheels_missing(seen: Look) -> str | None:
+    """Return why nothing can be estimated from this log, None where something can."""
+    if seen.loaded is not None:
+        return None
+    unready = (o.words for o in seen.oddities if o.spoils and o.stream in {"wheels", "log"})
+    return next(unready, None) or absent(seen).get("wheels", "the log cannot be measured")
+
+
+def _oddity(o: Oddity) -> dict[str, Any]:
+    return {"code": o.code, "stream": o.stream, "words": o.words, "cures": list(o.cures), "spoils": o.spoils}

@@ -1,0 +1,84 @@
+"""Does the drive start where the truth says? By its first pose, or by the shape of the first metres."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from . import se2
+from .data import Array, Drive, Truth
+from .oddity import Oddity
+from .robot import Robot
+
+OFF_START, OFF_HEADING = 0.1, math.radians(5.0)
+BEGINNING, AT_ONCE = 3.0, 0.1  # m of the drive from which the start pose is told: by points, by poses
+LEAST_SHAPE = 0.3  # m, extent of the points
+
+
+def of_start(truth: Truth, drive: Drive, robot: Robot) -> list[Oddity]:
+    """Compare the start pose with the one that lays the wheels' first way over the truth's."""
+    fitted = start_pose(truth, drive)
+    if fitted is None:
+        return []
+    told = np.array([robot.start.x, robot.start.y, math.radians(robot.start.theta_deg)])
+    (x, y, theta), blur = fitted.pose.tolist(), fitted.sigma
+    away, turn = math.hypot(x - told[0], y - told[1]), abs(se2.wrap(theta - told[2]))
+    place = OFF_START + 3.0 * math.hypot(robot.start.sigma_xy, fitted.way * blur) + 4.0 * truth.sigma
+    if away < place and turn < OFF_HEADING + 3.0 * math.hypot(math.radians(robot.start.sigma_theta_deg), blur):
+        return []
+    words = (
+        f"it starts {away:.2f} m and {math.degrees(turn):.0f} deg from where the drive starts; set the start, or "
+        "judge the shape only (--align origin)"
+    )
+    cures = (f"start.x={x:.3f}", f"start.y={y:.3f}", f"start.theta_deg={math.degrees(theta):.1f}")
+    return [Oddity("start", "truth", words, cures, True)]
+
+
+class Start(NamedTuple):
+    """Where the truth says that the drive started."""
+
+    pose: Array  # (3,) of the base at the first wheel reading
+    way: float  # m of the drive from which it is told
+    sigma: float  # rad by which the wheels may have turned wrongly meanwhile
+
+
+def start_pose(truth: Truth, drive: Drive) -> Start | None:
+    """Return where the drive started; None where the beginning does not tell.
+
+    A truth with headings tells at once, points only by the shape of the first metres.
+    """
+    wheels = drive.wheels
+    rolled = np.concatenate(([0.0], np.cumsum(np.abs(wheels.twist[:, 0]))))
+    inside = (truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1])
+    way = BEGINNING if truth.theta is None else AT_ONCE
+    inside &= np.interp(truth.t, wheels.t, rolled) <= min(way, 0.5 * float(rolled[-1]))
+    if inside.sum() < 5:
+        return None
+    own = wheels.at(truth.t[inside])[2]
+    points = own[:, :2] + turned(own[:, 2], np.tile(truth.point, (len(own), 1)))
+    seen = truth.xy[inside]
+    if truth.theta is not None:
+        turns = se2.wrap_all(truth.theta[inside] - own[:, 2])
+        turn, metre = float(turns[0] + np.median(se2.wrap_all(turns - turns[0]))), 1.0
+    elif float(np.ptp(points, axis=0).max()) < LEAST_SHAPE:
+        return None
+    else:
+        turn, metre = _laid_over(points, seen)
+    place = np.median(seen - metre * turned(np.full(len(points), turn), points), axis=0)
+    blur = math.sqrt(2.0 * wheels.noise * way) / wheels.track if truth.theta is None else 0.0
+    return Start(np.array([*place, se2.wrap(turn)]), way, blur)
+
+
+def _laid_over(points: Array, seen: Array) -> tuple[float, float]:
+    """Return the turn and the scale that lay points (n, 2) over those seen (Umeyama 1991, in the plane)."""
+    a, b = points - points.mean(axis=0), seen - seen.mean(axis=0)
+    across, along = float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()), float((a * b).sum())
+    return math.atan2(across, along), math.hypot(across, along) / float((a**2).sum())
+
+
+def turned(angle: Array, v: Array) -> Array:
+    """Turn vectors v (n, 2) by angles (n,)."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack((c * v[:, 0] - s * v[:, 1], s * v[:, 0] + c * v[:, 1]), axis=-1)

@@ -1,0 +1,84 @@
+"""Every trap of real logs, on a log made for it: `info` names it, and the cure that it prints cures it."""
+
+from __future__ import annotations
+
+import json
+import re
+from functools import cache
+from pathlib import Path
+
+import pytest
+from commands import locfuse
+from trap_logs import Drive
+from traps_sensors import COMPASS_TRAPS, LASER_TRAPS, TRUTH_TRAPS
+from traps_wheels import CLOCK_TRAPS, WHEEL_TRAPS
+
+TRAPS = {t.name: t for t in (*WHEEL_TRAPS, *CLOCK_TRAPS, *COMPASS_TRAPS, *LASER_TRAPS, *TRUTH_TRAPS)}
+WORSE = 1.15  # by this much the trap costs, at least
+CURE = re.compile(r"--set (\S+)")
+
+
+@cache
+def healthy_error(sensors: str, folder: Path) -> float:
+    found = error(Drive().record(folder / "healthy.mcap"), sensors)
+    assert found is not None
+    return found
+
+
+def error(log: Path, sensors: str, *words: str) -> float | None:
+    """Position error [m rms] of an estimate against truth; None where there is no estimate."""
+    done = locfuse("run", log, "--sensors", sensors, "--json", "--overwrite", "-o", log.parent / "out", *words)
+    if done.exit_code not in {0, 3}:
+        return None
+    figures = json.loads(done.stdout)["configurations"]
+    (one,) = figures.values()
+    rmse: float | None = one["position_rmse_m"]
+    return rmse
+
+
+def said(stdout: str, words: str) -> list[str]:
+    """The finding with these words: its line, and the line with its cure where it has one."""
+    lines = stdout.splitlines()  # in a pipe every finding is one line
+    return [
+        line if not after.startswith("    cure: ") else f"{line}\n{after}"
+        for line, after in zip(lines, [*lines[1:], ""], strict=True)
+        if words in line
+    ]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("healthy")
+
+
+@pytest.mark.parametrize("name", TRAPS)
+def test_info_names_the_trap_and_its_cure_makes_the_estimate_right(
+    name: str, tmp_path: Path, folder: Path
+) -> None:
+    trap = TRAPS[name]
+    right = 1.3 * healthy_error("odometry" if trap.sensors == "gyro" else trap.sensors, folder) + trap.blur
+    drive = Drive()
+    trap.change(drive)
+    log = drive.record(tmp_path / "log.mcap")
+    told = locfuse("info", log, "--check")
+    spoiling = told.stdout.partition("would spoil an estimate")[2].partition("worth knowing")[0]
+    assert told.exit_code == (3 if trap.spoils else 0), told.stdout
+    cures: list[str] = []
+    if trap.says is not None:
+        findings = said(told.stdout, trap.says)
+        assert findings, told.stdout
+        assert all((finding in spoiling) == trap.spoils for finding in findings)
+        cures = [c for f in findings if "\n" in f for c in CURE.findall(f.splitlines()[1])]
+    options = [word for cure in cures for word in ("--set", cure)]
+    after = error(log, trap.sensors, *options)
+    assert after is not None, told.stdout
+    assert after < right, told.stdout
+    if trap.spoils:
+        assert cures
+        before = error(log, trap.sensors)
+        assert before is None if trap.refused else before is not None and before > WORSE * after
+    if cures:
+        again = locfuse("info", log, "--check", *options)
+        assert again.exit_code == 0, again.stdout
+        assert trap.says is not None
+        assert trap.says not in again.stdout

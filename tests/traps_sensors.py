@@ -120,12 +120,8 @@ def late_compass(drive: Drive) -> None:
 
 COMPASS_TRAPS = (
     Trap("heading, ENU in radians", enu_radians, None, False, "compass"),
-    Trap(
-        "heading, ENU in degrees", enu_degrees, "the wheels it grows counter-clockwise", True, "compass", True
-    ),
-    Trap(
-        "heading, compass in degrees", compass_degrees, "the wheels it grows clockwise", True, "compass", True
-    ),
+    Trap("heading, ENU in degrees", enu_degrees, "the wheels it grows counter-clockwise", True, "compass", True),
+    Trap("heading, compass in degrees", compass_degrees, "the wheels it grows clockwise", True, "compass", True),
     Trap("heading, compass in radians", compass_radians, "headings grow clockwise", True, "compass"),
     Trap("a magnetometer upside-down", field_upside_down, "the field turns says that it", True, "compass"),
     Trap("a magnetometer rolled by 90 degrees", field_rolled, "the field turns says that it", True, "compass"),

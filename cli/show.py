@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import click
 
 from ..formats.report_columns import written
+from ..formats.report_notes import notes_of
 
 COLUMNS = (
     ("rmse", "position_rmse_m", "{:.3f} m"),
@@ -127,7 +128,7 @@ def notes(report: Mapping[str, Any], losses: Sequence[str], quiet: bool) -> None
         return
     for sensor, why in report["absent"].items():
         click.echo(f"absent: {sensor}: {why}", err=True)
-    for note in report["notes"]:
+    for note in notes_of(report):
         click.echo(f"note: {note}", err=True)
     for stream, reasons in report["input"]["dropped"].items():
         counted = ", ".join(f"{count} {reason.replace('_', ' ')}" for reason, count in reasons.items())

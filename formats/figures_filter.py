@@ -18,7 +18,7 @@ BLOCKS = {  # state blocks as people read them
     "wheels": (
         Component("left wheel's scale", "%", 100.0),
         Component("right wheel's scale", "%", 100.0),
-        Component("track", "%", 100.0),
+        Component("track, to first order", "%", 100.0),
     ),
     **{
         f"{sensor}_{part}": (Component(f"{sensor} mount {part}", unit, scale),)

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from .report_columns import cell, columns_of
+from .report_notes import notes_of
 
 SIGNS = {"helps": "▲", "does nothing": "■", "hurts": "▼"}
 
@@ -28,7 +29,7 @@ def render(report: Mapping[str, Any]) -> str:
         _truth_line(report),
         _prediction(report),
         _listing("Noise", {v["words"]: "" for v in report.get("consistency", {}).values()}),
-        _listing("Notes", dict.fromkeys(report["notes"], "")),
+        _listing("Notes", dict.fromkeys(notes_of(report), "")),
         _folded("All figures, sensors, and what was dropped", details),
         f"Input {code(source['sha256'][:16])}, locfuse {escape(report['locfuse'])}. Deviation = estimate - truth.",
     ]

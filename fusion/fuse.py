@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +16,12 @@ from . import se2
 from .data import Array, Audit, Drive, Estimates, LocfuseError, Measurements, Motions
 from .ekf import JointBelief, Pose, PoseBelief, Triangle
 from .motion import Wheels
-from .robot import Robot, StartSettings, WheelSettings
+from .robot import Robot, StartSettings
 from .robust import inflated
 from .sensors.base import Block, Innovation, Model
 from .sensors.registry import REGISTRY
+from .wheel_states import WHEELS, wheel_block, wheel_words
 
-WHEELS = "wheels"
 # what makes the belief at the start: of the pose alone, or with blocks
 Beliefs = tuple[Callable[[Pose, Triangle], PoseBelief], Callable[[Pose, Triangle, Sequence[Block]], JointBelief]]
 
@@ -94,6 +94,7 @@ class Filter:
         beliefs: Beliefs = (PoseBelief, JointBelief),
     ) -> None:
         self._sensors = tuple(s for s in REGISTRY if s in sensors)
+        self._wheels = robot.wheels
         self._inflates = {s for s in REGISTRY if s in sensors and robot.settings(s).outliers == "inflate"}
         self._listens = {s: flags.tolist() for s, flags in (listen or {}).items()}
         self.models: dict[str, Model] = {
@@ -176,11 +177,21 @@ class Filter:
             final_map=[line for _, final in maps for line in final],
             truth_pose=truth_pose,
             truth_P=truth_P,
-            notes=tuple(f"{name}: {note}" for name, m in self.models.items() for note in m.notes()),
+            notes=tuple(self._notes()),
             lost=tuple(
                 (a, min(b, float(drive.t[-1]))) for m in self.models.values() for a, b in m.lost_intervals()
             ),
         )
+
+    def _notes(self) -> Iterator[str]:
+        """Say what this run found: its wheels, and what every sensor has to say."""
+        belief = self.belief
+        if WHEELS in self._blocks and isinstance(belief, JointBelief):
+            column, x = belief.block(WHEELS)
+            P = belief.covariance[column : column + len(x), column : column + len(x)]
+            yield from (f"wheels: {words}" for words in wheel_words(self._wheels, x, P, self._sensors))
+        for name, model in self.models.items():
+            yield from (f"{name}: {words}" for words in model.notes(belief))
 
 
 class Record:
@@ -217,7 +228,7 @@ def _begin(robot: Robot, models: Sequence[Model], beliefs: Beliefs) -> PoseBelie
     pose, P = _start(robot.start)
     blocks = [block for model in models for block in model.blocks()]
     if robot.wheels.estimate:
-        blocks.append(_wheel_block(robot.wheels))
+        blocks.append(wheel_block(robot.wheels))
     if not blocks and not any(getattr(model, "joint", False) for model in models):
         return beliefs[0](pose, P)
     belief = beliefs[1](pose, P, blocks)
@@ -229,12 +240,6 @@ def _begin(robot: Robot, models: Sequence[Model], beliefs: Beliefs) -> PoseBelie
 def _start(start: StartSettings) -> tuple[tuple[float, float, float], Triangle]:
     xy, theta = start.sigma_xy**2, math.radians(start.sigma_theta_deg) ** 2
     return (start.x, start.y, math.radians(start.theta_deg)), (xy, 0.0, 0.0, xy, 0.0, theta)
-
-
-def _wheel_block(wheels: WheelSettings) -> Block:
-    """Scale of the left wheel, of the right wheel, and of the track: corrections, zero at the start."""
-    variance = np.array([wheels.sigma_scale, wheels.sigma_scale, wheels.sigma_track]) ** 2
-    return Block(WHEELS, np.zeros(3), np.diag(variance), np.zeros(3))
 
 
 def due_readings(drive: Drive, sensors: Sequence[str]) -> list[list[tuple[str, int]]]:

@@ -159,9 +159,10 @@ class LineTracker(Model):
         """Return when the robot did not know where it was, (start, end) [s]."""
         return self.guard.intervals() if self.guard is not None else []
 
-    def notes(self) -> list[str]:
-        """Say in words what the guard did."""
-        return self.guard.words() if self.guard is not None else []
+    def notes(self, belief: Any) -> list[str]:
+        """Say in words what the guard did and where the laser was found to sit."""
+        words = self.guard.words() if self.guard is not None else []
+        return words + (self.mount.words(belief) if self.mount is not None else [])
 
     def _extend(self, which: int, lo: float, hi: float) -> None:
         self.map.lo[which] = min(self.map.lo[which], lo)

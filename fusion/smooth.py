@@ -14,9 +14,10 @@ import numpy as np
 from . import se2
 from .data import Array, Drive, Estimates, UsageError
 from .ekf import JointBelief
-from .fuse import WHEELS, fuse
+from .fuse import fuse
 from .journal import Birth, Drop, Journal, Step
 from .robot import Robot
+from .wheel_states import WHEELS
 
 SUFFIX = " smoothed"
 NOT_OPTIMAL = ("first-scan", "consider")

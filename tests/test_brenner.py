@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -70,6 +72,35 @@ def test_the_lag_of_the_scans_is_reported_and_its_cure_silences_it(tmp_path: Pat
     assert offset == pytest.approx(-0.45, abs=0.08)
     done = locfuse("run", LOG, "--robot", robot, "--set", f"lrf.time_offset={offset}", "-o", tmp_path / "b")
     assert "lrf.time_offset=" not in done.stderr
+
+
+def found_track(tmp_path: Path, robot: Path, start: float, sets: Sequence[str]) -> tuple[float, list[str]]:
+    """The track that the filter finds from one that it is told, and all that is said of the wheels."""
+    words = ("--robot", robot, *sets, "--set", f"wheels.track={start}", "--set", "wheels.estimate=true")
+    done = locfuse("run", LOG, "--sensors", "lrf", *words, "-o", tmp_path / f"{start}", "--overwrite")
+    assert done.exit_code == 0, done.stderr
+    notes = [line for line in done.stderr.splitlines() if "wheels:" in line]
+    return float(re.findall(r"track ([0-9.]+) \(1 sigma", done.stderr)[0]), notes
+
+
+def test_the_track_is_found_whatever_it_was_told(tmp_path: Path, robot: Path) -> None:
+    """A fit of the odometry to the truth has 0.178 m, and wheels that are 6 % larger than told."""
+    tracks = [found_track(tmp_path, robot, start, CURED)[0] for start in (0.14, 0.155, 0.173, 0.2)]
+    assert max(tracks[1:3]) / min(tracks[1:3]) < 1.02
+    assert max(tracks) / min(tracks) < 1.03
+    assert tracks == pytest.approx([0.1779] * 4, rel=0.05)
+
+
+def test_without_the_laser_s_metre_track_and_scale_are_said_not_to_be_identifiable(
+    tmp_path: Path, robot: Path
+) -> None:
+    for start in (0.155, 0.173):
+        _, notes = found_track(tmp_path, robot, start, CURED[:2])
+        (words,) = [note for note in notes if "not identifiable" in note]
+        assert "5.0 % smaller" in words
+        assert float(re.findall(r"if the radius is right.*the track is ([0-9.]+)", words)[0]) == pytest.approx(
+            0.173, rel=0.03
+        )
 
 
 def test_our_error_is_evos_error(tmp_path: Path, robot: Path) -> None:

@@ -112,8 +112,8 @@ class Model:
         """Return when this sensor found the robot not to know where it was, (start, end) [s]."""
         return []
 
-    def notes(self) -> list[str]:
-        """Return in words what a reader of the results must know of this run."""
+    def notes(self, belief: Any) -> list[str]:
+        """Return in words what a reader of the results must know of this run, whose last belief is given."""
         return []
 
 

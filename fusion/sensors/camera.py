@@ -182,6 +182,10 @@ class BearingModel(Model):
         """Return what is uncertain of the camera's mount."""
         return self.mount.blocks()
 
+    def notes(self, belief: Any) -> list[str]:
+        """Say where the camera was found to sit."""
+        return self.mount.words(belief)
+
     def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
         """Compare the candidates of picture i with the belief: the one inside the gate is the landmark.
 

@@ -204,7 +204,7 @@ class GpsModel(Model):
         )
         self.known = True
 
-    def notes(self) -> list[str]:
+    def notes(self, belief: Any) -> list[str]:
         """Say where east was found to lie."""
         if self.fixed or self.settings.east_deg is not None:
             return []

@@ -7,6 +7,7 @@ and a filter that takes the mount for certain is confidently wrong. What is not 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -57,6 +58,16 @@ class Mount:
     def columns(self, belief: Belief) -> tuple[int, ...]:
         """Return the state columns of what is uncertain."""
         return tuple(belief.block(name)[0] for name in self._names.values())
+
+    def words(self, belief: Any) -> list[str]:
+        """Say what the drive made of what was uncertain."""
+        parts = []
+        for i, name in self._names.items():
+            column, value = belief.block(name)
+            sigma = math.sqrt(max(float(belief.covariance[column, column]), 0.0))
+            key, times = (("x", 1.0), ("y", 1.0), ("yaw_deg", math.degrees(1.0)))[i]
+            parts.append(f"{key} {times * float(value[0]):.4g} (1 sigma: {times * sigma:.2g})")
+        return [f"found its mount at {', '.join(parts)}"] if parts else []
 
     def rows(self, by_mount: tuple[Row, ...]) -> tuple[Row, ...]:
         """Return the columns of a derivative by (x, y, yaw), (d, 3), that belong to states."""

@@ -1,0 +1,17 @@
+"""What a reader of the figures must know, each thing once: of the log, and of what configurations found in it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+
+def notes_of(report: Mapping[str, Any]) -> list[str]:
+    """Return the log's notes, then the configurations' (slips, a track that was found), with who found them."""
+    runs = report["configurations"]
+    found: dict[str, list[str]] = {}
+    for name, values in runs.items():
+        for words in values["notes"]:
+            found.setdefault(words, []).append(name)
+    said = (words if len(runs) == 1 else f"{', '.join(names)}: {words}" for words, names in found.items())
+    return [*report["notes"], *said]

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from .look import Look
 
 ODD = 3
+PICTURES = "pictures"
 
 
 @click.command()
@@ -47,7 +48,8 @@ def info(log: tuple[str, ...], check: bool, as_json: bool, preview: Path | None,
     if as_json:
         click.echo(report_json.encode(info_json.values(seen)), nl=False)
     else:
-        show.lines((*info_text.lines(seen, _typed(log, how), show.width()), *pictures), info_text.TITLES)
+        text = info_text.lines(seen, _typed(log, how), show.width())
+        show.lines((*text, *pictures), (*info_text.TITLES, PICTURES))
     lost = any(o.code == "lost" for o in seen.oddities)
     return ODD if lost or (check and seen.spoils) else 0
 
@@ -59,24 +61,29 @@ def _typed(log: tuple[str, ...], how: LogOptions) -> list[str]:
 
 
 def _preview(seen: Look, folder: Path) -> list[str]:
-    """Write preview pictures; return one line for each message."""
+    """Write preview pictures; return what to print of them."""
     from ..formats.preview import write_pictures
-    from ..fusion.data import LocfuseError
     from ..fusion.preview import preview as pictures_of
-    from ..fusion.sensors.registry import REGISTRY
 
-    topic = seen.choice.topics.get("camera")
-    if topic is None:
-        fit = [t for t, info in sorted(seen.log.topics.items()) if info.msgtype in REGISTRY["camera"].reads]
-        named = seen.robot.settings("camera").topic
-        topic = named if named in fit else fit[0] if len(fit) == 1 else None
-        if topic is None:
-            what = f"choose one with --set camera.topic={fit[0]}" if fit else "there is none"
-            raise LocfuseError(f"--preview: which pictures of {seen.log.name}? {len(fit)} topics fit; {what}")
+    topic = _topic_of_pictures(seen)
     shown = pictures_of(seen.log.stream(topic, seen.robot.order), seen.robot.settings("camera"))
-    lines = []
+    lines = ["", PICTURES]
     for one in shown:
-        files = write_pictures(folder, one.named())
-        bearings = ", ".join(f"{b:.1f}" for b in one.bearings_deg) or "nothing red"
-        lines.append(f"{topic} message {one.row}: bearings [deg] {bearings} -> {files[0].parent}")
+        write_pictures(folder, one.named())
+        found = ", ".join(f"{b:.1f}" for b in one.bearings_deg)
+        what = f"something red at {found} deg" if found else "nothing red and upright"
+        lines.append(f"  {folder}/{one.row:06d}-*.png: {what}")
     return lines
+
+
+def _topic_of_pictures(seen: Look) -> str:
+    """Return the camera's topic: without a landmark it is not chosen, and its pictures help to find one."""
+    from ..fusion.data import LocfuseError
+    from .look_sensors import pictures_of
+
+    fit = pictures_of(seen.log, seen.choice)
+    named = seen.robot.settings("camera").topic
+    if named in fit or len(fit) == 1:
+        return named if named in fit else fit[0]
+    what = f"choose one with --set camera.topic={fit[0]}" if fit else "there is none"
+    raise LocfuseError(f"--preview: {seen.log.name} has {len(fit)} topics of pictures; {what}")

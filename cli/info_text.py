@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 from ..fusion.oddity import Oddity
@@ -113,9 +113,8 @@ def _roles(seen: Look, width: int | None) -> Iterator[str]:
 
 def _place(mount: dict[str, Any], frame: str) -> str:
     """Say where a sensor sits, and who says so."""
-    of = f" of frame {frame}" if frame else ""
     if mount["by"] == "nobody":
-        return f"nothing says where it sits{of}"
+        return f"nothing says where {f'frame {frame}' if frame else 'it'} sits"
     if "mounts" in mount:
         return f"{len(mount['mounts'])} places by {mount['by']}"
     parts = [f"{k} {mount[k] + 0.0:.3g} m" for k in ("x", "y") if k in mount]
@@ -177,8 +176,23 @@ def _wrapped(head: str, words: str, width: int | None, indent: str | None = None
 
 
 def _next(seen: Look, typed: Sequence[str]) -> list[str]:
-    """Return the command to try next: once more with what cures the worst, or the comparison."""
-    cures = [cure for o in seen.oddities if o.spoils for cure in o.cures]
+    """Return the commands to try next: once more with what cures the worst, a robot.toml, or the comparison."""
+    cures = dict(cure.partition("=")[::2] for o in seen.oddities if o.spoils for cure in o.cures)
     if cures:
-        return [shlex.join(("locfuse", "info", *typed, *(word for cure in cures for word in ("--set", cure))))]
-    return [] if seen.loaded is None else [shlex.join(("locfuse", "compare", *typed))]
+        kept = _without(typed, cures)
+        options = [word for key, value in cures.items() for word in ("--set", f"{key}={value}")]
+        return [shlex.join(("locfuse", "info", *kept, *options))]
+    if seen.loaded is not None:
+        return [shlex.join(("locfuse", "compare", *typed))]
+    return [f"{shlex.join(('locfuse', 'init', *typed))} > robot.toml"] if seen.choice.of("wheels") else []
+
+
+def _without(typed: Sequence[str], cures: Collection[str]) -> list[str]:
+    """Return what was typed less the --set of keys that are cured."""
+    kept: list[str] = []
+    for word in typed:
+        if kept and kept[-1] == "--set" and word.partition("=")[0] in cures:
+            kept.pop()
+        else:
+            kept.append(word)
+    return kept

@@ -87,13 +87,14 @@ def measured(
     choice: Choice,
     progress: Callable[[str], None] = lambda role: None,
     only: Collection[str] | None = None,
+    aside: Collection[str] = (),
 ) -> Loaded:
-    """Measure the chosen topics of a log under the tables of robot.toml."""
+    """Measure the chosen topics of a log under the tables of robot.toml; those of roles in `aside` are not."""
     _leave_out(choice, only, tables["preset"])
     streams = _streams(log, choice, str(tables.get("order", "auto")))
     mounts = mount_tables(log.static_transforms(), {s: parts(streams[s]) for s in REGISTRY if s in streams})
     robot = make_robot(robot_toml.merge(mounts, tables))
-    drive = measure(streams, robot, choice.absent, progress)
+    drive = measure({role: s for role, s in streams.items() if role not in aside}, robot, choice.absent, progress)
     preset = (filters.NOTE,) if robot.preset == "paper" else ()
     notes = (*preset, *choice.notes, *_clock_notes(streams), *_start_notes(robot, drive), *drive.notes)
     return Loaded(log, robot, choice, replace(drive, notes=notes), drive.notes)

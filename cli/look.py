@@ -30,6 +30,8 @@ from .wheel_topics import choose_wheels
 if TYPE_CHECKING:
     from .options import LogOptions
 
+COSTLY = ("camera",)  # decoding every picture takes longer than all the rest
+PHANTOMS = {"yaw", "range scale"}  # what walls that are none would say
 MOUNT_KEYS = ("x", "y", "roll_deg", "pitch_deg", "yaw_deg", "flipped", "mounts")
 
 
@@ -146,7 +148,7 @@ def _measure(seen: Look, progress: Callable[[str], None]) -> None:
     if "wheels" not in seen.choice.topics:
         return
     try:
-        loaded = measured(seen.log, seen.tables, seen.choice, progress)
+        loaded = measured(seen.log, seen.tables, seen.choice, progress, aside=COSTLY)
     except LocfuseError as e:
         words = str(e)
         role, _, rest = words.partition(": ")
@@ -162,7 +164,9 @@ def _measure(seen: Look, progress: Callable[[str], None]) -> None:
         role: joined([seen.log.stream(topic, loaded.robot.order) for topic in seen.choice.of(role)])
         for role in seen.choice.topics
     }
-    seen.oddities += examine(replace(loaded.drive, notes=loaded.repairs), loaded.robot, streams)
+    phantoms = PHANTOMS if any(o.code == "range_max" and o.spoils for o in seen.oddities) else set()
+    found = examine(replace(loaded.drive, notes=loaded.repairs), loaded.robot, streams)
+    seen.oddities += [o for o in found if o.stream != "lrf" or o.code not in phantoms]
     seen.oddities += _unusable(seen, loaded)
 
 

@@ -1,9 +1,9 @@
-"""What single sensors' raw messages say: how a laser's driver writes no return, what pictures cannot be read."""
+"""What the raw messages of single sensors say, whether or not the log can be measured."""
 
 from __future__ import annotations
 
-from collections import Counter
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 from ..fusion.data import LocfuseError
 from ..fusion.doctor_scan import driver
@@ -15,51 +15,34 @@ from .topics import Choice, of_type
 if TYPE_CHECKING:
     from ..formats.log import Log
 
-PICTURES = 24  # looked at
-WORDS = {
-    "no_colour": "are grey (mono): red needs colour",
-    "unreadable": "cannot be decoded: truncated, or neither JPEG nor PNG",
-    "too_large": "claim more pixels than can be held",
-    "too_short": "hold less data than their size says",
-    "unknown_encoding": "are of an encoding that is not read (rgb8, bgr8, rgba8, bgra8 are)",
-}
-
 
 def raw_oddities(log: Log, robot: Robot, choice: Choice) -> list[Oddity]:
-    """Return what the raw messages of laser and camera say, whether or not the log can be measured."""
-    found: list[Oddity] = []
-    if "lrf" in choice.topics:
-        try:
-            found += driver(log.stream(choice.topics["lrf"], robot.order), robot.settings("lrf"))
-        except LocfuseError as e:
-            found.append(Oddity("unusable", "lrf", str(e), spoils=True))
-    return found + _pictures(log, robot, choice)
+    """Return how a laser's driver writes its scans, and what is wrong with a camera's pictures."""
+    return [
+        *_said("lrf", choice.of("lrf"), driver, log, robot),
+        *_said("camera", pictures_of(log, choice), _pictures, log, robot),
+    ]
 
 
-def _pictures(log: Log, robot: Robot, choice: Choice) -> list[Oddity]:
-    topics = choice.of("camera") or tuple(of_type(log, REGISTRY["camera"].reads))
-    topics = tuple(t for t in topics if log.topics[t].count)
+def pictures_of(log: Log, choice: Choice) -> tuple[str, ...]:
+    """Return the topics of pictures: the camera's, else all."""
+    found = choice.of("camera") or tuple(of_type(log, REGISTRY["camera"].reads))
+    return tuple(topic for topic in found if log.topics[topic].count)
+
+
+def _said(
+    role: str, topics: Sequence[str], examine: Callable[[Any, Any], list[Oddity]], log: Log, robot: Robot
+) -> list[Oddity]:
+    """Examine a role's raw messages where it is clear which they are."""
     if len(topics) != 1:
         return []
-    stream = log.stream(topics[0], robot.order)
-    from ..fusion.images import decode, messages
+    try:
+        return examine(log.stream(topics[0], robot.order), robot.settings(role))
+    except LocfuseError as e:
+        return [Oddity("unusable", role, str(e), spoils=True)]
 
-    seen: Counter[str] = Counter()
-    sizes: Counter[tuple[int, ...]] = Counter()
-    total = len(stream.t_ns)
-    wanted = set(range(0, total, max(1, total // PICTURES)))
-    for message in (m for block in messages(stream) for row, m in block if row in wanted):
-        picture = decode(message)
-        if isinstance(picture, str):
-            seen[picture] += 1
-        else:
-            sizes[picture.shape[:2]] += 1
-    n = sum(seen.values()) + sum(sizes.values())
-    found = [
-        Oddity("pictures", "camera", f"{k} of {n} pictures looked at {WORDS.get(why, why)}", (), k > n / 2)
-        for why, k in seen.items()
-    ]
-    if len(sizes) > 1:
-        listed = ", ".join(f"{w} x {h} ({k})" for (h, w), k in sizes.most_common())
-        found.append(Oddity("pictures", "camera", f"they change size: {listed}; only the usual size is used"))
-    return found
+
+def _pictures(stream: Any, settings: Any) -> list[Oddity]:
+    from ..fusion.doctor_pictures import of_pictures  # imports OpenCV
+
+    return of_pictures(stream, settings)

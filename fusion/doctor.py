@@ -24,7 +24,7 @@ from .wheel_repairs import times
 
 GAP, GAP_PERIODS = 0.5, 5.0  # s, median periods: a longer silence is a gap
 BLIND = 0.9  # share of readings without any measurement: such a sensor is dead, or misunderstood
-SEES = {"lrf": "line", "sonar": "echo", "camera": "landmark"}
+SEES = {"lrf": "line", "sonar": "echo"}
 REFUSED = {
     "repeat": "repeat the one before",
     "same_stamp": "share the stamp of another",
@@ -104,5 +104,5 @@ def _blind(name: str, m: Measurements) -> list[Oddity]:
         words = (
             f"no {SEES.get(name, 'value')} in {m.absent} of {n} readings: it is dead, or its settings do not fit"
         )
-        return [Oddity("blind", name, words, spoils=name in {"lrf", "camera"})]
+        return [Oddity("blind", name, words, spoils=name == "lrf")]
     return [] if n else [Oddity("blind", name, "no reading within the wheels' time", spoils=True)]

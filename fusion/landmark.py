@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal, NamedTuple
 
+import numpy as np
+
 from . import panorama, radial
 from .data import Stream
 from .images import decode, messages
@@ -43,6 +45,7 @@ class Detector:
     width: int = 720
     zero: float = 0.0  # rad
     clockwise: bool = False
+    swapped: bool = False  # pictures are RGB
 
     def optics(self, shape: tuple[int, ...]) -> Optics:
         """Return the calibration for pictures (h, w, 3); by default centred, and as large as fits."""
@@ -52,9 +55,13 @@ class Detector:
         inner = outer / 4.0 if self.inner is None else self.inner
         return Optics(x, y, inner, outer, self.width, self.zero, self.clockwise)
 
+    def coloured(self, picture: Picture) -> Picture:
+        """Return a picture as BGR."""
+        return np.ascontiguousarray(picture[..., ::-1]) if self.swapped else picture
+
     def find(self, picture: Picture) -> Look:
         """Return the candidates of a BGR picture, the largest first."""
-        optics = self.optics(picture.shape)
+        optics, picture = self.optics(picture.shape), self.coloured(picture)
         if self.chain == "fast":
             found = radial.candidates(picture, optics, self.red)
         else:

@@ -57,8 +57,8 @@ def preview(stream: Stream, settings: CameraSettings, count: int = 4) -> list[Pr
     return shown
 
 
-def _pictures(row: int, picture: Picture, find: Detector) -> PreviewPictures:
-    seen = find.find(picture)
+def _pictures(row: int, delivered: Picture, find: Detector) -> PreviewPictures:
+    seen, picture = find.find(delivered), find.coloured(delivered)
     grey = red_grey(picture, find.red) * _inside(picture, seen.optics)
     bearings = [math.degrees(float(bearing(np.asarray(c.theta), seen.optics))) for c in seen.candidates]
     return PreviewPictures(
@@ -82,8 +82,8 @@ def _drawn(picture: Picture, seen: Look, bearings: list[float]) -> Picture:
     canvas, optics = picture.copy(), seen.optics
     centre = (round(optics.x_c), round(optics.y_c))
     for radius in (optics.inner, optics.outer):
-        cv2.circle(canvas, centre, round(radius), RINGS, 1, cv2.LINE_AA)
-    cv2.drawMarker(canvas, centre, RINGS, cv2.MARKER_CROSS, 12, 1)
+        cv2.circle(canvas, centre, round(radius), RINGS, _pen(canvas), cv2.LINE_AA)
+    cv2.drawMarker(canvas, centre, RINGS, cv2.MARKER_CROSS, 12 * _pen(canvas), _pen(canvas))
     for degrees in range(-150, 181, 30):
         theta = float(angle_of_bearing(np.asarray(math.radians(degrees)), optics))
         word = "0 forward" if degrees == 0 else str(degrees)
@@ -101,6 +101,12 @@ def _ray(
     x_p = np.full(2, theta) * optics.width / (2.0 * math.pi)
     x, y = omni_1(x_p, np.array(reach) - optics.inner, optics)
     (x1, x2), (y1, y2) = np.rint(x).astype(int).tolist(), np.rint(y).astype(int).tolist()
-    cv2.line(canvas, (x1, y1), (x2, y2), colour, 1, cv2.LINE_AA)
-    scale = max(0.35, canvas.shape[0] / 1600)
-    cv2.putText(canvas, word, (x1 + 4, y1 + 4), cv2.FONT_HERSHEY_SIMPLEX, scale, colour, 1, cv2.LINE_AA)
+    cv2.line(canvas, (x1, y1), (x2, y2), colour, _pen(canvas), cv2.LINE_AA)
+    scale = max(0.35, canvas.shape[0] / 1400)
+    cv2.putText(canvas, word, (x1 + 4, y1 + 4), cv2.FONT_HERSHEY_SIMPLEX, scale, colour, _pen(canvas), cv2.LINE_AA)
+
+
+def _pen(canvas: Picture) -> int:
+    """Return the width of a line [px] that can be seen on a large picture too."""
+    height, width = canvas.shape[:2]
+    return max(1, min(int(height), int(width)) // 500)

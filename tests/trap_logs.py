@@ -21,6 +21,7 @@ Tables = dict[str, dict[str, Any]]
 Change = Callable[["Drive"], None]
 Edit = Callable[[RawMessage], RawMessage | None]
 WHEELS, COMPASS, SCAN, TRUTH = "/joint_states", "/compass", "/scan", "/ground_truth/pose"
+PICTURES = "/omni/image/compressed"
 RADIUS, TRACK = 0.05, 0.6
 MS, S = 10**6, 10**9
 LEGS = (
@@ -30,7 +31,8 @@ LEGS = (
 )
 SCENARIO = (
     f'path={{kind="legs", x=2.2, y=2.4, theta_deg=20.0, legs=[{LEGS}]}}',
-    *("camera.enabled=false", "control.estimator=truth", "control.wait=0.5"),
+    *("control.estimator=truth", "control.wait=0.5", "camera.rate=0.7", "camera.size=[240,240]"),
+    *("camera.centre=[120.7,119.1]", "camera.focal=160", "camera.inner=31", "camera.outer=116"),
     *("wheels.rate=25", "wheels.noise=2e-4", "compass.rate=10", "lrf.rate=6", "truth.rate=10"),
 )
 
@@ -46,10 +48,13 @@ def _simulated() -> tuple[tuple[RawMessage, ...], Tables]:
 class Drive:
     """Messages in the order of their arrival, and the robot.toml that comes with them: both may be changed."""
 
-    def __init__(self) -> None:
+    def __init__(self, pictures: bool = False) -> None:
         messages, tables = _simulated()
         self.messages = list(messages)
         self.tables = {name: dict(table) for name, table in tables.items()}
+        if not pictures:
+            self.drop(PICTURES)
+            del self.tables["camera"]
 
     def on(self, topic: str) -> list[RawMessage]:
         """The messages of one topic."""

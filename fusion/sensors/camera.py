@@ -40,6 +40,7 @@ class CameraSettings(MountedSettings, frozen=True, forbid_unknown_fields=True, k
     bearing: Literal["relative", "absolute"] = "relative"  # absolute: the paper's orientation
     red_ratio: float = 0.4  # red is R - max(G, B) >= red_ratio R
     red_min: float = 30.0  # and >= red_min grey levels
+    swapped: bool = False  # red and blue are exchanged: the driver says rgb and means bgr
     min_length: float = 12.0  # px along the radius
     min_slender: float = 1.5  # length over width
 
@@ -139,6 +140,7 @@ def detector(settings: CameraSettings) -> Any:
         width=settings.width,
         zero=math.radians(settings.zero_deg),
         clockwise=settings.clockwise,
+        swapped=settings.swapped,
     )
 
 

@@ -1,0 +1,58 @@
+"""Can a camera's pictures be used, and is something red in them? A few are looked at: decoding all takes long."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+
+from .data import Stream
+from .images import Picture, decode, messages
+from .oddity import Oddity
+from .sensors.camera import CameraSettings, detector
+
+PICTURES = 24  # looked at
+OFTEN = 0.5  # share of the pictures
+WORDS = {
+    "no_colour": "are grey (mono): red needs colour",
+    "unreadable": "cannot be decoded: truncated, or neither JPEG nor PNG",
+    "too_large": "claim more pixels than can be held",
+    "too_short": "hold less data than their size says",
+    "unknown_encoding": "are of an encoding that is not read (rgb8, bgr8, rgba8, bgra8 are)",
+}
+
+
+def of_pictures(stream: Stream, settings: CameraSettings) -> list[Oddity]:
+    """Return what is odd about some pictures of a stream, evenly spread."""
+    wanted = set(range(0, len(stream.t_ns), max(1, len(stream.t_ns) // PICTURES)))
+    seen = [decode(message) for block in messages(stream) for row, message in block if row in wanted]
+    found, total = [], len(seen)
+    for why, n in Counter(one for one in seen if isinstance(one, str)).items():
+        words = f"{n} of {total} pictures looked at {WORDS[why]}"
+        found.append(Oddity("pictures", "camera", words, (), n > OFTEN * total))
+    pictures = [one for one in seen if not isinstance(one, str)]
+    sizes = Counter((p.shape[1], p.shape[0]) for p in pictures)
+    if len(sizes) > 1:
+        listed = ", ".join(f"{w} x {h} ({n})" for (w, h), n in sizes.most_common())
+        found.append(Oddity("pictures", "camera", f"they change size: {listed}; only the usual size is used"))
+    usual = max(sizes, key=lambda size: (sizes[size], size), default=None)
+    return found + _red([p for p in pictures if (p.shape[1], p.shape[0]) == usual], settings)
+
+
+def _red(pictures: list[Picture], settings: CameraSettings) -> list[Oddity]:
+    """Say so where hardly any picture shows something red and upright, unless its colours are exchanged."""
+    if settings.landmark is None or not pictures:
+        return []
+    find, n = detector(settings), len(pictures)
+    shows = sum(bool(find.find(p).candidates) for p in pictures)
+    if shows > (1.0 - OFTEN) * n:
+        return []
+    exchanged = sum(bool(find.find(np.ascontiguousarray(p[..., ::-1])).candidates) for p in pictures)
+    if exchanged > max(shows, OFTEN * n):
+        words = f"{exchanged} of {n} pictures show something upright in blue, {shows} in red: rgb is taken for bgr"
+        cure = f"camera.swapped={str(not settings.swapped).lower()}"
+        return [Oddity("swapped", "camera", words, (cure,), True)]
+    words = (
+        f"nothing red and upright in {n - shows} of {n} pictures: --preview shows what counts as red, and where"
+    )
+    return [Oddity("blind", "camera", words, (), shows == 0)]

@@ -19,7 +19,7 @@ def of_stamps(facts: Sequence[TopicFacts], choice: Choice, robot: Robot) -> list
     found = [
         Oddity("stamps", role, f"{topic}: {f.clock}")
         for topic, (role, f) in used.items()
-        if f.clock != PLAIN_CLOCK
+        if f.delay_s is not None and f.clock != PLAIN_CLOCK
     ]
     apart = _other_clocks(known, choice, robot)
     if not apart and any(_beside(f) for _, f in used.values()):

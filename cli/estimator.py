@@ -13,7 +13,8 @@ import numpy as np
 
 from ..fusion import se2
 from ..fusion.data import ArrayStream, Column, Measurements, Ragged
-from ..fusion.fuse import Filter, Motion
+from ..fusion.fuse import Filter
+from ..fusion.instants import step_between
 from ..fusion.motion import Wheels
 from ..fusion.robot import Robot
 from ..fusion.sensors.registry import REGISTRY
@@ -92,9 +93,9 @@ class Localiser:
         ready = [(m, s) for m, s, _ in measured if len(m.t) and self._at <= m.t[0] <= horizon]
         self._waiting = [(s, message) for m, s, message in measured if len(m.t) and m.t[0] > horizon]
         for t in sorted({float(m.t[0]) for m, _ in ready}):
-            motion = Motion.between(wheels, self._at, t, self.robot.wheels.estimate)
+            step = step_between(wheels, self._at, t, self.robot.wheels.estimate)
             due = {s: m for m, s in ready if m.t[0] == t}
-            self.filter.advance(0, motion, [(s, 0) for s in due], due)
+            self.filter.advance(0, step, [(s, 0) for s in due], due)
             self._at = t
 
     def _measure(self, sensor: str, message: RawMessage, wheels: Wheels) -> Measurements:

@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from math import cos, sin
 
 import numpy as np
 
 from .data import Array, Ints, LocfuseError
+from .scalar_rows import pose_rows, whitened
 from .sensors.base import Block, Innovation
 
 Pose = tuple[float, float, float]
@@ -30,27 +32,36 @@ class PoseBelief:
         self.x, self.y, self.theta = pose
         self.P = P
 
-    def block(self, name: str) -> tuple[int, Array]:
+    def block(self, name: str) -> tuple[int, Sequence[float]]:
         """Raise: this belief has no blocks."""
         raise KeyError(name)
 
-    def predict(self, u: Sequence[float], Q: Sequence[float]) -> None:
-        """Paper eq. 5, 6: move by the relative pose u = (x, y, theta) whose covariance triangle is Q."""
-        c, s = math.cos(self.theta), math.sin(self.theta)
-        dx, dy = c * u[0] - s * u[1], s * u[0] + c * u[1]
+    def variances(self, name: str) -> list[float]:
+        """Raise: this belief has no blocks."""
+        raise KeyError(name)
+
+    def predict(self, u: Sequence[float], Q: Sequence[float], dt: float = 0.0, J: Array | None = None) -> None:
+        """Paper eq. 5, 6: move by the relative pose u = (x, y, theta) whose covariance triangle is Q.
+
+        The time that passed [s] and the derivative J of u by the wheel parameters matter to blocks only.
+        """
+        ux, uy, turn = u
+        c, s = cos(self.theta), sin(self.theta)
+        dx, dy = c * ux - s * uy, s * ux + c * uy
         self.x += dx
         self.y += dy
-        self.theta += u[2]
+        self.theta += turn
         xx, xy, xt, yy, yt, tt = self.P
         qxx, qxy, qxt, qyy, qyt, qtt = Q
         # A P A' with A of eq. 7, then the motion's noise turned into the map frame
         xt_, yt_ = xt - dy * tt, yt + dx * tt
-        cs = c * s
+        cc, cs, ss = c * c, c * s, s * s
+        bend = 2.0 * cs * qxy
         self.P = (
-            xx - dy * (xt + xt_) + c * c * qxx - 2.0 * cs * qxy + s * s * qyy,
-            xy + dx * xt - dy * yt_ + cs * (qxx - qyy) + (c * c - s * s) * qxy,
+            xx - dy * (xt + xt_) + cc * qxx - bend + ss * qyy,
+            xy + dx * xt - dy * yt_ + cs * (qxx - qyy) + (cc - ss) * qxy,
             xt_ + c * qxt - s * qyt,
-            yy + dx * (yt + yt_) + s * s * qxx + 2.0 * cs * qxy + c * c * qyy,
+            yy + dx * (yt + yt_) + ss * qxx + bend + cc * qyy,
             yt_ + s * qxt + c * qyt,
             tt + qtt,
         )
@@ -62,32 +73,33 @@ class PoseBelief:
         return tuple(tuple(h[0] * p[0] + h[1] * p[1] + h[2] * p[2] for p in PH) for h in H)
 
     def correct(self, seen: Sequence[Innovation]) -> None:
-        """Paper eq. 10-12, one scalar row after another; correlated rows are whitened first.
+        """Paper eq. 10-12, one scalar row after another.
 
         Every innovation was computed at the same prior, so what earlier rows have moved is taken out again:
         y <- y - H (x - x_prior). P <- P - (P h)(P h)' / s is symmetric by construction.
         """
-        x0, y0, t0 = self.x, self.y, self.theta
-        for innovation in seen:
-            for y, (a, b, c), r in whitened(innovation):
-                xx, xy, xt, yy, yt, tt = self.P
-                p0 = xx * a + xy * b + xt * c
-                p1 = xy * a + yy * b + yt * c
-                p2 = xt * a + yt * b + tt * c
-                s = a * p0 + b * p1 + c * p2 + r
-                e = (y - a * (self.x - x0) - b * (self.y - y0) - c * (self.theta - t0)) / s
-                self.x += p0 * e
-                self.y += p1 * e
-                self.theta += p2 * e
-                g0, g1, g2 = p0 / s, p1 / s, p2 / s
-                self.P = (
-                    xx - g0 * p0,
-                    xy - g0 * p1,
-                    xt - g0 * p2,
-                    yy - g1 * p1,
-                    yt - g1 * p2,
-                    tt - g2 * p2,
-                )
+        xx, xy, xt, yy, yt, tt = self.P
+        dx = dy = dt = 0.0
+        for y, a, b, c, r in whitened(seen[0]) if len(seen) == 1 else pose_rows(seen):
+            p0 = xx * a + xy * b + xt * c
+            p1 = xy * a + yy * b + yt * c
+            p2 = xt * a + yt * b + tt * c
+            s = a * p0 + b * p1 + c * p2 + r
+            e = (y - a * dx - b * dy - c * dt) / s
+            dx += p0 * e
+            dy += p1 * e
+            dt += p2 * e
+            g0, g1, g2 = p0 / s, p1 / s, p2 / s
+            xx -= g0 * p0
+            xy -= g0 * p1
+            xt -= g0 * p2
+            yy -= g1 * p1
+            yt -= g1 * p2
+            tt -= g2 * p2
+        self.x += dx
+        self.y += dy
+        self.theta += dt
+        self.P = (xx, xy, xt, yy, yt, tt)
 
     def shift(self, turn: float, xy: float, theta: float) -> None:
         """Turn the pose by `turn` [rad] and add variances xy [m^2] and theta [rad^2]: a slip was found."""
@@ -104,20 +116,6 @@ class PoseBelief:
         """Return the pose covariance, (3, 3)."""
         xx, xy, xt, yy, yt, tt = self.P
         return np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])
-
-
-def whitened(seen: Innovation) -> list[tuple[float, Sequence[float], float]]:
-    """Return scalar rows (y, H_pose, r) of one innovation with independent noise.
-
-    One row stays as it is; a pair (r, psi) goes through the 2 x 2 Cholesky factor of its R.
-    """
-    if len(seen.y) == 1:
-        return [(seen.y[0], seen.H[0], seen.R[0][0])]
-    (r00, r01), (_, r11) = seen.R
-    k = r01 / r00
-    h0, h1 = seen.H
-    row = (h1[0] - k * h0[0], h1[1] - k * h0[1], h1[2] - k * h0[2])
-    return [(seen.y[0], h0, r00), (seen.y[1] - k * seen.y[0], row, r11 - k * r01)]
 
 
 class JointBelief:
@@ -171,6 +169,12 @@ class JointBelief:
         """Return (first state column, values) of a block."""
         where = self._slices[name]
         return int(where.start), self._x[where]
+
+    def variances(self, name: str) -> list[float]:
+        """Return the variance of every value of a block."""
+        where = self._slices[name]
+        variances: list[float] = self._P.diagonal()[where].tolist()
+        return variances
 
     def has(self, name: str) -> bool:
         """Return whether the state holds a block of this name."""

@@ -12,17 +12,19 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from . import se2
-from .data import Array, Audit, Drive, Estimates, LocfuseError, Measurements, Motions
+from . import few_blocks, se2
+from .data import Array, Drive, Estimates, LocfuseError, Measurements
 from .ekf import JointBelief, Pose, PoseBelief, Triangle
-from .motion import Wheels
+from .few_blocks import FewBlocks
+from .instants import Due, Step, due_readings, steps_of
+from .record import Record
 from .robot import Robot, StartSettings
 from .robust import inflated
 from .sensors.base import Block, Innovation, Model
 from .sensors.registry import REGISTRY
 from .wheel_states import WHEELS, wheel_block, wheel_words
 
-# what makes the belief at the start: of the pose alone, or with blocks
+# what makes the belief at the start: of the pose alone, or with blocks; None: whatever fits, the fastest first
 Beliefs = tuple[Callable[[Pose, Triangle], PoseBelief], Callable[[Pose, Triangle, Sequence[Block]], JointBelief]]
 
 
@@ -32,7 +34,7 @@ def fuse(
     sensors: Sequence[str],
     name: str | None = None,
     listen: Mapping[str, NDArray[np.bool_]] | None = None,
-    beliefs: Beliefs = (PoseBelief, JointBelief),
+    beliefs: Beliefs | None = None,
 ) -> Estimates:
     """Run the filter with these sensors. Raises LocfuseError where the drive lacks one of them.
 
@@ -45,10 +47,8 @@ def fuse(
         if sensor not in drive.measurements:
             raise LocfuseError(f"{sensor}: {drive.absent.get(sensor, 'not in this log')}")
     run = Filter(robot, sensors, listen, beliefs)
-    due = due_readings(drive, (*sensors, *listen))
-    rows = Motion.of(drive)
-    for k in range(len(drive.t)):
-        run.advance(k, rows, due[k], drive.measurements)
+    for k, (step, due) in enumerate(zip(steps_of(drive), due_readings(drive, (*sensors, *listen)), strict=True)):
+        run.advance(k, step, due, drive.measurements)
     return run.estimates(drive, name or configuration_name(sensors, drive))
 
 
@@ -63,26 +63,6 @@ def configuration_name(sensors: Sequence[str], drive: Drive) -> str:
     return "+".join(chosen)
 
 
-class Motion:
-    """Motions as plain floats, so that the loop touches no NumPy scalar."""
-
-    def __init__(self, motions: Motions, dt: Array) -> None:
-        self.u = motions.u.tolist()
-        self.Q = motions.Q.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]].tolist()
-        self.J = motions.J if motions.J.shape[2] else None
-        self.dt = dt.tolist()
-
-    @classmethod
-    def of(cls, drive: Drive) -> Motion:
-        """Return the motions of a whole drive."""
-        return cls(drive.motions, np.diff(drive.t, prepend=drive.t[:1]))
-
-    @classmethod
-    def between(cls, wheels: Wheels, t_from: float, t_to: float, parameters: bool = False) -> Motion:
-        """Return the one motion from t_from to t_to [s]."""
-        return cls(wheels.between(np.array([t_from]), np.array([t_to]), parameters), np.array([t_to - t_from]))
-
-
 class Filter:
     """The filter of one configuration: a belief, one model per sensor, and the record of what happened."""
 
@@ -91,7 +71,7 @@ class Filter:
         robot: Robot,
         sensors: Sequence[str],
         listen: Mapping[str, NDArray[np.bool_]] | None = None,
-        beliefs: Beliefs = (PoseBelief, JointBelief),
+        beliefs: Beliefs | None = None,
     ) -> None:
         self._sensors = tuple(s for s in REGISTRY if s in sensors)
         self._wheels = robot.wheels
@@ -100,7 +80,7 @@ class Filter:
         self.models: dict[str, Model] = {
             s: REGISTRY[s].model(robot.settings(s)) for s in REGISTRY if s in sensors or s in self._listens
         }
-        self.belief = _begin(robot, list(self.models.values()), beliefs)
+        self.belief = _begin(robot, list(self.models.values()), beliefs, bool(self._listens))
         for model in self.models.values():
             model.begin(robot.lines, self.belief)
         for s, model in self.models.items():
@@ -114,31 +94,27 @@ class Filter:
             fixed.append(WHEELS)
         self._blocks: dict[str, tuple[array[float], array[float]]] = {n: (array("d"), array("d")) for n in fixed}
 
-    def advance(
-        self, k: int, motion: Motion, due: Sequence[tuple[str, int]], measurements: Mapping[str, Measurements]
-    ) -> None:
+    def advance(self, k: int, step: Step, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
         """Take the belief to instant k and correct it by every reading (sensor, i) that is due there."""
-        belief = self.belief
-        if isinstance(belief, PoseBelief):
-            belief.predict(motion.u[k], motion.Q[k])
-        else:
-            belief.predict(motion.u[k], motion.Q[k], motion.dt[k], None if motion.J is None else motion.J[k])
+        belief, models = self.belief, self.models
+        belief.predict(*step)
         accepted: list[Innovation] = []
         heard: list[Innovation] = []
         for sensor, i in due:
-            seen = self.models[sensor].innovations(measurements[sensor], i, belief)
+            seen = models[sensor].innovations(measurements[sensor], i, belief)
             if sensor in self._inflates:
                 seen = [inflated(innovation) for innovation in seen]
             self._records[sensor].add(k, seen)
             if sensor not in self._listens or not self._listens[sensor][i]:
                 accepted += [innovation for innovation in seen if innovation.verdict == 0]
-            elif self.models[sensor].teaches:
+            elif models[sensor].teaches:
                 heard += [innovation for innovation in seen if innovation.verdict == 0]
         if heard and isinstance(belief, JointBelief):
             belief.listen(heard)
-        belief.correct(accepted)
+        if accepted:
+            belief.correct(accepted)
         for sensor, i in due:
-            self.models[sensor].learn(measurements[sensor], i, belief)
+            models[sensor].learn(measurements[sensor], i, belief)
         self._record()
 
     def _record(self) -> None:
@@ -146,15 +122,13 @@ class Filter:
         if isinstance(belief, PoseBelief):
             self._poses.extend((belief.x, belief.y, belief.theta))
             self._triangles.extend(belief.P)
-            return
-        x, P = belief.state, belief.covariance
-        self._poses.extend(x[:3].tolist())
-        (xx, xy, xt), (_, yy, yt), (_, _, tt) = P[:3, :3].tolist()
-        self._triangles.extend((xx, xy, xt, yy, yt, tt))
+        else:
+            self._poses.extend(belief.state[:3].tolist())
+            (xx, xy, xt), (_, yy, yt), (_, _, tt) = belief.covariance[:3, :3].tolist()
+            self._triangles.extend((xx, xy, xt, yy, yt, tt))
         for name, (values, sigmas) in self._blocks.items():
-            column, now = belief.block(name)
-            values.extend(now.tolist())
-            sigmas.extend(math.sqrt(max(float(P[i, i]), 0.0)) for i in range(column, column + len(now)))
+            values.extend(belief.block(name)[1])
+            sigmas.extend([math.sqrt(max(variance, 0.0)) for variance in belief.variances(name)])
 
     def estimates(self, drive: Drive, name: str) -> Estimates:
         """Return everything recorded, with predictions at the truth's stamps beside it."""
@@ -194,44 +168,21 @@ class Filter:
             yield from (f"{name}: {words}" for words in model.notes(belief))
 
 
-class Record:
-    """What became of every measurement of one sensor, as flat floats until the run ends."""
-
-    def __init__(self) -> None:
-        self._width = 1
-        self._values = array("d")
-
-    def add(self, k: int, seen: Sequence[Innovation]) -> None:
-        """Note the innovations of one reading at instant k."""
-        for i in seen:
-            self._width = len(i.y)
-            self._values.extend((k, i.row, i.verdict, i.landmark, i.nis, i.threshold, *i.y, *i.sigma))
-
-    def audit(self) -> Audit:
-        """Return the record as columns."""
-        d = self._width
-        values = np.array(self._values).reshape(-1, 6 + 2 * d)
-        return Audit(
-            instant=values[:, 0].astype(np.int64),
-            row=values[:, 1].astype(np.int64),
-            verdict=values[:, 2].astype(np.int8),
-            landmark=values[:, 3].astype(np.int64),
-            nis=values[:, 4],
-            threshold=values[:, 5],
-            y=values[:, 6 : 6 + d],
-            sigma=values[:, 6 + d :],
-        )
-
-
-def _begin(robot: Robot, models: Sequence[Model], beliefs: Beliefs) -> PoseBelief | JointBelief:
-    """Return the belief at the start: plain floats unless somebody owns a block of the state."""
+def _begin(
+    robot: Robot, models: Sequence[Model], beliefs: Beliefs | None, listens: bool
+) -> PoseBelief | JointBelief:
+    """Return the belief at the start: plain floats unless somebody owns a block of the state, or few are owned."""
     pose, P = _start(robot.start)
     blocks = [block for model in models for block in model.blocks()]
     if robot.wheels.estimate:
         blocks.append(wheel_block(robot.wheels))
-    if not blocks and not any(getattr(model, "joint", False) for model in models):
-        return beliefs[0](pose, P)
-    belief = beliefs[1](pose, P, blocks)
+    make_pose, make_joint = beliefs or (PoseBelief, JointBelief)
+    if not blocks and not any(model.joint for model in models):
+        return make_pose(pose, P)
+    simple = beliefs is None and not listens and not robot.wheels.estimate
+    if simple and all(model.settled for model in models) and sum(len(b.x) for b in blocks) <= few_blocks.MOST:
+        return FewBlocks(pose, P, blocks)
+    belief = make_joint(pose, P, blocks)
     if robot.wheels.estimate:
         belief.drive_with(WHEELS)
     return belief
@@ -240,16 +191,6 @@ def _begin(robot: Robot, models: Sequence[Model], beliefs: Beliefs) -> PoseBelie
 def _start(start: StartSettings) -> tuple[tuple[float, float, float], Triangle]:
     xy, theta = start.sigma_xy**2, math.radians(start.sigma_theta_deg) ** 2
     return (start.x, start.y, math.radians(start.theta_deg)), (xy, 0.0, 0.0, xy, 0.0, theta)
-
-
-def due_readings(drive: Drive, sensors: Sequence[str]) -> list[list[tuple[str, int]]]:
-    """Return for every instant the readings (sensor, i) that belong to it, in registry order."""
-    due: list[list[tuple[str, int]]] = [[] for _ in range(len(drive.t))]
-    for sensor in REGISTRY:
-        if sensor in sensors:
-            for i, k in enumerate(drive.instant[sensor].tolist()):
-                due[k].append((sensor, i))
-    return due
 
 
 def _matrices(triangles: Array) -> Array:

@@ -80,7 +80,7 @@ class NotedPose(PoseBelief):
 
     events: list[Step | Birth | Drop]
 
-    def predict(self, u: Sequence[float], Q: Sequence[float]) -> None:
+    def predict(self, u: Sequence[float], Q: Sequence[float], dt: float = 0.0, J: Array | None = None) -> None:
         """Predict as ever, and note how to go back."""
         x, P = np.array((self.x, self.y, self.theta)), self.matrix()
         super().predict(u, Q)

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from . import paper
 from .data import Array, Drive, Estimates, Ints, LocfuseError
-from .fuse import Record, configuration_name
+from .fuse import configuration_name
 from .motion import Wheels
 from .paper import PRINTED, Printed
 from .paper_rows import PARTS, LineRows, Rows
+from .record import Record
 from .robot import Robot
 from .sensors.base import Innovation
 

@@ -1,4 +1,4 @@
-"""Both beliefs against a textbook filter in plain matrices."""
+"""Every belief against a textbook filter in plain matrices."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from textbook import TextbookEkf
 
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.ekf import JointBelief, PoseBelief
+from locfuse.fusion.few_blocks import FewBlocks
 from locfuse.fusion.sensors.base import Block, Innovation
 
 POSE = (1.0, -2.0, 3.1)
@@ -77,6 +78,76 @@ def test_the_fast_pose_filter_equals_the_textbook_over_a_whole_drive() -> None:
         np.testing.assert_allclose((fast.x, fast.y, fast.theta), book.x, atol=1e-9)
         np.testing.assert_allclose(fast.matrix(), book.P, atol=1e-9)
         assert np.linalg.eigvalsh(fast.matrix())[0] > 0
+
+
+def line(rng: np.random.Generator, beta: float) -> Innovation:
+    """A line in the base frame: r tells x and y, psi tells theta, their noise correlated."""
+    L = np.tril(rng.normal(size=(2, 2))) * 0.01 + 0.01 * np.eye(2)
+    y, R = tuple((rng.normal(size=2) * 0.02).tolist()), tuple(map(tuple, (L @ L.T).tolist()))
+    H = ((-math.cos(beta), -math.sin(beta), 0.0), (0.0, 0.0, -1.0))
+    return Innovation(0, 0, -1, 0.0, math.inf, y, y, H, R)
+
+
+@pytest.mark.parametrize(
+    "beta",
+    [
+        [0.3, 1.8],  # two walls
+        [0.0, math.pi / 2, math.pi, -math.pi / 2, 0.4, 0.5],  # a room
+        [math.pi / 2] * 3,  # parallel walls along an axis: nothing is said of x
+        [1.1, 1.1 - math.pi, 1.1],  # and along no axis
+        [0.7, 0.7 + 1e-7, 0.7 - 3e-6],  # almost parallel
+        [0.2],
+    ],
+)
+@pytest.mark.parametrize("start", [UPPER, (0.0,) * 6, (25.0, 0.0, 0.0, 25.0, 0.0, 3.0)])
+def test_lines_added_up_say_what_they_say_one_by_one(beta: list[float], start: tuple[float, ...]) -> None:
+    """Also from an exact start and from being lost, and beside a heading and a position with a lever arm."""
+    rng = np.random.default_rng(5)
+    xx, xy, xt, yy, yt, tt = start
+    for others in ([], [innovation(rng, 1), innovation(rng, 2)]):
+        fast = PoseBelief(POSE, (xx, xy, xt, yy, yt, tt))
+        book = TextbookEkf(np.array(POSE), np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]]))
+        seen = [line(rng, b) for b in beta] + others
+        fast.correct(seen)
+        book.correct(*dense(seen, 3))
+        np.testing.assert_allclose((fast.x, fast.y, fast.theta), book.x, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(fast.matrix(), book.P, rtol=1e-9, atol=1e-9)
+
+
+BLOCKS = [
+    Block("offset", np.array([0.3]), np.array([[1.0]]), np.array([0.02])),
+    Block("mount", np.array([0.1, -0.2]), np.array([[0.2, 0.05], [0.05, 0.1]]), np.zeros(2)),
+]
+
+
+@pytest.mark.parametrize("blocks", [BLOCKS[:1], BLOCKS])
+def test_few_blocks_in_plain_floats_equal_the_joint_filter_over_a_whole_drive(blocks: list[Block]) -> None:
+    rng = np.random.default_rng(6)
+    few, joint = FewBlocks(POSE, UPPER, blocks), JointBelief(POSE, UPPER, blocks)
+    n = joint.n
+    for step in range(1000):
+        u, _, triangle = motion(rng)
+        columns = [(), (3,), tuple(range(3, n))]
+        seen = [innovation(rng, 1 + step % 2, c) for c in columns] + [line(rng, float(rng.normal()))] * (step % 3)
+        for belief in (few, joint):
+            belief.predict(u.tolist(), triangle, 0.1)
+            belief.correct(seen)
+        if step % 100 == 50:
+            few.shift(0.1, 0.01, 0.02)
+            joint.shift(0.1, 0.01, 0.02)
+        if step == 700:
+            few.place((1.0, 2.0, 3.0), 0.1, 0.2)
+            joint.place((1.0, 2.0, 3.0), 0.1, 0.2)
+        np.testing.assert_allclose(few.state, joint.state, rtol=0, atol=1e-12 * step + 1e-12)
+        np.testing.assert_allclose(few.covariance, joint.covariance, rtol=0, atol=1e-13 * step + 1e-13)
+        for s in seen:
+            np.testing.assert_allclose(
+                few.spread(s.H, s.columns, s.H_block), joint.spread(s.H, s.columns, s.H_block), atol=1e-12
+            )
+    for block in blocks:
+        assert few.block(block.name)[0] == joint.block(block.name)[0]
+        np.testing.assert_allclose(few.block(block.name)[1], joint.block(block.name)[1], atol=1e-9)
+        np.testing.assert_allclose(few.variances(block.name), joint.variances(block.name), atol=1e-9)
 
 
 def joint(rng: np.random.Generator) -> tuple[JointBelief, TextbookEkf]:

@@ -69,7 +69,7 @@ class Belief(Protocol):
     def theta(self) -> float:
         """Heading of the pose [rad], not wrapped."""
 
-    def block(self, name: str) -> tuple[int, Array]:
+    def block(self, name: str) -> tuple[int, Sequence[float] | Array]:
         """Return (first state column, values) of a block."""
 
     def spread(
@@ -85,6 +85,7 @@ class Model:
     """One sensor inside one run of the filter; holds what it has learnt (a map), never the pose."""
 
     joint: bool = False  # whether it adds states while driving, beyond its blocks
+    settled: bool = False  # whether its states are only drifted and corrected: never added, cloned or transformed
     teaches: bool = True  # whether states that it names are its own: what only listens teaches nobody else
 
     def blocks(self) -> list[Block]:

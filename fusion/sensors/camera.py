@@ -175,6 +175,8 @@ def _collect(
 class BearingModel(Model):
     """z = wrap(atan2(dy, dx) - theta - yaw) + noise, (dx, dy) from the camera to the landmark."""
 
+    settled = True
+
     def __init__(self, settings: CameraSettings, landmark: Point) -> None:
         self.landmark = landmark
         self.mount = Mount("camera", settings)
@@ -225,6 +227,8 @@ class OrientationModel(Model):
 
     The start is the belief at the first picture. The largest candidate is the landmark.
     """
+
+    settled = True
 
     def __init__(self, settings: CameraSettings, landmark: Point) -> None:
         self.landmark = landmark

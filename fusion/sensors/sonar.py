@@ -96,6 +96,7 @@ class SonarModel(Model):
     """z = C + noise for the wall that must have answered."""
 
     teaches = False
+    settled = True
 
     def __init__(self, settings: SonarSettings) -> None:
         self.threshold = chi_square(settings.gate, 1)

@@ -1,0 +1,143 @@
+"""A pose with a few states beside it, such as a compass' offset, in plain floats.
+
+Four or five states are too few for arrays: the overhead of a dozen NumPy calls is ten times the arithmetic
+(benchmarks: "one configuration, frozen map"). The equations are those of `JointBelief`, which takes over where
+states come and go, are cloned, transformed or considered, or correct the wheels' motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from .data import Array
+from .ekf import Pose, PoseBelief, Rows, Triangle
+from .scalar_rows import Row, pose_rows, whitened
+from .sensors.base import Block, Innovation
+
+MOST = 6  # states beside the pose; with more of them arrays are faster
+Beside = tuple[tuple[int, float], ...]  # (which state, derivative of a row by it)
+
+
+class FewBlocks(PoseBelief):
+    """Pose (x, y, theta) and m states b beside it."""
+
+    __slots__ = ("_b", "_drift", "_rows", "_where")
+
+    def __init__(self, pose: Pose, P: Triangle, blocks: Sequence[Block]) -> None:
+        super().__init__(pose, P)
+        self._where: dict[str, range] = {}
+        self._b: list[float] = []
+        self._drift: list[float] = []  # variance per second
+        for block in blocks:
+            self._where[block.name] = range(len(self._b), len(self._b) + len(block.x))
+            self._b += block.x.tolist()
+            self._drift += block.drift.tolist()
+        across = np.zeros((len(self._b), 3 + len(self._b)))
+        for block in blocks:
+            where = self._where[block.name]
+            across[where.start : where.stop, 3 + where.start : 3 + where.stop] = block.P
+        self._rows: list[list[float]] = across.tolist()  # of P: covariance of state i with x, y, theta, and all b
+
+    def block(self, name: str) -> tuple[int, Sequence[float]]:
+        """Return (first state column, values) of a block."""
+        where = self._where[name]
+        return 3 + where.start, self._b[where.start : where.stop]
+
+    def variances(self, name: str) -> list[float]:
+        """Return the variance of every value of a block."""
+        return [self._rows[i][3 + i] for i in self._where[name]]
+
+    @property
+    def state(self) -> Array:
+        """The state vector, (3 + m,)."""
+        return np.array((self.x, self.y, self.theta, *self._b))
+
+    @property
+    def covariance(self) -> Array:
+        """The joint covariance, (3 + m, 3 + m)."""
+        rows = np.array(self._rows)
+        return np.vstack((np.hstack((self.matrix(), rows[:, :3].T)), rows))
+
+    def predict(self, u: Sequence[float], Q: Sequence[float], dt: float = 0.0, J: Array | None = None) -> None:
+        """Paper eq. 5, 6 for pose and blocks: blocks drift by their random walk over dt [s]."""
+        x, y = self.x, self.y
+        super().predict(u, Q)
+        dx, dy = self.x - x, self.y - y
+        for i, row in enumerate(self._rows):
+            row[0] -= dy * row[2]
+            row[1] += dx * row[2]
+            row[3 + i] += self._drift[i] * dt
+
+    def spread(self, H: Rows, columns: Sequence[int] = (), H_block: Rows = ()) -> tuple[tuple[float, ...], ...]:
+        """Return H P H', (d, d)."""
+        if not columns:
+            return super().spread(H)
+        sides = [tuple(zip((c - 3 for c in columns), g, strict=True)) for g in H_block]
+        PH = [self._PH(h[0], h[1], h[2], beside) for h, beside in zip(H, sides, strict=True)]
+        return tuple(
+            tuple(h[0] * p[0] + h[1] * p[1] + h[2] * p[2] + sum([g * q[i] for i, g in beside]) for p, q in PH)
+            for h, beside in zip(H, sides, strict=True)
+        )
+
+    def correct(self, seen: Sequence[Innovation]) -> None:
+        """Paper eq. 10-12, one scalar row after another, as in `PoseBelief`."""
+        x0, y0, t0, b0 = self.x, self.y, self.theta, list(self._b)
+        for (y, a, b, c, r), beside in _all_rows(seen):
+            (p0, p1, p2), q = self._PH(a, b, c, beside)
+            s = a * p0 + b * p1 + c * p2 + r
+            e = y - a * (self.x - x0) - b * (self.y - y0) - c * (self.theta - t0)
+            for i, g in beside:
+                s += g * q[i]
+                e -= g * (self._b[i] - b0[i])
+            self._gain(e / s, s, p0, p1, p2, q)
+
+    def _PH(self, a: float, b: float, c: float, beside: Beside) -> tuple[tuple[float, float, float], list[float]]:
+        """Return P H' of one row: of the pose, and of the states beside it (m,)."""
+        xx, xy, xt, yy, yt, tt = self.P
+        p0, p1, p2 = xx * a + xy * b + xt * c, xy * a + yy * b + yt * c, xt * a + yt * b + tt * c
+        q = [row[0] * a + row[1] * b + row[2] * c for row in self._rows]
+        for i, g in beside:
+            row = self._rows[i]
+            p0 += row[0] * g
+            p1 += row[1] * g
+            p2 += row[2] * g
+            for j, v in enumerate(row[3:]):
+                q[j] += v * g
+        return (p0, p1, p2), q
+
+    def _gain(self, e: float, s: float, p0: float, p1: float, p2: float, q: list[float]) -> None:
+        """X <- x + (P H') e, P <- P - (P H')(P H')' / s."""
+        self.x += p0 * e
+        self.y += p1 * e
+        self.theta += p2 * e
+        xx, xy, xt, yy, yt, tt = self.P
+        g0, g1, g2 = p0 / s, p1 / s, p2 / s
+        self.P = (xx - g0 * p0, xy - g0 * p1, xt - g0 * p2, yy - g1 * p1, yt - g1 * p2, tt - g2 * p2)
+        every = (p0, p1, p2, *q)
+        for i, (row, p) in enumerate(zip(self._rows, q, strict=True)):
+            self._b[i] += p * e
+            g = p / s
+            self._rows[i] = [v - g * w for v, w in zip(row, every, strict=True)]
+
+    def place(self, pose: Pose, xy: float, theta: float) -> None:
+        """Set the pose with variances xy [m^2] and theta [rad^2]: the robot was carried off, or found again."""
+        super().place(pose, xy, theta)
+        for row in self._rows:
+            row[:3] = 0.0, 0.0, 0.0
+
+
+def _all_rows(seen: Sequence[Innovation]) -> Iterator[tuple[Row, Beside]]:
+    """Yield scalar rows with independent noise, each with its derivatives by states beside the pose."""
+    alone = [s for s in seen if not s.columns]
+    for row in pose_rows(alone):
+        yield row, ()
+    for s in seen:
+        if s.columns:
+            rows, (g, *more) = whitened(s), s.H_block
+            at = [c - 3 for c in s.columns]
+            yield rows[0], tuple(zip(at, g, strict=True))
+            for h in more:
+                k = s.R[0][1] / s.R[0][0]
+                yield rows[1], tuple((i, v - k * w) for i, v, w in zip(at, h, g, strict=True))

@@ -34,7 +34,7 @@ class LineTracker(Model):
         self.mount = mount if mount is not None and mount.free else None  # None: known exactly
         self.map = LineMap()
         self.joint = mode != "first-scan"
-        self.settled = not self.joint
+        self.settled = not self.joint and self.mount is None
         # only a map that holds what was seen since can say that something is wrong
         self.guard = Guard() if recover and mode in ("grow", "given") else None
         self._first_map: list[MapLine] = []

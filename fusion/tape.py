@@ -15,7 +15,8 @@ import numpy as np
 
 from .data import Array, Drive, Ints, Measurements
 from .ekf import JointBelief, Pose, Triangle, stacked
-from .fuse import Filter, Motion, due_readings
+from .fuse import Filter
+from .instants import due_readings, steps_of
 from .journal import in_map, turning
 from .robot import Robot
 from .sensors.base import Block, Innovation, Model
@@ -80,12 +81,10 @@ def record(drive: Drive, robot: Robot, sensors: Sequence[str]) -> Tape:
     tape = belief.begin_tape(names, drive.t)
     for i, s in enumerate(names):
         run.models[s] = cast("Model", Listed(run.models[s], i, belief))
-    rows = Motion.of(drive)
-    due = due_readings(drive, names)
-    for k in range(len(drive.t)):
+    for k, (step, due) in enumerate(zip(steps_of(drive), due_readings(drive, names), strict=True)):
         belief.instant = k
         belief.owners.clear()
-        run.advance(k, rows, due[k], drive.measurements)
+        run.advance(k, step, due, drive.measurements)
     return tape
 
 

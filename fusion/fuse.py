@@ -80,7 +80,7 @@ class Filter:
         self.models: dict[str, Model] = {
             s: REGISTRY[s].model(robot.settings(s)) for s in REGISTRY if s in sensors or s in self._listens
         }
-        self.belief = _begin(robot, list(self.models.values()), beliefs, bool(self._listens))
+        self.belief = _begin(robot, list(self.models.values()), beliefs, any(map(any, self._listens.values())))
         for model in self.models.values():
             model.begin(robot.lines, self.belief)
         for s, model in self.models.items():

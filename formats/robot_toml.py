@@ -127,6 +127,8 @@ def _mismatch(name: str, table: Any, problem: str) -> str:
     """Say "wheels.radius = 'big': expected float, got str" for msgspec's "... - at `$.radius`"."""
     reason, _, where = problem.partition(" - at `$")
     path = where.rstrip("`")
+    if not path and isinstance(table, Mapping):  # a whole table is refused, in words of its own
+        return f"{name}: {reason.removeprefix(name).lstrip('.: ')}"
     value = table
     for key in path.replace("[", ".").replace("]", "").split(".")[1:]:
         try:

@@ -54,7 +54,8 @@ class Record:
     @property
     def is_time(self) -> bool:
         """Whether this is a stamp or a duration: delivered as one number of nanoseconds."""
-        return self.name in TIMES
+        parts = tuple(self.fields.values())
+        return self.name in TIMES and len(parts) == 2 and all(isinstance(part, Scalar) for part in parts)
 
 
 Node = Scalar | Text | Many | Record

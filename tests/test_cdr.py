@@ -15,7 +15,7 @@ from rosbags.serde.errors import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from locfuse.formats.cdr import Decoder
-from locfuse.formats.fields import FieldError, paths, resolve
+from locfuse.formats.fields import FieldError, paths, resolve, stamp_path
 from locfuse.formats.layout import MAX_ITEMS
 from locfuse.formats.messages import Decoded
 from locfuse.formats.schema import SchemaError, message_type, parse
@@ -396,6 +396,14 @@ def test_a_definition_that_cannot_be_used_says_why_in_one_line(text: str, says: 
         parse("t/Top", "ros2msg", text)
     assert "\n" not in str(raised.value)
     assert len(str(raised.value)) < 120
+
+
+def test_a_stamp_that_is_no_pair_of_numbers_dates_nothing() -> None:
+    rule = "=" * 80 + "\n"
+    header = f"std_msgs/Header header\n{rule}MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\n"
+    for seconds, path in (("int32", "header.stamp"), ("string", None)):
+        text = f"{header}{rule}MSG: builtin_interfaces/Time\n{seconds} sec\nuint32 nanosec\n"
+        assert stamp_path(parse("a/msg/B", "ros2msg", text)) == path
 
 
 @pytest.mark.parametrize("spelling", ["sensor_msgs/msg/Imu", "sensor_msgs/Imu", "sensor_msgs::msg::Imu"])

@@ -18,6 +18,12 @@ class SensorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     gate: float = 0.9999  # confidence of the chi-square gate: one good reading in 10 000 is lost; 1 accepts all
     outliers: Literal["reject", "inflate"] = "reject"  # beyond the gate: refused, or R grown until they fit
 
+    def __post_init__(self) -> None:
+        """Refuse a sensor without noise: P would be singular, and rounding makes that worse than singular."""
+        for key in ("sigma", "sigma_deg"):
+            if getattr(self, key, 1.0) <= 0.0:
+                raise ValueError(f"{key} = {getattr(self, key)}: no sensor is exact, it must be positive")
+
 
 class WheelMotion(Protocol):
     """Relative motion of the robot by its wheels: all that `measure` may know of where the robot is."""

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from .exports import export_option
 from .options import LogOptions, chosen, log_options, out_options, preset_option, smooth_option
 from .rerun_options import RerunOptions, record, rerun_options
 
@@ -55,6 +56,7 @@ KINDS = ("html", "md", "json", "tum", "csv", "tex")
 @log_options
 @preset_option
 @out_options(KINDS)
+@export_option
 @rerun_options
 def compare(
     log: tuple[str, ...],
@@ -71,6 +73,7 @@ def compare(
     overwrite: bool,
     write: str | None,
     as_json: bool,
+    export: set[str],
     rerun: RerunOptions,
 ) -> int:
     """Say what each sensor of LOG bought: all configurations in one pass, and a report.
@@ -88,7 +91,7 @@ def compare(
     """
     from ..formats import report_json
     from ..formats.outdir import write_results
-    from . import configurations, gates, outputs, results, show
+    from . import configurations, exports, gates, outputs, results, show
     from .comparison import compare_log, report_of
     from .load import find_log, load
 
@@ -107,6 +110,7 @@ def compare(
         report = report_of(compared)
         progress("writing")
         files = outputs.files(compared, report, kinds)
+        files |= exports.files(export, loaded, {e.name: e for e in compared.estimates})
         folder = out or results.default_folder(loaded.log.name)
         write_results(folder, files, overwrite)
         if figures is not None:

@@ -13,13 +13,14 @@ from .comparison import Compared
 
 if TYPE_CHECKING:
     from ..formats.figures import Scene
+    from ..formats.outdir import Content
 
 
-def files(compared: Compared, report: Mapping[str, Any], kinds: Collection[str]) -> dict[str, str | bytes]:
+def files(compared: Compared, report: Mapping[str, Any], kinds: Collection[str]) -> dict[str, Content]:
     """Return the content of every file of these kinds by its name."""
     from ..formats import report_json, report_md, report_tables
 
-    out: dict[str, str | bytes] = {"robot.toml": results.robot_file(compared.loaded.robot)}
+    out: dict[str, Content] = {"robot.toml": results.robot_file(compared.loaded.robot)}
     if "tum" in kinds:
         out |= trajectories(compared)
     if "html" in kinds:

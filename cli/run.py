@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from .exports import export_option
 from .map_options import MapOptions, map_options
 from .options import LogOptions, chosen, log_options, out_options, preset_option, smooth_option
 from .rerun_options import RerunOptions, record, rerun_options
@@ -37,6 +38,7 @@ KINDS = ("tum", "csv", "json")
 @log_options
 @preset_option
 @out_options(KINDS)
+@export_option
 @map_options
 @rerun_options
 def run(
@@ -50,6 +52,7 @@ def run(
     overwrite: bool,
     write: str | None,
     as_json: bool,
+    export: set[str],
     maps: MapOptions,
     rerun: RerunOptions,
 ) -> int:
@@ -63,10 +66,10 @@ def run(
     """
     from ..formats import report_json, trajectory
     from ..formats.audit_csv import audit_csv
-    from ..formats.outdir import whole_file, write_results
+    from ..formats.outdir import Content, whole_file, write_results
     from ..fusion.consistency import Run
     from ..fusion.evaluate import evaluate
-    from . import configurations, results, show
+    from . import configurations, exports, results, show
     from .load import find_log, load
     from .trust import add_consistency
 
@@ -82,12 +85,14 @@ def run(
         report = results.build(loaded, judged)
         add_consistency(report, [Run(configuration.drive(drive), found[0])], judged, robot)
         progress("writing")
-        files: dict[str, str] = {"robot.toml": results.robot_file(robot)}
-        for name, estimates in zip(("trajectory", "smoothed"), found, strict=False):
+        files: dict[str, Content] = {"robot.toml": results.robot_file(robot)}
+        named = dict(zip(("trajectory", "smoothed"), found, strict=False))
+        for name, estimates in named.items():
             if "tum" in kinds:
                 files[f"{name}.tum"] = trajectory.estimates_tum(drive, estimates)
             if "csv" in kinds:
                 files[f"{name}.csv"] = trajectory.estimates_csv(drive, estimates)
+        files |= exports.files(export, loaded, named)
         if "json" in kinds:
             files["run.json"] = report_json.encode(report)
         folder = out or results.default_folder(loaded.log.name)

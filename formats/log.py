@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..fusion.data import Ints, LocfuseError, UsageError
 from . import clock as clocks
@@ -18,7 +19,7 @@ from .log_files import log_files, log_name, open_source
 from .losses import Losses
 from .packed import unpack
 from .schema import SchemaError
-from .source import Source
+from .source import ChannelInfo, Messages, Source
 from .stream import LogStream
 from .table import Raw, Table, dated, digest
 from .topics import Topic, by_topic
@@ -160,6 +161,16 @@ class Log:
                     topic, decoder = wanted[ident]
                     for data, unpacked in unpack(batch.data, messages):
                         yield topic, dated(Raw(data, unpacked, decoder))
+
+    def messages(self) -> Iterator[list[tuple[ChannelInfo, NDArray[np.uint8], Messages]]]:
+        """Yield all messages as they lie in the files, whether or not they can be read, batch by batch."""
+        for source in self._sources:
+            for batch in source.batches(source.channels.keys()):
+                yield [
+                    (source.channels[ident], data, unpacked)
+                    for ident, messages in batch.messages.items()
+                    for data, unpacked in unpack(batch.data, messages)
+                ]
 
     def raw(self, topic: str, fields: Sequence[str]) -> Iterator[Raw]:
         """Yield the messages of one topic, of which `fields` will be asked, batch by batch."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
@@ -17,9 +17,10 @@ from ..fusion.data import LocfuseError
 
 RESULTS = ("run.json", "report.json", "summary.json", "changes.json")
 TEMPORARY = ".locfuse-tmp"  # ending of files that are being written
+Content = str | bytes | Callable[[Path], None]  # what is too big to be held writes itself to a path
 
 
-def write_results(folder: Path, files: Mapping[str, str | bytes], overwrite: bool = False) -> None:
+def write_results(folder: Path, files: Mapping[str, Content], overwrite: bool = False) -> None:
     """Write files into `folder`, replacing a locfuse result there; another non-empty folder is refused."""
     created = _prepare(folder, overwrite)
     names = sorted(files, key=lambda name: (name.endswith(".json"), name))
@@ -53,15 +54,15 @@ def whole_file(path: Path) -> Iterator[Path]:
         _remove(temporary)
 
 
-def _write_all(folder: Path, files: Mapping[str, str | bytes]) -> None:
+def _write_all(folder: Path, files: Mapping[str, Content]) -> None:
     temporary = {name: _temporary(folder / name) for name in files}
     try:
         for name, content in files.items():
-            data = content.encode() if isinstance(content, str) else content
-            with temporary[name].open("wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
+            if callable(content):
+                content(temporary[name])
+            else:
+                temporary[name].write_bytes(content.encode() if isinstance(content, str) else content)
+            _sync(temporary[name])
         for name in files:
             temporary[name].replace(folder / name)
         _sync(folder)

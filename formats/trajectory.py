@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
 
 from ..fusion.data import Array, Drive, Estimates, Ints, Truth
 
+SIX = (0, 1, 5)  # where x, y, theta stand among x, y, z, roll, pitch, yaw
+TRIANGLE = [(i, j) for i in range(6) for j in range(i, 6)]
+TUM_COVARIANCE_HEADER = "# t x y z qx qy qz qw, then P by rows, upper triangle: " + " ".join(
+    f"P_{i}_{j}" for i, j in itertools.combinations_with_replacement(("x", "y", "z", "roll", "pitch", "yaw"), 2)
+)
 CSV_HEADER = "t,x,y,theta,P_xx,P_xy,P_xt,P_yy,P_yt,P_tt"
 
 
@@ -54,6 +60,37 @@ def estimates_tum(drive: Drive, estimates: Estimates) -> str:
     """Return one configuration's trajectory in TUM format."""
     t, pose, _ = with_truth_rows(drive, estimates)
     return tum(drive.epoch_ns, t, pose[:, :2], pose[:, 2])
+
+
+def estimates_tum_covariance(drive: Drive, estimates: Estimates) -> str:
+    """Return the trajectory in TUM format with 21 more columns: the upper triangle of the 6 x 6 pose covariance.
+
+    Rows and columns are x, y, z, roll, pitch, yaw, as in geometry_msgs/PoseWithCovariance; line 1 says so.
+    """
+    _, _, P = with_truth_rows(drive, estimates)
+    upper = np.zeros((len(P), len(TRIANGLE)))
+    for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
+        upper[:, TRIANGLE.index((SIX[i], SIX[j]))] = P[:, i, j]
+    rows = estimates_tum(drive, estimates).splitlines()
+    lines = [f"{row} {' '.join(map(repr, values))}" for row, values in zip(rows, upper.tolist(), strict=True)]
+    return "\n".join((TUM_COVARIANCE_HEADER, *lines)) + "\n"
+
+
+def estimates_kitti(drive: Drive, estimates: Estimates) -> str:
+    """Return the trajectory in KITTI format: rows 1 to 3 of T_map_base in 12 numbers a line, without stamps."""
+    _, pose, _ = with_truth_rows(drive, estimates)
+    c, s = np.cos(pose[:, 2]).tolist(), np.sin(pose[:, 2]).tolist()
+    lines = [
+        f"{c!r} {-s!r} 0 {x!r} {s!r} {c!r} 0 {y!r} 0 0 1 0"
+        for c, s, (x, y) in zip(c, s, pose[:, :2].tolist(), strict=True)
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def kitti_times(drive: Drive, estimates: Estimates) -> str:
+    """Return the stamp of every line of the KITTI file."""
+    t, _, _ = with_truth_rows(drive, estimates)
+    return "".join(f"{seconds(s)}\n" for s in stamps(drive.epoch_ns, t))
 
 
 def truth_tum(drive: Drive, truth: Truth) -> str:

@@ -1,0 +1,97 @@
+"""--export: results in the formats of other tools."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+if TYPE_CHECKING:
+    from ..formats.outdir import Content
+    from ..fusion.data import Array, Drive, Estimates
+    from .load import Loaded
+
+F = TypeVar("F", bound=Callable[..., Any])
+KINDS = {
+    "mcap": "estimates.mcap for Foxglove and rosbag2: Odometry with covariance, Path, /tf, truth",
+    "log": "the same with every message of the log beside them",
+    "kitti": "12 numbers a line, stamps in a file beside it",
+    "tum": "",
+    "tum-cov": "TUM and the upper triangle of the 6 x 6 covariance",
+    "csv": "with covariance",
+}
+MCAP = "estimates.mcap"
+TWO_CLOCKS = 1.0  # s between stamps and recording: more is another clock, in which players live
+
+
+def export_option(command: F) -> F:
+    """Add --export; the command receives `export: set[str]`."""
+    words = "; ".join(f"{kind} ({what})" if what else kind for kind, what in KINDS.items())
+    option = click.option(
+        "--export",
+        callback=lambda context, parameter, value: parse(value),
+        metavar="KINDS",
+        help=f"Comma-separated formats of other tools to write as well: {words}.",
+    )
+    return option(command)
+
+
+def parse(words: str | None) -> set[str]:
+    """Return the kinds that --export names. Raises click.UsageError for an unknown one."""
+    names = {name.strip() for name in (words or "").split(",") if name.strip()}
+    if unknown := sorted(names - KINDS.keys()):
+        raise click.UsageError(f"--export: unknown format {unknown[0]!r}; choose from {', '.join(KINDS)}")
+    return names
+
+
+def files(kinds: Collection[str], loaded: Loaded, found: Mapping[str, Estimates]) -> dict[str, Content]:
+    """Return the files of these kinds; `found` gives each trajectory the name of its files."""
+    from ..formats import trajectory as to
+
+    out: dict[str, Content] = {}
+    writers: dict[str, dict[str, Callable[[Drive, Estimates], str]]] = {
+        "kitti": {"_kitti.txt": to.estimates_kitti, "_kitti_times.txt": to.kitti_times},
+        "tum": {".tum": to.estimates_tum},
+        "tum-cov": {"_cov.tum": to.estimates_tum_covariance},
+        "csv": {".csv": to.estimates_csv},
+    }
+    for kind, endings in writers.items():
+        if kind in kinds:
+            out |= {f"{n}{end}": w(loaded.drive, e) for n, e in found.items() for end, w in endings.items()}
+    if {"mcap", "log"} & set(kinds):
+        out[MCAP] = _mcap(loaded, found, "log" in kinds)
+    return out
+
+
+def _mcap(loaded: Loaded, found: Mapping[str, Estimates], with_log: bool) -> Callable[[Any], None]:
+    from ..formats.estimates_mcap import Export
+    from .results import robot_file
+
+    drive, robot = loaded.drive, loaded.robot
+    export = Export(
+        drive=drive,
+        estimates=tuple(found.values()),
+        twist=_twist(drive),
+        robot_toml=robot_file(robot).encode(),
+        clock_ns=_other_clock(loaded),
+        log=loaded.log if with_log else None,
+    )
+    return export.write
+
+
+def _twist(drive: Drive) -> Array:
+    """Return the mean body twist (n, 3) by the wheels over the interval that ends at each instant."""
+    import numpy as np
+
+    from ..fusion import se2
+
+    dt = np.diff(drive.t, prepend=drive.t[0])
+    twist: Array = se2.log(drive.motions.u) / np.where(dt > 0.0, dt, np.inf)[:, None]
+    return twist
+
+
+def _other_clock(loaded: Loaded) -> int:
+    """Return by how much the recording's clock runs ahead of the stamps, 0 for one clock [ns]."""
+    delay = loaded.log.stream(loaded.choice.topics["wheels"], loaded.robot.order).delay_s or 0.0
+    return round(delay * 1e9) if abs(delay) > TWO_CLOCKS else 0

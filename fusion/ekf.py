@@ -256,6 +256,10 @@ class JointBelief:
         self._P[where, where] = 0.5 * (own + own.T)
         return int(where.start)
 
+    def loosen(self, columns: Ints, variance: Array) -> None:
+        """Add independent variance (k,) to distinct states: they are not quite what they were."""
+        self._P[columns, columns] += variance
+
     def remove(self, columns: Ints) -> None:
         """Drop state columns that belong to no named block (map lines that proved worthless)."""
         keep = np.setdiff1d(np.arange(self.n), columns)

@@ -153,6 +153,15 @@ class NotedJoint(JointBelief):
         none = np.zeros((len(columns), len(columns)))
         self.events.append(Step(np.asarray(columns), before - back @ self.state, back, none, instant=False))
 
+    def loosen(self, columns: Ints, variance: Array) -> None:
+        """Loosen as ever, and note how to go back."""
+        x, P = self.state.copy(), self.covariance.copy()
+        super().loosen(columns, variance)
+        step = undone(
+            x, P, x, self.covariance, np.concatenate((POSE, columns)), np.diag(np.append(np.zeros(3), variance))
+        )
+        self.events.append(step._replace(instant=False))
+
     def augment(self, values: Array, G: Array, noise: Array, columns: Sequence[int] = ()) -> int:
         """Append states as ever, and note that they are new."""
         self.events.append(Birth(self.n))

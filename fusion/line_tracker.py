@@ -19,6 +19,7 @@ from .map_keeping import LEAST_HITS, merge_doubles, prune
 from .recovery import Guard
 from .sensors.base import Block, Innovation, Model
 from .sensors.mount import Mount
+from .wall_floor import bend
 
 UNMATCHED, AMBIGUOUS, NEW, LOST = (VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new", "lost"))
 TIDY_EVERY = 10  # scans
@@ -136,6 +137,9 @@ class LineTracker(Model):
                 self._add(scan, k, belief)
             self._first_map = self._first_map or self.map.lines(belief)
             return
+        uneven = m.extra["uneven"][first] if "uneven" in m.extra else np.zeros(2)
+        if uneven.any() and isinstance(belief, JointBelief):
+            self._bend(found, bend(uneven), belief)
         for k, p in enumerate(found.match):
             if p >= 0:
                 self._extend(int(found.pairs.which[p]), float(found.pairs.lo[p]), float(found.pairs.hi[p]))
@@ -143,7 +147,13 @@ class LineTracker(Model):
                 self._add(scan, k, belief)
         if self.mode == "grow" and self._scan % TIDY_EVERY == 0 and isinstance(belief, JointBelief):
             prune(self.map, belief, self._scan)
-            merge_doubles(self.map, belief, self._scan)
+            merge_doubles(self.map, belief, self._scan, uneven)
+
+    def _bend(self, found: Association, variance: Array, belief: JointBelief) -> None:
+        """Loosen the lines that were seen: of a wall that is not flat another part is seen next (wall_floor)."""
+        seen = np.unique(self.map.column[found.pairs.which[[p for p in found.match if p >= 0]]])
+        if self.mode != "consider" and len(seen):
+            belief.loosen(np.concatenate((seen, seen + 1)), np.repeat(variance, len(seen)))
 
     def _scan_of(self, m: Measurements, first: int, last: int, belief: Any) -> Scan:
         """Return rows first:last as one scan, put into the base by the mount as the belief has it."""

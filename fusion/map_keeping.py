@@ -20,7 +20,7 @@ PATIENCE = 15  # scans after its birth in which a line must earn its hits
 DOUBLE_ANGLE, DOUBLE_OFFSET = math.radians(8.0), 0.25  # further apart is two walls, whatever the covariance says
 APART = 0.3  # m along the wall between two pieces that may still be one
 DOUBLE_D2 = 9.2  # chi-square with 2 degrees of freedom at 99 %
-FLATNESS, FLATNESS_ANGLE = 0.005, math.radians(0.2)  # how well two pieces of one real wall agree
+FLAT = np.array([0.005, math.radians(0.2)])  # m, rad: how well two pieces of one flat wall agree
 
 
 def prune(lines: LineMap, belief: JointBelief, scan: int) -> None:
@@ -30,17 +30,21 @@ def prune(lines: LineMap, belief: JointBelief, scan: int) -> None:
         belief.remove(lines.drop(gone))
 
 
-def merge_doubles(lines: LineMap, belief: JointBelief, scan: int) -> None:
-    """Join recently seen lines with any line that is statistically the same wall, facing the same way."""
+def merge_doubles(lines: LineMap, belief: JointBelief, scan: int, uneven: Array) -> None:
+    """Join recently seen lines with any line that is statistically the same wall, facing the same way.
+
+    `uneven` (2,) is the variance [m^2, rad^2] by which a piece of wall is off its line: two pieces differ by both.
+    """
+    R = np.diag(np.maximum(FLAT**2, 2.0 * uneven))
     for j in np.flatnonzero(scan - lines.seen <= PATIENCE)[::-1].tolist():
         if j >= len(lines):
             continue
-        i = _double_of(lines, belief, j)
+        i = _double_of(lines, belief, j, R)
         if i is not None:
-            _join(lines, belief, *sorted((i, j)))
+            _join(lines, belief, min(i, j), max(i, j), R)
 
 
-def _double_of(lines: LineMap, belief: JointBelief, j: int) -> int | None:
+def _double_of(lines: LineMap, belief: JointBelief, j: int, R: Array) -> int | None:
     """Return the line that is most clearly the same wall as line j, None where there is none."""
     values = lines.values(belief)
     turn = np.abs((values[:, 1] - values[j, 1] + math.pi) % (2.0 * math.pi) - math.pi)
@@ -51,7 +55,7 @@ def _double_of(lines: LineMap, belief: JointBelief, j: int) -> int | None:
         y, H, lo, hi = _difference(lines, values, i, j)
         if abs(y[0]) > DOUBLE_OFFSET or min(lines.hi[i], hi) - max(lines.lo[i], lo) < -APART:
             continue
-        S = H @ _joint(lines, belief, i, j) @ H.T + np.diag([FLATNESS**2, FLATNESS_ANGLE**2])
+        S = H @ _joint(lines, belief, i, j) @ H.T + R
         d2 = float(y @ np.linalg.solve(S, y))
         if d2 < best:
             best, found = d2, i
@@ -81,15 +85,15 @@ def _joint(lines: LineMap, belief: JointBelief, i: int, j: int) -> Array:
     return P
 
 
-def _join(lines: LineMap, belief: JointBelief, i: int, j: int) -> None:
+def _join(lines: LineMap, belief: JointBelief, i: int, j: int, R: Array) -> None:
     """Measure that lines i and j are equal, then keep i with the extent of both."""
     y, H, lo, hi = _difference(lines, lines.values(belief), i, j)
     columns = tuple(int(c) for c in _columns(lines, i, j))
     zero = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    R = ((FLATNESS**2, 0.0), (0.0, FLATNESS_ANGLE**2))
     rows = tuple(tuple(float(v) for v in row) for row in H)
+    noise = tuple(map(tuple, R.tolist()))
     innovation = (float(y[0]), float(y[1]))
-    belief.correct([Innovation(-1, 0, -1, 0.0, 0.0, innovation, innovation, zero, R, columns, rows)])
+    belief.correct([Innovation(-1, 0, -1, 0.0, 0.0, innovation, innovation, zero, noise, columns, rows)])
     lines.lo[i], lines.hi[i] = min(lines.lo[i], lo), max(lines.hi[i], hi)
     lines.hits[i] += lines.hits[j]
     lines.seen[i] = max(lines.seen[i], lines.seen[j])

@@ -55,6 +55,13 @@ class Change(NamedTuple):
     noise: Array  # (n after, n after)
 
 
+class Loosen(NamedTuple):
+    """States became less certain."""
+
+    columns: Ints  # (k,)
+    variance: Array  # (k,)
+
+
 @dataclass
 class Tape:
     """The recorded run."""
@@ -62,7 +69,7 @@ class Tape:
     sensors: tuple[str, ...]
     P0: Array  # (n, n)
     t: Array  # (instants,) s
-    ops: list[Move | See | Change] = field(default_factory=list)
+    ops: list[Move | See | Change | Loosen] = field(default_factory=list)
     drifts: dict[str, tuple[Ints, Array]] = field(default_factory=dict)  # block -> columns, variance per s
     wheels: slice | None = None  # columns of the wheel parameters
 
@@ -165,6 +172,11 @@ class Taped(JointBelief):
         column = super().augment(values, G, noise, columns)
         self._note(np.eye(n + k, n), np.diag(np.concatenate((np.zeros(n), np.full(k, UNKNOWN)))))
         return column
+
+    def loosen(self, columns: Ints, variance: Array) -> None:
+        """Loosen as ever."""
+        super().loosen(columns, variance)
+        self.tape.ops.append(Loosen(columns, variance))
 
     def remove(self, columns: Ints) -> None:
         """Drop as ever."""

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .data import Array, Ints
-from .tape import Change, Move, See, Tape
+from .tape import Change, Loosen, Move, See, Tape
 
 
 class Noise(NamedTuple):
@@ -50,6 +50,8 @@ def play(tape: Tape, noise: Noise, bend: float = 0.0, until: float = math.inf) -
             scores.append(head.see(op)[:, None])
             instants.append(op.instant)
             numbers.append(int((op.sensor >= 0).sum()))
+        elif isinstance(op, Loosen):
+            head.P[:, op.columns, op.columns] += op.variance
         else:
             head.change(op)
     return Played(np.concatenate(scores, axis=1), np.array(instants, np.int64), np.array(numbers, np.int64))

@@ -41,6 +41,15 @@ def wall_floor(t: Array, first: Ints, z: Array, variance: Array, wheels: WheelMo
     return float(OFFSET_PER_ANGLE * floor), float(floor)
 
 
+def bend(uneven: Array) -> Array:
+    """Return by what variance (2,) a wall differs from one scan to the next, from that of its unevenness.
+
+    What is uneven about a wall repeats while the same part of it is seen, so it does not average out. As a random
+    walk of the line that explains the change over LAG scans, 2 `uneven`, it never does.
+    """
+    return 2.0 * uneven / LAG
+
+
 def _changes(t: Array, first: Ints, z: Array, variance: Array, wheels: WheelMotion) -> tuple[Array, Array]:
     """Return how the angle between two walls changed over LAG scans [rad], and its variance by the fits."""
     sure = variance < SURE**2

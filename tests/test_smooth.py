@@ -136,6 +136,19 @@ def test_smoothing_equals_a_filter_that_carries_all_its_past(case: str) -> None:
     assert np.abs(filtered.pose - pose).max() > 1e-4
 
 
+def test_walls_that_bend_are_smoothed_as_what_moves() -> None:
+    """Walls that are not flat loosen with every scan (wall_floor): the journal must undo that too."""
+    drive, robot = drive_of(World(seconds=6.0))
+    m = drive.measurements["lrf"]
+    uneven = replace(m, extra={**m.extra, "uneven": np.broadcast_to([1e-4, 7e-5], m.z.shape)})
+    bent = replace(drive, measurements={**drive.measurements, "lrf": uneven})
+    filtered, found = fuse_and_smooth(bent, robot, ["lrf"])
+    pose, P = remembered(bent, robot, ["lrf"])
+    np.testing.assert_allclose(found.pose, pose, atol=1e-9)
+    np.testing.assert_allclose(found.P, P, atol=1e-10, rtol=1e-5)
+    assert np.trace(filtered.P[-1]) > 1.2 * np.trace(fuse(drive, robot, ["lrf"]).P[-1])
+
+
 def test_lines_that_are_dropped_on_the_way_still_count_for_what_was_before() -> None:
     """Drops, births, slips, being carried off and corrections, straight on the beliefs."""
     rng = np.random.default_rng(4)
@@ -327,7 +340,7 @@ def test_the_last_instant_is_not_changed() -> None:
 
 def test_every_way_to_change_a_belief_is_noted_or_needs_no_note() -> None:
     """A new method of JointBelief that moves P must be thought about in the journal."""
-    known = {"predict", "augment", "remove", "shift", "place", "clone_heading", "transform"}
+    known = {"predict", "augment", "remove", "shift", "place", "clone_heading", "transform", "loosen"}
     known |= {"correct", "consider", "listen", "add", "drive_with"}  # knowledge only, or before the first motion
     reading = {"x", "y", "theta", "state", "covariance", "matrix", "block", "variances", "has", "spread"}
     public = {name for name in vars(JointBelief) if not name.startswith("_")}

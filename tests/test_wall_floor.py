@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from locfuse.fusion.se2 import wrap_all
-from locfuse.fusion.wall_floor import wall_floor
+from locfuse.fusion.wall_floor import LAG, bend, wall_floor
 
 Array = NDArray[np.float64]
 FIT = math.radians(0.2)
@@ -50,3 +50,10 @@ def test_flat_walls_ask_for_no_floor(seed: int) -> None:
 def test_too_few_walls_say_nothing() -> None:
     assert corridor(math.radians(1.0), 0, scans=100) == (0.0, 0.0)
     assert corridor(math.radians(1.0), 0, scans=5) == (0.0, 0.0)
+
+
+def test_a_line_that_bends_changes_over_the_lag_as_the_walls_did() -> None:
+    """Two readings of a wall with unevenness u differ by 2 u; a random walk must get there in LAG steps."""
+    uneven = np.array([1e-4, 7e-5])
+    steps = np.random.default_rng(0).normal(size=(4000, LAG, 2)) * np.sqrt(bend(uneven))
+    assert steps.sum(axis=1).var(axis=0) == pytest.approx(2.0 * uneven, rel=0.1)

@@ -75,9 +75,13 @@ class Lrf:
                 lines, t[at] = lines_in_base(scans, stamps[at], laser, wheels)
                 parts.append((at, lines))
         first, z, R_unit, ends = in_order(parts, len(t))
-        floor = np.diag(np.square(floors(settings, t, first, z, R_unit, wheels)))
+        uneven = unevenness(settings, t, first, z, R_unit, wheels)
+        floor = np.maximum(uneven, np.square((settings.floor_range, math.radians(settings.floor_angle_deg))))
+        extra = {"ends": ends}
+        if uneven.any():
+            extra["uneven"] = np.broadcast_to(uneven, z.shape)  # m^2, rad^2
         dropped = {**stream.dropped, **({"too_many_beams": giants} if giants else {})}
-        return Measurements(t, first, z, R_unit, settings.sigma_range, floor, {"ends": ends}, dropped)
+        return Measurements(t, first, z, R_unit, settings.sigma_range, np.diag(floor), extra, dropped)
 
     def heading(self, m: Measurements) -> tuple[Array, Array]:
         """Return times (n,) and headings (n,) [rad, unwrapped, up to a constant] by lines from scan to scan."""
@@ -88,14 +92,13 @@ class Lrf:
         return LineTracker(settings.map, settings.gate, settings.recover, Mount(self.name, settings))
 
 
-def floors(
+def unevenness(
     settings: LrfSettings, t: Array, first: Ints, z: Array, R_unit: Array, wheels: WheelMotion
-) -> tuple[float, float]:
-    """Return the standard deviations of r [m] and psi [rad] below which no line is known."""
-    r, psi = 0.0, 0.0
-    if settings.walls == "found":
-        r, psi = wall_floor(t, first, z, settings.sigma_range**2 * R_unit[:, 1, 1], wheels)
-    return max(settings.floor_range, r), max(math.radians(settings.floor_angle_deg), psi)
+) -> Array:
+    """Return the variances (2,) of r [m^2] and psi [rad^2] that walls owe to not being flat; 0 where they are."""
+    if settings.walls == "flat":
+        return np.zeros(2)
+    return np.square(wall_floor(t, first, z, settings.sigma_range**2 * R_unit[:, 1, 1], wheels))
 
 
 def laser_of(settings: LrfSettings) -> Laser:

@@ -7,6 +7,8 @@ second are correlated, so that constant offsets and a wrong track (a scale) do n
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +18,9 @@ from .sensors.base import WheelMotion
 
 WINDOW = 1.0  # s over which turning is compared
 LONGEST = 1.5  # s
+SHARP = (
+    0.5  # s: once found, over less: slips are white, and what is summed longer blurs the lag (8 instead of 13 ms)
+)
 COARSE, STEP = 0.05, 0.01  # s: correlations over a whole window are smooth, so the best is near the coarse best
 WORTH_SAYING = 0.04  # s
 LEAST_TURN = math.radians(3.0)  # rms turn per window below which there is nothing to correlate
@@ -37,28 +42,42 @@ def find_lag(t: Array, heading: Array, wheels: WheelMotion, span: tuple[float, f
     """
     ok = np.isfinite(heading)
     t, heading = t[ok], heading[ok]
-    inside = (t >= span[0] + LONGEST) & (t <= span[1] - LONGEST - WINDOW)
-    start = t[inside]
+    start = t[(t >= span[0] + LONGEST) & (t <= span[1] - LONGEST - WINDOW)]
     if len(start) < 20:
         return None
-    end = np.interp(start + WINDOW, t, t)
-    own = np.interp(end, t, heading) - heading[inside]
-    if math.sqrt(float((own**2).mean())) < LEAST_TURN:
-        return None
 
-    def scores(lags: Array) -> Array:
-        shifted = lags[:, None]
+    def scores(lags: Array, window: float = WINDOW) -> Array:
+        end = np.minimum(start + window, t[-1])
+        own, shifted = np.interp(end, t, heading) - np.interp(start, t, heading), lags[:, None]
         return _correlations(own, wheels.heading(end + shifted) - wheels.heading(start + shifted))
 
-    coarse = np.arange(-LONGEST, LONGEST + COARSE / 2, COARSE)
-    middle = coarse[np.argmax(scores(coarse))]
-    fine = middle + np.arange(-COARSE, COARSE + STEP / 2, STEP)
-    score = scores(fine)
-    best = int(np.argmax(score))
-    if score[best] <= LEAST_CORRELATION or abs(middle) > LONGEST - COARSE / 2 or best in (0, len(fine) - 1):
+    if _turned(t, heading, start) < LEAST_TURN:
         return None
-    offset = float(fine[best]) + STEP * _vertex(*score[best - 1 : best + 2].tolist())
-    return Lag(offset, float(score[best]), float(scores(np.zeros(1))[0]))
+    coarse = np.arange(-LONGEST, LONGEST + COARSE / 2, COARSE)
+    middle = float(coarse[np.argmax(scores(coarse))])
+    found = _peak(middle, scores)
+    if found is None or abs(middle) > LONGEST - COARSE / 2:
+        return None
+    sharp = _peak(found, partial(scores, window=SHARP))
+    offset = found if sharp is None else sharp
+    at, zero = scores(np.array([offset, 0.0])).tolist()
+    return Lag(offset, at, zero)
+
+
+def _turned(t: Array, heading: Array, start: Array) -> float:
+    """Return the rms turn over a window [rad]."""
+    own = np.interp(start + WINDOW, t, heading) - np.interp(start, t, heading)
+    return math.sqrt(float((own**2).mean()))
+
+
+def _peak(middle: float, scores: Callable[[Array], Array]) -> float | None:
+    """Return where correlation is best within COARSE of `middle` [s]; None where it is poor or rises further."""
+    lags = middle + np.arange(-COARSE, COARSE + STEP / 2, STEP)
+    score = scores(lags)
+    best = int(np.argmax(score))
+    if score[best] <= LEAST_CORRELATION or best in (0, len(lags) - 1):
+        return None
+    return float(lags[best]) + STEP * _vertex(*score[best - 1 : best + 2].tolist())
 
 
 def _correlations(a: Array, b: Array) -> Array:

@@ -1,0 +1,79 @@
+"""What a page tells people to type exists: commands, their options, keys of robot.toml, benchmarks."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import msgspec
+import pytest
+
+from locfuse.cli.load import TABLES
+from locfuse.cli.main import COMMANDS, locfuse
+from locfuse.sample_logs.scenario import Scenario
+
+ROOT = Path(__file__).parent.parent
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+SCENARIO = {f.name: getattr(f.type, "__struct_fields__", ()) for f in msgspec.structs.fields(Scenario)}
+KEYS = {name: {*table.__struct_fields__, *SCENARIO.get(name, ())} for name, table in TABLES.items()}
+OPTION = re.compile(r"(?<![\w-])(--?[a-z][a-z-]*)")
+
+
+def typed(page: Path, what: str) -> Iterator[str]:
+    """Lines to type that begin with `what`, and the same in backticks, without comments."""
+    for line in page.read_text(encoding="utf-8").splitlines():
+        plain = re.match(rf"(?: {{4}}|\$ )\s*(?:\w+=\S+ )*({what} .*)", line)
+        for found in [plain[1]] if plain else re.findall(rf"`({what} [^`]+)`", line):
+            yield found.split(" #")[0].split(" > ")[0]
+
+
+def options(command: click.Command) -> set[str]:
+    return {o for p in command.params for o in (*p.opts, *p.secondary_opts)} | {"-h", "--help"}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_every_command_and_its_options_exist(page: Path) -> None:
+    with click.Context(locfuse) as context:
+        for line in typed(page, "locfuse"):
+            name = line.split()[1]
+            if not name.isalpha() or name.isupper():
+                continue  # locfuse --help
+            assert name in COMMANDS, line
+            command = locfuse.get_command(context, name)
+            assert command is not None
+            assert set(OPTION.findall(line)) <= options(command), line
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_every_key_of_robot_toml_exists(page: Path) -> None:
+    """`table.key` in backticks and after --set, of a robot.toml or a scenario."""
+    text = page.read_text(encoding="utf-8")
+    named = re.findall(rf"(?:`|--set[ =])({'|'.join(KEYS)})\.([a-z_]+)(?![.\w])", text)
+    assert {
+        f"{table}.{key}" for table, key in named if key not in KEYS[table] and key not in {"py", "md"}
+    } == set()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_every_benchmark_and_its_options_exist(page: Path) -> None:
+    for line in typed(page, "python -m"):
+        module = line.split()[2].split(".")
+        if module[0] != "benchmarks":
+            continue
+        file = ROOT.joinpath(*module).with_suffix(".py")
+        source = (file if len(module) > 1 else ROOT / "benchmarks" / "__main__.py").read_text(encoding="utf-8")
+        for option in OPTION.findall(line.split("python -m", 1)[1][3:]):
+            assert f'"{option}' in source or f"/{option}" in source, line
+
+
+def test_the_page_on_trust_lists_every_verdict() -> None:
+    from typing import get_args
+
+    from locfuse.fusion.cures import Verdict
+    from locfuse.fusion.data import VERDICTS
+
+    page = (ROOT / "docs" / "trust.md").read_text(encoding="utf-8")
+    rows = "\n".join(line.split("|")[1] for line in page.splitlines() if line.startswith("|"))
+    assert {v for v in (*get_args(Verdict), *VERDICTS) if f"`{v}`" not in rows} == set()

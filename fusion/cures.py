@@ -154,7 +154,8 @@ def wanders(sensor: str, o: Own) -> Finding:
     words = (
         f"{sensor} innovations repeat from reading to reading ({o.whiteness[0]:.0%}, NIS {o.nis:.1f}): the "
         "motion is less certain than wheels.noise says, or its errors are systematic (wheels.track, "
-        f"{sensor}.time_offset, its mount, a metre that differs): see the notes, locfuse calibrate, then locfuse tune"
+        f"{sensor}.time_offset, its mount, a metre that differs): see the notes, locfuse calibrate, then "
+        "locfuse tune"
     )
     return Finding("correlated", words)
 

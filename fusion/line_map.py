@@ -30,6 +30,19 @@ class Prediction(NamedTuple):
     spread: Array  # (k, 2, 2) H P H', and the map's covariance where the map is not a state
 
 
+class PlainLine(NamedTuple):
+    """One line in plain floats."""
+
+    rho: float
+    beta: float
+    cos: float
+    sin: float
+    x: float  # m, anchor
+    y: float
+    P: tuple[float, float, float]  # covariance of (rho, beta): 00, 01, 11
+    column: int  # -1: frozen
+
+
 @dataclass
 class LineMap:
     """Lines as columns (J,); values of lines that are states live in the belief, at `column`."""
@@ -45,6 +58,7 @@ class LineMap:
     seen: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # number of the scan that last matched
     born: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     next_id: int = 0
+    _frozen: list[PlainLine] | None = None  # lines that are no states, kept until the map's size changes
 
     def __len__(self) -> int:
         """Return the number of lines."""
@@ -64,11 +78,29 @@ class LineMap:
         P: Array = belief.covariance[at[:, :, None], at[:, None, :]]
         return P
 
+    def plain(self, belief: AnyBelief) -> list[PlainLine]:
+        """Return every line in plain floats."""
+        if self._frozen is not None:
+            return self._frozen
+        lines = [
+            PlainLine(rho, beta, math.cos(beta), math.sin(beta), x, y, (m00, m01, m11), column)
+            for (rho, beta), ((m00, m01), (_, m11)), (x, y), column in zip(
+                self.values(belief).tolist(),
+                self.covariances(belief).tolist(),
+                self.anchor.tolist(),
+                self.column.tolist(),
+                strict=True,
+            )
+        ]
+        if lines and lines[0].column < 0:
+            self._frozen = lines
+        return lines
+
     def append(
         self, anchor: Array, value: Array, P: Array, column: int, ends: tuple[float, float], scan: int
     ) -> int:
         """Add one line and return its id."""
-        line, self.next_id = self.next_id, self.next_id + 1
+        line, self.next_id, self._frozen = self.next_id, self.next_id + 1, None
         self.ids = np.append(self.ids, line)
         self.anchor = np.vstack((self.anchor, anchor))
         self.lo, self.hi = np.append(self.lo, ends[0]), np.append(self.hi, ends[1])
@@ -80,6 +112,7 @@ class LineMap:
 
     def drop(self, gone: Ints) -> Ints:
         """Remove lines by position; return the state columns that they held."""
+        self._frozen = None
         keep = np.setdiff1d(np.arange(len(self)), gone)
         freed = self.column[gone]
         freed = np.sort(np.concatenate((freed[freed >= 0], freed[freed >= 0] + 1)))
@@ -99,9 +132,9 @@ class LineMap:
         P = belief.matrix()
         spread = _pose_spread(P, c, s)
         if isinstance(belief, PoseBelief) or len(columns) == 0 or columns[0] < 0:
-            spread += _line_spread(self.P[which], u)
+            spread += line_spread(self.P[which], u)
         else:
-            spread += _line_spread(self.covariances_of(which, belief), u)
+            spread += line_spread(self.covariances_of(which, belief), u)
             spread += _cross_spread(belief.covariance, columns, c, s, u)
         return Prediction(r, beta - belief.theta, c, s, u, spread)
 
@@ -145,7 +178,7 @@ def _pose_spread(P: Array, c: Array, s: Array) -> Array:
     return out
 
 
-def _line_spread(M: Array, u: Array) -> Array:
+def line_spread(M: Array, u: Array) -> Array:
     """H M H' for H = [[1, u], [0, 1]], (k, 2, 2)."""
     out = np.empty_like(M)
     cross = M[:, 0, 1] + u * M[:, 1, 1]

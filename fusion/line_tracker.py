@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from . import se2
-from .association import Association, Scan, associate
-from .data import VERDICTS, Array, LocfuseError, MapLine, Measurements
+from .association import Association, associate
+from .data import VERDICTS, LocfuseError, MapLine, Measurements
 from .ekf import JointBelief
 from .gates import chi_square
 from .laser_mount import seated
 from .line_map import AnyBelief, LineMap, about_middle
 from .map_keeping import LEAST_HITS, merge_doubles, prune
+from .pairing import Pair, Scan
 from .recovery import Guard
 from .sensors.base import Block, Innovation, Model
 from .sensors.mount import Mount
@@ -91,33 +92,25 @@ class LineTracker(Model):
                 grows = self.mode == "grow" and not found.near[k]
                 return _nothing(row, NEW if grows else UNMATCHED, self._gate)
             verdict = AMBIGUOUS if found.ambiguous[k] else UNMATCHED
-        pairs = found.pairs
-        which = int(pairs.which[p])
-        c, s, u = (float(a[p]) for a in (pairs.prediction.cos, pairs.prediction.sin, pairs.prediction.u))
-        (s00, _), (_, s11) = pairs.S[p].tolist()
-        (r00, r01), (_, r11) = scan.R[k].tolist()
-        r01 *= float(pairs.flip[p])
+        pair = found.pairs[p]
+        c, s, u, (r00, r01, r11) = pair.cos, pair.sin, pair.u, pair.R
         columns: tuple[int, ...] = ()
-        H_block: tuple[tuple[float, ...], ...] = ((), ())
-        column = int(self.map.column[which])
-        if column >= 0:
+        H_block: tuple[tuple[float, ...], ...] = ()
+        if self.joint:
+            column = int(self.map.column[pair.which])
             columns, H_block = (column, column + 1), ((1.0, u), (0.0, 1.0))
-        else:
-            (m00, m01), (_, m11) = self.map.P[which].tolist()
-            r00, r01, r11 = r00 + m00 + u * (2.0 * m01 + u * m11), r01 + m01 + u * m11, r11 + m11
         if scan.seat is not None:
-            psi = pairs.prediction.psi[p : p + 1] + pairs.y[p : p + 1, 1]
-            by_mount = scan.seat.derivative(psi)[0].tolist()
+            by_mount = scan.seat.derivative(np.array([pair.psi]))[0].tolist()
             columns += scan.seat.columns
-            H_block = ((*H_block[0], *by_mount[0]), (*H_block[1], *by_mount[1]))
+            H_block = tuple((*h, *m) for h, m in zip(H_block or ((), ()), by_mount, strict=True))
         return Innovation(
             row,
             verdict,
-            int(self.map.ids[which]),
-            float(pairs.d2[p]),
+            int(self.map.ids[pair.which]),
+            pair.d2,
             self._gate,
-            (float(pairs.y[p, 0]), float(pairs.y[p, 1])),
-            (math.sqrt(s00), math.sqrt(s11)),
+            pair.y,
+            (math.sqrt(pair.S[0]), math.sqrt(pair.S[2])),
             ((-c, -s, 0.0), (0.0, 0.0, -1.0)),
             ((r00, r01), (r01, r11)),
             columns,
@@ -142,7 +135,7 @@ class LineTracker(Model):
             self._bend(found, bend(uneven), belief)
         for k, p in enumerate(found.match):
             if p >= 0:
-                self._extend(int(found.pairs.which[p]), float(found.pairs.lo[p]), float(found.pairs.hi[p]))
+                self._extend(found.pairs[p])
             elif self.mode == "grow" and not found.near[k]:
                 self._add(scan, k, belief)
         if self.mode == "grow" and self._scan % TIDY_EVERY == 0 and isinstance(belief, JointBelief):
@@ -175,11 +168,12 @@ class LineTracker(Model):
         words = self.guard.words() if self.guard is not None else []
         return words + (self.mount.words(belief) if self.mount is not None else [])
 
-    def _extend(self, which: int, lo: float, hi: float) -> None:
-        self.map.lo[which] = min(self.map.lo[which], lo)
-        self.map.hi[which] = max(self.map.hi[which], hi)
-        self.map.hits[which] += 1
-        self.map.seen[which] = self._scan
+    def _extend(self, pair: Pair) -> None:
+        lines, j = self.map, pair.which
+        lines.lo[j] = min(lines.lo[j], pair.lo)
+        lines.hi[j] = max(lines.hi[j], pair.hi)
+        lines.hits[j] += 1
+        lines.seen[j] = self._scan
 
     def _add(self, scan: Scan, k: int, belief: AnyBelief) -> None:
         """New line from (r, psi), the inverse of LineMap.predict; its anchor is the middle of the segment."""
@@ -220,9 +214,9 @@ def _refuse_a_lone_match(found: Association) -> None:
     if len(matched) != 1 or len(found.match) == 1:
         return
     k = matched[0]
-    p = found.match[k]
-    y: Array = found.pairs.y[p]
-    if found.pairs.d2[p] > LONE_D2 or abs(y[1]) > LONE_ANGLE or abs(y[0]) > LONE_OFFSET:
+    pair = found.pairs[found.match[k]]
+    offset, turn = pair.y
+    if pair.d2 > LONE_D2 or abs(turn) > LONE_ANGLE or abs(offset) > LONE_OFFSET:
         found.match[k] = -1
         found.near[k] = True
 

@@ -15,10 +15,11 @@ from contextlib import contextmanager
 import numpy as np
 
 from . import se2
-from .association import Association, Scan, associate
+from .association import Association, associate
 from .data import Array, Ints
 from .ekf import Pose
 from .line_map import AnyBelief, LineMap
+from .pairing import Scan
 from .relocalise import find_pose, matched_share, seen_through
 
 ENOUGH = 0.5  # share of the seen length that must match in an ordinary scan

@@ -13,9 +13,10 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from .association import Association, Scan
+from .association import Association
 from .data import Array, Ints
 from .line_map import AnyBelief, LineMap
+from .pairing import Scan
 
 LONGEST = 5  # seen walls from which pairs are made
 KNOWN = 60  # map lines that are considered, the best seen first

@@ -10,7 +10,7 @@ import pytest
 from textbook import numeric_jacobian, wrap
 from worlds import ROOM, World
 
-from locfuse.fusion.association import Scan, associate
+from locfuse.fusion.association import associate
 from locfuse.fusion.data import VERDICTS, MapLine
 from locfuse.fusion.ekf import JointBelief, PoseBelief
 from locfuse.fusion.evaluate import evaluate
@@ -18,6 +18,7 @@ from locfuse.fusion.fuse import fuse
 from locfuse.fusion.line_map import LineMap
 from locfuse.fusion.line_tracker import LineTracker
 from locfuse.fusion.measure import measure
+from locfuse.fusion.pairing import Scan
 
 UPPER = (0.01, 0.001, 0.0005, 0.02, -0.0004, 0.001)
 # pose, line (rho, beta about its anchor), anchor: ordinary, C near 0, robot near pi, far from the origin
@@ -69,10 +70,10 @@ def test_a_line_and_its_flipped_twin_give_the_same_innovation() -> None:
     for z, cross in (((-0.004, -0.1), 1.0), ((0.004, -0.1 + math.pi), -1.0)):
         noise = R * np.array([[1, cross], [cross, 1]])
         ends = np.array([[1.0, 4.0]]) if cross > 0 else np.array([[-4.0, -1.0]])
-        pairs = associate(Scan(np.array([z]), noise[None], ends), lines, belief, math.inf).pairs
-        np.testing.assert_allclose(pairs.y[0], [0.001, 0.0], atol=1e-9)
-        np.testing.assert_allclose(pairs.S[0] - R, [[1e-4, 0], [0, 1e-4]], atol=1e-9)
-        assert (pairs.lo[0], pairs.hi[0]) == pytest.approx((0.0, 3.0))
+        (pair,) = associate(Scan(np.array([z]), noise[None], ends), lines, belief, math.inf).pairs
+        np.testing.assert_allclose(pair.y, [0.001, 0.0], atol=1e-9)
+        np.testing.assert_allclose(np.array(pair.S) - R[[0, 0, 1], [0, 1, 1]], [1e-4, 0, 1e-4], atol=1e-9)
+        assert (pair.lo, pair.hi) == pytest.approx((0.0, 3.0))
 
 
 @pytest.mark.parametrize("pose", [p for p, _, _ in PLACES])
@@ -170,7 +171,8 @@ def test_two_walls_that_explain_a_line_equally_well_are_ambiguous() -> None:
     assert found.ambiguous == [True]
     assert found.match == [-1]
     near = Scan(np.array([[3.005, 0.0]]), scan.R, scan.ends)
-    assert associate(near, lines, sure, 13.8).pairs.which[associate(near, lines, sure, 13.8).match[0]] == 0
+    found = associate(near, lines, sure, 13.8)
+    assert found.pairs[found.match[0]].which == 0
 
 
 def test_a_wall_is_not_matched_from_its_other_face() -> None:

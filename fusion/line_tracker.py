@@ -10,7 +10,7 @@ import numpy as np
 
 from . import se2
 from .association import Association, associate
-from .data import VERDICTS, LocfuseError, MapLine, Measurements
+from .data import VERDICTS, Array, LocfuseError, MapLine, Measurements
 from .ekf import JointBelief
 from .gates import chi_square
 from .laser_mount import seated
@@ -144,7 +144,7 @@ class LineTracker(Model):
 
     def _bend(self, found: Association, variance: Array, belief: JointBelief) -> None:
         """Loosen the lines that were seen: of a wall that is not flat another part is seen next (wall_floor)."""
-        seen = np.unique(self.map.column[found.pairs.which[[p for p in found.match if p >= 0]]])
+        seen = np.unique(self.map.column[[found.pairs[p].which for p in found.match if p >= 0]])
         if self.mode != "consider" and len(seen):
             belief.loosen(np.concatenate((seen, seen + 1)), np.repeat(variance, len(seen)))
 

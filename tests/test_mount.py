@@ -11,13 +11,14 @@ import pytest
 from lock_step import simulated
 from textbook import numeric_jacobian, wrap
 
-from locfuse.fusion.association import Scan, associate
+from locfuse.fusion.association import associate
 from locfuse.fusion.bearing import bearing_by_mount, predict_bearing
 from locfuse.fusion.ekf import JointBelief
 from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.laser_mount import seated
 from locfuse.fusion.line_tracker import LineTracker
+from locfuse.fusion.pairing import Scan
 from locfuse.fusion.sensors.camera import BearingModel, CameraSettings
 from locfuse.fusion.sensors.lrf import LrfSettings
 from locfuse.fusion.sensors.mount import Mount

@@ -137,7 +137,7 @@ def over_drives(results: Sequence[dict[str, dict[str, Any]]]) -> dict[str, dict[
 def markdown(table: dict[str, dict[str, float]]) -> str:
     """Return the table for people."""
     lines = [
-        "| map, configuration | rmse over all | mean of drives | median | worst | heading | ANEES | x | y | theta |",
+        "| map, configuration | rmse of all | mean of drives | median | worst | heading | ANEES | x | y | theta |",
         "|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|",
     ]
     for name, r in table.items():

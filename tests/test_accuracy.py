@@ -1,4 +1,4 @@
-"""A small sample of `python -m benchmarks.accuracy`: four of its drives, without the camera, whose pictures take long."""
+"""A small sample of `python -m benchmarks.accuracy`: four of its drives, without camera, since rendering takes long."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
-from benchmarks import accuracy  # noqa: E402
+from benchmarks import accuracy
 
 SETS = ((), ("compass",), ("lrf",), ("compass", "lrf"))
 WITHOUT_CAMERA = (*accuracy.LOCK_STEP, "camera.enabled=false")
@@ -41,7 +41,7 @@ def test_the_more_of_the_map_is_estimated_the_better(table: dict[str, dict[str, 
     assert rmse == sorted(rmse, reverse=True)
 
 
-def test_the_papers_frozen_map_is_sure_and_wrong_and_the_others_are_not(
+def test_only_the_papers_frozen_map_is_sure_and_wrong(
     table: dict[str, dict[str, float]],
 ) -> None:
     anees = {mode: table[f"{mode} lrf"]["anees"] for mode in accuracy.MODES}

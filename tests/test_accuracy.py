@@ -1,4 +1,4 @@
-"""A small sample of `python -m benchmarks.accuracy`: four of its drives, without camera, since rendering takes long."""
+"""A small sample of `python -m benchmarks.accuracy`: four of its drives, without the camera (rendering is slow)."""
 
 from __future__ import annotations
 

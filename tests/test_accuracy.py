@@ -1,4 +1,4 @@
-"""A small sample of `python -m benchmarks.accuracy`: four of its drives, without the camera (rendering is slow)."""
+"""A small sample of `python -m benchmarks.accuracy`: four of its drives, without the camera (it takes long)."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
-PAGES = ("README.md", "docs/paper.md", "docs/trust.md")
+PAGES = ("README.md", "docs/bags.md", "docs/paper.md", "docs/trust.md")
 BLOCK = re.compile(r"```console\n(.*?)```", re.DOTALL)
 WIDTH = "100"
 NOTHING = " > /dev/null"

@@ -87,7 +87,8 @@ def _geometry(log: Log, robot: Robot, choice: Choice, found: Hints) -> list[Oddi
     if not words:
         return []
     other = choice.of("wheels") and log.topics[choice.of("wheels")[0]].msgtype == ODOMETRY
-    said = f"{' and '.join(topics)} counts wheel turns, but nothing says {', '.join(words)}"
+    counts = "count" if len(topics) > 1 else "counts"
+    said = f"{' and '.join(topics)} {counts} wheel turns, but nothing says {', '.join(words)}"
     said += f"; {source}" if source and cures else ""
     return [Oddity("geometry", "wheels", said, tuple(cures), not other)]
 

@@ -22,7 +22,7 @@ from . import hints
 from .load import Loaded, make_robot, measured, merged_tables, named_by_hand
 from .look_clocks import of_stamps
 from .look_sensors import raw_oddities
-from .mounts import mount_of
+from .mounts import BASE_FRAMES, mount_of
 from .topic_facts import TopicFacts, topic_facts
 from .topics import Choice, choose_sensor, choose_truth
 from .wheel_topics import choose_wheels
@@ -93,7 +93,7 @@ def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Oddity]) -> 
         try:
             step()
         except LocfuseError as e:
-            words = str(e).removeprefix(f"{role}: ")
+            words = str(e).removeprefix(f"{role}: ").partition(". It has ")[0]  # info lists the topics
             choice.absent[role] = words
             found.append(Oddity("choice", role, words, settings_in(words), True))  # run and compare refuse too
     found += [Oddity("choice", "wheels", note.removeprefix("wheels: ")) for note in choice.notes]
@@ -194,11 +194,13 @@ def extrinsics(seen: Look) -> dict[str, dict[str, Any]]:
 
 
 def _mount_by(seen: Look, name: str, keys: Mapping[str, Any]) -> str:
-    """Return who says where a sensor sits: the settings, /tf_static, or nobody."""
+    """Return who says where a sensor sits: the settings, its frame, /tf_static, or nobody."""
     if any(key in seen.tables.get(name, {}) for key in keys):
         return "settings"
     facts = {f.topic: f for f in seen.facts}
     frames = [facts[t].frame_id for t in seen.choice.of(name) if t in facts]
+    if frames and all(frame in BASE_FRAMES for frame in frames):
+        return f"its frame {frames[0]}"
     known = [frame for frame in frames if mount_of(seen.transforms, frame) is not None]
     return "/tf_static" if known and len(known) == len(frames) else "nobody"
 

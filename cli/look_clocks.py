@@ -11,10 +11,12 @@ from .load import PLAIN_CLOCK
 from .topic_facts import ANOTHER_CLOCK, TopicFacts
 from .topics import Choice
 
+FEWEST = 5  # messages from which a clock is judged
+
 
 def of_stamps(facts: Sequence[TopicFacts], choice: Choice, robot: Robot) -> list[Oddity]:
     """Say which times were taken, of the topics that are read, where it is not simply the header's."""
-    known = {f.topic: f for f in facts if f.count and f.problem is None}
+    known = {f.topic: f for f in facts if f.count >= FEWEST and f.problem is None}
     used = {t: (role, known[t]) for role in choice.topics for t in choice.of(role) if t in known}
     found = [
         Oddity("stamps", role, f"{topic}: {f.clock}")

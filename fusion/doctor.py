@@ -23,6 +23,7 @@ from .robot import Robot
 from .wheel_repairs import times
 
 GAP, GAP_PERIODS = 0.5, 5.0  # s, median periods: a longer silence is a gap
+FEWEST = 10  # readings from which a sensor is judged
 BLIND = 0.9  # share of readings without any measurement: such a sensor is dead, or misunderstood
 SEES = {"lrf": "line", "sonar": "echo"}
 REFUSED = {
@@ -100,7 +101,7 @@ def gaps(t: Array) -> list[tuple[float, float]]:
 
 def _blind(name: str, m: Measurements) -> list[Oddity]:
     n = len(m.t)
-    if n and m.absent > BLIND * n:
+    if n >= FEWEST and m.absent > BLIND * n:
         words = (
             f"no {SEES.get(name, 'value')} in {m.absent} of {n} readings: it is dead, or its settings do not fit"
         )

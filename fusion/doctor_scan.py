@@ -44,7 +44,7 @@ def _nothing(values: Array, far: Array, settings: LrfSettings) -> list[Oddity]:
     shares = {
         "inf": np.isinf(values).mean() if len(values) else 0.0,
         "NaN": np.isnan(values).mean() if len(values) else 0.0,
-        "0": (values == 0.0).mean() if len(values) else 0.0,
+        "zero": (values == 0.0).mean() if len(values) else 0.0,
         "beyond range_max": ((values > far) & np.isfinite(values)).mean() if len(values) else 0.0,
     }
     words = ", ".join(f"{share:.0%} {how}" for how, share in shares.items() if share >= 0.005)

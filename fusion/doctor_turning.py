@@ -121,7 +121,7 @@ def of_turning(
     if counts_wheels and len(mirrored) > len(seen) / 2:
         wheel = max(set(mirrored), key=mirrored.count)
         by = " and ".join(name for name, t in seen.items() if _mirrored(t) == wheel)
-        words = f"the {wheel} wheel counts backward: only so do the wheels turn as {by} does"
+        words = f"the {wheel} wheel counts backward, by the turning of {by}"
         return [Oddity("mirrored", "wheels", words, (f"wheels.mirrored={_also(robot, wheel)}",), True)]
     back = [name for name, t in seen.items() if t.a < 0.0 < t.b]
     if len(back) > 1 and len(back) == len(seen):

@@ -256,7 +256,7 @@ def other_clock(drive: Drive) -> None:
 LASER_TRAPS = (
     Trap("a laser without time_increment", not_timed, "time_increment is 0", False, "lrf"),
     Trap("no return as NaN", no_returns(math.nan), "NaN: nothing came back", False, "lrf"),
-    Trap("no return as 0", no_returns(0.0), "0: nothing came back", False, "lrf"),
+    Trap("no return as 0", no_returns(0.0), "zero: nothing came back", False, "lrf"),
     Trap("no return beyond range_max", no_returns(9.0), "beyond range_max: nothing came back", False, "lrf"),
     Trap("no return as range_max", saturated, "exactly range_max = 5 m", True, "lrf"),
     Trap("a laser that scans clockwise", clockwise, "clockwise", False, "lrf"),

@@ -1,0 +1,312 @@
+"""What a user reads of a log: facts held to the public reader, a page that fits, and no alarm without cause."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from bags import T0, S, Said, cdr, drive, header, real_log, write
+from commands import Done, locfuse
+from mcap.reader import make_reader
+from trap_logs import PICTURES, WHEELS, Drive
+from traps_camera import decoded, raw
+
+from locfuse import sample_logs
+from locfuse.cli.text_table import Column, table
+
+SAMPLES = ("rounded_rectangle", "rounded_triangle", "disturbed")
+GEOMETRY = ("--set", "wheels.radius=0.05", "--set", "wheels.track=0.4")
+
+
+def as_json(*words: Any) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(locfuse("info", *words, "--json").stdout)
+    return found
+
+
+def section(done: Done, title: str) -> list[str]:
+    """The lines below a title."""
+    _, found, rest = done.stdout.partition(f"\n{title}\n")
+    return rest.partition("\n\n")[0].splitlines() if found else []
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_nothing_is_odd_about_the_sample_logs(name: str) -> None:
+    done = locfuse("info", name, "--check")
+    assert done.exit_code == 0
+    assert section(done, "configurations") == [
+        "  ready    odometry, compass, lrf, camera, all",
+        "  no topic sonar, gps, gyro",
+    ]
+    assert section(done, "would spoil an estimate") == section(done, "worth knowing") == []
+    assert section(done, "next") == [f"  locfuse compare {name}"]
+
+
+def test_topics_are_what_the_public_reader_counts() -> None:
+    path = sample_logs.path("rounded_triangle")
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    counts = summary.statistics.channel_message_counts
+    names = {c.topic: (summary.schemas[c.schema_id].name, counts[i]) for i, c in summary.channels.items()}
+    found = as_json(path)
+    assert {topic: (f["type"], f["messages"]) for topic, f in found["topics"].items()} == names
+    assert found["messages"] == summary.statistics.message_count
+    span = summary.statistics.message_end_time - summary.statistics.message_start_time
+    assert found["duration_s"] == pytest.approx(span * 1e-9)
+    assert found["topics"]["/scan"]["frame"] == "laser"
+
+
+def test_rate_silence_delay_and_frame_of_a_topic(tmp_path: Path) -> None:
+    """20 Hz, recorded 5 ms after the stamp, silent from 3 s to 5 s."""
+    said = [m for m in drive(200) if not 3.0 <= (m.log_time - T0) / S < 5.0]
+    facts = as_json(write(tmp_path / "x.mcap", said), *GEOMETRY)["topics"]
+    wheels = facts["/joint_states"]
+    assert wheels["rate_hz"] == pytest.approx(159 / 9.95)
+    assert wheels["period_s"] == pytest.approx(0.05)
+    assert wheels["longest_gap_s"] == pytest.approx(2.05)
+    assert wheels["delay_s"] == pytest.approx(0.005)
+    assert facts["/scan"]["frame"] == "laser"
+    assert facts["/heading"]["delay_s"] is None
+
+
+def test_every_key_of_the_json_stands_in_the_docs() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "bags.md").read_text(encoding="utf-8")
+    keys = page.partition("### The JSON")[2].partition("\n#")[0]
+    assert set(as_json("rounded_triangle")) == set(re.findall(r"^\| `([a-z_]+)` \|", keys, re.MULTILINE))
+
+
+def test_where_sensors_sit_and_who_says_so(tmp_path: Path) -> None:
+    tour = Drive()
+    for key in ("x", "y", "yaw_deg"):
+        del tour.tables["lrf"][key]
+    by_tf = as_json(tour.record(tmp_path / "tf.mcap"))["extrinsics"]["lrf"]
+    assert by_tf["by"] == "/tf_static"
+    assert by_tf["x"] == pytest.approx(0.2)
+    assert as_json("rounded_triangle")["extrinsics"]["lrf"]["by"] == "settings"
+    tour.drop("/tf_static")
+    assert as_json(tour.record(tmp_path / "none.mcap"))["extrinsics"]["lrf"]["by"] == "nobody"
+
+
+def test_why_a_topic_was_chosen(tmp_path: Path) -> None:
+    roles = as_json(write(tmp_path / "x.mcap", drive(100)), *GEOMETRY, "--set", "lrf.topic=/scan")["roles"]
+    assert roles["wheels"] == {"topics": ["/joint_states"], "why": "the only topic of its type"}
+    assert roles["lrf"]["why"] == "named in the settings"
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_no_line_is_wider_than_the_screen_and_no_cell_is_folded(
+    width: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Long topics, long types, every column in use, long findings."""
+    monkeypatch.setenv("COLUMNS", str(width))
+    long = "/robot_one/front_left/laser/scan_filtered"
+    said = [m._replace(topic=long) if m.topic == "/scan" else m for m in drive(200)]
+    said = [m for m in said if not 3.0 <= (m.log_time - T0) / S < 5.0]
+    done = locfuse("info", write(tmp_path / "x.mcap", said))
+    body = done.stdout.partition("\nnext\n")[0].splitlines()
+    assert max(map(len, body)) <= width
+    rows = body[2 : body.index("") + 5]
+    assert [row.split()[0][:6] for row in rows[1:4]] == ["/headi", "/joint", "/robot"]
+    assert ("sensor_msgs/" in rows[1]) == (width == 120)
+
+
+def test_in_a_pipe_every_finding_is_one_line(tmp_path: Path) -> None:
+    done = locfuse("info", write(tmp_path / "x.mcap", drive(100)))
+    for title in ("would spoil an estimate", "worth knowing"):
+        for line in section(done, title):
+            assert re.match(r"  [a-z/_]+: |    cure: ", line)
+
+
+def test_a_table_keeps_its_first_column_and_the_ends_of_long_words() -> None:
+    names, kinds = ("/a/very/long/topic/name/with/many/parts", "/b"), ("package/LongTypeName", "p/T")
+    short = ("LongTypeName", "T")
+    columns = [Column("topic", names), Column("type", kinds, short=short), Column("x", ("1", "2"), rank=1)]
+    assert table(columns, None)[1].split() == [names[0], kinds[0], "1"]
+    for width in range(30, 80):
+        lines = table(columns, width)
+        assert max(map(len, lines)) <= width
+        assert lines[1].split()[0].startswith("/a/v")
+        assert lines[1].split()[0].endswith("rts")
+    assert table([Column("empty", ("", ""))], 80) == []
+
+
+def test_what_is_missing_of_the_wheels_is_told_with_what_to_do(tmp_path: Path) -> None:
+    path = write(tmp_path / "x.mcap", drive(100))
+    done = locfuse("info", path)
+    assert done.exit_code == 0
+    assert locfuse("info", path, "--check").exit_code == 3
+    assert "nothing says radius, track" in section(done, "would spoil an estimate")[0]
+    assert section(done, "next") == [f"  locfuse init {path} > robot.toml"]
+    configurations = as_json(path)["configurations"]
+    assert "nothing says radius, track" in configurations["odometry"]
+    assert as_json(path, *GEOMETRY)["configurations"]["odometry"] is None
+
+
+def test_the_next_command_is_one_that_cures(tmp_path: Path) -> None:
+    path = Drive().record(tmp_path / "x.mcap")
+    first = locfuse("info", path, "--set", "wheels.track=0.5", "--set", "lrf.gate=0.99", "--check")
+    assert first.exit_code == 3
+    (command,) = section(first, "next")
+    words = shlex.split(command)
+    assert "wheels.track=0.5" not in words
+    assert "lrf.gate=0.99" in words
+    again = locfuse(*words[1:], "--check")
+    assert again.exit_code == 0, again.stdout
+    (compare,) = section(again, "next")
+    assert shlex.split(compare)[:2] == ["locfuse", "compare"]
+
+
+def test_a_dead_encoder_is_named_though_nothing_cures_it(tmp_path: Path) -> None:
+    tour = Drive()
+    tour.field(WHEELS, position=lambda p: np.array([p[0], 1.0]))
+    done = locfuse("info", tour.record(tmp_path / "x.mcap"), "--check")
+    assert done.exit_code == 3
+    assert re.search(r"wheels: the right wheel never turns while the other rolls [\d.]+ m", done.stdout)
+    assert "cure" not in done.stdout
+
+
+def test_grey_pictures_are_refused_with_the_reason(tmp_path: Path) -> None:
+    tour = Drive(pictures=True)
+    raw(tour, "mono8", lambda p: np.ascontiguousarray(p[..., 0]))
+    done = locfuse("info", tour.record(tmp_path / "x.mcap"), "--check")
+    assert done.exit_code == 3
+    assert "are grey (mono): red needs colour" in section(done, "would spoil an estimate")[0]
+
+
+def test_a_room_without_red_is_named(tmp_path: Path) -> None:
+    tour = Drive(pictures=True)
+    tour.tables["camera"]["red_ratio"] = 0.99
+    done = locfuse("info", tour.record(tmp_path / "x.mcap"), "--check")
+    assert done.exit_code == 3
+    assert "nothing red and upright in 22 of 22 pictures" in done.stdout
+
+
+def test_only_a_few_pictures_are_decoded(monkeypatch: pytest.MonkeyPatch) -> None:
+    plain, decodings = cv2.imdecode, []
+
+    def counted(*arguments: Any) -> Any:
+        decodings.append(arguments)
+        return plain(*arguments)
+
+    monkeypatch.setattr(cv2, "imdecode", counted)
+    assert locfuse("info", "rounded_rectangle", "--check").exit_code == 0
+    assert 20 <= len(decodings) <= 30  # of 110
+
+
+def test_a_sensor_on_a_sleeping_topic_and_a_type_nobody_reads(tmp_path: Path) -> None:
+    said = [*drive(100), Said("/odd", "std_msgs/msg/Empty", b"", T0 + S)]
+    done = locfuse("info", write(tmp_path / "x.mcap", said), *GEOMETRY)
+    assert re.search(r"^/odd +std_msgs/Empty +1", done.stdout, re.MULTILINE)
+
+
+def test_damage_is_a_finding_and_a_3_without_being_asked(tmp_path: Path) -> None:
+    path = write(tmp_path / "x.mcap", drive(400), chunk_size=4000)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    done = locfuse("info", path, *GEOMETRY)
+    assert done.exit_code == 3
+    assert section(done, "would spoil an estimate")[0].startswith("  file: ")
+
+
+def test_a_file_without_checksums_says_that_it_cannot_know(tmp_path: Path) -> None:
+    words = "no checksums, so that a changed value cannot be detected"
+    unchecked = write(tmp_path / "x.mcap", drive(100), enable_crcs=False)
+    assert words in locfuse("info", unchecked, *GEOMETRY).stdout
+    assert not as_json(unchecked, *GEOMETRY)["checksums"]
+    assert words not in locfuse("info", write(tmp_path / "y.mcap", drive(100)), *GEOMETRY).stdout
+
+
+def test_a_log_without_wheels_says_what_would_be_wheels(tmp_path: Path) -> None:
+    said = [m for m in drive(50) if m.topic == "/scan"]
+    done = locfuse("info", write(tmp_path / "x.mcap", said), "--check")
+    assert done.exit_code == 3
+    (words,) = section(done, "would spoil an estimate")
+    assert "sensor_msgs/JointState" in words
+    assert "nav_msgs/Odometry" in words
+    assert section(done, "next") == []
+
+
+def test_a_reference_that_nobody_named_is_asked_for(tmp_path: Path) -> None:
+    pose = cdr("geometry_msgs/msg/PoseStamped", header=header(T0))
+    poses = [Said("/robot_1/pose", "geometry_msgs/msg/PoseStamped", pose, T0 + i * S) for i in range(5)]
+    said = [*drive(100), *poses]
+    done = locfuse("info", write(tmp_path / "x.mcap", said), *GEOMETRY)
+    assert "--set truth.topic=/robot_1/pose" in "\n".join(section(done, "worth knowing"))
+
+
+def test_preview_writes_four_pictures_of_a_few_messages(tmp_path: Path) -> None:
+    done = locfuse("info", "rounded_triangle", "--preview", tmp_path / "p")
+    files = sorted(p.name for p in (tmp_path / "p").iterdir())
+    assert {name.partition("-")[2] for name in files} == {"raw.png", "mask.png", "panorama.png", "detection.png"}
+    assert len(files) == 16
+    shown = section(done, "pictures")
+    assert len(shown) == 4
+    assert re.fullmatch(r".*/000000-\*\.png: something red at -?[\d.]+ deg", shown[0])
+
+
+def test_preview_needs_no_landmark_and_says_which_pictures_there_are(tmp_path: Path) -> None:
+    tour = Drive(pictures=True)
+    del tour.tables["camera"]
+    path = tour.record(tmp_path / "one.mcap")
+    assert "camera.landmark is not set" in locfuse("info", path).stdout
+    assert locfuse("info", path, "--preview", tmp_path / "p").exit_code == 0
+    picture = decoded(tour.on(PICTURES)[0])
+    assert (tmp_path / "p" / "000000-raw.png").stat().st_size > 0
+    assert picture.shape == (240, 240, 3)
+    tour.add([m._replace(topic="/other/compressed") for m in tour.on(PICTURES)])
+    two = locfuse("info", tour.record(tmp_path / "two.mcap"), "--preview", tmp_path / "p")
+    assert two.exit_code == 1
+    assert "has 2 topics of pictures; choose one with --set camera.topic=" in two.stderr
+    none = locfuse("info", write(tmp_path / "none.mcap", drive(20)), "--preview", tmp_path / "p")
+    assert "has 0 topics of pictures; there is none" in none.stderr
+
+
+def test_short_logs_are_not_judged(tmp_path: Path) -> None:
+    """A second: nothing can be dead, late or wrong yet."""
+    tour = Drive()
+    tour.messages = tour.messages[:50]
+    assert section(locfuse("info", tour.record(tmp_path / "x.mcap")), "would spoil an estimate") == []
+
+
+# real logs
+
+
+def test_a_real_arena_is_cured_by_the_next_command() -> None:
+    """Track, laser's metre, laser's clock, start: all wrong by default, found in one round."""
+    log = real_log("brenner/brenner.mcap")
+    first = locfuse("info", log, "--set", "wheels.radius=0.0199962", "--set", "wheels.track=0.155", "--check")
+    assert first.exit_code == 3
+    found = as_json(log, "--set", "wheels.radius=0.0199962", "--set", "wheels.track=0.155")
+    cures = dict(cure.split("=") for o in found["oddities"] if o["spoils"] for cure in o["cures"])
+    assert float(cures["lrf.time_offset"]) == pytest.approx(-0.45, abs=0.05)
+    # whose metre is right is a matter of words: both together make the laser's the truth's
+    assert 1.0 / float(cures["lrf.range_scale"]) == pytest.approx(0.886, abs=0.02)
+    assert float(cures["start.x"]) == pytest.approx(1.875, abs=0.05)
+    assert float(cures["start.theta_deg"]) == pytest.approx(-147, abs=3)
+    (command,) = section(first, "next")
+    assert locfuse(*shlex.split(command)[1:], "--check").exit_code == 0
+
+
+def test_a_real_corridor_whose_odometry_is_late_against_all_else() -> None:
+    found = as_json(real_log("fr079/fr079.mcap"), "--set", "lrf.x=-0.04")
+    (late,) = [o for o in found["oddities"] if o["code"] == "lag"]
+    assert late["stream"] == "wheels"
+    assert float(late["cures"][0].removeprefix("wheels.time_offset=")) == pytest.approx(0.13, abs=0.02)
+    assert any("whose twist says backward" in o["words"] for o in found["oddities"])
+
+
+def test_a_real_turtlebot_as_ros2_records_it() -> None:
+    found = as_json(real_log("turtlebot4"))
+    mount = found["extrinsics"]["lrf"]
+    assert mount["by"] == "/tf_static"
+    assert mount["yaw_deg"] == pytest.approx(90.0, abs=0.1)
+    words = [o["words"] for o in found["oddities"]]
+    assert any(w.startswith("21 frames are said to be in two places") for w in words)
+    assert any(w.startswith("of its ranges 23% inf") for w in words)
+    assert [o["code"] for o in found["oddities"] if o["spoils"]] == ["lag"]

@@ -114,7 +114,7 @@ def test_no_line_is_wider_than_the_screen_and_no_cell_is_folded(
     assert max(map(len, body)) <= width
     rows = body[2 : body.index("") + 5]
     assert [row.split()[0][:6] for row in rows[1:4]] == ["/headi", "/joint", "/robot"]
-    assert ("sensor_msgs/" in rows[1]) == (width == 120)
+    assert ("std_msgs/" in rows[1]) == (width == 120)
 
 
 def test_in_a_pipe_every_finding_is_one_line(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from traps_wheels import CLOCK_TRAPS, WHEEL_TRAPS
 
 TABLES = (WHEEL_TRAPS, CLOCK_TRAPS, COMPASS_TRAPS, LASER_TRAPS, CAMERA_TRAPS, TRUTH_TRAPS)
 TRAPS = {trap.name: trap for table in TABLES for trap in table}
+PAGE = (Path(__file__).parents[1] / "docs" / "bags.md").read_text(encoding="utf-8")
 WORSE = 1.15  # by this much the trap costs, at least
 CURE = re.compile(r"--set (\S+)")
 
@@ -54,6 +55,23 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("healthy")
 
 
+@cache
+def documented() -> dict[str, tuple[str, str]]:
+    """What docs/bags.md says of every trap: what info says, and the cure."""
+    tables = PAGE.partition("### Wheels and odometry")[2].partition("\n## ")[0]
+    rows = (line.strip("| ").split(" | ") for line in tables.splitlines() if line.startswith("| "))
+    return {row[0]: (row[1].rstrip(" |"), row[2] if len(row) > 2 else "") for row in rows if row[0] != "trap"}
+
+
+def test_the_page_on_bags_knows_every_trap() -> None:
+    assert list(documented()) == list(TRAPS)
+
+
+def keys(cures: str) -> list[str]:
+    """The settings that a text names."""
+    return re.findall(r"([a-z]+\.[a-z_]+)=", cures)
+
+
 @pytest.mark.parametrize("name", TRAPS)
 def test_info_names_the_trap_and_its_cure_makes_the_estimate_right(
     name: str, tmp_path: Path, folder: Path
@@ -74,6 +92,10 @@ def test_info_names_the_trap_and_its_cure_makes_the_estimate_right(
         assert findings, told.stdout
         assert all((finding in spoiling) == trap.spoils for finding in findings)
         cures = [c for f in findings if "\n" in f for c in CURE.findall(f.splitlines()[1])]
+    words, cure_told = documented()[name]
+    assert (trap.says or "nothing: it is read as it is") in words.replace("`", "")
+    assert words.startswith("**") == trap.spoils
+    assert keys(cure_told) == keys(" ".join(cures))
     options = [word for cure in cures for word in ("--set", cure)]
     after = error(log, trap.sensors, *options)
     assert after is not None, told.stdout

@@ -36,7 +36,8 @@ FIRST_SEED = 1000  # the shipped logs use small seeds: nothing here has been loo
 MODES = ("first-scan", "consider", "refine", "grow")
 SMOOTHED = ("refine", "grow")  # smoothing assumes optimal weights
 # Every sensor at each step of 0.1 s and truth just after: the set-up of the paper. The compass is the sketch's,
-# white and calibrated; its rate and the camera's are those of the laser.
+# white and calibrated; its rate and the camera's are those of the laser. The filter is told the noise as it is: of
+# the camera what `locfuse tune` finds.
 LOCK_STEP = (
     "compass.rate=10",
     "compass.phase=0.05",
@@ -48,6 +49,7 @@ LOCK_STEP = (
     "lrf.duration=1e-6",
     "camera.rate=10",
     "camera.phase=0.05",
+    "camera.sigma_deg=0.15",
     "truth.rate=10",
     "truth.phase=0.050001",
 )

@@ -15,7 +15,7 @@ from math import cos, sin
 import numpy as np
 
 from .data import Array, Ints, LocfuseError
-from .scalar_rows import pose_rows, whitened
+from .scalar_rows import pose_rows
 from .sensors.base import Block, Innovation
 
 Pose = tuple[float, float, float]
@@ -80,7 +80,7 @@ class PoseBelief:
         """
         xx, xy, xt, yy, yt, tt = self.P
         dx = dy = dt = 0.0
-        for y, a, b, c, r in whitened(seen[0]) if len(seen) == 1 else pose_rows(seen):
+        for y, a, b, c, r in pose_rows(seen):
             p0 = xx * a + xy * b + xt * c
             p1 = xy * a + yy * b + yt * c
             p2 = xt * a + yt * b + tt * c

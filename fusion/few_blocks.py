@@ -7,7 +7,7 @@ states come and go, are cloned, transformed or considered, or correct the wheels
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -74,27 +74,17 @@ class FewBlocks(PoseBelief):
         """Return H P H', (d, d)."""
         if not columns:
             return super().spread(H)
-        sides = [tuple(zip((c - 3 for c in columns), g, strict=True)) for g in H_block]
-        PH = [self._PH(h[0], h[1], h[2], beside) for h, beside in zip(H, sides, strict=True)]
-        return tuple(
-            tuple(h[0] * p[0] + h[1] * p[1] + h[2] * p[2] + sum([g * q[i] for i, g in beside]) for p, q in PH)
-            for h, beside in zip(H, sides, strict=True)
-        )
+        at = [c - 3 for c in columns]
+        out = []
+        for (a, b, c), g in zip(H, H_block, strict=True):
+            p0, p1, p2, q = self._covaried(a, b, c, tuple(zip(at, g, strict=True)))
+            along = [h[0] * p0 + h[1] * p1 + h[2] * p2 for h in H]
+            beside = [sum([v * q[i] for i, v in zip(at, h, strict=True)]) for h in H_block]
+            out.append(tuple([v + w for v, w in zip(along, beside, strict=True)]))
+        return tuple(out)
 
-    def correct(self, seen: Sequence[Innovation]) -> None:
-        """Paper eq. 10-12, one scalar row after another, as in `PoseBelief`."""
-        x0, y0, t0, b0 = self.x, self.y, self.theta, list(self._b)
-        for (y, a, b, c, r), beside in _all_rows(seen):
-            (p0, p1, p2), q = self._PH(a, b, c, beside)
-            s = a * p0 + b * p1 + c * p2 + r
-            e = y - a * (self.x - x0) - b * (self.y - y0) - c * (self.theta - t0)
-            for i, g in beside:
-                s += g * q[i]
-                e -= g * (self._b[i] - b0[i])
-            self._gain(e / s, s, p0, p1, p2, q)
-
-    def _PH(self, a: float, b: float, c: float, beside: Beside) -> tuple[tuple[float, float, float], list[float]]:
-        """Return P H' of one row: of the pose, and of the states beside it (m,)."""
+    def _covaried(self, a: float, b: float, c: float, beside: Beside) -> tuple[float, float, float, list[float]]:
+        """Return P h' of one row h: of x, y, theta, and of the states beside them (m,)."""
         xx, xy, xt, yy, yt, tt = self.P
         p0, p1, p2 = xx * a + xy * b + xt * c, xy * a + yy * b + yt * c, xt * a + yt * b + tt * c
         q = [row[0] * a + row[1] * b + row[2] * c for row in self._rows]
@@ -103,23 +93,36 @@ class FewBlocks(PoseBelief):
             p0 += row[0] * g
             p1 += row[1] * g
             p2 += row[2] * g
-            for j, v in enumerate(row[3:]):
-                q[j] += v * g
-        return (p0, p1, p2), q
+            q = [v + w * g for v, w in zip(q, row[3:], strict=True)]
+        return p0, p1, p2, q
 
-    def _gain(self, e: float, s: float, p0: float, p1: float, p2: float, q: list[float]) -> None:
-        """X <- x + (P H') e, P <- P - (P H')(P H')' / s."""
-        self.x += p0 * e
-        self.y += p1 * e
-        self.theta += p2 * e
-        xx, xy, xt, yy, yt, tt = self.P
-        g0, g1, g2 = p0 / s, p1 / s, p2 / s
-        self.P = (xx - g0 * p0, xy - g0 * p1, xt - g0 * p2, yy - g1 * p1, yt - g1 * p2, tt - g2 * p2)
-        every = (p0, p1, p2, *q)
-        for i, (row, p) in enumerate(zip(self._rows, q, strict=True)):
-            self._b[i] += p * e
-            g = p / s
-            self._rows[i] = [v - g * w for v, w in zip(row, every, strict=True)]
+    def correct(self, seen: Sequence[Innovation]) -> None:
+        """Paper eq. 10-12, one scalar row after another, as in `PoseBelief`."""
+        rows, values = self._rows, self._b
+        before = list(values)
+        dx = dy = dt = 0.0
+        for (y, a, b, c, r), beside in _scalar_rows(seen):
+            p0, p1, p2, q = self._covaried(a, b, c, beside)
+            s = a * p0 + b * p1 + c * p2 + r
+            e = y - a * dx - b * dy - c * dt
+            for i, g in beside:
+                s += g * q[i]
+                e -= g * (values[i] - before[i])
+            e /= s
+            dx += p0 * e
+            dy += p1 * e
+            dt += p2 * e
+            g0, g1, g2 = p0 / s, p1 / s, p2 / s
+            xx, xy, xt, yy, yt, tt = self.P
+            self.P = (xx - g0 * p0, xy - g0 * p1, xt - g0 * p2, yy - g1 * p1, yt - g1 * p2, tt - g2 * p2)
+            covaried = (p0, p1, p2, *q)
+            for i, p in enumerate(q):
+                values[i] += p * e
+                gain = p / s
+                rows[i] = [v - gain * w for v, w in zip(rows[i], covaried, strict=True)]
+        self.x += dx
+        self.y += dy
+        self.theta += dt
 
     def place(self, pose: Pose, xy: float, theta: float) -> None:
         """Set the pose with variances xy [m^2] and theta [rad^2]: the robot was carried off, or found again."""
@@ -128,16 +131,16 @@ class FewBlocks(PoseBelief):
             row[:3] = 0.0, 0.0, 0.0
 
 
-def _all_rows(seen: Sequence[Innovation]) -> Iterator[tuple[Row, Beside]]:
-    """Yield scalar rows with independent noise, each with its derivatives by states beside the pose."""
+def _scalar_rows(seen: Sequence[Innovation]) -> list[tuple[Row, Beside]]:
+    """Return scalar rows with independent noise, each with its derivatives by states beside the pose."""
     alone = [s for s in seen if not s.columns]
-    for row in pose_rows(alone):
-        yield row, ()
+    out: list[tuple[Row, Beside]] = [(row, ()) for row in pose_rows(alone)] if alone else []
     for s in seen:
         if s.columns:
             rows, (g, *more) = whitened(s), s.H_block
             at = [c - 3 for c in s.columns]
-            yield rows[0], tuple(zip(at, g, strict=True))
-            for h in more:
+            out.append((rows[0], tuple(zip(at, g, strict=True))))
+            for h in more:  # whitened like the rows
                 k = s.R[0][1] / s.R[0][0]
-                yield rows[1], tuple((i, v - k * w) for i, v, w in zip(at, h, g, strict=True))
+                out.append((rows[1], tuple([(i, v - k * w) for i, v, w in zip(at, h, g, strict=True)])))
+    return out

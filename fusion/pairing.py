@@ -56,7 +56,6 @@ class Pair(NamedTuple):
 class _Wall(NamedTuple):
     """A map line as the robot should see it."""
 
-    r: float
     along: float  # m, the robot's foot point from the line's anchor
     u: float
     spread: tuple[float, float, float]  # S without R
@@ -74,8 +73,10 @@ def pairs_in_floats(scan: Scan, lines: LineMap, belief: AnyBelief, limit: float)
     """Return candidate pairs by a loop over measured lines and map lines."""
     x, y, theta = belief.x, belief.y, belief.theta
     rows = pose_rows(belief)
-    angle_slack, offset_slack = _slack(rows[0][0] + rows[1][1], rows[2][2])
     known = lines.plain(belief)
+    angle_slack, offset_slack = _slack(rows[0][0] + rows[1][1], rows[2][2])
+    widest = max([_angle_variance(line, rows[2]) for line in known])
+    places = [(beta, rho - (x - ax) * c - (y - ay) * s) for rho, beta, c, s, ax, ay, _, _ in known]
     los, his = lines.lo.tolist(), lines.hi.tolist()
     walls: list[_Wall | None] = [None] * len(known)
     found = []
@@ -83,28 +84,33 @@ def pairs_in_floats(scan: Scan, lines: LineMap, belief: AnyBelief, limit: float)
         zip(scan.z.tolist(), scan.R.tolist(), scan.ends.tolist(), strict=True)
     ):
         heading = psi + theta
-        for j, line in enumerate(known):
-            beta = line.beta
-            turn = remainder(heading - beta, HALF_TURN)  # after flipping
-            if not -angle_slack < turn < angle_slack:
+        slack = min(angle_slack, sqrt(limit * (widest + r11)))  # d2 is at least what the angle alone says
+        near = [
+            j
+            for j, (beta, distance) in enumerate(places)
+            if -slack < remainder(heading - beta, HALF_TURN) < slack
+            and (-offset_slack < r - distance < offset_slack or -offset_slack < r + distance < offset_slack)
+        ]
+        for j in near:
+            beta, distance = places[j]
+            turn = heading - beta
+            forward = -QUARTER <= remainder(turn, 2.0 * HALF_TURN) <= QUARTER
+            offset = (r if forward else -r) - distance
+            if not -offset_slack < offset < offset_slack:
                 continue
-            wall = walls[j]
+            turn = remainder(turn, HALF_TURN)  # after flipping
+            line, wall = known[j], walls[j]
             if wall is None:
                 wall = walls[j] = _seen(line, x, y, rows)
-            forward = -QUARTER <= remainder(heading - beta, 2.0 * HALF_TURN) <= QUARTER
-            offset = (r if forward else -r) - wall.r
             p00, p01, p11 = wall.spread
             s00, s11 = p00 + r00, p11 + r11
-            # d2 is at least what either number alone says
-            if not abs(offset) < offset_slack or offset * offset > limit * s00 or turn * turn > limit * s11:
-                continue
             cross = r01 if forward else -r01
             s01 = p01 + cross
             det = s00 * s11 - s01 * s01
             if not det > 0.0:  # no float holds it
                 continue
             d2 = (s11 * offset * offset - 2.0 * s01 * offset * turn + s00 * turn * turn) / det
-            if not d2 <= limit or not wall.r > -FACE_SIGMAS * sqrt(s00):
+            if not d2 <= limit or not distance > -FACE_SIGMAS * sqrt(s00):
                 continue
             lo, hi = (wall.along + begin, wall.along + end) if forward else (wall.along - end, wall.along - begin)
             l00, l01, l11 = wall.own
@@ -134,6 +140,12 @@ def _slack(xy: float, tt: float) -> tuple[float, float]:
     return NEAR_ANGLE + NEAR_SIGMAS * sqrt(max(tt, 0.0)), NEAR_OFFSET + NEAR_SIGMAS * sqrt(max(xy, 0.0))
 
 
+def _angle_variance(line: PlainLine, P_theta: list[float]) -> float:
+    """Return the variance of beta - theta [rad^2]."""
+    variance = P_theta[2] + line.P[2]
+    return variance if line.column < 0 else variance - 2.0 * P_theta[line.column + 1]
+
+
 def pose_rows(belief: AnyBelief) -> list[list[float]]:
     """Return the covariance of x, y, theta with the whole state, 3 rows of plain floats."""
     if isinstance(belief, JointBelief):
@@ -145,7 +157,7 @@ def pose_rows(belief: AnyBelief) -> list[list[float]]:
 
 def _seen(line: PlainLine, x: float, y: float, P: list[list[float]]) -> _Wall:
     """Predict a map line and its innovation covariance without R; maths.md, "line as a state"."""
-    rho, _, c, s, ax, ay, (m00, m01, m11), column = line
+    _, _, c, s, ax, ay, (m00, m01, m11), column = line
     dx, dy = x - ax, y - ay
     u = dx * s - dy * c
     edge = m01 + u * m11
@@ -161,7 +173,7 @@ def _seen(line: PlainLine, x: float, y: float, P: list[list[float]]) -> _Wall:
         s01 += r_beta + t_rho + u * t_beta
         s11 += 2.0 * t_beta
         l00 = l01 = l11 = 0.0
-    return _Wall(rho - dx * c - dy * s, dy * c - dx * s, u, (s00, s01, s11), (l00, l01, l11))
+    return _Wall(dy * c - dx * s, u, (s00, s01, s11), (l00, l01, l11))
 
 
 def pairs_in_arrays(scan: Scan, lines: LineMap, belief: AnyBelief, limit: float) -> list[Pair]:

@@ -34,6 +34,8 @@ def pose_rows(seen: Sequence[Innovation]) -> list[Row]:
     added up: L = H' R^-1 H = U' U and U' w = H' R^-1 y make three rows w = U dx + noise of unit variance of them
     all, and adding a line costs less than two rows of the filter (benchmarks: "EKF step, predict + six lines").
     """
+    if len(seen) == 1:
+        return whitened(seen[0])
     rows: list[Row] = []
     lines: list[Innovation] = []
     xx = xy = xt = yy = yt = tt = wx = wy = wt = 0.0

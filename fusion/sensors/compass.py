@@ -119,6 +119,7 @@ class CompassModel(Model):
         self.settings = settings
         self.given = settings.offset_deg is not None
         self.offset = math.radians(settings.offset_deg or 0.0)
+        self.threshold = chi_square(settings.gate, 1)
 
     def blocks(self) -> list[Block]:
         """Return the offset as a state where it is not given: unknown, that is uniform over a turn."""
@@ -144,8 +145,7 @@ class CompassModel(Model):
     def _judge(
         self, i: int, y: float, S: float, r: float, strength: float, columns: Any, H_block: Any
     ) -> Innovation:
-        threshold = chi_square(self.settings.gate, 1)
-        nis = y * y / S
+        threshold, nis = self.threshold, y * y / S
         verdict = 0 if nis <= threshold else GATE
         if abs(strength - 1.0) > self.settings.field_tolerance:
             verdict = DISTURBED

@@ -142,7 +142,7 @@ def cell(rows: list[dict[str, Any]]) -> str:
     """Mean position rmse over drives [mm], and the median ANEES."""
     position = 1000 * float(np.mean([r["position_rmse_m"] for r in rows]))
     anees = float(np.median([r["anees"] for r in rows]))
-    return f"{position:.1f} mm ({anees:.2g})" if anees < 1000 else f"{position:.1f} mm (> 1000)"
+    return f"{position:.1f} mm ({float(f'{anees:.2g}'):g})" if anees < 1000 else f"{position:.1f} mm (> 1000)"
 
 
 if __name__ == "__main__":

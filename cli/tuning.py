@@ -10,6 +10,7 @@ from typing import Any
 
 from ..formats import robot_toml
 from ..formats.outdir import whole_file
+from ..fusion.consistency import Run, judge
 from ..fusion.data import Evaluation, Measurements, UsageError
 from ..fusion.evaluate import evaluate
 from ..fusion.fuse import fuse
@@ -17,6 +18,7 @@ from ..fusion.noise_figures import Figures
 from ..fusion.robot import Robot
 from ..fusion.sensors.registry import REGISTRY
 from ..fusion.tune import Row, Trial, Tuned, tune
+from .configurations import needs
 from .load import Loaded, load
 from .options import LogOptions
 
@@ -137,7 +139,7 @@ def tune_logs(
         Judged(before.name, _evaluated(before), _evaluated(after))
         for before, after in zip(tuned.told, tuned.trials, strict=True)
     ]
-    return Tuning(tuned, judged, loaded, tuple(_notes(tuned)))
+    return Tuning(tuned, judged, loaded, (*_notes(tuned), *not_white(tuned.trials)))
 
 
 def write(path: Path, found: Tuning, how: LogOptions) -> None:
@@ -158,6 +160,19 @@ def _notes(tuned: Tuned) -> list[str]:
         for s in tuned.measured_again
     ]
     return [*tuned.flags, *again]
+
+
+def not_white(trials: Sequence[Trial]) -> list[str]:
+    """Say which sensors' errors last: no sigma describes them, and alone such a sensor is believed too much."""
+    notes = []
+    for trial in trials:
+        sensors = list(trial.drive.measurements)
+        together = dict.fromkeys((tuple(sensors), *((*needs(s), s) for s in sensors)))
+        runs = [Run(trial.drive, fuse(trial.drive, trial.robot, chosen)) for chosen in together]
+        found = judge(runs, trial.robot)
+        worded = {s: verdict for verdicts in found.values() for s, verdict in verdicts.items()}
+        notes += [f"{trial.name}: {v.words}" for v in worded.values() if v.verdict == "correlated"]
+    return notes
 
 
 def _found(row: Row) -> tuple[str, str]:

@@ -15,6 +15,9 @@ import small_drive
 from commands import locfuse
 from scipy.stats import norm
 
+from locfuse.cli.load import find_log, load
+from locfuse.cli.options import LogOptions
+from locfuse.cli.tuning import not_white
 from locfuse.fusion.data import Array, Drive, LocfuseError, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.noise_search import hessian, standard_errors
@@ -206,3 +209,17 @@ def test_the_command_writes_a_robot_that_the_next_command_takes(tmp_path: Path) 
     taken = locfuse("tune", "rounded_rectangle", "-o", out)
     assert taken.exit_code == 2
     assert "--overwrite" in taken.stderr
+
+
+def test_errors_that_last_are_named_because_no_sigma_describes_them() -> None:
+    loaded = load(
+        find_log(["rounded_rectangle"]),
+        LogOptions(None, (), None, strict=False, quiet=True),
+        only=("compass", "lrf"),
+    )
+    trial = Trial("drive", loaded.drive, loaded.robot)
+    assert any(
+        note.startswith("drive: compass errors are correlated in time") for note in not_white([trial])
+    )  # iron
+    alone = replace(loaded.drive, measurements={"lrf": loaded.drive.measurements["lrf"]})
+    assert not_white([trial._replace(drive=alone)]) == []

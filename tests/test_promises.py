@@ -1,4 +1,7 @@
-"""The promise about damaged and hostile logs, failure by failure: one clear outcome, the loss in numbers."""
+"""The promise about damaged and hostile logs, failure by failure: one clear outcome, the loss in numbers.
+
+Bad data: test_promises_data. Bad disks and signals: test_promises_disk. A missing viewer: test_rerun_robust.
+"""
 
 from __future__ import annotations
 
@@ -145,6 +148,19 @@ def test_bit_flipped_with_checksums_is_the_same_or_a_loss(tmp_path: Path) -> Non
         else:
             assert done.exit_code in {1, 3}
     assert 3 in codes
+
+
+def test_a_bit_flipped_without_checksums_stays_finite_and_info_says_that_it_cannot_be_seen(tmp_path: Path) -> None:
+    content = log(tmp_path / "whole.mcap", enable_crcs=False).read_bytes()
+    payloads = [content.index(m.data) for m in drive(100)[::20]]
+    for at in payloads:
+        bad = bytearray(content)
+        bad[at + 40] ^= 64
+        (tmp_path / "bad.mcap").write_bytes(bad)
+        if run(tmp_path / "bad.mcap").exit_code in {0, 3}:
+            trajectory(tmp_path / "bad.mcap")
+    words = "no checksums, so that a changed value cannot be detected"
+    assert words in locfuse("info", tmp_path / "whole.mcap").stdout
 
 
 def test_zero_filled_hole_is_done_with_loss(tmp_path: Path) -> None:

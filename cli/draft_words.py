@@ -27,7 +27,8 @@ NEEDED = {
     ),
 }
 MOUNT = (
-    "not in this log (no /tf_static says it). Measure from the middle between the wheels: forward, left, turned"
+    "not in this log (no /tf_static says it). Measure from the middle between the wheels: forward, left, turned. "
+    "How well they are known: sigma_x, sigma_y, sigma_yaw_deg; above 0 the drive improves them"
 )
 ASKS = {
     "wheels.noise": Ask("m: variance per metre that a wheel rolls; `locfuse calibrate` finds it"),

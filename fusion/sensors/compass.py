@@ -22,6 +22,9 @@ Convention = Literal["enu_rad", "enu_deg", "compass_rad", "compass_deg"]
 OFFSET = "compass_offset"
 H_HEADING = ((0.0, 0.0, 1.0),)
 H_OFFSET = ((1.0,),)
+# What disturbs a field changes its strength (share) about as much as its direction [rad]: a strength off by more than
+# this many sigmas says how wrong the heading may be.
+FIELD_SIGMAS = 3.0
 STUCK_READINGS, STUCK_TURN = 10, math.radians(20.0)  # the same heading this often while the robot turned this far
 SAYS_SO = ("compass", "heading", "yaw", "azimuth", "bearing", "mag")  # topics of bare numbers that are headings
 
@@ -89,15 +92,17 @@ class Compass:
         dropped = dict(stream.dropped)
         if not good.all():
             dropped["not_finite"] = dropped.get("not_finite", 0) + int((~good).sum())
-        n = int(good.sum())
+        n, sigma = int(good.sum()), math.radians(settings.sigma_deg)
+        strength = _relative(strength[good])
+        rest = np.square(np.maximum(np.abs(strength - 1.0) - FIELD_SIGMAS * sigma, 0.0))
         return Measurements(
             t=t[good],
             first=np.arange(n + 1),
             z=heading[good, None],
-            R_unit=np.ones((n, 1, 1)),
-            scale=math.radians(settings.sigma_deg),
+            R_unit=(1.0 + rest / sigma**2).reshape(-1, 1, 1),
+            scale=sigma,
             floor=np.zeros((1, 1)),
-            extra={"strength": _relative(strength[good])},
+            extra={"strength": strength, "rest": rest},
             dropped=dropped,
         )
 

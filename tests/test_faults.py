@@ -1,0 +1,44 @@
+"""A small sample of `python -m benchmarks.faults`: two of its drives, without the camera (it takes long)."""
+
+from __future__ import annotations
+
+import sys
+from functools import cache
+from pathlib import Path
+
+import pytest
+from lock_step import simulated
+
+from locfuse.fusion.data import Drive, Evaluation
+from locfuse.fusion.evaluate import evaluate
+from locfuse.fusion.fuse import fuse
+from locfuse.fusion.measure import clock_lag
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+
+from benchmarks import faults
+
+CASES = [c for c in faults.CASES if c.sensor in {"compass", "lrf", ""}]
+SEEDS = (1000, 1001)
+
+
+@cache
+def judged(seed: int, fault: str, without: str = "") -> tuple[Drive, Evaluation]:
+    drive, robot = simulated(seed, sets=(f"faults=[{fault}]",) if fault else ())
+    return drive, evaluate(fuse(drive, robot, [s for s in ("compass", "lrf") if s != without]), drive)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda c: c.name)
+def test_a_fault_costs_no_more_than_is_allowed_and_passes(case: faults.Case) -> None:
+    drives = [judged(seed, case.fault) for seed in SEEDS]
+    yard = [judged(seed, case.fault if case.sensor else "", case.sensor) for seed in SEEDS]
+    assert sum(faults.rmse(e) for _, e in drives) <= case.factor * sum(faults.rmse(e) for _, e in yard)
+    assert max(faults.anees_outside(e) for _, e in drives) < 2.0
+
+
+def test_a_clock_that_is_off_is_reported_within_20_ms() -> None:
+    for seed in SEEDS:
+        drive, _ = judged(seed, f'{{kind="clock_offset", sensor="lrf", seconds={faults.OFFSET}}}')
+        lag = clock_lag("lrf", drive.measurements["lrf"], drive.wheels)
+        assert lag is not None
+        assert lag.offset == pytest.approx(-faults.OFFSET, abs=0.02)

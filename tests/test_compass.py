@@ -112,3 +112,13 @@ def test_a_field_of_the_wrong_strength_is_disturbed_and_not_used() -> None:
     disturbed = audit.row[audit.verdict == VERDICTS.index("disturbed")]
     assert len(disturbed) >= 35
     assert set(disturbed.tolist()) <= set(range(100, 140))
+
+
+def test_a_field_that_is_a_little_too_strong_is_a_heading_that_may_be_off_by_as_much() -> None:
+    """Strengths of 1, 1.02 and 1.1 told 1 degree (1.7 %): the last one is 4.8 % beyond three sigmas."""
+    field = 2e-5 * np.array([1.0, 1.0, 1.02, 1.1, 1.0])
+    axes = {"magnetic_field.x": field, "magnetic_field.y": np.zeros(5)}
+    m = measured(stream("/mag", "sensor_msgs/msg/MagneticField", T, axes), sigma_deg=1.0)
+    sigma = math.radians(1.0)
+    expected = [sigma**2] * 3 + [sigma**2 + (0.1 - 3 * sigma) ** 2] + [sigma**2]
+    np.testing.assert_allclose(m.R[:, 0, 0], expected, rtol=1e-9)

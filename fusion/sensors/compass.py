@@ -22,8 +22,8 @@ Convention = Literal["enu_rad", "enu_deg", "compass_rad", "compass_deg"]
 OFFSET = "compass_offset"
 H_HEADING = ((0.0, 0.0, 1.0),)
 H_OFFSET = ((1.0,),)
-# What disturbs a field changes its strength (share) about as much as its direction [rad]: a strength off by more than
-# this many sigmas says how wrong the heading may be.
+# What disturbs a field changes its strength (share) about as much as its direction [rad]: beyond this many sigmas,
+# strength says how wrong the heading may be.
 FIELD_SIGMAS = 3.0
 STUCK_READINGS, STUCK_TURN = 10, math.radians(20.0)  # the same heading this often while the robot turned this far
 SAYS_SO = ("compass", "heading", "yaw", "azimuth", "bearing", "mag")  # topics of bare numbers that are headings

@@ -17,13 +17,15 @@ import numpy as np
 from . import se2
 from .association import Association, associate
 from .data import Array, Ints
-from .ekf import Pose
+from .ekf import JointBelief, Pose
 from .line_map import AnyBelief, LineMap
 from .pairing import Scan
 from .relocalise import find_pose, matched_share, seen_through
+from .trail import Trail
 
 ENOUGH = 0.5  # share of the seen length that must match in an ordinary scan
 THROUGH = 0.3  # share of the seen length that lies behind known walls: more is disagreement
+WELL, LOOK_BACK = 0.9, 3.0  # share of the seen length in a scan that fits; s by which being lost is dated back
 SUSTAINED, SUSTAINED_SCANS = 0.5, 4  # s and scans of disagreement before the robot counts as lost
 MOVED, TURNED = 0.01, math.radians(0.5)  # since the last scan: at rest nothing slips
 LARGEST_SLIP = math.radians(30.0)
@@ -51,6 +53,8 @@ class Guard:
         self._slips = 0
         self._place: tuple[Array, Pose, int] | None = None  # belief and pose found first, scans that agree
         self._carried: tuple[float, float, int] | None = None  # first and last slip of a series, how many
+        self._trail = Trail()  # since it is lost
+        self._well = (0.0, 0)  # when a scan last fitted well, and the number of the first line born after it
         self._last = (math.inf, math.inf, math.inf)
         self._now = 0.0
 
@@ -64,6 +68,8 @@ class Guard:
             _keep_open(belief, dt)
             return self._search(t, scan, found, lines, belief, gate)
         share = matched_share(found, scan)
+        if share >= WELL:
+            self._well = (t, lines.next_id)
         if share >= ENOUGH:
             self._since = None
             return found, True
@@ -71,13 +77,13 @@ class Guard:
             slipped = _after_slip(scan, lines, belief, gate)
             if slipped is not None:
                 self._since = None
-                return slipped, not self._carried_off(t, belief)
+                return slipped, not self._carried_off(t, lines, belief)
         if seen_through(scan, lines, lines.values(belief), belief.x, belief.y, belief.theta) < THROUGH:
             self._since = None
             return found, True
-        return found, self._disagree(t, belief)
+        return found, self._disagree(t, lines, belief)
 
-    def _carried_off(self, t: float, belief: AnyBelief) -> bool:
+    def _carried_off(self, t: float, lines: LineMap, belief: AnyBelief) -> bool:
         """Count a slip; a series of them is none: somebody carries the robot, and it is lost from the first on."""
         self._slips += 1
         first, last, count = self._carried or (t, t, 0)
@@ -88,25 +94,32 @@ class Guard:
             return False
         self._slips -= CARRIED
         self._carried = None
-        self._lose(first, belief)
+        self._lose(first, lines, belief)
         return True
 
-    def _lose(self, since: float, belief: AnyBelief) -> None:
-        self._lost_from = since
+    def _lose(self, since: float, lines: LineMap, belief: AnyBelief) -> None:
+        """Mark the robot as lost from the last scan that fitted well; what was learnt after it is forgotten."""
+        well, born = self._well
+        self._lost_from = max(min(since, well), since - LOOK_BACK)
+        gone = np.flatnonzero(lines.ids >= born)
+        if len(gone) < len(lines) and isinstance(belief, JointBelief):
+            belief.remove(lines.drop(gone))
+        self._trail.forget()
         belief.place((belief.x, belief.y, belief.theta), LOST_XY**2, math.pi**2 / 3.0)
 
-    def _disagree(self, t: float, belief: AnyBelief) -> bool:
+    def _disagree(self, t: float, lines: LineMap, belief: AnyBelief) -> bool:
         if self._since is None:
             self._since, self._scans = t, 0
         self._scans += 1
         if t - self._since >= SUSTAINED and self._scans >= SUSTAINED_SCANS:
-            self._lose(self._since, belief)
+            self._lose(self._since, lines, belief)
         return False
 
     def _search(
         self, t: float, scan: Scan, found: Association, lines: LineMap, belief: AnyBelief, gate: float
     ) -> tuple[Association, bool]:
-        pose = find_pose(scan, lines, belief)
+        pose = find_pose(scan, lines, belief, self._trail)
+        self._trail.note(np.array([belief.x, belief.y, belief.theta]), scan)
         if pose is None or self._lost_from is None or not self._confirmed(pose, belief):
             return found, False
         belief.place(pose, PLACED_XY**2, PLACED_THETA**2)

@@ -1,22 +1,26 @@
 """Finding a pose on a line map from one scan: every pair of seen walls against every pair of known ones.
 
 Two walls that are not parallel fix a pose. Each such pose is scored by how much of the scan it explains and
-refused where the scan sees through walls; a pose counts only if no other, different one explains nearly as much. A
-rectangle alone has two (turned by 180 degrees): then nothing is returned, and the robot stays lost.
+refused where the scan sees through walls; a pose counts only if no other, different one explains nearly as much,
+now and along the trail since the robot was lost. A rectangle alone has two (turned by 180 degrees): then nothing
+is returned, and the robot stays lost.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from . import se2
 from .association import Association
 from .data import Array, Ints
 from .line_map import AnyBelief, LineMap
 from .pairing import Scan
+from .trail import Trail
 
 LONGEST = 5  # seen walls from which pairs are made
 KNOWN = 60  # map lines that are considered, the best seen first
@@ -31,6 +35,7 @@ SAMPLES = 5  # points along a seen wall at which sight lines are tested
 BEHIND = 0.3  # m by which a point must lie behind a known wall
 MARGIN = 0.2  # m at either end of a known wall that is not trusted to block the sight
 TOO_MUCH_THROUGH = 0.15
+OFTEN, CONTRADICTS = 3, 0.35  # scans of the trail that make a pose none; share seen through by which one does
 
 
 def matched_share(found: Association, scan: Scan) -> float:
@@ -41,10 +46,12 @@ def matched_share(found: Association, scan: Scan) -> float:
     return float(length[matched].sum()) / total if total > 0 else 1.0
 
 
-def seen_through(scan: Scan, lines: LineMap, values: Array, x: float, y: float, theta: float) -> float:
+def seen_through(
+    scan: Scan, lines: LineMap, values: Array, x: float, y: float, theta: float, both: bool = False
+) -> float:
     """Return the share of the seen wall length that lies behind known walls, from a supposed pose.
 
-    `values` (J, 2) are rho and beta of the map's lines.
+    `values` (J, 2) are rho and beta of the map's lines; `both`: walls block the sight from their unseen side too.
     """
     known = np.flatnonzero(lines.hits >= LEAST_HITS)
     if len(known) == 0 or len(scan.z) == 0:
@@ -60,7 +67,8 @@ def seen_through(scan: Scan, lines: LineMap, values: Array, x: float, y: float, 
         range_ = (values[:, 0] - (offset * n).sum(axis=1)) / (d @ n.T)
     tangent = np.stack((-n[:, 1], n[:, 0]), axis=-1)
     along = (offset * tangent).sum(axis=1) + range_ * (d @ tangent.T)
-    blocks = (range_ > 0) & (range_ < distance[:, None] - BEHIND) & (d @ n.T > 0.1)
+    facing = np.abs(d @ n.T) if both else d @ n.T
+    blocks = (range_ > 0) & (range_ < distance[:, None] - BEHIND) & (facing > 0.1)
     blocks &= (along > lines.lo[known] + MARGIN) & (along < lines.hi[known] - MARGIN)
     behind = blocks.any(axis=1).reshape(-1, SAMPLES).mean(axis=1)
     length = scan.ends[:, 1] - scan.ends[:, 0]
@@ -75,8 +83,11 @@ def _points(scan: Scan) -> Array:
     return np.stack((r * c - along * s, r * s + along * c), axis=-1).reshape(-1, 2)
 
 
-def find_pose(scan: Scan, lines: LineMap, belief: AnyBelief) -> tuple[float, float, float] | None:
-    """Return the only pose (x, y, theta) that explains the scan, None where there is none or several."""
+def find_pose(scan: Scan, lines: LineMap, belief: AnyBelief, trail: Trail) -> tuple[float, float, float] | None:
+    """Return the only pose (x, y, theta) that explains the scan, None where there is none or several.
+
+    Another one counts as a rival unless scans of the trail contradict it.
+    """
     values = lines.values(belief)
     known = np.flatnonzero(lines.hits >= LEAST_HITS)
     known = known[np.argsort(-lines.hits[known], kind="stable")][:KNOWN]
@@ -94,13 +105,36 @@ def find_pose(scan: Scan, lines: LineMap, belief: AnyBelief) -> tuple[float, flo
     pose = poses[best]
     apart = np.hypot(*(poses[:, :2] - pose[:2]).T) > APART
     apart |= np.abs(_wrap(poses[:, 2] - pose[2])) > TURNED
-    for rival in _distinct(poses[apart & (possible >= RIVAL * share[best])]):
-        if seen_through(scan, lines, values, *rival.tolist()) < TOO_MUCH_THROUGH:
-            return None
-    if seen_through(scan, lines, values, *pose.tolist()) >= TOO_MUCH_THROUGH:
+    rivals = _distinct(poses[apart & (possible >= RIVAL * share[best])])
+    here = np.array([belief.x, belief.y, belief.theta])
+    stand = _standing(np.vstack((pose, rivals)), scan, lines, values)
+    last = _lasting(stand, trail.back_from(here), lines, values, known)
+    if len(last) != 1 or (last[0] != pose).any():
         return None
     x, y, theta = pose.tolist()
     return x, y, belief.theta + float(_wrap(np.array(theta - belief.theta)))
+
+
+def _standing(poses: Array, scan: Scan, lines: LineMap, values: Array) -> Array:
+    """Return the poses (h, 3) from which the scan does not see through known walls, from whatever side."""
+    through = [seen_through(scan, lines, values, x, y, theta, both=True) for x, y, theta in poses.tolist()]
+    return np.asarray(poses[np.array(through) < TOO_MUCH_THROUGH], np.float64)
+
+
+def _lasting(
+    poses: Array, before: Iterable[tuple[Array, Scan]], lines: LineMap, values: Array, known: Ints
+) -> Array:
+    """Return the poses (h, 3) that earlier scans, each from (3,) as seen from here, contradict less than OFTEN."""
+    against = np.zeros(len(poses), dtype=np.int64)
+    for step, scan in before:
+        if not len(poses):
+            break
+        then = se2.compose(poses, step)
+        _, possible, _ = _explained(then, scan, lines, values, known)
+        through = [seen_through(scan, lines, values, x, y, theta, both=True) for x, y, theta in then.tolist()]
+        against += (possible < RIVAL * EXPLAINED) | (np.array(through) >= CONTRADICTS)
+        poses, against = poses[against < OFTEN], against[against < OFTEN]
+    return poses
 
 
 def _heading_fits(theta: Array, belief: AnyBelief) -> NDArray[np.bool_]:

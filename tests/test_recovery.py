@@ -58,7 +58,7 @@ def test_a_robot_that_was_carried_off_says_so_and_is_never_confidently_wrong(
     world = Carried(jump=(jump[0], jump[1], math.radians(jump[2])), walls=(*ROOM, *PLATES))
     found, figures = judged(world, sensors)
     assert found.lost
-    assert AT <= found.lost[0][0] <= AT + 3.0
+    assert AT - 0.15 <= found.lost[0][0] <= AT + 3.0  # from the last scan that fitted
     assert outside(found, figures).max() < 0.1
     assert any("lost" in note for note in found.notes)
 

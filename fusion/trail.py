@@ -1,0 +1,65 @@
+"""What a lost robot has seen, and from where by its wheels: a place must explain all of it, not one scan only.
+
+In a room whose halves look alike a single scan fits twice. As the robot drives on, one of the two places shows
+walls that are not there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+
+import numpy as np
+
+from . import se2
+from .data import Array
+from .pairing import Scan
+
+STRIDE, TURN = 0.2, math.radians(15.0)  # m, rad between two scans that are kept
+LENGTH = 30  # scans: over 6 m and more the wheels have drifted
+LEAST_LINES = 2
+SAME_ANGLE, SAME_OFFSET = math.radians(4.0), 0.1  # a line is where the wheels expect it within these
+CONTINUES = 0.6  # share of the seen length that must be: less, and the robot is being carried
+
+
+class Trail:
+    """Scans along the way of the wheels."""
+
+    def __init__(self) -> None:
+        self._seen: deque[tuple[Array, Scan]] = deque(maxlen=LENGTH)  # pose by the wheels, scan
+
+    def note(self, pose: Array, scan: Scan) -> None:
+        """Keep a scan that shows something, from a pose (3,) by the wheels that is not the last one's.
+
+        Where the walls moved otherwise than the wheels, the robot is still being carried: what was before is void.
+        """
+        if len(scan.z) < LEAST_LINES:
+            return
+        if self._seen:
+            there, before = self._seen[-1]
+            step = se2.between(there, pose)
+            if math.hypot(step[0], step[1]) < STRIDE and abs(se2.wrap(float(step[2]))) < TURN:
+                return
+            if expected_share(scan, before, step) < CONTINUES:
+                self.forget()
+        self._seen.append((pose, scan))
+
+    def forget(self) -> None:
+        """Begin anew."""
+        self._seen.clear()
+
+    def back_from(self, pose: Array) -> Iterator[tuple[Array, Scan]]:
+        """Yield the scans, the newest first, with the pose (3,) they were taken from as seen from `pose`."""
+        for there, scan in reversed(self._seen):
+            yield np.asarray(se2.between(pose, there)), scan
+
+
+def expected_share(scan: Scan, before: Scan, step: Array) -> float:
+    """Return the share of a scan's line length that is where an earlier scan and a step (3,) expect it."""
+    r, psi = before.z.T
+    expected = r - step[0] * np.cos(psi) - step[1] * np.sin(psi)
+    turn = np.abs(se2.wrap_all(scan.z[:, 1, None] - psi + step[2]))
+    found = ((turn < SAME_ANGLE) & (np.abs(scan.z[:, 0, None] - expected) < SAME_OFFSET)).any(axis=1)
+    length = scan.ends[:, 1] - scan.ends[:, 0]
+    return float(length[found].sum() / length.sum())

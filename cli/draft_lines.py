@@ -135,7 +135,7 @@ def _concerns(facts: Facts, table: str, key: str) -> bool:
     """Whether a key means anything to the kind of message that is read."""
     kind = facts.kind(table)
     if table == "wheels" and key in OF_COUNTERS:
-        return kind != ODOMETRY and (key != "ticks_per_revolution" or counts_ticks(kind))
+        return kind not in {ODOMETRY, ""} and (key != "ticks_per_revolution" or counts_ticks(kind))
     if f"{table}.{key}" == "compass.convention":
         return kind.startswith("std_msgs/")
     if table in REGISTRY and key in MOUNTED:

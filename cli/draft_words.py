@@ -44,7 +44,7 @@ ASKS = {
     **dict.fromkeys((f"lrf.{k}" for k in ("x", "y", "yaw_deg")), Ask(f"m, m, degrees: {MOUNT}")),
     **dict.fromkeys((f"camera.{k}" for k in ("x", "y", "yaw_deg")), Ask(f"m, m, degrees: {MOUNT}")),
     **dict.fromkeys(("gps.x", "gps.y"), Ask(f"m: {MOUNT}")),
-    "sonar.mounts": Ask(f"topic = [m, m, degrees]: {MOUNT}"),
+    "sonar.mounts": Ask(f"topic = [m, m, degrees]: {MOUNT}", {"/range": (0.0, 0.0, 0.0)}),
     "lrf.sigma_range": Ask("m: noise of one range, by the data sheet"),
     "compass.sigma_deg": Ask("noise of one heading"),
     "compass.offset_deg": Ask("left out, it is estimated from the drive; locfuse calibrate finds iron", 0.0),

@@ -56,7 +56,7 @@ def _head(made: Draft, words: str) -> str:
 def _foot(made: Draft) -> str:
     """Return which sensors the log lacks, and why where that is not plain."""
     written = {section.name for section in made.sections if section.lines}
-    absent = {name: why for name, why in made.seen.choice.absent.items() if name not in written}
+    absent = {name: why for name, why in made.seen.choice.absent.items() if name not in written - {"wheels"}}
     plain = [name for name, why in absent.items() if why.startswith("no topic of type")]
     odd = [f"{name}: {why}" for name, why in absent.items() if name not in plain]
     return "\n".join(([f"Not in this log: {', '.join(plain)}."] if plain else []) + odd)
@@ -65,7 +65,9 @@ def _foot(made: Draft) -> str:
 def _say(made: Draft, words: str, lost: list[str]) -> None:
     for line in lost:
         click.echo(f"lost: {line}", err=True)
-    if made.missing:
+    if (nothing := made.seen.choice.absent.get("wheels")) is not None:
+        click.echo(f"this log cannot run: {nothing}", err=True)
+    elif made.missing:
         click.echo(f"to be filled in: {', '.join(made.missing)} (their lines say how to measure them)", err=True)
     else:
         click.echo(f"nothing is missing; try: locfuse compare {words} --robot robot.toml", err=True)

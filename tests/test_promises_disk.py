@@ -16,7 +16,8 @@ from bags import drive, write
 from commands import locfuse
 
 ROBOT = {"robot.toml": b"[wheels]\nradius = 0.05\ntrack = 0.4\n"}
-FINAL = ("robot.toml", "trajectory.tum", "trajectory.csv", "run.json")
+FINAL = ("robot.toml", "trajectory.tum", "trajectory.csv", "estimates.mcap", "run.json")
+EXPORT = ("--export", "mcap")  # the one file that is not made in memory
 ONCE = "import sys; from locfuse.cli.main import main; print('ready', flush=True); main(sys.argv[1:])"
 # RLIMIT_FSIZE stands for a full disk: no file may grow beyond 2000 bytes
 FULL = """
@@ -113,13 +114,13 @@ def test_ctrl_c_and_sigterm_end_with_their_code_one_line_and_no_half_file(
 
 def test_kill_9_at_random_times_leaves_no_half_file_under_a_final_name(log: Path, tmp_path: Path) -> None:
     """A program that writes its result again and again is killed somewhere on the way, 10 times."""
-    assert locfuse("run", log, "-o", tmp_path / "whole").exit_code == 0
+    assert locfuse("run", log, "-o", tmp_path / "whole", *EXPORT).exit_code == 0
     whole = {name: (tmp_path / "whole" / name).read_bytes() for name in FINAL}
     rng = random.Random(9)
     folders = [tmp_path / str(i) for i in range(10)]
     for first in range(0, len(folders), 5):
         batch = folders[first : first + 5]
-        running = [start(FOREVER, "run", log, "-o", folder, "-q") for folder in batch]
+        running = [start(FOREVER, "run", log, "-o", folder, "-q", *EXPORT) for folder in batch]
         for process in running:
             assert process.stdout is not None
             assert any("ready" in line for line in iter(process.stdout.readline, ""))
@@ -135,10 +136,10 @@ def test_kill_9_at_random_times_leaves_no_half_file_under_a_final_name(log: Path
 
 
 def test_kill_9_before_the_first_result_is_whole_leaves_no_result(log: Path, tmp_path: Path) -> None:
-    assert locfuse("run", log, "-o", tmp_path / "whole").exit_code == 0
+    assert locfuse("run", log, "-o", tmp_path / "whole", *EXPORT).exit_code == 0
     whole = {name: (tmp_path / "whole" / name).read_bytes() for name in FINAL}
     rng = random.Random(3)
-    running = [start(ONCE, "run", log, "-o", tmp_path / str(i)) for i in range(4)]
+    running = [start(ONCE, "run", log, "-o", tmp_path / str(i), *EXPORT) for i in range(4)]
     for process in running:
         assert process.stdout is not None
         process.stdout.readline()

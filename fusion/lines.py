@@ -160,6 +160,8 @@ def _straight(fit: Fits, points: Ints, feet: Array, settings: LineSettings) -> M
 def _first_and_last(clear: Mask, counts: Ints) -> tuple[Ints, Ints, Ints]:
     """Return the first and the last clear row of every wall and how many it has, each (m,)."""
     hits, end = np.flatnonzero(clear), np.cumsum(counts)
+    if not len(hits):
+        return np.zeros_like(counts), np.zeros_like(counts), np.zeros_like(counts)
     stop = np.searchsorted(hits, end)
     begin = np.concatenate(([0], stop))[:-1]
     return hits.take(begin, mode="clip"), hits.take(stop - 1, mode="clip"), stop - begin

@@ -140,6 +140,7 @@ BAD = [
     (("run", LOG, "--set", "wheels.track=wide"), 2, "wheels.track"),
     (("run", LOG, "--set", "wheels.track=-1"), 1, "must both be at least 1e-06 m"),
     (("run", LOG, "--set", "compass.sigma_deg=0"), 2, "locfuse: compass: sigma_deg = 0.0: no sensor is exact"),
+    (("run", LOG, "--set", "lrf.sigma_range=0"), 2, "locfuse: lrf: sigma_range = 0.0"),
     (("run", LOG, "--set", "camera.sigma_deg=0"), 2, "locfuse: camera: sigma_deg = 0.0"),
     (("run", LOG, "--set", "wheels.left=arm_joint"), 1, "no joint 'arm_joint'"),
     (("run", LOG, "--robot", "{typo}"), 1, "did you mean track"),

@@ -306,6 +306,15 @@ def test_where_the_circle_starts_does_not_matter(shift: int) -> None:
         np.testing.assert_allclose(se2.wrap_all(a[:, 1] - b[:, 1]), 0.0, atol=1e-9)
 
 
+@pytest.mark.parametrize("angle", [0.0, -1.57])
+def test_beams_that_all_look_the_same_way_see_no_line(angle: float) -> None:
+    """An angle_increment of 0: a damaged message, or a driver that never set it."""
+    ranges = np.stack([np.linspace(2.0, 2.4, 61), np.linspace(2.0, 9.0, 61), np.full(61, 3.0)])
+    with np.errstate(all="ignore"):
+        lines = extract_lines(ranges, np.full(61, angle), SHARP)
+    assert lines.first[-1] == 0
+
+
 def test_a_clockwise_scanner_sees_the_same_lines() -> None:
     """A corner's own beam goes with the wall scanned after it, so a few lines differ, within their noise."""
     rng = np.random.default_rng(9)

@@ -20,7 +20,7 @@ class SensorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 
     def __post_init__(self) -> None:
         """Refuse a sensor without noise: P would be singular, and rounding makes that worse than singular."""
-        for key in ("sigma", "sigma_deg"):
+        for key in ("sigma", "sigma_deg", "sigma_range"):
             if getattr(self, key, 1.0) <= 0.0:
                 raise ValueError(f"{key} = {getattr(self, key)}: no sensor is exact, it must be positive")
 

@@ -28,6 +28,7 @@ class MountedSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, k
 
     def __post_init__(self) -> None:
         """Raise ValueError where a standard deviation is negative."""
+        super().__post_init__()
         for key in ("sigma_x", "sigma_y", "sigma_yaw_deg"):
             if not 0.0 <= getattr(self, key) < math.inf:
                 raise ValueError(f"{key} = {getattr(self, key)} must be 0 (known exactly) or above")

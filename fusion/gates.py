@@ -6,6 +6,8 @@ import math
 from functools import cache
 from statistics import NormalDist
 
+MAD = 0.6745  # median absolute deviation of a normal distribution
+
 
 @cache
 def chi_square(confidence: float, dof: int) -> float:

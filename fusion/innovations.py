@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .data import VERDICTS, Array, Audit, Drive, Estimates, Ints, Measurements
-from .gates import chi_square, mean_bounds
+from .gates import MAD, chi_square, mean_bounds
 from .robot import Robot
 from .se2 import wrap_all
 from .sensors.base import Block
@@ -26,7 +26,6 @@ LAGS = 5
 MEMORY = 0.05  # autocorrelation below which errors have forgotten
 MOST_HEARD, STRETCH = 1500, 150  # readings that are heard, in stretches so that neighbours stay neighbours
 WILD = 6.0  # sigmas (by the median deviation) beyond which a reading is an outlier
-MAD = 0.6745  # median absolute deviation of a normal distribution
 
 
 class Own(NamedTuple):

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Literal, cast
 import numpy as np
 
 from ..data import VERDICTS, Array, LocfuseError, Measurements, Stream
-from ..gates import chi_square
+from ..gates import MAD, chi_square
 from ..mounting import rotated, rotation
 from ..se2 import wrap, wrap_all
 from .base import Belief, Block, Innovation, Model, SensorSettings, WheelMotion
@@ -94,7 +94,8 @@ class Compass:
             dropped["not_finite"] = dropped.get("not_finite", 0) + int((~good).sum())
         n, sigma = int(good.sum()), math.radians(settings.sigma_deg)
         strength = _relative(strength[good])
-        rest = np.square(np.maximum(np.abs(strength - 1.0) - FIELD_SIGMAS * sigma, 0.0))
+        explained = FIELD_SIGMAS * max(sigma, _white(strength))
+        rest = np.square(np.maximum(np.abs(strength - 1.0) - explained, 0.0))
         return Measurements(
             t=t[good],
             first=np.arange(n + 1),
@@ -227,6 +228,12 @@ _HEADING = {
     "std_msgs/msg/Float64": from_number,
     "std_msgs/msg/Float32": from_number,
 }
+
+
+def _white(values: Array) -> float:
+    """Return the standard deviation of what is new in every value (n,), whatever the slow rest does."""
+    steps = np.abs(np.diff(values))
+    return float(np.median(steps)) / (MAD * math.sqrt(2.0)) if len(steps) else 0.0
 
 
 def _relative(strength: Array) -> Array:

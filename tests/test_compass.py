@@ -119,7 +119,9 @@ def test_a_field_that_is_a_little_too_strong_is_a_heading_that_may_be_off_by_as_
     field = np.full(20, 2e-5)
     field[[7, 12]] *= 1.02, 1.1
     axes = {"magnetic_field.x": field, "magnetic_field.y": np.zeros(20)}
-    m = measured(stream("/mag", "sensor_msgs/msg/MagneticField", np.arange(20) * 0.1, axes), sigma_deg=1.0)
+    m = measured(
+        stream("/mag", "sensor_msgs/msg/MagneticField", np.arange(20) * np.float64(0.1), axes), sigma_deg=1.0
+    )
     sigma = math.radians(1.0)
     expected = np.full(20, sigma**2)
     expected[12] += (0.1 - 3 * sigma) ** 2
@@ -129,6 +131,8 @@ def test_a_field_that_is_a_little_too_strong_is_a_heading_that_may_be_off_by_as_
 def test_strengths_that_only_scatter_are_noise_whatever_sigma_is_told() -> None:
     field = 2e-5 * (1.0 + 0.02 * np.random.default_rng(0).normal(size=200))
     axes = {"magnetic_field.x": field, "magnetic_field.y": np.zeros(200)}
-    m = measured(stream("/mag", "sensor_msgs/msg/MagneticField", np.arange(200) * 0.1, axes), sigma_deg=0.1)
+    m = measured(
+        stream("/mag", "sensor_msgs/msg/MagneticField", np.arange(200) * np.float64(0.1), axes), sigma_deg=0.1
+    )
     assert np.median(m.R[:, 0, 0]) == pytest.approx(math.radians(0.1) ** 2, rel=1e-9)
     assert np.mean(m.R[:, 0, 0]) < 2 * math.radians(0.1) ** 2

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .data import Drive, Truth
-from .lag import Lag, worth_saying
+from .lag import Lag, find_lag, worth_saying
 from .measure import clock_lag
 from .oddity import Oddity
 from .robot import Robot
@@ -31,9 +31,9 @@ def of_clocks(drive: Drive, robot: Robot) -> list[Oddity]:
 
 
 def _stream(name: str, lag: Lag, robot: Robot) -> Oddity:
-    what, told = ("speed", robot.truth) if name == "truth" else ("turning", robot.settings(name))
+    told = robot.truth if name == "truth" else robot.settings(name)
     words = (
-        f"its {what} runs {abs(lag.offset):.2f} s {_side(lag.offset)} the wheels' "
+        f"its motion runs {abs(lag.offset):.2f} s {_side(lag.offset)} the wheels' "
         f"(correlation {lag.without:.3f} as stamped, {lag.correlation:.3f} shifted)"
     )
     offset = told.time_offset + lag.offset
@@ -57,8 +57,14 @@ def off_by(lag: Lag) -> bool:
 
 
 def truth_lag(drive: Drive) -> Lag | None:
-    """Return the lag of the truth, None without one."""
-    return way_lag(drive.truth, drive) if drive.truth is not None and len(drive.truth.t) >= 5 else None
+    """Return the lag of the truth by its headings, else by its speed; None where neither tells."""
+    truth, wheels = drive.truth, drive.wheels
+    if truth is None or len(truth.t) < 5:
+        return None
+    turning = None
+    if truth.theta is not None:
+        turning = find_lag(truth.t, np.unwrap(truth.theta), wheels, (float(wheels.t[0]), float(wheels.t[-1])))
+    return turning or way_lag(truth, drive)
 
 
 def way_lag(truth: Truth, drive: Drive) -> Lag | None:

@@ -13,6 +13,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from . import se2
 from .data import Array, Drive, Ints, Measurements
@@ -28,7 +29,8 @@ REFINED = 3  # times at most
 BLOCKS = 8  # stretches of the drive whose estimates must agree
 OFF_SCALE, OFF_YAW, SURE = 0.03, math.radians(4.0), 3.0
 SPOILS_SCALE, SPOILS_YAW = 0.05, math.radians(8.0)
-LEAST_TURNED = 6.0  # rad, of all turns together
+ALIKE = 0.9  # correlation of both turns: less, and what the wheels tell is noise
+LEAST_TURNED = 0.5  # rad^2, all turns squared and added: what wobbles along a straight tells no track
 
 
 class Walls(NamedTuple):
@@ -122,14 +124,22 @@ def fitted(walls: Walls) -> tuple[float, float] | None:
 
 
 def turned(walls: Walls) -> float | None:
-    """Return the robot's turn per turn that the wheels tell, None where it hardly turned."""
-    rest = walls.turn - walls.told
-    keep = np.abs(rest) < TURN
-    if float(np.abs(walls.told[keep]).sum()) < LEAST_TURNED:
+    """Return the robot's turn per turn that the wheels tell, None where it hardly turned or the two disagree."""
+    rest = np.abs(walls.turn - walls.told)
+    near = rest < TURN
+    c = _slope(walls, near)
+    if c is None:
         return None
-    c = float((walls.turn[keep] * walls.told[keep]).sum() / (walls.told[keep] ** 2).sum())
-    keep &= np.abs(walls.turn - c * walls.told) < 3.0 * 1.4826 * float(np.median(np.abs(rest[keep])) + 1e-3)
-    return float((walls.turn[keep] * walls.told[keep]).sum() / (walls.told[keep] ** 2).sum())
+    scatter = 1.4826 * float(np.median(rest[near])) + 1e-3
+    return _slope(walls, near & (np.abs(walls.turn - c * walls.told) < 3.0 * scatter))
+
+
+def _slope(walls: Walls, rows: NDArray[np.bool_]) -> float | None:
+    turn, told = walls.turn[rows], walls.told[rows]
+    squares = float((told**2).sum())
+    if squares < LEAST_TURNED or float(np.corrcoef(turn, told)[0, 1]) < ALIKE:
+        return None
+    return float((turn * told).sum()) / squares
 
 
 def _spread(estimate: Callable[[Walls], tuple[float, ...] | None], walls: Walls, numbers: int) -> list[float]:

@@ -50,7 +50,7 @@ def start_pose(truth: Truth, drive: Drive) -> Start | None:
     A truth with headings tells at once, points only by the shape of the first metres.
     """
     wheels = drive.wheels
-    rolled = np.concatenate(([0.0], np.cumsum(np.abs(wheels.twist[:, 0]))))
+    rolled = np.concatenate(([0.0], np.cumsum(np.abs(wheels.rolled).max(axis=1))))
     inside = (truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1])
     way = BEGINNING if truth.theta is None else AT_ONCE
     inside &= np.interp(truth.t, wheels.t, rolled) <= min(way, 0.5 * float(rolled[-1]))

@@ -28,8 +28,9 @@ def of_truth(drive: Drive, robot: Robot) -> list[Oddity]:
     if truth is None or len(truth.t) < 5:
         return []
     jumps = _jumps(truth, drive)
-    found = [*jumps, *_gaps(truth), *_point(truth, drive)]
-    return [*found, *([] if jumps else of_start(truth, drive, robot))]
+    point = _point(truth, drive)
+    # where a jump or another point is told, what it tells of the start is not the start
+    return [*jumps, *_gaps(truth), *point, *([] if jumps or point else of_start(truth, drive, robot))]
 
 
 def _gaps(truth: Truth) -> list[Oddity]:

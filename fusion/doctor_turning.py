@@ -41,7 +41,6 @@ class Turning:
     sigma: float  # standard error of a - b
     explained: float  # share of its variance
     offset: float  # s to add to its stamps
-    distinct: bool  # both wheels could be told apart
 
 
 def turnings(drive: Drive) -> dict[str, Turning]:
@@ -89,24 +88,36 @@ def _way(wheels: Wheels, way: Array, t: Array) -> Array:
 
 
 def _fit(own: Array, rolled: Array, offset: float) -> Turning | None:
-    """Fit by least squares, then take the geometric mean of both regressions: the wheels err too."""
+    """Explain turns (n,) by both wheels (n, 2); where these move as one, by difference or sum."""
     left, right = rolled.T
-    if np.std(left) < STILL or np.std(right) < STILL:
+    if np.std(left) < STILL or np.std(right) < STILL or own.var() == 0.0:
         return None
-    distinct = abs(float(np.corrcoef(left, right)[0, 1])) < ALONE
-    A = np.stack((right, left, np.ones_like(left)) if distinct else (right - left, np.ones_like(left)), axis=-1)
-    x, *_ = np.linalg.lstsq(A, own, rcond=None)
+    if abs(float(np.corrcoef(left, right)[0, 1])) < ALONE:
+        return _regression(own, np.stack((right, left), axis=-1), np.eye(2), offset)
+    turn = _regression(own, (right - left)[:, None], np.array([[1.0, -1.0]]), offset)
+    if turn is not None and turn.explained > EXPLAINED:
+        return turn
+    # at constant speed the wheels of a robot seem to turn against each other if one of them counts backward
+    return _regression(own, (right + left)[:, None], np.array([[1.0, 1.0]]), offset) or turn
+
+
+def _regression(own: Array, by: Array, shares: Array, offset: float) -> Turning | None:
+    """Fit by least squares, then take the geometric mean of both regressions: the wheels err too.
+
+    `by` (n, k) is what explains, `shares` (k, 2) what each column is per metre of the right and the left wheel.
+    """
+    A = np.concatenate((by, np.ones((len(own), 1))), axis=1)
+    x, _, rank, _ = np.linalg.lstsq(A, own, rcond=None)
     rest = own - A @ x
-    explained = 1.0 - float(rest.var() / own.var()) if own.var() > 0 else 0.0
-    if explained <= 0.0:
+    explained = 1.0 - float(rest.var() / own.var())
+    if explained <= 0.0 or rank < A.shape[1]:
         return None
     # windows overlap: as many are independent as fit side by side
     independent = max(4.0, len(own) * 0.25)
-    covariance = np.linalg.inv(A.T @ A) * float(rest.var()) * len(own) / independent
-    x = x / math.sqrt(explained)
-    v = np.array([1.0, -1.0, 0.0]) if distinct else np.array([2.0, 0.0])
-    a, b = (float(x[0]), float(x[1])) if distinct else (float(x[0]), -float(x[0]))
-    return Turning(a, b, math.sqrt(float(v @ covariance @ v)), explained, offset, distinct)
+    covariance = np.linalg.inv(A.T @ A)[:-1, :-1] * float(rest.var()) * len(own) / independent
+    a, b = (x[:-1] / math.sqrt(explained) @ shares).tolist()
+    v = shares @ np.array([1.0, -1.0])
+    return Turning(a, b, math.sqrt(max(0.0, float(v @ covariance @ v))), explained, offset)
 
 
 def of_turning(
@@ -133,7 +144,7 @@ def of_turning(
 def _mirrored(t: Turning) -> str | None:
     """Return which wheel's sign is wrong, None where neither or where it cannot be told."""
     weak = 0.3 * max(abs(t.a), abs(t.b))
-    if not t.distinct or abs(t.a) < weak or abs(t.b) < weak or t.a * t.b < 0.0:
+    if abs(t.a) < weak or abs(t.b) < weak or t.a * t.b < 0.0:
         return None
     return "left" if t.a > 0.0 else "right"
 

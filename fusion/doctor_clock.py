@@ -22,10 +22,11 @@ def of_clocks(drive: Drive, robot: Robot) -> list[Oddity]:
     lags = {name: lag for name, m in drive.measurements.items() if (lag := clock_lag(name, m, drive.wheels))}
     late = {name: lag for name, lag in lags.items() if worth_saying(lag)}
     truth = truth_lag(drive)
-    if truth is not None and off_by(truth):
-        late["truth"] = truth
+    if truth is not None:
+        lags["truth"] = truth
+        late |= {"truth": truth} if off_by(truth) else {}
     offsets = [lag.offset for lag in late.values()]
-    if len(late) > 1 and lags.keys() <= late.keys() and np.ptp(offsets) < ALIKE:
+    if len(late) > 1 and len(late) == len(lags) and np.ptp(offsets) < ALIKE:
         return [_wheels(float(np.mean(offsets)), list(late), robot)]
     return [_stream(name, lag, robot) for name, lag in late.items()]
 

@@ -52,9 +52,9 @@ def start_pose(truth: Truth, drive: Drive) -> Start | None:
     wheels = drive.wheels
     rolled = np.concatenate(([0.0], np.cumsum(np.abs(wheels.rolled).max(axis=1))))
     inside = (truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1])
-    way = BEGINNING if truth.theta is None else AT_ONCE
+    way, fewest = (BEGINNING, 5) if truth.theta is None else (AT_ONCE, 1)
     inside &= np.interp(truth.t, wheels.t, rolled) <= min(way, 0.5 * float(rolled[-1]))
-    if inside.sum() < 5:
+    if inside.sum() < fewest:
         return None
     own = wheels.at(truth.t[inside])[2]
     points = own[:, :2] + turned(own[:, 2], np.tile(truth.point, (len(own), 1)))

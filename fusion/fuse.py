@@ -133,8 +133,8 @@ class Filter:
     def estimates(self, drive: Drive, name: str) -> Estimates:
         """Return everything recorded, with predictions at the truth's stamps beside it."""
         n = len(self._poses) // 3
-        pose = np.array(self._poses).reshape(n, 3)
-        P = _matrices(np.array(self._triangles).reshape(n, 6))
+        pose = np.frombuffer(self._poses).reshape(n, 3)
+        P = _matrices(np.frombuffer(self._triangles).reshape(n, 6))
         blocks = {name: np.array(v).reshape(n, -1) for name, (v, _) in self._blocks.items()}
         maps = [m.lines(self.belief) for m in self.models.values()]
         truth_pose, truth_P = _at_truth(drive, pose, P, blocks.get(WHEELS))

@@ -13,6 +13,7 @@ import numpy as np
 from . import se2
 from .data import Array, Ints, Motions
 
+BLOCK = 8192  # intervals at a time: what is needed on the way is many times larger than the result
 PARAMETERS = ("scale_left", "scale_right", "track")  # relative corrections, 0 = as given
 
 
@@ -87,6 +88,11 @@ class Wheels:
         rate (the paper's eq. 9 depends on the period). Each piece between two cuts contributes through
         eq. 8 in its right form plus the lever arm to the interval's end.
         """
+        blocks = [slice(a, a + BLOCK) for a in range(0, max(len(t_from), 1), BLOCK)]
+        parts = [self._between(t_from[at], t_to[at], parameters) for at in blocks]
+        return Motions(*map(np.concatenate, zip(*parts, strict=True)))
+
+    def _between(self, t_from: Array, t_to: Array, parameters: bool) -> tuple[Array, Array, Array]:
         pieces = _Pieces.cut(self, t_from, t_to)
         u = se2.between(pieces.start, pieces.end)
         columns = pieces.jacobian(self.track)  # (m, 3, 2) left, right
@@ -96,7 +102,7 @@ class Wheels:
         if parameters:
             J = pieces.total(pieces.by_parameters(columns))
         turn = _rotation(-pieces.start[:, 2])
-        return Motions(u, turn @ Q @ turn.transpose(0, 2, 1), turn @ J)
+        return u, turn @ Q @ turn.transpose(0, 2, 1), turn @ J
 
 
 @dataclass(frozen=True)

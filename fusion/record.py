@@ -31,14 +31,15 @@ class Record:
     def audit(self) -> Audit:
         """Return the record as columns."""
         d = self._width
-        values = np.array(self._values).reshape(-1, FIXED + 2 * d)
+        values = np.frombuffer(self._values).reshape(-1, FIXED + 2 * d)
+        instant, row, landmark = (values[:, i].astype(np.int64) for i in (0, 1, 3))
         return Audit(
-            instant=values[:, 0].astype(np.int64),
-            row=values[:, 1].astype(np.int64),
+            instant=instant,
+            row=row,
             verdict=values[:, 2].astype(np.int8),
-            landmark=values[:, 3].astype(np.int64),
-            nis=values[:, 4],
-            threshold=values[:, 5],
-            y=values[:, FIXED : FIXED + d],
-            sigma=values[:, FIXED + d :],
+            landmark=landmark,
+            nis=values[:, 4].copy(),  # a view would keep everything alive
+            threshold=values[:, 5].copy(),
+            y=values[:, FIXED : FIXED + d].copy(),
+            sigma=values[:, FIXED + d :].copy(),
         )

@@ -80,21 +80,23 @@ class LineMap:
 
     def plain(self, belief: AnyBelief) -> list[PlainLine]:
         """Return every line in plain floats."""
-        if self._frozen is not None:
-            return self._frozen
-        lines = [
-            PlainLine(rho, beta, math.cos(beta), math.sin(beta), x, y, (m00, m01, m11), column)
-            for (rho, beta), ((m00, m01), (_, m11)), (x, y), column in zip(
-                self.values(belief).tolist(),
-                self.covariances(belief).tolist(),
-                self.anchor.tolist(),
-                self.column.tolist(),
-                strict=True,
-            )
+        if self._frozen is None and len(self) and self.column[0] < 0:
+            self._frozen = [
+                PlainLine(rho, beta, math.cos(beta), math.sin(beta), x, y, (m00, m01, m11), -1)
+                for (rho, beta), ((m00, m01), (_, m11)), (x, y) in zip(
+                    self.value.tolist(), self.P.tolist(), self.anchor.tolist(), strict=True
+                )
+            ]
+        if self._frozen is not None or not isinstance(belief, JointBelief):
+            return self._frozen or []
+        x, P = belief.state.tolist(), belief.covariance
+        own, beside = P.diagonal().tolist(), P.diagonal(1).tolist()
+        columns = self.column.tolist()
+        betas = [x[c + 1] for c in columns]
+        return [
+            PlainLine(x[c], beta, math.cos(beta), math.sin(beta), ax, ay, (own[c], beside[c], own[c + 1]), c)
+            for c, beta, (ax, ay) in zip(columns, betas, self.anchor.tolist(), strict=True)
         ]
-        if lines and lines[0].column < 0:
-            self._frozen = lines
-        return lines
 
     def append(
         self, anchor: Array, value: Array, P: Array, column: int, ends: tuple[float, float], scan: int

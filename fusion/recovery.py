@@ -1,9 +1,10 @@
 """When the scan and the map disagree: slips are found again, being carried away is noticed, and lost is said.
 
 The guard watches how much of what a scan shows is matched. New lines are no disagreement: a robot that explores
-sees new walls. Disagreement is seeing *through* walls that the map has. A wheel that slipped is a wrong heading: a
-few near the old one are tried. What stays is a robot that was carried off, or a map that was moved: nothing is
-corrected or learnt, the covariance says so, and the pose is looked for on the whole map until one place fits.
+sees new walls. Disagreement is seeing *through* walls that the map has, or walls that all jump from one scan to
+the next. A wheel that slipped is a wrong heading: a few near the old one are tried. What stays is a robot that was
+carried off, or a map that was moved: nothing is corrected or learnt, the covariance says so, and the pose is
+looked for on the whole map until one place fits all that was seen since.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from .ekf import JointBelief, Pose
 from .line_map import AnyBelief, LineMap
 from .pairing import Scan
 from .relocalise import find_pose, matched_share, seen_through
-from .trail import Trail
+from .trail import Trail, expected_share
 
 ENOUGH = 0.5  # share of the seen length that must match in an ordinary scan
 THROUGH = 0.3  # share of the seen length that lies behind known walls: more is disagreement
@@ -30,6 +31,7 @@ SUSTAINED, SUSTAINED_SCANS = 0.5, 4  # s and scans of disagreement before the ro
 MOVED, TURNED = 0.01, math.radians(0.5)  # since the last scan: at rest nothing slips
 LARGEST_SLIP = math.radians(30.0)
 SLIP_SHARE = 0.6  # of the seen length that a slipped heading must explain, with two lines
+GAP = 1.0  # s without a scan after which walls need not continue
 HARDLY = 0.2  # a slip turns everything: where more than this share still matches, there was none
 SLIP_XY, SLIP_THETA = 0.03, math.radians(1.5)  # m, rad: what is left to correct after a slip's heading was found
 CANDIDATES = 8
@@ -55,6 +57,8 @@ class Guard:
         self._carried: tuple[float, float, int] | None = None  # first and last slip of a series, how many
         self._trail = Trail()  # since it is lost
         self._well = (0.0, 0)  # when a scan last fitted well, and the number of the first line born after it
+        self._before: tuple[float, Array, Scan] | None = None  # the last scan, when and where
+        self._torn = False  # the walls jumped, and little has matched since
         self._last = (math.inf, math.inf, math.inf)
         self._now = 0.0
 
@@ -63,7 +67,7 @@ class Guard:
     ) -> tuple[Association, bool]:
         """Return the association to use and whether the scan may correct the pose and teach the map."""
         dt, self._now = t - self._now, t
-        moved = self._moved(belief)
+        moved, jumped = self._moved(belief), self._jumped(t, scan, belief)
         if self._lost_from is not None:
             _keep_open(belief, dt)
             return self._search(t, scan, found, lines, belief, gate)
@@ -71,13 +75,16 @@ class Guard:
         if share >= WELL:
             self._well = (t, lines.next_id)
         if share >= ENOUGH:
-            self._since = None
+            self._since, self._torn = None, False
             return found, True
         if moved and share < HARDLY:
             slipped = _after_slip(scan, lines, belief, gate)
             if slipped is not None:
-                self._since = None
+                self._since, self._torn = None, False
                 return slipped, not self._carried_off(t, lines, belief)
+        self._torn = self._torn or (jumped and share < HARDLY)
+        if self._torn:
+            return found, self._disagree(t, lines, belief)
         if seen_through(scan, lines, lines.values(belief), belief.x, belief.y, belief.theta) < THROUGH:
             self._since = None
             return found, True
@@ -125,6 +132,7 @@ class Guard:
         belief.place(pose, PLACED_XY**2, PLACED_THETA**2)
         self._intervals.append((self._lost_from, t))
         self._lost_from = self._since = self._place = None
+        self._torn = False
         return associate(scan, lines, belief, gate), True
 
     def _confirmed(self, pose: Pose, belief: AnyBelief) -> bool:
@@ -141,6 +149,17 @@ class Guard:
                 return times + 1 >= CONFIRMED
         self._place = (here, pose, 1)
         return False
+
+    def _jumped(self, t: float, scan: Scan, belief: AnyBelief) -> bool:
+        """Return whether the walls of this scan do not continue those of the last one, a slip allowed for.
+
+        A robot that explores sees new walls, but not only new ones, and not at once.
+        """
+        here, last = np.array([belief.x, belief.y, belief.theta]), self._before
+        self._before = (t, here, scan)
+        if last is None or t - last[0] > GAP or min(len(scan.z), len(last[2].z)) < 2:
+            return False
+        return expected_share(scan, last[2], se2.between(last[1], here), LARGEST_SLIP) < ENOUGH
 
     def _moved(self, belief: AnyBelief) -> bool:
         x, y, theta = self._last

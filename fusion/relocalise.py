@@ -35,6 +35,7 @@ SAMPLES = 5  # points along a seen wall at which sight lines are tested
 BEHIND = 0.3  # m by which a point must lie behind a known wall
 MARGIN = 0.2  # m at either end of a known wall that is not trusted to block the sight
 TOO_MUCH_THROUGH = 0.15
+DRIFTED = 2.0  # slack along the trail: wheels drift
 OFTEN, CONTRADICTS = 3, 0.35  # scans of the trail that make a pose none; share seen through by which one does
 
 
@@ -130,7 +131,7 @@ def _lasting(
         if not len(poses):
             break
         then = se2.compose(poses, step)
-        _, possible, _ = _explained(then, scan, lines, values, known)
+        _, possible, _ = _explained(then, scan, lines, values, known, DRIFTED)
         through = [seen_through(scan, lines, values, x, y, theta, both=True) for x, y, theta in then.tolist()]
         against += (possible < RIVAL * EXPLAINED) | (np.array(through) >= CONTRADICTS)
         poses, against = poses[against < OFTEN], against[against < OFTEN]
@@ -169,10 +170,13 @@ def _distinct(poses: Array) -> Array:
     return poses[np.sort(np.unique(cells, axis=0, return_index=True)[1])]
 
 
-def _explained(poses: Array, scan: Scan, lines: LineMap, values: Array, known: Ints) -> tuple[Array, Array, Ints]:
+def _explained(
+    poses: Array, scan: Scan, lines: LineMap, values: Array, known: Ints, slack: float = 1.0
+) -> tuple[Array, Array, Ints]:
     """Return (h,) each: share of the seen length explained, the same were walls longer than known, and walls.
 
-    What is known of a wall grows with what was seen of it: a rival may look at a part that nobody saw yet.
+    What is known of a wall grows with what was seen of it: a rival may look at a part that nobody saw yet. `slack`
+    widens what counts as the same wall.
     """
     length = scan.ends[:, 1] - scan.ends[:, 0]
     share, possible, count = np.zeros(len(poses)), np.zeros(len(poses)), np.zeros(len(poses), dtype=np.int64)
@@ -186,7 +190,7 @@ def _explained(poses: Array, scan: Scan, lines: LineMap, values: Array, known: I
         along = c * dy - s * dx
         lo, hi = scan.ends[:, :1] + along, scan.ends[:, 1:] + along
         overlap = np.minimum(hi, lines.hi[known]) - np.maximum(lo, lines.lo[known])
-        same = (np.abs(turn) < SAME_ANGLE) & (np.abs(offset) < SAME_OFFSET)
+        same = (np.abs(turn) < slack * SAME_ANGLE) & (np.abs(offset) < slack * SAME_OFFSET)
         possible[at : at + 512] = (same.any(axis=2) * length).sum(axis=1) / length.sum()
         seen = (same & (overlap > 0.6 * length[:, None])).any(axis=2)
         share[at : at + 512] = (seen * length).sum(axis=1) / length.sum()

@@ -17,7 +17,7 @@ from .data import Array
 from .pairing import Scan
 
 STRIDE, TURN = 0.2, math.radians(15.0)  # m, rad between two scans that are kept
-LENGTH = 30  # scans: over 6 m and more the wheels have drifted
+LENGTH, TURNED = 30, math.radians(90.0)  # scans, rad: over 6 m, or around a corner, the wheels have drifted
 LEAST_LINES = 2
 SAME_ANGLE, SAME_OFFSET = math.radians(4.0), 0.1  # a line is where the wheels expect it within these
 CONTINUES = 0.6  # share of the seen length that must be: less, and the robot is being carried
@@ -52,14 +52,21 @@ class Trail:
     def back_from(self, pose: Array) -> Iterator[tuple[Array, Scan]]:
         """Yield the scans, the newest first, with the pose (3,) they were taken from as seen from `pose`."""
         for there, scan in reversed(self._seen):
-            yield np.asarray(se2.between(pose, there)), scan
+            step = np.asarray(se2.between(pose, there))
+            if abs(se2.wrap(float(step[2]))) > TURNED:
+                return
+            yield step, scan
 
 
-def expected_share(scan: Scan, before: Scan, step: Array) -> float:
-    """Return the share of a scan's line length that is where an earlier scan and a step (3,) expect it."""
+def expected_share(scan: Scan, before: Scan, step: Array, slip: float = 0.0) -> float:
+    """Return the share of a scan's line length that is where an earlier scan and a step (3,) expect it.
+
+    With the heading change of up to `slip` [rad] that suits it best: wheels slip.
+    """
     r, psi = before.z.T
-    expected = r - step[0] * np.cos(psi) - step[1] * np.sin(psi)
-    turn = np.abs(se2.wrap_all(scan.z[:, 1, None] - psi + step[2]))
-    found = ((turn < SAME_ANGLE) & (np.abs(scan.z[:, 0, None] - expected) < SAME_OFFSET)).any(axis=1)
+    near = np.abs(scan.z[:, 0, None] - (r - step[0] * np.cos(psi) - step[1] * np.sin(psi))) < SAME_OFFSET
+    turn = se2.wrap_all(scan.z[:, 1, None] - psi + step[2])  # (k, lines before)
+    slips = np.append(turn[np.abs(turn) < slip], 0.0)
+    found = (near & (np.abs(turn - slips[:, None, None]) < SAME_ANGLE)).any(axis=2)  # (slips, k)
     length = scan.ends[:, 1] - scan.ends[:, 0]
-    return float(length[found].sum() / length.sum())
+    return float((found @ length).max() / length.sum())

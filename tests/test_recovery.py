@@ -14,6 +14,8 @@ from locfuse.fusion.data import Estimates, Evaluation
 from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure
+from locfuse.fusion.pairing import Scan
+from locfuse.fusion.trail import Trail, expected_share
 
 Array = NDArray[np.float64]
 AT = 12.0  # s
@@ -61,6 +63,46 @@ def test_a_robot_that_was_carried_off_says_so_and_is_never_confidently_wrong(
     assert AT - 0.15 <= found.lost[0][0] <= AT + 3.0  # from the last scan that fitted
     assert outside(found, figures).max() < 0.1
     assert any("lost" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("jump", [(2.5, 0.5, 40.0), (1.5, 0.5, -60.0), (-1.0, 0.8, 100.0)])
+def test_being_carried_to_where_all_walls_are_nearer_is_noticed_in_a_bare_rectangle(
+    jump: tuple[float, float, float],
+) -> None:
+    """Nothing is seen through there: to the map these are new walls before the old ones. But they all jump."""
+    world = Carried(jump=(jump[0], jump[1], math.radians(jump[2])), walls=ROOM, seconds=16.0)
+    found, figures = judged(world, ["lrf"])
+    assert found.lost
+    assert AT - 0.15 <= found.lost[0][0] <= AT + 3.0
+    assert outside(found, figures).max() < 0.1
+
+
+def test_walls_that_continue_are_expected_and_others_are_not() -> None:
+    """Seen from 0.5 m further and 20 degrees turned, by plain geometry."""
+    step = np.array([0.5, 0.1, math.radians(20.0)])
+    before = np.array([(2.0, 0.3), (1.5, -1.2), (3.0, 2.8)])
+    r = before[:, 0] - step[0] * np.cos(before[:, 1]) - step[1] * np.sin(before[:, 1])
+    after = np.stack((r, before[:, 1] - step[2]), axis=-1)
+    ends = np.array([(0.0, 2.0), (0.0, 1.0), (0.0, 1.0)])
+    R = np.tile(np.eye(2) * 1e-4, (3, 1, 1))
+    assert expected_share(Scan(after, R, ends), Scan(before, R, ends), step) == pytest.approx(1.0)
+    slipped = after - (0.0, math.radians(10.0))
+    assert expected_share(Scan(slipped, R, ends), Scan(before, R, ends), step) == 0.0
+    assert expected_share(
+        Scan(slipped, R, ends), Scan(before, R, ends), step, math.radians(30.0)
+    ) == pytest.approx(1.0)
+    moved = after + np.array([(0.4, 0.0), (0.0, 0.0), (0.0, 0.0)])
+    assert expected_share(Scan(moved, R, ends), Scan(before, R, ends), step) == pytest.approx(0.5)
+
+
+def test_a_trail_forgets_what_was_seen_while_the_robot_was_carried() -> None:
+    """The walls moved by 0.5 m from one scan to the next while the wheels say 0.3 m."""
+    R, ends = np.tile(np.eye(2) * 1e-4, (2, 1, 1)), np.array([(0.0, 2.0), (0.0, 2.0)])
+    trail = Trail()
+    for k, wall in enumerate((3.0, 2.7, 2.2, 1.9)):
+        trail.note(np.array([0.3 * k, 0.0, 0.0]), Scan(np.array([(wall, 0.0), (1.0, 1.57)]), R, ends))
+    seen = [step[0] for step, _ in trail.back_from(np.array([0.9, 0.0, 0.0]))]
+    assert seen == pytest.approx([0.0, -0.3])
 
 
 @pytest.mark.parametrize("turn", [90.0, 180.0])

@@ -27,7 +27,8 @@ __all__ = ["LineSettings", "Lines", "extract_lines", "to_base"]
 # zeroed page by page: a third of the time here. One large block, freed untouched, ends that for the process.
 _POOL = 2_000_000  # numbers
 PAPER_LASER = LineSettings()
-_BATCH = 256  # scans worked on at once: enough to hide NumPy's overhead per call, few enough for the cache
+_BATCH = 256  # scans worked on at once: enough to hide NumPy's overhead per call, few enough for the cache,
+_BEAMS = 100_000  # unless they have more beams than this in all: working memory is some 500 bytes a beam
 
 
 @dataclass(frozen=True)
@@ -59,8 +60,9 @@ def extract_lines(
     """
     parts = []
     np.empty(_POOL)
-    for i in range(0, max(len(ranges), 1), _BATCH):
-        rows = slice(i, i + _BATCH)
+    batch = min(_BATCH, max(_BEAMS // max(ranges.shape[1], 1), 1))
+    for i in range(0, max(len(ranges), 1), batch):
+        rows = slice(i, i + batch)
         scans = Scans(
             ranges[rows],
             angles if angles.ndim == 1 else angles[rows],

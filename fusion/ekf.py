@@ -1,9 +1,9 @@
 """The extended Kalman filter (paper eq. 5, 6, 10-12): predict by wheel motion, correct by innovations.
 
-Two beliefs with one interface. `PoseBelief` is the paper's 3 x 3 filter in plain floats: at this size NumPy's
-call overhead is twenty times the arithmetic (benchmarks: "EKF step"). `JointBelief` carries state blocks that
-sensors own (map lines, compass offset, wheel parameters) in arrays. Both keep P symmetric by construction and
-agree with a textbook filter to 1e-9 (tests/test_ekf.py).
+Beliefs with one interface. `PoseBelief` is the paper's 3 x 3 filter in plain floats: at this size NumPy's call
+overhead is twenty times the arithmetic (benchmarks: "EKF step"). `JointBelief` carries state blocks that sensors
+own (map lines, compass offset, wheel parameters) in arrays; `few_blocks.FewBlocks` a few of them in plain floats.
+All keep P symmetric by construction and agree with a textbook filter to 1e-9 (tests/test_ekf.py).
 """
 
 from __future__ import annotations

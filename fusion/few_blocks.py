@@ -74,13 +74,11 @@ class FewBlocks(PoseBelief):
         """Return H P H', (d, d)."""
         if not columns:
             return super().spread(H)
-        at = [c - 3 for c in columns]
+        rows = [(a, b, c, _beside(columns, g)) for (a, b, c), g in zip(H, H_block, strict=True)]
         out = []
-        for (a, b, c), g in zip(H, H_block, strict=True):
-            p0, p1, p2, q = self._covaried(a, b, c, tuple(zip(at, g, strict=True)))
-            along = [h[0] * p0 + h[1] * p1 + h[2] * p2 for h in H]
-            beside = [sum([v * q[i] for i, v in zip(at, h, strict=True)]) for h in H_block]
-            out.append(tuple([v + w for v, w in zip(along, beside, strict=True)]))
+        for row in rows:
+            p0, p1, p2, q = self._covaried(*row)
+            out.append(tuple([a * p0 + b * p1 + c * p2 + sum([g * q[i] for i, g in s]) for a, b, c, s in rows]))
         return tuple(out)
 
     def _covaried(self, a: float, b: float, c: float, beside: Beside) -> tuple[float, float, float, list[float]]:
@@ -138,9 +136,12 @@ def _scalar_rows(seen: Sequence[Innovation]) -> list[tuple[Row, Beside]]:
     for s in seen:
         if s.columns:
             rows, (g, *more) = whitened(s), s.H_block
-            at = [c - 3 for c in s.columns]
-            out.append((rows[0], tuple(zip(at, g, strict=True))))
+            out.append((rows[0], _beside(s.columns, g)))
             for h in more:  # whitened like the rows
                 k = s.R[0][1] / s.R[0][0]
-                out.append((rows[1], tuple([(i, v - k * w) for i, v, w in zip(at, h, g, strict=True)])))
+                out.append((rows[1], _beside(s.columns, [v - k * w for v, w in zip(h, g, strict=True)])))
     return out
+
+
+def _beside(columns: Sequence[int], derivatives: Sequence[float]) -> Beside:
+    return tuple([(c - 3, g) for c, g in zip(columns, derivatives, strict=True)])

@@ -37,6 +37,6 @@ def test_odometry_costs_a_few_calls_per_instant() -> None:
 
 @pytest.mark.parametrize(("mode", "most"), [("first-scan", 95), ("grow", 140)])
 def test_a_line_costs_a_few_dozen_calls(mode: str, most: float) -> None:
-    """Instants and compass readings included. Two thirds are math.remainder and the like; NumPy would show."""
+    """Instants and compass readings included."""
     count, _, lines = calls(World(settings={"lrf": {"map": mode}}), ["compass", "lrf"])
     assert count / lines < most

@@ -132,7 +132,7 @@ class LineTracker(Model):
             return
         uneven = m.extra["uneven"][first] if "uneven" in m.extra else np.zeros(2)
         if uneven.any() and isinstance(belief, JointBelief):
-            self._bend(found, bend(uneven), belief)
+            self._bend(found, uneven, belief)
         for k, p in enumerate(found.match):
             if p >= 0:
                 self._extend(found.pairs[p])
@@ -142,11 +142,18 @@ class LineTracker(Model):
             prune(self.map, belief, self._scan)
             merge_doubles(self.map, belief, self._scan, uneven)
 
-    def _bend(self, found: Association, variance: Array, belief: JointBelief) -> None:
-        """Loosen the lines that were seen: of a wall that is not flat another part is seen next (wall_floor)."""
+    def _bend(self, found: Association, uneven: Array, belief: JointBelief) -> None:
+        """Loosen the lines that were seen: of a wall that is not flat another part is seen next (wall_floor).
+
+        A wall stays within its unevenness, so a line that is known no better is left alone: loosened for ever, the
+        walls of a small room would let the robot drift among them.
+        """
         seen = np.unique(self.map.column[[found.pairs[p].which for p in found.match if p >= 0]])
-        if self.mode != "consider" and len(seen):
-            belief.loosen(np.concatenate((seen, seen + 1)), np.repeat(variance, len(seen)))
+        if not self.joint or self.mode == "consider" or len(seen) == 0:
+            return
+        columns = np.concatenate((seen, seen + 1))
+        room = np.repeat(uneven, len(seen)) - np.diagonal(belief.covariance)[columns]
+        belief.loosen(columns, np.clip(room, 0.0, np.repeat(bend(uneven), len(seen))))
 
     def _scan_of(self, m: Measurements, first: int, last: int, belief: Any) -> Scan:
         """Return rows first:last as one scan, put into the base by the mount as the belief has it."""

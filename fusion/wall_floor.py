@@ -45,7 +45,7 @@ def bend(uneven: Array) -> Array:
     """Return by what variance (2,) a wall differs from one scan to the next, from that of its unevenness.
 
     What is uneven about a wall repeats while the same part of it is seen, so it does not average out. As a random
-    walk of the line that explains the change over LAG scans, 2 `uneven`, it never does.
+    walk of the line that explains the change over LAG scans, 2 `uneven`, it does not either.
     """
     return 2.0 * uneven / LAG
 

@@ -87,7 +87,7 @@ def test_the_track_is_found_whatever_it_was_told(tmp_path: Path, robot: Path) ->
     """A fit of the odometry to the truth has 0.178 m, and wheels that are 6 % larger than told."""
     tracks = [found_track(tmp_path, robot, start, CURED)[0] for start in (0.14, 0.155, 0.173, 0.2)]
     assert max(tracks[1:3]) / min(tracks[1:3]) < 1.02
-    assert max(tracks) / min(tracks) < 1.03
+    assert max(tracks) / min(tracks) < 1.04
     assert tracks == pytest.approx([0.1779] * 4, rel=0.05)
 
 

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from locfuse.fusion.association import associate
+from locfuse.fusion.ekf import JointBelief
+from locfuse.fusion.line_tracker import LineTracker
+from locfuse.fusion.pairing import Scan
 from locfuse.fusion.se2 import wrap_all
 from locfuse.fusion.wall_floor import LAG, bend, wall_floor
 
@@ -57,3 +62,24 @@ def test_a_line_that_bends_changes_over_the_lag_as_the_walls_did() -> None:
     uneven = np.array([1e-4, 7e-5])
     steps = np.random.default_rng(0).normal(size=(4000, LAG, 2)) * np.sqrt(bend(uneven))
     assert steps.sum(axis=1).var(axis=0) == pytest.approx(2.0 * uneven, rel=0.1)
+
+
+def test_a_line_that_is_seen_for_ever_stays_within_its_walls_unevenness() -> None:
+    """Looked at again and again, a wall that is known well becomes as uncertain as it is uneven, and no more."""
+    uneven = np.array([1e-4, 7e-5])
+    belief = JointBelief((0.0, 0.0, 0.0), (1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6), [])
+    tracker = LineTracker("grow", 0.9999)
+    for start in (1e-6, 4e-4):  # one well known, one worse than it is uneven
+        column = belief.augment(np.zeros(2), np.zeros((2, 3)), start * np.eye(2))
+        tracker.map.append(np.array([2.0, 0.0]), np.zeros(2), np.zeros((2, 2)), column, (-1.0, 1.0), 0)
+    z, R, ends = np.array([[2.0, 0.0]]), np.diag([1e-4, 1e-4])[None], np.array([[-1.0, 1.0]])
+    found = associate(Scan(z, R, ends), tracker.map, belief, math.inf)
+    for which in (0, 1):
+        pair = next(p for p, pair in enumerate(found.pairs) if pair.which == which)
+        for _ in range(10 * LAG):
+            tracker._bend(replace(found, match=[pair]), uneven, belief)
+    np.testing.assert_allclose(np.diagonal(belief.covariance)[3:], [*uneven, 4e-4, 4e-4], rtol=1e-9)
+    before = belief.covariance.copy()
+    tracker.joint = False  # a frozen map is none of the state's
+    tracker._bend(found, uneven, belief)
+    np.testing.assert_array_equal(belief.covariance, before)

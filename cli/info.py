@@ -50,7 +50,8 @@ def info(log: tuple[str, ...], check: bool, as_json: bool, preview: Path | None,
     else:
         text = info_text.lines(seen, _typed(log, how), show.width())
         show.lines((*text, *pictures), (*info_text.TITLES, PICTURES))
-    lost = any(o.code == "lost" for o in seen.oddities)
+    losses = {"lost", "refused"} if how.strict else {"lost"}
+    lost = any(o.code in losses for o in seen.oddities)
     return ODD if lost or (check and seen.spoils) else 0
 
 

@@ -6,7 +6,8 @@ from typing import Any
 
 from ..fusion.oddity import Oddity
 from ..fusion.sensors.registry import REGISTRY
-from .look import Look, extrinsics
+from .look import Look
+from .look_mounts import extrinsics
 from .topics import types
 
 

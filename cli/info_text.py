@@ -11,7 +11,8 @@ from typing import Any
 from ..fusion.oddity import Oddity
 from ..fusion.sensors.registry import REGISTRY
 from .info_json import absent, configurations, wheels_missing
-from .look import Look, extrinsics
+from .look import Look
+from .look_mounts import extrinsics
 from .text_table import Column, table
 from .topic_facts import TopicFacts, clock_word
 

@@ -5,8 +5,9 @@ Whatever is wrong becomes an oddity and the rest is looked at all the same: this
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,8 +22,8 @@ from ..fusion.sensors.registry import REGISTRY
 from . import hints
 from .load import Loaded, make_robot, measured, merged_tables, named_by_hand
 from .look_clocks import of_stamps
+from .look_mounts import conflicts, unplaced
 from .look_sensors import raw_oddities
-from .mounts import BASE_FRAMES, mount_of
 from .topic_facts import TopicFacts, topic_facts
 from .topics import Choice, choose_sensor, choose_truth
 from .wheel_topics import choose_wheels
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
 
 COSTLY = ("camera",)  # decoding every picture takes longer than all the rest
 PHANTOMS = {"yaw", "range scale"}  # what walls that are none would say
-MOUNT_KEYS = ("x", "y", "roll_deg", "pitch_deg", "yaw_deg", "flipped", "mounts")
 
 
 @dataclass
@@ -76,7 +76,7 @@ def look(paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None]
     ]
     seen.oddities += raw_oddities(log, robot, choice)
     _measure(seen, progress)
-    seen.oddities += [*_mounts(seen), *_conflicts(seen)]
+    seen.oddities += [*unplaced(seen), *conflicts(seen)]
     return seen
 
 
@@ -84,11 +84,10 @@ def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Oddity]) -> 
     """Choose every role by itself: what cannot be chosen becomes an oddity."""
     choice = Choice()
     steps: dict[str, Callable[[], None]] = {
-        "truth": lambda: choose_truth(log, robot, "truth" in insisted, choice),
-        "wheels": lambda: choose_wheels(log, robot, choice),
+        "truth": partial(choose_truth, log, robot, "truth" in insisted, choice),
+        "wheels": partial(choose_wheels, log, robot, choice),
+        **{s: partial(choose_sensor, log, robot, s, s in insisted, choice) for s in REGISTRY},
     }
-    for name in REGISTRY:
-        steps[name] = lambda name=name: choose_sensor(log, robot, name, name in insisted, choice)  # type: ignore[misc]
     for role, step in steps.items():
         try:
             step()
@@ -109,29 +108,6 @@ def _transforms(log: Log, found: list[Oddity]) -> StaticTransforms:
     return transforms
 
 
-def _conflicts(seen: Look) -> list[Oddity]:
-    """Name the frames that are said to be in two places: those that matter one by one, the others together."""
-    facts = {f.topic: f for f in seen.facts}
-    frames = {facts[t].frame_id: role for role in seen.choice.topics for t in seen.choice.of(role) if t in facts}
-    found, others = [], []
-    for words in seen.transforms.conflicts:
-        frame = words.partition(":")[0]
-        role = frames.get(frame, "")
-        mount = extrinsics(seen).get(role, {})
-        if not role:
-            others.append(frame)
-        elif mount.get("by") == "/tf_static":  # whether it is wrong the walls tell, see doctor_laser
-            keys = [k for k in ("x", "y", "yaw_deg") if isinstance(mount.get(k), float)]
-            wrong = any(o.stream == role and o.code == "yaw" for o in seen.oddities)
-            cures = () if wrong else tuple(f"{role}.{k}={mount[k]:.4g}" for k in keys)
-            found.append(Oddity("tf_static", role, words, cures))
-    if others:
-        listed = ", ".join(others[:3]) + (" ..." if len(others) > 3 else "")
-        words = f"{len(others)} frames are said to be in two places ({listed}); no sensor used here sits there"
-        found.append(Oddity("tf_static", "/tf_static", words))
-    return found
-
-
 def _of_files(log: Log) -> list[Oddity]:
     """What the files themselves lost, and whether they could tell."""
     found = [Oddity("lost", "file", line, spoils=True) for line in log.losses.lines()]
@@ -150,13 +126,7 @@ def _measure(seen: Look, progress: Callable[[str], None]) -> None:
     try:
         loaded = measured(seen.log, seen.tables, seen.choice, progress, aside=COSTLY)
     except LocfuseError as e:
-        words = str(e)
-        role, _, rest = words.partition(": ")
-        known = role in {"wheels", "truth", *REGISTRY}
-        if not any(o.stream == role and o.spoils for o in seen.oddities):
-            seen.oddities.append(
-                Oddity("unusable", role if known else "log", rest if known else words, settings_in(words), True)
-            )
+        seen.oddities += _not_measured(seen, str(e))
         return
     progress("looking for oddities")
     seen.loaded, seen.robot = loaded, loaded.robot
@@ -170,6 +140,15 @@ def _measure(seen: Look, progress: Callable[[str], None]) -> None:
     seen.oddities += _unusable(seen, loaded)
 
 
+def _not_measured(seen: Look, words: str) -> list[Oddity]:
+    """Say why nothing could be measured, where that is not told yet."""
+    role, _, rest = words.partition(": ")
+    if role not in {"wheels", "truth", *REGISTRY}:
+        role, rest = "log", words
+    told = any(o.stream == role and o.spoils for o in seen.oddities)
+    return [] if told else [Oddity("unusable", role, rest, settings_in(words), True)]
+
+
 def _unusable(seen: Look, loaded: Loaded) -> list[Oddity]:
     """Sensors that the log has but that say nothing useful, where nothing else told why."""
     told = {o.stream for o in seen.oddities if o.spoils}
@@ -178,39 +157,3 @@ def _unusable(seen: Look, loaded: Loaded) -> list[Oddity]:
         for name, why in loaded.drive.absent.items()
         if name in seen.choice.topics and name not in told
     ]
-
-
-def extrinsics(seen: Look) -> dict[str, dict[str, Any]]:
-    """Return where each sensor sits, and who says so."""
-    found: dict[str, dict[str, Any]] = {}
-    for name in seen.choice.topics:
-        if name not in REGISTRY:
-            continue
-        settings = seen.robot.settings(name)
-        values = {k: getattr(settings, k) for k in MOUNT_KEYS if hasattr(settings, k)}
-        if values:
-            found[name] = {**values, "by": _mount_by(seen, name, values)}
-    return found
-
-
-def _mount_by(seen: Look, name: str, keys: Mapping[str, Any]) -> str:
-    """Return who says where a sensor sits: the settings, its frame, /tf_static, or nobody."""
-    if any(key in seen.tables.get(name, {}) for key in keys):
-        return "settings"
-    facts = {f.topic: f for f in seen.facts}
-    frames = [facts[t].frame_id for t in seen.choice.of(name) if t in facts]
-    if frames and all(frame in BASE_FRAMES for frame in frames):
-        return f"its frame {frames[0]}"
-    known = [frame for frame in frames if mount_of(seen.transforms, frame) is not None]
-    return "/tf_static" if known and len(known) == len(frames) else "nobody"
-
-
-def _mounts(seen: Look) -> list[Oddity]:
-    """Say of the sensors whose place matters that nobody says where they sit."""
-    found = []
-    for name, mount in extrinsics(seen).items():
-        if mount["by"] == "nobody" and name in {"lrf", "sonar"}:
-            keys = f"{name}.mounts" if "mounts" in mount else f"{name}.x, {name}.y, {name}.yaw_deg"
-            words = f"nothing says where it sits on the robot: the base's origin is assumed (set {keys})"
-            found.append(Oddity("mount", name, words))
-    return found

@@ -48,7 +48,9 @@ def examine(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[O
     found += [o for o in turning if o.stream not in {t.stream for t in tilts}]
     if any(o.stream == "wheels" and o.spoils for o in turning):
         return found  # nothing can be held against such wheels
-    return [*found, *_scales(drive, robot, seen, turning), *of_clocks(drive, robot), *of_truth(drive, robot)]
+    scales = _scales(drive, robot, seen, turning)
+    truth = of_truth(drive, robot, not any(o.code == "wheel scale" for o in scales))
+    return [*found, *scales, *of_clocks(drive, robot), *truth]
 
 
 def _scales(drive: Drive, robot: Robot, seen: Mapping[str, Turning], turning: Sequence[Oddity]) -> list[Oddity]:

@@ -22,13 +22,13 @@ OFF_POINT = 0.05  # m, of the tracked point
 LEAST_TURN = math.radians(60.0)
 
 
-def of_truth(drive: Drive, robot: Robot) -> list[Oddity]:
-    """Return what is odd about the truth."""
+def of_truth(drive: Drive, robot: Robot, same_metre: bool = True) -> list[Oddity]:
+    """Return what is odd about the truth; by wheels of another metre no body point is told."""
     truth = drive.truth
     if truth is None or len(truth.t) < 5:
         return []
     jumps = _jumps(truth, drive)
-    point = _point(truth, drive)
+    point = _point(truth, drive) if same_metre else []
     # where a jump or another point is told, what it tells of the start is not the start
     return [*jumps, *_gaps(truth), *point, *([] if jumps or point else of_start(truth, drive, robot))]
 

@@ -214,6 +214,13 @@ def test_damage_is_a_finding_and_a_3_without_being_asked(tmp_path: Path) -> None
     assert section(done, "would spoil an estimate")[0].startswith("  file: ")
 
 
+def test_strict_takes_a_refused_reading_for_a_loss(tmp_path: Path) -> None:
+    said = drive(100)
+    path = write(tmp_path / "x.mcap", [*said, said[0]._replace(log_time=said[0].log_time + 1)])
+    assert locfuse("info", path, *GEOMETRY).exit_code == 0
+    assert locfuse("info", path, *GEOMETRY, "--strict").exit_code == 3
+
+
 def test_a_file_without_checksums_says_that_it_cannot_know(tmp_path: Path) -> None:
     words = "no checksums, so that a changed value cannot be detected"
     unchecked = write(tmp_path / "x.mcap", drive(100), enable_crcs=False)

@@ -33,7 +33,7 @@ TRIES = 8  # to bring noise near enough for measurements to be accepted for what
 REFUSED, LARGE, SMALL = 0.3, 2.25, 0.2  # share; squared ratio of innovations to what was told: near lies between
 OWN_SHARE = 0.3  # of the innovations' variance: less is not the sensor's to shrink
 WIDER = 3.0  # factor on the sigma of a sensor that is mostly refused
-MEASURE_AGAIN = 1.5  # factor on a sigma from which lines that were cut by it are measured again
+MEASURE_AGAIN = 1.1  # factor on a sigma from which lines that were cut by it are measured again
 OPTIMAL = {"first-scan": "refine", "consider": "refine"}  # frozen maps are not weighed optimally
 
 Remeasure = Callable[[int, str, Robot], Measurements]

@@ -38,7 +38,7 @@ def told(factor: float = 1.0, **compass: float) -> Robot:
 
 def drawn(seed: int, robot: Robot, laps: float = 1.0, sensors: tuple[str, ...] = ("compass", "lrf")) -> Drive:
     """A drive with true noise, measured under what the robot was told."""
-    drive = small_drive.drive(seed, robot, sensors, laps, scans=2.0, headings=4.0)
+    drive = small_drive.drive(seed, robot, sensors, laps, scans=1.0, headings=3.0)
     factor = robot.wheels.noise / small_drive.NOISE
     motions = replace(drive.motions, Q=factor * drive.motions.Q)
     measurements = dict(drive.measurements)
@@ -139,7 +139,7 @@ def test_what_was_held_out_becomes_likelier_too(tuned: Callable[[float], Tuned])
     held_out = tuned(10.0).held_out
     assert held_out is not None
     assert held_out[1] > held_out[0] + 1.0
-    assert tuned(10.0).numbers[1] > 500
+    assert tuned(10.0).numbers[1] > 300
 
 
 def test_a_straight_drive_says_that_rotation_noise_is_not_identifiable() -> None:

@@ -57,7 +57,7 @@ WRONG = (
     Wrong("wheels.radius", "0.056", "0.05", 0.002, "wheels.track"),
     Wrong("wheels.mirrored", "left", "none"),
     Wrong("truth.x", "0.3", "0", 0.1),
-    Wrong("start.theta_deg", "200", "0", 5.0),
+    Wrong("start.theta_deg", "200", "0", 5.0, "start.x"),
 )
 
 

@@ -42,11 +42,12 @@ def examine(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[O
     found += _gaps("wheels", drive.wheels.t)
     found += [o for name, m in drive.measurements.items() for o in (*_gaps(name, m.t), *_blind(name, m))]
     seen = turnings(drive)
-    tilts = tilted(drive, robot, streams)
     turning = of_turning(drive, robot, seen, streams)
+    wrong_wheels = any(o.stream == "wheels" and o.spoils for o in turning)
+    tilts = tilted(drive, robot, streams, by_wheels=not wrong_wheels)
     found += [*of_convention(drive, robot, streams), *tilts]
     found += [o for o in turning if o.stream not in {t.stream for t in tilts}]
-    if any(o.stream == "wheels" and o.spoils for o in turning):
+    if wrong_wheels:
         return found  # nothing can be held against such wheels
     scales = _scales(drive, robot, seen, turning)
     truth = of_truth(drive, robot, not any(o.code == "wheel scale" for o in scales))

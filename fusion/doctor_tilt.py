@@ -23,8 +23,8 @@ ACCELERATION = tuple(f"linear_acceleration.{a}" for a in "xyz")
 MAGNETIC = tuple(f"magnetic_field.{a}" for a in "xyz")
 
 
-def tilted(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[Oddity]:
-    """Return the mounts that gravity or the field contradicts."""
+def tilted(drive: Drive, robot: Robot, streams: Mapping[str, Stream], by_wheels: bool = True) -> list[Oddity]:
+    """Return the mounts that gravity contradicts, or the field as the wheels turned the robot in it."""
     found = []
     for name in ("compass", "gyro"):
         stream = streams.get(name)
@@ -35,7 +35,7 @@ def tilted(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[Od
         up, by = None, "gravity"
         if stream.msgtype == IMU:
             up = by_gravity(_vectors(stream, ACCELERATION))
-        elif stream.msgtype == FIELD:
+        elif stream.msgtype == FIELD and by_wheels:
             up, by = by_field(stream, drive, told), "the plane in which the field turns"
         if up is None or _apart(up, told) < TILT:
             continue

@@ -159,7 +159,7 @@ class Guard:
         self._before = (t, here, scan)
         if last is None or t - last[0] > GAP or min(len(scan.z), len(last[2].z)) < 2:
             return False
-        return expected_share(scan, last[2], se2.between(last[1], here), LARGEST_SLIP) < ENOUGH
+        return expected_share(scan, last[2], se2.between(last[1], here), LARGEST_SLIP) < HARDLY
 
     def _moved(self, belief: AnyBelief) -> bool:
         x, y, theta = self._last

@@ -9,6 +9,7 @@ from typing import cast
 import numpy as np
 
 from .data import Array, Drive, Stream
+from .iron import plausible
 from .mounting import rotation
 from .oddity import Oddity
 from .robot import Robot
@@ -72,7 +73,7 @@ def by_field(stream: Stream, drive: Drive, told: Array) -> Array | None:
     t = (stream.t_ns - drive.epoch_ns) * 1e-9
     inside = (t >= drive.wheels.t[0]) & (t <= drive.wheels.t[-1])
     field = _vectors(stream, MAGNETIC)
-    good = inside & np.isfinite(field).all(axis=1)
+    good = inside & plausible(field)
     field, t = field[good], t[good]
     if len(t) < 20:
         return None

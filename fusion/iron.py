@@ -18,6 +18,7 @@ from .se2 import wrap_all
 FEWEST = 50  # readings
 GAP = math.radians(60.0)  # largest part of the circle that may be missing
 ROUNDS = 100
+ABSURD = 10.0  # times the usual strength: no field of iron or earth
 TUKEY = 4.685  # of the scatter: readings further off do not count (95 % efficient for Gaussian noise)
 ROUGH = 0.2  # relative scatter above which the readings lie on no ellipse
 
@@ -45,7 +46,7 @@ class Iron:
 
 def fit_iron(field: Array) -> Iron:
     """Fit an ellipse to field readings (n, 2). Raises LocfuseError where they show too little of one."""
-    field = field[np.isfinite(field).all(axis=1)]
+    field = field[plausible(field)]
     if len(field) < FEWEST:
         raise LocfuseError(f"compass: {len(field)} field readings; at least {FEWEST} are needed")
     unit = float(np.abs(field - field.mean(axis=0)).max()) or 1.0
@@ -59,6 +60,16 @@ def fit_iron(field: Array) -> Iron:
         if np.abs(step).max() < 1e-12:
             break
     return _judged(field, unit, c, A, scatter, spread * scatter**2)
+
+
+def plausible(field: Array) -> Array:
+    """Return which field readings (n, d) a magnetometer may have made: finite, and of no absurd strength."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        strength = np.linalg.norm(field, axis=1)
+    finite = np.isfinite(strength)
+    usual = float(np.median(strength[finite])) if finite.any() else 0.0
+    good: Array = finite & (strength <= ABSURD * usual)
+    return good
 
 
 def _start(m: Array) -> tuple[Array, Array]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import LocfuseError
-from locfuse.fusion.iron import fit_iron, iron_error_deg
+from locfuse.fusion.iron import fit_iron, iron_error_deg, plausible
 
 Array = NDArray[np.float64]
 FIELD = 20e-6
@@ -85,3 +85,10 @@ def test_readings_on_no_ellipse_are_refused() -> None:
     noise = np.random.default_rng(1).uniform(-1.0, 1.0, (500, 2))
     with pytest.raises(LocfuseError, match="ellipse"):
         fit_iron(noise)
+
+
+def test_readings_of_absurd_strength_are_left_out() -> None:
+    good = np.column_stack((20e-6 * np.cos(np.arange(200.0)), 20e-6 * np.sin(np.arange(200.0))))
+    readings = np.concatenate((good, [[1e200, 0.0], [math.nan, 1.0], [3e-3, 0.0]]))
+    assert plausible(readings).tolist() == [True] * 200 + [False] * 3
+    assert fit_iron(readings).readings == 200

@@ -60,7 +60,7 @@ def locfuse() -> None:
 
     \b
     Start with:  locfuse compare rounded_rectangle
-    Your log:    locfuse compare LOG
+    Your log:    locfuse info LOG
     """
 
 

@@ -7,6 +7,7 @@ ratios. Run it from the repository's root.
 
 from __future__ import annotations
 
+import compileall
 import json
 import statistics
 import subprocess
@@ -19,6 +20,7 @@ import click
 from benchmarks.figures import MINUTE, PEAK, Command, Figure, Kernel, Logs, figures, kernels, module
 from benchmarks.process import Cost, cost
 
+ROOT = Path(__file__).parent.parent
 Row = tuple[str, ...]
 FAILED, UNKNOWN = ("failed", ""), ("", "", "no", "")
 
@@ -102,6 +104,7 @@ def table(rows: list[Row]) -> str:
 @click.option("--folder", type=click.Path(file_okay=False, path_type=Path), help="Where the logs are kept.")
 def main(rounds: int, minutes: float, only: str, folder: Path | None) -> None:
     """Measure the product's speed against public packages and print a markdown table."""
+    compileall.compile_dir(ROOT, quiet=2)  # as pip does when it installs: no process compiles
     with tempfile.TemporaryDirectory() as temporary:
         place = folder or Path(temporary)
         place.mkdir(parents=True, exist_ok=True)

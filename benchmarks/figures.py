@@ -56,13 +56,10 @@ def figures(logs: Logs, out: Path, length: str) -> list[Figure]:
     ours = module("decode", "ours", logs.hour)
     one = locfuse("run", logs.hour, *FROZEN, *how)
     five = locfuse("compare", logs.hour, *FROZEN, *how)
+    pictures = locfuse("compare", logs.minute, *how)
     return [
-        Figure(
-            "60 s, 600 pictures: five configurations / stock",
-            1.25,
-            locfuse("compare", logs.minute, *how),
-            stock_minute,
-        ),
+        Figure("60 s, 600 pictures: five configurations / stock", 1.25, pictures, stock_minute),
+        Figure("60 s, 600 pictures: five configurations / one", 1.25, pictures, locfuse("run", logs.minute, *how)),
         Figure(f"{length}: one configuration, frozen map / stock", 0.45, one, stock),
         Figure(f"{length}: five configurations, frozen map / stock", 0.70, five, stock, memory=True),
         Figure(f"{length}: one configuration, `grow` / stock", 0.90, locfuse("run", logs.hour, *how), stock),

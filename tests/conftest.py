@@ -1,6 +1,10 @@
-"""What holds for all tests: programs that they start can be interrupted."""
+"""What holds for all tests: what programs print does not depend on the terminal, and they can be interrupted."""
 
+import os
 import signal
+
+# A shell may export its width; what is tested is what a pipe gets.
+os.environ.pop("COLUMNS", None)
 
 # A runner that was started in the background ignores Ctrl-C, and so would every program it starts.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

@@ -108,6 +108,8 @@ class Guard:
         """Mark the robot as lost from the last scan that fitted well; what was learnt after it is forgotten."""
         well, born = self._well
         self._lost_from = max(min(since, well), since - LOOK_BACK)
+        if self._intervals and self._lost_from <= self._intervals[-1][1]:  # what was found was no place
+            self._lost_from = min(self._lost_from, self._intervals.pop()[0])
         gone = np.flatnonzero(lines.ids >= born)
         if len(gone) < len(lines) and isinstance(belief, JointBelief):
             belief.remove(lines.drop(gone))

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Counts = NDArray[np.int32] | Ints  # small numbers, of which an hour holds many
 
 
 class LocfuseError(Exception):
@@ -214,10 +215,10 @@ VERDICTS = ("accepted", "gate", "ambiguous", "unmatched", "new", "disturbed", "l
 class Audit:
     """Every measurement of one sensor in one run: what was predicted, how far off it was, what became of it."""
 
-    instant: Ints  # (k,)
-    row: Ints  # (k,) row in Measurements.z
+    instant: Counts  # (k,)
+    row: Counts  # (k,) row in Measurements.z
     verdict: NDArray[np.int8]  # (k,) index into VERDICTS
-    landmark: Ints  # (k,) id of the map feature it was compared with, -1 for none
+    landmark: Counts  # (k,) id of the map feature it was compared with, -1 for none
     nis: Array  # (k,) squared Mahalanobis distance; NaN where nothing was predicted
     threshold: Array  # (k,) the gate
     y: Array  # (k, d) innovation; NaN where nothing was predicted

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .data import VERDICTS, Array, Audit, Drive, Estimates, Ints, Measurements
+from .data import VERDICTS, Array, Audit, Counts, Drive, Estimates, Ints, Measurements
 from .gates import MAD, chi_square, mean_bounds
 from .robot import Robot
 from .se2 import wrap_all
@@ -70,21 +70,21 @@ def own(audit: Audit, m: Measurements) -> Own | None:
     compared = np.flatnonzero((audit.verdict == ACCEPTED) | (far & (audit.verdict == GATE)))
     if len(compared) < 2 * LAGS:
         return None
+    nis = audit.nis[used]
+    refused = int(np.isin(audit.verdict, (GATE, UNMATCHED, LOST)).sum())
+    bounds = mean_bounds(CONFIDENCE, d, max(1.0, len(nis) / _repeats(nis, audit.landmark[used])))
+    told, R = _told(audit, m, compared)
     y, mark = audit.y[compared], audit.landmark[compared]
-    unit = y / audit.sigma[compared]
     middle = np.median(y, axis=0)
     deviation = np.median(np.abs(y - middle), axis=0) / MAD
+    unit = y / audit.sigma[compared]
     whiteness = _by_landmark(unit - np.median(unit, axis=0), mark)
-    R = np.diagonal(m.R[audit.row[compared]], axis1=1, axis2=2)
-    told = float(np.median(audit.sigma[compared] ** 2 / R))  # S / R; the first S of an unknown offset is enormous
-    nis = audit.nis[used]
     raw = _scale(nis, int(far.sum()), d)
-    refused = int(np.isin(audit.verdict, (GATE, UNMATCHED, LOST)).sum())
     return Own(
         compared=len(compared),
         refused=refused / (len(used) + refused),
         nis=float(nis.mean()) / d if len(nis) else math.nan,
-        bounds=mean_bounds(CONFIDENCE, d, max(1.0, len(nis) / _repeats(nis, audit.landmark[used]))),
+        bounds=bounds,
         bias=tuple(unit.mean(axis=0).tolist()),
         middle=tuple(middle.tolist()),
         sure=tuple((deviation * math.sqrt(_memory(np.append(1.0, whiteness)) / len(y))).tolist()),
@@ -93,8 +93,14 @@ def own(audit: Audit, m: Measurements) -> Own | None:
         scale=raw * min(max(1.0 - whiteness[0] * told, 0.3), 2.0),
         white=max(1.0 / told - whiteness[0], 0.0),
         share=1.0 / told,
-        R=tuple(R.mean(axis=0).tolist()),
+        R=tuple(R.tolist()),
     )
+
+
+def _told(audit: Audit, m: Measurements, compared: Ints) -> tuple[float, Array]:
+    """Return the median of S / R, since the first S of an unknown offset is enormous, and the mean R (d,)."""
+    R = np.diagonal(m.R, axis1=1, axis2=2)[audit.row[compared]]
+    return float(np.median(audit.sigma[compared] ** 2 / R)), R.mean(axis=0)
 
 
 def _scale(nis: Array, far: int, dof: int) -> float:
@@ -104,12 +110,12 @@ def _scale(nis: Array, far: int, dof: int) -> float:
     return float(every[at]) / chi_square(0.5, dof) if at < len(every) else math.inf
 
 
-def _repeats(values: Array, landmark: Ints) -> float:
+def _repeats(values: Array, landmark: Counts) -> float:
     """Return over how many neighbours (k,) values repeat."""
     return _memory(np.append(1.0, _by_landmark(values[:, None] - values.mean(), landmark))) if len(values) else 1.0
 
 
-def _by_landmark(values: Array, landmark: Ints) -> Array:
+def _by_landmark(values: Array, landmark: Counts) -> Array:
     """Autocorrelation at lags 1..LAGS of values (k, d) along the sequence of each landmark, (LAGS,)."""
     if len(values) < 2:
         return np.zeros(LAGS)

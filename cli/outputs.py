@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from ..fusion.gates import chi_square
@@ -36,12 +37,15 @@ def files(compared: Compared, report: Mapping[str, Any], kinds: Collection[str])
     return out
 
 
-def trajectories(compared: Compared) -> dict[str, str]:
+def trajectories(compared: Compared) -> dict[str, Content]:
     """Return one .tum for each configuration, and the truth's."""
     from ..formats import trajectory
 
     drive = compared.loaded.drive
-    out = {f"{e.name}.tum": trajectory.estimates_tum(drive, e) for e in compared.estimates}
+    out: dict[str, Content] = {
+        f"{e.name}.tum": partial(trajectory.write_blocks, trajectory.tum_blocks(drive, e))
+        for e in compared.estimates
+    }
     if drive.truth is not None:
         out["truth.tum"] = trajectory.truth_tum(drive, drive.truth)
     return out

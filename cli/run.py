@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import click
@@ -89,9 +90,9 @@ def run(
         named = dict(zip(("trajectory", "smoothed"), found, strict=False))
         for name, estimates in named.items():
             if "tum" in kinds:
-                files[f"{name}.tum"] = trajectory.estimates_tum(drive, estimates)
+                files[f"{name}.tum"] = partial(trajectory.write_blocks, trajectory.tum_blocks(drive, estimates))
             if "csv" in kinds:
-                files[f"{name}.csv"] = trajectory.estimates_csv(drive, estimates)
+                files[f"{name}.csv"] = partial(trajectory.write_blocks, trajectory.csv_blocks(drive, estimates))
         files |= exports.files(export, loaded, named)
         if "json" in kinds:
             files["run.json"] = report_json.encode(report)

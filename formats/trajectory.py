@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterable, Iterator
+from pathlib import Path
 
 import numpy as np
 
 from ..fusion.data import Array, Drive, Estimates, Ints, Truth
 
+BLOCK = 4096  # lines at a time: an hour's lines as Python values take ten times their file
 SIX = (0, 1, 5)  # where x, y, theta stand among x, y, z, roll, pitch, yaw
 TRIANGLE = [(i, j) for i in range(6) for j in range(i, 6)]
 TUM_COVARIANCE_HEADER = "# t x y z qx qy qz qw, then P by rows, upper triangle: " + " ".join(
@@ -45,21 +48,35 @@ def with_truth_rows(drive: Drive, estimates: Estimates) -> tuple[Array, Array, A
     return t[order], pose[order], P[order]
 
 
-def tum(epoch_ns: int, t: Array, xy: Array, theta: Array | None) -> str:
-    """Return `t x y z qx qy qz qw` lines; without heading the rotation is the identity and line 1 says so."""
+def tum(epoch_ns: int, t: Array, xy: Array, theta: Array | None) -> Iterator[str]:
+    """Yield blocks of `t x y z qx qy qz qw` lines; no heading: the rotation is the identity, as line 1 says."""
     half = np.zeros(len(t)) if theta is None else 0.5 * theta
-    lines = [] if theta is not None else ["# heading unknown"]
-    lines += [
-        f"{seconds(s)} {x!r} {y!r} 0 0 0 {math.sin(h)!r} {math.cos(h)!r}"
-        for s, (x, y), h in zip(stamps(epoch_ns, t), xy.tolist(), half.tolist(), strict=True)
-    ]
-    return "\n".join(lines) + "\n"
+    if theta is None:
+        yield "# heading unknown\n"
+    for at in _blocks(len(t)):
+        rows = zip(stamps(epoch_ns, t[at]), xy[at].tolist(), half[at].tolist(), strict=True)
+        yield "".join(f"{seconds(s)} {x!r} {y!r} 0 0 0 {math.sin(h)!r} {math.cos(h)!r}\n" for s, (x, y), h in rows)
+
+
+def _blocks(n: int) -> Iterator[slice]:
+    return (slice(a, a + BLOCK) for a in range(0, n, BLOCK))
+
+
+def write_blocks(blocks: Iterable[str], path: Path) -> None:
+    """Write a text that is never held whole."""
+    with path.open("wb") as file:
+        file.writelines(block.encode() for block in blocks)
 
 
 def estimates_tum(drive: Drive, estimates: Estimates) -> str:
     """Return one configuration's trajectory in TUM format."""
+    return "".join(tum_blocks(drive, estimates))
+
+
+def tum_blocks(drive: Drive, estimates: Estimates) -> Iterator[str]:
+    """Yield one configuration's trajectory in TUM format, block by block."""
     t, pose, _ = with_truth_rows(drive, estimates)
-    return tum(drive.epoch_ns, t, pose[:, :2], pose[:, 2])
+    yield from tum(drive.epoch_ns, t, pose[:, :2], pose[:, 2])
 
 
 def estimates_tum_covariance(drive: Drive, estimates: Estimates) -> str:
@@ -95,20 +112,24 @@ def kitti_times(drive: Drive, estimates: Estimates) -> str:
 
 def truth_tum(drive: Drive, truth: Truth) -> str:
     """Return the truth in TUM format, of the body point that was tracked."""
-    return tum(drive.epoch_ns, truth.t, truth.xy, truth.theta)
+    return "".join(tum(drive.epoch_ns, truth.t, truth.xy, truth.theta))
 
 
 def estimates_csv(drive: Drive, estimates: Estimates) -> str:
     """Return `t,x,y,theta` and the upper triangle of P, one row per instant and truth stamp."""
+    return "".join(csv_blocks(drive, estimates))
+
+
+def csv_blocks(drive: Drive, estimates: Estimates) -> Iterator[str]:
+    """Yield `t,x,y,theta` and the upper triangle of P, block by block."""
     t, pose, P = with_truth_rows(drive, estimates)
-    wrapped = pose.copy()
-    wrapped[:, 2] = (pose[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
-    upper = P[:, (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)]
-    rows = np.column_stack((wrapped, upper)).tolist()
-    lines = [
-        f"{seconds(s)}," + ",".join(map(repr, row)) for s, row in zip(stamps(drive.epoch_ns, t), rows, strict=True)
-    ]
-    return "\n".join((CSV_HEADER, *lines)) + "\n"
+    yield f"{CSV_HEADER}\n"
+    for at in _blocks(len(t)):
+        wrapped = pose[at].copy()
+        wrapped[:, 2] = (wrapped[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
+        upper = P[at][:, (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)]
+        rows = zip(stamps(drive.epoch_ns, t[at]), np.column_stack((wrapped, upper)).tolist(), strict=True)
+        yield "".join(f"{seconds(s)},{','.join(map(repr, row))}\n" for s, row in rows)
 
 
 def nanoseconds(text: str) -> int:

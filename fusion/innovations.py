@@ -78,14 +78,16 @@ def own(audit: Audit, m: Measurements) -> Own | None:
     middle = np.median(y, axis=0)
     deviation = np.median(np.abs(y - middle), axis=0) / MAD
     unit = y / audit.sigma[compared]
-    whiteness = _by_landmark(unit - np.median(unit, axis=0), mark)
+    bias = tuple(unit.mean(axis=0).tolist())
+    unit -= np.median(unit, axis=0)  # in place: an hour of lines is big
+    whiteness = _by_landmark(unit, mark)
     raw = _scale(nis, int(far.sum()), d)
     return Own(
         compared=len(compared),
         refused=refused / (len(used) + refused),
         nis=float(nis.mean()) / d if len(nis) else math.nan,
         bounds=bounds,
-        bias=tuple(unit.mean(axis=0).tolist()),
+        bias=bias,
         middle=tuple(middle.tolist()),
         sure=tuple((deviation * math.sqrt(_memory(np.append(1.0, whiteness)) / len(y))).tolist()),
         whiteness=tuple(whiteness.tolist()),

@@ -77,13 +77,12 @@ def streams_by_role(topics: dict[str, ArrayStream], tables: dict[str, Any]) -> d
 def drive(task: Task) -> dict[str, dict[str, Any]]:
     """Simulate one drive and judge it: "<mode> <configuration>" -> figures."""
     topics, tables, _ = in_memory(load(task.scenario, task.sets), task.seed)
-    known = {name: table for name, table in tables.items() if name in {"wheels", "start", "truth", *REGISTRY}}
     found: dict[str, dict[str, Any]] = {}
     measured = None
     for mode in task.modes:
         sets = robot_toml.apply_sets((f"lrf.map={mode}", *task.robot_sets))
-        robot = make_robot(robot_toml.merge(known, sets))
-        measured = measured or measure(streams_by_role(topics, known), robot)
+        robot = make_robot(robot_toml.merge(tables, sets))
+        measured = measured or measure(streams_by_role(topics, tables), robot)
         for sensors in task.configurations:
             if set(sensors) <= set(measured.measurements):
                 for judged in judgements(measured, robot, sensors, task.smooth and mode in SMOOTHED):

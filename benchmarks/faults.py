@@ -23,7 +23,6 @@ from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import clock_lag, measure
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.sample_logs.load import load
 from locfuse.sample_logs.record import in_memory
 
@@ -63,9 +62,8 @@ def simulated(seed: int, faults: str) -> tuple[Drive, Robot, dict[str, Any]]:
     """Return a measured drive of the shipped scenario, steered on truth, with these faults."""
     sets = (f"faults=[{faults}]",) if faults else ()
     topics, tables, _ = in_memory(load("rounded_rectangle", sets), seed)
-    known = {n: t for n, t in tables.items() if n in {"wheels", "start", "truth", *REGISTRY}}
-    robot = make_robot(known)
-    return measure(streams_by_role(topics, known), robot), robot, {"topics": topics, "tables": known}
+    robot = make_robot(tables)
+    return measure(streams_by_role(topics, tables), robot), robot, {"topics": topics, "tables": tables}
 
 
 def judged(drive: Drive, robot: Robot, sensors: tuple[str, ...]) -> Evaluation:

@@ -22,7 +22,6 @@ from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.sample_logs.load import load
 from locfuse.sample_logs.record import in_memory
 
@@ -53,9 +52,8 @@ def carried(seed: int, seconds: float, bare: bool) -> tuple[Drive, Robot] | None
         )
     except LocfuseError:
         return None
-    known = {n: t for n, t in tables.items() if n in {"wheels", "start", "truth", *REGISTRY}}
-    robot = make_robot(known)
-    return measure(streams_by_role(topics, known), robot), robot
+    robot = make_robot(tables)
+    return measure(streams_by_role(topics, tables), robot), robot
 
 
 def judged(drive: Drive, robot: Robot, sensors: tuple[str, ...]) -> Run:

@@ -20,7 +20,6 @@ from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.sample_logs.load import load
 from locfuse.sample_logs.record import in_memory
 
@@ -45,7 +44,6 @@ def told(tables: dict[str, Any], seed: int, mode: str, how: str) -> Robot:
 def drive(seed: int, modes: tuple[str, ...]) -> dict[str, dict[str, Any]]:
     """Simulate one drive and judge it under every map and every way of telling."""
     topics, tables, _ = in_memory(load("rounded_rectangle", (*LOCK_STEP, "camera.enabled=false")), seed)
-    tables = {n: t for n, t in tables.items() if n in {"wheels", "start", "truth", *REGISTRY}}
     found = {}
     for how in ("stated", "certain", "exact"):
         measured: Drive | None = None

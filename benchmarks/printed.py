@@ -31,7 +31,6 @@ from locfuse.fusion.paper_filter import fuse_as_printed
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import wrap
 from locfuse.fusion.sensors.base import Innovation
-from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.sample_logs.load import load
 from locfuse.sample_logs.record import in_memory
 
@@ -104,10 +103,9 @@ def repaired(names: tuple[str, ...]) -> Callable[..., Estimates]:
 def drive(seed: int, scenario: str, sets: tuple[str, ...]) -> dict[str, dict[str, Any]]:
     """Simulate one drive and judge both filters on it: "<filter> | <configuration>" -> figures."""
     topics, tables, _ = in_memory(load(scenario, sets), seed)
-    known = {name: table for name, table in tables.items() if name in {"wheels", "start", "truth", *REGISTRY}}
-    known["camera"] = {**known["camera"], "chain": "paper"}
-    robot = make_robot(known)
-    measured = measure(streams_by_role(topics, known), robot)
+    tables["camera"] = {**tables["camera"], "chain": "paper"}
+    robot = make_robot(tables)
+    measured = measure(streams_by_role(topics, tables), robot)
     filters: dict[str, Callable[..., Estimates]] = {name: repaired(put_right) for name, put_right in ROWS.items()}
     found = {}
     for name, run in {**filters, "default": fuse}.items():

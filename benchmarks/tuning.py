@@ -48,9 +48,8 @@ def told_wrong(tables: dict[str, Any], factor: float) -> dict[str, Any]:
 def tuned(scenario: str, sets: tuple[str, ...], seed: int, factor: float) -> Tuned:
     """Return what tuning makes of one simulated drive."""
     topics, tables, _ = in_memory(load(scenario, (*SETS, *sets)), seed)
-    known = {n: t for n, t in tables.items() if n in {"wheels", "start", "truth", *REGISTRY}}
-    streams = streams_by_role(topics, known)
-    robot = make_robot(told_wrong(known, factor))
+    streams = streams_by_role(topics, tables)
+    robot = make_robot(told_wrong(tables, factor))
     drive = measure(streams, robot)
 
     def again(_: int, sensor: str, now: Robot) -> Any:

@@ -22,7 +22,6 @@ from locfuse.fusion.credit import credit, subsets
 from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure
-from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.sample_logs.load import load
 from locfuse.sample_logs.record import in_memory
 
@@ -49,9 +48,8 @@ def drive(seed: int, name: str, camera: bool) -> dict[str, str]:
     case = CASES[name]
     off = () if camera else ("camera.enabled=false",)
     topics, tables, _ = in_memory(load("rounded_rectangle", (*case.scenario, *off)), seed)
-    known = {k: table for k, table in tables.items() if k in {"wheels", "start", "truth", *REGISTRY}}
-    robot = make_robot(robot_toml.merge(known, robot_toml.apply_sets(case.robot)))
-    measured = measure(streams_by_role(topics, known), robot)
+    robot = make_robot(robot_toml.merge(tables, robot_toml.apply_sets(case.robot)))
+    measured = measure(streams_by_role(topics, tables), robot)
     sensors = list(measured.measurements)
     judged = {frozenset(s): evaluate(fuse(measured, robot, s), measured) for s in subsets(sensors)}
     found = credit(judged, sensors)

@@ -43,6 +43,8 @@ SERIES, CARRIED = 1.0, 4  # s between slips of one series, and slips that make i
 CONFIRMED = 5  # scans in a row that must agree on where a lost robot is
 SAME_XY, SAME_THETA = 0.12, math.radians(4.0)  # m, rad: within which they agree
 
+Seen = tuple[float, Pose, Scan]  # a scan: when [s], and where the robot was believed to be
+
 
 class Guard:
     """Watches the agreement of scans and map over one run."""
@@ -57,7 +59,7 @@ class Guard:
         self._carried: tuple[float, float, int] | None = None  # first and last slip of a series, how many
         self._trail = Trail()  # since it is lost
         self._well = (0.0, 0)  # when a scan last fitted well, and the number of the first line born after it
-        self._before: tuple[float, Array, Scan] | None = None  # the last scan, when and where
+        self._before: Seen | None = None  # the last scan
         self._torn = False  # the walls jumped, and little has matched since
         self._last = (math.inf, math.inf, math.inf)
         self._now = 0.0
@@ -67,7 +69,8 @@ class Guard:
     ) -> tuple[Association, bool]:
         """Return the association to use and whether the scan may correct the pose and teach the map."""
         dt, self._now = t - self._now, t
-        moved, jumped = self._moved(belief), self._jumped(t, scan, belief)
+        moved = self._moved(belief)
+        last, self._before = self._before, (t, (belief.x, belief.y, belief.theta), scan)
         if self._lost_from is not None:
             _keep_open(belief, dt)
             return self._search(t, scan, found, lines, belief, gate)
@@ -82,7 +85,7 @@ class Guard:
             if slipped is not None:
                 self._since, self._torn = None, False
                 return slipped, not self._carried_off(t, lines, belief)
-        self._torn = self._torn or (jumped and share < HARDLY)
+        self._torn = self._torn or (share < HARDLY and last is not None and _jumped(last, self._before))
         if self._torn:
             return found, self._disagree(t, lines, belief)
         if seen_through(scan, lines, lines.values(belief), belief.x, belief.y, belief.theta) < THROUGH:
@@ -152,17 +155,6 @@ class Guard:
         self._place = (here, pose, 1)
         return False
 
-    def _jumped(self, t: float, scan: Scan, belief: AnyBelief) -> bool:
-        """Return whether the walls of this scan do not continue those of the last one, a slip allowed for.
-
-        A robot that explores sees new walls, but not only new ones, and not at once.
-        """
-        here, last = np.array([belief.x, belief.y, belief.theta]), self._before
-        self._before = (t, here, scan)
-        if last is None or t - last[0] > GAP or min(len(scan.z), len(last[2].z)) < 2:
-            return False
-        return expected_share(scan, last[2], se2.between(last[1], here), LARGEST_SLIP) < HARDLY
-
     def _moved(self, belief: AnyBelief) -> bool:
         x, y, theta = self._last
         self._last = (belief.x, belief.y, belief.theta)
@@ -182,6 +174,17 @@ class Guard:
         if self._slips:
             words.append(f"{self._slips} wheel slips recovered by the lines of the map")
         return words
+
+
+def _jumped(last: Seen, now: Seen) -> bool:
+    """Return whether the walls of this scan do not continue those of the last one, a slip allowed for.
+
+    A robot that explores sees new walls, but not only new ones, and not at once.
+    """
+    (before, there, old), (t, here, scan) = last, now
+    if t - before > GAP or min(len(scan.z), len(old.z)) < 2:
+        return False
+    return expected_share(scan, old, se2.between(np.array(there), np.array(here)), LARGEST_SLIP) < HARDLY
 
 
 def _keep_open(belief: AnyBelief, dt: float) -> None:

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from operator import attrgetter
 
 from .line_map import AnyBelief, LineMap
-from .pairing import Pair, Scan, candidate_pairs
+from .pairing import Pair, candidate_pairs
+from .scan import Scan
 
 AMBIGUOUS = 6.0  # a second candidate within this of the best score (chi-square, 2 dof: 95 %) is a rival
 ZONE = 60.0  # squared distance up to which a near line forbids calling a segment new
@@ -34,7 +35,7 @@ def associate(scan: Scan, lines: LineMap, belief: AnyBelief, gate: float) -> Ass
     k = len(scan.z)
     match, best = [-1] * k, [-1] * k
     ambiguous, near = [False] * k, [False] * k
-    rivals = [0.3 * min(end - begin, 0.5) for begin, end in scan.ends.tolist()]
+    rivals = [0.3 * min(row[6] - row[5], 0.5) for row in scan.rows()]
     for p, pair in enumerate(pairs):
         i = pair.line
         if pair.overlap > 0.0 and pair.d2 <= ZONE:
@@ -47,15 +48,18 @@ def associate(scan: Scan, lines: LineMap, belief: AnyBelief, gate: float) -> Ass
         elif pair.score - pairs[match[i]].score < AMBIGUOUS:
             ambiguous[i] = True
     _one_to_one(pairs, match, ambiguous)
-    return Association(
-        pairs, [-1 if a else m for m, a in zip(match, ambiguous, strict=True)], best, ambiguous, near
-    )
+    if any(ambiguous):
+        match = [-1 if a else m for m, a in zip(match, ambiguous, strict=True)]
+    return Association(pairs, match, best, ambiguous, near)
 
 
 def _one_to_one(pairs: list[Pair], match: list[int], ambiguous: list[bool]) -> None:
     """Let each stretch of a map line be matched once; the worse of two overlapping claims is ambiguous."""
+    matched = sorted([m for m in match if m >= 0])
+    if len({pairs[m].which for m in matched}) == len(matched):
+        return
     taken: dict[int, list[Pair]] = {}
-    for p in sorted(m for m in match if m >= 0):
+    for p in matched:
         pair = pairs[p]
         others = taken.setdefault(pair.which, [])
         if any(min(pair.hi, other.hi) - max(pair.lo, other.lo) > 0.05 for other in others):

@@ -23,7 +23,7 @@ Beside = tuple[tuple[int, float], ...]  # (which state, derivative of a row by i
 class FewBlocks(PoseBelief):
     """Pose (x, y, theta) and m states b beside it."""
 
-    __slots__ = ("_b", "_drift", "_rows", "_where")
+    __slots__ = ("_b", "_drift", "_rows", "_states", "_where")
 
     def __init__(self, pose: Pose, P: Triangle, blocks: Sequence[Block]) -> None:
         super().__init__(pose, P)
@@ -38,6 +38,7 @@ class FewBlocks(PoseBelief):
         for block in blocks:
             where = self._where[block.name]
             across[where.start : where.stop, 3 + where.start : 3 + where.stop] = block.P
+        self._states = range(len(self._b))
         self._rows: list[list[float]] = across.tolist()  # of P: covariance of state i with x, y, theta, and all b
 
     def block(self, name: str) -> tuple[int, Sequence[float]]:
@@ -91,13 +92,14 @@ class FewBlocks(PoseBelief):
             p0 += row[0] * g
             p1 += row[1] * g
             p2 += row[2] * g
-            q = [v + w * g for v, w in zip(q, row[3:], strict=True)]
+            for j in self._states:
+                q[j] += row[3 + j] * g
         return p0, p1, p2, q
 
     def correct(self, seen: Sequence[Innovation]) -> None:
         """Paper eq. 10-12, one scalar row after another, as in `PoseBelief`."""
         rows, values = self._rows, self._b
-        before = list(values)
+        before = values.copy()
         dx = dy = dt = 0.0
         for (y, a, b, c, r), beside in _scalar_rows(seen):
             p0, p1, p2, q = self._covaried(a, b, c, beside)
@@ -113,11 +115,15 @@ class FewBlocks(PoseBelief):
             g0, g1, g2 = p0 / s, p1 / s, p2 / s
             xx, xy, xt, yy, yt, tt = self.P
             self.P = (xx - g0 * p0, xy - g0 * p1, xt - g0 * p2, yy - g1 * p1, yt - g1 * p2, tt - g2 * p2)
-            covaried = (p0, p1, p2, *q)
-            for i, p in enumerate(q):
-                values[i] += p * e
+            for i, row in enumerate(rows):
+                p = q[i]
                 gain = p / s
-                rows[i] = [v - gain * w for v, w in zip(rows[i], covaried, strict=True)]
+                values[i] += p * e
+                row[0] -= gain * p0
+                row[1] -= gain * p1
+                row[2] -= gain * p2
+                for j in self._states:
+                    row[3 + j] -= gain * q[j]
         self.x += dx
         self.y += dy
         self.theta += dt

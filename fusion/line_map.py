@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from math import cos, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -82,7 +83,7 @@ class LineMap:
         """Return every line in plain floats."""
         if self._frozen is None and len(self) and self.column[0] < 0:
             self._frozen = [
-                PlainLine(rho, beta, math.cos(beta), math.sin(beta), x, y, (m00, m01, m11), -1)
+                PlainLine(rho, beta, cos(beta), sin(beta), x, y, (m00, m01, m11), -1)
                 for (rho, beta), ((m00, m01), (_, m11)), (x, y) in zip(
                     self.value.tolist(), self.P.tolist(), self.anchor.tolist(), strict=True
                 )
@@ -94,7 +95,7 @@ class LineMap:
         columns = self.column.tolist()
         betas = [x[c + 1] for c in columns]
         return [
-            PlainLine(x[c], beta, math.cos(beta), math.sin(beta), ax, ay, (own[c], beside[c], own[c + 1]), c)
+            PlainLine(x[c], beta, cos(beta), sin(beta), ax, ay, (own[c], beside[c], own[c + 1]), c)
             for c, beta, (ax, ay) in zip(columns, betas, self.anchor.tolist(), strict=True)
         ]
 

@@ -16,8 +16,9 @@ from .gates import chi_square
 from .laser_mount import seated
 from .line_map import AnyBelief, LineMap, about_middle
 from .map_keeping import LEAST_HITS, merge_doubles, prune
-from .pairing import Pair, Scan
+from .pairing import Pair
 from .recovery import Guard
+from .scan import Scan, Scans
 from .sensors.base import Block, Innovation, Model
 from .sensors.mount import Mount
 from .wall_floor import bend
@@ -42,6 +43,7 @@ class LineTracker(Model):
         self._first_map: list[MapLine] = []
         self._gate = chi_square(gate, 2)
         self._scan = 0
+        self._scans = Scans()
         self._last: Association | None = None
         self._teach = True
 
@@ -97,8 +99,7 @@ class LineTracker(Model):
         columns: tuple[int, ...] = ()
         H_block: tuple[tuple[float, ...], ...] = ()
         if self.joint:
-            column = int(self.map.column[pair.which])
-            columns, H_block = (column, column + 1), ((1.0, u), (0.0, 1.0))
+            columns, H_block = (pair.column, pair.column + 1), ((1.0, u), (0.0, 1.0))
         if scan.seat is not None:
             by_mount = scan.seat.derivative(np.array([pair.psi]))[0].tolist()
             columns += scan.seat.columns
@@ -157,7 +158,7 @@ class LineTracker(Model):
 
     def _scan_of(self, m: Measurements, first: int, last: int, belief: Any) -> Scan:
         """Return rows first:last as one scan, put into the base by the mount as the belief has it."""
-        scan = scan_of(m, first, last)
+        scan = self._scans.read(m, first, last)
         if self.mount is None:
             return scan
         return Scan(*seated(scan.z, scan.R, scan.ends, self.mount, belief))
@@ -177,8 +178,10 @@ class LineTracker(Model):
 
     def _extend(self, pair: Pair) -> None:
         lines, j = self.map, pair.which
-        lines.lo[j] = min(lines.lo[j], pair.lo)
-        lines.hi[j] = max(lines.hi[j], pair.hi)
+        if pair.lo < lines.lo[j]:
+            lines.lo[j] = pair.lo
+        if pair.hi > lines.hi[j]:
+            lines.hi[j] = pair.hi
         lines.hits[j] += 1
         lines.seen[j] = self._scan
 
@@ -208,11 +211,6 @@ class LineTracker(Model):
         else:
             P = np.array(belief.spread(G[:, :3].tolist(), columns, G[:, 3:].tolist())) + noise
         self.map.append(anchor, value, P, column, (-half, half), self._scan)
-
-
-def scan_of(m: Measurements, first: int, last: int) -> Scan:
-    """Return rows first:last of the laser's measurements as one scan."""
-    return Scan(m.z[first:last], m.R[first:last], m.extra["ends"][first:last])
 
 
 def _refuse_a_lone_match(found: Association) -> None:

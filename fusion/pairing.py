@@ -7,31 +7,23 @@ cost; against the hundreds of lines of a building a loop would be. Both find the
 from __future__ import annotations
 
 import math
-from math import log, remainder, sqrt
+from math import copysign, log, remainder, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
 from .data import Array, Ints
 from .ekf import JointBelief
-from .laser_mount import Seat, mount_spread
+from .laser_mount import mount_spread
 from .line_map import AnyBelief, LineMap, PlainLine, line_spread
+from .scan import Scan
 
 NEAR_ANGLE = math.radians(25.0)  # pairs further apart are not looked at
 NEAR_OFFSET = 1.0  # m
 NEAR_SIGMAS = 6.0  # added to both
 FACE_SIGMAS = 3.0
 FEW = 32  # map lines up to which a loop is faster than arrays
-HALF_TURN, QUARTER = math.pi, 0.5 * math.pi
-
-
-class Scan(NamedTuple):
-    """Measured lines of one scan in the base frame, k of them."""
-
-    z: Array  # (k, 2) r, psi
-    R: Array  # (k, 2, 2)
-    ends: Array  # (k, 2) along the tangent (-sin psi, cos psi)
-    seat: Seat | None = None  # where the laser's mount is uncertain
+TURN, HALF_TURN, QUARTER = 2.0 * math.pi, math.pi, 0.5 * math.pi
 
 
 class Pair(NamedTuple):
@@ -39,6 +31,7 @@ class Pair(NamedTuple):
 
     line: int  # of the scan
     which: int  # position in the map
+    column: int  # of the map line in the state, -1: frozen
     y: tuple[float, float]  # innovation, after flipping where the sign demands it
     R: tuple[float, float, float]  # of what is independent of the state: the map's covariance is, where it is none
     S: tuple[float, float, float]
@@ -56,6 +49,9 @@ class Pair(NamedTuple):
 class _Wall(NamedTuple):
     """A map line as the robot should see it."""
 
+    column: int  # of the line in the state, -1: frozen
+    cos: float  # of beta
+    sin: float
     along: float  # m, the robot's foot point from the line's anchor
     u: float
     spread: tuple[float, float, float]  # S without R
@@ -76,32 +72,29 @@ def pairs_in_floats(scan: Scan, lines: LineMap, belief: AnyBelief, limit: float)
     known = lines.plain(belief)
     angle_slack, offset_slack = _slack(rows[0][0] + rows[1][1], rows[2][2])
     widest = max([_angle_variance(line, rows[2]) for line in known])
-    places = [(beta, rho - (x - ax) * c - (y - ay) * s) for rho, beta, c, s, ax, ay, _, _ in known]
+    places = [  # as the robot should see them
+        (j, beta - theta, rho - (x - ax) * c - (y - ay) * s)
+        for j, (rho, beta, c, s, ax, ay, _, _) in enumerate(known)
+    ]
     los, his = lines.lo.tolist(), lines.hi.tolist()
     walls: list[_Wall | None] = [None] * len(known)
     found = []
-    for k, ((r, psi), ((r00, r01), (_, r11)), (begin, end)) in enumerate(
-        zip(scan.z.tolist(), scan.R.tolist(), scan.ends.tolist(), strict=True)
-    ):
-        heading = psi + theta
+    for k, (r, psi, r00, r01, r11, begin, end) in enumerate(scan.rows()):
         slack = min(angle_slack, sqrt(limit * (widest + r11)))  # d2 is at least what the angle alone says
-        near = [
-            j
-            for j, (beta, distance) in enumerate(places)
-            if -slack < remainder(heading - beta, HALF_TURN) < slack
-            and (-offset_slack < r - distance < offset_slack or -offset_slack < r + distance < offset_slack)
-        ]
-        for j in near:
-            beta, distance = places[j]
-            turn = heading - beta
-            forward = -QUARTER <= remainder(turn, 2.0 * HALF_TURN) <= QUARTER
-            offset = (r if forward else -r) - distance
-            if not -offset_slack < offset < offset_slack:
+        for j, bearing, distance in places:
+            if not (-offset_slack < r - distance < offset_slack or -offset_slack < r + distance < offset_slack):
                 continue
-            turn = remainder(turn, HALF_TURN)  # after flipping
-            line, wall = known[j], walls[j]
+            turn = remainder(psi - bearing, TURN)
+            forward = -QUARTER <= turn <= QUARTER
+            offset = r - distance
+            if not forward:  # the other sign of (r, psi)
+                turn -= copysign(HALF_TURN, turn)
+                offset = -r - distance
+            if not (-slack < turn < slack and -offset_slack < offset < offset_slack):
+                continue
+            wall = walls[j]
             if wall is None:
-                wall = walls[j] = _seen(line, x, y, rows)
+                wall = walls[j] = _seen(known[j], x, y, rows)
             p00, p01, p11 = wall.spread
             s00, s11 = p00 + r00, p11 + r11
             cross = r01 if forward else -r01
@@ -113,11 +106,13 @@ def pairs_in_floats(scan: Scan, lines: LineMap, belief: AnyBelief, limit: float)
             if not d2 <= limit or not distance > -FACE_SIGMAS * sqrt(s00):
                 continue
             lo, hi = (wall.along + begin, wall.along + end) if forward else (wall.along - end, wall.along - begin)
+            lowest, highest = los[j], his[j]
             l00, l01, l11 = wall.own
             found.append(
                 Pair(
                     k,
                     j,
+                    wall.column,
                     (offset, turn),
                     (r00 + l00, cross + l01, r11 + l11),
                     (s00, s01, s11),
@@ -125,11 +120,11 @@ def pairs_in_floats(scan: Scan, lines: LineMap, belief: AnyBelief, limit: float)
                     d2 + log(det),
                     lo,
                     hi,
-                    min(hi, his[j]) - max(lo, los[j]),
-                    line.cos,
-                    line.sin,
+                    (hi if hi < highest else highest) - (lo if lo > lowest else lowest),
+                    wall.cos,
+                    wall.sin,
                     wall.u,
-                    beta - theta + turn,
+                    bearing + turn,
                 )
             )
     return found
@@ -162,18 +157,20 @@ def _seen(line: PlainLine, x: float, y: float, P: list[list[float]]) -> _Wall:
     u = dx * s - dy * c
     edge = m01 + u * m11
     l00, l01, l11 = m00 + u * (m01 + edge), edge, m11
-    (xx, xy, xt), (_, yy, yt), (_, _, tt) = P[0][:3], P[1][:3], P[2][:3]
+    X, Y, T = P
+    xx, xy, xt, yy, yt, tt = X[0], X[1], X[2], Y[1], Y[2], T[2]
     s00 = c * c * xx + 2.0 * c * s * xy + s * s * yy + l00
     s01 = c * xt + s * yt + l01
     s11 = tt + l11
     if column >= 0:  # the line is a state: it and the pose are correlated
-        r_rho, r_beta = (-c * P[0][i] - s * P[1][i] for i in (column, column + 1))
-        t_rho, t_beta = -P[2][column], -P[2][column + 1]
+        i, j = column, column + 1
+        r_rho, r_beta = -c * X[i] - s * Y[i], -c * X[j] - s * Y[j]
+        t_rho, t_beta = -T[i], -T[j]
         s00 += 2.0 * (r_rho + u * r_beta)
         s01 += r_beta + t_rho + u * t_beta
         s11 += 2.0 * t_beta
         l00 = l01 = l11 = 0.0
-    return _Wall(dy * c - dx * s, u, (s00, s01, s11), (l00, l01, l11))
+    return _Wall(column, c, s, dy * c - dx * s, u, (s00, s01, s11), (l00, l01, l11))
 
 
 def pairs_in_arrays(scan: Scan, lines: LineMap, belief: AnyBelief, limit: float) -> list[Pair]:
@@ -204,11 +201,11 @@ def pairs_in_arrays(scan: Scan, lines: LineMap, belief: AnyBelief, limit: float)
     overlap = np.minimum(ends[:, 1], lines.hi[which]) - np.maximum(ends[:, 0], lines.lo[which])
     frozen = (lines.column[which] < 0)[:, None, None]
     own = R + np.where(frozen, line_spread(lines.P[which], seen.u), 0.0)
-    columns: list[Array | Ints] = [line, which, y, _upper(own), _upper(S), d2, d2 + np.log(det), *ends.T, overlap]
+    columns: list[Array | Ints] = [line, which, lines.column[which], y, _upper(own), _upper(S), d2, d2 + np.log(det), *ends.T, overlap]
     columns += [seen.cos, seen.sin, seen.u, seen.psi + y[:, 1]]
     return [
-        Pair(k, j, tuple(e), tuple(noise), tuple(spread), *rest)
-        for k, j, e, noise, spread, *rest in zip(*(column[keep].tolist() for column in columns), strict=True)
+        Pair(k, j, at, tuple(e), tuple(noise), tuple(spread), *rest)
+        for k, j, at, e, noise, spread, *rest in zip(*(column[keep].tolist() for column in columns), strict=True)
     ]
 
 

@@ -20,7 +20,7 @@ from .association import Association, associate
 from .data import Array, Ints
 from .ekf import JointBelief, Pose
 from .line_map import AnyBelief, LineMap
-from .pairing import Scan
+from .scan import Scan
 from .relocalise import find_pose, matched_share, seen_through
 from .trail import Trail, expected_share
 

@@ -19,7 +19,7 @@ from . import se2
 from .association import Association
 from .data import Array, Ints
 from .line_map import AnyBelief, LineMap
-from .pairing import Scan
+from .scan import Scan
 from .trail import Trail
 
 LONGEST = 5  # seen walls from which pairs are made
@@ -41,10 +41,9 @@ OFTEN, CONTRADICTS = 3, 0.35  # scans of the trail that make a pose none; share 
 
 def matched_share(found: Association, scan: Scan) -> float:
     """Return the share of a scan's line length that was matched."""
-    length = scan.ends[:, 1] - scan.ends[:, 0]
-    matched = np.array([p >= 0 for p in found.match])
-    total = float(length.sum())
-    return float(length[matched].sum()) / total if total > 0 else 1.0
+    length = [row[6] - row[5] for row in scan.rows()]
+    total = sum(length)
+    return sum([one for one, p in zip(length, found.match, strict=True) if p >= 0]) / total if total > 0 else 1.0
 
 
 def seen_through(

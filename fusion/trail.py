@@ -14,7 +14,7 @@ import numpy as np
 
 from . import se2
 from .data import Array
-from .pairing import Scan
+from .scan import Scan
 
 STRIDE, TURN = 0.2, math.radians(15.0)  # m, rad between two scans that are kept
 LENGTH, TURNED = 30, math.radians(90.0)  # scans, rad: over 6 m, or around a corner, the wheels have drifted

@@ -18,7 +18,7 @@ from locfuse.fusion.fuse import fuse
 from locfuse.fusion.line_map import LineMap
 from locfuse.fusion.line_tracker import LineTracker
 from locfuse.fusion.measure import measure
-from locfuse.fusion.pairing import Scan
+from locfuse.fusion.scan import Scan
 
 UPPER = (0.01, 0.001, 0.0005, 0.02, -0.0004, 0.001)
 # pose, line (rho, beta about its anchor), anchor: ordinary, C near 0, robot near pi, far from the origin

@@ -18,7 +18,7 @@ from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.laser_mount import seated
 from locfuse.fusion.line_tracker import LineTracker
-from locfuse.fusion.pairing import Scan
+from locfuse.fusion.scan import Scan
 from locfuse.fusion.sensors.camera import BearingModel, CameraSettings
 from locfuse.fusion.sensors.lrf import LrfSettings
 from locfuse.fusion.sensors.mount import Mount

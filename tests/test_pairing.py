@@ -9,7 +9,8 @@ import pytest
 
 from locfuse.fusion.ekf import JointBelief, PoseBelief
 from locfuse.fusion.line_map import AnyBelief, LineMap
-from locfuse.fusion.pairing import FEW, Scan, pairs_in_arrays, pairs_in_floats
+from locfuse.fusion.pairing import FEW, pairs_in_arrays, pairs_in_floats
+from locfuse.fusion.scan import Scan
 
 UPPER = (0.01, 0.001, 0.0005, 0.02, -0.0004, 0.001)
 

@@ -14,7 +14,7 @@ from locfuse.fusion.data import Estimates, Evaluation
 from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure
-from locfuse.fusion.pairing import Scan
+from locfuse.fusion.scan import Scan
 from locfuse.fusion.trail import Trail, expected_share
 
 Array = NDArray[np.float64]

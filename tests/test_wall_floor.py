@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from locfuse.fusion.association import associate
 from locfuse.fusion.ekf import JointBelief
 from locfuse.fusion.line_tracker import LineTracker
-from locfuse.fusion.pairing import Scan
+from locfuse.fusion.scan import Scan
 from locfuse.fusion.se2 import wrap_all
 from locfuse.fusion.wall_floor import LAG, bend, wall_floor
 

@@ -113,6 +113,14 @@ class PoseBelief:
         self.x, self.y, self.theta = pose
         self.P = (xy, 0.0, 0.0, xy, 0.0, theta)
 
+    def pose(self) -> Pose:
+        """Return (x, y, theta)."""
+        return self.x, self.y, self.theta
+
+    def triangle(self) -> Triangle:
+        """Return the pose covariance's upper triangle."""
+        return self.P
+
     def matrix(self) -> Array:
         """Return the pose covariance, (3, 3)."""
         xx, xy, xt, yy, yt, tt = self.P
@@ -161,6 +169,16 @@ class JointBelief:
     def covariance(self) -> Array:
         """The joint covariance, a view (n, n)."""
         return self._P[: self.n, : self.n]
+
+    def pose(self) -> Pose:
+        """Return (x, y, theta)."""
+        x, y, theta = self._x[:3].tolist()
+        return x, y, theta
+
+    def triangle(self) -> Triangle:
+        """Return the pose covariance's upper triangle."""
+        (xx, xy, xt), (_, yy, yt), (_, _, tt) = self._P[:3, :3].tolist()
+        return xx, xy, xt, yy, yt, tt
 
     def matrix(self) -> Array:
         """Return the pose covariance, (3, 3)."""

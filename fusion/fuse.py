@@ -119,16 +119,11 @@ class Filter:
 
     def _record(self) -> None:
         belief = self.belief
-        if isinstance(belief, PoseBelief):
-            self._poses.extend((belief.x, belief.y, belief.theta))
-            self._triangles.extend(belief.P)
-        else:
-            self._poses.extend(belief.state[:3].tolist())
-            (xx, xy, xt), (_, yy, yt), (_, _, tt) = belief.covariance[:3, :3].tolist()
-            self._triangles.extend((xx, xy, xt, yy, yt, tt))
-        for name, (values, sigmas) in self._blocks.items():
+        self._poses.extend(belief.pose())
+        self._triangles.extend(belief.triangle())
+        for name, (values, variances) in self._blocks.items():
             values.extend(belief.block(name)[1])
-            sigmas.extend([math.sqrt(max(variance, 0.0)) for variance in belief.variances(name)])
+            variances.extend(belief.variances(name))
 
     def estimates(self, drive: Drive, name: str) -> Estimates:
         """Return everything recorded, with predictions at the truth's stamps beside it."""
@@ -146,7 +141,9 @@ class Filter:
             P=P,
             audits={s: record.audit() for s, record in self._records.items()},
             blocks=blocks,
-            block_sigmas={name: np.array(s).reshape(n, -1) for name, (_, s) in self._blocks.items()},
+            block_sigmas={
+                name: np.sqrt(np.maximum(np.array(v).reshape(n, -1), 0.0)) for name, (_, v) in self._blocks.items()
+            },
             first_map=[line for first, _ in maps for line in first],
             final_map=[line for _, final in maps for line in final],
             truth_pose=truth_pose,

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .data import Array, Ints
 from .ekf import JointBelief
@@ -36,24 +37,38 @@ def merge_doubles(lines: LineMap, belief: JointBelief, scan: int, uneven: Array)
     `uneven` (2,) is the variance [m^2, rad^2] by which a piece of wall is off its line: two pieces differ by both.
     """
     R = np.diag(np.maximum(FLAT**2, 2.0 * uneven))
-    for j in np.flatnonzero(scan - lines.seen <= PATIENCE)[::-1].tolist():
-        if j >= len(lines):
-            continue
-        i = _double_of(lines, belief, j, R)
-        if i is not None:
-            _join(lines, belief, min(i, j), max(i, j), R)
+    recent = np.flatnonzero(scan - lines.seen <= PATIENCE)[::-1]
+    while len(recent):
+        recent = recent[_near(lines, lines.values(belief), recent).any(axis=1)]
+        doubles = ((j, i) for j in recent.tolist() if (i := _double_of(lines, belief, j, R)) is not None)
+        found = next(doubles, None)
+        if found is None:
+            return
+        j, i = found
+        _join(lines, belief, min(i, j), max(i, j), R)
+        recent = recent[recent < j]
+
+
+def _near(lines: LineMap, values: Array, chosen: Ints) -> NDArray[np.bool_]:
+    """Return which lines (J,) lie where each of the chosen ones (k,) lies and face the same way, (k, J)."""
+    rho, beta = values[chosen].T[:, :, None]
+    turn = np.abs((values[:, 1] - beta + math.pi) % (2.0 * math.pi) - math.pi)
+    away = lines.anchor[chosen][:, None] - lines.anchor  # (k, J, 2)
+    c, s = np.cos(beta), np.sin(beta)
+    offset = values[:, 0] - (rho + away[:, :, 0] * c + away[:, :, 1] * s)
+    near: NDArray[np.bool_] = (turn < DOUBLE_ANGLE) & (np.abs(offset) <= DOUBLE_OFFSET)
+    near[np.arange(len(chosen)), chosen] = False
+    return near
 
 
 def _double_of(lines: LineMap, belief: JointBelief, j: int, R: Array) -> int | None:
     """Return the line that is most clearly the same wall as line j, None where there is none."""
     values = lines.values(belief)
-    turn = np.abs((values[:, 1] - values[j, 1] + math.pi) % (2.0 * math.pi) - math.pi)
-    near = np.flatnonzero(turn < DOUBLE_ANGLE)
-    near = near[near != j]
+    near = np.flatnonzero(_near(lines, values, np.array([j]))[0])
     best, found = DOUBLE_D2, None
     for i in near.tolist():
         y, H, lo, hi = _difference(lines, values, i, j)
-        if abs(y[0]) > DOUBLE_OFFSET or min(lines.hi[i], hi) - max(lines.lo[i], lo) < -APART:
+        if min(lines.hi[i], hi) - max(lines.lo[i], lo) < -APART:
             continue
         S = H @ _joint(lines, belief, i, j) @ H.T + R
         d2 = float(y @ np.linalg.solve(S, y))

@@ -4,43 +4,60 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Sequence
+from itertools import chain
 
 import numpy as np
 
 from .data import Audit
 from .sensors.base import Innovation
 
+MANY = 256
 
 class Record:
     """An hour of Python objects would be hundreds of megabytes; of columns it is tens."""
 
     def __init__(self) -> None:
-        self._width = 1
-        self._places = array("i")  # instant, row, landmark
+        self._waiting: list[Innovation] = []  # until there are enough of them to be turned into columns at once
+        self._instants = array("i")
+        self._rows = array("i")
         self._verdicts = array("b")
-        self._values = array("d")  # nis, threshold, y, sigma
+        self._landmarks = array("i")
+        self._nis = array("d")
+        self._thresholds = array("d")
+        self._y = array("d")
+        self._sigmas = array("d")
 
     def add(self, k: int, seen: Sequence[Innovation]) -> None:
         """Note the innovations of one reading at instant k."""
-        for row, verdict, landmark, nis, threshold, y, sigma, *_ in seen:
-            self._places.extend((k, row, landmark))
-            self._verdicts.append(verdict)
-            self._values.extend((nis, threshold, *y, *sigma))
-        if seen:
-            self._width = len(seen[0].y)
+        self._waiting += seen
+        self._instants.extend([k] * len(seen))
+        if len(self._waiting) > MANY:
+            self._write()
+
+    def _write(self) -> None:
+        if not self._waiting:
+            return
+        rows, verdicts, landmarks, nis, thresholds, y, sigmas, *_ = zip(*self._waiting, strict=True)
+        self._waiting.clear()
+        self._rows.extend(rows)
+        self._verdicts.extend(verdicts)
+        self._landmarks.extend(landmarks)
+        self._nis.extend(nis)
+        self._thresholds.extend(thresholds)
+        self._y.extend(chain.from_iterable(y))
+        self._sigmas.extend(chain.from_iterable(sigmas))
 
     def audit(self) -> Audit:
         """Return the record as columns: views, since a copy would hold everything twice for a moment."""
-        d = self._width
-        places = np.frombuffer(self._places, np.intc).reshape(-1, 3)
-        values = np.frombuffer(self._values).reshape(-1, 2 + 2 * d)
+        self._write()
+        n = max(len(self._rows), 1)
         return Audit(
-            instant=places[:, 0],
-            row=places[:, 1],
+            instant=np.frombuffer(self._instants, np.intc),
+            row=np.frombuffer(self._rows, np.intc),
             verdict=np.frombuffer(self._verdicts, np.int8),
-            landmark=places[:, 2],
-            nis=values[:, 0],
-            threshold=values[:, 1],
-            y=values[:, 2 : 2 + d],
-            sigma=values[:, 2 + d :],
+            landmark=np.frombuffer(self._landmarks, np.intc),
+            nis=np.frombuffer(self._nis),
+            threshold=np.frombuffer(self._thresholds),
+            y=np.frombuffer(self._y).reshape(-1, len(self._y) // n or 1),
+            sigma=np.frombuffer(self._sigmas).reshape(-1, len(self._sigmas) // n or 1),
         )

@@ -445,7 +445,7 @@ def stacked(seen: Sequence[Innovation]) -> tuple[Array, Ints, Array, Array]:
 def _layout(parts: tuple[tuple[int, tuple[int, ...]], ...]) -> tuple[Ints, Ints, Ints]:
     """Return the state columns (c,) and the flat places of the numbers in H and R, for parts (d, state columns).
 
-    From scan to scan the same walls are seen: what lies where is known, and filling all at once takes half as long.
+    The same walls are seen scan after scan, so that what lies where is mostly known.
     """
     columns = [0, 1, 2, *dict.fromkeys([c for _, own in parts for c in own])]
     at = {c: i for i, c in enumerate(columns)}

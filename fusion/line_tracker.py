@@ -178,10 +178,8 @@ class LineTracker(Model):
 
     def _extend(self, pair: Pair) -> None:
         lines, j = self.map, pair.which
-        if pair.lo < lines.lo[j]:
-            lines.lo[j] = pair.lo
-        if pair.hi > lines.hi[j]:
-            lines.hi[j] = pair.hi
+        lines.lo[j] = min(lines.lo[j], pair.lo)
+        lines.hi[j] = max(lines.hi[j], pair.hi)
         lines.hits[j] += 1
         lines.seen[j] = self._scan
 

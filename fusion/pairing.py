@@ -106,7 +106,6 @@ def pairs_in_floats(scan: Scan, lines: LineMap, belief: AnyBelief, limit: float)
             if not d2 <= limit or not distance > -FACE_SIGMAS * sqrt(s00):
                 continue
             lo, hi = (wall.along + begin, wall.along + end) if forward else (wall.along - end, wall.along - begin)
-            lowest, highest = los[j], his[j]
             l00, l01, l11 = wall.own
             found.append(
                 Pair(
@@ -120,7 +119,7 @@ def pairs_in_floats(scan: Scan, lines: LineMap, belief: AnyBelief, limit: float)
                     d2 + log(det),
                     lo,
                     hi,
-                    (hi if hi < highest else highest) - (lo if lo > lowest else lowest),
+                    min(hi, his[j]) - max(lo, los[j]),
                     wall.cos,
                     wall.sin,
                     wall.u,
@@ -201,8 +200,8 @@ def pairs_in_arrays(scan: Scan, lines: LineMap, belief: AnyBelief, limit: float)
     overlap = np.minimum(ends[:, 1], lines.hi[which]) - np.maximum(ends[:, 0], lines.lo[which])
     frozen = (lines.column[which] < 0)[:, None, None]
     own = R + np.where(frozen, line_spread(lines.P[which], seen.u), 0.0)
-    columns: list[Array | Ints] = [line, which, lines.column[which], y, _upper(own), _upper(S), d2, d2 + np.log(det), *ends.T, overlap]
-    columns += [seen.cos, seen.sin, seen.u, seen.psi + y[:, 1]]
+    columns: list[Array | Ints] = [line, which, lines.column[which], y, _upper(own), _upper(S)]
+    columns += [d2, d2 + np.log(det), *ends.T, overlap, seen.cos, seen.sin, seen.u, seen.psi + y[:, 1]]
     return [
         Pair(k, j, at, tuple(e), tuple(noise), tuple(spread), *rest)
         for k, j, at, e, noise, spread, *rest in zip(*(column[keep].tolist() for column in columns), strict=True)

@@ -13,6 +13,7 @@ from .sensors.base import Innovation
 
 MANY = 256
 
+
 class Record:
     """An hour of Python objects would be hundreds of megabytes; of columns it is tens."""
 

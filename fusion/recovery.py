@@ -20,8 +20,8 @@ from .association import Association, associate
 from .data import Array, Ints
 from .ekf import JointBelief, Pose
 from .line_map import AnyBelief, LineMap
-from .scan import Scan
 from .relocalise import find_pose, matched_share, seen_through
+from .scan import Scan
 from .trail import Trail, expected_share
 
 ENOUGH = 0.5  # share of the seen length that must match in an ordinary scan

@@ -119,7 +119,7 @@ def drive_of(
     if case.slow_compass:
         m = drive.measurements["compass"]
         drive = noisy(drive, "compass", slow_noise(m.t, rng)[:, None])
-    runs = [Run(drive, fuse(drive, robot, sensors)) for sensors in CONFIGURATIONS]
+    runs = [Run.of(drive, fuse(drive, robot, sensors)) for sensors in CONFIGURATIONS]
     return drive, judge(runs, robot)["all"]
 
 

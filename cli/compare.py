@@ -8,7 +8,7 @@ import click
 
 from .exports import export_option
 from .options import LogOptions, chosen, log_options, out_options, preset_option, smooth_option
-from .rerun_options import RerunOptions, record, rerun_options
+from .rerun_options import Recorded, RerunOptions, record, rerun_options
 
 KINDS = ("html", "md", "json", "tum", "csv", "tex")
 
@@ -94,6 +94,7 @@ def compare(
     from . import configurations, exports, gates, outputs, results, show
     from .comparison import compare_log, report_of
     from .load import find_log, load
+    from .memory import give_back
 
     if len(log) > 1:
         from .summary import several
@@ -105,17 +106,22 @@ def compare(
     before = gates.read_baseline(baseline, tolerance) if baseline else None
     with show.progress(how.quiet) as progress:
         loaded = load(find_log(log), how, progress)
+        loaded.log.forget()
+        give_back()
         wanted = configurations.for_comparison(sensors, loaded.drive, all_subsets)
-        compared = compare_log(loaded, wanted, align, progress, smooth)
+        drawn, recorded = outputs.Drawn(), Recorded()
+        watch = [drawn.take] if "html" in kinds or figures else []
+        watch += [recorded.take] if rerun.wanted else []
+        compared = compare_log(loaded, wanted, align, progress, smooth, watch)
         report = report_of(compared)
         progress("writing")
-        files = outputs.files(compared, report, kinds)
+        files = outputs.files(compared, drawn, report, kinds)
         files |= exports.files(export, loaded, {e.name: e for e in compared.estimates})
         folder = out or results.default_folder(loaded.log.name)
         write_results(folder, files, overwrite)
         if figures is not None:
             progress("drawing figures")
-            write_results(figures, outputs.figure_files(compared), overwrite=True)
+            write_results(figures, outputs.figure_files(compared, drawn), overwrite=True)
     used = sorted({s for e in compared.estimates for s in e.sensors})
     lost = results.loss_lines(loaded, used, how.strict)
     if as_json:
@@ -126,7 +132,7 @@ def compare(
         show.consistency(report)
         click.echo(f"{folder}: {', '.join(sorted(files))}")
     show.notes(report, lost, how.quiet)
-    record(rerun, loaded, compared.estimates, compared.evaluations, report, folder)
+    record(rerun, loaded, recorded.in_order(compared.estimates), compared.evaluations, report, folder)
     failed = gates.failures(report, limits, before)
     for line in failed:
         click.echo(f"gate: {line}", err=True)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal, cast
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple, cast
 
 from ..fusion.consistency import Run
 from ..fusion.credit import Credit, credit
@@ -17,7 +17,8 @@ from . import results
 from .configurations import Configuration
 from .filters import fuser
 from .load import Loaded
-from .trust import add_consistency
+from .memory import give_back
+from .trust import add_consistency, evidence
 from .verdicts import credit_values, prediction_values, verdicts
 
 PSEUDO = (
@@ -25,6 +26,7 @@ PSEUDO = (
     "pseudo-reference: it shows what only the future corrects, and shares every error of its own sensors and map"
 )
 Progress = Callable[[str], None]
+Watch = Callable[[Estimates, Evaluation], None]
 
 
 @dataclass(frozen=True)
@@ -33,37 +35,72 @@ class Compared:
 
     loaded: Loaded
     configurations: Sequence[Configuration]
-    estimates: Sequence[Estimates]
+    estimates: Sequence[Estimates]  # without their audits
     evaluations: Sequence[Evaluation]
+    runs: Sequence[Run]  # evidence of the sensors' noise
     credit: Credit | None  # where there is truth
     scores: Sequence[Score]  # where there is none
 
 
+class Judged(NamedTuple):
+    """One configuration's result, and what remains of its audits."""
+
+    estimates: Estimates  # without audits
+    evaluation: Evaluation
+    evidence: list[Run]
+
+
 def compare_log(
-    loaded: Loaded, configurations: Sequence[Configuration], align: str, progress: Progress, smooth: bool = False
+    loaded: Loaded,
+    configurations: Sequence[Configuration],
+    align: str,
+    progress: Progress,
+    smooth: bool = False,
+    watch: Sequence[Watch] = (),
 ) -> Compared:
-    """Run and judge every configuration; smoothed ones come after all others."""
+    """Run and judge every configuration; smoothed ones come after all others.
+
+    Audits are most of what a run holds, and end as soon as it is judged: who draws them takes it then (`watch`).
+    """
     drive, robot = loaded.drive, loaded.robot
     if smooth:
         refuse_smoothing(robot, configurations)
-    estimates, smoothed = [], []
+    filtered, smoothed = [], []
     for c in configurations:
         progress(f"fusing {c.name}")
-        if smooth and c.sensors:
-            filtered, after = c.fuse_and_smooth(drive, robot)
-            estimates.append(filtered)
-            smoothed.append((c, after))
-        else:
-            estimates.append(c.fuse(drive, robot))
-    how = cast("Literal['none', 'origin', 'se2']", align)
-    judged = [evaluate(e, c.drive(drive), how) for c, e in zip(configurations, estimates, strict=True)]
-    plain = {frozenset(c.sensors): j for c, j in zip(configurations, judged, strict=True) if not c.rates}
+        first, *after = _judged(c, loaded, align, smooth, watch)
+        give_back()
+        filtered.append(first)
+        smoothed += after
+    plain = {
+        frozenset(c.sensors): j.evaluation for c, j in zip(configurations, filtered, strict=True) if not c.rates
+    }
     present = [s for s in REGISTRY if s in drive.measurements]
     found = credit(plain, present) if drive.truth is not None else None
     predicted = [] if found is not None else predict(drive, robot, configurations, progress)
-    late = [evaluate(e, c.drive(drive), how) for c, e in smoothed]
-    every = [*estimates, *(e for _, e in smoothed)]
-    return Compared(loaded, configurations, every, [*judged, *late], found, predicted)
+    every = [*filtered, *smoothed]
+    return Compared(
+        loaded=loaded,
+        configurations=configurations,
+        estimates=[j.estimates for j in every],
+        evaluations=[j.evaluation for j in every],
+        runs=[run for j in every for run in j.evidence],
+        credit=found,
+        scores=predicted,
+    )
+
+
+def _judged(c: Configuration, loaded: Loaded, align: str, smooth: bool, watch: Sequence[Watch]) -> list[Judged]:
+    """Fuse and judge one configuration: filtered, and perhaps smoothed."""
+    drive, robot = c.drive(loaded.drive), loaded.robot
+    how = cast("Literal['none', 'origin', 'se2']", align)
+    judged = []
+    for e in c.fuse_and_smooth(drive, robot) if smooth and c.sensors else (c.fuse(drive, robot),):
+        evaluation = evaluate(e, drive, how)
+        for look in watch:
+            look(e, evaluation)
+        judged.append(Judged(replace(e, audits={}), evaluation, evidence(drive, e, robot)))
+    return judged
 
 
 def refuse_smoothing(robot: Robot, configurations: Sequence[Configuration]) -> None:
@@ -95,9 +132,7 @@ def report_of(compared: Compared) -> dict[str, Any]:
     report["verdicts"] = verdicts(compared.credit, compared.scores, sets)
     report["credit"] = None if compared.credit is None else credit_values(compared.credit)
     report["prediction"] = prediction_values(compared.scores, list(sets)) if compared.scores else None
-    drive = compared.loaded.drive
-    runs = [Run(c.drive(drive), e) for c, e in zip(compared.configurations, compared.estimates, strict=False)]
-    add_consistency(report, runs, compared.evaluations, compared.loaded.robot)
+    add_consistency(report, compared.runs, compared.evaluations, compared.loaded.robot)
     add_pseudo_reference(report, compared.loaded.drive, compared.estimates)
     return report
 

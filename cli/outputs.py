@@ -6,8 +6,9 @@ from collections.abc import Collection, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from ..fusion.data import Estimates, Evaluation
 from ..fusion.gates import chi_square
-from ..fusion.running import running_nis
+from ..fusion.running import Running, running_nis
 from ..fusion.sensors.registry import REGISTRY
 from . import results
 from .comparison import Compared
@@ -17,15 +18,31 @@ if TYPE_CHECKING:
     from ..formats.outdir import Content
 
 
-def files(compared: Compared, report: Mapping[str, Any], kinds: Collection[str]) -> dict[str, Content]:
-    """Return the content of every file of these kinds by its name."""
+class Drawn:
+    """What figures show of the audits, taken as each configuration is judged."""
+
+    def __init__(self) -> None:
+        self.nis: dict[tuple[str, str], Running] = {}  # (configuration, sensor)
+        self.best: Estimates | None = None  # with most sensors: its audit is drawn reading by reading
+
+    def take(self, e: Estimates, _evaluation: Evaluation) -> None:
+        """Take what is drawn of one run."""
+        self.nis |= {(e.name, s): running_nis(audit, e.t) for s, audit in e.audits.items()}
+        if self.best is None or len(e.sensors) > len(self.best.sensors):
+            self.best = e
+
+
+def files(
+    compared: Compared, drawn: Drawn, report: Mapping[str, Any], kinds: Collection[str]
+) -> dict[str, Content]:
+    """Return the content of every file of these kinds by its name; `drawn` is what .html shows of the audits."""
     from ..formats import report_json, report_md, report_tables
 
     out: dict[str, Content] = {"robot.toml": results.robot_file(compared.loaded.robot)}
     if "tum" in kinds:
         out |= trajectories(compared)
     if "html" in kinds:
-        out["report.html"] = page(compared, report)
+        out["report.html"] = page(compared, drawn, report)
     if "md" in kinds:
         out["report.md"] = report_md.render(report)
     if "csv" in kinds:
@@ -51,29 +68,28 @@ def trajectories(compared: Compared) -> dict[str, Content]:
     return out
 
 
-def page(compared: Compared, report: Mapping[str, Any]) -> str:
+def page(compared: Compared, drawn: Drawn, report: Mapping[str, Any]) -> str:
     """Return report.html."""
     from ..formats import report_html
     from ..formats.figures import sections
 
-    return report_html.render(report, sections(scene(compared)), list(REGISTRY))
+    return report_html.render(report, sections(scene(compared, drawn)), list(REGISTRY))
 
 
-def figure_files(compared: Compared) -> dict[str, bytes]:
+def figure_files(compared: Compared, drawn: Drawn) -> dict[str, bytes]:
     """Return every figure as SVG and PDF by its file's name."""
     from ..formats.figure_paper import paper_figures
     from ..formats.figures import sections
 
-    return paper_figures(sections(scene(compared)), list(REGISTRY))
+    return paper_figures(sections(scene(compared, drawn)), list(REGISTRY))
 
 
-def scene(compared: Compared) -> Scene:
+def scene(compared: Compared, drawn: Drawn) -> Scene:
     """Return what the figures show: estimates, judgements, and consistency with its chi-square bounds."""
     from ..formats.figures import Component, Scene, Stretches
     from .rerun_scene import LOOKS
 
     drive = compared.loaded.drive
-    nis = {(e.name, s): Stretches(*running_nis(a, e.t)) for e in compared.estimates for s, a in e.audits.items()}
     dof = 3 if any(j.heading is not None for j in compared.evaluations) else 2
     components = {}
     for sensor, m in drive.measurements.items():
@@ -85,9 +101,9 @@ def scene(compared: Compared) -> Scene:
         ]
     return Scene(
         drive=drive,
-        estimates=compared.estimates,
+        estimates=[drawn.best if drawn.best and drawn.best.name == e.name else e for e in compared.estimates],
         evaluations=compared.evaluations,
-        nis=nis,
+        nis={run: Stretches(*running) for run, running in drawn.nis.items()},
         nees_bounds=(chi_square(0.025, dof) / dof, chi_square(0.975, dof) / dof),
         components=components,
     )

@@ -39,6 +39,21 @@ class RerunOptions:
         return self.show or self.save is not None or self.connect is not None
 
 
+class Recorded:
+    """What a recording shows of each configuration, taken as it is judged."""
+
+    def __init__(self) -> None:
+        self._estimates: dict[str, Estimates] = {}
+
+    def take(self, e: Estimates, _evaluation: Evaluation) -> None:
+        """Keep one run with its audits."""
+        self._estimates[e.name] = e
+
+    def in_order(self, estimates: Sequence[Estimates]) -> list[Estimates]:
+        """Return what was taken in the order of the results."""
+        return [self._estimates[e.name] for e in estimates if e.name in self._estimates]
+
+
 def every(ctx: click.Context, param: click.Parameter, value: str | None) -> int | None:
     """Return N of `every=N`, 0 for `none`. Raises click.BadParameter for anything else."""
     if value is None or value == "none":

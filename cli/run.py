@@ -68,11 +68,10 @@ def run(
     from ..formats import report_json, trajectory
     from ..formats.audit_csv import audit_csv
     from ..formats.outdir import Content, whole_file, write_results
-    from ..fusion.consistency import Run
     from ..fusion.evaluate import evaluate
     from . import configurations, exports, results, show
     from .load import find_log, load
-    from .trust import add_consistency
+    from .trust import add_consistency, evidence
 
     kinds = chosen(write, KINDS)
     with show.progress(how.quiet) as progress:
@@ -84,7 +83,7 @@ def run(
         found = configuration.fuse_and_smooth(drive, robot) if smooth else (configuration.fuse(drive, robot),)
         judged = [evaluate(e, configuration.drive(drive), align) for e in found]  # type: ignore[arg-type]
         report = results.build(loaded, judged)
-        add_consistency(report, [Run(configuration.drive(drive), found[0])], judged, robot)
+        add_consistency(report, evidence(configuration.drive(drive), found[0], robot), judged, robot)
         progress("writing")
         files: dict[str, Content] = {"robot.toml": results.robot_file(robot)}
         named = dict(zip(("trajectory", "smoothed"), found, strict=False))

@@ -168,7 +168,7 @@ def not_white(trials: Sequence[Trial]) -> list[str]:
     for trial in trials:
         sensors = list(trial.drive.measurements)
         together = dict.fromkeys((tuple(sensors), *((*needs(s), s) for s in sensors)))
-        runs = [Run(trial.drive, fuse(trial.drive, trial.robot, chosen)) for chosen in together]
+        runs = [Run.of(trial.drive, fuse(trial.drive, trial.robot, chosen)) for chosen in together]
         found = judge(runs, trial.robot)
         worded = {s: verdict for verdicts in found.values() for s, verdict in verdicts.items()}
         notes += [f"{trial.name}: {v.words}" for v in worded.values() if v.verdict == "correlated"]

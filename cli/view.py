@@ -131,10 +131,13 @@ def _scene_of_log(what: Sequence[str], wish: Wish, progress: Progress) -> Scene:
     from .comparison import compare_log, report_of
     from .configurations import for_comparison
     from .load import find_log, load
+    from .rerun_options import Recorded
     from .rerun_scene import make_scene
 
     loaded = load(find_log(what), wish.how, progress)
-    compared = compare_log(loaded, for_comparison(wish.sensors, loaded.drive), "none", progress)
+    wanted, recorded = for_comparison(wish.sensors, loaded.drive), Recorded()
+    compared = compare_log(loaded, wanted, "none", progress, watch=[recorded.take])
     table = report_md.render(report_of(compared))
     progress("recording")
-    return make_scene(loaded, compared.estimates, compared.evaluations, table, wish.images, wish.full)
+    estimates = recorded.in_order(compared.estimates)
+    return make_scene(loaded, estimates, compared.evaluations, table, wish.images, wish.full)

@@ -8,7 +8,7 @@ understated judges nobody else.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -47,10 +47,17 @@ class Consistency:
 
 
 class Run(NamedTuple):
-    """One configuration's result on the drive as it saw it."""
+    """One configuration's result on the drive as it saw it, and what its own innovations say of every sensor."""
 
     drive: Drive
-    estimates: Estimates
+    estimates: Estimates  # without audits
+    own: Mapping[str, Own | None]
+
+    @classmethod
+    def of(cls, drive: Drive, estimates: Estimates) -> Run:
+        """Look at a run's innovations; its audits are needed no more."""
+        found = {s: own(estimates.audits[s], drive.measurements[s]) for s in estimates.sensors}
+        return cls(drive, replace(estimates, audits={}), found)
 
 
 def judge(runs: Sequence[Run], robot: Robot) -> dict[str, dict[str, Consistency]]:
@@ -69,9 +76,7 @@ class Court:
         self.robot, self.runs = robot, runs
         self.sensors = sorted({s for r in runs for s in r.estimates.sensors})
         self.own: dict[tuple[str, str], Own | None] = {
-            (r.estimates.name, s): own(r.estimates.audits[s], r.drive.measurements[s])
-            for r in runs
-            for s in r.estimates.sensors
+            (r.estimates.name, s): found for r in runs for s, found in r.own.items()
         }
         self._heard: dict[tuple[str, str], Heard | None] = {}
         self.blamed: dict[str, Heard] = {}

@@ -90,7 +90,7 @@ def test_too_few_readings_give_no_figures() -> None:
 
 
 def court(seed: int, robot: Robot, drive: Drive) -> dict[str, Consistency]:
-    runs = [Run(drive, fuse(drive, robot, s)) for s in ((), ("compass",), ("lrf",), ("compass", "lrf"))]
+    runs = [Run.of(drive, fuse(drive, robot, s)) for s in ((), ("compass",), ("lrf",), ("compass", "lrf"))]
     found = judge(runs, robot)
     assert set(found) == {"odometry", "compass", "lrf", "all"}
     assert found["odometry"] == {}
@@ -189,7 +189,7 @@ def test_the_cure_for_slow_noise_is_accepted_once_it_is_set() -> None:
 def test_one_run_alone_still_names_the_worst_sensor_and_judges_nobody_beside_it() -> None:
     robot = small_drive.robot()
     drive = told(small_drive.drive(1, robot), "lrf", 1 / 3)
-    found = judge([Run(drive, fuse(drive, robot, ("compass", "lrf")))], robot)["all"]
+    found = judge([Run.of(drive, fuse(drive, robot, ("compass", "lrf")))], robot)["all"]
     assert found["lrf"].verdict == "understated"
     assert found["compass"].verdict == "unclear"
     assert "lrf must be set right first" in found["compass"].words

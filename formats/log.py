@@ -178,6 +178,11 @@ class Log:
         for _, raw in self._walk({topic}):
             yield raw
 
+    def forget(self) -> None:
+        """Let go of the columns; what is asked for again is read again."""
+        for table in self._tables.values():
+            table.columns = {}
+
     def left_out(self, topic: str) -> Mapping[str, int]:
         """Count the messages on a topic that are of another type than the rest of it."""
         return self._channels[topic].left_out()

@@ -331,3 +331,10 @@ def test_wrong_encoding_of_a_real_log_is_refused_in_one_line() -> None:
 def test_two_clocks_are_said_in_words() -> None:
     stream = open_log([real_log("bags/evo/nav2_turtlebot.mcap")]).stream("/odom")
     assert "differ by 1778233424" in stream.notes[0]
+
+
+def test_what_a_log_forgot_is_read_again(tmp_path: Path) -> None:
+    log = open_log([write(tmp_path / "shuffled.mcap", shuffled(drive()))])
+    before = contents(log)
+    log.forget()
+    assert contents(log) == before

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from math import cos, sin
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from .data import Array, Ints, MapLine
@@ -31,7 +32,7 @@ class Prediction(NamedTuple):
     spread: Array  # (k, 2, 2) H P H', and the map's covariance where the map is not a state
 
 
-class PlainLine(NamedTuple):
+class PlainLine(msgspec.Struct, frozen=True, gc=False):
     """One line in plain floats."""
 
     rho: float

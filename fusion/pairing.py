@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 from math import copysign, log, remainder, sqrt
-from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from .data import Array, Ints
@@ -26,7 +26,7 @@ FEW = 32  # map lines up to which a loop is faster than arrays
 TURN, HALF_TURN, QUARTER = 2.0 * math.pi, math.pi, 0.5 * math.pi
 
 
-class Pair(NamedTuple):
+class Pair(msgspec.Struct, frozen=True, gc=False):
     """A measured line that may be a map line. Symmetric 2 x 2 matrices are (00, 01, 11)."""
 
     line: int  # of the scan
@@ -46,7 +46,7 @@ class Pair(NamedTuple):
     psi: float  # rad, measured, base frame, as the map line's psi is predicted: not wrapped
 
 
-class _Wall(NamedTuple):
+class _Wall(msgspec.Struct, frozen=True, gc=False):
     """A map line as the robot should see it."""
 
     column: int  # of the line in the state, -1: frozen
@@ -73,8 +73,8 @@ def pairs_in_floats(scan: Scan, lines: LineMap, belief: AnyBelief, limit: float)
     angle_slack, offset_slack = _slack(rows[0][0] + rows[1][1], rows[2][2])
     widest = max([_angle_variance(line, rows[2]) for line in known])
     places = [  # as the robot should see them
-        (j, beta - theta, rho - (x - ax) * c - (y - ay) * s)
-        for j, (rho, beta, c, s, ax, ay, _, _) in enumerate(known)
+        (j, line.beta - theta, line.rho - (x - line.x) * line.cos - (y - line.y) * line.sin)
+        for j, line in enumerate(known)
     ]
     los, his = lines.lo.tolist(), lines.hi.tolist()
     walls: list[_Wall | None] = [None] * len(known)
@@ -151,8 +151,9 @@ def pose_rows(belief: AnyBelief) -> list[list[float]]:
 
 def _seen(line: PlainLine, x: float, y: float, P: list[list[float]]) -> _Wall:
     """Predict a map line and its innovation covariance without R; maths.md, "line as a state"."""
-    _, _, c, s, ax, ay, (m00, m01, m11), column = line
-    dx, dy = x - ax, y - ay
+    c, s, column = line.cos, line.sin, line.column
+    m00, m01, m11 = line.P
+    dx, dy = x - line.x, y - line.y
     u = dx * s - dy * c
     edge = m01 + u * m11
     l00, l01, l11 = m00 + u * (m01 + edge), edge, m11

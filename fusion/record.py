@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from itertools import chain
 
 import numpy as np
+from msgspec.structs import astuple
 
 from .data import Audit
 from .sensors.base import Innovation
@@ -38,7 +39,7 @@ class Record:
     def _write(self) -> None:
         if not self._waiting:
             return
-        rows, verdicts, landmarks, nis, thresholds, y, sigmas, *_ = zip(*self._waiting, strict=True)
+        rows, verdicts, landmarks, nis, thresholds, y, sigmas, *_ = zip(*map(astuple, self._waiting), strict=True)
         self._waiting.clear()
         self._rows.extend(rows)
         self._verdicts.extend(verdicts)

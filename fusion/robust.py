@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import math
 
+from msgspec.structs import replace
+
 from .data import VERDICTS
 from .sensors.base import Innovation
 
@@ -22,4 +24,4 @@ def inflated(seen: Innovation) -> Innovation:
     (r,), S = seen.R[0], seen.sigma[0] ** 2
     needed = seen.y[0] ** 2 / seen.threshold
     R = r + needed - S
-    return seen._replace(verdict=0, nis=seen.threshold, sigma=(math.sqrt(needed),), R=((R,),))
+    return replace(seen, verdict=0, nis=seen.threshold, sigma=(math.sqrt(needed),), R=((R,),))

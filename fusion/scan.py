@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
+import msgspec
 import numpy as np
 
 from .data import Array, Measurements
@@ -13,7 +12,7 @@ BLOCK = 4096  # lines that become plain floats at a time: an hour of them would 
 Floats = list[list[float]]  # (k, 7) r, psi, R as 00, 01, 11, and both ends
 
 
-class Scan(NamedTuple):
+class Scan(msgspec.Struct, frozen=True, gc=False):
     """Measured lines of one scan in the base frame, k of them."""
 
     z: Array  # (k, 2) r, psi

@@ -35,8 +35,11 @@ class WheelMotion(Protocol):
         """Return the heading (...) [rad, not wrapped] by the wheels alone at times t (...) within the drive."""
 
 
-class Innovation(NamedTuple):
-    """One measurement against the belief: y = z - h(x), with H = [H_pose | H_block] and its verdict."""
+class Innovation(msgspec.Struct, frozen=True, gc=False):
+    """One measurement against the belief: y = z - h(x), with H = [H_pose | H_block] and its verdict.
+
+    Hundreds of thousands are made in an hour: a Struct takes a third of a NamedTuple's time.
+    """
 
     row: int  # row in Measurements.z
     verdict: int  # index into VERDICTS

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
 
 import numpy as np
+from msgspec.structs import replace
 
 from ..bearing import H_ORIENTATION, Point, bearing_by_mount, paper_orientation, predict_bearing
 from ..data import VERDICTS, LocfuseError, Measurements, Stream
@@ -263,6 +264,6 @@ def choose(judged: list[Innovation]) -> list[Innovation]:
         verdict = 0
     rest = (AMBIGUOUS if verdict == AMBIGUOUS and o.nis <= o.threshold else UNMATCHED for o in others)
     return [
-        best._replace(verdict=verdict),
-        *(o._replace(verdict=v, landmark=-1) for o, v in zip(others, rest, strict=True)),
+        replace(best, verdict=verdict),
+        *(replace(o, verdict=v, landmark=-1) for o, v in zip(others, rest, strict=True)),
     ]

@@ -46,17 +46,18 @@ def our_filter(z: Array) -> int:
     """Predict and correct with the product's filter."""
     belief = PoseBelief((0.0, 0.0, 0.0), (0.01, 0.0, 0.0, 0.01, 0.0, 0.01))
     alone = z.shape[1] == 1
+    H_lines = [((-c, -s, 0.0), (0.0, 0.0, -1.0)) for _, _, c, s in WALLS]
     r, R = SIGMA**2, ((SIGMA**2, 0.0), (0.0, SIGMA**2))
     for row in z.tolist():
         belief.predict(MOTION, NOISE)
         if alone:
-            y = (row[0] - belief.theta,)
-            seen = [Innovation(0, 0, -1, 0.0, 0.0, y, y, ((0.0, 0.0, 1.0),), ((r,),))]
+            e = (row[0] - belief.theta,)
+            seen = [Innovation(0, 0, -1, 0.0, 0.0, e, e, ((0.0, 0.0, 1.0),), ((r,),))]
         else:
-            seen = []
-            for k, (rho, beta, c, s) in enumerate(WALLS):
-                e = (row[2 * k] + belief.x * c + belief.y * s - rho, row[2 * k + 1] - beta + belief.theta)
-                seen.append(Innovation(k, 0, k, 0.0, 0.0, e, e, ((-c, -s, 0.0), (0.0, 0.0, -1.0)), R))
+            seen, (x, y, theta) = [], belief.pose()
+            for k, ((rho, beta, c, s), H) in enumerate(zip(WALLS, H_lines, strict=True)):
+                e = (row[2 * k] + x * c + y * s - rho, row[2 * k + 1] - beta + theta)
+                seen.append(Innovation(k, 0, k, 0.0, 0.0, e, e, H, R))
         belief.correct(seen)
     return len(z)
 

@@ -37,7 +37,7 @@ def pose_rows(seen: Sequence[Innovation]) -> list[Row]:
     if len(seen) == 1:
         return whitened(seen[0])
     rows: list[Row] = []
-    lines: list[Innovation] = []
+    lines = 0  # that are added up
     xx = xy = xt = yy = yt = tt = wx = wy = wt = 0.0
     for innovation in seen:
         y, H, R = innovation.y, innovation.H, innovation.R
@@ -51,7 +51,7 @@ def pose_rows(seen: Sequence[Innovation]) -> list[Row]:
         if none or no_x or no_y or not 0.0 < det < inf:
             rows += whitened(innovation)
             continue
-        lines.append(innovation)
+        lines += 1
         y0, y1 = y
         i00, i01, i11 = r11 / det, -r01 / det, r00 / det
         ia, ib, jc = i00 * a, i00 * b, i01 * c
@@ -65,7 +65,7 @@ def pose_rows(seen: Sequence[Innovation]) -> list[Row]:
         wx += a * e0
         wy += b * e0
         wt += c * (i01 * y0 + i11 * y1)
-    if len(lines) > 1 and xx > RANK * yy:
+    if lines > 1 and xx > RANK * yy:
         u0 = sqrt(xx)
         u1, u2, w0 = xy / u0, xt / u0, wx / u0
         left = yy - u1 * u1
@@ -77,4 +77,6 @@ def pose_rows(seen: Sequence[Innovation]) -> list[Row]:
                 t2 = sqrt(left)
                 w2 = (wt - u2 * w0 - v2 * w1) / t2
                 return [*rows, (w0, u0, u1, u2, 1.0), (w1, 0.0, v1, v2, 1.0), (w2, 0.0, 0.0, t2, 1.0)]
-    return rows + [row for line in lines for row in whitened(line)]  # one line, or parallel ones: L is singular
+    return [
+        row for innovation in seen for row in whitened(innovation)
+    ]  # one line, or parallel ones: L is singular

@@ -51,8 +51,8 @@ def our_filter(z: Array) -> int:
     for row in z.tolist():
         belief.predict(MOTION, NOISE)
         if alone:
-            e = (row[0] - belief.theta,)
-            seen = [Innovation(0, 0, -1, 0.0, 0.0, e, e, ((0.0, 0.0, 1.0),), ((r,),))]
+            off = (row[0] - belief.theta,)
+            seen = [Innovation(0, 0, -1, 0.0, 0.0, off, off, ((0.0, 0.0, 1.0),), ((r,),))]
         else:
             seen, (x, y, theta) = [], belief.pose()
             for k, ((rho, beta, c, s), H) in enumerate(zip(WALLS, H_lines, strict=True)):

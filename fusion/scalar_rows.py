@@ -77,6 +77,4 @@ def pose_rows(seen: Sequence[Innovation]) -> list[Row]:
                 t2 = sqrt(left)
                 w2 = (wt - u2 * w0 - v2 * w1) / t2
                 return [*rows, (w0, u0, u1, u2, 1.0), (w1, 0.0, v1, v2, 1.0), (w2, 0.0, 0.0, t2, 1.0)]
-    return [
-        row for innovation in seen for row in whitened(innovation)
-    ]  # one line, or parallel ones: L is singular
+    return [row for innovation in seen for row in whitened(innovation)]  # lone or parallel lines: L is singular

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from msgspec.structs import astuple
 
 from locfuse.fusion.ekf import JointBelief, PoseBelief
 from locfuse.fusion.line_map import AnyBelief, LineMap
@@ -51,7 +52,7 @@ def test_pairs_by_a_loop_equal_pairs_by_arrays(states: bool, limit: float) -> No
         floats, arrays = (find(scan, lines, belief, limit) for find in (pairs_in_floats, pairs_in_arrays))
         assert [(p.line, p.which) for p in floats] == [(p.line, p.which) for p in arrays]
         for a, b in zip(floats, arrays, strict=True):
-            np.testing.assert_allclose(np.hstack(a[2:]), np.hstack(b[2:]), rtol=1e-11, atol=1e-11)
+            np.testing.assert_allclose(np.hstack(astuple(a)), np.hstack(astuple(b)), rtol=1e-11, atol=1e-11)
             flipped += np.sign(a.R[1]) != np.sign(scan.R[a.line, 0, 1])
         count += len(floats)
     assert count > 300

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from .findings import may_replace
+
 if TYPE_CHECKING:
     from ..sample_logs.messages import Estimator
     from ..sample_logs.record import Localise
@@ -63,8 +65,7 @@ def simulate(
         return
     if out is None:
         raise UsageError("where to? Name the log with -o LOG.mcap")
-    if out.exists() and not overwrite:
-        raise UsageError(f"{out} exists: choose another name, or replace it with --overwrite")
+    may_replace(out, overwrite)
     _drive(chosen, chosen.seed if seed is None else seed, out, as_json)
 
 

@@ -1,0 +1,72 @@
+"""What `calibrate` and `tune` share: figures that logs gave, as tables, as JSON and as a robot.toml."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+Table = tuple[Sequence[str], Iterable[Sequence[str]]]  # titles, rows
+
+
+def findings_options(what: str, tables: str) -> Callable[[Command], Command]:
+    """Return the options -o, --overwrite and --json: `what` -o writes, and what --json prints instead of."""
+
+    def add(command: Command) -> Command:
+        options = (
+            click.option("-o", "--out", type=click.Path(path_type=Path, dir_okay=False), help=what),
+            click.option("--overwrite", is_flag=True, help="Replace an existing file."),
+            click.option("--json", "as_json", is_flag=True, help=f"Print the result as JSON instead of {tables}."),
+        )
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return add
+
+
+def may_replace(out: Path | None, overwrite: bool) -> None:
+    """Raise UsageError where a file would be lost: to know it before the work is done."""
+    from ..fusion.data import UsageError
+
+    if out is not None and out.exists() and not overwrite:
+        raise UsageError(f"{out} exists: choose another name, or replace it with --overwrite")
+
+
+def print_findings(values: Any, tables: Iterable[Table], out: Path | None, as_json: bool) -> None:
+    """Print what was found as JSON, or as tables and with how the file is used."""
+    from ..formats import report_json
+
+    if as_json:
+        click.echo(report_json.encode(values), nl=False)
+        return
+    for titles, rows in tables:
+        _print_table(titles, rows)
+    if out is not None:
+        click.echo(f"{out}: use it with --robot {out}")
+
+
+def _print_table(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table as RichTable
+
+    table = RichTable(box=box.SIMPLE_HEAD, pad_edge=False)
+    for i, title in enumerate(titles):
+        table.add_column(title, justify="left" if i == 0 else "right", no_wrap=True)
+    for row in rows:
+        table.add_row(*row)
+    Console().print(table)
+
+
+def end(notes: Iterable[str], lost: Sequence[str], quiet: bool) -> int:
+    """Say what else there is to know on stderr; return the exit code."""
+    from .results import LOSS
+
+    if not quiet:
+        for line in (*(f"note: {n}" for n in notes), *(f"lost: {n}" for n in lost)):
+            click.echo(line, err=True)
+    return LOSS if lost else 0

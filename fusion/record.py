@@ -2,64 +2,61 @@
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Sequence
-from itertools import chain
+from typing import Any
 
 import numpy as np
 from msgspec.structs import astuple
+from numpy.typing import NDArray
 
 from .data import Audit
 from .sensors.base import Innovation
 
 MANY = 256
+COLUMNS = {
+    "instant": np.int32,
+    "row": np.int32,
+    "verdict": np.int8,
+    "landmark": np.int32,
+    "nis": np.float64,
+    "threshold": np.float64,
+    "y": np.float64,
+    "sigma": np.float64,
+}
 
 
 class Record:
-    """An hour of Python objects would be hundreds of megabytes; of columns it is tens."""
+    """An hour of Python objects would be hundreds of megabytes; of columns it is tens.
+
+    Columns are kept in pieces until they are asked for: one that grows is moved again and again, and leaves holes
+    in the heap that nothing fits into.
+    """
 
     def __init__(self) -> None:
+        self._instants: list[int] = []
         self._waiting: list[Innovation] = []  # until there are enough of them to be turned into columns at once
-        self._instants = array("i")
-        self._rows = array("i")
-        self._verdicts = array("b")
-        self._landmarks = array("i")
-        self._nis = array("d")
-        self._thresholds = array("d")
-        self._y = array("d")
-        self._sigmas = array("d")
+        self._pieces: dict[str, list[NDArray[Any]]] = {name: [] for name in COLUMNS}
 
     def add(self, k: int, seen: Sequence[Innovation]) -> None:
         """Note the innovations of one reading at instant k."""
         self._waiting += seen
-        self._instants.extend([k] * len(seen))
+        self._instants += [k] * len(seen)
         if len(self._waiting) > MANY:
             self._write()
 
     def _write(self) -> None:
         if not self._waiting:
             return
-        rows, verdicts, landmarks, nis, thresholds, y, sigmas, *_ = zip(*map(astuple, self._waiting), strict=True)
+        columns = (self._instants, *zip(*map(astuple, self._waiting), strict=True))  # then H, R and what belongs to them
+        for (name, pieces), values in zip(self._pieces.items(), columns, strict=False):
+            pieces.append(np.array(values, COLUMNS[name]))
+        self._instants.clear()
         self._waiting.clear()
-        self._rows.extend(rows)
-        self._verdicts.extend(verdicts)
-        self._landmarks.extend(landmarks)
-        self._nis.extend(nis)
-        self._thresholds.extend(thresholds)
-        self._y.extend(chain.from_iterable(y))
-        self._sigmas.extend(chain.from_iterable(sigmas))
 
     def audit(self) -> Audit:
-        """Return the record as columns: views, since a copy would hold everything twice for a moment."""
+        """Return the record as columns."""
         self._write()
-        n = max(len(self._rows), 1)
-        return Audit(
-            instant=np.frombuffer(self._instants, np.intc),
-            row=np.frombuffer(self._rows, np.intc),
-            verdict=np.frombuffer(self._verdicts, np.int8),
-            landmark=np.frombuffer(self._landmarks, np.intc),
-            nis=np.frombuffer(self._nis),
-            threshold=np.frombuffer(self._thresholds),
-            y=np.frombuffer(self._y).reshape(-1, len(self._y) // n or 1),
-            sigma=np.frombuffer(self._sigmas).reshape(-1, len(self._sigmas) // n or 1),
-        )
+        for name, pieces in self._pieces.items():  # one column after the other: all at once would hold it twice
+            none = np.empty((0, 1) if name in {"y", "sigma"} else 0, COLUMNS[name])
+            pieces[:] = [np.concatenate(pieces) if pieces else none]
+        return Audit(**{name: whole for name, (whole,) in self._pieces.items()})

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .data import VERDICTS, Array, Audit, Counts, Drive, Estimates, Ints, Measurements
+from .data import VERDICTS, Array, Audit, Counts, Drive, Estimates, Ints, Measurements, matrices
 from .gates import MAD, chi_square, mean_bounds
 from .robot import Robot
 from .se2 import wrap_all
@@ -74,13 +74,14 @@ def own(audit: Audit, m: Measurements) -> Own | None:
     refused = int(np.isin(audit.verdict, (GATE, UNMATCHED, LOST)).sum())
     bounds = mean_bounds(CONFIDENCE, d, max(1.0, len(nis) / _repeats(nis, audit.landmark[used])))
     told, R = _told(audit, m, compared)
-    y, mark = audit.y[compared], audit.landmark[compared]
-    middle = np.median(y, axis=0)
-    deviation = np.median(np.abs(y - middle), axis=0) / MAD
-    unit = y / audit.sigma[compared]
+    y = audit.y[compared]
+    middle = _medians(y)
+    deviation = np.array([np.median(np.abs(y[:, i] - middle[i])) for i in range(d)]) / MAD
+    unit = y  # in place: an hour of lines is big
+    unit /= audit.sigma[compared]
     bias = tuple(unit.mean(axis=0).tolist())
-    unit -= np.median(unit, axis=0)  # in place: an hour of lines is big
-    whiteness = _by_landmark(unit, mark)
+    unit -= _medians(unit)
+    whiteness = _by_landmark(unit, audit.landmark[compared])
     raw = _scale(nis, int(far.sum()), d)
     return Own(
         compared=len(compared),
@@ -89,7 +90,7 @@ def own(audit: Audit, m: Measurements) -> Own | None:
         bounds=bounds,
         bias=bias,
         middle=tuple(middle.tolist()),
-        sure=tuple((deviation * math.sqrt(_memory(np.append(1.0, whiteness)) / len(y))).tolist()),
+        sure=tuple((deviation * math.sqrt(_memory(np.append(1.0, whiteness)) / len(compared))).tolist()),
         whiteness=tuple(whiteness.tolist()),
         raw=raw,
         scale=raw * min(max(1.0 - whiteness[0] * told, 0.3), 2.0),
@@ -101,8 +102,18 @@ def own(audit: Audit, m: Measurements) -> Own | None:
 
 def _told(audit: Audit, m: Measurements, compared: Ints) -> tuple[float, Array]:
     """Return the median of S / R, since the first S of an unknown offset is enormous, and the mean R (d,)."""
-    R = np.diagonal(m.R, axis1=1, axis2=2)[audit.row[compared]]
-    return float(np.median(audit.sigma[compared] ** 2 / R)), R.mean(axis=0)
+    R = np.diagonal(m.R_unit, axis1=1, axis2=2)[audit.row[compared]]
+    R *= m.scale**2
+    R += np.diagonal(m.floor)
+    ratio = audit.sigma[compared]
+    ratio *= ratio
+    ratio /= R
+    return float(np.median(ratio, overwrite_input=True)), R.mean(axis=0)
+
+
+def _medians(values: Array) -> Array:
+    """Return the median of every column of values (n, d), one after the other: each is copied on the way."""
+    return np.array([np.median(column) for column in values.T])
 
 
 def _scale(nis: Array, far: int, dof: int) -> float:
@@ -164,7 +175,7 @@ def heard(drive: Drive, robot: Robot, run: Estimates, sensor: str) -> Heard | No
     belief, rows = Frozen(blocks), []
     readings = _some(len(m.t))
     instants = drive.instant[sensor][readings]
-    poses, covariances = run.pose[instants].tolist(), run.P[instants].tolist()
+    poses, covariances = run.pose[instants].tolist(), matrices(run.triangles[instants]).tolist()
     for i, pose, P in zip(readings.tolist(), poses, covariances, strict=True):
         belief.at(pose, P)
         seen = model.innovations(m, i, belief)

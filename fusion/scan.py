@@ -38,6 +38,7 @@ class Scans:
     def __init__(self) -> None:
         self._of: Measurements | None = None
         self._begin = self._end = 0
+        self._R: Array = np.zeros((0, 2, 2))
         self._floats: Floats = []
 
     def read(self, m: Measurements, first: int, last: int) -> Scan:
@@ -45,7 +46,7 @@ class Scans:
         if m is not self._of or first < self._begin or last > self._end:
             self._of, self._begin, self._end = m, first, max(last, min(first + BLOCK, len(m.z)))
             at = slice(self._begin, self._end)
-            self._floats = floats_of(m.z[at], m.R[at], m.extra["ends"][at])
-        at = slice(first, last)
-        floats = self._floats[first - self._begin : last - self._begin]
-        return Scan(m.z[at], m.R[at], m.extra["ends"][at], None, floats)
+            self._R = m.covariances(at)
+            self._floats = floats_of(m.z[at], self._R, m.extra["ends"][at])
+        at, held = slice(first, last), slice(first - self._begin, last - self._begin)
+        return Scan(m.z[at], self._R[held], m.extra["ends"][at], None, self._floats[held])

@@ -12,7 +12,7 @@ import numpy as np
 from ..formats import report_md
 from ..formats.rerun_scene import Scene
 from ..formats.trajectory import read_tum
-from ..fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Motions, Truth
+from ..fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Motions, Truth, matrices
 from ..fusion.evaluate import evaluate
 from .rerun_scene import palette
 
@@ -98,12 +98,21 @@ def _estimates(
     stamps: Ints,
 ) -> Estimates:
     t_ns, pose = track
-    P = _covariances(folder / COVARIANCE, len(t_ns))
+    triangles = _covariances(folder / COVARIANCE, len(t_ns))
     at = np.minimum(np.searchsorted(t_ns, stamps), len(t_ns) - 1)
     known = t_ns[at] == stamps  # a .tum has a row at every truth stamp within the drive
     truth_pose = np.where(known[:, None], pose[at], np.nan)
     t = seconds(t_ns, epoch_ns)
-    return Estimates(name, tuple(figures["sensors"]), t, pose, P, {}, truth_pose=truth_pose, truth_P=P[at])
+    return Estimates(
+        name,
+        tuple(figures["sensors"]),
+        t,
+        pose,
+        triangles,
+        {},
+        truth_pose=truth_pose,
+        truth_P=matrices(triangles[at]),
+    )
 
 
 def seconds(t_ns: Ints, epoch_ns: int) -> Array:
@@ -112,10 +121,10 @@ def seconds(t_ns: Ints, epoch_ns: int) -> Array:
 
 
 def _covariances(path: Path, n: int) -> Array:
-    """Return the covariances (n, 3, 3) that a run wrote beside its trajectory, zeros where there are none."""
+    """Return the triangles (n, 6) of P that a run wrote beside its trajectory, zeros where there are none."""
     if not path.is_file():
-        return np.zeros((n, 3, 3))
+        return np.zeros((n, 6))
     upper = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)[:, 4:10]
     if len(upper) != n:
         raise ValueError(f"{path.name} has {len(upper)} rows, the trajectory {n}")
-    return upper[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+    return upper

@@ -54,10 +54,10 @@ class Export:
 
     def _estimates(self, topics: _Topics, e: Estimates) -> None:
         name = ros_name(e.name)
-        t, pose, P = with_truth_rows(self.drive, e)
+        t, pose, triangles = with_truth_rows(self.drive, e)
         t_ns = np.array(stamps(self.drive.epoch_ns, t), np.int64)
         twist = self.twist[np.minimum(np.searchsorted(e.t, t), len(e.t) - 1)]
-        topics.add(f"/locfuse/{name}/odometry", odometry(t_ns, pose, P, twist, f"{name}/{BASE}"))
+        topics.add(f"/locfuse/{name}/odometry", odometry(t_ns, pose, triangles, twist, f"{name}/{BASE}"))
         topics.once(f"/locfuse/{name}/path", t_ns, pose)
         topics.add("/tf", transforms(t_ns, pose, f"{name}/{BASE}"))
         if e is self.estimates[-1] and self._base_is_free():

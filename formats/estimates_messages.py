@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fusion.data import Array, Ints
+from ..fusion.data import Array, Ints, matrices
 from .mcap_write import nested, time_message
 from .message_columns import MESSAGES, Columns, Template, stamps
 from .trajectory import SIX
@@ -39,13 +39,12 @@ class Series:
         return self._template.filled(self.columns(rows))
 
 
-def odometry(t_ns: Ints, pose: Array, P: Array, twist: Array, child: str) -> Series:
-    """Return Odometry of poses (n, 3) with covariances (n, 3, 3) and body twists (n, 3)."""
+def odometry(t_ns: Ints, pose: Array, triangles: Array, twist: Array, child: str) -> Series:
+    """Return Odometry of poses (n, 3) with triangles of covariances (n, 6) and body twists (n, 3)."""
 
     def columns(rows: slice) -> Columns:
         covariance = np.zeros((len(t_ns[rows]), 6, 6))
-        upper = np.triu(P[rows])  # a filter's P is symmetric but for the last bit
-        covariance[:, np.array(SIX)[:, None], SIX] = upper + np.triu(upper, 1).transpose(0, 2, 1)
+        covariance[:, np.array(SIX)[:, None], SIX] = matrices(triangles[rows])
         return {
             **stamps("header.stamp", t_ns[rows]),
             **_pose("pose.pose", pose[rows]),

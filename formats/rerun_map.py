@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..fusion.data import Array, Estimates, Ints, MapLine
+from ..fusion.data import Array, Estimates, Ints, MapLine, matrices
 from . import rerun_colours as colours
 from . import rerun_style as style
 from .rerun_geometry import ellipses, quaternions, steps, wall, wall_band
@@ -59,9 +59,9 @@ def _draw_pose(to: Recorder, root: str, e: Estimates, picks: Ints, colour: Rgb) 
     place = np.column_stack((pose[:, :2], np.zeros(len(pose))))
     move = rr.Transform3D.columns(translation=place, quaternion=quaternions(pose[:, 2]))
     to.send(f"{root}/pose", t, move)
-    if not e.P.any():
+    if not e.triangles.any():
         return  # a trajectory from a file, without its covariances
-    axes, angle = ellipses(e.P[picks])
+    axes, angle = ellipses(matrices(e.triangles[picks]))
     turned = rr.Transform3D.columns(translation=place, quaternion=quaternions(angle))
     thin: Any = style.on_screen(0.75)
     to.static(f"{root}/sigma", rr.Ellipses2D.from_fields(colors=[colour], line_radii=thin))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..fusion.data import Array, Drive, Estimates, Ints, Truth
+from ..fusion.data import Array, Drive, Estimates, Ints, Truth, upper_triangles
 
 BLOCK = 4096  # lines at a time: an hour's lines as Python values take ten times their file
 SIX = (0, 1, 5)  # where x, y, theta stand among x, y, z, roll, pitch, yaw
@@ -33,19 +33,19 @@ def stamps(epoch_ns: int, t: Array) -> list[int]:
 
 
 def with_truth_rows(drive: Drive, estimates: Estimates) -> tuple[Array, Array, Array]:
-    """Return t (n,), pose (n, 3), P (n, 3, 3) at every instant and every truth stamp inside the drive.
+    """Return t (n,), pose (n, 3), triangles of P (n, 6) at every instant and every truth stamp inside the drive.
 
     evo pairs stamps within 10 ms and does not interpolate, so the prediction at each truth stamp is written
     too. Rows at instants do not depend on the truth.
     """
     if drive.truth is None or estimates.truth_pose is None or estimates.truth_P is None:
-        return estimates.t, estimates.pose, estimates.P
+        return estimates.t, estimates.pose, estimates.triangles
     extra = np.isfinite(estimates.truth_pose[:, 0]) & ~np.isin(drive.truth.t, estimates.t)
     t = np.concatenate((estimates.t, drive.truth.t[extra]))
     order = np.argsort(t, kind="stable")
     pose = np.concatenate((estimates.pose, estimates.truth_pose[extra]))
-    P = np.concatenate((estimates.P, estimates.truth_P[extra]))
-    return t[order], pose[order], P[order]
+    triangles = np.concatenate((estimates.triangles, upper_triangles(estimates.truth_P[extra])))
+    return t[order], pose[order], triangles[order]
 
 
 def tum(epoch_ns: int, t: Array, xy: Array, theta: Array | None) -> Iterator[str]:
@@ -84,10 +84,10 @@ def estimates_tum_covariance(drive: Drive, estimates: Estimates) -> str:
 
     Rows and columns are x, y, z, roll, pitch, yaw, as in geometry_msgs/PoseWithCovariance; line 1 says so.
     """
-    _, _, P = with_truth_rows(drive, estimates)
-    upper = np.zeros((len(P), len(TRIANGLE)))
-    for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
-        upper[:, TRIANGLE.index((SIX[i], SIX[j]))] = P[:, i, j]
+    _, _, triangles = with_truth_rows(drive, estimates)
+    upper = np.zeros((len(triangles), len(TRIANGLE)))
+    for (i, j), column in zip(itertools.combinations_with_replacement(SIX, 2), triangles.T, strict=True):
+        upper[:, TRIANGLE.index((i, j))] = column
     rows = estimates_tum(drive, estimates).splitlines()
     lines = [f"{row} {' '.join(map(repr, values))}" for row, values in zip(rows, upper.tolist(), strict=True)]
     return "\n".join((TUM_COVARIANCE_HEADER, *lines)) + "\n"
@@ -122,13 +122,13 @@ def estimates_csv(drive: Drive, estimates: Estimates) -> str:
 
 def csv_blocks(drive: Drive, estimates: Estimates) -> Iterator[str]:
     """Yield `t,x,y,theta` and the upper triangle of P, block by block."""
-    t, pose, P = with_truth_rows(drive, estimates)
+    t, pose, triangles = with_truth_rows(drive, estimates)
     yield f"{CSV_HEADER}\n"
     for at in _blocks(len(t)):
         wrapped = pose[at].copy()
         wrapped[:, 2] = (wrapped[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
-        upper = P[at][:, (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)]
-        rows = zip(stamps(drive.epoch_ns, t[at]), np.column_stack((wrapped, upper)).tolist(), strict=True)
+        values = np.column_stack((wrapped, triangles[at])).tolist()
+        rows = zip(stamps(drive.epoch_ns, t[at]), values, strict=True)
         yield "".join(f"{seconds(s)},{','.join(map(repr, row))}\n" for s, row in rows)
 
 

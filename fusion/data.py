@@ -140,7 +140,11 @@ class Measurements:
     @cached_property
     def R(self) -> Array:
         """Covariance of every row, (m, d, d)."""
-        return self.scale**2 * self.R_unit + self.floor
+        return self.covariances(slice(None))
+
+    def covariances(self, rows: slice | Ints) -> Array:
+        """Return the covariances (k, d, d) of some rows: those of an hour need not be held all at once."""
+        return self.scale**2 * self.R_unit[rows] + self.floor
 
     @property
     def absent(self) -> int:
@@ -150,7 +154,7 @@ class Measurements:
     @cached_property
     def scalars(self) -> tuple[list[float], list[float]]:
         """Value and variance of every row as plain floats, for sensors that measure one number."""
-        return self.z[:, 0].tolist(), self.R[:, 0, 0].tolist()
+        return self.z[:, 0].tolist(), self.covariances(slice(None))[:, 0, 0].tolist()
 
     def take(self, readings: Ints) -> Measurements:
         """Return the readings at these positions, in this order."""
@@ -245,7 +249,7 @@ class Estimates:
     sensors: tuple[str, ...]
     t: Array  # (n,) = Drive.t
     pose: Array  # (n, 3) map frame, theta unwrapped
-    P: Array  # (n, 3, 3)
+    triangles: Array  # (n, 6) of its covariance: xx, xy, xt, yy, yt, tt
     audits: dict[str, Audit]
     blocks: dict[str, Array] = field(default_factory=dict)  # fixed-size state blocks over time, (n, k)
     block_sigmas: dict[str, Array] = field(default_factory=dict)  # their standard deviations, (n, k)
@@ -256,6 +260,21 @@ class Estimates:
     notes: tuple[str, ...] = ()  # slips, being lost and found again
     lost: tuple[tuple[float, float], ...] = ()  # s: when the filter did not know where it was
     smoothed: bool = False  # by the whole drive, its end included; audits are the filter's
+
+    @property
+    def P(self) -> Array:
+        """Covariance of the pose, (n, 3, 3), made anew each time: an hour's are too many to lie about."""
+        return matrices(self.triangles)
+
+
+def matrices(triangles: Array) -> Array:
+    """Return symmetric (..., 3, 3) from upper triangles (..., 6): xx, xy, xt, yy, yt, tt."""
+    return triangles[..., [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(*triangles.shape[:-1], 3, 3)
+
+
+def upper_triangles(P: Array) -> Array:
+    """Return (..., 6) from (..., 3, 3)."""
+    return P[..., [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from .data import VERDICTS, Array, Audit, Drive, Estimates, Evaluation, SensorFi
 Align = Literal["none", "origin", "se2"]
 DRIFT_LENGTHS = (1.0, 5.0, 10.0)  # m
 GAP_PERIODS, GAP_LEAST = 5.0, 0.5  # a longer hole in the truth is not bridged: median periods, and s
+BLOCK = 4096  # errors whose covariances are worked on at once: on the way they take ten times their room
 SINGULAR = 1e-12  # relative eigenvalue below which a covariance is singular
 ERROR_KEYS = (
     "position_rmse_m",
@@ -62,8 +63,9 @@ def evaluate(estimates: Estimates, drive: Drive, align: Align = "none") -> Evalu
     estimate_xy = se2.transform(pairs.pose, point)
     deviation = estimate_xy - pairs.xy
     heading = None if pairs.theta is None else se2.wrap_all(pairs.pose[:, 2] - pairs.theta)
-    P = _at_point(pairs.P, pairs.pose, truth.point)
-    nees = _nees(deviation, heading, P, truth.sigma) if align == "none" else np.full(len(pairs.t), np.nan)
+    sigma, nees = _expected(pairs, deviation, heading, truth)
+    if align != "none":
+        nees[:] = np.nan
     along_cross = _along_cross(deviation, pairs)
     segments = _segments(pairs.t)
     distance = _travelled(pairs.xy, segments)
@@ -75,7 +77,6 @@ def evaluate(estimates: Estimates, drive: Drive, align: Align = "none") -> Evalu
         "truth_coverage": _coverage(pairs.t, drive),
         **own,
     }
-    sigma = np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 0.0))
     return Evaluation(
         estimates.name,
         sensors,
@@ -145,6 +146,16 @@ def aligned(pairs: _Pairs, point: tuple[float, float], align: Align) -> Array:
     c, s = math.cos(turn), math.sin(turn)
     move = np.array([b[0] - c * a[0] + s * a[1], b[1] - s * a[0] - c * a[1], turn])
     return se2.compose(np.broadcast_to(move, pairs.pose.shape), pairs.pose)
+
+
+def _expected(pairs: _Pairs, deviation: Array, heading: Array | None, truth: Truth) -> tuple[Array, Array]:
+    """Return the claimed standard deviations (q, 3) of the tracked point and theta, and NEES (q,)."""
+    sigma, nees = np.empty((len(pairs.t), 3)), np.empty(len(pairs.t))
+    for at in (slice(a, a + BLOCK) for a in range(0, len(pairs.t), BLOCK)):
+        P = _at_point(pairs.P[at], pairs.pose[at], truth.point)
+        sigma[at] = np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 0.0))
+        nees[at] = _nees(deviation[at], None if heading is None else heading[at], P, truth.sigma)
+    return sigma, nees
 
 
 def _at_point(P: Array, pose: Array, point: tuple[float, float]) -> Array:

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import few_blocks, se2
-from .data import Array, Drive, Estimates, LocfuseError, Measurements
+from .data import Array, Drive, Estimates, LocfuseError, Measurements, matrices
 from .ekf import JointBelief, Pose, PoseBelief, Triangle
 from .few_blocks import FewBlocks
-from .instants import Due, Step, due_readings, steps_of
+from .instants import BLOCK, Due, Step, due_readings, steps_of
 from .record import Record
 from .robot import Robot, StartSettings
 from .robust import inflated
@@ -129,16 +129,16 @@ class Filter:
         """Return everything recorded, with predictions at the truth's stamps beside it."""
         n = len(self._poses) // 3
         pose = np.frombuffer(self._poses).reshape(n, 3)
-        P = _matrices(np.frombuffer(self._triangles).reshape(n, 6))
+        triangles = np.frombuffer(self._triangles).reshape(n, 6)
         blocks = {name: np.array(v).reshape(n, -1) for name, (v, _) in self._blocks.items()}
         maps = [m.lines(self.belief) for m in self.models.values()]
-        truth_pose, truth_P = _at_truth(drive, pose, P, blocks.get(WHEELS))
+        truth_pose, truth_P = _at_truth(drive, pose, triangles, blocks.get(WHEELS))
         return Estimates(
             name=name,
             sensors=self._sensors,
             t=drive.t,
             pose=pose,
-            P=P,
+            triangles=triangles,
             audits={s: record.audit() for s, record in self._records.items()},
             blocks=blocks,
             block_sigmas={
@@ -190,27 +190,32 @@ def _start(start: StartSettings) -> tuple[tuple[float, float, float], Triangle]:
     return (start.x, start.y, math.radians(start.theta_deg)), (xy, 0.0, 0.0, xy, 0.0, theta)
 
 
-def _matrices(triangles: Array) -> Array:
-    """Return (n, 3, 3) from upper triangles (n, 6)."""
-    return triangles[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-
-
-def _at_truth(drive: Drive, pose: Array, P: Array, wheels: Array | None) -> tuple[Array | None, Array | None]:
+def _at_truth(
+    drive: Drive, pose: Array, triangles: Array, wheels: Array | None
+) -> tuple[Array | None, Array | None]:
     """Predict pose and covariance at the truth's stamps; NaN outside the drive. Never fed back."""
     if drive.truth_motions is None or drive.truth_instant is None:
         return None, None
-    k = np.maximum(drive.truth_instant, 0)
-    u = drive.truth_motions.u
-    if wheels is not None:
-        u = u + np.einsum("nij,nj->ni", drive.truth_motions.J, wheels[k])
-    out = se2.compose(pose[k], u)
-    A = np.zeros((len(k), 3, 3))
-    A[:] = np.eye(3)
-    A[:, 0, 2], A[:, 1, 2] = pose[k, 1] - out[:, 1], out[:, 0] - pose[k, 0]
-    turn = np.zeros_like(A)
-    c, s = np.cos(pose[k, 2]), np.sin(pose[k, 2])
-    turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1], turn[:, 2, 2] = c, -s, s, c, 1.0
-    spread = A @ P[k] @ A.transpose(0, 2, 1) + turn @ drive.truth_motions.Q @ turn.transpose(0, 2, 1)
+    n, motions = len(drive.truth_instant), drive.truth_motions
+    out, spread = np.empty((n, 3)), np.empty((n, 3, 3))
+    for at in (slice(a, a + BLOCK) for a in range(0, n, BLOCK)):  # what is needed on the way is many times larger
+        k = np.maximum(drive.truth_instant[at], 0)
+        u = motions.u[at]
+        if wheels is not None:
+            u = u + np.einsum("nij,nj->ni", motions.J[at], wheels[k])
+        out[at], spread[at] = _moved(pose[k], matrices(triangles[k]), u, motions.Q[at])
     outside = drive.truth_instant < 0
     out[outside], spread[outside] = np.nan, np.nan
     return out, spread
+
+
+def _moved(pose: Array, P: Array, u: Array, Q: Array) -> tuple[Array, Array]:
+    """Return poses (n, 3) and covariances (n, 3, 3) after the motions u (n, 3) of covariance Q (n, 3, 3)."""
+    out = se2.compose(pose, u)
+    A = np.zeros((len(u), 3, 3))
+    A[:] = np.eye(3)
+    A[:, 0, 2], A[:, 1, 2] = pose[:, 1] - out[:, 1], out[:, 0] - pose[:, 0]
+    turn = np.zeros_like(A)
+    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1], turn[:, 2, 2] = c, -s, s, c, 1.0
+    return out, A @ P @ A.transpose(0, 2, 1) + turn @ Q @ turn.transpose(0, 2, 1)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import paper
-from .data import Array, Drive, Estimates, Ints, LocfuseError
+from .data import Array, Drive, Estimates, Ints, LocfuseError, upper_triangles
 from .fuse import configuration_name
 from .motion import Wheels
 from .paper import PRINTED, Printed
@@ -159,7 +159,7 @@ class PrintedFilter:
             sensors=self.used,
             t=drive.t,
             pose=pose,
-            P=P,
+            triangles=upper_triangles(P),
             audits={s: self._records[s].audit() for s in drive.measurements if s in self._records},
             first_map=lines,
             final_map=lines,

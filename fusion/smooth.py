@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from . import se2
-from .data import Array, Drive, Estimates, UsageError
+from .data import Array, Drive, Estimates, UsageError, upper_triangles
 from .ekf import JointBelief
 from .fuse import fuse
 from .journal import Birth, Drop, Journal, Step
@@ -59,7 +59,7 @@ def smoothed(drive: Drive, filtered: Estimates, journal: Journal) -> Estimates:
         filtered,
         name=filtered.name + SUFFIX,
         pose=back.pose,
-        P=back.P,
+        triangles=upper_triangles(back.P),
         blocks=back.blocks,
         block_sigmas=back.block_sigmas,
         truth_pose=truth_pose,

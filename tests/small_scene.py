@@ -12,7 +12,17 @@ from numpy.typing import NDArray
 from locfuse.cli.verdicts import prediction_values, verdicts
 from locfuse.formats import report_json
 from locfuse.formats.figures import Component, Scene, Stretches
-from locfuse.fusion.data import Audit, Drive, Estimates, Evaluation, MapLine, Motions, SensorFigures, Truth
+from locfuse.fusion.data import (
+    Audit,
+    Drive,
+    Estimates,
+    Evaluation,
+    MapLine,
+    Motions,
+    SensorFigures,
+    Truth,
+    upper_triangles,
+)
 from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.predictive import listeners, scores
@@ -92,7 +102,7 @@ def _configuration(
     walls = [MapLine(i, 6.0, i * math.pi / 2, (-3.0, 3.0), np.eye(2)) for i in range(4)]
     blocks = {"compass_offset": 0.01 * rng.normal(size=(len(t), 1))} if "compass" in sensors else {}
     estimates = Estimates(
-        name, sensors, t, pose, np.tile(np.eye(3) * 1e-4, (len(t), 1, 1)), audits, blocks,
+        name, sensors, t, pose, np.tile(upper_triangles(np.eye(3) * 1e-4), (len(t), 1)), audits, blocks,
         {k: np.full_like(v, 0.01) for k, v in blocks.items()}, walls[:2], walls,
     )  # fmt: skip
     figures = dict.fromkeys(("position_rmse_m", "x_rmse_m", "heading_rmse_deg", "anees"), 0.5)

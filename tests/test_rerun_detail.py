@@ -17,7 +17,7 @@ from locfuse.formats.rerun_file import save_recording
 from locfuse.formats.rerun_recording import unfolded
 from locfuse.formats.rerun_scene import Detail, RawTopic, Scene, Sight
 from locfuse.formats.rerun_series import reading_states, thinned_states
-from locfuse.fusion.data import VERDICTS, Audit, Drive, Estimates, Measurements, Motions
+from locfuse.fusion.data import VERDICTS, Audit, Drive, Estimates, Measurements, Motions, upper_triangles
 from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
 
@@ -41,8 +41,8 @@ def long_scene(epoch_ns: int = 1_700_000_000_000_000_000) -> Scene:
     rows = np.arange(N)
     verdict = np.zeros(N, np.int8)
     audit = Audit(rows, rows, verdict, np.full(N, -1), y[:, 0] ** 2, np.full(N, 10.8), y, np.ones((N, 1)))
-    P = np.broadcast_to(np.diag([1e-4, 4e-4, 1e-4]), (N, 3, 3))
-    estimates = Estimates("compass", ("compass",), t, pose, P, {"compass": audit})
+    triangles = np.broadcast_to(upper_triangles(np.diag([1e-4, 4e-4, 1e-4])), (N, 6))
+    estimates = Estimates("compass", ("compass",), t, pose, triangles, {"compass": audit})
     raw = [RawTopic("/imu/heading", t, {"data": pose[:, 2]})]
     return Scene("long", drive, [estimates], {}, SIGHTS, raw=raw)
 

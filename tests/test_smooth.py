@@ -167,7 +167,7 @@ def test_lines_that_are_dropped_on_the_way_still_count_for_what_was_before() -> 
     x, P = final_clones(oracle)
     drive = _instants(poses)
     blocks = {"offset": np.zeros((poses, 1))}
-    shell = Estimates("x", (), drive.t, np.zeros((poses, 3)), np.zeros((poses, 3, 3)), {}, blocks)
+    shell = Estimates("x", (), drive.t, np.zeros((poses, 3)), np.zeros((poses, 6)), {}, blocks)
     found = smoothed(drive, shell, journal)
     np.testing.assert_allclose(found.pose, x, atol=1e-9)
     np.testing.assert_allclose(found.P, P, atol=1e-9)

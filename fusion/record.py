@@ -47,8 +47,8 @@ class Record:
     def _write(self) -> None:
         if not self._waiting:
             return
-        columns = (self._instants, *zip(*map(astuple, self._waiting), strict=True))  # then H, R and what belongs to them
-        for (name, pieces), values in zip(self._pieces.items(), columns, strict=False):
+        columns = (self._instants, *zip(*map(astuple, self._waiting), strict=True))
+        for (name, pieces), values in zip(self._pieces.items(), columns, strict=False):  # H, R, ... end here
             pieces.append(np.array(values, COLUMNS[name]))
         self._instants.clear()
         self._waiting.clear()

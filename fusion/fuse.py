@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from . import few_blocks, se2
 from .data import Array, Drive, Estimates, LocfuseError, Measurements, matrices
-from .ekf import JointBelief, Pose, PoseBelief, Triangle
+from .ekf import Pose, PoseBelief, Triangle
 from .few_blocks import FewBlocks
 from .instants import BLOCK, Due, Step, due_readings, steps_of
+from .joint import JointBelief
 from .record import Record
 from .robot import Robot, StartSettings
 from .robust import inflated

@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from .data import Array, Ints
-from .ekf import JointBelief, Pose, PoseBelief, Triangle
+from .ekf import Pose, PoseBelief, Triangle
+from .joint import JointBelief
 from .sensors.base import Block
 
 POSE = np.arange(3)

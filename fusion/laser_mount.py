@@ -17,7 +17,7 @@ import numpy as np
 
 from . import se2
 from .data import Array, Ints
-from .ekf import JointBelief
+from .joint import JointBelief
 from .line_map import Prediction
 from .lines import to_base
 from .sensors.mount import Mount

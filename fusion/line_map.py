@@ -16,7 +16,8 @@ import msgspec
 import numpy as np
 
 from .data import Array, Ints, MapLine
-from .ekf import JointBelief, PoseBelief
+from .ekf import PoseBelief
+from .joint import JointBelief
 
 AnyBelief = PoseBelief | JointBelief
 

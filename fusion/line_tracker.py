@@ -11,8 +11,8 @@ import numpy as np
 from . import se2
 from .association import Association, associate
 from .data import VERDICTS, Array, LocfuseError, MapLine, Measurements
-from .ekf import JointBelief
 from .gates import chi_square
+from .joint import JointBelief
 from .laser_mount import seated
 from .line_map import AnyBelief, LineMap, about_middle
 from .map_keeping import LEAST_HITS, merge_doubles, prune

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .data import Array, Ints
-from .ekf import JointBelief
+from .joint import JointBelief
 from .line_map import LineMap
 from .sensors.base import Innovation
 

@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from .data import Array, Ints
-from .ekf import JointBelief
+from .joint import JointBelief
 from .laser_mount import mount_spread
 from .line_map import AnyBelief, LineMap, PlainLine, line_spread
 from .scan import Scan

@@ -18,7 +18,8 @@ import numpy as np
 from . import se2
 from .association import Association, associate
 from .data import Array, Ints
-from .ekf import JointBelief, Pose
+from .ekf import Pose
+from .joint import JointBelief
 from .line_map import AnyBelief, LineMap
 from .relocalise import find_pose, matched_share, seen_through
 from .scan import Scan

@@ -13,8 +13,8 @@ import numpy as np
 
 from . import se2
 from .data import Array, Drive, Estimates, UsageError, upper_triangles
-from .ekf import JointBelief
 from .fuse import fuse
+from .joint import JointBelief
 from .journal import Birth, Drop, Journal, Step
 from .robot import Robot
 from .wheel_states import WHEELS

@@ -14,9 +14,11 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from .data import Array, Drive, Ints, Measurements
-from .ekf import JointBelief, Pose, Triangle, stacked
+from .ekf import Pose, Triangle
 from .fuse import Filter
 from .instants import due_readings, steps_of
+from .joint import JointBelief
+from .joint_rows import stacked
 from .journal import in_map, turning
 from .robot import Robot
 from .sensors.base import Block, Innovation, Model

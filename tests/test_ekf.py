@@ -9,8 +9,9 @@ import pytest
 from textbook import TextbookEkf
 
 from locfuse.fusion.data import LocfuseError
-from locfuse.fusion.ekf import JointBelief, PoseBelief
+from locfuse.fusion.ekf import PoseBelief
 from locfuse.fusion.few_blocks import FewBlocks
+from locfuse.fusion.joint import JointBelief
 from locfuse.fusion.sensors.base import Block, Innovation
 
 POSE = (1.0, -2.0, 3.1)

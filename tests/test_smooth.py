@@ -16,9 +16,10 @@ from textbook import TextbookEkf, move, wrap
 from worlds import World
 
 from locfuse.fusion.data import Array, Drive, Estimates, Measurements, Motions, Stream, UsageError
-from locfuse.fusion.ekf import JointBelief, PoseBelief
+from locfuse.fusion.ekf import PoseBelief
 from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.joint import JointBelief
 from locfuse.fusion.journal import Journal
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot

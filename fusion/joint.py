@@ -1,0 +1,305 @@
+"""The extended Kalman filter with states beside the pose, in arrays: map lines, offsets, mounts, wheel parameters.
+
+The equations are the paper's (5, 6, 10-12) for the joint state; Schmidt's for what is considered, not estimated.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from .data import Array, Ints, LocfuseError
+from .ekf import Pose, Rows, Triangle
+from .joint_rows import sparse_row, stacked
+from .sensors.base import Block, Innovation
+
+
+class JointBelief:
+    """Pose and sensor-owned blocks in one state vector (n,) with one covariance (n, n)."""
+
+    def __init__(self, pose: Pose, P: Triangle, blocks: Sequence[Block]) -> None:
+        xx, xy, xt, yy, yt, tt = P
+        self.n = 3
+        self._x = np.zeros(16)
+        self._P = np.zeros((16, 16))
+        self._x[:3] = pose
+        self._P[:3, :3] = ((xx, xy, xt), (xy, yy, yt), (xt, yt, tt))
+        self._slices: dict[str, slice] = {}
+        self._drift: list[tuple[Ints, Array]] = []
+        self._considered: Ints = np.zeros(0, dtype=np.int64)  # columns that count but are never updated
+        self._motion_block: slice | None = None
+        self._clones: set[int] = set()  # columns that hold the heading of an earlier instant
+        for block in blocks:
+            self.add(block)
+
+    @property
+    def x(self) -> float:
+        """X of the pose [m]."""
+        return float(self._x[0])
+
+    @property
+    def y(self) -> float:
+        """Y of the pose [m]."""
+        return float(self._x[1])
+
+    @property
+    def theta(self) -> float:
+        """Heading of the pose [rad], not wrapped."""
+        return float(self._x[2])
+
+    @property
+    def state(self) -> Array:
+        """The state vector, a view (n,)."""
+        return self._x[: self.n]
+
+    @property
+    def covariance(self) -> Array:
+        """The joint covariance, a view (n, n)."""
+        return self._P[: self.n, : self.n]
+
+    def pose(self) -> Pose:
+        """Return (x, y, theta)."""
+        x, y, theta = self._x[:3].tolist()
+        return x, y, theta
+
+    def triangle(self) -> Triangle:
+        """Return the pose covariance's upper triangle."""
+        (xx, xy, xt), (_, yy, yt), (_, _, tt) = self._P[:3, :3].tolist()
+        return xx, xy, xt, yy, yt, tt
+
+    def matrix(self) -> Array:
+        """Return the pose covariance, (3, 3)."""
+        return self._P[:3, :3].copy()
+
+    def block(self, name: str) -> tuple[int, Array]:
+        """Return (first state column, values) of a block."""
+        where = self._slices[name]
+        return int(where.start), self._x[where]
+
+    def variances(self, name: str) -> list[float]:
+        """Return the variance of every value of a block."""
+        where = self._slices[name]
+        variances: list[float] = self._P.diagonal()[where].tolist()
+        return variances
+
+    def has(self, name: str) -> bool:
+        """Return whether the state holds a block of this name."""
+        return name in self._slices
+
+    def add(self, block: Block) -> None:
+        """Append an independent block to the state."""
+        where = self._grow(len(block.x))
+        self._slices[block.name] = where
+        self._x[where] = block.x
+        self._P[where, where] = block.P
+        if np.any(block.drift > 0):
+            self._drift.append((np.arange(where.start, where.stop), block.drift))
+
+    def drive_with(self, name: str) -> None:
+        """Let a block's values correct the wheel motion: `predict` takes J = du/d(block)."""
+        self._motion_block = self._slices[name]
+
+    def shift(self, turn: float, xy: float, theta: float) -> None:
+        """Turn the pose by `turn` [rad] and add variances xy [m^2] and theta [rad^2]: a slip was found."""
+        behind = self._behind()
+        self._shift(turn, xy, theta)
+        self._carry(behind)
+
+    def _shift(self, turn: float, xy: float, theta: float) -> None:
+        self._x[2] += turn
+        self._P[(0, 1, 2), (0, 1, 2)] += (xy, xy, theta)
+
+    def place(self, pose: Pose, xy: float, theta: float) -> None:
+        """Set the pose with variances xy [m^2] and theta [rad^2]: the robot was carried off, or found again."""
+        behind = self._behind()
+        self._place(pose, xy, theta)
+        self._carry(behind)
+
+    def _place(self, pose: Pose, xy: float, theta: float) -> None:
+        self._x[:3] = pose
+        self._P[:3, : self.n] = 0.0
+        self._P[: self.n, :3] = 0.0
+        self._P[(0, 1, 2), (0, 1, 2)] = (xy, xy, theta)
+
+    def clone_heading(self, column: int, behind: float = 0.0) -> None:
+        """Let a state be the heading as it is now, less `behind` [rad] (stochastic cloning, sensors/gyro)."""
+        n, x, P = self.n, self._x, self._P
+        x[column] = x[2] - behind
+        P[column, :n] = P[2, :n]
+        P[:n, column] = P[:n, 2]
+        P[column, column] = P[2, 2]
+        self._clones.add(column)
+
+    def _behind(self) -> dict[int, float]:
+        return {column: float(self._x[2] - self._x[column]) for column in self._clones}
+
+    def _carry(self, behind: dict[int, float]) -> None:
+        """Move kept headings along with a pose that was found wrong: nothing has turned."""
+        for column, turn in behind.items():
+            self.clone_heading(column, turn)
+
+    def transform(self, columns: Ints, values: Array, G: Array) -> None:
+        """Replace states (k,) by functions of themselves: their values (k,) and derivative G (k, k)."""
+        n, P = self.n, self._P
+        self._x[columns] = values
+        P[columns, :n] = G @ P[columns, :n]
+        P[:n, columns] = P[:n, columns] @ G.T
+
+    def augment(self, values: Array, G: Array, noise: Array, columns: Sequence[int] = ()) -> int:
+        """Append states that are functions of others plus noise: returns the first new column.
+
+        values (k,), G (k, 3 + c) their derivative by the pose and the states `columns` (c,), noise (k, k)
+        independent of the state.
+        """
+        n = self.n
+        where = self._grow(len(values))
+        of = [0, 1, 2, *columns]
+        PG = self._P[:n, of] @ G.T
+        self._x[where] = values
+        self._P[:n, where] = PG
+        self._P[where, :n] = PG.T
+        own = G @ PG[of] + noise
+        self._P[where, where] = 0.5 * (own + own.T)
+        return int(where.start)
+
+    def loosen(self, columns: Ints, variance: Array) -> None:
+        """Add independent variance (k,) to distinct states: they are not quite what they were."""
+        self._P[columns, columns] += variance
+
+    def remove(self, columns: Ints) -> None:
+        """Drop state columns that belong to no named block (map lines that proved worthless)."""
+        keep = np.setdiff1d(np.arange(self.n), columns)
+        m = len(keep)
+        self._x[:m] = self._x[keep]
+        self._P[:m, :m] = self._P[np.ix_(keep, keep)]
+        self._x[m : self.n] = 0.0
+        self._P[m : self.n, :] = 0.0
+        self._P[:, m : self.n] = 0.0
+        self.n = m
+
+    def consider(self, columns: Ints) -> None:
+        """Make columns considered (Schmidt-Kalman): their covariance counts, their values stay."""
+        self._considered = np.union1d(self._considered, columns)
+
+    def _grow(self, k: int) -> slice:
+        n, self.n = self.n, self.n + k
+        if self.n > len(self._x):
+            size = 2 * self.n
+            x, P = np.zeros(size), np.zeros((size, size))
+            x[:n], P[:n, :n] = self._x[:n], self._P[:n, :n]
+            self._x, self._P = x, P
+        return slice(n, n + k)
+
+    def predict(self, u: Sequence[float], Q: Sequence[float], dt: float = 0.0, J: Array | None = None) -> None:
+        """Paper eq. 5, 6 for pose and blocks: blocks drift by their random walk over dt [s]."""
+        n, P, x = self.n, self._P, self._x
+        if self._motion_block is not None and J is not None:
+            u = (u + J @ x[self._motion_block]).tolist()
+        theta = float(x[2])
+        c, s = math.cos(theta), math.sin(theta)
+        dx, dy = c * u[0] - s * u[1], s * u[0] + c * u[1]
+        x[0] += dx
+        x[1] += dy
+        x[2] += u[2]
+        # A P A' with A of eq. 7: rows x and y, then their columns, which but for the pose's own are the rows again
+        row = P[2, :n]
+        P[0, :n] -= dy * row
+        P[1, :n] += dx * row
+        (xx, xy, xt), (_, yy, yt), (_, _, tt) = P[:3, :3].tolist()
+        P[:n, :2] = P[:2, :n].T
+        qxx, qxy, qxt, qyy, qyt, qtt = Q
+        cs = c * s
+        xy += dx * xt + cs * (qxx - qyy) + (c * c - s * s) * qxy
+        xx += c * c * qxx - 2.0 * cs * qxy + s * s * qyy - dy * xt
+        yy += s * s * qxx + 2.0 * cs * qxy + c * c * qyy + dx * yt
+        xt, yt = xt + c * qxt - s * qyt, yt + s * qxt + c * qyt
+        P[:3, :3] = ((xx, xy, xt), (xy, yy, yt), (xt, yt, tt + qtt))
+        if self._motion_block is not None and J is not None:
+            self._spread_parameters(c, s, J)
+        for columns, drift in self._drift:
+            P[columns, columns] += drift * dt
+
+    def _spread_parameters(self, c: float, s: float, J: Array) -> None:
+        """Let the uncertainty of the wheel parameters enter the pose: P <- F P F' with F = I + [J 0]."""
+        n, P, where = self.n, self._P, self._motion_block
+        F = np.empty_like(J)
+        F[0], F[1], F[2] = c * J[0] - s * J[1], s * J[0] + c * J[1], J[2]
+        P[:3, :n] += F @ P[where, :n]
+        P[:n, :3] += P[:n, where] @ F.T
+
+    def spread(self, H: Rows, columns: Sequence[int] = (), H_block: Rows = ()) -> tuple[tuple[float, ...], ...]:
+        """Return H P H', (d, d)."""
+        if len(H) == 1:
+            row, P = sparse_row(H[0], columns, H_block), self._P
+            return ((sum([g * h * P.item(i, j) for i, g in row for j, h in row]),),)
+        where = [0, 1, 2, *columns]
+        rows = np.array([(*h, *b) for h, b in zip(H, H_block, strict=True)] if H_block else H)
+        S = rows @ self._P[np.ix_(where, where)] @ rows.T
+        return tuple(map(tuple, S.tolist()))
+
+    def correct(self, seen: Sequence[Innovation]) -> None:
+        """Paper eq. 10-12 with everything one instant saw stacked; considered columns keep their values."""
+        if not seen:
+            return
+        V, e = self._whitened(seen)
+        if len(self._considered):
+            self._schmidt(V, e, self._considered)
+            return
+        n = self.n
+        self._x[:n] += e @ V
+        self._P[:n, :n] -= V.T @ V
+
+    def listen(self, seen: Sequence[Innovation]) -> None:
+        """Let innovations teach only the block columns that they name; the pose and all else is considered."""
+        named = np.array([c for s in seen for c in s.columns], dtype=np.int64)
+        if len(named):
+            kept = np.setdiff1d(np.arange(self.n), named)
+            self._schmidt(*self._whitened(seen), np.union1d(kept, self._considered))
+
+    def _whitened(self, seen: Sequence[Innovation]) -> tuple[Array, Array]:
+        """Return V (m, n) and e (m,): with S = L L' the update is x + e V, P - V'V, symmetric by construction."""
+        if len(seen) == 1 and len(seen[0].y) == 1:
+            return self._whitened_number(seen[0])
+        y, columns, H, R = stacked(seen)
+        n, P = self.n, self._P
+        PH = P[:n, columns] @ H.T  # H has entries for the pose and the blocks in question only
+        S = H @ PH[columns] + R
+        try:
+            L = np.linalg.cholesky(0.5 * (S + S.T))
+        except np.linalg.LinAlgError:
+            raise _too_far_apart(float(S.diagonal().max())) from None
+        V = np.linalg.solve(L, np.column_stack((PH.T, y)))
+        return V[:, :n], V[:, n]
+
+    def _whitened_number(self, seen: Innovation) -> tuple[Array, Array]:
+        """Return V (1, n) and e (1,) of a single number, which needs no factorisation."""
+        row = sparse_row(seen.H[0], seen.columns, seen.H_block)
+        V = np.zeros(self.n)
+        for i, h in row:
+            V += h * self._P[i, : self.n]
+        S = sum([h * V.item(i) for i, h in row]) + seen.R[0][0]
+        if not S > 0.0:
+            raise _too_far_apart(S)
+        root = math.sqrt(S)
+        V /= root
+        return V[None], np.array((seen.y[0] / root,))
+
+    def _schmidt(self, V: Array, e: Array, kept: Ints) -> None:
+        """Schmidt's update: rows and columns of the `kept` states change only against updated ones."""
+        n, P = self.n, self._P
+        moved = np.setdiff1d(np.arange(n), kept)
+        U = V[:, moved]
+        self._x[moved] += e @ U
+        across = P[np.ix_(moved, kept)] - U.T @ V[:, kept]  # with few states moved: n, not n^2
+        P[np.ix_(moved, moved)] -= U.T @ U
+        P[np.ix_(moved, kept)] = across
+        P[np.ix_(kept, moved)] = across.T
+
+
+def _too_far_apart(S: float) -> LocfuseError:
+    return LocfuseError(
+        f"the filter's variances span too many powers of ten to be computed with (innovations of up to {S:.0e}): "
+        "are the sigmas and floors of robot.toml meant so?"
+    )

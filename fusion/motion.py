@@ -97,7 +97,7 @@ class Wheels:
         u = se2.between(pieces.start, pieces.end)
         columns = pieces.jacobian(self.track)  # (m, 3, 2) left, right
         variance = self.noise * np.abs(pieces.rolled)  # (m, 2)
-        Q = pieces.total(np.einsum("mir,mr,mjr->mij", columns, variance, columns))
+        Q = pieces.total((columns * variance[:, None]) @ columns.transpose(0, 2, 1))
         J = np.zeros((len(u), 3, 0))
         if parameters:
             J = pieces.total(pieces.by_parameters(columns))

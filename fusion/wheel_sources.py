@@ -143,13 +143,12 @@ def _joints(stream: Stream, settings: WheelSettings, dropped: dict[str, int]) ->
 def _by_name(names: list[tuple[str, ...]], positions: Ragged, joints: Sequence[str]) -> tuple[Array, Mask]:
     """Return (n, 2) positions of two joints, NaN where missing, and which messages (n,) hold either."""
     out = np.full((len(names), 2), np.nan)
-    at: dict[tuple[str, ...], list[int]] = {}
-    for i, row in enumerate(names):
-        at.setdefault(row, []).append(i)
+    layouts = {row: i for i, row in enumerate(dict.fromkeys(names))}
+    layout = np.fromiter(map(layouts.__getitem__, names), np.int64, len(names))
     held = np.zeros(len(names), dtype=bool)
     lengths = positions.lengths
-    for row, where in at.items():
-        rows = np.array(where)
+    for row, which in layouts.items():
+        rows = np.flatnonzero(layout == which)
         for side, joint in enumerate(joints):
             if joint in row:
                 k = row.index(joint)

@@ -93,8 +93,7 @@ def compare(
     from ..formats.outdir import write_results
     from . import configurations, exports, gates, outputs, results, show
     from .comparison import compare_log, report_of
-    from .load import find_log, load
-    from .memory import give_back
+    from .load import find_log, load_to_fuse
 
     if len(log) > 1:
         from .summary import several
@@ -105,9 +104,7 @@ def compare(
     limits = [gates.parse_gate(text) for text in fail_if]
     before = gates.read_baseline(baseline, tolerance) if baseline else None
     with show.progress(how.quiet) as progress:
-        loaded = load(find_log(log), how, progress)
-        loaded.log.forget()
-        give_back()
+        loaded = load_to_fuse(find_log(log), how, progress, rerun.wanted)
         wanted = configurations.for_comparison(sensors, loaded.drive, all_subsets)
         drawn, recorded = outputs.Drawn(), Recorded()
         watch = [drawn.take] if "html" in kinds or figures else []

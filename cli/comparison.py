@@ -17,7 +17,7 @@ from . import results
 from .configurations import Configuration
 from .filters import fuser
 from .load import Loaded
-from .memory import give_back
+from .memory import lean
 from .trust import add_consistency, evidence
 from .verdicts import credit_values, prediction_values, verdicts
 
@@ -68,8 +68,7 @@ def compare_log(
     filtered, smoothed = [], []
     for c in configurations:
         progress(f"fusing {c.name}")
-        first, *after = _judged(c, loaded, align, smooth, watch)
-        give_back()
+        first, *after = lean(_judged, c, loaded, align, smooth, watch)
         filtered.append(first)
         smoothed += after
     plain = {
@@ -92,11 +91,10 @@ def compare_log(
 
 def _judged(c: Configuration, loaded: Loaded, align: str, smooth: bool, watch: Sequence[Watch]) -> list[Judged]:
     """Fuse and judge one configuration: filtered, and perhaps smoothed."""
-    drive, robot = c.drive(loaded.drive), loaded.robot
+    drive, robot, judged = c.drive(loaded.drive), loaded.robot, []
     how = cast("Literal['none', 'origin', 'se2']", align)
-    judged = []
-    for e in c.fuse_and_smooth(drive, robot) if smooth and c.sensors else (c.fuse(drive, robot),):
-        evaluation = evaluate(e, drive, how)
+    for e in lean(c.fuse, loaded.drive, robot, smooth and bool(c.sensors)):
+        evaluation = lean(evaluate, e, drive, how)
         for look in watch:
             look(e, evaluation)
         judged.append(Judged(replace(e, audits={}), evaluation, evidence(drive, e, robot)))

@@ -30,12 +30,13 @@ class Configuration:
         """Return the drive as this configuration sees it."""
         return thinned(drive, self.rates) if self.rates else drive
 
-    def fuse(self, drive: Drive, robot: Robot) -> Estimates:
-        """Run the filter."""
-        return fuser(robot.preset)(self.drive(drive), robot, self.sensors, self.name)
+    def fuse(self, drive: Drive, robot: Robot, smooth: bool = False) -> tuple[Estimates, ...]:
+        """Run the filter, and perhaps the smoother: (filtered,) or (filtered, smoothed).
 
-    def fuse_and_smooth(self, drive: Drive, robot: Robot) -> tuple[Estimates, Estimates]:
-        """Run the filter, then the smoother. Raises UsageError where the filter does not weigh optimally."""
+        Raises UsageError where a filter does not weigh optimally that is to be smoothed.
+        """
+        if not smooth:
+            return (fuser(robot.preset)(self.drive(drive), robot, self.sensors, self.name),)
         from ..fusion.smooth import fuse_and_smooth
 
         return fuse_and_smooth(self.drive(drive), robot, self.sensors, self.name)

@@ -18,6 +18,7 @@ from ..fusion.measure import measure
 from ..fusion.robot import Robot, StartSettings, TruthSettings, WheelSettings
 from ..fusion.sensors.registry import REGISTRY
 from . import filters
+from .memory import give_back
 from .mounts import mount_tables
 from .topics import Choice, choose
 
@@ -79,6 +80,17 @@ def load(
     tables = merged_tables(log, how)
     choice = choose(log, make_robot(tables), named_by_hand(how.sets))
     return measured(log, tables, choice, progress, only)
+
+
+def load_to_fuse(
+    paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None], read_again: bool = False
+) -> Loaded:
+    """Load a log whose columns are needed no more once it is measured, unless it is `read_again`."""
+    loaded = load(paths, how, progress)
+    if not read_again:
+        loaded.log.forget()
+    give_back()
+    return loaded
 
 
 def measured(

@@ -70,17 +70,18 @@ def run(
     from ..formats.outdir import Content, whole_file, write_results
     from ..fusion.evaluate import evaluate
     from . import configurations, exports, results, show
-    from .load import find_log, load
+    from .load import find_log, load_to_fuse
+    from .memory import lean
     from .trust import add_consistency, evidence
 
     kinds = chosen(write, KINDS)
     with show.progress(how.quiet) as progress:
-        loaded = maps.give(load(find_log(log), how, progress))
+        loaded = maps.give(load_to_fuse(find_log(log), how, progress, rerun.wanted))
         drive, robot = loaded.drive, loaded.robot
         configuration = configurations.parse(sensors, drive)
         maps.check(configuration.sensors)
         progress("fusing")
-        found = configuration.fuse_and_smooth(drive, robot) if smooth else (configuration.fuse(drive, robot),)
+        found = lean(configuration.fuse, drive, robot, smooth)
         judged = [evaluate(e, configuration.drive(drive), align) for e in found]  # type: ignore[arg-type]
         report = results.build(loaded, judged)
         add_consistency(report, evidence(configuration.drive(drive), found[0], robot), judged, robot)

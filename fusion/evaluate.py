@@ -121,7 +121,8 @@ def _without_truth(
 def _pairs(estimates: Estimates, truth: Truth) -> _Pairs:
     if estimates.truth_pose is None or estimates.truth_P is None:
         raise ValueError("estimates hold no prediction at the truth stamps")
-    inside = np.isfinite(estimates.truth_pose[:, 0])
+    found = np.isfinite(estimates.truth_pose[:, 0])
+    inside = slice(None) if found.all() else found  # all of them are not copied
     theta = None if truth.theta is None else truth.theta[inside]
     return _Pairs(
         truth.t[inside], estimates.truth_pose[inside], estimates.truth_P[inside], truth.xy[inside], theta

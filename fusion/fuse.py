@@ -18,7 +18,7 @@ from .ekf import Pose, PoseBelief, Triangle
 from .few_blocks import FewBlocks
 from .instants import BLOCK, Due, Step, due_readings, steps_of
 from .joint import JointBelief
-from .record import Record
+from .record import MANY, Record
 from .robot import Robot, StartSettings
 from .robust import inflated
 from .sensors.base import Block, Innovation, Model
@@ -47,7 +47,7 @@ def fuse(
     for sensor in (*sensors, *listen):
         if sensor not in drive.measurements:
             raise LocfuseError(f"{sensor}: {drive.absent.get(sensor, 'not in this log')}")
-    run = Filter(robot, sensors, listen, beliefs)
+    run = Filter(robot, sensors, listen, beliefs, {s: len(m.z) for s, m in drive.measurements.items()})
     for k, (step, due) in enumerate(zip(steps_of(drive), due_readings(drive, (*sensors, *listen)), strict=True)):
         run.advance(k, step, due, drive.measurements)
     return run.estimates(drive, name or configuration_name(sensors, drive))
@@ -73,7 +73,9 @@ class Filter:
         sensors: Sequence[str],
         listen: Mapping[str, NDArray[np.bool_]] | None = None,
         beliefs: Beliefs | None = None,
+        rows: Mapping[str, int] | None = None,
     ) -> None:
+        """`rows`: how many measurements of each sensor will come, where that is known."""
         self._sensors = tuple(s for s in REGISTRY if s in sensors)
         self._wheels = robot.wheels
         self._inflates = {s for s in REGISTRY if s in sensors and robot.settings(s).outliers == "inflate"}
@@ -89,7 +91,7 @@ class Filter:
             model.meet({o: other for o, other in self.models.items() if o in sensors or s not in sensors})
         self._poses = array("d")  # flat: an hour of Python tuples would be hundreds of megabytes
         self._triangles = array("d")
-        self._records = {s: Record() for s in self.models}
+        self._records = {s: Record((rows or {}).get(s, MANY)) for s in self.models}
         fixed = [b.name for m in self.models.values() for b in m.blocks() if not b.name.startswith("_")]
         if robot.wheels.estimate:
             fixed.append(WHEELS)

@@ -23,19 +23,20 @@ COLUMNS = {
     "y": np.float64,
     "sigma": np.float64,
 }
+WIDE = ("y", "sigma")  # one number for each that the sensor measures
 
 
 class Record:
     """An hour of Python objects would be hundreds of megabytes; of columns it is tens.
 
-    Columns are kept in pieces until they are asked for: one that grows is moved again and again, and leaves holes
-    in the heap that nothing fits into.
+    `room` is how many rows will come, where that is known: a column that grows is moved, and leaves a hole.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, room: int = MANY) -> None:
+        self._room, self._rows = room, 0
         self._instants: list[int] = []
         self._waiting: list[Innovation] = []  # until there are enough of them to be turned into columns at once
-        self._pieces: dict[str, list[NDArray[Any]]] = {name: [] for name in COLUMNS}
+        self._columns: dict[str, NDArray[Any]] = {}
 
     def add(self, k: int, seen: Sequence[Innovation]) -> None:
         """Note the innovations of one reading at instant k."""
@@ -47,16 +48,29 @@ class Record:
     def _write(self) -> None:
         if not self._waiting:
             return
-        columns = (self._instants, *zip(*map(astuple, self._waiting), strict=True))
-        for (name, pieces), values in zip(self._pieces.items(), columns, strict=False):  # H, R, ... end here
-            pieces.append(np.array(values, COLUMNS[name]))
+        at = slice(self._rows, self._rows + len(self._waiting))
+        self._make_room(at.stop, len(self._waiting[0].y))
+        values = (self._instants, *zip(*map(astuple, self._waiting), strict=True))
+        for column, of_rows in zip(self._columns.values(), values, strict=False):  # H, R, ... end here
+            column[at] = of_rows
+        self._rows = at.stop
         self._instants.clear()
         self._waiting.clear()
 
+    def _make_room(self, rows: int, width: int) -> None:
+        """Have columns of at least so many rows; an innovation has `width` numbers."""
+        if self._columns and rows <= self._room:
+            return
+        self._room = max(self._room if not self._columns else 3 * self._room // 2, rows)
+        for name, dtype in COLUMNS.items():
+            shape = (self._room, width) if name in WIDE else (self._room,)
+            column = np.empty(shape, dtype)
+            if self._rows:
+                column[: self._rows] = self._columns[name][: self._rows]
+            self._columns[name] = column
+
     def audit(self) -> Audit:
-        """Return the record as columns."""
+        """Return the record as columns: views, since a copy would hold everything twice for a moment."""
         self._write()
-        for name, pieces in self._pieces.items():  # one column after the other: all at once would hold it twice
-            none = np.empty((0, 1) if name in {"y", "sigma"} else 0, COLUMNS[name])
-            pieces[:] = [np.concatenate(pieces) if pieces else none]
-        return Audit(**{name: whole for name, (whole,) in self._pieces.items()})
+        self._make_room(0, 1)
+        return Audit(**{name: column[: self._rows] for name, column in self._columns.items()})

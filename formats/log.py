@@ -179,9 +179,9 @@ class Log:
             yield raw
 
     def forget(self) -> None:
-        """Let go of the columns; what is asked for again is read again."""
-        for table in self._tables.values():
-            table.columns = {}
+        """Let go of what was read; what is asked for again is read again."""
+        self._tables.clear()
+        self._streams.clear()
 
     def left_out(self, topic: str) -> Mapping[str, int]:
         """Count the messages on a topic that are of another type than the rest of it."""

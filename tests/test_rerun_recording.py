@@ -42,7 +42,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     loaded = load([sample_logs.path(LOG)], how)
     words = ["odometry", "compass", "lrf", "camera", "all", "lrf@2Hz"]
     configurations = for_comparison(words, loaded.drive)
-    estimates = [c.fuse(loaded.drive, loaded.robot) for c in configurations]
+    estimates = [c.fuse(loaded.drive, loaded.robot)[0] for c in configurations]
     judged = [evaluate(e, c.drive(loaded.drive)) for e, c in zip(estimates, configurations, strict=True)]
     table = report_md.render(results.build(loaded, judged))
     save_recording(path, make_scene(loaded, estimates, judged, table, images=EVERY))

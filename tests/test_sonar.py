@@ -195,7 +195,7 @@ def test_echoes_fit_the_laser_map_of_a_simulated_tour(toured: tuple[Drive, Robot
 
 def test_sonars_hold_the_robot_where_the_laser_sees_it_seldom(toured: tuple[Drive, Robot]) -> None:
     drive, robot = toured
-    rare = [parse(words, drive).fuse(drive, robot) for words in ("lrf@0.1Hz", "lrf@0.1Hz,sonar")]
+    rare = [parse(words, drive).fuse(drive, robot)[0] for words in ("lrf@0.1Hz", "lrf@0.1Hz,sonar")]
     alone, helped = (evaluate(e, drive).figures["position_rmse_m"] for e in rare)
     assert alone is not None
     assert helped is not None

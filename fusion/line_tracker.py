@@ -124,22 +124,32 @@ class LineTracker(Model):
         if first == last or not self._teach or self.mode == "given":
             return
         self._scan += 1
-        scan = self._scan_of(m, first, last, belief)
         found = self._last
         if found is None:
+            scan = self._scan_of(m, first, last, belief)
             for k in range(last - first):
                 self._add(scan, k, belief)
             self._first_map = self._first_map or self.map.lines(belief)
             return
-        uneven = m.extra["uneven"][first] if "uneven" in m.extra else np.zeros(2)
-        if uneven.any() and isinstance(belief, JointBelief):
-            self._bend(found, uneven, belief)
-        for k, p in enumerate(found.match):
+        for p in found.match:
             if p >= 0:
                 self._extend(found.pairs[p])
-            elif self.mode == "grow" and not found.near[k]:
+        if self.joint and isinstance(belief, JointBelief):
+            self._revise(m, first, last, found, belief)
+
+    def _revise(self, m: Measurements, first: int, last: int, found: Association, belief: JointBelief) -> None:
+        """Let lines that are states bend; in `grow` add what is new, drop what proved worthless, join doubles."""
+        uneven = m.extra["uneven"][first] if "uneven" in m.extra else np.zeros(2)
+        if uneven.any():
+            self._bend(found, uneven, belief)
+        if self.mode != "grow":
+            return
+        new = [k for k, p in enumerate(found.match) if p < 0 and not found.near[k]]
+        if new:
+            scan = self._scan_of(m, first, last, belief)
+            for k in new:
                 self._add(scan, k, belief)
-        if self.mode == "grow" and self._scan % TIDY_EVERY == 0 and isinstance(belief, JointBelief):
+        if self._scan % TIDY_EVERY == 0:
             prune(self.map, belief, self._scan)
             merge_doubles(self.map, belief, self._scan, uneven)
 
@@ -149,8 +159,8 @@ class LineTracker(Model):
         A wall stays within its unevenness, so a line that is known no better is left alone: loosened for ever, the
         walls of a small room would let the robot drift among them.
         """
-        seen = np.unique(self.map.column[[found.pairs[p].which for p in found.match if p >= 0]])
-        if not self.joint or self.mode == "consider" or len(seen) == 0:
+        seen = np.array(sorted({found.pairs[p].column for p in found.match if p >= 0}))
+        if self.mode == "consider" or len(seen) == 0:
             return
         columns = np.concatenate((seen, seen + 1))
         room = np.repeat(uneven, len(seen)) - np.diagonal(belief.covariance)[columns]
@@ -178,8 +188,8 @@ class LineTracker(Model):
 
     def _extend(self, pair: Pair) -> None:
         lines, j = self.map, pair.which
-        lines.lo[j] = min(lines.lo[j], pair.lo)
-        lines.hi[j] = max(lines.hi[j], pair.hi)
+        if not (lines.lo[j] <= pair.lo and pair.hi <= lines.hi[j]):
+            lines.lo[j], lines.hi[j] = min(lines.lo[j], pair.lo), max(lines.hi[j], pair.hi)
         lines.hits[j] += 1
         lines.seen[j] = self._scan
 

@@ -35,7 +35,7 @@ def test_odometry_costs_a_few_calls_per_instant() -> None:
     assert count / instants < 16
 
 
-@pytest.mark.parametrize(("mode", "most"), [("first-scan", 70), ("grow", 108)])
+@pytest.mark.parametrize(("mode", "most"), [("first-scan", 66), ("grow", 102)])
 def test_a_line_costs_a_few_dozen_calls(mode: str, most: float) -> None:
     """Instants and compass readings included."""
     count, _, lines = calls(World(settings={"lrf": {"map": mode}}), ["compass", "lrf"])

@@ -140,7 +140,10 @@ def _scalar_rows(seen: Sequence[Innovation]) -> list[tuple[Row, Beside]]:
     alone = [s for s in seen if not s.columns]
     out: list[tuple[Row, Beside]] = [(row, ()) for row in pose_rows(alone)] if alone else []
     for s in seen:
-        if s.columns:
+        if s.columns and len(s.y) == 1:
+            a, b, c = s.H[0]
+            out.append(((s.y[0], a, b, c, s.R[0][0]), _beside(s.columns, s.H_block[0])))
+        elif s.columns:
             rows, (g, *more) = whitened(s), s.H_block
             out.append((rows[0], _beside(s.columns, g)))
             for h in more:  # whitened like the rows

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from . import se2
 from .data import Array, Ints, Ragged
@@ -109,26 +108,38 @@ def in_order(parts: list[tuple[Ints, Lines]], n: int) -> tuple[Ints, Array, Arra
     return first, z, R_unit, ends
 
 
-def turns(first: Ints, z: Array) -> Array:
+def turns(first: Ints, z: Array, variance: Array) -> Array:
     """Return the robot's turn [rad] since the scan before, (n,), by lines z (m, 2) that `first` (n + 1,) owns.
 
-    A line of one scan and the line nearest to it in the next are the same wall; the median change of psi is
-    the turn. Where no line carries over, the turn is unknown and counted as none.
+    A line of one scan and the line nearest to it in the next are the same wall; the median change of psi, weighed
+    by the `variance` (m,) of either's psi, is the turn: short walls say little, and a wrong pair cannot say much.
+    Where no line carries over, the turn is unknown and counted as none.
     """
     out = np.zeros(len(first) - 1)
     scans = np.arange(len(out))
     for at, a, b in blocks(first, scans[:-1], scans[1:]):
         turn = turn_of(z[a.row, 1], z[b.row, 1])
         shift = z[a.row, 0][:, :, None] - z[b.row, 0][:, None, :]
-        turned, cost, _ = nearest(turn, misfit(turn, shift, (SAME_TURN, SAME_SHIFT), a, b))
-        out[at + 1] = _medians(turned, cost < 1.0)
+        turned, cost, j = nearest(turn, misfit(turn, shift, (SAME_TURN, SAME_SHIFT), a, b))
+        both = variance[a.row] + variance[np.take_along_axis(b.row, j, 1)]
+        out[at + 1] = _medians(turned, np.where(cost < 1.0, 1.0 / both, 0.0))
     return out
 
 
-def _medians(values: Array, good: NDArray[np.bool_]) -> Array:
-    """Return the median of the good values of each row (k, w), 0 where there are none."""
-    count = good.sum(axis=1)
-    ordered = np.sort(np.where(good, values, np.inf), axis=1)
+def _medians(values: Array, weights: Array) -> Array:
+    """Return the weighted median of each row (k, w), 0 where nothing has weight.
+
+    Where half the weight lies between the middles of two values' weights, the median is between the values alike:
+    equal weights give the ordinary median, two values their weighted mean.
+    """
+    order = np.argsort(np.where(weights > 0.0, values, np.inf), axis=1)
+    values, weights = np.take_along_axis(values, order, 1), np.take_along_axis(weights, order, 1)
+    middle = np.cumsum(weights, axis=1) - 0.5 * weights
+    half = 0.5 * weights.sum(axis=1)
+    above = np.minimum((middle < half[:, None]).sum(axis=1), weights.shape[1] - 1)
+    below = np.maximum(above - 1, 0)
     rows = np.arange(len(values))
-    middle = 0.5 * (ordered[rows, np.maximum(count - 1, 0) // 2] + ordered[rows, count // 2])
-    return np.where(count > 0, middle, 0.0)
+    low, high = middle[rows, below], middle[rows, above]
+    share = np.divide(half - low, high - low, out=np.ones_like(half), where=high > low)
+    found = values[rows, below] + share * (values[rows, above] - values[rows, below])
+    return np.where(half > 0.0, found, 0.0)

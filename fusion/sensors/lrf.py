@@ -85,7 +85,7 @@ class Lrf:
 
     def heading(self, m: Measurements) -> tuple[Array, Array]:
         """Return times (n,) and headings (n,) [rad, unwrapped, up to a constant] by lines from scan to scan."""
-        return m.t, np.cumsum(turns(m.first, m.z))
+        return m.t, np.cumsum(turns(m.first, m.z, m.R[:, 1, 1]))
 
     def model(self, settings: LrfSettings) -> LineTracker:
         """Return the laser's side of a new run."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from .clocks import clock_lags, in_words, side
 from .data import Drive, Truth
-from .lag import Lag, find_lag, worth_saying
-from .measure import clock_lag
+from .lag import Lag, by_wheels, find_lag, worth_saying
 from .oddity import Oddity
 from .robot import Robot
 
@@ -19,7 +19,7 @@ ALIKE = 0.05  # s: lags that differ by less are one
 
 def of_clocks(drive: Drive, robot: Robot) -> list[Oddity]:
     """Return the streams whose clock is off, with the offset that they need; where all are, it is the wheels'."""
-    lags = {name: lag for name, m in drive.measurements.items() if (lag := clock_lag(name, m, drive.wheels))}
+    lags = clock_lags(drive.measurements, drive.wheels)
     late = {name: lag for name, lag in lags.items() if worth_saying(lag)}
     truth = truth_lag(drive)
     if truth is not None:
@@ -33,22 +33,15 @@ def of_clocks(drive: Drive, robot: Robot) -> list[Oddity]:
 
 def _stream(name: str, lag: Lag, robot: Robot) -> Oddity:
     told = robot.truth if name == "truth" else robot.settings(name)
-    words = (
-        f"its motion runs {abs(lag.offset):.2f} s {_side(lag.offset)} the wheels' "
-        f"(correlation {lag.without:.3f} as stamped, {lag.correlation:.3f} shifted)"
-    )
     offset = told.time_offset + lag.offset
-    return Oddity("lag", name, words, (f"{name}.time_offset={offset:.2f}",), abs(lag.offset) > LARGE)
+    cure = f"{name}.time_offset={offset:.2f}"
+    return Oddity("lag", name, f"its motion {in_words(lag)}", (cure,), abs(lag.offset) > LARGE)
 
 
 def _wheels(offset: float, names: list[str], robot: Robot) -> Oddity:
-    words = f"{' and '.join(names)} run {abs(offset):.2f} s {_side(offset)} them alike: the wheels' clock is off"
+    words = f"{' and '.join(names)} run {abs(offset):.2f} s {side(offset)} them alike: the wheels' clock is off"
     cure = f"wheels.time_offset={robot.wheels.time_offset - offset:.2f}"
     return Oddity("lag", "wheels", words, (cure,), abs(offset) > LARGE)
-
-
-def _side(offset: float) -> str:
-    return "behind" if offset < 0 else "ahead of"
 
 
 def off_by(lag: Lag) -> bool:
@@ -64,7 +57,7 @@ def truth_lag(drive: Drive) -> Lag | None:
         return None
     turning = None
     if truth.theta is not None:
-        turning = find_lag(truth.t, np.unwrap(truth.theta), wheels, (float(wheels.t[0]), float(wheels.t[-1])))
+        turning = find_lag(truth.t, np.unwrap(truth.theta), by_wheels(wheels))
     return turning or way_lag(truth, drive)
 
 

@@ -1,83 +1,180 @@
 """Does a sensor's clock agree with the wheels'? Its own turning is compared with theirs at every lag.
 
-Neither needs a pose: a compass turns by itself, a laser by its lines from scan to scan. Increments over about a
-second are correlated, so that constant offsets and a wrong track (a scale) do not matter.
+Neither needs a pose: a compass turns by itself, a laser by its lines from scan to scan. Turns over a second are
+correlated (Knapp & Carter 1976), so that constant offsets and a wrong track (a scale) do not matter. From there
+least squares take over, on short windows where the turning changes:
+
+- wheels slip, which is white noise of their rate: what is summed longer blurs the lag;
+- where the turning does not change, what is left misleads: a robot that steers by its pose answers its slips, its
+  wheels turn back, later, what the ground has turned, and that pulls the best lag by 10 ms (the bias of
+  identification in closed loop: Ljung 1999, 13.4).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .data import Array
-from .sensors.base import WheelMotion
+from .motion import Wheels
 
 WINDOW = 1.0  # s over which turning is compared
 LONGEST = 1.5  # s
-SHARP = (
-    0.5  # s: once found, over less: slips are white, and what is summed longer blurs the lag (8 instead of 13 ms)
-)
+SHORT = (0.1, 0.25, 0.5)  # s: which tells most depends on whose noise is larger
+CHANGE = 0.3  # s before and after which the turning is compared, to see where it changes
+MOST = 0.9  # share of windows that may be left out because the turning hardly changes there
+RATE = 0.1  # s over which the wheels' turning rate is taken
+ROUNDS = 3  # of least squares: the turning is nearly straight over the few hundredths of a second that are left
 COARSE, STEP = 0.05, 0.01  # s: correlations over a whole window are smooth, so the best is near the coarse best
 WORTH_SAYING = 0.04  # s
 LEAST_TURN = math.radians(3.0)  # rms turn per window below which there is nothing to correlate
 LEAST_CORRELATION = 0.8
+FEWEST = 20  # windows
+ENOUGH = 4.0  # windows at any time, to know roughly where the best lag is
+
+Heading = Callable[[Array], Array]  # [rad, not wrapped, up to a constant] at any time [s]
+
+
+class Reference(NamedTuple):
+    """A record of how the robot turned, which a sensor's own is held against."""
+
+    heading: Heading
+    span: tuple[float, float]  # s
+    wheels: Heading  # the same turning with little noise from reading to reading, for its rate
 
 
 class Lag(NamedTuple):
-    """The time_offset under which a sensor's turning agrees best with the wheels'."""
+    """The time_offset under which a sensor's turning agrees best with another record of it."""
 
     offset: float  # s to add to the sensor's stamps
     correlation: float  # at that offset
     without: float  # correlation at no further offset
+    against: str = "wheels"  # whose turning it was held against
 
 
-def find_lag(t: Array, heading: Array, wheels: WheelMotion, span: tuple[float, float]) -> Lag | None:
+class _Turns(NamedTuple):
+    """By how much a sensor says that the robot turned, from one of its readings to another."""
+
+    start: Array  # (n,) s
+    end: Array  # (n,) s
+    angle: Array  # (n,) rad
+    overlap: float  # how many of them there are at any time
+
+    def where(self, keep: NDArray[np.bool_]) -> _Turns:
+        """Return some of them."""
+        return _Turns(self.start[keep], self.end[keep], self.angle[keep], self.overlap)
+
+    def scores(self, heading: Heading, lags: Array) -> Array:
+        """Return the correlation with the turning of another heading at lags (k,) [s], (k,)."""
+        shift = lags[:, None]
+        return _correlations(self.angle, heading(self.end + shift) - heading(self.start + shift))
+
+
+class _Fit(NamedTuple):
+    lag: float  # s
+    sigma: float  # s, its standard deviation
+
+
+def by_wheels(wheels: Wheels) -> Reference:
+    """Return the wheels as what is held against."""
+    return Reference(wheels.heading, (float(wheels.t[0]), float(wheels.t[-1])), wheels.heading)
+
+
+def find_lag(t: Array, heading: Array, reference: Reference) -> Lag | None:
     """Return the lag of a sensor's heading (n,) [rad, unwrapped, up to a constant] at t (n,), or None.
 
-    None where the robot hardly turned, or where no lag makes the two agree. `span` is the wheels' time.
+    None where the robot hardly turned, or where no lag makes the two agree.
     """
     ok = np.isfinite(heading)
     t, heading = t[ok], heading[ok]
-    start = t[(t >= span[0] + LONGEST) & (t <= span[1] - LONGEST - WINDOW)]
-    if len(start) < 20:
+    turns = _turns(t, heading, WINDOW, reference.span)
+    if len(turns.angle) < FEWEST or math.sqrt(float((turns.angle**2).mean())) < LEAST_TURN:
         return None
-
-    def scores(lags: Array, window: float = WINDOW) -> Array:
-        end = np.minimum(start + window, t[-1])
-        own, shifted = np.interp(end, t, heading) - np.interp(start, t, heading), lags[:, None]
-        return _correlations(own, wheels.heading(end + shifted) - wheels.heading(start + shifted))
-
-    if _turned(t, heading, start) < LEAST_TURN:
+    found = _best(turns, reference.heading)
+    if found is None:
         return None
-    coarse = np.arange(-LONGEST, LONGEST + COARSE / 2, COARSE)
-    middle = float(coarse[np.argmax(scores(coarse))])
-    found = _peak(middle, scores)
-    if found is None or abs(middle) > LONGEST - COARSE / 2:
-        return None
-    sharp = _peak(found, partial(scores, window=SHARP))
-    offset = found if sharp is None else sharp
-    at, zero = scores(np.array([offset, 0.0])).tolist()
+    fits = [_least_squares(found, _turns(t, heading, w, reference.span), reference) for w in SHORT]
+    best = min((f for f in fits if f is not None), key=lambda f: f.sigma, default=None)
+    offset = found if best is None else best.lag
+    at, zero = turns.scores(reference.heading, np.array([offset, 0.0])).tolist()
     return Lag(offset, at, zero)
 
 
-def _turned(t: Array, heading: Array, start: Array) -> float:
-    """Return the rms turn over a window [rad]."""
-    own = np.interp(start + WINDOW, t, heading) - np.interp(start, t, heading)
-    return math.sqrt(float((own**2).mean()))
+def _turns(t: Array, heading: Array, window: float, span: tuple[float, float]) -> _Turns:
+    """Return the turns from every reading to the one nearest to `window` later, but not across gaps.
+
+    From reading to reading: between two of them a heading is not known, and a straight line would blur the lag.
+    """
+    first = np.arange(max(len(t) - 1, 0))
+    last = np.maximum(np.searchsorted(0.5 * (t[1:] + t[:-1]), t[:-1] + window), first + 1)
+    start, end = t[first], t[last]
+    period = float(np.median(np.diff(t))) if len(first) else window
+    whole = (end - start > 0.5 * window) & (end - start < 2.0 * max(window, period))
+    inside = (start >= span[0] + LONGEST) & (end <= span[1] - LONGEST)
+    turns = _Turns(start, end, heading[last] - heading[first], max(window / max(period, 1e-9), 1.0))
+    return turns.where(whole & inside)
 
 
-def _peak(middle: float, scores: Callable[[Array], Array]) -> float | None:
-    """Return where correlation is best within COARSE of `middle` [s]; None where it is poor or rises further."""
+def _best(turns: _Turns, heading: Heading) -> float | None:
+    """Return the lag [s] at which correlation is best, None where it is poor or rises further."""
+    coarse = np.arange(-LONGEST, LONGEST + COARSE / 2, COARSE)
+    some = turns.where(np.arange(len(turns.angle)) % max(round(turns.overlap / ENOUGH), 1) == 0)
+    middle = float(coarse[np.argmax(some.scores(heading, coarse))])
     lags = middle + np.arange(-COARSE, COARSE + STEP / 2, STEP)
-    score = scores(lags)
+    score = turns.scores(heading, lags)
     best = int(np.argmax(score))
-    if score[best] <= LEAST_CORRELATION or best in (0, len(lags) - 1):
+    if abs(middle) > LONGEST - COARSE / 2 or score[best] <= LEAST_CORRELATION or best in (0, len(lags) - 1):
         return None
     return float(lags[best]) + STEP * _vertex(*score[best - 1 : best + 2].tolist())
+
+
+def _least_squares(start: float, turns: _Turns, reference: Reference) -> _Fit | None:
+    """Return the lag near `start` [s]; None where the two hardly agree over such windows.
+
+    Gauss-Newton: a turn is the reference's, scaled, and the lag times how much the rate changed in the meantime.
+    """
+    turns = turns.where(_changing(turns, reference, start))
+    if len(turns.angle) < FEWEST:
+        return None
+    lag, sigma = start, math.inf
+    for _ in range(ROUNDS):
+        a, b = turns.start + lag, turns.end + lag
+        columns = np.stack(
+            (reference.heading(b) - reference.heading(a), _rate(reference, b) - _rate(reference, a))
+        )
+        columns, own = columns - columns.mean(axis=1, keepdims=True), turns.angle - turns.angle.mean()
+        N = columns @ columns.T
+        if np.linalg.det(N) <= 0.0:
+            return None
+        scale, shift = np.linalg.solve(N, columns @ own).tolist()
+        left = own - scale * columns[0] - shift * columns[1]
+        if left @ left > (1.0 - LEAST_CORRELATION**2) * (own @ own) or scale <= 0.0:
+            return None
+        lag += shift / scale
+        if abs(lag - start) > COARSE:
+            return None
+        sigma = math.sqrt(float(left.var()) * turns.overlap * float(np.linalg.inv(N)[1, 1])) / scale
+    return _Fit(lag, sigma)
+
+
+def _changing(turns: _Turns, reference: Reference, lag: float) -> NDArray[np.bool_]:
+    """Return where the turning changes by more than its rms; at least in a tenth of the windows."""
+    middle = 0.5 * (turns.start + turns.end) + lag
+    before, now, after = reference.wheels(middle + CHANGE * np.array([[-1.0], [0.0], [1.0]]))
+    change = np.abs(after - 2.0 * now + before)
+    if not len(change):
+        return np.zeros(0, bool)
+    kept: NDArray[np.bool_] = change >= min(math.sqrt((change**2).mean()), float(np.quantile(change, MOST)))
+    return kept
+
+
+def _rate(reference: Reference, t: Array) -> Array:
+    """Return the turning rate [rad/s] at times t (n,)."""
+    return (reference.wheels(t + RATE / 2) - reference.wheels(t - RATE / 2)) / RATE
 
 
 def _correlations(a: Array, b: Array) -> Array:

@@ -12,8 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from .clocks import lag_notes
 from .data import Array, Drive, Ints, LocfuseError, Measurements, Motions, Stream
-from .lag import Lag, find_lag, worth_saying
 from .motion import Wheels
 from .robot import Robot
 from .sensors.registry import REGISTRY
@@ -21,7 +21,6 @@ from .truth import read_truth
 from .wheels import read_wheels
 
 FILL = 0.2  # s: where no sensor speaks for this long, a wheel reading becomes an instant
-LAG_READINGS = 3000  # enough to find a lag: five minutes of a 10 Hz laser
 
 
 def measure(
@@ -94,31 +93,6 @@ def cut(
         wheels=wheels,
         notes=tuple(lag_notes(wheels, measurements)),
     )
-
-
-def lag_notes(wheels: Wheels, measurements: Mapping[str, Measurements]) -> list[str]:
-    """Say in words where a sensor's own turning runs behind or ahead of the wheels' by a constant time."""
-    notes = []
-    for name, m in measurements.items():
-        lag = clock_lag(name, m, wheels)
-        if lag is not None and worth_saying(lag):
-            behind = "behind" if lag.offset < 0 else "ahead of"
-            notes.append(
-                f"{name}: its turning runs {abs(lag.offset):.2f} s {behind} the wheels' (correlation "
-                f"{lag.without:.3f} as stamped, {lag.correlation:.3f} shifted). If its clock is off, "
-                f"--set {name}.time_offset={lag.offset:.2f} cures it"
-            )
-    return notes
-
-
-def clock_lag(name: str, m: Measurements, wheels: Wheels) -> Lag | None:
-    """Return how far a sensor's clock is from the wheels', from the first minutes of the drive."""
-    heading = getattr(REGISTRY[name], "heading", None)
-    if heading is None or len(m.t) < 2:
-        return None
-    first = m.take(np.arange(min(len(m.t), LAG_READINGS)))
-    t, angle = heading(first)
-    return find_lag(t, angle, wheels, (float(wheels.t[0]), float(wheels.t[-1])))
 
 
 def instants(wheel_t: Array, sensor_t: list[Array]) -> Array:

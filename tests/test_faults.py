@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from lock_step import simulated
 
+from locfuse.fusion.clocks import clock_lags
 from locfuse.fusion.data import Drive, Evaluation
 from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.measure import clock_lag
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
@@ -39,6 +39,6 @@ def test_a_fault_costs_no_more_than_is_allowed_and_passes(case: faults.Case) -> 
 def test_a_clock_that_is_off_is_reported_within_20_ms() -> None:
     for seed in SEEDS:
         drive, _ = judged(seed, f'{{kind="clock_offset", sensor="lrf", seconds={faults.OFFSET}}}')
-        lag = clock_lag("lrf", drive.measurements["lrf"], drive.wheels)
+        lag = clock_lags(drive.measurements, drive.wheels).get("lrf")
         assert lag is not None
         assert lag.offset == pytest.approx(-faults.OFFSET, abs=0.02)

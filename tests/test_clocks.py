@@ -1,0 +1,73 @@
+"""Whose clock is off: sensors that see how the robot turned tell a lag better than wheels that slip."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from locfuse.fusion.clocks import clock_lags, lag_notes
+from locfuse.fusion.data import Measurements
+from locfuse.fusion.lag import worth_saying
+from locfuse.fusion.motion import Wheels
+
+Array = NDArray[np.float64]
+T = np.arange(0.0, 90.0, 0.02)
+SEEDS = range(12)
+
+
+def turned(seed: int) -> tuple[Wheels, Array]:
+    """Wheels of a robot with corners, and how it truly turned (n,) [rad]: they slip as the paper's do."""
+    rng = np.random.default_rng(seed)
+    rate = np.convolve(np.where(T % 12.0 < 3.0, 0.5, 0.0), np.ones(15) / 15.0, "same")  # rad/s
+    by_wheels = np.cumsum(0.02 * rate)
+    true = by_wheels + np.cumsum(rng.normal(0.0, np.sqrt(6.7e-4 * 0.02), len(T)))
+    twist = np.zeros((len(T) - 1, 3))
+    twist[:, 2] = np.diff(by_wheels)
+    return Wheels.from_twists(T, twist, 0.6, 4e-4), true
+
+
+def headings(true: Array, seed: int, rate: float, sigma_deg: float, late: float = 0.0) -> Measurements:
+    """A sensor that sees the heading, dated `late` [s]."""
+    t = np.arange(1.0, 89.0, 1.0 / rate)
+    sigma = np.radians(sigma_deg)
+    z = np.interp(t, T, true) + np.random.default_rng(900 + seed).normal(0.0, sigma, len(t))
+    n = len(t)
+    return Measurements(t + late, np.arange(n + 1), z[:, None], np.ones((n, 1, 1)), sigma, np.zeros((1, 1)))
+
+
+def test_a_late_clock_is_told_by_the_sensor_that_sees_the_same_turning() -> None:
+    errors, alone = [], []
+    for seed in SEEDS:
+        wheels, true = turned(seed)
+        late = headings(true, seed, 10.0, 0.05, late=0.12)
+        seen = {"compass": headings(true, seed + 50, 20.0, 0.5), "gyro": late}
+        lags = clock_lags(seen, wheels)
+        assert lags["gyro"].against == "compass"
+        assert not worth_saying(lags["compass"])
+        errors.append(lags["gyro"].offset + 0.12)
+        alone.append(clock_lags({"gyro": late}, wheels)["gyro"].offset + 0.12)
+    assert np.abs(errors).max() < 0.01
+    assert np.std(alone) > 1.5 * np.std(errors)
+
+
+def test_a_sensor_that_is_late_itself_tells_nothing() -> None:
+    wheels, true = turned(0)
+    seen = {"compass": headings(true, 0, 20.0, 0.5, late=0.2), "gyro": headings(true, 1, 10.0, 0.05, late=0.2)}
+    lags = clock_lags(seen, wheels)
+    assert {lag.against for lag in lags.values()} == {"wheels"}
+    assert [lag.offset for lag in lags.values()] == pytest.approx([-0.2, -0.2], abs=0.03)
+
+
+def test_a_sensor_that_knows_less_than_the_wheels_is_not_asked() -> None:
+    wheels, true = turned(3)
+    seen = {"compass": headings(true, 0, 20.0, 4.0), "gyro": headings(true, 1, 10.0, 0.05, late=0.2)}
+    assert clock_lags(seen, wheels)["gyro"].against == "wheels"
+
+
+def test_the_note_says_who_told() -> None:
+    wheels, true = turned(0)
+    seen = {"compass": headings(true, 0, 20.0, 0.5), "gyro": headings(true, 1, 10.0, 0.05, late=0.12)}
+    (note,) = lag_notes(wheels, seen)
+    assert "s behind the compass's, which agrees with the wheels' (correlation" in note
+    assert "--set gyro.time_offset=-0.1" in note

@@ -86,5 +86,7 @@ def _topic_of_pictures(seen: Look) -> str:
     named = seen.robot.settings("camera").topic
     if named in fit or len(fit) == 1:
         return named if named in fit else fit[0]
-    what = f"choose one with --set camera.topic={fit[0]}" if fit else "there is none"
-    raise LocfuseError(f"--preview: {seen.log.name} has {len(fit)} topics of pictures; {what}")
+    if not fit:
+        raise LocfuseError(f"--preview: no topic of {seen.log.name} holds pictures")
+    choose = f"choose one with --set camera.topic={fit[0]}"
+    raise LocfuseError(f"--preview: {seen.log.name} has {len(fit)} topics of pictures; {choose}")

@@ -97,13 +97,16 @@ def _drawn(picture: Picture, seen: Look, bearings: list[float]) -> Picture:
 def _ray(
     canvas: Picture, optics: Optics, theta: float, reach: tuple[float, float], colour: tuple[int, ...], word: str
 ) -> None:
-    """Draw part of a radius and write beside it."""
-    x_p = np.full(2, theta) * optics.width / (2.0 * math.pi)
-    x, y = omni_1(x_p, np.array(reach) - optics.inner, optics)
-    (x1, x2), (y1, y2) = np.rint(x).astype(int).tolist(), np.rint(y).astype(int).tolist()
-    cv2.line(canvas, (x1, y1), (x2, y2), colour, _pen(canvas), cv2.LINE_AA)
-    scale = max(0.35, canvas.shape[0] / 1400)
-    cv2.putText(canvas, word, (x1 + 4, y1 + 4), cv2.FONT_HERSHEY_SIMPLEX, scale, colour, _pen(canvas), cv2.LINE_AA)
+    """Draw part of a radius, and write where it would go on inwards: beside it would be across it elsewhere."""
+    pen, scale = _pen(canvas), max(0.35, canvas.shape[0] / 1400)
+    (width, height), _ = cv2.getTextSize(word, cv2.FONT_HERSHEY_SIMPLEX, scale, pen)
+    halfway = (abs(math.sin(theta)) * width + abs(math.cos(theta)) * height) / 2.0 + 3.0 * pen
+    x_p = np.full(3, theta) * optics.width / (2.0 * math.pi)
+    x, y = omni_1(x_p, np.array((*reach, reach[0] - halfway)) - optics.inner, optics)
+    (x1, x2, x3), (y1, y2, y3) = np.rint(x).astype(int).tolist(), np.rint(y).astype(int).tolist()
+    cv2.line(canvas, (x1, y1), (x2, y2), colour, pen, cv2.LINE_AA)
+    corner = x3 - width // 2, y3 + height // 2
+    cv2.putText(canvas, word, corner, cv2.FONT_HERSHEY_SIMPLEX, scale, colour, pen, cv2.LINE_AA)
 
 
 def _pen(canvas: Picture) -> int:

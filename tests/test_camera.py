@@ -426,6 +426,16 @@ def test_a_preview_needs_no_landmark_and_no_calibration() -> None:
     assert shown.row == 0
 
 
+def test_the_numbers_of_a_preview_stand_clear_of_the_rim_and_its_ticks() -> None:
+    (shown,) = preview(compressed(coded(picture(LENS, Pole(45.0)), ".png"), layout="png"), SETTINGS, count=1)
+    drawn = (shown.detection != shown.raw).any(axis=2)
+    along, beside = np.meshgrid(np.arange(0.94 * LENS.outer, LENS.outer - 3.0), (-9, -6, -3, 3, 6, 9))  # px
+    for theta in np.radians(np.arange(0.0, 360.0, 30.0)):
+        x = LENS.x_c + along * np.sin(theta) + beside * np.cos(theta)
+        y = LENS.y_c + along * np.cos(theta) - beside * np.sin(theta)
+        assert not drawn[np.rint(y).astype(int), np.rint(x).astype(int)].any()
+
+
 def test_a_preview_passes_by_broken_pictures_and_says_so_where_all_are() -> None:
     good = coded(picture(LENS))
     assert len(preview(compressed(b"x", good), SETTINGS, count=2)) == 1

@@ -271,7 +271,7 @@ def test_preview_needs_no_landmark_and_says_which_pictures_there_are(tmp_path: P
     assert two.exit_code == 1
     assert "has 2 topics of pictures; choose one with --set camera.topic=" in two.stderr
     none = locfuse("info", write(tmp_path / "none.mcap", drive(20)), "--preview", tmp_path / "p")
-    assert "has 0 topics of pictures; there is none" in none.stderr
+    assert "no topic of none holds pictures" in none.stderr
 
 
 def test_short_logs_are_not_judged(tmp_path: Path) -> None:

@@ -25,9 +25,14 @@ ESCAPES = {
 
 
 def csv(report: Mapping[str, Any]) -> str:
-    """Return one row per configuration with every figure in full precision; empty where there is none."""
+    """Return one row per configuration with every figure in full precision; empty where there is none.
+
+    Lists (notes, intervals of being lost) are no figures: report.json has them.
+    """
     rows = report["configurations"]
-    keys = list(dict.fromkeys(k for v in rows.values() for k, x in v.items() if not isinstance(x, Mapping)))
+    keys = list(
+        dict.fromkeys(k for v in rows.values() for k, x in v.items() if not isinstance(x, (Mapping, list)))
+    )
     sensors = list(dict.fromkeys(s for v in rows.values() for s in v["sensors"]))
     counts = ("accepted", "rejected", "absent", "nis")
     out = io.StringIO()

@@ -239,6 +239,7 @@ def test_a_report_without_truth_says_so_and_ranks_by_prediction(tmp_path: Path) 
 def test_csv_holds_every_figure_in_full(compared: Path, report: dict[str, Any]) -> None:
     lines = (compared / "report.csv").read_text().splitlines()
     heads = lines[0].split(",")
+    assert not {"notes", "lost"} & set(heads)
     for line in lines[1:]:
         row = dict(zip(heads, line.split(","), strict=True))
         values = report["configurations"][row["configuration"]]

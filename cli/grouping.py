@@ -27,12 +27,12 @@ def results_of(words: Sequence[str]) -> list[Path] | None:
 
     A single word is never a comparison of results. Raises UsageError for logs and results mixed.
     """
-    found = {word: result_file(word) for word in words}
-    reports = [file for file in found.values() if file is not None]
+    found = [result_file(word) for word in words]
+    reports = [file for file in found if file is not None]
     if len(words) < 2 or not reports:
         return None
     if len(reports) < len(words):
-        log = next(word for word, file in found.items() if file is None)
+        log = words[found.index(None)]
         raise UsageError(f"{log} is no result, {reports[0].parent} is one: compare either logs or results")
     return reports
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from ..formats import changes as sides
 from ..formats import report_json
@@ -30,6 +31,7 @@ from .verdicts import credit_values, verdicts
 
 KINDS = ("json", "md", "csv")
 FOLDER = "summary"
+OF_RESULTS = ("log", "out", "overwrite", "as_json", "quiet")  # what a comparison of finished results follows
 
 
 def several(words: Sequence[str]) -> int | None:
@@ -37,9 +39,19 @@ def several(words: Sequence[str]) -> int | None:
     context = click.get_current_context()
     finished = results_of(words)
     if finished is not None:
+        _refuse_what_needs_a_log(context)
         return compare_results(finished, context.params)
     logs = logs_of(words)
     return None if len(logs) == 1 else compare_logs(logs, context)
+
+
+def _refuse_what_needs_a_log(context: click.Context) -> None:
+    """Raise UsageError for an option that finished results cannot follow: no gate passes by being passed over."""
+    for option in context.command.params:
+        given = context.get_parameter_source(str(option.name)) is ParameterSource.COMMANDLINE
+        if given and option.name not in OF_RESULTS:
+            name = max(option.opts, key=len)
+            raise UsageError(f"{name} is for logs; finished results are set side by side as they are")
 
 
 def compare_logs(logs: Sequence[Sequence[str]], context: click.Context) -> int:
@@ -187,6 +199,7 @@ def compare_results(files: Sequence[Path], params: Mapping[str, Any]) -> int:
     found = {str(file.parent): sides.changes(first[1], report) for file, report in others}
     before = str(first[0].parent)
     values = {"before": before, "after": found}
+    written: dict[str, str] = {}
     if params["out"] is not None:
         texts = [sides.render((before, after), c) for after, c in found.items()]
         written = {"changes.json": report_json.encode(values), "changes.md": "\n".join(texts)}
@@ -199,6 +212,8 @@ def compare_results(files: Sequence[Path], params: Mapping[str, Any]) -> int:
         _show_changes(one)
         for line in sides.remarks(one):
             click.echo(line)
+    if written:
+        click.echo(f"{params['out']}: {', '.join(written)}")
     return 0
 
 

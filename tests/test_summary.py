@@ -233,6 +233,7 @@ def test_results_are_set_side_by_side(drives: list[Path], summary: Path, tmp_pat
     written = locfuse("compare", summary / drives[0].stem, other, "-o", tmp_path / "changes")
     assert written.exit_code == 0, written.stderr
     assert {p.name for p in (tmp_path / "changes").iterdir()} == {"changes.json", "changes.md"}
+    assert f"{tmp_path / 'changes'}: changes.json, changes.md" in written.stdout
 
 
 def test_logs_and_results_are_not_mixed(drives: list[Path], summary: Path) -> None:
@@ -242,6 +243,26 @@ def test_logs_and_results_are_not_mixed(drives: list[Path], summary: Path) -> No
     with pytest.raises(UsageError):
         results_of([str(drives[0]), str(summary / drives[0].stem)])
     assert results_of([str(summary / drives[0].stem)]) is None
+
+
+def test_a_result_beside_itself_has_not_changed(summary: Path, drives: list[Path]) -> None:
+    one = summary / drives[0].stem
+    done = locfuse("compare", one, one)
+    assert done.exit_code == 0, done.stderr
+    assert done.stdout.count(" = ") >= 2
+
+
+@pytest.mark.parametrize(
+    "option",
+    [("--fail-if", "all.position_rmse_m > 0"), ("--set", "lrf.map=refine"), ("--strict",), ("--all-subsets",)],
+)
+def test_what_needs_a_log_is_refused_beside_results_and_not_passed_by(
+    summary: Path, drives: list[Path], option: tuple[str, ...]
+) -> None:
+    results = [summary / drive.stem for drive in drives[:2]]
+    done = locfuse("compare", *results, *option)
+    assert done.exit_code == 2
+    assert f"{option[0]} is for logs" in done.stderr
 
 
 def test_a_broken_result_is_refused_in_one_line(summary: Path, drives: list[Path], tmp_path: Path) -> None:

@@ -175,10 +175,12 @@ def _write(
 ) -> None:
     from ..formats import report_md
     from ..formats.rerun_file import save_recording
+    from .memory import lean
     from .rerun_scene import make_scene
 
     table = report_md.render(report)
-    save_recording(path, make_scene(loaded, estimates, evaluations, table, options.images, options.full))
+    scene = lean(make_scene, loaded, estimates, evaluations, table, options.images, options.full)
+    save_recording(path, scene)
 
 
 def _show(path: Path, options: RerunOptions) -> None:

@@ -148,9 +148,9 @@ def _curves(columns: Mapping[str, Column]) -> dict[str, Array]:
         if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiub" or values.ndim > 2:
             continue
         if values.ndim == 1:
-            curves[field] = values.astype(np.float64)
+            curves[field] = np.asarray(values, np.float64)
         elif values.shape[1] <= MOST_COLUMNS:
-            curves |= {_named(field, i, names): values[:, i].astype(np.float64) for i in range(values.shape[1])}
+            curves |= {_named(field, i, names): np.asarray(v, np.float64) for i, v in enumerate(values.T)}
     return curves
 
 

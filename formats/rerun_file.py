@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import os
 import shutil
+import sys
 import warnings
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.abc import MetaPathFinder
 from pathlib import Path
+from typing import Any
 
 from ..fusion.data import LocfuseError
 from .outdir import whole_file
@@ -22,7 +27,7 @@ def save_recording(path: Path, scene: Scene, tab: str | None = None) -> None:
     quiet_rust()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path) as temporary:
+        with whole_file(path) as temporary, without_pandas():
             verify(temporary, write_recording(temporary, scene, tab))
     except OSError as problem:
         raise LocfuseError(f"cannot write {path}: {problem.strerror or problem}") from None
@@ -64,6 +69,28 @@ def check(path: Path) -> Counter[str]:
     if not whole:
         raise LocfuseError(f"{path.name} is no recording of ours: it holds no drive or no blueprint")
     return rows
+
+
+class _NoPandas(MetaPathFinder):
+    """Says that pandas is not there."""
+
+    def find_spec(self, name: str, _path: Any, _target: Any = None) -> None:
+        if name == "pandas":
+            raise ModuleNotFoundError(name)
+
+
+@contextmanager
+def without_pandas() -> Iterator[None]:
+    """Keep pandas out where it is installed.
+
+    pyarrow imports it with the first array that Rerun hands it, and uses it for nothing here.
+    """
+    finder = _NoPandas()
+    sys.meta_path.insert(0, finder)
+    try:
+        yield
+    finally:
+        sys.meta_path.remove(finder)
 
 
 def copy(source: Path, target: Path) -> None:

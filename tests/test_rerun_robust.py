@@ -170,6 +170,20 @@ def test_rerun_is_imported_only_when_asked_for(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
+def test_a_recording_needs_no_pandas(tmp_path: Path) -> None:
+    """Where it is installed, pyarrow would import it for nothing: tens of megabytes and half a second."""
+    code = (
+        "import sys\nfrom locfuse.cli.main import main\n"
+        "try: main(sys.argv[1:])\nexcept SystemExit as e: assert not e.code\n"
+        "assert 'pyarrow' in sys.modules and 'pandas' not in sys.modules"
+    )
+    save = ("--rerun-save", str(tmp_path / "drive.rrd"), "--rerun-images", "none")
+    words = ["run", LOG, *LIGHT, *save, "-o", str(tmp_path / "out")]
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "drive.rrd").is_file()
+
+
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.99])
 def test_a_recording_cut_short_is_refused(recording: Path, tmp_path: Path, share: float) -> None:
     data = recording.read_bytes()

@@ -7,8 +7,9 @@ about equally well are no evidence at all: the line is skipped and counted as am
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from operator import attrgetter
+
+import msgspec
 
 from .line_map import AnyBelief, LineMap
 from .pairing import Pair, candidate_pairs
@@ -18,8 +19,7 @@ AMBIGUOUS = 6.0  # a second candidate within this of the best score (chi-square,
 ZONE = 60.0  # squared distance up to which a near line forbids calling a segment new
 
 
-@dataclass(frozen=True)
-class Association:
+class Association(msgspec.Struct, frozen=True, gc=False):
     """The verdict for each measured line: its pair, or why there is none."""
 
     pairs: list[Pair]  # the best score first

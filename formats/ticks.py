@@ -6,10 +6,15 @@ import math
 
 
 def linear(low: float, high: float, most: int = 6) -> list[tuple[float, str]]:
-    """Return ticks (value, label) within [low, high]: at most `most`, but three where that few steps fit."""
+    """Return ticks (value, label) within [low, high]: at most `most`, but three where that few steps fit.
+
+    There are two at least, whatever `most` is: one tick alone shows no scale.
+    """
     step = nice_step((high - low) / max(1, most))
     while _count(low, high, step) > most and _count(low, high, nice_step(1.5 * step)) >= 3:
         step = nice_step(1.5 * step)
+    while _count(low, high, step) < 2:
+        step = nice_step(step / 2.5)
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
     return [(k * step, _plain(k * step, decimals)) for k in range(first, last + 1)]

@@ -118,6 +118,11 @@ def test_linear_ticks_are_round_evenly_spaced_and_three_to_seven(low: float, hig
         assert float(label.replace("−", "-")) == pytest.approx(v, abs=1e-9 * max(1.0, abs(v)) + 1e-12)
 
 
+@pytest.mark.parametrize("half", [1.01, 2.3, 4.9, 9.7, 4.9e-3, 49.0])
+def test_a_low_axis_shows_its_scale_too(half: float) -> None:
+    assert 2 <= len(ticks.linear(-half, half, 3)) <= 5
+
+
 @pytest.mark.parametrize(("low", "high"), [(0.01, 100.0), (0.3, 2.5), (1e-9, 1e9), (0.0001, 1.3)])
 def test_logarithmic_ticks_lie_within_and_read_as_what_they_are(low: float, high: float) -> None:
     found = ticks.logarithmic(low, high)

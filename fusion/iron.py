@@ -19,6 +19,7 @@ FEWEST = 50  # readings
 GAP = math.radians(60.0)  # largest part of the circle that may be missing
 ROUNDS = 100
 ABSURD = 10.0  # times the usual strength: no field of iron or earth
+NO_ELLIPSE = "compass: the field readings lie on no ellipse: turn the robot once on the spot while recording"
 TUKEY = 4.685  # of the scatter: readings further off do not count (95 % efficient for Gaussian noise)
 ROUGH = 0.2  # relative scatter above which the readings lie on no ellipse
 
@@ -55,6 +56,8 @@ def fit_iron(field: Array) -> Iron:
     for _ in range(ROUNDS):
         step, e, spread = _gauss_newton(field / unit, c, A, weights)
         c, A = c + step[:2], A + np.array([[step[2], step[3]], [step[3], step[4]]])
+        if not float(np.linalg.det(A)) > 0.0:  # NaN too: a short arc has been fitted with a line
+            raise LocfuseError(NO_ELLIPSE)
         scatter = 1.4826 * float(np.median(np.abs(e)))
         weights = np.clip(1.0 - (e / (TUKEY * max(scatter, 1e-9))) ** 2, 0.0, None) ** 2
         if np.abs(step).max() < 1e-12:
@@ -81,7 +84,7 @@ def _start(m: Array) -> tuple[Array, Array]:
     a, b, d, e, f = np.linalg.lstsq(np.column_stack((x * x, x * y, y * y, x, y)), np.ones(len(x)), rcond=None)[0]
     G = np.array([[a, 0.5 * b], [0.5 * b, d]])
     if a * d - 0.25 * b * b <= 0.0 or a <= 0.0:
-        raise LocfuseError("compass: the field readings lie on no ellipse: turn the robot once on the spot")
+        raise LocfuseError(NO_ELLIPSE)
     centre = np.linalg.solve(G, [-0.5 * e, -0.5 * f])
     values, vectors = np.linalg.eigh(G / (1.0 + centre @ G @ centre))
     return mean + centre, (vectors * np.sqrt(values)) @ vectors.T
@@ -96,7 +99,10 @@ def _gauss_newton(m: Array, c: Array, A: Array, weights: Array) -> tuple[Array, 
     J = np.column_stack((-n @ A, n[:, 0] * d[:, 0], n[:, 0] * d[:, 1] + n[:, 1] * d[:, 0], n[:, 1] * d[:, 1]))
     e = length - 1.0
     M = J.T @ (J * weights[:, None])
-    spread = np.asarray(np.linalg.inv(M), np.float64)
+    try:
+        spread = np.asarray(np.linalg.inv(M), np.float64)
+    except np.linalg.LinAlgError:
+        raise LocfuseError(NO_ELLIPSE) from None
     return -spread @ (J.T @ (weights * e)), e, spread
 
 

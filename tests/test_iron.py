@@ -81,6 +81,14 @@ def test_what_shows_too_little_of_the_circle_is_refused(angles: Array, says: str
         fit_iron(field((1e-6, 0.0), (1.0, 1.0, 0.0), angles))
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_a_straight_run_shows_no_iron_whatever_its_noise(seed: int) -> None:
+    """A cloud of noise about a short arc: the fit runs away, to NaN or to a line."""
+    along = np.random.default_rng(seed).normal(0.3, 0.02, 3000)
+    with pytest.raises(LocfuseError, match=r"ellipse|of 360 degrees"):
+        fit_iron(field((3e-7, -2e-7), (1.0, 1.0, 0.0), along, noise=0.01, seed=seed))
+
+
 def test_readings_on_no_ellipse_are_refused() -> None:
     noise = np.random.default_rng(1).uniform(-1.0, 1.0, (500, 2))
     with pytest.raises(LocfuseError, match="ellipse"):

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ WIDTH = 1.96  # standard deviations of a 95 % interval
 CLEARLY = 3.0  # ln of a likelihood ratio that is worth saying (20 to 1)
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Calibration:
     """Everything that the logs told."""
 
@@ -123,7 +123,18 @@ def calibrate_logs(loaded: Sequence[Loaded]) -> Calibration:
             f"compass: iron bends the raw headings by {iron.error_before_deg:.1f} degrees (rms over a turn); the "
             f"field scatters by {math.degrees(iron.scatter):.2f} degrees about the fit"
         )
-    return Calibration(settings, wheels, iron, tuple(notes))
+    found = Calibration(settings, wheels, iron, tuple(notes))
+    return dataclasses.replace(found, notes=(*notes, *_left_as_set(found)))
+
+
+def _left_as_set(found: Calibration) -> list[str]:
+    """Return a note about the lengths in the table that robot.toml will not have."""
+    kept = [key for key, figure in found.geometry().items() if not found.moved(key, figure)]
+    return (
+        [f"wheels: {', '.join(kept)} left as set: inside the interval, so nothing speaks against it"]
+        if kept
+        else []
+    )
 
 
 def write(path: Path, found: Calibration) -> None:

@@ -8,7 +8,7 @@ import click
 
 from .exports import export_option
 from .options import LogOptions, chosen, log_options, out_options, preset_option, smooth_option
-from .rerun_options import Recorded, RerunOptions, record, rerun_options
+from .rerun_options import Recorded, RerunOptions, record, rerun_options, sketched
 
 KINDS = ("html", "md", "json", "tum", "csv", "tex")
 
@@ -129,7 +129,9 @@ def compare(
         show.consistency(report)
         click.echo(f"{folder}: {', '.join(sorted(files))}")
     show.notes(report, lost, how.quiet)
-    record(rerun, loaded, recorded.in_order(compared.estimates), compared.evaluations, report, folder)
+    sketch = sketched(rerun, loaded, recorded.in_order(compared.estimates), compared.evaluations, report)
+    del loaded, compared, drawn, recorded, watch, files  # Rerun's import takes as much memory as all of them
+    record(rerun, sketch, folder)
     failed = gates.failures(report, limits, before)
     for line in failed:
         click.echo(f"gate: {line}", err=True)

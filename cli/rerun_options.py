@@ -6,7 +6,8 @@ Whatever goes wrong here costs one warning: the results are already written.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 if TYPE_CHECKING:
+    from ..formats.rerun_recording import Sketch
     from ..fusion.data import Estimates, Evaluation
     from .load import Loaded
 
@@ -136,51 +138,71 @@ def rerun_options(command: F) -> F:
     return decorated  # type: ignore[no-any-return]
 
 
-def record(
+def sketched(
     options: RerunOptions,
     loaded: Loaded,
     estimates: Sequence[Estimates],
     evaluations: Sequence[Evaluation],
     report: Mapping[str, Any],
-    folder: Path,
-) -> None:
-    """Record the configurations and show them as the options say; at worst warn.
+) -> Sketch | None:
+    """Return the recording of the configurations in values, None where none is wanted or none can be made."""
+    if not options.wanted:
+        return None
+    with _at_worst_a_warning():
+        return _sketch(options, loaded, estimates, evaluations, report)
+    return None
+
+
+def record(options: RerunOptions, sketch: Sketch | None, folder: Path) -> None:
+    """Write a recording and show it as the options say; at worst warn.
 
     Without --rerun-save the recording lies beside the results, where `locfuse view FOLDER` finds it.
     """
-    if not options.wanted:
+    if sketch is None:
         return
-    from ..fusion.data import LocfuseError
-
     path = options.save or folder / RECORDING
-    try:
-        _write(path, options, loaded, estimates, evaluations, report)
-    except LocfuseError as problem:
-        warn(str(problem))
-    except Exception as problem:
-        # a Rerun of another version, or none, or broken: the results stand, so nothing here may fail the run
-        warn(f"no recording was made: {type(problem).__name__}: {problem}")
-    else:
+    if _saved(path, sketch):
         click.echo(f"{path}: Rerun recording", err=True)
         _show(path, options)
 
 
-def _write(
-    path: Path,
+@contextmanager
+def _at_worst_a_warning() -> Iterator[None]:
+    """Let nothing fail the run: a Rerun of another version, or none, or broken. The results stand."""
+    from ..fusion.data import LocfuseError
+
+    try:
+        yield
+    except LocfuseError as problem:
+        warn(str(problem))
+    except Exception as problem:
+        warn(f"no recording was made: {type(problem).__name__}: {problem}")
+
+
+def _sketch(
     options: RerunOptions,
     loaded: Loaded,
     estimates: Sequence[Estimates],
     evaluations: Sequence[Evaluation],
     report: Mapping[str, Any],
-) -> None:
+) -> Sketch:
     from ..formats import report_md
-    from ..formats.rerun_file import save_recording
-    from .memory import lean
+    from ..formats.rerun_recording import sketch
     from .rerun_scene import make_scene
 
     table = report_md.render(report)
-    scene = lean(make_scene, loaded, estimates, evaluations, table, options.images, options.full)
-    save_recording(path, scene)
+    return sketch(make_scene(loaded, estimates, evaluations, table, options.images, options.full))
+
+
+def _saved(path: Path, sketch: Sketch) -> bool:
+    from ..formats.rerun_file import save_recording
+    from .memory import give_back
+
+    give_back()  # Rerun's import takes as much as an hour's estimates did
+    with _at_worst_a_warning():
+        save_recording(path, sketch)
+        return True
+    return False
 
 
 def _show(path: Path, options: RerunOptions) -> None:

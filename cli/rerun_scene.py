@@ -10,10 +10,11 @@ import numpy as np
 
 from ..formats.palette import colours
 from ..formats.rerun_scene import Detail, Picture, RawTopic, Rgb, ScanPoints, Scene, Sight
-from ..fusion.data import Array, Column, Estimates, Evaluation, Ragged
+from ..fusion.data import Array, Column, Drive, Estimates, Evaluation, Ragged
 from ..fusion.gates import chi_square
 from ..fusion.robot import VIRTUAL_TRACK, Robot
 from ..fusion.sensors.registry import REGISTRY
+from ..fusion.smooth import SUFFIX
 from ..fusion.truth import TRUTH_READS
 from ..fusion.wheels import WHEEL_READS
 from .configurations import parse
@@ -60,8 +61,13 @@ def make_scene(
         raw=raw_topics(loaded),
         detail=detail,
         palette=palette([e.name for e in estimates]),
-        thinned={e.name: parse(e.name, loaded.drive).drive(loaded.drive) for e in estimates if "@" in e.name},
+        thinned={e.name: _as_seen(e, loaded.drive) for e in estimates if "@" in e.name},
     )
+
+
+def _as_seen(e: Estimates, drive: Drive) -> Drive:
+    """Return the drive as a configuration at a lower rate saw it."""
+    return parse(e.name.removesuffix(SUFFIX), drive).drive(drive)
 
 
 def palette(configurations: Sequence[str]) -> dict[str, Rgb]:

@@ -113,6 +113,8 @@ def _record(
 ) -> Path:
     """Write the recording of a log or of a results' folder to `target`, or copy the one that is made."""
     from ..formats.rerun_file import copy, save_recording
+    from ..formats.rerun_recording import sketch
+    from .memory import give_back
     from .rerun_folder import report_of, scene_of
 
     if made is not None:
@@ -121,7 +123,9 @@ def _record(
     progress("recording")
     folder = Path(what[0])
     is_result = len(what) == 1 and report_of(folder) is not None
-    save_recording(target, scene_of(folder) if is_result else _scene_of_log(what, wish, progress), tab)
+    drawn = sketch(scene_of(folder) if is_result else _scene_of_log(what, wish, progress), tab)
+    give_back()
+    save_recording(target, drawn)
     return target
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from . import rerun_images, rerun_series
+from .rerun_later import rrb
 from .rerun_map import ROOT
 from .rerun_recorder import STEP, TIME, part
 from .rerun_scene import Scene
@@ -20,8 +21,6 @@ TABS = ("Deviation", "Close-up", "NIS", "Innovation", "Gates", "Result", "Raw to
 
 def blueprint(scene: Scene, tab: str | None = None) -> Any:
     """Return the rerun.blueprint.Blueprint of a scene: only views that have something to show; `tab` in front."""
-    import rerun.blueprint as rrb
-
     left, right = _left(scene), _right(scene, tab)
     return rrb.Blueprint(
         left if right is None else rrb.Horizontal(contents=[left, right], column_shares=[0.54, 0.46]),
@@ -35,8 +34,6 @@ def blueprint(scene: Scene, tab: str | None = None) -> Any:
 
 def _left(scene: Scene) -> Any:
     """Return the map, with the panorama below where there are pictures."""
-    import rerun.blueprint as rrb
-
     if scene.picture_rows is None:
         return map_view(scene)
     wide = rrb.Spatial2DView(name="Panorama", origin=f"/{rerun_images.PANORAMA}", background=BACKGROUND)
@@ -45,8 +42,6 @@ def _left(scene: Scene) -> Any:
 
 def _right(scene: Scene, tab: str | None) -> Any | None:
     """Return what the robot saw above what explains the estimate."""
-    import rerun.blueprint as rrb
-
     looks, reasons = _looks(scene), _reasons(scene, tab)
     parts = [part for part in (looks, reasons) if part is not None]
     if len(parts) < 2:
@@ -56,8 +51,6 @@ def _right(scene: Scene, tab: str | None) -> Any | None:
 
 def map_view(scene: Scene) -> Any:
     """Return the map: one entry per configuration to switch, walls and matches shown for the best one only."""
-    import rerun.blueprint as rrb
-
     x, y = _bounds(scene)
     return rrb.Spatial2DView(
         name="Map",
@@ -70,7 +63,6 @@ def map_view(scene: Scene) -> Any:
 
 
 def _map_overrides(scene: Scene) -> dict[Any, list[Any]]:
-    import rerun.blueprint as rrb
 
     until_now = _until_now()
     hidden = rrb.EntityBehavior(visible=False)
@@ -88,8 +80,6 @@ def _map_overrides(scene: Scene) -> dict[Any, list[Any]]:
 
 def _until_now() -> Any:
     """Show everything up to the cursor: paths and walls grow."""
-    import rerun.blueprint as rrb
-
     edge = rrb.TimeRangeBoundary
     return rrb.VisibleTimeRanges(
         [rrb.VisibleTimeRange(name, start=edge.infinite(), end=edge.cursor_relative()) for name in (TIME, STEP)]
@@ -106,8 +96,6 @@ def _bounds(scene: Scene) -> tuple[tuple[float, float], tuple[float, float]]:
 
 def _looks(scene: Scene) -> Any | None:
     """Return what the robot saw: the scan around it, and the omni picture."""
-    import rerun.blueprint as rrb
-
     views = [scan_view(scene)] if scene.scans is not None and len(scene.scans.t) else []
     if scene.picture_rows is not None:
         omni = rrb.Spatial2DView(name="Omni image", origin=f"/{rerun_images.OMNI}", background=BACKGROUND)
@@ -117,8 +105,6 @@ def _looks(scene: Scene) -> Any | None:
 
 def scan_view(scene: Scene) -> Any:
     """Return the view from the robot: x ahead to the right, y to the left upwards."""
-    import rerun.blueprint as rrb
-
     root = f"{ROOT}/{part(scene.best.name)}"
     reach = _reach(scene)
     contents = [f"+ /{root}/**", f"+ /{ROOT}/landmark/**", f"- /{root}/path/**", f"- /{root}/sigma/**"]
@@ -143,8 +129,6 @@ def _reach(scene: Scene) -> float:
 
 def _reasons(scene: Scene, tab: str | None) -> Any | None:
     """Return the tabs that explain the estimate: deviation, NIS, innovations, gates, table, raw topics."""
-    import rerun.blueprint as rrb
-
     views = [
         _deviations(scene, "Deviation", None),
         _deviations(scene, "Close-up", _close(scene)),
@@ -165,8 +149,6 @@ def _judged(scene: Scene) -> list[Any]:
 
 def _deviations(scene: Scene, name: str, close: list[float] | None) -> Any | None:
     """Return the plots of estimate - truth; `close` (one per component) limits them to what corrected runs do."""
-    import rerun.blueprint as rrb
-
     judged = _judged(scene)
     if not judged or (name != "Deviation" and close is None):
         return None
@@ -194,7 +176,6 @@ def _close(scene: Scene) -> list[float] | None:
 
 
 def _nis(scene: Scene) -> Any | None:
-    import rerun.blueprint as rrb
 
     sensors = _used(scene)
     spans = [_nis_span(scene, s) for s in sensors]
@@ -212,7 +193,6 @@ def _nis_span(scene: Scene, sensor: str) -> float | None:
 
 
 def _innovations(scene: Scene) -> Any | None:
-    import rerun.blueprint as rrb
 
     views = []
     for sensor in _used(scene):
@@ -234,13 +214,11 @@ def _innovation_span(scene: Scene, sensor: str, i: int) -> float:
 
 
 def _gates(scene: Scene) -> Any | None:
-    import rerun.blueprint as rrb
 
     return rrb.StateTimelineView(name="Gates", origin="/gate") if _used(scene) else None
 
 
 def _raw(scene: Scene) -> Any | None:
-    import rerun.blueprint as rrb
 
     views = [
         _plot(topic.topic, f"/{rerun_series.raw_path(topic.topic)}", legend=True)
@@ -266,9 +244,6 @@ def _plot(
     overrides: dict[Any, list[Any]] | None = None,
 ) -> Any:
     """Return a time series view; `span` limits it to +-span, or to low..span."""
-    import rerun.blueprint as rrb
-    from rerun.blueprint.archetypes import PlotBackground
-
     edge = rrb.TimeRangeBoundary.infinite()
     whole = rrb.TimeAxis(view_range=rrb.TimeRange(start=edge, end=edge))
     limits = None if span is None else (-span if low is None else low, span)
@@ -278,6 +253,6 @@ def _plot(
         axis_x=whole,
         axis_y=rrb.ScalarAxis(range=limits) if limits else None,
         plot_legend=rrb.PlotLegend(visible=legend, corner="RightTop"),
-        background=PlotBackground(color=BACKGROUND),
+        background=rrb.archetypes.PlotBackground(color=BACKGROUND),
         overrides=overrides,
     )

@@ -15,12 +15,11 @@ from typing import Any
 
 from ..fusion.data import LocfuseError
 from .outdir import whole_file
-from .rerun_recording import write_recording
-from .rerun_scene import Scene
+from .rerun_recording import Sketch, write_recording
 
 
-def save_recording(path: Path, scene: Scene, tab: str | None = None) -> None:
-    """Write the scene to `path`, whole or not at all; `tab` names the tab of curves in front.
+def save_recording(path: Path, drawn: Sketch) -> None:
+    """Write a sketch to `path`, whole or not at all.
 
     Raises LocfuseError where it cannot be written, or where what was read back is not what was sent.
     """
@@ -28,7 +27,7 @@ def save_recording(path: Path, scene: Scene, tab: str | None = None) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(path) as temporary, without_pandas():
-            verify(temporary, write_recording(temporary, scene, tab))
+            verify(temporary, write_recording(temporary, drawn))
     except OSError as problem:
         raise LocfuseError(f"cannot write {path}: {problem.strerror or problem}") from None
     except RuntimeError as problem:  # what Rerun's writer thread says when the disk is full

@@ -10,27 +10,30 @@ import numpy as np
 from ..fusion.data import Array
 from . import rerun_colours as colours
 from . import rerun_style as style
+from .rerun_later import rr
 from .rerun_recorder import Recorder
-from .rerun_scene import Picture, Scene
+from .rerun_scene import Picture
 
 OMNI, PANORAMA = "camera/omni", "camera/panorama"
 ABOVE = 10.0  # draw order of what was found, over the picture
 BATCH = 16  # pictures in memory at a time
 
 
-def draw_pictures(to: Recorder, scene: Scene) -> None:
-    """Send the omni pictures, their panoramas, and a ray or a column through everything that was found."""
-    if scene.picture_rows is None:
-        return
+def draw_pictures(to: Recorder, pictures: Iterable[Picture], rows: int) -> Iterator[None]:
+    """Note the omni pictures, their panoramas, and a ray or a column through everything that was found.
+
+    Yields after every batch, which is to be written before the next one is read.
+    """
     _styles(to)
-    for batch in _batches(scene.pictures):
+    for batch in _batches(pictures):
         t = np.array([picture.t for picture in batch])
         _send_encoded(to, OMNI, t, [p.omni for p in batch], [p.omni_type for p in batch])
         unwrapped = [(p.t, p.panorama) for p in batch if p.panorama is not None]
         if unwrapped:
             times, data = zip(*unwrapped, strict=True)
             _send_encoded(to, PANORAMA, np.array(times), data, ["image/jpeg"] * len(data))
-        _send_found(to, t, batch, scene.picture_rows)
+        _send_found(to, t, batch, rows)
+        yield
 
 
 def _batches(pictures: Iterable[Picture]) -> Iterator[list[Picture]]:
@@ -46,7 +49,6 @@ def _styles(to: Recorder) -> None:
 
 
 def _send_encoded(to: Recorder, path: str, t: Array, data: Sequence[bytes], kinds: Sequence[str]) -> None:
-    import rerun as rr
 
     blobs = [np.frombuffer(d, np.uint8) for d in data]
     to.send(path, t, rr.EncodedImage.columns(blob=blobs, media_type=list(kinds)))
@@ -54,8 +56,6 @@ def _send_encoded(to: Recorder, path: str, t: Array, data: Sequence[bytes], kind
 
 def _send_found(to: Recorder, t: Array, batch: Sequence[Picture], rows: int) -> None:
     """Send one entity per group; a picture without a member of the group empties it."""
-    import rerun as rr
-
     for name in colours.GROUPS:
         members = [[i for i, verdict in enumerate(p.verdicts) if verdict == name] for p in batch]
         rays = [p.rays[i] for p, found in zip(batch, members, strict=True) for i in found]

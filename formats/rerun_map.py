@@ -13,6 +13,7 @@ from ..fusion.data import Array, Estimates, Ints, MapLine, matrices
 from . import rerun_colours as colours
 from . import rerun_style as style
 from .rerun_geometry import ellipses, quaternions, steps, wall, wall_band
+from .rerun_later import rr
 from .rerun_recorder import Recorder, part
 from .rerun_scene import Rgb, Scene
 from .rerun_thin import evenly, extremes
@@ -25,8 +26,6 @@ FLIP = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
 
 def draw_map(to: Recorder, scene: Scene) -> None:
     """Send everything on the map but what the sensors saw."""
-    import rerun as rr
-
     to.static(ROOT, rr.Transform3D(mat3x3=FLIP))
     for order, estimates in enumerate(scene.estimates):
         root = f"{ROOT}/{part(estimates.name)}"
@@ -46,14 +45,11 @@ def draw_map(to: Recorder, scene: Scene) -> None:
 
 def draw_path(to: Recorder, path: str, t: Array, xy: Array, colour: Rgb, width: float, order: float) -> None:
     """Send a growing path: one short strip per step (n - 1), so that nothing is sent twice."""
-    import rerun as rr
-
     to.static(path, style.lines(colour, width, order))
     to.send(path, t[1:], rr.LineStrips2D.columns(strips=steps(xy).astype(np.float32)))
 
 
 def _draw_pose(to: Recorder, root: str, e: Estimates, picks: Ints, colour: Rgb) -> None:
-    import rerun as rr
 
     t, pose = e.t[picks], e.pose[picks]
     place = np.column_stack((pose[:, :2], np.zeros(len(pose))))
@@ -77,8 +73,6 @@ def _body(scene: Scene) -> Array:
 
 def _draw_walls(to: Recorder, root: str, e: Estimates) -> None:
     """Send the first scan's walls, and the refined ones with their uncertainty, each from when it was matched."""
-    import rerun as rr
-
     if not e.first_map and not e.final_map:
         return
     start = np.array([_first_scan(e)])
@@ -121,7 +115,6 @@ def _label(line: MapLine) -> str:
 
 
 def _draw_truth(to: Recorder, scene: Scene) -> None:
-    import rerun as rr
 
     truth = scene.drive.truth
     if truth is None or len(truth.t) == 0:
@@ -134,7 +127,6 @@ def _draw_truth(to: Recorder, scene: Scene) -> None:
 
 
 def _draw_landmarks(to: Recorder, scene: Scene) -> None:
-    import rerun as rr
 
     for sensor, sight in scene.sights.items():
         if sight.landmark is not None:

@@ -1,42 +1,74 @@
-"""A recording stream that knows the log's clock, and remembers how many rows each entity must have."""
+"""What a recording will hold, noted on the log's clock, and how many rows each of its entities must have."""
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from ..fusion.data import Array, Drive, Ints
+from .rerun_later import made, rr
 
 if TYPE_CHECKING:
-    import rerun as rr
+    from rerun import RecordingStream
 
 TIME, STEP = "log time", "step"
 PLAUSIBLE_DATE_NS = 10**17  # 1973: a smaller clock counts from the robot's start and is shown as a duration
 
 
-class Recorder:
-    """Sends columns on both timelines: the log's time, and the step (instant of the drive) in force then."""
+class Rows(NamedTuple):
+    """Component columns of one entity over time."""
 
-    def __init__(self, stream: rr.RecordingStream, drive: Drive) -> None:
-        self.stream = stream
-        self.rows: Counter[str] = Counter()  # entity -> rows sent, for reading back
+    path: str
+    times: list[Any]
+    columns: tuple[Any, ...]
+    lengths: Sequence[int] | Ints | None  # cuts the columns into ragged rows
+
+    def send(self, stream: RecordingStream) -> None:
+        """Hand the rows to Rerun."""
+        groups = made(self.columns)
+        cut = self.lengths
+        parts = [part for group in groups for part in (group if cut is None else group.partition(cut))]
+        stream.send_columns(self.path, made(self.times), parts, strict=True)
+
+
+class Fixed(NamedTuple):
+    """What holds at all times, such as colours."""
+
+    path: str
+    archetypes: tuple[Any, ...]
+
+    def send(self, stream: RecordingStream) -> None:
+        """Hand it to Rerun."""
+        stream.log(self.path, *made(self.archetypes), static=True, strict=True)
+
+
+class Recorder:
+    """Notes columns on both timelines: the log's time, and the step (instant of the drive) in force then."""
+
+    def __init__(self, drive: Drive) -> None:
+        self.rows: Counter[str] = Counter()  # entity -> rows noted, for reading back
+        self._noted: deque[Rows | Fixed] = deque()
         self._epoch_ns = drive.epoch_ns
         self._instants = drive.t
 
     def send(self, path: str, t: Array, *columns: Any, lengths: Sequence[int] | Ints | None = None) -> None:
-        """Send component columns with one row at each t (n,) s; `lengths` (n,) cuts them into ragged rows."""
+        """Note component columns with one row at each t (n,) s; `lengths` (n,) cuts them into ragged rows."""
         if len(t) == 0:
             return
-        parts = [part for group in columns for part in (group if lengths is None else group.partition(lengths))]
-        self.stream.send_columns(path, self._times(t), parts, strict=True)
+        self._noted.append(Rows(path, self._times(t), columns, lengths))
         self.rows[path] += len(t)
 
     def static(self, path: str, *archetypes: Any) -> None:
-        """Send what holds at all times, such as colours."""
-        self.stream.log(path, *archetypes, static=True, strict=True)
+        """Note what holds at all times."""
+        self._noted.append(Fixed(path, archetypes))
+
+    def write(self, stream: RecordingStream) -> None:
+        """Hand everything noted so far to Rerun, and let go of it."""
+        while self._noted:
+            self._noted.popleft().send(stream)
 
     def nanoseconds(self, t: Array) -> Ints:
         """Return t (n,) s since the drive's epoch as the log's own time."""
@@ -46,9 +78,7 @@ class Recorder:
         """Return the last instant at or before each t (n,)."""
         return np.maximum(np.searchsorted(self._instants, t, side="right") - 1, 0)
 
-    def _times(self, t: Array) -> list[rr.TimeColumn]:
-        import rerun as rr
-
+    def _times(self, t: Array) -> list[Any]:
         ns = self.nanoseconds(t)
         dated = self._epoch_ns >= PLAUSIBLE_DATE_NS
         when = (

@@ -4,59 +4,68 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any, NamedTuple
 
 from .rerun_blueprint import blueprint
 from .rerun_images import draw_pictures
+from .rerun_later import made, rr
 from .rerun_map import draw_map
 from .rerun_recorder import Recorder
-from .rerun_scene import Scene
+from .rerun_scene import Picture, Scene
 from .rerun_series import draw_series
 from .rerun_sights import draw_sights
-
-if TYPE_CHECKING:
-    import rerun as rr
 
 APPLICATION = "locfuse"
 
 
-def write_recording(path: Path, scene: Scene, tab: str | None = None) -> Counter[str]:
-    """Write the scene to an .rrd and return how many rows every entity must have when it is read back.
+class Sketch(NamedTuple):
+    """A recording in values: thinned, free of the estimates it shows, and of Rerun."""
 
-    Raises RuntimeError where the disk is full or the file cannot be written.
-    """
-    import rerun as rr
-
-    stream = rr.RecordingStream(application(scene))
-    stream.set_log_time_enabled(False)
-    stream.set_log_tick_enabled(False)
-    with _strict():
-        stream.save(path)
-        try:
-            stream.send_blueprint(blueprint(scene, tab))  # active at once, in a viewer that runs already too
-            rows = draw(stream, scene)
-            stream.flush()
-        finally:
-            stream.disconnect()
-    return rows
+    name: str
+    application: str
+    layout: Any  # the blueprint, to be made
+    noted: Recorder
+    pictures: Iterable[Picture]  # read from the log as they are written: too big to be held
+    picture_rows: int | None
 
 
-def draw(stream: rr.RecordingStream, scene: Scene) -> Counter[str]:
-    """Send the scene to an open stream and return the rows sent to every entity."""
-    import rerun as rr
-
-    stream.send_recording_name(scene.name)
-    to = Recorder(stream, scene.drive)
+def sketch(scene: Scene, tab: str | None = None) -> Sketch:
+    """Draw a scene; `tab` names the tab of curves in front."""
+    to = Recorder(scene.drive)
     draw_map(to, scene)
     draw_sights(to, scene)
     draw_series(to, scene)
     if scene.table:
         to.static("result", rr.TextDocument(unfolded(scene.table), media_type=rr.MediaType.MARKDOWN))
-    draw_pictures(to, scene)
-    return to.rows
+    return Sketch(scene.name, application(scene), blueprint(scene, tab), to, scene.pictures, scene.picture_rows)
+
+
+def write_recording(path: Path, drawn: Sketch) -> Counter[str]:
+    """Write a sketch to an .rrd and return how many rows every entity must have when it is read back.
+
+    Raises RuntimeError where the disk is full or the file cannot be written.
+    """
+    import rerun
+
+    stream = rerun.RecordingStream(drawn.application)
+    stream.set_log_time_enabled(False)
+    stream.set_log_tick_enabled(False)
+    with _strict():
+        stream.save(path)
+        try:
+            stream.send_blueprint(made(drawn.layout))  # active at once, in a viewer that runs already too
+            stream.send_recording_name(drawn.name)
+            drawn.noted.write(stream)
+            if drawn.picture_rows is not None:
+                for _ in draw_pictures(drawn.noted, drawn.pictures, drawn.picture_rows):
+                    drawn.noted.write(stream)
+            stream.flush()
+        finally:
+            stream.disconnect()
+    return drawn.noted.rows
 
 
 def application(scene: Scene) -> str:

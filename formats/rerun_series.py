@@ -8,6 +8,7 @@ import numpy as np
 
 from ..fusion.data import VERDICTS, Array, Audit, Estimates, Evaluation, Ints, Measurements
 from . import rerun_colours as colours
+from .rerun_later import rr
 from .rerun_recorder import Recorder, part
 from .rerun_scene import Rgb, Scene, Sight
 from .rerun_thin import extremes
@@ -89,8 +90,6 @@ def draw_innovation(
 
 def draw_gate(to: Recorder, path: str, t: Array, m: Measurements, audit: Audit, limit: int) -> None:
     """Send what became of each reading, where that changes."""
-    import rerun as rr
-
     names = list(colours.STATES)
     states = thinned_states(reading_states(m, audit), limit)
     changes = np.flatnonzero(np.diff(states.code, prepend=-1))
@@ -145,8 +144,6 @@ def raw_path(topic: str, name: str = "") -> str:
 
 def curve(to: Recorder, path: str, t: Array, values: Array, name: str, colour: Rgb, limit: int) -> None:
     """Send one line."""
-    import rerun as rr
-
     if len(t) == 0:
         return
     picks = extremes(values, limit)
@@ -156,8 +153,6 @@ def curve(to: Recorder, path: str, t: Array, values: Array, name: str, colour: R
 
 def dots(to: Recorder, path: str, t: Array, values: Array, name: str, colour: Rgb, limit: int) -> None:
     """Send one cloud of dots."""
-    import rerun as rr
-
     if len(t) == 0:
         return
     picks = extremes(values, limit)
@@ -167,8 +162,6 @@ def dots(to: Recorder, path: str, t: Array, values: Array, name: str, colour: Rg
 
 def band(to: Recorder, path: str, t: Array, bound: Array, name: str, colour: Rgb, limit: int) -> None:
     """Send the two lines +-bound around zero; under the curve's own name the legend switches both."""
-    import rerun as rr
-
     if len(t) == 0:
         return
     picks = extremes(bound, limit)

@@ -14,6 +14,7 @@ from ..fusion.data import VERDICTS, Array, Audit, Estimates, Ints, Measurements
 from . import rerun_colours as colours
 from . import rerun_style as style
 from .rerun_geometry import mounted, quaternions, segments, to_map
+from .rerun_later import rr
 from .rerun_map import FLIP, ROOT
 from .rerun_recorder import Recorder, part
 from .rerun_scene import Scene, Sight
@@ -80,8 +81,6 @@ def _strips(m: Measurements, seen: Seen, sight: Sight, track: float) -> Array:
 
 def _send_groups(to: Recorder, path: str, seen: Seen, strips: Array, width: float) -> None:
     """Send one entity per group; a reading without a member of the group empties it."""
-    import rerun as rr
-
     group = WORDS[seen.audit.verdict]
     for name, colour in colours.GROUPS.items():
         members = np.flatnonzero(group == name)
@@ -107,8 +106,6 @@ def _labels(audit: Audit, rows: Ints) -> list[str]:
 
 def draw_scans(to: Recorder, scene: Scene) -> None:
     """Send the scans once, in the robot's frame: the map shows them through the best pose."""
-    import rerun as rr
-
     scans, best = scene.scans, scene.best
     if scans is None or len(scans.t) == 0:
         return

@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    import rerun as rr
+from .rerun_later import rr
 
 Colour = tuple[int, int, int] | tuple[int, int, int, int]
 
 
 def on_screen(points: float) -> Any:
     """Return a half width in points of the screen, the same at every zoom."""
-    import rerun as rr
-
     return rr.Radius.ui_points(points)
 
 
 def lines(colour: Colour, width: float, order: float | None = None) -> rr.LineStrips2D:
     """Return the style of line strips; labels wait for the mouse."""
-    import rerun as rr
-
     return rr.LineStrips2D.from_fields(
         colors=[colour], radii=[on_screen(width)], draw_order=order, show_labels=False
     )
@@ -28,6 +23,4 @@ def lines(colour: Colour, width: float, order: float | None = None) -> rr.LineSt
 
 def points(colour: Colour, width: float) -> rr.Points2D:
     """Return the style of points."""
-    import rerun as rr
-
     return rr.Points2D.from_fields(colors=[colour], radii=[on_screen(width)])

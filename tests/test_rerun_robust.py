@@ -21,6 +21,7 @@ from small_drive import robot as small_robot
 
 from locfuse.cli import rerun_viewer
 from locfuse.formats.rerun_file import check, save_recording, verify
+from locfuse.formats.rerun_recording import sketch
 from locfuse.formats.rerun_scene import Scene
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.fuse import fuse
@@ -49,7 +50,7 @@ def poor_scene() -> Scene:
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("whole") / "whole.rrd"
-    save_recording(path, poor_scene())
+    save_recording(path, sketch(poor_scene()))
     return path
 
 
@@ -168,6 +169,38 @@ def test_rerun_is_imported_only_when_asked_for(tmp_path: Path) -> None:
     words = ["compare", LOG, "--sensors", "odometry", "--write", "json", "-o", str(tmp_path / "out")]
     done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_recording_is_drawn_before_rerun_is_imported(tmp_path: Path) -> None:
+    """Rerun's import takes as much memory as an hour of estimates: they must not be held at once."""
+    code = (
+        "import sys\nfrom locfuse.cli import rerun_options\nfrom locfuse.cli.main import main\n"
+        "sketched = rerun_options.sketched\n"
+        "def drawn(*a):\n    found = sketched(*a)\n"
+        "    print('rerun' in sys.modules, found.name)\n    return found\n"
+        "rerun_options.sketched = drawn\n"
+        "try: main(sys.argv[1:])\nexcept SystemExit as e: assert not e.code\n"
+    )
+    words = [
+        "compare",
+        LOG,
+        "--write",
+        "json",
+        "--rerun-save",
+        str(tmp_path / "a.rrd"),
+        "-o",
+        str(tmp_path / "out"),
+    ]
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=False)
+    assert f"False {LOG}" in done.stdout, done.stderr
+
+
+def test_a_smoothed_configuration_at_a_lower_rate_is_recorded(tmp_path: Path) -> None:
+    words = ("--sensors", "lrf@2Hz", "--smooth", "--set", "lrf.map=refine", "--write", "json")
+    save = tmp_path / "drive.rrd"
+    done = locfuse("compare", LOG, *words, "-o", tmp_path / "out", "--rerun-save", save, "--rerun-images", "none")
+    assert not warnings_of(done.stderr)
+    assert check(save)["world/lrf\\@2Hz\\ smoothed/path"] > 100
 
 
 def test_a_recording_needs_no_pandas(tmp_path: Path) -> None:

@@ -76,7 +76,7 @@ def _effect(effect: Effect | None) -> dict[str, Any] | None:
 def _credit_words(c: SensorCredit, credit: Credit) -> str:
     main = c.credit or c.alone or c.last
     if main is None:
-        return "It was not compared with the same set without it."
+        return "No two of these sets differ by it alone; --all-subsets runs all of them."
     parts = [_main_words(c, main, len(credit.sensors) > 1, credit.logs)]
     if c.verdict == "hurts" and c.anees is not None and c.anees[1] > OVERCONFIDENT:
         parts.append(

@@ -30,11 +30,11 @@ class SensorCredit:
 
     verdict: Verdict
     credit: Effect | None  # Shapley value; None unless every subset was run
-    alone: Effect | None  # against odometry
+    alone: Effect | None  # against odometry, or `beside`
     last: Effect | None  # leave one out
     share: float | None  # of the whole improvement
     anees: tuple[float, float] | None  # without and with it, where adding it made the filter most overconfident
-    beside: tuple[str, ...] = ()  # sensors whose map it reads: "alone" is beside them
+    beside: tuple[str, ...] = ()  # sensors whose map it reads, or without which it was not run
 
 
 @dataclass(frozen=True)
@@ -54,12 +54,13 @@ def credit(judged: Mapping[Subset, Evaluation], sensors: Sequence[str]) -> Credi
     """Return the credit of `sensors` on one drive from evaluations by subset; None without truth.
 
     What can be said depends on which subsets were run: all 2^n for Shapley values, else alone and leave one out.
+    Of a sensor in none of them nothing is said.
     """
     if not judged or not sensors or any(len(e.t) == 0 for e in judged.values()):
         return None
     errors = Errors.of(np.stack([e.deviation for e in judged.values()]))
     book = _Book(list(judged), errors, _expected(judged.values()), [_anees(e) for e in judged.values()])
-    found = {s: book.sensor(s, sensors) for s in sensors}
+    found = {s: book.sensor(s, sensors) for s in sensors if any(s in run for run in judged)}
     t = next(iter(judged.values())).t
     return Credit(
         sensors=found,
@@ -168,13 +169,22 @@ class _Book:
     def sensor(self, sensor: str, sensors: Sequence[str]) -> SensorCredit:
         every = frozenset(sensors)
         shapley = self.effect(shapley_steps(sensor, sensors)) if self.complete(sensors) else None
-        beside = beside_whom(sensor)
+        beside = self._beside(sensor, sensors)
         alone = self.effect([Step(1.0, frozenset(beside), frozenset((*beside, sensor)))])
         last = self.effect([Step(1.0, every - {sensor}, every)])
         total = self.total(sensors)
         share = shapley.value / total if shapley and total is not None and total > NOTHING else None
         anees = self._worst_anees(sensor)
         return SensorCredit(verdict(shapley, alone, last, anees), shapley, alone, last, share, anees, beside)
+
+    def _beside(self, sensor: str, sensors: Sequence[str]) -> tuple[str, ...]:
+        """Return the sensors that it is added to: those it needs, else the fewest it was run with and without."""
+        usual = beside_whom(sensor)
+        run = [s for s in self.sets if sensor not in s and s | {sensor} in self.sets]
+        if not run or frozenset(usual) in run:
+            return usual
+        fewest = min(run, key=len)
+        return tuple(s for s in sensors if s in fewest)
 
     def _worst_anees(self, sensor: str) -> tuple[float, float] | None:
         """ANEES without and with the sensor, for the honest set of sensors whose ANEES it multiplies most."""

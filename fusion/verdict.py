@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-Verdict = Literal["helps", "does nothing", "hurts"]
+Verdict = Literal["helps", "does nothing", "hurts", "cannot tell"]
 
 NOTHING = 0.02  # an effect below 2 % is none, however sure
 EXPECTED = 0.15  # what filter and truth must both say where one drive cannot settle it
@@ -28,7 +28,7 @@ class Effect:
 def verdict(
     shapley: Effect | None, alone: Effect | None, last: Effect | None, anees: tuple[float, float] | None
 ) -> Verdict:
-    """Return one of three words. A difference that the drive cannot tell from chance is none.
+    """Return one of three words, a fourth where nothing was compared. What chance may have made is nothing.
 
     Hurts: the error surely grows, or the set is surely better off without the sensor, or the sensor turns an
     honest estimate into a confidently wrong one and does not surely halve the error. Helps: the error surely
@@ -36,7 +36,7 @@ def verdict(
     """
     main = shapley or alone or last
     if main is None:
-        return "does nothing"
+        return "cannot tell"
     if _surely(main, -1.0) or (last is not None and last.high < -LAST_HURTS):
         return "hurts"
     overconfident = anees is not None and anees[1] > max(OVERCONFIDENT, WORSE_ANEES * anees[0])

@@ -12,6 +12,7 @@ import small_drive
 from numpy.typing import NDArray
 from scipy import stats
 
+from locfuse.cli.verdicts import verdicts
 from locfuse.fusion.credit import Credit, credit, credit_over_logs, shapley_steps, subsets
 from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
@@ -149,6 +150,42 @@ def test_without_every_subset_only_the_effect_alone_is_known() -> None:
     assert found.sensors["lrf"].credit is None
     assert found.sensors["lrf"].last is None
     assert found.sensors["lrf"].alone is not None
+
+
+@pytest.mark.parametrize(
+    ("sets", "beside", "words"),
+    [
+        ((("lrf",), ("compass", "lrf")), {"compass": ("lrf",), "lrf": None}, "Beside lrf it makes lrf's"),
+        (
+            ((), ("compass",), ("compass", "lrf")),
+            {"compass": (), "lrf": ("compass",)},
+            "Alone it makes odometry's",
+        ),
+        (((), ("compass", "lrf")), {"compass": None, "lrf": None}, "No two of these sets differ"),
+        (((), ("compass",)), {"compass": ()}, "Alone it makes odometry's"),
+    ],
+)
+def test_a_sensor_is_judged_by_sets_that_differ_by_it_alone_and_not_at_all_where_there_are_none(
+    sets: tuple[tuple[str, ...], ...], beside: dict[str, tuple[str, ...] | None], words: str
+) -> None:
+    robot = small_drive.robot()
+    drive = small_drive.drive(1, robot)
+    judged = {frozenset(s): evaluate(fuse(drive, robot, s), drive) for s in sets}
+    found = credit(judged, SENSORS)
+    assert found is not None
+    assert list(found.sensors) == list(beside)
+    for sensor, others in beside.items():
+        if others is None:
+            assert found.sensors[sensor].verdict == "cannot tell"
+            continue
+        effect = found.sensors[sensor].alone
+        before, after = (judged[frozenset(s)].figures["position_rmse_m"] for s in (others, (*others, sensor)))
+        assert effect is not None
+        assert before is not None
+        assert after is not None
+        assert effect.value == pytest.approx(math.log(before / after))
+        assert found.sensors[sensor].beside == others
+    assert verdicts(found, [], {})["compass"]["words"].startswith(words)
 
 
 def test_there_is_no_credit_without_truth() -> None:

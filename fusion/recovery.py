@@ -173,7 +173,8 @@ class Guard:
             since = f"lost from {self._lost_from:.1f} s after the start until the end"
             words.append(f"{since}: no place on the map fits, or several do")
         if self._slips:
-            words.append(f"{self._slips} wheel slips recovered by the lines of the map")
+            slips = "1 wheel slip" if self._slips == 1 else f"{self._slips} wheel slips"
+            words.append(f"{slips} recovered by the lines of the map")
         return words
 
 

@@ -138,4 +138,4 @@ def test_a_slip_of_a_wheel_is_found_and_turned_back() -> None:
     found, figures = judged(Slipped(seconds=14.0), ["lrf"])
     after = figures.t > 8.2
     assert np.hypot(*figures.deviation[after].T).max() < 0.05
-    assert found.notes == ("lrf: 1 wheel slips recovered by the lines of the map",)
+    assert found.notes == ("lrf: 1 wheel slip recovered by the lines of the map",)

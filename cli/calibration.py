@@ -176,7 +176,9 @@ def _wheels(loaded: Sequence[Loaded]) -> WheelCalibration:
     drives = [one.drive for one in loaded if one.drive.truth is not None]
     if not drives:
         names = ", ".join(one.log.name for one in loaded)
-        raise LocfuseError(f"wheels: no truth in {names} to compare the wheels with (see [truth] topic)")
+        raise LocfuseError(
+            f"wheels: no truth in {names} to compare the wheels with (--set truth.topic=/TOPIC names it)"
+        )
     return calibrate_wheels(drives)
 
 

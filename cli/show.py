@@ -21,6 +21,7 @@ COLUMNS = (
     ("drift/5 m", "drift_5m", "{:.2%}"),
     ("ANEES", "anees", "{:.2f}"),
 )
+NO_TRUTH = "no truth in this log: the error figures do not exist; if a topic holds it: --set truth.topic=/TOPIC"
 
 
 class Progress(Protocol):
@@ -69,23 +70,32 @@ def figures(report: Mapping[str, Any]) -> None:
 
     console = Console()
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    columns = [c for c in COLUMNS if any(v.get(c[1]) is not None for v in report["configurations"].values())]
-    table.add_column("configuration", no_wrap=True, min_width=max(map(len, report["configurations"])))
-    pseudo = report.get("pseudo_reference")
-    titles = [title for title, _, _ in columns] or ["distance", *(["rms to smoothed"] if pseudo else [])]
-    for title in titles:
+    names, columns = list(report["configurations"]), _columns(report)
+    table.add_column("configuration", no_wrap=True, min_width=max(map(len, names)))
+    for title in columns:
         table.add_column(title, justify="right", no_wrap=True)
-    for name, values in report["configurations"].items():
-        cells = [number(values.get(key), form) for _, key, form in columns]
-        if not columns:
-            cells = [f"{values['distance_m']:.2f} m"]
-            if pseudo:
-                cells.append(f"{values['against_smoothed']['position_rmse_m']:.3f} m")
+    for name, *cells in zip(names, *columns.values(), strict=True):
         table.add_row(Text(name), *cells)
     console.print(table)
     sensors = _sensor_rows(report)
     if sensors:
         console.print(_sensor_table(sensors))
+
+
+def _columns(report: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Return a cell per configuration by title: its errors, and without truth what can be told all the same."""
+    rows = report["configurations"]
+    shown = [c for c in COLUMNS if any(values.get(c[1]) is not None for values in rows.values())]
+    if shown:
+        return {title: [number(values.get(key), form) for values in rows.values()] for title, key, form in shown}
+    columns = {"distance": [number(values["distance_m"], "{:.2f} m") for values in rows.values()]}
+    if report.get("pseudo_reference"):
+        against = (values["against_smoothed"]["position_rmse_m"] for values in rows.values())
+        columns["rms to smoothed"] = [number(rmse, "{:.3f} m") for rmse in against]
+    if report.get("prediction"):
+        gains = {r["configuration"]: r["gain_nats"] for r in report["prediction"]["ranking"]}
+        columns["predicts the rest"] = [number(gains.get(name), "{:+.2f} nats") for name in rows]
+    return columns
 
 
 def _sensor_rows(report: Mapping[str, Any]) -> list[tuple[str, ...]]:
@@ -136,7 +146,9 @@ def notes(report: Mapping[str, Any], losses: Sequence[str], quiet: bool) -> None
     if "pseudo_reference" in report:
         click.echo(f"note: {report['pseudo_reference']['words']}", err=True)
     if report["truth"] is None:
-        click.echo("no truth in this log: the error figures do not exist (see --help for [truth] topic)", err=True)
+        click.echo(NO_TRUTH, err=True)
+    if report.get("prediction"):
+        click.echo(f"note: {report['prediction']['trust']}", err=True)
     for line in losses:
         click.echo(f"lost: {line}", err=True)
 

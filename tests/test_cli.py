@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -119,7 +120,12 @@ def test_without_truth_the_other_rows_are_the_same_bytes(compared: Path, tmp_pat
     log = rewritten(tmp_path / "untrue.mcap", seed=None, without=topic)
     done = locfuse("compare", log, "-o", tmp_path / "out")
     assert done.exit_code == 0, done.stderr
-    assert "no truth" in done.stderr
+    assert "--set truth.topic=" in done.stderr
+    ranking = report_of(tmp_path / "out")["prediction"]["ranking"]
+    scores = {r["configuration"]: r["gain_nats"] for r in ranking if r["gain_nats"] is not None}
+    printed = dict(re.findall(r"^ (\w+) .* ([+-][\d.]+) nats", done.stdout, re.MULTILINE))
+    assert {name: float(text) for name, text in printed.items()} == pytest.approx(scores, abs=0.005)
+    assert "Trust it to find" in done.stderr
     with_truth = set((compared / "all.tum").read_text().splitlines())
     without = (tmp_path / "out" / "all.tum").read_text().splitlines()
     assert len(without) > 500

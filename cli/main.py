@@ -78,8 +78,7 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     except click.exceptions.Exit as e:
         code = e.exit_code
     except click.ClickException as e:
-        e.show()
-        code = 2
+        code = _misused(e)
     except (KeyboardInterrupt, click.Abort):
         code = _say("interrupted; nothing was left half-written", INTERRUPTED)
     except _Terminated:
@@ -93,6 +92,16 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     except Exception as e:
         code = _expected(e)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _misused(e: click.ClickException) -> int:
+    """Say in one line what is wrong with the command line and where it is explained; no words get the help."""
+    if isinstance(e, getattr(click.exceptions, "NoArgsIsHelpError", ())):  # click 8.1 shows it by itself
+        e.show()
+        return 2
+    context = getattr(e, "ctx", None)
+    command = "locfuse" if context is None else context.command_path
+    return _say(f"{e.format_message().rstrip('.')}; see: {command} --help", 2)
 
 
 def _expected(e: Exception) -> int:

@@ -153,7 +153,9 @@ BAD = [
     (("run", LOG, "--robot", "{broken}"), 1, "broken.toml"),
     (("run", LOG, "--write", "pdf"), 2, "unknown output 'pdf'"),
     (("run", "{wheelless}"), 1, "has no topic /joint_states"),
-    (("compare", LOG, "--bogus"), 2, "No such option"),
+    (("compare", LOG, "--bogus"), 2, "see: locfuse compare --help"),
+    (("compare", LOG, "--align", "left"), 2, "'left' is not one of"),
+    (("run",), 2, "Missing argument 'LOG...'; see: locfuse run --help"),
     (("frobnicate",), 2, "No such command"),
 ]
 
@@ -182,8 +184,8 @@ def test_bad_input_gets_one_clear_line_and_nothing_is_written(
     assert says in done.stderr
     assert done.stdout == ""
     assert "Traceback" not in done.stderr
-    if done.stderr.startswith("locfuse:"):
-        assert len(done.stderr.strip().splitlines()) == 1
+    assert done.stderr.startswith("locfuse: ")
+    assert len(done.stderr.strip().splitlines()) == 1
     assert not out.exists()
 
 

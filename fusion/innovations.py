@@ -65,32 +65,25 @@ class Heard(NamedTuple):
 def own(audit: Audit, m: Measurements) -> Own | None:
     """Return what a run's innovations of one sensor say; None where too few were compared."""
     d = audit.y.shape[1]
-    used = np.flatnonzero(audit.verdict == ACCEPTED)
     far = np.isin(audit.verdict, (GATE, UNMATCHED)) & (audit.nis > audit.threshold)
     compared = np.flatnonzero((audit.verdict == ACCEPTED) | (far & (audit.verdict == GATE)))
     if len(compared) < 2 * LAGS:
         return None
-    nis = audit.nis[used]
+    accepted = int((audit.verdict == ACCEPTED).sum())
     refused = int(np.isin(audit.verdict, (GATE, UNMATCHED, LOST)).sum())
-    bounds = mean_bounds(CONFIDENCE, d, max(1.0, len(nis) / _repeats(nis, audit.landmark[used])))
+    nis, bounds, raw = _accepted(audit, int(far.sum()), d)
     told, R = _told(audit, m, compared)
-    y = audit.y[compared]
-    middle = _medians(y)
-    deviation = np.array([np.median(np.abs(y[:, i] - middle[i])) for i in range(d)]) / MAD
-    unit = y  # in place: an hour of lines is big
-    unit /= audit.sigma[compared]
-    bias = tuple(unit.mean(axis=0).tolist())
-    unit -= _medians(unit)
-    whiteness = _by_landmark(unit, audit.landmark[compared])
-    raw = _scale(nis, int(far.sum()), d)
+    shape = _shape(audit, compared)
+    whiteness = shape.whiteness
+    lasts = math.sqrt(_memory(np.append(1.0, whiteness)) / len(compared))
     return Own(
         compared=len(compared),
-        refused=refused / (len(used) + refused),
-        nis=float(nis.mean()) / d if len(nis) else math.nan,
+        refused=refused / (accepted + refused),
+        nis=nis,
         bounds=bounds,
-        bias=bias,
-        middle=tuple(middle.tolist()),
-        sure=tuple((deviation * math.sqrt(_memory(np.append(1.0, whiteness)) / len(compared))).tolist()),
+        bias=tuple(shape.bias.tolist()),
+        middle=tuple(shape.middle.tolist()),
+        sure=tuple((shape.deviation * lasts).tolist()),
         whiteness=tuple(whiteness.tolist()),
         raw=raw,
         scale=raw * min(max(1.0 - whiteness[0] * told, 0.3), 2.0),
@@ -98,6 +91,36 @@ def own(audit: Audit, m: Measurements) -> Own | None:
         share=1.0 / told,
         R=tuple(R.tolist()),
     )
+
+
+def _accepted(audit: Audit, far: int, d: int) -> tuple[float, tuple[float, float], float]:
+    """Return of what was accepted the mean NIS per degree of freedom, its bounds, and the factor on S."""
+    used = np.flatnonzero(audit.verdict == ACCEPTED)
+    nis = audit.nis[used]
+    bounds = mean_bounds(CONFIDENCE, d, max(1.0, len(nis) / _repeats(nis, audit.landmark[used])))
+    return float(nis.mean()) / d if len(nis) else math.nan, bounds, _scale(nis, far, d)
+
+
+class _Shape(NamedTuple):
+    """Innovations of d numbers: where they lie, and how long their errors last."""
+
+    middle: Array  # (d,) median
+    deviation: Array  # (d,) by the median deviation
+    bias: Array  # (d,) mean in predicted standard deviations
+    whiteness: Array  # (LAGS,)
+
+
+def _shape(audit: Audit, compared: Ints) -> _Shape:
+    """Return the figures of the innovations at these rows (k,); in place, since an hour of lines is big."""
+    y = audit.y[compared]
+    middle = _medians(y)
+    deviation = np.array([np.median(np.abs(c - centre)) for c, centre in zip(y.T, middle, strict=True)]) / MAD
+    y /= audit.sigma[compared]
+    bias = y.mean(axis=0)
+    y -= _medians(y)
+    order = np.argsort(audit.landmark[compared], kind="stable")
+    y, mark = y[order], audit.landmark[compared[order]]
+    return _Shape(middle, deviation, bias, _whiteness(y, mark))
 
 
 def _told(audit: Audit, m: Measurements, compared: Ints) -> tuple[float, Array]:
@@ -130,12 +153,16 @@ def _repeats(values: Array, landmark: Counts) -> float:
 
 def _by_landmark(values: Array, landmark: Counts) -> Array:
     """Autocorrelation at lags 1..LAGS of values (k, d) along the sequence of each landmark, (LAGS,)."""
-    if len(values) < 2:
-        return np.zeros(LAGS)
     order = np.argsort(landmark, kind="stable")
-    v, mark = values[order], landmark[order]
-    variance = np.maximum((v**2).mean(axis=0), 1e-300)
+    return _whiteness(values[order], landmark[order])
+
+
+def _whiteness(v: Array, mark: Counts) -> Array:
+    """Autocorrelation at lags 1..LAGS of values (k, d) that are sorted by their landmark (k,), (LAGS,)."""
     out = np.zeros(LAGS)
+    if len(v) < 2:
+        return out
+    variance = np.maximum((v**2).mean(axis=0), 1e-300)
     for lag in range(1, min(LAGS, len(v) - 1) + 1):
         same = mark[lag:] == mark[:-lag]
         if same.any():

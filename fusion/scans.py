@@ -93,19 +93,44 @@ def deskew(
     return middle, (1.0 - f) * poses[:, low] + f * poses[:, low + 1]
 
 
-def in_order(parts: list[tuple[Ints, Lines]], n: int) -> tuple[Ints, Array, Array, Array]:
-    """Put the lines of all blocks into reading order: first (n + 1,), z, R_unit, ends."""
-    counts = np.zeros(n, dtype=np.int64)
-    for at, lines in parts:
-        counts[at] = np.diff(lines.first)
-    first = np.concatenate(([0], np.cumsum(counts)))
-    total = int(first[-1])
-    z, R_unit, ends = np.empty((total, 2)), np.empty((total, 2, 2)), np.empty((total, 2))
-    for at, lines in parts:
-        per_scan = np.diff(lines.first)
-        rows = np.repeat(first[at] - lines.first[:-1], per_scan) + np.arange(len(lines.z))
-        z[rows], R_unit[rows], ends[rows] = lines.z, lines.R_unit, lines.ends
-    return first, z, R_unit, ends
+class Gathered:
+    """The lines of a log, gathered block by block in the order of the file."""
+
+    def __init__(self) -> None:
+        self._at: list[Ints] = []
+        self._counts: list[Ints] = []
+        self._z, self._R_unit, self._ends = [np.empty((0, 2))], [np.empty((0, 2, 2))], [np.empty((0, 2))]
+
+    def add(self, at: Ints, lines: Lines) -> None:
+        """Add the lines of the readings `at` (k,); of each line what a measurement needs."""
+        self._at.append(at)
+        self._counts.append(np.diff(lines.first))
+        self._z.append(lines.z)
+        self._R_unit.append(lines.R_unit)
+        self._ends.append(lines.ends)
+
+    def in_order(self, n: int) -> tuple[Ints, Array, Array, Array]:
+        """Return the lines of n readings in their order: first (n + 1,), z, R_unit, ends. Nothing stays here."""
+        at, counts = (np.concatenate([np.empty(0, np.int64), *pieces]) for pieces in (self._at, self._counts))
+        of_reading = np.zeros(n, dtype=np.int64)
+        of_reading[at] = counts
+        first = np.concatenate(([0], np.cumsum(of_reading)))
+        rows = None
+        if (np.diff(at) < 0).any():
+            rows = np.repeat(first[at] - np.cumsum(counts) + counts, counts) + np.arange(first[-1])
+        z, R_unit, ends = (_joined(pieces, rows) for pieces in (self._z, self._R_unit, self._ends))
+        return first, z, R_unit, ends
+
+
+def _joined(pieces: list[Array], rows: Ints | None) -> Array:
+    """Return pieces as one array, line k at rows[k] (m,); the pieces are let go of: an hour of them is big."""
+    whole = np.concatenate(pieces)
+    pieces.clear()
+    if rows is None:
+        return whole
+    ordered = np.empty_like(whole)
+    ordered[rows] = whole
+    return ordered
 
 
 def turns(first: Ints, z: Array, variance: Array) -> Array:

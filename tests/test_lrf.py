@@ -18,8 +18,10 @@ from locfuse.fusion.fuse import fuse
 from locfuse.fusion.joint import JointBelief
 from locfuse.fusion.line_map import LineMap
 from locfuse.fusion.line_tracker import LineTracker
+from locfuse.fusion.lines import Lines
 from locfuse.fusion.measure import measure
 from locfuse.fusion.scan import Scan
+from locfuse.fusion.scans import Gathered
 
 UPPER = (0.01, 0.001, 0.0005, 0.02, -0.0004, 0.001)
 # pose, line (rho, beta about its anchor), anchor: ordinary, C near 0, robot near pi, far from the origin
@@ -242,3 +244,28 @@ def test_a_moving_robots_scan_is_deskewed_to_its_middle() -> None:
         errors[deskew] = max(worst)
     assert errors[True] < math.radians(0.1)
     assert errors[False] > math.radians(1.0)
+
+
+def test_lines_of_scans_that_lie_in_the_file_in_any_order_come_in_the_order_of_the_scans() -> None:
+    counts = np.array([2, 0, 3, 1])
+    first = np.concatenate(([0], np.cumsum(counts)))
+    line = np.arange(6.0)
+    z, R_unit = np.stack((line, -line), axis=-1), line[:, None, None] * np.eye(2)
+    shuffled, straight = Gathered(), Gathered()
+    for gathered, blocks in ((shuffled, ([2, 0], [3, 1])), (straight, ([0, 1, 2], [3]))):
+        for at in blocks:
+            rows = np.concatenate([np.arange(first[i], first[i + 1]) for i in at])
+            begin = np.concatenate(([0], np.cumsum(counts[at])))
+            whole = Lines(
+                begin, z[rows], R_unit[rows], z[rows] + 1.0, rows, line[rows], np.zeros((len(rows), 2), int)
+            )
+            gathered.add(np.array(at), whole)
+    for found in (shuffled.in_order(4), straight.in_order(4)):
+        for column, expected in zip(found, (first, z, R_unit, z + 1.0), strict=True):
+            np.testing.assert_array_equal(column, expected)
+
+
+def test_a_log_without_scans_has_no_lines() -> None:
+    first, z, R_unit, ends = Gathered().in_order(0)
+    assert first.tolist() == [0]
+    assert (z.shape, R_unit.shape, ends.shape) == ((0, 2), (0, 2, 2), (0, 2))

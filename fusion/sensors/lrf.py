@@ -15,8 +15,8 @@ import numpy as np
 
 from ..data import Array, Ints, Measurements, Stream
 from ..line_tracker import LineTracker
-from ..lines import Lines, LineSettings
-from ..scans import Laser, equal_scans, in_order, lines_in_base, too_many_beams, turns
+from ..lines import LineSettings
+from ..scans import Gathered, Laser, equal_scans, lines_in_base, too_many_beams, turns
 from ..wall_floor import wall_floor
 from .base import SensorSettings, WheelMotion
 from .mount import Mount, MountedSettings
@@ -66,15 +66,14 @@ class Lrf:
         """Extract the lines of every scan, deskewed to the middle of the scan, in the base frame."""
         stamps: Array = (stream.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset
         t, laser = stamps.copy(), laser_of(settings)
-        parts: list[tuple[Ints, Lines]] = []
-        giants = 0
+        found, giants = Gathered(), 0
         for rows, columns in stream.blocks(*self.reads[stream.msgtype], rows=SCANS_PER_BLOCK):
             giants += too_many_beams(columns)
             for group, scans in equal_scans(columns):
                 at = rows[group]
                 lines, t[at] = lines_in_base(scans, stamps[at], laser, wheels)
-                parts.append((at, lines))
-        first, z, R_unit, ends = in_order(parts, len(t))
+                found.add(at, lines)
+        first, z, R_unit, ends = found.in_order(len(t))
         uneven = unevenness(settings, t, first, z, R_unit, wheels)
         floor = np.maximum(uneven, np.square((settings.floor_range, math.radians(settings.floor_angle_deg))))
         extra = {"ends": ends}

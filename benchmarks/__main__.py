@@ -17,7 +17,7 @@ from pathlib import Path
 
 import click
 
-from benchmarks.figures import MINUTE, PEAK, Command, Figure, Kernel, Logs, figures, kernels, module
+from benchmarks.figures import MINUTE, Command, Figure, Kernel, Logs, figures, kernels, module
 from benchmarks.process import Cost, cost
 
 ROOT = Path(__file__).parent.parent
@@ -115,7 +115,7 @@ def main(rounds: int, minutes: float, only: str, folder: Path | None) -> None:
         inner = [k for k in kernels(on) if only in k.name]
         costs = in_turns([c for f in wanted for c in (f.ours, f.theirs)], rounds)
         rows = [process_row(f, costs) for f in wanted]
-        rows += [memory_row(f"peak memory, {f.name}", PEAK, costs[f.ours]) for f in wanted if f.memory]
+        rows += [memory_row(f"peak memory, {f.name}", f.peak, costs[f.ours]) for f in wanted if f.peak]
         rows += [kernel_row(k) for k in inner]
         click.echo(table(rows))
         said = subprocess.run(module("decode", "ours", on.hour), check=True, capture_output=True, text=True).stdout

@@ -23,7 +23,7 @@ class Figure(NamedTuple):
     goal: float
     ours: Command
     theirs: Command
-    memory: bool = False  # our peak memory is a figure too
+    peak: float | None = None  # MB: our peak memory is a figure too
 
 
 class Kernel(NamedTuple):
@@ -35,7 +35,6 @@ class Kernel(NamedTuple):
 
 
 MINUTE = ("--minutes", "1", "--image-hz", "10")
-PEAK = 200.0  # MB
 FROZEN = ("--set", "lrf.map=first-scan")
 
 
@@ -56,12 +55,14 @@ def figures(logs: Logs, out: Path, length: str) -> list[Figure]:
     ours = module("decode", "ours", logs.hour)
     one = locfuse("run", logs.hour, *FROZEN, *how)
     five = locfuse("compare", logs.hour, *FROZEN, *how)
+    recorded = (*five, "--rerun-save", f"{out}.rrd")
     pictures = locfuse("compare", logs.minute, *how)
     return [
         Figure("60 s, 600 pictures: five configurations / stock", 1.25, pictures, stock_minute),
         Figure("60 s, 600 pictures: five configurations / one", 1.25, pictures, locfuse("run", logs.minute, *how)),
         Figure(f"{length}: one configuration, frozen map / stock", 0.45, one, stock),
-        Figure(f"{length}: five configurations, frozen map / stock", 0.70, five, stock, memory=True),
+        Figure(f"{length}: five configurations, frozen map / stock", 0.70, five, stock, peak=200.0),
+        Figure(f"{length}: five configurations with a Rerun recording / without", 1.5, recorded, five, peak=300.0),
         Figure(f"{length}: one configuration, `grow` / stock", 0.90, locfuse("run", logs.hour, *how), stock),
         Figure(f"{length}: reading and decoding / stock", 0.10, ours, stock),
         Figure(f"{length}: reading and decoding / rosbags", 0.35, ours, module("decode", "rosbags", logs.hour)),

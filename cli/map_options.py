@@ -25,9 +25,16 @@ class MapOptions:
     save: Path | None
 
     def give(self, loaded: Loaded) -> Loaded:
-        """Return the log with a robot that localises in the given map. Raises LocfuseError for a bad file."""
+        """Return the log with a robot that localises in the given map.
+
+        Raises LocfuseError for a bad file, UsageError for the printed filter: its map is the first scan's.
+        """
         if self.given is None:
             return loaded
+        if loaded.robot.preset == "paper":
+            raise UsageError(
+                "--map: the paper's filter knows its first scan's walls only; leave --preset paper out"
+            )
         from ..formats import line_map_file
 
         robot = loaded.robot

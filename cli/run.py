@@ -98,7 +98,7 @@ def run(
             files["run.json"] = report_json.encode(report)
         folder = out or results.default_folder(loaded.log.name)
         write_results(folder, files, overwrite)
-        maps.keep(estimates, loaded.log.name)
+        maps.keep(found[0], loaded.log.name)
         if audit is not None:
             with whole_file(audit) as path:
                 path.write_text(audit_csv(drive, found[0]))

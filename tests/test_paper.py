@@ -14,6 +14,7 @@ import small_drive
 from commands import locfuse
 from numpy.typing import NDArray
 
+from locfuse.formats import line_map_file
 from locfuse.fusion import paper
 from locfuse.fusion.data import Drive, LocfuseError, Measurements
 from locfuse.fusion.evaluate import evaluate
@@ -377,3 +378,11 @@ def test_an_unknown_preset_is_refused_with_the_known_ones(log: Path, tmp_path: P
     done = locfuse("run", log, "--robot", robot, "-o", tmp_path / "out")
     assert done.exit_code == 1
     assert "choose from default, paper" in done.stderr
+
+
+def test_the_printed_filter_refuses_a_given_map_and_does_not_pass_it_by(tmp_path: Path) -> None:
+    hall = tmp_path / "hall.json"
+    hall.write_text(line_map_file.encode((), "nowhere"))
+    done = locfuse("run", "rounded_rectangle", "--map", hall, "--preset", "paper", "-o", tmp_path / "out")
+    assert done.exit_code == 2
+    assert "leave --preset paper out" in done.stderr

@@ -91,8 +91,19 @@ def cut(
         truth_instant=truth_instant,
         dropped=dropped,
         wheels=wheels,
-        notes=tuple(lag_notes(wheels, measurements)),
+        notes=(*_silence_notes(wheels), *lag_notes(wheels, measurements)),
     )
+
+
+def _silence_notes(wheels: Wheels) -> list[str]:
+    """Say where the counters tell how far the wheels rolled, and not which way the robot took."""
+    silent = np.flatnonzero(wheels.silence[:, 1] > 0.0)
+    if not len(silent):
+        return []
+    longest = silent[np.argmax(np.diff(wheels.t)[silent])]
+    when = f"{wheels.t[longest]:.1f}-{wheels.t[longest + 1]:.1f} s"
+    times = "once" if len(silent) == 1 else f"{len(silent)} times, longest"
+    return [f"wheels: silent {times} ({when}): which way the robot took there is not known, and P grows by that"]
 
 
 def instants(wheel_t: Array, sensor_t: list[Array]) -> Array:

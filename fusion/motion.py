@@ -13,6 +13,7 @@ import numpy as np
 from . import se2
 from .data import Array, Ints, Motions
 
+SILENCE, SILENCE_PERIODS = 0.5, 5.0  # s, median periods: over a longer one the way is not known, only the sums
 BLOCK = 8192  # intervals at a time: what is needed on the way is many times larger than the result
 PARAMETERS = ("scale_left", "scale_right", "track")  # relative corrections, 0 = as given
 
@@ -37,6 +38,7 @@ class Wheels:
     pose: Array  # (n, 3) dead reckoning from (0, 0, 0)
     track: float  # m
     noise: float  # m: variance per metre rolled
+    silence: Array  # (n-1, 2) where the way between two readings is not known: variance of the place [m^2], rad/s
 
     @classmethod
     def from_wheels(cls, t: Array, left: Array, right: Array, track: float, noise: float) -> Wheels:
@@ -44,7 +46,7 @@ class Wheels:
         rolled = np.stack((np.diff(left), np.diff(right)), axis=-1)
         ds, turn = body_increments(rolled[:, 0], rolled[:, 1], track)
         twist = np.stack((ds, np.zeros_like(ds), turn), axis=-1)
-        return cls(t, twist, rolled, dead_reckoning(twist), track, noise)
+        return cls(t, twist, rolled, dead_reckoning(twist), track, noise, silences(t, rolled, turn))
 
     @classmethod
     def from_poses(cls, t: Array, poses: Array, track: float, noise: float) -> Wheels:
@@ -55,10 +57,10 @@ class Wheels:
 
     @classmethod
     def from_twists(cls, t: Array, twist: Array, track: float, noise: float) -> Wheels:
-        """Build from body twists (n-1, 3) between the times t (n,)."""
+        """Build from body twists (n-1, 3) between the times t (n,): they are known over a silence too."""
         half = 0.5 * track * twist[:, 2]
         rolled = np.stack((twist[:, 0] - half, twist[:, 0] + half), axis=-1)
-        return cls(t, twist, rolled, dead_reckoning(twist), track, noise)
+        return cls(t, twist, rolled, dead_reckoning(twist), track, noise, np.zeros_like(rolled))
 
     def at(self, t: Array) -> tuple[Ints, Array, Array]:
         """Return for each time the wheel interval, the share of it that has passed, and the dead-reckoned pose.
@@ -97,7 +99,7 @@ class Wheels:
         u = se2.between(pieces.start, pieces.end)
         columns = pieces.jacobian(self.track)  # (m, 3, 2) left, right
         variance = self.noise * np.abs(pieces.rolled)  # (m, 2)
-        Q = pieces.total((columns * variance[:, None]) @ columns.transpose(0, 2, 1))
+        Q = pieces.total((columns * variance[:, None]) @ columns.transpose(0, 2, 1) + pieces.unseen())
         J = np.zeros((len(u), 3, 0))
         if parameters:
             J = pieces.total(pieces.by_parameters(columns))
@@ -115,6 +117,9 @@ class _Pieces:
     b: Array  # (m, 3) at its end
     twist: Array  # (m, 3)
     rolled: Array  # (m, 2)
+    share: Array  # (m,) of the wheel interval
+    span: Array  # (m,) s
+    silence: Array  # (m, 2) of the wheel interval
     start: Array  # (n, 3) at the interval's start
     end: Array  # (n, 3)
 
@@ -128,11 +133,12 @@ class _Pieces:
         k = k0[interval] + nth
         share_a = np.where(nth == 0, f0[interval], 0.0)
         share_b = np.where(k == k1[interval], f1[interval], 1.0)
-        share = (share_b - share_a)[:, None]
+        share = share_b - share_a
         a = se2.compose(wheels.pose[k], se2.exp(share_a[:, None] * wheels.twist[k]))
-        twist = share * wheels.twist[k]
+        twist = share[:, None] * wheels.twist[k]
         b = se2.compose(a, se2.exp(twist))
-        return cls(interval, len(t_from), a, b, twist, share * wheels.rolled[k], start, end)
+        rolled, span = share[:, None] * wheels.rolled[k], share * (wheels.t[k + 1] - wheels.t[k])
+        return cls(interval, len(t_from), a, b, twist, rolled, share, span, wheels.silence[k], start, end)
 
     def total(self, terms: Array) -> Array:
         """Sum terms (m, ...) over the pieces of each interval, (n, ...)."""
@@ -140,6 +146,16 @@ class _Pieces:
         if len(terms):
             first = np.flatnonzero(np.diff(self.interval, prepend=-1))
             out[self.interval[first]] = np.add.reduceat(terms, first, axis=0)
+        return out
+
+    def unseen(self) -> Array:
+        """Covariance of each piece by what the wheels did unseen, (m, 3, 3): none but in a silence.
+
+        A whole silence leaves no doubt about the heading, which is the difference of the sums; a part of it does.
+        """
+        out = np.zeros((len(self.share), 3, 3))
+        out[:, 0, 0] = out[:, 1, 1] = self.share * self.silence[:, 0]
+        out[:, 2, 2] = (1.0 - self.share) * (self.silence[:, 1] * self.span) ** 2 / 3.0
         return out
 
     def jacobian(self, track: float) -> Array:
@@ -165,6 +181,23 @@ class _Pieces:
         by_track = -self.twist[:, 2:3] * self.turning()
         scales = columns * self.rolled[:, None, :]
         return np.concatenate((scales, by_track[:, :, None]), axis=2)
+
+
+def silences(t: Array, rolled: Array, turn: Array) -> Array:
+    """Return for each interval the variance of the place reached [m^2] and the turning rate [rad/s], (n-1, 2).
+
+    Both are 0 but where the wheels were silent: there the counters say how far either wheel rolled and not in
+    which order, so that a straight line, an arc and two corners look the same. With the fastest usual turning w
+    the heading strays from the even turn by up to w T / 2 and back, uniformly w T / 4 on average, and the place
+    by that much of the way; at most it lies anywhere in a disc about the start.
+    """
+    span, way = np.diff(t), 0.5 * np.abs(rolled).sum(axis=1)
+    silent = span > max(SILENCE, SILENCE_PERIODS * float(np.median(span)))
+    if not silent.any():
+        return np.zeros((len(span), 2))
+    fastest = float(np.percentile(np.abs(turn[~silent]) / span[~silent], 99))
+    astray = way * np.minimum(0.5, fastest * span / (4.0 * np.sqrt(3.0)))
+    return np.where(silent[:, None], np.stack((astray**2, np.full_like(span, fastest)), axis=-1), 0.0)
 
 
 def dead_reckoning(twist: Array) -> Array:

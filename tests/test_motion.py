@@ -149,3 +149,58 @@ def test_relative_motion_between_any_two_times_follows_the_arc() -> None:
     rate = np.array([0.012, 0.0, 0.004 / TRACK]) / 0.02
     expected = se2.exp((t[1] - t[0])[:, None] * rate)
     np.testing.assert_allclose(wheels.relative(t[0], t[1]), expected, atol=1e-12)
+
+
+def wanderer(seed: int, silence: tuple[float, float]) -> tuple[Wheels, Wheels]:
+    """A minute of straight pieces and turns by chance: all that the wheels said, and the same with a silence."""
+    rng = np.random.default_rng(seed)
+    turning = np.repeat(rng.choice([-0.45, 0.0, 0.0, 0.45], size=75), 40)  # rad/s, anew every 0.8 s
+    speed = 0.3 + np.stack((-0.5 * TRACK * turning, 0.5 * TRACK * turning), axis=-1)
+    t: Any = np.arange(len(turning) + 1) * 0.02
+    way: Any = np.concatenate((np.zeros((1, 2)), np.cumsum(speed * 0.02, axis=0)))
+    heard = (t <= silence[0]) | (t >= silence[1])
+    whole, gappy = (Wheels.from_wheels(t[k], way[k, 0], way[k, 1], TRACK, 1e-12) for k in (t >= 0.0, heard))
+    return whole, gappy
+
+
+@pytest.mark.parametrize("seconds", [2.0, 5.0, 12.0])
+def test_where_a_robot_went_while_its_wheels_were_silent_lies_within_three_sigma(seconds: float) -> None:
+    a, b = np.array([20.0]), np.array([20.0 + seconds])
+    errors, sigmas = [], []
+    for seed in range(200):
+        whole, gappy = wanderer(seed, (a[0], b[0]))
+        told, true = gappy.between(a, b), whole.between(a, b)
+        errors.append(np.abs(told.u - true.u)[0])
+        sigmas.append(np.sqrt(np.diag(told.Q[0])))
+    error, sigma = np.array(errors), np.array(sigmas)
+    assert (error[:, :2] < 3.0 * sigma[:, :2]).all()
+    assert np.sqrt((error[:, :2] ** 2).mean()) > 0.2 * np.sqrt((sigma[:, :2] ** 2).mean())  # and not by much
+    assert error[:, 2].max() < 1e-9  # how far it turned is the difference of the sums
+    assert sigma[:, 2].max() < 1e-5
+
+
+def test_halfway_through_a_silence_the_heading_lies_within_three_sigma_too() -> None:
+    a, b = np.array([20.0]), np.array([23.0])
+    errors, sigmas = [], []
+    for seed in range(200):
+        whole, gappy = wanderer(seed, (20.0, 26.0))
+        told, true = gappy.between(a, b), whole.between(a, b)
+        errors.append(abs(told.u - true.u)[0, 2])
+        sigmas.append(math.sqrt(told.Q[0, 2, 2]))
+    assert (np.array(errors) < 3.0 * np.array(sigmas)).all()
+    assert max(errors) > 0.3
+
+
+def test_wheels_that_speak_rarely_or_in_bursts_are_not_silent() -> None:
+    bursts = np.repeat(np.arange(100.0), 10) * 0.2 + np.tile(np.arange(10.0), 100) * 1e-4
+    for when in (np.arange(100.0), bursts):
+        t: Any = when
+        way = 0.3 * t
+        wheels = Wheels.from_wheels(t, way, way + 0.1 * np.sin(t), TRACK, K)
+        assert not wheels.silence.any()
+
+
+def test_an_odometry_knows_its_way_over_a_silence() -> None:
+    t = np.array([0.0, 0.1, 0.2, 0.3, 5.0, 5.1])
+    poses = np.stack((t, np.sin(t), 0.1 * t), axis=-1)
+    assert not Wheels.from_poses(t, poses, 0.3, K).silence.any()

@@ -174,6 +174,18 @@ def test_zero_filled_hole_is_done_with_loss(tmp_path: Path) -> None:
     assert sum(reason["messages"] for reason in lost.values()) > 10
 
 
+def test_a_lost_chunk_leaves_seconds_without_wheels_and_no_estimate_that_is_sure_and_wrong(tmp_path: Path) -> None:
+    content = bytearray((Path(str(sample_logs.__path__[0])) / "rounded_rectangle.mcap").read_bytes())
+    content[len(content) // 2] ^= 4
+    (tmp_path / "flipped.mcap").write_bytes(content)
+    done = locfuse("compare", tmp_path / "flipped.mcap", "--write", "json", "-o", tmp_path / "out")
+    assert done.exit_code == 3
+    assert re.search(r"note: .*wheels: silent once \(23\.\d-31\.\d s\)", done.stderr)
+    for name, values in json.loads((tmp_path / "out" / "report.json").read_text())["configurations"].items():
+        assert values["anees"] < 3.0, name
+        assert values["final_position_error_m"] < 0.01 or "lrf" not in values["sensors"]
+
+
 @pytest.mark.parametrize("content", [b"", b"\0" * 5000, b"hello", b"\x89MCAP0\r\n", b"PK\3\4" + b"x" * 100])
 def test_empty_or_not_mcap_is_one_line(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "x.mcap").write_bytes(content)

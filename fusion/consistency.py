@@ -25,7 +25,7 @@ from .cures import (
     disagrees,
 )
 from .data import Drive, Estimates
-from .innovations import Heard, Own, heard, own
+from .innovations import Heard, Own, heard, own, usual_period
 from .robot import Robot
 
 SICK = LARGER**2  # a run with a sensor whose variance is understated by more is no witness
@@ -108,7 +108,9 @@ class Court:
         if run is None or mine is None or mine.compared < LEAST:
             return self._unclear(sensor)
         m = run.drive.measurements[sensor]
-        period = float(np.median(np.diff(m.t)))
+        period = usual_period(m.t)
+        if period is None:
+            return self._unclear(sensor)
         return by_itself(sensor, settings, mine, np.diagonal(m.floor).tolist(), period)
 
     def _unclear(self, sensor: str) -> Finding:

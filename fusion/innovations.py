@@ -220,8 +220,21 @@ def _some(n: int) -> Ints:
     return (starts[:, None] + np.arange(STRETCH)).ravel()
 
 
-def _agreement(rows: Array, unknown: bool) -> Heard:
-    """Return the figures of readings (k, 4): t, y, variance of the reference, R. `unknown`: y has an offset."""
+def usual_period(t: Array) -> float | None:
+    """Return the median time [s] from one instant with readings to the next; None where all share one instant."""
+    gaps = np.diff(t)
+    apart = gaps[gaps > 0.0]
+    return float(np.median(apart)) if len(apart) else None
+
+
+def _agreement(rows: Array, unknown: bool) -> Heard | None:
+    """Return the figures of readings (k, 4): t, y, variance of the reference, R. `unknown`: y has an offset.
+
+    None where they share one instant: such readings do not tell how long an error lasts.
+    """
+    period = usual_period(rows[:, 0])
+    if period is None:
+        return None
     mean = math.atan2(float(np.sin(rows[:, 1]).mean()), float(np.cos(rows[:, 1]).mean()))
     y = wrap_all(rows[:, 1] - mean)
     middle = float(np.median(y))
@@ -231,7 +244,6 @@ def _agreement(rows: Array, unknown: bool) -> Heard:
     y = y[tame]
     centred = y - y.mean()
     variance = float((centred**2).mean())
-    period = float(np.median(np.diff(t)))
     near = np.diff(t) < 1.5 * period + 1e-9
     white = 0.5 * float((np.diff(y)[near] ** 2).mean()) if near.any() else variance
     correlation = _autocorrelation(centred, t, period)

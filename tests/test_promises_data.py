@@ -216,3 +216,18 @@ def test_one_corridor_corrects_only_the_observable_directions() -> None:
     alone, lrf = fuse(drive, robot, []), fuse(drive, robot, ["lrf"])
     assert lrf.P[-1, 0, 0] == pytest.approx(alone.P[-1, 0, 0], rel=0.05)
     assert lrf.P[-1, 1, 1] < 0.01 * alone.P[-1, 1, 1]
+
+
+def test_a_driver_that_stamps_whole_seconds_gives_many_readings_one_instant_and_no_traceback(folder: Path) -> None:
+    with simulated(folder).open("rb") as file:
+        reader = make_reader(file)
+        every = [(s, c, m) for s, c, m in reader.iter_messages() if s is not None]
+        attachments = {a.name: a.data for a in reader.iter_attachments()}
+    whole = [
+        Said(c.topic, s.name, m.data[:8] + bytes(4) + m.data[12:] if c.topic == "/compass" else m.data, m.log_time)
+        for s, c, m in every
+    ]
+    for sensors in ("compass", "all"):
+        run(write(folder / "seconds.mcap", whole, attachments=attachments), "--sensors", sensors)
+    done = locfuse("compare", folder / "seconds.mcap", "--write", "json", "-o", folder / "seconds")
+    assert done.exit_code in {0, 3}, done.stderr

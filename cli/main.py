@@ -79,10 +79,8 @@ def main(arguments: list[str] | None = None) -> NoReturn:
         code = e.exit_code
     except click.ClickException as e:
         code = _misused(e)
-    except (KeyboardInterrupt, click.Abort):
-        code = _say("interrupted; nothing was left half-written", INTERRUPTED)
-    except _Terminated:
-        code = _say("terminated; nothing was left half-written", TERMINATED)
+    except (KeyboardInterrupt, click.Abort, _Terminated) as e:
+        code = _stopped(e)
     except BrokenPipeError:
         # the reader of stdout has gone (`| head`): nothing is wrong, and nothing more can be said
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -90,8 +88,16 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     except MemoryError:
         code = _say("out of memory", 1)
     except Exception as e:
-        code = _expected(e)
+        # Python 3.11 makes a RuntimeError of a signal that arrives while a class is made, as in an import
+        code = _stopped(e.__cause__) if isinstance(e.__cause__, (KeyboardInterrupt, _Terminated)) else _expected(e)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _stopped(by: BaseException) -> int:
+    """Say that a signal ended it."""
+    if isinstance(by, _Terminated):
+        return _say("terminated; nothing was left half-written", TERMINATED)
+    return _say("interrupted; nothing was left half-written", INTERRUPTED)
 
 
 def _misused(e: click.ClickException) -> int:

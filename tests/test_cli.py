@@ -262,3 +262,17 @@ def test_the_audit_accounts_for_every_measurement(tmp_path: Path) -> None:
     assert [float(r[0]) for r in rows] == sorted(float(r[0]) for r in rows)
     accepted = [r for r in rows if r[3] == "accepted"]
     assert all(float(r[5]) <= float(r[6]) for r in accepted)
+
+
+def test_ctrl_c_while_a_class_is_made_is_an_interruption_and_no_bug(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Pressed:
+        def __set_name__(self, owner: type, name: str) -> None:
+            raise KeyboardInterrupt
+
+    def importing(words: Any) -> None:
+        type("Choice", (), {"topics": Pressed()})
+
+    monkeypatch.setattr("locfuse.cli.load.find_log", importing)
+    done = locfuse("compare", LOG)
+    assert done.exit_code == 130
+    assert "interrupted" in done.stderr

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple, cast
 
@@ -115,12 +115,14 @@ def predict(
     """Return how well each configuration predicts the sensors that only listen to it."""
     if not drive.measurements:
         return []
-    tried = []
     sets = [((), "odometry"), *((c.sensors, c.name) for c in configurations if c.sensors and not c.rates)]
-    for sensors, name in sets:
-        progress(f"trying how {name} predicts the rest")
-        tried.append(fuser(robot.preset)(drive, robot, sensors, name, listeners(drive, sensors)))
-    return scores(drive, tried)
+
+    def tried() -> Iterator[Estimates]:
+        for sensors, name in sets:
+            progress(f"trying how {name} predicts the rest")
+            yield lean(fuser(robot.preset), drive, robot, sensors, name, listeners(drive, sensors))
+
+    return scores(drive, tried())
 
 
 def report_of(compared: Compared) -> dict[str, Any]:

@@ -13,7 +13,7 @@ error that all sensors share, and walls that were taken for others.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,24 +82,36 @@ def log_density(audit: Audit, z: Array) -> Array:
     return out
 
 
-def scores(drive: Drive, tried: Sequence[Estimates]) -> list[Score]:
-    """Return every configuration's score on every sensor that listened; the first tried must be odometry."""
-    base = tried[0]
+def scores(drive: Drive, tried: Iterable[Estimates]) -> list[Score]:
+    """Return every configuration's score on every sensor that listened; the first tried must be odometry.
+
+    Each is let go of before the next is tried: their audits are big.
+    """
+    runs = iter(tried)
+    base = next(runs)
+    found = _scores(drive, base, base)
+    while (e := next(runs, None)) is not None:
+        found += _scores(drive, e, base)
+        del e
+    return found
+
+
+def _scores(drive: Drive, e: Estimates, base: Estimates) -> list[Score]:
+    """Return one configuration's scores, compared with those of odometry."""
     found = []
-    for e in tried:
-        flags = listeners(drive, e.sensors)
-        for sensor in (s for s in e.audits if s in flags):
-            m = drive.measurements[sensor]
-            mine, theirs = log_density(e.audits[sensor], m.z), log_density(base.audits[sensor], m.z)
-            counts = np.diff(m.first)
-            listened = np.repeat(flags[sensor], counts) & _later(base.audits[sensor], len(m.z))
-            rows = np.flatnonzero(listened & np.isfinite(mine) & np.isfinite(theirs))
-            if len(rows):
-                gain = mine[rows] - theirs[rows]
-                low, high = interval(gain, np.repeat(m.t, counts)[rows])
-                own = sensor in e.sensors
-                mean = float(mine[rows].mean())
-                found.append(Score(e.name, sensor, len(rows), mean, float(gain.mean()), low, high, own))
+    flags = listeners(drive, e.sensors)
+    for sensor in (s for s in e.audits if s in flags):
+        m = drive.measurements[sensor]
+        mine, theirs = log_density(e.audits[sensor], m.z), log_density(base.audits[sensor], m.z)
+        counts = np.diff(m.first)
+        listened = np.repeat(flags[sensor], counts) & _later(base.audits[sensor], len(m.z))
+        rows = np.flatnonzero(listened & np.isfinite(mine) & np.isfinite(theirs))
+        if len(rows):
+            gain = mine[rows] - theirs[rows]
+            low, high = interval(gain, np.repeat(m.t, counts)[rows])
+            own = sensor in e.sensors
+            mean = float(mine[rows].mean())
+            found.append(Score(e.name, sensor, len(rows), mean, float(gain.mean()), low, high, own))
     return found
 
 

@@ -142,9 +142,10 @@ def correlated(sensor: str, settings: Any, sigma: float, repeats: float, period:
         offset, _ = getattr(REGISTRY[sensor], "bias_key", ("", 0.0))
         given = getattr(settings, offset, None) is not None
         parts.insert(0, f"{'an estimated offset with ' if given else ''}{drift} about {q:g}")
+    errors = f"{rounded(amount):g} {unit} that last {rounded(memory):g} s"
     words = (
-        f"{sensor} errors are correlated in time: {amount:.1f} {unit} that last {memory:.1f} s, while the filter "
-        f"takes every reading for news. Cures: {', or '.join(parts)}"
+        f"{sensor} errors are correlated in time: {errors}, while the filter takes every reading for news. "
+        f"Cures: {', or '.join(parts)}"
     )
     return Finding("correlated", words, math.sqrt(repeats), cures)
 

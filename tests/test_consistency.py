@@ -15,11 +15,13 @@ from commands import locfuse
 from small_drive import Array
 
 from locfuse.fusion.consistency import Consistency, Run, judge
+from locfuse.fusion.cures import correlated
 from locfuse.fusion.data import Audit, Drive, Evaluation, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.honesty import honesty
 from locfuse.fusion.innovations import heard, own
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.sonar import SonarSettings
 
 # --- one number that wanders, measured with noise: a scalar Kalman filter from the book
 
@@ -269,3 +271,8 @@ def test_the_report_carries_verdicts_figures_and_words(report: tuple[dict[str, A
     honest = found["configurations"]["all"]["consistency"]
     assert set(honest["states"]) == {"x", "y", "theta"}
     assert honest["bounds"][0] < 1.0 < honest["bounds"][1]
+
+
+def test_slow_errors_are_told_in_digits_that_mean_something_in_metres_too() -> None:
+    found = correlated("sonar", SonarSettings(), 0.0223, 11.0, 0.1)
+    assert "0.022 m that last 1.1 s" in found.words

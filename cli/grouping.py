@@ -11,6 +11,7 @@ from ..fusion.data import UsageError
 
 PART = re.compile(r"(?P<name>.+)_(?P<number>\d+)\.(?:mcap(?:\.zstd)?|db3(?:\.zstd)?)")
 OVERLAP_NS = 1_000_000_000  # parts of one recording follow each other; two drives need not
+METADATA = "metadata.yaml"
 RESULTS = ("report.json", "run.json")
 
 
@@ -40,14 +41,24 @@ def results_of(words: Sequence[str]) -> list[Path] | None:
 def logs_of(words: Sequence[str]) -> list[list[str]]:
     """Return the logs that the words name, each as its parts: NAME_0.mcap, NAME_1.mcap of one folder are one log.
 
-    Parts follow each other in time; recordings that overlap are logs of their own, whatever their names.
+    Parts follow each other in time; recordings that overlap are logs of their own, whatever their names. What is
+    named twice counts once: two logs of one drive would be sure of everything.
     """
     groups: dict[object, list[str]] = {}
-    for word in dict.fromkeys(words):
+    for word in _once(words):
         part = PART.fullmatch(Path(word).name)
         key = (Path(word).resolve().parent, part["name"]) if part and Path(word).is_file() else word
         groups.setdefault(key, []).append(word)
     return [log for parts in groups.values() for log in _split(parts)]
+
+
+def _once(words: Sequence[str]) -> list[str]:
+    """Leave out other paths to the same file, and a metadata.yaml beside files of its folder: `bag/*` names it."""
+    first: dict[object, str] = {}
+    for word in words:
+        first.setdefault(Path(word).resolve() if Path(word).exists() else word, word)
+    parts = {path.parent for path in first if isinstance(path, Path) and path.name != METADATA}
+    return [w for p, w in first.items() if not (isinstance(p, Path) and p.name == METADATA and p.parent in parts)]
 
 
 def _split(parts: list[str]) -> list[list[str]]:

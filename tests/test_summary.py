@@ -277,6 +277,17 @@ def test_numbered_recordings_that_overlap_in_time_are_logs_of_their_own(drives: 
     assert logs_of(words) == [[w] for w in words]
 
 
+def test_what_is_named_twice_counts_once(drives: list[Path], tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    (bag / "bag.mcap").write_bytes(drives[0].read_bytes())
+    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information: {}")
+    inside, beside = str(bag / "bag.mcap"), str(bag / ".." / "bag" / "bag.mcap")
+    assert logs_of([inside, str(bag / "metadata.yaml")]) == [[inside]]
+    assert logs_of([inside, beside, str(drives[1])]) == [[inside], [str(drives[1])]]
+    assert logs_of([str(bag / "metadata.yaml")]) == [[str(bag / "metadata.yaml")]]
+
+
 def test_numbered_recordings_that_follow_each_other_are_one_log(tmp_path: Path) -> None:
     parts = [tmp_path / f"bag_{i}.mcap" for i in range(2)]
     sets = [

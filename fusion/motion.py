@@ -194,7 +194,7 @@ def silences(t: Array, rolled: Array, turn: Array) -> Array:
     span, way = np.diff(t), 0.5 * np.abs(rolled).sum(axis=1)
     silent = span > max(SILENCE, SILENCE_PERIODS * float(np.median(span)))
     if not silent.any():
-        return np.zeros((len(span), 2))
+        return np.broadcast_to(np.float64(0.0), (len(span), 2))  # holds nothing
     fastest = float(np.percentile(np.abs(turn[~silent]) / span[~silent], 99))
     astray = way * np.minimum(0.5, fastest * span / (4.0 * np.sqrt(3.0)))
     return np.where(silent[:, None], np.stack((astray**2, np.full_like(span, fastest)), axis=-1), 0.0)

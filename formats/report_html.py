@@ -16,6 +16,7 @@ from .figure_svg import HEIGHT, WIDTH, slugs_of, svg
 from .palette import Colour
 from .panels import Section
 from .report_columns import columns_of, written
+from .report_notes import notes_of
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -52,6 +53,7 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], registry: Seq
         signs=SIGNS,
         tones=TONES,
         strips=_strips(report),
+        notes=notes_of(report),
         bars=_bars(report),
         roles=("truth", "bounds") if report["truth"] else ("bounds",),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 
@@ -13,5 +13,11 @@ def notes_of(report: Mapping[str, Any]) -> list[str]:
     for name, values in runs.items():
         for words in values["notes"]:
             found.setdefault(words, []).append(name)
-    said = (words if len(runs) == 1 else f"{', '.join(names)}: {words}" for words, names in found.items())
+    said = (words if len(runs) == 1 else _whose(words, names) for words, names in found.items())
     return [*report["notes"], *said]
+
+
+def _whose(words: str, names: Sequence[str]) -> str:
+    """Put the configurations before what they found; a sensor's own words name it already."""
+    names_them = ", ".join(names)
+    return words if words.startswith(f"{names_them}: ") else f"{names_them}: {words}"

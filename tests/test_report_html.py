@@ -282,3 +282,15 @@ def test_a_figure_that_is_not_finite_is_a_dash() -> None:
     assert "–" in figures(["a"])
     assert "–" in figures(["b"])
     assert figures(["c"], "{:.2f}") == '<data value="0.25" data-from="/c">0.25</data>'
+
+
+def test_what_configurations_noted_of_themselves_is_on_the_page_as_in_its_twin() -> None:
+    scene, report = small_scene.untrue()
+    lost = "lrf: lost from 19.9 s after the start until the end"
+    for name in ("lrf", "all"):
+        report["configurations"][name]["notes"] = [f"{lost} ({name})"]
+    words = " ".join(read(report_html.render(report, sections(scene), REGISTRY)).words)
+    for said in (f"{lost} (lrf)", f"all: {lost} (all)"):
+        assert said in words
+        assert said in report_md.render(report)
+    assert "lrf: lrf:" not in words

@@ -9,6 +9,7 @@ import click
 from .exports import export_option
 from .options import LogOptions, chosen, log_options, out_options, preset_option, smooth_option
 from .rerun_options import Recorded, RerunOptions, record, rerun_options, sketched
+from .screen import reader_may_leave
 
 KINDS = ("html", "md", "json", "tum", "csv", "tex")
 
@@ -121,13 +122,14 @@ def compare(
             write_results(figures, outputs.figure_files(compared, drawn), overwrite=True)
     used = sorted({s for e in compared.estimates for s in e.sensors})
     lost = results.loss_lines(loaded, used, how.strict)
-    if as_json:
-        click.echo(report_json.encode(report), nl=False)
-    else:
-        show.figures(report)
-        show.verdicts(report)
-        show.consistency(report)
-        click.echo(f"{folder}: {', '.join(sorted(files))}")
+    with reader_may_leave():
+        if as_json:
+            click.echo(report_json.encode(report), nl=False)
+        else:
+            show.figures(report)
+            show.verdicts(report)
+            show.consistency(report)
+            click.echo(f"{folder}: {', '.join(sorted(files))}")
     show.notes(report, lost, how.quiet)
     sketch = sketched(rerun, loaded, recorded.in_order(compared.estimates), compared.evaluations, report)
     del loaded, compared, drawn, recorded, watch, files  # Rerun's import takes as much memory as all of them

@@ -8,6 +8,8 @@ from typing import Any, TypeVar
 
 import click
 
+from .screen import reader_may_leave, screen
+
 Command = TypeVar("Command", bound=Callable[..., Any])
 Table = tuple[Sequence[str], Iterable[Sequence[str]]]  # titles, rows
 
@@ -40,18 +42,18 @@ def print_findings(values: Any, tables: Iterable[Table], out: Path | None, as_js
     """Print what was found as JSON, or as tables and with how the file is used."""
     from ..formats import report_json
 
-    if as_json:
-        click.echo(report_json.encode(values), nl=False)
-        return
-    for titles, rows in tables:
-        _print_table(titles, rows)
-    if out is not None:
-        click.echo(f"{out}: use it with --robot {out}")
+    with reader_may_leave():
+        if as_json:
+            click.echo(report_json.encode(values), nl=False)
+            return
+        for titles, rows in tables:
+            _print_table(titles, rows)
+        if out is not None:
+            click.echo(f"{out}: use it with --robot {out}")
 
 
 def _print_table(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     from rich import box
-    from rich.console import Console
     from rich.table import Table as RichTable
 
     table = RichTable(box=box.SIMPLE_HEAD, pad_edge=False)
@@ -59,7 +61,7 @@ def _print_table(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
         table.add_column(title, justify="left" if i == 0 else "right", no_wrap=True)
     for row in rows:
         table.add_row(*row)
-    Console().print(table)
+    screen().print(table)
 
 
 def end(notes: Iterable[str], lost: Sequence[str], quiet: bool) -> int:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from .options import LogOptions, log_options
+from .screen import reader_may_leave
 
 if TYPE_CHECKING:
     from .look import Look
@@ -45,11 +46,12 @@ def info(log: tuple[str, ...], check: bool, as_json: bool, preview: Path | None,
     with show.progress(how.quiet) as progress:
         seen = look(find_log(log), how, progress)
         pictures = _preview(seen, preview) if preview is not None else []
-    if as_json:
-        click.echo(report_json.encode(info_json.values(seen)), nl=False)
-    else:
-        text = info_text.lines(seen, _typed(log, how), show.width())
-        show.lines((*text, *pictures), (*info_text.TITLES, PICTURES))
+    with reader_may_leave():
+        if as_json:
+            click.echo(report_json.encode(info_json.values(seen)), nl=False)
+        else:
+            text = info_text.lines(seen, _typed(log, how), show.width())
+            show.lines((*text, *pictures), (*info_text.TITLES, PICTURES))
     losses = {"lost", "refused"} if how.strict else {"lost"}
     lost = any(o.code in losses for o in seen.oddities)
     return ODD if lost or (check and seen.spoils) else 0

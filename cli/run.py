@@ -11,6 +11,7 @@ from .exports import export_option
 from .map_options import MapOptions, map_options
 from .options import LogOptions, chosen, log_options, out_options, preset_option, smooth_option
 from .rerun_options import RerunOptions, record, rerun_options, sketched
+from .screen import reader_may_leave
 
 KINDS = ("tum", "csv", "json")
 
@@ -103,12 +104,13 @@ def run(
             with whole_file(audit) as path:
                 path.write_text(audit_csv(drive, found[0]))
     lost = results.loss_lines(loaded, configuration.sensors, how.strict)
-    if as_json:
-        click.echo(report_json.encode(report), nl=False)
-    else:
-        show.figures(report)
-        show.consistency(report)
-        click.echo(f"{folder}: {', '.join(sorted(files))}")
+    with reader_may_leave():
+        if as_json:
+            click.echo(report_json.encode(report), nl=False)
+        else:
+            show.figures(report)
+            show.consistency(report)
+            click.echo(f"{folder}: {', '.join(sorted(files))}")
     show.notes(report, lost, how.quiet)
     sketch = sketched(rerun, loaded, found, judged, report)
     del loaded, drive, found, named, estimates, files, judged  # Rerun's import takes as much memory as all of them

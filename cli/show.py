@@ -12,6 +12,7 @@ import click
 
 from ..formats.report_columns import written
 from ..formats.report_notes import notes_of
+from .screen import screen
 
 COLUMNS = (
     ("rmse", "position_rmse_m", "{:.3f} m"),
@@ -37,26 +38,22 @@ def progress(quiet: bool) -> Iterator[Progress]:
     if quiet or not sys.stderr.isatty():
         yield lambda what: None
         return
-    from rich.console import Console
 
-    with Console(stderr=True).status("opening", spinner="dots") as status:
+    with screen(stderr=True).status("opening", spinner="dots") as status:
         yield lambda what: status.update(what)  # noqa: PLW0108 - its type differs from Progress
 
 
 def width() -> int | None:
     """Return how wide the screen is; None in a pipe or a file, where nothing need be wrapped or left out."""
-    from rich.console import Console
-
-    console = Console()
+    console = screen()
     return console.width if console.is_terminal or "COLUMNS" in os.environ else None
 
 
 def lines(text: Iterable[str], bold: Collection[str] = ()) -> None:
     """Print lines as they are, some of them bold where the screen can."""
-    from rich.console import Console
     from rich.text import Text
 
-    console = Console(soft_wrap=True, highlight=False)
+    console = screen(soft_wrap=True, highlight=False)
     for line in text:
         console.print(Text(line, "bold" if line in bold else ""))
 
@@ -64,11 +61,10 @@ def lines(text: Iterable[str], bold: Collection[str] = ()) -> None:
 def figures(report: Mapping[str, Any]) -> None:
     """Print the configurations and what became of each sensor's measurements."""
     from rich import box
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    console = Console()
+    console = screen()
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     names, columns = list(report["configurations"]), _columns(report)
     table.add_column("configuration", no_wrap=True, min_width=max(map(len, names)))
@@ -155,20 +151,18 @@ def notes(report: Mapping[str, Any], losses: Sequence[str], quiet: bool) -> None
 
 def verdicts(report: Mapping[str, Any]) -> None:
     """Print what each sensor bought, in words."""
-    from rich.console import Console
     from rich.text import Text
 
-    console = Console()
+    console = screen()
     for sensor, verdict in report["verdicts"].items():
         console.print(Text.assemble((f"{sensor} {verdict['verdict']}. ", "bold"), verdict["words"]))
 
 
 def consistency(report: Mapping[str, Any]) -> None:
     """Print what is not as robot.toml says of the sensors' noise, and how to cure it."""
-    from rich.console import Console
     from rich.text import Text
 
-    console = Console()
+    console = screen()
     for found in report.get("consistency", {}).values():
         if found["verdict"] != "consistent":
             console.print(Text.assemble(("Noise: ", "bold"), found["words"]))

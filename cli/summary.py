@@ -27,6 +27,7 @@ from . import gates, results
 from .grouping import logs_of, results_of
 from .load import find_log
 from .options import chosen
+from .screen import reader_may_leave, screen
 from .verdicts import credit_values, verdicts
 
 KINDS = ("json", "md", "csv")
@@ -74,11 +75,12 @@ def compare_logs(logs: Sequence[Sequence[str]], context: click.Context) -> int:
     files |= {"summary.md": over.render(summary)} if "md" in kinds else {}
     files |= {"summary.csv": over.csv(reports)} if "csv" in kinds else {}
     write_results(folder, files, overwrite=True)
-    if params["as_json"]:
-        click.echo(files["summary.json"], nl=False)
-    else:
-        _show_summary(summary)
-        click.echo(f"{folder}: {', '.join(sorted(files))}; a folder with the report of each log")
+    with reader_may_leave():
+        if params["as_json"]:
+            click.echo(files["summary.json"], nl=False)
+        else:
+            _show_summary(summary)
+            click.echo(f"{folder}: {', '.join(sorted(files))}; a folder with the report of each log")
     return max(codes, key=lambda code: (code == gates.FAILED, code == results.LOSS))
 
 
@@ -164,7 +166,6 @@ def _ln(factor: float | None) -> float | None:
 
 def _show_summary(summary: Mapping[str, Any]) -> None:
     from rich import box
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
@@ -184,7 +185,7 @@ def _show_summary(summary: Mapping[str, Any]) -> None:
             unit = f" {column.unit}" if column.unit == "m" else column.unit
             cells += [cell(column, figure.get(w)) + unit if figure else "-" for w in which]
         table.add_row(Text(name), *cells, f"{values['best_in']} of {summary['judged']}")
-    console = Console()
+    console = screen()
     if columns:
         console.print(table)
     console.print(Text(over.headline(summary)))
@@ -228,7 +229,6 @@ def _read(file: Path) -> dict[str, Any]:
 
 def _show_changes(found: Mapping[str, Any]) -> None:
     from rich import box
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
@@ -239,4 +239,4 @@ def _show_changes(found: Mapping[str, Any]) -> None:
     for name, column, figure in sides.rows(found):
         table.add_row(Text(name if name != last else ""), column.title, *sides.cells(column, figure))
         last = name
-    Console().print(table)
+    screen().print(table)

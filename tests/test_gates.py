@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -141,6 +144,21 @@ def test_the_command_exits_with_4_and_one_line_per_gate_and_writes_its_results(t
     assert done.exit_code == 4
     assert len(done.stderr.splitlines()) == 2
     assert (out / "report.json").exists()
+
+
+@pytest.mark.parametrize("how", [(), ("--json",)])
+def test_gates_hold_although_the_reader_of_the_table_has_left(tmp_path: Path, how: tuple[str, ...]) -> None:
+    """As with `| head -1`, whose pipe closes early; here it is closed from the start."""
+    read, write = os.pipe()
+    os.close(read)
+    words = ("compare", "rounded_rectangle", "--sensors", "odometry", "--write", "json", "-q", "-o", str(tmp_path))
+    gate = ("--fail-if", "odometry.position_rmse_m > 0")
+    command = [sys.executable, "-m", "locfuse.cli", *words, *gate, *how]
+    done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, check=False, timeout=60)
+    os.close(write)
+    assert done.returncode == 4
+    assert done.stderr.startswith("gate: ")
+    assert len(done.stderr.splitlines()) == 1
 
 
 def test_the_command_compares_with_a_baseline(tmp_path: Path) -> None:

@@ -79,9 +79,10 @@ def _credit_words(c: SensorCredit, credit: Credit) -> str:
         return "No two of these sets differ by it alone; --all-subsets runs all of them."
     parts = [_main_words(c, main, len(credit.sensors) > 1, credit.logs)]
     if c.verdict == "hurts" and c.anees is not None and c.anees[1] > OVERCONFIDENT:
-        parts.append(
+        parts.insert(
+            0,
             f"It makes the filter sure and wrong: ANEES {short(c.anees[1])} with it, {short(c.anees[0])} without "
-            "(1 is right)."
+            "(1 is right).",
         )
     if c.credit is not None and c.last is not None and len(credit.sensors) > 1:
         parts.append(_last_words(c.last))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 from itertools import permutations
 
@@ -133,6 +134,14 @@ def test_a_compass_with_a_constant_bias_that_claims_to_be_good_hurts(seed: int) 
     found = credit_of(seed, noise_deg=0.5, bias_deg=5.0, sigma_deg=1.0, offset_deg=0.0)
     assert found.sensors["compass"].verdict == "hurts"
     assert found.sensors["lrf"].verdict == "helps"
+
+
+def test_the_words_for_a_sensor_that_hurts_begin_with_why() -> None:
+    found = credit_of(0, noise_deg=0.5, bias_deg=5.0, sigma_deg=1.0, offset_deg=0.0)
+    compass = found.sensors["compass"]
+    sure = replace(compass, verdict="hurts", anees=(1.1, 240.0))
+    words = verdicts(replace(found, sensors={"compass": sure}), [], {})["compass"]["words"]
+    assert words.startswith("It makes the filter sure and wrong: ANEES 240 with it, 1.10 without")
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
-from ..fusion.consistency import Run, judge
+from ..fusion.consistency import Consistency, Run, judge
 from ..fusion.data import Drive, Estimates, Evaluation
-from ..fusion.honesty import honesty
+from ..fusion.honesty import Honesty, honesty
 from ..fusion.robot import Robot
 
 
@@ -25,14 +26,35 @@ def add_consistency(
 ) -> None:
     """Add `consistency` to every sensor of every configuration, to those with truth, and for all of them."""
     rows = report["configurations"]
-    for judged in evaluations:
-        honest = honesty(judged)
-        rows[judged.name]["consistency"] = None if honest is None else asdict(honest)
+    by_truth = {judged.name: honesty(judged) for judged in evaluations}
+    for name, honest in by_truth.items():
+        rows[name]["consistency"] = None if honest is None else asdict(honest)
     if not runs:
         return
     verdicts: dict[str, dict[str, Any]] = {}
-    for name, sensors in judge(runs, robot).items():
-        for sensor, found in sensors.items():
+    court = judge(runs, robot)
+    for name, sensors in court.items():
+        for sensor, verdict in sensors.items():
+            using = [by_truth.get(n) for n, used in court.items() if sensor in used]
+            found = unless_sure_and_wrong(sensor, verdict, using)
             values = rows[name]["sensors"][sensor]["consistency"] = asdict(found)
             verdicts[sensor] = {key: values[key] for key in ("verdict", "words", "cures")}
     report["consistency"] = verdicts
+
+
+def unless_sure_and_wrong(sensor: str, found: Consistency, using: Sequence[Honesty | None]) -> Consistency:
+    """Take back the advice to trust a sensor more where truth shows every run that uses it too sure already.
+
+    Its readings repeat well and are wrong together: a mount, a scale or a clock, which no noise figure cures.
+    """
+    wrong = [honest for honest in using if honest is not None]
+    sure = bool(wrong) and all(honest.anees > honest.bounds[1] for honest in wrong)
+    if found.verdict != "overstated" or found.scale is None or not sure:
+        return found
+    times = math.sqrt(min(honest.anees for honest in wrong))
+    words = (
+        f"{sensor} repeats itself {1.0 / found.scale:.2g} times better than told, yet errors are {times:.1f} "
+        "times what the covariance says: something else is set wrong (a mount, a scale, a clock), and less noise "
+        "would make that worse"
+    )
+    return replace(found, words=words, cures={})

@@ -14,11 +14,12 @@ import small_drive
 from commands import locfuse
 from small_drive import Array
 
+from locfuse.cli.trust import unless_sure_and_wrong
 from locfuse.fusion.consistency import Consistency, Run, judge
 from locfuse.fusion.cures import correlated
 from locfuse.fusion.data import Audit, Drive, Evaluation, Measurements
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.honesty import honesty
+from locfuse.fusion.honesty import Honesty, honesty
 from locfuse.fusion.innovations import heard, own
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.sonar import SonarSettings
@@ -276,3 +277,15 @@ def test_the_report_carries_verdicts_figures_and_words(report: tuple[dict[str, A
 def test_slow_errors_are_told_in_digits_that_mean_something_in_metres_too() -> None:
     found = correlated("sonar", SonarSettings(), 0.0223, 11.0, 0.1)
     assert "0.022 m that last 1.1 s" in found.words
+
+
+@pytest.mark.parametrize(("anees", "kept"), [((9.0, 4.0), False), ((9.0, 1.0), True), ((), True)])
+def test_a_sensor_is_not_to_be_trusted_more_where_every_run_with_it_is_sure_and_wrong(
+    anees: tuple[float, ...], kept: bool
+) -> None:
+    found = Consistency("overstated", "lrf noise is overstated", scale=0.1, cures={"lrf.sigma_range": 0.002})
+    judged = unless_sure_and_wrong("lrf", found, [Honesty(a, (0.5, 1.5)) for a in anees])
+    assert (judged == found) == kept
+    if not kept:
+        assert judged.words.startswith("lrf repeats itself 10 times better than told, yet errors are 2.0 times")
+        assert not judged.cures

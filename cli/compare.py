@@ -134,6 +134,9 @@ def compare(
     sketch = sketched(rerun, loaded, recorded.in_order(compared.estimates), compared.evaluations, report)
     del loaded, compared, drawn, recorded, watch, files  # Rerun's import takes as much memory as all of them
     record(rerun, sketch, folder)
+    other = gates.of_another_log(report, before) if before is not None else None
+    if other is not None and not how.quiet:
+        click.echo(f"note: {other}", err=True)
     failed = gates.failures(report, limits, before)
     for line in failed:
         click.echo(f"gate: {line}", err=True)

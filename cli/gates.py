@@ -76,6 +76,17 @@ def read_baseline(path: Path, tolerance: str) -> Baseline:
     return Baseline(path, report, parse_tolerance(tolerance))
 
 
+def of_another_log(report: Mapping[str, Any], baseline: Baseline) -> str | None:
+    """Say where the baseline was made of other bytes than this report; None where of the same."""
+    then, now = baseline.report.get("input", {}), report["input"]
+    if then.get("sha256") in (None, now["sha256"]):
+        return None
+    which = (
+        f"of {then.get('name')}, this is {now['name']}" if then.get("name") != now["name"] else "of other bytes"
+    )
+    return f"the baseline {baseline.path} is {which}: what got worse may be the log"
+
+
 def failures(report: Mapping[str, Any], gates: Sequence[Gate], baseline: Baseline | None) -> list[str]:
     """Return one line per gate that failed or whose figure does not exist."""
     lines = [line for gate in gates if (line := _violated(report, gate))]

@@ -161,6 +161,16 @@ def test_gates_hold_although_the_reader_of_the_table_has_left(tmp_path: Path, ho
     assert len(done.stderr.splitlines()) == 1
 
 
+def test_a_baseline_of_another_log_is_said(tmp_path: Path) -> None:
+    words = ("--sensors", "odometry", "--write", "json", "-o")
+    assert locfuse("compare", "rounded_rectangle", *words, tmp_path / "a").exit_code == 0
+    baseline = ("--baseline", tmp_path / "a" / "report.json", "--tolerance", "900%")
+    same = locfuse("compare", "rounded_rectangle", *words, tmp_path / "b", *baseline)
+    assert "baseline" not in same.stderr
+    other = locfuse("compare", "rounded_triangle", *words, tmp_path / "c", *baseline)
+    assert "is of rounded_rectangle, this is rounded_triangle" in other.stderr
+
+
 def test_the_command_compares_with_a_baseline(tmp_path: Path) -> None:
     out = tmp_path / "out"
     words = ("compare", "rounded_rectangle", "--sensors", "odometry", "--write", "json", "-q", "-o")

@@ -50,13 +50,16 @@ def merge_doubles(lines: LineMap, belief: JointBelief, scan: int, uneven: Array)
 
 
 def _near(lines: LineMap, values: Array, chosen: Ints) -> NDArray[np.bool_]:
-    """Return which lines (J,) lie where each of the chosen ones (k,) lies and face the same way, (k, J)."""
+    """Return which lines (J,) may be one wall with each of the chosen ones (k,) by where they lie, (k, J)."""
     rho, beta = values[chosen].T[:, :, None]
     turn = np.abs((values[:, 1] - beta + math.pi) % (2.0 * math.pi) - math.pi)
     away = lines.anchor[chosen][:, None] - lines.anchor  # (k, J, 2)
     c, s = np.cos(beta), np.sin(beta)
     offset = values[:, 0] - (rho + away[:, :, 0] * c + away[:, :, 1] * s)
-    near: NDArray[np.bool_] = (turn < DOUBLE_ANGLE) & (np.abs(offset) <= DOUBLE_OFFSET)
+    along = away[:, :, 1] * np.cos(values[:, 1]) - away[:, :, 0] * np.sin(values[:, 1])
+    lo, hi = lines.lo[chosen][:, None] + along, lines.hi[chosen][:, None] + along
+    apart = np.maximum(lines.lo, lo) - np.minimum(lines.hi, hi)
+    near: NDArray[np.bool_] = (turn < DOUBLE_ANGLE) & (np.abs(offset) <= DOUBLE_OFFSET) & (apart <= APART)
     near[np.arange(len(chosen)), chosen] = False
     return near
 
@@ -67,9 +70,7 @@ def _double_of(lines: LineMap, belief: JointBelief, j: int, R: Array) -> int | N
     near = np.flatnonzero(_near(lines, values, np.array([j]))[0])
     best, found = DOUBLE_D2, None
     for i in near.tolist():
-        y, H, lo, hi = _difference(lines, values, i, j)
-        if min(lines.hi[i], hi) - max(lines.lo[i], lo) < -APART:
-            continue
+        y, H, _, _ = _difference(lines, values, i, j)
         S = H @ _joint(lines, belief, i, j) @ H.T + R
         d2 = float(y @ np.linalg.solve(S, y))
         if d2 < best:

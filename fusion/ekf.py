@@ -13,7 +13,7 @@ from math import cos, sin
 
 import numpy as np
 
-from .data import Array
+from .data import Array, LocfuseError
 from .scalar_rows import pose_rows
 from .sensors.base import Innovation
 
@@ -123,3 +123,11 @@ class PoseBelief:
         """Return the pose covariance, (3, 3)."""
         xx, xy, xt, yy, yt, tt = self.P
         return np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])
+
+
+def too_far_apart(S: float) -> LocfuseError:
+    """Return what to raise where an innovation's variance S came out as none: rounding ate it."""
+    return LocfuseError(
+        f"the filter's variances span too many powers of ten to be computed with (innovations of up to {S:.0e}): "
+        "are the sigmas and floors of robot.toml meant so?"
+    )

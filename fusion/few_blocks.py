@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .data import Array
-from .ekf import Pose, PoseBelief, Rows, Triangle
+from .ekf import Pose, PoseBelief, Rows, Triangle, too_far_apart
 from .scalar_rows import Row, pose_rows, whitened
 from .sensors.base import Block, Innovation
 
@@ -77,9 +77,11 @@ class FewBlocks(PoseBelief):
             return super().spread(H)
         rows = [(a, b, c, _beside(columns, g)) for (a, b, c), g in zip(H, H_block, strict=True)]
         out = []
-        for row in rows:
+        for k, row in enumerate(rows):
             p0, p1, p2, q = self._covaried(*row)
-            out.append(tuple([a * p0 + b * p1 + c * p2 + sum([g * q[i] for i, g in s]) for a, b, c, s in rows]))
+            spread = [a * p0 + b * p1 + c * p2 + sum([g * q[i] for i, g in s]) for a, b, c, s in rows]
+            spread[k] = max(spread[k], 0.0)  # but for rounding
+            out.append(tuple(spread))
         return tuple(out)
 
     def _covaried(self, a: float, b: float, c: float, beside: Beside) -> tuple[float, float, float, list[float]]:
@@ -108,6 +110,8 @@ class FewBlocks(PoseBelief):
             for i, g in beside:
                 s += g * q[i]
                 e -= g * (values[i] - before[i])
+            if not s > 0.0:
+                raise too_far_apart(s)
             e /= s
             dx += p0 * e
             dy += p1 * e

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .data import Array, Ints, LocfuseError
-from .ekf import Pose, Rows, Triangle
+from .data import Array, Ints
+from .ekf import Pose, Rows, Triangle, too_far_apart
 from .joint_rows import sparse_row, stacked
 from .sensors.base import Block, Innovation
 
@@ -233,7 +233,7 @@ class JointBelief:
         """Return H P H', (d, d)."""
         if len(H) == 1:
             row, P = sparse_row(H[0], columns, H_block), self._P
-            return ((sum([g * h * P.item(i, j) for i, g in row for j, h in row]),),)
+            return ((max(sum([g * h * P.item(i, j) for i, g in row for j, h in row]), 0.0),),)  # but for rounding
         where = [0, 1, 2, *columns]
         rows = np.array([(*h, *b) for h, b in zip(H, H_block, strict=True)] if H_block else H)
         S = rows @ self._P[np.ix_(where, where)] @ rows.T
@@ -269,7 +269,7 @@ class JointBelief:
         try:
             L = np.linalg.cholesky(0.5 * (S + S.T))
         except np.linalg.LinAlgError:
-            raise _too_far_apart(float(S.diagonal().max())) from None
+            raise too_far_apart(float(S.diagonal().max())) from None
         V = np.linalg.solve(L, np.column_stack((PH.T, y)))
         return V[:, :n], V[:, n]
 
@@ -281,7 +281,7 @@ class JointBelief:
             V += h * self._P[i, : self.n]
         S = sum([h * V.item(i) for i, h in row]) + seen.R[0][0]
         if not S > 0.0:
-            raise _too_far_apart(S)
+            raise too_far_apart(S)
         root = math.sqrt(S)
         V /= root
         return V[None], np.array((seen.y[0] / root,))
@@ -296,10 +296,3 @@ class JointBelief:
         P[np.ix_(moved, moved)] -= U.T @ U
         P[np.ix_(moved, kept)] = across
         P[np.ix_(kept, moved)] = across.T
-
-
-def _too_far_apart(S: float) -> LocfuseError:
-    return LocfuseError(
-        f"the filter's variances span too many powers of ten to be computed with (innovations of up to {S:.0e}): "
-        "are the sigmas and floors of robot.toml meant so?"
-    )

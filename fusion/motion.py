@@ -155,7 +155,8 @@ class _Pieces:
         """
         out = np.zeros((len(self.share), 3, 3))
         out[:, 0, 0] = out[:, 1, 1] = self.share * self.silence[:, 0]
-        out[:, 2, 2] = (1.0 - self.share) * (self.silence[:, 1] * self.span) ** 2 / 3.0
+        turned = np.minimum(self.silence[:, 1] * self.span, np.pi)  # at most any way round
+        out[:, 2, 2] = (1.0 - self.share) * turned**2 / 3.0
         return out
 
     def jacobian(self, track: float) -> Array:

@@ -204,3 +204,12 @@ def test_an_odometry_knows_its_way_over_a_silence() -> None:
     t = np.array([0.0, 0.1, 0.2, 0.3, 5.0, 5.1])
     poses = np.stack((t, np.sin(t), 0.1 * t), axis=-1)
     assert not Wheels.from_poses(t, poses, 0.3, K).silence.any()
+
+
+def test_in_however_long_a_silence_a_heading_is_at_most_unknown() -> None:
+    _, heard = wanderer(0, (20.0, 30.0))
+    t = heard.t + np.where(heard.t > 25.0, 1e9, 0.0)  # a stamp from another decade
+    way: Any = np.concatenate((np.zeros((1, 2)), np.cumsum(heard.rolled, axis=0)))
+    wheels = Wheels.from_wheels(t, way[:, 0], way[:, 1], TRACK, K)
+    middle = wheels.between(np.array([20.0]), np.array([5e8]))
+    assert 0.1 < middle.Q[0, 2, 2] < math.pi**2 / 3.0 + 1.0

@@ -231,3 +231,13 @@ def test_a_driver_that_stamps_whole_seconds_gives_many_readings_one_instant_and_
         run(write(folder / "seconds.mcap", whole, attachments=attachments), "--sensors", sensors)
     done = locfuse("compare", folder / "seconds.mcap", "--write", "json", "-o", folder / "seconds")
     assert done.exit_code in {0, 3}, done.stderr
+
+
+@pytest.mark.parametrize("sensors", ["compass", "compass,lrf"])
+def test_a_start_known_to_no_power_of_ten_is_one_line(tmp_path: Path, sensors: str) -> None:
+    """1e17 degrees beside a compass of one: what rounding leaves of P is no covariance."""
+    words = ("--set", "start.sigma_theta_deg=1e17", "--sensors", sensors)
+    done = locfuse("run", "rounded_rectangle", *words, "-o", tmp_path, "-q")
+    assert done.exit_code == 1
+    assert done.stderr.startswith("locfuse: the filter's variances span too many powers of ten")
+    assert done.stderr.count("\n") == 1

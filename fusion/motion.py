@@ -79,10 +79,6 @@ class Wheels:
         """Return the heading (...) [rad, not wrapped] by the wheels alone at times t (...) within the drive."""
         return np.interp(t, self.t, self.pose[:, 2])
 
-    def turn_rate(self) -> tuple[Array, Array]:
-        """Return interval midpoints (n-1,) [s] and turning rates (n-1,) [rad/s]."""
-        return 0.5 * (self.t[1:] + self.t[:-1]), self.twist[:, 2] / np.diff(self.t)
-
     def between(self, t_from: Array, t_to: Array, parameters: bool = False) -> Motions:
         """Pre-integrate n intervals [t_from, t_to], (n,) s each, that do not overlap and are in order.
 

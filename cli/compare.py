@@ -9,7 +9,6 @@ import click
 from .exports import export_option
 from .options import LogOptions, chosen, log_options, out_options, preset_option, smooth_option
 from .rerun_options import Recorded, RerunOptions, record, rerun_options, sketched
-from .screen import reader_may_leave
 
 KINDS = ("html", "md", "json", "tum", "csv", "tex")
 
@@ -90,7 +89,6 @@ def compare(
     locfuse compare rounded_rectangle rounded_triangle disturbed
     locfuse compare locfuse-out/before locfuse-out/after
     """
-    from ..formats import report_json
     from ..formats.outdir import write_results
     from . import configurations, exports, gates, outputs, results, show
     from .comparison import compare_log, report_of
@@ -122,14 +120,7 @@ def compare(
             write_results(figures, outputs.figure_files(compared, drawn), overwrite=True)
     used = sorted({s for e in compared.estimates for s in e.sensors})
     lost = results.loss_lines(loaded, used, how.strict)
-    with reader_may_leave():
-        if as_json:
-            click.echo(report_json.encode(report), nl=False)
-        else:
-            show.figures(report)
-            show.verdicts(report)
-            show.consistency(report)
-            click.echo(f"{folder}: {', '.join(sorted(files))}")
+    show.result(report, folder, files, as_json)
     show.notes(report, lost, how.quiet)
     sketch = sketched(rerun, loaded, recorded.in_order(compared.estimates), compared.evaluations, report)
     del loaded, compared, drawn, recorded, watch, files  # Rerun's import takes as much memory as all of them

@@ -20,6 +20,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # 3 x 3 matrices need no thr
 
 import click
 
+from .screen import reader_may_leave
+
 COMMANDS = {
     "run": "Run one configuration: trajectory, covariances, run.json.",
     "compare": "Run all configurations in one pass and report what each sensor bought.",
@@ -72,19 +74,16 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     if arguments is None and not sys.warnoptions:
         # absurd readings overflow on their way to the gate that counts them; NumPy's words about it help nobody
         warnings.simplefilter("ignore", RuntimeWarning)
+    code = 0
     try:
-        code = locfuse.main(args=arguments, prog_name="locfuse", standalone_mode=False)
-        sys.stdout.flush()
+        with reader_may_leave():
+            code = locfuse.main(args=arguments, prog_name="locfuse", standalone_mode=False)
     except click.exceptions.Exit as e:
         code = e.exit_code
     except click.ClickException as e:
         code = _misused(e)
     except (KeyboardInterrupt, click.Abort, _Terminated) as e:
         code = _stopped(e)
-    except BrokenPipeError:
-        # the reader of stdout has gone (`| head`): nothing is wrong, and nothing more can be said
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code = 0
     except MemoryError:
         code = _say("out of memory", 1)
     except Exception as e:

@@ -11,7 +11,6 @@ from .exports import export_option
 from .map_options import MapOptions, map_options
 from .options import LogOptions, chosen, log_options, out_options, preset_option, smooth_option
 from .rerun_options import RerunOptions, record, rerun_options, sketched
-from .screen import reader_may_leave
 
 KINDS = ("tum", "csv", "json")
 
@@ -104,13 +103,7 @@ def run(
             with whole_file(audit) as path:
                 path.write_text(audit_csv(drive, found[0]))
     lost = results.loss_lines(loaded, configuration.sensors, how.strict)
-    with reader_may_leave():
-        if as_json:
-            click.echo(report_json.encode(report), nl=False)
-        else:
-            show.figures(report)
-            show.consistency(report)
-            click.echo(f"{folder}: {', '.join(sorted(files))}")
+    show.result(report, folder, files, as_json)
     show.notes(report, lost, how.quiet)
     sketch = sketched(rerun, loaded, found, judged, report)
     del loaded, drive, found, named, estimates, files, judged  # Rerun's import takes as much memory as all of them

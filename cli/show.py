@@ -6,13 +6,15 @@ import os
 import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, Protocol
 
 import click
 
+from ..formats import report_json
 from ..formats.report_columns import written
 from ..formats.report_notes import notes_of
-from .screen import screen
+from .screen import reader_may_leave, screen
 
 COLUMNS = (
     ("rmse", "position_rmse_m", "{:.3f} m"),
@@ -56,6 +58,18 @@ def lines(text: Iterable[str], bold: Collection[str] = ()) -> None:
     console = screen(soft_wrap=True, highlight=False)
     for line in text:
         console.print(Text(line, "bold" if line in bold else ""))
+
+
+def result(report: Mapping[str, Any], folder: Path, files: Collection[str], as_json: bool) -> None:
+    """Print a finished report, and which files it was written to."""
+    with reader_may_leave():
+        if as_json:
+            click.echo(report_json.encode(report), nl=False)
+            return
+        figures(report)
+        verdicts(report)
+        consistency(report)
+        click.echo(f"{folder}: {', '.join(sorted(files))}")
 
 
 def figures(report: Mapping[str, Any]) -> None:
@@ -154,7 +168,7 @@ def verdicts(report: Mapping[str, Any]) -> None:
     from rich.text import Text
 
     console = screen()
-    for sensor, verdict in report["verdicts"].items():
+    for sensor, verdict in report.get("verdicts", {}).items():
         console.print(Text.assemble((f"{sensor} {verdict['verdict']}. ", "bold"), verdict["words"]))
 
 

@@ -21,7 +21,7 @@ import click
 import numpy as np
 
 from locfuse.cli.load import load
-from locfuse.cli.options import LogOptions
+from locfuse.cli.settings import LogOptions
 from locfuse.fusion.data import Array, Estimates, Ints, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.sensors import lrf

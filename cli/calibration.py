@@ -11,13 +11,14 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from ..formats import robot_toml
-from ..formats.outdir import whole_file
-from ..fusion.calibrate import PERIOD, WheelCalibration, calibrate_wheels
-from ..fusion.data import Array, LocfuseError
-from ..fusion.iron import Iron, fit_iron
-from ..fusion.robot import WheelSettings
-from ..fusion.scale_fit import Figure
+from locfuse.formats import robot_toml
+from locfuse.formats.outdir import whole_file
+from locfuse.fusion.calibrate import PERIOD, WheelCalibration, calibrate_wheels
+from locfuse.fusion.data import Array, LocfuseError
+from locfuse.fusion.iron import Iron, fit_iron
+from locfuse.fusion.robot import WheelSettings
+from locfuse.fusion.scale_fit import Figure
+
 from .load import Loaded
 
 FIELD = "sensor_msgs/msg/MagneticField"

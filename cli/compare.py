@@ -6,9 +6,10 @@ from pathlib import Path
 
 import click
 
-from .exports import export_option
-from .options import LogOptions, chosen, log_options, out_options, preset_option, smooth_option
-from .rerun_options import Recorded, RerunOptions, record, rerun_options, sketched
+from .options import chosen, export_option, log_options, out_options, preset_option, smooth_option
+from .rerun_options import rerun_options
+from .rerun_record import Recorded, RerunOptions, record, sketched
+from .settings import LogOptions
 
 KINDS = ("html", "md", "json", "tum", "csv", "tex")
 
@@ -89,7 +90,8 @@ def compare(
     locfuse compare rounded_rectangle rounded_triangle disturbed
     locfuse compare locfuse-out/before locfuse-out/after
     """
-    from ..formats.outdir import write_results
+    from locfuse.formats.outdir import write_results
+
     from . import configurations, exports, gates, outputs, results, show
     from .comparison import compare_log, report_of
     from .load import find_log, load_to_fuse
@@ -122,9 +124,9 @@ def compare(
     lost = results.loss_lines(loaded, used, how.strict)
     show.result(report, folder, files, as_json)
     show.notes(report, lost, how.quiet)
-    sketch = sketched(rerun, loaded, recorded.in_order(compared.estimates), compared.evaluations, report)
+    sketch = sketched(rerun, loaded, recorded.in_order(compared.estimates), compared.evaluations, report, show.say)
     del loaded, compared, drawn, recorded, watch, files  # Rerun's import takes as much memory as all of them
-    record(rerun, sketch, folder)
+    record(rerun, sketch, folder, show.say)
     other = gates.of_another_log(report, before) if before is not None else None
     if other is not None and not how.quiet:
         click.echo(f"note: {other}", err=True)

@@ -6,13 +6,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple, cast
 
-from ..fusion.consistency import Run
-from ..fusion.credit import Credit, credit
-from ..fusion.data import Drive, Estimates, Evaluation
-from ..fusion.evaluate import evaluate
-from ..fusion.predictive import Score, listeners, scores
-from ..fusion.robot import Robot
-from ..fusion.sensors.registry import REGISTRY
+from locfuse.fusion.consistency import Run
+from locfuse.fusion.credit import Credit, credit
+from locfuse.fusion.data import Drive, Estimates, Evaluation
+from locfuse.fusion.evaluate import evaluate
+from locfuse.fusion.predictive import Score, listeners, scores
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.registry import REGISTRY
+
 from . import results
 from .configurations import Configuration
 from .filters import fuser
@@ -103,7 +104,7 @@ def _judged(c: Configuration, loaded: Loaded, align: str, smooth: bool, watch: S
 
 def refuse_smoothing(robot: Robot, configurations: Sequence[Configuration]) -> None:
     """Raise UsageError before any work is done where one of the filters does not weigh optimally."""
-    from ..fusion.smooth import check_optimal
+    from locfuse.fusion.smooth import check_optimal
 
     for c in configurations:
         check_optimal(robot, c.sensors)
@@ -142,7 +143,7 @@ def add_pseudo_reference(report: dict[str, Any], drive: Drive, estimates: Sequen
     smoothed = [e for e in estimates if e.smoothed]
     if drive.truth is not None or not smoothed:
         return
-    from ..fusion.smooth import against
+    from locfuse.fusion.smooth import against
 
     best = max(smoothed, key=lambda e: len(e.sensors))
     report["pseudo_reference"] = {"configuration": best.name, "words": PSEUDO}

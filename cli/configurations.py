@@ -6,12 +6,13 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from ..fusion.credit import subsets
-from ..fusion.data import Drive, Estimates, LocfuseError, UsageError
-from ..fusion.fuse import configuration_name
-from ..fusion.robot import Robot
-from ..fusion.sensors.registry import REGISTRY
-from ..fusion.thin import thinned
+from locfuse.fusion.credit import subsets
+from locfuse.fusion.data import Drive, Estimates, LocfuseError, UsageError
+from locfuse.fusion.fuse import configuration_name
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.thin import thinned
+
 from .filters import fuser
 
 RATE = re.compile(r"(\d+(?:\.\d+)?)\s*hz", re.IGNORECASE)
@@ -37,7 +38,7 @@ class Configuration:
         """
         if not smooth:
             return (fuser(robot.preset)(self.drive(drive), robot, self.sensors, self.name),)
-        from ..fusion.smooth import fuse_and_smooth
+        from locfuse.fusion.smooth import fuse_and_smooth
 
         return fuse_and_smooth(self.drive(drive), robot, self.sensors, self.name)
 

@@ -7,14 +7,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..formats import robot_toml
-from ..formats.commented_toml import Section
-from ..fusion.data import LocfuseError
-from ..fusion.oddity import Oddity
+from locfuse.formats import robot_toml
+from locfuse.formats.commented_toml import Section
+from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.oddity import Oddity
+
 from .draft_lines import Facts, Known, found, lines
 from .load import ATTACHMENT, TABLES, make_robot
-from .look import Look, look
-from .options import LogOptions
+from .look import look
+from .overview import Look
+from .settings import LogOptions
 
 ROUNDS = 4  # a cure may bring out what could not be seen before
 MEASURED = {"lag", "range scale", "track", "yaw"}  # oddities whose cure is right even where they spoil little

@@ -7,15 +7,16 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from ..formats.commented_toml import Line
-from ..fusion.oddity import settings_in
-from ..fusion.sensors.registry import REGISTRY
-from ..fusion.wheel_sources import JOINTS
-from ..fusion.wheels import ODOMETRY, counts_ticks
+from locfuse.formats.commented_toml import Line
+from locfuse.fusion.oddity import settings_in
+from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.wheel_sources import JOINTS
+from locfuse.fusion.wheels import ODOMETRY, counts_ticks
+
 from .draft_words import ASKS, GUESSES, NEEDED
 from .load import TABLES
-from .look import Look
 from .mounts import mount_tables
+from .overview import Look
 from .topics import of_type
 
 Known = dict[str, tuple[Any, str]]  # "table.key" -> its value, and who says so

@@ -11,17 +11,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..fusion import se2
-from ..fusion.data import ArrayStream, Column, Measurements, Ragged
-from ..fusion.fuse import Filter
-from ..fusion.instants import step_between
-from ..fusion.motion import Wheels
-from ..fusion.robot import Robot
-from ..fusion.sensors.registry import REGISTRY
+from locfuse.fusion import se2
+from locfuse.fusion.data import ArrayStream, Column, Measurements, Ragged
+from locfuse.fusion.fuse import Filter
+from locfuse.fusion.instants import step_between
+from locfuse.fusion.motion import Wheels
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.registry import REGISTRY
+
 from .load import make_robot
 
 if TYPE_CHECKING:
-    from ..sample_logs.messages import RawMessage
+    from locfuse.sample_logs.messages import RawMessage
 
 DELAY = 0.15  # s: longer than any sensor's latency in the scenarios
 MEMORY = 4.0  # s of wheel readings that are kept

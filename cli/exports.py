@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from typing import TYPE_CHECKING, Any, TypeVar
-
-import click
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ..formats.outdir import Content
-    from ..fusion.data import Array, Drive, Estimates
+    from locfuse.formats.outdir import Content
+    from locfuse.fusion.data import Array, Drive, Estimates
+
     from .load import Loaded
 
-F = TypeVar("F", bound=Callable[..., Any])
 KINDS = {
     "mcap": "estimates.mcap for Foxglove and rosbag2: Odometry with covariance, Path, /tf, truth",
     "log": "the same with every message of the log beside them",
@@ -25,29 +23,9 @@ MCAP = "estimates.mcap"
 TWO_CLOCKS = 1.0  # s between stamps and recording: more is another clock, in which players live
 
 
-def export_option(command: F) -> F:
-    """Add --export; the command receives `export: set[str]`."""
-    words = "; ".join(f"{kind} ({what})" if what else kind for kind, what in KINDS.items())
-    option = click.option(
-        "--export",
-        callback=lambda context, parameter, value: parse(value),
-        metavar="KINDS",
-        help=f"Comma-separated formats of other tools to write as well: {words}.",
-    )
-    return option(command)
-
-
-def parse(words: str | None) -> set[str]:
-    """Return the kinds that --export names. Raises click.UsageError for an unknown one."""
-    names = {name.strip() for name in (words or "").split(",") if name.strip()}
-    if unknown := sorted(names - KINDS.keys()):
-        raise click.UsageError(f"--export: unknown format {unknown[0]!r}; choose from {', '.join(KINDS)}")
-    return names
-
-
 def files(kinds: Collection[str], loaded: Loaded, found: Mapping[str, Estimates]) -> dict[str, Content]:
     """Return the files of these kinds; `found` gives each trajectory the name of its files."""
-    from ..formats import trajectory as to
+    from locfuse.formats import trajectory as to
 
     out: dict[str, Content] = {}
     writers: dict[str, dict[str, Callable[[Drive, Estimates], str]]] = {
@@ -65,7 +43,8 @@ def files(kinds: Collection[str], loaded: Loaded, found: Mapping[str, Estimates]
 
 
 def _mcap(loaded: Loaded, found: Mapping[str, Estimates], with_log: bool) -> Callable[[Any], None]:
-    from ..formats.estimates_mcap import Export
+    from locfuse.formats.estimates_mcap import Export
+
     from .results import robot_file
 
     drive, robot = loaded.drive, loaded.robot
@@ -84,7 +63,7 @@ def _twist(drive: Drive) -> Array:
     """Return the mean body twist (n, 3) by the wheels over the interval that ends at each instant."""
     import numpy as np
 
-    from ..fusion import se2
+    from locfuse.fusion import se2
 
     dt = np.diff(drive.t, prepend=drive.t[0])
     twist: Array = se2.log(drive.motions.u) / np.where(dt > 0.0, dt, np.inf)[:, None]

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from ..fusion.data import Estimates
-from ..fusion.robot import Preset
+from locfuse.fusion.data import Estimates
+from locfuse.fusion.robot import Preset
 
 # Settings under which a preset measures a log; robot.toml and --set go over them.
 TABLES: dict[Preset, dict[str, Any]] = {
@@ -23,9 +23,9 @@ NOTE = (
 def fuser(preset: Preset) -> Callable[..., Estimates]:
     """Return what fuses a drive under a preset; both have the arguments of `fusion.fuse.fuse`."""
     if preset == "paper":
-        from ..fusion.paper_filter import fuse_as_printed
+        from locfuse.fusion.paper_filter import fuse_as_printed
 
         return fuse_as_printed
-    from ..fusion.fuse import fuse
+    from locfuse.fusion.fuse import fuse
 
     return fuse

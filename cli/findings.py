@@ -32,7 +32,7 @@ def findings_options(what: str, tables: str) -> Callable[[Command], Command]:
 
 def may_replace(out: Path | None, overwrite: bool) -> None:
     """Raise UsageError where a file would be lost: to know it before the work is done."""
-    from ..fusion.data import UsageError
+    from locfuse.fusion.data import UsageError
 
     if out is not None and out.exists() and not overwrite:
         raise UsageError(f"{out} exists: choose another name, or replace it with --overwrite")
@@ -40,7 +40,7 @@ def may_replace(out: Path | None, overwrite: bool) -> None:
 
 def print_findings(values: Any, tables: Iterable[Table], out: Path | None, as_json: bool) -> None:
     """Print what was found as JSON, or as tables and with how the file is used."""
-    from ..formats import report_json
+    from locfuse.formats import report_json
 
     with reader_may_leave():
         if as_json:

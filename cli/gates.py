@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..fusion.data import LocfuseError, UsageError
+from locfuse.fusion.data import LocfuseError, UsageError
 
 FAILED = 4
 OPERATORS: dict[str, Callable[[float, float], bool]] = {
@@ -132,7 +132,7 @@ def _is_figure(value: Any) -> bool:
 
 def _worse(report: Mapping[str, Any], baseline: Baseline) -> list[str]:
     """Return error figures that both reports have and that grew by more than the tolerance."""
-    from ..fusion.evaluate import ERROR_KEYS
+    from locfuse.fusion.evaluate import ERROR_KEYS
 
     lines, compared = [], 0
     for name, old_values in baseline.report["configurations"].items():

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
-from ..fusion.data import UsageError
+from locfuse.fusion.data import UsageError
 
 PART = re.compile(r"(?P<name>.+)_(?P<number>\d+)\.(?:mcap(?:\.zstd)?|db3(?:\.zstd)?)")
 OVERLAP_NS = 1_000_000_000  # parts of one recording follow each other; two drives need not
@@ -65,7 +65,7 @@ def _split(parts: list[str]) -> list[list[str]]:
     """Return the parts as one log, or as several where they overlap in time."""
     if len(parts) < 2:
         return [parts]
-    from ..formats.log import open_log
+    from locfuse.formats.log import open_log
 
     spans = sorted(span for part in parts if (span := open_log([Path(part)]).time_span_ns) is not None)
     apart = all(b[0] > a[1] - OVERLAP_NS for a, b in pairwise(spans))

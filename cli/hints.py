@@ -7,19 +7,20 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from ..formats.urdf import WheelGeometry, wheel_geometry
-from ..fusion.data import Array, LocfuseError, Ragged
-from ..fusion.geometry import Geometry, by_odometry
-from ..fusion.joined import joined
-from ..fusion.oddity import Oddity
-from ..fusion.robot import Robot
-from ..fusion.truth import TRUTH_READS, looks_like_truth
-from ..fusion.wheel_sources import JOINTS, KNOWN_TICKS, joint_names
-from ..fusion.wheels import ODOMETRY, counts_ticks
+from locfuse.formats.urdf import WheelGeometry, wheel_geometry
+from locfuse.fusion.data import Array, LocfuseError, Ragged
+from locfuse.fusion.geometry import Geometry, by_odometry
+from locfuse.fusion.joined import joined
+from locfuse.fusion.oddity import Oddity
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.truth import TRUTH_READS, looks_like_truth
+from locfuse.fusion.wheel_sources import JOINTS, KNOWN_TICKS, joint_names
+from locfuse.fusion.wheels import ODOMETRY, counts_ticks
+
 from .topics import Choice, of_type
 
 if TYPE_CHECKING:
-    from ..formats.log import Log
+    from locfuse.formats.log import Log
 
 ESTIMATES = ("odom", "amcl", "slam", "ekf", "filter", "goal", "initial", "estimate", "fused", "map")
 MOVES = 0.05  # of a joint's readings, in its unit: a joint that never moves is no wheel
@@ -110,7 +111,8 @@ def geometry(robot: Robot, found: Hints) -> tuple[dict[str, float], str]:
 
 def _unused_counters(log: Log, choice: Choice) -> tuple[str, ...]:
     """Return topics of wheel turns that lost to an odometry for lack of geometry."""
-    from ..fusion.wheel_sources import TICKS
+    from locfuse.fusion.wheel_sources import TICKS
+
     from .wheel_topics import pair_topics
 
     taken = {t for role in choice.topics for t in choice.of(role)}

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .options import LogOptions, log_options
+from .options import log_options
 from .screen import reader_may_leave
+from .settings import LogOptions
 
 if TYPE_CHECKING:
-    from .look import Look
+    from .overview import Look
 
 ODD = 3
 PICTURES = "pictures"
@@ -38,7 +39,8 @@ def info(log: tuple[str, ...], check: bool, as_json: bool, preview: Path | None,
     locfuse info bag/ --check --set wheels.radius=0.033 --set wheels.track=0.16
     locfuse info bag/ --preview pictures --set camera.outer=230
     """
-    from ..formats import report_json
+    from locfuse.formats import report_json
+
     from . import info_json, info_text, show
     from .load import find_log
     from .look import look
@@ -65,8 +67,8 @@ def _typed(log: tuple[str, ...], how: LogOptions) -> list[str]:
 
 def _preview(seen: Look, folder: Path) -> list[str]:
     """Write preview pictures; return what to print of them."""
-    from ..formats.preview import write_pictures
-    from ..fusion.preview import preview as pictures_of
+    from locfuse.formats.preview import write_pictures
+    from locfuse.fusion.preview import preview as pictures_of
 
     topic = _topic_of_pictures(seen)
     shown = pictures_of(seen.log.stream(topic, seen.robot.order), seen.robot.settings("camera"))
@@ -81,7 +83,8 @@ def _preview(seen: Look, folder: Path) -> list[str]:
 
 def _topic_of_pictures(seen: Look) -> str:
     """Return the camera's topic: without a landmark it is not chosen, and its pictures help to find one."""
-    from ..fusion.data import LocfuseError
+    from locfuse.fusion.data import LocfuseError
+
     from .look_sensors import pictures_of
 
     fit = pictures_of(seen.log, seen.choice)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..fusion.oddity import Oddity
-from ..fusion.sensors.registry import REGISTRY
-from .look import Look
+from locfuse.fusion.oddity import Oddity
+from locfuse.fusion.sensors.registry import REGISTRY
+
 from .look_mounts import extrinsics
+from .overview import Look
 from .topics import types
 
 

@@ -8,11 +8,12 @@ import textwrap
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
-from ..fusion.oddity import Oddity
-from ..fusion.sensors.registry import REGISTRY
+from locfuse.fusion.oddity import Oddity
+from locfuse.fusion.sensors.registry import REGISTRY
+
 from .info_json import absent, configurations, wheels_missing
-from .look import Look
 from .look_mounts import extrinsics
+from .overview import Look
 from .text_table import Column, table
 from .topic_facts import TopicFacts, clock_word
 

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .options import LogOptions, log_options
+from .options import log_options
+from .settings import LogOptions
 
 if TYPE_CHECKING:
     from .draft import Draft
@@ -29,7 +30,8 @@ def init(log: tuple[str, ...], how: LogOptions) -> int:
     locfuse init bag/ --set wheels.radius=0.033 --set wheels.track=0.16 > robot.toml
     locfuse compare bag/ --robot robot.toml
     """
-    from ..formats.commented_toml import printable, render
+    from locfuse.formats.commented_toml import printable, render
+
     from . import show
     from .draft import draft
     from .load import find_log

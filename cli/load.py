@@ -10,20 +10,23 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from ..formats import robot_toml
-from ..formats.log import Log, open_log
-from ..fusion.data import Drive, LocfuseError, UsageError
-from ..fusion.joined import Joined, joined
-from ..fusion.measure import measure
-from ..fusion.robot import Robot, StartSettings, TruthSettings, WheelSettings
-from ..fusion.sensors.registry import REGISTRY
+from locfuse.formats import robot_toml
+from locfuse.formats.log import Log, open_log
+from locfuse.fusion.clocks import lag_notes
+from locfuse.fusion.data import Drive, LocfuseError, UsageError
+from locfuse.fusion.joined import Joined, joined
+from locfuse.fusion.measure import measure
+from locfuse.fusion.robot import Robot, StartSettings, TruthSettings, WheelSettings
+from locfuse.fusion.sensors.registry import REGISTRY
+
 from . import filters
+from .choose import choose
 from .memory import give_back
 from .mounts import mount_tables
-from .topics import Choice, choose
+from .topics import Choice
 
 if TYPE_CHECKING:
-    from .options import LogOptions
+    from .settings import LogOptions
 
 ORDERS = ("auto", "stamp", "recorded")
 PRESETS = ("default", "paper")
@@ -57,7 +60,7 @@ def _find(word: str) -> Path:
     path = Path(word)
     if path.exists():
         return path
-    from .. import sample_logs
+    from locfuse import sample_logs
 
     samples = sample_logs.names()
     if word in samples:
@@ -108,7 +111,8 @@ def measured(
     robot = make_robot(robot_toml.merge(mounts, tables))
     drive = measure({role: s for role, s in streams.items() if role not in aside}, robot, choice.absent, progress)
     preset = (filters.NOTE,) if robot.preset == "paper" else ()
-    notes = (*preset, *choice.notes, *_clock_notes(streams), *_start_notes(robot, drive), *drive.notes)
+    lags = lag_notes(drive.wheels, drive.measurements)
+    notes = (*preset, *choice.notes, *_clock_notes(streams), *_start_notes(robot, drive), *drive.notes, *lags)
     return Loaded(log, robot, choice, replace(drive, notes=notes), drive.notes)
 
 
@@ -194,8 +198,8 @@ def _streams(log: Log, choice: Choice, order: str) -> dict[str, Any]:
 
 def _light(role: str, msgtype: str) -> tuple[str, ...]:
     """Return the fields to read in the common walk: none of a sensor that reads in blocks."""
-    from ..fusion.truth import TRUTH_READS
-    from ..fusion.wheels import WHEEL_READS
+    from locfuse.fusion.truth import TRUTH_READS
+    from locfuse.fusion.wheels import WHEEL_READS
 
     reads = {"wheels": WHEEL_READS, "truth": TRUTH_READS}
     if role in reads:

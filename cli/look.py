@@ -6,53 +6,36 @@ Whatever is wrong becomes an oddity and the rest is looked at all the same: this
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from ..formats.log import Log, open_log
-from ..formats.transforms import StaticTransforms
-from ..fusion.data import LocfuseError
-from ..fusion.doctor import examine
-from ..fusion.joined import joined
-from ..fusion.oddity import Oddity, settings_in
-from ..fusion.robot import Robot
-from ..fusion.sensors.registry import REGISTRY
+from locfuse.formats.log import Log, open_log
+from locfuse.formats.transforms import StaticTransforms
+from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.doctor import examine
+from locfuse.fusion.joined import joined
+from locfuse.fusion.oddity import Oddity, settings_in
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.registry import REGISTRY
+
 from . import hints
+from .choose import choose_sensor, choose_truth
 from .load import Loaded, make_robot, measured, merged_tables, named_by_hand
 from .look_clocks import of_stamps
 from .look_mounts import conflicts, unplaced
 from .look_sensors import raw_oddities
-from .topic_facts import TopicFacts, topic_facts
-from .topics import Choice, choose_sensor, choose_truth
+from .topic_facts import topic_facts
+from .topics import Choice
 from .wheel_topics import choose_wheels
 
 if TYPE_CHECKING:
-    from .options import LogOptions
+    from .settings import LogOptions
+from .overview import Look
 
 COSTLY = ("camera",)  # decoding every picture takes longer than all the rest
 PHANTOMS = {"yaw", "range scale"}  # what walls that are none would say
-
-
-@dataclass
-class Look:
-    """What was seen."""
-
-    log: Log
-    tables: dict[str, Any]  # robot.toml as merged, before mounts
-    choice: Choice
-    facts: list[TopicFacts]
-    transforms: StaticTransforms
-    robot: Robot  # with mounts where the log could be measured
-    loaded: Loaded | None = None
-    hints: hints.Hints = field(default_factory=hints.Hints)
-    oddities: list[Oddity] = field(default_factory=list)
-
-    @property
-    def spoils(self) -> bool:
-        """Whether an estimate would be wrong, or bytes are lost."""
-        return any(o.spoils for o in self.oddities)
 
 
 def look(paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None] = lambda role: None) -> Look:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from ..fusion.oddity import Oddity
-from ..fusion.robot import Robot
-from ..fusion.sensors.registry import REGISTRY
+from locfuse.fusion.oddity import Oddity
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.registry import REGISTRY
+
 from .load import PLAIN_CLOCK
 from .topic_facts import ANOTHER_CLOCK, TopicFacts
 from .topics import Choice

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from ..fusion.oddity import Oddity
-from ..fusion.sensors.registry import REGISTRY
+from locfuse.fusion.oddity import Oddity
+from locfuse.fusion.sensors.registry import REGISTRY
+
 from .mounts import BASE_FRAMES, mount_of
 
 if TYPE_CHECKING:
-    from .look import Look
+    from .overview import Look
 
 MOUNT_KEYS = ("x", "y", "roll_deg", "pitch_deg", "yaw_deg", "flipped", "mounts")
 

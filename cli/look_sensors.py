@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from ..fusion.data import LocfuseError
-from ..fusion.doctor_scan import driver
-from ..fusion.oddity import Oddity
-from ..fusion.robot import Robot
-from ..fusion.sensors.registry import REGISTRY
+from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.doctor_scan import driver
+from locfuse.fusion.oddity import Oddity
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.registry import REGISTRY
+
 from .topics import Choice, of_type
 
 if TYPE_CHECKING:
-    from ..formats.log import Log
+    from locfuse.formats.log import Log
 
 
 def raw_oddities(log: Log, robot: Robot, choice: Choice) -> list[Oddity]:
@@ -43,6 +44,6 @@ def _said(
 
 
 def _pictures(stream: Any, settings: Any) -> list[Oddity]:
-    from ..fusion.doctor_pictures import of_pictures  # imports OpenCV
+    from locfuse.fusion.doctor_pictures import of_pictures
 
     return of_pictures(stream, settings)

@@ -111,7 +111,7 @@ def _misused(e: click.ClickException) -> int:
 
 def _expected(e: Exception) -> int:
     """Turn our own errors and the operating system's into one line; let bugs be seen."""
-    from ..fusion.data import LocfuseError
+    from locfuse.fusion.data import LocfuseError
 
     if isinstance(e, LocfuseError):
         return _say(str(e), e.exit_code)

@@ -4,59 +4,14 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
-import msgspec
 
-from ..fusion.data import Estimates, UsageError
-from .load import Loaded
+from .maps import MapOptions
 
 F = TypeVar("F", bound=Callable[..., Any])
-
-
-@dataclass(frozen=True)
-class MapOptions:
-    """Which map the laser is given, and where the map that it made goes."""
-
-    given: Path | None
-    save: Path | None
-
-    def give(self, loaded: Loaded) -> Loaded:
-        """Return the log with a robot that localises in the given map.
-
-        Raises LocfuseError for a bad file, UsageError for the printed filter: its map is the first scan's.
-        """
-        if self.given is None:
-            return loaded
-        if loaded.robot.preset == "paper":
-            raise UsageError(
-                "--map: the paper's filter knows its first scan's walls only; leave --preset paper out"
-            )
-        from ..formats import line_map_file
-
-        robot = loaded.robot
-        lrf = msgspec.structs.replace(robot.settings("lrf"), map="given")
-        lines = tuple(line_map_file.read(self.given))
-        return replace(loaded, robot=replace(robot, sensors={**robot.sensors, "lrf": lrf}, lines=lines))
-
-    def check(self, sensors: tuple[str, ...]) -> None:
-        """Raise UsageError where maps are asked of a run without a laser."""
-        asked = "--map" if self.given is not None else "--save-map" if self.save is not None else None
-        if asked and "lrf" not in sensors:
-            raise UsageError(f"{asked}: only the laser has a map; add lrf to --sensors")
-
-    def keep(self, estimates: Estimates, made_from: str) -> None:
-        """Write the final map where it was asked for."""
-        if self.save is None:
-            return
-        from ..formats import line_map_file
-        from ..formats.outdir import whole_file
-
-        with whole_file(self.save) as path:
-            path.write_text(line_map_file.encode(estimates.final_map, made_from))
 
 
 def map_options(command: F) -> F:

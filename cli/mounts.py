@@ -6,11 +6,11 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from ..formats.transforms import Mount, StaticTransforms, planar_mount
-from ..fusion.sensors.registry import REGISTRY
+from locfuse.formats.transforms import Mount, StaticTransforms, planar_mount
+from locfuse.fusion.sensors.registry import REGISTRY
 
 if TYPE_CHECKING:
-    from ..formats.stream import LogStream
+    from locfuse.formats.stream import LogStream
 
 BASE_FRAMES = ("base_link", "base_footprint", "base")
 

@@ -3,25 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
+from .exports import KINDS as EXPORTS
+from .settings import LogOptions
+
 F = TypeVar("F", bound=Callable[..., Any])
-
-
-@dataclass(frozen=True)
-class LogOptions:
-    """How to read a log."""
-
-    robot: Path | None
-    sets: tuple[str, ...]
-    order: str | None
-    strict: bool
-    quiet: bool
-    preset: str | None = None
 
 
 def preset_option(command: F) -> F:
@@ -129,4 +119,24 @@ def chosen(write: str | None, kinds: tuple[str, ...]) -> set[str]:
     unknown = sorted(names - set(kinds))
     if unknown:
         raise click.UsageError(f"--write: unknown output {unknown[0]!r}; choose from {', '.join(kinds)}")
+    return names
+
+
+def export_option(command: F) -> F:
+    """Add --export; the command receives `export: set[str]`."""
+    words = "; ".join(f"{kind} ({what})" if what else kind for kind, what in EXPORTS.items())
+    option = click.option(
+        "--export",
+        callback=lambda context, parameter, value: exported(value),
+        metavar="KINDS",
+        help=f"Comma-separated formats of other tools to write as well: {words}.",
+    )
+    return option(command)
+
+
+def exported(words: str | None) -> set[str]:
+    """Return the kinds that --export names. Raises click.UsageError for an unknown one."""
+    names = {name.strip() for name in (words or "").split(",") if name.strip()}
+    if unknown := sorted(names - EXPORTS.keys()):
+        raise click.UsageError(f"--export: unknown format {unknown[0]!r}; choose from {', '.join(EXPORTS)}")
     return names

@@ -6,16 +6,17 @@ from collections.abc import Collection, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from ..fusion.data import Estimates, Evaluation
-from ..fusion.gates import chi_square
-from ..fusion.running import Running, running_nis
-from ..fusion.sensors.registry import REGISTRY
+from locfuse.fusion.data import Estimates, Evaluation
+from locfuse.fusion.gates import chi_square
+from locfuse.fusion.running import Running, running_nis
+from locfuse.fusion.sensors.registry import REGISTRY
+
 from . import results
 from .comparison import Compared
 
 if TYPE_CHECKING:
-    from ..formats.figures import Scene
-    from ..formats.outdir import Content
+    from locfuse.formats.figure_scene import Scene
+    from locfuse.formats.outdir import Content
 
 
 class Drawn:
@@ -36,7 +37,7 @@ def files(
     compared: Compared, drawn: Drawn, report: Mapping[str, Any], kinds: Collection[str]
 ) -> dict[str, Content]:
     """Return the content of every file of these kinds by its name; `drawn` is what .html shows of the audits."""
-    from ..formats import report_json, report_md, report_tables
+    from locfuse.formats import report_json, report_md, report_tables
 
     out: dict[str, Content] = {"robot.toml": results.robot_file(compared.loaded.robot)}
     if "tum" in kinds:
@@ -56,7 +57,7 @@ def files(
 
 def trajectories(compared: Compared) -> dict[str, Content]:
     """Return one .tum for each configuration, and the truth's."""
-    from ..formats import trajectory
+    from locfuse.formats import trajectory
 
     drive = compared.loaded.drive
     out: dict[str, Content] = {
@@ -70,23 +71,24 @@ def trajectories(compared: Compared) -> dict[str, Content]:
 
 def page(compared: Compared, drawn: Drawn, report: Mapping[str, Any]) -> str:
     """Return report.html."""
-    from ..formats import report_html
-    from ..formats.figures import sections
+    from locfuse.formats import report_html
+    from locfuse.formats.figures import sections
 
     return report_html.render(report, sections(scene(compared, drawn)), list(REGISTRY))
 
 
 def figure_files(compared: Compared, drawn: Drawn) -> dict[str, bytes]:
     """Return every figure as SVG and PDF by its file's name."""
-    from ..formats.figure_paper import paper_figures
-    from ..formats.figures import sections
+    from locfuse.formats.figure_paper import paper_figures
+    from locfuse.formats.figures import sections
 
     return paper_figures(sections(scene(compared, drawn)), list(REGISTRY))
 
 
 def scene(compared: Compared, drawn: Drawn) -> Scene:
     """Return what the figures show: estimates, judgements, and consistency with its chi-square bounds."""
-    from ..formats.figures import Component, Scene, Stretches
+    from locfuse.formats.figure_scene import Component, Scene, Stretches
+
     from .rerun_scene import LOOKS
 
     drive = compared.loaded.drive

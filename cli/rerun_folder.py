@@ -9,11 +9,12 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from ..formats import report_md
-from ..formats.rerun_scene import Scene
-from ..formats.trajectory import read_tum
-from ..fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Motions, Truth, matrices
-from ..fusion.evaluate import evaluate
+from locfuse.formats import report_md
+from locfuse.formats.rerun_scene import Scene
+from locfuse.formats.trajectory import read_tum
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Motions, Truth, matrices
+from locfuse.fusion.evaluate import evaluate
+
 from .rerun_scene import palette
 
 REPORTS = ("report.json", "run.json")

@@ -5,55 +5,16 @@ Whatever goes wrong here costs one warning: the results are already written.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import click
 
-if TYPE_CHECKING:
-    from ..formats.rerun_recording import Sketch
-    from ..fusion.data import Estimates, Evaluation
-    from .load import Loaded
+from .rerun_record import RerunOptions
+from .rerun_viewer import ADDRESS, LOCAL_VIEWER
 
 F = TypeVar("F", bound=Callable[..., Any])
-ADDRESS = re.compile(r"rerun(?:\+https?)?://(?P<host>\[[^\]/]+\]|[^/:@]+)(?::(?P<port>\d{1,5}))?/proxy")
-LOCAL_VIEWER = "rerun+http://127.0.0.1:9876/proxy"
-RECORDING = "recording.rrd"  # in the results' folder, unless --rerun-save names another
-
-
-@dataclass(frozen=True)
-class RerunOptions:
-    """What to record of a run, and where to show it."""
-
-    show: bool = False
-    save: Path | None = None
-    connect: str | None = None
-    images: int | None = None  # every n-th; 0 none; None as many as stay light
-    full: bool = False
-
-    @property
-    def wanted(self) -> bool:
-        """Whether anything of Rerun was asked for; if not, it is not imported."""
-        return self.show or self.save is not None or self.connect is not None
-
-
-class Recorded:
-    """What a recording shows of each configuration, taken as it is judged."""
-
-    def __init__(self) -> None:
-        self._estimates: dict[str, Estimates] = {}
-
-    def take(self, e: Estimates, _evaluation: Evaluation) -> None:
-        """Keep one run with its audits."""
-        self._estimates[e.name] = e
-
-    def in_order(self, estimates: Sequence[Estimates]) -> list[Estimates]:
-        """Return what was taken in the order of the results."""
-        return [self._estimates[e.name] for e in estimates if e.name in self._estimates]
 
 
 def every(ctx: click.Context, param: click.Parameter, value: str | None) -> int | None:
@@ -136,88 +97,3 @@ def rerun_options(command: F) -> F:
     ):
         decorated = option(decorated)
     return decorated  # type: ignore[no-any-return]
-
-
-def sketched(
-    options: RerunOptions,
-    loaded: Loaded,
-    estimates: Sequence[Estimates],
-    evaluations: Sequence[Evaluation],
-    report: Mapping[str, Any],
-) -> Sketch | None:
-    """Return the recording of the configurations in values, None where none is wanted or none can be made."""
-    if not options.wanted:
-        return None
-    with _at_worst_a_warning():
-        return _sketch(options, loaded, estimates, evaluations, report)
-    return None
-
-
-def record(options: RerunOptions, sketch: Sketch | None, folder: Path) -> None:
-    """Write a recording and show it as the options say; at worst warn.
-
-    Without --rerun-save the recording lies beside the results, where `locfuse view FOLDER` finds it.
-    """
-    if sketch is None:
-        return
-    path = options.save or folder / RECORDING
-    if _saved(path, sketch):
-        click.echo(f"{path}: Rerun recording", err=True)
-        _show(path, options)
-
-
-@contextmanager
-def _at_worst_a_warning() -> Iterator[None]:
-    """Let nothing fail the run: a Rerun of another version, or none, or broken. The results stand."""
-    from ..fusion.data import LocfuseError
-
-    try:
-        yield
-    except LocfuseError as problem:
-        warn(str(problem))
-    except Exception as problem:
-        warn(f"no recording was made: {type(problem).__name__}: {problem}")
-
-
-def _sketch(
-    options: RerunOptions,
-    loaded: Loaded,
-    estimates: Sequence[Estimates],
-    evaluations: Sequence[Evaluation],
-    report: Mapping[str, Any],
-) -> Sketch:
-    from ..formats import report_md
-    from ..formats.rerun_recording import sketch
-    from .rerun_scene import make_scene
-
-    table = report_md.render(report)
-    return sketch(make_scene(loaded, estimates, evaluations, table, options.images, options.full))
-
-
-def _saved(path: Path, sketch: Sketch) -> bool:
-    from ..formats.rerun_file import save_recording
-    from .memory import give_back
-
-    give_back()  # Rerun's import takes as much as an hour's estimates did
-    with _at_worst_a_warning():
-        save_recording(path, sketch)
-        return True
-    return False
-
-
-def _show(path: Path, options: RerunOptions) -> None:
-    from ..fusion.data import LocfuseError
-    from .rerun_viewer import send, show
-
-    try:
-        if options.connect is not None:
-            send(path, options.connect)
-        if options.show:
-            show(path)
-    except LocfuseError as problem:
-        warn(f"{problem}. The recording is whole; open it with: locfuse view {path}")
-
-
-def warn(text: str) -> None:
-    """Say in one line on stderr what did not work."""
-    click.echo(f"warning: rerun: {' '.join(text.split())}", err=True)

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ..formats.rerun_colours import GROUP_OF
-from ..formats.rerun_scene import Picture
-from ..fusion.data import Array, Drive, Estimates, Ints, Stream
+from locfuse.formats.rerun_colours import GROUP_OF
+from locfuse.formats.rerun_scene import Picture
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, Stream
 
 QUALITY = 80  # JPEG, of what has to be encoded: panoramas, and raw Image messages
 MEDIA = {b"\xff\xd8": "image/jpeg", b"\x89P": "image/png"}
@@ -17,8 +17,8 @@ MEDIA = {b"\xff\xd8": "image/jpeg", b"\x89P": "image/png"}
 
 def pictures(stream: Stream, settings: Any, drive: Drive, best: Estimates, every: int) -> Iterator[Picture]:
     """Yield every n-th picture of the camera's stream that can be read, few in memory at a time."""
-    from ..fusion.images import decode, messages
-    from ..fusion.sensors.camera import detector
+    from locfuse.fusion.images import decode, messages
+    from locfuse.fusion.sensors.camera import detector
 
     m = drive.measurements["camera"]
     verdicts = _verdicts(best, len(m.z))
@@ -41,8 +41,8 @@ _NONE: Ints = np.zeros(0, np.int64)
 
 def panorama_rows(stream: Stream, settings: Any) -> int | None:
     """Return the height of the panoramas [px], None where no picture can be read."""
-    from ..fusion.images import decode, messages
-    from ..fusion.sensors.camera import detector
+    from locfuse.fusion.images import decode, messages
+    from locfuse.fusion.sensors.camera import detector
 
     for block in messages(stream):
         for _, message in block:
@@ -62,8 +62,8 @@ def _verdicts(best: Estimates, rows: int) -> np.ndarray[Any, np.dtype[np.str_]]:
 
 
 def _picture(t: float, message: Any, picture: Any, optics: Any, bearings: Array, verdicts: Any) -> Picture:
-    from ..fusion.optics import angle_of_bearing, column
-    from ..fusion.panorama import unwrap
+    from locfuse.fusion.optics import angle_of_bearing, column
+    from locfuse.fusion.panorama import unwrap
 
     theta = angle_of_bearing(bearings, optics)
     ray = np.stack((np.sin(theta), np.cos(theta)), axis=-1)
@@ -92,7 +92,7 @@ def _passed_through(message: Any, picture: Any) -> tuple[bytes, str]:
 
 
 def _jpeg(picture: Any) -> bytes:
-    from ..fusion.cv import cv2
+    from locfuse.fusion.cv import cv2
 
     done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     return data.tobytes() if done else b""

@@ -8,11 +8,11 @@ from typing import Any, cast
 
 import numpy as np
 
-from ..formats.rerun_scene import ScanPoints
-from ..formats.rerun_thin import evenly
-from ..fusion import se2
-from ..fusion.data import Array, Drive, Ints, Ragged, Stream
-from ..fusion.sensors.lrf import LrfSettings
+from locfuse.formats.rerun_scene import ScanPoints
+from locfuse.formats.rerun_thin import evenly
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array, Drive, Ints, Ragged, Stream
+from locfuse.fusion.sensors.lrf import LrfSettings
 
 BEAMS = 360  # of a scan that are drawn: more than a screen shows
 FIELDS = ("angle_min", "angle_increment", "time_increment", "range_min", "range_max", "ranges")

@@ -8,15 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from ..formats.palette import colours
-from ..formats.rerun_scene import Detail, Picture, RawTopic, Rgb, ScanPoints, Scene, Sight
-from ..fusion.data import Array, Column, Drive, Estimates, Evaluation, Ragged
-from ..fusion.gates import chi_square
-from ..fusion.robot import VIRTUAL_TRACK, Robot
-from ..fusion.sensors.registry import REGISTRY
-from ..fusion.smooth import SUFFIX
-from ..fusion.truth import TRUTH_READS
-from ..fusion.wheels import WHEEL_READS
+from locfuse.formats.palette import colours
+from locfuse.formats.rerun_scene import Detail, Picture, RawTopic, Rgb, ScanPoints, Scene, Sight
+from locfuse.fusion.data import Array, Column, Drive, Estimates, Evaluation, Ragged
+from locfuse.fusion.gates import chi_square
+from locfuse.fusion.robot import VIRTUAL_TRACK, Robot
+from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.smooth import SUFFIX
+from locfuse.fusion.truth import TRUTH_READS
+from locfuse.fusion.wheels import WHEEL_READS
+
 from .configurations import parse
 from .load import Loaded
 from .rerun_scans import BEAMS, scan_points

@@ -9,20 +9,21 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
 import socket
 import subprocess
 import sys
 import time
 import webbrowser
+from collections.abc import Callable
 from pathlib import Path
 from urllib.parse import quote
 
-import click
+from locfuse.fusion.data import LocfuseError
 
-from ..fusion.data import LocfuseError
-from .rerun_options import ADDRESS, LOCAL_VIEWER
-
+ADDRESS = re.compile(r"rerun(?:\+https?)?://(?P<host>\[[^\]/]+\]|[^/:@]+)(?::(?P<port>\d{1,5}))?/proxy")
 HOST, PORT = "127.0.0.1", 9876
+LOCAL_VIEWER = f"rerun+http://{HOST}:{PORT}/proxy"
 PROBE = 1.0  # s to wait for a port
 PATIENCE = 10.0  # s to wait for a viewer to take a recording, and
 RATE = 5e6  # bytes per second on top of that
@@ -122,14 +123,17 @@ def start(path: Path) -> subprocess.Popen[bytes]:
     return viewer
 
 
-def serve(path: Path, wanted: int) -> None:
-    """Serve a recording to browsers on this machine until interrupted. Raises LocfuseError where that fails."""
+def serve(path: Path, wanted: int, say: Callable[[str], None]) -> None:
+    """Serve a recording to browsers on this machine until interrupted; `say` gets the address.
+
+    Raises LocfuseError where that fails.
+    """
     port, data = free_port(wanted), free_port(PORT)
     command = [program(), "--bind", HOST, "--port", str(data), "--serve-web", "--web-viewer-port", str(port)]
     server = _popen([*command, str(path)])
     try:
         address = f"http://{HOST}:{port}/?url=" + quote(f"rerun+http://{HOST}:{data}/proxy", safe="")
-        click.echo(f"{address}\nCtrl-C ends it", err=True)
+        say(f"{address}\nCtrl-C ends it")
         if has_display():
             webbrowser.open(address)
         code = server.wait()

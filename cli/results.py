@@ -8,9 +8,10 @@ from typing import Any
 
 import msgspec
 
-from ..formats import report_json, robot_toml
-from ..fusion.data import Evaluation
-from ..fusion.robot import Robot
+from locfuse.formats import report_json, robot_toml
+from locfuse.fusion.data import Evaluation
+from locfuse.fusion.robot import Robot
+
 from .load import Loaded
 
 LOSS = 3

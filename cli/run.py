@@ -7,10 +7,12 @@ from pathlib import Path
 
 import click
 
-from .exports import export_option
-from .map_options import MapOptions, map_options
-from .options import LogOptions, chosen, log_options, out_options, preset_option, smooth_option
-from .rerun_options import RerunOptions, record, rerun_options, sketched
+from .map_options import map_options
+from .maps import MapOptions
+from .options import chosen, export_option, log_options, out_options, preset_option, smooth_option
+from .rerun_options import rerun_options
+from .rerun_record import RerunOptions, record, sketched
+from .settings import LogOptions
 
 KINDS = ("tum", "csv", "json")
 
@@ -65,10 +67,11 @@ def run(
     locfuse run rounded_rectangle --sensors all
     locfuse run bag/ --sensors compass,lrf --robot robot.toml -o out
     """
-    from ..formats import report_json, trajectory
-    from ..formats.audit_csv import audit_csv
-    from ..formats.outdir import Content, whole_file, write_results
-    from ..fusion.evaluate import evaluate
+    from locfuse.formats import report_json, trajectory
+    from locfuse.formats.audit_csv import audit_csv
+    from locfuse.formats.outdir import Content, whole_file, write_results
+    from locfuse.fusion.evaluate import evaluate
+
     from . import configurations, exports, results, show
     from .load import find_log, load_to_fuse
     from .memory import lean
@@ -105,7 +108,7 @@ def run(
     lost = results.loss_lines(loaded, configuration.sensors, how.strict)
     show.result(report, folder, files, as_json)
     show.notes(report, lost, how.quiet)
-    sketch = sketched(rerun, loaded, found, judged, report)
+    sketch = sketched(rerun, loaded, found, judged, report, show.say)
     del loaded, drive, found, named, estimates, files, judged  # Rerun's import takes as much memory as all of them
-    record(rerun, sketch, folder)
+    record(rerun, sketch, folder, show.say)
     return results.LOSS if lost else 0

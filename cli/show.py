@@ -11,9 +11,10 @@ from typing import Any, Protocol
 
 import click
 
-from ..formats import report_json
-from ..formats.report_columns import written
-from ..formats.report_notes import notes_of
+from locfuse.formats import report_json
+from locfuse.formats.report_columns import written
+from locfuse.formats.report_notes import notes_of
+
 from .screen import reader_may_leave, screen
 
 COLUMNS = (
@@ -32,6 +33,11 @@ class Progress(Protocol):
 
     def __call__(self, what: str) -> None:
         """Name the current step."""
+
+
+def say(line: str) -> None:
+    """Print a line on stderr."""
+    click.echo(line, err=True)
 
 
 @contextmanager

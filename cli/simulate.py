@@ -10,10 +10,10 @@ import click
 from .findings import may_replace
 
 if TYPE_CHECKING:
-    from ..sample_logs.messages import Estimator
-    from ..sample_logs.record import Localise
-    from ..sample_logs.scenario import Scenario
-    from ..sample_logs.simulate import Outcome
+    from locfuse.sample_logs.messages import Estimator
+    from locfuse.sample_logs.record import Localise
+    from locfuse.sample_logs.scenario import Scenario
+    from locfuse.sample_logs.simulate import Outcome
 
 
 @click.command()
@@ -50,8 +50,8 @@ def simulate(
     locfuse simulate rounded_rectangle -o drive.mcap --set compass.noise_deg=0.1 --set control.estimator=all
     locfuse simulate rounded_rectangle --show > mine.toml
     """
-    from ..fusion.data import UsageError
-    from ..sample_logs import load
+    from locfuse.fusion.data import UsageError
+    from locfuse.sample_logs import load
 
     if listing:
         for name in load.names():
@@ -72,7 +72,7 @@ def simulate(
 def _drive(scenario: Scenario, seed: int, out: Path, as_json: bool) -> None:
     import json
 
-    from ..sample_logs.record import write_log
+    from locfuse.sample_logs.record import write_log
 
     outcome = write_log(scenario, seed, localise(scenario.control.estimator), out)
     facts = {"log": str(out), "seed": seed, **_facts(outcome)}
@@ -86,7 +86,7 @@ def _drive(scenario: Scenario, seed: int, out: Path, as_json: bool) -> None:
 
 
 def _facts(outcome: Outcome) -> dict[str, Any]:
-    from ..sample_logs.stability import speed_stability
+    from locfuse.sample_logs.stability import speed_stability
 
     stability = speed_stability(outcome)
     return {
@@ -100,9 +100,10 @@ def _facts(outcome: Outcome) -> dict[str, Any]:
 
 def localise(word: str) -> Localise:
     """Return what builds the robot's localisation: "truth", "odometry", "all", or sensors such as compass+lrf."""
-    from ..fusion.data import UsageError
-    from ..fusion.sensors.registry import REGISTRY
-    from ..sample_logs.record import on_truth
+    from locfuse.fusion.data import UsageError
+    from locfuse.fusion.sensors.registry import REGISTRY
+    from locfuse.sample_logs.record import on_truth
+
     from .estimator import make_estimator
 
     def build(tables: dict[str, dict[str, Any]]) -> Estimator | None:

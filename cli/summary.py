@@ -14,15 +14,16 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from ..formats import changes as sides
-from ..formats import report_json
-from ..formats import summary as over
-from ..formats.log_files import log_name
-from ..formats.outdir import may_write, write_results
-from ..formats.report_columns import cell
-from ..fusion.credit import Credit, SensorCredit, credit_over_logs
-from ..fusion.data import LocfuseError, UsageError
-from ..fusion.verdict import Effect
+from locfuse.formats import changes as sides
+from locfuse.formats import report_json
+from locfuse.formats import summary as over
+from locfuse.formats.log_files import log_name
+from locfuse.formats.outdir import may_write, write_results
+from locfuse.formats.report_columns import cell
+from locfuse.fusion.credit import Credit, SensorCredit, credit_over_logs
+from locfuse.fusion.data import LocfuseError, UsageError
+from locfuse.fusion.verdict import Effect
+
 from . import gates, results
 from .grouping import logs_of, results_of
 from .load import find_log

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..fusion.data import LocfuseError
-from ..fusion.doctor import gaps
+from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.doctor import gaps
 
 if TYPE_CHECKING:
-    from ..formats.log import Log
+    from locfuse.formats.log import Log
 
 MOST_GAPS = 20  # listed for machines
 ANOTHER_CLOCK = 1.0  # s between stamp and recording: more is no delay

@@ -1,21 +1,15 @@
-"""Which topic feeds the wheels, each sensor, and the truth: by type if it is the only one, else by name.
-
-Truth is never guessed by type: /odom and /amcl_pose are estimates, and an estimate must not judge another.
-"""
+"""Topics by role, and the rules that every role shares: named, of the right type, the only candidate."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from ..fusion.data import LocfuseError
-from ..fusion.robot import Robot
-from ..fusion.sensors.registry import REGISTRY
-from ..fusion.truth import TRUTH_READS, looks_like_truth
+from locfuse.fusion.data import LocfuseError
 
 if TYPE_CHECKING:
-    from ..formats.log import Log
+    from locfuse.formats.log import Log
 
 NAMED = "named in the settings"
 ONLY = "the only topic of its type"
@@ -41,94 +35,6 @@ class Choice:
         self.topics[role], self.why[role] = topics[0], why
         if len(topics) > 1:
             self.more[role] = tuple(topics[1:])
-
-
-def choose(log: Log, robot: Robot, insisted: Collection[str] = ()) -> Choice:
-    """Choose topics. Raises LocfuseError where several fit, none gives the wheels, or a named one is unfit.
-
-    A robot.toml serves many logs, so a sensor or truth topic that it names may be missing; one named by --set
-    (`insisted`) may not.
-    """
-    from .wheel_topics import choose_wheels
-
-    choice = Choice()
-    choose_truth(log, robot, "truth" in insisted, choice)
-    choose_wheels(log, robot, choice)
-    for name in REGISTRY:
-        choose_sensor(log, robot, name, name in insisted, choice)
-    for name, sensor in REGISTRY.items():
-        for other in getattr(sensor, "needs", ()):
-            if name in choice.topics and other not in choice.topics:
-                del choice.topics[name]
-                choice.absent[name] = f"it is held against the map of {other}, and that is absent"
-    return choice
-
-
-def choose_sensor(log: Log, robot: Robot, name: str, insisted: bool, choice: Choice) -> None:
-    """Take the topics of one sensor, or say why it has none."""
-    sensor, settings = REGISTRY[name], robot.settings(name)
-    named = _names(settings)
-    gone = [t for t in named if t not in log.topics]
-    if gone and not insisted:
-        choice.absent[name] = f"{log.name} has no topic {gone[0]}, which robot.toml names"
-        return
-    candidates = _candidates(log, name, choice)
-    unset = getattr(sensor, "missing", lambda settings: None)(settings) if candidates or named else None
-    if unset:
-        choice.absent[name] = unset
-        return
-    if named:
-        choice.take(name, [checked(log, name, topic, sensor.reads) for topic in named], NAMED)
-    elif not candidates:
-        if not getattr(sensor, "extra", False):  # nobody expects what lies beside the paper's sensors
-            choice.absent[name] = f"no topic of type {types(sensor.reads)} in {log.name}"
-        choice.foreign.add(name)
-        return
-    else:
-        _by_type(log, name, candidates, choice)
-    empty = all(log.topics[t].count == 0 for t in choice.of(name))
-    if name in choice.topics and empty:
-        choice.absent[name] = f"{choice.topics.pop(name)} holds no messages"
-
-
-def _names(settings: Any) -> tuple[str, ...]:
-    """Return the topics that a sensor's table names."""
-    several = tuple(getattr(settings, "topics", None) or ())
-    return several or ((settings.topic,) if settings.topic is not None else ())
-
-
-def _candidates(log: Log, name: str, choice: Choice) -> list[str]:
-    """Return the topics that a sensor could read and nobody but another sensor does, those with messages first."""
-    sensor = REGISTRY[name]
-    taken = {*choice.of("truth"), *choice.of("wheels")}
-    named: Mapping[str, tuple[str, ...]] = getattr(sensor, "named", {})
-    found = [t for t in of_type(log, sensor.reads) if t not in taken]
-    found = [t for t in found if _named_well(t, log.topics[t].msgtype, named)]
-    found = [t for t in found if log.topics[t].count != 0] or found
-    carries = getattr(sensor, "carries", None)
-    if carries is not None and len(found) > 1:
-        found = [t for t in found if carries(log.stream(t))] or found[:1]
-    return found
-
-
-def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None:
-    """Take the only candidate; all of a sensor that has several; where a sensor beside it has one, the same."""
-    sensor = REGISTRY[name]
-    if len(candidates) == 1:
-        choice.take(name, candidates, ONLY)
-    elif getattr(sensor, "several", False):
-        choice.take(name, candidates, f"all {len(candidates)} topics of its type")
-    elif not getattr(sensor, "extra", False):
-        raise several_fit(log, name, candidates)
-    elif shared := [t for t in candidates if t in choice.topics.values()]:
-        choice.take(name, shared[:1], "another sensor reads it too")
-    else:  # beside the paper's sensors: a guess would be worse than none, and an error would stop the others
-        choice.absent[name] = str(several_fit(log, name, candidates)).partition(": ")[2]
-
-
-def _named_well(topic: str, msgtype: str, named: Mapping[str, tuple[str, ...]]) -> bool:
-    """Return whether a bare number's topic says what the number is; other types need no such word."""
-    return msgtype not in named or any(word in topic.lower() for word in named[msgtype])
 
 
 def of_type(log: Log, reads: Iterable[str]) -> list[str]:
@@ -166,17 +72,6 @@ def checked(log: Log, role: str, topic: str, reads: Iterable[str]) -> str:
     if info.problem is not None:
         raise LocfuseError(f"{role}: {topic} cannot be read: {info.problem}")
     return topic
-
-
-def choose_truth(log: Log, robot: Robot, insisted: bool, choice: Choice) -> None:
-    """Take the truth's topic: by its name only."""
-    named = robot.truth.topic
-    if named is not None and named not in log.topics and not insisted:
-        return
-    candidates = [t for t in of_type(log, TRUTH_READS) if looks_like_truth(t)]
-    topic = one(log, "truth", named, candidates, TRUTH_READS)
-    if topic is not None:
-        choice.take("truth", [topic], NAMED if named else "its name says so")
 
 
 def types(reads: Iterable[str]) -> str:

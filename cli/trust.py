@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
-from ..fusion.consistency import Consistency, Run, judge
-from ..fusion.data import Drive, Estimates, Evaluation
-from ..fusion.honesty import Honesty, honesty
-from ..fusion.robot import Robot
+from locfuse.fusion.consistency import Consistency, Run, judge
+from locfuse.fusion.data import Drive, Estimates, Evaluation
+from locfuse.fusion.honesty import Honesty, honesty
+from locfuse.fusion.robot import Robot
 
 
 def evidence(drive: Drive, estimates: Estimates, robot: Robot) -> list[Run]:

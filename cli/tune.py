@@ -7,7 +7,8 @@ from pathlib import Path
 import click
 
 from .findings import Table, end, findings_options, may_replace, print_findings
-from .options import LogOptions, log_options
+from .options import log_options
+from .settings import LogOptions
 
 
 @click.command()

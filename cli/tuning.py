@@ -8,19 +8,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ..formats import robot_toml
-from ..formats.outdir import whole_file
-from ..fusion.consistency import Run, judge
-from ..fusion.data import Evaluation, Measurements, UsageError
-from ..fusion.evaluate import evaluate
-from ..fusion.fuse import fuse
-from ..fusion.noise_figures import Figures
-from ..fusion.robot import Robot
-from ..fusion.sensors.registry import REGISTRY
-from ..fusion.tune import Row, Trial, Tuned, tune
+from locfuse.formats import robot_toml
+from locfuse.formats.outdir import whole_file
+from locfuse.fusion.consistency import Run, judge
+from locfuse.fusion.data import Evaluation, Measurements, UsageError
+from locfuse.fusion.evaluate import evaluate
+from locfuse.fusion.fuse import fuse
+from locfuse.fusion.noise_figures import Figures
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.tune import Row, Trial, Tuned, tune
+
 from .configurations import needs
 from .load import Loaded, load
-from .options import LogOptions
+from .settings import LogOptions
 
 WIDTH = 1.96  # standard deviations of a 95 % interval
 HELD_OUT = 0.2  # share of every log, its end, where no log is held out

@@ -10,11 +10,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .options import LogOptions, log_options
-from .rerun_options import RECORDING, address, detail_options
+from .options import log_options
+from .rerun_options import address, detail_options
+from .rerun_record import RECORDING
+from .settings import LogOptions
 
 if TYPE_CHECKING:
-    from ..formats.rerun_scene import Scene
+    from locfuse.formats.rerun_scene import Scene
+
     from .show import Progress
 
 TABS = ("Deviation", "Close-up", "NIS", "Innovation", "Gates", "Result", "Raw topics")
@@ -82,7 +85,7 @@ def view(
         elif connect is not None:
             rerun_viewer.send(path, connect)
         elif web:
-            rerun_viewer.serve(path, web_port)
+            rerun_viewer.serve(path, web_port, show.say)
         else:
             rerun_viewer.show_and_wait(path)
 
@@ -92,7 +95,8 @@ def ready(what: Sequence[str]) -> Path | None:
 
     Raises LocfuseError for a recording that was cut short.
     """
-    from ..formats.rerun_file import check
+    from locfuse.formats.rerun_file import check
+
     from .rerun_folder import report_of
 
     path = Path(what[0])
@@ -112,8 +116,9 @@ def _record(
     what: Sequence[str], made: Path | None, wish: Wish, target: Path, tab: str | None, progress: Progress
 ) -> Path:
     """Write the recording of a log or of a results' folder to `target`, or copy the one that is made."""
-    from ..formats.rerun_file import copy, save_recording
-    from ..formats.rerun_recording import sketch
+    from locfuse.formats.rerun_file import copy, save_recording
+    from locfuse.formats.rerun_recording import sketch
+
     from .memory import give_back
     from .rerun_folder import report_of, scene_of
 
@@ -131,11 +136,12 @@ def _record(
 
 def _scene_of_log(what: Sequence[str], wish: Wish, progress: Progress) -> Scene:
     """Measure a log and run its configurations."""
-    from ..formats import report_md
+    from locfuse.formats import report_md
+
     from .comparison import compare_log, report_of
     from .configurations import for_comparison
     from .load import find_log, load
-    from .rerun_options import Recorded
+    from .rerun_record import Recorded
     from .rerun_scene import make_scene
 
     loaded = load(find_log(what), wish.how, progress)

@@ -6,15 +6,16 @@ import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, cast
 
-from ..fusion.data import LocfuseError
-from ..fusion.robot import Robot
-from ..fusion.truth import looks_like_truth
-from ..fusion.wheel_sources import JOINTS, NUMBERS, TICKS, joint_names
-from ..fusion.wheels import ODOMETRY, WHEEL_READS, counts_ticks
+from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.truth import looks_like_truth
+from locfuse.fusion.wheel_sources import JOINTS, NUMBERS, TICKS, joint_names
+from locfuse.fusion.wheels import ODOMETRY, WHEEL_READS, counts_ticks
+
 from .topics import NAMED, ONLY, Choice, checked, of_type, one, several_fit, types
 
 if TYPE_CHECKING:
-    from ..formats.log import Log
+    from locfuse.formats.log import Log
 
 OTHER_SIDE = {"left": "right", "l": "r", "lwheel": "rwheel", "lw": "rw"}
 COUNTS = ("tick", "enc", "wheel", "count", "angle")  # what a wheel's own topic is called ...

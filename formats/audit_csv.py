@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from ..fusion.data import VERDICTS, Audit, Drive, Estimates
+from locfuse.fusion.data import VERDICTS, Audit, Drive, Estimates
+
 from .trajectory import seconds, stamps
 
 HEADER = "t,sensor,measurement,verdict,landmark,distance2,threshold,innovation_1,sigma_1,innovation_2,sigma_2"

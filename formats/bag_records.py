@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fusion.data import Ints
+from locfuse.fusion.data import Ints
+
 from .decompress import DamagedError
 from .file_bytes import FileBytes
 

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fusion.data import LocfuseError
+from locfuse.fusion.data import LocfuseError
+
 from . import bag_records as rec
 from .decompress import CODECS, MAX_BYTES, DamagedError, decompress, decompress_prefix
 from .file_bytes import FileBytes

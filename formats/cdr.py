@@ -15,11 +15,12 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fusion.data import Column, Ints, Ragged
+from locfuse.fusion.data import Column, Ints, Ragged
+
 from .columns import concat, take, view
+from .decoded import Decoded
 from .fields import Part, resolve
 from .layout import CDR, Layout, Leaf, MalformedError, Rules, read_layout
-from .messages import Decoded
 from .schema import Many, Record, Scalar, Text
 
 Bytes = NDArray[np.uint8]

@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fusion.data import Array, Ints
+from locfuse.fusion.data import Array, Ints
+
 from .monotone import never_decreasing
 
 ORDERS = ("auto", "stamp", "recorded")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fusion.data import Column, Ints, Ragged
+from locfuse.fusion.data import Column, Ints, Ragged
 
 TRUSTED = 1 << 22  # elements allocated on the word of a file that so many will come
 

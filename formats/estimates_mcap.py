@@ -14,7 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..fusion.data import Array, Drive, Estimates, Ints, Truth
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, Truth
+
 from .estimates_messages import PATH, Series, odometry, path, points, poses, transforms
 from .log import TF_TYPES, Log
 from .mcap_columns import Block, ColumnWriter

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fusion.data import Array, Ints, matrices
+from locfuse.fusion.data import Array, Ints, matrices
+
 from .mcap_write import nested, time_message
 from .message_columns import MESSAGES, Columns, Template, stamps
 from .trajectory import SIX

@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fusion.data import Array, Ints
+from locfuse.fusion.data import Array, Ints
+
 from .rerun_thin import extremes
 
 FLAT = 0.1  # px: a point this near to the line between its neighbours is not seen

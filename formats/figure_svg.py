@@ -13,7 +13,8 @@ from html import escape
 
 import numpy as np
 
-from ..fusion.data import Array
+from locfuse.fusion.data import Array
+
 from . import ticks
 from .figure_path import band_path, curve_path, dots_path, free_path, strokes_path
 from .palette import dashed

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..fusion.data import Array, Evaluation
-from .figures import Scene, metres
+from locfuse.fusion.data import Array, Evaluation
+
+from .figure_scene import Scene, metres
 from .panels import Band, Curve, Mark, Panel, Section
 
 SIGMAS = 3.0

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..fusion.data import VERDICTS, Array, Audit, Estimates, Evaluation
-from .figures import Component, Scene
+from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, Evaluation
+
+from .figure_scene import Component, Scene
 from .panels import Band, Curve, Dots, Mark, Panel, Section
 
 TIME = "time, s"

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..fusion.data import Array, Estimates, Evaluation, MapLine
-from .figures import Scene
+from locfuse.fusion.data import Array, Estimates, Evaluation, MapLine
+
+from .figure_scene import Scene
 from .panels import Curve, Mark, Panel, Section, Strokes
 
 WALLS = ("walls of the first scan", "walls seen later")

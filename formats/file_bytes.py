@@ -7,7 +7,7 @@ import weakref
 import zlib
 from pathlib import Path
 
-from ..fusion.data import LocfuseError
+from locfuse.fusion.data import LocfuseError
 
 WINDOW = 1 << 18
 

@@ -14,7 +14,7 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from ..fusion.data import Array, LocfuseError, MapLine
+from locfuse.fusion.data import Array, LocfuseError, MapLine
 
 FORMAT, VERSION = "locfuse line map", 1
 Point = tuple[float, float]

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fusion.data import Ints, LocfuseError, UsageError
+from locfuse.fusion.data import Ints, LocfuseError, UsageError
+
 from . import clock as clocks
 from . import transforms
 from .fields import FieldError, resolve

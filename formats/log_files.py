@@ -6,7 +6,8 @@ import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from ..fusion.data import LocfuseError, UsageError
+from locfuse.fusion.data import LocfuseError, UsageError
+
 from .file_bytes import FileBytes
 from .losses import Losses
 from .mcap_walk import McapSource

@@ -29,7 +29,8 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
-from ..fusion.data import Ints
+from locfuse.fusion.data import Ints
+
 from .mcap_records import MAGIC
 
 RECORD = 9  # bytes of opcode and length

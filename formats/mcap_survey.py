@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..fusion.data import LocfuseError
+from locfuse.fusion.data import LocfuseError
+
 from . import mcap_records as rec
 from .decompress import MAX_BYTES, DamagedError
 from .file_bytes import FileBytes

@@ -14,7 +14,7 @@ from mcap.writer import CompressionType, Writer
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
-from ..fusion.data import LocfuseError
+from locfuse.fusion.data import LocfuseError
 
 # A late subscriber of a latched topic still gets it when the bag is played: rosbag2 reads this per channel.
 LATCHED = """\

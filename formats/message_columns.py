@@ -8,7 +8,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fusion.data import Ints
+from locfuse.fusion.data import Ints
+
 from .fields import resolve
 from .layout import CDR, read_layout
 from .mcap_write import Messages, nested

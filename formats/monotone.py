@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fusion.data import Array, Ints
+from locfuse.fusion.data import Array, Ints
 
 
 def never_decreasing(values: Ints, weights: Array) -> NDArray[np.bool_]:

@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 
-from ..fusion.data import LocfuseError
+from locfuse.fusion.data import LocfuseError
 
 RESULTS = ("run.json", "report.json", "summary.json", "changes.json")
 TEMPORARY = ".locfuse-tmp"  # ending of files that are being written

@@ -12,8 +12,7 @@ import zstandard
 from numpy.typing import NDArray
 
 from .columns import view
-from .layout import MAX_MESSAGE
-from .source import Messages
+from .source import MAX_MESSAGE, Messages
 
 ZSTD_MAGIC = 0xFD2FB528
 TOGETHER = 16 * 1024 * 1024  # bytes of unpacked messages handed on at once

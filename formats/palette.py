@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from ..fusion.data import VERDICTS
+from locfuse.fusion.data import VERDICTS
 
 
 class Colour(NamedTuple):

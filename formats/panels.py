@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..fusion.data import Array
+from locfuse.fusion.data import Array
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fusion.data import LocfuseError
+from locfuse.fusion.data import LocfuseError
+
 from .outdir import whole_file
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from ..fusion.data import Drive, Evaluation, SensorFigures
+from locfuse.fusion.data import Drive, Evaluation, SensorFigures
 
 
 def report(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from ..fusion.data import VERDICTS
+from locfuse.fusion.data import VERDICTS
+
 from .rerun_scene import Rgb
 
 TRUTH: Rgb = (244, 245, 247)

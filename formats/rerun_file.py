@@ -13,7 +13,8 @@ from importlib.abc import MetaPathFinder
 from pathlib import Path
 from typing import Any
 
-from ..fusion.data import LocfuseError
+from locfuse.fusion.data import LocfuseError
+
 from .outdir import whole_file
 from .rerun_recording import Sketch, write_recording
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ..fusion.data import Array, MapLine
+from locfuse.fusion.data import Array, MapLine
 
 SIGMAS = 3.0
 

@@ -7,7 +7,8 @@ from itertools import islice
 
 import numpy as np
 
-from ..fusion.data import Array
+from locfuse.fusion.data import Array
+
 from . import rerun_colours as colours
 from . import rerun_style as style
 from .rerun_later import rr

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ..fusion.data import Array, Estimates, Ints, MapLine, matrices
+from locfuse.fusion.data import Array, Estimates, Ints, MapLine, matrices
+
 from . import rerun_colours as colours
 from . import rerun_style as style
 from .rerun_geometry import ellipses, quaternions, steps, wall, wall_band

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ..fusion.data import Array, Drive, Ints
+from locfuse.fusion.data import Array, Drive, Ints
+
 from .rerun_later import made, rr
 
 if TYPE_CHECKING:

@@ -9,7 +9,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ..fusion.data import Array, Drive, Estimates, Evaluation, Ints
+from locfuse.fusion.data import Array, Drive, Estimates, Evaluation, Ints
+
 from .rerun_geometry import wall
 from .rerun_thin import CURVE_POINTS, SCANS
 

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..fusion.data import VERDICTS, Array, Audit, Estimates, Evaluation, Ints, Measurements
+from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, Evaluation, Ints, Measurements
+
 from . import rerun_colours as colours
 from .rerun_later import rr
 from .rerun_recorder import Recorder, part

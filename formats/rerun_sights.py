@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..fusion.data import VERDICTS, Array, Audit, Estimates, Ints, Measurements
+from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, Ints, Measurements
+
 from . import rerun_colours as colours
 from . import rerun_style as style
 from .rerun_geometry import mounted, quaternions, segments, to_map

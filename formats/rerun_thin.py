@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..fusion.data import Array, Ints
+from locfuse.fusion.data import Array, Ints
 
 CURVE_POINTS = 4000
 SCANS = 2000

@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from ..fusion.data import LocfuseError, UsageError
+from locfuse.fusion.data import LocfuseError, UsageError
 
 FEW = 12  # keys are listed up to this many
 LARGEST = 1e20  # no robot's number is larger; a 64-bit counter's range is not

@@ -6,6 +6,8 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, cast
 
+from .source import message_type
+
 if TYPE_CHECKING:
     from rosbags.interfaces.typing import FieldDesc, Typesdict
 
@@ -59,12 +61,6 @@ class Record:
 
 
 Node = Scalar | Text | Many | Record
-
-
-def message_type(name: str) -> str:
-    """Spell a type name as pkg/msg/Name: "pkg/Name" and "pkg::msg::Name" are spellings of the same."""
-    parts = name.replace("::", "/").split("/")
-    return f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 else "/".join(parts)
 
 
 def parse(name: str, encoding: str, text: str, filler: bool = True) -> Record:

@@ -12,7 +12,9 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fusion.data import Ints
+from locfuse.fusion.data import Ints
+
+MAX_MESSAGE = 64 * 1024 * 1024  # bytes of one message: more is refused
 
 
 class ChannelInfo(NamedTuple):
@@ -63,3 +65,9 @@ class Source(Protocol):
 
     def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
         """Yield the messages of the wanted channels in file order; the same order at every call."""
+
+
+def message_type(name: str) -> str:
+    """Spell a type name as pkg/msg/Name: "pkg/Name" and "pkg::msg::Name" are spellings of the same."""
+    parts = name.replace("::", "/").split("/")
+    return f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 else "/".join(parts)

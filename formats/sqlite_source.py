@@ -10,13 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ..fusion.data import LocfuseError
+from locfuse.fusion.data import LocfuseError
+
 from .file_bytes import FileBytes
 from .known_types import definition
-from .layout import MAX_MESSAGE
 from .losses import Losses
-from .schema import message_type
-from .source import Batch, ChannelInfo, Messages
+from .source import MAX_MESSAGE, Batch, ChannelInfo, Messages, message_type
 
 ERRORS = (sqlite3.Error, UnicodeDecodeError, ValueError, MemoryError)  # of a damaged database
 BATCH_BYTES = 1 << 20

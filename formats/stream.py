@@ -8,7 +8,8 @@ from typing import Protocol
 
 import numpy as np
 
-from ..fusion.data import Block, Column, Ints
+from locfuse.fusion.data import Block, Column, Ints
+
 from . import clock as clocks
 from .columns import concat, n_bytes, take
 from .table import Raw, Table

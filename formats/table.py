@@ -10,10 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fusion.data import Column, Ints, LocfuseError
+from locfuse.fusion.data import Column, Ints, LocfuseError
+
 from .columns import Growing, take
+from .decoded import Decoded, MessageDecoder
 from .fields import frame_path, stamp_path
-from .messages import Decoded, MessageDecoder
 from .source import Messages
 
 

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
-from .messages import MessageDecoder, encoding_problem, make_decoder
-from .schema import SchemaError, message_type, signature
-from .source import ChannelInfo, Source
+from .decoded import MessageDecoder
+from .messages import encoding_problem, make_decoder
+from .schema import SchemaError, signature
+from .source import ChannelInfo, Source, message_type
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..fusion.data import Array, Drive, Estimates, Ints, Truth, upper_triangles
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, Truth, upper_triangles
 
 BLOCK = 4096  # lines at a time: an hour's lines as Python values take ten times their file
 SIX = (0, 1, 5)  # where x, y, theta stand among x, y, z, roll, pitch, yaw

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..fusion.data import Array, Column, Ragged
+from locfuse.fusion.data import Array, Column, Ragged
 
 FIELDS = (
     "transforms.header.frame_id",

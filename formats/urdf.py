@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..fusion.data import Array
+from locfuse.fusion.data import Array
 
 LARGEST = 4 * 1024 * 1024  # characters: no robot's description is longer
 TURNS = ("continuous", "revolute")

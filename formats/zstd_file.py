@@ -9,7 +9,8 @@ from typing import BinaryIO
 
 import zstandard
 
-from ..fusion.data import LocfuseError
+from locfuse.fusion.data import LocfuseError
+
 from .file_bytes import FileBytes
 from .losses import Losses
 

@@ -11,10 +11,11 @@ from functools import partial
 
 import numpy as np
 
+from locfuse.fusion.sensors.registry import REGISTRY
+
 from .data import Array, Measurements
 from .lag import WORTH_SAYING, Lag, Reference, by_wheels, find_lag, worth_saying
 from .motion import Wheels
-from .sensors.registry import REGISTRY
 
 FEWEST = 20  # readings
 READINGS = 3000  # enough to find a lag: five minutes of a 10 Hz laser

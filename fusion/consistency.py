@@ -13,17 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .cures import (
-    LARGER,
-    REFUSED_LINES,
-    Finding,
-    Verdict,
-    biased,
-    by_itself,
-    by_witness,
-    contradicting,
-    disagrees,
-)
+from .cures import LARGER, REFUSED_LINES, Finding, Verdict, biased, by_itself, by_witness, contradicting, disagrees
 from .data import Drive, Estimates
 from .innovations import Heard, Own, heard, own, usual_period
 from .robot import Robot

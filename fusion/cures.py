@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from locfuse.fusion.sensors.registry import REGISTRY
+
 from .innovations import Heard, Own
-from .sensors.registry import REGISTRY
 
 Verdict = Literal[
     "consistent", "understated", "overstated", "biased", "contradicts", "correlated", "outliers", "unclear"

@@ -9,11 +9,12 @@ from typing import cast
 import msgspec
 import numpy as np
 
+from locfuse.fusion.sensors.compass import from_number
+
 from .data import Array, Drive, Stream
 from .doctor_turning import explain
 from .oddity import Oddity
 from .robot import Robot
-from .sensors.compass import from_number
 
 MOST_RADIANS = 4.0 * math.pi  # a heading beyond two turns is in degrees
 

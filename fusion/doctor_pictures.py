@@ -6,10 +6,11 @@ from collections import Counter
 
 import numpy as np
 
+from locfuse.fusion.sensors.camera import CameraSettings, detector
+
 from .data import Stream
 from .images import Picture, decode, messages
 from .oddity import Oddity
-from .sensors.camera import CameraSettings, detector
 
 PICTURES = 24  # looked at
 OFTEN = 0.5  # share of the pictures

@@ -8,12 +8,13 @@ from typing import cast
 
 import numpy as np
 
+from locfuse.fusion.sensors.compass import CompassSettings
+
 from .data import Array, Drive, Stream
 from .iron import plausible
 from .mounting import rotation
 from .oddity import Oddity
 from .robot import Robot
-from .sensors.compass import CompassSettings
 
 GRAVITY = (9.0, 10.6)  # m/s^2
 TILT = math.radians(25.0)

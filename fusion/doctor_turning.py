@@ -12,13 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from locfuse.fusion.sensors.registry import REGISTRY
+
 from .data import Array, Drive, Measurements, Stream
 from .doctor_laser import Motion
 from .joined import Joined
 from .motion import Wheels
 from .oddity import Oddity
 from .robot import Robot, WheelSettings
-from .sensors.registry import REGISTRY
 from .wheels import ODOMETRY
 
 WINDOW = 1.0  # s

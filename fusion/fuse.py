@@ -12,6 +12,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.fusion.sensors.base import Block, Innovation, Model
+from locfuse.fusion.sensors.registry import REGISTRY
+
 from . import few_blocks, se2
 from .data import Array, Drive, Estimates, LocfuseError, Measurements, matrices
 from .ekf import Pose, PoseBelief, Triangle
@@ -21,8 +24,6 @@ from .joint import JointBelief
 from .record import MANY, Record
 from .robot import Robot, StartSettings
 from .robust import inflated
-from .sensors.base import Block, Innovation, Model
-from .sensors.registry import REGISTRY
 from .wheel_states import WHEELS, wheel_block, wheel_words
 
 # what makes the belief at the start: of the pose alone, or with blocks; None: whatever fits, the fastest first

@@ -7,8 +7,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from locfuse.fusion.sensors.base import Innovation
+
 from .data import Array, Ints
-from .sensors.base import Innovation
 
 
 def sparse_row(

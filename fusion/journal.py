@@ -14,10 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from locfuse.fusion.sensors.base import Block
+
 from .data import Array, Ints
 from .ekf import Pose, PoseBelief, Triangle
 from .joint import JointBelief
-from .sensors.base import Block
 
 POSE = np.arange(3)
 

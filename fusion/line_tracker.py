@@ -8,6 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from locfuse.fusion.sensors.base import Block, Innovation, Model
+from locfuse.fusion.sensors.mount import Mount
+
 from . import se2
 from .association import Association, associate
 from .data import VERDICTS, Array, LocfuseError, MapLine, Measurements
@@ -19,8 +22,6 @@ from .map_keeping import LEAST_HITS, merge_doubles, prune
 from .pairing import Pair
 from .recovery import Guard
 from .scan import Scan, Scans
-from .sensors.base import Block, Innovation, Model
-from .sensors.mount import Mount
 from .wall_floor import bend
 
 UNMATCHED, AMBIGUOUS, NEW, LOST = (VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new", "lost"))

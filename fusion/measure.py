@@ -12,11 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from .clocks import lag_notes
+from locfuse.fusion.sensors.registry import REGISTRY
+
 from .data import Array, Drive, Ints, LocfuseError, Measurements, Motions, Stream
 from .motion import Wheels
 from .robot import Robot
-from .sensors.registry import REGISTRY
 from .truth import read_truth
 from .wheels import read_wheels
 
@@ -91,7 +91,7 @@ def cut(
         truth_instant=truth_instant,
         dropped=dropped,
         wheels=wheels,
-        notes=(*_silence_notes(wheels), *lag_notes(wheels, measurements)),
+        notes=tuple(_silence_notes(wheels)),
     )
 
 

@@ -12,9 +12,10 @@ from dataclasses import dataclass, field, replace
 
 import msgspec
 
+from locfuse.fusion.sensors.registry import REGISTRY
+
 from .cures import noise_keys
 from .robot import Robot
-from .sensors.registry import REGISTRY
 
 WHEELS = "wheels.noise"
 DRIFT = ":drift"  # of a sensor's estimated offset

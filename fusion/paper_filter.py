@@ -12,6 +12,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.fusion.sensors.base import Innovation
+
 from . import paper
 from .data import Array, Drive, Estimates, Ints, LocfuseError, upper_triangles
 from .fuse import configuration_name
@@ -20,7 +22,6 @@ from .paper import PRINTED, Printed
 from .paper_rows import PARTS, LineRows, Rows
 from .record import Record
 from .robot import Robot
-from .sensors.base import Innovation
 
 EARLY = 1e-9  # s: a stamp that is rounding away from the grid is on it
 

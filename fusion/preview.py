@@ -7,13 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from locfuse.fusion.sensors.camera import CameraSettings, detector
+
 from .cv import cv2
 from .data import LocfuseError, Stream
 from .images import decode, messages
 from .landmark import Detector, Look
 from .optics import Optics, angle_of_bearing, bearing, omni_1
 from .panorama import Picture, red_grey, unwrap
-from .sensors.camera import CameraSettings, detector
 
 RINGS, GRID, FOUND = (255, 200, 0), (0, 200, 255), (80, 255, 80)  # blue, green, red
 

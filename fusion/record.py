@@ -9,8 +9,9 @@ import numpy as np
 from msgspec.structs import astuple
 from numpy.typing import NDArray
 
+from locfuse.fusion.sensors.base import Innovation
+
 from .data import Audit
-from .sensors.base import Innovation
 
 MANY = 256
 COLUMNS = {

@@ -11,8 +11,9 @@ from typing import Any, Literal
 
 import msgspec
 
+from locfuse.fusion.sensors.base import SensorSettings
+
 from .data import LocfuseError, MapLine
-from .sensors.base import SensorSettings
 
 Order = Literal["auto", "stamp", "recorded"]
 Preset = Literal["default", "paper"]

@@ -11,8 +11,9 @@ import math
 
 from msgspec.structs import replace
 
+from locfuse.fusion.sensors.base import Innovation
+
 from .data import VERDICTS
-from .sensors.base import Innovation
 
 GATE = VERDICTS.index("gate")
 

@@ -13,6 +13,8 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from locfuse.fusion.sensors.base import Block, Innovation, Model
+
 from .data import Array, Drive, Ints, Measurements
 from .ekf import Pose, Triangle
 from .fuse import Filter
@@ -21,7 +23,6 @@ from .joint import JointBelief
 from .joint_rows import stacked
 from .journal import in_map, turning
 from .robot import Robot
-from .sensors.base import Block, Innovation, Model
 
 UNKNOWN = 100.0  # variance of a new map line [m^2, rad^2]: nothing is known
 

@@ -16,6 +16,8 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from locfuse.fusion.sensors.registry import REGISTRY
+
 from .cures import noise_keys
 from .data import Drive, LocfuseError, Measurements, Motions
 from .fuse import fuse
@@ -23,7 +25,6 @@ from .innovations import Own, own
 from .noise_figures import DRIFT, WHEELS, Figures, drift_key, drifting
 from .noise_search import KNOWN, Problem, at_most, best, identify
 from .robot import Robot
-from .sensors.registry import REGISTRY
 from .tape import record
 
 ROUNDS, SETTLED = 6, 0.03  # of deciding anew what is accepted; change of a logarithm that ends them

@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import resources
 from pathlib import Path
 
-from ..fusion.data import UsageError
+from locfuse.fusion.data import UsageError
 
 
 def names() -> list[str]:

@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fusion.data import Array
-from ..fusion.se2 import compose
+from locfuse.fusion.data import Array
+from locfuse.fusion.se2 import compose
+
 from .mirror import rays
 from .render import Standing, View
 from .robot import Robot

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fusion.data import Array, Ints
+from locfuse.fusion.data import Array, Ints
 
 COUNTS_PER_SLOT = 4
 MISSED = 2

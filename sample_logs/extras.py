@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ..fusion.se2 import compose
+from locfuse.fusion.se2 import compose
+
 from .robot import Robot
 from .scenario import Gps, Sonar
 from .world import Scene, cast

@@ -12,7 +12,8 @@ from typing import Annotated, Any, Literal
 import msgspec
 import numpy as np
 
-from ..fusion.data import Array
+from locfuse.fusion.data import Array
+
 from .table import RED, Colour, Pillar, Point, Positive, Share, Table
 
 SensorWord = Literal["wheels", "compass", "lrf", "camera", "sonar", "gps", "truth"]

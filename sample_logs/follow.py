@@ -7,8 +7,9 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from ..fusion.data import LocfuseError
-from ..fusion.se2 import wrap
+from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.se2 import wrap
+
 from .messages import Pose
 from .paths import SPACING, Sampled
 from .scenario import Control, Leg, Scenario

@@ -13,7 +13,8 @@ from typing import Any, get_args
 import msgspec
 import tomli_w
 
-from ..fusion.data import LocfuseError, UsageError
+from locfuse.fusion.data import LocfuseError, UsageError
+
 from .scenario import Scenario
 from .table import Table
 

@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..fusion.data import Array, Ints
+from locfuse.fusion.data import Array, Ints
+
 from .scenario import Camera
 
 

@@ -7,8 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..fusion.data import Array, LocfuseError
-from ..fusion.se2 import wrap, wrap_all
+from locfuse.fusion.data import Array, LocfuseError
+from locfuse.fusion.se2 import wrap, wrap_all
+
 from .messages import Pose
 from .scenario import Polygon, Tour
 from .world import Plan, clearance

@@ -10,8 +10,9 @@ import msgspec
 import numpy as np
 import tomli_w
 
-from ..formats.mcap_write import LogWriter
-from ..fusion.data import ArrayStream, Column, Ints, Ragged
+from locfuse.formats.mcap_write import LogWriter
+from locfuse.fusion.data import ArrayStream, Column, Ints, Ragged
+
 from .load import dumps
 from .messages import Emit, Estimator, RawMessage
 from .scenario import Scenario

@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fusion.data import Array
+from locfuse.fusion.data import Array
+
 from .mirror import Rays
 from .surface import Hits, Surface
 from .table import Pillar

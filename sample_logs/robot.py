@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..fusion import se2
-from ..fusion.data import Array
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array
+
 from .encoder import COUNTS_PER_SLOT, decode, phases
 from .faults import Kidnap, Slip
 from .messages import Pose, Streams

@@ -7,8 +7,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fusion.data import Array
-from ..fusion.se2 import compose
+from locfuse.fusion.data import Array
+from locfuse.fusion.se2 import compose
+
 from .faults import EncoderRollover, EncoderSpike
 from .robot import SIDES, Robot
 from .scenario import Compass, Lrf, Scenario, Truth

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ..fusion.data import Array, LocfuseError
+from locfuse.fusion.data import Array, LocfuseError
+
 from . import equipment
 from .faults import ClockOffset, Dropout, Fault, Latency, label
 from .follow import Follower, LegFollower, PathFollower, Steering

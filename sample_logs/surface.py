@@ -8,7 +8,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fusion.data import Array
+from locfuse.fusion.data import Array
+
 from .table import Colour
 
 Floats = NDArray[np.float32]

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from ..fusion.data import Array
+from locfuse.fusion.data import Array
+
 from .faults import HiddenLandmark, Magnetic, People, RedObject
 from .scenario import Room, Scenario
 from .table import Pillar

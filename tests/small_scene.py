@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from locfuse.cli.verdicts import prediction_values, verdicts
 from locfuse.formats import report_json
-from locfuse.formats.figures import Component, Scene, Stretches
+from locfuse.formats.figure_scene import Component, Scene, Stretches
 from locfuse.fusion.data import (
     Audit,
     Drive,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,16 +11,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-ROOT = Path(__file__).parent.parent
-sys.path.insert(0, str(ROOT))
-
-from benchmarks.building import SETTINGS, contained  # noqa: E402
-from benchmarks.relations import relation_errors  # noqa: E402
-from locfuse.cli.load import load  # noqa: E402
-from locfuse.cli.options import LogOptions  # noqa: E402
-from locfuse.fusion import se2  # noqa: E402
-from locfuse.fusion.data import Drive, Motions  # noqa: E402
-from locfuse.fusion.fuse import fuse  # noqa: E402
+from benchmarks.building import SETTINGS, contained
+from benchmarks.relations import relation_errors
+from locfuse.cli.load import load
+from locfuse.cli.settings import LogOptions
+from locfuse.fusion import se2
+from locfuse.fusion.data import Drive, Motions
+from locfuse.fusion.fuse import fuse
 
 Array = NDArray[np.float64]
 DATA = os.environ.get("LOCFUSE_DATA")

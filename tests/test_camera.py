@@ -17,8 +17,8 @@ import pytest
 from numpy.typing import NDArray
 from omni_scene import Lens, Picture, Pole, picture, wrapped_deg
 
+from locfuse.cli.choose import choose
 from locfuse.cli.load import make_robot
-from locfuse.cli.topics import choose
 from locfuse.formats.preview import write_pictures
 from locfuse.fusion import landmark as landmark_module
 from locfuse.fusion.bearing import paper_orientation, predict_bearing

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import sys
 from functools import cache
-from pathlib import Path
 
 import pytest
 from lock_step import simulated
 
+from benchmarks import faults
 from locfuse.fusion.clocks import clock_lags
 from locfuse.fusion.data import Drive, Evaluation
 from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
-
-sys.path.insert(0, str(Path(__file__).parent.parent))
-
-from benchmarks import faults
 
 CASES = [c for c in faults.CASES if c.sensor in {"compass", "lrf", ""}]
 SEEDS = (1000, 1001)

@@ -15,7 +15,7 @@ from locfuse import sample_logs
 from locfuse.cli.comparison import Compared, compare_log
 from locfuse.cli.configurations import for_comparison
 from locfuse.cli.load import load
-from locfuse.cli.options import LogOptions
+from locfuse.cli.settings import LogOptions
 from locfuse.fusion.data import Audit, Estimates, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.innovations import own

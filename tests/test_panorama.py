@@ -16,15 +16,7 @@ from omni_scene import Lens, Picture, Pole, picture, wrapped_deg
 
 from locfuse.fusion import panorama, radial
 from locfuse.fusion.landmark import Detector
-from locfuse.fusion.optics import (
-    Optics,
-    angle_of_bearing,
-    bearing,
-    column,
-    omni_1,
-    paper_omni_1,
-    picture_angle,
-)
+from locfuse.fusion.optics import Optics, angle_of_bearing, bearing, column, omni_1, paper_omni_1, picture_angle
 from locfuse.fusion.panorama import Candidate, Red
 
 Chain = Callable[[Picture, Optics, Red], list[Candidate]]

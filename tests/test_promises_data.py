@@ -19,7 +19,7 @@ from wheel_bags import GEOMETRY, angles, joint_states, log_of, pose_of
 from worlds import World
 
 from locfuse.cli.load import load
-from locfuse.cli.options import LogOptions
+from locfuse.cli.settings import LogOptions
 from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure

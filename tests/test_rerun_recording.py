@@ -16,8 +16,8 @@ from locfuse import sample_logs
 from locfuse.cli import results
 from locfuse.cli.configurations import for_comparison
 from locfuse.cli.load import Loaded, load
-from locfuse.cli.options import LogOptions
 from locfuse.cli.rerun_scene import make_scene
+from locfuse.cli.settings import LogOptions
 from locfuse.formats import report_md
 from locfuse.formats.rerun_file import save_recording
 from locfuse.formats.rerun_recording import sketch

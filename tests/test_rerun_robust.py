@@ -278,7 +278,7 @@ def test_everything_we_start_listens_on_loopback_only(recording: Path, monkeypat
     monkeypatch.setattr(rerun_viewer, "START", 0.0)
     rerun_viewer.start(recording)
     with pytest.raises(LocfuseError, match="ended"):
-        rerun_viewer.serve(recording, 0)
+        rerun_viewer.serve(recording, 0, print)
     assert len(commands) == 2
     for command in commands:
         assert command[command.index("--bind") + 1] == "127.0.0.1"

@@ -16,7 +16,7 @@ from commands import locfuse
 from scipy.stats import norm
 
 from locfuse.cli.load import find_log, load
-from locfuse.cli.options import LogOptions
+from locfuse.cli.settings import LogOptions
 from locfuse.cli.tuning import not_white
 from locfuse.fusion.data import Array, Drive, LocfuseError, Measurements
 from locfuse.fusion.fuse import fuse

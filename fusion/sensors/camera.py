@@ -14,10 +14,11 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from msgspec.structs import replace
 
-from ..bearing import H_ORIENTATION, Point, bearing_by_mount, paper_orientation, predict_bearing
-from ..data import VERDICTS, LocfuseError, Measurements, Stream
-from ..gates import chi_square
-from ..se2 import wrap
+from locfuse.fusion.bearing import H_ORIENTATION, Point, bearing_by_mount, paper_orientation, predict_bearing
+from locfuse.fusion.data import VERDICTS, LocfuseError, Measurements, Stream
+from locfuse.fusion.gates import chi_square
+from locfuse.fusion.se2 import wrap
+
 from .base import Belief, Block, Innovation, Model, SensorSettings, WheelMotion
 from .mount import Mount, MountedSettings
 
@@ -101,7 +102,7 @@ class Camera:
         missing = self.missing(settings)
         if missing:
             raise LocfuseError(f"{stream.topic}: {missing}")
-        from ..landmark import Look, looks  # imports OpenCV
+        from locfuse.fusion.landmark import Look, looks
 
         found: list[tuple[int, Look]] = []
         dropped = Counter(stream.dropped)
@@ -129,8 +130,8 @@ class Camera:
 
 def detector(settings: CameraSettings) -> Any:
     """Return the `fusion.landmark.Detector` that these settings describe."""
-    from ..landmark import Detector
-    from ..panorama import Red
+    from locfuse.fusion.landmark import Detector
+    from locfuse.fusion.panorama import Red
 
     return Detector(
         chain=settings.chain,
@@ -148,7 +149,7 @@ def detector(settings: CameraSettings) -> Any:
 def _collect(
     found: list[tuple[int, Any]], stream: Stream, settings: CameraSettings, epoch_ns: int, dropped: dict[str, int]
 ) -> Measurements:
-    from ..optics import bearing
+    from locfuse.fusion.optics import bearing
 
     rows = np.array([row for row, _ in found], np.int64)
     every = [(c, seen.optics) for _, seen in found for c in seen.candidates]

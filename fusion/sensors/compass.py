@@ -12,10 +12,11 @@ from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 
-from ..data import VERDICTS, Array, LocfuseError, Measurements, Stream
-from ..gates import MAD, chi_square
-from ..mounting import rotated, rotation
-from ..se2 import wrap, wrap_all
+from locfuse.fusion.data import VERDICTS, Array, LocfuseError, Measurements, Stream
+from locfuse.fusion.gates import MAD, chi_square
+from locfuse.fusion.mounting import rotated, rotation
+from locfuse.fusion.se2 import wrap, wrap_all
+
 from .base import Belief, Block, Innovation, Model, SensorSettings, WheelMotion
 
 Convention = Literal["enu_rad", "enu_deg", "compass_rad", "compass_deg"]

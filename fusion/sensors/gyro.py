@@ -19,9 +19,10 @@ from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 
-from ..data import VERDICTS, Array, Ints, LocfuseError, Measurements, Stream
-from ..gates import chi_square
-from ..mounting import rotation
+from locfuse.fusion.data import VERDICTS, Array, Ints, LocfuseError, Measurements, Stream
+from locfuse.fusion.gates import chi_square
+from locfuse.fusion.mounting import rotation
+
 from .base import Block, Innovation, Model, SensorSettings, WheelMotion
 
 GATE = VERDICTS.index("gate")

@@ -13,11 +13,12 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from ..data import Array, Ints, Measurements, Stream
-from ..line_tracker import LineTracker
-from ..lines import LineSettings
-from ..scans import Gathered, Laser, equal_scans, lines_in_base, too_many_beams, turns
-from ..wall_floor import wall_floor
+from locfuse.fusion.data import Array, Ints, Measurements, Stream
+from locfuse.fusion.line_tracker import LineTracker
+from locfuse.fusion.lines import LineSettings
+from locfuse.fusion.scans import Gathered, Laser, equal_scans, lines_in_base, too_many_beams, turns
+from locfuse.fusion.wall_floor import wall_floor
+
 from .base import SensorSettings, WheelMotion
 from .mount import Mount, MountedSettings
 

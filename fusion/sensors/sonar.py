@@ -17,10 +17,11 @@ from typing import Any, ClassVar, cast
 import msgspec
 import numpy as np
 
-from ..data import VERDICTS, Array, Ints, Measurements, Stream
-from ..echo import Cone, Echo, nearest_echo
-from ..gates import chi_square
-from ..joined import Joined
+from locfuse.fusion.data import VERDICTS, Array, Ints, Measurements, Stream
+from locfuse.fusion.echo import Cone, Echo, nearest_echo
+from locfuse.fusion.gates import chi_square
+from locfuse.fusion.joined import Joined
+
 from .base import Innovation, Model, SensorSettings, WheelMotion
 
 GATE, UNMATCHED = (VERDICTS.index(v) for v in ("gate", "unmatched"))

@@ -1,0 +1,36 @@
+"""Everything that `info` and `init` found in a log, as values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from locfuse.formats.log import Log
+from locfuse.formats.transforms import StaticTransforms
+from locfuse.fusion.oddity import Oddity
+from locfuse.fusion.robot import Robot
+
+from . import hints
+from .load import Loaded
+from .topic_facts import TopicFacts
+from .topics import Choice
+
+
+@dataclass
+class Look:
+    """What was seen."""
+
+    log: Log
+    tables: dict[str, Any]  # robot.toml as merged, before mounts
+    choice: Choice
+    facts: list[TopicFacts]
+    transforms: StaticTransforms
+    robot: Robot  # with mounts where the log could be measured
+    loaded: Loaded | None = None
+    hints: hints.Hints = field(default_factory=hints.Hints)
+    oddities: list[Oddity] = field(default_factory=list)
+
+    @property
+    def spoils(self) -> bool:
+        """Whether an estimate would be wrong, or bytes are lost."""
+        return any(o.spoils for o in self.oddities)

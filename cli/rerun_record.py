@@ -1,0 +1,141 @@
+"""The one call of `run` and `compare` that records and shows.
+
+Whatever goes wrong here costs one warning: the results are already written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from locfuse.formats.rerun_recording import Sketch
+    from locfuse.fusion.data import Estimates, Evaluation
+
+    from .load import Loaded
+
+Say = Callable[[str], None]  # prints a line on stderr
+RECORDING = "recording.rrd"  # in the results' folder, unless --rerun-save names another
+
+
+@dataclass(frozen=True)
+class RerunOptions:
+    """What to record of a run, and where to show it."""
+
+    show: bool = False
+    save: Path | None = None
+    connect: str | None = None
+    images: int | None = None  # every n-th; 0 none; None as many as stay light
+    full: bool = False
+
+    @property
+    def wanted(self) -> bool:
+        """Whether anything of Rerun was asked for; if not, it is not imported."""
+        return self.show or self.save is not None or self.connect is not None
+
+
+class Recorded:
+    """What a recording shows of each configuration, taken as it is judged."""
+
+    def __init__(self) -> None:
+        self._estimates: dict[str, Estimates] = {}
+
+    def take(self, e: Estimates, _evaluation: Evaluation) -> None:
+        """Keep one run with its audits."""
+        self._estimates[e.name] = e
+
+    def in_order(self, estimates: Sequence[Estimates]) -> list[Estimates]:
+        """Return what was taken in the order of the results."""
+        return [self._estimates[e.name] for e in estimates if e.name in self._estimates]
+
+
+def sketched(
+    options: RerunOptions,
+    loaded: Loaded,
+    estimates: Sequence[Estimates],
+    evaluations: Sequence[Evaluation],
+    report: Mapping[str, Any],
+    say: Say,
+) -> Sketch | None:
+    """Return the recording of the configurations in values, None where none is wanted or none can be made."""
+    if not options.wanted:
+        return None
+    with _at_worst_a_warning(say):
+        return _sketch(options, loaded, estimates, evaluations, report)
+    return None
+
+
+def record(options: RerunOptions, sketch: Sketch | None, folder: Path, say: Say) -> None:
+    """Write a recording and show it as the options say; at worst warn.
+
+    Without --rerun-save the recording lies beside the results, where `locfuse view FOLDER` finds it.
+    """
+    if sketch is None:
+        return
+    path = options.save or folder / RECORDING
+    if _saved(path, sketch, say):
+        say(f"{path}: Rerun recording")
+        _show(path, options, say)
+
+
+@contextmanager
+def _at_worst_a_warning(say: Say) -> Iterator[None]:
+    """Let nothing fail the run: a Rerun of another version, or none, or broken. The results stand."""
+    from locfuse.fusion.data import LocfuseError
+
+    try:
+        yield
+    except LocfuseError as problem:
+        say(warning(str(problem)))
+    except Exception as problem:
+        say(warning(f"no recording was made: {type(problem).__name__}: {problem}"))
+
+
+def _sketch(
+    options: RerunOptions,
+    loaded: Loaded,
+    estimates: Sequence[Estimates],
+    evaluations: Sequence[Evaluation],
+    report: Mapping[str, Any],
+) -> Sketch:
+    from locfuse.formats import report_md
+    from locfuse.formats.rerun_recording import sketch
+
+    from .rerun_scene import make_scene
+
+    table = report_md.render(report)
+    return sketch(make_scene(loaded, estimates, evaluations, table, options.images, options.full))
+
+
+def _saved(path: Path, sketch: Sketch, say: Say) -> bool:
+    from locfuse.formats.rerun_file import save_recording
+
+    from .memory import give_back
+
+    give_back()  # Rerun's import takes as much as an hour's estimates did
+    with _at_worst_a_warning(say):
+        save_recording(path, sketch)
+        return True
+    return False
+
+
+def _show(path: Path, options: RerunOptions, say: Say) -> None:
+    from locfuse.fusion.data import LocfuseError
+
+    from .rerun_viewer import send, show
+
+    try:
+        if options.connect is not None:
+            send(path, options.connect)
+        if options.show:
+            show(path)
+    except LocfuseError as problem:
+        say(warning(f"{problem}. The recording is whole; open it with: locfuse view {path}"))
+
+
+def warning(text: str) -> str:
+    """Return in one line what did not work."""
+    return f"warning: rerun: {' '.join(text.split())}"

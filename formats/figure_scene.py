@@ -1,0 +1,66 @@
+"""Everything that the figures of a report show, as values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from locfuse.fusion.data import Array, Drive, Estimates, Evaluation
+
+MOST_CONFIGURATIONS = 8  # more curves in one panel say nothing
+
+
+class Stretches(NamedTuple):
+    """A figure of merit over stretches of the drive, and between what it should lie."""
+
+    t: Array  # (n,) s
+    value: Array  # (n,)
+    low: Array  # (n,)
+    high: Array  # (n,)
+
+
+class Component(NamedTuple):
+    """One number of a sensor's innovation, as people read it."""
+
+    name: str
+    unit: str
+    scale: float  # SI to that unit
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Everything the figures show."""
+
+    drive: Drive
+    estimates: Sequence[Estimates]
+    evaluations: Sequence[Evaluation]
+    nis: Mapping[tuple[str, str], Stretches] = field(default_factory=dict)  # (configuration, sensor)
+    nees_bounds: tuple[float, float] = (0.0, 0.0)  # of a single value per degree of freedom, 95 %
+    components: Mapping[str, Sequence[Component]] = field(default_factory=dict)  # by sensor
+
+    @property
+    def best(self) -> Estimates:
+        """The configuration with most sensors."""
+        return max(self.estimates, key=lambda e: len(e.sensors))
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether anything could be judged."""
+        return any(len(e.t) for e in self.evaluations)
+
+    def shown(self) -> list[tuple[Estimates, Evaluation]]:
+        """Return the configurations that are drawn: all, or of many the single sensors, none, and all."""
+        pairs = list(zip(self.estimates, self.evaluations, strict=True))
+        if len(pairs) <= MOST_CONFIGURATIONS:
+            return pairs
+        few = [p for p in pairs if len(p[0].sensors) <= 1 or p[0].name == "all" or "@" in p[0].name]
+        return few[:MOST_CONFIGURATIONS] if len(few) > 1 else pairs[:MOST_CONFIGURATIONS]
+
+
+def metres(values: Sequence[Array], most: float = 0.2) -> tuple[float, str]:
+    """Return (scale, unit) in which lengths read well: millimetres where all are small."""
+    largest = max((float(np.nanmax(np.abs(v))) for v in values if np.isfinite(v).any()), default=0.0)
+    return (1000.0, "mm") if largest < most else (1.0, "m")

@@ -89,7 +89,7 @@ def scene(compared: Compared, drawn: Drawn) -> Scene:
     """Return what the figures show: estimates, judgements, and consistency with its chi-square bounds."""
     from locfuse.formats.figure_scene import Component, Scene, Stretches
 
-    from .rerun_scene import LOOKS
+    from .components import LOOKS
 
     drive = compared.loaded.drive
     dof = 3 if any(j.heading is not None for j in compared.evaluations) else 2

@@ -18,16 +18,12 @@ from locfuse.fusion.smooth import SUFFIX
 from locfuse.fusion.truth import TRUTH_READS
 from locfuse.fusion.wheels import WHEEL_READS
 
+from .components import LOOKS
 from .configurations import parse
 from .load import Loaded
 from .rerun_scans import BEAMS, scan_points
 
 DEG = 180.0 / math.pi
-LOOKS: dict[str, tuple[Any, tuple[str, ...], tuple[float, ...]]] = {
-    "compass": ("heading", ("heading [deg]",), (DEG,)),
-    "lrf": ("segments", ("r [m]", "psi [deg]"), (1.0, DEG)),
-    "camera": ("bearing", ("bearing [deg]",), (DEG,)),
-}
 MOST_PICTURES = 600  # kept by default
 MOST_COLUMNS = 8  # of a numeric array that is drawn as curves: a scan's ranges are not
 LOW, HIGH = 0.025, 0.975  # between them lie 95 % of consistent NIS

@@ -23,7 +23,7 @@ from locfuse.fusion.ekf import PoseBelief
 from locfuse.fusion.images import compressed
 from locfuse.fusion.landmark import Detector
 from locfuse.fusion.lines import extract_lines
-from locfuse.fusion.sensors.base import Innovation
+from locfuse.fusion.sensor import Innovation
 
 Array = NDArray[np.float64]
 Work = Callable[[], int]  # does some units of work and says how many

@@ -30,7 +30,7 @@ from locfuse.fusion.measure import measure
 from locfuse.fusion.paper_filter import fuse_as_printed
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import wrap
-from locfuse.fusion.sensors.base import Innovation
+from locfuse.fusion.sensor import Innovation
 from locfuse.sample_logs.load import load
 from locfuse.sample_logs.record import in_memory
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from locfuse.fusion.credit import subsets
 from locfuse.fusion.data import Drive, Estimates, LocfuseError, UsageError
 from locfuse.fusion.fuse import configuration_name
+from locfuse.fusion.measure import thinned
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.thin import thinned
 
 from .filters import fuser
 

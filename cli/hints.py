@@ -10,9 +10,9 @@ import numpy as np
 from locfuse.formats.urdf import WheelGeometry, wheel_geometry
 from locfuse.fusion.data import Array, LocfuseError, Ragged
 from locfuse.fusion.geometry import Geometry, by_odometry
-from locfuse.fusion.joined import joined
 from locfuse.fusion.oddity import Oddity
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.streams import joined
 from locfuse.fusion.truth import TRUTH_READS, looks_like_truth
 from locfuse.fusion.wheel_sources import JOINTS, KNOWN_TICKS, joint_names
 from locfuse.fusion.wheels import ODOMETRY, counts_ticks

@@ -14,10 +14,10 @@ from locfuse.formats import robot_toml
 from locfuse.formats.log import Log, open_log
 from locfuse.fusion.clocks import lag_notes
 from locfuse.fusion.data import Drive, LocfuseError, UsageError
-from locfuse.fusion.joined import Joined, joined
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot, StartSettings, TruthSettings, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.streams import Joined, joined
 
 from . import filters
 from .choose import choose

@@ -15,10 +15,10 @@ from locfuse.formats.log import Log, open_log
 from locfuse.formats.transforms import StaticTransforms
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.doctor import examine
-from locfuse.fusion.joined import joined
 from locfuse.fusion.oddity import Oddity, settings_in
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.streams import joined
 
 from . import hints
 from .choose import choose_sensor, choose_truth

@@ -6,8 +6,8 @@ from collections.abc import Collection, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Estimates, Evaluation
-from locfuse.fusion.gates import chi_square
 from locfuse.fusion.running import Running, running_nis
 from locfuse.fusion.sensors.registry import REGISTRY
 

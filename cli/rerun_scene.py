@@ -10,8 +10,8 @@ import numpy as np
 
 from locfuse.formats.palette import colours
 from locfuse.formats.rerun_scene import Detail, Picture, RawTopic, Rgb, ScanPoints, Scene, Sight
+from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Array, Column, Drive, Estimates, Evaluation, Ragged
-from locfuse.fusion.gates import chi_square
 from locfuse.fusion.robot import VIRTUAL_TRACK, Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.smooth import SUFFIX

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import se2
+from .chi_square import chi_square
 from .data import Array, Drive, Ints, LocfuseError, Truth
-from .gates import chi_square
 from .motion import Wheels
 from .scale_fit import Figure, Residuals
 from .segments import LEAST, STANDSTILL, STRAIGHT, TURN, cut_runs, find_runs

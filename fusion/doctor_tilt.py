@@ -12,7 +12,7 @@ from locfuse.fusion.sensors.compass import CompassSettings
 
 from .data import Array, Drive, Stream
 from .iron import plausible
-from .mounting import rotation
+from .mount import rotation
 from .oddity import Oddity
 from .robot import Robot
 

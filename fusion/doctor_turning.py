@@ -16,10 +16,10 @@ from locfuse.fusion.sensors.registry import REGISTRY
 
 from .data import Array, Drive, Measurements, Stream
 from .doctor_laser import Motion
-from .joined import Joined
 from .motion import Wheels
 from .oddity import Oddity
 from .robot import Robot, WheelSettings
+from .streams import Joined
 from .wheels import ODOMETRY
 
 WINDOW = 1.0  # s

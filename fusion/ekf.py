@@ -13,10 +13,9 @@ from math import cos, sin
 
 import numpy as np
 
-from locfuse.fusion.sensors.base import Innovation
-
 from .data import Array, LocfuseError
 from .scalar_rows import pose_rows
+from .sensor import Innovation
 
 Pose = tuple[float, float, float]
 Triangle = tuple[float, float, float, float, float, float]  # xx, xy, xt, yy, yt, tt

@@ -11,11 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from locfuse.fusion.sensors.base import Block, Innovation
-
 from .data import Array
 from .ekf import Pose, PoseBelief, Rows, Triangle, too_far_apart
 from .scalar_rows import Row, pose_rows, whitened
+from .sensor import Block, Innovation
 
 MOST = 6  # states beside the pose; with more of them arrays are faster
 Beside = tuple[tuple[int, float], ...]  # (which state, derivative of a row by it)

@@ -12,18 +12,18 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.fusion.sensors.base import Block, Innovation, Model
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from . import few_blocks, se2
+from .audit import MANY, Record
 from .data import Array, Drive, Estimates, LocfuseError, Measurements, matrices
 from .ekf import Pose, PoseBelief, Triangle
 from .few_blocks import FewBlocks
 from .instants import BLOCK, Due, Step, due_readings, steps_of
 from .joint import JointBelief
-from .record import MANY, Record
 from .robot import Robot, StartSettings
 from .robust import inflated
+from .sensor import Block, Innovation, Model
 from .wheel_states import WHEELS, wheel_block, wheel_words
 
 # what makes the belief at the start: of the pose alone, or with blocks; None: whatever fits, the fastest first

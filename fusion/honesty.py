@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from .chi_square import mean_bounds
 from .data import Evaluation
-from .gates import mean_bounds
 from .resample import effective_samples
 
 CONFIDENCE = 0.95

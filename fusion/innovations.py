@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from locfuse.fusion.sensors.base import Block
 from locfuse.fusion.sensors.registry import REGISTRY
 
+from .chi_square import MAD, chi_square, mean_bounds
 from .data import VERDICTS, Array, Audit, Counts, Drive, Estimates, Ints, Measurements, matrices
-from .gates import MAD, chi_square, mean_bounds
 from .robot import Robot
 from .se2 import wrap_all
+from .sensor import Block
 
 ACCEPTED, GATE, UNMATCHED, DISTURBED, LOST = (
     VERDICTS.index(v) for v in ("accepted", "gate", "unmatched", "disturbed", "lost")

@@ -10,11 +10,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from locfuse.fusion.sensors.base import Block, Innovation
-
 from .data import Array, Ints
 from .ekf import Pose, Rows, Triangle, too_far_apart
 from .joint_rows import sparse_row, stacked
+from .sensor import Block, Innovation
 
 
 class JointBelief:

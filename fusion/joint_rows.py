@@ -7,9 +7,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from locfuse.fusion.sensors.base import Innovation
-
 from .data import Array, Ints
+from .sensor import Innovation
 
 
 def sparse_row(

@@ -14,11 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from locfuse.fusion.sensors.base import Block
-
 from .data import Array, Ints
 from .ekf import Pose, PoseBelief, Triangle
 from .joint import JointBelief
+from .sensor import Block
 
 POSE = np.arange(3)
 

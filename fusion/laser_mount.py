@@ -15,13 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from locfuse.fusion.sensors.mount import Mount
-
 from . import se2
 from .data import Array, Ints
 from .joint import JointBelief
 from .line_map import Prediction
 from .lines import to_base
+from .mount import Mount
 
 
 class Seat(NamedTuple):

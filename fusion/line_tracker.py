@@ -8,20 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from locfuse.fusion.sensors.base import Block, Innovation, Model
-from locfuse.fusion.sensors.mount import Mount
-
 from . import se2
 from .association import Association, associate
+from .chi_square import chi_square
 from .data import VERDICTS, Array, LocfuseError, MapLine, Measurements
-from .gates import chi_square
 from .joint import JointBelief
 from .laser_mount import seated
 from .line_map import AnyBelief, LineMap, about_middle
 from .map_keeping import LEAST_HITS, merge_doubles, prune
+from .mount import Mount
 from .pairing import Pair
 from .recovery import Guard
 from .scan import Scan, Scans
+from .sensor import Block, Innovation, Model
 from .wall_floor import bend
 
 UNMATCHED, AMBIGUOUS, NEW, LOST = (VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new", "lost"))

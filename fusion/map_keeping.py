@@ -11,11 +11,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.fusion.sensors.base import Innovation
-
 from .data import Array, Ints
 from .joint import JointBelief
 from .line_map import LineMap
+from .sensor import Innovation
 
 LEAST_HITS = 4
 PATIENCE = 15  # scans after its birth in which a line must earn its hits

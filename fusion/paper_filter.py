@@ -12,16 +12,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.fusion.sensors.base import Innovation
-
 from . import paper
+from .audit import Record
 from .data import Array, Drive, Estimates, Ints, LocfuseError, upper_triangles
 from .fuse import configuration_name
 from .motion import Wheels
 from .paper import PRINTED, Printed
 from .paper_rows import PARTS, LineRows, Rows
-from .record import Record
 from .robot import Robot
+from .sensor import Innovation
 
 EARLY = 1e-9  # s: a stamp that is rounding away from the grid is on it
 

@@ -7,13 +7,12 @@ from typing import Protocol
 
 import numpy as np
 
-from locfuse.fusion.sensors.base import Innovation
-
 from . import paper, se2
 from .bearing import paper_orientation
 from .data import VERDICTS, Array, LocfuseError, MapLine, Measurements
 from .paper import Printed
 from .robot import Robot
+from .sensor import Innovation
 
 UNMATCHED, NEW = VERDICTS.index("unmatched"), VERDICTS.index("new")
 TO_RIGHT = math.pi / 2  # the scan's 0 degrees point to the robot's right, the base frame's ahead

@@ -11,9 +11,8 @@ from typing import Any, Literal
 
 import msgspec
 
-from locfuse.fusion.sensors.base import SensorSettings
-
 from .data import LocfuseError, MapLine
+from .sensor import SensorSettings
 
 Order = Literal["auto", "stamp", "recorded"]
 Preset = Literal["default", "paper"]

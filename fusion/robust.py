@@ -11,9 +11,8 @@ import math
 
 from msgspec.structs import replace
 
-from locfuse.fusion.sensors.base import Innovation
-
 from .data import VERDICTS
+from .sensor import Innovation
 
 GATE = VERDICTS.index("gate")
 

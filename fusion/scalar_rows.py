@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import inf, sqrt
 
-from locfuse.fusion.sensors.base import Innovation
+from .sensor import Innovation
 
 Row = tuple[float, float, float, float, float]
 RANK = 1e-8  # relative information on a direction below which lines count as parallel

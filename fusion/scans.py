@@ -6,11 +6,10 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from locfuse.fusion.sensors.base import WheelMotion
-
 from . import se2
 from .data import Array, Ints, Ragged
 from .lines import Lines, LineSettings, extract_lines, to_base
+from .sensor import WheelMotion
 from .side_by_side import blocks, misfit, nearest, turn_of
 
 MAX_BEAMS = 100_000  # of one scan: no 2D laser has more

@@ -13,8 +13,6 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from locfuse.fusion.sensors.base import Block, Innovation, Model
-
 from .data import Array, Drive, Ints, Measurements
 from .ekf import Pose, Triangle
 from .fuse import Filter
@@ -23,6 +21,7 @@ from .joint import JointBelief
 from .joint_rows import stacked
 from .journal import in_map, turning
 from .robot import Robot
+from .sensor import Block, Innovation, Model
 
 UNKNOWN = 100.0  # variance of a new map line [m^2, rad^2]: nothing is known
 

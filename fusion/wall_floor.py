@@ -10,9 +10,8 @@ import math
 
 import numpy as np
 
-from locfuse.fusion.sensors.base import WheelMotion
-
 from .data import Array, Ints
+from .sensor import WheelMotion
 from .side_by_side import blocks, misfit, nearest, turn_of
 
 LAG = 20  # scans: far enough that another part of a wall is seen, near enough that it is the same wall

@@ -8,9 +8,9 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from .data import Array, Ints, LocfuseError, Ragged, Stream
-from .joined import Joined
 from .jumps import Mask
 from .robot import WheelSettings
+from .streams import Joined
 from .wheel_repairs import Side
 
 JOINTS = "sensor_msgs/msg/JointState"

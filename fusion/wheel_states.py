@@ -12,10 +12,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from locfuse.fusion.sensors.base import Block
-
 from .data import Array
 from .robot import WheelSettings
+from .sensor import Block
 
 WHEELS = "wheels"
 WITH_METRE = ("lrf", "sonar", "gps")  # sensors that measure metres

@@ -21,7 +21,7 @@ from locfuse.fusion.doctor_tilt import angles, by_gravity
 from locfuse.fusion.doctor_truth import of_truth
 from locfuse.fusion.doctor_turning import explain, of_track, turnings
 from locfuse.fusion.motion import Wheels
-from locfuse.fusion.mounting import rotation
+from locfuse.fusion.mount import rotation
 from locfuse.fusion.oddity import Oddity, settings_in
 
 Array = NDArray[np.float64]

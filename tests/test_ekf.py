@@ -12,7 +12,7 @@ from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.ekf import PoseBelief
 from locfuse.fusion.few_blocks import FewBlocks
 from locfuse.fusion.joint import JointBelief
-from locfuse.fusion.sensors.base import Block, Innovation
+from locfuse.fusion.sensor import Block, Innovation
 
 POSE = (1.0, -2.0, 3.1)
 P0 = np.array([[0.04, 0.01, 0.002], [0.01, 0.09, -0.003], [0.002, -0.003, 0.01]])

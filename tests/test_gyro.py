@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from locfuse.cli.load import make_robot
 from locfuse.fusion.data import ArrayStream, Column, Drive, LocfuseError, Ragged
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.measure import measure
-from locfuse.fusion.mounting import rotation
+from locfuse.fusion.measure import measure, thinned
+from locfuse.fusion.mount import rotation
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.gyro import Gyro, GyroSettings
 from locfuse.fusion.smooth import fuse_and_smooth
-from locfuse.fusion.thin import thinned
 
 Array = NDArray[np.float64]
 T0 = 1_700_000_000_000_000_000

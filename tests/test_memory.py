@@ -16,12 +16,12 @@ from locfuse.cli.comparison import Compared, compare_log
 from locfuse.cli.configurations import for_comparison
 from locfuse.cli.load import load
 from locfuse.cli.settings import LogOptions
+from locfuse.fusion.audit import Record
 from locfuse.fusion.data import Audit, Estimates, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.innovations import own
 from locfuse.fusion.measure import measure
-from locfuse.fusion.record import Record
-from locfuse.fusion.sensors.base import Innovation
+from locfuse.fusion.sensor import Innovation
 
 LINES = 100_000
 

@@ -18,10 +18,10 @@ from locfuse.fusion.fuse import fuse
 from locfuse.fusion.joint import JointBelief
 from locfuse.fusion.laser_mount import seated
 from locfuse.fusion.line_tracker import LineTracker
+from locfuse.fusion.mount import Mount
 from locfuse.fusion.scan import Scan
 from locfuse.fusion.sensors.camera import BearingModel, CameraSettings
 from locfuse.fusion.sensors.lrf import LrfSettings
-from locfuse.fusion.sensors.mount import Mount
 
 TOLD = (0.2, -0.1, 0.4)  # x, y, yaw of the laser
 SIGMAS = ("sigma_x", "sigma_y", "sigma_yaw_deg")

@@ -11,9 +11,9 @@ from scipy import stats
 
 from locfuse.fusion.data import Audit, Drive, Estimates
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.measure import thinned
 from locfuse.fusion.predictive import OUTLIERS, contradictions, listeners, log_density, ranking, scores
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.thin import thinned
 
 SETS: tuple[tuple[str, ...], ...] = ((), ("compass",), ("lrf",), ("compass", "lrf"))
 

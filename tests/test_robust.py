@@ -13,7 +13,7 @@ from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robust import inflated
-from locfuse.fusion.sensors.base import Innovation
+from locfuse.fusion.sensor import Innovation
 
 GATE = VERDICTS.index("gate")
 

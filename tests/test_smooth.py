@@ -23,7 +23,7 @@ from locfuse.fusion.joint import JointBelief
 from locfuse.fusion.journal import Journal
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.sensors.base import Block, Innovation
+from locfuse.fusion.sensor import Block, Innovation
 from locfuse.fusion.smooth import fuse_and_smooth, smoothed
 
 OFFSET = 0.7

@@ -16,12 +16,12 @@ from locfuse.fusion.echo import Cone, nearest_echo
 from locfuse.fusion.ekf import PoseBelief
 from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.joined import joined
 from locfuse.fusion.joint import JointBelief
 from locfuse.fusion.line_map import LineMap
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.sonar import Sonar, SonarSettings
+from locfuse.fusion.streams import joined
 from locfuse.sample_logs import load as scenarios
 from locfuse.sample_logs.record import in_memory
 

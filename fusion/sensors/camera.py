@@ -15,12 +15,11 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion.bearing import H_ORIENTATION, Point, bearing_by_mount, paper_orientation, predict_bearing
+from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import VERDICTS, LocfuseError, Measurements, Stream
-from locfuse.fusion.gates import chi_square
+from locfuse.fusion.mount import Mount, MountedSettings
 from locfuse.fusion.se2 import wrap
-
-from .base import Belief, Block, Innovation, Model, SensorSettings, WheelMotion
-from .mount import Mount, MountedSettings
+from locfuse.fusion.sensor import Belief, Block, Innovation, Model, SensorSettings, WheelMotion
 
 GATE, AMBIGUOUS, UNMATCHED = (VERDICTS.index(v) for v in ("gate", "ambiguous", "unmatched"))
 MOST_COLUMNS, MOST_ROWS = 3600, 8192  # of a panorama: its maps stay below 250 MB

@@ -12,12 +12,11 @@ from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 
+from locfuse.fusion.chi_square import MAD, chi_square
 from locfuse.fusion.data import VERDICTS, Array, LocfuseError, Measurements, Stream
-from locfuse.fusion.gates import MAD, chi_square
-from locfuse.fusion.mounting import rotated, rotation
+from locfuse.fusion.mount import rotated, rotation
 from locfuse.fusion.se2 import wrap, wrap_all
-
-from .base import Belief, Block, Innovation, Model, SensorSettings, WheelMotion
+from locfuse.fusion.sensor import Belief, Block, Innovation, Model, SensorSettings, WheelMotion
 
 Convention = Literal["enu_rad", "enu_deg", "compass_rad", "compass_deg"]
 OFFSET = "compass_offset"

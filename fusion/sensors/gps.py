@@ -18,11 +18,10 @@ from typing import Any, ClassVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import VERDICTS, Array, LocfuseError, Measurements, Stream
-from locfuse.fusion.gates import chi_square
 from locfuse.fusion.geodesy import east_north
-
-from .base import Block, Innovation, Model, SensorSettings, WheelMotion
+from locfuse.fusion.sensor import Block, Innovation, Model, SensorSettings, WheelMotion
 
 GATE = VERDICTS.index("gate")
 FRAME = "_gps_frame"

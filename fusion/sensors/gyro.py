@@ -19,11 +19,10 @@ from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 
+from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import VERDICTS, Array, Ints, LocfuseError, Measurements, Stream
-from locfuse.fusion.gates import chi_square
-from locfuse.fusion.mounting import rotation
-
-from .base import Block, Innovation, Model, SensorSettings, WheelMotion
+from locfuse.fusion.mount import rotation
+from locfuse.fusion.sensor import Block, Innovation, Model, SensorSettings, WheelMotion
 
 GATE = VERDICTS.index("gate")
 BEFORE, BIAS = "_gyro_before", "gyro_bias"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from .base import Sensor
+from locfuse.fusion.sensor import Sensor
+
 from .camera import Camera
 from .compass import Compass
 from .gps import Gps

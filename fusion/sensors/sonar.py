@@ -17,12 +17,11 @@ from typing import Any, ClassVar, cast
 import msgspec
 import numpy as np
 
+from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import VERDICTS, Array, Ints, Measurements, Stream
 from locfuse.fusion.echo import Cone, Echo, nearest_echo
-from locfuse.fusion.gates import chi_square
-from locfuse.fusion.joined import Joined
-
-from .base import Innovation, Model, SensorSettings, WheelMotion
+from locfuse.fusion.sensor import Innovation, Model, SensorSettings, WheelMotion
+from locfuse.fusion.streams import Joined
 
 GATE, UNMATCHED = (VERDICTS.index(v) for v in ("gate", "unmatched"))
 Mount = tuple[float, float, float]

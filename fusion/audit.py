@@ -9,9 +9,8 @@ import numpy as np
 from msgspec.structs import astuple
 from numpy.typing import NDArray
 
-from locfuse.fusion.sensors.base import Innovation
-
 from .data import Audit
+from .sensor import Innovation
 
 MANY = 256
 COLUMNS = {

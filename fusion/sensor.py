@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 import msgspec
 
-from locfuse.fusion.data import Array, MapLine, Measurements, Stream
+from .data import Array, MapLine, Measurements, Stream
 
 
 class SensorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from benchmarks import textbook_lines
 from locfuse.formats.log import open_log
-from locfuse.fusion.ekf import PoseBelief
+from locfuse.fusion.ekf.belief_pose import PoseBelief
 from locfuse.fusion.images import compressed
 from locfuse.fusion.landmark import Detector
 from locfuse.fusion.lines import extract_lines

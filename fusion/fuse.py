@@ -12,17 +12,18 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.ekf.belief_blocks import FewBlocks
+from locfuse.fusion.ekf.belief_pose import Pose, PoseBelief, Triangle
+from locfuse.fusion.ekf.robust import inflated
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from . import few_blocks, se2
+from . import se2
 from .audit import MANY, Record
 from .data import Array, Drive, Estimates, LocfuseError, Measurements, matrices
-from .ekf import Pose, PoseBelief, Triangle
-from .few_blocks import FewBlocks
+from .ekf import belief_blocks
 from .instants import BLOCK, Due, Step, due_readings, steps_of
-from .joint import JointBelief
 from .robot import Robot, StartSettings
-from .robust import inflated
 from .sensor import Block, Innovation, Model
 from .wheel_states import WHEELS, wheel_block, wheel_words
 
@@ -181,7 +182,7 @@ def _begin(
     if not blocks and not any(model.joint for model in models):
         return make_pose(pose, P)
     simple = beliefs is None and not listens and not robot.wheels.estimate
-    if simple and all(model.settled for model in models) and sum(len(b.x) for b in blocks) <= few_blocks.MOST:
+    if simple and all(model.settled for model in models) and sum(len(b.x) for b in blocks) <= belief_blocks.MOST:
         return FewBlocks(pose, P, blocks)
     belief = make_joint(pose, P, blocks)
     if robot.wheels.estimate:

@@ -15,9 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from locfuse.fusion.ekf.belief_arrays import JointBelief
+
 from . import se2
 from .data import Array, Ints
-from .joint import JointBelief
 from .line_map import Prediction
 from .lines import to_base
 from .mount import Mount

@@ -15,9 +15,10 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.ekf.belief_pose import PoseBelief
+
 from .data import Array, Ints, MapLine
-from .ekf import PoseBelief
-from .joint import JointBelief
 
 AnyBelief = PoseBelief | JointBelief
 

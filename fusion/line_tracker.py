@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from locfuse.fusion.ekf.belief_arrays import JointBelief
+
 from . import se2
 from .association import Association, associate
 from .chi_square import chi_square
 from .data import VERDICTS, Array, LocfuseError, MapLine, Measurements
-from .joint import JointBelief
 from .laser_mount import seated
 from .line_map import AnyBelief, LineMap, about_middle
 from .map_keeping import LEAST_HITS, merge_doubles, prune

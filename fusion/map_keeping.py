@@ -11,8 +11,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.fusion.ekf.belief_arrays import JointBelief
+
 from .data import Array, Ints
-from .joint import JointBelief
 from .line_map import LineMap
 from .sensor import Innovation
 

@@ -15,11 +15,12 @@ from contextlib import contextmanager
 
 import numpy as np
 
+from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.ekf.belief_pose import Pose
+
 from . import se2
 from .association import Association, associate
 from .data import Array, Ints
-from .ekf import Pose
-from .joint import JointBelief
 from .line_map import AnyBelief, LineMap
 from .relocalise import find_pose, matched_share, seen_through
 from .scan import Scan

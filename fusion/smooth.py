@@ -11,11 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.ekf.journal import Birth, Drop, Journal, Step
+
 from . import se2
 from .data import Array, Drive, Estimates, UsageError, upper_triangles
 from .fuse import fuse
-from .joint import JointBelief
-from .journal import Birth, Drop, Journal, Step
 from .robot import Robot
 from .wheel_states import WHEELS
 

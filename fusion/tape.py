@@ -13,13 +13,14 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.ekf.belief_pose import Pose, Triangle
+from locfuse.fusion.ekf.journal import in_map, turning
+from locfuse.fusion.ekf.rows import stacked
+
 from .data import Array, Drive, Ints, Measurements
-from .ekf import Pose, Triangle
 from .fuse import Filter
 from .instants import due_readings, steps_of
-from .joint import JointBelief
-from .joint_rows import stacked
-from .journal import in_map, turning
 from .robot import Robot
 from .sensor import Block, Innovation, Model
 

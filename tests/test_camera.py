@@ -23,7 +23,7 @@ from locfuse.formats.preview import write_pictures
 from locfuse.fusion import landmark as landmark_module
 from locfuse.fusion.bearing import paper_orientation, predict_bearing
 from locfuse.fusion.data import VERDICTS, ArrayStream, LocfuseError, Measurements
-from locfuse.fusion.ekf import PoseBelief
+from locfuse.fusion.ekf.belief_pose import PoseBelief
 from locfuse.fusion.image_header import image_size
 from locfuse.fusion.images import FIELDS
 from locfuse.fusion.preview import preview

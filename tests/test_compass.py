@@ -10,7 +10,7 @@ import pytest
 from worlds import World, stream
 
 from locfuse.fusion.data import VERDICTS, ArrayStream, LocfuseError, Measurements
-from locfuse.fusion.ekf import PoseBelief
+from locfuse.fusion.ekf.belief_pose import PoseBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure
 from locfuse.fusion.motion import Wheels

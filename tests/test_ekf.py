@@ -9,9 +9,9 @@ import pytest
 from textbook import TextbookEkf
 
 from locfuse.fusion.data import LocfuseError
-from locfuse.fusion.ekf import PoseBelief
-from locfuse.fusion.few_blocks import FewBlocks
-from locfuse.fusion.joint import JointBelief
+from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.ekf.belief_blocks import FewBlocks
+from locfuse.fusion.ekf.belief_pose import PoseBelief
 from locfuse.fusion.sensor import Block, Innovation
 
 POSE = (1.0, -2.0, 3.1)

@@ -12,10 +12,10 @@ from worlds import ROOM, World
 
 from locfuse.fusion.association import associate
 from locfuse.fusion.data import MapLine
-from locfuse.fusion.ekf import PoseBelief
+from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.ekf.belief_pose import PoseBelief
 from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.joint import JointBelief
 from locfuse.fusion.line_map import LineMap
 from locfuse.fusion.line_tracker import LineTracker
 from locfuse.fusion.lines import Lines

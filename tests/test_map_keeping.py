@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from locfuse.fusion.joint import JointBelief
+from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.line_map import LineMap
 from locfuse.fusion.map_keeping import FLAT, LEAST_HITS, PATIENCE, merge_doubles, prune
 

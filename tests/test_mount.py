@@ -13,9 +13,9 @@ from textbook import numeric_jacobian, wrap
 
 from locfuse.fusion.association import associate
 from locfuse.fusion.bearing import bearing_by_mount, predict_bearing
+from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.joint import JointBelief
 from locfuse.fusion.laser_mount import seated
 from locfuse.fusion.line_tracker import LineTracker
 from locfuse.fusion.mount import Mount

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from msgspec.structs import astuple
 
-from locfuse.fusion.ekf import PoseBelief
-from locfuse.fusion.joint import JointBelief
+from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.ekf.belief_pose import PoseBelief
 from locfuse.fusion.line_map import AnyBelief, LineMap
 from locfuse.fusion.pairing import FEW, pairs_in_arrays, pairs_in_floats
 from locfuse.fusion.scan import Scan

@@ -9,10 +9,10 @@ import pytest
 from worlds import World
 
 from locfuse.fusion.data import VERDICTS, ArrayStream
+from locfuse.fusion.ekf.robust import inflated
 from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure
-from locfuse.fusion.robust import inflated
 from locfuse.fusion.sensor import Innovation
 
 GATE = VERDICTS.index("gate")

@@ -16,11 +16,11 @@ from textbook import TextbookEkf, move, wrap
 from worlds import World
 
 from locfuse.fusion.data import Array, Drive, Estimates, Measurements, Motions, Stream, UsageError
-from locfuse.fusion.ekf import PoseBelief
+from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.ekf.belief_pose import PoseBelief
+from locfuse.fusion.ekf.journal import Journal
 from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.joint import JointBelief
-from locfuse.fusion.journal import Journal
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensor import Block, Innovation

@@ -13,10 +13,10 @@ from locfuse.cli.configurations import for_comparison, parse
 from locfuse.cli.load import make_robot
 from locfuse.fusion.data import ArrayStream, Drive, UsageError
 from locfuse.fusion.echo import Cone, nearest_echo
-from locfuse.fusion.ekf import PoseBelief
+from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.ekf.belief_pose import PoseBelief
 from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.joint import JointBelief
 from locfuse.fusion.line_map import LineMap
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot

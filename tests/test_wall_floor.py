@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.fusion.association import associate
-from locfuse.fusion.joint import JointBelief
+from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.line_tracker import LineTracker
 from locfuse.fusion.scan import Scan
 from locfuse.fusion.se2 import wrap_all

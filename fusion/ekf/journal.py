@@ -14,10 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .data import Array, Ints
-from .ekf import Pose, PoseBelief, Triangle
-from .joint import JointBelief
-from .sensor import Block
+from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.sensor import Block
+
+from .belief_arrays import JointBelief
+from .belief_pose import Pose, PoseBelief, Triangle
 
 POSE = np.arange(3)
 

@@ -10,10 +10,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .data import Array, Ints
-from .ekf import Pose, Rows, Triangle, too_far_apart
-from .joint_rows import sparse_row, stacked
-from .sensor import Block, Innovation
+from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.sensor import Block, Innovation
+
+from .belief_pose import Pose, Rows, Triangle, too_far_apart
+from .rows import sparse_row, stacked
 
 
 class JointBelief:

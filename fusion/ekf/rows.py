@@ -6,9 +6,13 @@ A row (y, a, b, c, r) says y = a dx + b dy + c dtheta + noise of variance r.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from math import inf, sqrt
 
-from .sensor import Innovation
+import numpy as np
+
+from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.sensor import Innovation
 
 Row = tuple[float, float, float, float, float]
 RANK = 1e-8  # relative information on a direction below which lines count as parallel
@@ -78,3 +82,51 @@ def pose_rows(seen: Sequence[Innovation]) -> list[Row]:
                 w2 = (wt - u2 * w0 - v2 * w1) / t2
                 return [*rows, (w0, u0, u1, u2, 1.0), (w1, 0.0, v1, v2, 1.0), (w2, 0.0, 0.0, t2, 1.0)]
     return [row for innovation in seen for row in whitened(innovation)]  # lone or parallel lines: L is singular
+
+
+# MERGED """Innovations as the rows of one matrix equation, for a filter in arrays."""
+def sparse_row(
+    h: Sequence[float], columns: Sequence[int], H_block: Sequence[Sequence[float]]
+) -> list[tuple[int, float]]:
+    """Return one row's derivatives that are not zero, with their state columns."""
+    entries = [*enumerate(h), *zip(columns, H_block[0], strict=True)] if columns else list(enumerate(h))
+    return [(i, g) for i, g in entries if g != 0.0]
+
+
+def stacked(seen: Sequence[Innovation]) -> tuple[Array, Ints, Array, Array]:
+    """Return y (m,), the state columns (c,) that all of it depends on, H (m, c), R (m, m)."""
+    columns, H_at, R_at = _layout(tuple([(len(s.y), s.columns) for s in seen]))
+    y: list[float] = []
+    H_values: list[float] = []
+    R_values: list[float] = []
+    for s in seen:
+        y += s.y
+        for i, h in enumerate(s.H):
+            H_values += h
+            if s.columns:
+                H_values += s.H_block[i]
+            R_values += s.R[i]
+    H, R = np.zeros((len(y), len(columns))), np.zeros((len(y), len(y)))
+    H.put(H_at, H_values)
+    R.put(R_at, R_values)
+    return np.array(y), columns, H, R
+
+
+@lru_cache(maxsize=1024)
+def _layout(parts: tuple[tuple[int, tuple[int, ...]], ...]) -> tuple[Ints, Ints, Ints]:
+    """Return the state columns (c,) and the flat places of the numbers in H and R, for parts (d, state columns).
+
+    The same walls are seen scan after scan, so that what lies where is mostly known.
+    """
+    columns = [0, 1, 2, *dict.fromkeys([c for _, own in parts for c in own])]
+    at = {c: i for i, c in enumerate(columns)}
+    m, c = sum(d for d, _ in parts), len(columns)
+    H_at: list[int] = []
+    R_at: list[int] = []
+    first = 0
+    for d, own in parts:
+        for i in range(first, first + d):
+            H_at += [i * c + at[j] for j in (0, 1, 2, *own)]
+            R_at += range(i * m + first, i * m + first + d)
+        first += d
+    return np.array(columns), np.array(H_at), np.array(R_at)

@@ -11,10 +11,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .data import Array
-from .ekf import Pose, PoseBelief, Rows, Triangle, too_far_apart
-from .scalar_rows import Row, pose_rows, whitened
-from .sensor import Block, Innovation
+from locfuse.fusion.data import Array
+from locfuse.fusion.sensor import Block, Innovation
+
+from .belief_pose import Pose, PoseBelief, Rows, Triangle, too_far_apart
+from .rows import Row, pose_rows, whitened
 
 MOST = 6  # states beside the pose; with more of them arrays are faster
 Beside = tuple[tuple[int, float], ...]  # (which state, derivative of a row by it)

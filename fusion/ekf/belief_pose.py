@@ -13,9 +13,10 @@ from math import cos, sin
 
 import numpy as np
 
-from .data import Array, LocfuseError
-from .scalar_rows import pose_rows
-from .sensor import Innovation
+from locfuse.fusion.data import Array, LocfuseError
+from locfuse.fusion.sensor import Innovation
+
+from .rows import pose_rows
 
 Pose = tuple[float, float, float]
 Triangle = tuple[float, float, float, float, float, float]  # xx, xy, xt, yy, yt, tt

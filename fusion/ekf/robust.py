@@ -11,8 +11,8 @@ import math
 
 from msgspec.structs import replace
 
-from .data import VERDICTS
-from .sensor import Innovation
+from locfuse.fusion.data import VERDICTS
+from locfuse.fusion.sensor import Innovation
 
 GATE = VERDICTS.index("gate")
 

@@ -21,20 +21,21 @@ import numpy as np
 
 from benchmarks.accuracy import FIRST_SEED, LOCK_STEP, figures, streams_by_role
 from locfuse.cli.load import make_robot
-from locfuse.fusion import paper, paper_rows
 from locfuse.fusion.bearing import predict_bearing
 from locfuse.fusion.data import Array, Drive, Estimates, Measurements
 from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure
-from locfuse.fusion.paper_filter import fuse_as_printed
+from locfuse.fusion.paper import equations
+from locfuse.fusion.paper import rows as paper_rows
+from locfuse.fusion.paper.filter import fuse_as_printed
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import wrap
 from locfuse.fusion.sensor import Innovation
 from locfuse.sample_logs.load import load
 from locfuse.sample_logs.record import in_memory
 
-PRINTED_W = paper.eq8_W
+PRINTED_W = equations.eq8_W
 SETS: tuple[tuple[str, ...], ...] = ((), ("compass",), ("lrf",), ("camera",), ("compass", "lrf", "camera"))
 
 
@@ -55,7 +56,7 @@ def right_H(C: float, beta: float) -> Array:
 class BearingRow(paper_rows.CameraRow):
     """The camera's bearing against the one predicted from the pose, instead of a heading."""
 
-    def __init__(self, robot: Robot, numbers: paper.Printed) -> None:
+    def __init__(self, robot: Robot, numbers: equations.Printed) -> None:
         super().__init__(robot, numbers)
         settings = robot.settings("camera")
         self.landmark, self.lever = settings.landmark, (settings.x, settings.y)

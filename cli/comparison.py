@@ -10,13 +10,13 @@ from locfuse.fusion.consistency import Run
 from locfuse.fusion.credit import Credit, credit
 from locfuse.fusion.data import Drive, Estimates, Evaluation
 from locfuse.fusion.evaluate import evaluate
+from locfuse.fusion.paper.preset import fuser
 from locfuse.fusion.predictive import Score, listeners, scores
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from . import results
 from .configurations import Configuration
-from .filters import fuser
 from .load import Loaded
 from .memory import lean
 from .trust import add_consistency, evidence

@@ -10,10 +10,9 @@ from locfuse.fusion.credit import subsets
 from locfuse.fusion.data import Drive, Estimates, LocfuseError, UsageError
 from locfuse.fusion.fuse import configuration_name
 from locfuse.fusion.measure import thinned
+from locfuse.fusion.paper.preset import fuser
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
-
-from .filters import fuser
 
 RATE = re.compile(r"(\d+(?:\.\d+)?)\s*hz", re.IGNORECASE)
 MOST_SUBSETS = 6  # sensors: 64 subsets

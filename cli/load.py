@@ -15,11 +15,11 @@ from locfuse.formats.log import Log, open_log
 from locfuse.fusion.clocks import lag_notes
 from locfuse.fusion.data import Drive, LocfuseError, UsageError
 from locfuse.fusion.measure import measure
+from locfuse.fusion.paper import preset as filters
 from locfuse.fusion.robot import Robot, StartSettings, TruthSettings, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import Joined, joined
 
-from . import filters
 from .choose import choose
 from .memory import give_back
 from .mounts import mount_tables

@@ -15,11 +15,11 @@ from commands import locfuse
 from numpy.typing import NDArray
 
 from locfuse.formats import line_map_file
-from locfuse.fusion import paper
 from locfuse.fusion.data import Drive, LocfuseError, Measurements
 from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.measure import cut
-from locfuse.fusion.paper_filter import PrintedFilter, fuse_as_printed, newest
+from locfuse.fusion.paper import equations
+from locfuse.fusion.paper.filter import PrintedFilter, fuse_as_printed, newest
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.camera import CameraSettings
 
@@ -34,11 +34,11 @@ DEG = math.pi / 180
 def test_equations_1_to_3_are_the_printed_kinematics(a: float, b: float, c: float, d: float) -> None:
     dt, R, omega_R, omega_L, L = 0.1, 0.05, a, b, 0.6
     ds_L, ds_R = dt * R * omega_L, dt * R * omega_R
-    assert paper.eq1_distance(dt, R, np.array([omega_L, omega_R])).tolist() == [ds_L, ds_R]
+    assert equations.eq1_distance(dt, R, np.array([omega_L, omega_R])).tolist() == [ds_L, ds_R]
     ds, dtheta = (ds_L + ds_R) / 2, (ds_R - ds_L) / L
-    assert [float(v) for v in paper.eq2_increments(np.array(ds_R), np.array(ds_L), L)] == [ds, dtheta]
+    assert [float(v) for v in equations.eq2_increments(np.array(ds_R), np.array(ds_L), L)] == [ds, dtheta]
     x, y, theta = 1.0, 2.0, c
-    moved = paper.eq3_motion(np.array([x, y, theta]), np.array(ds), np.array(dtheta))
+    moved = equations.eq3_motion(np.array([x, y, theta]), np.array(ds), np.array(dtheta))
     by_hand = [x + ds * math.cos(theta + dtheta / 2), y + ds * math.sin(theta + dtheta / 2), theta + dtheta]
     assert moved.tolist() == pytest.approx(by_hand, abs=1e-15)
 
@@ -51,7 +51,7 @@ def test_equation_7_is_the_printed_matrix(ds: float, dtheta: float, theta: float
         [0, 0, 1],
     ]
     printed = np.array(A)
-    np.testing.assert_allclose(paper.eq7_A(*map(np.array, (ds, dtheta, theta))), printed, atol=1e-15)
+    np.testing.assert_allclose(equations.eq7_A(*map(np.array, (ds, dtheta, theta))), printed, atol=1e-15)
 
 
 @pytest.mark.parametrize(("ds", "dtheta", "theta", "d"), CASES)
@@ -63,7 +63,7 @@ def test_equation_8_is_the_printed_matrix(ds: float, dtheta: float, theta: float
         [ds * c / (2 * l), -ds * c / (2 * l)],
         [1 / l, -1 / l],
     ]
-    found = paper.eq8_W(np.array(ds), np.array(dtheta), np.array(theta), l)
+    found = equations.eq8_W(np.array(ds), np.array(dtheta), np.array(theta), l)
     np.testing.assert_allclose(found, np.array(W), rtol=1e-14)
     assert np.linalg.matrix_rank(W) == 1, "the print has no noise along the way"
 
@@ -71,32 +71,32 @@ def test_equation_8_is_the_printed_matrix(ds: float, dtheta: float, theta: float
 @pytest.mark.parametrize(("omega_R", "omega_L", "c", "d"), CASES)
 def test_equation_9_is_the_printed_matrix(omega_R: float, omega_L: float, c: float, d: float) -> None:
     Q = np.array([[0.01 * omega_R**2, 0], [0, 0.01 * omega_L**2]])
-    np.testing.assert_allclose(paper.eq9_Q(0.01, np.array(omega_R), np.array(omega_L)), Q, rtol=1e-15)
+    np.testing.assert_allclose(equations.eq9_Q(0.01, np.array(omega_R), np.array(omega_L)), Q, rtol=1e-15)
 
 
 def test_equation_8_read_literally_is_108_degrees_of_noise_a_step() -> None:
     omega = np.array(0.4 / 0.05)  # both wheels at 0.4 m/s
     zero = np.array(0.0)
-    W, Q = paper.eq8_W(zero, zero, zero, 0.6), paper.eq9_Q(0.01, omega, omega)
+    W, Q = equations.eq8_W(zero, zero, zero, 0.6), equations.eq9_Q(0.01, omega, omega)
     assert math.degrees(math.sqrt((W @ Q @ W.T)[2, 2])) == pytest.approx(108.0, abs=0.1)
 
 
 def test_equations_6_10_11_12_are_the_printed_products() -> None:
     A, B, H = RNG.normal(size=(3, 3)), RNG.normal(size=(3, 3)), RNG.normal(size=(2, 3))
     P, Q, R, W = B @ B.T, np.diag([0.3, 0.2]), np.diag([0.5, 0.1]), RNG.normal(size=(3, 2))
-    np.testing.assert_allclose(paper.eq6_P(P, A, W, Q), A @ P @ A.T + W @ Q @ W.T)
+    np.testing.assert_allclose(equations.eq6_P(P, A, W, Q), A @ P @ A.T + W @ Q @ W.T)
     K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-    np.testing.assert_allclose(paper.eq10_K(P, H, R), K)
+    np.testing.assert_allclose(equations.eq10_K(P, H, R), K)
     x, y = RNG.normal(size=3), RNG.normal(size=2)
-    np.testing.assert_allclose(paper.eq11_x(x, K, y), x + K @ y)
-    np.testing.assert_allclose(paper.eq12_P(K, H, P), (np.eye(3) - K @ H) @ P)
+    np.testing.assert_allclose(equations.eq11_x(x, K, y), x + K @ y)
+    np.testing.assert_allclose(equations.eq12_P(K, H, P), (np.eye(3) - K @ H) @ P)
 
 
 @pytest.mark.parametrize(("C", "beta", "c", "d"), CASES)
 def test_equation_13_has_the_printed_rows(C: float, beta: float, c: float, d: float) -> None:
     rows = [[-C * math.cos(beta), -C * math.sin(beta), 0], [0, 0, -1]]
-    np.testing.assert_allclose(paper.eq13_H_line(C, beta), np.array(rows), rtol=1e-15)
-    np.testing.assert_array_equal(paper.eq13_H_heading(), [[0, 0, 1]])
+    np.testing.assert_allclose(equations.eq13_H_line(C, beta), np.array(rows), rtol=1e-15)
+    np.testing.assert_array_equal(equations.eq13_H_heading(), [[0, 0, 1]])
 
 
 def test_equation_13_is_the_derivative_only_at_a_distance_of_one_metre() -> None:
@@ -105,12 +105,12 @@ def test_equation_13_is_the_derivative_only_at_a_distance_of_one_metre() -> None
         rho = distance + x[0] * math.cos(beta) + x[1] * math.sin(beta)
 
         def predicted(at: Array, rho: float = rho) -> Array:
-            C = paper.eq17_C(rho, beta, at[0], at[1])
-            return np.array(paper.eq18_prediction(C, beta, at[2]))
+            C = equations.eq17_C(rho, beta, at[0], at[1])
+            return np.array(equations.eq18_prediction(C, beta, at[2]))
 
         steps = np.eye(3) * h
         numeric = np.stack([(predicted(x + s) - predicted(x - s)) / (2 * h) for s in steps], axis=-1)
-        off = paper.eq13_H_line(distance, beta) - numeric
+        off = equations.eq13_H_line(distance, beta) - numeric
         np.testing.assert_allclose(off[0], (distance - 1.0) * numeric[0], atol=1e-8)
         np.testing.assert_allclose(off[1], 0.0, atol=1e-8)
 
@@ -118,11 +118,11 @@ def test_equation_13_is_the_derivative_only_at_a_distance_of_one_metre() -> None
 @pytest.mark.parametrize(("rho", "beta", "x", "y"), CASES)
 def test_equations_17_and_18_are_the_printed_prediction(rho: float, beta: float, x: float, y: float) -> None:
     C = rho - x * math.cos(beta) - y * math.sin(beta)
-    assert paper.eq17_C(rho, beta, x, y) == pytest.approx(C, abs=1e-15)
+    assert equations.eq17_C(rho, beta, x, y) == pytest.approx(C, abs=1e-15)
     theta = 0.4
     sign = 1 if C > 0 else -1
     psi = beta - (theta - math.pi / 2) + (-0.5 * sign + 0.5) * math.pi
-    assert paper.eq18_prediction(C, beta, theta) == pytest.approx((abs(C), psi), abs=1e-14)
+    assert equations.eq18_prediction(C, beta, theta) == pytest.approx((abs(C), psi), abs=1e-14)
 
 
 @pytest.mark.parametrize(("r", "psi", "x", "theta"), CASES)
@@ -130,18 +130,18 @@ def test_a_line_put_into_the_map_is_predicted_where_it_was_seen(
     r: float, psi: float, x: float, theta: float
 ) -> None:
     pose = np.array([x, -0.3, theta])
-    rho, beta = paper.eq14_line(pose, abs(r), psi)
-    C = paper.eq17_C(rho, beta, x, -0.3)
-    r_, psi_ = paper.eq18_prediction(C, beta, theta)
+    rho, beta = equations.eq14_line(pose, abs(r), psi)
+    C = equations.eq17_C(rho, beta, x, -0.3)
+    r_, psi_ = equations.eq18_prediction(C, beta, theta)
     assert r_ == pytest.approx(abs(r), abs=1e-12)
     assert math.remainder(psi_ - psi, math.tau) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_equation_19_is_diagonal_with_the_printed_variances() -> None:
-    R = paper.eq19_R(2, compass=True, camera=True)
+    R = equations.eq19_R(2, compass=True, camera=True)
     line = [0.03**2, (0.25 * DEG) ** 2]
     np.testing.assert_allclose(R, np.diag([*line, *line, 0.01, (0.5 * DEG) ** 2]), rtol=1e-15)
-    assert paper.eq19_R(0, compass=True, camera=False).tolist() == [[0.01]]
+    assert equations.eq19_R(0, compass=True, camera=False).tolist() == [[0.01]]
 
 
 def test_a_step_takes_the_newest_reading_since_the_step_before() -> None:

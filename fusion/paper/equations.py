@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .data import Array
+from locfuse.fusion.data import Array
 
 
 @dataclass(frozen=True)

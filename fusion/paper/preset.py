@@ -23,7 +23,7 @@ NOTE = (
 def fuser(preset: Preset) -> Callable[..., Estimates]:
     """Return what fuses a drive under a preset; both have the arguments of `fusion.fuse.fuse`."""
     if preset == "paper":
-        from locfuse.fusion.paper_filter import fuse_as_printed
+        from .filter import fuse_as_printed
 
         return fuse_as_printed
     from locfuse.fusion.fuse import fuse

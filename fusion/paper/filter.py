@@ -12,15 +12,16 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from . import paper
-from .audit import Record
-from .data import Array, Drive, Estimates, Ints, LocfuseError, upper_triangles
-from .fuse import configuration_name
-from .motion import Wheels
-from .paper import PRINTED, Printed
-from .paper_rows import PARTS, LineRows, Rows
-from .robot import Robot
-from .sensor import Innovation
+from locfuse.fusion.audit import Record
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, upper_triangles
+from locfuse.fusion.fuse import configuration_name
+from locfuse.fusion.motion import Wheels
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensor import Innovation
+
+from . import equations
+from .equations import PRINTED, Printed
+from .rows import PARTS, LineRows, Rows
 
 EARLY = 1e-9  # s: a stamp that is rounding away from the grid is on it
 
@@ -119,12 +120,12 @@ class PrintedFilter:
         Eq. 8 takes wheel speeds straight into the pose; literally that is 108 degrees of noise a step at 0.4 m/s.
         The lost factor dt R is put back.
         """
-        ds, dtheta = paper.eq2_increments(rolled[..., 1], rolled[..., 0], self.L)
-        A = paper.eq7_A(ds, dtheta, x[..., 2])
-        W = self.dt_R * paper.eq8_W(ds, dtheta, x[..., 2], self.L)
+        ds, dtheta = equations.eq2_increments(rolled[..., 1], rolled[..., 0], self.L)
+        A = equations.eq7_A(ds, dtheta, x[..., 2])
+        W = self.dt_R * equations.eq8_W(ds, dtheta, x[..., 2], self.L)
         omega = rolled / self.dt_R
-        Q = paper.eq9_Q(self.numbers.delta, omega[..., 1], omega[..., 0])
-        return paper.eq3_motion(x, ds, dtheta), paper.eq6_P(P, A, W, Q)
+        Q = equations.eq9_Q(self.numbers.delta, omega[..., 1], omega[..., 0])
+        return equations.eq3_motion(x, ds, dtheta), equations.eq6_P(P, A, W, Q)
 
     def correct(self, seen: dict[str, list[Innovation]]) -> None:
         """Eq. 10-12 with everything stacked as in eq. 16."""
@@ -134,9 +135,9 @@ class PrintedFilter:
         y = np.concatenate([s.y for s in stacked])
         H = np.concatenate([s.H for s in stacked])
         lines, compass, camera = (len(seen.get(sensor, [])) for sensor in PARTS)
-        R = paper.eq19_R(lines, bool(compass), bool(camera), self.numbers)
-        K = paper.eq10_K(self.P, H, R)
-        self.x, self.P = paper.eq11_x(self.x, K, y), paper.eq12_P(K, H, self.P)
+        R = equations.eq19_R(lines, bool(compass), bool(camera), self.numbers)
+        K = equations.eq10_K(self.P, H, R)
+        self.x, self.P = equations.eq11_x(self.x, K, y), equations.eq12_P(K, H, self.P)
 
     def at(self, t: Array) -> tuple[Array, Array]:
         """Return pose (n, 3) and covariance (n, 3, 3) at any times of the drive: the last step's, moved on."""

@@ -7,12 +7,14 @@ from typing import Protocol
 
 import numpy as np
 
-from . import paper, se2
-from .bearing import paper_orientation
-from .data import VERDICTS, Array, LocfuseError, MapLine, Measurements
-from .paper import Printed
-from .robot import Robot
-from .sensor import Innovation
+from locfuse.fusion import se2
+from locfuse.fusion.bearing import paper_orientation
+from locfuse.fusion.data import VERDICTS, Array, LocfuseError, MapLine, Measurements
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensor import Innovation
+
+from . import equations
+from .equations import Printed
 
 UNMATCHED, NEW = VERDICTS.index("unmatched"), VERDICTS.index("new")
 TO_RIGHT = math.pi / 2  # the scan's 0 degrees point to the robot's right, the base frame's ahead
@@ -30,7 +32,7 @@ class LineRows:
 
     def __init__(self, robot: Robot, numbers: Printed) -> None:
         self.numbers = numbers
-        self.R = paper.eq19_R(1, compass=False, camera=False, numbers=numbers)
+        self.R = equations.eq19_R(1, compass=False, camera=False, numbers=numbers)
         self.map: list[tuple[float, float]] = []  # (rho, beta)
         self.ends: list[tuple[float, float]] = []
         self.hits: list[int] = []
@@ -45,7 +47,7 @@ class LineRows:
 
     def _remember(self, m: Measurements, lines: range, x: Array) -> None:
         for row in lines:
-            rho, beta = paper.eq14_line(x, float(m.z[row, 0]), float(m.z[row, 1]) + TO_RIGHT)
+            rho, beta = equations.eq14_line(x, float(m.z[row, 0]), float(m.z[row, 1]) + TO_RIGHT)
             along = float(x[1]) * math.cos(beta) - float(x[0]) * math.sin(beta)
             low, high = (m.extra["ends"][row] + along).tolist()
             self.map.append((rho, beta))
@@ -58,15 +60,15 @@ class LineRows:
             return _no_prediction(row, UNMATCHED)
         self.hits[j] += 1
         rho, beta = self.map[j]
-        C = paper.eq17_C(rho, beta, float(x[0]), float(x[1]))
-        return innovation(row, j, np.array([dr, dpsi]), paper.eq13_H_line(C, beta), self.R, P)
+        C = equations.eq17_C(rho, beta, float(x[0]), float(x[1]))
+        return innovation(row, j, np.array([dr, dpsi]), equations.eq13_H_line(C, beta), self.R, P)
 
     def _nearest(self, r: float, psi: float, x: Array) -> tuple[int, float, float]:
         """Return the map line nearest in (r, psi) and both differences; -1 where none is in the window."""
         best, least = (-1, math.nan, math.nan), math.inf
         for j, (rho, beta) in enumerate(self.map):
-            C = paper.eq17_C(rho, beta, float(x[0]), float(x[1]))
-            r_, psi_ = paper.eq18_prediction(C, beta, float(x[2]))
+            C = equations.eq17_C(rho, beta, float(x[0]), float(x[1]))
+            r_, psi_ = equations.eq18_prediction(C, beta, float(x[2]))
             dr, dpsi = r - r_, se2.wrap(psi - psi_)
             far = max(abs(dr) / self.numbers.window_r, abs(dpsi) / self.numbers.window_psi)
             if (
@@ -88,7 +90,7 @@ class CompassRow:
     def __init__(self, robot: Robot, numbers: Printed) -> None:
         offset = robot.settings("compass").offset_deg
         self.offset = None if offset is None else math.radians(offset)
-        self.R = paper.eq19_R(0, compass=True, camera=False, numbers=numbers)
+        self.R = equations.eq19_R(0, compass=True, camera=False, numbers=numbers)
 
     def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[Innovation]:
         """Compare heading i with the predicted one."""
@@ -96,7 +98,7 @@ class CompassRow:
         if self.offset is None:
             self.offset = z - theta
         y = se2.wrap(z - self.offset - theta)
-        return [innovation(i, -1, np.array([y]), paper.eq13_H_heading(), self.R, P)]
+        return [innovation(i, -1, np.array([y]), equations.eq13_H_heading(), self.R, P)]
 
 
 class CameraRow:
@@ -108,7 +110,7 @@ class CameraRow:
             raise LocfuseError("camera: camera.landmark is not set; --set camera.landmark=[X,Y]")
         self.direction = math.atan2(settings.landmark[1] - start.y, settings.landmark[0] - start.x)
         self.yaw = math.radians(settings.yaw_deg)
-        self.R = paper.eq19_R(0, compass=False, camera=True, numbers=numbers)
+        self.R = equations.eq19_R(0, compass=False, camera=True, numbers=numbers)
 
     def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[Innovation]:
         """Compare the heading by the largest candidate of picture i with the predicted one."""
@@ -117,7 +119,7 @@ class CameraRow:
             return []
         gamma = paper_orientation(self.direction, float(m.z[row, 0]) + self.yaw)
         y = se2.wrap(gamma - float(x[2]))
-        return [innovation(row, 0, np.array([y]), paper.eq13_H_heading(), self.R, P)]
+        return [innovation(row, 0, np.array([y]), equations.eq13_H_heading(), self.R, P)]
 
 
 def innovation(row: int, landmark: int, y: Array, H: Array, R: Array, P: Array) -> Innovation:

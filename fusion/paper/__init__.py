@@ -1,0 +1,1 @@
+"""The paper's filter as printed: its equations, its measurement vector, its lock-step loop."""

@@ -15,9 +15,9 @@ import numpy as np
 
 from benchmarks.accuracy import FIRST_SEED, streams_by_role
 from locfuse.cli.load import make_robot
-from locfuse.fusion.calibrate import WheelCalibration, calibrate_wheels
 from locfuse.fusion.data import Drive
 from locfuse.fusion.measure import measure
+from locfuse.fusion.wheels.calibrate import WheelCalibration, calibrate_wheels
 from locfuse.sample_logs.load import load
 from locfuse.sample_logs.record import in_memory
 

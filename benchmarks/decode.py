@@ -49,7 +49,7 @@ def ours(path: Path) -> str:
     from locfuse.formats.log import open_log
     from locfuse.fusion.sensors.registry import REGISTRY
     from locfuse.fusion.truth import TRUTH_READS
-    from locfuse.fusion.wheels import WHEEL_READS
+    from locfuse.fusion.wheels.read import WHEEL_READS
 
     reads = {**TRUTH_READS, **WHEEL_READS}
     in_blocks = set()

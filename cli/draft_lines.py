@@ -10,8 +10,8 @@ import msgspec
 from locfuse.formats.commented_toml import Line
 from locfuse.fusion.oddity import settings_in
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.wheel_sources import JOINTS
-from locfuse.fusion.wheels import ODOMETRY, counts_ticks
+from locfuse.fusion.wheels.read import ODOMETRY, counts_ticks
+from locfuse.fusion.wheels.sources import JOINTS
 
 from .draft_words import ASKS, GUESSES, NEEDED
 from .load import TABLES

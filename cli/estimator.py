@@ -15,9 +15,9 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import ArrayStream, Column, Measurements, Ragged
 from locfuse.fusion.fuse import Filter
 from locfuse.fusion.instants import step_between
-from locfuse.fusion.motion import Wheels
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.wheels.motion import Wheels
 
 from .load import make_robot
 

@@ -9,13 +9,13 @@ import numpy as np
 
 from locfuse.formats.urdf import WheelGeometry, wheel_geometry
 from locfuse.fusion.data import Array, LocfuseError, Ragged
-from locfuse.fusion.geometry import Geometry, by_odometry
 from locfuse.fusion.oddity import Oddity
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import joined
 from locfuse.fusion.truth import TRUTH_READS, looks_like_truth
-from locfuse.fusion.wheel_sources import JOINTS, KNOWN_TICKS, joint_names
-from locfuse.fusion.wheels import ODOMETRY, counts_ticks
+from locfuse.fusion.wheels.geometry import Geometry, by_odometry
+from locfuse.fusion.wheels.read import ODOMETRY, counts_ticks
+from locfuse.fusion.wheels.sources import JOINTS, KNOWN_TICKS, joint_names
 
 from .topics import Choice, of_type
 
@@ -111,7 +111,7 @@ def geometry(robot: Robot, found: Hints) -> tuple[dict[str, float], str]:
 
 def _unused_counters(log: Log, choice: Choice) -> tuple[str, ...]:
     """Return topics of wheel turns that lost to an odometry for lack of geometry."""
-    from locfuse.fusion.wheel_sources import TICKS
+    from locfuse.fusion.wheels.sources import TICKS
 
     from .wheel_topics import pair_topics
 

@@ -199,7 +199,7 @@ def _streams(log: Log, choice: Choice, order: str) -> dict[str, Any]:
 def _light(role: str, msgtype: str) -> tuple[str, ...]:
     """Return the fields to read in the common walk: none of a sensor that reads in blocks."""
     from locfuse.fusion.truth import TRUTH_READS
-    from locfuse.fusion.wheels import WHEEL_READS
+    from locfuse.fusion.wheels.read import WHEEL_READS
 
     reads = {"wheels": WHEEL_READS, "truth": TRUTH_READS}
     if role in reads:

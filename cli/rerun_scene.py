@@ -16,7 +16,7 @@ from locfuse.fusion.robot import VIRTUAL_TRACK, Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.smooth import SUFFIX
 from locfuse.fusion.truth import TRUTH_READS
-from locfuse.fusion.wheels import WHEEL_READS
+from locfuse.fusion.wheels.read import WHEEL_READS
 
 from .components import LOOKS
 from .configurations import parse

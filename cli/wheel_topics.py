@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, cast
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.truth import looks_like_truth
-from locfuse.fusion.wheel_sources import JOINTS, NUMBERS, TICKS, joint_names
-from locfuse.fusion.wheels import ODOMETRY, WHEEL_READS, counts_ticks
+from locfuse.fusion.wheels.read import ODOMETRY, WHEEL_READS, counts_ticks
+from locfuse.fusion.wheels.sources import JOINTS, NUMBERS, TICKS, joint_names
 
 from .topics import NAMED, ONLY, Choice, checked, of_type, one, several_fit, types
 

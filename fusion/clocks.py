@@ -12,10 +12,10 @@ from functools import partial
 import numpy as np
 
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.wheels.motion import Wheels
 
 from .data import Array, Measurements
 from .lag import WORTH_SAYING, Lag, Reference, by_wheels, find_lag, worth_saying
-from .motion import Wheels
 
 FEWEST = 20  # readings
 READINGS = 3000  # enough to find a lag: five minutes of a 10 Hz laser

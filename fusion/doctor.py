@@ -11,6 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from locfuse.fusion.wheels.repairs import times
+
 from .data import Array, Drive, Measurements, Stream
 from .doctor_clock import of_clocks
 from .doctor_heading import of_convention
@@ -20,7 +22,6 @@ from .doctor_truth import metre, of_truth
 from .doctor_turning import Turning, aligned, of_track, of_turning, turnings
 from .oddity import Oddity
 from .robot import Robot
-from .wheel_repairs import times
 
 GAP, GAP_PERIODS = 0.5, 5.0  # s, median periods: a longer silence is a gap
 FEWEST = 10  # readings from which a sensor is judged

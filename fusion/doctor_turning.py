@@ -13,14 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.wheels.motion import Wheels
+from locfuse.fusion.wheels.read import ODOMETRY
 
 from .data import Array, Drive, Measurements, Stream
 from .doctor_laser import Motion
-from .motion import Wheels
 from .oddity import Oddity
 from .robot import Robot, WheelSettings
 from .streams import Joined
-from .wheels import ODOMETRY
 
 WINDOW = 1.0  # s
 LONGEST, STEP = 1.2, 0.05  # s: clocks may differ

@@ -17,6 +17,7 @@ from locfuse.fusion.ekf.belief_blocks import FewBlocks
 from locfuse.fusion.ekf.belief_pose import Pose, PoseBelief, Triangle
 from locfuse.fusion.ekf.robust import inflated
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
 
 from . import se2
 from .audit import MANY, Record
@@ -25,7 +26,6 @@ from .ekf import belief_blocks
 from .instants import BLOCK, Due, Step, due_readings, steps_of
 from .robot import Robot, StartSettings
 from .sensor import Block, Innovation, Model
-from .wheel_states import WHEELS, wheel_block, wheel_words
 
 # what makes the belief at the start: of the pose alone, or with blocks; None: whatever fits, the fastest first
 Beliefs = tuple[Callable[[Pose, Triangle], PoseBelief], Callable[[Pose, Triangle, Sequence[Block]], JointBelief]]

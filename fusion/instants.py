@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.wheels.motion import Wheels
 
 from .data import Array, Drive, Motions
-from .motion import Wheels
 
 BLOCK = 4096  # instants
 TRIANGLE = [0, 1, 2, 4, 5, 8]  # of a flat 3 x 3: xx, xy, xt, yy, yt, tt

@@ -19,8 +19,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.fusion.wheels.motion import Wheels
+
 from .data import Array
-from .motion import Wheels
 
 WINDOW = 1.0  # s over which turning is compared
 LONGEST = 1.5  # s

@@ -13,12 +13,12 @@ from dataclasses import replace
 import numpy as np
 
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.wheels.motion import Wheels
+from locfuse.fusion.wheels.read import read_wheels
 
 from .data import Array, Drive, Ints, LocfuseError, Measurements, Motions, Stream
-from .motion import Wheels
 from .robot import Robot
 from .truth import read_truth
-from .wheels import read_wheels
 
 FILL = 0.2  # s: where no sensor speaks for this long, a wheel reading becomes an instant
 

@@ -13,12 +13,12 @@ import numpy as np
 
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.journal import Birth, Drop, Journal, Step
+from locfuse.fusion.wheels.states import WHEELS
 
 from . import se2
 from .data import Array, Drive, Estimates, UsageError, upper_triangles
 from .fuse import fuse
 from .robot import Robot
-from .wheel_states import WHEELS
 
 SUFFIX = " smoothed"
 NOT_OPTIMAL = ("first-scan", "consider")

@@ -7,8 +7,9 @@ from typing import cast
 
 import numpy as np
 
+from locfuse.fusion.wheels.jumps import limits, spikes
+
 from .data import Array, LocfuseError, Stream, Truth
-from .jumps import limits, spikes
 from .robot import TruthSettings
 
 

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from locfuse.fusion import se2
 from locfuse.fusion.data import ArrayStream, Drive, Measurements, Stream
 from locfuse.fusion.measure import cut
-from locfuse.fusion.motion import Wheels
 from locfuse.fusion.robot import Robot, StartSettings, WheelSettings
 from locfuse.fusion.sensors.compass import CompassSettings
 from locfuse.fusion.sensors.lrf import LrfSettings
+from locfuse.fusion.wheels.motion import Wheels
 
 Array = NDArray[np.float64]
 ROOM = (  # rho [m], beta [rad], start of the wall along its tangent [m], length [m]

@@ -15,12 +15,12 @@ from scipy.stats import chi2
 
 from locfuse.cli.load import make_robot
 from locfuse.fusion import se2
-from locfuse.fusion.calibrate import WheelCalibration, calibrate_wheels, find_pieces
 from locfuse.fusion.data import Drive, LocfuseError, Measurements, Truth
 from locfuse.fusion.measure import measure
-from locfuse.fusion.motion import Wheels
-from locfuse.fusion.scale_fit import Residuals
-from locfuse.fusion.segments import STRAIGHT, TURN, find_runs
+from locfuse.fusion.wheels.calibrate import WheelCalibration, calibrate_wheels, find_pieces
+from locfuse.fusion.wheels.likelihood import Residuals
+from locfuse.fusion.wheels.motion import Wheels
+from locfuse.fusion.wheels.runs import STRAIGHT, TURN, find_runs
 from locfuse.sample_logs.load import load
 from locfuse.sample_logs.record import in_memory
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from locfuse.fusion.clocks import clock_lags, lag_notes
 from locfuse.fusion.data import Measurements
 from locfuse.fusion.lag import worth_saying
-from locfuse.fusion.motion import Wheels
+from locfuse.fusion.wheels.motion import Wheels
 
 Array = NDArray[np.float64]
 T = np.arange(0.0, 90.0, 0.02)

@@ -13,8 +13,8 @@ from locfuse.fusion.data import VERDICTS, ArrayStream, LocfuseError, Measurement
 from locfuse.fusion.ekf.belief_pose import PoseBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure
-from locfuse.fusion.motion import Wheels
 from locfuse.fusion.sensors.compass import Compass, CompassModel, CompassSettings
+from locfuse.fusion.wheels.motion import Wheels
 
 STILL = Wheels.from_wheels(np.array([0.0, 100.0]), np.zeros(2), np.zeros(2), 0.5, 1e-4)
 T: Any = np.arange(5) * 0.1

@@ -20,9 +20,9 @@ from locfuse.fusion.doctor_start import start_pose
 from locfuse.fusion.doctor_tilt import angles, by_gravity
 from locfuse.fusion.doctor_truth import of_truth
 from locfuse.fusion.doctor_turning import explain, of_track, turnings
-from locfuse.fusion.motion import Wheels
 from locfuse.fusion.mount import rotation
 from locfuse.fusion.oddity import Oddity, settings_in
+from locfuse.fusion.wheels.motion import Wheels
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from locfuse.fusion.lag import LONGEST, by_wheels, find_lag
-from locfuse.fusion.motion import Wheels
+from locfuse.fusion.wheels.motion import Wheels
 
 Array = NDArray[np.float64]
 T = np.arange(0.0, 120.0, 0.02)

@@ -10,7 +10,7 @@ import pytest
 from textbook import numeric_jacobian
 
 from locfuse.fusion import se2
-from locfuse.fusion.motion import Wheels, body_increments, wheel_increments
+from locfuse.fusion.wheels.motion import Wheels, body_increments, wheel_increments
 
 TRACK, K = 0.6, 4e-4
 RNG = np.random.default_rng(5)

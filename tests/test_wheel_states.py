@@ -12,8 +12,8 @@ from textbook import numeric_jacobian
 from locfuse.formats.report_notes import notes_of
 from locfuse.fusion.data import Estimates
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.motion import Wheels
-from locfuse.fusion.wheel_states import derivative, geometry
+from locfuse.fusion.wheels.motion import Wheels
+from locfuse.fusion.wheels.states import derivative, geometry
 
 
 def test_geometry_s_derivative_equals_finite_differences() -> None:

@@ -33,7 +33,7 @@ from locfuse.cli.load import make_robot
 from locfuse.fusion.data import ArrayStream, Column, LocfuseError, Ragged
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import WheelSettings
-from locfuse.fusion.wheels import WheelReading, read_wheels
+from locfuse.fusion.wheels.read import WheelReading, read_wheels
 from locfuse.sample_logs import load as scenarios
 from locfuse.sample_logs.record import in_memory
 

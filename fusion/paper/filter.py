@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from locfuse.fusion.audit import Record
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, upper_triangles
 from locfuse.fusion.fuse import configuration_name
-from locfuse.fusion.motion import Wheels
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensor import Innovation
+from locfuse.fusion.wheels.motion import Wheels
 
 from . import equations
 from .equations import PRINTED, Printed

@@ -8,12 +8,13 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
+from locfuse.fusion.data import Array, LocfuseError, Stream
+from locfuse.fusion.robot import VIRTUAL_TRACK, WheelSettings
+
 from . import odometry
-from .data import Array, LocfuseError, Stream
 from .motion import Wheels
-from .robot import VIRTUAL_TRACK, WheelSettings
-from .wheel_repairs import repaired
-from .wheel_sources import JOINTS, KNOWN_TICKS, NUMBERS, TICKS, Counters, read_counters, require_two, usable
+from .repairs import repaired
+from .sources import JOINTS, KNOWN_TICKS, NUMBERS, TICKS, Counters, read_counters, require_two, usable
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 # In order of preference: angles of the wheels before somebody else's dead reckoning.

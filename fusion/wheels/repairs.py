@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .data import Array, Ints
+from locfuse.fusion.data import Array, Ints
+
 from .jumps import Mask, limits, restarted, spikes
 from .rollover import Unrolled, unrolled
 

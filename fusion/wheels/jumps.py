@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .data import Array, Ints
+from locfuse.fusion.data import Array, Ints
 
 WINDOW = 11  # steps whose median speed is the speed of the moment
 FACTOR = 8.0  # times the speed of the moment ...

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .data import Array
-from .robot import WheelSettings
-from .sensor import Block
+from locfuse.fusion.data import Array
+from locfuse.fusion.robot import WheelSettings
+from locfuse.fusion.sensor import Block
 
 WHEELS = "wheels"
 WITH_METRE = ("lrf", "sonar", "gps")  # sensors that measure metres

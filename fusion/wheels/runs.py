@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .data import Array, Ints
+from locfuse.fusion.data import Array, Ints
+
 from .motion import Wheels
 
 STRAIGHT, TURN = 0, 1

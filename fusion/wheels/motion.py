@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from . import se2
-from .data import Array, Ints, Motions
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array, Ints, Motions
 
 SILENCE, SILENCE_PERIODS = 0.5, 5.0  # s, median periods: over a longer one the way is not known, only the sums
 BLOCK = 8192  # intervals at a time: what is needed on the way is many times larger than the result

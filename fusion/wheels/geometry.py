@@ -7,11 +7,12 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from .data import Array, LocfuseError, Stream
-from .robot import WheelSettings
-from .wheel_repairs import repaired
-from .wheel_sources import Counters, read_counters
-from .wheels import read_wheels
+from locfuse.fusion.data import Array, LocfuseError, Stream
+from locfuse.fusion.robot import WheelSettings
+
+from .read import read_wheels
+from .repairs import repaired
+from .sources import Counters, read_counters
 
 WINDOW = 0.5  # s over which both are compared
 GUESS = 0.05  # m: radius under which jumps of the counters are looked for

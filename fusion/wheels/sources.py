@@ -7,11 +7,12 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from .data import Array, Ints, LocfuseError, Ragged, Stream
+from locfuse.fusion.data import Array, Ints, LocfuseError, Ragged, Stream
+from locfuse.fusion.robot import WheelSettings
+from locfuse.fusion.streams import Joined
+
 from .jumps import Mask
-from .robot import WheelSettings
-from .streams import Joined
-from .wheel_repairs import Side
+from .repairs import Side
 
 JOINTS = "sensor_msgs/msg/JointState"
 # Message type -> fields of the left and the right counter.

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .data import Array
+from locfuse.fusion.data import Array
 
 BITS = (8, 10, 12, 13, 14, 15, 16, 18, 20, 24, 32)  # widths of counters seen in the wild
 WHOLE = 0.02  # quanta by which a step of a counter may miss a whole number

@@ -11,10 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from . import se2
-from .data import Array
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array
+
 from .jumps import Mask, limits, restarted, spikes
-from .wheel_repairs import times
+from .repairs import times
 
 FIELDS = (
     "pose.pose.position.x",

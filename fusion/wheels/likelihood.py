@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .chi_square import chi_square
-from .data import Array
+from locfuse.fusion.chi_square import chi_square
+from locfuse.fusion.data import Array
 
 CONFIDENCE = 0.95
 RANGE = (1e-10, 10.0)  # where s is looked for

@@ -17,12 +17,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from . import se2
-from .chi_square import chi_square
-from .data import Array, Drive, Ints, LocfuseError, Truth
+from locfuse.fusion import se2
+from locfuse.fusion.chi_square import chi_square
+from locfuse.fusion.data import Array, Drive, Ints, LocfuseError, Truth
+
+from .likelihood import Figure, Residuals
 from .motion import Wheels
-from .scale_fit import Figure, Residuals
-from .segments import LEAST, STANDSTILL, STRAIGHT, TURN, cut_runs, find_runs
+from .runs import LEAST, STANDSTILL, STRAIGHT, TURN, cut_runs, find_runs
 
 PERIOD = 0.1  # s, the paper's sampling time: what its delta refers to
 PRIOR = np.array([0.1, 0.1, 0.3])  # relative, of mean scale, scale difference, track: wide enough to say nothing

@@ -22,7 +22,7 @@ from locfuse.formats.log import open_log
 from locfuse.fusion.ekf.belief_pose import PoseBelief
 from locfuse.fusion.images import compressed
 from locfuse.fusion.landmark import Detector
-from locfuse.fusion.lines import extract_lines
+from locfuse.fusion.lines.extract import extract_lines
 from locfuse.fusion.sensor import Innovation
 
 Array = NDArray[np.float64]

@@ -16,11 +16,11 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.lines.extract import to_base
 
 from . import se2
 from .data import Array, Ints
 from .line_map import Prediction
-from .lines import to_base
 from .mount import Mount
 
 

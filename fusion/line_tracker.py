@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.lines.flatness import bend
 
 from . import se2
 from .association import Association, associate
@@ -22,7 +23,6 @@ from .pairing import Pair
 from .recovery import Guard
 from .scan import Scan, Scans
 from .sensor import Block, Innovation, Model
-from .wall_floor import bend
 
 UNMATCHED, AMBIGUOUS, NEW, LOST = (VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new", "lost"))
 TIDY_EVERY = 10  # scans

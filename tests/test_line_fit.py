@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from locfuse.fusion.data import Array
-from locfuse.fusion.line_fit import Fits, Rays, fit_lines, fitted, misfit, residuals, total_least_squares
+from locfuse.fusion.lines.fit import Fits, Rays, fit_lines, fitted, misfit, residuals, total_least_squares
 
 NOISE = {"30mm_0.25deg": (0.03, math.radians(0.25)), "5mm_0.1deg": (0.005, math.radians(0.1))}
 WALLS = {  # r [m], psi [rad], from where to where along the tangent [m]

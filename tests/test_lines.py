@@ -13,9 +13,9 @@ from rooms import ARENA, box, pole, poses, ranges, scan, wall_lines
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array
-from locfuse.fusion.line_fit import misfit
-from locfuse.fusion.line_split import merge, split
-from locfuse.fusion.lines import Lines, LineSettings, extract_lines, to_base
+from locfuse.fusion.lines.extract import Lines, LineSettings, extract_lines, to_base
+from locfuse.fusion.lines.fit import misfit
+from locfuse.fusion.lines.split import merge, split
 
 HALF = np.radians(np.linspace(-90.0, 90.0, 361))
 CIRCLE = np.radians(np.arange(720) * 0.5 - 180.0)

@@ -18,10 +18,10 @@ from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.line_map import LineMap
 from locfuse.fusion.line_tracker import LineTracker
-from locfuse.fusion.lines import Lines
+from locfuse.fusion.lines.extract import Lines
+from locfuse.fusion.lines.scans import Gathered
 from locfuse.fusion.measure import measure
 from locfuse.fusion.scan import Scan
-from locfuse.fusion.scans import Gathered
 
 UPPER = (0.01, 0.001, 0.0005, 0.02, -0.0004, 0.001)
 # pose, line (rho, beta about its anchor), anchor: ordinary, C near 0, robot near pi, far from the origin

@@ -10,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 from textbook import wrap
 
-from locfuse.fusion import scans, side_by_side, wall_floor
+from locfuse.fusion.lines import flatness, scans
+from locfuse.fusion.lines import pairs as side_by_side
 
 Array = NDArray[np.float64]
 
@@ -93,14 +94,14 @@ def one_change(before: Array, after: Array, a: Array, b: Array) -> tuple[list[fl
 def test_changes_between_walls_equal_those_found_one_by_one() -> None:
     rng = np.random.default_rng(4)
     first, z = lines(rng, 60)
-    variance = rng.uniform(0.1, 1.2, len(z)) * wall_floor.SURE**2
-    change, noise = wall_floor._changes(np.arange(60.0), first, z, variance, Standing())
+    variance = rng.uniform(0.1, 1.2, len(z)) * flatness.SURE**2
+    change, noise = flatness._changes(np.arange(60.0), first, z, variance, Standing())
     expected: tuple[list[float], list[float]] = ([], [])
-    for i in range(60 - wall_floor.LAG):
+    for i in range(60 - flatness.LAG):
         rows = []
-        for k in (i, i + wall_floor.LAG):
+        for k in (i, i + flatness.LAG):
             at = np.arange(first[k], first[k + 1])
-            rows.append(at[variance[at] < wall_floor.SURE**2])
+            rows.append(at[variance[at] < flatness.SURE**2])
         a, b = rows
         for total, more in zip(expected, one_change(z[a], z[b], variance[a], variance[b]), strict=True):
             total.extend(more)

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from locfuse.fusion.association import associate
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.line_tracker import LineTracker
+from locfuse.fusion.lines.flatness import LAG, bend, wall_floor
 from locfuse.fusion.scan import Scan
 from locfuse.fusion.se2 import wrap_all
-from locfuse.fusion.wall_floor import LAG, bend, wall_floor
 
 Array = NDArray[np.float64]
 FIT = math.radians(0.2)

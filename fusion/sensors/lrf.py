@@ -15,11 +15,11 @@ import numpy as np
 
 from locfuse.fusion.data import Array, Ints, Measurements, Stream
 from locfuse.fusion.line_tracker import LineTracker
-from locfuse.fusion.lines import LineSettings
+from locfuse.fusion.lines.extract import LineSettings
+from locfuse.fusion.lines.flatness import wall_floor
+from locfuse.fusion.lines.scans import Gathered, Laser, equal_scans, lines_in_base, too_many_beams, turns
 from locfuse.fusion.mount import Mount, MountedSettings
-from locfuse.fusion.scans import Gathered, Laser, equal_scans, lines_in_base, too_many_beams, turns
 from locfuse.fusion.sensor import SensorSettings, WheelMotion
-from locfuse.fusion.wall_floor import wall_floor
 
 MapMode = Literal["first-scan", "consider", "refine", "grow", "given"]
 SCANS_PER_BLOCK = 256  # line extraction is level-synchronous over this many scans (benchmarks: "lines per scan")

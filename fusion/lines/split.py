@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .data import Array, Ints
-from .line_fit import Mask, misfit
+from locfuse.fusion.data import Array, Ints
+
+from .fit import Mask, misfit
 
 Floats = NDArray[Any]  # of single or double precision
 

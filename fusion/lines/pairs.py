@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .data import Array, Ints
-from .se2 import wrap_all
+from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.se2 import wrap_all
 
 CELLS = 1 << 18  # pairs of lines that are compared at a time: memory is bounded
 

@@ -10,9 +10,10 @@ import math
 
 import numpy as np
 
-from .data import Array, Ints
-from .sensor import WheelMotion
-from .side_by_side import blocks, misfit, nearest, turn_of
+from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.sensor import WheelMotion
+
+from .pairs import blocks, misfit, nearest, turn_of
 
 LAG = 20  # scans: far enough that another part of a wall is seen, near enough that it is the same wall
 SURE = math.radians(0.6)  # standard deviation of a line's angle above which it says nothing about floors

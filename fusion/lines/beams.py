@@ -8,8 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .data import Array, Ints
-from .line_fit import Mask, Rays
+from locfuse.fusion.data import Array, Ints
+
+from .fit import Mask, Rays
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from .data import Array, Ints
-from .line_beams import LineSettings, Runs
-from .line_fit import Mask
-from .line_walls import Walls, point_sigma
+from locfuse.fusion.data import Array, Ints
+
+from .beams import LineSettings, Runs
+from .fit import Mask
+from .walls import Walls, point_sigma
 
 _TOUCHING = 4  # walls whose facing ends are this many beams apart meet in a corner
 _SHARE = 0.2  # of a wall's length may be left out at either end

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .data import Array, Ints
-from .line_beams import Beams, LineSettings, Runs
-from .line_fit import Mask, misfit, total_least_squares
-from .line_split import chords, merge, split
+from locfuse.fusion.data import Array, Ints
+
+from .beams import Beams, LineSettings, Runs
+from .fit import Mask, misfit, total_least_squares
+from .split import chords, merge, split
 
 ISLAND = 2  # beams that hit something else and do not end a line: strays
 

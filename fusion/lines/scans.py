@@ -6,11 +6,12 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from . import se2
-from .data import Array, Ints, Ragged
-from .lines import Lines, LineSettings, extract_lines, to_base
-from .sensor import WheelMotion
-from .side_by_side import blocks, misfit, nearest, turn_of
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array, Ints, Ragged
+from locfuse.fusion.sensor import WheelMotion
+
+from .extract import Lines, LineSettings, extract_lines, to_base
+from .pairs import blocks, misfit, nearest, turn_of
 
 MAX_BEAMS = 100_000  # of one scan: no 2D laser has more
 BEAMS_AT_ONCE = 1 << 19  # lines are extracted from scans of at most so many beams together: memory is bounded

@@ -14,12 +14,13 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from .data import Array, Ints
-from .line_beams import LineSettings, Runs, Scans, cut_at_gaps
-from .line_corners import clear_beams
-from .line_fit import Fits, Mask, Rays, Seen, fitted, improved, residuals
-from .line_walls import Walls, find_walls
-from .se2 import wrap_all
+from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.se2 import wrap_all
+
+from .beams import LineSettings, Runs, Scans, cut_at_gaps
+from .corners import clear_beams
+from .fit import Fits, Mask, Rays, Seen, fitted, improved, residuals
+from .walls import Walls, find_walls
 
 __all__ = ["LineSettings", "Lines", "extract_lines", "to_base"]
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .data import Array, Ints
+from locfuse.fusion.data import Array, Ints
 
 Mask = NDArray[np.bool_]
 

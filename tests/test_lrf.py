@@ -10,18 +10,18 @@ import pytest
 from textbook import numeric_jacobian, wrap
 from worlds import ROOM, World
 
-from locfuse.fusion.association import associate
 from locfuse.fusion.data import MapLine
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.belief_pose import PoseBelief
 from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.line_map import LineMap
-from locfuse.fusion.line_tracker import LineTracker
+from locfuse.fusion.linemap.association import associate
+from locfuse.fusion.linemap.line_map import LineMap
+from locfuse.fusion.linemap.scan import Scan
+from locfuse.fusion.linemap.tracker import LineTracker
 from locfuse.fusion.lines.extract import Lines
 from locfuse.fusion.lines.scans import Gathered
 from locfuse.fusion.measure import measure
-from locfuse.fusion.scan import Scan
 
 UPPER = (0.01, 0.001, 0.0005, 0.02, -0.0004, 0.001)
 # pose, line (rho, beta about its anchor), anchor: ordinary, C near 0, robot near pi, far from the origin

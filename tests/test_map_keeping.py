@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.line_map import LineMap
-from locfuse.fusion.map_keeping import FLAT, LEAST_HITS, PATIENCE, merge_doubles, prune
+from locfuse.fusion.linemap.line_map import LineMap
+from locfuse.fusion.linemap.tidy import FLAT, LEAST_HITS, PATIENCE, merge_doubles, prune
 
 Array = NDArray[np.float64]
 EVEN = np.zeros(2)

@@ -11,15 +11,15 @@ import pytest
 from lock_step import simulated
 from textbook import numeric_jacobian, wrap
 
-from locfuse.fusion.association import associate
 from locfuse.fusion.bearing import bearing_by_mount, predict_bearing
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.laser_mount import seated
-from locfuse.fusion.line_tracker import LineTracker
+from locfuse.fusion.linemap.association import associate
+from locfuse.fusion.linemap.laser_mount import seated
+from locfuse.fusion.linemap.scan import Scan
+from locfuse.fusion.linemap.tracker import LineTracker
 from locfuse.fusion.mount import Mount
-from locfuse.fusion.scan import Scan
 from locfuse.fusion.sensors.camera import BearingModel, CameraSettings
 from locfuse.fusion.sensors.lrf import LrfSettings
 

@@ -10,9 +10,9 @@ from msgspec.structs import astuple
 
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.belief_pose import PoseBelief
-from locfuse.fusion.line_map import AnyBelief, LineMap
-from locfuse.fusion.pairing import FEW, pairs_in_arrays, pairs_in_floats
-from locfuse.fusion.scan import Scan
+from locfuse.fusion.linemap.line_map import AnyBelief, LineMap
+from locfuse.fusion.linemap.pairing import FEW, pairs_in_arrays, pairs_in_floats
+from locfuse.fusion.linemap.scan import Scan
 
 UPPER = (0.01, 0.001, 0.0005, 0.02, -0.0004, 0.001)
 

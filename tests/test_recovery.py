@@ -13,9 +13,9 @@ from worlds import PLATES, ROOM, World
 from locfuse.fusion.data import Estimates, Evaluation
 from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.linemap.scan import Scan
+from locfuse.fusion.linemap.scan_history import Trail, expected_share
 from locfuse.fusion.measure import measure
-from locfuse.fusion.scan import Scan
-from locfuse.fusion.trail import Trail, expected_share
 
 Array = NDArray[np.float64]
 AT = 12.0  # s

@@ -9,11 +9,11 @@ import pytest
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from locfuse.fusion.association import associate
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.line_tracker import LineTracker
+from locfuse.fusion.linemap.association import associate
+from locfuse.fusion.linemap.scan import Scan
+from locfuse.fusion.linemap.tracker import LineTracker
 from locfuse.fusion.lines.flatness import LAG, bend, wall_floor
-from locfuse.fusion.scan import Scan
 from locfuse.fusion.se2 import wrap_all
 
 Array = NDArray[np.float64]

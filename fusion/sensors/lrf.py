@@ -14,7 +14,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from locfuse.fusion.data import Array, Ints, Measurements, Stream
-from locfuse.fusion.line_tracker import LineTracker
+from locfuse.fusion.linemap.tracker import LineTracker
 from locfuse.fusion.lines.extract import LineSettings
 from locfuse.fusion.lines.flatness import wall_floor
 from locfuse.fusion.lines.scans import Gathered, Laser, equal_scans, lines_in_base, too_many_beams, turns

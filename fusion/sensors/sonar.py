@@ -19,7 +19,7 @@ import numpy as np
 
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import VERDICTS, Array, Ints, Measurements, Stream
-from locfuse.fusion.echo import Cone, Echo, nearest_echo
+from locfuse.fusion.linemap.sonar_echo import Cone, Echo, nearest_echo
 from locfuse.fusion.sensor import Innovation, Model, SensorSettings, WheelMotion
 from locfuse.fusion.streams import Joined
 

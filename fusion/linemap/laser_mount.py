@@ -15,13 +15,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.lines.extract import to_base
+from locfuse.fusion.mount import Mount
 
-from . import se2
-from .data import Array, Ints
 from .line_map import Prediction
-from .mount import Mount
 
 
 class Seat(NamedTuple):

@@ -15,10 +15,9 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from locfuse.fusion.data import Array, Ints, MapLine
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.belief_pose import PoseBelief
-
-from .data import Array, Ints, MapLine
 
 AnyBelief = PoseBelief | JointBelief
 

@@ -15,16 +15,16 @@ from contextlib import contextmanager
 
 import numpy as np
 
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.belief_pose import Pose
 
-from . import se2
 from .association import Association, associate
-from .data import Array, Ints
 from .line_map import AnyBelief, LineMap
 from .relocalise import find_pose, matched_share, seen_through
 from .scan import Scan
-from .trail import Trail, expected_share
+from .scan_history import Trail, expected_share
 
 ENOUGH = 0.5  # share of the seen length that must match in an ordinary scan
 THROUGH = 0.3  # share of the seen length that lies behind known walls: more is disagreement

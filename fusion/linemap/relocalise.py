@@ -15,12 +15,13 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from . import se2
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array, Ints
+
 from .association import Association
-from .data import Array, Ints
 from .line_map import AnyBelief, LineMap
 from .scan import Scan
-from .trail import Trail
+from .scan_history import Trail
 
 LONGEST = 5  # seen walls from which pairs are made
 KNOWN = 60  # map lines that are considered, the best seen first

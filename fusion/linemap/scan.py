@@ -5,7 +5,8 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
-from .data import Array, Measurements
+from locfuse.fusion.data import Array, Measurements
+
 from .laser_mount import Seat
 
 BLOCK = 4096  # lines that become plain floats at a time: an hour of them would be a hundred megabytes

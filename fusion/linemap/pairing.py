@@ -12,9 +12,9 @@ from math import copysign, log, remainder, sqrt
 import msgspec
 import numpy as np
 
+from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 
-from .data import Array, Ints
 from .laser_mount import mount_spread
 from .line_map import AnyBelief, LineMap, PlainLine, line_spread
 from .scan import Scan

@@ -12,8 +12,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from . import se2
-from .data import Array
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array
+
 from .scan import Scan
 
 STRIDE, TURN = 0.2, math.radians(15.0)  # m, rad between two scans that are kept

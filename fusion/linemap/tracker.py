@@ -8,21 +8,21 @@ from typing import Any
 
 import numpy as np
 
+from locfuse.fusion import se2
+from locfuse.fusion.chi_square import chi_square
+from locfuse.fusion.data import VERDICTS, Array, LocfuseError, MapLine, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.lines.flatness import bend
+from locfuse.fusion.mount import Mount
+from locfuse.fusion.sensor import Block, Innovation, Model
 
-from . import se2
 from .association import Association, associate
-from .chi_square import chi_square
-from .data import VERDICTS, Array, LocfuseError, MapLine, Measurements
+from .guard import Guard
 from .laser_mount import seated
 from .line_map import AnyBelief, LineMap, about_middle
-from .map_keeping import LEAST_HITS, merge_doubles, prune
-from .mount import Mount
 from .pairing import Pair
-from .recovery import Guard
 from .scan import Scan, Scans
-from .sensor import Block, Innovation, Model
+from .tidy import LEAST_HITS, merge_doubles, prune
 
 UNMATCHED, AMBIGUOUS, NEW, LOST = (VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new", "lost"))
 TIDY_EVERY = 10  # scans

@@ -11,11 +11,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.sensor import Innovation
 
-from .data import Array, Ints
 from .line_map import LineMap
-from .sensor import Innovation
 
 LEAST_HITS = 4
 PATIENCE = 15  # scans after its birth in which a line must earn its hits

@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .data import Array
+from locfuse.fusion.data import Array
+from locfuse.fusion.se2 import wrap_all
+
 from .line_map import AnyBelief, LineMap
-from .se2 import wrap_all
 
 CLEAR = 3.0  # standard deviations by which something may stand nearer before it is the one to answer
 OVERHANG = 0.05  # m: a wall may go on this far beyond what was seen of it

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from benchmarks import textbook_lines
 from locfuse.formats.log import open_log
+from locfuse.fusion.camera.detect import Detector
+from locfuse.fusion.camera.images import compressed
 from locfuse.fusion.ekf.belief_pose import PoseBelief
-from locfuse.fusion.images import compressed
-from locfuse.fusion.landmark import Detector
 from locfuse.fusion.lines.extract import extract_lines
 from locfuse.fusion.sensor import Innovation
 

@@ -17,7 +17,7 @@ MEDIA = {b"\xff\xd8": "image/jpeg", b"\x89P": "image/png"}
 
 def pictures(stream: Stream, settings: Any, drive: Drive, best: Estimates, every: int) -> Iterator[Picture]:
     """Yield every n-th picture of the camera's stream that can be read, few in memory at a time."""
-    from locfuse.fusion.images import decode, messages
+    from locfuse.fusion.camera.images import decode, messages
     from locfuse.fusion.sensors.camera import detector
 
     m = drive.measurements["camera"]
@@ -41,7 +41,7 @@ _NONE: Ints = np.zeros(0, np.int64)
 
 def panorama_rows(stream: Stream, settings: Any) -> int | None:
     """Return the height of the panoramas [px], None where no picture can be read."""
-    from locfuse.fusion.images import decode, messages
+    from locfuse.fusion.camera.images import decode, messages
     from locfuse.fusion.sensors.camera import detector
 
     for block in messages(stream):
@@ -62,8 +62,8 @@ def _verdicts(best: Estimates, rows: int) -> np.ndarray[Any, np.dtype[np.str_]]:
 
 
 def _picture(t: float, message: Any, picture: Any, optics: Any, bearings: Array, verdicts: Any) -> Picture:
-    from locfuse.fusion.optics import angle_of_bearing, column
-    from locfuse.fusion.panorama import unwrap
+    from locfuse.fusion.camera.optics import angle_of_bearing, column
+    from locfuse.fusion.camera.panorama import unwrap
 
     theta = angle_of_bearing(bearings, optics)
     ray = np.stack((np.sin(theta), np.cos(theta)), axis=-1)
@@ -92,7 +92,7 @@ def _passed_through(message: Any, picture: Any) -> tuple[bytes, str]:
 
 
 def _jpeg(picture: Any) -> bytes:
-    from locfuse.fusion.cv import cv2
+    from locfuse.fusion.camera.opencv import cv2
 
     done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     return data.tobytes() if done else b""

@@ -6,10 +6,10 @@ from collections import Counter
 
 import numpy as np
 
+from locfuse.fusion.camera.images import Picture, decode, messages
 from locfuse.fusion.sensors.camera import CameraSettings, detector
 
 from .data import Stream
-from .images import Picture, decode, messages
 from .oddity import Oddity
 
 PICTURES = 24  # looked at

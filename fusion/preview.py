@@ -7,14 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from locfuse.fusion.camera.detect import Detector, Look
+from locfuse.fusion.camera.images import decode, messages
+from locfuse.fusion.camera.opencv import cv2
+from locfuse.fusion.camera.optics import Optics, angle_of_bearing, bearing, omni_1
+from locfuse.fusion.camera.panorama import Picture, red_grey, unwrap
 from locfuse.fusion.sensors.camera import CameraSettings, detector
 
-from .cv import cv2
 from .data import LocfuseError, Stream
-from .images import decode, messages
-from .landmark import Detector, Look
-from .optics import Optics, angle_of_bearing, bearing, omni_1
-from .panorama import Picture, red_grey, unwrap
 
 RINGS, GRID, FOUND = (255, 200, 0), (0, 200, 255), (80, 255, 80)  # blue, green, red
 

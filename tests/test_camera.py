@@ -20,12 +20,12 @@ from omni_scene import Lens, Picture, Pole, picture, wrapped_deg
 from locfuse.cli.choose import choose
 from locfuse.cli.load import make_robot
 from locfuse.formats.preview import write_pictures
-from locfuse.fusion import landmark as landmark_module
-from locfuse.fusion.bearing import paper_orientation, predict_bearing
+from locfuse.fusion.camera import detect as landmark_module
+from locfuse.fusion.camera.bearing import paper_orientation, predict_bearing
+from locfuse.fusion.camera.image_header import image_size
+from locfuse.fusion.camera.images import FIELDS
 from locfuse.fusion.data import VERDICTS, ArrayStream, LocfuseError, Measurements
 from locfuse.fusion.ekf.belief_pose import PoseBelief
-from locfuse.fusion.image_header import image_size
-from locfuse.fusion.images import FIELDS
 from locfuse.fusion.preview import preview
 from locfuse.fusion.se2 import wrap, wrap_all
 from locfuse.fusion.sensors.camera import Camera, CameraSettings

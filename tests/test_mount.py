@@ -11,7 +11,7 @@ import pytest
 from lock_step import simulated
 from textbook import numeric_jacobian, wrap
 
-from locfuse.fusion.bearing import bearing_by_mount, predict_bearing
+from locfuse.fusion.camera.bearing import bearing_by_mount, predict_bearing
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse

@@ -14,10 +14,18 @@ import pytest
 from numpy.typing import NDArray
 from omni_scene import Lens, Picture, Pole, picture, wrapped_deg
 
-from locfuse.fusion import panorama, radial
-from locfuse.fusion.landmark import Detector
-from locfuse.fusion.optics import Optics, angle_of_bearing, bearing, column, omni_1, paper_omni_1, picture_angle
-from locfuse.fusion.panorama import Candidate, Red
+from locfuse.fusion.camera import panorama, radial
+from locfuse.fusion.camera.detect import Detector
+from locfuse.fusion.camera.optics import (
+    Optics,
+    angle_of_bearing,
+    bearing,
+    column,
+    omni_1,
+    paper_omni_1,
+    picture_angle,
+)
+from locfuse.fusion.camera.panorama import Candidate, Red
 
 Chain = Callable[[Picture, Optics, Red], list[Candidate]]
 CHAINS: dict[str, Chain] = {"fast": radial.candidates, "paper": panorama.candidates}

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.bearing import paper_orientation
+from locfuse.fusion.camera.bearing import paper_orientation
 from locfuse.fusion.data import VERDICTS, Array, LocfuseError, MapLine, Measurements
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensor import Innovation

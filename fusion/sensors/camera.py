@@ -14,7 +14,13 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.fusion.bearing import H_ORIENTATION, Point, bearing_by_mount, paper_orientation, predict_bearing
+from locfuse.fusion.camera.bearing import (
+    H_ORIENTATION,
+    Point,
+    bearing_by_mount,
+    paper_orientation,
+    predict_bearing,
+)
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import VERDICTS, LocfuseError, Measurements, Stream
 from locfuse.fusion.mount import Mount, MountedSettings
@@ -101,7 +107,7 @@ class Camera:
         missing = self.missing(settings)
         if missing:
             raise LocfuseError(f"{stream.topic}: {missing}")
-        from locfuse.fusion.landmark import Look, looks
+        from locfuse.fusion.camera.detect import Look, looks
 
         found: list[tuple[int, Look]] = []
         dropped = Counter(stream.dropped)
@@ -129,8 +135,8 @@ class Camera:
 
 def detector(settings: CameraSettings) -> Any:
     """Return the `fusion.landmark.Detector` that these settings describe."""
-    from locfuse.fusion.landmark import Detector
-    from locfuse.fusion.panorama import Red
+    from locfuse.fusion.camera.detect import Detector
+    from locfuse.fusion.camera.panorama import Red
 
     return Detector(
         chain=settings.chain,
@@ -148,7 +154,7 @@ def detector(settings: CameraSettings) -> Any:
 def _collect(
     found: list[tuple[int, Any]], stream: Stream, settings: CameraSettings, epoch_ns: int, dropped: dict[str, int]
 ) -> Measurements:
-    from locfuse.fusion.optics import bearing
+    from locfuse.fusion.camera.optics import bearing
 
     rows = np.array([row for row, _ in found], np.int64)
     every = [(c, seen.optics) for _, seen in found for c in seen.candidates]

@@ -8,9 +8,10 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from .cv import MAX_PIXELS, cv2
-from .data import Stream
+from locfuse.fusion.data import Stream
+
 from .image_header import image_size
+from .opencv import MAX_PIXELS, cv2
 
 Picture = NDArray[np.uint8]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from .se2 import wrap
+from locfuse.fusion.se2 import wrap
 
 Point = tuple[float, float]
 Row = tuple[float, float, float]

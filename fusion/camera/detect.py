@@ -15,8 +15,9 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from locfuse.fusion.data import Stream
+
 from . import panorama, radial
-from .data import Stream
 from .images import decode, messages
 from .optics import Optics
 from .panorama import Candidate, Picture, Red

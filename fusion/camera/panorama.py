@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .cv import cv2
-from .data import Array
+from locfuse.fusion.data import Array
+from locfuse.fusion.se2 import TAU
+
+from .opencv import cv2
 from .optics import Optics, omni_1, paper_omni_1, picture_angle
-from .se2 import TAU
 
 Picture = NDArray[np.uint8]
 

@@ -12,11 +12,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from .cv import cv2
-from .data import Array
+from locfuse.fusion.data import Array
+from locfuse.fusion.se2 import TAU
+
+from .opencv import cv2
 from .optics import Optics
 from .panorama import Candidate, Picture, Red, cap, largest, red_excess, red_share, room_for_planes, variance
-from .se2 import TAU
 
 GAP = 2.0  # px: red pixels further apart than this, along the circle, belong to two things
 CLUSTERS = 32  # clusters looked at in one picture, the largest first: noise can make thousands

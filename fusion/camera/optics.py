@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .data import Array
-from .se2 import TAU, wrap_all
+from locfuse.fusion.data import Array
+from locfuse.fusion.se2 import TAU, wrap_all
 
 
 class Optics(NamedTuple):

@@ -14,8 +14,8 @@ import numpy as np
 from locfuse.formats import robot_toml
 from locfuse.formats.outdir import whole_file
 from locfuse.fusion.data import Array, LocfuseError
-from locfuse.fusion.iron import Iron, fit_iron
 from locfuse.fusion.robot import WheelSettings
+from locfuse.fusion.sensors.iron import Iron, fit_iron
 from locfuse.fusion.wheels.calibrate import PERIOD, WheelCalibration, calibrate_wheels
 from locfuse.fusion.wheels.likelihood import Figure
 

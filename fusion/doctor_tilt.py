@@ -9,9 +9,9 @@ from typing import cast
 import numpy as np
 
 from locfuse.fusion.sensors.compass import CompassSettings
+from locfuse.fusion.sensors.iron import plausible
 
 from .data import Array, Drive, Stream
-from .iron import plausible
 from .mount import rotation
 from .oddity import Oddity
 from .robot import Robot

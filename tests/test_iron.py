@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import LocfuseError
-from locfuse.fusion.iron import fit_iron, iron_error_deg, plausible
+from locfuse.fusion.sensors.iron import fit_iron, iron_error_deg, plausible
 
 Array = NDArray[np.float64]
 FIELD = 20e-6

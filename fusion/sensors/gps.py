@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import VERDICTS, Array, LocfuseError, Measurements, Stream
-from locfuse.fusion.geodesy import east_north
 from locfuse.fusion.sensor import Block, Innovation, Model, SensorSettings, WheelMotion
+
+from .geodesy import east_north
 
 GATE = VERDICTS.index("gate")
 FRAME = "_gps_frame"

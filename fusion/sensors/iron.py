@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .data import Array, LocfuseError
-from .se2 import wrap_all
+from locfuse.fusion.data import Array, LocfuseError
+from locfuse.fusion.se2 import wrap_all
 
 FEWEST = 50  # readings
 GAP = math.radians(60.0)  # largest part of the circle that may be missing

@@ -23,8 +23,8 @@ import numpy as np
 from locfuse.cli.load import make_robot
 from locfuse.formats import robot_toml
 from locfuse.fusion.data import ArrayStream, Drive, Evaluation
-from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY

@@ -20,8 +20,8 @@ from locfuse.cli.load import make_robot
 from locfuse.formats import robot_toml
 from locfuse.fusion.clocks import clock_lags
 from locfuse.fusion.data import Array, Drive, Evaluation
-from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.sample_logs.load import load

@@ -18,8 +18,8 @@ import numpy as np
 
 from locfuse.cli.load import make_robot
 from locfuse.fusion.data import Drive, LocfuseError
-from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.sample_logs.load import load

@@ -22,9 +22,9 @@ import numpy as np
 
 from locfuse.cli.load import make_robot
 from locfuse.formats import robot_toml
-from locfuse.fusion.consistency import Consistency, Run, judge
 from locfuse.fusion.data import Array, Drive, Stream
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.consistency import Consistency, Run, judge
 from locfuse.fusion.measure import measure
 from locfuse.fusion.se2 import wrap_all
 from locfuse.fusion.sensors.registry import REGISTRY

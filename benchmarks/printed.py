@@ -23,8 +23,8 @@ from benchmarks.accuracy import FIRST_SEED, LOCK_STEP, figures, streams_by_role
 from locfuse.cli.load import make_robot
 from locfuse.fusion.camera.bearing import predict_bearing
 from locfuse.fusion.data import Array, Drive, Estimates, Measurements
-from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 from locfuse.fusion.paper import equations
 from locfuse.fusion.paper import rows as paper_rows

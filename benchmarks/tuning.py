@@ -17,7 +17,7 @@ import click
 
 from locfuse.cli.load import make_robot
 from locfuse.formats import robot_toml
-from locfuse.fusion.cures import noise_keys
+from locfuse.fusion.judge.noise_verdicts import noise_keys
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY

@@ -18,9 +18,9 @@ import click
 from benchmarks.accuracy import FIRST_SEED, streams_by_role
 from locfuse.cli.load import make_robot
 from locfuse.formats import robot_toml
-from locfuse.fusion.credit import credit, subsets
-from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.credit import credit, subsets
+from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 from locfuse.sample_logs.load import load
 from locfuse.sample_logs.record import in_memory

@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple, cast
 
-from locfuse.fusion.consistency import Run
-from locfuse.fusion.credit import Credit, credit
 from locfuse.fusion.data import Drive, Estimates, Evaluation
-from locfuse.fusion.evaluate import evaluate
+from locfuse.fusion.judge.consistency import Run
+from locfuse.fusion.judge.credit import Credit, credit
+from locfuse.fusion.judge.evaluate import evaluate
+from locfuse.fusion.judge.predictive import Score, listeners, scores
 from locfuse.fusion.paper.preset import fuser
-from locfuse.fusion.predictive import Score, listeners, scores
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 

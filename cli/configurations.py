@@ -6,9 +6,9 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from locfuse.fusion.credit import subsets
 from locfuse.fusion.data import Drive, Estimates, LocfuseError, UsageError
 from locfuse.fusion.fuse import configuration_name
+from locfuse.fusion.judge.credit import subsets
 from locfuse.fusion.measure import thinned
 from locfuse.fusion.paper.preset import fuser
 from locfuse.fusion.robot import Robot

@@ -132,7 +132,7 @@ def _is_figure(value: Any) -> bool:
 
 def _worse(report: Mapping[str, Any], baseline: Baseline) -> list[str]:
     """Return error figures that both reports have and that grew by more than the tolerance."""
-    from locfuse.fusion.evaluate import ERROR_KEYS
+    from locfuse.fusion.judge.evaluate import ERROR_KEYS
 
     lines, compared = [], 0
     for name, old_values in baseline.report["configurations"].items():

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Estimates, Evaluation
-from locfuse.fusion.running import Running, running_nis
+from locfuse.fusion.judge.nis_over_time import Running, running_nis
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from . import results

@@ -13,7 +13,7 @@ from locfuse.formats import report_md
 from locfuse.formats.rerun_scene import Scene
 from locfuse.formats.trajectory import read_tum
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Motions, Truth, matrices
-from locfuse.fusion.evaluate import evaluate
+from locfuse.fusion.judge.evaluate import evaluate
 
 from .rerun_scene import palette
 

@@ -70,7 +70,7 @@ def run(
     from locfuse.formats import report_json, trajectory
     from locfuse.formats.audit_csv import audit_csv
     from locfuse.formats.outdir import Content, whole_file, write_results
-    from locfuse.fusion.evaluate import evaluate
+    from locfuse.fusion.judge.evaluate import evaluate
 
     from . import configurations, exports, results, show
     from .load import find_log, load_to_fuse

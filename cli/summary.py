@@ -20,9 +20,9 @@ from locfuse.formats import summary as over
 from locfuse.formats.log_files import log_name
 from locfuse.formats.outdir import may_write, write_results
 from locfuse.formats.report_columns import cell
-from locfuse.fusion.credit import Credit, SensorCredit, credit_over_logs
 from locfuse.fusion.data import LocfuseError, UsageError
-from locfuse.fusion.verdict import Effect
+from locfuse.fusion.judge.credit import Credit, SensorCredit, credit_over_logs
+from locfuse.fusion.judge.verdict import Effect
 
 from . import gates, results
 from .grouping import logs_of, results_of

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
-from locfuse.fusion.consistency import Consistency, Run, judge
 from locfuse.fusion.data import Drive, Estimates, Evaluation
-from locfuse.fusion.honesty import Honesty, honesty
+from locfuse.fusion.judge.consistency import Consistency, Run, judge
+from locfuse.fusion.judge.covariance import Honesty, honesty
 from locfuse.fusion.robot import Robot
 
 

@@ -10,10 +10,10 @@ from typing import Any
 
 from locfuse.formats import robot_toml
 from locfuse.formats.outdir import whole_file
-from locfuse.fusion.consistency import Run, judge
 from locfuse.fusion.data import Evaluation, Measurements, UsageError
-from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.consistency import Run, judge
+from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.noise_figures import Figures
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY

@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from locfuse.fusion.credit import Credit, SensorCredit
-from locfuse.fusion.predictive import LEAST_GAIN, Score, contradictions, ranking
-from locfuse.fusion.verdict import NOTHING, OVERCONFIDENT, Effect
+from locfuse.fusion.judge.credit import Credit, SensorCredit
+from locfuse.fusion.judge.predictive import LEAST_GAIN, Score, contradictions, ranking
+from locfuse.fusion.judge.verdict import NOTHING, OVERCONFIDENT, Effect
 
 TRUST_SENSORS = (
     "There is no truth in this log, so configurations are ranked by how well each predicts the sensors that it "

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 
 import msgspec
 
+from locfuse.fusion.judge.noise_verdicts import noise_keys
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from .cures import noise_keys
 from .robot import Robot
 
 WHEELS = "wheels.noise"

@@ -16,12 +16,12 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from locfuse.fusion.judge.innovations import Own, own
+from locfuse.fusion.judge.noise_verdicts import noise_keys
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from .cures import noise_keys
 from .data import Drive, LocfuseError, Measurements, Motions
 from .fuse import fuse
-from .innovations import Own, own
 from .noise_figures import DRIFT, WHEELS, Figures, drift_key, drifting
 from .noise_search import KNOWN, Problem, at_most, best, identify
 from .robot import Robot

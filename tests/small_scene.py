@@ -23,10 +23,10 @@ from locfuse.fusion.data import (
     Truth,
     upper_triangles,
 )
-from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.predictive import listeners, scores
-from locfuse.fusion.running import running_nis
+from locfuse.fusion.judge.evaluate import evaluate
+from locfuse.fusion.judge.nis_over_time import running_nis
+from locfuse.fusion.judge.predictive import listeners, scores
 
 Array = NDArray[np.float64]
 NAMES = ("odometry", "compass", "lrf", "camera", "compass+lrf", "all")

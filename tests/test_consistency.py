@@ -15,12 +15,12 @@ from commands import locfuse
 from small_drive import Array
 
 from locfuse.cli.trust import unless_sure_and_wrong
-from locfuse.fusion.consistency import Consistency, Run, judge
-from locfuse.fusion.cures import correlated
 from locfuse.fusion.data import Audit, Drive, Evaluation, Measurements
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.honesty import Honesty, honesty
-from locfuse.fusion.innovations import heard, own
+from locfuse.fusion.judge.consistency import Consistency, Run, judge
+from locfuse.fusion.judge.covariance import Honesty, honesty
+from locfuse.fusion.judge.innovations import heard, own
+from locfuse.fusion.judge.noise_verdicts import correlated
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.sonar import SonarSettings
 

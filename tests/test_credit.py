@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from locfuse.cli.verdicts import verdicts
-from locfuse.fusion.credit import Credit, credit, credit_over_logs, shapley_steps, subsets
-from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.resample import Errors, block_means, effective_samples, luck, student_t
-from locfuse.fusion.verdict import Effect, verdict
+from locfuse.fusion.judge.bootstrap import Errors, block_means, effective_samples, luck, student_t
+from locfuse.fusion.judge.credit import Credit, credit, credit_over_logs, shapley_steps, subsets
+from locfuse.fusion.judge.evaluate import evaluate
+from locfuse.fusion.judge.verdict import Effect, verdict
 
 Array = NDArray[np.float64]
 SENSORS = ("compass", "lrf")

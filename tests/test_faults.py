@@ -10,8 +10,8 @@ from lock_step import simulated
 from benchmarks import faults
 from locfuse.fusion.clocks import clock_lags
 from locfuse.fusion.data import Drive, Evaluation
-from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.evaluate import evaluate
 
 CASES = [c for c in faults.CASES if c.sensor in {"compass", "lrf", ""}]
 SEEDS = (1000, 1001)

@@ -12,8 +12,8 @@ from textbook import TextbookEkf, wrap
 from worlds import World
 
 from locfuse.fusion.data import VERDICTS, Drive, Estimates
-from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 

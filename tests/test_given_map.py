@@ -13,8 +13,8 @@ from worlds import World
 
 from locfuse.formats import line_map_file
 from locfuse.fusion.data import LocfuseError, MapLine
-from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import StartSettings
 

@@ -13,8 +13,8 @@ from worlds import ROOM, World
 from locfuse.fusion.data import MapLine
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.belief_pose import PoseBelief
-from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.linemap.association import associate
 from locfuse.fusion.linemap.line_map import LineMap
 from locfuse.fusion.linemap.scan import Scan

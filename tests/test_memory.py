@@ -19,7 +19,7 @@ from locfuse.cli.settings import LogOptions
 from locfuse.fusion.audit import Record
 from locfuse.fusion.data import Audit, Estimates, Measurements
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.innovations import own
+from locfuse.fusion.judge.innovations import own
 from locfuse.fusion.measure import measure
 from locfuse.fusion.sensor import Innovation
 

@@ -13,8 +13,8 @@ from textbook import numeric_jacobian, wrap
 
 from locfuse.fusion.camera.bearing import bearing_by_mount, predict_bearing
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.linemap.association import associate
 from locfuse.fusion.linemap.laser_mount import seated
 from locfuse.fusion.linemap.scan import Scan

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from locfuse.formats import line_map_file
 from locfuse.fusion.data import Drive, LocfuseError, Measurements
-from locfuse.fusion.evaluate import evaluate
+from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import cut
 from locfuse.fusion.paper import equations
 from locfuse.fusion.paper.filter import PrintedFilter, fuse_as_printed, newest

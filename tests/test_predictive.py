@@ -11,8 +11,8 @@ from scipy import stats
 
 from locfuse.fusion.data import Audit, Drive, Estimates
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.predictive import OUTLIERS, contradictions, listeners, log_density, ranking, scores
 from locfuse.fusion.measure import thinned
-from locfuse.fusion.predictive import OUTLIERS, contradictions, listeners, log_density, ranking, scores
 from locfuse.fusion.robot import Robot
 
 SETS: tuple[tuple[str, ...], ...] = ((), ("compass",), ("lrf",), ("compass", "lrf"))

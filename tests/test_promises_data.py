@@ -20,8 +20,8 @@ from worlds import World
 
 from locfuse.cli.load import load
 from locfuse.cli.settings import LogOptions
-from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 
 Array = NDArray[np.float64]

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from worlds import PLATES, ROOM, World
 
 from locfuse.fusion.data import Estimates, Evaluation
-from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.linemap.scan import Scan
 from locfuse.fusion.linemap.scan_history import Trail, expected_share
 from locfuse.fusion.measure import measure

@@ -18,8 +18,8 @@ from locfuse.formats.rerun_recording import sketch, unfolded
 from locfuse.formats.rerun_scene import Detail, RawTopic, Scene, Sight
 from locfuse.formats.rerun_series import reading_states, thinned_states
 from locfuse.fusion.data import VERDICTS, Audit, Drive, Estimates, Measurements, Motions, upper_triangles
-from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.evaluate import evaluate
 
 N = 30_000
 SIGHTS: Mapping[str, Sight] = {

@@ -22,7 +22,7 @@ from locfuse.formats import report_md
 from locfuse.formats.rerun_file import save_recording
 from locfuse.formats.rerun_recording import sketch
 from locfuse.fusion.data import VERDICTS, Estimates, Evaluation
-from locfuse.fusion.evaluate import evaluate
+from locfuse.fusion.judge.evaluate import evaluate
 
 LOG = "rounded_triangle"
 EVERY = 20  # pictures

@@ -10,8 +10,8 @@ from worlds import World
 
 from locfuse.fusion.data import VERDICTS, ArrayStream
 from locfuse.fusion.ekf.robust import inflated
-from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 from locfuse.fusion.sensor import Innovation
 

@@ -19,8 +19,8 @@ from locfuse.fusion.data import Array, Drive, Estimates, Measurements, Motions, 
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.belief_pose import PoseBelief
 from locfuse.fusion.ekf.journal import Journal
-from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensor import Block, Innovation

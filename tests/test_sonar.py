@@ -14,8 +14,8 @@ from locfuse.cli.load import make_robot
 from locfuse.fusion.data import ArrayStream, Drive, UsageError
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.belief_pose import PoseBelief
-from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.linemap.line_map import LineMap
 from locfuse.fusion.linemap.sonar_echo import Cone, nearest_echo
 from locfuse.fusion.measure import measure

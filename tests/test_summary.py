@@ -18,9 +18,9 @@ from locfuse.cli.summary import read_credit, summarised
 from locfuse.cli.verdicts import credit_values
 from locfuse.formats import changes as sides
 from locfuse.formats import summary as over
-from locfuse.fusion.credit import Credit, SensorCredit
 from locfuse.fusion.data import UsageError
-from locfuse.fusion.verdict import Effect
+from locfuse.fusion.judge.credit import Credit, SensorCredit
+from locfuse.fusion.judge.verdict import Effect
 
 LIGHT = ("camera.enabled=false", "lrf.enabled=false", "path.legs=[{forward=1.5}, {turn_deg=180}, {forward=1.5}]")
 

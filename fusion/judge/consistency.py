@@ -13,10 +13,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .cures import LARGER, REFUSED_LINES, Finding, Verdict, biased, by_itself, by_witness, contradicting, disagrees
-from .data import Drive, Estimates
+from locfuse.fusion.data import Drive, Estimates
+from locfuse.fusion.robot import Robot
+
 from .innovations import Heard, Own, heard, own, usual_period
-from .robot import Robot
+from .noise_verdicts import (
+    LARGER,
+    REFUSED_LINES,
+    Finding,
+    Verdict,
+    biased,
+    by_itself,
+    by_witness,
+    contradicting,
+    disagrees,
+)
 
 SICK = LARGER**2  # a run with a sensor whose variance is understated by more is no witness
 LEAST = 20  # readings

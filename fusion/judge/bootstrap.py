@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .data import Array
+from locfuse.fusion.data import Array
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000

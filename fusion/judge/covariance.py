@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .chi_square import mean_bounds
-from .data import Evaluation
-from .resample import effective_samples
+from locfuse.fusion.chi_square import mean_bounds
+from locfuse.fusion.data import Evaluation
+
+from .bootstrap import effective_samples
 
 CONFIDENCE = 0.95
 STATES = ("x", "y", "theta")

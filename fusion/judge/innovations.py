@@ -11,13 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from locfuse.fusion.chi_square import MAD, chi_square, mean_bounds
+from locfuse.fusion.data import VERDICTS, Array, Audit, Counts, Drive, Estimates, Ints, Measurements, matrices
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.se2 import wrap_all
+from locfuse.fusion.sensor import Block
 from locfuse.fusion.sensors.registry import REGISTRY
-
-from .chi_square import MAD, chi_square, mean_bounds
-from .data import VERDICTS, Array, Audit, Counts, Drive, Estimates, Ints, Measurements, matrices
-from .robot import Robot
-from .se2 import wrap_all
-from .sensor import Block
 
 ACCEPTED, GATE, UNMATCHED, DISTURBED, LOST = (
     VERDICTS.index(v) for v in ("accepted", "gate", "unmatched", "disturbed", "lost")

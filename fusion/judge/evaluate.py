@@ -12,8 +12,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from . import se2
-from .data import VERDICTS, Array, Audit, Drive, Estimates, Evaluation, SensorFigures, Truth
+from locfuse.fusion import se2
+from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, Evaluation, SensorFigures, Truth
 
 Align = Literal["none", "origin", "se2"]
 DRIFT_LENGTHS = (1.0, 5.0, 10.0)  # m

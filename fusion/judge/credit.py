@@ -16,10 +16,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from locfuse.fusion.data import Array, Evaluation
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from .data import Array, Evaluation
-from .resample import CONFIDENCE, Errors, luck, student_t
+from .bootstrap import CONFIDENCE, Errors, luck, student_t
 from .verdict import NOTHING, OVERCONFIDENT, Effect, Verdict, verdict
 
 Subset = frozenset[str]

@@ -19,8 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .data import Array, Audit, Drive, Estimates
-from .resample import Interval, block_means
+from locfuse.fusion.data import Array, Audit, Drive, Estimates
+
+from .bootstrap import Interval, block_means
 
 OUTLIERS = 0.05  # share of readings that may be anything: one wild reading must not decide
 LEAST_GAIN = 0.02  # nats per number: less is none

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .chi_square import mean_bounds
-from .data import Array, Audit
+from locfuse.fusion.chi_square import mean_bounds
+from locfuse.fusion.data import Array, Audit
 
 STRETCHES = 80
 LEAST = 8  # accepted measurements that a stretch should hold

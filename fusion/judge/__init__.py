@@ -1,0 +1,1 @@
+"""Judging estimates: deviation from truth, consistency, what each sensor adds. Nothing here fuses."""

@@ -18,7 +18,7 @@ import numpy as np
 
 from locfuse.cli.look import look
 from locfuse.cli.settings import LogOptions
-from locfuse.fusion.oddity import Oddity
+from locfuse.fusion.doctor.finding import Oddity
 from locfuse.sample_logs.load import load
 from locfuse.sample_logs.record import on_truth, write_log
 

@@ -18,8 +18,8 @@ import numpy as np
 
 from locfuse.cli.load import make_robot
 from locfuse.formats import robot_toml
-from locfuse.fusion.clocks import clock_lags
 from locfuse.fusion.data import Array, Drive, Evaluation
+from locfuse.fusion.doctor.clocks import clock_lags
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure

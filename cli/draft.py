@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from locfuse.formats import robot_toml
 from locfuse.formats.commented_toml import Section
 from locfuse.fusion.data import LocfuseError
-from locfuse.fusion.oddity import Oddity
+from locfuse.fusion.doctor.finding import Oddity
 
 from .draft_lines import Facts, Known, found, lines
 from .load import ATTACHMENT, TABLES, make_robot

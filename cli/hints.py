@@ -9,7 +9,7 @@ import numpy as np
 
 from locfuse.formats.urdf import WheelGeometry, wheel_geometry
 from locfuse.fusion.data import Array, LocfuseError, Ragged
-from locfuse.fusion.oddity import Oddity
+from locfuse.fusion.doctor.finding import Oddity
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import joined
 from locfuse.fusion.truth import TRUTH_READS, looks_like_truth

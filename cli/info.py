@@ -68,7 +68,7 @@ def _typed(log: tuple[str, ...], how: LogOptions) -> list[str]:
 def _preview(seen: Look, folder: Path) -> list[str]:
     """Write preview pictures; return what to print of them."""
     from locfuse.formats.preview import write_pictures
-    from locfuse.fusion.preview import preview as pictures_of
+    from locfuse.fusion.doctor.preview import preview as pictures_of
 
     topic = _topic_of_pictures(seen)
     shown = pictures_of(seen.log.stream(topic, seen.robot.order), seen.robot.settings("camera"))

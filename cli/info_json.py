@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from locfuse.fusion.oddity import Oddity
+from locfuse.fusion.doctor.finding import Oddity
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .look_mounts import extrinsics

@@ -8,7 +8,7 @@ import textwrap
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
-from locfuse.fusion.oddity import Oddity
+from locfuse.fusion.doctor.finding import Oddity
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .info_json import absent, configurations, wheels_missing

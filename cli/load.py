@@ -12,8 +12,8 @@ import msgspec
 
 from locfuse.formats import robot_toml
 from locfuse.formats.log import Log, open_log
-from locfuse.fusion.clocks import lag_notes
 from locfuse.fusion.data import Drive, LocfuseError, UsageError
+from locfuse.fusion.doctor.clocks import lag_notes
 from locfuse.fusion.measure import measure
 from locfuse.fusion.paper import preset as filters
 from locfuse.fusion.robot import Robot, StartSettings, TruthSettings, WheelSettings

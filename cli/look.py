@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 from locfuse.formats.log import Log, open_log
 from locfuse.formats.transforms import StaticTransforms
 from locfuse.fusion.data import LocfuseError
-from locfuse.fusion.doctor import examine
-from locfuse.fusion.oddity import Oddity, settings_in
+from locfuse.fusion.doctor.examine import examine
+from locfuse.fusion.doctor.finding import Oddity, settings_in
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import joined

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from locfuse.fusion.data import LocfuseError
-from locfuse.fusion.doctor_scan import driver
-from locfuse.fusion.oddity import Oddity
+from locfuse.fusion.doctor.finding import Oddity
+from locfuse.fusion.doctor.laser_driver import driver
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
@@ -44,6 +44,6 @@ def _said(
 
 
 def _pictures(stream: Any, settings: Any) -> list[Oddity]:
-    from locfuse.fusion.doctor_pictures import of_pictures
+    from locfuse.fusion.doctor.pictures import of_pictures
 
     return of_pictures(stream, settings)

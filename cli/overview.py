@@ -7,7 +7,7 @@ from typing import Any
 
 from locfuse.formats.log import Log
 from locfuse.formats.transforms import StaticTransforms
-from locfuse.fusion.oddity import Oddity
+from locfuse.fusion.doctor.finding import Oddity
 from locfuse.fusion.robot import Robot
 
 from . import hints

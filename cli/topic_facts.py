@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from locfuse.fusion.data import LocfuseError
-from locfuse.fusion.doctor import gaps
+from locfuse.fusion.doctor.examine import gaps
 
 if TYPE_CHECKING:
     from locfuse.formats.log import Log

@@ -25,8 +25,8 @@ from locfuse.fusion.camera.bearing import paper_orientation, predict_bearing
 from locfuse.fusion.camera.image_header import image_size
 from locfuse.fusion.camera.images import FIELDS
 from locfuse.fusion.data import VERDICTS, ArrayStream, LocfuseError, Measurements
+from locfuse.fusion.doctor.preview import preview
 from locfuse.fusion.ekf.belief_pose import PoseBelief
-from locfuse.fusion.preview import preview
 from locfuse.fusion.se2 import wrap, wrap_all
 from locfuse.fusion.sensors.camera import Camera, CameraSettings
 

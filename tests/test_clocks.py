@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from locfuse.fusion.clocks import clock_lags, lag_notes
 from locfuse.fusion.data import Measurements
-from locfuse.fusion.lag import worth_saying
+from locfuse.fusion.doctor.clocks import clock_lags, lag_notes
+from locfuse.fusion.doctor.lag import worth_saying
 from locfuse.fusion.wheels.motion import Wheels
 
 Array = NDArray[np.float64]

@@ -13,15 +13,15 @@ from small_drive import START, TRACK, drive, path, robot
 from locfuse.formats.urdf import wheel_geometry
 from locfuse.fusion import se2
 from locfuse.fusion.data import Drive, Truth
-from locfuse.fusion.doctor import gaps
-from locfuse.fusion.doctor_clock import of_clocks
-from locfuse.fusion.doctor_laser import laser_motion, of_laser
-from locfuse.fusion.doctor_start import start_pose
-from locfuse.fusion.doctor_tilt import angles, by_gravity
-from locfuse.fusion.doctor_truth import of_truth
-from locfuse.fusion.doctor_turning import explain, of_track, turnings
+from locfuse.fusion.doctor.clocks import of_clocks
+from locfuse.fusion.doctor.compass import angles, by_gravity
+from locfuse.fusion.doctor.examine import gaps
+from locfuse.fusion.doctor.finding import Oddity, settings_in
+from locfuse.fusion.doctor.laser import laser_motion, of_laser
+from locfuse.fusion.doctor.start import start_pose
+from locfuse.fusion.doctor.truth import of_truth
+from locfuse.fusion.doctor.turning import explain, of_track, turnings
 from locfuse.fusion.mount import rotation
-from locfuse.fusion.oddity import Oddity, settings_in
 from locfuse.fusion.wheels.motion import Wheels
 
 Array = NDArray[np.float64]

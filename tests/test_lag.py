@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from locfuse.fusion.lag import LONGEST, by_wheels, find_lag
+from locfuse.fusion.doctor.lag import LONGEST, by_wheels, find_lag
 from locfuse.fusion.wheels.motion import Wheels
 
 Array = NDArray[np.float64]

@@ -12,9 +12,8 @@ from locfuse.fusion.camera.images import decode, messages
 from locfuse.fusion.camera.opencv import cv2
 from locfuse.fusion.camera.optics import Optics, angle_of_bearing, bearing, omni_1
 from locfuse.fusion.camera.panorama import Picture, red_grey, unwrap
+from locfuse.fusion.data import LocfuseError, Stream
 from locfuse.fusion.sensors.camera import CameraSettings, detector
-
-from .data import LocfuseError, Stream
 
 RINGS, GRID, FOUND = (255, 200, 0), (0, 200, 255), (80, 255, 80)  # blue, green, red
 

@@ -15,10 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from . import se2
-from .data import Array, Drive, Ints, Measurements
-from .oddity import Oddity
-from .robot import Robot
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array, Drive, Ints, Measurements
+from locfuse.fusion.robot import Robot
+
+from .finding import Oddity
 
 APART, ASTERN = 0.3, 0.35  # m, rad between the two places, whichever comes first
 LATER = 4.0  # s at most between them

@@ -7,10 +7,10 @@ from collections import Counter
 import numpy as np
 
 from locfuse.fusion.camera.images import Picture, decode, messages
+from locfuse.fusion.data import Stream
 from locfuse.fusion.sensors.camera import CameraSettings, detector
 
-from .data import Stream
-from .oddity import Oddity
+from .finding import Oddity
 
 PICTURES = 24  # looked at
 OFTEN = 0.5  # share of the pictures

@@ -19,9 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.fusion.data import Array
 from locfuse.fusion.wheels.motion import Wheels
-
-from .data import Array
 
 WINDOW = 1.0  # s over which turning is compared
 LONGEST = 1.5  # s

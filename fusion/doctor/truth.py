@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 
+from locfuse.fusion.data import Array, Drive, Truth
+from locfuse.fusion.robot import Robot
 from locfuse.fusion.wheels.jumps import Mask, spikes
 from locfuse.fusion.wheels.repairs import times
 
-from .data import Array, Drive, Truth
-from .doctor_start import of_start, turned
-from .oddity import Oddity
-from .robot import Robot
+from .finding import Oddity
+from .start import of_start, turned
 
 WINDOW = 1.0  # s over which ways are compared
 BLOCKS = 8  # stretches of the drive whose estimates must agree

@@ -7,10 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from . import se2
-from .data import Array, Drive, Truth
-from .oddity import Oddity
-from .robot import Robot
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array, Drive, Truth
+from locfuse.fusion.robot import Robot
+
+from .finding import Oddity
 
 OFF_START, OFF_HEADING = 0.1, math.radians(5.0)
 BEGINNING, AT_ONCE = 3.0, 0.1  # m of the drive from which the start pose is told: by points, by poses

@@ -11,17 +11,16 @@ from dataclasses import replace
 
 import numpy as np
 
+from locfuse.fusion.data import Array, Drive, Measurements, Stream
+from locfuse.fusion.robot import Robot
 from locfuse.fusion.wheels.repairs import times
 
-from .data import Array, Drive, Measurements, Stream
-from .doctor_clock import of_clocks
-from .doctor_heading import of_convention
-from .doctor_laser import laser_motion, of_laser
-from .doctor_tilt import tilted
-from .doctor_truth import metre, of_truth
-from .doctor_turning import Turning, aligned, of_track, of_turning, turnings
-from .oddity import Oddity
-from .robot import Robot
+from .clocks import of_clocks
+from .compass import of_convention, tilted
+from .finding import Oddity
+from .laser import laser_motion, of_laser
+from .truth import metre, of_truth
+from .turning import Turning, aligned, of_track, of_turning, turnings
 
 GAP, GAP_PERIODS = 0.5, 5.0  # s, median periods: a longer silence is a gap
 FEWEST = 10  # readings from which a sensor is judged

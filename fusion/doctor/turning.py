@@ -12,15 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from locfuse.fusion.data import Array, Drive, Measurements, Stream
+from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.streams import Joined
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.read import ODOMETRY
 
-from .data import Array, Drive, Measurements, Stream
-from .doctor_laser import Motion
-from .oddity import Oddity
-from .robot import Robot, WheelSettings
-from .streams import Joined
+from .finding import Oddity
+from .laser import Motion
 
 WINDOW = 1.0  # s
 LONGEST, STEP = 1.2, 0.05  # s: clocks may differ

@@ -6,10 +6,10 @@ from typing import Any, cast
 
 import numpy as np
 
+from locfuse.fusion.data import Array, Ragged, Stream
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings
 
-from .data import Array, Ragged, Stream
-from .oddity import Oddity
+from .finding import Oddity
 
 SCANS = 300  # looked at
 SHARE = 0.01  # of the ranges at exactly range_max: more are no walls

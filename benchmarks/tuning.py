@@ -21,7 +21,7 @@ from locfuse.fusion.judge.noise_verdicts import noise_keys
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.tune import Trial, Tuned, tune
+from locfuse.fusion.tune.tune import Trial, Tuned, tune
 from locfuse.sample_logs.load import load
 from locfuse.sample_logs.record import in_memory
 

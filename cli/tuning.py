@@ -14,10 +14,10 @@ from locfuse.fusion.data import Evaluation, Measurements, UsageError
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.consistency import Run, judge
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.noise_figures import Figures
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.tune import Row, Trial, Tuned, tune
+from locfuse.fusion.tune.noise import Figures
+from locfuse.fusion.tune.tune import Row, Trial, Tuned, tune
 
 from .configurations import needs
 from .load import Loaded, load

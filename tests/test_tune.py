@@ -20,11 +20,11 @@ from locfuse.cli.settings import LogOptions
 from locfuse.cli.tuning import not_white
 from locfuse.fusion.data import Array, Drive, LocfuseError, Measurements
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.noise_search import hessian, standard_errors
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.tape import record
-from locfuse.fusion.tape_play import Noise, play
-from locfuse.fusion.tune import Trial, Tuned, rescaled, tune
+from locfuse.fusion.tune.likelihood import hessian, standard_errors
+from locfuse.fusion.tune.record import record
+from locfuse.fusion.tune.replay import Noise, play
+from locfuse.fusion.tune.tune import Trial, Tuned, rescaled, tune
 
 
 def told(factor: float = 1.0, **compass: float) -> Robot:

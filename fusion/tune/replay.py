@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .data import Array, Ints
-from .tape import Change, Loosen, Move, See, Tape
+from locfuse.fusion.data import Array, Ints
+
+from .record import Change, Loosen, Move, See, Tape
 
 
 class Noise(NamedTuple):

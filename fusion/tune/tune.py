@@ -16,16 +16,16 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from locfuse.fusion.data import Drive, LocfuseError, Measurements, Motions
+from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.innovations import Own, own
 from locfuse.fusion.judge.noise_verdicts import noise_keys
+from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from .data import Drive, LocfuseError, Measurements, Motions
-from .fuse import fuse
-from .noise_figures import DRIFT, WHEELS, Figures, drift_key, drifting
-from .noise_search import KNOWN, Problem, at_most, best, identify
-from .robot import Robot
-from .tape import record
+from .likelihood import KNOWN, Problem, at_most, best, identify
+from .noise import DRIFT, WHEELS, Figures, drift_key, drifting
+from .record import record
 
 ROUNDS, SETTLED = 6, 0.03  # of deciding anew what is accepted; change of a logarithm that ends them
 STARTS = (0.0, math.log(6.0), -math.log(6.0))

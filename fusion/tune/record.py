@@ -13,16 +13,15 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from locfuse.fusion.data import Array, Drive, Ints, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.belief_pose import Pose, Triangle
 from locfuse.fusion.ekf.journal import in_map, turning
 from locfuse.fusion.ekf.rows import stacked
-
-from .data import Array, Drive, Ints, Measurements
-from .fuse import Filter
-from .instants import due_readings, steps_of
-from .robot import Robot
-from .sensor import Block, Innovation, Model
+from locfuse.fusion.fuse import Filter
+from locfuse.fusion.instants import due_readings, steps_of
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensor import Block, Innovation, Model
 
 UNKNOWN = 100.0  # variance of a new map line [m^2, rad^2]: nothing is known
 

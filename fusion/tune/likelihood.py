@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .data import Array
-from .noise_figures import DRIFT, WHEELS
-from .tape import Move, Tape
-from .tape_play import Noise, bends, play
+from locfuse.fusion.data import Array
+
+from .noise import DRIFT, WHEELS
+from .record import Move, Tape
+from .replay import Noise, bends, play
 
 BOUND = math.log(1e3)  # of one search
 STEP, HESSIAN_STEP = 0.02, 0.1

@@ -13,9 +13,8 @@ from dataclasses import dataclass, field, replace
 import msgspec
 
 from locfuse.fusion.judge.noise_verdicts import noise_keys
+from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
-
-from .robot import Robot
 
 WHEELS = "wheels.noise"
 DRIFT = ":drift"  # of a sensor's estimated offset

@@ -1,0 +1,1 @@
+"""Noise figures from logs: maximum likelihood on recorded runs of the filter."""

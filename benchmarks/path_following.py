@@ -16,8 +16,8 @@ import numpy as np
 
 from locfuse.cli.simulate import localise
 from locfuse.formats.figure_paper import draw
-from locfuse.formats.outdir import write_results
 from locfuse.formats.panels import Curve, Panel, Strokes
+from locfuse.formats.whole_files import write_results
 from locfuse.fusion.data import Array
 from locfuse.sample_logs.load import load
 from locfuse.sample_logs.paths import polygon

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from locfuse.formats import robot_toml
-from locfuse.formats.outdir import whole_file
+from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.iron import Iron, fit_iron

@@ -90,7 +90,7 @@ def compare(
     locfuse compare rounded_rectangle rounded_triangle disturbed
     locfuse compare locfuse-out/before locfuse-out/after
     """
-    from locfuse.formats.outdir import write_results
+    from locfuse.formats.whole_files import write_results
 
     from . import configurations, exports, gates, outputs, results, show
     from .comparison import compare_log, report_of

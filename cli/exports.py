@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Mapping
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from locfuse.formats.outdir import Content
+    from locfuse.formats.whole_files import Content
     from locfuse.fusion.data import Array, Drive, Estimates
 
     from .load import Loaded

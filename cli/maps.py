@@ -48,7 +48,7 @@ class MapOptions:
         if self.save is None:
             return
         from locfuse.formats import line_map_file
-        from locfuse.formats.outdir import whole_file
+        from locfuse.formats.whole_files import whole_file
 
         with whole_file(self.save) as path:
             path.write_text(line_map_file.encode(estimates.final_map, made_from))

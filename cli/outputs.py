@@ -16,7 +16,7 @@ from .comparison import Compared
 
 if TYPE_CHECKING:
     from locfuse.formats.figure_scene import Scene
-    from locfuse.formats.outdir import Content
+    from locfuse.formats.whole_files import Content
 
 
 class Drawn:

@@ -69,7 +69,7 @@ def run(
     """
     from locfuse.formats import report_json, trajectory
     from locfuse.formats.audit_csv import audit_csv
-    from locfuse.formats.outdir import Content, whole_file, write_results
+    from locfuse.formats.whole_files import Content, whole_file, write_results
     from locfuse.fusion.judge.evaluate import evaluate
 
     from . import configurations, exports, results, show

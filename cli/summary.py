@@ -18,8 +18,8 @@ from locfuse.formats import changes as sides
 from locfuse.formats import report_json
 from locfuse.formats import summary as over
 from locfuse.formats.log_files import log_name
-from locfuse.formats.outdir import may_write, write_results
 from locfuse.formats.report_columns import cell
+from locfuse.formats.whole_files import may_write, write_results
 from locfuse.fusion.data import LocfuseError, UsageError
 from locfuse.fusion.judge.credit import Credit, SensorCredit, credit_over_logs
 from locfuse.fusion.judge.verdict import Effect

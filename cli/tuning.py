@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from locfuse.formats import robot_toml
-from locfuse.formats.outdir import whole_file
+from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import Evaluation, Measurements, UsageError
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.consistency import Run, judge

@@ -14,7 +14,7 @@ import numpy as np
 
 from . import palette, ticks
 from .panels import Band, Curve, Dots, Mark, Panel, Section, Strokes, ranges
-from .rerun_thin import extremes
+from .thin import extremes
 
 INCHES = (3.5, 2.1)  # one column of a two-column paper
 SQUARE = (3.5, 3.0)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Array, Ints
 
-from .rerun_thin import extremes
+from .thin import extremes
 
 FLAT = 0.1  # px: a point this near to the line between its neighbours is not seen
 PASSES = 8

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import LocfuseError
 
-from .outdir import whole_file
+from .whole_files import whole_file
 
 
 def write_pictures(folder: Path, pictures: Mapping[str, NDArray[np.uint8]]) -> list[Path]:

@@ -15,8 +15,8 @@ from typing import Any
 
 from locfuse.fusion.data import LocfuseError
 
-from .outdir import whole_file
 from .rerun_recording import Sketch, write_recording
+from .whole_files import whole_file
 
 
 def save_recording(path: Path, drawn: Sketch) -> None:

@@ -17,7 +17,7 @@ from .rerun_geometry import ellipses, quaternions, steps, wall, wall_band
 from .rerun_later import rr
 from .rerun_recorder import Recorder, part
 from .rerun_scene import Rgb, Scene
-from .rerun_thin import evenly, extremes
+from .thin import evenly, extremes
 
 ROOT = "world"
 PATH_ORDER = 40.0  # above walls and scans; truth above the estimates, a thin line on broad ones

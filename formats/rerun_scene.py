@@ -12,7 +12,7 @@ import numpy as np
 from locfuse.fusion.data import Array, Drive, Estimates, Evaluation, Ints
 
 from .rerun_geometry import wall
-from .rerun_thin import CURVE_POINTS, SCANS
+from .thin import CURVE_POINTS, SCANS
 
 Rgb = tuple[int, int, int]
 GREY: Rgb = (148, 151, 156)

@@ -12,7 +12,7 @@ from . import rerun_colours as colours
 from .rerun_later import rr
 from .rerun_recorder import Recorder, part
 from .rerun_scene import Rgb, Scene, Sight
-from .rerun_thin import extremes
+from .thin import extremes
 
 DEVIATIONS = ("x [m]", "y [m]", "heading [deg]")
 BAND = 3.0  # sigmas of a deviation

@@ -19,7 +19,7 @@ from .rerun_later import rr
 from .rerun_map import FLIP, ROOT
 from .rerun_recorder import Recorder, part
 from .rerun_scene import Scene, Sight
-from .rerun_thin import evenly
+from .thin import evenly
 
 WORDS = np.array(colours.GROUP_OF)  # verdict -> group
 WIDTH = {"segments": 2.5, "bearing": 1.0, "heading": 1.5}  # points on the screen

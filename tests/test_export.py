@@ -27,7 +27,7 @@ from locfuse.formats.estimates_mcap import ros_name
 from locfuse.formats.file_bytes import FileBytes
 from locfuse.formats.losses import Losses
 from locfuse.formats.mcap_walk import McapSource
-from locfuse.formats.outdir import write_results
+from locfuse.formats.whole_files import write_results
 from locfuse.fusion.data import LocfuseError
 
 LOG = "rounded_rectangle"

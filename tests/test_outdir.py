@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from locfuse.formats import outdir
-from locfuse.formats.outdir import whole_file, write_results
+from locfuse.formats import whole_files
+from locfuse.formats.whole_files import whole_file, write_results
 from locfuse.fusion.data import LocfuseError
 
 FILES: dict[str, str | bytes] = {"run.json": "{}\n", "trajectory.tum": "1 2 3\n", "robot.toml": b"[wheels]\n"}
@@ -94,7 +94,7 @@ def test_a_failure_leaves_neither_half_files_nor_temporary_ones(
 def test_a_full_disk_is_one_line(tmp_path: Path) -> None:
     """/dev/full takes no byte: as a temporary name it stands for a full disk."""
     target = tmp_path / "x.tum"
-    temporary = target.with_name(f".{target.name}.{os.getpid()}{outdir.TEMPORARY}")
+    temporary = target.with_name(f".{target.name}.{os.getpid()}{whole_files.TEMPORARY}")
     temporary.symlink_to("/dev/full")
     with pytest.raises(LocfuseError, match="No space left on device"), whole_file(target) as path:
         path.write_text("data")
@@ -114,7 +114,7 @@ def test_a_folder_that_cannot_be_made_is_one_line() -> None:
 
 
 def test_left_overs_of_a_killed_run_are_cleared_away_and_do_not_count(tmp_path: Path) -> None:
-    (tmp_path / f".run.json.123{outdir.TEMPORARY}").write_text("half")
+    (tmp_path / f".run.json.123{whole_files.TEMPORARY}").write_text("half")
     write_results(tmp_path, FILES)
     assert names(tmp_path) == sorted(FILES)
 
@@ -157,7 +157,7 @@ def test_a_killed_writer_leaves_whole_files_only(tmp_path: Path, number: signal.
             writer.send_signal(number)
             writer.wait(10)
         present = names(folder) if folder.exists() else []
-        finals = [name for name in present if not name.endswith(outdir.TEMPORARY)]
+        finals = [name for name in present if not name.endswith(whole_files.TEMPORARY)]
         assert all((folder / name).stat().st_size == 1_000_000 for name in finals)
         if number != signal.SIGKILL:
             assert finals == present

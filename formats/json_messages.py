@@ -13,12 +13,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.formats.container.source import MAX_MESSAGE
 from locfuse.fusion.data import Column, Ints, Ragged
 
 from .decoded import Decoded
 from .fields import Part, resolve
 from .schema import MAX_DEPTH, TIMES, Many, Node, Record, Scalar, SchemaError, Text
-from .source import MAX_MESSAGE
 
 NUMBER = Scalar("f8", 8)
 SCALARS: dict[str, Node] = {"number": NUMBER, "integer": NUMBER, "boolean": Scalar("?", 1), "string": Text()}

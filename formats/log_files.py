@@ -6,23 +6,23 @@ import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from locfuse.formats.container.file_bytes import FileBytes
+from locfuse.formats.container.losses import Losses
+from locfuse.formats.container.source import Source
+from locfuse.formats.container.zstd_file import ZSTD_MAGIC, unpack_file
 from locfuse.fusion.data import LocfuseError, UsageError
 
-from .file_bytes import FileBytes
-from .losses import Losses
 from .mcap_walk import McapSource
-from .source import Source
-from .zstd_file import ZSTD_MAGIC, unpack_file
 
 
 def _sqlite(data: FileBytes, losses: Losses) -> Source:
-    from .sqlite_source import SqliteSource
+    from locfuse.formats.container.rosbag2_sqlite import SqliteSource
 
     return SqliteSource(data, losses)
 
 
 def _bag(data: FileBytes, losses: Losses) -> Source:
-    from .bag_source import BagSource
+    from locfuse.formats.container.ros1_bag import BagSource
 
     return BagSource(data, losses)
 

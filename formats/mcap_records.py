@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .decompress import DamagedError
+from locfuse.formats.container.decompress import DamagedError
 
 MAGIC = b"\x89MCAP0\r\n"
 

@@ -7,9 +7,10 @@ from collections.abc import Collection
 
 import numpy as np
 
+from locfuse.formats.container.decompress import CODECS, DamagedError
+from locfuse.formats.container.file_bytes import FileBytes
+
 from . import mcap_records as rec
-from .decompress import CODECS, DamagedError
-from .file_bytes import FileBytes
 from .mcap_summary import Summary
 
 SEARCH = 1 << 20

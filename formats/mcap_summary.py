@@ -5,9 +5,10 @@ from __future__ import annotations
 import zlib
 from dataclasses import dataclass, field
 
+from locfuse.formats.container.decompress import MAX_BYTES, DamagedError
+from locfuse.formats.container.file_bytes import FileBytes
+
 from . import mcap_records as rec
-from .decompress import MAX_BYTES, DamagedError
-from .file_bytes import FileBytes
 
 
 @dataclass

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from locfuse.formats.container.decompress import MAX_BYTES, DamagedError
+from locfuse.formats.container.file_bytes import FileBytes
+from locfuse.formats.container.losses import Losses
+from locfuse.formats.container.signatures import describe
 from locfuse.fusion.data import LocfuseError
 
 from . import mcap_records as rec
-from .decompress import MAX_BYTES, DamagedError
-from .file_bytes import FileBytes
-from .losses import Losses
-from .magic import describe
 from .mcap_chunk import scan
 from .mcap_parts import ChunkRef, LooseRun, Survey
 from .mcap_resync import CHUNK_HEAD, Resync

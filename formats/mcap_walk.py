@@ -11,14 +11,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.formats.container.decompress import MAX_BYTES, DamagedError, decompress, decompress_prefix
+from locfuse.formats.container.file_bytes import FileBytes
+from locfuse.formats.container.losses import Losses
+from locfuse.formats.container.source import Batch, ChannelInfo
+
 from . import mcap_records as rec
-from .decompress import MAX_BYTES, DamagedError, decompress, decompress_prefix
-from .file_bytes import FileBytes
-from .losses import Losses
 from .mcap_chunk import Index, Records, counted, records
 from .mcap_parts import ChunkRef, LooseRun, Part
 from .mcap_survey import survey
-from .source import Batch, ChannelInfo
 
 Bytes = NDArray[np.uint8]
 MAX_ATTACHMENT = 16 * 1024 * 1024  # larger ones are no robot.toml and stay in the file

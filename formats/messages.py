@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from locfuse.formats.container.source import ChannelInfo
+
 from .decoded import MessageDecoder
 from .schema import SchemaError
-from .source import ChannelInfo
 
 
 def encoding_problem(channel: ChannelInfo) -> str | None:

@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.formats.container.source import Messages
 from locfuse.fusion.data import Column, Ints, LocfuseError
 
 from .columns import Growing, take
 from .decoded import Decoded, MessageDecoder
 from .fields import frame_path, stamp_path
-from .source import Messages
 
 
 class Raw(NamedTuple):

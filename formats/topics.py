@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
+from locfuse.formats.container.source import ChannelInfo, Source, message_type
+
 from .decoded import MessageDecoder
 from .messages import encoding_problem, make_decoder
 from .schema import SchemaError, signature
-from .source import ChannelInfo, Source, message_type
 
 
 @dataclass(frozen=True)

@@ -23,9 +23,9 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from locfuse import sample_logs
+from locfuse.formats.container.file_bytes import FileBytes
+from locfuse.formats.container.losses import Losses
 from locfuse.formats.estimates_mcap import ros_name
-from locfuse.formats.file_bytes import FileBytes
-from locfuse.formats.losses import Losses
 from locfuse.formats.mcap_walk import McapSource
 from locfuse.formats.whole_files import write_results
 from locfuse.fusion.data import LocfuseError

@@ -21,11 +21,11 @@ from bags import LIGHT, T0, Said, cdr, drive, real_log, write
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType
 
-from locfuse.formats import decompress as codecs
-from locfuse.formats.decompress import DamagedError, decompress
-from locfuse.formats.file_bytes import FileBytes
+from locfuse.formats.container import decompress as codecs
+from locfuse.formats.container.decompress import DamagedError, decompress
+from locfuse.formats.container.file_bytes import FileBytes
+from locfuse.formats.container.losses import Losses
 from locfuse.formats.log import Log, open_log
-from locfuse.formats.losses import Losses
 from locfuse.formats.mcap_chunk import records, scan
 from locfuse.formats.mcap_records import message_index
 from locfuse.formats.mcap_walk import McapSource

@@ -26,8 +26,8 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType
 
 from locfuse import sample_logs
-from locfuse.formats.file_bytes import FileBytes
-from locfuse.formats.losses import Losses
+from locfuse.formats.container.file_bytes import FileBytes
+from locfuse.formats.container.losses import Losses
 from locfuse.formats.mcap_walk import McapSource
 
 ROBOT = {"robot.toml": b"[wheels]\nradius = 0.05\ntrack = 0.4\n[camera]\nlandmark = [1.0, 1.0]\n"}

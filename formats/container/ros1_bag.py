@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import LocfuseError
 
-from . import bag_records as rec
+from . import ros1_records as rec
 from .decompress import CODECS, MAX_BYTES, DamagedError, decompress, decompress_prefix
 from .file_bytes import FileBytes
 from .losses import Losses

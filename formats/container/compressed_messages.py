@@ -11,7 +11,8 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from .columns import view
+from locfuse.formats.columns import view
+
 from .source import MAX_MESSAGE, Messages
 
 ZSTD_MAGIC = 0xFD2FB528

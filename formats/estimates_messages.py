@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.formats.mcap.template import MESSAGES, Columns, Template, stamps
+from locfuse.formats.mcap.write import nested, time_message
 from locfuse.fusion.data import Array, Ints, matrices
 
-from .mcap_write import nested, time_message
-from .message_columns import MESSAGES, Columns, Template, stamps
 from .trajectory import SIX
 
 MAP = "map"

@@ -10,9 +10,8 @@ from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.container.source import Source
 from locfuse.formats.container.zstd_file import ZSTD_MAGIC, unpack_file
+from locfuse.formats.mcap.source import McapSource
 from locfuse.fusion.data import LocfuseError, UsageError
-
-from .mcap_walk import McapSource
 
 
 def _sqlite(data: FileBytes, losses: Losses) -> Source:

@@ -26,7 +26,7 @@ from locfuse import sample_logs
 from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.estimates_mcap import ros_name
-from locfuse.formats.mcap_walk import McapSource
+from locfuse.formats.mcap.source import McapSource
 from locfuse.formats.whole_files import write_results
 from locfuse.fusion.data import LocfuseError
 

@@ -170,7 +170,7 @@ def test_fields_asked_for_later_fit_the_rows_asked_for_first(tmp_path: Path) -> 
 
 def test_light_columns_of_all_topics_are_read_in_one_walk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log = open_log([write(tmp_path / "log.mcap", drive(), chunk_size=3000)])
-    from locfuse.formats.mcap_walk import McapSource
+    from locfuse.formats.mcap.source import McapSource
 
     walks: list[Any] = []
     batches = McapSource.batches

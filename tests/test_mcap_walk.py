@@ -26,9 +26,9 @@ from locfuse.formats.container.decompress import DamagedError, decompress
 from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.log import Log, open_log
-from locfuse.formats.mcap_chunk import records, scan
-from locfuse.formats.mcap_records import message_index
-from locfuse.formats.mcap_walk import McapSource
+from locfuse.formats.mcap.chunk import records, scan
+from locfuse.formats.mcap.records import message_index
+from locfuse.formats.mcap.source import McapSource
 from locfuse.fusion.data import LocfuseError
 
 TOPICS = ("/joint_states", "/scan", "/heading")

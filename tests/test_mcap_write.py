@@ -16,7 +16,7 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from zstandard import ZstdError
 
-from locfuse.formats.mcap_write import LogWriter
+from locfuse.formats.mcap.write import LogWriter
 from locfuse.fusion.data import LocfuseError
 
 EPOCH = 1_700_000_000_000_000_000

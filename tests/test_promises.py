@@ -28,7 +28,7 @@ from mcap.writer import CompressionType
 from locfuse import sample_logs
 from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
-from locfuse.formats.mcap_walk import McapSource
+from locfuse.formats.mcap.source import McapSource
 
 ROBOT = {"robot.toml": b"[wheels]\nradius = 0.05\ntrack = 0.4\n[camera]\nlandmark = [1.0, 1.0]\n"}
 ROBOT["robot.toml"] += b"centre = [8.0, 8.0]\ninner = 2.0\nouter = 7.0\n"

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Ints
 
-from .mcap_records import MAGIC
+from .records import MAGIC
 
 RECORD = 9  # bytes of opcode and length
 HEAD = [("op", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<u8"), ("pub", "<u8")]

@@ -10,8 +10,8 @@ import numpy as np
 from locfuse.formats.container.decompress import CODECS, DamagedError
 from locfuse.formats.container.file_bytes import FileBytes
 
-from . import mcap_records as rec
-from .mcap_summary import Summary
+from . import records as rec
+from .summary import Summary
 
 SEARCH = 1 << 20
 CHUNK_HEAD = rec.RECORD.size + 64  # bytes that hold a chunk's header

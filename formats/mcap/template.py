@@ -8,12 +8,12 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.formats.fields import resolve
+from locfuse.formats.layout import CDR, read_layout
+from locfuse.formats.schema import Many, Node, Scalar, parse
 from locfuse.fusion.data import Ints
 
-from .fields import resolve
-from .layout import CDR, read_layout
-from .mcap_write import Messages, nested
-from .schema import Many, Node, Scalar, parse
+from .write import Messages, nested
 
 MESSAGES = Messages()
 Columns = Mapping[str, NDArray[Any]]  # dotted path of a field -> numbers (n,), or (n, k) for an array of k

@@ -16,10 +16,10 @@ from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.container.source import Batch, ChannelInfo
 
-from . import mcap_records as rec
-from .mcap_chunk import Index, Records, counted, records
-from .mcap_parts import ChunkRef, LooseRun, Part
-from .mcap_survey import survey
+from . import records as rec
+from .chunk import Index, Records, counted, records
+from .parts import ChunkRef, LooseRun, Part
+from .survey import survey
 
 Bytes = NDArray[np.uint8]
 MAX_ATTACHMENT = 16 * 1024 * 1024  # larger ones are no robot.toml and stay in the file

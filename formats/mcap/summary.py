@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from locfuse.formats.container.decompress import MAX_BYTES, DamagedError
 from locfuse.formats.container.file_bytes import FileBytes
 
-from . import mcap_records as rec
+from . import records as rec
 
 
 @dataclass

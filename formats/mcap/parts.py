@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from . import mcap_records as rec
+from . import records as rec
 
 
 @dataclass

@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.formats.columns import view
 from locfuse.formats.container.source import Messages
 from locfuse.fusion.data import Ints
 
-from .columns import view
-from .mcap_records import CHANNEL, DATA_END, MESSAGE, MESSAGE_HEADER, PRIVATE, RECORD, SCHEMA
+from .records import CHANNEL, DATA_END, MESSAGE, MESSAGE_HEADER, PRIVATE, RECORD, SCHEMA
 
 Index = dict[int, NDArray[np.uint64]]  # channel -> (k, 2) log time, offset of the record in the chunk
 

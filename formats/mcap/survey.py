@@ -14,11 +14,11 @@ from locfuse.formats.container.losses import Losses
 from locfuse.formats.container.signatures import describe
 from locfuse.fusion.data import LocfuseError
 
-from . import mcap_records as rec
-from .mcap_chunk import scan
-from .mcap_parts import ChunkRef, LooseRun, Survey
-from .mcap_resync import CHUNK_HEAD, Resync
-from .mcap_summary import Summary, lost_summary, read_summary
+from . import records as rec
+from .chunk import scan
+from .parts import ChunkRef, LooseRun, Survey
+from .resync import CHUNK_HEAD, Resync
+from .summary import Summary, lost_summary, read_summary
 
 RUN_BYTES = 1 << 20  # loose messages are read in runs of at most this size, if they are not larger themselves
 LARGE_CHUNK = 32 * 1024 * 1024

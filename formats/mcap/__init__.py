@@ -1,0 +1,1 @@
+"""MCAP files: reading whole and damaged ones, writing."""

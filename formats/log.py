@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from locfuse.formats.container.compressed_messages import unpack
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.container.source import ChannelInfo, Messages, Source
+from locfuse.formats.messages.fields import FieldError, resolve
+from locfuse.formats.messages.schema import SchemaError
 from locfuse.fusion.data import Ints, LocfuseError, UsageError
 
 from . import clock as clocks
 from . import transforms
-from .fields import FieldError, resolve
 from .log_files import log_files, log_name, open_source
-from .schema import SchemaError
 from .stream import LogStream
 from .table import Raw, Table, dated, digest
 from .topics import Topic, by_topic

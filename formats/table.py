@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.formats.container.source import Messages
+from locfuse.formats.messages.decoded import Decoded, MessageDecoder
+from locfuse.formats.messages.fields import frame_path, stamp_path
 from locfuse.fusion.data import Column, Ints, LocfuseError
 
 from .columns import Growing, take
-from .decoded import Decoded, MessageDecoder
-from .fields import frame_path, stamp_path
 
 
 class Raw(NamedTuple):

@@ -9,10 +9,9 @@ from functools import cached_property
 from typing import NamedTuple
 
 from locfuse.formats.container.source import ChannelInfo, Source, message_type
-
-from .decoded import MessageDecoder
-from .messages import encoding_problem, make_decoder
-from .schema import SchemaError, signature
+from locfuse.formats.messages.decode import encoding_problem, make_decoder
+from locfuse.formats.messages.decoded import MessageDecoder
+from locfuse.formats.messages.schema import SchemaError, signature
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.formats.fields import resolve
-from locfuse.formats.layout import CDR, read_layout
-from locfuse.formats.schema import Many, Node, Scalar, parse
+from locfuse.formats.messages.fields import resolve
+from locfuse.formats.messages.layout import CDR, read_layout
+from locfuse.formats.messages.schema import Many, Node, Scalar, parse
 from locfuse.fusion.data import Ints
 
 from .write import Messages, nested

@@ -15,9 +15,9 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.formats.columns import concat, take, view
 from locfuse.fusion.data import Column, Ints, Ragged
 
-from .columns import concat, take, view
 from .decoded import Decoded
 from .fields import Part, resolve
 from .layout import CDR, Layout, Leaf, MalformedError, Rules, read_layout

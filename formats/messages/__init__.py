@@ -1,0 +1,1 @@
+"""Message definitions and decoding: bytes of many messages into columns."""

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import textbook_lines
-from locfuse.formats.log import open_log
+from locfuse.formats.log.log import open_log
 from locfuse.fusion.camera.detect import Detector
 from locfuse.fusion.camera.images import compressed
 from locfuse.fusion.ekf.belief_pose import PoseBelief

@@ -16,7 +16,7 @@ from .topics import NAMED, ONLY, Choice, checked, of_type, one, several_fit, typ
 from .wheel_topics import choose_wheels
 
 if TYPE_CHECKING:
-    from locfuse.formats.log import Log
+    from locfuse.formats.log.log import Log
 
 
 def choose(log: Log, robot: Robot, insisted: Collection[str] = ()) -> Choice:

@@ -65,7 +65,7 @@ def _split(parts: list[str]) -> list[list[str]]:
     """Return the parts as one log, or as several where they overlap in time."""
     if len(parts) < 2:
         return [parts]
-    from locfuse.formats.log import open_log
+    from locfuse.formats.log.log import open_log
 
     spans = sorted(span for part in parts if (span := open_log([Path(part)]).time_span_ns) is not None)
     apart = all(b[0] > a[1] - OVERLAP_NS for a, b in pairwise(spans))

@@ -20,7 +20,7 @@ from locfuse.fusion.wheels.sources import JOINTS, KNOWN_TICKS, joint_names
 from .topics import Choice, of_type
 
 if TYPE_CHECKING:
-    from locfuse.formats.log import Log
+    from locfuse.formats.log.log import Log
 
 ESTIMATES = ("odom", "amcl", "slam", "ekf", "filter", "goal", "initial", "estimate", "fused", "map")
 MOVES = 0.05  # of a joint's readings, in its unit: a joint that never moves is no wheel

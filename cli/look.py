@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from locfuse.formats.log import Log, open_log
+from locfuse.formats.log.log import Log, open_log
 from locfuse.formats.transforms import StaticTransforms
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.doctor.examine import examine

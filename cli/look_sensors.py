@@ -14,7 +14,7 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from .topics import Choice, of_type
 
 if TYPE_CHECKING:
-    from locfuse.formats.log import Log
+    from locfuse.formats.log.log import Log
 
 
 def raw_oddities(log: Log, robot: Robot, choice: Choice) -> list[Oddity]:

@@ -10,7 +10,7 @@ from locfuse.formats.transforms import Mount, StaticTransforms, planar_mount
 from locfuse.fusion.sensors.registry import REGISTRY
 
 if TYPE_CHECKING:
-    from locfuse.formats.stream import LogStream
+    from locfuse.formats.log.stream import LogStream
 
 BASE_FRAMES = ("base_link", "base_footprint", "base")
 

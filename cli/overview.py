@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from locfuse.formats.log import Log
+from locfuse.formats.log.log import Log
 from locfuse.formats.transforms import StaticTransforms
 from locfuse.fusion.doctor.finding import Oddity
 from locfuse.fusion.robot import Robot

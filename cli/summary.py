@@ -17,7 +17,7 @@ from click.core import ParameterSource
 from locfuse.formats import changes as sides
 from locfuse.formats import report_json
 from locfuse.formats import summary as over
-from locfuse.formats.log_files import log_name
+from locfuse.formats.log.files import log_name
 from locfuse.formats.report_columns import cell
 from locfuse.formats.whole_files import may_write, write_results
 from locfuse.fusion.data import LocfuseError, UsageError

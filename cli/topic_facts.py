@@ -12,7 +12,7 @@ from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.doctor.examine import gaps
 
 if TYPE_CHECKING:
-    from locfuse.formats.log import Log
+    from locfuse.formats.log.log import Log
 
 MOST_GAPS = 20  # listed for machines
 ANOTHER_CLOCK = 1.0  # s between stamp and recording: more is no delay

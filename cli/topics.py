@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from locfuse.fusion.data import LocfuseError
 
 if TYPE_CHECKING:
-    from locfuse.formats.log import Log
+    from locfuse.formats.log.log import Log
 
 NAMED = "named in the settings"
 ONLY = "the only topic of its type"

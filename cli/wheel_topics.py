@@ -15,7 +15,7 @@ from locfuse.fusion.wheels.sources import JOINTS, NUMBERS, TICKS, joint_names
 from .topics import NAMED, ONLY, Choice, checked, of_type, one, several_fit, types
 
 if TYPE_CHECKING:
-    from locfuse.formats.log import Log
+    from locfuse.formats.log.log import Log
 
 OTHER_SIDE = {"left": "right", "l": "r", "lwheel": "rwheel", "lw": "rw"}
 COUNTS = ("tick", "enc", "wheel", "count", "angle")  # what a wheel's own topic is called ...

@@ -14,13 +14,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from locfuse.formats.log.log import TF_TYPES, Log
 from locfuse.formats.mcap.template import MESSAGES
 from locfuse.formats.mcap.write import LATCHED
 from locfuse.formats.mcap.write_columns import Block, ColumnWriter
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, Truth
 
 from .estimates_messages import PATH, Series, odometry, path, points, poses, transforms
-from .log import TF_TYPES, Log
 from .trajectory import stamps, with_truth_rows
 
 BASE = "base_link"

@@ -492,7 +492,7 @@ def sample_errors_deg(name: str, chain: str) -> NDArray[np.float64]:
     """Error of the bearing in every picture of a shipped log, by the simulator's truth, [deg]."""
     import tomllib
 
-    from locfuse.formats.log import open_log
+    from locfuse.formats.log.log import open_log
     from locfuse.fusion.truth import TRUTH_READS
 
     log: Any = open_log([SAMPLES / f"{name}.mcap"])

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from locfuse.formats.clock import Clock, settle
-from locfuse.formats.monotone import never_decreasing
+from locfuse.formats.log.clock import Clock, settle
+from locfuse.formats.log.monotone import never_decreasing
 from locfuse.fusion.data import Ints
 
 S = 10**9

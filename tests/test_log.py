@@ -26,7 +26,7 @@ from bags import (
 )
 from mcap.writer import CompressionType, Writer
 
-from locfuse.formats.log import Log, open_log
+from locfuse.formats.log.log import Log, open_log
 from locfuse.fusion.data import LocfuseError, Ragged, UsageError
 
 JOINTS = "sensor_msgs/msg/JointState"

@@ -25,7 +25,7 @@ from locfuse.formats.container import decompress as codecs
 from locfuse.formats.container.decompress import DamagedError, decompress
 from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
-from locfuse.formats.log import Log, open_log
+from locfuse.formats.log.log import Log, open_log
 from locfuse.formats.mcap.chunk import records, scan
 from locfuse.formats.mcap.records import message_index
 from locfuse.formats.mcap.source import McapSource

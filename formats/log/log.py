@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.formats import transforms
 from locfuse.formats.container.compressed_messages import unpack
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.container.source import ChannelInfo, Messages, Source
@@ -19,8 +20,7 @@ from locfuse.formats.messages.schema import SchemaError
 from locfuse.fusion.data import Ints, LocfuseError, UsageError
 
 from . import clock as clocks
-from . import transforms
-from .log_files import log_files, log_name, open_source
+from .files import log_files, log_name, open_source
 from .stream import LogStream
 from .table import Raw, Table, dated, digest
 from .topics import Topic, by_topic

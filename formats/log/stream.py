@@ -8,10 +8,10 @@ from typing import Protocol
 
 import numpy as np
 
+from locfuse.formats.columns import concat, n_bytes, take
 from locfuse.fusion.data import Block, Column, Ints
 
 from . import clock as clocks
-from .columns import concat, n_bytes, take
 from .table import Raw, Table
 
 BLOCK_BYTES = 32 * 1024 * 1024

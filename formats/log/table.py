@@ -10,12 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.formats.columns import Growing, take
 from locfuse.formats.container.source import Messages
 from locfuse.formats.messages.decoded import Decoded, MessageDecoder
 from locfuse.formats.messages.fields import frame_path, stamp_path
 from locfuse.fusion.data import Column, Ints, LocfuseError
-
-from .columns import Growing, take
 
 
 class Raw(NamedTuple):

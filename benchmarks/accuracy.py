@@ -21,7 +21,7 @@ import click
 import numpy as np
 
 from locfuse.cli.load import make_robot
-from locfuse.formats import robot_toml
+from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import ArrayStream, Drive, Evaluation
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate

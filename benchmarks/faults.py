@@ -17,7 +17,7 @@ import click
 import numpy as np
 
 from locfuse.cli.load import make_robot
-from locfuse.formats import robot_toml
+from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import Array, Drive, Evaluation
 from locfuse.fusion.doctor.clocks import clock_lags
 from locfuse.fusion.fuse import fuse

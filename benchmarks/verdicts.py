@@ -17,7 +17,7 @@ import click
 
 from benchmarks.accuracy import FIRST_SEED, streams_by_role
 from locfuse.cli.load import make_robot
-from locfuse.formats import robot_toml
+from locfuse.formats.robot import robot_toml
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.credit import credit, subsets
 from locfuse.fusion.judge.evaluate import evaluate

@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from locfuse.formats import robot_toml
+from locfuse.formats.robot import robot_toml
 from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.robot import WheelSettings

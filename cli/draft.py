@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from locfuse.formats import robot_toml
-from locfuse.formats.commented_toml import Section
+from locfuse.formats.robot import robot_toml
+from locfuse.formats.robot.commented_toml import Section
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.doctor.finding import Oddity
 

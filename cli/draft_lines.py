@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from locfuse.formats.commented_toml import Line
+from locfuse.formats.robot.commented_toml import Line
 from locfuse.fusion.doctor.finding import settings_in
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.read import ODOMETRY, counts_ticks

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from locfuse.formats.urdf import WheelGeometry, wheel_geometry
+from locfuse.formats.robot.urdf import WheelGeometry, wheel_geometry
 from locfuse.fusion.data import Array, LocfuseError, Ragged
 from locfuse.fusion.doctor.finding import Oddity
 from locfuse.fusion.robot import Robot

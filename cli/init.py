@@ -30,7 +30,7 @@ def init(log: tuple[str, ...], how: LogOptions) -> int:
     locfuse init bag/ --set wheels.radius=0.033 --set wheels.track=0.16 > robot.toml
     locfuse compare bag/ --robot robot.toml
     """
-    from locfuse.formats.commented_toml import printable, render
+    from locfuse.formats.robot.commented_toml import printable, render
 
     from . import show
     from .draft import draft

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from locfuse.formats import robot_toml
 from locfuse.formats.log.log import Log, open_log
+from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import Drive, LocfuseError, UsageError
 from locfuse.fusion.doctor.clocks import lag_notes
 from locfuse.fusion.measure import measure

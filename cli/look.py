@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from locfuse.formats.log.log import Log, open_log
-from locfuse.formats.transforms import StaticTransforms
+from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.doctor.examine import examine
 from locfuse.fusion.doctor.finding import Oddity, settings_in

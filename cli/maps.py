@@ -30,11 +30,11 @@ class MapOptions:
             raise UsageError(
                 "--map: the paper's filter knows its first scan's walls only; leave --preset paper out"
             )
-        from locfuse.formats import line_map_file
+        from locfuse.formats.robot import line_map
 
         robot = loaded.robot
         lrf = msgspec.structs.replace(robot.settings("lrf"), map="given")
-        lines = tuple(line_map_file.read(self.given))
+        lines = tuple(line_map.read(self.given))
         return replace(loaded, robot=replace(robot, sensors={**robot.sensors, "lrf": lrf}, lines=lines))
 
     def check(self, sensors: tuple[str, ...]) -> None:
@@ -47,8 +47,8 @@ class MapOptions:
         """Write the final map where it was asked for."""
         if self.save is None:
             return
-        from locfuse.formats import line_map_file
+        from locfuse.formats.robot import line_map
         from locfuse.formats.whole_files import whole_file
 
         with whole_file(self.save) as path:
-            path.write_text(line_map_file.encode(estimates.final_map, made_from))
+            path.write_text(line_map.encode(estimates.final_map, made_from))

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from locfuse.formats.transforms import Mount, StaticTransforms, planar_mount
+from locfuse.formats.robot.transforms import Mount, StaticTransforms, planar_mount
 from locfuse.fusion.sensors.registry import REGISTRY
 
 if TYPE_CHECKING:

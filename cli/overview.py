@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from locfuse.formats.log.log import Log
-from locfuse.formats.transforms import StaticTransforms
+from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.fusion.doctor.finding import Oddity
 from locfuse.fusion.robot import Robot
 

@@ -8,7 +8,8 @@ from typing import Any
 
 import msgspec
 
-from locfuse.formats import report_json, robot_toml
+from locfuse.formats import report_json
+from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import Evaluation
 from locfuse.fusion.robot import Robot
 

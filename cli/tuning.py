@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from locfuse.formats import robot_toml
+from locfuse.formats.robot import robot_toml
 from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import Evaluation, Measurements, UsageError
 from locfuse.fusion.fuse import fuse

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import cast
 
 from locfuse.cli.load import make_robot
-from locfuse.formats import robot_toml
+from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import Drive, Stream
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from small_drive import START, TRACK, drive, path, robot
 
-from locfuse.formats.urdf import wheel_geometry
+from locfuse.formats.robot.urdf import wheel_geometry
 from locfuse.fusion import se2
 from locfuse.fusion.data import Drive, Truth
 from locfuse.fusion.doctor.clocks import of_clocks

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from worlds import World
 
-from locfuse.formats import line_map_file
+from locfuse.formats.robot import line_map
 from locfuse.fusion.data import LocfuseError, MapLine
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
@@ -23,7 +23,7 @@ LINES = [MapLine(3, 2.0, 0.4, (-1.0, 2.5), P, 17), MapLine(8, -1.5, -3.0, (4.0, 
 
 
 def test_a_map_survives_its_file() -> None:
-    back = line_map_file.decode(line_map_file.encode(LINES), "map.json")
+    back = line_map.decode(line_map.encode(LINES), "map.json")
     for a, b in zip(LINES, back, strict=True):
         assert (a.id, a.hits) == (b.id, b.hits)
         assert (b.rho, math.cos(b.beta), math.sin(b.beta)) == pytest.approx(
@@ -34,7 +34,7 @@ def test_a_map_survives_its_file() -> None:
 
 
 def test_the_file_holds_points_on_the_walls() -> None:
-    walls = json.loads(line_map_file.encode(LINES))["lines"]
+    walls = json.loads(line_map.encode(LINES))["lines"]
     for line, wall in zip(LINES, walls, strict=True):
         for x, y in (wall["from"], wall["to"]):
             assert x * math.cos(line.beta) + y * math.sin(line.beta) == pytest.approx(line.rho)
@@ -61,7 +61,7 @@ def test_the_file_holds_points_on_the_walls() -> None:
 )
 def test_what_is_no_map_is_refused_in_one_line(text: str, says: str) -> None:
     with pytest.raises(LocfuseError, match=says) as problem:
-        line_map_file.decode(text, "map.json")
+        line_map.decode(text, "map.json")
     assert "\n" not in str(problem.value)
 
 

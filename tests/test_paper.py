@@ -14,7 +14,7 @@ import small_drive
 from commands import locfuse
 from numpy.typing import NDArray
 
-from locfuse.formats import line_map_file
+from locfuse.formats.robot import line_map
 from locfuse.fusion.data import Drive, LocfuseError, Measurements
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import cut
@@ -382,7 +382,7 @@ def test_an_unknown_preset_is_refused_with_the_known_ones(log: Path, tmp_path: P
 
 def test_the_printed_filter_refuses_a_given_map_and_does_not_pass_it_by(tmp_path: Path) -> None:
     hall = tmp_path / "hall.json"
-    hall.write_text(line_map_file.encode((), "nowhere"))
+    hall.write_text(line_map.encode((), "nowhere"))
     done = locfuse("run", "rounded_rectangle", "--map", hall, "--preset", "paper", "-o", tmp_path / "out")
     assert done.exit_code == 2
     assert "leave --preset paper out" in done.stderr

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from locfuse.formats.robot_toml import apply_sets, convert, dump, merge, parse
+from locfuse.formats.robot.robot_toml import apply_sets, convert, dump, merge, parse
 from locfuse.fusion.data import LocfuseError, UsageError
 
 

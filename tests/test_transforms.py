@@ -12,7 +12,7 @@ from bags import T0, Said, cdr, real_log, write
 from scipy.spatial.transform import Rotation
 
 from locfuse.formats.log.log import open_log
-from locfuse.formats.transforms import Mount, StaticTransforms, planar_mount, roll_pitch_yaw
+from locfuse.formats.robot.transforms import Mount, StaticTransforms, planar_mount, roll_pitch_yaw
 
 BASES = ("base_link", "base_footprint", "base")
 KIND = "tf2_msgs/msg/TFMessage"

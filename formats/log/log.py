@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.formats import transforms
 from locfuse.formats.container.compressed_messages import unpack
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.container.source import ChannelInfo, Messages, Source
 from locfuse.formats.messages.fields import FieldError, resolve
 from locfuse.formats.messages.schema import SchemaError
+from locfuse.formats.robot import transforms
 from locfuse.fusion.data import Ints, LocfuseError, UsageError
 
 from . import clock as clocks

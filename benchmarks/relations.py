@@ -15,7 +15,7 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.formats.trajectory import read_tum
+from locfuse.formats.results.trajectory import read_tum
 from locfuse.fusion import se2
 
 Array = NDArray[np.float64]

@@ -25,7 +25,7 @@ TWO_CLOCKS = 1.0  # s between stamps and recording: more is another clock, in wh
 
 def files(kinds: Collection[str], loaded: Loaded, found: Mapping[str, Estimates]) -> dict[str, Content]:
     """Return the files of these kinds; `found` gives each trajectory the name of its files."""
-    from locfuse.formats import trajectory as to
+    from locfuse.formats.results import trajectory as to
 
     out: dict[str, Content] = {}
     writers: dict[str, dict[str, Callable[[Drive, Estimates], str]]] = {
@@ -43,7 +43,7 @@ def files(kinds: Collection[str], loaded: Loaded, found: Mapping[str, Estimates]
 
 
 def _mcap(loaded: Loaded, found: Mapping[str, Estimates], with_log: bool) -> Callable[[Any], None]:
-    from locfuse.formats.estimates_mcap import Export
+    from locfuse.formats.results.mcap_export import Export
 
     from .results import robot_file
 

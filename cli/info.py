@@ -67,7 +67,7 @@ def _typed(log: tuple[str, ...], how: LogOptions) -> list[str]:
 
 def _preview(seen: Look, folder: Path) -> list[str]:
     """Write preview pictures; return what to print of them."""
-    from locfuse.formats.preview import write_pictures
+    from locfuse.formats.results.preview import write_pictures
     from locfuse.fusion.doctor.preview import preview as pictures_of
 
     topic = _topic_of_pictures(seen)

@@ -57,7 +57,7 @@ def files(
 
 def trajectories(compared: Compared) -> dict[str, Content]:
     """Return one .tum for each configuration, and the truth's."""
-    from locfuse.formats import trajectory
+    from locfuse.formats.results import trajectory
 
     drive = compared.loaded.drive
     out: dict[str, Content] = {

@@ -11,7 +11,7 @@ import numpy as np
 
 from locfuse.formats import report_md
 from locfuse.formats.rerun_scene import Scene
-from locfuse.formats.trajectory import read_tum
+from locfuse.formats.results.trajectory import read_tum
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Motions, Truth, matrices
 from locfuse.fusion.judge.evaluate import evaluate
 

@@ -67,8 +67,9 @@ def run(
     locfuse run rounded_rectangle --sensors all
     locfuse run bag/ --sensors compass,lrf --robot robot.toml -o out
     """
-    from locfuse.formats import report_json, trajectory
-    from locfuse.formats.audit_csv import audit_csv
+    from locfuse.formats import report_json
+    from locfuse.formats.results import trajectory
+    from locfuse.formats.results.audit import audit_csv
     from locfuse.formats.whole_files import Content, whole_file, write_results
     from locfuse.fusion.judge.evaluate import evaluate
 

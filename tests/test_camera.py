@@ -19,7 +19,7 @@ from omni_scene import Lens, Picture, Pole, picture, wrapped_deg
 
 from locfuse.cli.choose import choose
 from locfuse.cli.load import make_robot
-from locfuse.formats.preview import write_pictures
+from locfuse.formats.results.preview import write_pictures
 from locfuse.fusion.camera import detect as landmark_module
 from locfuse.fusion.camera.bearing import paper_orientation, predict_bearing
 from locfuse.fusion.camera.image_header import image_size

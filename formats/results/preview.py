@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import LocfuseError
-
-from .whole_files import whole_file
 
 
 def write_pictures(folder: Path, pictures: Mapping[str, NDArray[np.uint8]]) -> list[Path]:

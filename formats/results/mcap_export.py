@@ -20,7 +20,7 @@ from locfuse.formats.mcap.write import LATCHED
 from locfuse.formats.mcap.write_columns import Block, ColumnWriter
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, Truth
 
-from .estimates_messages import PATH, Series, odometry, path, points, poses, transforms
+from .ros_messages import PATH, Series, odometry, path, points, poses, transforms
 from .trajectory import stamps, with_truth_rows
 
 BASE = "base_link"

@@ -1,0 +1,1 @@
+"""Results as files for other tools: trajectories, audit trail, MCAP, preview pictures."""

@@ -40,11 +40,11 @@ def may_replace(out: Path | None, overwrite: bool) -> None:
 
 def print_findings(values: Any, tables: Iterable[Table], out: Path | None, as_json: bool) -> None:
     """Print what was found as JSON, or as tables and with how the file is used."""
-    from locfuse.formats import report_json
+    from locfuse.formats.report import json_report
 
     with reader_may_leave():
         if as_json:
-            click.echo(report_json.encode(values), nl=False)
+            click.echo(json_report.encode(values), nl=False)
             return
         for titles, rows in tables:
             _print_table(titles, rows)

@@ -39,7 +39,7 @@ def info(log: tuple[str, ...], check: bool, as_json: bool, preview: Path | None,
     locfuse info bag/ --check --set wheels.radius=0.033 --set wheels.track=0.16
     locfuse info bag/ --preview pictures --set camera.outer=230
     """
-    from locfuse.formats import report_json
+    from locfuse.formats.report import json_report
 
     from . import info_json, info_text, show
     from .load import find_log
@@ -50,7 +50,7 @@ def info(log: tuple[str, ...], check: bool, as_json: bool, preview: Path | None,
         pictures = _preview(seen, preview) if preview is not None else []
     with reader_may_leave():
         if as_json:
-            click.echo(report_json.encode(info_json.values(seen)), nl=False)
+            click.echo(json_report.encode(info_json.values(seen)), nl=False)
         else:
             text = info_text.lines(seen, _typed(log, how), show.width())
             show.lines((*text, *pictures), (*info_text.TITLES, PICTURES))

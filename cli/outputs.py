@@ -37,7 +37,7 @@ def files(
     compared: Compared, drawn: Drawn, report: Mapping[str, Any], kinds: Collection[str]
 ) -> dict[str, Content]:
     """Return the content of every file of these kinds by its name; `drawn` is what .html shows of the audits."""
-    from locfuse.formats import report_json, report_md, report_tables
+    from locfuse.formats.report import json_report, markdown, tables
 
     out: dict[str, Content] = {"robot.toml": results.robot_file(compared.loaded.robot)}
     if "tum" in kinds:
@@ -45,13 +45,13 @@ def files(
     if "html" in kinds:
         out["report.html"] = page(compared, drawn, report)
     if "md" in kinds:
-        out["report.md"] = report_md.render(report)
+        out["report.md"] = markdown.render(report)
     if "csv" in kinds:
-        out["report.csv"] = report_tables.csv(report)
+        out["report.csv"] = tables.csv(report)
     if "tex" in kinds:
-        out["report.tex"] = report_tables.latex(report)
+        out["report.tex"] = tables.latex(report)
     if "json" in kinds:
-        out["report.json"] = report_json.encode(report)
+        out["report.json"] = json_report.encode(report)
     return out
 
 
@@ -71,10 +71,10 @@ def trajectories(compared: Compared) -> dict[str, Content]:
 
 def page(compared: Compared, drawn: Drawn, report: Mapping[str, Any]) -> str:
     """Return report.html."""
-    from locfuse.formats import report_html
     from locfuse.formats.figures import sections
+    from locfuse.formats.report import html
 
-    return report_html.render(report, sections(scene(compared, drawn)), list(REGISTRY))
+    return html.render(report, sections(scene(compared, drawn)), list(REGISTRY))
 
 
 def figure_files(compared: Compared, drawn: Drawn) -> dict[str, bytes]:

@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from locfuse.formats import report_md
+from locfuse.formats.report import markdown
 from locfuse.formats.rerun_scene import Scene
 from locfuse.formats.results.trajectory import read_tum
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Motions, Truth, matrices
@@ -73,7 +73,7 @@ def _scene(folder: Path, report: Mapping[str, Any], tracks: Mapping[str, tuple[I
         estimates,
         judged,
         track=track_width,
-        table=report_md.render(report),
+        table=markdown.render(report),
         palette=palette(list(tracks)),
     )
 

@@ -101,12 +101,12 @@ def _sketch(
     evaluations: Sequence[Evaluation],
     report: Mapping[str, Any],
 ) -> Sketch:
-    from locfuse.formats import report_md
+    from locfuse.formats.report import markdown
     from locfuse.formats.rerun_recording import sketch
 
     from .rerun_scene import make_scene
 
-    table = report_md.render(report)
+    table = markdown.render(report)
     return sketch(make_scene(loaded, estimates, evaluations, table, options.images, options.full))
 
 

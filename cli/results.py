@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from locfuse.formats import report_json
+from locfuse.formats.report import json_report
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import Evaluation
 from locfuse.fusion.robot import Robot
@@ -39,7 +39,7 @@ def build(loaded: Loaded, evaluations: Sequence[Evaluation]) -> dict[str, Any]:
     """Return the report as plain values."""
     from importlib.metadata import version
 
-    return report_json.report(
+    return json_report.report(
         loaded.drive,
         evaluations,
         source(loaded),

@@ -67,7 +67,7 @@ def run(
     locfuse run rounded_rectangle --sensors all
     locfuse run bag/ --sensors compass,lrf --robot robot.toml -o out
     """
-    from locfuse.formats import report_json
+    from locfuse.formats.report import json_report
     from locfuse.formats.results import trajectory
     from locfuse.formats.results.audit import audit_csv
     from locfuse.formats.whole_files import Content, whole_file, write_results
@@ -99,7 +99,7 @@ def run(
                 files[f"{name}.csv"] = partial(trajectory.write_blocks, trajectory.csv_blocks(drive, estimates))
         files |= exports.files(export, loaded, named)
         if "json" in kinds:
-            files["run.json"] = report_json.encode(report)
+            files["run.json"] = json_report.encode(report)
         folder = out or results.default_folder(loaded.log.name)
         write_results(folder, files, overwrite)
         maps.keep(found[0], loaded.log.name)

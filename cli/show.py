@@ -11,9 +11,9 @@ from typing import Any, Protocol
 
 import click
 
-from locfuse.formats import report_json
-from locfuse.formats.report_columns import written
-from locfuse.formats.report_notes import notes_of
+from locfuse.formats.report import json_report
+from locfuse.formats.report.columns import written
+from locfuse.formats.report.notes import notes_of
 
 from .screen import reader_may_leave, screen
 
@@ -70,7 +70,7 @@ def result(report: Mapping[str, Any], folder: Path, files: Collection[str], as_j
     """Print a finished report, and which files it was written to."""
     with reader_may_leave():
         if as_json:
-            click.echo(report_json.encode(report), nl=False)
+            click.echo(json_report.encode(report), nl=False)
             return
         figures(report)
         verdicts(report)

@@ -14,11 +14,11 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from locfuse.formats import changes as sides
-from locfuse.formats import report_json
-from locfuse.formats import summary as over
 from locfuse.formats.log.files import log_name
-from locfuse.formats.report_columns import cell
+from locfuse.formats.report import changes as sides
+from locfuse.formats.report import json_report
+from locfuse.formats.report import summary as over
+from locfuse.formats.report.columns import cell
 from locfuse.formats.whole_files import may_write, write_results
 from locfuse.fusion.data import LocfuseError, UsageError
 from locfuse.fusion.judge.credit import Credit, SensorCredit, credit_over_logs
@@ -72,7 +72,7 @@ def compare_logs(logs: Sequence[Sequence[str]], context: click.Context) -> int:
         reports[name] = json.loads((folder / name / "report.json").read_bytes())
     summary = summarised(reports)
     kinds = chosen(params["write"], KINDS) if _only(params["write"], KINDS) else set(KINDS)
-    files = {"summary.json": report_json.encode(summary)}
+    files = {"summary.json": json_report.encode(summary)}
     files |= {"summary.md": over.render(summary)} if "md" in kinds else {}
     files |= {"summary.csv": over.csv(reports)} if "csv" in kinds else {}
     write_results(folder, files, overwrite=True)
@@ -204,10 +204,10 @@ def compare_results(files: Sequence[Path], params: Mapping[str, Any]) -> int:
     written: dict[str, str] = {}
     if params["out"] is not None:
         texts = [sides.render((before, after), c) for after, c in found.items()]
-        written = {"changes.json": report_json.encode(values), "changes.md": "\n".join(texts)}
+        written = {"changes.json": json_report.encode(values), "changes.md": "\n".join(texts)}
         write_results(params["out"], written, params["overwrite"])
     if params["as_json"]:
-        click.echo(report_json.encode(values), nl=False)
+        click.echo(json_report.encode(values), nl=False)
         return 0
     for after, one in found.items():
         click.echo(f"{before} -> {after}")

@@ -136,7 +136,7 @@ def _record(
 
 def _scene_of_log(what: Sequence[str], wish: Wish, progress: Progress) -> Scene:
     """Measure a log and run its configurations."""
-    from locfuse.formats import report_md
+    from locfuse.formats.report import markdown
 
     from .comparison import compare_log, report_of
     from .configurations import for_comparison
@@ -147,7 +147,7 @@ def _scene_of_log(what: Sequence[str], wish: Wish, progress: Progress) -> Scene:
     loaded = load(find_log(what), wish.how, progress)
     wanted, recorded = for_comparison(wish.sensors, loaded.drive), Recorded()
     compared = compare_log(loaded, wanted, "none", progress, watch=[recorded.take])
-    table = report_md.render(report_of(compared))
+    table = markdown.render(report_of(compared))
     progress("recording")
     estimates = recorded.in_order(compared.estimates)
     return make_scene(loaded, estimates, compared.evaluations, table, wish.images, wish.full)

@@ -10,8 +10,8 @@ import small_drive
 from numpy.typing import NDArray
 
 from locfuse.cli.verdicts import prediction_values, verdicts
-from locfuse.formats import report_json
 from locfuse.formats.figure_scene import Component, Scene, Stretches
+from locfuse.formats.report import json_report
 from locfuse.fusion.data import (
     Audit,
     Drive,
@@ -61,7 +61,7 @@ def long(minutes: float, configurations: int) -> tuple[Scene, dict[str, Any]]:
         nees_bounds=(0.07, 3.1),
         components=COMPONENTS,
     )
-    report = report_json.report(drive, judged, SOURCE, {"wheels": {"radius": 0.05}}, "0.0")
+    report = json_report.report(drive, judged, SOURCE, {"wheels": {"radius": 0.05}}, "0.0")
     return scene, {**report, "verdicts": {}, "credit": None, "prediction": None}
 
 
@@ -73,7 +73,7 @@ def untrue() -> tuple[Scene, dict[str, Any]]:
     estimates = [fuse(drive, robot, s) for s in sets.values()]
     judged = [evaluate(e, drive) for e in estimates]
     found = scores(drive, [fuse(drive, robot, s, n, listeners(drive, s)) for n, s in sets.items()])
-    report = report_json.report(drive, judged, SOURCE, {"order": "auto"}, "0.0")
+    report = json_report.report(drive, judged, SOURCE, {"order": "auto"}, "0.0")
     report |= {
         "verdicts": verdicts(None, found, sets),
         "credit": None,

@@ -17,8 +17,9 @@ import pytest
 import small_scene
 from commands import locfuse
 
-from locfuse.formats import report_html, report_md, report_tables
 from locfuse.formats.figures import sections
+from locfuse.formats.report import html as report_html
+from locfuse.formats.report import markdown, tables
 
 REGISTRY = ["compass", "lrf", "camera", "sonar", "gps"]
 EVIL = '/<script>alert(1)</script>"onload=x|`*_\\'
@@ -220,10 +221,10 @@ def test_text_from_logs_stays_text(written: str) -> None:
         assert "onload" not in dict(page.attributes)
         assert EVIL in page.words
     elif written == "md":
-        text = re.sub(r"(`+).*?\1", "", report_md.render(report))  # code spans aside
+        text = re.sub(r"(`+).*?\1", "", markdown.render(report))  # code spans aside
         assert not re.search(r"(?<!\\)<script", text)
     else:
-        assert r"\textbackslash" in report_tables.latex(report)
+        assert r"\textbackslash" in tables.latex(report)
 
 
 def test_a_report_without_truth_says_so_and_ranks_by_prediction(tmp_path: Path) -> None:
@@ -292,5 +293,5 @@ def test_what_configurations_noted_of_themselves_is_on_the_page_as_in_its_twin()
     words = " ".join(read(report_html.render(report, sections(scene), REGISTRY)).words)
     for said in (f"{lost} (lrf)", f"all: {lost} (all)"):
         assert said in words
-        assert said in report_md.render(report)
+        assert said in markdown.render(report)
     assert "lrf: lrf:" not in words

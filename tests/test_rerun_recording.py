@@ -18,7 +18,7 @@ from locfuse.cli.configurations import for_comparison
 from locfuse.cli.load import Loaded, load
 from locfuse.cli.rerun_scene import make_scene
 from locfuse.cli.settings import LogOptions
-from locfuse.formats import report_md
+from locfuse.formats.report import markdown
 from locfuse.formats.rerun_file import save_recording
 from locfuse.formats.rerun_recording import sketch
 from locfuse.fusion.data import VERDICTS, Estimates, Evaluation
@@ -45,7 +45,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     configurations = for_comparison(words, loaded.drive)
     estimates = [c.fuse(loaded.drive, loaded.robot)[0] for c in configurations]
     judged = [evaluate(e, c.drive(loaded.drive)) for e, c in zip(estimates, configurations, strict=True)]
-    table = report_md.render(results.build(loaded, judged))
+    table = markdown.render(results.build(loaded, judged))
     save_recording(path, sketch(make_scene(loaded, estimates, judged, table, images=EVERY)))
     return Made(
         loaded, {e.name: e for e in estimates}, {e.name: e for e in judged}, read(path), read_blueprint(path)

@@ -16,8 +16,8 @@ from mcap.writer import Writer
 from locfuse.cli.grouping import logs_of, results_of
 from locfuse.cli.summary import read_credit, summarised
 from locfuse.cli.verdicts import credit_values
-from locfuse.formats import changes as sides
-from locfuse.formats import summary as over
+from locfuse.formats.report import changes as sides
+from locfuse.formats.report import summary as over
 from locfuse.fusion.data import UsageError
 from locfuse.fusion.judge.credit import Credit, SensorCredit
 from locfuse.fusion.judge.verdict import Effect

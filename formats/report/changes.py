@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from .report_columns import COLUMNS, Column, cell
-from .report_md import escape
+from .columns import COLUMNS, Column, cell
+from .markdown import escape
 from .summary import is_figure
 
 Report = Mapping[str, Any]

@@ -6,8 +6,8 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from .report_columns import cell, columns_of
-from .report_notes import notes_of
+from .columns import cell, columns_of
+from .notes import notes_of
 
 SIGNS = {"helps": "▲", "does nothing": "■", "hurts": "▼"}
 

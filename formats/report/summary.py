@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from statistics import fmean, median
 from typing import Any
 
-from .report_columns import COLUMNS, Column, cell
-from .report_md import escape
+from .columns import COLUMNS, Column, cell
+from .markdown import escape
 
 MAIN = "position_rmse_m"
 NOT_ERRORS = ("duration_s", "distance_m", "truth_coverage")

@@ -7,7 +7,7 @@ import io
 from collections.abc import Mapping
 from typing import Any
 
-from .report_columns import cell, columns_of
+from .columns import cell, columns_of
 
 ESCAPES = {
     "\\": r"\textbackslash{}",

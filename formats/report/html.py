@@ -11,12 +11,13 @@ from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
-from . import palette
-from .figure_svg import HEIGHT, WIDTH, slugs_of, svg
-from .palette import Colour
-from .panels import Section
-from .report_columns import columns_of, written
-from .report_notes import notes_of
+from locfuse.formats import palette
+from locfuse.formats.figure_svg import HEIGHT, WIDTH, slugs_of, svg
+from locfuse.formats.palette import Colour
+from locfuse.formats.panels import Section
+
+from .columns import columns_of, written
+from .notes import notes_of
 
 if TYPE_CHECKING:
     from markupsafe import Markup

@@ -1,0 +1,1 @@
+"""The report: JSON, Markdown, HTML, CSV, LaTeX, and summaries over logs."""

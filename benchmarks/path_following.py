@@ -15,8 +15,8 @@ import click
 import numpy as np
 
 from locfuse.cli.simulate import localise
-from locfuse.formats.figure_paper import draw
-from locfuse.formats.panels import Curve, Panel, Strokes
+from locfuse.formats.figures.for_paper import draw
+from locfuse.formats.figures.panels import Curve, Panel, Strokes
 from locfuse.formats.whole_files import write_results
 from locfuse.fusion.data import Array
 from locfuse.sample_logs.load import load

@@ -15,7 +15,7 @@ from . import results
 from .comparison import Compared
 
 if TYPE_CHECKING:
-    from locfuse.formats.figure_scene import Scene
+    from locfuse.formats.figures.scene import Scene
     from locfuse.formats.whole_files import Content
 
 
@@ -71,7 +71,7 @@ def trajectories(compared: Compared) -> dict[str, Content]:
 
 def page(compared: Compared, drawn: Drawn, report: Mapping[str, Any]) -> str:
     """Return report.html."""
-    from locfuse.formats.figures import sections
+    from locfuse.formats.figures.sections import sections
     from locfuse.formats.report import html
 
     return html.render(report, sections(scene(compared, drawn)), list(REGISTRY))
@@ -79,15 +79,15 @@ def page(compared: Compared, drawn: Drawn, report: Mapping[str, Any]) -> str:
 
 def figure_files(compared: Compared, drawn: Drawn) -> dict[str, bytes]:
     """Return every figure as SVG and PDF by its file's name."""
-    from locfuse.formats.figure_paper import paper_figures
-    from locfuse.formats.figures import sections
+    from locfuse.formats.figures.for_paper import paper_figures
+    from locfuse.formats.figures.sections import sections
 
     return paper_figures(sections(scene(compared, drawn)), list(REGISTRY))
 
 
 def scene(compared: Compared, drawn: Drawn) -> Scene:
     """Return what the figures show: estimates, judgements, and consistency with its chi-square bounds."""
-    from locfuse.formats.figure_scene import Component, Scene, Stretches
+    from locfuse.formats.figures.scene import Component, Scene, Stretches
 
     from .components import LOOKS
 

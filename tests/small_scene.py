@@ -10,7 +10,7 @@ import small_drive
 from numpy.typing import NDArray
 
 from locfuse.cli.verdicts import prediction_values, verdicts
-from locfuse.formats.figure_scene import Component, Scene, Stretches
+from locfuse.formats.figures.scene import Component, Scene, Stretches
 from locfuse.formats.report import json_report
 from locfuse.fusion.data import (
     Audit,

@@ -12,10 +12,10 @@ import pytest
 import small_scene
 from numpy.typing import NDArray
 
-from locfuse.formats import figure_path, figure_svg, palette, ticks
-from locfuse.formats.figure_paper import paper_figures
-from locfuse.formats.figures import sections
-from locfuse.formats.panels import Band, Curve, Dots, Panel, Strokes
+from locfuse.formats.figures import palette, svg, svg_path, ticks
+from locfuse.formats.figures.for_paper import paper_figures
+from locfuse.formats.figures.panels import Band, Curve, Dots, Panel, Strokes
+from locfuse.formats.figures.sections import sections
 from locfuse.fusion.data import VERDICTS
 
 Array = NDArray[np.float64]
@@ -143,7 +143,7 @@ def test_a_noisy_curve_keeps_its_peaks_and_loses_its_bulk() -> None:
     rng = np.random.default_rng(0)
     x, y = np.linspace(0.0, 400.0, 50_000), 100.0 + 20.0 * rng.normal(size=50_000)
     y[31_234], y[777] = 500.0, -300.0
-    path = figure_path.curve_path(x, y, 400)
+    path = svg_path.curve_path(x, y, 400)
     drawn = np.concatenate(points(path))
     assert drawn[:, 1].max() == 500.0
     assert drawn[:, 1].min() == -300.0
@@ -154,7 +154,7 @@ def test_a_noisy_curve_keeps_its_peaks_and_loses_its_bulk() -> None:
 def test_a_smooth_curve_is_drawn_within_a_third_of_a_pixel_from_few_points() -> None:
     x = np.linspace(0.0, 400.0, 5000)
     y = 100.0 + 80.0 * np.sin(x / 40.0)
-    drawn = points(figure_path.curve_path(x, y, 400))[0]
+    drawn = points(svg_path.curve_path(x, y, 400))[0]
     np.testing.assert_allclose(np.interp(x, drawn[:, 0], drawn[:, 1]), y, atol=0.4)
     assert len(drawn) < 150
 
@@ -162,15 +162,15 @@ def test_a_smooth_curve_is_drawn_within_a_third_of_a_pixel_from_few_points() -> 
 def test_nan_breaks_a_curve() -> None:
     y = np.full(100, 5.0)
     y[40:50] = np.nan
-    assert len(points(figure_path.curve_path(np.arange(100.0), y, 400))) == 2
+    assert len(points(svg_path.curve_path(np.arange(100.0), y, 400))) == 2
 
 
 def test_dots_that_touch_become_one_stroke_and_none_is_lost() -> None:
     x, y = np.array([3.0, 3.0, 3.0, 3.0, 8.0]), np.array([1.0, 2.0, 3.0, 30.0, 7.0])
-    path = figure_path.dots_path(x, y)
+    path = svg_path.dots_path(x, y)
     assert path.count("M") == 3
     assert "M30 10v20" in path
-    assert figure_path.dots_path(np.array([np.nan]), np.array([1.0])) == ""
+    assert svg_path.dots_path(np.array([np.nan]), np.array([1.0])) == ""
 
 
 def panel(**changes: object) -> Panel:
@@ -185,12 +185,12 @@ def panel(**changes: object) -> Panel:
     return Panel(**{**base, **changes})  # type: ignore[arg-type]
 
 
-SLUGS = figure_svg.slugs_of(["lrf", *palette.ROLES])
+SLUGS = svg.slugs_of(["lrf", *palette.ROLES])
 
 
 @pytest.mark.parametrize("changes", LOOKS)
 def test_a_drawing_is_well_formed_and_labelled(changes: dict[str, object]) -> None:
-    root = ET.fromstring(figure_svg.svg(panel(**changes), "p-0", SLUGS))
+    root = ET.fromstring(svg.svg(panel(**changes), "p-0", SLUGS))
     ids = {e.get("id") for e in root.iter()}
     assert set(root.get("aria-labelledby", "").split()) <= ids
     assert root.find("title").text == "T <b>"  # type: ignore[union-attr]
@@ -202,12 +202,12 @@ def test_a_drawing_is_well_formed_and_labelled(changes: dict[str, object]) -> No
 
 @pytest.mark.parametrize("limits", [{"x_range": (0.0, 0.0)}, {"y_range": (3.0, 3.0)}, {"x_range": (2e9, 2e9)}])
 def test_a_panel_of_one_instant_or_one_value_is_drawn(limits: dict[str, object]) -> None:
-    ET.fromstring(figure_svg.svg(panel(**limits), "p-0", SLUGS))
+    ET.fromstring(svg.svg(panel(**limits), "p-0", SLUGS))
 
 
 def test_points_are_drawn_where_the_axes_say() -> None:
     x = np.array([0.0, 2.0, 10.0])
-    drawing = figure_svg.svg(panel(marks=(Curve("lrf", x, 3.0 * x),), x_range=(0.0, 10.0)), "p-0", SLUGS)
+    drawing = svg.svg(panel(marks=(Curve("lrf", x, 3.0 * x),), x_range=(0.0, 10.0)), "p-0", SLUGS)
     root = ET.fromstring(drawing)
     labels = {e.text: (float(e.get("x", 0)), float(e.get("y", 0)), e.get("class")) for e in root.iter("text")}
     drawn = points(re.search(r'class="curve[^"]*" d="([^"]*)"', drawing)[1])[0]  # type: ignore[index]
@@ -220,7 +220,7 @@ def test_points_are_drawn_where_the_axes_say() -> None:
 
 def test_an_equal_panel_has_one_scale() -> None:
     square = np.array([[[0.0, 0.0], [4.0, 0.0]], [[4.0, 0.0], [4.0, 4.0]]])
-    drawing = figure_svg.svg(panel(marks=(Strokes("walls of the first scan", square),), equal=True), "p-0", SLUGS)
+    drawing = svg.svg(panel(marks=(Strokes("walls of the first scan", square),), equal=True), "p-0", SLUGS)
     drawn = points(re.search(r'class="stroke[^"]*" d="([^"]*)"', drawing)[1])  # type: ignore[index]
     lengths = [np.hypot(*(b - a)) for piece in drawn for a, b in pairwise(piece)]
     assert lengths[0] == pytest.approx(lengths[1], abs=0.3)

@@ -17,7 +17,7 @@ import pytest
 import small_scene
 from commands import locfuse
 
-from locfuse.formats.figures import sections
+from locfuse.formats.figures.sections import sections
 from locfuse.formats.report import html as report_html
 from locfuse.formats.report import markdown, tables
 

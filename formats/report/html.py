@@ -11,10 +11,10 @@ from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
-from locfuse.formats import palette
-from locfuse.formats.figure_svg import HEIGHT, WIDTH, slugs_of, svg
-from locfuse.formats.palette import Colour
-from locfuse.formats.panels import Section
+from locfuse.formats.figures import palette
+from locfuse.formats.figures.palette import Colour
+from locfuse.formats.figures.panels import Section
+from locfuse.formats.figures.svg import HEIGHT, WIDTH, slugs_of, svg
 
 from .columns import columns_of, written
 from .notes import notes_of

@@ -6,8 +6,8 @@ import numpy as np
 
 from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, Evaluation
 
-from .figure_scene import Component, Scene
 from .panels import Band, Curve, Dots, Mark, Panel, Section
+from .scene import Component, Scene
 
 TIME = "time, s"
 STRETCHES = 120  # of a drive, over which NEES is averaged for drawing

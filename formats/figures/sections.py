@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from .figure_scene import Scene
 from .panels import Section
+from .scene import Scene
 
 
 def sections(scene: Scene) -> list[Section]:
     """Return the figures of a report in reading order; a section that has nothing to show is left out."""
-    from .figures_deviation import bands, deviations, uncertainty
-    from .figures_filter import consistency, gates, innovations, learnt
-    from .figures_map import trajectories
+    from .deviation import bands, deviations, uncertainty
+    from .filter import consistency, gates, innovations, learnt
+    from .trajectories import trajectories
 
     found = [trajectories(scene)]
     found += [deviations(scene), bands(scene)] if scene.has_truth else [uncertainty(scene)]

@@ -6,8 +6,8 @@ import numpy as np
 
 from locfuse.fusion.data import Array, Estimates, Evaluation, MapLine
 
-from .figure_scene import Scene
 from .panels import Curve, Mark, Panel, Section, Strokes
+from .scene import Scene
 
 WALLS = ("walls of the first scan", "walls seen later")
 

@@ -8,9 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.formats.thin import extremes
 from locfuse.fusion.data import Array, Ints
-
-from .thin import extremes
 
 FLAT = 0.1  # px: a point this near to the line between its neighbours is not seen
 PASSES = 8

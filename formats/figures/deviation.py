@@ -6,8 +6,8 @@ import numpy as np
 
 from locfuse.fusion.data import Array, Evaluation
 
-from .figure_scene import Scene, metres
 from .panels import Band, Curve, Mark, Panel, Section
+from .scene import Scene, metres
 
 SIGMAS = 3.0
 LEAST = 1e-4  # m: a position error below is drawn there on logarithmic axes

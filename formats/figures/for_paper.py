@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from locfuse.formats.thin import extremes
+
 from . import palette, ticks
 from .panels import Band, Curve, Dots, Mark, Panel, Section, Strokes, ranges
-from .thin import extremes
 
 INCHES = (3.5, 2.1)  # one column of a two-column paper
 SQUARE = (3.5, 3.0)

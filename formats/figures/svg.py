@@ -16,9 +16,9 @@ import numpy as np
 from locfuse.fusion.data import Array
 
 from . import ticks
-from .figure_path import band_path, curve_path, dots_path, free_path, strokes_path
 from .palette import dashed
 from .panels import Band, Curve, Dots, Mark, Panel, Strokes, ranges
+from .svg_path import band_path, curve_path, dots_path, free_path, strokes_path
 
 WIDTH, HEIGHT = 460, 216  # px of an ordinary panel; the page scales it
 TOP, BOTTOM, RIGHT = 20, 34, 10

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from locfuse.formats.report import markdown
-from locfuse.formats.rerun_scene import Scene
+from locfuse.formats.rerun.scene import Scene
 from locfuse.formats.results.trajectory import read_tum
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Motions, Truth, matrices
 from locfuse.fusion.judge.evaluate import evaluate

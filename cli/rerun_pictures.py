@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from locfuse.formats.rerun_colours import GROUP_OF
-from locfuse.formats.rerun_scene import Picture
+from locfuse.formats.rerun.scene import Picture
+from locfuse.formats.rerun.style import GROUP_OF
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, Stream
 
 QUALITY = 80  # JPEG, of what has to be encoded: panoramas, and raw Image messages

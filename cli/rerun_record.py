@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from locfuse.formats.rerun_recording import Sketch
+    from locfuse.formats.rerun.recording import Sketch
     from locfuse.fusion.data import Estimates, Evaluation
 
     from .load import Loaded
@@ -102,7 +102,7 @@ def _sketch(
     report: Mapping[str, Any],
 ) -> Sketch:
     from locfuse.formats.report import markdown
-    from locfuse.formats.rerun_recording import sketch
+    from locfuse.formats.rerun.recording import sketch
 
     from .rerun_scene import make_scene
 
@@ -111,7 +111,7 @@ def _sketch(
 
 
 def _saved(path: Path, sketch: Sketch, say: Say) -> bool:
-    from locfuse.formats.rerun_file import save_recording
+    from locfuse.formats.rerun.file import save_recording
 
     from .memory import give_back
 

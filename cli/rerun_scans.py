@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from locfuse.formats.rerun_scene import ScanPoints
+from locfuse.formats.rerun.scene import ScanPoints
 from locfuse.formats.thin import evenly
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Ints, Ragged, Stream

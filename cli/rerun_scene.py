@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from locfuse.formats.figures.palette import colours
-from locfuse.formats.rerun_scene import Detail, Picture, RawTopic, Rgb, ScanPoints, Scene, Sight
+from locfuse.formats.rerun.scene import Detail, Picture, RawTopic, Rgb, ScanPoints, Scene, Sight
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Array, Column, Drive, Estimates, Evaluation, Ragged
 from locfuse.fusion.robot import VIRTUAL_TRACK, Robot

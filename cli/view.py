@@ -16,7 +16,7 @@ from .rerun_record import RECORDING
 from .settings import LogOptions
 
 if TYPE_CHECKING:
-    from locfuse.formats.rerun_scene import Scene
+    from locfuse.formats.rerun.scene import Scene
 
     from .show import Progress
 
@@ -95,7 +95,7 @@ def ready(what: Sequence[str]) -> Path | None:
 
     Raises LocfuseError for a recording that was cut short.
     """
-    from locfuse.formats.rerun_file import check
+    from locfuse.formats.rerun.file import check
 
     from .rerun_folder import report_of
 
@@ -116,8 +116,8 @@ def _record(
     what: Sequence[str], made: Path | None, wish: Wish, target: Path, tab: str | None, progress: Progress
 ) -> Path:
     """Write the recording of a log or of a results' folder to `target`, or copy the one that is made."""
-    from locfuse.formats.rerun_file import copy, save_recording
-    from locfuse.formats.rerun_recording import sketch
+    from locfuse.formats.rerun.file import copy, save_recording
+    from locfuse.formats.rerun.recording import sketch
 
     from .memory import give_back
     from .rerun_folder import report_of, scene_of

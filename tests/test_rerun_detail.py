@@ -12,11 +12,11 @@ from recordings import read, read_blueprint
 from small_drive import drive as small_drive
 from small_drive import robot as small_robot
 
-from locfuse.formats.rerun_colours import STATES
-from locfuse.formats.rerun_file import save_recording
-from locfuse.formats.rerun_recording import sketch, unfolded
-from locfuse.formats.rerun_scene import Detail, RawTopic, Scene, Sight
-from locfuse.formats.rerun_series import reading_states, thinned_states
+from locfuse.formats.rerun.file import save_recording
+from locfuse.formats.rerun.recording import sketch, unfolded
+from locfuse.formats.rerun.scene import Detail, RawTopic, Scene, Sight
+from locfuse.formats.rerun.series import reading_states, thinned_states
+from locfuse.formats.rerun.style import STATES
 from locfuse.fusion.data import VERDICTS, Audit, Drive, Estimates, Measurements, Motions, upper_triangles
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate

@@ -19,8 +19,8 @@ from locfuse.cli.load import Loaded, load
 from locfuse.cli.rerun_scene import make_scene
 from locfuse.cli.settings import LogOptions
 from locfuse.formats.report import markdown
-from locfuse.formats.rerun_file import save_recording
-from locfuse.formats.rerun_recording import sketch
+from locfuse.formats.rerun.file import save_recording
+from locfuse.formats.rerun.recording import sketch
 from locfuse.fusion.data import VERDICTS, Estimates, Evaluation
 from locfuse.fusion.judge.evaluate import evaluate
 

@@ -20,9 +20,9 @@ from small_drive import drive as small_drive
 from small_drive import robot as small_robot
 
 from locfuse.cli import rerun_viewer
-from locfuse.formats.rerun_file import check, save_recording, verify
-from locfuse.formats.rerun_recording import sketch
-from locfuse.formats.rerun_scene import Scene
+from locfuse.formats.rerun.file import check, save_recording, verify
+from locfuse.formats.rerun.recording import sketch
+from locfuse.formats.rerun.scene import Scene
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.fuse import fuse
 

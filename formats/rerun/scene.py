@@ -9,10 +9,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from locfuse.formats.thin import CURVE_POINTS, SCANS
 from locfuse.fusion.data import Array, Drive, Estimates, Evaluation, Ints
 
-from .rerun_geometry import wall
-from .thin import CURVE_POINTS, SCANS
+from .geometry import wall
 
 Rgb = tuple[int, int, int]
 GREY: Rgb = (148, 151, 156)

@@ -10,16 +10,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from locfuse.formats.thin import evenly
 from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, Ints, Measurements
 
-from . import rerun_colours as colours
-from . import rerun_style as style
-from .rerun_geometry import mounted, quaternions, segments, to_map
-from .rerun_later import rr
-from .rerun_map import FLIP, ROOT
-from .rerun_recorder import Recorder, part
-from .rerun_scene import Scene, Sight
-from .thin import evenly
+from . import style
+from . import style as colours
+from .geometry import mounted, quaternions, segments, to_map
+from .map_view import FLIP, ROOT
+from .recorder import Recorder, part, rr
+from .scene import Scene, Sight
 
 WORDS = np.array(colours.GROUP_OF)  # verdict -> group
 WIDTH = {"segments": 2.5, "bearing": 1.0, "heading": 1.5}  # points on the screen

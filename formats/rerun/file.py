@@ -13,10 +13,10 @@ from importlib.abc import MetaPathFinder
 from pathlib import Path
 from typing import Any
 
+from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import LocfuseError
 
-from .rerun_recording import Sketch, write_recording
-from .whole_files import whole_file
+from .recording import Sketch, write_recording
 
 
 def save_recording(path: Path, drawn: Sketch) -> None:

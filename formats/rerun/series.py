@@ -6,13 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from locfuse.formats.thin import extremes
 from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, Evaluation, Ints, Measurements
 
-from . import rerun_colours as colours
-from .rerun_later import rr
-from .rerun_recorder import Recorder, part
-from .rerun_scene import Rgb, Scene, Sight
-from .thin import extremes
+from . import style as colours
+from .recorder import Recorder, part, rr
+from .scene import Rgb, Scene, Sight
 
 DEVIATIONS = ("x [m]", "y [m]", "heading [deg]")
 BAND = 3.0  # sigmas of a deviation

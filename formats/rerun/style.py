@@ -1,11 +1,35 @@
-"""Colours of what is drawn beside the configurations, on a dark page."""
+"""How lines and points look, as archetypes that are sent once and hold at all times."""
 
 from __future__ import annotations
 
+from typing import Any
+
 from locfuse.fusion.data import VERDICTS
 
-from .rerun_scene import Rgb
+from .recorder import rr
+from .scene import Rgb
 
+Colour = tuple[int, int, int] | tuple[int, int, int, int]
+
+
+def on_screen(points: float) -> Any:
+    """Return a half width in points of the screen, the same at every zoom."""
+    return rr.Radius.ui_points(points)
+
+
+def lines(colour: Colour, width: float, order: float | None = None) -> rr.LineStrips2D:
+    """Return the style of line strips; labels wait for the mouse."""
+    return rr.LineStrips2D.from_fields(
+        colors=[colour], radii=[on_screen(width)], draw_order=order, show_labels=False
+    )
+
+
+def points(colour: Colour, width: float) -> rr.Points2D:
+    """Return the style of points."""
+    return rr.Points2D.from_fields(colors=[colour], radii=[on_screen(width)])
+
+
+# MERGED """Colours of what is drawn beside the configurations, on a dark page."""
 TRUTH: Rgb = (244, 245, 247)
 FIELDS: tuple[Rgb, ...] = ((240, 165, 40), (80, 165, 235), (215, 110, 190), (150, 120, 240), (60, 190, 190))
 LANDMARK: Rgb = (235, 70, 60)

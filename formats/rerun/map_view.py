@@ -9,15 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from locfuse.formats.thin import evenly, extremes
 from locfuse.fusion.data import Array, Estimates, Ints, MapLine, matrices
 
-from . import rerun_colours as colours
-from . import rerun_style as style
-from .rerun_geometry import ellipses, quaternions, steps, wall, wall_band
-from .rerun_later import rr
-from .rerun_recorder import Recorder, part
-from .rerun_scene import Rgb, Scene
-from .thin import evenly, extremes
+from . import style
+from . import style as colours
+from .geometry import ellipses, quaternions, steps, wall, wall_band
+from .recorder import Recorder, part, rr
+from .scene import Rgb, Scene
 
 ROOT = "world"
 PATH_ORDER = 40.0  # above walls and scans; truth above the estimates, a thin line on broad ones

@@ -9,14 +9,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from .rerun_blueprint import blueprint
-from .rerun_images import draw_pictures
-from .rerun_later import made, rr
-from .rerun_map import draw_map
-from .rerun_recorder import Recorder
-from .rerun_scene import Picture, Scene
-from .rerun_series import draw_series
-from .rerun_sights import draw_sights
+from .blueprint import blueprint
+from .images import draw_pictures
+from .map_view import draw_map
+from .recorder import Recorder, made, rr
+from .scene import Picture, Scene
+from .series import draw_series
+from .sights import draw_sights
 
 APPLICATION = "locfuse"
 

@@ -6,11 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from . import rerun_images, rerun_series
-from .rerun_later import rrb
-from .rerun_map import ROOT
-from .rerun_recorder import STEP, TIME, part
-from .rerun_scene import Scene
+from . import images, series
+from .map_view import ROOT
+from .recorder import STEP, TIME, part, rrb
+from .scene import Scene
 
 BACKGROUND = (20, 21, 26)
 MARGIN = 0.06  # of the map's size, around it
@@ -36,7 +35,7 @@ def _left(scene: Scene) -> Any:
     """Return the map, with the panorama below where there are pictures."""
     if scene.picture_rows is None:
         return map_view(scene)
-    wide = rrb.Spatial2DView(name="Panorama", origin=f"/{rerun_images.PANORAMA}", background=BACKGROUND)
+    wide = rrb.Spatial2DView(name="Panorama", origin=f"/{images.PANORAMA}", background=BACKGROUND)
     return rrb.Vertical(contents=[map_view(scene), wide], row_shares=[0.74, 0.26])
 
 
@@ -98,7 +97,7 @@ def _looks(scene: Scene) -> Any | None:
     """Return what the robot saw: the scan around it, and the omni picture."""
     views = [scan_view(scene)] if scene.scans is not None and len(scene.scans.t) else []
     if scene.picture_rows is not None:
-        omni = rrb.Spatial2DView(name="Omni image", origin=f"/{rerun_images.OMNI}", background=BACKGROUND)
+        omni = rrb.Spatial2DView(name="Omni image", origin=f"/{images.OMNI}", background=BACKGROUND)
         views.append(omni)
     return rrb.Horizontal(contents=views) if views else None
 
@@ -155,8 +154,8 @@ def _deviations(scene: Scene, name: str, close: list[float] | None) -> Any | Non
     count = 2 if judged[0].heading is None else 3
     best = scene.best.name
     views = []
-    for i, component in enumerate(rerun_series.DEVIATIONS[:count]):
-        origin = f"/deviation/{rerun_series.entity(component)}"
+    for i, component in enumerate(series.DEVIATIONS[:count]):
+        origin = f"/deviation/{series.entity(component)}"
         bands = {
             f"{origin}/{part(e.name)}/three_sigma": [rrb.EntityBehavior(visible=e.name == best)] for e in judged
         }
@@ -201,7 +200,7 @@ def _innovations(scene: Scene) -> Any | None:
         names = sight.components if sight else tuple(f"y{i}" for i in range(width))
         for i, name in enumerate(names):
             span = _innovation_span(scene, sensor, i) * (sight.scale[i] if sight else 1.0)
-            origin = f"/innovation/{sensor}/{rerun_series.entity(name)}"
+            origin = f"/innovation/{sensor}/{series.entity(name)}"
             views.append(_plot(f"{sensor} {name}", origin, legend=i == 0, span=span or None))
     return rrb.Vertical(contents=views, name="Innovation") if views else None
 
@@ -221,7 +220,7 @@ def _gates(scene: Scene) -> Any | None:
 def _raw(scene: Scene) -> Any | None:
 
     views = [
-        _plot(topic.topic, f"/{rerun_series.raw_path(topic.topic)}", legend=True)
+        _plot(topic.topic, f"/{series.raw_path(topic.topic)}", legend=True)
         for topic in scene.raw[:RAW_VIEWS]
         if topic.fields
     ]

@@ -9,11 +9,10 @@ import numpy as np
 
 from locfuse.fusion.data import Array
 
-from . import rerun_colours as colours
-from . import rerun_style as style
-from .rerun_later import rr
-from .rerun_recorder import Recorder
-from .rerun_scene import Picture
+from . import style
+from . import style as colours
+from .recorder import Recorder, rr
+from .scene import Picture
 
 OMNI, PANORAMA = "camera/omni", "camera/panorama"
 ABOVE = 10.0  # draw order of what was found, over the picture

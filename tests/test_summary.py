@@ -13,8 +13,8 @@ from commands import locfuse
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
+from locfuse.cli.commands.several import read_credit, summarised
 from locfuse.cli.grouping import logs_of, results_of
-from locfuse.cli.summary import read_credit, summarised
 from locfuse.cli.verdicts import credit_values
 from locfuse.formats.report import changes as sides
 from locfuse.formats.report import summary as over

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import click
 
-from .findings import end, findings_options, may_replace, print_findings
-from .options import log_options
-from .settings import LogOptions
+from locfuse.cli.findings import end, findings_options, may_replace, print_findings
+from locfuse.cli.options import log_options
+from locfuse.cli.settings import LogOptions
 
 
 @click.command()
@@ -27,9 +27,9 @@ def calibrate(log: tuple[str, ...], out: Path | None, overwrite: bool, as_json: 
     locfuse calibrate straight.mcap turns.mcap -o robot.toml
     locfuse compare drive.mcap --robot robot.toml
     """
-    from . import calibration, results, show
-    from .grouping import logs_of
-    from .load import find_log, load
+    from locfuse.cli import calibration, results, show
+    from locfuse.cli.grouping import logs_of
+    from locfuse.cli.load import find_log, load
 
     may_replace(out, overwrite)
     with show.progress(how.quiet) as progress:

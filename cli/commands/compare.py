@@ -6,10 +6,10 @@ from pathlib import Path
 
 import click
 
-from .options import chosen, export_option, log_options, out_options, preset_option, smooth_option
-from .rerun_options import rerun_options
-from .rerun_record import Recorded, RerunOptions, record, sketched
-from .settings import LogOptions
+from locfuse.cli.options import chosen, export_option, log_options, out_options, preset_option, smooth_option
+from locfuse.cli.rerun_options import rerun_options
+from locfuse.cli.rerun_record import Recorded, RerunOptions, record, sketched
+from locfuse.cli.settings import LogOptions
 
 KINDS = ("html", "md", "json", "tum", "csv", "tex")
 
@@ -90,14 +90,13 @@ def compare(
     locfuse compare rounded_rectangle rounded_triangle disturbed
     locfuse compare locfuse-out/before locfuse-out/after
     """
+    from locfuse.cli import configurations, exports, gates, outputs, results, show
+    from locfuse.cli.comparison import compare_log, report_of
+    from locfuse.cli.load import find_log, load_to_fuse
     from locfuse.formats.whole_files import write_results
 
-    from . import configurations, exports, gates, outputs, results, show
-    from .comparison import compare_log, report_of
-    from .load import find_log, load_to_fuse
-
     if len(log) > 1:
-        from .summary import several
+        from .several import several
 
         if (code := several(log)) is not None:
             return code

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .options import log_options
-from .screen import reader_may_leave
-from .settings import LogOptions
+from locfuse.cli.options import log_options
+from locfuse.cli.screen import reader_may_leave
+from locfuse.cli.settings import LogOptions
 
 if TYPE_CHECKING:
-    from .overview import Look
+    from locfuse.cli.overview import Look
 
 ODD = 3
 PICTURES = "pictures"
@@ -39,11 +39,10 @@ def info(log: tuple[str, ...], check: bool, as_json: bool, preview: Path | None,
     locfuse info bag/ --check --set wheels.radius=0.033 --set wheels.track=0.16
     locfuse info bag/ --preview pictures --set camera.outer=230
     """
+    from locfuse.cli import info_json, info_text, show
+    from locfuse.cli.load import find_log
+    from locfuse.cli.look import look
     from locfuse.formats.report import json_report
-
-    from . import info_json, info_text, show
-    from .load import find_log
-    from .look import look
 
     with show.progress(how.quiet) as progress:
         seen = look(find_log(log), how, progress)
@@ -83,9 +82,8 @@ def _preview(seen: Look, folder: Path) -> list[str]:
 
 def _topic_of_pictures(seen: Look) -> str:
     """Return the camera's topic: without a landmark it is not chosen, and its pictures help to find one."""
+    from locfuse.cli.look_sensors import pictures_of
     from locfuse.fusion.data import LocfuseError
-
-    from .look_sensors import pictures_of
 
     fit = pictures_of(seen.log, seen.choice)
     named = seen.robot.settings("camera").topic

@@ -10,15 +10,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .options import log_options
-from .rerun_options import address, detail_options
-from .rerun_record import RECORDING
-from .settings import LogOptions
+from locfuse.cli.options import log_options
+from locfuse.cli.rerun_options import address, detail_options
+from locfuse.cli.rerun_record import RECORDING
+from locfuse.cli.settings import LogOptions
 
 if TYPE_CHECKING:
+    from locfuse.cli.show import Progress
     from locfuse.formats.rerun.scene import Scene
-
-    from .show import Progress
 
 TABS = ("Deviation", "Close-up", "NIS", "Innovation", "Gates", "Result", "Raw topics")
 
@@ -70,7 +69,7 @@ def view(
     locfuse view locfuse-out/bag
     locfuse view rounded_rectangle --save drive.rrd
     """
-    from . import rerun_viewer, show
+    from locfuse.cli import rerun_viewer, show
 
     if save is None and connect is None and not web:
         rerun_viewer.require()
@@ -95,9 +94,8 @@ def ready(what: Sequence[str]) -> Path | None:
 
     Raises LocfuseError for a recording that was cut short.
     """
+    from locfuse.cli.rerun_folder import report_of
     from locfuse.formats.rerun.file import check
-
-    from .rerun_folder import report_of
 
     path = Path(what[0])
     if len(what) == 1 and path.is_file() and path.suffix == ".rrd":
@@ -116,11 +114,10 @@ def _record(
     what: Sequence[str], made: Path | None, wish: Wish, target: Path, tab: str | None, progress: Progress
 ) -> Path:
     """Write the recording of a log or of a results' folder to `target`, or copy the one that is made."""
+    from locfuse.cli.memory import give_back
+    from locfuse.cli.rerun_folder import report_of, scene_of
     from locfuse.formats.rerun.file import copy, save_recording
     from locfuse.formats.rerun.recording import sketch
-
-    from .memory import give_back
-    from .rerun_folder import report_of, scene_of
 
     if made is not None:
         copy(made, target)
@@ -136,13 +133,12 @@ def _record(
 
 def _scene_of_log(what: Sequence[str], wish: Wish, progress: Progress) -> Scene:
     """Measure a log and run its configurations."""
+    from locfuse.cli.comparison import compare_log, report_of
+    from locfuse.cli.configurations import for_comparison
+    from locfuse.cli.load import find_log, load
+    from locfuse.cli.rerun_record import Recorded
+    from locfuse.cli.rerun_scene import make_scene
     from locfuse.formats.report import markdown
-
-    from .comparison import compare_log, report_of
-    from .configurations import for_comparison
-    from .load import find_log, load
-    from .rerun_record import Recorded
-    from .rerun_scene import make_scene
 
     loaded = load(find_log(what), wish.how, progress)
     wanted, recorded = for_comparison(wish.sensors, loaded.drive), Recorded()

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .options import log_options
-from .settings import LogOptions
+from locfuse.cli.options import log_options
+from locfuse.cli.settings import LogOptions
 
 if TYPE_CHECKING:
-    from .draft import Draft
+    from locfuse.cli.draft import Draft
 
 LOSS = 3
 
@@ -30,11 +30,10 @@ def init(log: tuple[str, ...], how: LogOptions) -> int:
     locfuse init bag/ --set wheels.radius=0.033 --set wheels.track=0.16 > robot.toml
     locfuse compare bag/ --robot robot.toml
     """
+    from locfuse.cli import show
+    from locfuse.cli.draft import draft
+    from locfuse.cli.load import find_log
     from locfuse.formats.robot.commented_toml import printable, render
-
-    from . import show
-    from .draft import draft
-    from .load import find_log
 
     with show.progress(how.quiet) as progress:
         made = draft(find_log(log), how, progress)

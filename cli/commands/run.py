@@ -7,12 +7,12 @@ from pathlib import Path
 
 import click
 
-from .map_options import map_options
-from .maps import MapOptions
-from .options import chosen, export_option, log_options, out_options, preset_option, smooth_option
-from .rerun_options import rerun_options
-from .rerun_record import RerunOptions, record, sketched
-from .settings import LogOptions
+from locfuse.cli.map_options import map_options
+from locfuse.cli.maps import MapOptions
+from locfuse.cli.options import chosen, export_option, log_options, out_options, preset_option, smooth_option
+from locfuse.cli.rerun_options import rerun_options
+from locfuse.cli.rerun_record import RerunOptions, record, sketched
+from locfuse.cli.settings import LogOptions
 
 KINDS = ("tum", "csv", "json")
 
@@ -67,16 +67,15 @@ def run(
     locfuse run rounded_rectangle --sensors all
     locfuse run bag/ --sensors compass,lrf --robot robot.toml -o out
     """
+    from locfuse.cli import configurations, exports, results, show
+    from locfuse.cli.load import find_log, load_to_fuse
+    from locfuse.cli.memory import lean
+    from locfuse.cli.trust import add_consistency, evidence
     from locfuse.formats.report import json_report
     from locfuse.formats.results import trajectory
     from locfuse.formats.results.audit import audit_csv
     from locfuse.formats.whole_files import Content, whole_file, write_results
     from locfuse.fusion.judge.evaluate import evaluate
-
-    from . import configurations, exports, results, show
-    from .load import find_log, load_to_fuse
-    from .memory import lean
-    from .trust import add_consistency, evidence
 
     kinds = chosen(write, KINDS)
     with show.progress(how.quiet) as progress:

@@ -14,6 +14,12 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
+from locfuse.cli import gates, results
+from locfuse.cli.grouping import logs_of, results_of
+from locfuse.cli.load import find_log
+from locfuse.cli.options import chosen
+from locfuse.cli.screen import reader_may_leave, screen
+from locfuse.cli.verdicts import credit_values, verdicts
 from locfuse.formats.log.files import log_name
 from locfuse.formats.report import changes as sides
 from locfuse.formats.report import json_report
@@ -23,13 +29,6 @@ from locfuse.formats.whole_files import may_write, write_results
 from locfuse.fusion.data import LocfuseError, UsageError
 from locfuse.fusion.judge.credit import Credit, SensorCredit, credit_over_logs
 from locfuse.fusion.judge.verdict import Effect
-
-from . import gates, results
-from .grouping import logs_of, results_of
-from .load import find_log
-from .options import chosen
-from .screen import reader_may_leave, screen
-from .verdicts import credit_values, verdicts
 
 KINDS = ("json", "md", "csv")
 FOLDER = "summary"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .findings import may_replace
+from locfuse.cli.findings import may_replace
 
 if TYPE_CHECKING:
     from locfuse.sample_logs.messages import Estimator
@@ -100,11 +100,10 @@ def _facts(outcome: Outcome) -> dict[str, Any]:
 
 def localise(word: str) -> Localise:
     """Return what builds the robot's localisation: "truth", "odometry", "all", or sensors such as compass+lrf."""
+    from locfuse.cli.estimator import make_estimator
     from locfuse.fusion.data import UsageError
     from locfuse.fusion.sensors.registry import REGISTRY
     from locfuse.sample_logs.record import on_truth
-
-    from .estimator import make_estimator
 
     def build(tables: dict[str, dict[str, Any]]) -> Estimator | None:
         carried = tuple(name for name in REGISTRY if name in tables)

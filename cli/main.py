@@ -20,7 +20,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # 3 x 3 matrices need no thr
 
 import click
 
-from .screen import reader_may_leave
+from locfuse.cli.terminal.screen import reader_may_leave
 
 COMMANDS = {
     "run": "Run one configuration: trajectory, covariances, run.json.",

@@ -18,7 +18,7 @@ from trap_logs import PICTURES, WHEELS, Drive
 from traps_camera import decoded, raw
 
 from locfuse import sample_logs
-from locfuse.cli.text_table import Column, table
+from locfuse.cli.terminal.text_table import Column, table
 
 SAMPLES = ("rounded_rectangle", "rounded_triangle", "disturbed")
 GEOMETRY = ("--set", "wheels.radius=0.05", "--set", "wheels.track=0.4")

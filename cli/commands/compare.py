@@ -6,10 +6,17 @@ from pathlib import Path
 
 import click
 
-from locfuse.cli.options import chosen, export_option, log_options, out_options, preset_option, smooth_option
-from locfuse.cli.rerun_options import rerun_options
 from locfuse.cli.rerun_record import Recorded, RerunOptions, record, sketched
 from locfuse.cli.settings import LogOptions
+from locfuse.cli.terminal.options import (
+    chosen,
+    export_option,
+    log_options,
+    out_options,
+    preset_option,
+    smooth_option,
+)
+from locfuse.cli.terminal.rerun_options import rerun_options
 
 KINDS = ("html", "md", "json", "tum", "csv", "tex")
 
@@ -90,9 +97,10 @@ def compare(
     locfuse compare rounded_rectangle rounded_triangle disturbed
     locfuse compare locfuse-out/before locfuse-out/after
     """
-    from locfuse.cli import configurations, exports, gates, outputs, results, show
+    from locfuse.cli import configurations, exports, gates, outputs, results
     from locfuse.cli.comparison import compare_log, report_of
     from locfuse.cli.load import find_log, load_to_fuse
+    from locfuse.cli.terminal import show
     from locfuse.formats.whole_files import write_results
 
     if len(log) > 1:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from locfuse.cli.options import log_options
-from locfuse.cli.screen import reader_may_leave
 from locfuse.cli.settings import LogOptions
+from locfuse.cli.terminal.options import log_options
+from locfuse.cli.terminal.screen import reader_may_leave
 
 if TYPE_CHECKING:
     from locfuse.cli.overview import Look
@@ -39,9 +39,10 @@ def info(log: tuple[str, ...], check: bool, as_json: bool, preview: Path | None,
     locfuse info bag/ --check --set wheels.radius=0.033 --set wheels.track=0.16
     locfuse info bag/ --preview pictures --set camera.outer=230
     """
-    from locfuse.cli import info_json, info_text, show
+    from locfuse.cli import info_json
     from locfuse.cli.load import find_log
     from locfuse.cli.look import look
+    from locfuse.cli.terminal import info_text, show
     from locfuse.formats.report import json_report
 
     with show.progress(how.quiet) as progress:

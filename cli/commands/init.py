@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from locfuse.cli.options import log_options
 from locfuse.cli.settings import LogOptions
+from locfuse.cli.terminal.options import log_options
 
 if TYPE_CHECKING:
     from locfuse.cli.draft import Draft
@@ -30,9 +30,9 @@ def init(log: tuple[str, ...], how: LogOptions) -> int:
     locfuse init bag/ --set wheels.radius=0.033 --set wheels.track=0.16 > robot.toml
     locfuse compare bag/ --robot robot.toml
     """
-    from locfuse.cli import show
     from locfuse.cli.draft import draft
     from locfuse.cli.load import find_log
+    from locfuse.cli.terminal import show
     from locfuse.formats.robot.commented_toml import printable, render
 
     with show.progress(how.quiet) as progress:

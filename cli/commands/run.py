@@ -7,12 +7,19 @@ from pathlib import Path
 
 import click
 
-from locfuse.cli.map_options import map_options
 from locfuse.cli.maps import MapOptions
-from locfuse.cli.options import chosen, export_option, log_options, out_options, preset_option, smooth_option
-from locfuse.cli.rerun_options import rerun_options
 from locfuse.cli.rerun_record import RerunOptions, record, sketched
 from locfuse.cli.settings import LogOptions
+from locfuse.cli.terminal.options import (
+    chosen,
+    export_option,
+    log_options,
+    map_options,
+    out_options,
+    preset_option,
+    smooth_option,
+)
+from locfuse.cli.terminal.rerun_options import rerun_options
 
 KINDS = ("tum", "csv", "json")
 
@@ -67,9 +74,10 @@ def run(
     locfuse run rounded_rectangle --sensors all
     locfuse run bag/ --sensors compass,lrf --robot robot.toml -o out
     """
-    from locfuse.cli import configurations, exports, results, show
+    from locfuse.cli import configurations, exports, results
     from locfuse.cli.load import find_log, load_to_fuse
     from locfuse.cli.memory import lean
+    from locfuse.cli.terminal import show
     from locfuse.cli.trust import add_consistency, evidence
     from locfuse.formats.report import json_report
     from locfuse.formats.results import trajectory

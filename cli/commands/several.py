@@ -17,8 +17,8 @@ from click.core import ParameterSource
 from locfuse.cli import gates, results
 from locfuse.cli.grouping import logs_of, results_of
 from locfuse.cli.load import find_log
-from locfuse.cli.options import chosen
-from locfuse.cli.screen import reader_may_leave, screen
+from locfuse.cli.terminal.options import chosen
+from locfuse.cli.terminal.screen import reader_may_leave, screen
 from locfuse.cli.verdicts import credit_values, verdicts
 from locfuse.formats.log.files import log_name
 from locfuse.formats.report import changes as sides

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from locfuse.cli.findings import may_replace
+from locfuse.cli.terminal.findings import may_replace
 
 if TYPE_CHECKING:
     from locfuse.sample_logs.messages import Estimator

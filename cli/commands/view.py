@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from locfuse.cli.options import log_options
-from locfuse.cli.rerun_options import address, detail_options
 from locfuse.cli.rerun_record import RECORDING
 from locfuse.cli.settings import LogOptions
+from locfuse.cli.terminal.options import log_options
+from locfuse.cli.terminal.rerun_options import address, detail_options
 
 if TYPE_CHECKING:
-    from locfuse.cli.show import Progress
+    from locfuse.cli.terminal.show import Progress
     from locfuse.formats.rerun.scene import Scene
 
 TABS = ("Deviation", "Close-up", "NIS", "Innovation", "Gates", "Result", "Raw topics")
@@ -69,7 +69,8 @@ def view(
     locfuse view locfuse-out/bag
     locfuse view rounded_rectangle --save drive.rrd
     """
-    from locfuse.cli import rerun_viewer, show
+    from locfuse.cli import rerun_viewer
+    from locfuse.cli.terminal import show
 
     if save is None and connect is None and not web:
         rerun_viewer.require()

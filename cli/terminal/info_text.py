@@ -8,14 +8,14 @@ import textwrap
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
+from locfuse.cli.info_json import absent, configurations, wheels_missing
+from locfuse.cli.look_mounts import extrinsics
+from locfuse.cli.overview import Look
+from locfuse.cli.topic_facts import TopicFacts, clock_word
 from locfuse.fusion.doctor.finding import Oddity
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from .info_json import absent, configurations, wheels_missing
-from .look_mounts import extrinsics
-from .overview import Look
 from .text_table import Column, table
-from .topic_facts import TopicFacts, clock_word
 
 READS, CONFIGURATIONS, SPOILS, WORTH, NEXT = TITLES = (
     "what reads what",

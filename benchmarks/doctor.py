@@ -16,7 +16,7 @@ from typing import NamedTuple
 import click
 import numpy as np
 
-from locfuse.cli.look import look
+from locfuse.cli.inspect.inspect_log import look
 from locfuse.cli.settings import LogOptions
 from locfuse.fusion.doctor.finding import Oddity
 from locfuse.sample_logs.load import load

@@ -12,7 +12,7 @@ from locfuse.cli.terminal.options import log_options
 from locfuse.cli.terminal.screen import reader_may_leave
 
 if TYPE_CHECKING:
-    from locfuse.cli.overview import Look
+    from locfuse.cli.inspect.overview import Look
 
 ODD = 3
 PICTURES = "pictures"
@@ -39,9 +39,9 @@ def info(log: tuple[str, ...], check: bool, as_json: bool, preview: Path | None,
     locfuse info bag/ --check --set wheels.radius=0.033 --set wheels.track=0.16
     locfuse info bag/ --preview pictures --set camera.outer=230
     """
-    from locfuse.cli import info_json
+    from locfuse.cli.inspect import values
+    from locfuse.cli.inspect.inspect_log import look
     from locfuse.cli.load import find_log
-    from locfuse.cli.look import look
     from locfuse.cli.terminal import info_text, show
     from locfuse.formats.report import json_report
 
@@ -50,7 +50,7 @@ def info(log: tuple[str, ...], check: bool, as_json: bool, preview: Path | None,
         pictures = _preview(seen, preview) if preview is not None else []
     with reader_may_leave():
         if as_json:
-            click.echo(json_report.encode(info_json.values(seen)), nl=False)
+            click.echo(json_report.encode(values.values(seen)), nl=False)
         else:
             text = info_text.lines(seen, _typed(log, how), show.width())
             show.lines((*text, *pictures), (*info_text.TITLES, PICTURES))
@@ -83,7 +83,7 @@ def _preview(seen: Look, folder: Path) -> list[str]:
 
 def _topic_of_pictures(seen: Look) -> str:
     """Return the camera's topic: without a landmark it is not chosen, and its pictures help to find one."""
-    from locfuse.cli.look_sensors import pictures_of
+    from locfuse.cli.inspect.sensors import pictures_of
     from locfuse.fusion.data import LocfuseError
 
     fit = pictures_of(seen.log, seen.choice)

@@ -11,7 +11,7 @@ from locfuse.cli.settings import LogOptions
 from locfuse.cli.terminal.options import log_options
 
 if TYPE_CHECKING:
-    from locfuse.cli.draft import Draft
+    from locfuse.cli.inspect.template import Draft
 
 LOSS = 3
 
@@ -30,7 +30,7 @@ def init(log: tuple[str, ...], how: LogOptions) -> int:
     locfuse init bag/ --set wheels.radius=0.033 --set wheels.track=0.16 > robot.toml
     locfuse compare bag/ --robot robot.toml
     """
-    from locfuse.cli.draft import draft
+    from locfuse.cli.inspect.template import draft
     from locfuse.cli.load import find_log
     from locfuse.cli.terminal import show
     from locfuse.formats.robot.commented_toml import printable, render

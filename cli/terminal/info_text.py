@@ -8,10 +8,10 @@ import textwrap
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
-from locfuse.cli.info_json import absent, configurations, wheels_missing
-from locfuse.cli.look_mounts import extrinsics
-from locfuse.cli.overview import Look
-from locfuse.cli.topic_facts import TopicFacts, clock_word
+from locfuse.cli.inspect.mounts import extrinsics
+from locfuse.cli.inspect.overview import Look
+from locfuse.cli.inspect.topics import TopicFacts, clock_word
+from locfuse.cli.inspect.values import absent, configurations, wheels_missing
 from locfuse.fusion.doctor.finding import Oddity
 from locfuse.fusion.sensors.registry import REGISTRY
 

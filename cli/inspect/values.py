@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+from locfuse.cli.topics import types
 from locfuse.fusion.doctor.finding import Oddity
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from .look_mounts import extrinsics
+from .mounts import extrinsics
 from .overview import Look
-from .topics import types
 
 
 def values(seen: Look) -> dict[str, Any]:

@@ -11,6 +11,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from locfuse.cli.choose import choose_sensor, choose_truth
+from locfuse.cli.load import Loaded, make_robot, measured, merged_tables, named_by_hand
+from locfuse.cli.topics import Choice
+from locfuse.cli.wheel_topics import choose_wheels
 from locfuse.formats.log.log import Log, open_log
 from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.fusion.data import LocfuseError
@@ -20,18 +24,14 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import joined
 
-from . import hints
-from .choose import choose_sensor, choose_truth
-from .load import Loaded, make_robot, measured, merged_tables, named_by_hand
-from .look_clocks import of_stamps
-from .look_mounts import conflicts, unplaced
-from .look_sensors import raw_oddities
-from .topic_facts import topic_facts
-from .topics import Choice
-from .wheel_topics import choose_wheels
+from . import robot_facts
+from .clocks import of_stamps
+from .mounts import conflicts, unplaced
+from .sensors import raw_oddities
+from .topics import topic_facts
 
 if TYPE_CHECKING:
-    from .settings import LogOptions
+    from locfuse.cli.settings import LogOptions
 from .overview import Look
 
 COSTLY = ("camera",)  # decoding every picture takes longer than all the rest
@@ -50,11 +50,11 @@ def look(paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None]
     choice = _choose(log, robot, named_by_hand(how.sets), found)
     transforms = _transforms(log, found)
     seen = Look(log, tables, choice, facts, transforms, robot)
-    seen.hints = hints.hints(log, robot, choice)
+    seen.hints = robot_facts.hints(log, robot, choice)
     seen.oddities = [
         *_of_files(log),
         *found,
-        *hints.oddities(log, robot, choice, seen.hints),
+        *robot_facts.oddities(log, robot, choice, seen.hints),
         *of_stamps(facts, choice, robot),
     ]
     seen.oddities += raw_oddities(log, robot, choice)

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
+from locfuse.cli.topics import Choice, of_type
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.doctor.finding import Oddity
 from locfuse.fusion.doctor.laser_driver import driver
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
-
-from .topics import Choice, of_type
 
 if TYPE_CHECKING:
     from locfuse.formats.log.log import Log

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from locfuse.cli.load import PLAIN_CLOCK
+from locfuse.cli.topics import Choice
 from locfuse.fusion.doctor.finding import Oddity
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from .load import PLAIN_CLOCK
-from .topic_facts import ANOTHER_CLOCK, TopicFacts
-from .topics import Choice
+from .topics import ANOTHER_CLOCK, TopicFacts
 
 FEWEST = 5  # messages from which a clock is judged
 

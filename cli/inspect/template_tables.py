@@ -7,17 +7,17 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from locfuse.cli.load import TABLES
+from locfuse.cli.mounts import mount_tables
+from locfuse.cli.topics import of_type
 from locfuse.formats.robot.commented_toml import Line
 from locfuse.fusion.doctor.finding import settings_in
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.read import ODOMETRY, counts_ticks
 from locfuse.fusion.wheels.sources import JOINTS
 
-from .draft_words import ASKS, GUESSES, NEEDED
-from .load import TABLES
-from .mounts import mount_tables
 from .overview import Look
-from .topics import of_type
+from .template_words import ASKS, GUESSES, NEEDED
 
 Known = dict[str, tuple[Any, str]]  # "table.key" -> its value, and who says so
 TOP = ("order", "preset")

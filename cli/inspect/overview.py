@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from locfuse.cli.load import Loaded
+from locfuse.cli.topics import Choice
 from locfuse.formats.log.log import Log
 from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.fusion.doctor.finding import Oddity
 from locfuse.fusion.robot import Robot
 
-from . import hints
-from .load import Loaded
-from .topic_facts import TopicFacts
-from .topics import Choice
+from . import robot_facts
+from .topics import TopicFacts
 
 
 @dataclass
@@ -27,7 +27,7 @@ class Look:
     transforms: StaticTransforms
     robot: Robot  # with mounts where the log could be measured
     loaded: Loaded | None = None
-    hints: hints.Hints = field(default_factory=hints.Hints)
+    hints: robot_facts.Hints = field(default_factory=robot_facts.Hints)
     oddities: list[Oddity] = field(default_factory=list)
 
     @property

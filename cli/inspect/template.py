@@ -7,16 +7,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from locfuse.cli.load import ATTACHMENT, TABLES, make_robot
+from locfuse.cli.settings import LogOptions
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.commented_toml import Section
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.doctor.finding import Oddity
 
-from .draft_lines import Facts, Known, found, lines
-from .load import ATTACHMENT, TABLES, make_robot
-from .look import look
+from .inspect_log import look
 from .overview import Look
-from .settings import LogOptions
+from .template_tables import Facts, Known, found, lines
 
 ROUNDS = 4  # a cure may bring out what could not be seen before
 MEASURED = {"lag", "range scale", "track", "yaw"}  # oddities whose cure is right even where they spoil little

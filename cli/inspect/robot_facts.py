@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from locfuse.cli.topics import Choice, of_type
 from locfuse.formats.robot.urdf import WheelGeometry, wheel_geometry
 from locfuse.fusion.data import Array, LocfuseError, Ragged
 from locfuse.fusion.doctor.finding import Oddity
@@ -16,8 +17,6 @@ from locfuse.fusion.truth import TRUTH_READS, looks_like_truth
 from locfuse.fusion.wheels.geometry import Geometry, by_odometry
 from locfuse.fusion.wheels.read import ODOMETRY, counts_ticks
 from locfuse.fusion.wheels.sources import JOINTS, KNOWN_TICKS, joint_names
-
-from .topics import Choice, of_type
 
 if TYPE_CHECKING:
     from locfuse.formats.log.log import Log
@@ -111,9 +110,8 @@ def geometry(robot: Robot, found: Hints) -> tuple[dict[str, float], str]:
 
 def _unused_counters(log: Log, choice: Choice) -> tuple[str, ...]:
     """Return topics of wheel turns that lost to an odometry for lack of geometry."""
+    from locfuse.cli.wheel_topics import pair_topics
     from locfuse.fusion.wheels.sources import TICKS
-
-    from .wheel_topics import pair_topics
 
     taken = {t for role in choice.topics for t in choice.of(role)}
     for kinds in ((JOINTS,), TICKS):

@@ -1,0 +1,1 @@
+"""What `info` and `init` find in a log: topics, mounts, clocks, findings, a first robot.toml."""

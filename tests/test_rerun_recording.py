@@ -16,7 +16,7 @@ from locfuse import sample_logs
 from locfuse.cli import results
 from locfuse.cli.configurations import for_comparison
 from locfuse.cli.load import Loaded, load
-from locfuse.cli.rerun_scene import make_scene
+from locfuse.cli.rerun.scene import make_scene
 from locfuse.cli.settings import LogOptions
 from locfuse.formats.report import markdown
 from locfuse.formats.rerun.file import save_recording

@@ -19,7 +19,7 @@ from recordings import read
 from small_drive import drive as small_drive
 from small_drive import robot as small_robot
 
-from locfuse.cli import rerun_viewer
+from locfuse.cli.rerun import viewer
 from locfuse.formats.rerun.file import check, save_recording, verify
 from locfuse.formats.rerun.recording import sketch
 from locfuse.formats.rerun.scene import Scene
@@ -35,7 +35,7 @@ def lonely(monkeypatch: pytest.MonkeyPatch) -> int:
     """No display, and a port where no viewer is."""
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    port = rerun_viewer.free_port(0)
+    port = viewer.free_port(0)
     monkeypatch.setattr(rerun_viewer, "PORT", port)
     monkeypatch.setattr(rerun_viewer, "LOCAL_VIEWER", f"rerun+http://127.0.0.1:{port}/proxy")
     return port
@@ -106,21 +106,21 @@ def test_a_stranger_on_the_port_costs_a_warning_and_no_hang(
     monkeypatch.setattr(rerun_viewer, "PATIENCE", 2.0)
     began = time.monotonic()
     with pytest.raises(LocfuseError, match="take"):
-        rerun_viewer.show(recording)
+        viewer.show(recording)
     assert time.monotonic() - began < 10.0
 
 
 def test_a_viewer_that_is_not_there_is_said_so_at_once(recording: Path, lonely: int) -> None:
     began = time.monotonic()
     with pytest.raises(LocfuseError, match=f"no viewer answers at 127.0.0.1:{lonely}"):
-        rerun_viewer.send(recording, f"rerun+http://127.0.0.1:{lonely}/proxy")
+        viewer.send(recording, f"rerun+http://127.0.0.1:{lonely}/proxy")
     assert time.monotonic() - began < 2.0
 
 
 def test_a_display_that_does_not_exist_is_noticed(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DISPLAY", ":4711")
     with pytest.raises(LocfuseError, match="viewer ended"):
-        rerun_viewer.show(recording)
+        viewer.show(recording)
 
 
 FULL_DISK = """
@@ -276,9 +276,9 @@ def test_everything_we_start_listens_on_loopback_only(recording: Path, monkeypat
 
     monkeypatch.setattr(rerun_viewer, "_popen", popen)
     monkeypatch.setattr(rerun_viewer, "START", 0.0)
-    rerun_viewer.start(recording)
+    viewer.start(recording)
     with pytest.raises(LocfuseError, match="ended"):
-        rerun_viewer.serve(recording, 0, print)
+        viewer.serve(recording, 0, print)
     assert len(commands) == 2
     for command in commands:
         assert command[command.index("--bind") + 1] == "127.0.0.1"
@@ -286,13 +286,13 @@ def test_everything_we_start_listens_on_loopback_only(recording: Path, monkeypat
 
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="needs Linux to see who listens where")
 def test_the_web_view_is_reachable_from_this_machine_only(recording: Path) -> None:
-    port = rerun_viewer.free_port(0)
+    port = viewer.free_port(0)
     environment = {k: v for k, v in os.environ.items() if k not in {"DISPLAY", "WAYLAND_DISPLAY"}}
     command = [sys.executable, "-m", "locfuse.cli", "view", str(recording), "--web", "--web-port", str(port)]
     server = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
     try:
         deadline = time.monotonic() + 30
-        while not rerun_viewer.listening("127.0.0.1", port) and time.monotonic() < deadline:
+        while not viewer.listening("127.0.0.1", port) and time.monotonic() < deadline:
             time.sleep(0.1)
         listeners = [
             line.split()[1] for line in Path("/proc/net/tcp").read_text().splitlines()[1:] if " 0A " in line
@@ -304,4 +304,4 @@ def test_the_web_view_is_reachable_from_this_machine_only(recording: Path) -> No
         _, said = server.communicate(timeout=20)
     assert f"http://127.0.0.1:{port}/?url=" in said
     assert server.returncode == 143
-    assert not rerun_viewer.listening("127.0.0.1", port)  # the server does not outlive the command
+    assert not viewer.listening("127.0.0.1", port)  # the server does not outlive the command

@@ -89,11 +89,11 @@ def test_what_cannot_be_shown_is_said_in_one_line(tmp_path: Path, name: str, con
 
 
 def test_nothing_to_look_with_is_said_before_anything_is_computed(monkeypatch: pytest.MonkeyPatch) -> None:
-    from locfuse.cli import rerun_viewer
+    from locfuse.cli.rerun import viewer
 
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    monkeypatch.setattr(rerun_viewer, "PORT", rerun_viewer.free_port(0))
+    monkeypatch.setattr(rerun_viewer, "PORT", viewer.free_port(0))
     done = locfuse("view", LOG)
     assert done.exit_code == 1
     assert "--web" in done.stderr

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from locfuse.cli.rerun_record import Recorded, RerunOptions, record, sketched
+from locfuse.cli.rerun.record import Recorded, RerunOptions, record, sketched
 from locfuse.cli.settings import LogOptions
 from locfuse.cli.terminal.options import (
     chosen,

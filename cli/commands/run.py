@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from locfuse.cli.maps import MapOptions
-from locfuse.cli.rerun_record import RerunOptions, record, sketched
+from locfuse.cli.rerun.record import RerunOptions, record, sketched
 from locfuse.cli.settings import LogOptions
 from locfuse.cli.terminal.options import (
     chosen,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from locfuse.cli.rerun_record import RECORDING
+from locfuse.cli.rerun.record import RECORDING
 from locfuse.cli.settings import LogOptions
 from locfuse.cli.terminal.options import log_options
 from locfuse.cli.terminal.rerun_options import address, detail_options
@@ -69,11 +69,11 @@ def view(
     locfuse view locfuse-out/bag
     locfuse view rounded_rectangle --save drive.rrd
     """
-    from locfuse.cli import rerun_viewer
+    from locfuse.cli.rerun import viewer
     from locfuse.cli.terminal import show
 
     if save is None and connect is None and not web:
-        rerun_viewer.require()
+        viewer.require()
     with tempfile.TemporaryDirectory(prefix="locfuse-") as scratch:
         with show.progress(how.quiet) as progress:
             path = ready(what)
@@ -83,11 +83,11 @@ def view(
         if save is not None:
             click.echo(f"{save}: Rerun recording")
         elif connect is not None:
-            rerun_viewer.send(path, connect)
+            viewer.send(path, connect)
         elif web:
-            rerun_viewer.serve(path, web_port, show.say)
+            viewer.serve(path, web_port, show.say)
         else:
-            rerun_viewer.show_and_wait(path)
+            viewer.show_and_wait(path)
 
 
 def ready(what: Sequence[str]) -> Path | None:
@@ -95,7 +95,7 @@ def ready(what: Sequence[str]) -> Path | None:
 
     Raises LocfuseError for a recording that was cut short.
     """
-    from locfuse.cli.rerun_folder import report_of
+    from locfuse.cli.rerun.folder import report_of
     from locfuse.formats.rerun.file import check
 
     path = Path(what[0])
@@ -116,7 +116,7 @@ def _record(
 ) -> Path:
     """Write the recording of a log or of a results' folder to `target`, or copy the one that is made."""
     from locfuse.cli.memory import give_back
-    from locfuse.cli.rerun_folder import report_of, scene_of
+    from locfuse.cli.rerun.folder import report_of, scene_of
     from locfuse.formats.rerun.file import copy, save_recording
     from locfuse.formats.rerun.recording import sketch
 
@@ -137,8 +137,8 @@ def _scene_of_log(what: Sequence[str], wish: Wish, progress: Progress) -> Scene:
     from locfuse.cli.comparison import compare_log, report_of
     from locfuse.cli.configurations import for_comparison
     from locfuse.cli.load import find_log, load
-    from locfuse.cli.rerun_record import Recorded
-    from locfuse.cli.rerun_scene import make_scene
+    from locfuse.cli.rerun.record import Recorded
+    from locfuse.cli.rerun.scene import make_scene
     from locfuse.formats.report import markdown
 
     loaded = load(find_log(what), wish.how, progress)

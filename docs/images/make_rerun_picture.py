@@ -19,8 +19,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from locfuse.cli import rerun_viewer
 from locfuse.cli.main import main as locfuse
+from locfuse.cli.rerun import viewer as rerun_viewer
 
 LOG, TAB, SECONDS = "disturbed", "Deviation", 34.0
 SIZE = (1600, 1000)

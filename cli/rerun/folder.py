@@ -15,7 +15,7 @@ from locfuse.formats.results.trajectory import read_tum
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Motions, Truth, matrices
 from locfuse.fusion.judge.evaluate import evaluate
 
-from .rerun_scene import palette
+from .scene import palette
 
 REPORTS = ("report.json", "run.json")
 TRUTH = "truth.tum"

@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from locfuse.cli.load import Loaded
     from locfuse.formats.rerun.recording import Sketch
     from locfuse.fusion.data import Estimates, Evaluation
-
-    from .load import Loaded
 
 Say = Callable[[str], None]  # prints a line on stderr
 RECORDING = "recording.rrd"  # in the results' folder, unless --rerun-save names another
@@ -104,16 +103,15 @@ def _sketch(
     from locfuse.formats.report import markdown
     from locfuse.formats.rerun.recording import sketch
 
-    from .rerun_scene import make_scene
+    from .scene import make_scene
 
     table = markdown.render(report)
     return sketch(make_scene(loaded, estimates, evaluations, table, options.images, options.full))
 
 
 def _saved(path: Path, sketch: Sketch, say: Say) -> bool:
+    from locfuse.cli.memory import give_back
     from locfuse.formats.rerun.file import save_recording
-
-    from .memory import give_back
 
     give_back()  # Rerun's import takes as much as an hour's estimates did
     with _at_worst_a_warning(say):
@@ -125,7 +123,7 @@ def _saved(path: Path, sketch: Sketch, say: Say) -> bool:
 def _show(path: Path, options: RerunOptions, say: Say) -> None:
     from locfuse.fusion.data import LocfuseError
 
-    from .rerun_viewer import send, show
+    from .viewer import send, show
 
     try:
         if options.connect is not None:

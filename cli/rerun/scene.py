@@ -8,6 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from locfuse.cli.components import LOOKS
+from locfuse.cli.configurations import parse
+from locfuse.cli.load import Loaded
 from locfuse.formats.figures.palette import colours
 from locfuse.formats.rerun.scene import Detail, Picture, RawTopic, Rgb, ScanPoints, Scene, Sight
 from locfuse.fusion.chi_square import chi_square
@@ -18,10 +21,7 @@ from locfuse.fusion.smooth import SUFFIX
 from locfuse.fusion.truth import TRUTH_READS
 from locfuse.fusion.wheels.read import WHEEL_READS
 
-from .components import LOOKS
-from .configurations import parse
-from .load import Loaded
-from .rerun_scans import BEAMS, scan_points
+from .scans import BEAMS, scan_points
 
 DEG = 180.0 / math.pi
 MOST_PICTURES = 600  # kept by default
@@ -114,7 +114,7 @@ def _pictures(loaded: Loaded, best: Estimates, images: int | None) -> tuple[Any,
     nothing: tuple[Picture, ...] = ()
     if "camera" not in loaded.drive.measurements or images == 0:
         return nothing, None
-    from .rerun_pictures import panorama_rows, pictures
+    from .pictures import panorama_rows, pictures
 
     stream, settings = _stream(loaded, "camera"), loaded.robot.settings("camera")
     every = images or max(1, math.ceil(len(stream.t_ns) / MOST_PICTURES))

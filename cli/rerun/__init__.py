@@ -1,0 +1,1 @@
+"""From logs and results to Rerun scenes, and the viewer."""

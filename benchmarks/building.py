@@ -20,8 +20,8 @@ from typing import Any
 import click
 import numpy as np
 
-from locfuse.cli.load import load
-from locfuse.cli.settings import LogOptions
+from locfuse.cli.pipeline.load import load
+from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.fusion.data import Array, Estimates, Ints, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.sensors import lrf

@@ -17,7 +17,7 @@ import click
 import numpy as np
 
 from locfuse.cli.inspect.inspect_log import look
-from locfuse.cli.settings import LogOptions
+from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.fusion.doctor.finding import Oddity
 from locfuse.sample_logs.load import load
 from locfuse.sample_logs.record import on_truth, write_log

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import click
 import numpy as np
 
-from locfuse.cli.load import make_robot
+from locfuse.cli.pipeline.load import make_robot
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import Array, Drive, Evaluation
 from locfuse.fusion.doctor.clocks import clock_lags

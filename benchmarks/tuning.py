@@ -15,7 +15,7 @@ from typing import Any
 
 import click
 
-from locfuse.cli.load import make_robot
+from locfuse.cli.pipeline.load import make_robot
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.judge.noise_verdicts import noise_keys
 from locfuse.fusion.measure import measure

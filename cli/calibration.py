@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from locfuse.cli.pipeline.load import Loaded
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import Array, LocfuseError
@@ -18,8 +19,6 @@ from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.iron import Iron, fit_iron
 from locfuse.fusion.wheels.calibrate import PERIOD, WheelCalibration, calibrate_wheels
 from locfuse.fusion.wheels.likelihood import Figure
-
-from .load import Loaded
 
 FIELD = "sensor_msgs/msg/MagneticField"
 ODOMETRY = "nav_msgs/msg/Odometry"

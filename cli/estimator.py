@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from locfuse.cli.pipeline.load import make_robot
 from locfuse.fusion import se2
 from locfuse.fusion.data import ArrayStream, Column, Measurements, Ragged
 from locfuse.fusion.fuse import Filter
@@ -18,8 +19,6 @@ from locfuse.fusion.instants import step_between
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.motion import Wheels
-
-from .load import make_robot
 
 if TYPE_CHECKING:
     from locfuse.sample_logs.messages import RawMessage

@@ -8,6 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from locfuse.cli.pipeline.configurations import needs
+from locfuse.cli.pipeline.load import Loaded, load
+from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import Evaluation, Measurements, UsageError
@@ -18,10 +21,6 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.tune.noise import Figures
 from locfuse.fusion.tune.tune import Row, Trial, Tuned, tune
-
-from .configurations import needs
-from .load import Loaded, load
-from .settings import LogOptions
 
 WIDTH = 1.96  # standard deviations of a 95 % interval
 HELD_OUT = 0.2  # share of every log, its end, where no log is held out

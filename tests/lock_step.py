@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import cast
 
-from locfuse.cli.load import make_robot
+from locfuse.cli.pipeline.load import make_robot
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import Drive, Stream
 from locfuse.fusion.measure import measure

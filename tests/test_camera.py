@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from omni_scene import Lens, Picture, Pole, picture, wrapped_deg
 
 from locfuse.cli.choose import choose
-from locfuse.cli.load import make_robot
+from locfuse.cli.pipeline.load import make_robot
 from locfuse.formats.results.preview import write_pictures
 from locfuse.fusion.camera import detect as landmark_module
 from locfuse.fusion.camera.bearing import paper_orientation, predict_bearing

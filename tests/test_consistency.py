@@ -14,7 +14,7 @@ import small_drive
 from commands import locfuse
 from small_drive import Array
 
-from locfuse.cli.trust import unless_sure_and_wrong
+from locfuse.cli.pipeline.trust import unless_sure_and_wrong
 from locfuse.fusion.data import Audit, Drive, Evaluation, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.consistency import Consistency, Run, judge

@@ -13,7 +13,7 @@ import small_drive
 from numpy.typing import NDArray
 from scipy import stats
 
-from locfuse.cli.verdicts import verdicts
+from locfuse.cli.pipeline.verdicts import verdicts
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.bootstrap import Errors, block_means, effective_samples, luck, student_t
 from locfuse.fusion.judge.credit import Credit, credit, credit_over_logs, shapley_steps, subsets

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from locfuse.cli.load import make_robot
+from locfuse.cli.pipeline.load import make_robot
 from locfuse.fusion.data import ArrayStream, Column, Drive, LocfuseError, Ragged
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure, thinned

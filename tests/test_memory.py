@@ -12,10 +12,10 @@ import pytest
 from worlds import World
 
 from locfuse import sample_logs
-from locfuse.cli.comparison import Compared, compare_log
-from locfuse.cli.configurations import for_comparison
-from locfuse.cli.load import load
-from locfuse.cli.settings import LogOptions
+from locfuse.cli.pipeline.compare import Compared, compare_log
+from locfuse.cli.pipeline.configurations import for_comparison
+from locfuse.cli.pipeline.load import load
+from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.fusion.audit import Record
 from locfuse.fusion.data import Audit, Estimates, Measurements
 from locfuse.fusion.fuse import fuse

@@ -13,11 +13,11 @@ from mcap_ros2.decoder import DecoderFactory
 from recordings import Entity, read, read_blueprint
 
 from locfuse import sample_logs
-from locfuse.cli import results
-from locfuse.cli.configurations import for_comparison
-from locfuse.cli.load import Loaded, load
+from locfuse.cli.pipeline import results
+from locfuse.cli.pipeline.configurations import for_comparison
+from locfuse.cli.pipeline.load import Loaded, load
+from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.cli.rerun.scene import make_scene
-from locfuse.cli.settings import LogOptions
 from locfuse.formats.report import markdown
 from locfuse.formats.rerun.file import save_recording
 from locfuse.formats.rerun.recording import sketch

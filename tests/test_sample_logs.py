@@ -20,7 +20,7 @@ from rosbags.highlevel import AnyReader
 
 from locfuse import sample_logs
 from locfuse.cli.commands.simulate import localise
-from locfuse.cli.load import TABLES
+from locfuse.cli.pipeline.load import TABLES
 from locfuse.fusion.data import Array, ArrayStream, Ragged, UsageError
 from locfuse.sample_logs import load
 from locfuse.sample_logs.messages import RawMessage

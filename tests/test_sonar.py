@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from locfuse.cli.configurations import for_comparison, parse
-from locfuse.cli.load import make_robot
+from locfuse.cli.pipeline.configurations import for_comparison, parse
+from locfuse.cli.pipeline.load import make_robot
 from locfuse.fusion.data import ArrayStream, Drive, UsageError
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.belief_pose import PoseBelief

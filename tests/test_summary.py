@@ -15,7 +15,7 @@ from mcap.writer import Writer
 
 from locfuse.cli.commands.several import read_credit, summarised
 from locfuse.cli.grouping import logs_of, results_of
-from locfuse.cli.verdicts import credit_values
+from locfuse.cli.pipeline.verdicts import credit_values
 from locfuse.formats.report import changes as sides
 from locfuse.formats.report import summary as over
 from locfuse.fusion.data import UsageError

@@ -29,7 +29,7 @@ from wheel_bags import (
     pose_of,
 )
 
-from locfuse.cli.load import make_robot
+from locfuse.cli.pipeline.load import make_robot
 from locfuse.fusion.data import ArrayStream, Column, LocfuseError, Ragged
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import WheelSettings

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from locfuse.cli.settings import LogOptions
+from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.cli.terminal.findings import end, findings_options, may_replace, print_findings
 from locfuse.cli.terminal.options import log_options
 
@@ -27,9 +27,10 @@ def calibrate(log: tuple[str, ...], out: Path | None, overwrite: bool, as_json: 
     locfuse calibrate straight.mcap turns.mcap -o robot.toml
     locfuse compare drive.mcap --robot robot.toml
     """
-    from locfuse.cli import calibration, results
+    from locfuse.cli import calibration
     from locfuse.cli.grouping import logs_of
-    from locfuse.cli.load import find_log, load
+    from locfuse.cli.pipeline import results
+    from locfuse.cli.pipeline.load import find_log, load
     from locfuse.cli.terminal import show
 
     may_replace(out, overwrite)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
+from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.cli.rerun.record import Recorded, RerunOptions, record, sketched
-from locfuse.cli.settings import LogOptions
 from locfuse.cli.terminal.options import (
     chosen,
     export_option,
@@ -97,9 +97,10 @@ def compare(
     locfuse compare rounded_rectangle rounded_triangle disturbed
     locfuse compare locfuse-out/before locfuse-out/after
     """
-    from locfuse.cli import configurations, exports, gates, outputs, results
-    from locfuse.cli.comparison import compare_log, report_of
-    from locfuse.cli.load import find_log, load_to_fuse
+    from locfuse.cli import gates
+    from locfuse.cli.pipeline import configurations, exports, outputs, results
+    from locfuse.cli.pipeline.compare import compare_log, report_of
+    from locfuse.cli.pipeline.load import find_log, load_to_fuse
     from locfuse.cli.terminal import show
     from locfuse.formats.whole_files import write_results
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from locfuse.cli.settings import LogOptions
+from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.cli.terminal.options import log_options
 from locfuse.cli.terminal.screen import reader_may_leave
 
@@ -41,7 +41,7 @@ def info(log: tuple[str, ...], check: bool, as_json: bool, preview: Path | None,
     """
     from locfuse.cli.inspect import values
     from locfuse.cli.inspect.inspect_log import look
-    from locfuse.cli.load import find_log
+    from locfuse.cli.pipeline.load import find_log
     from locfuse.cli.terminal import info_text, show
     from locfuse.formats.report import json_report
 

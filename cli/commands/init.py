@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from locfuse.cli.settings import LogOptions
+from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.cli.terminal.options import log_options
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ def init(log: tuple[str, ...], how: LogOptions) -> int:
     locfuse compare bag/ --robot robot.toml
     """
     from locfuse.cli.inspect.template import draft
-    from locfuse.cli.load import find_log
+    from locfuse.cli.pipeline.load import find_log
     from locfuse.cli.terminal import show
     from locfuse.formats.robot.commented_toml import printable, render
 

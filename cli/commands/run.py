@@ -7,9 +7,9 @@ from pathlib import Path
 
 import click
 
-from locfuse.cli.maps import MapOptions
+from locfuse.cli.pipeline.maps import MapOptions
+from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.cli.rerun.record import RerunOptions, record, sketched
-from locfuse.cli.settings import LogOptions
 from locfuse.cli.terminal.options import (
     chosen,
     export_option,
@@ -74,11 +74,11 @@ def run(
     locfuse run rounded_rectangle --sensors all
     locfuse run bag/ --sensors compass,lrf --robot robot.toml -o out
     """
-    from locfuse.cli import configurations, exports, results
-    from locfuse.cli.load import find_log, load_to_fuse
-    from locfuse.cli.memory import lean
+    from locfuse.cli.pipeline import configurations, exports, results
+    from locfuse.cli.pipeline.load import find_log, load_to_fuse
+    from locfuse.cli.pipeline.memory import lean
+    from locfuse.cli.pipeline.trust import add_consistency, evidence
     from locfuse.cli.terminal import show
-    from locfuse.cli.trust import add_consistency, evidence
     from locfuse.formats.report import json_report
     from locfuse.formats.results import trajectory
     from locfuse.formats.results.audit import audit_csv

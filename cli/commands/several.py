@@ -14,12 +14,13 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from locfuse.cli import gates, results
+from locfuse.cli import gates
 from locfuse.cli.grouping import logs_of, results_of
-from locfuse.cli.load import find_log
+from locfuse.cli.pipeline import results
+from locfuse.cli.pipeline.load import find_log
+from locfuse.cli.pipeline.verdicts import credit_values, verdicts
 from locfuse.cli.terminal.options import chosen
 from locfuse.cli.terminal.screen import reader_may_leave, screen
-from locfuse.cli.verdicts import credit_values, verdicts
 from locfuse.formats.log.files import log_name
 from locfuse.formats.report import changes as sides
 from locfuse.formats.report import json_report

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from locfuse.cli.settings import LogOptions
+from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.cli.terminal.findings import Table, end, findings_options, may_replace, print_findings
 from locfuse.cli.terminal.options import log_options
 
@@ -46,9 +46,10 @@ def tune(
     locfuse tune monday.mcap tuesday.mcap --hold-out friday.mcap -o robot.toml
     locfuse compare friday.mcap --robot robot.toml
     """
-    from locfuse.cli import results, tuning
+    from locfuse.cli import tuning
     from locfuse.cli.grouping import logs_of
-    from locfuse.cli.load import find_log
+    from locfuse.cli.pipeline import results
+    from locfuse.cli.pipeline.load import find_log
     from locfuse.cli.terminal import show
 
     may_replace(out, overwrite)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.cli.rerun.record import RECORDING
-from locfuse.cli.settings import LogOptions
 from locfuse.cli.terminal.options import log_options
 from locfuse.cli.terminal.rerun_options import address, detail_options
 
@@ -115,7 +115,7 @@ def _record(
     what: Sequence[str], made: Path | None, wish: Wish, target: Path, tab: str | None, progress: Progress
 ) -> Path:
     """Write the recording of a log or of a results' folder to `target`, or copy the one that is made."""
-    from locfuse.cli.memory import give_back
+    from locfuse.cli.pipeline.memory import give_back
     from locfuse.cli.rerun.folder import report_of, scene_of
     from locfuse.formats.rerun.file import copy, save_recording
     from locfuse.formats.rerun.recording import sketch
@@ -134,9 +134,9 @@ def _record(
 
 def _scene_of_log(what: Sequence[str], wish: Wish, progress: Progress) -> Scene:
     """Measure a log and run its configurations."""
-    from locfuse.cli.comparison import compare_log, report_of
-    from locfuse.cli.configurations import for_comparison
-    from locfuse.cli.load import find_log, load
+    from locfuse.cli.pipeline.compare import compare_log, report_of
+    from locfuse.cli.pipeline.configurations import for_comparison
+    from locfuse.cli.pipeline.load import find_log, load
     from locfuse.cli.rerun.record import Recorded
     from locfuse.cli.rerun.scene import make_scene
     from locfuse.formats.report import markdown

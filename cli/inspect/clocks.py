@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from locfuse.cli.load import PLAIN_CLOCK
+from locfuse.cli.pipeline.load import PLAIN_CLOCK
 from locfuse.cli.topics import Choice
 from locfuse.fusion.doctor.finding import Oddity
 from locfuse.fusion.robot import Robot

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from locfuse.cli.choose import choose_sensor, choose_truth
-from locfuse.cli.load import Loaded, make_robot, measured, merged_tables, named_by_hand
+from locfuse.cli.pipeline.load import Loaded, make_robot, measured, merged_tables, named_by_hand
 from locfuse.cli.topics import Choice
 from locfuse.cli.wheel_topics import choose_wheels
 from locfuse.formats.log.log import Log, open_log
@@ -31,7 +31,7 @@ from .sensors import raw_oddities
 from .topics import topic_facts
 
 if TYPE_CHECKING:
-    from locfuse.cli.settings import LogOptions
+    from locfuse.cli.pipeline.settings import LogOptions
 from .overview import Look
 
 COSTLY = ("camera",)  # decoding every picture takes longer than all the rest

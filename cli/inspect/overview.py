@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from locfuse.cli.load import Loaded
+from locfuse.cli.pipeline.load import Loaded
 from locfuse.cli.topics import Choice
 from locfuse.formats.log.log import Log
 from locfuse.formats.robot.transforms import StaticTransforms

@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from locfuse.cli.load import ATTACHMENT, TABLES, make_robot
-from locfuse.cli.settings import LogOptions
+from locfuse.cli.pipeline.load import ATTACHMENT, TABLES, make_robot
+from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.commented_toml import Section
 from locfuse.fusion.data import LocfuseError

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from locfuse.cli.load import TABLES
 from locfuse.cli.mounts import mount_tables
+from locfuse.cli.pipeline.load import TABLES
 from locfuse.cli.topics import of_type
 from locfuse.formats.robot.commented_toml import Line
 from locfuse.fusion.doctor.finding import settings_in

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from locfuse.cli.load import Loaded
+    from locfuse.cli.pipeline.load import Loaded
     from locfuse.formats.rerun.recording import Sketch
     from locfuse.fusion.data import Estimates, Evaluation
 
@@ -110,7 +110,7 @@ def _sketch(
 
 
 def _saved(path: Path, sketch: Sketch, say: Say) -> bool:
-    from locfuse.cli.memory import give_back
+    from locfuse.cli.pipeline.memory import give_back
     from locfuse.formats.rerun.file import save_recording
 
     give_back()  # Rerun's import takes as much as an hour's estimates did

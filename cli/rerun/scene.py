@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from locfuse.cli.components import LOOKS
-from locfuse.cli.configurations import parse
-from locfuse.cli.load import Loaded
+from locfuse.cli.pipeline.components import LOOKS
+from locfuse.cli.pipeline.configurations import parse
+from locfuse.cli.pipeline.load import Loaded
 from locfuse.formats.figures.palette import colours
 from locfuse.formats.rerun.scene import Detail, Picture, RawTopic, Rgb, ScanPoints, Scene, Sight
 from locfuse.fusion.chi_square import chi_square

@@ -66,7 +66,7 @@ def _print_table(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
 
 def end(notes: Iterable[str], lost: Sequence[str], quiet: bool) -> int:
     """Say what else there is to know on stderr; return the exit code."""
-    from locfuse.cli.results import LOSS
+    from locfuse.cli.pipeline.results import LOSS
 
     if not quiet:
         for line in (*(f"note: {n}" for n in notes), *(f"lost: {n}" for n in lost)):

@@ -9,9 +9,9 @@ from typing import Any, TypeVar
 
 import click
 
-from locfuse.cli.exports import KINDS as EXPORTS
-from locfuse.cli.maps import MapOptions
-from locfuse.cli.settings import LogOptions
+from locfuse.cli.pipeline.exports import KINDS as EXPORTS
+from locfuse.cli.pipeline.maps import MapOptions
+from locfuse.cli.pipeline.settings import LogOptions
 
 F = TypeVar("F", bound=Callable[..., Any])
 

@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from locfuse.cli.choose import choose
+from locfuse.cli.mounts import mount_tables
+from locfuse.cli.topics import Choice
 from locfuse.formats.log.log import Log, open_log
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import Drive, LocfuseError, UsageError
@@ -20,10 +23,7 @@ from locfuse.fusion.robot import Robot, StartSettings, TruthSettings, WheelSetti
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import Joined, joined
 
-from .choose import choose
 from .memory import give_back
-from .mounts import mount_tables
-from .topics import Choice
 
 if TYPE_CHECKING:
     from .settings import LogOptions

@@ -12,7 +12,7 @@ from locfuse.fusion.judge.nis_over_time import Running, running_nis
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from . import results
-from .comparison import Compared
+from .compare import Compared
 
 if TYPE_CHECKING:
     from locfuse.formats.figures.scene import Scene

@@ -17,7 +17,7 @@ import pytest
 from numpy.typing import NDArray
 from omni_scene import Lens, Picture, Pole, picture, wrapped_deg
 
-from locfuse.cli.choose import choose
+from locfuse.cli.choose.choose import choose
 from locfuse.cli.pipeline.load import make_robot
 from locfuse.formats.results.preview import write_pictures
 from locfuse.fusion.camera import detect as landmark_module

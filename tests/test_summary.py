@@ -13,8 +13,8 @@ from commands import locfuse
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
+from locfuse.cli.choose.grouping import logs_of, results_of
 from locfuse.cli.commands.several import read_credit, summarised
-from locfuse.cli.grouping import logs_of, results_of
 from locfuse.cli.pipeline.verdicts import credit_values
 from locfuse.formats.report import changes as sides
 from locfuse.formats.report import summary as over

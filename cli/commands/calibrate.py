@@ -28,7 +28,7 @@ def calibrate(log: tuple[str, ...], out: Path | None, overwrite: bool, as_json: 
     locfuse compare drive.mcap --robot robot.toml
     """
     from locfuse.cli import calibration
-    from locfuse.cli.grouping import logs_of
+    from locfuse.cli.choose.grouping import logs_of
     from locfuse.cli.pipeline import results
     from locfuse.cli.pipeline.load import find_log, load
     from locfuse.cli.terminal import show

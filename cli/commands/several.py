@@ -15,7 +15,7 @@ import click
 from click.core import ParameterSource
 
 from locfuse.cli import gates
-from locfuse.cli.grouping import logs_of, results_of
+from locfuse.cli.choose.grouping import logs_of, results_of
 from locfuse.cli.pipeline import results
 from locfuse.cli.pipeline.load import find_log
 from locfuse.cli.pipeline.verdicts import credit_values, verdicts

@@ -47,7 +47,7 @@ def tune(
     locfuse compare friday.mcap --robot robot.toml
     """
     from locfuse.cli import tuning
-    from locfuse.cli.grouping import logs_of
+    from locfuse.cli.choose.grouping import logs_of
     from locfuse.cli.pipeline import results
     from locfuse.cli.pipeline.load import find_log
     from locfuse.cli.terminal import show

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from locfuse.cli.choose.topics import Choice
 from locfuse.cli.pipeline.load import PLAIN_CLOCK
-from locfuse.cli.topics import Choice
 from locfuse.fusion.doctor.finding import Oddity
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY

@@ -11,10 +11,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from locfuse.cli.choose import choose_sensor, choose_truth
+from locfuse.cli.choose.choose import choose_sensor, choose_truth
+from locfuse.cli.choose.topics import Choice
+from locfuse.cli.choose.wheel_topics import choose_wheels
 from locfuse.cli.pipeline.load import Loaded, make_robot, measured, merged_tables, named_by_hand
-from locfuse.cli.topics import Choice
-from locfuse.cli.wheel_topics import choose_wheels
 from locfuse.formats.log.log import Log, open_log
 from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.fusion.data import LocfuseError

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from locfuse.cli.mounts import BASE_FRAMES, mount_of
+from locfuse.cli.choose.mounts import BASE_FRAMES, mount_of
 from locfuse.fusion.doctor.finding import Oddity
 from locfuse.fusion.sensors.registry import REGISTRY
 

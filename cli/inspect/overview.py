@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from locfuse.cli.choose.topics import Choice
 from locfuse.cli.pipeline.load import Loaded
-from locfuse.cli.topics import Choice
 from locfuse.formats.log.log import Log
 from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.fusion.doctor.finding import Oddity

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from locfuse.cli.topics import Choice, of_type
+from locfuse.cli.choose.topics import Choice, of_type
 from locfuse.formats.robot.urdf import WheelGeometry, wheel_geometry
 from locfuse.fusion.data import Array, LocfuseError, Ragged
 from locfuse.fusion.doctor.finding import Oddity
@@ -110,7 +110,7 @@ def geometry(robot: Robot, found: Hints) -> tuple[dict[str, float], str]:
 
 def _unused_counters(log: Log, choice: Choice) -> tuple[str, ...]:
     """Return topics of wheel turns that lost to an odometry for lack of geometry."""
-    from locfuse.cli.wheel_topics import pair_topics
+    from locfuse.cli.choose.wheel_topics import pair_topics
     from locfuse.fusion.wheels.sources import TICKS
 
     taken = {t for role in choice.topics for t in choice.of(role)}

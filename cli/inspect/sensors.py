@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from locfuse.cli.topics import Choice, of_type
+from locfuse.cli.choose.topics import Choice, of_type
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.doctor.finding import Oddity
 from locfuse.fusion.doctor.laser_driver import driver

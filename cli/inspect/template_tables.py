@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from locfuse.cli.mounts import mount_tables
+from locfuse.cli.choose.mounts import mount_tables
+from locfuse.cli.choose.topics import of_type
 from locfuse.cli.pipeline.load import TABLES
-from locfuse.cli.topics import of_type
 from locfuse.formats.robot.commented_toml import Line
 from locfuse.fusion.doctor.finding import settings_in
 from locfuse.fusion.sensors.registry import REGISTRY

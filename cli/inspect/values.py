@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from locfuse.cli.topics import types
+from locfuse.cli.choose.topics import types
 from locfuse.fusion.doctor.finding import Oddity
 from locfuse.fusion.sensors.registry import REGISTRY
 

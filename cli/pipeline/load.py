@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from locfuse.cli.choose import choose
-from locfuse.cli.mounts import mount_tables
-from locfuse.cli.topics import Choice
+from locfuse.cli.choose.choose import choose
+from locfuse.cli.choose.mounts import mount_tables
+from locfuse.cli.choose.topics import Choice
 from locfuse.formats.log.log import Log, open_log
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import Drive, LocfuseError, UsageError

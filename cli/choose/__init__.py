@@ -1,0 +1,1 @@
+"""Choosing topics: which topic feeds the wheels, each sensor and the truth."""

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from commands import locfuse
 
-from locfuse.cli.gates import failures, figure, parse_gate, parse_tolerance, read_baseline
+from locfuse.cli.jobs.ci_gates import failures, figure, parse_gate, parse_tolerance, read_baseline
 from locfuse.fusion.data import LocfuseError, UsageError
 
 REPORT: dict[str, Any] = {

@@ -15,9 +15,9 @@ import small_drive
 from commands import locfuse
 from scipy.stats import norm
 
+from locfuse.cli.jobs.tune import not_white
 from locfuse.cli.pipeline.load import find_log, load
 from locfuse.cli.pipeline.settings import LogOptions
-from locfuse.cli.tuning import not_white
 from locfuse.fusion.data import Array, Drive, LocfuseError, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.robot import Robot

@@ -27,8 +27,8 @@ def calibrate(log: tuple[str, ...], out: Path | None, overwrite: bool, as_json: 
     locfuse calibrate straight.mcap turns.mcap -o robot.toml
     locfuse compare drive.mcap --robot robot.toml
     """
-    from locfuse.cli import calibration
     from locfuse.cli.choose.grouping import logs_of
+    from locfuse.cli.jobs import calibrate
     from locfuse.cli.pipeline import results
     from locfuse.cli.pipeline.load import find_log, load
     from locfuse.cli.terminal import show
@@ -37,9 +37,9 @@ def calibrate(log: tuple[str, ...], out: Path | None, overwrite: bool, as_json: 
     with show.progress(how.quiet) as progress:
         loaded = [load(find_log(parts), how, progress, only=("compass",)) for parts in logs_of(log)]
         progress("calibrating")
-        found = calibration.calibrate_logs(loaded)
+        found = calibrate.calibrate_logs(loaded)
     if out is not None:
-        calibration.write(out, found)
+        calibrate.write(out, found)
     print_findings(found.values(), [(("setting", "found", "95 % interval", "was"), found.rows())], out, as_json)
     lost = [line for one in loaded for line in results.loss_lines(one, list(one.drive.measurements), how.strict)]
     return end(found.notes, lost, how.quiet)

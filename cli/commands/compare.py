@@ -97,7 +97,7 @@ def compare(
     locfuse compare rounded_rectangle rounded_triangle disturbed
     locfuse compare locfuse-out/before locfuse-out/after
     """
-    from locfuse.cli import gates
+    from locfuse.cli.jobs import ci_gates
     from locfuse.cli.pipeline import configurations, exports, outputs, results
     from locfuse.cli.pipeline.compare import compare_log, report_of
     from locfuse.cli.pipeline.load import find_log, load_to_fuse
@@ -110,8 +110,8 @@ def compare(
         if (code := several(log)) is not None:
             return code
     kinds = chosen(write, KINDS)
-    limits = [gates.parse_gate(text) for text in fail_if]
-    before = gates.read_baseline(baseline, tolerance) if baseline else None
+    limits = [ci_gates.parse_gate(text) for text in fail_if]
+    before = ci_gates.read_baseline(baseline, tolerance) if baseline else None
     with show.progress(how.quiet) as progress:
         loaded = load_to_fuse(find_log(log), how, progress, rerun.wanted)
         wanted = configurations.for_comparison(sensors, loaded.drive, all_subsets)
@@ -135,10 +135,10 @@ def compare(
     sketch = sketched(rerun, loaded, recorded.in_order(compared.estimates), compared.evaluations, report, show.say)
     del loaded, compared, drawn, recorded, watch, files  # Rerun's import takes as much memory as all of them
     record(rerun, sketch, folder, show.say)
-    other = gates.of_another_log(report, before) if before is not None else None
+    other = ci_gates.of_another_log(report, before) if before is not None else None
     if other is not None and not how.quiet:
         click.echo(f"note: {other}", err=True)
-    failed = gates.failures(report, limits, before)
+    failed = ci_gates.failures(report, limits, before)
     for line in failed:
         click.echo(f"gate: {line}", err=True)
-    return gates.FAILED if failed else results.LOSS if lost else 0
+    return ci_gates.FAILED if failed else results.LOSS if lost else 0

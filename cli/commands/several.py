@@ -14,8 +14,8 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from locfuse.cli import gates
 from locfuse.cli.choose.grouping import logs_of, results_of
+from locfuse.cli.jobs import ci_gates
 from locfuse.cli.pipeline import results
 from locfuse.cli.pipeline.load import find_log
 from locfuse.cli.pipeline.verdicts import credit_values, verdicts
@@ -82,7 +82,7 @@ def compare_logs(logs: Sequence[Sequence[str]], context: click.Context) -> int:
         else:
             _show_summary(summary)
             click.echo(f"{folder}: {', '.join(sorted(files))}; a folder with the report of each log")
-    return max(codes, key=lambda code: (code == gates.FAILED, code == results.LOSS))
+    return max(codes, key=lambda code: (code == ci_gates.FAILED, code == results.LOSS))
 
 
 def _only(write: str | None, kinds: Sequence[str]) -> bool:

@@ -100,7 +100,7 @@ def _facts(outcome: Outcome) -> dict[str, Any]:
 
 def localise(word: str) -> Localise:
     """Return what builds the robot's localisation: "truth", "odometry", "all", or sensors such as compass+lrf."""
-    from locfuse.cli.estimator import make_estimator
+    from locfuse.cli.jobs.control_loop import make_estimator
     from locfuse.fusion.data import UsageError
     from locfuse.fusion.sensors.registry import REGISTRY
     from locfuse.sample_logs.record import on_truth

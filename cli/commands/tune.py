@@ -46,8 +46,8 @@ def tune(
     locfuse tune monday.mcap tuesday.mcap --hold-out friday.mcap -o robot.toml
     locfuse compare friday.mcap --robot robot.toml
     """
-    from locfuse.cli import tuning
     from locfuse.cli.choose.grouping import logs_of
+    from locfuse.cli.jobs import tune
     from locfuse.cli.pipeline import results
     from locfuse.cli.pipeline.load import find_log
     from locfuse.cli.terminal import show
@@ -56,9 +56,9 @@ def tune(
     paths = [find_log(parts) for parts in logs_of(log)]
     held_out = [find_log(parts) for parts in logs_of(hold_out)]
     with show.progress(how.quiet) as progress:
-        found = tuning.tune_logs(paths, held_out, tuning.sensor_names(sensors), drift, how, progress)
+        found = tune.tune_logs(paths, held_out, tune.sensor_names(sensors), drift, how, progress)
     if out is not None:
-        tuning.write(out, found, how)
+        tune.write(out, found, how)
     tables: list[Table] = [
         (("noise", "before", "after", "95 % interval"), found.rows()),
         (("judged by", "before", "after"), found.judgements()),

@@ -74,8 +74,8 @@ class BearingRow(paper_rows.CameraRow):
 def repairs() -> Mapping[str, Any]:
     """Return what replaces an equation while the printed filter runs."""
     return {
-        "(8)": patch.object(paper, "eq8_W", right_W),
-        "(13)": patch.object(paper, "eq13_H_line", right_H),
+        "(8)": patch.object(equations, "eq8_W", right_W),
+        "(13)": patch.object(equations, "eq13_H_line", right_H),
         "camera": patch.dict(paper_rows.PARTS, {"camera": BearingRow}),
     }
 

@@ -46,7 +46,7 @@ class LazyGroup(click.Group):
         """Import and return one command."""
         if cmd_name not in COMMANDS:
             return None
-        module = importlib.import_module(f"locfuse.cli.{cmd_name}")
+        module = importlib.import_module(f"locfuse.cli.commands.{cmd_name}")
         command: click.Command = getattr(module, cmd_name)
         return command
 

@@ -139,7 +139,6 @@ def _within(m: Measurements, wheels: Wheels) -> Measurements:
     return m.take(keep)
 
 
-# MERGED """What if a sensor were slower? Some of its readings are left out, and nothing else changes."""
 def thinned(drive: Drive, rates: Mapping[str, float]) -> Drive:
     """Return the drive with at most `rates[sensor]` readings per second: the first of every period is kept.
 

@@ -1,4 +1,4 @@
-"""Where a sensor sits on the base: known exactly, or as states that the drive improves (extrinsics).
+"""Where a sensor sits on the base, and how it is turned: known exactly, or as states that the drive improves.
 
 A laser that is turned by a degree more than told turns the whole map with it. No innovation shows that at once,
 and a filter that takes the mount for certain is confidently wrong. What is not known exactly is a state.
@@ -76,7 +76,6 @@ class Mount:
         return tuple(tuple(row[i] for i in self.free) for row in by_mount)
 
 
-# MERGED """How a sensor is turned on the base, in three dimensions."""
 def rotation(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Array:
     """Return R (3, 3) = Rz(yaw) Ry(pitch) Rx(roll), from the sensor's axes to the base's, as in URDF."""
     r, p, y = (math.radians(angle) for angle in (roll_deg, pitch_deg, yaw_deg))

@@ -144,10 +144,6 @@ def exported(words: str | None) -> set[str]:
     return names
 
 
-# MERGED """--save-map and --map: a line map leaves one run and is given to another."""
-F = TypeVar("F", bound=Callable[..., Any])
-
-
 def map_options(command: F) -> F:
     """Add --map and --save-map; the command receives them as `maps: MapOptions`."""
 

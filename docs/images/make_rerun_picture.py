@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from locfuse.cli.main import main as locfuse
-from locfuse.cli.rerun import viewer as rerun_viewer
+from locfuse.cli.rerun import viewer
 
 LOG, TAB, SECONDS = "disturbed", "Deviation", 34.0
 SIZE = (1600, 1000)
@@ -38,12 +38,12 @@ def record(path: Path, tab: str) -> None:
 
 def screenshot(path: Path) -> bytes:
     """Return the viewer's picture of a recording as PNG."""
-    port = rerun_viewer.free_port(0)
-    command = [rerun_viewer.program(), "--headless", "--bind", "127.0.0.1", "--port", str(port)]
+    port = viewer.free_port(0)
+    command = [viewer.program(), "--headless", "--bind", "127.0.0.1", "--port", str(port)]
     command += ["--window-size", f"{SIZE[0]}x{SIZE[1]}", "--hide-welcome-screen", str(path)]
     with tempfile.TemporaryDirectory() as runtime:
         environment = {"XDG_RUNTIME_DIR": runtime, **os.environ, "RUST_LOG": "off", "RERUN_APP_ONLY": "true"}
-        viewer = subprocess.Popen(command, env=environment)
+        window = subprocess.Popen(command, env=environment)
         try:
             client = connected(f"rerun+http://127.0.0.1:{port}/proxy")
             (timeline,) = [t for t in client.get_state().recordings[0].timelines if t.name == "log time"]
@@ -51,8 +51,8 @@ def screenshot(path: Path) -> bytes:
             time.sleep(8.0)  # notices fade, pictures are decoded
             return bytes(client.take_screenshot())
         finally:
-            viewer.terminate()
-            viewer.wait(10)
+            window.terminate()
+            window.wait(10)
 
 
 def connected(url: str) -> Any:

@@ -1,8 +1,8 @@
 """One colour per configuration, the same in every figure and every report, apart for every kind of colour vision.
 
 Chosen by search so that all pairs stay apart under protanopia, deuteranopia and tritanopia and each has a
-contrast of 3 against its page (tests/test_figures.py measures both). A sensor keeps its colour whatever else the
-log holds, since colours go by the registry's order; sets of several sensors are dashed.
+contrast of 3 against its page (tests/figures/test_figures.py measures both). A sensor keeps its colour whatever
+else the log holds, since colours go by the registry's order; sets of several sensors are dashed.
 """
 
 from __future__ import annotations

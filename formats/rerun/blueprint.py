@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from . import images, series
+from .deferred import rrb
 from .map_view import ROOT
-from .recorder import STEP, TIME, part, rrb
+from .recorder import STEP, TIME, part
 from .scene import Scene
 
 BACKGROUND = (20, 21, 26)

@@ -10,8 +10,8 @@ import numpy as np
 from locfuse.fusion.data import Array
 
 from . import style
-from . import style as colours
-from .recorder import Recorder, rr
+from .deferred import rr
+from .recorder import Recorder
 from .scene import Picture
 
 OMNI, PANORAMA = "camera/omni", "camera/panorama"
@@ -44,7 +44,7 @@ def _batches(pictures: Iterable[Picture]) -> Iterator[list[Picture]]:
 
 def _styles(to: Recorder) -> None:
     for root in (OMNI, PANORAMA):
-        for name, colour in colours.GROUPS.items():
+        for name, colour in style.GROUPS.items():
             to.static(f"{root}/found/{name}", style.lines(colour, 1.0, order=ABOVE))
 
 
@@ -56,7 +56,7 @@ def _send_encoded(to: Recorder, path: str, t: Array, data: Sequence[bytes], kind
 
 def _send_found(to: Recorder, t: Array, batch: Sequence[Picture], rows: int) -> None:
     """Send one entity per group; a picture without a member of the group empties it."""
-    for name in colours.GROUPS:
+    for name in style.GROUPS:
         members = [[i for i, verdict in enumerate(p.verdicts) if verdict == name] for p in batch]
         rays = [p.rays[i] for p, found in zip(batch, members, strict=True) for i in found]
         columns = [

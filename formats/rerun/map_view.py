@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from locfuse.formats.geometry import ellipses, quaternions, steps, wall, wall_band
 from locfuse.formats.thin import evenly, extremes
 from locfuse.fusion.data import Array, Estimates, Ints, MapLine, matrices
 
 from . import style
-from . import style as colours
-from .geometry import ellipses, quaternions, steps, wall, wall_band
-from .recorder import Recorder, part, rr
+from .deferred import rr
+from .recorder import Recorder, part
 from .scene import Rgb, Scene
 
 ROOT = "world"
@@ -77,15 +77,15 @@ def _draw_walls(to: Recorder, root: str, e: Estimates) -> None:
         return
     start = np.array([_first_scan(e)])
     first = np.array([wall(line) for line in e.first_map]).reshape(-1, 2, 2)
-    to.static(f"{root}/first_scan", style.lines(colours.faded(colours.FIRST_WALL, 200), 1.0))
+    to.static(f"{root}/first_scan", style.lines(style.faded(style.FIRST_WALL, 200), 1.0))
     to.send(f"{root}/first_scan", start, rr.LineStrips2D.columns(strips=first), lengths=[len(first)])
     born = _births(e)
     walls = sorted(e.final_map, key=lambda line: (born.get(line.id, start[0]), line.id))
     t = np.array([born.get(line.id, start[0]) for line in walls])
-    to.static(f"{root}/refined", style.lines(colours.WALL, 1.5))
+    to.static(f"{root}/refined", style.lines(style.WALL, 1.5))
     ends = rr.LineStrips2D.columns(strips=[wall(line) for line in walls], labels=[_label(x) for x in walls])
     to.send(f"{root}/refined", t, ends)
-    to.static(f"{root}/three_sigma", style.lines(colours.faded(colours.WALL, 110), 0.5))
+    to.static(f"{root}/three_sigma", style.lines(style.faded(style.WALL, 110), 0.5))
     to.send(f"{root}/three_sigma", t, rr.LineStrips2D.columns(strips=[wall_band(x) for x in walls]))
 
 
@@ -120,9 +120,9 @@ def _draw_truth(to: Recorder, scene: Scene) -> None:
     if truth is None or len(truth.t) == 0:
         return
     picks = extremes(truth.xy, scene.detail.curve)
-    draw_path(to, f"{ROOT}/truth/path", truth.t[picks], truth.xy[picks], colours.TRUTH, 0.75, PATH_ORDER + 100.0)
+    draw_path(to, f"{ROOT}/truth/path", truth.t[picks], truth.xy[picks], style.TRUTH, 0.75, PATH_ORDER + 100.0)
     now = evenly(len(truth.t), scene.detail.curve)
-    to.static(f"{ROOT}/truth/now", style.points(colours.TRUTH, 4.0))
+    to.static(f"{ROOT}/truth/now", style.points(style.TRUTH, 4.0))
     to.send(f"{ROOT}/truth/now", truth.t[now], rr.Points2D.columns(positions=truth.xy[now]))
 
 
@@ -131,4 +131,4 @@ def _draw_landmarks(to: Recorder, scene: Scene) -> None:
     for sensor, sight in scene.sights.items():
         if sight.landmark is not None:
             point = rr.Points2D([sight.landmark], labels=["landmark"])
-            to.static(f"{ROOT}/landmark/{sensor}", point, style.points(colours.LANDMARK, 6.0))
+            to.static(f"{ROOT}/landmark/{sensor}", point, style.points(style.LANDMARK, 6.0))

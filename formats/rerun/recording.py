@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from .blueprint import blueprint
+from .deferred import made, rr
 from .images import draw_pictures
 from .map_view import draw_map
-from .recorder import Recorder, made, rr
+from .recorder import Recorder
 from .scene import Picture, Scene
 from .series import draw_series
 from .sights import draw_sights

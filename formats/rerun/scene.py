@@ -9,10 +9,9 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from locfuse.formats.geometry import wall
 from locfuse.formats.thin import CURVE_POINTS, SCANS
 from locfuse.fusion.data import Array, Drive, Estimates, Evaluation, Ints
-
-from .geometry import wall
 
 Rgb = tuple[int, int, int]
 GREY: Rgb = (148, 151, 156)

@@ -9,8 +9,9 @@ import numpy as np
 from locfuse.formats.thin import extremes
 from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, Evaluation, Ints, Measurements
 
-from . import style as colours
-from .recorder import Recorder, part, rr
+from . import style
+from .deferred import rr
+from .recorder import Recorder, part
 from .scene import Rgb, Scene, Sight
 
 DEVIATIONS = ("x [m]", "y [m]", "heading [deg]")
@@ -69,9 +70,9 @@ def draw_limits(to: Recorder, scene: Scene, sensor: str, sight: Sight) -> None:
         return
     t = scene.drive.t[[0, -1]]
     if np.isfinite(gates[0]):
-        curve(to, f"nis/{sensor}/limits/gate", t, np.full(2, gates[0]), "gate", colours.LIMIT, 2)
+        curve(to, f"nis/{sensor}/limits/gate", t, np.full(2, gates[0]), "gate", style.LIMIT, 2)
     for name, value in zip(("low", "high"), sight.bounds, strict=True):
-        curve(to, f"nis/{sensor}/limits/{name}", t, np.full(2, value), "95 %", colours.LEVEL, 2)
+        curve(to, f"nis/{sensor}/limits/{name}", t, np.full(2, value), "95 %", style.LEVEL, 2)
 
 
 def draw_innovation(
@@ -90,10 +91,10 @@ def draw_innovation(
 
 def draw_gate(to: Recorder, path: str, t: Array, m: Measurements, audit: Audit, limit: int) -> None:
     """Send what became of each reading, where that changes."""
-    names = list(colours.STATES)
+    names = list(style.STATES)
     states = thinned_states(reading_states(m, audit), limit)
     changes = np.flatnonzero(np.diff(states.code, prepend=-1))
-    rgb = [colours.STATES[name] for name in names]
+    rgb = [style.STATES[name] for name in names]
     to.static(path, rr.StateConfiguration(values=names, labels=names, colors=rgb))
     words = [names[code] for code in states.code[changes].tolist()]
     to.send(path, t[states.reading[changes]], rr.StateChange.columns(state=words))
@@ -103,7 +104,7 @@ class States(NamedTuple):
     """What became of some readings."""
 
     reading: Ints  # (k,)
-    code: Ints  # (k,) position in colours.STATES: the higher the worse
+    code: Ints  # (k,) position in style.STATES: the higher the worse
 
 
 def reading_states(m: Measurements, audit: Audit) -> Ints:
@@ -113,7 +114,7 @@ def reading_states(m: Measurements, audit: Audit) -> Ints:
     accepted = np.bincount(owner[audit.verdict == ACCEPTED], minlength=n) > 0
     new = np.bincount(owner[audit.verdict == NEW], minlength=n) > 0
     refused = np.bincount(owner[(audit.verdict != ACCEPTED) & (audit.verdict != NEW)], minlength=n) > 0
-    order = list(colours.STATES)
+    order = list(style.STATES)
     cases = {"rejected": refused & ~accepted, "partly": refused, "accepted": accepted, "new": new}
     codes = [order.index(name) for name in cases]
     return np.select(list(cases.values()), codes, order.index("absent"))
@@ -132,7 +133,7 @@ def draw_raw(to: Recorder, scene: Scene) -> None:
     """Send the numbers of every topic that was read, as the log holds them."""
     for topic in scene.raw:
         for i, (name, values) in enumerate(topic.fields.items()):
-            colour = colours.FIELDS[i % len(colours.FIELDS)]
+            colour = style.FIELDS[i % len(style.FIELDS)]
             path = raw_path(topic.topic, name)
             curve(to, path, topic.t, values, name, colour, scene.detail.curve)
 
@@ -165,6 +166,6 @@ def band(to: Recorder, path: str, t: Array, bound: Array, name: str, colour: Rgb
     if len(t) == 0:
         return
     picks = extremes(bound, limit)
-    faint = colours.faded(colour, 200)
+    faint = style.faded(colour, 200)
     to.static(path, rr.SeriesLines(colors=[faint, faint], names=[name, name], widths=[0.75, 0.75]))
     to.send(path, t[picks], rr.Scalars.columns(scalars=np.column_stack((bound[picks], -bound[picks]))))

@@ -10,17 +10,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from locfuse.formats.geometry import mounted, quaternions, segments, to_map
 from locfuse.formats.thin import evenly
 from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, Ints, Measurements
 
 from . import style
-from . import style as colours
-from .geometry import mounted, quaternions, segments, to_map
+from .deferred import rr
 from .map_view import FLIP, ROOT
-from .recorder import Recorder, part, rr
+from .recorder import Recorder, part
 from .scene import Scene, Sight
 
-WORDS = np.array(colours.GROUP_OF)  # verdict -> group
+WORDS = np.array(style.GROUP_OF)  # verdict -> group
 WIDTH = {"segments": 2.5, "bearing": 1.0, "heading": 1.5}  # points on the screen
 HEADING_LENGTH = 1.5  # tracks
 BEARING_LENGTH = 2.0  # m, where no landmark says how far
@@ -82,7 +82,7 @@ def _strips(m: Measurements, seen: Seen, sight: Sight, track: float) -> Array:
 def _send_groups(to: Recorder, path: str, seen: Seen, strips: Array, width: float) -> None:
     """Send one entity per group; a reading without a member of the group empties it."""
     group = WORDS[seen.audit.verdict]
-    for name, colour in colours.GROUPS.items():
+    for name, colour in style.GROUPS.items():
         members = np.flatnonzero(group == name)
         if len(members) == 0:
             continue
@@ -113,7 +113,7 @@ def draw_scans(to: Recorder, scene: Scene) -> None:
     pose, root = best.pose[k], f"{ROOT}/{part(best.name)}/scan"
     place = np.column_stack((pose[:, :2], np.zeros(len(pose))))
     to.send(root, scans.t, rr.Transform3D.columns(translation=place, quaternion=quaternions(pose[:, 2])))
-    to.static(f"{root}/points", style.points(colours.faded(colours.SCAN, 190), 1.25))
+    to.static(f"{root}/points", style.points(style.faded(style.SCAN, 190), 1.25))
     points = rr.Points2D.columns(positions=scans.xy.astype(np.float32))
     to.send(f"{root}/points", scans.t, points, lengths=scans.counts)
     to.static(f"{root}/screen", rr.Transform3D(mat3x3=FLIP))

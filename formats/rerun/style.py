@@ -1,4 +1,4 @@
-"""How lines and points look, as archetypes that are sent once and hold at all times."""
+"""How lines and points look: archetypes that are sent once and hold at all times, and colours on a dark page."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 from locfuse.fusion.data import VERDICTS
 
-from .recorder import rr
+from .deferred import rr
 from .scene import Rgb
 
 Colour = tuple[int, int, int] | tuple[int, int, int, int]
@@ -29,7 +29,6 @@ def points(colour: Colour, width: float) -> rr.Points2D:
     return rr.Points2D.from_fields(colors=[colour], radii=[on_screen(width)])
 
 
-# MERGED """Colours of what is drawn beside the configurations, on a dark page."""
 TRUTH: Rgb = (244, 245, 247)
 FIELDS: tuple[Rgb, ...] = ((240, 165, 40), (80, 165, 235), (215, 110, 190), (150, 120, 240), (60, 190, 190))
 LANDMARK: Rgb = (235, 70, 60)

@@ -1,4 +1,9 @@
-"""Do all clocks agree with the wheels'? Turning is compared for sensors, speed for the truth, at every lag."""
+"""Checks of the clocks: does each sensor's clock agree with the wheels', or with another sensor's?
+
+Turning is compared for sensors, speed for the truth, at every lag. Wheels slip: over a lap of the paper's robot
+they tell a lag to 7 ms at best (docs/trust.md). Two sensors see the same turning, slips and all: so a clock that
+the wheels contradict is held against those that they do not.
+"""
 
 from __future__ import annotations
 
@@ -88,7 +93,6 @@ def way_lag(truth: Truth, drive: Drive) -> Lag | None:
     return Lag(float(lags[best]), scores[best], scores[int(np.argmin(np.abs(lags)))])
 
 
-# MERGED """Whose clock is off? Every sensor's own turning is held against the wheels', then the others'.
 FEWEST = 20  # readings
 READINGS = 3000  # enough to find a lag: five minutes of a 10 Hz laser
 

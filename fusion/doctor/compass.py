@@ -1,4 +1,4 @@
-"""A heading that comes as a bare number: in which unit, and which way round does it grow?"""
+"""Checks of the compass: unit and direction of a heading that is a bare number; tilt of an IMU or magnetometer."""
 
 from __future__ import annotations
 
@@ -44,7 +44,6 @@ def of_convention(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> 
     return [Oddity("convention", "compass", words, (cure,), True)]
 
 
-# MERGED """Is an IMU or magnetometer mounted as its table says? Gravity tells, and so does the plane the field turns in."""
 GRAVITY = (9.0, 10.6)  # m/s^2
 TILT = math.radians(25.0)
 TURNED = math.radians(120.0)  # an arc of the field shorter than this does not lie in one plane clearly

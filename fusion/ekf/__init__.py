@@ -1,1 +1,1 @@
-"""The extended Kalman filter: beliefs (pose, pose with a few states, arrays), innovation rows, the journal of a run."""
+"""The extended Kalman filter: beliefs (pose, pose and few states, arrays), innovation rows, journal."""

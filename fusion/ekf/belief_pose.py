@@ -3,7 +3,7 @@
 Beliefs with one interface. `PoseBelief` is the paper's 3 x 3 filter in plain floats: at this size NumPy's call
 overhead is twenty times the arithmetic (benchmarks: "EKF step"). `few_blocks.FewBlocks` has a few states beside
 the pose, `joint.JointBelief` any number: map lines, a compass offset, wheel parameters. All keep P symmetric by
-construction and agree with a textbook filter to 1e-9 (tests/test_ekf.py).
+construction and agree with a textbook filter to 1e-9 (tests/ekf/test_ekf.py).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Innovations as scalar rows with independent noise: what a filter in plain floats takes in one after another.
+"""Innovations as the rows of an equation: scalar rows for a filter in floats, one matrix for a filter in arrays.
 
-A row (y, a, b, c, r) says y = a dx + b dy + c dtheta + noise of variance r.
+A scalar row (y, a, b, c, r) says y = a dx + b dy + c dtheta + noise of variance r, independent of the others.
 """
 
 from __future__ import annotations
@@ -84,7 +84,6 @@ def pose_rows(seen: Sequence[Innovation]) -> list[Row]:
     return [row for innovation in seen for row in whitened(innovation)]  # lone or parallel lines: L is singular
 
 
-# MERGED """Innovations as the rows of one matrix equation, for a filter in arrays."""
 def sparse_row(
     h: Sequence[float], columns: Sequence[int], H_block: Sequence[Sequence[float]]
 ) -> list[tuple[int, float]]:

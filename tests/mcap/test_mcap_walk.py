@@ -358,7 +358,7 @@ def test_a_decompression_bomb_is_refused_within_the_memory_limit(tmp_path: Path,
 def test_a_lone_giant_message_is_refused_and_the_others_are_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("locfuse.formats.mcap_walk.MAX_BYTES", 1_200_000)
+    monkeypatch.setattr("locfuse.formats.mcap.source.MAX_BYTES", 1_200_000)
     said = drive(20)
     giant = Said(
         "/scan", "sensor_msgs/msg/LaserScan", cdr("sensor_msgs/msg/LaserScan", ranges=[1.0] * 400_000), T0
@@ -371,8 +371,8 @@ def test_a_lone_giant_message_is_refused_and_the_others_are_read(
 def test_an_uncompressed_chunk_too_large_to_hold_is_walked_into(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, crcs: bool
 ) -> None:
-    monkeypatch.setattr("locfuse.formats.mcap_survey.LARGE_CHUNK", 5000)
-    monkeypatch.setattr("locfuse.formats.mcap_survey.RUN_BYTES", 2000)
+    monkeypatch.setattr("locfuse.formats.mcap.survey.LARGE_CHUNK", 5000)
+    monkeypatch.setattr("locfuse.formats.mcap.survey.RUN_BYTES", 2000)
     said = drive(100)
     path = write(tmp_path / "x.mcap", said, chunk_size=20_000, enable_crcs=crcs)
     assert sorted(payloads(path)) == whole(said)

@@ -16,7 +16,7 @@ from traps_wheels import CLOCK_TRAPS, WHEEL_TRAPS
 
 TABLES = (WHEEL_TRAPS, CLOCK_TRAPS, COMPASS_TRAPS, LASER_TRAPS, CAMERA_TRAPS, TRUTH_TRAPS)
 TRAPS = {trap.name: trap for table in TABLES for trap in table}
-PAGE = (Path(__file__).parents[1] / "docs" / "bags.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "bags.md").read_text(encoding="utf-8")
 WORSE = 1.15  # by this much the trap costs, at least
 CURE = re.compile(r"--set (\S+)")
 

@@ -77,7 +77,7 @@ def test_rate_silence_delay_and_frame_of_a_topic(tmp_path: Path) -> None:
 
 
 def test_every_key_of_the_json_stands_in_the_docs() -> None:
-    page = (Path(__file__).parents[1] / "docs" / "bags.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "bags.md").read_text(encoding="utf-8")
     keys = page.partition("### The JSON")[2].partition("\n#")[0]
     assert set(as_json("rounded_triangle")) == set(re.findall(r"^\| `([a-z_]+)` \|", keys, re.MULTILINE))
 

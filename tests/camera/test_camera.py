@@ -268,7 +268,7 @@ def test_impossible_settings_are_refused_where_the_table_is_read(table: dict[str
 
 
 def test_the_camera_page_explains_every_key_with_its_default() -> None:
-    page = (Path(__file__).parent.parent / "docs" / "camera.md").read_text()
+    page = (Path(__file__).parents[2] / "docs" / "camera.md").read_text()
     rows = [line for line in page.splitlines() if line.startswith("| `")]
     for field in msgspec.structs.fields(CameraSettings):
         (row,) = [r for r in rows if f"`{field.name}`" in r.split("|")[1]]
@@ -469,7 +469,7 @@ def test_opencv_is_imported_only_when_a_picture_is_looked_at() -> None:
 
 def test_opencvs_pixel_cap_is_set_before_its_import() -> None:
     code = (
-        "from locfuse.fusion.cv import MAX_PIXELS, cv2; import os\n"
+        "from locfuse.fusion.camera.opencv import MAX_PIXELS, cv2; import os\n"
         "print(os.environ['OPENCV_IO_MAX_IMAGE_PIXELS'] == str(MAX_PIXELS), cv2.getNumThreads())"
     )
     assert in_fresh_python(code) == "True 1"
@@ -477,7 +477,7 @@ def test_opencvs_pixel_cap_is_set_before_its_import() -> None:
 
 # --- the shipped logs ---
 
-SAMPLES = Path(__file__).parent.parent / "sample_logs"
+SAMPLES = Path(__file__).parents[2] / "sample_logs"
 
 
 @pytest.mark.parametrize("name", ["rounded_rectangle", "rounded_triangle"])

@@ -265,13 +265,13 @@ def test_writing_json_needs_neither_plotting_nor_templates(tmp_path: Path) -> No
 def test_the_page_needs_no_matplotlib(compared: Path) -> None:
     code = (
         "import sys\nimport small_scene\n"
-        "from locfuse.formats import report_html\n"
-        "from locfuse.formats.figures import sections\n"
+        "from locfuse.formats.report import html\n"
+        "from locfuse.formats.figures.sections import sections\n"
         "scene, report = small_scene.long(0.1, 2)\n"
-        "report_html.render(report, sections(scene), ['compass'])\n"
+        "html.render(report, sections(scene), ['compass'])\n"
         "assert 'matplotlib' not in sys.modules\n"
     )
-    tests = str(Path(__file__).parent)
+    tests = str(Path(__file__).parents[1] / "helpers")
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=False, env={"PYTHONPATH": tests}
     )

@@ -93,7 +93,7 @@ def test_nothing_to_look_with_is_said_before_anything_is_computed(monkeypatch: p
 
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    monkeypatch.setattr(rerun_viewer, "PORT", viewer.free_port(0))
+    monkeypatch.setattr(viewer, "PORT", viewer.free_port(0))
     done = locfuse("view", LOG)
     assert done.exit_code == 1
     assert "--web" in done.stderr

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 from commands import locfuse
-from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer
+from mcap.writer import Writer
+from rewrite_log import rewritten
 
 from locfuse import sample_logs
 
@@ -74,36 +74,6 @@ def test_run_equals_compares_configuration(compared: Path, tmp_path: Path, senso
     )
     header = (tmp_path / "out" / "trajectory.csv").read_text().split("\n", 1)[0]
     assert header == "t,x,y,theta,P_xx,P_xy,P_xt,P_yy,P_yt,P_tt"
-
-
-def rewritten(target: Path, seed: int | None, without: str | None = None) -> Path:
-    """The sample log with its messages at other positions in the file, or without one topic."""
-    with sample_logs.path(LOG).open("rb") as source, target.open("wb") as sink:
-        reader = make_reader(source)
-        writer: Any = Writer(sink, compression=CompressionType.NONE, chunk_size=20_000)
-        writer.start()
-        schemas: dict[int, int] = {}
-        channels: dict[int, int] = {}
-        messages = list(reader.iter_messages(log_time_order=False))
-        if seed is not None:
-            np.random.default_rng(seed).shuffle(messages)
-        for schema, channel, message in messages:
-            assert schema is not None
-            if channel.topic == without:
-                continue
-            if schema.id not in schemas:
-                schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
-            if channel.id not in channels:
-                channels[channel.id] = writer.register_channel(
-                    channel.topic, channel.message_encoding, schemas[schema.id]
-                )
-            writer.add_message(
-                channels[channel.id], message.log_time, message.data, message.publish_time, message.sequence
-            )
-        for attachment in reader.iter_attachments():
-            writer.add_attachment(0, 0, attachment.name, attachment.media_type, attachment.data)
-        writer.finish()
-    return target
 
 
 def test_messages_at_other_positions_in_the_file_give_identical_numbers(compared: Path, tmp_path: Path) -> None:
@@ -272,7 +242,7 @@ def test_ctrl_c_while_a_class_is_made_is_an_interruption_and_no_bug(monkeypatch:
     def importing(words: Any) -> None:
         type("Choice", (), {"topics": Pressed()})
 
-    monkeypatch.setattr("locfuse.cli.load.find_log", importing)
+    monkeypatch.setattr("locfuse.cli.pipeline.load.find_log", importing)
     done = locfuse("compare", LOG)
     assert done.exit_code == 130
     assert "interrupted" in done.stderr

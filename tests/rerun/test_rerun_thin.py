@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from locfuse.formats.rerun.geometry import ellipses, mounted, segments, to_map, wall, wall_band
+from locfuse.formats.geometry import ellipses, mounted, segments, to_map, wall, wall_band
 from locfuse.formats.thin import evenly, extremes
 from locfuse.fusion import se2
 from locfuse.fusion.data import MapLine

@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rooms import box, ranges
 
-SCRIPT = Path(__file__).parents[1] / "benchmarks" / "make_log.py"
+SCRIPT = Path(__file__).parents[2] / "benchmarks" / "make_log.py"
 FIVE_SECONDS = ("--minutes", str(5 / 60), "--image-hz", "2", "--beams", "181", "--walls", "4", "--sweep", "0.05")
 
 

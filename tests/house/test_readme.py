@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks import readme
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "README.md").read_text()
 
 

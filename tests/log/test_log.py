@@ -117,7 +117,7 @@ def test_blocks_give_every_row_exactly_once(tmp_path: Path, rows_per_block: int,
 
 
 def test_a_block_is_never_much_larger_than_its_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("locfuse.formats.stream.BLOCK_BYTES", 4096)
+    monkeypatch.setattr("locfuse.formats.log.stream.BLOCK_BYTES", 4096)
     stream = open_log([write(tmp_path / "log.mcap", drive(), chunk_size=2000)]).stream("/scan")
     sizes = [c["ranges"].values.nbytes for _, c in stream.blocks("ranges") if isinstance(c["ranges"], Ragged)]
     assert len(sizes) > 3

@@ -36,8 +36,8 @@ def lonely(monkeypatch: pytest.MonkeyPatch) -> int:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     port = viewer.free_port(0)
-    monkeypatch.setattr(rerun_viewer, "PORT", port)
-    monkeypatch.setattr(rerun_viewer, "LOCAL_VIEWER", f"rerun+http://127.0.0.1:{port}/proxy")
+    monkeypatch.setattr(viewer, "PORT", port)
+    monkeypatch.setattr(viewer, "LOCAL_VIEWER", f"rerun+http://127.0.0.1:{port}/proxy")
     return port
 
 
@@ -103,7 +103,7 @@ def test_a_stranger_on_the_port_costs_a_warning_and_no_hang(
     tmp_path: Path, stranger: list[str], manner: str, monkeypatch: pytest.MonkeyPatch, recording: Path
 ) -> None:
     stranger[0] = manner
-    monkeypatch.setattr(rerun_viewer, "PATIENCE", 2.0)
+    monkeypatch.setattr(viewer, "PATIENCE", 2.0)
     began = time.monotonic()
     with pytest.raises(LocfuseError, match="take"):
         viewer.show(recording)
@@ -174,11 +174,11 @@ def test_rerun_is_imported_only_when_asked_for(tmp_path: Path) -> None:
 def test_a_recording_is_drawn_before_rerun_is_imported(tmp_path: Path) -> None:
     """Rerun's import takes as much memory as an hour of estimates: they must not be held at once."""
     code = (
-        "import sys\nfrom locfuse.cli import rerun_options\nfrom locfuse.cli.main import main\n"
-        "sketched = rerun_options.sketched\n"
+        "import sys\nfrom locfuse.cli.rerun import record as recording\nfrom locfuse.cli.main import main\n"
+        "sketched = recording.sketched\n"
         "def drawn(*a):\n    found = sketched(*a)\n"
         "    print('rerun' in sys.modules, found.name)\n    return found\n"
-        "rerun_options.sketched = drawn\n"
+        "recording.sketched = drawn\n"
         "try: main(sys.argv[1:])\nexcept SystemExit as e: assert not e.code\n"
     )
     words = [
@@ -274,8 +274,8 @@ def test_everything_we_start_listens_on_loopback_only(recording: Path, monkeypat
         commands.append(command)
         return Process()
 
-    monkeypatch.setattr(rerun_viewer, "_popen", popen)
-    monkeypatch.setattr(rerun_viewer, "START", 0.0)
+    monkeypatch.setattr(viewer, "_popen", popen)
+    monkeypatch.setattr(viewer, "START", 0.0)
     viewer.start(recording)
     with pytest.raises(LocfuseError, match="ended"):
         viewer.serve(recording, 0, print)

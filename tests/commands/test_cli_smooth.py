@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import locfuse
-from test_cli import rewritten
+from rewrite_log import rewritten
 
 LOG = "rounded_rectangle"
 

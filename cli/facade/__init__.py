@@ -1,0 +1,1 @@
+"""locfuse: what does each sensor buy my robot? EKF localization from recorded logs."""

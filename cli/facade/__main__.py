@@ -1,0 +1,5 @@
+"""`python -m locfuse`."""
+
+from locfuse.cli.main import main
+
+main()

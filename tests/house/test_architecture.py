@@ -1,0 +1,317 @@
+"""The house: who may import whom, what lies where, and what ships.
+
+Rooms form floors. A room imports only from floors below its own, so data flows one way and there are no circles.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator, Mapping
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+FOLDERS = ("fusion", "formats", "sample_logs", "cli")
+STANDARD = set(sys.stdlib_module_names)
+LAZY = {"rerun", "matplotlib", "scipy", "jinja2"}  # only inside the function that needs them
+
+# Floors, lowest first. A name is a room, or a file at the root of a top folder.
+FLOORS: dict[str, tuple[str, ...]] = {
+    "fusion": (
+        "data se2 chi_square",
+        "sensor streams",
+        "robot mount audit",
+        "camera lines ekf",
+        "wheels linemap",
+        "truth sensors",
+        "measure instants judge doctor",
+        "fuse",
+        "smooth tune paper",
+    ),
+    "formats": (
+        "columns thin geometry whole_files robot",
+        "container",
+        "messages",
+        "mcap",
+        "log",
+        "results figures",
+        "report rerun",
+    ),
+    "sample_logs": (),
+    "cli": (
+        "choose",
+        "pipeline",
+        "jobs rerun inspect",
+        "terminal",
+        "commands",
+        "main",
+        "__main__ facade",
+    ),
+}
+
+# what each top folder may import besides itself and the standard library
+OURS = {
+    "cli": {"fusion", "formats", "sample_logs"},
+    "fusion": set[str](),
+    "formats": {"fusion.data", "fusion.streams"},
+    "sample_logs": {"formats", "fusion.se2", "fusion.data"},
+}
+OTHERS = {
+    "fusion": {"numpy", "msgspec", "cv2", "scipy"},
+    "sample_logs": {"numpy", "msgspec", "cv2", "tomli_w"},
+}
+TERMINAL = {"cli/commands", "cli/terminal", "cli/main.py"}  # only here: click, rich, print
+CV2 = {"fusion/camera", "formats/results/preview.py", "fusion/doctor/preview.py"}
+ROOM_FILES = range(3, 13)
+ROOMS_OF_ANY_SIZE = {"cli/facade"}
+
+
+def files(folder: str) -> list[Path]:
+    return sorted(path for path in (ROOT / folder).rglob("*.py"))
+
+
+def name_of(path: Path) -> str:
+    """Return "fusion.ekf.rows" of fusion/ekf/rows.py, "fusion.ekf" of its __init__.py."""
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {name_of(path): path for folder in FOLDERS for path in files(folder)}
+
+
+@cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def imports(path: Path) -> Iterator[tuple[str, bool]]:
+    """Yield (module as "fusion.data" or "numpy", whether it is imported at module level)."""
+    package = path.relative_to(ROOT).with_suffix("").parts[:-1]
+    tree = parsed(path)
+    deferred = (ast.FunctionDef, ast.ClassDef)
+    now = [n for n in tree.body if not isinstance(n, deferred) and not types_only(n)]
+    top = set(ast.walk(ast.Module(now, [])))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield alias.name.removeprefix("locfuse."), node in top
+        elif isinstance(node, ast.ImportFrom):
+            base = ".".join(package[: len(package) - node.level + 1]) if node.level else ""
+            module = ".".join(p for p in (base, node.module or "") if p)
+            module = module.removeprefix("locfuse").removeprefix(".")
+            for alias in node.names:
+                below = f"{module}.{alias.name}".removeprefix(".")
+                yield (below if below in MODULES else module), node in top
+
+
+def types_only(node: ast.stmt) -> bool:
+    """Tell `if TYPE_CHECKING:`, whose imports never run."""
+    return isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+
+
+def arrows() -> dict[str, set[str]]:
+    """Return which files of ours each file imports, anywhere in it."""
+    return {name: {m for m, _ in imports(path) if m in MODULES and m != name} for name, path in MODULES.items()}
+
+
+def room_of(module: str) -> str:
+    """Return "fusion.ekf" of "fusion.ekf.rows"; a file at the root of a top folder is a room of its own."""
+    return ".".join(module.split(".")[:2])
+
+
+def circles(graph: Mapping[str, set[str]]) -> list[list[str]]:
+    """Return the strongly connected components of more than one node (Tarjan 1972)."""
+    index: dict[str, int] = {}
+    low: dict[str, int] = {}
+    stack: list[str] = []
+    found: list[list[str]] = []
+
+    def visit(node: str) -> None:
+        index[node] = low[node] = len(index)
+        stack.append(node)
+        for other in graph.get(node, set()):
+            if other not in index:
+                visit(other)
+            if other in stack:
+                low[node] = min(low[node], low[other])
+        if low[node] == index[node]:
+            at = stack.index(node)
+            component = stack[at:]
+            del stack[at:]
+            if len(component) > 1:
+                found.append(sorted(component))
+
+    for node in graph:
+        if node not in index:
+            visit(node)
+    return found
+
+
+def test_no_file_imports_itself_in_a_circle() -> None:
+    assert circles(arrows()) == []
+
+
+def test_no_room_imports_itself_in_a_circle() -> None:
+    rooms: dict[str, set[str]] = {}
+    for module, others in arrows().items():
+        rooms.setdefault(room_of(module), set()).update(
+            room_of(o) for o in others if room_of(o) != room_of(module)
+        )
+    assert circles(rooms) == []
+
+
+def test_the_guard_sees_a_circle() -> None:
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) == [["a", "b", "c"]]
+
+
+LEVEL = {
+    f"{top}.{room}": level
+    for top, floors in FLOORS.items()
+    for level, rooms in enumerate(floors)
+    for room in rooms.split()
+}
+
+
+@pytest.mark.parametrize("module", sorted(m for m in MODULES if FLOORS[m.split(".")[0]] and "." in m))
+def test_a_room_imports_only_from_floors_below(module: str) -> None:
+    room = room_of(module)
+    assert room in LEVEL, f"{room} has no floor: give it one in FLOORS"
+    for other in arrows_of(module):
+        below = room_of(other)
+        if other.split(".")[0] == module.split(".", maxsplit=1)[0] and below != room and "." in below:
+            assert LEVEL[below] < LEVEL[room], f"{module} imports {other}, which is not below it"
+
+
+def arrows_of(module: str) -> set[str]:
+    return {m for m, _ in imports(MODULES[module]) if m in MODULES}
+
+
+@pytest.mark.parametrize("path", [pytest.param(p, id=n) for n, p in MODULES.items()])
+def test_imports_follow_the_one_way_flow(path: Path) -> None:
+    folder = path.relative_to(ROOT).parts[0]
+    for module, top in imports(path):
+        root = module.split(".")[0]
+        if root in FOLDERS and root != folder:
+            allowed = OURS[folder]
+            assert any(module == a or module.startswith(a + ".") for a in allowed), f"{path} imports {module}"
+        elif root not in FOLDERS and root not in STANDARD and root != "locfuse" and folder in OTHERS:
+            assert root in OTHERS[folder], f"{path} imports {module}"
+        if top:
+            assert root not in LAZY, f"{path} imports {root} at module level"
+
+
+@pytest.mark.parametrize("path", [pytest.param(p, id=n) for n, p in MODULES.items()])
+def test_imports_are_relative_inside_a_room_and_absolute_across(path: Path) -> None:
+    for node in ast.walk(parsed(path)):
+        if not isinstance(node, ast.ImportFrom):
+            continue
+        assert node.level <= 1, f"{path}:{node.lineno} climbs out of its room"
+        if node.level == 0 and path.parent.name != "facade":
+            own = "locfuse." + ".".join(path.relative_to(ROOT).parent.parts)
+            module = node.module or ""
+            inside = module == own or (module.startswith(own + ".") and module.count(".") == own.count(".") + 1)
+            is_file = f"{module}".removeprefix("locfuse.") in MODULES
+            folder = (ROOT / module.removeprefix("locfuse.").replace(".", "/")).is_dir()
+            assert not (inside and is_file and not folder), f"{path}:{node.lineno} names its own room in full"
+
+
+def rooms() -> list[Path]:
+    found = [d for top in FOLDERS if FLOORS[top] for d in (ROOT / top).iterdir() if (d / "__init__.py").exists()]
+    return sorted(found)
+
+
+@pytest.mark.parametrize("room", [pytest.param(r, id=str(r.relative_to(ROOT))) for r in rooms()])
+def test_a_room_is_small_says_what_it_is_for_and_exports_nothing_else(room: Path) -> None:
+    if str(room.relative_to(ROOT)) in ROOMS_OF_ANY_SIZE:
+        return
+    inside = [path for path in room.glob("*.py") if path.name != "__init__.py"]
+    assert len(inside) in ROOM_FILES, f"{room} has {len(inside)} files"
+    assert not [d for d in room.iterdir() if d.is_dir() and d.name != "__pycache__"], "rooms hold no rooms"
+    tree = ast.parse((room / "__init__.py").read_text(encoding="utf-8"))
+    assert ast.get_docstring(tree)
+    assert len(tree.body) == 1, "a room's __init__ is its docstring"
+
+
+@pytest.mark.parametrize("path", [pytest.param(p, id=n) for n, p in MODULES.items()])
+def test_only_the_terminal_prints_and_knows_click_and_rich(path: Path) -> None:
+    where = path.relative_to(ROOT).as_posix()
+    if any(where == t or where.startswith(t + "/") for t in TERMINAL):
+        return
+    assert not {"click", "rich"} & {module.partition(".")[0] for module, _ in imports(path)}
+    calls = [n.func for n in ast.walk(parsed(path)) if isinstance(n, ast.Call)]
+    assert not [f for f in calls if isinstance(f, ast.Name) and f.id == "print"]
+
+
+def test_only_the_camera_imports_opencv() -> None:
+    users = {
+        path.relative_to(ROOT).as_posix()
+        for folder in ("cli", "fusion", "formats")
+        for path in files(folder)
+        for module, _ in imports(path)
+        if module.split(".")[0] == "cv2"
+    }
+    assert not {u for u in users if u not in CV2 and str(Path(u).parent.as_posix()) not in CV2}, users
+
+
+def test_every_folder_with_code_ships() -> None:
+    """Every .py and data file of the tree lies in a package that pyproject.toml lists, under its own name."""
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
+    listed = {folder: name for name, folder in settings["package-dir"].items()}
+    assert sorted(settings["packages"]) == sorted(listed.values())
+    kinds = {".py", *(Path(pattern).suffix for pattern in settings["package-data"]["*"])}
+    for top in FOLDERS:
+        for path in (ROOT / top).rglob("*"):
+            if not path.is_file() or "__pycache__" in path.parts or path.name == "README.md":
+                continue
+            folder = path.parent.relative_to(ROOT).as_posix()
+            expected = "locfuse" if folder == "cli/facade" else "locfuse." + folder.replace("/", ".")
+            assert listed.get(folder) == expected, f"{folder} is not a package in pyproject.toml"
+            assert path.suffix in kinds or path.name in settings["package-data"]["*"], f"{path} would not ship"
+
+
+LINK = re.compile(r"\]\((?!https?:|#)([^)#\s]+)")
+MODULE = re.compile(
+    r"`(?:locfuse\.)?((?:cli|fusion|formats|sample_logs|benchmarks)(?:[./][a-z_0-9]+)+)(?:\.py)?[^`]*`"
+)
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "sample_logs").glob("*.md")])
+
+
+@pytest.mark.parametrize("page", [pytest.param(p, id=p.name) for p in PAGES])
+def test_docs_name_files_and_modules_that_exist(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for link in LINK.findall(text):
+        assert (page.parent / link).exists(), f"{page.name} links to {link}"
+    for name in MODULE.findall(text):
+        parts = re.split(r"[./]", name.removesuffix(".py").removesuffix("."))
+        places = [ROOT.joinpath(*parts[:n]) for n in (len(parts), len(parts) - 1) if n > 1]
+        exists = [p.is_dir() or p.with_suffix(".py").exists() or any(p.parent.glob(p.name + ".*")) for p in places]
+        assert any(exists), f"{page.name} names {name}"
+
+
+def test_the_floors_name_only_rooms_that_exist() -> None:
+    named = [f"{top}.{room}" for top, floors in FLOORS.items() for floor in floors for room in floor.split()]
+    assert len(named) == len(set(named))
+    for name in named:
+        path = ROOT / name.replace(".", "/")
+        assert path.is_dir() or path.with_suffix(".py").exists(), name
+    assert all(a != b for a, b in pairwise(sorted(named)))
+
+
+def test_help_imports_neither_numpy_nor_opencv_nor_rerun() -> None:
+    code = (
+        "import sys\n"
+        "from locfuse.cli.main import main\n"
+        "try:\n    main(['--help'])\nexcept SystemExit as e:\n    assert e.code == 0\n"
+        "heavy = {'numpy', 'cv2', 'rerun', 'rich', 'msgspec', 'mcap', 'rosbags'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "compare" in done.stdout

@@ -1,17 +1,27 @@
-"""How well does the laser hold a simulated building, whose truth is known? One line per drive, then their mean.
+"""How well does the laser hold a simulated building, whose truth is known? One line per run, then their means.
 
     python -m benchmarks.simulated_building --drives 20
     python -m benchmarks.simulated_building --scenario hall --drives 5 --robot-set lrf.recover=false
 
 Every drive has another seed: other noise, other walls, other walks of the people. Only wheels and laser are fused,
 causally and smoothed. The position error is that after the best rigid alignment (SE(2), without scale) with the
-truth; ANEES is that of the poses as they are, since both start at the known start.
+truth; ANEES is that of the poses as they are, since both start at the known start. The CPU time of a smoothed run
+includes the causal run under it.
+
+Version 0.1 on these drives, from seed 2000 on (no drive was called lost):
+
+| scenario | drives | aligned rmse (worst drive) | unaligned | heading | ANEES | lost | CPU |
+|---|--:|--:|--:|--:|--:|--:|--:|
+| office, causal | 3 | 0.165 m (0.197) | 0.344 m | 1.24° | 39.9 | 0% | 34 s |
+| hall, causal | 2 | 2.41 m (3.69) | 2.86 m | 6.30° | 170 | 0% | 3.7 s |
+| hall, smoothed | 1 | 3.42 m | 4.59 m | 6.71° | 454 | 0% | 78 s |
 """
 
 from __future__ import annotations
 
 import json
 import time
+from collections.abc import Iterator
 from typing import Any
 
 import click
@@ -36,22 +46,16 @@ FIGURES = ("aligned_m", "aligned_worst_m", "position_m", "heading_deg", "anees",
 
 def one_drive(
     scenario: str, seed: int, sets: tuple[str, ...], robot_sets: tuple[str, ...], smooth: bool
-) -> dict[str, Any]:
-    """Simulate a drive, fuse it causally and smoothed, and judge both."""
+) -> Iterator[dict[str, Any]]:
+    """Simulate a drive, fuse it causally and smoothed, and yield the figures of each."""
     begin = time.process_time()
     topics, tables, outcome = in_memory(load(scenario, ("compass.enabled=false", *sets)), seed)
-    simulated = time.process_time()
+    simulated = time.process_time() - begin
     robot = make_robot(robot_toml.merge(tables, robot_toml.apply_sets(robot_sets)))
     drive = measure(streams_by_role(topics, tables), robot)
-    found = {
-        "seed": seed,
-        "way_m": outcome.way,
-        "duration_s": outcome.duration,
-        "simulation_cpu_s": simulated - begin,
-        "measure_cpu_s": time.process_time() - simulated,
-        "causal": timed(drive, robot, False),
-    }
-    return {**found, "smoothed": timed(drive, robot, True)} if smooth else found
+    facts = {"seed": seed, "way_m": outcome.way, "duration_s": outcome.duration, "simulation_cpu_s": simulated}
+    for kind in ("causal", "smoothed") if smooth else ("causal",):
+        yield {**facts, "kind": kind, **timed(drive, robot, kind == "smoothed")}
 
 
 def timed(drive: Drive, robot: Robot, smooth: bool) -> dict[str, Any]:
@@ -79,22 +83,22 @@ def judged(estimates: Estimates, drive: Drive) -> dict[str, Any]:
     }
 
 
-def markdown(drives: list[dict[str, Any]], scenario: str) -> str:
+def markdown(rows: list[dict[str, Any]], scenario: str) -> str:
     """Return the means over all drives as a table, with the worst aligned error of any drive."""
     lines = [
         "| scenario | drives | failed | aligned rmse (worst drive) | unaligned | heading | ANEES | lost | CPU |",
         "|---|--:|--:|--:|--:|--:|--:|--:|--:|",
     ]
     for kind in ("causal", "smoothed"):
-        rows = [d[kind] for d in drives if kind in d]
-        good = [r for r in rows if "failed" not in r]
+        of_kind = [r for r in rows if r["kind"] == kind]
+        good = [r for r in of_kind if "failed" not in r]
         if good:
             m = {key: float(np.mean([r[key] for r in good])) for key in (*FIGURES, "cpu_s")}
             worst = max(r["aligned_m"] for r in good)
             cells = (
                 f"{scenario}, {kind}",
-                f"{len(rows)}",
-                f"{len(rows) - len(good)}",
+                f"{len(of_kind)}",
+                f"{len(of_kind) - len(good)}",
                 f"{m['aligned_m']:.3f} m ({worst:.3f})",
                 f"{m['position_m']:.3f} m",
                 f"{m['heading_deg']:.2f}°",
@@ -113,11 +117,12 @@ def markdown(drives: list[dict[str, Any]], scenario: str) -> str:
 @click.option("--robot-set", "robot_sets", multiple=True, help="robot.toml key: how the filter is configured.")
 @click.option("--smooth/--no-smooth", default=True, show_default=True, help="Also judge the smoothed drives.")
 def main(scenario: str, drives: int, sets: tuple[str, ...], robot_sets: tuple[str, ...], smooth: bool) -> None:
-    """Judge the laser over simulated drives through a building; one JSON line per drive, then a table."""
+    """Judge the laser over simulated drives through a building; one JSON line per run, then a table."""
     found = []
     for seed in range(FIRST_SEED, FIRST_SEED + drives):
-        found.append(one_drive(scenario, seed, sets, robot_sets, smooth))
-        click.echo(json.dumps(found[-1]))
+        for row in one_drive(scenario, seed, sets, robot_sets, smooth):
+            found.append(row)
+            click.echo(json.dumps(row))
     click.echo(markdown(found, scenario))
 
 

@@ -35,7 +35,7 @@ from locfuse.sample_logs.record import in_memory
 from locfuse.sample_logs.scenario import Camera, Room, Scenario, Waypoints
 from locfuse.sample_logs.simulate import OBSTACLE_HEIGHT
 from locfuse.sample_logs.walkers import AWAY, LEG, Walk, stepped_aside
-from locfuse.sample_logs.world import Plan, cast, clearance
+from locfuse.sample_logs.world import Plan, Scene, cast, clearance
 
 NAMES = ("office", "hall")
 Z = 0.25  # m, height of the laser
@@ -472,6 +472,15 @@ def test_the_robot_slows_down_for_its_corners() -> None:
     calm = np.convolve(turning, np.ones(5) / 5, "same")
     assert calm.max() < 1.5
     assert np.median(speed[calm > 0.6]) < 0.5
+
+
+@pytest.mark.parametrize("name", sorted(set(load.names()) - set(NAMES)))
+def test_a_scenario_without_a_building_is_written_out_as_before(name: str) -> None:
+    """Its text is attached to its log: a new key would change every log."""
+    scenario = load.load(name)
+    assert scenario.building is None
+    assert "building" not in load.dumps(scenario)
+    assert type(scene_of(scenario, 1)) is Scene
 
 
 def test_the_camera_cannot_draw_a_building_and_says_so() -> None:

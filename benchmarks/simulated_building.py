@@ -28,11 +28,11 @@ import click
 import numpy as np
 
 from benchmarks.accuracy import streams_by_role
-from locfuse.cli.load import make_robot
-from locfuse.formats import robot_toml
+from locfuse.cli.pipeline.load import make_robot
+from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import Drive, Estimates
-from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.smooth import fuse_and_smooth

@@ -10,7 +10,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..fusion.data import Array
+from locfuse.fusion.data import Array
+
 from .messages import Streams
 
 PIECE = 0.6  # m, longest segment of a bent face

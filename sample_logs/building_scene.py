@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..fusion.data import Array
+from locfuse.fusion.data import Array
+
 from . import doors, furniture, glass, walkers
 from .bent_walls import bent
 from .building import Building

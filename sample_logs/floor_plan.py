@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fusion.data import Array
+from locfuse.fusion.data import Array
+
 from .table import Point
 from .world import Plan
 

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from ..fusion.data import Array
+from locfuse.fusion.data import Array
+
 from .building import Box, Furniture, LeggedTable, SwivelChair
 
 CORNERS = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) / 2

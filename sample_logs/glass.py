@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from ..fusion.data import Array
+from locfuse.fusion.data import Array
+
 from .building import Building, Glass
 from .furniture import CORNERS, closed
 from .masonry import ends

@@ -7,7 +7,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fusion.data import Array
+from locfuse.fusion.data import Array
+
 from .building import Building, Opening, Space
 from .table import Point, Segment
 

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fusion.data import Array
+from locfuse.fusion.data import Array
+
 from .world import Plan
 
 Indices = NDArray[np.intp]

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from ..fusion.data import Array
+from locfuse.fusion.data import Array
+
 from .building import Walker
 
 STRIDE = 0.7  # m, of one step

@@ -48,7 +48,7 @@ def fuse(
     listen = listen or {}
     for sensor in (*sensors, *listen):
         if sensor not in drive.measurements:
-            raise LocfuseError(f"{sensor}: {drive.absent.get(sensor, 'not in this log')}")
+            raise drive.lacks(sensor)
     run = Filter(robot, sensors, listen, beliefs, {s: len(m.z) for s, m in drive.measurements.items()})
     for k, (step, due) in enumerate(zip(steps_of(drive), due_readings(drive, (*sensors, *listen)), strict=True)):
         run.advance(k, step, due, drive.measurements)

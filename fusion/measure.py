@@ -38,19 +38,22 @@ def measure(
     drops = {"wheels": dropped}
     measurements: dict[str, Measurements] = {}
     missing = dict(absent or {})
+    fixes: dict[str, tuple[str, ...]] = {}
     for name, sensor in REGISTRY.items():
         if name in streams:
             progress(name)
             try:
                 found = sensor.measure(streams[name], robot.settings(name), wheels, epoch_ns)
             except LocfuseError as e:
-                missing[name] = str(e)  # the others can still be compared; asking for this one is an error
+                # the others can still be compared; asking for this one is an error
+                missing[name] = e.sentence if e.role == name else str(e)
+                fixes[name] = e.fixes
                 continue
             measurements[name] = _within(found, wheels)
             drops[name] = dict(measurements[name].dropped)
     _drop_dependent(measurements, missing)
     drive = cut(wheels, epoch_ns, measurements, robot, missing, streams.get("truth"), drops)
-    return replace(drive, notes=(*(f"wheels: {note}" for note in notes), *drive.notes))
+    return replace(drive, notes=(*(f"wheels: {note}" for note in notes), *drive.notes), fixes=fixes)
 
 
 def _drop_dependent(measurements: dict[str, Measurements], missing: dict[str, str]) -> None:
@@ -134,9 +137,10 @@ def _within(m: Measurements, wheels: Wheels) -> Measurements:
     keep = np.flatnonzero(inside)
     keep = keep[np.argsort(m.t[keep], kind="stable")]
     outside = int((~inside).sum())
-    if outside:
-        m.dropped["outside_wheels"] = m.dropped.get("outside_wheels", 0) + outside
-    return m.take(keep)
+    if not outside:
+        return m.take(keep)
+    dropped = {**m.dropped, "outside_wheels": m.dropped.get("outside_wheels", 0) + outside}
+    return replace(m.take(keep), dropped=dropped)
 
 
 def thinned(drive: Drive, rates: Mapping[str, float]) -> Drive:

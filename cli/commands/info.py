@@ -92,5 +92,9 @@ def _topic_of_pictures(seen: Look) -> str:
         return named if named in fit else fit[0]
     if not fit:
         raise LocfuseError(f"--preview: no topic of {seen.log.name} holds pictures")
-    choose = f"choose one with --set camera.topic={fit[0]}"
-    raise LocfuseError(f"--preview: {seen.log.name} has {len(fit)} topics of pictures; {choose}")
+    fix = f"camera.topic={fit[0]}"
+    raise LocfuseError(
+        f"--preview: {seen.log.name} has {len(fit)} topics of pictures;",
+        fixes=(fix,),
+        hint=f"choose one with --set {fix}",
+    )

@@ -136,7 +136,7 @@ def merged_tables(log: Log, how: LogOptions) -> dict[str, Any]:
         sets = robot_toml.apply_sets(how.sets)
         make_robot(sets)
     except LocfuseError as e:
-        raise UsageError(str(e)) from None
+        raise UsageError(e.message, role=e.role, fixes=e.fixes, hint=e.hint) from None
     if how.order:
         sets["order"] = how.order
     if how.preset:

@@ -230,7 +230,10 @@ class Drive:
     dropped: dict[str, dict[str, int]] = field(default_factory=dict)  # stream -> reason -> count
     wheels: Any = None  # fusion.motion.Wheels: the odometry behind `motions`
     notes: tuple[str, ...] = ()  # in words: choices made, repairs, lags found
-    fixes: dict[str, tuple[str, ...]] = field(default_factory=dict)  # absent sensor -> settings that may bring it in
+    repairs: tuple[str, ...] = ()  # of the wheels, in words: without "wheels: ", which they have among the notes
+    fixes: dict[str, tuple[str, ...]] = field(
+        default_factory=dict
+    )  # absent sensor -> settings that may bring it in
 
     def lacks(self, sensor: str) -> LocfuseError:
         """Return the error that says why there is nothing of a sensor, for raising."""

@@ -21,7 +21,7 @@ from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
 
 from . import se2
 from .audit import MANY, Record
-from .data import Array, Drive, Estimates, LocfuseError, Measurements, matrices
+from .data import Array, Drive, Estimates, Measurements, matrices
 from .ekf import belief_blocks
 from .instants import BLOCK, Due, Step, due_readings, steps_of
 from .robot import Robot, StartSettings

@@ -53,7 +53,8 @@ def measure(
             drops[name] = dict(measurements[name].dropped)
     _drop_dependent(measurements, missing)
     drive = cut(wheels, epoch_ns, measurements, robot, missing, streams.get("truth"), drops)
-    return replace(drive, notes=(*(f"wheels: {note}" for note in notes), *drive.notes), fixes=fixes)
+    repairs = (*notes, *_gap_notes(wheels))
+    return replace(drive, notes=tuple(f"wheels: {note}" for note in repairs), repairs=repairs, fixes=fixes)
 
 
 def _drop_dependent(measurements: dict[str, Measurements], missing: dict[str, str]) -> None:
@@ -94,11 +95,10 @@ def cut(
         truth_instant=truth_instant,
         dropped=dropped,
         wheels=wheels,
-        notes=tuple(_silence_notes(wheels)),
     )
 
 
-def _silence_notes(wheels: Wheels) -> list[str]:
+def _gap_notes(wheels: Wheels) -> list[str]:
     """Say where the counters tell how far the wheels rolled, and not which way the robot took."""
     silent = np.flatnonzero(wheels.silence[:, 1] > 0.0)
     if not len(silent):
@@ -106,7 +106,7 @@ def _silence_notes(wheels: Wheels) -> list[str]:
     longest = silent[np.argmax(np.diff(wheels.t)[silent])]
     when = f"{wheels.t[longest]:.1f}-{wheels.t[longest + 1]:.1f} s"
     times = "once" if len(silent) == 1 else f"{len(silent)} times, longest"
-    return [f"wheels: silent {times} ({when}): which way the robot took there is not known, and P grows by that"]
+    return [f"silent {times} ({when}): which way the robot took there is not known, and P grows by that"]
 
 
 def instants(wheel_t: Array, sensor_t: list[Array]) -> Array:

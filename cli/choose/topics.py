@@ -25,7 +25,7 @@ class Choice:
     absent: dict[str, str] = field(default_factory=dict)
     fixes: dict[str, tuple[str, ...]] = field(default_factory=dict)  # absent role -> settings that may bring it in
     foreign: set[str] = field(default_factory=set)  # sensors for which the log has no topic at all
-    notes: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # about the wheels
 
     def of(self, role: str) -> tuple[str, ...]:
         """Return all topics of a role."""

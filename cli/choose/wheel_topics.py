@@ -53,7 +53,7 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
     choice.take("wheels", [topic_or_none], ONLY)
     if counters:
         choice.notes.append(
-            f"wheels: {topic_or_none} is used, since {' and '.join(counters)} gives wheel angles and no {unknown} "
+            f"{topic_or_none} is used, since {' and '.join(counters)} gives wheel angles and no {unknown} "
             f"{'are' if ' and ' in unknown else 'is'} set"
         )
 

@@ -55,8 +55,8 @@ def info(log: tuple[str, ...], check: bool, as_json: bool, preview: Path | None,
             text = info_text.lines(seen, _typed(log, how), show.width())
             show.lines((*text, *pictures), (*info_text.TITLES, PICTURES))
     losses = {"lost", "refused"} if how.strict else {"lost"}
-    lost = any(o.code in losses for o in seen.oddities)
-    return ODD if lost or (check and seen.spoils) else 0
+    lost = any(o.code in losses for o in seen.findings)
+    return ODD if lost or (check and seen.severe) else 0
 
 
 def _typed(log: tuple[str, ...], how: LogOptions) -> list[str]:

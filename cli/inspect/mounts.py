@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from locfuse.cli.choose.mounts import BASE_FRAMES, mount_of
-from locfuse.fusion.doctor.finding import Oddity
+from locfuse.fusion.doctor.finding import Finding
 from locfuse.fusion.sensors.registry import REGISTRY
 
 if TYPE_CHECKING:
@@ -40,18 +40,18 @@ def _mount_by(seen: Look, name: str, keys: Mapping[str, Any]) -> str:
     return "/tf_static" if known and len(known) == len(frames) else "nobody"
 
 
-def unplaced(seen: Look) -> list[Oddity]:
+def unplaced(seen: Look) -> list[Finding]:
     """Say of the sensors whose place matters that nobody says where they sit."""
     found = []
     for name, mount in extrinsics(seen).items():
         if mount["by"] == "nobody" and name in {"lrf", "sonar"}:
             keys = f"{name}.mounts" if "mounts" in mount else f"{name}.x, {name}.y, {name}.yaw_deg"
             words = f"nothing says where it sits on the robot: the base's origin is assumed (set {keys})"
-            found.append(Oddity("mount", name, words))
+            found.append(Finding(name, "mount", words))
     return found
 
 
-def conflicts(seen: Look) -> list[Oddity]:
+def conflicts(seen: Look) -> list[Finding]:
     """Name the frames that are said to be in two places: those that matter one by one, the others together."""
     facts = {f.topic: f for f in seen.facts}
     frames = {facts[t].frame_id: role for role in seen.choice.topics for t in seen.choice.of(role) if t in facts}
@@ -64,11 +64,11 @@ def conflicts(seen: Look) -> list[Oddity]:
             others.append(frame)
         elif mount.get("by") == "/tf_static":  # whether it is wrong the walls tell, see doctor_laser
             keys = [k for k in ("x", "y", "yaw_deg") if isinstance(mount.get(k), float)]
-            wrong = any(o.stream == role and o.code == "yaw" for o in seen.oddities)
-            cures = () if wrong else tuple(f"{role}.{k}={mount[k]:.4g}" for k in keys)
-            found.append(Oddity("tf_static", role, words, cures))
+            wrong = any(o.role == role and o.code == "yaw" for o in seen.findings)
+            fixes = () if wrong else tuple(f"{role}.{k}={mount[k]:.4g}" for k in keys)
+            found.append(Finding(role, "tf_static", words, fixes))
     if others:
         listed = ", ".join(others[:3]) + (" ..." if len(others) > 3 else "")
         words = f"{len(others)} frames are said to be in two places ({listed}); no sensor used here sits there"
-        found.append(Oddity("tf_static", "/tf_static", words))
+        found.append(Finding("/tf_static", "tf_static", words))
     return found

@@ -9,7 +9,7 @@ from locfuse.cli.choose.topics import Choice
 from locfuse.cli.pipeline.load import Loaded
 from locfuse.formats.log.log import Log
 from locfuse.formats.robot.transforms import StaticTransforms
-from locfuse.fusion.doctor.finding import Oddity
+from locfuse.fusion.doctor.finding import Finding
 from locfuse.fusion.robot import Robot
 
 from . import robot_facts
@@ -28,9 +28,9 @@ class Look:
     robot: Robot  # with mounts where the log could be measured
     loaded: Loaded | None = None
     hints: robot_facts.Hints = field(default_factory=robot_facts.Hints)
-    oddities: list[Oddity] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)
 
     @property
-    def spoils(self) -> bool:
+    def severe(self) -> bool:
         """Whether an estimate would be wrong, or bytes are lost."""
-        return any(o.spoils for o in self.oddities)
+        return any(f.severe for f in self.findings)

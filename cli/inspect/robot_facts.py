@@ -10,7 +10,7 @@ import numpy as np
 from locfuse.cli.choose.topics import Choice, of_type
 from locfuse.formats.robot.urdf import WheelGeometry, wheel_geometry
 from locfuse.fusion.data import Array, LocfuseError, Ragged
-from locfuse.fusion.doctor.finding import Oddity
+from locfuse.fusion.doctor.finding import Finding
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import joined
 from locfuse.fusion.truth import TRUTH_READS, looks_like_truth
@@ -58,39 +58,38 @@ def hints(log: Log, robot: Robot, choice: Choice) -> Hints:
     return Hints(described, fitted, odometry[0] if odometry else "", KNOWN_TICKS.get(kind), joints)
 
 
-def oddities(log: Log, robot: Robot, choice: Choice, found: Hints) -> list[Oddity]:
+def findings(log: Log, robot: Robot, choice: Choice, found: Hints) -> list[Finding]:
     """Return what is missing of the wheels, with the values that were found, and topics that may be the truth."""
     return [*_geometry(log, robot, choice, found), *_untold_truth(log, choice)]
 
 
-def _geometry(log: Log, robot: Robot, choice: Choice, found: Hints) -> list[Oddity]:
+def _geometry(log: Log, robot: Robot, choice: Choice, found: Hints) -> list[Finding]:
     topics = choice.of("wheels") or _unused_counters(log, choice)
     if not topics or log.topics[topics[0]].msgtype == ODOMETRY:
         topics = _unused_counters(log, choice)
     if not topics:
         return []
-    cures, words = [], []
+    fixes, words = [], []
     if robot.wheels.ticks_per_revolution is None and counts_ticks(log.topics[topics[0]].msgtype):
         words.append("ticks per revolution")
         if found.ticks is not None:
-            cures.append(f"wheels.ticks_per_revolution={found.ticks:g}")
+            fixes.append(f"wheels.ticks_per_revolution={found.ticks:g}")
     values, source = geometry(robot, found)
     for key in ("radius", "track"):
         if getattr(robot.wheels, key) is None:
             words.append(key)
             if key in values:
-                cures.append(f"wheels.{key}={values[key]:.5g}")
+                fixes.append(f"wheels.{key}={values[key]:.5g}")
     named = robot.wheels.left is not None and robot.wheels.right is not None
     if found.joints is not None and not named and not _named_well(log, topics[0], robot):
         words.append("which joints are the wheels'")
-        cures += [f"wheels.left={found.joints[0]}", f"wheels.right={found.joints[1]}"]
+        fixes += [f"wheels.left={found.joints[0]}", f"wheels.right={found.joints[1]}"]
     if not words:
         return []
     other = choice.of("wheels") and log.topics[choice.of("wheels")[0]].msgtype == ODOMETRY
     counts = "count" if len(topics) > 1 else "counts"
-    said = f"{' and '.join(topics)} {counts} wheel turns, but nothing says {', '.join(words)}"
-    said += f"; {source}" if source and cures else ""
-    return [Oddity("geometry", "wheels", said, tuple(cures), not other)]
+    message = f"{' and '.join(topics)} {counts} wheel turns, but nothing says {', '.join(words)}"
+    return [Finding("wheels", "geometry", message, tuple(fixes), not other, source if fixes else "")]
 
 
 def geometry(robot: Robot, found: Hints) -> tuple[dict[str, float], str]:
@@ -181,7 +180,7 @@ def _described(log: Log) -> WheelGeometry | None:
     return None
 
 
-def _untold_truth(log: Log, choice: Choice) -> list[Oddity]:
+def _untold_truth(log: Log, choice: Choice) -> list[Finding]:
     """Name topics of poses that might be the truth, had somebody said so: an estimate must not judge another."""
     if "truth" in choice.topics:
         return []
@@ -190,4 +189,4 @@ def _untold_truth(log: Log, choice: Choice) -> list[Oddity]:
     if not poses:
         return []
     words = f"none is named; if {' or '.join(poses)} is a reference (not an estimate), say so"
-    return [Oddity("truth?", "truth", words, (f"truth.topic={poses[0]}",))]
+    return [Finding("truth", "truth?", words, (f"truth.topic={poses[0]}",))]

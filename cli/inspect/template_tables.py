@@ -11,7 +11,6 @@ from locfuse.cli.choose.mounts import mount_tables
 from locfuse.cli.choose.topics import of_type
 from locfuse.cli.pipeline.load import TABLES
 from locfuse.formats.robot.commented_toml import Line
-from locfuse.fusion.doctor.finding import settings_in
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.read import ODOMETRY, counts_ticks
 from locfuse.fusion.wheels.sources import JOINTS
@@ -31,7 +30,7 @@ class Facts(NamedTuple):
 
     seen: Look
     known: Known  # in force
-    suggested: Known  # cures that only the robot's owner can judge
+    suggested: Known  # fixes that only the robot's owner can judge
 
     def kind(self, role: str) -> str:
         """Return the message type of a role's topic, "" without one."""
@@ -122,11 +121,11 @@ def _unknown(key: str, path: str, default: Any, missing: list[str]) -> Iterator[
 
 
 def _suggested(facts: Facts, table: str) -> Known:
-    """Return cures that are not in force, and the topics of a sensor that could not choose between several."""
+    """Return fixes that are not in force, and the topics of a sensor that could not choose between several."""
     here = {key: told for key, told in facts.suggested.items() if key.startswith(f"{table}.")}
     why = facts.seen.choice.absent.get(table, "")
-    for cure in settings_in(why):
-        key, _, value = cure.partition("=")
+    for fix in facts.seen.choice.fixes.get(table, ()):
+        key, _, value = fix.partition("=")
         if key == f"{table}.topic":
             here[key] = value, why
     return here

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from locfuse.cli.choose.topics import types
-from locfuse.fusion.doctor.finding import Oddity
+from locfuse.fusion.doctor.finding import Finding
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .mounts import extrinsics
@@ -31,8 +31,8 @@ def values(seen: Look) -> dict[str, Any]:
         "absent": absent(seen),
         "extrinsics": extrinsics(seen),
         "configurations": configurations(seen),
-        "oddities": [_oddity(o) for o in seen.oddities],
-        "spoils": seen.spoils,
+        "findings": [_finding(f) for f in seen.findings],
+        "severe": seen.severe,
     }
 
 
@@ -55,9 +55,16 @@ def wheels_missing(seen: Look) -> str | None:
     """Return why nothing can be estimated from this log, None where something can."""
     if seen.loaded is not None:
         return None
-    unready = (o.words for o in seen.oddities if o.spoils and o.stream in {"wheels", "log"})
+    unready = (f.sentence for f in seen.findings if f.severe and f.role in {"wheels", "log"})
     return next(unready, None) or absent(seen).get("wheels", "the log cannot be measured")
 
 
-def _oddity(o: Oddity) -> dict[str, Any]:
-    return {"code": o.code, "stream": o.stream, "words": o.words, "cures": list(o.cures), "spoils": o.spoils}
+def _finding(f: Finding) -> dict[str, Any]:
+    return {
+        "role": f.role,
+        "code": f.code,
+        "message": f.sentence,
+        "fixes": list(f.fixes),
+        "source": f.source or None,
+        "severe": f.severe,
+    }

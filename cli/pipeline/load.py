@@ -48,7 +48,6 @@ class Loaded:
     robot: Robot
     choice: Choice
     drive: Drive
-    repairs: tuple[str, ...] = ()  # what measuring noted, of the drive's notes
 
 
 def find_log(words: Sequence[str]) -> list[Path]:
@@ -112,8 +111,9 @@ def measured(
     drive = measure({role: s for role, s in streams.items() if role not in aside}, robot, choice.absent, progress)
     preset = (filters.NOTE,) if robot.preset == "paper" else ()
     lags = lag_notes(drive.wheels, drive.measurements)
-    notes = (*preset, *choice.notes, *_clock_notes(streams), *_start_notes(robot, drive), *drive.notes, *lags)
-    return Loaded(log, robot, choice, replace(drive, notes=notes), drive.notes)
+    chosen = (f"wheels: {note}" for note in choice.notes)
+    notes = (*preset, *chosen, *_clock_notes(streams), *_start_notes(robot, drive), *drive.notes, *lags)
+    return Loaded(log, robot, choice, replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes}))
 
 
 def _leave_out(choice: Choice, only: Collection[str] | None, preset: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 import textwrap
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -12,7 +11,7 @@ from locfuse.cli.inspect.mounts import extrinsics
 from locfuse.cli.inspect.overview import Look
 from locfuse.cli.inspect.topics import TopicFacts, clock_word
 from locfuse.cli.inspect.values import absent, configurations, wheels_missing
-from locfuse.fusion.doctor.finding import Oddity
+from locfuse.fusion.doctor.finding import Finding
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .text_table import Column, table
@@ -25,7 +24,6 @@ READS, CONFIGURATIONS, SPOILS, WORTH, NEXT = TITLES = (
     "next",
 )
 MOST = 6  # unreadable topics, each with its reason
-OPTION = re.compile(r"[.;:?] (?=[^.;:?]*--set )")  # the clause that tells an option: it stands in the next line
 
 
 def lines(seen: Look, typed: Sequence[str], width: int | None) -> Iterator[str]:
@@ -35,16 +33,16 @@ def lines(seen: Look, typed: Sequence[str], width: int | None) -> Iterator[str]:
     yield from _topics(seen, width)
     yield from _roles(seen, width)
     yield from _configurations(seen, width)
-    for title, oddities in grouped(seen).items():
-        yield from _section(title, [line for o in oddities for line in _oddity(o, width)])
+    for title, findings in grouped(seen).items():
+        yield from _section(title, [line for f in findings for line in _finding(f, width)])
     yield from _section(NEXT, [f"  {command}" for command in _next(seen, typed)])
 
 
-def grouped(seen: Look) -> dict[str, list[Oddity]]:
-    """Return the oddities under what they mean for an estimate."""
+def grouped(seen: Look) -> dict[str, list[Finding]]:
+    """Return the findings under what they mean for an estimate."""
     return {
-        SPOILS: [o for o in seen.oddities if o.spoils],
-        WORTH: [o for o in seen.oddities if not o.spoils],
+        SPOILS: [f for f in seen.findings if f.severe],
+        WORTH: [f for f in seen.findings if not f.severe],
     }
 
 
@@ -136,29 +134,26 @@ def _configurations(seen: Look, width: int | None) -> Iterator[str]:
     foreign = [name for name in REGISTRY if name in seen.choice.foreign]
     for name in REGISTRY:
         if name in why and name not in foreign:
-            body += _wrapped(
-                "  not yet  ", f"{name}: {_briefly(why[name].removeprefix(f'{name}: '), name, seen)}", width
-            )
+            body += _wrapped("  not yet  ", f"{name}: {_briefly(why[name], name, seen)}", width)
     body += _wrapped("  no topic ", ", ".join(foreign), width) if foreign else []
     yield from _section(CONFIGURATIONS, body)
 
 
-def _briefly(words: str, stream: str, seen: Look) -> str:
-    """Say once what is told among the oddities too."""
-    told = any(o.stream == stream and (o.spoils or o.words == words) for o in seen.oddities)
-    return "see below" if told else words
+def _briefly(words: str, role: str, seen: Look) -> str:
+    """Say once what a finding says too."""
+    below = any(f.role == role and (f.severe or f.sentence == words) for f in seen.findings)
+    return "see below" if below else words
 
 
-def _oddity(o: Oddity, width: int | None) -> list[str]:
-    words = OPTION.split(o.words)[0] if o.cures else o.words
-    body = _wrapped(f"  {o.stream}: ", words, width, "    ")
-    return [*body, *_options("    cure: ", o.cures, width)] if o.cures else body
+def _finding(f: Finding, width: int | None) -> list[str]:
+    body = _wrapped(f"  {f.role}: ", f.brief if f.fixes else f.sentence, width, "    ")
+    return [*body, *_options("    cure: ", f.fixes, width)] if f.fixes else body
 
 
-def _options(head: str, cures: Sequence[str], width: int | None) -> list[str]:
+def _options(head: str, fixes: Sequence[str], width: int | None) -> list[str]:
     """Return --set options, never broken within one."""
     rows, row = [], head
-    for option in (f"--set {shlex.quote(cure)}" for cure in cures):
+    for option in (f"--set {shlex.quote(fix)}" for fix in fixes):
         if width is not None and row.strip() and row != head and len(row) + len(option) > width:
             rows.append(row.rstrip())
             row = " " * len(head)
@@ -178,22 +173,22 @@ def _wrapped(head: str, words: str, width: int | None, indent: str | None = None
 
 
 def _next(seen: Look, typed: Sequence[str]) -> list[str]:
-    """Return the commands to try next: once more with what cures the worst, a robot.toml, or the comparison."""
-    cures = dict(cure.partition("=")[::2] for o in seen.oddities if o.spoils for cure in o.cures)
-    if cures:
-        kept = _without(typed, cures)
-        options = [word for key, value in cures.items() for word in ("--set", f"{key}={value}")]
+    """Return the commands to try next: once more with what fixes the worst, a robot.toml, or the comparison."""
+    fixes = dict(fix.partition("=")[::2] for f in seen.findings if f.severe for fix in f.fixes)
+    if fixes:
+        kept = _without(typed, fixes)
+        options = [word for key, value in fixes.items() for word in ("--set", f"{key}={value}")]
         return [shlex.join(("locfuse", "info", *kept, *options))]
     if seen.loaded is not None:
         return [shlex.join(("locfuse", "compare", *typed))]
     return [f"{shlex.join(('locfuse', 'init', *typed))} > robot.toml"] if seen.choice.of("wheels") else []
 
 
-def _without(typed: Sequence[str], cures: Collection[str]) -> list[str]:
+def _without(typed: Sequence[str], fixes: Collection[str]) -> list[str]:
     """Return what was typed less the --set of keys that are cured."""
     kept: list[str] = []
     for word in typed:
-        if kept and kept[-1] == "--set" and word.partition("=")[0] in cures:
+        if kept and kept[-1] == "--set" and word.partition("=")[0] in fixes:
             kept.pop()
         else:
             kept.append(word)

@@ -86,7 +86,7 @@ def _geometry(settings: WheelSettings, stream: Stream) -> tuple[float, float]:
             hint=f"Set them in robot.toml or with --set wheels.{missing[0]}=<metres>",
         )
     radius, track = float(settings.radius or 0.0), float(settings.track or 0.0)
-    if min(radius, track) < LEAST:
+    if min(radius, track) < MIN_LENGTH_M:
         raise LocfuseError(
             f"radius {radius:g} m and track {track:g} m must both be at least {MIN_LENGTH_M:g} m", role="wheels"
         )

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import click
 import numpy as np
 
-from locfuse.cli.inspect.inspect_log import look
+from locfuse.cli.inspect.inspect_log import inspect_log
 from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.fusion.doctor.finding import Finding
 from locfuse.sample_logs.load import load
@@ -72,8 +72,8 @@ def drives(number: int, folder: Path) -> Iterator[tuple[Path, float]]:
 
 def findings(log: Path, *sets: str) -> list[Finding]:
     """Return what would spoil an estimate under these settings."""
-    seen = look([log], LogOptions(None, sets, None, strict=False, quiet=True))
-    return [o for o in seen.findings if o.severe]
+    overview = inspect_log([log], LogOptions(None, sets, None, strict=False, quiet=True))
+    return [o for o in overview.findings if o.severe]
 
 
 def row(wrong: Wrong, off: list[float | None], others: int) -> str:

@@ -22,24 +22,26 @@ from locfuse.fusion.doctor.examine import examine
 from locfuse.fusion.doctor.finding import Finding, of_error
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.streams import joined
+from locfuse.fusion.streams import merged
 
-from . import robot_facts
 from .clocks import of_stamps
 from .mounts import conflicts, unplaced
+from .robot_facts import find_robot_facts, of_robot
 from .sensors import raw_findings
 from .topics import topic_facts
 
 if TYPE_CHECKING:
     from locfuse.cli.pipeline.settings import LogOptions
-from .overview import Look
+from .overview import Overview
 
 COSTLY = ("camera",)  # decoding every picture takes longer than all the rest
 PHANTOMS = {"yaw", "range scale"}  # what walls that are none would say
 
 
-def look(paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None] = lambda role: None) -> Look:
-    """Look at a log. Raises LocfuseError only where it cannot be opened, or robot.toml cannot be read."""
+def inspect_log(
+    paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None] = lambda role: None
+) -> Overview:
+    """Inspect a log. Raises LocfuseError only where it cannot be opened, or robot.toml cannot be read."""
     progress("opening")
     log = open_log(paths)
     tables = merged_tables(log, how)
@@ -49,18 +51,18 @@ def look(paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None]
     found: list[Finding] = []
     choice = _choose(log, robot, named_by_hand(how.sets), found)
     transforms = _transforms(log, found)
-    seen = Look(log, tables, choice, facts, transforms, robot)
-    seen.hints = robot_facts.hints(log, robot, choice)
-    seen.findings = [
+    overview = Overview(log, tables, choice, facts, transforms, robot)
+    overview.robot_facts = find_robot_facts(log, robot, choice)
+    overview.findings = [
         *_of_files(log),
         *found,
-        *robot_facts.findings(log, robot, choice, seen.hints),
+        *of_robot(log, robot, choice, overview.robot_facts),
         *of_stamps(facts, choice, robot),
     ]
-    seen.findings += raw_findings(log, robot, choice)
-    _measure(seen, progress)
-    seen.findings += [*unplaced(seen), *conflicts(seen)]
-    return seen
+    overview.findings += raw_findings(log, robot, choice)
+    _measure(overview, progress)
+    overview.findings += [*unplaced(overview), *conflicts(overview)]
+    return overview
 
 
 def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) -> Choice:
@@ -104,40 +106,40 @@ def _of_files(log: Log) -> list[Finding]:
     return found
 
 
-def _measure(seen: Look, progress: Callable[[str], None]) -> None:
+def _measure(overview: Overview, progress: Callable[[str], None]) -> None:
     """Measure what can be, and let the doctor look at it."""
-    if "wheels" not in seen.choice.topics:
+    if "wheels" not in overview.choice.topics:
         return
     try:
-        loaded = measured(seen.log, seen.tables, seen.choice, progress, aside=COSTLY)
+        loaded = measured(overview.log, overview.tables, overview.choice, progress, aside=COSTLY)
     except LocfuseError as e:
-        seen.findings += _not_measured(seen, e)
+        overview.findings += _not_measured(overview, e)
         return
     progress("looking for oddities")
-    seen.loaded, seen.robot = loaded, loaded.robot
+    overview.loaded, overview.robot = loaded, loaded.robot
     streams = {
-        role: joined([seen.log.stream(topic, loaded.robot.order) for topic in seen.choice.of(role)])
-        for role in seen.choice.topics
+        role: merged([overview.log.stream(topic, loaded.robot.order) for topic in overview.choice.of(role)])
+        for role in overview.choice.topics
     }
-    phantoms = PHANTOMS if any(o.code == "range_max" and o.severe for o in seen.findings) else set()
+    phantoms = PHANTOMS if any(o.code == "range_max" and o.severe for o in overview.findings) else set()
     found = examine(loaded.drive, loaded.robot, streams)
-    seen.findings += [o for o in found if o.role != "lrf" or o.code not in phantoms]
-    seen.findings += _unusable(seen, loaded)
+    overview.findings += [o for o in found if o.role != "lrf" or o.code not in phantoms]
+    overview.findings += _unusable(overview, loaded)
 
 
-def _not_measured(seen: Look, error: LocfuseError) -> list[Finding]:
+def _not_measured(overview: Overview, error: LocfuseError) -> list[Finding]:
     """Say why nothing could be measured, where no finding says it yet."""
     role = error.role if error.role in {"wheels", "truth", *REGISTRY} else "log"
-    known = any(f.role == role and f.severe for f in seen.findings)
+    known = any(f.role == role and f.severe for f in overview.findings)
     return [] if known else [of_error(error, role, "unusable")]
 
 
-def _unusable(seen: Look, loaded: Loaded) -> list[Finding]:
+def _unusable(overview: Overview, loaded: Loaded) -> list[Finding]:
     """Sensors that the log has and that cannot be used, where no finding says why yet."""
-    known = {f.role for f in seen.findings if f.severe}
+    known = {f.role for f in overview.findings if f.severe}
     drive = loaded.drive
     return [
         Finding(name, "unusable", why, fixes := drive.fixes.get(name, ()), bool(fixes))
         for name, why in drive.absent.items()
-        if name in seen.choice.topics and name not in known
+        if name in overview.choice.topics and name not in known
     ]

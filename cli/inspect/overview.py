@@ -12,13 +12,13 @@ from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.fusion.doctor.finding import Finding
 from locfuse.fusion.robot import Robot
 
-from . import robot_facts
+from .robot_facts import RobotFacts
 from .topics import TopicFacts
 
 
 @dataclass
-class Look:
-    """What was seen."""
+class Overview:
+    """A log as it is found: topics, roles, mounts, clocks, findings."""
 
     log: Log
     tables: dict[str, Any]  # robot.toml as merged, before mounts
@@ -27,7 +27,7 @@ class Look:
     transforms: StaticTransforms
     robot: Robot  # with mounts where the log could be measured
     loaded: Loaded | None = None
-    hints: robot_facts.Hints = field(default_factory=robot_facts.Hints)
+    robot_facts: RobotFacts = field(default_factory=RobotFacts)
     findings: list[Finding] = field(default_factory=list)
 
     @property

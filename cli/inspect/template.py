@@ -1,4 +1,4 @@
-"""What `init` writes: everything `look` found out of a log, as lines of a robot.toml with their words."""
+"""What `init` writes: everything `inspect_log` found in a log, as lines of a robot.toml with their words."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from locfuse.formats.robot.commented_toml import Section
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.doctor.finding import Finding
 
-from .inspect_log import look
-from .overview import Look
+from .inspect_log import inspect_log
+from .overview import Overview
 from .template_tables import Facts, Known, found, lines
 
 ROUNDS = 4  # a fix may bring out what could not be seen before
@@ -26,39 +26,43 @@ CHOICES = {"choice", "unusable", "truth?"}  # nothing was measured: the first th
 class Draft(NamedTuple):
     """The tables of a robot.toml, and what is missing."""
 
-    seen: Look  # with all fixes that are in force
+    overview: Overview  # with all fixes that are in force
     sections: list[Section]
     missing: list[str]  # keys without which nothing runs, or not their sensor
 
 
 def draft(paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None] = lambda step: None) -> Draft:
     """Look at a log until no fix changes anything, and write down what was found."""
-    seen = look(paths, how, progress)
-    said = _told(seen, how)
+    overview = inspect_log(paths, how, progress)
+    said = _told(overview, how)
     fixes: dict[str, tuple[str, str]] = {}  # key -> "key=value", why
     for _ in range(ROUNDS):
-        new = {key: fix for key, fix in _fixes(filter(_certain, seen.findings)).items() if key not in said}
+        new = {key: fix for key, fix in _fixes(filter(_certain, overview.findings)).items() if key not in said}
         if new.items() <= fixes.items():
             break
         fixes |= new
-        seen = look(paths, replace(how, sets=(*how.sets, *(fix for fix, _ in fixes.values()))), progress)
-    known = {**found(seen), **_read(fixes), **said}
-    suggested = _read({key: fix for key, fix in _fixes(seen.findings).items() if key not in fixes})
-    facts = Facts(seen, known, suggested)
+        overview = inspect_log(
+            paths, replace(how, sets=(*how.sets, *(fix for fix, _ in fixes.values()))), progress
+        )
+    known = {**found(overview), **_read(fixes), **said}
+    suggested = _read({key: fix for key, fix in _fixes(overview.findings).items() if key not in fixes})
+    facts = Facts(overview, known, suggested)
     missing: list[str] = []
     sections = [Section(name, tuple(lines(facts, name, missing))) for name in ("", *TABLES)]
-    return Draft(seen, sections, missing)
+    return Draft(overview, sections, missing)
 
 
-def _told(seen: Look, how: LogOptions) -> Known:
+def _told(overview: Overview, how: LogOptions) -> Known:
     """Return what somebody said already: the log's attachment, --robot, --set."""
     layers: list[tuple[str, Mapping[str, Any]]] = []
-    if ATTACHMENT in seen.log.attachments:
-        layers.append(("the log's own robot.toml", robot_toml.parse(seen.log.attachments[ATTACHMENT], ATTACHMENT)))
+    if ATTACHMENT in overview.log.attachments:
+        layers.append(
+            ("the log's own robot.toml", robot_toml.parse(overview.log.attachments[ATTACHMENT], ATTACHMENT))
+        )
     if how.robot is not None:
         layers.append((how.robot.name, robot_toml.parse(how.robot.read_bytes(), how.robot.name)))
     layers.append(("--set", robot_toml.apply_sets(how.sets)))
-    merged = _flat(seen.tables)
+    merged = _flat(overview.tables)
     return {key: (merged[key], f"by {who}") for who, tables in layers for key in _flat(tables)}
 
 

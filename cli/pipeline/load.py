@@ -21,7 +21,7 @@ from locfuse.fusion.measure import measure
 from locfuse.fusion.paper import preset as filters
 from locfuse.fusion.robot import Robot, StartSettings, TruthSettings, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.streams import Joined, joined
+from locfuse.fusion.streams import MergedStream, merged
 
 from .memory import give_back
 
@@ -193,7 +193,7 @@ def _streams(log: Log, choice: Choice, order: str) -> dict[str, Any]:
             fields = _light(role, log.topics[topic].msgtype)
             wants[topic] = tuple(dict.fromkeys((*wants.get(topic, ()), *fields)))
     streams = log.streams(wants, order=order)
-    return {role: joined([streams[topic] for topic in choice.of(role)]) for role in choice.topics}
+    return {role: merged([streams[topic] for topic in choice.of(role)]) for role in choice.topics}
 
 
 def _light(role: str, msgtype: str) -> tuple[str, ...]:
@@ -219,7 +219,7 @@ def _clock_notes(streams: Mapping[str, Any]) -> list[str]:
 
 def parts(stream: Any) -> tuple[Any, ...]:
     """Return the streams of single topics that a role's stream is made of."""
-    return stream.parts if isinstance(stream, Joined) else (stream,)
+    return stream.parts if isinstance(stream, MergedStream) else (stream,)
 
 
 def _start_notes(robot: Robot, drive: Drive) -> list[str]:

@@ -15,7 +15,7 @@ import numpy as np
 from locfuse.fusion.data import Array, Drive, Measurements, Stream
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.streams import Joined
+from locfuse.fusion.streams import MergedStream
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.read import ODOMETRY
 
@@ -158,7 +158,7 @@ def _also(robot: Robot, wheel: str) -> str:
 
 
 def _swapped(settings: WheelSettings, stream: Stream) -> tuple[str, ...]:
-    if isinstance(stream, Joined):
+    if isinstance(stream, MergedStream):
         left, right = (part.topic for part in stream.parts)
         return (f"wheels.left_topic={right}", f"wheels.right_topic={left}")
     if settings.left is not None and settings.right is not None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from locfuse.fusion.data import Array, Ints, LocfuseError, Ragged, Stream
 from locfuse.fusion.robot import WheelSettings
-from locfuse.fusion.streams import Joined
+from locfuse.fusion.streams import MergedStream
 
 from .jumps import Mask
 from .repairs import Side
@@ -48,7 +48,7 @@ class Counters(NamedTuple):
 
 def read_counters(stream: Stream, settings: WheelSettings) -> Counters:
     """Return both wheels' counters from whatever publishes them. Raises LocfuseError where it does not."""
-    if isinstance(stream, Joined):
+    if isinstance(stream, MergedStream):
         return _pair(stream, settings)
     dropped = dict(stream.dropped)
     found = _joints(stream, settings, dropped) if stream.msgtype == JOINTS else _ticks(stream)
@@ -106,7 +106,7 @@ def _ticks(stream: Stream) -> _Found:
     return _Found(stream.t_ns, values, (2.0**32,))
 
 
-def _pair(stream: Joined, settings: WheelSettings) -> Counters:
+def _pair(stream: MergedStream, settings: WheelSettings) -> Counters:
     """Two topics with a bare number each: they come unsynchronised, and only the recording dates them."""
     dropped: dict[str, int] = {}
     zero_ns = int(max(part.t_ns[0] if len(part.t_ns) else 0 for part in stream.parts))

@@ -1,4 +1,4 @@
-"""How often `info` finds what is wrong, how exact its cures are, and how often it complains without cause.
+"""How often `info` finds what is wrong, how exact its fixes are, and how often it complains without cause.
 
     python -m benchmarks.doctor --drives 20
 
@@ -16,9 +16,9 @@ from typing import NamedTuple
 import click
 import numpy as np
 
-from locfuse.cli.inspect.inspect_log import look
+from locfuse.cli.inspect.inspect_log import inspect_log
 from locfuse.cli.pipeline.settings import LogOptions
-from locfuse.fusion.doctor.finding import Oddity
+from locfuse.fusion.doctor.finding import Finding
 from locfuse.sample_logs.load import load
 from locfuse.sample_logs.record import on_truth, write_log
 
@@ -32,17 +32,17 @@ class Wrong(NamedTuple):
     key: str
     value: str
     right: str
-    within: float | None = None  # of a number: how far the cure may be off; None: a word
+    within: float | None = None  # of a number: how far the fix may be off; None: a word
     also: str = ""  # a key that has to follow
 
-    def cured(self, found: list[Oddity]) -> float | None:
-        """Return by how much the cure is off (0 for the right word), None where there is none."""
-        cures = dict(c.partition("=")[::2] for o in found for c in o.cures)
-        if self.key not in cures:
+    def cured(self, found: list[Finding]) -> float | None:
+        """Return by how much the fix is off (0 for the right word), None where there is none."""
+        fixes = dict(c.partition("=")[::2] for o in found for c in o.fixes)
+        if self.key not in fixes:
             return None
         if self.within is None:
-            return 0.0 if cures[self.key] == self.right else np.inf
-        return abs(float(cures[self.key]) - float(self.right))
+            return 0.0 if fixes[self.key] == self.right else np.inf
+        return abs(float(fixes[self.key]) - float(self.right))
 
 
 WRONG = (
@@ -70,10 +70,10 @@ def drives(number: int, folder: Path) -> Iterator[tuple[Path, float]]:
         yield path, float(np.degrees(outcome.truth[0, 2]))
 
 
-def findings(log: Path, *sets: str) -> list[Oddity]:
+def findings(log: Path, *sets: str) -> list[Finding]:
     """Return what would spoil an estimate under these settings."""
-    seen = look([log], LogOptions(None, sets, None, strict=False, quiet=True))
-    return [o for o in seen.oddities if o.spoils]
+    overview = inspect_log([log], LogOptions(None, sets, None, strict=False, quiet=True))
+    return [o for o in overview.findings if o.severe]
 
 
 def row(wrong: Wrong, off: list[float | None], others: int) -> str:
@@ -104,7 +104,7 @@ def main(number: int) -> None:
                 value = str(heading + float(wrong.value)) if right is not wrong else wrong.value
                 found = findings(log, f"{wrong.key}={value}")
                 off.append(right.cured(found))
-                told = [key for o in found for key in {c.partition("=")[0] for c in o.cures[:1]}]
+                told = [key for o in found for key in {c.partition("=")[0] for c in o.fixes[:1]}]
                 others += sum(key not in {wrong.key, wrong.also} for key in told)
             click.echo(row(wrong, off, others))
 

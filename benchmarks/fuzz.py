@@ -11,7 +11,6 @@ import multiprocessing
 import resource
 import tempfile
 import time
-import warnings
 from collections import Counter
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -21,6 +20,7 @@ import click
 
 from benchmarks.fuzz_cases import Case, Workshop, judge
 from benchmarks.fuzz_logs import bases
+from locfuse.cli.terminal.numpy_warnings import silence_overflows
 
 FORK = multiprocessing.get_context("fork")
 BATCH = 50  # cases per process: what leaks or is poisoned does not live long
@@ -59,7 +59,7 @@ def _work(shop: Workshop, seeds: list[int], folder: Path, memory: int, answers: 
     with open("/proc/self/statm") as f:  # noqa: PTH123
         baseline = int(f.read().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (baseline + memory, baseline + memory))
-    warnings.simplefilter("ignore", RuntimeWarning)  # as the program does
+    silence_overflows()  # as the program does
     for seed in seeds:
         case = shop.case(seed)
         try:

@@ -7,12 +7,10 @@ when the command is used.
 from __future__ import annotations
 
 import errno
-import gc
 import importlib
 import os
 import signal
 import sys
-import warnings
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -20,6 +18,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # 3 x 3 matrices need no thr
 
 import click
 
+from locfuse.cli.pipeline.memory import collect_rarely
+from locfuse.cli.terminal.numpy_warnings import silence_overflows
 from locfuse.cli.terminal.screen import reader_may_leave
 
 COMMANDS = {
@@ -70,10 +70,9 @@ def locfuse() -> None:
 def main(arguments: list[str] | None = None) -> NoReturn:
     """Run the command line and exit with the code that design promises (0, 1, 2, 3, 4, 130, 143)."""
     signal.signal(signal.SIGTERM, _terminate)
-    gc.set_threshold(50_000)  # millions of small tuples, no cycles: to look for some took a twentieth of the time
+    collect_rarely()
     if arguments is None and not sys.warnoptions:
-        # absurd readings overflow on their way to the gate that counts them; NumPy's words about it help nobody
-        warnings.simplefilter("ignore", RuntimeWarning)
+        silence_overflows()
     code = 0
     try:
         with reader_may_leave():

@@ -21,9 +21,29 @@ Counts = NDArray[np.int32] | Ints  # small numbers, of which an hour holds many
 
 
 class LocfuseError(Exception):
-    """What a file says is unusable: one line with what, where, the numbers, and what to try next."""
+    """What a file says is unusable: one line with what, where, the numbers, and what to try next.
+
+    `str()` is the whole line, "role: message hint". Whoever needs a part of it finds it here as a value.
+    """
 
     exit_code = 1
+
+    def __init__(self, message: str, *, role: str = "", fixes: Sequence[str] = (), hint: str = "") -> None:
+        self.role = role  # what it is about: wheels, truth, a sensor; "" for a file or the command line
+        self.message = message  # what, where, the numbers
+        self.fixes = tuple(fixes)  # "table.key=value": settings that help, with nothing left to fill in
+        self.hint = hint  # what to try next
+        super().__init__(f"{role}: {self.sentence}" if role else self.sentence)
+
+    @property
+    def sentence(self) -> str:
+        """Message and hint, for a place that names the role itself."""
+        return f"{self.message} {self.hint}" if self.hint else self.message
+
+    @property
+    def brief(self) -> str:
+        """The message alone, for a place that prints the fixes itself."""
+        return self.message.rstrip(".:;?") if self.hint else self.message
 
 
 class UsageError(LocfuseError):
@@ -209,7 +229,16 @@ class Drive:
     truth_instant: Ints | None = None  # (number of truth stamps,) that instant; -1 before the drive
     dropped: dict[str, dict[str, int]] = field(default_factory=dict)  # stream -> reason -> count
     wheels: Any = None  # fusion.motion.Wheels: the odometry behind `motions`
-    notes: tuple[str, ...] = ()  # oddities in words: choices made, lags found
+    notes: tuple[str, ...] = ()  # in words: choices made, repairs, lags found
+    repairs: tuple[str, ...] = ()  # of the wheels, in words: without "wheels: ", which they have among the notes
+    fixes: dict[str, tuple[str, ...]] = field(
+        default_factory=dict
+    )  # absent sensor -> settings that may bring it in
+
+    def lacks(self, sensor: str) -> LocfuseError:
+        """Return the error that says why there is nothing of a sensor, for raising."""
+        why = self.absent.get(sensor, "not in this log")
+        return LocfuseError(why, role=sensor, fixes=self.fixes.get(sensor, ()))
 
 
 VERDICTS = ("accepted", "gate", "ambiguous", "unmatched", "new", "disturbed", "lost")

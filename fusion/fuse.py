@@ -21,7 +21,7 @@ from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
 
 from . import se2
 from .audit import MANY, Record
-from .data import Array, Drive, Estimates, LocfuseError, Measurements, matrices
+from .data import Array, Drive, Estimates, Measurements, matrices
 from .ekf import belief_blocks
 from .instants import BLOCK, Due, Step, due_readings, steps_of
 from .robot import Robot, StartSettings
@@ -48,7 +48,7 @@ def fuse(
     listen = listen or {}
     for sensor in (*sensors, *listen):
         if sensor not in drive.measurements:
-            raise LocfuseError(f"{sensor}: {drive.absent.get(sensor, 'not in this log')}")
+            raise drive.lacks(sensor)
     run = Filter(robot, sensors, listen, beliefs, {s: len(m.z) for s, m in drive.measurements.items()})
     for k, (step, due) in enumerate(zip(steps_of(drive), due_readings(drive, (*sensors, *listen)), strict=True)):
         run.advance(k, step, due, drive.measurements)

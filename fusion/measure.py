@@ -38,19 +38,23 @@ def measure(
     drops = {"wheels": dropped}
     measurements: dict[str, Measurements] = {}
     missing = dict(absent or {})
+    fixes: dict[str, tuple[str, ...]] = {}
     for name, sensor in REGISTRY.items():
         if name in streams:
             progress(name)
             try:
                 found = sensor.measure(streams[name], robot.settings(name), wheels, epoch_ns)
             except LocfuseError as e:
-                missing[name] = str(e)  # the others can still be compared; asking for this one is an error
+                # the others can still be compared; asking for this one is an error
+                missing[name] = e.sentence if e.role == name else str(e)
+                fixes[name] = e.fixes
                 continue
             measurements[name] = _within(found, wheels)
             drops[name] = dict(measurements[name].dropped)
     _drop_dependent(measurements, missing)
     drive = cut(wheels, epoch_ns, measurements, robot, missing, streams.get("truth"), drops)
-    return replace(drive, notes=(*(f"wheels: {note}" for note in notes), *drive.notes))
+    repairs = (*notes, *_gap_notes(wheels))
+    return replace(drive, notes=tuple(f"wheels: {note}" for note in repairs), repairs=repairs, fixes=fixes)
 
 
 def _drop_dependent(measurements: dict[str, Measurements], missing: dict[str, str]) -> None:
@@ -91,11 +95,10 @@ def cut(
         truth_instant=truth_instant,
         dropped=dropped,
         wheels=wheels,
-        notes=tuple(_silence_notes(wheels)),
     )
 
 
-def _silence_notes(wheels: Wheels) -> list[str]:
+def _gap_notes(wheels: Wheels) -> list[str]:
     """Say where the counters tell how far the wheels rolled, and not which way the robot took."""
     silent = np.flatnonzero(wheels.silence[:, 1] > 0.0)
     if not len(silent):
@@ -103,7 +106,7 @@ def _silence_notes(wheels: Wheels) -> list[str]:
     longest = silent[np.argmax(np.diff(wheels.t)[silent])]
     when = f"{wheels.t[longest]:.1f}-{wheels.t[longest + 1]:.1f} s"
     times = "once" if len(silent) == 1 else f"{len(silent)} times, longest"
-    return [f"wheels: silent {times} ({when}): which way the robot took there is not known, and P grows by that"]
+    return [f"silent {times} ({when}): which way the robot took there is not known, and P grows by that"]
 
 
 def instants(wheel_t: Array, sensor_t: list[Array]) -> Array:
@@ -134,9 +137,10 @@ def _within(m: Measurements, wheels: Wheels) -> Measurements:
     keep = np.flatnonzero(inside)
     keep = keep[np.argsort(m.t[keep], kind="stable")]
     outside = int((~inside).sum())
-    if outside:
-        m.dropped["outside_wheels"] = m.dropped.get("outside_wheels", 0) + outside
-    return m.take(keep)
+    if not outside:
+        return m.take(keep)
+    dropped = {**m.dropped, "outside_wheels": m.dropped.get("outside_wheels", 0) + outside}
+    return replace(m.take(keep), dropped=dropped)
 
 
 def thinned(drive: Drive, rates: Mapping[str, float]) -> Drive:

@@ -34,9 +34,11 @@ def check_optimal(robot: Robot, sensors: Sequence[str]) -> None:
     for sensor in sensors:
         mode = getattr(robot.settings(sensor), "map", None)
         if mode in NOT_OPTIMAL:
+            fix = f"{sensor}.map=refine"
             raise UsageError(
-                f"--smooth: {sensor}.map = {mode} does not weigh optimally, and smoothing assumes that it does. "
-                f"Use --set {sensor}.map=refine or grow"
+                f"--smooth: {sensor}.map = {mode} does not weigh optimally, and smoothing assumes that it does.",
+                fixes=(fix,),
+                hint=f"Use --set {fix} or grow",
             )
 
 

@@ -14,7 +14,7 @@ from .data import Array, Block, Column, Ints, Stream
 
 
 @dataclass(frozen=True)
-class Joined:
+class MergedStream:
     """Streams of numbers as one Stream, in time order; `source` says which of the parts a row came from."""
 
     parts: tuple[Stream, ...]
@@ -65,6 +65,6 @@ class Joined:
         yield np.arange(len(self.t_ns)), self.columns(*fields)
 
 
-def joined(streams: Sequence[Stream]) -> Stream | Joined:
+def merged(streams: Sequence[Stream]) -> Stream | MergedStream:
     """Return one stream; a single one stays what it is."""
-    return streams[0] if len(streams) == 1 else Joined(tuple(streams))
+    return streams[0] if len(streams) == 1 else MergedStream(tuple(streams))

@@ -66,7 +66,7 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
             dropped["jump"] = int(away.sum())
         rows = rows[~away]
     if len(rows) == 0:
-        raise LocfuseError(f"truth: {stream.topic} has no usable reading of {len(stream.t_ns)}")
+        raise LocfuseError(f"{stream.topic} has no usable reading of {len(stream.t_ns)}", role="truth")
     theta = _yaw(values[rows, 2:]) if values.shape[1] == 6 else None
     return (
         Truth(

@@ -97,7 +97,8 @@ def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None
     elif shared := [t for t in candidates if t in choice.topics.values()]:
         choice.take(name, shared[:1], "another sensor reads it too")
     else:  # beside the paper's sensors: a guess would be worse than none, and an error would stop the others
-        choice.absent[name] = str(several_fit(log, name, candidates)).partition(": ")[2]
+        why = several_fit(log, name, candidates)
+        choice.leave(name, why.sentence, why.fixes)
 
 
 def _named_well(topic: str, msgtype: str, named: Mapping[str, tuple[str, ...]]) -> bool:

@@ -23,8 +23,9 @@ class Choice:
     more: dict[str, tuple[str, ...]] = field(default_factory=dict)  # the others of a role that has several
     why: dict[str, str] = field(default_factory=dict)  # role -> how its topic was chosen
     absent: dict[str, str] = field(default_factory=dict)
+    fixes: dict[str, tuple[str, ...]] = field(default_factory=dict)  # absent role -> settings that may bring it in
     foreign: set[str] = field(default_factory=set)  # sensors for which the log has no topic at all
-    notes: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # about the wheels
 
     def of(self, role: str) -> tuple[str, ...]:
         """Return all topics of a role."""
@@ -35,6 +36,10 @@ class Choice:
         self.topics[role], self.why[role] = topics[0], why
         if len(topics) > 1:
             self.more[role] = tuple(topics[1:])
+
+    def leave(self, role: str, why: str, fixes: Sequence[str] = ()) -> None:
+        """Leave a role without a topic; `fixes` are the settings that may bring it in."""
+        self.absent[role], self.fixes[role] = why, tuple(fixes)
 
 
 def of_type(log: Log, reads: Iterable[str]) -> list[str]:
@@ -55,9 +60,12 @@ def one(log: Log, role: str, named: str | None, candidates: list[str], reads: It
 
 def several_fit(log: Log, role: str, topics: Sequence[str]) -> LocfuseError:
     """Return the error that names the candidates and how to choose."""
+    fix = f"{role}.topic={topics[0]}"
     return LocfuseError(
-        f"{role}: {log.name} has {len(topics)} topics that fit: {', '.join(topics)}. "
-        f"Choose one with --set {role}.topic={topics[0]}"
+        f"{log.name} has {len(topics)} topics that fit: {', '.join(topics)}.",
+        role=role,
+        fixes=(fix,),
+        hint=f"Choose one with --set {fix}",
     )
 
 
@@ -66,11 +74,11 @@ def checked(log: Log, role: str, topic: str, reads: Iterable[str]) -> str:
     info = log.topics.get(topic)
     if info is None:
         have = ", ".join(sorted(log.topics)[:12]) or "no topics"
-        raise LocfuseError(f"{role}: {log.name} has no topic {topic}; it has {have}.")
+        raise LocfuseError(f"{log.name} has no topic {topic}; it has {have}.", role=role)
     if info.msgtype not in reads:
-        raise LocfuseError(f"{role}: {topic} is {info.msgtype}; accepted: {types(reads)}")
+        raise LocfuseError(f"{topic} is {info.msgtype}; accepted: {types(reads)}", role=role)
     if info.problem is not None:
-        raise LocfuseError(f"{role}: {topic} cannot be read: {info.problem}")
+        raise LocfuseError(f"{topic} cannot be read: {info.problem}", role=role)
     return topic
 
 

@@ -31,9 +31,12 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
     if settings.topic is not None:
         topic = checked(log, "wheels", settings.topic, WHEEL_READS)
         if log.topics[topic].msgtype in NUMBERS:
+            fix = f"wheels.left_topic={topic}"
             raise LocfuseError(
-                f"wheels: {topic} holds one number, which is one wheel. Name both with "
-                f"--set wheels.left_topic={topic} --set wheels.right_topic=<topic>"
+                f"{topic} holds one number, which is one wheel.",
+                role="wheels",
+                fixes=(fix,),
+                hint=f"Name both with --set {fix} --set wheels.right_topic=<topic>",
             )
         choice.take("wheels", [topic], NAMED)
         return
@@ -50,7 +53,7 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
     choice.take("wheels", [topic_or_none], ONLY)
     if counters:
         choice.notes.append(
-            f"wheels: {topic_or_none} is used, since {' and '.join(counters)} gives wheel angles and no {unknown} "
+            f"{topic_or_none} is used, since {' and '.join(counters)} gives wheel angles and no {unknown} "
             f"{'are' if ' and ' in unknown else 'is'} set"
         )
 
@@ -71,7 +74,9 @@ def _named_pair(log: Log, robot: Robot) -> list[str]:
         topic = getattr(robot.wheels, f"{side}_topic")
         if topic is None:
             raise LocfuseError(
-                f"wheels: one wheel has its topic; name the other with --set wheels.{side}_topic=<topic>"
+                "one wheel has its topic;",
+                role="wheels",
+                hint=f"name the other with --set wheels.{side}_topic=<topic>",
             )
         pair.append(checked(log, "wheels", topic, NUMBERS))
     return pair
@@ -90,9 +95,12 @@ def _counters(log: Log, robot: Robot) -> tuple[list[str], str]:
             return found, ONLY
     if len(pairs) > 1:
         listed = "; ".join(f"{left} and {right}" for left, right in pairs)
+        fixes = (f"wheels.left_topic={pairs[0][0]}", f"wheels.right_topic={pairs[0][1]}")
         raise LocfuseError(
-            f"wheels: {log.name} has {len(pairs)} pairs of topics that fit: {listed}. Choose one with "
-            f"--set wheels.left_topic={pairs[0][0]} --set wheels.right_topic={pairs[0][1]}"
+            f"{log.name} has {len(pairs)} pairs of topics that fit: {listed}.",
+            role="wheels",
+            fixes=fixes,
+            hint=f"Choose one with --set {fixes[0]} --set {fixes[1]}",
         )
     return (list(pairs[0]), "the only pair of numbers named left and right") if pairs else ([], "")
 
@@ -128,9 +136,15 @@ def other_side(topic: str) -> str | None:
     return None
 
 
-def _nothing(log: Log) -> LocfuseError:
+class NoWheelsError(LocfuseError):
+    """No topic gives the wheels' motion; the hint lists the topics that there are."""
+
+
+def _nothing(log: Log) -> NoWheelsError:
     kinds = (JOINTS, *TICKS, ODOMETRY)
-    return LocfuseError(
-        f"wheels: {log.name} has no topic of type {types(kinds)}, nor two std_msgs numbers named left and right, "
-        f"so nothing says how the robot moved. It has {', '.join(sorted(log.topics)[:12]) or 'no topics'}"
+    return NoWheelsError(
+        f"{log.name} has no topic of type {types(kinds)}, nor two std_msgs numbers named left and right, "
+        "so nothing says how the robot moved.",
+        role="wheels",
+        hint=f"It has {', '.join(sorted(log.topics)[:12]) or 'no topics'}",
     )

@@ -12,7 +12,7 @@ from locfuse.cli.terminal.options import log_options
 from locfuse.cli.terminal.screen import reader_may_leave
 
 if TYPE_CHECKING:
-    from locfuse.cli.inspect.overview import Look
+    from locfuse.cli.inspect.overview import Overview
 
 ODD = 3
 PICTURES = "pictures"
@@ -40,23 +40,23 @@ def info(log: tuple[str, ...], check: bool, as_json: bool, preview: Path | None,
     locfuse info bag/ --preview pictures --set camera.outer=230
     """
     from locfuse.cli.inspect import values
-    from locfuse.cli.inspect.inspect_log import look
+    from locfuse.cli.inspect.inspect_log import inspect_log
     from locfuse.cli.pipeline.load import find_log
     from locfuse.cli.terminal import info_text, show
     from locfuse.formats.report import json_report
 
     with show.progress(how.quiet) as progress:
-        seen = look(find_log(log), how, progress)
-        pictures = _preview(seen, preview) if preview is not None else []
+        overview = inspect_log(find_log(log), how, progress)
+        pictures = _preview(overview, preview) if preview is not None else []
     with reader_may_leave():
         if as_json:
-            click.echo(json_report.encode(values.values(seen)), nl=False)
+            click.echo(json_report.encode(values.values(overview)), nl=False)
         else:
-            text = info_text.lines(seen, _typed(log, how), show.width())
+            text = info_text.lines(overview, _typed(log, how), show.width())
             show.lines((*text, *pictures), (*info_text.TITLES, PICTURES))
     losses = {"lost", "refused"} if how.strict else {"lost"}
-    lost = any(o.code in losses for o in seen.oddities)
-    return ODD if lost or (check and seen.spoils) else 0
+    lost = any(o.code in losses for o in overview.findings)
+    return ODD if lost or (check and overview.severe) else 0
 
 
 def _typed(log: tuple[str, ...], how: LogOptions) -> list[str]:
@@ -65,13 +65,13 @@ def _typed(log: tuple[str, ...], how: LogOptions) -> list[str]:
     return [*log, *robot, *(word for setting in how.sets for word in ("--set", setting))]
 
 
-def _preview(seen: Look, folder: Path) -> list[str]:
+def _preview(overview: Overview, folder: Path) -> list[str]:
     """Write preview pictures; return what to print of them."""
     from locfuse.formats.results.preview import write_pictures
     from locfuse.fusion.doctor.preview import preview as pictures_of
 
-    topic = _topic_of_pictures(seen)
-    shown = pictures_of(seen.log.stream(topic, seen.robot.order), seen.robot.settings("camera"))
+    topic = _topic_of_pictures(overview)
+    shown = pictures_of(overview.log.stream(topic, overview.robot.order), overview.robot.settings("camera"))
     lines = ["", PICTURES]
     for one in shown:
         write_pictures(folder, one.named())
@@ -81,16 +81,20 @@ def _preview(seen: Look, folder: Path) -> list[str]:
     return lines
 
 
-def _topic_of_pictures(seen: Look) -> str:
+def _topic_of_pictures(overview: Overview) -> str:
     """Return the camera's topic: without a landmark it is not chosen, and its pictures help to find one."""
     from locfuse.cli.inspect.sensors import pictures_of
     from locfuse.fusion.data import LocfuseError
 
-    fit = pictures_of(seen.log, seen.choice)
-    named = seen.robot.settings("camera").topic
+    fit = pictures_of(overview.log, overview.choice)
+    named = overview.robot.settings("camera").topic
     if named in fit or len(fit) == 1:
         return named if named in fit else fit[0]
     if not fit:
-        raise LocfuseError(f"--preview: no topic of {seen.log.name} holds pictures")
-    choose = f"choose one with --set camera.topic={fit[0]}"
-    raise LocfuseError(f"--preview: {seen.log.name} has {len(fit)} topics of pictures; {choose}")
+        raise LocfuseError(f"--preview: no topic of {overview.log.name} holds pictures")
+    fix = f"camera.topic={fit[0]}"
+    raise LocfuseError(
+        f"--preview: {overview.log.name} has {len(fit)} topics of pictures;",
+        fixes=(fix,),
+        hint=f"choose one with --set {fix}",
+    )

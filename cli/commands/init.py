@@ -39,15 +39,16 @@ def init(log: tuple[str, ...], how: LogOptions) -> int:
         made = draft(find_log(log), how, progress)
     words = printable(shlex.join(log))
     click.echo(render(_head(made, words), made.sections, _foot(made)), nl=False)
-    lost = made.seen.log.losses.lines()
+    lost = made.overview.log.losses.lines()
     if not how.quiet:
         _say(made, words, lost)
     return LOSS if lost else 0
 
 
 def _head(made: Draft, words: str) -> str:
+    name = made.overview.log.name
     return (
-        f"robot.toml of {made.seen.log.name}, a starting point by locfuse init. Behind a #, nothing is in force.\n"
+        f"robot.toml of {name}, a starting point by locfuse init. Behind a #, nothing is in force.\n"
         f"\n"
         f"  locfuse info {words} --check --robot robot.toml\n"
         f"  locfuse compare {words} --robot robot.toml"
@@ -57,7 +58,7 @@ def _head(made: Draft, words: str) -> str:
 def _foot(made: Draft) -> str:
     """Return which sensors the log lacks, and why where that is not plain."""
     written = {section.name for section in made.sections if section.lines}
-    absent = {name: why for name, why in made.seen.choice.absent.items() if name not in written - {"wheels"}}
+    absent = {name: why for name, why in made.overview.choice.absent.items() if name not in written - {"wheels"}}
     plain = [name for name, why in absent.items() if why.startswith("no topic of type")]
     odd = [f"{name}: {why}" for name, why in absent.items() if name not in plain]
     return "\n".join(([f"Not in this log: {', '.join(plain)}."] if plain else []) + odd)
@@ -66,7 +67,7 @@ def _foot(made: Draft) -> str:
 def _say(made: Draft, words: str, lost: list[str]) -> None:
     for line in lost:
         click.echo(f"lost: {line}", err=True)
-    if (nothing := made.seen.choice.absent.get("wheels")) is not None:
+    if (nothing := made.overview.choice.absent.get("wheels")) is not None:
         click.echo(f"this log cannot run: {nothing}", err=True)
     elif made.missing:
         click.echo(f"to be filled in: {', '.join(made.missing)} (their lines say how to measure them)", err=True)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from locfuse.cli.choose.topics import Choice
 from locfuse.cli.pipeline.load import PLAIN_CLOCK
-from locfuse.fusion.doctor.finding import Oddity
+from locfuse.fusion.doctor.finding import Finding
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
@@ -15,12 +15,12 @@ from .topics import ANOTHER_CLOCK, TopicFacts
 FEWEST = 5  # messages from which a clock is judged
 
 
-def of_stamps(facts: Sequence[TopicFacts], choice: Choice, robot: Robot) -> list[Oddity]:
+def of_stamps(facts: Sequence[TopicFacts], choice: Choice, robot: Robot) -> list[Finding]:
     """Say which times were taken, of the topics that are read, where it is not simply the header's."""
     known = {f.topic: f for f in facts if f.count >= FEWEST and f.problem is None}
     used = {t: (role, known[t]) for role in choice.topics for t in choice.of(role) if t in known}
     found = [
-        Oddity("stamps", role, f"{topic}: {f.clock}")
+        Finding(role, "stamps", f"{topic}: {f.clock}")
         for topic, (role, f) in used.items()
         if f.delay_s is not None and f.clock != PLAIN_CLOCK
     ]
@@ -28,7 +28,7 @@ def of_stamps(facts: Sequence[TopicFacts], choice: Choice, robot: Robot) -> list
     if not apart and any(_beside(f) for _, f in used.values()):
         seconds = max((_beside(f) for _, f in used.values()), key=abs)
         words = f"header stamps and log times are {abs(seconds):.1f} s apart: two clocks; header stamps are used"
-        found.append(Oddity("two clocks", "log", words))
+        found.append(Finding("log", "two clocks", words))
     return [*found, *apart]
 
 
@@ -37,7 +37,7 @@ def _beside(f: TopicFacts) -> float:
     return f.delay_s if f.delay_s is not None and abs(f.delay_s) > ANOTHER_CLOCK and f.by_stamps else 0.0
 
 
-def _other_clocks(known: Mapping[str, TopicFacts], choice: Choice, robot: Robot) -> list[Oddity]:
+def _other_clocks(known: Mapping[str, TopicFacts], choice: Choice, robot: Robot) -> list[Finding]:
     """Streams whose stamps are of another clock than the wheels': when they were recorded tells how far off."""
     found = []
     wheels = known.get(choice.topics.get("wheels", ""))
@@ -49,5 +49,5 @@ def _other_clocks(known: Mapping[str, TopicFacts], choice: Choice, robot: Robot)
         if settings is not None and abs(off - settings.time_offset) > ANOTHER_CLOCK:
             side = "before" if off > 0 else "after"
             words = f"{topic} is stamped {abs(off):.1f} s {side} the wheels, but was recorded with them"
-            found.append(Oddity("other clock", role, words, (f"{role}.time_offset={off:.3f}",), True))
+            found.append(Finding(role, "other clock", words, (f"{role}.time_offset={off:.3f}",), True))
     return found

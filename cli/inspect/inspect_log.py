@@ -1,6 +1,6 @@
-"""Everything `info` and `init` know of a log: topics, roles, mounts, what is missing, oddities and their cures.
+"""Everything `info` and `init` know of a log: topics, roles, mounts, what is missing, findings and their fixes.
 
-Whatever is wrong becomes an oddity and the rest is looked at all the same: this is for logs that do not run yet.
+Whatever is wrong becomes a finding and the rest is looked at all the same: this is for logs that do not run yet.
 """
 
 from __future__ import annotations
@@ -13,58 +13,60 @@ from typing import TYPE_CHECKING
 
 from locfuse.cli.choose.choose import choose_sensor, choose_truth
 from locfuse.cli.choose.topics import Choice
-from locfuse.cli.choose.wheel_topics import choose_wheels
+from locfuse.cli.choose.wheel_topics import NoWheelsError, choose_wheels
 from locfuse.cli.pipeline.load import Loaded, make_robot, measured, merged_tables, named_by_hand
 from locfuse.formats.log.log import Log, open_log
 from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.doctor.examine import examine
-from locfuse.fusion.doctor.finding import Oddity, settings_in
+from locfuse.fusion.doctor.finding import Finding, of_error
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.streams import joined
+from locfuse.fusion.streams import merged
 
-from . import robot_facts
 from .clocks import of_stamps
 from .mounts import conflicts, unplaced
-from .sensors import raw_oddities
+from .robot_facts import find_robot_facts, of_robot
+from .sensors import raw_findings
 from .topics import topic_facts
 
 if TYPE_CHECKING:
     from locfuse.cli.pipeline.settings import LogOptions
-from .overview import Look
+from .overview import Overview
 
 COSTLY = ("camera",)  # decoding every picture takes longer than all the rest
 PHANTOMS = {"yaw", "range scale"}  # what walls that are none would say
 
 
-def look(paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None] = lambda role: None) -> Look:
-    """Look at a log. Raises LocfuseError only where it cannot be opened, or robot.toml cannot be read."""
+def inspect_log(
+    paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None] = lambda role: None
+) -> Overview:
+    """Inspect a log. Raises LocfuseError only where it cannot be opened, or robot.toml cannot be read."""
     progress("opening")
     log = open_log(paths)
     tables = merged_tables(log, how)
     robot = make_robot(tables)
     progress("topics")
     facts = topic_facts(log, robot.order)
-    found: list[Oddity] = []
+    found: list[Finding] = []
     choice = _choose(log, robot, named_by_hand(how.sets), found)
     transforms = _transforms(log, found)
-    seen = Look(log, tables, choice, facts, transforms, robot)
-    seen.hints = robot_facts.hints(log, robot, choice)
-    seen.oddities = [
+    overview = Overview(log, tables, choice, facts, transforms, robot)
+    overview.robot_facts = find_robot_facts(log, robot, choice)
+    overview.findings = [
         *_of_files(log),
         *found,
-        *robot_facts.oddities(log, robot, choice, seen.hints),
+        *of_robot(log, robot, choice, overview.robot_facts),
         *of_stamps(facts, choice, robot),
     ]
-    seen.oddities += raw_oddities(log, robot, choice)
-    _measure(seen, progress)
-    seen.oddities += [*unplaced(seen), *conflicts(seen)]
-    return seen
+    overview.findings += raw_findings(log, robot, choice)
+    _measure(overview, progress)
+    overview.findings += [*unplaced(overview), *conflicts(overview)]
+    return overview
 
 
-def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Oddity]) -> Choice:
-    """Choose every role by itself: what cannot be chosen becomes an oddity."""
+def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) -> Choice:
+    """Choose every role by itself: what cannot be chosen becomes a finding."""
     choice = Choice()
     steps: dict[str, Callable[[], None]] = {
         "truth": partial(choose_truth, log, robot, "truth" in insisted, choice),
@@ -75,68 +77,69 @@ def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Oddity]) -> 
         try:
             step()
         except LocfuseError as e:
-            words = str(e).removeprefix(f"{role}: ").partition(". It has ")[0]  # info lists the topics
-            choice.absent[role] = words
-            found.append(Oddity("choice", role, words, settings_in(words), True))  # run and compare refuse too
-    found += [Oddity("choice", "wheels", note.removeprefix("wheels: ")) for note in choice.notes]
+            finding = of_error(e, role, "choice")  # severe: run and compare refuse too
+            if isinstance(e, NoWheelsError):
+                finding = replace(finding, message=finding.brief, hint="")  # info lists the topics
+            choice.leave(role, finding.sentence, finding.fixes)
+            found.append(finding)
+    found += [Finding("wheels", "choice", note) for note in choice.notes]
     return choice
 
 
-def _transforms(log: Log, found: list[Oddity]) -> StaticTransforms:
+def _transforms(log: Log, found: list[Finding]) -> StaticTransforms:
     try:
         transforms = log.static_transforms()
     except LocfuseError as e:
-        found.append(Oddity("tf_static", "/tf_static", str(e)))
+        found.append(Finding("/tf_static", "tf_static", str(e)))
         return StaticTransforms()
     return transforms
 
 
-def _of_files(log: Log) -> list[Oddity]:
+def _of_files(log: Log) -> list[Finding]:
     """What the files themselves lost, and whether they could tell."""
-    found = [Oddity("lost", "file", line, spoils=True) for line in log.losses.lines()]
+    found = [Finding("file", "lost", line, severe=True) for line in log.losses.lines()]
     if log.unchecked:
         names = ", ".join(log.unchecked[:3]) + (" ..." if len(log.unchecked) > 3 else "")
         found.append(
-            Oddity("unchecked", "file", f"{names}: no checksums, so that a changed value cannot be detected")
+            Finding("file", "unchecked", f"{names}: no checksums, so that a changed value cannot be detected")
         )
     return found
 
 
-def _measure(seen: Look, progress: Callable[[str], None]) -> None:
+def _measure(overview: Overview, progress: Callable[[str], None]) -> None:
     """Measure what can be, and let the doctor look at it."""
-    if "wheels" not in seen.choice.topics:
+    if "wheels" not in overview.choice.topics:
         return
     try:
-        loaded = measured(seen.log, seen.tables, seen.choice, progress, aside=COSTLY)
+        loaded = measured(overview.log, overview.tables, overview.choice, progress, aside=COSTLY)
     except LocfuseError as e:
-        seen.oddities += _not_measured(seen, str(e))
+        overview.findings += _not_measured(overview, e)
         return
     progress("looking for oddities")
-    seen.loaded, seen.robot = loaded, loaded.robot
+    overview.loaded, overview.robot = loaded, loaded.robot
     streams = {
-        role: joined([seen.log.stream(topic, loaded.robot.order) for topic in seen.choice.of(role)])
-        for role in seen.choice.topics
+        role: merged([overview.log.stream(topic, loaded.robot.order) for topic in overview.choice.of(role)])
+        for role in overview.choice.topics
     }
-    phantoms = PHANTOMS if any(o.code == "range_max" and o.spoils for o in seen.oddities) else set()
-    found = examine(replace(loaded.drive, notes=loaded.repairs), loaded.robot, streams)
-    seen.oddities += [o for o in found if o.stream != "lrf" or o.code not in phantoms]
-    seen.oddities += _unusable(seen, loaded)
+    phantoms = PHANTOMS if any(o.code == "range_max" and o.severe for o in overview.findings) else set()
+    found = examine(loaded.drive, loaded.robot, streams)
+    overview.findings += [o for o in found if o.role != "lrf" or o.code not in phantoms]
+    overview.findings += _unusable(overview, loaded)
 
 
-def _not_measured(seen: Look, words: str) -> list[Oddity]:
-    """Say why nothing could be measured, where that is not told yet."""
-    role, _, rest = words.partition(": ")
-    if role not in {"wheels", "truth", *REGISTRY}:
-        role, rest = "log", words
-    told = any(o.stream == role and o.spoils for o in seen.oddities)
-    return [] if told else [Oddity("unusable", role, rest, settings_in(words), True)]
+def _not_measured(overview: Overview, error: LocfuseError) -> list[Finding]:
+    """Say why nothing could be measured, where no finding says it yet."""
+    role = error.role if error.role in {"wheels", "truth", *REGISTRY} else "log"
+    known = any(f.role == role and f.severe for f in overview.findings)
+    return [] if known else [of_error(error, role, "unusable")]
 
 
-def _unusable(seen: Look, loaded: Loaded) -> list[Oddity]:
-    """Sensors that the log has but that say nothing useful, where nothing else told why."""
-    told = {o.stream for o in seen.oddities if o.spoils}
+def _unusable(overview: Overview, loaded: Loaded) -> list[Finding]:
+    """Sensors that the log has and that cannot be used, where no finding says why yet."""
+    known = {f.role for f in overview.findings if f.severe}
+    drive = loaded.drive
     return [
-        Oddity("unusable", name, why.removeprefix(f"{name}: "), settings_in(why), bool(settings_in(why)))
-        for name, why in loaded.drive.absent.items()
-        if name in seen.choice.topics and name not in told
+        Finding(name, "unusable", why, fixes := drive.fixes.get(name, ()), bool(fixes))
+        for name, why in drive.absent.items()
+        if name in overview.choice.topics and name not in known
     ]

@@ -9,16 +9,16 @@ from locfuse.cli.choose.topics import Choice
 from locfuse.cli.pipeline.load import Loaded
 from locfuse.formats.log.log import Log
 from locfuse.formats.robot.transforms import StaticTransforms
-from locfuse.fusion.doctor.finding import Oddity
+from locfuse.fusion.doctor.finding import Finding
 from locfuse.fusion.robot import Robot
 
-from . import robot_facts
+from .robot_facts import RobotFacts
 from .topics import TopicFacts
 
 
 @dataclass
-class Look:
-    """What was seen."""
+class Overview:
+    """A log as it is found: topics, roles, mounts, clocks, findings."""
 
     log: Log
     tables: dict[str, Any]  # robot.toml as merged, before mounts
@@ -27,10 +27,10 @@ class Look:
     transforms: StaticTransforms
     robot: Robot  # with mounts where the log could be measured
     loaded: Loaded | None = None
-    hints: robot_facts.Hints = field(default_factory=robot_facts.Hints)
-    oddities: list[Oddity] = field(default_factory=list)
+    robot_facts: RobotFacts = field(default_factory=RobotFacts)
+    findings: list[Finding] = field(default_factory=list)
 
     @property
-    def spoils(self) -> bool:
+    def severe(self) -> bool:
         """Whether an estimate would be wrong, or bytes are lost."""
-        return any(o.spoils for o in self.oddities)
+        return any(f.severe for f in self.findings)

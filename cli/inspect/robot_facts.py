@@ -10,9 +10,9 @@ import numpy as np
 from locfuse.cli.choose.topics import Choice, of_type
 from locfuse.formats.robot.urdf import WheelGeometry, wheel_geometry
 from locfuse.fusion.data import Array, LocfuseError, Ragged
-from locfuse.fusion.doctor.finding import Oddity
+from locfuse.fusion.doctor.finding import Finding
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.streams import joined
+from locfuse.fusion.streams import merged
 from locfuse.fusion.truth import TRUTH_READS, looks_like_truth
 from locfuse.fusion.wheels.geometry import Geometry, by_odometry
 from locfuse.fusion.wheels.read import ODOMETRY, counts_ticks
@@ -26,8 +26,8 @@ MOVES = 0.05  # of a joint's readings, in its unit: a joint that never moves is 
 
 
 @dataclass(frozen=True)
-class Hints:
-    """What was found."""
+class RobotFacts:
+    """What a log says of its robot beside robot.toml."""
 
     described: WheelGeometry | None = None  # by /robot_description
     fitted: Geometry | None = None  # by an odometry topic made from the same wheels
@@ -36,14 +36,14 @@ class Hints:
     joints: tuple[str, str] | None = None  # wheel joints, by name or because only they turn
 
 
-def hints(log: Log, robot: Robot, choice: Choice) -> Hints:
+def find_robot_facts(log: Log, robot: Robot, choice: Choice) -> RobotFacts:
     """Look for wheel geometry beyond robot.toml."""
     described = _described(log)
     topics = choice.of("wheels")
     kind = log.topics[topics[0]].msgtype if topics else ""
     counters = topics if topics and kind != ODOMETRY else _unused_counters(log, choice)
     if not counters:
-        return Hints(described)
+        return RobotFacts(described)
     kind = log.topics[counters[0]].msgtype
     odometry = [t for t in of_type(log, (ODOMETRY,)) if not looks_like_truth(t) and log.topics[t].count]
     joints = _joints(log, counters[0], robot) if kind == JOINTS else None
@@ -54,46 +54,45 @@ def hints(log: Log, robot: Robot, choice: Choice) -> Hints:
         settings = msgspec.structs.replace(settings, left=joints[0], right=joints[1])
     fitted = None
     if odometry:
-        fitted = by_odometry(joined([log.stream(t) for t in counters]), log.stream(odometry[0]), settings)
-    return Hints(described, fitted, odometry[0] if odometry else "", KNOWN_TICKS.get(kind), joints)
+        fitted = by_odometry(merged([log.stream(t) for t in counters]), log.stream(odometry[0]), settings)
+    return RobotFacts(described, fitted, odometry[0] if odometry else "", KNOWN_TICKS.get(kind), joints)
 
 
-def oddities(log: Log, robot: Robot, choice: Choice, found: Hints) -> list[Oddity]:
+def of_robot(log: Log, robot: Robot, choice: Choice, found: RobotFacts) -> list[Finding]:
     """Return what is missing of the wheels, with the values that were found, and topics that may be the truth."""
     return [*_geometry(log, robot, choice, found), *_untold_truth(log, choice)]
 
 
-def _geometry(log: Log, robot: Robot, choice: Choice, found: Hints) -> list[Oddity]:
+def _geometry(log: Log, robot: Robot, choice: Choice, found: RobotFacts) -> list[Finding]:
     topics = choice.of("wheels") or _unused_counters(log, choice)
     if not topics or log.topics[topics[0]].msgtype == ODOMETRY:
         topics = _unused_counters(log, choice)
     if not topics:
         return []
-    cures, words = [], []
+    fixes, words = [], []
     if robot.wheels.ticks_per_revolution is None and counts_ticks(log.topics[topics[0]].msgtype):
         words.append("ticks per revolution")
         if found.ticks is not None:
-            cures.append(f"wheels.ticks_per_revolution={found.ticks:g}")
+            fixes.append(f"wheels.ticks_per_revolution={found.ticks:g}")
     values, source = geometry(robot, found)
     for key in ("radius", "track"):
         if getattr(robot.wheels, key) is None:
             words.append(key)
             if key in values:
-                cures.append(f"wheels.{key}={values[key]:.5g}")
+                fixes.append(f"wheels.{key}={values[key]:.5g}")
     named = robot.wheels.left is not None and robot.wheels.right is not None
     if found.joints is not None and not named and not _named_well(log, topics[0], robot):
         words.append("which joints are the wheels'")
-        cures += [f"wheels.left={found.joints[0]}", f"wheels.right={found.joints[1]}"]
+        fixes += [f"wheels.left={found.joints[0]}", f"wheels.right={found.joints[1]}"]
     if not words:
         return []
     other = choice.of("wheels") and log.topics[choice.of("wheels")[0]].msgtype == ODOMETRY
     counts = "count" if len(topics) > 1 else "counts"
-    said = f"{' and '.join(topics)} {counts} wheel turns, but nothing says {', '.join(words)}"
-    said += f"; {source}" if source and cures else ""
-    return [Oddity("geometry", "wheels", said, tuple(cures), not other)]
+    message = f"{' and '.join(topics)} {counts} wheel turns, but nothing says {', '.join(words)}"
+    return [Finding("wheels", "geometry", message, tuple(fixes), not other, source if fixes else "")]
 
 
-def geometry(robot: Robot, found: Hints) -> tuple[dict[str, float], str]:
+def geometry(robot: Robot, found: RobotFacts) -> tuple[dict[str, float], str]:
     """Return radius and track as far as anything tells, and what does."""
     if found.described is not None and found.described.radius is not None:
         values = {"radius": found.described.radius, "track": found.described.track}
@@ -181,7 +180,7 @@ def _described(log: Log) -> WheelGeometry | None:
     return None
 
 
-def _untold_truth(log: Log, choice: Choice) -> list[Oddity]:
+def _untold_truth(log: Log, choice: Choice) -> list[Finding]:
     """Name topics of poses that might be the truth, had somebody said so: an estimate must not judge another."""
     if "truth" in choice.topics:
         return []
@@ -190,4 +189,4 @@ def _untold_truth(log: Log, choice: Choice) -> list[Oddity]:
     if not poses:
         return []
     words = f"none is named; if {' or '.join(poses)} is a reference (not an estimate), say so"
-    return [Oddity("truth?", "truth", words, (f"truth.topic={poses[0]}",))]
+    return [Finding("truth", "truth?", words, (f"truth.topic={poses[0]}",))]

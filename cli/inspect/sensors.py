@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from locfuse.cli.choose.topics import Choice, of_type
 from locfuse.fusion.data import LocfuseError
-from locfuse.fusion.doctor.finding import Oddity
+from locfuse.fusion.doctor.finding import Finding, of_error
 from locfuse.fusion.doctor.laser_driver import driver
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from locfuse.formats.log.log import Log
 
 
-def raw_oddities(log: Log, robot: Robot, choice: Choice) -> list[Oddity]:
+def raw_findings(log: Log, robot: Robot, choice: Choice) -> list[Finding]:
     """Return how a laser's driver writes its scans, and what is wrong with a camera's pictures."""
     return [
         *_said("lrf", choice.of("lrf"), driver, log, robot),
@@ -31,18 +31,18 @@ def pictures_of(log: Log, choice: Choice) -> tuple[str, ...]:
 
 
 def _said(
-    role: str, topics: Sequence[str], examine: Callable[[Any, Any], list[Oddity]], log: Log, robot: Robot
-) -> list[Oddity]:
+    role: str, topics: Sequence[str], examine: Callable[[Any, Any], list[Finding]], log: Log, robot: Robot
+) -> list[Finding]:
     """Examine a role's raw messages where it is clear which they are."""
     if len(topics) != 1:
         return []
     try:
         return examine(log.stream(topics[0], robot.order), robot.settings(role))
     except LocfuseError as e:
-        return [Oddity("unusable", role, str(e), spoils=True)]
+        return [of_error(e, role, "unusable")]
 
 
-def _pictures(stream: Any, settings: Any) -> list[Oddity]:
+def _pictures(stream: Any, settings: Any) -> list[Finding]:
     from locfuse.fusion.doctor.pictures import of_pictures
 
     return of_pictures(stream, settings)

@@ -11,12 +11,11 @@ from locfuse.cli.choose.mounts import mount_tables
 from locfuse.cli.choose.topics import of_type
 from locfuse.cli.pipeline.load import TABLES
 from locfuse.formats.robot.commented_toml import Line
-from locfuse.fusion.doctor.finding import settings_in
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.read import ODOMETRY, counts_ticks
 from locfuse.fusion.wheels.sources import JOINTS
 
-from .overview import Look
+from .overview import Overview
 from .template_words import ASKS, GUESSES, NEEDED
 
 Known = dict[str, tuple[Any, str]]  # "table.key" -> its value, and who says so
@@ -29,40 +28,40 @@ ROUND = 6  # decimals of a mount: micrometres
 class Facts(NamedTuple):
     """What the lines are made of."""
 
-    seen: Look
+    overview: Overview
     known: Known  # in force
-    suggested: Known  # cures that only the robot's owner can judge
+    suggested: Known  # fixes that only the robot's owner can judge
 
     def kind(self, role: str) -> str:
         """Return the message type of a role's topic, "" without one."""
-        topics = self.seen.choice.of(role)
-        return self.seen.log.topics[topics[0]].msgtype if topics else ""
+        topics = self.overview.choice.of(role)
+        return self.overview.log.topics[topics[0]].msgtype if topics else ""
 
 
-def found(seen: Look) -> Known:
+def found(overview: Overview) -> Known:
     """Return what the log shows: topics, joints, mounts."""
     known: Known = {}
     for role in ("wheels", "truth", *REGISTRY):
-        known |= _topics(seen, role)
-    wheels = seen.choice.of("wheels")
-    if wheels and seen.log.topics[wheels[0]].msgtype == JOINTS and seen.hints.joints is not None:
+        known |= _topics(overview, role)
+    wheels = overview.choice.of("wheels")
+    if wheels and overview.log.topics[wheels[0]].msgtype == JOINTS and overview.robot_facts.joints is not None:
         why = "guess: the wheels' joints, by their names or because only they turn"
         known |= {
             f"wheels.{side}": (joint, why)
-            for side, joint in zip(("left", "right"), seen.hints.joints, strict=True)
+            for side, joint in zip(("left", "right"), overview.robot_facts.joints, strict=True)
         }
-    return known | _mounts(seen)
+    return known | _mounts(overview)
 
 
-def _topics(seen: Look, role: str) -> Known:
-    topics, why = seen.choice.of(role), seen.choice.why.get(role, "")
+def _topics(overview: Overview, role: str) -> Known:
+    topics, why = overview.choice.of(role), overview.choice.why.get(role, "")
     if not topics and role in REGISTRY:  # a sensor that lacks a setting may have its topic all the same
-        fit = [t for t in of_type(seen.log, REGISTRY[role].reads) if seen.log.topics[t].count]
-        unset = role in seen.choice.absent and len(fit) == 1 and hasattr(REGISTRY[role], "missing")
+        fit = [t for t in of_type(overview.log, REGISTRY[role].reads) if overview.log.topics[t].count]
+        unset = role in overview.choice.absent and len(fit) == 1 and hasattr(REGISTRY[role], "missing")
         topics, why = (tuple(fit), "the only topic of its type") if unset else ((), "")
     if not topics:
         return {}
-    words = f"{seen.log.topics[topics[0]].msgtype.replace('/msg/', '/')}: {why}"
+    words = f"{overview.log.topics[topics[0]].msgtype.replace('/msg/', '/')}: {why}"
     if len(topics) == 1:
         return {f"{role}.topic": (topics[0], words)}
     if role == "wheels":
@@ -70,13 +69,15 @@ def _topics(seen: Look, role: str) -> Known:
     return {f"{role}.topics": (list(topics), words)}
 
 
-def _mounts(seen: Look) -> Known:
+def _mounts(overview: Overview) -> Known:
     """Return where /tf_static puts the sensors; turns about level axes only where there are any."""
     streams = {
-        name: [seen.log.stream(t) for t in seen.choice.of(name)] for name in REGISTRY if seen.choice.of(name)
+        name: [overview.log.stream(t) for t in overview.choice.of(name)]
+        for name in REGISTRY
+        if overview.choice.of(name)
     }
     known: Known = {}
-    for name, table in mount_tables(seen.transforms, streams).items():
+    for name, table in mount_tables(overview.transforms, streams).items():
         frame = streams[name][0].frame_id
         for key, raw in table.items():
             value = _rounded(raw)
@@ -122,11 +123,11 @@ def _unknown(key: str, path: str, default: Any, missing: list[str]) -> Iterator[
 
 
 def _suggested(facts: Facts, table: str) -> Known:
-    """Return cures that are not in force, and the topics of a sensor that could not choose between several."""
+    """Return fixes that are not in force, and the topics of a sensor that could not choose between several."""
     here = {key: told for key, told in facts.suggested.items() if key.startswith(f"{table}.")}
-    why = facts.seen.choice.absent.get(table, "")
-    for cure in settings_in(why):
-        key, _, value = cure.partition("=")
+    why = facts.overview.choice.absent.get(table, "")
+    for fix in facts.overview.choice.fixes.get(table, ()):
+        key, _, value = fix.partition("=")
         if key == f"{table}.topic":
             here[key] = value, why
     return here

@@ -152,7 +152,7 @@ def fields(loaded: Sequence[Loaded]) -> Array:
             columns = one.log.stream(topic, one.robot.order).columns("magnetic_field.x", "magnetic_field.y")
             found.append(np.stack([np.asarray(c, np.float64) for c in columns.values()], axis=-1))
     if len(found) == 1:
-        raise LocfuseError("compass: no log has a magnetometer (sensor_msgs/MagneticField)")
+        raise LocfuseError("no log has a magnetometer (sensor_msgs/MagneticField)", role="compass")
     return np.concatenate(found)
 
 
@@ -166,8 +166,10 @@ def _one_robot(loaded: Sequence[Loaded]) -> WheelSettings:
             a, b = getattr(first, key), getattr(one.robot.wheels, key)
             if a != b:
                 raise LocfuseError(
-                    f"calibrate: wheels.{key} is {a} in {loaded[0].log.name} and {b} in {one.log.name}: these are "
-                    f"different robots; give one with --set wheels.{key}="
+                    f"wheels.{key} is {a} in {loaded[0].log.name} and {b} in {one.log.name}: these are different "
+                    "robots;",
+                    role="calibrate",
+                    hint=f"give one with --set wheels.{key}=",
                 )
     return first
 
@@ -177,7 +179,9 @@ def _wheels(loaded: Sequence[Loaded]) -> WheelCalibration:
     if not drives:
         names = ", ".join(one.log.name for one in loaded)
         raise LocfuseError(
-            f"wheels: no truth in {names} to compare the wheels with (--set truth.topic=/TOPIC names it)"
+            f"no truth in {names} to compare the wheels with",
+            role="wheels",
+            hint="(--set truth.topic=/TOPIC names it)",
         )
     return calibrate_wheels(drives)
 

@@ -62,7 +62,8 @@ def parse(words: str, drive: Drive) -> Configuration:
                 f"--sensors: unknown sensor {sensor!r}; choose from odometry, {', '.join(REGISTRY)}, all"
             )
         if sensor not in present:
-            raise LocfuseError(f"--sensors {name}: {drive.absent.get(sensor, 'no topic of its type in this log')}")
+            why = drive.absent.get(sensor, "no topic of its type in this log")
+            raise LocfuseError(f"--sensors {name}: {why}", fixes=drive.fixes.get(sensor, ()))
         written[sensor] = name
         if at:
             rates[sensor] = _rate(name, rate)

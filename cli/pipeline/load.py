@@ -21,7 +21,7 @@ from locfuse.fusion.measure import measure
 from locfuse.fusion.paper import preset as filters
 from locfuse.fusion.robot import Robot, StartSettings, TruthSettings, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.streams import Joined, joined
+from locfuse.fusion.streams import MergedStream, merged
 
 from .memory import give_back
 
@@ -48,7 +48,6 @@ class Loaded:
     robot: Robot
     choice: Choice
     drive: Drive
-    repairs: tuple[str, ...] = ()  # what measuring noted, of the drive's notes
 
 
 def find_log(words: Sequence[str]) -> list[Path]:
@@ -112,8 +111,9 @@ def measured(
     drive = measure({role: s for role, s in streams.items() if role not in aside}, robot, choice.absent, progress)
     preset = (filters.NOTE,) if robot.preset == "paper" else ()
     lags = lag_notes(drive.wheels, drive.measurements)
-    notes = (*preset, *choice.notes, *_clock_notes(streams), *_start_notes(robot, drive), *drive.notes, *lags)
-    return Loaded(log, robot, choice, replace(drive, notes=notes), drive.notes)
+    chosen = (f"wheels: {note}" for note in choice.notes)
+    notes = (*preset, *chosen, *_clock_notes(streams), *_start_notes(robot, drive), *drive.notes, *lags)
+    return Loaded(log, robot, choice, replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes}))
 
 
 def _leave_out(choice: Choice, only: Collection[str] | None, preset: str) -> None:
@@ -136,7 +136,7 @@ def merged_tables(log: Log, how: LogOptions) -> dict[str, Any]:
         sets = robot_toml.apply_sets(how.sets)
         make_robot(sets)
     except LocfuseError as e:
-        raise UsageError(str(e)) from None
+        raise UsageError(e.message, role=e.role, fixes=e.fixes, hint=e.hint) from None
     if how.order:
         sets["order"] = how.order
     if how.preset:
@@ -193,7 +193,7 @@ def _streams(log: Log, choice: Choice, order: str) -> dict[str, Any]:
             fields = _light(role, log.topics[topic].msgtype)
             wants[topic] = tuple(dict.fromkeys((*wants.get(topic, ()), *fields)))
     streams = log.streams(wants, order=order)
-    return {role: joined([streams[topic] for topic in choice.of(role)]) for role in choice.topics}
+    return {role: merged([streams[topic] for topic in choice.of(role)]) for role in choice.topics}
 
 
 def _light(role: str, msgtype: str) -> tuple[str, ...]:
@@ -219,7 +219,7 @@ def _clock_notes(streams: Mapping[str, Any]) -> list[str]:
 
 def parts(stream: Any) -> tuple[Any, ...]:
     """Return the streams of single topics that a role's stream is made of."""
-    return stream.parts if isinstance(stream, Joined) else (stream,)
+    return stream.parts if isinstance(stream, MergedStream) else (stream,)
 
 
 def _start_notes(robot: Robot, drive: Drive) -> list[str]:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 import textwrap
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 from locfuse.cli.inspect.mounts import extrinsics
-from locfuse.cli.inspect.overview import Look
+from locfuse.cli.inspect.overview import Overview
 from locfuse.cli.inspect.topics import TopicFacts, clock_word
 from locfuse.cli.inspect.values import absent, configurations, wheels_missing
-from locfuse.fusion.doctor.finding import Oddity
+from locfuse.fusion.doctor.finding import Finding
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .text_table import Column, table
@@ -25,26 +24,25 @@ READS, CONFIGURATIONS, SPOILS, WORTH, NEXT = TITLES = (
     "next",
 )
 MOST = 6  # unreadable topics, each with its reason
-OPTION = re.compile(r"[.;:?] (?=[^.;:?]*--set )")  # the clause that tells an option: it stands in the next line
 
 
-def lines(seen: Look, typed: Sequence[str], width: int | None) -> Iterator[str]:
+def lines(overview: Overview, typed: Sequence[str], width: int | None) -> Iterator[str]:
     """Yield everything about a log; `typed` is what the user gave `info`, `width` that of the screen or None."""
-    yield _headline(seen)
+    yield _headline(overview)
     yield ""
-    yield from _topics(seen, width)
-    yield from _roles(seen, width)
-    yield from _configurations(seen, width)
-    for title, oddities in grouped(seen).items():
-        yield from _section(title, [line for o in oddities for line in _oddity(o, width)])
-    yield from _section(NEXT, [f"  {command}" for command in _next(seen, typed)])
+    yield from _topics(overview, width)
+    yield from _roles(overview, width)
+    yield from _configurations(overview, width)
+    for title, findings in grouped(overview).items():
+        yield from _section(title, [line for f in findings for line in _finding(f, width)])
+    yield from _section(NEXT, [f"  {command}" for command in _next(overview, typed)])
 
 
-def grouped(seen: Look) -> dict[str, list[Oddity]]:
-    """Return the oddities under what they mean for an estimate."""
+def grouped(overview: Overview) -> dict[str, list[Finding]]:
+    """Return the findings under what they mean for an estimate."""
     return {
-        SPOILS: [o for o in seen.oddities if o.spoils],
-        WORTH: [o for o in seen.oddities if not o.spoils],
+        SPOILS: [f for f in overview.findings if f.severe],
+        WORTH: [f for f in overview.findings if not f.severe],
     }
 
 
@@ -55,27 +53,29 @@ def _section(title: str, body: Sequence[str]) -> Iterator[str]:
         yield from body
 
 
-def _headline(seen: Look) -> str:
-    span = seen.log.time_span_ns
+def _headline(overview: Overview) -> str:
+    span = overview.log.time_span_ns
     seconds = f"{(span[1] - span[0]) * 1e-9:.1f} s" if span else "no messages"
-    count = sum(f.count for f in seen.facts)
-    size = sum(p.stat().st_size for p in seen.log.paths) / 1e6
-    files = f" in {len(seen.log.paths)} files" if len(seen.log.paths) > 1 else ""
-    return f"{seen.log.name}: {seconds}, {count} messages on {len(seen.facts)} topics, {size:.1f} MB{files}"
+    count = sum(f.count for f in overview.facts)
+    size = sum(p.stat().st_size for p in overview.log.paths) / 1e6
+    files = f" in {len(overview.log.paths)} files" if len(overview.log.paths) > 1 else ""
+    return (
+        f"{overview.log.name}: {seconds}, {count} messages on {len(overview.facts)} topics, {size:.1f} MB{files}"
+    )
 
 
-def _topics(seen: Look, width: int | None) -> Iterator[str]:
+def _topics(overview: Overview, width: int | None) -> Iterator[str]:
     """Yield the table of the topics with messages, those that are read first; then the others."""
     role: dict[str, list[str]] = {}
-    for name in seen.choice.topics:
-        for topic in seen.choice.of(name):
+    for name in overview.choice.topics:
+        for topic in overview.choice.of(name):
             role.setdefault(topic, []).append(name)
-    full = [f for f in seen.facts if f.count and f.problem is None]
+    full = [f for f in overview.facts if f.count and f.problem is None]
     full.sort(key=lambda f: f.topic not in role)
     yield from table(_columns(full, role), width)
-    if empty := [f.topic for f in seen.facts if not f.count]:
+    if empty := [f.topic for f in overview.facts if not f.count]:
         yield from _wrapped("empty: ", ", ".join(empty), width, "  ")
-    unreadable = [f for f in seen.facts if f.problem is not None and f.count]
+    unreadable = [f for f in overview.facts if f.problem is not None and f.count]
     for f in unreadable[:MOST]:
         yield from _wrapped("not readable: ", f"{f.topic}: {f.problem}", width, "  ")
     if len(unreadable) > MOST:
@@ -100,13 +100,13 @@ def _silence(f: TopicFacts) -> str:
     return f"{max(b - a for a, b in f.gaps):.1f} s" if f.gaps else ""
 
 
-def _roles(seen: Look, width: int | None) -> Iterator[str]:
-    frames = {f.topic: f.frame_id for f in seen.facts}
-    mounts = extrinsics(seen)
+def _roles(overview: Overview, width: int | None) -> Iterator[str]:
+    frames = {f.topic: f.frame_id for f in overview.facts}
+    mounts = extrinsics(overview)
     body: list[str] = []
-    for role in seen.choice.topics:
-        topics = seen.choice.of(role)
-        words = f"{' and '.join(topics)}, {seen.choice.why.get(role, '')}"
+    for role in overview.choice.topics:
+        topics = overview.choice.of(role)
+        words = f"{' and '.join(topics)}, {overview.choice.why.get(role, '')}"
         if role in mounts:
             words += f"; {_place(mounts[role], frames[topics[0]])}"
         body += _wrapped(f"  {role:<9}", words, width)
@@ -126,39 +126,38 @@ def _place(mount: dict[str, Any], frame: str) -> str:
     return f"at {', '.join(parts)} by {mount['by']}" if parts else f"level by {mount['by']}"
 
 
-def _configurations(seen: Look, width: int | None) -> Iterator[str]:
+def _configurations(overview: Overview, width: int | None) -> Iterator[str]:
     """Yield what can be estimated, what lacks a setting, and, without alarm, what the log does not carry."""
-    known, why = configurations(seen), absent(seen)
-    base = wheels_missing(seen)
+    known, why = configurations(overview), absent(overview)
+    base = wheels_missing(overview)
     ready = [name for name, what in known.items() if what is None]
     body = _wrapped("  ready    ", ", ".join(ready), width) if ready else []
-    body += _wrapped("  not yet  ", f"all: {_briefly(base, 'wheels', seen)}", width) if base is not None else []
-    foreign = [name for name in REGISTRY if name in seen.choice.foreign]
+    body += (
+        _wrapped("  not yet  ", f"all: {_briefly(base, 'wheels', overview)}", width) if base is not None else []
+    )
+    foreign = [name for name in REGISTRY if name in overview.choice.foreign]
     for name in REGISTRY:
         if name in why and name not in foreign:
-            body += _wrapped(
-                "  not yet  ", f"{name}: {_briefly(why[name].removeprefix(f'{name}: '), name, seen)}", width
-            )
+            body += _wrapped("  not yet  ", f"{name}: {_briefly(why[name], name, overview)}", width)
     body += _wrapped("  no topic ", ", ".join(foreign), width) if foreign else []
     yield from _section(CONFIGURATIONS, body)
 
 
-def _briefly(words: str, stream: str, seen: Look) -> str:
-    """Say once what is told among the oddities too."""
-    told = any(o.stream == stream and (o.spoils or o.words == words) for o in seen.oddities)
-    return "see below" if told else words
+def _briefly(words: str, role: str, overview: Overview) -> str:
+    """Say once what a finding says too."""
+    below = any(f.role == role and (f.severe or f.sentence == words) for f in overview.findings)
+    return "see below" if below else words
 
 
-def _oddity(o: Oddity, width: int | None) -> list[str]:
-    words = OPTION.split(o.words)[0] if o.cures else o.words
-    body = _wrapped(f"  {o.stream}: ", words, width, "    ")
-    return [*body, *_options("    cure: ", o.cures, width)] if o.cures else body
+def _finding(f: Finding, width: int | None) -> list[str]:
+    body = _wrapped(f"  {f.role}: ", f.brief if f.fixes else f.sentence, width, "    ")
+    return [*body, *_options("    cure: ", f.fixes, width)] if f.fixes else body
 
 
-def _options(head: str, cures: Sequence[str], width: int | None) -> list[str]:
+def _options(head: str, fixes: Sequence[str], width: int | None) -> list[str]:
     """Return --set options, never broken within one."""
     rows, row = [], head
-    for option in (f"--set {shlex.quote(cure)}" for cure in cures):
+    for option in (f"--set {shlex.quote(fix)}" for fix in fixes):
         if width is not None and row.strip() and row != head and len(row) + len(option) > width:
             rows.append(row.rstrip())
             row = " " * len(head)
@@ -177,23 +176,23 @@ def _wrapped(head: str, words: str, width: int | None, indent: str | None = None
     )  # fmt: skip
 
 
-def _next(seen: Look, typed: Sequence[str]) -> list[str]:
-    """Return the commands to try next: once more with what cures the worst, a robot.toml, or the comparison."""
-    cures = dict(cure.partition("=")[::2] for o in seen.oddities if o.spoils for cure in o.cures)
-    if cures:
-        kept = _without(typed, cures)
-        options = [word for key, value in cures.items() for word in ("--set", f"{key}={value}")]
+def _next(overview: Overview, typed: Sequence[str]) -> list[str]:
+    """Return the commands to try next: once more with what fixes the worst, a robot.toml, or the comparison."""
+    fixes = dict(fix.partition("=")[::2] for f in overview.findings if f.severe for fix in f.fixes)
+    if fixes:
+        kept = _without(typed, fixes)
+        options = [word for key, value in fixes.items() for word in ("--set", f"{key}={value}")]
         return [shlex.join(("locfuse", "info", *kept, *options))]
-    if seen.loaded is not None:
+    if overview.loaded is not None:
         return [shlex.join(("locfuse", "compare", *typed))]
-    return [f"{shlex.join(('locfuse', 'init', *typed))} > robot.toml"] if seen.choice.of("wheels") else []
+    return [f"{shlex.join(('locfuse', 'init', *typed))} > robot.toml"] if overview.choice.of("wheels") else []
 
 
-def _without(typed: Sequence[str], cures: Collection[str]) -> list[str]:
+def _without(typed: Sequence[str], fixes: Collection[str]) -> list[str]:
     """Return what was typed less the --set of keys that are cured."""
     kept: list[str] = []
     for word in typed:
-        if kept and kept[-1] == "--set" and word.partition("=")[0] in cures:
+        if kept and kept[-1] == "--set" and word.partition("=")[0] in fixes:
             kept.pop()
         else:
             kept.append(word)

@@ -21,7 +21,6 @@ class Colour(NamedTuple):
 
 
 SMOOTHED = " smoothed"  # ends the name of a configuration that has seen the whole drive
-PAGE = Colour("#ffffff", "#14171c")
 ODOMETRY = Colour("#686a70", "#94979c")
 ALL = Colour("#8a0a55", "#bf2f80")
 TRUTH = Colour("#0d0f12", "#f4f5f7")

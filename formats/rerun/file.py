@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import os
 import shutil
-import sys
 import warnings
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
-from importlib.abc import MetaPathFinder
 from pathlib import Path
-from typing import Any
 
+from locfuse.formats.no_pandas import without_pandas
 from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import LocfuseError
 
@@ -69,28 +65,6 @@ def check(path: Path) -> Counter[str]:
     if not whole:
         raise LocfuseError(f"{path.name} is no recording of ours: it holds no drive or no blueprint")
     return rows
-
-
-class _NoPandas(MetaPathFinder):
-    """Says that pandas is not there."""
-
-    def find_spec(self, name: str, _path: Any, _target: Any = None) -> None:
-        if name == "pandas":
-            raise ModuleNotFoundError(name)
-
-
-@contextmanager
-def without_pandas() -> Iterator[None]:
-    """Keep pandas out where it is installed.
-
-    pyarrow imports it with the first array that Rerun hands it, and uses it for nothing here.
-    """
-    finder = _NoPandas()
-    sys.meta_path.insert(0, finder)
-    try:
-        yield
-    finally:
-        sys.meta_path.remove(finder)
 
 
 def copy(source: Path, target: Path) -> None:

@@ -35,8 +35,8 @@ def stamps(epoch_ns: int, t: Array) -> list[int]:
 def with_truth_rows(drive: Drive, estimates: Estimates) -> tuple[Array, Array, Array]:
     """Return t (n,), pose (n, 3), triangles of P (n, 6) at every instant and every truth stamp inside the drive.
 
-    evo pairs stamps within 10 ms and does not interpolate, so the prediction at each truth stamp is written
-    too. Rows at instants do not depend on the truth.
+    evo pairs stamps within 10 ms unless it is asked to interpolate (since 1.38), so the prediction at each truth
+    stamp is written too. Rows at instants do not depend on the truth.
     """
     if drive.truth is None or estimates.truth_pose is None or estimates.truth_P is None:
         return estimates.t, estimates.pose, estimates.triangles

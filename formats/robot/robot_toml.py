@@ -61,7 +61,7 @@ def apply_sets(sets: Sequence[str]) -> Tables:
     try:
         _refuse_absurd(tables, "--set")
     except LocfuseError as problem:
-        raise UsageError(str(problem)) from None
+        raise UsageError(problem.message, role=problem.role, fixes=problem.fixes, hint=problem.hint) from None
     return tables
 
 

@@ -26,7 +26,7 @@ Chain = Literal["fast", "paper", "printed"]
 THREADS = 4  # at most: more only wait for the interpreter
 
 
-class Look(NamedTuple):
+class Detection(NamedTuple):
     """What one picture showed."""
 
     shape: tuple[int, int]  # px, height and width
@@ -60,25 +60,25 @@ class Detector:
         """Return a picture as BGR."""
         return np.ascontiguousarray(picture[..., ::-1]) if self.swapped else picture
 
-    def find(self, picture: Picture) -> Look:
+    def find(self, picture: Picture) -> Detection:
         """Return the candidates of a BGR picture, the largest first."""
         optics, picture = self.optics(picture.shape), self.coloured(picture)
         if self.chain == "fast":
             found = radial.candidates(picture, optics, self.red)
         else:
             found = panorama.candidates(picture, optics, self.red, printed=self.chain == "printed")
-        return Look((picture.shape[0], picture.shape[1]), optics, found)
+        return Detection((picture.shape[0], picture.shape[1]), optics, found)
 
 
-def look(message: tuple[Any, ...], detector: Detector) -> Look | str:
+def detect(message: tuple[Any, ...], detector: Detector) -> Detection | str:
     """Return what the picture of one message shows, or the reason why there is no picture."""
     picture = decode(message)
     return picture if isinstance(picture, str) else detector.find(picture)
 
 
-def looks(stream: Stream, detector: Detector) -> Iterator[tuple[int, Look | str]]:
+def detections(stream: Stream, detector: Detector) -> Iterator[tuple[int, Detection | str]]:
     """Yield (row number, what it showed or why it did not) for every message of a stream, in order."""
     with ThreadPoolExecutor(min(THREADS, os.cpu_count() or 1)) as pool:
         for block in messages(stream):
-            found = pool.map(partial(look, detector=detector), [fields for _, fields in block])
+            found = pool.map(partial(detect, detector=detector), [fields for _, fields in block])
             yield from zip((row for row, _ in block), found, strict=True)

@@ -17,7 +17,7 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.motion import Wheels
 
-from .finding import Oddity
+from .finding import Finding
 from .lag import WORTH_SAYING, Lag, Reference, by_wheels, find_lag, worth_saying
 
 WINDOW = 1.0  # s over which ways are compared
@@ -27,7 +27,7 @@ LARGE = 0.1  # s: at half a metre per second and a radian per second this is cen
 ALIKE = 0.05  # s: lags that differ by less are one
 
 
-def of_clocks(drive: Drive, robot: Robot) -> list[Oddity]:
+def of_clocks(drive: Drive, robot: Robot) -> list[Finding]:
     """Return the streams whose clock is off, with the offset that they need; where all are, it is the wheels'."""
     lags = clock_lags(drive.measurements, drive.wheels)
     late = {name: lag for name, lag in lags.items() if worth_saying(lag)}
@@ -41,17 +41,17 @@ def of_clocks(drive: Drive, robot: Robot) -> list[Oddity]:
     return [_stream(name, lag, robot) for name, lag in late.items()]
 
 
-def _stream(name: str, lag: Lag, robot: Robot) -> Oddity:
+def _stream(name: str, lag: Lag, robot: Robot) -> Finding:
     told = robot.truth if name == "truth" else robot.settings(name)
     offset = told.time_offset + lag.offset
-    cure = f"{name}.time_offset={offset:.2f}"
-    return Oddity("lag", name, f"its motion {in_words(lag)}", (cure,), abs(lag.offset) > LARGE)
+    fix = f"{name}.time_offset={offset:.2f}"
+    return Finding(name, "lag", f"its motion {in_words(lag)}", (fix,), abs(lag.offset) > LARGE)
 
 
-def _wheels(offset: float, names: list[str], robot: Robot) -> Oddity:
+def _wheels(offset: float, names: list[str], robot: Robot) -> Finding:
     words = f"{' and '.join(names)} run {abs(offset):.2f} s {side(offset)} them alike: the wheels' clock is off"
-    cure = f"wheels.time_offset={robot.wheels.time_offset - offset:.2f}"
-    return Oddity("lag", "wheels", words, (cure,), abs(offset) > LARGE)
+    fix = f"wheels.time_offset={robot.wheels.time_offset - offset:.2f}"
+    return Finding("wheels", "lag", words, (fix,), abs(offset) > LARGE)
 
 
 def off_by(lag: Lag) -> bool:

@@ -15,13 +15,13 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.compass import CompassSettings, from_number
 from locfuse.fusion.sensors.iron import plausible
 
-from .finding import Oddity
+from .finding import Finding
 from .turning import explain
 
 MOST_RADIANS = 4.0 * math.pi  # a heading beyond two turns is in degrees
 
 
-def of_convention(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[Oddity]:
+def of_convention(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[Finding]:
     """Return the convention under which a heading that could not be read turns as the wheels do."""
     stream = streams.get("compass")
     if stream is None or "compass" in drive.measurements or not stream.msgtype.startswith("std_msgs/"):
@@ -40,8 +40,8 @@ def of_convention(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> 
     sense = "clockwise (0 is north)" if clockwise else "counter-clockwise (0 is east)"
     whole = "degrees" if unit == "deg" else "radians"
     words = f"{stream.topic} reaches {largest:.0f}, so it is in {whole}, and by the wheels it grows {sense}"
-    cure = f"compass.convention={'compass' if clockwise else 'enu'}_{unit}"
-    return [Oddity("convention", "compass", words, (cure,), True)]
+    fix = f"compass.convention={'compass' if clockwise else 'enu'}_{unit}"
+    return [Finding("compass", "convention", words, (fix,), True)]
 
 
 GRAVITY = (9.0, 10.6)  # m/s^2
@@ -53,7 +53,7 @@ ACCELERATION = tuple(f"linear_acceleration.{a}" for a in "xyz")
 MAGNETIC = tuple(f"magnetic_field.{a}" for a in "xyz")
 
 
-def tilted(drive: Drive, robot: Robot, streams: Mapping[str, Stream], by_wheels: bool = True) -> list[Oddity]:
+def tilted(drive: Drive, robot: Robot, streams: Mapping[str, Stream], by_wheels: bool = True) -> list[Finding]:
     """Return the mounts that gravity contradicts, or the field as the wheels turned the robot in it."""
     found = []
     for name in ("compass", "gyro"):
@@ -73,8 +73,8 @@ def tilted(drive: Drive, robot: Robot, streams: Mapping[str, Stream], by_wheels:
         if name == "compass" and by == "gravity" and _same_ahead(settings, roll, pitch):
             continue  # an orientation knows where the robot's x axis points, however the IMU rolls about it
         words = f"{by} says that it is mounted at roll {roll} deg, pitch {pitch} deg"
-        cures = (f"{name}.roll_deg={roll}", f"{name}.pitch_deg={pitch}")
-        found.append(Oddity("tilt", name, words, cures, True))
+        fixes = (f"{name}.roll_deg={roll}", f"{name}.pitch_deg={pitch}")
+        found.append(Finding(name, "tilt", words, fixes, True))
     return found
 
 

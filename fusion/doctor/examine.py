@@ -1,7 +1,7 @@
 """The log doctor: what the sensors of a drive say of each other, before any filter believes them.
 
 Nothing here needs a pose. Turning is compared over windows, motion between scans with the wheels', the truth with
-both; every complaint names the setting that cures it.
+both; every complaint names the setting that fixes it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from locfuse.fusion.wheels.repairs import times
 
 from .clocks import of_clocks
 from .compass import of_convention, tilted
-from .finding import Oddity
+from .finding import Finding
 from .laser import laser_motion, of_laser
 from .truth import metre, of_truth
 from .turning import Turning, aligned, of_track, of_turning, turnings
@@ -36,17 +36,18 @@ REFUSED = {
 TOLD = {"spike", "other_joints"}
 
 
-def examine(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[Oddity]:
+def examine(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[Finding]:
     """Return everything odd about a measured drive; `streams` are the raw readings by role."""
-    found = [*_notes(drive), *_refused(drive)]
+    found = [Finding("wheels", "repaired", repair) for repair in drive.repairs]
+    found += _refused(drive)
     found += _gaps("wheels", drive.wheels.t)
     found += [o for name, m in drive.measurements.items() for o in (*_gaps(name, m.t), *_blind(name, m))]
     seen = turnings(drive)
     turning = of_turning(drive, robot, seen, streams)
-    wrong_wheels = any(o.stream == "wheels" and o.spoils for o in turning)
+    wrong_wheels = any(o.role == "wheels" and o.severe for o in turning)
     tilts = tilted(drive, robot, streams, by_wheels=not wrong_wheels)
     found += [*of_convention(drive, robot, streams), *tilts]
-    found += [o for o in turning if o.stream not in {t.stream for t in tilts}]
+    found += [o for o in turning if o.role not in {t.role for t in tilts}]
     if wrong_wheels:
         return found  # nothing can be held against such wheels
     scales = _scales(drive, robot, seen, turning)
@@ -54,35 +55,29 @@ def examine(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[O
     return [*found, *scales, *of_clocks(drive, robot), *truth]
 
 
-def _scales(drive: Drive, robot: Robot, seen: Mapping[str, Turning], turning: Sequence[Oddity]) -> list[Oddity]:
-    """Return what is odd about metres and the track; each cure is told in the metre that the others will leave."""
+def _scales(drive: Drive, robot: Robot, seen: Mapping[str, Turning], turning: Sequence[Finding]) -> list[Finding]:
+    """Return what is odd about metres and the track; each fix is told in the metre that the others will leave."""
     motion, lrf = None, drive.measurements.get("lrf")
-    if lrf is not None and len(lrf.t) > 20 and not any(o.stream == "lrf" for o in turning):
+    if lrf is not None and len(lrf.t) > 20 and not any(o.role == "lrf" for o in turning):
         motion = laser_motion(lrf, aligned(lrf, seen.get("lrf")), drive, robot)
     factor, scaled = metre(drive, robot)
     track = of_track(robot.wheels, seen, motion, factor) if robot.wheels.radius is not None else []
     if track:
-        scaled = [replace(o, cures=o.cures[:1]) for o in scaled]
+        scaled = [replace(o, fixes=o.fixes[:1]) for o in scaled]
     return [*scaled, *track, *of_laser(motion, robot, factor)]
 
 
-def _notes(drive: Drive) -> list[Oddity]:
-    """What was repaired while reading the wheels; the clock lags among the notes are judged anew below."""
-    own = (note.removeprefix("wheels: ") for note in drive.notes if note.startswith("wheels: "))
-    return [Oddity("repaired", "wheels", note) for note in own]
-
-
-def _refused(drive: Drive) -> list[Oddity]:
+def _refused(drive: Drive) -> list[Finding]:
     """Readings that are not used, by reason; what a repair counted is told with the repair."""
     found = []
     for stream, reasons in drive.dropped.items():
         words = [f"{n} {REFUSED.get(why, why.replace('_', ' '))}" for why, n in reasons.items() if why not in TOLD]
         if words:
-            found.append(Oddity("refused", stream, f"readings that are not used: {', '.join(words)}"))
+            found.append(Finding(stream, "refused", f"readings that are not used: {', '.join(words)}"))
     return found
 
 
-def _gaps(name: str, t: Array) -> list[Oddity]:
+def _gaps(name: str, t: Array) -> list[Finding]:
     """Silences are listed: without a sensor the filter keeps predicting, without wheels all motion is one arc."""
     found = gaps(t)
     if not found:
@@ -90,7 +85,7 @@ def _gaps(name: str, t: Array) -> list[Oddity]:
     longest = max(end - start for start, end in found)
     where = ", ".join(f"{start:.1f}-{end:.1f} s" for start, end in found[:3])
     more = " ..." if len(found) > 3 else ""
-    return [Oddity("gap", name, f"silent {times(len(found))}, at most {longest:.1f} s ({where}{more})")]
+    return [Finding(name, "gap", f"silent {times(len(found))}, at most {longest:.1f} s ({where}{more})")]
 
 
 def gaps(t: Array) -> list[tuple[float, float]]:
@@ -102,11 +97,11 @@ def gaps(t: Array) -> list[tuple[float, float]]:
     return [(float(t[i]), float(t[i + 1])) for i in long]
 
 
-def _blind(name: str, m: Measurements) -> list[Oddity]:
+def _blind(name: str, m: Measurements) -> list[Finding]:
     n = len(m.t)
     if n >= FEWEST and m.absent > BLIND * n:
         words = (
             f"no {SEES.get(name, 'value')} in {m.absent} of {n} readings: it is dead, or its settings do not fit"
         )
-        return [Oddity("blind", name, words, spoils=name == "lrf")]
-    return [] if n else [Oddity("blind", name, "no reading within the wheels' time", spoils=True)]
+        return [Finding(name, "blind", words, severe=name == "lrf")]
+    return [] if n else [Finding(name, "blind", "no reading within the wheels' time", severe=True)]

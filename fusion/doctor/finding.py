@@ -1,30 +1,45 @@
-"""One thing about a log that its user should know: in words, with the settings that cure it."""
+"""A finding: one thing about a log that its user should know, with the settings that fix it."""
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 
-SETTING = re.compile(r"--set ([a-z_]+(?:\.[a-z_]+)+=(?:\[[^\]]*\]|\{[^}]*\}|[^\s,;]+))")
+from locfuse.fusion.data import LocfuseError
 
 
 @dataclass(frozen=True)
-class Oddity:
-    """Something odd: harmless, repaired, or such that it would spoil an estimate."""
+class Finding:
+    """Something unusual: harmless, repaired, or such that an estimate would be wrong."""
 
+    role: str  # what it is about: wheels, a sensor, truth, log, file, or a topic
     code: str  # one word or two, for machines and tests
-    stream: str  # the role (wheels, lrf, ...) or topic that it is about
-    words: str
-    cures: tuple[str, ...] = ()  # "table.key=value", all of them together cure it
-    spoils: bool = False  # an estimate made with the settings as they are would be wrong
+    message: str
+    fixes: tuple[str, ...] = ()  # "table.key=value", all of them together fix it
+    severe: bool = False  # an estimate made with the settings as they are would be wrong
+    source: str = ""  # who states the values of the fixes, where that is not the drive itself
+    hint: str = ""  # what to try next, for a place that does not print the fixes
+
+    @property
+    def sentence(self) -> str:
+        """Message, source and hint: everything that is to be said."""
+        return f"{self._whole} {self.hint}" if self.hint else self._whole
+
+    @property
+    def brief(self) -> str:
+        """The same without the hint, for a place that prints the fixes itself."""
+        return self._whole.rstrip(".:;?") if self.hint else self._whole
+
+    @property
+    def _whole(self) -> str:
+        return f"{self.message}; {self.source}" if self.source else self.message
 
     @property
     def line(self) -> str:
-        """The words, and the options that cure it."""
-        return f"{self.stream}: {self.words}" + "".join(f" --set {cure}" for cure in self.cures)
+        """The whole of it with the options that fix it."""
+        return f"{self.role}: {self.sentence}" + "".join(f" --set {fix}" for fix in self.fixes)
 
 
-def settings_in(text: str) -> tuple[str, ...]:
-    """Return the settings that an error's text tells to try, those with a value to be filled in left out."""
-    found = (cure.rstrip(".)") for cure in SETTING.findall(text))
-    return tuple(cure for cure in dict.fromkeys(found) if "<" not in cure)
+def of_error(error: LocfuseError, role: str, code: str, severe: bool = True) -> Finding:
+    """Return what an error says of a role; what it says of another one, or of a file, names that."""
+    message = error.message if error.role in {role, ""} else f"{error.role}: {error.message}"
+    return Finding(role, code, message, error.fixes, severe, hint=error.hint)

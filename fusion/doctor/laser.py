@@ -19,7 +19,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Ints, Measurements
 from locfuse.fusion.robot import Robot
 
-from .finding import Oddity
+from .finding import Finding
 
 APART, ASTERN = 0.3, 0.35  # m, rad between the two places, whichever comes first
 LATER = 4.0  # s at most between them
@@ -82,10 +82,10 @@ def _turned(m: Measurements, yaw: float, mount: Array) -> Measurements:
     return replace(m, z=np.stack((own + np.cos(psi) * mount[0] + np.sin(psi) * mount[1], psi), axis=-1))
 
 
-def of_laser(motion: Motion | None, robot: Robot, metre: float = 1.0) -> list[Oddity]:
+def of_laser(motion: Motion | None, robot: Robot, metre: float = 1.0) -> list[Finding]:
     """Return what is odd about range scale and yaw.
 
-    `metre` is by how much another cure will scale the wheels' metre: the laser's follows.
+    `metre` is by how much another fix will scale the wheels' metre: the laser's follows.
     """
     if motion is None:
         return []
@@ -97,7 +97,7 @@ def of_laser(motion: Motion | None, robot: Robot, metre: float = 1.0) -> list[Od
             f"{settings.yaw_deg:.1f} deg says"
         )
         return [
-            Oddity("yaw", "lrf", words, (f"lrf.yaw_deg={math.degrees(yaw):.1f}",), abs(motion.yaw) > SPOILS_YAW)
+            Finding("lrf", "yaw", words, (f"lrf.yaw_deg={math.degrees(yaw):.1f}",), abs(motion.yaw) > SPOILS_YAW)
         ]
     scale = motion.scale * metre
     if abs(scale - 1.0) < OFF_SCALE + SURE * motion.scale_sigma:
@@ -105,8 +105,8 @@ def of_laser(motion: Motion | None, robot: Robot, metre: float = 1.0) -> list[Od
     whose = "wheels'" if metre == 1.0 else "truth's"
     words = f"its metre is {1.0 / scale:.3f} of the {whose} (1 sigma {motion.scale_sigma:.3f})"
     words += ": scale it if the wheels are right, or wheels.radius if it is" if metre == 1.0 else ""
-    cure = f"lrf.range_scale={settings.range_scale * scale:.4g}"
-    return [Oddity("range scale", "lrf", words, (cure,), abs(scale - 1.0) > SPOILS_SCALE)]
+    fix = f"lrf.range_scale={settings.range_scale * scale:.4g}"
+    return [Finding("lrf", "range scale", words, (fix,), abs(scale - 1.0) > SPOILS_SCALE)]
 
 
 def fitted(walls: Walls) -> tuple[float, float] | None:

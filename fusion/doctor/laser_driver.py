@@ -9,14 +9,14 @@ import numpy as np
 from locfuse.fusion.data import Array, Ragged, Stream
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings
 
-from .finding import Oddity
+from .finding import Finding
 
 SCANS = 300  # looked at
 SHARE = 0.01  # of the ranges at exactly range_max: more are no walls
 MANY = 0.05  # share from which they would be taken for walls
 
 
-def driver(stream: Stream, settings: LrfSettings) -> list[Oddity]:
+def driver(stream: Stream, settings: LrfSettings) -> list[Finding]:
     """Return what is odd about the first scans of a stream."""
     parts = [columns for _, columns in _first(stream)]
     if not parts:
@@ -39,7 +39,7 @@ def _first(stream: Stream) -> list[tuple[Any, dict[str, Any]]]:
     return found
 
 
-def _nothing(values: Array, far: Array, settings: LrfSettings) -> list[Oddity]:
+def _nothing(values: Array, far: Array, settings: LrfSettings) -> list[Finding]:
     """How many ranges are no walls, by how they say so."""
     n = max(1, len(values))
     shares = {
@@ -49,25 +49,25 @@ def _nothing(values: Array, far: Array, settings: LrfSettings) -> list[Oddity]:
         "beyond range_max": ((values > far) & np.isfinite(values)).mean() if len(values) else 0.0,
     }
     words = ", ".join(f"{share:.0%} {how}" for how, share in shares.items() if share >= 0.005)
-    found = [Oddity("no return", "lrf", f"of its ranges {words}: nothing came back there")] if words else []
+    found = [Finding("lrf", "no return", f"of its ranges {words}: nothing came back there")] if words else []
     limit = np.minimum(far, settings.range_max or np.inf)
     full = (values == far) & (values <= limit)
     share = float(full.sum()) / n
     if share > SHARE:
         end = float(far[full][0])
         words = f"{share:.0%} of its ranges are exactly range_max = {end:g} m: its driver's word for no return"
-        found.append(Oddity("range_max", "lrf", words, (f"lrf.range_max={0.999 * end:.4g}",), share > MANY))
+        found.append(Finding("lrf", "range_max", words, (f"lrf.range_max={0.999 * end:.4g}",), share > MANY))
     return found
 
 
-def _turning(column: dict[str, Array], lengths: Array) -> list[Oddity]:
+def _turning(column: dict[str, Array], lengths: Array) -> list[Finding]:
     found = []
     if (column["angle_increment"] < 0.0).any():
-        found.append(Oddity("clockwise", "lrf", "its angles decrease: it scans clockwise, and is read so"))
+        found.append(Finding("lrf", "clockwise", "its angles decrease: it scans clockwise, and is read so"))
     if len(np.unique(lengths)) > 1:
         words = f"its scans have {int(lengths.min())} to {int(lengths.max())} beams; each is read with its own"
-        found.append(Oddity("beams", "lrf", words))
+        found.append(Finding("lrf", "beams", words))
     if not (column["time_increment"] > 0.0).any():
         words = "time_increment is 0: what it sees while the robot turns is taken for the sight of one instant"
-        found.append(Oddity("not deskewed", "lrf", words))
+        found.append(Finding("lrf", "not deskewed", words))
     return found

@@ -10,7 +10,7 @@ from locfuse.fusion.camera.images import Picture, decode, messages
 from locfuse.fusion.data import Stream
 from locfuse.fusion.sensors.camera import CameraSettings, detector
 
-from .finding import Oddity
+from .finding import Finding
 
 PICTURES = 24  # looked at
 OFTEN = 0.5  # share of the pictures
@@ -23,24 +23,24 @@ WORDS = {
 }
 
 
-def of_pictures(stream: Stream, settings: CameraSettings) -> list[Oddity]:
+def of_pictures(stream: Stream, settings: CameraSettings) -> list[Finding]:
     """Return what is odd about some pictures of a stream, evenly spread."""
     wanted = set(range(0, len(stream.t_ns), max(1, len(stream.t_ns) // PICTURES)))
     seen = [decode(message) for block in messages(stream) for row, message in block if row in wanted]
     found, total = [], len(seen)
     for why, n in Counter(one for one in seen if isinstance(one, str)).items():
         words = f"{n} of {total} pictures looked at {WORDS[why]}"
-        found.append(Oddity("pictures", "camera", words, (), n > OFTEN * total))
+        found.append(Finding("camera", "pictures", words, (), n > OFTEN * total))
     pictures = [one for one in seen if not isinstance(one, str)]
     sizes = Counter((p.shape[1], p.shape[0]) for p in pictures)
     if len(sizes) > 1:
         listed = ", ".join(f"{w} x {h} ({n})" for (w, h), n in sizes.most_common())
-        found.append(Oddity("pictures", "camera", f"they change size: {listed}; only the usual size is used"))
+        found.append(Finding("camera", "pictures", f"they change size: {listed}; only the usual size is used"))
     usual = max(sizes, key=lambda size: (sizes[size], size), default=None)
     return found + _red([p for p in pictures if (p.shape[1], p.shape[0]) == usual], settings)
 
 
-def _red(pictures: list[Picture], settings: CameraSettings) -> list[Oddity]:
+def _red(pictures: list[Picture], settings: CameraSettings) -> list[Finding]:
     """Say so where hardly any picture shows something red and upright, unless its colours are exchanged."""
     if settings.landmark is None or not pictures:
         return []
@@ -51,9 +51,9 @@ def _red(pictures: list[Picture], settings: CameraSettings) -> list[Oddity]:
     exchanged = sum(bool(find.find(np.ascontiguousarray(p[..., ::-1])).candidates) for p in pictures)
     if exchanged > max(shows, OFTEN * n):
         words = f"{exchanged} of {n} pictures show something upright in blue, {shows} in red: rgb is taken for bgr"
-        cure = f"camera.swapped={str(not settings.swapped).lower()}"
-        return [Oddity("swapped", "camera", words, (cure,), True)]
+        fix = f"camera.swapped={str(not settings.swapped).lower()}"
+        return [Finding("camera", "swapped", words, (fix,), True)]
     words = (
         f"nothing red and upright in {n - shows} of {n} pictures: --preview shows what counts as red, and where"
     )
-    return [Oddity("blind", "camera", words, (), shows == 0)]
+    return [Finding("camera", "blind", words, (), shows == 0)]

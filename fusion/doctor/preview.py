@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from locfuse.fusion.camera.detect import Detector, Look
+from locfuse.fusion.camera.detect import Detection, Detector
 from locfuse.fusion.camera.images import decode, messages
 from locfuse.fusion.camera.opencv import cv2
 from locfuse.fusion.camera.optics import Optics, angle_of_bearing, bearing, omni_1
@@ -77,7 +77,7 @@ def _inside(picture: Picture, optics: Optics) -> Picture:
     return np.where((r >= optics.inner) & (r <= optics.outer), np.uint8(1), np.uint8(0))
 
 
-def _drawn(picture: Picture, seen: Look, bearings: list[float]) -> Picture:
+def _drawn(picture: Picture, seen: Detection, bearings: list[float]) -> Picture:
     """Draw the mirror's circles, a compass rose of bearings in the camera's frame, and the candidates."""
     canvas, optics = picture.copy(), seen.optics
     centre = (round(optics.x_c), round(optics.y_c))

@@ -11,14 +11,14 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Truth
 from locfuse.fusion.robot import Robot
 
-from .finding import Oddity
+from .finding import Finding
 
 OFF_START, OFF_HEADING = 0.1, math.radians(5.0)
 BEGINNING, AT_ONCE = 3.0, 0.1  # m of the drive from which the start pose is told: by points, by poses
 LEAST_SHAPE = 0.3  # m, extent of the points
 
 
-def of_start(truth: Truth, drive: Drive, robot: Robot) -> list[Oddity]:
+def of_start(truth: Truth, drive: Drive, robot: Robot) -> list[Finding]:
     """Compare the start pose with the one that lays the wheels' first way over the truth's."""
     fitted = start_pose(truth, drive)
     if fitted is None:
@@ -33,8 +33,8 @@ def of_start(truth: Truth, drive: Drive, robot: Robot) -> list[Oddity]:
         f"it starts {away:.2f} m and {math.degrees(turn):.0f} deg from where the drive starts; set the start, or "
         "judge the shape only (--align origin)"
     )
-    cures = (f"start.x={x:.3f}", f"start.y={y:.3f}", f"start.theta_deg={math.degrees(theta):.1f}")
-    return [Oddity("start", "truth", words, cures, True)]
+    fixes = (f"start.x={x:.3f}", f"start.y={y:.3f}", f"start.theta_deg={math.degrees(theta):.1f}")
+    return [Finding("truth", "start", words, fixes, True)]
 
 
 class Start(NamedTuple):

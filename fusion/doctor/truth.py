@@ -11,7 +11,7 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.wheels.jumps import Mask, spikes
 from locfuse.fusion.wheels.repairs import times
 
-from .finding import Oddity
+from .finding import Finding
 from .start import of_start, turned
 
 WINDOW = 1.0  # s over which ways are compared
@@ -23,7 +23,7 @@ OFF_POINT = 0.05  # m, of the tracked point
 LEAST_TURN = math.radians(60.0)
 
 
-def of_truth(drive: Drive, robot: Robot, same_metre: bool = True) -> list[Oddity]:
+def of_truth(drive: Drive, robot: Robot, same_metre: bool = True) -> list[Finding]:
     """Return what is odd about the truth; by wheels of another metre no body point is told."""
     truth = drive.truth
     if truth is None or len(truth.t) < 5:
@@ -34,16 +34,16 @@ def of_truth(drive: Drive, robot: Robot, same_metre: bool = True) -> list[Oddity
     return [*jumps, *_gaps(truth), *point, *([] if jumps or point else of_start(truth, drive, robot))]
 
 
-def _gaps(truth: Truth) -> list[Oddity]:
+def _gaps(truth: Truth) -> list[Finding]:
     dt = np.diff(truth.t)
     long = dt > max(GAP, GAP_PERIODS * float(np.median(dt)))
     if not long.any():
         return []
     words = f"silent {times(int(long.sum()))}, at most {float(dt.max()):.1f} s; errors there do not exist"
-    return [Oddity("gap", "truth", words)]
+    return [Finding("truth", "gap", words)]
 
 
-def _jumps(truth: Truth, drive: Drive) -> list[Oddity]:
+def _jumps(truth: Truth, drive: Drive) -> list[Finding]:
     """Steps that are metres longer than the wheels rolled meanwhile: a tracker that lost its body."""
     limit = step_limits(truth, drive)
     away = spikes(truth.t, truth.xy, limit)
@@ -56,7 +56,7 @@ def _jumps(truth: Truth, drive: Drive) -> list[Oddity]:
     words = f"it jumps {times(int(long.sum()))} by more than the wheels rolled"
     words += f"; {int(away.sum())} readings can be left out" if away.any() else ""
     words += f"; {stays} jumps do not return, and errors across them mean nothing" if stays > 0 else ""
-    return [Oddity("jump", "truth", words, (f"truth.max_speed={speed:g}",), True)]
+    return [Finding("truth", "jump", words, (f"truth.max_speed={speed:g}",), True)]
 
 
 def step_limits(truth: Truth, drive: Drive) -> Array:
@@ -92,8 +92,8 @@ def wheels_metre(drive: Drive) -> tuple[float, float] | None:
     return float(np.median(ratio)), 1.25 * float(np.std(parts, ddof=1)) / math.sqrt(BLOCKS)
 
 
-def metre(drive: Drive, robot: Robot) -> tuple[float, list[Oddity]]:
-    """Return the factor by which a cure scales the wheels' metre, and that cure."""
+def metre(drive: Drive, robot: Robot) -> tuple[float, list[Finding]]:
+    """Return the factor by which a fix scales the wheels' metre, and that fix."""
     found = wheels_metre(drive)
     if found is None or robot.wheels.radius is None:
         return 1.0, []
@@ -102,13 +102,13 @@ def metre(drive: Drive, robot: Robot) -> tuple[float, list[Oddity]]:
         return 1.0, []
     words = f"their metre is {1.0 / factor:.3f} of the truth's (1 sigma {sigma:.3f})"
     radius = robot.wheels.radius * factor
-    cures = [f"wheels.radius={radius:.4g}"]
+    fixes = [f"wheels.radius={radius:.4g}"]
     if robot.wheels.track is not None:  # what turns right must go on turning right
-        cures.append(f"wheels.track={robot.wheels.track * factor:.4g}")
-    return factor, [Oddity("wheel scale", "wheels", words, tuple(cures), abs(factor - 1.0) > SPOILS_METRE)]
+        fixes.append(f"wheels.track={robot.wheels.track * factor:.4g}")
+    return factor, [Finding("wheels", "wheel scale", words, tuple(fixes), abs(factor - 1.0) > SPOILS_METRE)]
 
 
-def _point(truth: Truth, drive: Drive) -> list[Oddity]:
+def _point(truth: Truth, drive: Drive) -> list[Finding]:
     """Fit which body point was tracked: while the robot turns, a point off its axle swings.
 
     With p(t) = base + R(theta) l, a step of the point seen in the base frame is d + (R(turn) - 1) l.
@@ -139,4 +139,4 @@ def _point(truth: Truth, drive: Drive) -> list[Oddity]:
         f"it swings as the body point ({x[0]:.2f}, {x[1]:.2f}) m does, not ({told[0]:g}, {told[1]:g}): a tracked "
         "marker off the axle"
     )
-    return [Oddity("body point", "truth", words, (f"truth.x={x[0]:.3f}", f"truth.y={x[1]:.3f}"), True)]
+    return [Finding("truth", "body point", words, (f"truth.x={x[0]:.3f}", f"truth.y={x[1]:.3f}"), True)]

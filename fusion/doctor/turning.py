@@ -15,11 +15,11 @@ import numpy as np
 from locfuse.fusion.data import Array, Drive, Measurements, Stream
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.streams import Joined
+from locfuse.fusion.streams import MergedStream
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.read import ODOMETRY
 
-from .finding import Oddity
+from .finding import Finding
 from .laser import Motion
 
 WINDOW = 1.0  # s
@@ -123,7 +123,7 @@ def _regression(own: Array, by: Array, shares: Array, offset: float) -> Turning 
 
 def of_turning(
     drive: Drive, robot: Robot, seen: Mapping[str, Turning], streams: Mapping[str, Stream]
-) -> list[Oddity]:
+) -> list[Finding]:
     """Return what the turning of all sensors together says of the senses of wheels and mounts."""
     counts_wheels = streams["wheels"].msgtype != ODOMETRY
     found = _dead_wheel(drive.wheels) if counts_wheels else []
@@ -134,11 +134,11 @@ def of_turning(
         wheel = max(set(mirrored), key=mirrored.count)
         by = " and ".join(name for name, t in seen.items() if _mirrored(t) == wheel)
         words = f"the {wheel} wheel counts backward, by the turning of {by}"
-        return [Oddity("mirrored", "wheels", words, (f"wheels.mirrored={_also(robot, wheel)}",), True)]
+        return [Finding("wheels", "mirrored", words, (f"wheels.mirrored={_also(robot, wheel)}",), True)]
     back = [name for name, t in seen.items() if t.a < 0.0 < t.b]
     if len(back) > 1 and len(back) == len(seen):
         words = f"the wheels turn against {' and '.join(back)}: left and right are swapped"
-        return [Oddity("swapped", "wheels", words, _swapped(robot.wheels, streams["wheels"]), True)]
+        return [Finding("wheels", "swapped", words, _swapped(robot.wheels, streams["wheels"]), True)]
     return [_reversed(name, robot, streams) for name in back]
 
 
@@ -158,7 +158,7 @@ def _also(robot: Robot, wheel: str) -> str:
 
 
 def _swapped(settings: WheelSettings, stream: Stream) -> tuple[str, ...]:
-    if isinstance(stream, Joined):
+    if isinstance(stream, MergedStream):
         left, right = (part.topic for part in stream.parts)
         return (f"wheels.left_topic={right}", f"wheels.right_topic={left}")
     if settings.left is not None and settings.right is not None:
@@ -166,26 +166,26 @@ def _swapped(settings: WheelSettings, stream: Stream) -> tuple[str, ...]:
     return ("wheels.mirrored=both",)
 
 
-def _reversed(name: str, robot: Robot, streams: Mapping[str, Stream]) -> Oddity:
+def _reversed(name: str, robot: Robot, streams: Mapping[str, Stream]) -> Finding:
     """Return what to do about one sensor that turns the other way round."""
     settings = robot.settings(name)
     if name == "lrf":
-        cures, why = (f"lrf.flipped={str(not settings.flipped).lower()}",), "the laser is mounted upside-down"
+        fixes, why = (f"lrf.flipped={str(not settings.flipped).lower()}",), "the laser is mounted upside-down"
     elif name == "compass" and streams[name].msgtype.startswith("std_msgs"):
         now = settings.convention
         other = now.replace("enu", "compass") if now.startswith("enu") else now.replace("compass", "enu")
-        cures, why = (f"compass.convention={other}",), "its headings grow clockwise"
+        fixes, why = (f"compass.convention={other}",), "its headings grow clockwise"
     else:
-        cures, why = (f"{name}.roll_deg={(settings.roll_deg + 180.0) % 360.0:g}",), "it is mounted upside-down"
-    return Oddity("reversed", name, f"it turns the other way round than the wheels: {why}", cures, True)
+        fixes, why = (f"{name}.roll_deg={(settings.roll_deg + 180.0) % 360.0:g}",), "it is mounted upside-down"
+    return Finding(name, "reversed", f"it turns the other way round than the wheels: {why}", fixes, True)
 
 
 def of_track(
     settings: WheelSettings, seen: Mapping[str, Turning], motion: Motion | None, metre: float = 1.0
-) -> list[Oddity]:
+) -> list[Finding]:
     """Hold the track against the laser's walls, else against the compass; a gyro's scale is not known any better.
 
-    `metre` is by how much another cure will scale the wheels' metre: the track follows.
+    `metre` is by how much another fix will scale the wheels' metre: the track follows.
     """
     told = settings.track
     found = _told_track(told or 0.0, seen, motion)
@@ -199,7 +199,7 @@ def of_track(
         f"the track is {told:g} m, but the turning of {by} says {track:.3f} m (1 sigma {sigma:.3f}); "
         "or let the filter find it (wheels.estimate=true)"
     )
-    return [Oddity("track", "wheels", words, (f"wheels.track={track:.3f}",), abs(off) > SPOILS_TRACK)]
+    return [Finding("wheels", "track", words, (f"wheels.track={track:.3f}",), abs(off) > SPOILS_TRACK)]
 
 
 def _told_track(
@@ -215,16 +215,16 @@ def _told_track(
     return track, track * t.sigma / (t.a - t.b), "the compass"
 
 
-def _dead_wheel(wheels: Wheels) -> list[Oddity]:
+def _dead_wheel(wheels: Wheels) -> list[Finding]:
     left, right = np.abs(wheels.rolled).sum(axis=0).tolist()
     for side, own, other in (("left", left, right), ("right", right, left)):
         if other > 0.5 and own < 0.001 * other:
             words = f"the {side} wheel never turns while the other rolls {other:.1f} m: its encoder is dead"
-            return [Oddity("dead", "wheels", words, (), True)]
+            return [Finding("wheels", "dead", words, (), True)]
     return []
 
 
-def _by_the_wheels_alone(wheels: Wheels, robot: Robot) -> list[Oddity]:
+def _by_the_wheels_alone(wheels: Wheels, robot: Robot) -> list[Finding]:
     """Return a suspicion where no other sensor turns: wheels that nearly always turn against each other."""
     left, right = wheels.rolled.T
     moving = (np.abs(left) > 1e-5) & (np.abs(right) > 1e-5)
@@ -235,8 +235,8 @@ def _by_the_wheels_alone(wheels: Wheels, robot: Robot) -> list[Oddity]:
         f"they turn against each other {against:.0%} of the time: unless the robot only turned on the spot, one "
         "counts backward (if it is the right one: wheels.mirrored=right)"
     )
-    cure = "left" if float(right.sum()) > float(left.sum()) else "right"
-    return [Oddity("mirrored", "wheels", words, (f"wheels.mirrored={_also(robot, cure)}",), False)]
+    fix = "left" if float(right.sum()) > float(left.sum()) else "right"
+    return [Finding("wheels", "mirrored", words, (f"wheels.mirrored={_also(robot, fix)}",), False)]
 
 
 def aligned(m: Measurements, turning: Turning | None) -> Array:

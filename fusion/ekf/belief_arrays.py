@@ -85,10 +85,6 @@ class JointBelief:
         variances: list[float] = self._P.diagonal()[where].tolist()
         return variances
 
-    def has(self, name: str) -> bool:
-        """Return whether the state holds a block of this name."""
-        return name in self._slices
-
     def add(self, block: Block) -> None:
         """Append an independent block to the state."""
         where = self._grow(len(block.x))

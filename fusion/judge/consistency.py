@@ -20,7 +20,7 @@ from .innovations import Heard, Own, heard, own, usual_period
 from .noise_verdicts import (
     LARGER,
     REFUSED_LINES,
-    Finding,
+    NoiseVerdict,
     Verdict,
     biased,
     by_itself,
@@ -84,7 +84,7 @@ class Court:
         self.contradict: set[str] = set()
         self._blame()
 
-    def in_run(self, run: Run, sensor: str, found: Finding) -> Consistency:
+    def in_run(self, run: Run, sensor: str, found: NoiseVerdict) -> Consistency:
         """Return the run's own figures with the verdict that all runs reach."""
         o = self.own[run.estimates.name, sensor]
         if o is None:
@@ -93,7 +93,7 @@ class Court:
             found.verdict, found.words, o.bounds, o.bias, o.whiteness, found.scale, o.refused, found.cures
         )
 
-    def finding(self, sensor: str) -> Finding:
+    def finding(self, sensor: str) -> NoiseVerdict:
         """Return the verdict on a sensor and its words."""
         settings = self.robot.settings(sensor)
         if sensor in self.blamed:
@@ -114,10 +114,10 @@ class Court:
             return self._unclear(sensor)
         return by_itself(sensor, settings, mine, np.diagonal(m.floor).tolist(), period)
 
-    def _unclear(self, sensor: str) -> Finding:
+    def _unclear(self, sensor: str) -> NoiseVerdict:
         sick = sorted({s for (_, s), o in self.own.items() if s != sensor and o is not None and o.scale > SICK})
         why = f"{' and '.join(sick)} must be set right first" if sick else "too few measurements"
-        return Finding("unclear", f"{sensor} cannot be judged: {why}")
+        return NoiseVerdict("unclear", f"{sensor} cannot be judged: {why}")
 
     def witnesses(self, sensor: str) -> list[tuple[Run, Heard]]:
         """Return healthy runs without the sensor and without a blamed one, the surest first."""

@@ -30,7 +30,7 @@ NOISE = ("sigma", "sigma_deg", "sigma_range", "sigma_angle_deg")  # keys that sa
 
 
 @dataclass(frozen=True)
-class Finding:
+class NoiseVerdict:
     """A verdict, its words, and what to write into robot.toml."""
 
     verdict: Verdict
@@ -44,7 +44,7 @@ def disagrees(h: Heard) -> bool:
     return h.bias is not None and abs(h.bias) > max(SURE * h.sure, NOTABLE * math.sqrt(h.white))
 
 
-def by_witness(sensor: str, settings: Any, h: Heard) -> Finding | None:
+def by_witness(sensor: str, settings: Any, h: Heard) -> NoiseVerdict | None:
     """Judge a sensor by a run that does not use it; None where that run is too vague."""
     noise = min(h.white, max(h.spread - h.reference, 0.5 * h.white))
     if h.slow > SLOW * h.reference and h.slow > 0.1 * h.white and not _drifts(sensor, settings, h):
@@ -54,7 +54,7 @@ def by_witness(sensor: str, settings: Any, h: Heard) -> Finding | None:
     return by_share(sensor, h.wild, False, by_scale(sensor, settings, math.sqrt(noise / h.R)))
 
 
-def by_itself(sensor: str, settings: Any, o: Own, floor: Sequence[float], period: float) -> Finding:
+def by_itself(sensor: str, settings: Any, o: Own, floor: Sequence[float], period: float) -> NoiseVerdict:
     """Judge a sensor by the innovations of a run that uses it."""
     lines = len(o.R) > 1
     if not lines and abs(o.middle[0]) > max(SURE * o.sure[0], math.sqrt(o.R[0])):
@@ -81,7 +81,9 @@ def _drifts(sensor: str, settings: Any, h: Heard) -> bool:
     )
 
 
-def by_memory(sensor: str, settings: Any, variance: float, repeats: float, period: float, R: float) -> Finding:
+def by_memory(
+    sensor: str, settings: Any, variance: float, repeats: float, period: float, R: float
+) -> NoiseVerdict:
     """Judge slow errors: a mean of many readings is only as good as variance * repeats over their number."""
     if variance * repeats > LONG * R:
         return correlated(sensor, settings, math.sqrt(variance), repeats, period)
@@ -94,10 +96,10 @@ def _on_sigma(o: Own, floor: Sequence[float]) -> float:
     return max(math.sqrt(sum(parts) / len(parts)) if parts else math.sqrt(o.scale), 0.1)
 
 
-def by_scale(sensor: str, settings: Any, factor: float) -> Finding:
+def by_scale(sensor: str, settings: Any, factor: float) -> NoiseVerdict:
     """Complain about a sigma that is off by more than LARGER."""
     if SMALLER <= factor <= LARGER:
-        return Finding("consistent", f"{sensor} noise is about as told", factor)
+        return NoiseVerdict("consistent", f"{sensor} noise is about as told", factor)
     keys = noise_keys(settings)
     cures = {f"{sensor}.{k}": rounded(getattr(settings, k) * factor) for k in keys}
     verdict: Verdict = "understated" if factor > 1.0 else "overstated"
@@ -106,30 +108,30 @@ def by_scale(sensor: str, settings: Any, factor: float) -> Finding:
     words = f"{sensor} noise is {verdict}: {first} should be about {times} ({cures[f'{sensor}.{first}']:g})"
     if others:
         words += ", and so " + ", ".join(f"{k} ({cures[f'{sensor}.{k}']:g})" for k in others)
-    return Finding(verdict, words, factor, cures)
+    return NoiseVerdict(verdict, words, factor, cures)
 
 
-def biased(sensor: str, settings: Any, bias: float) -> Finding:
+def biased(sensor: str, settings: Any, bias: float) -> NoiseVerdict:
     """Complain about a mean that is off; `bias` is measured minus predicted [rad or m]."""
     amount, unit = _human(bias, settings)
     words = f"{sensor} disagrees with what the other sensors say by {amount:+.2g} {unit} on average"
     key, sign = getattr(REGISTRY[sensor], "bias_key", (None, 0.0))
     if key is None:
-        return Finding("biased", words)
+        return NoiseVerdict("biased", words)
     value = _turned((getattr(settings, key) or 0.0) + sign * amount)
     words += f": set {sensor}.{key}={value:g}"
     if getattr(settings, key) is not None and getattr(REGISTRY[sensor], "estimates_bias", False):
         words += f", or leave {key} out and let it be estimated"
-    return Finding("biased", words, None, {f"{sensor}.{key}": value})
+    return NoiseVerdict("biased", words, None, {f"{sensor}.{key}": value})
 
 
-def contradicting(sensor: str, others: Sequence[str]) -> Finding:
+def contradicting(sensor: str, others: Sequence[str]) -> NoiseVerdict:
     """Complain about sensors of which nobody can say which is wrong."""
     words = f"{sensor} and {' and '.join(others)} contradict each other; nothing else here can say which is wrong"
-    return Finding("contradicts", words)
+    return NoiseVerdict("contradicts", words)
 
 
-def correlated(sensor: str, settings: Any, sigma: float, repeats: float, period: float) -> Finding:
+def correlated(sensor: str, settings: Any, sigma: float, repeats: float, period: float) -> NoiseVerdict:
     """Complain about slow errors: `sigma` [rad or m], repeating over so many readings."""
     memory = repeats * period
     amount, unit = _human(sigma, settings)
@@ -148,10 +150,10 @@ def correlated(sensor: str, settings: Any, sigma: float, repeats: float, period:
         f"{sensor} errors are correlated in time: {errors}, while the filter takes every reading for news. "
         f"Cures: {', or '.join(parts)}"
     )
-    return Finding("correlated", words, math.sqrt(repeats), cures)
+    return NoiseVerdict("correlated", words, math.sqrt(repeats), cures)
 
 
-def wanders(sensor: str, o: Own) -> Finding:
+def wanders(sensor: str, o: Own) -> NoiseVerdict:
     """Complain about innovations that repeat without being small: what is predicted wanders off."""
     words = (
         f"{sensor} innovations repeat from reading to reading ({o.whiteness[0]:.0%}, NIS {o.nis:.1f}): the "
@@ -159,10 +161,10 @@ def wanders(sensor: str, o: Own) -> Finding:
         f"{sensor}.time_offset, its mount, a metre that differs): see the notes, locfuse calibrate, then "
         "locfuse tune"
     )
-    return Finding("correlated", words)
+    return NoiseVerdict("correlated", words)
 
 
-def by_share(sensor: str, share: float, lines: bool, rest: Finding) -> Finding:
+def by_share(sensor: str, share: float, lines: bool, rest: NoiseVerdict) -> NoiseVerdict:
     """Say that many readings are refused, unless their noise is understated anyway."""
     if share <= (REFUSED_LINES if lines else REFUSED) or rest.verdict == "understated":
         return rest
@@ -172,7 +174,7 @@ def by_share(sensor: str, share: float, lines: bool, rest: Finding) -> Finding:
         )
     else:
         words = f"{share:.0%} of what it says is refused as outliers or disturbances; the rest is as told"
-    return Finding("outliers", f"{sensor}: {words}")
+    return NoiseVerdict("outliers", f"{sensor}: {words}")
 
 
 def noise_keys(settings: Any) -> list[str]:

@@ -79,16 +79,6 @@ class Seen(NamedTuple):
     w: Array  # sigma_range^2 / var(e), 0 for what is not in the fit
 
 
-def fit_lines(rays: Rays, counts: Ints, r: Array, psi: Array, ratio: float, steps: int = 2) -> Fits:
-    """Return the best lines near (r, psi), each (m,), after Gauss-Newton steps on the ranges.
-
-    `ratio` is sigma_angle / sigma_range [rad/m]; every line needs two rays.
-    """
-    for _ in range(steps - 1):
-        r, psi = improved(residuals(rays, counts, r, psi, ratio), counts, r, psi)
-    return fitted(residuals(rays, counts, r, psi, ratio), counts, r, psi)
-
-
 def improved(seen: Seen, counts: Ints, r: Array, psi: Array) -> tuple[Array, Array]:
     """Return (r, psi) after one Gauss-Newton step from where the residuals were taken."""
     dr, dpsi = _step(np.add.reduceat(_summands(seen), np.cumsum(counts) - counts, axis=1))

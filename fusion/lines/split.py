@@ -78,7 +78,7 @@ def merge(moments: Array, linked: Mask, limit: float) -> Ints:
 
     Two pieces are one line if fitting them as one raises the weighted sum of squares by less than `limit`: a
     likelihood ratio, chi-square with 2 degrees of freedom. The best pairs go first. `moments` (6, p) are those of
-    `line_fit.misfit`, weighted by 1/variance; `linked` (p - 1,) says which neighbours may be joined at all.
+    `fit.misfit`, weighted by 1/variance; `linked` (p - 1,) says which neighbours may be joined at all.
     """
     pieces = moments.shape[1]
     rows, own = moments.T.copy(), misfit(moments)

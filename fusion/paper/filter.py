@@ -42,10 +42,12 @@ def fuse_as_printed(
     listen = listen or {}
     for sensor in (*sensors, *listen):
         if sensor not in drive.measurements:
-            raise LocfuseError(f"{sensor}: {drive.absent.get(sensor, 'not in this log')}")
+            raise drive.lacks(sensor)
         if sensor not in PARTS:
             raise LocfuseError(
-                f"{sensor}: the paper has no equation for it; leave it out, or use --preset default"
+                "the paper has no equation for it;",
+                role=sensor,
+                hint="leave it out, or use --preset default",
             )
     run = PrintedFilter(drive, robot, sensors, listen, numbers)
     for k in range(len(run.grid)):

@@ -107,7 +107,7 @@ class CameraRow:
     def __init__(self, robot: Robot, numbers: Printed) -> None:
         settings, start = robot.settings("camera"), robot.start
         if settings.landmark is None:
-            raise LocfuseError("camera: camera.landmark is not set; --set camera.landmark=[X,Y]")
+            raise LocfuseError("camera.landmark is not set;", role="camera", hint="--set camera.landmark=[X,Y]")
         self.direction = math.atan2(settings.landmark[1] - start.y, settings.landmark[0] - start.x)
         self.yaw = math.radians(settings.yaw_deg)
         self.R = equations.eq19_R(0, compass=False, camera=True, numbers=numbers)

@@ -107,11 +107,11 @@ class Camera:
         missing = self.missing(settings)
         if missing:
             raise LocfuseError(f"{stream.topic}: {missing}")
-        from locfuse.fusion.camera.detect import Look, looks
+        from locfuse.fusion.camera.detect import Detection, detections
 
-        found: list[tuple[int, Look]] = []
+        found: list[tuple[int, Detection]] = []
         dropped = Counter(stream.dropped)
-        for row, seen in looks(stream, detector(settings)):
+        for row, seen in detections(stream, detector(settings)):
             if isinstance(seen, str):
                 dropped[seen] += 1
             else:

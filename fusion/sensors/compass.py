@@ -171,8 +171,9 @@ def _refuse_stuck(t: Array, heading: Array, wheels: WheelMotion, topic: str) -> 
     turn = wheels.relative(np.full(len(t), t[0]), t)[:, 2]
     if np.ptp(turn) > STUCK_TURN:
         raise LocfuseError(
-            f"compass: {topic} says {math.degrees(heading[0]):.1f} deg in all {len(t)} readings while the wheels "
-            f"turned the robot by up to {math.degrees(np.ptp(turn)):.0f} deg: no compass writes there"
+            f"{topic} says {math.degrees(heading[0]):.1f} deg in all {len(t)} readings while the wheels "
+            f"turned the robot by up to {math.degrees(np.ptp(turn)):.0f} deg: no compass writes there",
+            role="compass",
         )
 
 
@@ -200,7 +201,7 @@ def from_imu(
     q = np.stack([columns[f"orientation.{a}"] for a in "xyzw"], axis=-1)
     none = (columns["orientation_covariance"][:, 0] == -1.0) | ((q**2).sum(axis=1) < 0.25)
     if refuse and len(q) and none.all():
-        raise LocfuseError(f"compass: {topic} carries no orientation (orientation_covariance[0] is -1)")
+        raise LocfuseError(f"{topic} carries no orientation (orientation_covariance[0] is -1)", role="compass")
     # the base's x axis in the IMU's axes, turned into the world
     ahead = rotated(q, rotation(settings.roll_deg, settings.pitch_deg, settings.yaw_deg)[0])
     return np.where(none, np.nan, np.arctan2(ahead[:, 1], ahead[:, 0])), np.ones(len(q))
@@ -215,8 +216,9 @@ def from_number(columns: dict[str, Array], settings: CompassSettings, topic: str
     largest = float(finite.max()) if len(finite) else 0.0
     if convention.endswith("rad") and largest > 4.0 * math.pi:
         raise LocfuseError(
-            f"compass: {topic} reaches {largest:.0f}, which is no angle in radians. "
-            "Set compass.convention=enu_deg or compass_deg"
+            f"{topic} reaches {largest:.0f}, which is no angle in radians.",
+            role="compass",
+            hint="Set compass.convention=enu_deg or compass_deg",
         )
     angle = np.radians(value) if convention.endswith("deg") else value
     return wrap_all(math.pi / 2 - angle if convention.startswith("compass") else angle), np.ones_like(value)

@@ -161,10 +161,12 @@ def up_rate(columns: dict[str, Array], settings: GyroSettings, topic: str) -> Ar
     omega = np.stack([columns[f"angular_velocity.{a}"] for a in "xyz"], axis=-1)
     covariance = columns["angular_velocity_covariance"]
     if len(omega) and (covariance[:, 0] == -1.0).all():
-        raise LocfuseError(f"gyro: {topic} carries no angular velocity (angular_velocity_covariance[0] is -1)")
+        raise LocfuseError(
+            f"{topic} carries no angular velocity (angular_velocity_covariance[0] is -1)", role="gyro"
+        )
     finite = omega[np.isfinite(omega).all(axis=1)]
     if not finite.any():
-        raise LocfuseError(f"gyro: {topic} says 0 in all {len(omega)} messages: no gyro writes there")
+        raise LocfuseError(f"{topic} says 0 in all {len(omega)} messages: no gyro writes there", role="gyro")
     rate: Array = omega @ rotation(settings.roll_deg, settings.pitch_deg, 0.0)[2]
     return np.radians(rate) if settings.unit == "deg" else rate
 
@@ -199,15 +201,19 @@ def _check_against(
         return
     if not own.any():
         raise LocfuseError(
-            f"gyro: {topic} never turns about the robot's vertical axis while the wheels turn it: it is mounted "
-            "on its side (gyro.roll_deg, gyro.pitch_deg), or dead"
+            f"{topic} never turns about the robot's vertical axis while the wheels turn it: it is mounted "
+            "on its side (gyro.roll_deg, gyro.pitch_deg), or dead",
+            role="gyro",
         )
     slope = float(np.cov(own, theirs)[0, 1] / theirs.var(ddof=1))
     if abs(float(np.corrcoef(own, theirs)[0, 1])) < AGREES or 1.0 / WRONG_SCALE < slope < WRONG_SCALE:
         return
-    cure = "is it upside-down? --set gyro.roll_deg=180; or both wheels are mirrored (wheels.mirrored=both)"
+    turns = f"{topic} turns {slope:.3g} times as far as the wheels;"
     if 30.0 < slope < 115.0:
-        cure = "it is in degrees: --set gyro.unit=deg"
-    elif slope > 0:
-        cure = "check wheels.radius and wheels.track, and gyro.unit"
-    raise LocfuseError(f"gyro: {topic} turns {slope:.3g} times as far as the wheels; {cure}")
+        fix = "gyro.unit=deg"
+        raise LocfuseError(f"{turns} it is in degrees:", role="gyro", fixes=(fix,), hint=f"--set {fix}")
+    if slope > 0:
+        raise LocfuseError(turns, role="gyro", hint="check wheels.radius and wheels.track, and gyro.unit")
+    fix = "gyro.roll_deg=180"
+    hint = f"--set {fix}; or both wheels are mirrored (wheels.mirrored=both)"
+    raise LocfuseError(f"{turns} is it upside-down?", role="gyro", fixes=(fix,), hint=hint)

@@ -19,7 +19,7 @@ FEWEST = 50  # readings
 GAP = math.radians(60.0)  # largest part of the circle that may be missing
 ROUNDS = 100
 ABSURD = 10.0  # times the usual strength: no field of iron or earth
-NO_ELLIPSE = "compass: the field readings lie on no ellipse: turn the robot once on the spot while recording"
+NO_ELLIPSE = "the field readings lie on no ellipse: turn the robot once on the spot while recording"
 TUKEY = 4.685  # of the scatter: readings further off do not count (95 % efficient for Gaussian noise)
 ROUGH = 0.2  # relative scatter above which the readings lie on no ellipse
 
@@ -49,7 +49,7 @@ def fit_iron(field: Array) -> Iron:
     """Fit an ellipse to field readings (n, 2). Raises LocfuseError where they show too little of one."""
     field = field[plausible(field)]
     if len(field) < FEWEST:
-        raise LocfuseError(f"compass: {len(field)} field readings; at least {FEWEST} are needed")
+        raise LocfuseError(f"{len(field)} field readings; at least {FEWEST} are needed", role="compass")
     unit = float(np.abs(field - field.mean(axis=0)).max()) or 1.0
     c, A = _start(field / unit)
     weights = np.ones(len(field))
@@ -57,7 +57,7 @@ def fit_iron(field: Array) -> Iron:
         step, e, spread = _gauss_newton(field / unit, c, A, weights)
         c, A = c + step[:2], A + np.array([[step[2], step[3]], [step[3], step[4]]])
         if not float(np.linalg.det(A)) > 0.0:  # NaN too: a short arc has been fitted with a line
-            raise LocfuseError(NO_ELLIPSE)
+            raise LocfuseError(NO_ELLIPSE, role="compass")
         scatter = 1.4826 * float(np.median(np.abs(e)))
         weights = np.clip(1.0 - (e / (TUKEY * max(scatter, 1e-9))) ** 2, 0.0, None) ** 2
         if np.abs(step).max() < 1e-12:
@@ -80,11 +80,13 @@ def _start(m: Array) -> tuple[Array, Array]:
     mean = m.mean(axis=0)
     x, y = (m - mean).T
     if min(np.ptp(x), np.ptp(y)) < 1e-6:
-        raise LocfuseError("compass: the field reading does not change: turn the robot once, or check the topic")
+        raise LocfuseError(
+            "the field reading does not change: turn the robot once, or check the topic", role="compass"
+        )
     a, b, d, e, f = np.linalg.lstsq(np.column_stack((x * x, x * y, y * y, x, y)), np.ones(len(x)), rcond=None)[0]
     G = np.array([[a, 0.5 * b], [0.5 * b, d]])
     if a * d - 0.25 * b * b <= 0.0 or a <= 0.0:
-        raise LocfuseError(NO_ELLIPSE)
+        raise LocfuseError(NO_ELLIPSE, role="compass")
     centre = np.linalg.solve(G, [-0.5 * e, -0.5 * f])
     values, vectors = np.linalg.eigh(G / (1.0 + centre @ G @ centre))
     return mean + centre, (vectors * np.sqrt(values)) @ vectors.T
@@ -102,7 +104,7 @@ def _gauss_newton(m: Array, c: Array, A: Array, weights: Array) -> tuple[Array, 
     try:
         spread = np.asarray(np.linalg.inv(M), np.float64)
     except np.linalg.LinAlgError:
-        raise LocfuseError(NO_ELLIPSE) from None
+        raise LocfuseError(NO_ELLIPSE, role="compass") from None
     return -spread @ (J.T @ (weights * e)), e, spread
 
 
@@ -111,16 +113,18 @@ def _judged(field: Array, unit: float, c: Array, A: Array, scatter: float, sprea
     size = math.sqrt(float(np.linalg.det(A)))
     if scatter > ROUGH:
         raise LocfuseError(
-            f"compass: the field's strength scatters by {scatter:.0%} about the best ellipse: the readings are "
-            "disturbed by more than iron on the robot"
+            f"the field's strength scatters by {scatter:.0%} about the best ellipse: the readings are "
+            "disturbed by more than iron on the robot",
+            role="compass",
         )
     v = (field / unit - c) @ A
     angles = np.sort(np.arctan2(v[:, 1], v[:, 0]))
     gap = float(np.diff(angles, append=angles[0] + 2.0 * math.pi).max())
     if gap > GAP:
         raise LocfuseError(
-            f"compass: the field turned through {360 - math.degrees(gap):.0f} of 360 degrees: "
-            "turn the robot once on the spot while recording"
+            f"the field turned through {360 - math.degrees(gap):.0f} of 360 degrees: "
+            "turn the robot once on the spot while recording",
+            role="compass",
         )
     return Iron(
         hard=c * unit,

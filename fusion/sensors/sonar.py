@@ -21,7 +21,7 @@ from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import VERDICTS, Array, Ints, Measurements, Stream
 from locfuse.fusion.linemap.sonar_echo import Cone, Echo, nearest_echo
 from locfuse.fusion.sensor import Innovation, Model, SensorSettings, WheelMotion
-from locfuse.fusion.streams import Joined
+from locfuse.fusion.streams import MergedStream
 
 GATE, UNMATCHED = (VERDICTS.index(v) for v in ("gate", "unmatched"))
 Mount = tuple[float, float, float]
@@ -85,8 +85,10 @@ class Sonar:
 
 def _mounts(stream: Stream, settings: SonarSettings) -> Array:
     """Return where the sonar of every row sits, (n, 3) m, m, degrees; on the base's origin where nobody says."""
-    parts = stream.parts if isinstance(stream, Joined) else (stream,)
-    source: Ints = stream.source if isinstance(stream, Joined) else np.zeros(len(stream.t_ns), dtype=np.int64)
+    parts = stream.parts if isinstance(stream, MergedStream) else (stream,)
+    source: Ints = (
+        stream.source if isinstance(stream, MergedStream) else np.zeros(len(stream.t_ns), dtype=np.int64)
+    )
     table = np.array([settings.mounts.get(part.topic, (0.0, 0.0, 0.0)) for part in parts])
     places: Array = table[source]
     return places

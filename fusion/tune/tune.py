@@ -110,9 +110,12 @@ class Bench:
         present = {s for t in trials for s in t.drive.measurements}
         used = tuple(s for s in REGISTRY if s in sensors and s in present and not says_noise(s, trials))
         if not used:
-            raise LocfuseError(f"tune: nothing to tune by: no log has {' or '.join(sensors) or 'a sensor'}")
+            raise LocfuseError(f"nothing to tune by: no log has {' or '.join(sensors) or 'a sensor'}", role="tune")
         if trials[0].robot.wheels.noise <= 0.0:
-            raise LocfuseError("tune: wheels.noise is 0: give a start, such as --set wheels.noise=4e-4")
+            fix = "wheels.noise=4e-4"
+            raise LocfuseError(
+                "wheels.noise is 0:", role="tune", fixes=(fix,), hint=f"give a start, such as --set {fix}"
+            )
         check_told_alike(trials, used)
         self.trials = [t._replace(robot=optimal(t.robot)) for t in trials]
         self.figures = Figures(trials[0].robot, used, drifting(trials[0].robot, used, drift))
@@ -239,9 +242,12 @@ def check_told_alike(trials: Sequence[Trial], sensors: Sequence[str]) -> None:
             pairs += [(f"{s}.{k}", getattr(a, k), getattr(b, k)) for k in noise_keys(a)]
         for key, a, b in pairs:
             if a != b:
+                fix = f"{key}={a:g}"
                 raise LocfuseError(
-                    f"tune: {key} is {a:g} in {first.name} and {b:g} in {t.name}: is this one robot? "
-                    f"Start from one value with --set {key}={a:g}"
+                    f"{key} is {a:g} in {first.name} and {b:g} in {t.name}: is this one robot?",
+                    role="tune",
+                    fixes=(fix,),
+                    hint=f"Start from one value with --set {fix}",
                 )
 
 

@@ -127,7 +127,9 @@ def find_pieces(drive: Drive, moved: Array) -> Pieces:
     """Return the pieces of one drive, its wheels' left scale, right scale and track moved by (3,), relative."""
     truth = drive.truth
     if truth is None:
-        raise LocfuseError("calibrate: no truth to compare the wheels with (--set truth.topic=/TOPIC names it)")
+        raise LocfuseError(
+            "no truth to compare the wheels with", role="calibrate", hint="(--set truth.topic=/TOPIC names it)"
+        )
     wheels = adjusted(drive.wheels, moved)
     inside = (truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1])
     stamps, pose = truth.t[inside], _body(truth)[inside]

@@ -18,11 +18,6 @@ BLOCK = 8192  # intervals at a time: what is needed on the way is many times lar
 PARAMETERS = ("scale_left", "scale_right", "track")  # relative corrections, 0 = as given
 
 
-def wheel_increments(radius: float, d_left: Array, d_right: Array) -> tuple[Array, Array]:
-    """Paper eq. 1: distances rolled by either wheel [m] from wheel angle increments [rad]."""
-    return radius * d_left, radius * d_right
-
-
 def body_increments(ds_left: Array, ds_right: Array, track: float) -> tuple[Array, Array]:
     """Paper eq. 2: path length of the body's centre [m] and its turn [rad]."""
     return 0.5 * (ds_left + ds_right), (ds_right - ds_left) / track
@@ -47,13 +42,6 @@ class Wheels:
         ds, turn = body_increments(rolled[:, 0], rolled[:, 1], track)
         twist = np.stack((ds, np.zeros_like(ds), turn), axis=-1)
         return cls(t, twist, rolled, dead_reckoning(twist), track, noise, silences(t, rolled, turn))
-
-    @classmethod
-    def from_poses(cls, t: Array, poses: Array, track: float, noise: float) -> Wheels:
-        """Build from another odometry's poses (n, 3): only their increments count."""
-        step = se2.between(poses[:-1], poses[1:])
-        step[:, 2] = se2.wrap_all(step[:, 2])
-        return cls.from_twists(t, se2.log(step), track, noise)
 
     @classmethod
     def from_twists(cls, t: Array, twist: Array, track: float, noise: float) -> Wheels:

@@ -24,7 +24,7 @@ WHEEL_READS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(NUMBERS, ("data",)),
     ODOMETRY: odometry.FIELDS,
 }
-LEAST = 1e-6  # m: no wheel is smaller, and no two stand closer
+MIN_LENGTH_M = 1e-6  # no wheel is smaller, and no two stand closer
 SIGNS = {"none": (1.0, 1.0), "left": (-1.0, 1.0), "right": (1.0, -1.0), "both": (-1.0, -1.0)}
 
 
@@ -81,21 +81,27 @@ def _geometry(settings: WheelSettings, stream: Stream) -> tuple[float, float]:
     missing = [key for key in ("radius", "track") if getattr(settings, key) is None]
     if missing:
         raise LocfuseError(
-            f"wheels: {stream.topic} gives wheel angles, "
-            f"so wheels.{' and wheels.'.join(missing)} must be known. "
-            f"Set them in robot.toml or with --set wheels.{missing[0]}=<metres>"
+            f"{stream.topic} gives wheel angles, so wheels.{' and wheels.'.join(missing)} must be known.",
+            role="wheels",
+            hint=f"Set them in robot.toml or with --set wheels.{missing[0]}=<metres>",
         )
     radius, track = float(settings.radius or 0.0), float(settings.track or 0.0)
-    if min(radius, track) < LEAST:
-        raise LocfuseError(f"wheels: radius {radius:g} m and track {track:g} m must both be at least {LEAST:g} m")
+    if min(radius, track) < MIN_LENGTH_M:
+        raise LocfuseError(
+            f"radius {radius:g} m and track {track:g} m must both be at least {MIN_LENGTH_M:g} m", role="wheels"
+        )
     if settings.ratio <= 0.0:
-        raise LocfuseError(f"wheels: ratio {settings.ratio:g} must be positive: right radius over left radius")
+        raise LocfuseError(
+            f"ratio {settings.ratio:g} must be positive: right radius over left radius", role="wheels"
+        )
     if settings.ticks_per_revolution is None and counts_ticks(stream.msgtype):
         usual = KNOWN_TICKS.get(stream.msgtype)
+        fix = f"wheels.ticks_per_revolution={usual or '<ticks>'}"
         raise LocfuseError(
-            f"wheels: {stream.topic} counts ticks, so wheels.ticks_per_revolution must be known. "
-            f"Set it in robot.toml or with --set wheels.ticks_per_revolution={usual or '<ticks>'}"
-            + (" (usual for this message)" if usual else "")
+            f"{stream.topic} counts ticks, so wheels.ticks_per_revolution must be known.",
+            role="wheels",
+            fixes=(fix,) if usual else (),
+            hint=f"Set it in robot.toml or with --set {fix}" + (" (usual for this message)" if usual else ""),
         )
     return radius, track
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from locfuse.fusion.data import Array, Ints, LocfuseError, Ragged, Stream
 from locfuse.fusion.robot import WheelSettings
-from locfuse.fusion.streams import Joined
+from locfuse.fusion.streams import MergedStream
 
 from .jumps import Mask
 from .repairs import Side
@@ -48,7 +48,7 @@ class Counters(NamedTuple):
 
 def read_counters(stream: Stream, settings: WheelSettings) -> Counters:
     """Return both wheels' counters from whatever publishes them. Raises LocfuseError where it does not."""
-    if isinstance(stream, Joined):
+    if isinstance(stream, MergedStream):
         return _pair(stream, settings)
     dropped = dict(stream.dropped)
     found = _joints(stream, settings, dropped) if stream.msgtype == JOINTS else _ticks(stream)
@@ -92,7 +92,7 @@ def _count(dropped: dict[str, int], reason: str, n: int) -> None:
 def require_two(topic: str, found: int, n: int) -> None:
     """Raise LocfuseError where fewer than two readings are left."""
     if found < 2:
-        raise LocfuseError(f"wheels: {topic} has {found} usable readings of {n}; two are the least")
+        raise LocfuseError(f"{topic} has {found} usable readings of {n}; two are the least", role="wheels")
 
 
 def _revolution(settings: WheelSettings) -> tuple[float, ...]:
@@ -106,7 +106,7 @@ def _ticks(stream: Stream) -> _Found:
     return _Found(stream.t_ns, values, (2.0**32,))
 
 
-def _pair(stream: Joined, settings: WheelSettings) -> Counters:
+def _pair(stream: MergedStream, settings: WheelSettings) -> Counters:
     """Two topics with a bare number each: they come unsynchronised, and only the recording dates them."""
     dropped: dict[str, int] = {}
     zero_ns = int(max(part.t_ns[0] if len(part.t_ns) else 0 for part in stream.parts))
@@ -132,7 +132,7 @@ def _joints(stream: Stream, settings: WheelSettings, dropped: dict[str, int]) ->
     left, right = joint_names(names, stream.topic, settings)
     values, held = _by_name(names, positions, (left, right))
     if not held.any():
-        raise LocfuseError(f"wheels: no message on {stream.topic} holds a position of {left} or {right}")
+        raise LocfuseError(f"no message on {stream.topic} holds a position of {left} or {right}", role="wheels")
     notes: tuple[str, ...] = ()
     if not held.all():
         others = int((~held).sum())
@@ -166,16 +166,19 @@ def joint_names(names: list[tuple[str, ...]], topic: str, settings: WheelSetting
     for side, given in (("left", settings.left), ("right", settings.right)):
         if given is not None and given not in known:
             raise LocfuseError(
-                f"wheels: {topic} has no joint {given!r}; it has {', '.join(known) or 'none'}. "
-                f"Name one with --set wheels.{side}=<joint>"
+                f"{topic} has no joint {given!r}; it has {', '.join(known) or 'none'}.",
+                role="wheels",
+                hint=f"Name one with --set wheels.{side}=<joint>",
             )
         guesses = [given] if given is not None else _guesses(known, side)
         if len(guesses) != 1:
             what = f"{len(guesses)} joints are" if guesses else "no joint is"
-            example = guesses[0] if guesses else "<joint>"
+            fix = f"wheels.{side}={guesses[0] if guesses else '<joint>'}"
             raise LocfuseError(
-                f"wheels: {what} named like the {side} wheel on {topic} "
-                f"({', '.join(known) or 'no joints'}). Name it with --set wheels.{side}={example}"
+                f"{what} named like the {side} wheel on {topic} ({', '.join(known) or 'no joints'}).",
+                role="wheels",
+                fixes=(fix,) if guesses else (),
+                hint=f"Name it with --set {fix}",
             )
         found.append(guesses[0])
     return found[0], found[1]

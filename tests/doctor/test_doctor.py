@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -12,11 +13,11 @@ from small_drive import START, TRACK, drive, path, robot
 
 from locfuse.formats.robot.urdf import wheel_geometry
 from locfuse.fusion import se2
-from locfuse.fusion.data import Drive, Truth
+from locfuse.fusion.data import Drive, LocfuseError, Truth, UsageError
 from locfuse.fusion.doctor.clocks import of_clocks
 from locfuse.fusion.doctor.compass import angles, by_gravity
 from locfuse.fusion.doctor.examine import gaps
-from locfuse.fusion.doctor.finding import Oddity, settings_in
+from locfuse.fusion.doctor.finding import Finding, of_error
 from locfuse.fusion.doctor.laser import laser_motion, of_laser
 from locfuse.fusion.doctor.start import start_pose
 from locfuse.fusion.doctor.truth import of_truth
@@ -27,9 +28,9 @@ from locfuse.fusion.wheels.motion import Wheels
 Array = NDArray[np.float64]
 
 
-def told(found: list[Oddity]) -> dict[str, float]:
+def told(found: list[Finding]) -> dict[str, float]:
     """The numbers that the cures set."""
-    pairs = (cure.split("=") for o in found for cure in o.cures)
+    pairs = (cure.split("=") for f in found for cure in f.fixes)
     return {key: float(value) for key, value in pairs}
 
 
@@ -129,7 +130,7 @@ def late(drive: Drive, **by: float) -> Drive:
 def test_one_late_sensor_is_cured_by_its_own_offset() -> None:
     found = of_clocks(late(drive(6, robot()), compass=0.3), robot())
     assert told(found) == pytest.approx({"compass.time_offset": -0.3}, abs=0.03)
-    assert found[0].spoils
+    assert found[0].severe
 
 
 def test_where_all_others_are_late_alike_the_wheels_are_early() -> None:
@@ -215,10 +216,33 @@ def test_gaps_are_silences_of_several_periods() -> None:
     assert gaps(np.arange(0.0, 30.0, 3.0)) == []
 
 
-def test_cures_are_taken_from_the_words_of_an_error() -> None:
-    text = "2 topics fit: /a, /b. Choose one with --set lrf.topic=/a; or --set camera.landmark=[1.0, 2.0]."
-    assert settings_in(text) == ("lrf.topic=/a", "camera.landmark=[1.0, 2.0]")
-    assert settings_in("set it with --set wheels.radius=<metres>") == ()
+def test_a_finding_says_what_an_error_says_and_carries_its_fixes() -> None:
+    error = LocfuseError(
+        "2 topics fit: /a, /b.", role="lrf", fixes=("lrf.topic=/a",), hint="Choose one with --set lrf.topic=/a"
+    )
+    assert str(error) == "lrf: 2 topics fit: /a, /b. Choose one with --set lrf.topic=/a"
+    finding = of_error(error, "lrf", "choice")
+    assert (finding.role, finding.code, finding.fixes, finding.severe) == (
+        "lrf",
+        "choice",
+        ("lrf.topic=/a",),
+        True,
+    )
+    assert finding.sentence == "2 topics fit: /a, /b. Choose one with --set lrf.topic=/a"
+    assert finding.brief == "2 topics fit: /a, /b"  # what says how is printed below it
+
+
+def test_a_finding_about_another_role_names_it() -> None:
+    assert of_error(LocfuseError("no way", role="wheels"), "log", "unusable").message == "wheels: no way"
+    assert of_error(LocfuseError("bag.mcap: cut short"), "log", "unusable").message == "bag.mcap: cut short"
+
+
+def test_an_error_survives_the_way_between_processes() -> None:
+    error = UsageError("no such path:", fixes=("lrf.map=grow",), hint="see --help")
+    again = pickle.loads(pickle.dumps(error))
+    assert (type(again), str(again), again.hint, again.fixes) == (
+        UsageError, "no such path: see --help", "see --help", ("lrf.map=grow",)
+    )  # fmt: skip
 
 
 JOINT = """<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>

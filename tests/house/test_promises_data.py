@@ -103,8 +103,8 @@ def test_a_sensor_that_drops_out_starts_late_or_ends_early_is_as_if_masked_there
 
 def test_a_clock_offset_between_sensors_is_reported_and_its_setting_cures_it(folder: Path) -> None:
     late = simulated(folder, 'kind="clock_offset", sensor="lrf", seconds=0.12')
-    told = json.loads(locfuse("info", late, "--json").stdout)["oddities"]
-    (cure,) = next(o["cures"] for o in told if o["code"] == "lag")
+    told = json.loads(locfuse("info", late, "--json").stdout)["findings"]
+    (cure,) = next(o["fixes"] for o in told if o["code"] == "lag")
     assert float(cure.removeprefix("lrf.time_offset=")) == pytest.approx(-0.12, abs=0.02)
     errors = [
         rmse(run(path, *words)[2])

@@ -290,7 +290,7 @@ def test_a_real_arena_is_cured_by_the_next_command() -> None:
     first = locfuse("info", log, "--set", "wheels.radius=0.0199962", "--set", "wheels.track=0.155", "--check")
     assert first.exit_code == 3
     found = as_json(log, "--set", "wheels.radius=0.0199962", "--set", "wheels.track=0.155")
-    cures = dict(cure.split("=") for o in found["oddities"] if o["spoils"] for cure in o["cures"])
+    cures = dict(cure.split("=") for o in found["findings"] if o["severe"] for cure in o["fixes"])
     assert float(cures["lrf.time_offset"]) == pytest.approx(-0.45, abs=0.05)
     # whose metre is right is a matter of words: both together make the laser's the truth's
     assert 1.0 / float(cures["lrf.range_scale"]) == pytest.approx(0.886, abs=0.02)
@@ -302,10 +302,10 @@ def test_a_real_arena_is_cured_by_the_next_command() -> None:
 
 def test_a_real_corridor_whose_odometry_is_late_against_all_else() -> None:
     found = as_json(real_log("fr079/fr079.mcap"), "--set", "lrf.x=-0.04")
-    (late,) = [o for o in found["oddities"] if o["code"] == "lag"]
-    assert late["stream"] == "wheels"
-    assert float(late["cures"][0].removeprefix("wheels.time_offset=")) == pytest.approx(0.13, abs=0.02)
-    assert any("whose twist says backward" in o["words"] for o in found["oddities"])
+    (late,) = [o for o in found["findings"] if o["code"] == "lag"]
+    assert late["role"] == "wheels"
+    assert float(late["fixes"][0].removeprefix("wheels.time_offset=")) == pytest.approx(0.13, abs=0.02)
+    assert any("whose twist says backward" in o["message"] for o in found["findings"])
 
 
 def test_a_real_turtlebot_as_ros2_records_it() -> None:
@@ -313,7 +313,7 @@ def test_a_real_turtlebot_as_ros2_records_it() -> None:
     mount = found["extrinsics"]["lrf"]
     assert mount["by"] == "/tf_static"
     assert mount["yaw_deg"] == pytest.approx(90.0, abs=0.1)
-    words = [o["words"] for o in found["oddities"]]
+    words = [o["message"] for o in found["findings"]]
     assert any(w.startswith("21 frames are said to be in two places") for w in words)
     assert any(w.startswith("of its ranges 23% inf") for w in words)
-    assert [o["code"] for o in found["oddities"] if o["spoils"]] == ["lag"]
+    assert [o["code"] for o in found["findings"] if o["severe"]] == ["lag"]

@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from locfuse.fusion.data import Array
-from locfuse.fusion.lines.fit import Fits, Rays, fit_lines, fitted, misfit, residuals, total_least_squares
+from locfuse.fusion.lines.fit import Fits, Rays, fitted, improved, misfit, residuals, total_least_squares
 
 NOISE = {"30mm_0.25deg": (0.03, math.radians(0.25)), "5mm_0.1deg": (0.005, math.radians(0.1))}
 WALLS = {  # r [m], psi [rad], from where to where along the tangent [m]
@@ -41,8 +41,12 @@ def moving(beams: int, side: float) -> tuple[Array, Array]:
 
 
 def fit(rays: Rays, lines: int, r: float, psi: float, ratio: float, steps: int = 2) -> Fits:
+    """As `extract_lines` does it: Gauss-Newton steps from (r, psi), the last of them with the covariance."""
     counts = np.full(lines, len(rays.d) // lines)
-    return fit_lines(rays, counts, np.full(lines, r), np.full(lines, psi), ratio, steps=steps)
+    at = np.full(lines, r), np.full(lines, psi)
+    for _ in range(steps - 1):
+        at = improved(residuals(rays, counts, *at, ratio), counts, *at)
+    return fitted(residuals(rays, counts, *at, ratio), counts, *at)
 
 
 def wrapped(angle: Array) -> Array:
@@ -158,7 +162,9 @@ def test_rays_of_no_weight_do_not_count() -> None:
     ratio = noise[1] / noise[0]
     seen = residuals(rays, np.array([60]), *start, ratio)
     masked = fitted(seen._replace(w=seen.w * used), np.array([60]), *start)
-    fewer = fit_lines(rays.take(np.flatnonzero(used)), np.array([57]), *start, ratio, steps=1)
+    fewer = fitted(
+        residuals(rays.take(np.flatnonzero(used)), np.array([57]), *start, ratio), np.array([57]), *start
+    )
     assert [masked.r[0], masked.psi[0]] == pytest.approx([fewer.r[0], fewer.psi[0]], abs=1e-12)
     np.testing.assert_allclose(masked.R_unit, fewer.R_unit, rtol=1e-9)
 

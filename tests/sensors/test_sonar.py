@@ -21,7 +21,7 @@ from locfuse.fusion.linemap.sonar_echo import Cone, nearest_echo
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.sonar import Sonar, SonarSettings
-from locfuse.fusion.streams import joined
+from locfuse.fusion.streams import merged
 from locfuse.sample_logs import load as scenarios
 from locfuse.sample_logs.record import in_memory
 
@@ -153,7 +153,7 @@ def test_no_echo_is_no_measurement_in_every_drivers_way_of_saying_it() -> None:
 
 
 def test_several_topics_are_one_sensor_with_a_mount_each() -> None:
-    stream = joined([ranges([1.0, 1.5], "/a"), ranges([2.0, 2.5], "/b")])
+    stream = merged([ranges([1.0, 1.5], "/a"), ranges([2.0, 2.5], "/b")])
     settings = SonarSettings(mounts={"/a": (0.3, 0.0, 0.0), "/b": (0.0, 0.2, 90.0)})
     m = Sonar().measure(stream, settings, None, 0)  # type: ignore[arg-type]
     assert m.z[:, 0].tolist() == [1.0, 2.0, 1.5, 2.5]
@@ -178,7 +178,7 @@ def toured() -> tuple[Drive, Robot]:
         "wheels": streams["/joint_states"],
         "truth": streams["/ground_truth/pose"],
         "lrf": streams["/scan"],
-        "sonar": joined([streams[topic] for topic in mounts]),
+        "sonar": merged([streams[topic] for topic in mounts]),
     }
     return measure(roles, robot), robot
 
@@ -214,7 +214,7 @@ def test_without_a_laser_there_is_no_sonar_and_the_reason_is_given(toured: tuple
     streams, *_ = in_memory(scenarios.load("extras", (*SONARS, "lrf.enabled=false", "path.length=4")), 2)
     roles = {
         "wheels": streams["/joint_states"],
-        "sonar": joined([streams[t] for t in sorted(streams) if "sonar" in t]),
+        "sonar": merged([streams[t] for t in sorted(streams) if "sonar" in t]),
     }
     drive = measure(roles, robot, {"lrf": "no topic"})
     assert "lrf" in drive.absent["sonar"]

@@ -10,7 +10,7 @@ import pytest
 from textbook import numeric_jacobian
 
 from locfuse.fusion import se2
-from locfuse.fusion.wheels.motion import Wheels, body_increments, wheel_increments
+from locfuse.fusion.wheels.motion import Wheels, body_increments
 
 TRACK, K = 0.6, 4e-4
 RNG = np.random.default_rng(5)
@@ -26,9 +26,15 @@ def random_drive(n: int = 400) -> np.ndarray:
     return 0.006 + 0.004 * RNG.standard_normal((n, 2))
 
 
-def test_the_printed_equations_1_and_2() -> None:
-    ds_left, ds_right = wheel_increments(0.05, np.array([2.0]), np.array([3.0]))
-    assert (ds_left[0], ds_right[0]) == (0.05 * 2.0, 0.05 * 3.0)
+def wheels_of_poses(t: np.ndarray, poses: np.ndarray) -> Wheels:
+    """The wheels behind another odometry's poses (n, 3): only their increments count."""
+    step = se2.between(poses[:-1], poses[1:])
+    step[:, 2] = se2.wrap_all(step[:, 2])
+    return Wheels.from_twists(t, se2.log(step), 0.3, K)
+
+
+def test_the_printed_equation_2() -> None:
+    ds_left, ds_right = np.array([0.05 * 2.0]), np.array([0.05 * 3.0])
     ds, turn = body_increments(ds_left, ds_right, 0.6)
     assert ds[0] == (ds_right[0] + ds_left[0]) / 2
     assert turn[0] == (ds_right[0] - ds_left[0]) / 0.6
@@ -136,7 +142,7 @@ def test_another_odometry_gives_back_its_own_increments() -> None:
     t: Any = np.arange(30) * 0.05
     poses = np.column_stack((np.cumsum(RNG.uniform(0, 0.02, 30)), RNG.uniform(-1, 1, 30) * 0.01, 3.0 + 0.02 * t))
     poses[:, 2] = se2.wrap_all(poses[:, 2] + np.linspace(0, 1.0, 30))  # crosses pi on the way
-    wheels = Wheels.from_poses(t, poses, 0.3, K)
+    wheels = wheels_of_poses(t, poses)
     motion = wheels.between(t[:-1], t[1:])
     expected = se2.between(poses[:-1], poses[1:])
     expected[:, 2] = se2.wrap_all(expected[:, 2])
@@ -203,7 +209,7 @@ def test_wheels_that_speak_rarely_or_in_bursts_are_not_silent() -> None:
 def test_an_odometry_knows_its_way_over_a_silence() -> None:
     t = np.array([0.0, 0.1, 0.2, 0.3, 5.0, 5.1])
     poses = np.stack((t, np.sin(t), 0.1 * t), axis=-1)
-    assert not Wheels.from_poses(t, poses, 0.3, K).silence.any()
+    assert not wheels_of_poses(t, poses).silence.any()
 
 
 def test_in_however_long_a_silence_a_heading_is_at_most_unknown() -> None:

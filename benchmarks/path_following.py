@@ -14,7 +14,7 @@ from typing import NamedTuple
 import click
 import numpy as np
 
-from locfuse.cli.commands.simulate import localise
+from locfuse.cli.jobs.simulate import localise
 from locfuse.formats.figures.for_paper import draw
 from locfuse.formats.figures.panels import Curve, Panel, Strokes
 from locfuse.formats.whole_files import write_results

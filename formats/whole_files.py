@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 
-from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.data import LocfuseError, UsageError
 
 RESULTS = ("run.json", "report.json", "summary.json", "changes.json")
 TEMPORARY = ".locfuse-tmp"  # ending of files that are being written
@@ -36,6 +36,12 @@ def write_results(folder: Path, files: Mapping[str, Content], overwrite: bool = 
 def may_write(folder: Path, overwrite: bool = False) -> None:
     """Raise LocfuseError where `write_results` would refuse the folder: to know it before the work is done."""
     _remove_if_empty(folder, _prepare(folder, overwrite))
+
+
+def may_replace(file: Path | None, overwrite: bool) -> None:
+    """Raise UsageError where a file would be lost: to know it before the work is done."""
+    if file is not None and file.exists() and not overwrite:
+        raise UsageError(f"{file} exists: choose another name, or replace it with --overwrite")
 
 
 @contextmanager

@@ -274,7 +274,7 @@ class MapLine:
 class Estimates:
     """The result of one configuration over one drive."""
 
-    name: str
+    configuration: str  # "odometry", "compass+lrf", "all": the set of sensors, smoothed or not
     sensors: tuple[str, ...]
     t: Array  # (n,) = Drive.t
     pose: Array  # (n, 3) map frame, theta unwrapped
@@ -289,11 +289,22 @@ class Estimates:
     notes: tuple[str, ...] = ()  # slips, being lost and found again
     lost: tuple[tuple[float, float], ...] = ()  # s: when the filter did not know where it was
     smoothed: bool = False  # by the whole drive, its end included; audits are the filter's
+    rates: Mapping[str, float] = field(default_factory=dict)  # Hz, of sensors used at a lower rate than the log's
+
+    @property
+    def name(self) -> str:
+        """What tells this result from all others of the drive: the configuration, perhaps with "-smoothed"."""
+        return result_name(self.configuration, self.smoothed)
 
     @property
     def P(self) -> Array:
         """Covariance of the pose, (n, 3, 3), made anew each time: an hour's are too many to lie about."""
         return matrices(self.triangles)
+
+
+def result_name(configuration: str, smoothed: bool) -> str:
+    """Return the name of a result in reports and of its files: "all", or "all-smoothed"."""
+    return f"{configuration}-smoothed" if smoothed else configuration
 
 
 def matrices(triangles: Array) -> Array:
@@ -324,7 +335,7 @@ class Evaluation:
     Without truth the columns are empty and the error figures None.
     """
 
-    name: str
+    configuration: str  # as of the estimates
     sensors: dict[str, SensorFigures]
     figures: dict[str, float | None]  # flat, SI units with the unit in the key
     t: Array  # (q,) s since Drive.epoch_ns
@@ -339,3 +350,9 @@ class Evaluation:
     smoothed: bool = False
     lost: tuple[tuple[float, float], ...] = ()  # s: when the filter said that it was lost; all figures include it
     notes: tuple[str, ...] = ()  # what the filter said of the run
+    rates: Mapping[str, float] = field(default_factory=dict)  # Hz, as of the estimates
+
+    @property
+    def name(self) -> str:
+        """The name of the estimates that were judged."""
+        return result_name(self.configuration, self.smoothed)

@@ -139,7 +139,7 @@ class Filter:
         maps = [m.lines(self.belief) for m in self.models.values()]
         truth_pose, truth_P = _at_truth(drive, pose, triangles, blocks.get(WHEELS))
         return Estimates(
-            name=name,
+            configuration=name,
             sensors=self._sensors,
             t=drive.t,
             pose=pose,

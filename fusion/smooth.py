@@ -20,7 +20,6 @@ from .data import Array, Drive, Estimates, UsageError, upper_triangles
 from .fuse import fuse
 from .robot import Robot
 
-SUFFIX = " smoothed"
 NOT_OPTIMAL = ("first-scan", "consider")
 RANK = 1e-12  # relative eigenvalue below which the wheels' noise has no extent
 
@@ -60,7 +59,6 @@ def smoothed(drive: Drive, filtered: Estimates, journal: Journal) -> Estimates:
     truth_pose, truth_P = between_instants(drive, filtered, back, None if wheels is None else wheels[-1])
     return replace(
         filtered,
-        name=filtered.name + SUFFIX,
         pose=back.pose,
         triangles=upper_triangles(back.P),
         blocks=back.blocks,

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from locfuse.cli.pipeline.settings import LogOptions
-from locfuse.cli.terminal.findings import end, findings_options, may_replace, print_findings
+from locfuse.cli.terminal.findings import end, findings_options, print_findings
 from locfuse.cli.terminal.options import log_options
 
 
@@ -32,6 +32,7 @@ def calibrate(log: tuple[str, ...], out: Path | None, overwrite: bool, as_json: 
     from locfuse.cli.pipeline import results
     from locfuse.cli.pipeline.load import find_log, load
     from locfuse.cli.terminal import show
+    from locfuse.formats.whole_files import may_replace
 
     may_replace(out, overwrite)
     with show.progress(how.quiet) as progress:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
+from locfuse.cli.pipeline.outputs import OF_COMPARISON as KINDS
 from locfuse.cli.pipeline.settings import LogOptions
-from locfuse.cli.rerun.record import Recorded, RerunOptions, record, sketched
+from locfuse.cli.rerun.record import RerunOptions, record, sketched
 from locfuse.cli.terminal.options import (
     chosen,
     export_option,
@@ -18,7 +22,8 @@ from locfuse.cli.terminal.options import (
 )
 from locfuse.cli.terminal.rerun_options import rerun_options
 
-KINDS = ("html", "md", "json", "tum", "csv", "tex")
+if TYPE_CHECKING:
+    from locfuse.cli.session.summary import Judged
 
 
 @click.command()
@@ -66,24 +71,7 @@ KINDS = ("html", "md", "json", "tum", "csv", "tex")
 @out_options(KINDS)
 @export_option
 @rerun_options
-def compare(
-    log: tuple[str, ...],
-    sensors: tuple[str, ...],
-    all_subsets: bool,
-    align: str,
-    smooth: bool,
-    figures: Path | None,
-    fail_if: tuple[str, ...],
-    baseline: Path | None,
-    tolerance: str,
-    how: LogOptions,
-    out: Path | None,
-    overwrite: bool,
-    write: str | None,
-    as_json: bool,
-    export: set[str],
-    rerun: RerunOptions,
-) -> int:
+def compare(log: tuple[str, ...], **asked: Any) -> int:
     """Say what each sensor of LOG bought: all configurations in one pass, and a report.
 
     LOG is an .mcap, the parts of a split one, a rosbag2 folder, or the name of a sample log. Several logs give a
@@ -97,48 +85,84 @@ def compare(
     locfuse compare rounded_rectangle rounded_triangle disturbed
     locfuse compare locfuse-out/before locfuse-out/after
     """
+    from locfuse.cli.choose.grouping import logs_of, results_of
+
+    wish = Wish(**asked)
+    finished = results_of(log)
+    if finished is not None:
+        from .changes import changes
+
+        return changes(finished, wish)
+    logs = [log] if len(log) == 1 else logs_of(log)
+    if len(logs) == 1:
+        return one(log, wish).code
+    from .several import several
+
+    return several(logs, wish)
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What the command line asks of a comparison."""
+
+    sensors: tuple[str, ...]
+    all_subsets: bool
+    align: str
+    smooth: bool
+    figures: Path | None
+    fail_if: tuple[str, ...]
+    baseline: Path | None
+    tolerance: str
+    how: LogOptions
+    out: Path | None
+    overwrite: bool
+    write: str | None
+    as_json: bool
+    export: set[str]
+    rerun: RerunOptions
+
+
+class Done(NamedTuple):
+    """What remains of one log's comparison once everything is written and printed."""
+
+    judged: Judged
+    code: int
+
+
+def one(log: Sequence[str], wish: Wish, table: bool = True) -> Done:
+    """Compare one log, write and print it; without its `table` where it is one of several."""
     from locfuse.cli.jobs import ci_gates
-    from locfuse.cli.pipeline import configurations, exports, outputs, results
-    from locfuse.cli.pipeline.compare import compare_log, report_of
-    from locfuse.cli.pipeline.load import find_log, load_to_fuse
+    from locfuse.cli.pipeline.results import LOSS
+    from locfuse.cli.session.session import opened
+    from locfuse.cli.session.summary import Judged
     from locfuse.cli.terminal import show
-    from locfuse.formats.whole_files import write_results
 
-    if len(log) > 1:
-        from .several import several
-
-        if (code := several(log)) is not None:
-            return code
-    kinds = chosen(write, KINDS)
-    limits = [ci_gates.parse_gate(text) for text in fail_if]
-    before = ci_gates.read_baseline(baseline, tolerance) if baseline else None
+    how, rerun = wish.how, wish.rerun
+    kinds = chosen(wish.write, KINDS)
+    gates = ci_gates.read(wish.fail_if, wish.baseline, wish.tolerance)
     with show.progress(how.quiet) as progress:
-        loaded = load_to_fuse(find_log(log), how, progress, rerun.wanted)
-        wanted = configurations.for_comparison(sensors, loaded.drive, all_subsets)
-        drawn, recorded = outputs.Drawn(), Recorded()
-        watch = [drawn.take] if "html" in kinds or figures else []
-        watch += [recorded.take] if rerun.wanted else []
-        compared = compare_log(loaded, wanted, align, progress, smooth, watch)
-        report = report_of(compared)
-        progress("writing")
-        files = outputs.files(compared, drawn, report, kinds)
-        files |= exports.files(export, loaded, {e.name: e for e in compared.estimates})
-        folder = out or results.default_folder(loaded.log.name)
-        write_results(folder, files, overwrite)
-        if figures is not None:
+        session = opened(log, how, progress, read_again=rerun.wanted)
+        result = session.compare(
+            wish.sensors or None,
+            all_subsets=wish.all_subsets,
+            align=wish.align,
+            smooth=wish.smooth,
+            audits=rerun.wanted,
+        )
+        files = result.write(wish.out, write=kinds, export=wish.export, overwrite=wish.overwrite)
+        if wish.figures is not None:
             progress("drawing figures")
-            write_results(figures, outputs.figure_files(compared, drawn), overwrite=True)
-    used = sorted({s for e in compared.estimates for s in e.sensors})
-    lost = results.loss_lines(loaded, used, how.strict)
-    show.result(report, folder, files, as_json)
-    show.notes(report, lost, how.quiet)
-    sketch = sketched(rerun, loaded, recorded.in_order(compared.estimates), compared.evaluations, report, show.say)
-    del loaded, compared, drawn, recorded, watch, files  # Rerun's import takes as much memory as all of them
-    record(rerun, sketch, folder, show.say)
-    other = ci_gates.of_another_log(report, before) if before is not None else None
-    if other is not None and not how.quiet:
-        click.echo(f"note: {other}", err=True)
-    failed = ci_gates.failures(report, limits, before)
+            result.write_figures(wish.figures)
+    judged, lost = Judged(result.report, result.credit), result.losses(how.strict)
+    if table:
+        show.result(judged.report, files, wish.as_json)
+    show.notes(judged.report, lost, how.quiet)
+    sketch = sketched(rerun, result, show.say)
+    del session, result  # Rerun's import takes as much memory as they do
+    record(rerun, sketch, files[0].parent, show.say)
+    if (remark := gates.remark(judged.report)) is not None and not how.quiet:
+        show.say(f"note: {remark}")
+    failed = gates.failures(judged.report)
     for line in failed:
-        click.echo(f"gate: {line}", err=True)
-    return ci_gates.FAILED if failed else results.LOSS if lost else 0
+        show.say(f"gate: {line}")
+    return Done(judged, ci_gates.FAILED if failed else LOSS if lost else 0)

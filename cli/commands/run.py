@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 
 import click
 
 from locfuse.cli.pipeline.maps import MapOptions
+from locfuse.cli.pipeline.outputs import OF_RUN as KINDS
 from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.cli.rerun.record import RerunOptions, record, sketched
 from locfuse.cli.terminal.options import (
@@ -20,8 +20,6 @@ from locfuse.cli.terminal.options import (
     smooth_option,
 )
 from locfuse.cli.terminal.rerun_options import rerun_options
-
-KINDS = ("tum", "csv", "json")
 
 
 @click.command()
@@ -74,49 +72,27 @@ def run(
     locfuse run rounded_rectangle --sensors all
     locfuse run bag/ --sensors compass,lrf --robot robot.toml -o out
     """
-    from locfuse.cli.pipeline import configurations, exports, results
-    from locfuse.cli.pipeline.load import find_log, load_to_fuse
-    from locfuse.cli.pipeline.memory import lean
-    from locfuse.cli.pipeline.trust import add_consistency, evidence
+    from locfuse.cli.pipeline.results import LOSS
+    from locfuse.cli.session.session import opened
     from locfuse.cli.terminal import show
-    from locfuse.formats.report import json_report
-    from locfuse.formats.results import trajectory
-    from locfuse.formats.results.audit import audit_csv
-    from locfuse.formats.whole_files import Content, whole_file, write_results
-    from locfuse.fusion.judge.evaluate import evaluate
 
     kinds = chosen(write, KINDS)
     with show.progress(how.quiet) as progress:
-        loaded = maps.give(load_to_fuse(find_log(log), how, progress, rerun.wanted))
-        drive, robot = loaded.drive, loaded.robot
-        configuration = configurations.parse(sensors, drive)
+        session = opened(log, how, progress, read_again=rerun.wanted)
+        if maps.given is not None:
+            session = session.with_map(maps.given)
+        configuration = session.configuration(sensors)
         maps.check(configuration.sensors)
-        progress("fusing")
-        found = lean(configuration.fuse, drive, robot, smooth)
-        judged = [evaluate(e, configuration.drive(drive), align) for e in found]  # type: ignore[arg-type]
-        report = results.build(loaded, judged)
-        add_consistency(report, evidence(configuration.drive(drive), found[0], robot), judged, robot)
-        progress("writing")
-        files: dict[str, Content] = {"robot.toml": results.robot_file(robot)}
-        named = dict(zip(("trajectory", "smoothed"), found, strict=False))
-        for name, estimates in named.items():
-            if "tum" in kinds:
-                files[f"{name}.tum"] = partial(trajectory.write_blocks, trajectory.tum_blocks(drive, estimates))
-            if "csv" in kinds:
-                files[f"{name}.csv"] = partial(trajectory.write_blocks, trajectory.csv_blocks(drive, estimates))
-        files |= exports.files(export, loaded, named)
-        if "json" in kinds:
-            files["run.json"] = json_report.encode(report)
-        folder = out or results.default_folder(loaded.log.name)
-        write_results(folder, files, overwrite)
-        maps.keep(found[0], loaded.log.name)
+        result = session.run(configuration, align=align, smooth=smooth)
+        files = result.write(out, write=kinds, export=export, overwrite=overwrite)
+        if maps.save is not None:
+            result.save_map(maps.save)
         if audit is not None:
-            with whole_file(audit) as path:
-                path.write_text(audit_csv(drive, found[0]))
-    lost = results.loss_lines(loaded, configuration.sensors, how.strict)
-    show.result(report, folder, files, as_json)
-    show.notes(report, lost, how.quiet)
-    sketch = sketched(rerun, loaded, found, judged, report, show.say)
-    del loaded, drive, found, named, estimates, files, judged  # Rerun's import takes as much memory as all of them
-    record(rerun, sketch, folder, show.say)
-    return results.LOSS if lost else 0
+            result.write_audit(audit)
+    lost = result.losses(how.strict)
+    show.result(result.report, files, as_json)
+    show.notes(result.report, lost, how.quiet)
+    sketch = sketched(rerun, result, show.say)
+    del session, result  # Rerun's import takes as much memory as they do
+    record(rerun, sketch, files[0].parent, show.say)
+    return LOSS if lost else 0

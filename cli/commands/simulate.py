@@ -3,17 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import click
-
-from locfuse.cli.terminal.findings import may_replace
-
-if TYPE_CHECKING:
-    from locfuse.sample_logs.messages import Estimator
-    from locfuse.sample_logs.record import Localise
-    from locfuse.sample_logs.scenario import Scenario
-    from locfuse.sample_logs.simulate import Outcome
 
 
 @click.command()
@@ -50,6 +41,10 @@ def simulate(
     locfuse simulate rounded_rectangle -o drive.mcap --set compass.noise_deg=0.1 --set control.estimator=all
     locfuse simulate rounded_rectangle --show > mine.toml
     """
+    import json
+
+    from locfuse.cli.jobs import simulate as job
+    from locfuse.formats.whole_files import may_replace
     from locfuse.fusion.data import UsageError
     from locfuse.sample_logs import load
 
@@ -66,16 +61,8 @@ def simulate(
     if out is None:
         raise UsageError("where to? Name the log with -o LOG.mcap")
     may_replace(out, overwrite)
-    _drive(chosen, chosen.seed if seed is None else seed, out, as_json)
-
-
-def _drive(scenario: Scenario, seed: int, out: Path, as_json: bool) -> None:
-    import json
-
-    from locfuse.sample_logs.record import write_log
-
-    outcome = write_log(scenario, seed, localise(scenario.control.estimator), out)
-    facts = {"log": str(out), "seed": seed, **_facts(outcome)}
+    seed = chosen.seed if seed is None else seed
+    facts = {"log": str(out), "seed": seed, **job.facts(job.drive(chosen, seed, out))}
     if as_json:
         click.echo(json.dumps(facts, indent=2))
     else:
@@ -83,36 +70,3 @@ def _drive(scenario: Scenario, seed: int, out: Path, as_json: bool) -> None:
             f"{out}: {facts['duration_s']} s, {facts['way_m']} m; wheel speeds within "
             f"{facts['speed_worst_percent']} % of their set points over 0.1 s"
         )
-
-
-def _facts(outcome: Outcome) -> dict[str, Any]:
-    from locfuse.sample_logs.stability import speed_stability
-
-    stability = speed_stability(outcome)
-    return {
-        "duration_s": round(outcome.duration, 3),
-        "way_m": round(outcome.way, 3),
-        "missed_encoder_transitions": outcome.missed,
-        "speed_worst_percent": round(100 * stability.worst, 2),
-        "speed_within_5_percent": round(stability.within_5_percent, 4),
-    }
-
-
-def localise(word: str) -> Localise:
-    """Return what builds the robot's localisation: "truth", "odometry", "all", or sensors such as compass+lrf."""
-    from locfuse.cli.jobs.control_loop import make_estimator
-    from locfuse.fusion.data import UsageError
-    from locfuse.fusion.sensors.registry import REGISTRY
-    from locfuse.sample_logs.record import on_truth
-
-    def build(tables: dict[str, dict[str, Any]]) -> Estimator | None:
-        carried = tuple(name for name in REGISTRY if name in tables)
-        asked = {"odometry": [], "all": list(carried)}.get(word, word.replace("+", ",").split(","))
-        for name in asked:
-            if name not in carried:
-                known = ", ".join(("truth", "odometry", *carried, "all"))
-                raise UsageError(f"control.estimator = {word}: this robot has no {name}; choose from {known}")
-        sensors = tuple(name for name in carried if name in asked)
-        return make_estimator({name: tables[name] for name in ("wheels", "start", *sensors)}, sensors)
-
-    return on_truth if word == "truth" else build

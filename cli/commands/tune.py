@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from locfuse.cli.pipeline.settings import LogOptions
-from locfuse.cli.terminal.findings import Table, end, findings_options, may_replace, print_findings
+from locfuse.cli.terminal.findings import Table, end, findings_options, print_findings
 from locfuse.cli.terminal.options import log_options
 
 
@@ -51,6 +51,7 @@ def tune(
     from locfuse.cli.pipeline import results
     from locfuse.cli.pipeline.load import find_log
     from locfuse.cli.terminal import show
+    from locfuse.formats.whole_files import may_replace
 
     may_replace(out, overwrite)
     paths = [find_log(parts) for parts in logs_of(log)]

@@ -134,17 +134,9 @@ def _record(
 
 def _scene_of_log(what: Sequence[str], wish: Wish, progress: Progress) -> Scene:
     """Measure a log and run its configurations."""
-    from locfuse.cli.pipeline.compare import compare_log, report_of
-    from locfuse.cli.pipeline.configurations import for_comparison
-    from locfuse.cli.pipeline.load import find_log, load
-    from locfuse.cli.rerun.record import Recorded
-    from locfuse.cli.rerun.scene import make_scene
-    from locfuse.formats.report import markdown
+    from locfuse.cli.rerun.scene import scene_of_result
+    from locfuse.cli.session.session import opened
 
-    loaded = load(find_log(what), wish.how, progress)
-    wanted, recorded = for_comparison(wish.sensors, loaded.drive), Recorded()
-    compared = compare_log(loaded, wanted, "none", progress, watch=[recorded.take])
-    table = markdown.render(report_of(compared))
+    result = opened(what, wish.how, progress, read_again=True).compare(wish.sensors or None)
     progress("recording")
-    estimates = recorded.in_order(compared.estimates)
-    return make_scene(loaded, estimates, compared.evaluations, table, wish.images, wish.full)
+    return scene_of_result(result, wish.images, wish.full)

@@ -1,1 +1,83 @@
-"""locfuse: what does each sensor buy my robot? EKF localization from recorded logs."""
+"""locfuse: what is each sensor of my robot worth? EKF localization from recorded logs.
+
+    import locfuse
+
+    session = locfuse.load("rounded_rectangle")     # a log, measured once; or your own .mcap, .bag, folder
+    result = session.compare()                      # all configurations: result.verdicts, result.table()
+    result.estimates["all"].pose                    # (n, 3) x, y [m], theta [rad], map frame
+    result.write("out")                             # the files of `locfuse compare`
+
+Whatever cannot be used raises LocfuseError with one line that says what, where, and what to try. The command
+line is `locfuse`, or `python -m locfuse`; docs/python.md sets the two side by side.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from locfuse.cli.jobs.simulate import simulate
+    from locfuse.cli.session.result import Comparison, Run
+    from locfuse.cli.session.session import Session, load
+    from locfuse.cli.session.steps import evaluate, fuse, open_log, smooth
+    from locfuse.cli.session.summary import Summary, compare
+    from locfuse.fusion.data import Drive, Estimates, Evaluation, LocfuseError
+
+    __version__: str
+
+# Imported when they are used (PEP 562): `import locfuse` alone loads no NumPy, nor does `locfuse --help`.
+_HOMES = {
+    "load": "cli.session.session",
+    "compare": "cli.session.summary",
+    "fuse": "cli.session.steps",
+    "smooth": "cli.session.steps",
+    "evaluate": "cli.session.steps",
+    "simulate": "cli.jobs.simulate",
+    "open_log": "cli.session.steps",
+    "Session": "cli.session.session",
+    "Run": "cli.session.result",
+    "Comparison": "cli.session.result",
+    "Summary": "cli.session.summary",
+    "Drive": "fusion.data",
+    "Estimates": "fusion.data",
+    "Evaluation": "fusion.data",
+    "LocfuseError": "fusion.data",
+}
+__all__ = [
+    "Comparison",
+    "Drive",
+    "Estimates",
+    "Evaluation",
+    "LocfuseError",
+    "Run",
+    "Session",
+    "Summary",
+    "__version__",
+    "compare",
+    "evaluate",
+    "fuse",
+    "load",
+    "open_log",
+    "simulate",
+    "smooth",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import what is asked for. Raises AttributeError for a name that there is not."""
+    if name == "__version__":
+        from importlib.metadata import version
+
+        value: Any = version("locfuse")
+    elif name in _HOMES:
+        value = getattr(import_module(f"locfuse.{_HOMES[name]}"), name)
+    else:
+        raise AttributeError(f"module 'locfuse' has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """Return the public names, imported or not yet."""
+    return sorted({*__all__, "__doc__", "__name__", "__file__", "__path__"})

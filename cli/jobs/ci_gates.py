@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from locfuse.formats.report import json_report
 from locfuse.fusion.data import LocfuseError, UsageError
 
 FAILED = 4
@@ -45,6 +46,28 @@ class Baseline:
     tolerance: float
 
 
+@dataclass(frozen=True)
+class Gates:
+    """Everything that a report must hold."""
+
+    limits: Sequence[Gate]
+    baseline: Baseline | None
+
+    def failures(self, report: Mapping[str, Any]) -> list[str]:
+        """Return one line per gate that failed or whose figure does not exist."""
+        return failures(report, self.limits, self.baseline)
+
+    def remark(self, report: Mapping[str, Any]) -> str | None:
+        """Say where the baseline was made of another log than this report."""
+        return None if self.baseline is None else of_another_log(report, self.baseline)
+
+
+def read(fail_if: Sequence[str], baseline: Path | None, tolerance: str) -> Gates:
+    """Return the gates of --fail-if, --baseline and --tolerance. Raises LocfuseError for what cannot be one."""
+    limits = [parse_gate(text) for text in fail_if]
+    return Gates(limits, read_baseline(baseline, tolerance) if baseline else None)
+
+
 def parse_gate(text: str) -> Gate:
     """Return the gate that `--fail-if` names. Raises UsageError with an example."""
     found = GATE.fullmatch(text)
@@ -65,7 +88,7 @@ def parse_tolerance(text: str) -> float:
 def read_baseline(path: Path, tolerance: str) -> Baseline:
     """Return an earlier report.json. Raises LocfuseError where the file is none."""
     try:
-        report = json.loads(path.read_bytes())
+        report = json_report.current(json.loads(path.read_bytes()), f"--baseline {path}")
         configurations = report["configurations"]
         if not all(isinstance(values, dict) for values in configurations.values()):
             raise TypeError

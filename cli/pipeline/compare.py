@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple, cast
+from typing import Any, NamedTuple, cast, get_args
 
+from locfuse.formats.report import json_report
 from locfuse.fusion.data import Drive, Estimates, Evaluation
 from locfuse.fusion.judge.consistency import Run
 from locfuse.fusion.judge.credit import Credit, credit
-from locfuse.fusion.judge.evaluate import evaluate
+from locfuse.fusion.judge.evaluate import Align, evaluate
 from locfuse.fusion.judge.predictive import Score, listeners, scores
 from locfuse.fusion.paper.preset import fuser
 from locfuse.fusion.robot import Robot
@@ -19,6 +20,7 @@ from . import results
 from .configurations import Configuration
 from .load import Loaded
 from .memory import lean
+from .settings import Progress, one_of
 from .trust import add_consistency, evidence
 from .verdicts import credit_values, prediction_values, verdicts
 
@@ -26,7 +28,6 @@ PSEUDO = (
     "there is no truth in this log. The smoothed estimate has seen the whole drive and serves as a "
     "pseudo-reference: it shows what only the future corrects, and shares every error of its own sensors and map"
 )
-Progress = Callable[[str], None]
 Watch = Callable[[Estimates, Evaluation], None]
 
 
@@ -36,7 +37,7 @@ class Compared:
 
     loaded: Loaded
     configurations: Sequence[Configuration]
-    estimates: Sequence[Estimates]  # without their audits
+    estimates: Sequence[Estimates]  # without audits, unless they were to be kept
     evaluations: Sequence[Evaluation]
     runs: Sequence[Run]  # evidence of the sensors' noise
     credit: Credit | None  # where there is truth
@@ -44,9 +45,9 @@ class Compared:
 
 
 class Judged(NamedTuple):
-    """One configuration's result, and what remains of its audits."""
+    """One configuration's result, and what its audits say of the sensors' noise."""
 
-    estimates: Estimates  # without audits
+    estimates: Estimates
     evaluation: Evaluation
     evidence: list[Run]
 
@@ -58,18 +59,21 @@ def compare_log(
     progress: Progress,
     smooth: bool = False,
     watch: Sequence[Watch] = (),
+    audits: bool = False,
 ) -> Compared:
     """Run and judge every configuration; smoothed ones come after all others.
 
-    Audits are most of what a run holds, and end as soon as it is judged: who draws them takes it then (`watch`).
+    Audits are most of what a run holds. Unless `audits` are kept they end as soon as it is judged: who draws them
+    takes what is drawn then (`watch`).
     """
+    one_of(align, get_args(Align), "align")
     drive, robot = loaded.drive, loaded.robot
     if smooth:
         refuse_smoothing(robot, configurations)
     filtered, smoothed = [], []
     for c in configurations:
         progress(f"fusing {c.name}")
-        first, *after = lean(_judged, c, loaded, align, smooth, watch)
+        first, *after = lean(_judged, c, loaded, align, smooth, watch, audits)
         filtered.append(first)
         smoothed += after
     plain = {
@@ -90,15 +94,18 @@ def compare_log(
     )
 
 
-def _judged(c: Configuration, loaded: Loaded, align: str, smooth: bool, watch: Sequence[Watch]) -> list[Judged]:
+def _judged(
+    c: Configuration, loaded: Loaded, align: str, smooth: bool, watch: Sequence[Watch], audits: bool
+) -> list[Judged]:
     """Fuse and judge one configuration: filtered, and perhaps smoothed."""
     drive, robot, judged = c.drive(loaded.drive), loaded.robot, []
-    how = cast("Literal['none', 'origin', 'se2']", align)
+    how = cast("Align", align)
     for e in lean(c.fuse, loaded.drive, robot, smooth and bool(c.sensors)):
         evaluation = lean(evaluate, e, drive, how)
         for look in watch:
             look(e, evaluation)
-        judged.append(Judged(replace(e, audits={}), evaluation, evidence(drive, e, robot)))
+        kept = e if audits else replace(e, audits={})
+        judged.append(Judged(kept, evaluation, evidence(drive, e, robot)))
     return judged
 
 
@@ -135,7 +142,17 @@ def report_of(compared: Compared) -> dict[str, Any]:
     report["prediction"] = prediction_values(compared.scores, list(sets)) if compared.scores else None
     add_consistency(report, compared.runs, compared.evaluations, compared.loaded.robot)
     add_pseudo_reference(report, compared.loaded.drive, compared.estimates)
-    return report
+    return json_report.plain(report)
+
+
+def report_of_run(
+    loaded: Loaded, c: Configuration, estimates: Sequence[Estimates], evaluations: Sequence[Evaluation]
+) -> dict[str, Any]:
+    """Return the report of one configuration, filtered and perhaps smoothed, as plain values: run.json."""
+    report = results.build(loaded, evaluations)
+    runs = evidence(c.drive(loaded.drive), estimates[0], loaded.robot)
+    add_consistency(report, runs, evaluations, loaded.robot)
+    return json_report.plain(report)
 
 
 def add_pseudo_reference(report: dict[str, Any], drive: Drive, estimates: Sequence[Estimates]) -> None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from locfuse.fusion.data import Drive, Estimates, LocfuseError, UsageError
 from locfuse.fusion.fuse import configuration_name
@@ -16,6 +16,7 @@ from locfuse.fusion.sensors.registry import REGISTRY
 
 RATE = re.compile(r"(\d+(?:\.\d+)?)\s*hz", re.IGNORECASE)
 MOST_SUBSETS = 6  # sensors: 64 subsets
+Sensors = str | Iterable[str]  # of one configuration
 
 
 @dataclass(frozen=True)
@@ -35,18 +36,22 @@ class Configuration:
 
         Raises UsageError where a filter does not weigh optimally that is to be smoothed.
         """
-        if not smooth:
-            return (fuser(robot.preset)(self.drive(drive), robot, self.sensors, self.name),)
-        from locfuse.fusion.smooth import fuse_and_smooth
+        found: tuple[Estimates, ...]
+        if smooth:
+            from locfuse.fusion.smooth import fuse_and_smooth
 
-        return fuse_and_smooth(self.drive(drive), robot, self.sensors, self.name)
+            found = fuse_and_smooth(self.drive(drive), robot, self.sensors, self.name)
+        else:
+            found = (fuser(robot.preset)(self.drive(drive), robot, self.sensors, self.name),)
+        return tuple(replace(e, rates=self.rates) for e in found) if self.rates else found
 
 
-def parse(words: str, drive: Drive) -> Configuration:
-    """Return the configuration that one --sensors names.
+def parse(sensors: Sensors, drive: Drive) -> Configuration:
+    """Return the configuration that one --sensors names: "all", "odometry", "compass,lrf", or a list of sensors.
 
     Raises UsageError for an unknown word, LocfuseError for a sensor that this log lacks.
     """
+    words = sensors if isinstance(sensors, str) else ",".join(sensors)
     present = tuple(s for s in REGISTRY if s in drive.measurements)
     names = [w.strip() for w in words.replace("+", ",").split(",") if w.strip()]
     if names == ["all"]:
@@ -67,17 +72,17 @@ def parse(words: str, drive: Drive) -> Configuration:
         written[sensor] = name
         if at:
             rates[sensor] = _rate(name, rate)
-    sensors = tuple(s for s in REGISTRY if s in written)
-    for sensor in sensors:
-        lacking = [other for other in needs(sensor) if other not in sensors]
+    used = tuple(s for s in REGISTRY if s in written)
+    for sensor in used:
+        lacking = [other for other in needs(sensor) if other not in used]
         if lacking:
             raise UsageError(
                 f"--sensors {words}: {sensor} is held against the map of {lacking[0]}; "
                 f"write --sensors {','.join((*lacking, *written.values()))}"
             )
     if not rates:
-        return plain(sensors, drive)
-    return Configuration("+".join(written[s] for s in sensors), sensors, rates)
+        return plain(used, drive)
+    return Configuration("+".join(written[s] for s in used), used, rates)
 
 
 def _rate(name: str, text: str) -> float:
@@ -98,7 +103,7 @@ def needs(sensor: str) -> tuple[str, ...]:
     return tuple(getattr(REGISTRY[sensor], "needs", ()))
 
 
-def for_comparison(words: Sequence[str], drive: Drive, every: bool = False) -> list[Configuration]:
+def for_comparison(words: Sequence[Sensors], drive: Drive, every: bool = False) -> list[Configuration]:
     """Return the configurations to compare.
 
     Those named; else odometry, each sensor alone (or with the one whose map it reads), and all; `every`: all

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 
@@ -24,12 +24,8 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream, merged
 
 from .memory import give_back
+from .settings import ORDERS, PRESETS, LogOptions, Progress, silent
 
-if TYPE_CHECKING:
-    from .settings import LogOptions
-
-ORDERS = ("auto", "stamp", "recorded")
-PRESETS = ("default", "paper")
 ATTACHMENT = "robot.toml"
 PLAIN_CLOCK = "header stamps"
 TABLES: dict[str, type[msgspec.Struct]] = {
@@ -70,7 +66,7 @@ def _find(word: str) -> Path:
 def load(
     paths: Sequence[Path],
     how: LogOptions,
-    progress: Callable[[str], None] = lambda role: None,
+    progress: Progress = silent,
     only: Collection[str] | None = None,
 ) -> Loaded:
     """Open, describe, choose topics, and measure all sensors, or `only` some.
@@ -84,9 +80,7 @@ def load(
     return measured(log, tables, choice, progress, only)
 
 
-def load_to_fuse(
-    paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None], read_again: bool = False
-) -> Loaded:
+def load_to_fuse(paths: Sequence[Path], how: LogOptions, progress: Progress, read_again: bool = False) -> Loaded:
     """Load a log whose columns are needed no more once it is measured, unless it is `read_again`."""
     loaded = load(paths, how, progress)
     if not read_again:
@@ -99,7 +93,7 @@ def measured(
     log: Log,
     tables: Mapping[str, Any],
     choice: Choice,
-    progress: Callable[[str], None] = lambda role: None,
+    progress: Progress = silent,
     only: Collection[str] | None = None,
     aside: Collection[str] = (),
 ) -> Loaded:

@@ -19,36 +19,32 @@ class MapOptions:
     given: Path | None
     save: Path | None
 
-    def give(self, loaded: Loaded) -> Loaded:
-        """Return the log with a robot that localises in the given map.
-
-        Raises LocfuseError for a bad file, UsageError for the printed filter: its map is the first scan's.
-        """
-        if self.given is None:
-            return loaded
-        if loaded.robot.preset == "paper":
-            raise UsageError(
-                "--map: the paper's filter knows its first scan's walls only; leave --preset paper out"
-            )
-        from locfuse.formats.robot import line_map
-
-        robot = loaded.robot
-        lrf = msgspec.structs.replace(robot.settings("lrf"), map="given")
-        lines = tuple(line_map.read(self.given))
-        return replace(loaded, robot=replace(robot, sensors={**robot.sensors, "lrf": lrf}, lines=lines))
-
     def check(self, sensors: tuple[str, ...]) -> None:
         """Raise UsageError where maps are asked of a run without a laser."""
         asked = "--map" if self.given is not None else "--save-map" if self.save is not None else None
         if asked and "lrf" not in sensors:
             raise UsageError(f"{asked}: only the laser has a map; add lrf to --sensors")
 
-    def keep(self, estimates: Estimates, made_from: str) -> None:
-        """Write the final map where it was asked for."""
-        if self.save is None:
-            return
-        from locfuse.formats.robot import line_map
-        from locfuse.formats.whole_files import whole_file
 
-        with whole_file(self.save) as path:
-            path.write_text(line_map.encode(estimates.final_map, made_from))
+def give(loaded: Loaded, file: Path) -> Loaded:
+    """Return the log with a robot that localises in the map of a file.
+
+    Raises LocfuseError for a bad file, UsageError for the printed filter: its map is the first scan's.
+    """
+    if loaded.robot.preset == "paper":
+        raise UsageError("--map: the paper's filter knows its first scan's walls only; leave --preset paper out")
+    from locfuse.formats.robot import line_map
+
+    robot = loaded.robot
+    lrf = msgspec.structs.replace(robot.settings("lrf"), map="given")
+    lines = tuple(line_map.read(file))
+    return replace(loaded, robot=replace(robot, sensors={**robot.sensors, "lrf": lrf}, lines=lines))
+
+
+def keep(estimates: Estimates, file: Path, made_from: str) -> None:
+    """Write the map that a run ended with."""
+    from locfuse.formats.robot import line_map
+    from locfuse.formats.whole_files import whole_file
+
+    with whole_file(file) as path:
+        path.write_text(line_map.encode(estimates.final_map, made_from))

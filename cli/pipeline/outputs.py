@@ -18,6 +18,11 @@ if TYPE_CHECKING:
     from locfuse.formats.figures.scene import Scene
     from locfuse.formats.whole_files import Content
 
+    from .load import Loaded
+
+OF_COMPARISON = ("html", "md", "json", "tum", "csv", "tex")
+OF_RUN = ("tum", "csv", "json")
+
 
 class Drawn:
     """What figures show of the audits, taken as each configuration is judged."""
@@ -55,6 +60,24 @@ def files(
     return out
 
 
+def files_of_run(
+    loaded: Loaded, named: Mapping[str, Estimates], report: Mapping[str, Any], kinds: Collection[str]
+) -> dict[str, Content]:
+    """Return the content of every file of one configuration; `named` are its trajectories by file name."""
+    from locfuse.formats.report import json_report
+    from locfuse.formats.results import trajectory as to
+
+    out: dict[str, Content] = {"robot.toml": results.robot_file(loaded.robot)}
+    for name, e in named.items():
+        if "tum" in kinds:
+            out[f"{name}.tum"] = partial(to.write_blocks, to.tum_blocks(loaded.drive, e))
+        if "csv" in kinds:
+            out[f"{name}.csv"] = partial(to.write_blocks, to.csv_blocks(loaded.drive, e))
+    if "json" in kinds:
+        out["run.json"] = json_report.encode(report)
+    return out
+
+
 def trajectories(compared: Compared) -> dict[str, Content]:
     """Return one .tum for each configuration, and the truth's."""
     from locfuse.formats.results import trajectory
@@ -80,9 +103,10 @@ def page(compared: Compared, drawn: Drawn, report: Mapping[str, Any]) -> str:
 def figure_files(compared: Compared, drawn: Drawn) -> dict[str, bytes]:
     """Return every figure as SVG and PDF by its file's name."""
     from locfuse.formats.figures.for_paper import paper_figures
+    from locfuse.formats.figures.palette import traces_of
     from locfuse.formats.figures.sections import sections
 
-    return paper_figures(sections(scene(compared, drawn)), list(REGISTRY))
+    return paper_figures(sections(scene(compared, drawn)), traces_of(compared.estimates), list(REGISTRY))
 
 
 def scene(compared: Compared, drawn: Drawn) -> Scene:

@@ -1,9 +1,25 @@
-"""How to read a log, as the user said it: the options that every command shares."""
+"""What the user chose, on the command line or in Python: how to read a log, and which outputs to write."""
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+from locfuse.formats.robot.robot_toml import as_set
+from locfuse.fusion.data import UsageError
+
+PathLike = str | os.PathLike[str]
+Sets = Mapping[str, Any] | Iterable[str]  # {"lrf.topic": "/scan"}, or as typed: ["lrf.topic=/scan"]
+Progress = Callable[[str], None]  # is given the name of the current step
+PRESETS = ("default", "paper")
+ORDERS = ("auto", "stamp", "recorded")
+
+
+def silent(step: str) -> None:
+    """Show no progress."""
 
 
 @dataclass(frozen=True)
@@ -16,3 +32,62 @@ class LogOptions:
     strict: bool
     quiet: bool
     preset: str | None = None
+
+
+def log_options(robot: PathLike | None, sets: Sets | None, order: str | None, preset: str | None) -> LogOptions:
+    """Return the options of a log as Python gives them. Raises UsageError for what cannot be one."""
+    for what, word, known in (("order", order, ORDERS), ("preset", preset, PRESETS)):
+        if word is not None:
+            one_of(word, known, what)
+    file = None if robot is None else path_of(robot)
+    if file is not None and not file.is_file():
+        raise UsageError(f"robot: {file} is no file; make one with: locfuse init LOG > robot.toml")
+    return LogOptions(file, set_words(sets), order, strict=False, quiet=True, preset=preset)
+
+
+def set_words(sets: Sets | None) -> tuple[str, ...]:
+    """Return settings as the words of --set: {"lrf.x": 0.2} is "lrf.x=0.2"."""
+    if sets is None:
+        return ()
+    if isinstance(sets, Mapping):
+        return tuple(word for key, value in sets.items() for word in _words(key, value))
+    return (sets,) if isinstance(sets, str) else tuple(sets)
+
+
+def _words(key: str, value: Any) -> list[str]:
+    """Return one setting, or those of a table."""
+    if isinstance(value, Mapping):
+        return [word for below, inner in value.items() for word in _words(f"{key}.{below}", inner)]
+    return [as_set(key, os.fspath(value) if isinstance(value, os.PathLike) else value)]
+
+
+def path_of(path: PathLike) -> Path:
+    """Return a path with ~ as the user's home, which the shell replaces on a command line."""
+    return Path(path).expanduser()
+
+
+def words_of(log: PathLike | Sequence[PathLike]) -> list[str]:
+    """Return one log, or the parts of one, as the words of a command line. Raises UsageError for none."""
+    parts = [log] if isinstance(log, str | os.PathLike) else list(log)
+    if not parts:
+        raise UsageError("which log? An empty list names none")
+    return [str(path_of(part)) for part in parts]
+
+
+def one_of(word: str, known: Sequence[str], what: str) -> str:
+    """Return a word as it is. Raises UsageError for one that is not known."""
+    if word not in known:
+        raise UsageError(f"{what} = {word!r}: choose from {', '.join(known)}")
+    return word
+
+
+def chosen(
+    kinds: str | Iterable[str] | None, known: Sequence[str], what: str = "--write: unknown output"
+) -> set[str]:
+    """Return kinds of output ("json,tum", or a list), None for all. Raises UsageError for an unknown one."""
+    if kinds is None:
+        return set(known)
+    names = {name.strip() for name in (kinds.split(",") if isinstance(kinds, str) else kinds) if name.strip()}
+    if unknown := sorted(names - set(known)):
+        raise UsageError(f"{what} {unknown[0]!r}; choose from {', '.join(known)}")
+    return names

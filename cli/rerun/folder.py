@@ -9,7 +9,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from locfuse.formats.report import markdown
+from locfuse.formats.figures.palette import traces_in
+from locfuse.formats.report import json_report, markdown
 from locfuse.formats.rerun.scene import Scene
 from locfuse.formats.results.trajectory import read_tum
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Motions, Truth, matrices
@@ -19,7 +20,7 @@ from .scene import palette
 
 REPORTS = ("report.json", "run.json")
 TRUTH = "truth.tum"
-COVARIANCE = "trajectory.csv"
+COVARIANCE, SMOOTHED = "trajectory.csv", "smoothed.csv"
 
 
 def report_of(folder: Path) -> Path | None:
@@ -33,8 +34,9 @@ def scene_of(folder: Path) -> Scene:
     if path is None:
         raise LocfuseError(f"{folder} holds no locfuse result: neither report.json nor run.json")
     try:
-        report = msgspec.json.decode(path.read_bytes())
-        tracks = {name: _track(folder, name, path.name) for name in report["configurations"]}
+        report = json_report.current(msgspec.json.decode(path.read_bytes()), str(path))
+        rows = report["configurations"]
+        tracks = {name: _track(folder / _file(folder, name, rows[name], path.name)) for name in rows}
         return _scene(folder, report, tracks)
     except FileNotFoundError as problem:
         missing = Path(str(problem.filename)).name
@@ -45,12 +47,19 @@ def scene_of(folder: Path) -> Scene:
         raise LocfuseError(f"{folder}: its files are not as locfuse writes them: {problem}") from None
 
 
-def _track(folder: Path, name: str, report: str) -> tuple[Ints, Array]:
-    """Return t_ns (n,) and poses (n, 3), theta unwrapped, of one configuration."""
-    file = "trajectory.tum" if report == "run.json" else f"{name}.tum"
-    t_ns, pose = read_tum((folder / file).read_text())
+def _file(folder: Path, name: str, row: Mapping[str, Any], report: str) -> str:
+    """Return the trajectory of one result: `run` names it by what it is, `compare` by the result."""
+    if report == "run.json":
+        return "smoothed.tum" if row["smoothed"] else "trajectory.tum"
+    of_0_1 = f"{row['configuration']}{json_report.SMOOTHED_IN_0_1}.tum"
+    return of_0_1 if row["smoothed"] and (folder / of_0_1).is_file() else f"{name}.tum"
+
+
+def _track(file: Path) -> tuple[Ints, Array]:
+    """Return t_ns (n,) and poses (n, 3), theta unwrapped, of one result."""
+    t_ns, pose = read_tum(file.read_text())
     if len(t_ns) < 2:
-        raise ValueError(f"{file} has {len(t_ns)} poses")
+        raise ValueError(f"{file.name} has {len(t_ns)} poses")
     pose[:, 2] = np.unwrap(pose[:, 2])
     return t_ns, pose
 
@@ -62,7 +71,7 @@ def _scene(folder: Path, report: Mapping[str, Any], tracks: Mapping[str, tuple[I
     still = Motions(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3, 0)))
     drive = Drive(int(t_ns[0]), t, still, {}, {}, {}, truth)
     estimates = [
-        _estimates(folder, name, report["configurations"][name], track, int(t_ns[0]), stamps)
+        _estimates(folder, report["configurations"][name], track, int(t_ns[0]), stamps)
         for name, track in tracks.items()
     ]
     judged = {e.name: evaluate(e, drive, report["configurations"][e.name]["align"]) for e in estimates}
@@ -74,7 +83,7 @@ def _scene(folder: Path, report: Mapping[str, Any], tracks: Mapping[str, tuple[I
         judged,
         track=track_width,
         table=markdown.render(report),
-        palette=palette(list(tracks)),
+        palette=palette(traces_in(report)),
     )
 
 
@@ -92,20 +101,19 @@ def _truth(folder: Path, report: Mapping[str, Any], epoch_ns: int) -> tuple[Trut
 
 def _estimates(
     folder: Path,
-    name: str,
     figures: Mapping[str, Any],
     track: tuple[Ints, Array],
     epoch_ns: int,
     stamps: Ints,
 ) -> Estimates:
     t_ns, pose = track
-    triangles = _covariances(folder / COVARIANCE, len(t_ns))
+    triangles = _covariances(folder / (SMOOTHED if figures["smoothed"] else COVARIANCE), len(t_ns))
     at = np.minimum(np.searchsorted(t_ns, stamps), len(t_ns) - 1)
     known = t_ns[at] == stamps  # a .tum has a row at every truth stamp within the drive
     truth_pose = np.where(known[:, None], pose[at], np.nan)
     t = seconds(t_ns, epoch_ns)
     return Estimates(
-        name,
+        figures["configuration"],
         tuple(figures["sensors"]),
         t,
         pose,
@@ -113,6 +121,8 @@ def _estimates(
         {},
         truth_pose=truth_pose,
         truth_P=matrices(triangles[at]),
+        smoothed=figures["smoothed"],
+        rates=figures["rates_hz"],
     )
 
 

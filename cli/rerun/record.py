@@ -5,16 +5,15 @@ Whatever goes wrong here costs one warning: the results are already written.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from locfuse.cli.pipeline.load import Loaded
+    from locfuse.cli.session.result import Result
     from locfuse.formats.rerun.recording import Sketch
-    from locfuse.fusion.data import Estimates, Evaluation
 
 Say = Callable[[str], None]  # prints a line on stderr
 RECORDING = "recording.rrd"  # in the results' folder, unless --rerun-save names another
@@ -36,34 +35,16 @@ class RerunOptions:
         return self.show or self.save is not None or self.connect is not None
 
 
-class Recorded:
-    """What a recording shows of each configuration, taken as it is judged."""
-
-    def __init__(self) -> None:
-        self._estimates: dict[str, Estimates] = {}
-
-    def take(self, e: Estimates, _evaluation: Evaluation) -> None:
-        """Keep one run with its audits."""
-        self._estimates[e.name] = e
-
-    def in_order(self, estimates: Sequence[Estimates]) -> list[Estimates]:
-        """Return what was taken in the order of the results."""
-        return [self._estimates[e.name] for e in estimates if e.name in self._estimates]
-
-
-def sketched(
-    options: RerunOptions,
-    loaded: Loaded,
-    estimates: Sequence[Estimates],
-    evaluations: Sequence[Evaluation],
-    report: Mapping[str, Any],
-    say: Say,
-) -> Sketch | None:
-    """Return the recording of the configurations in values, None where none is wanted or none can be made."""
+def sketched(options: RerunOptions, result: Result, say: Say) -> Sketch | None:
+    """Return the recording of a result in values, None where none is wanted or none can be made."""
     if not options.wanted:
         return None
     with _at_worst_a_warning(say):
-        return _sketch(options, loaded, estimates, evaluations, report)
+        from locfuse.formats.rerun.recording import sketch
+
+        from .scene import scene_of_result
+
+        return sketch(scene_of_result(result, options.images, options.full))
     return None
 
 
@@ -91,22 +72,6 @@ def _at_worst_a_warning(say: Say) -> Iterator[None]:
         say(warning(str(problem)))
     except Exception as problem:
         say(warning(f"no recording was made: {type(problem).__name__}: {problem}"))
-
-
-def _sketch(
-    options: RerunOptions,
-    loaded: Loaded,
-    estimates: Sequence[Estimates],
-    evaluations: Sequence[Evaluation],
-    report: Mapping[str, Any],
-) -> Sketch:
-    from locfuse.formats.report import markdown
-    from locfuse.formats.rerun.recording import sketch
-
-    from .scene import make_scene
-
-    table = markdown.render(report)
-    return sketch(make_scene(loaded, estimates, evaluations, table, options.images, options.full))
 
 
 def _saved(path: Path, sketch: Sketch, say: Say) -> bool:

@@ -9,15 +9,16 @@ from typing import Any
 import numpy as np
 
 from locfuse.cli.pipeline.components import LOOKS
-from locfuse.cli.pipeline.configurations import parse
 from locfuse.cli.pipeline.load import Loaded
-from locfuse.formats.figures.palette import colours
+from locfuse.cli.session.result import Result
+from locfuse.formats.figures.palette import Trace, colours, traces_of
+from locfuse.formats.report import markdown
 from locfuse.formats.rerun.scene import Detail, Picture, RawTopic, Rgb, ScanPoints, Scene, Sight
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import Array, Column, Drive, Estimates, Evaluation, Ragged
+from locfuse.fusion.data import Array, Column, Estimates, Evaluation, Ragged
+from locfuse.fusion.measure import thinned
 from locfuse.fusion.robot import VIRTUAL_TRACK, Robot
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.smooth import SUFFIX
 from locfuse.fusion.truth import TRUTH_READS
 from locfuse.fusion.wheels.read import WHEEL_READS
 
@@ -27,6 +28,12 @@ DEG = 180.0 / math.pi
 MOST_PICTURES = 600  # kept by default
 MOST_COLUMNS = 8  # of a numeric array that is drawn as curves: a scan's ranges are not
 LOW, HIGH = 0.025, 0.975  # between them lie 95 % of consistent NIS
+
+
+def scene_of_result(result: Result, images: int | None = None, full: bool = False) -> Scene:
+    """Return what a recording of a result shows, its report's tables too; `images`, `full` as in `make_scene`."""
+    estimates, evaluations = tuple(result.estimates.values()), tuple(result.evaluations.values())
+    return make_scene(result.loaded, estimates, evaluations, markdown.render(result.report), images, full)
 
 
 def make_scene(
@@ -57,19 +64,14 @@ def make_scene(
         picture_rows=rows,
         raw=raw_topics(loaded),
         detail=detail,
-        palette=palette([e.name for e in estimates]),
-        thinned={e.name: _as_seen(e, loaded.drive) for e in estimates if "@" in e.name},
+        palette=palette(traces_of(estimates)),
+        thinned={e.name: thinned(loaded.drive, e.rates) for e in estimates if e.rates},
     )
 
 
-def _as_seen(e: Estimates, drive: Drive) -> Drive:
-    """Return the drive as a configuration at a lower rate saw it."""
-    return parse(e.name.removesuffix(SUFFIX), drive).drive(drive)
-
-
-def palette(configurations: Sequence[str]) -> dict[str, Rgb]:
-    """Return the colours that configurations have in the report, on its dark page."""
-    return {name: _rgb(c.dark) for name, c in colours(configurations, list(REGISTRY)).items()}
+def palette(traces: Mapping[str, Trace]) -> dict[str, Rgb]:
+    """Return the colours that results have in the report, on its dark page."""
+    return {name: _rgb(c.dark) for name, c in colours(traces, list(REGISTRY)).items()}
 
 
 def _rgb(web: str) -> Rgb:

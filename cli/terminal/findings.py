@@ -30,14 +30,6 @@ def findings_options(what: str, tables: str) -> Callable[[Command], Command]:
     return add
 
 
-def may_replace(out: Path | None, overwrite: bool) -> None:
-    """Raise UsageError where a file would be lost: to know it before the work is done."""
-    from locfuse.fusion.data import UsageError
-
-    if out is not None and out.exists() and not overwrite:
-        raise UsageError(f"{out} exists: choose another name, or replace it with --overwrite")
-
-
 def print_findings(values: Any, tables: Iterable[Table], out: Path | None, as_json: bool) -> None:
     """Print what was found as JSON, or as tables and with how the file is used."""
     from locfuse.formats.report import json_report

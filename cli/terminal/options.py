@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
+from locfuse.cli.pipeline import settings
 from locfuse.cli.pipeline.exports import KINDS as EXPORTS
 from locfuse.cli.pipeline.maps import MapOptions
 from locfuse.cli.pipeline.settings import LogOptions
@@ -115,13 +116,16 @@ def out_options(kinds: tuple[str, ...]) -> Callable[[F], F]:
 
 def chosen(write: str | None, kinds: tuple[str, ...]) -> set[str]:
     """Return the kinds of output that --write names. Raises click.UsageError for an unknown one."""
-    if write is None:
-        return set(kinds)
-    names = {name.strip() for name in write.split(",") if name.strip()}
-    unknown = sorted(names - set(kinds))
-    if unknown:
-        raise click.UsageError(f"--write: unknown output {unknown[0]!r}; choose from {', '.join(kinds)}")
-    return names
+    return _known(write, kinds, "--write: unknown output")
+
+
+def _known(words: str | None, known: Sequence[str], what: str) -> set[str]:
+    from locfuse.fusion.data import UsageError
+
+    try:
+        return settings.chosen(words, known, what)
+    except UsageError as problem:
+        raise click.UsageError(str(problem)) from None
 
 
 def export_option(command: F) -> F:
@@ -138,10 +142,7 @@ def export_option(command: F) -> F:
 
 def exported(words: str | None) -> set[str]:
     """Return the kinds that --export names. Raises click.UsageError for an unknown one."""
-    names = {name.strip() for name in (words or "").split(",") if name.strip()}
-    if unknown := sorted(names - EXPORTS.keys()):
-        raise click.UsageError(f"--export: unknown format {unknown[0]!r}; choose from {', '.join(EXPORTS)}")
-    return names
+    return _known(words or "", list(EXPORTS), "--export: unknown format")
 
 
 def map_options(command: F) -> F:

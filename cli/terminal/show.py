@@ -66,8 +66,8 @@ def lines(text: Iterable[str], bold: Collection[str] = ()) -> None:
         console.print(Text(line, "bold" if line in bold else ""))
 
 
-def result(report: Mapping[str, Any], folder: Path, files: Collection[str], as_json: bool) -> None:
-    """Print a finished report, and which files it was written to."""
+def result(report: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> None:
+    """Print a finished report, and which files it was written to; they lie in one folder."""
     with reader_may_leave():
         if as_json:
             click.echo(json_report.encode(report), nl=False)
@@ -75,7 +75,7 @@ def result(report: Mapping[str, Any], folder: Path, files: Collection[str], as_j
         figures(report)
         verdicts(report)
         consistency(report)
-        click.echo(f"{folder}: {', '.join(sorted(files))}")
+        click.echo(f"{files[0].parent}: {', '.join(file.name for file in files)}")
 
 
 def figures(report: Mapping[str, Any]) -> None:

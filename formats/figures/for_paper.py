@@ -6,7 +6,7 @@ Same input, same bytes: no date, ids from a fixed salt. Text stays text, so that
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 from locfuse.formats.thin import extremes
 
 from . import palette, ticks
+from .palette import Trace
 from .panels import Band, Curve, Dots, Mark, Panel, Section, Strokes, ranges
 
 INCHES = (3.5, 2.1)  # one column of a two-column paper
@@ -53,16 +54,19 @@ STYLE: dict[Any, Any] = {
 }
 
 
-def paper_figures(sections: Sequence[Section], registry: Sequence[str]) -> dict[str, bytes]:
-    """Return {name}.svg and {name}.pdf of every panel."""
+def paper_figures(
+    sections: Sequence[Section], traces: Mapping[str, Trace], registry: Sequence[str]
+) -> dict[str, bytes]:
+    """Return {name}.svg and {name}.pdf of every panel; `traces` are the configurations drawn."""
     names = list(dict.fromkeys(m.of for s in sections for p in s.panels for m in p.marks))
-    own = [n for n in names if n not in palette.ROLES]
-    inks = {**{n: c.light for n, c in palette.colours(own, registry).items()}, **_light_roles()}
+    every = {**{s: Trace(s, (s,)) for s in names if s in registry}, **traces}
+    inks = {**{n: c.light for n, c in palette.colours(every, registry).items()}, **_light_roles()}
+    dashed = {name for name, trace in traces.items() if trace.dashed}
     out: dict[str, bytes] = {}
     for section in sections:
         for panel in section.panels:
             name = file_name(panel.name)
-            out[f"{name}.svg"], out[f"{name}.pdf"] = draw(panel, inks)
+            out[f"{name}.svg"], out[f"{name}.pdf"] = draw(panel, inks, dashed)
     return out
 
 
@@ -71,7 +75,7 @@ def file_name(panel: str) -> str:
     return "".join(c if c.isalnum() or c in "_-+@." else "_" for c in panel)
 
 
-def draw(panel: Panel, inks: dict[str, str]) -> tuple[bytes, bytes]:
+def draw(panel: Panel, inks: dict[str, str], dashed: Collection[str] = ()) -> tuple[bytes, bytes]:
     """Return one panel as (SVG, PDF)."""
     from matplotlib.backends.backend_pdf import FigureCanvasPdf
     from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -81,7 +85,7 @@ def draw(panel: Panel, inks: dict[str, str]) -> tuple[bytes, bytes]:
         figure = Figure(figsize=SQUARE if panel.equal else INCHES)
         axes = figure.add_axes(LANES if panel.lanes else AREA)
         for mark in panel.marks:
-            _mark(axes, mark, inks)
+            _mark(axes, mark, inks, dashed)
         _dress(axes, panel)
         svg, pdf = io.BytesIO(), io.BytesIO()
         to_svg: Any = FigureCanvasSVG(figure)
@@ -130,10 +134,10 @@ def _scales(axes: Any, panel: Panel, x: tuple[float, float], y: tuple[float, flo
         axes.minorticks_off()
 
 
-def _mark(axes: Any, mark: Mark, inks: dict[str, str]) -> None:
+def _mark(axes: Any, mark: Mark, inks: dict[str, str], dashed: Collection[str]) -> None:
     ink, label = inks[mark.of], _label(axes, mark)
     if isinstance(mark, Curve):
-        _curve(axes, mark, ink, label)
+        _curve(axes, mark, ink, label, mark.of in dashed)
     elif isinstance(mark, Band):
         kept = extremes(np.stack((mark.low, mark.high), axis=-1), POINTS)
         alpha = 1.0 if mark.solid else 0.18
@@ -145,8 +149,8 @@ def _mark(axes: Any, mark: Mark, inks: dict[str, str]) -> None:
             axes.plot((a[0], b[0]), (a[1], b[1]), color=ink, lw=1.8, label=label if i == 0 else None)
 
 
-def _curve(axes: Any, mark: Curve, ink: str, label: str | None) -> None:
-    dash = (0, (1, 2)) if mark.of == "truth" else (0, (4, 2)) if palette.dashed(mark.of) else "solid"
+def _curve(axes: Any, mark: Curve, ink: str, label: str | None, dashed: bool) -> None:
+    dash = (0, (1, 2)) if mark.of == "truth" else (0, (4, 2)) if dashed else "solid"
     grows = bool((np.diff(mark.x) >= 0).all())
     kept = extremes(mark.y, POINTS) if grows else np.arange(len(mark.x))
     axes.plot(mark.x[kept], mark.y[kept], color=ink, ls=dash, label=label)

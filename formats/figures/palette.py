@@ -7,10 +7,10 @@ else the log holds, since colours go by the registry's order; sets of several se
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
-from locfuse.fusion.data import VERDICTS
+from locfuse.fusion.data import VERDICTS, Estimates
 
 
 class Colour(NamedTuple):
@@ -20,7 +20,21 @@ class Colour(NamedTuple):
     dark: str
 
 
-SMOOTHED = " smoothed"  # ends the name of a configuration that has seen the whole drive
+class Trace(NamedTuple):
+    """What decides how the curve of one result is drawn."""
+
+    configuration: str  # "odometry", "compass+lrf", "all"
+    sensors: tuple[str, ...]
+    slowed: bool = False  # a sensor at a lower rate than the log's
+    smoothed: bool = False
+
+    @property
+    def dashed(self) -> bool:
+        """Whether it is drawn dashed: sets that are not `all`, what-ifs, smoothed results."""
+        some = len(self.sensors) > 1 and self.configuration != "all"
+        return some or self.slowed or self.smoothed
+
+
 ODOMETRY = Colour("#686a70", "#94979c")
 ALL = Colour("#8a0a55", "#bf2f80")
 TRUTH = Colour("#0d0f12", "#f4f5f7")
@@ -54,22 +68,28 @@ ROLES = {  # what is drawn besides configurations
 }
 
 
-def colours(configurations: Sequence[str], registry: Sequence[str]) -> dict[str, Colour]:
-    """Return a colour for every configuration: `registry` is the order of all sensors known to the product."""
-    return {name: _colour(name, registry) for name in configurations}
+def traces_of(estimates: Iterable[Estimates]) -> dict[str, Trace]:
+    """Return how each result is drawn, by its name."""
+    return {e.name: Trace(e.configuration, e.sensors, bool(e.rates), e.smoothed) for e in estimates}
 
 
-def dashed(configuration: str) -> bool:
-    """Return whether a configuration is drawn dashed: sets that are not `all`, what-ifs, smoothed ones."""
-    return "+" in configuration or "@" in configuration or configuration.endswith(SMOOTHED)
+def traces_in(report: Mapping[str, Any]) -> dict[str, Trace]:
+    """Return how each result of a report is drawn, by its name."""
+    return {
+        name: Trace(v["configuration"], tuple(v["sensors"]), bool(v["rates_hz"]), v["smoothed"])
+        for name, v in report["configurations"].items()
+    }
 
 
-def _colour(name: str, registry: Sequence[str]) -> Colour:
-    name = name.removesuffix(SMOOTHED)
-    if name in {"odometry", "all"}:
-        return ODOMETRY if name == "odometry" else ALL
-    members = [part.split("@")[0] for part in name.split("+")]
-    places = [registry.index(m) if m in registry else len(registry) for m in members]
+def colours(traces: Mapping[str, Trace], registry: Sequence[str]) -> dict[str, Colour]:
+    """Return a colour for every trace: `registry` is the order of all sensors known to the product."""
+    return {name: _colour(trace, registry) for name, trace in traces.items()}
+
+
+def _colour(trace: Trace, registry: Sequence[str]) -> Colour:
+    if trace.configuration in {"odometry", "all"}:
+        return ODOMETRY if trace.configuration == "odometry" else ALL
+    places = [registry.index(s) if s in registry else len(registry) for s in trace.sensors]
     if len(places) == 1 and places[0] < len(SENSORS):
         return SENSORS[places[0]]
     return SETS[sum(2**p for p in places) % len(SETS)]

@@ -56,7 +56,7 @@ class Scene:
         pairs = list(zip(self.estimates, self.evaluations, strict=True))
         if len(pairs) <= MOST_CONFIGURATIONS:
             return pairs
-        few = [p for p in pairs if len(p[0].sensors) <= 1 or p[0].name == "all" or "@" in p[0].name]
+        few = [p for p in pairs if len(p[0].sensors) <= 1 or p[0].configuration == "all" or p[0].rates]
         return few[:MOST_CONFIGURATIONS] if len(few) > 1 else pairs[:MOST_CONFIGURATIONS]
 
 

@@ -7,7 +7,7 @@ page needs no second copy, and a phone can set the words larger (benchmarks: "re
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from html import escape
 
@@ -16,7 +16,6 @@ import numpy as np
 from locfuse.fusion.data import Array
 
 from . import ticks
-from .palette import dashed
 from .panels import Band, Curve, Dots, Mark, Panel, Strokes, ranges
 from .svg_path import band_path, curve_path, dots_path, free_path, strokes_path
 
@@ -50,7 +49,14 @@ class Axis:
         return [(float(self.px(np.array([v]))[0]), label) for v, label in found]
 
 
-def svg(panel: Panel, ident: str, slugs: dict[str, str], width: int = WIDTH, height: int = HEIGHT) -> str:
+def svg(
+    panel: Panel,
+    ident: str,
+    slugs: dict[str, str],
+    width: int = WIDTH,
+    height: int = HEIGHT,
+    dashed: Collection[str] = (),
+) -> str:
     """Return one panel. `ident` is unique in the page; `slugs` gives every role its CSS class."""
     (x0, x1), (y0, y1) = ranges(panel)
     left = _left(panel, y0, y1)
@@ -68,7 +74,7 @@ def svg(panel: Panel, ident: str, slugs: dict[str, str], width: int = WIDTH, hei
         f'<clipPath id="{ident}-c"><path d="M{left} {TOP}H{width - RIGHT}V{height - BOTTOM}H{left}z"/></clipPath>',
         _frame(panel, x, y),
         f'<g clip-path="url(#{ident}-c)"><g transform="scale(.1)">',
-        *(_mark(mark, x, y, slugs) for mark in panel.marks),
+        *(_mark(mark, x, y, slugs, dashed) for mark in panel.marks),
         "</g></g></svg>",
     ]
     return "".join(parts)
@@ -114,13 +120,13 @@ def _frame(panel: Panel, x: Axis, y: Axis) -> str:
     return f'<path class="gridlines" d="{grid}"/>' + "".join(words)
 
 
-def _mark(mark: Mark, x: Axis, y: Axis, slugs: dict[str, str]) -> str:
+def _mark(mark: Mark, x: Axis, y: Axis, slugs: dict[str, str], dashed: Collection[str]) -> str:
     pixels = max(16, round(x.end - x.start))
     draw: Callable[..., tuple[str, str]] = _DRAW[type(mark)]
     kind, d = draw(mark, x, y, pixels)
     if not d:
         return ""
-    look = " truth" if mark.of == "truth" else " dash" if isinstance(mark, Curve) and dashed(mark.of) else ""
+    look = " truth" if mark.of == "truth" else " dash" if isinstance(mark, Curve) and mark.of in dashed else ""
     return f'<path class="{kind}{look} {slugs[mark.of]}" d="{d}"><title>{escape(mark.of)}</title></path>'
 
 

@@ -7,12 +7,12 @@ drift apart unseen; text from logs goes through the template's escaping.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from locfuse.formats.figures import palette
-from locfuse.formats.figures.palette import Colour
+from locfuse.formats.figures.palette import Colour, Trace
 from locfuse.formats.figures.panels import Section
 from locfuse.formats.figures.svg import HEIGHT, WIDTH, slugs_of, svg
 
@@ -37,7 +37,9 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], registry: Seq
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     template = environment.from_string((folder / "report.html.j2").read_text(encoding="utf-8"))
     names = list(report["configurations"])
-    inks = palette.colours([*names, *(s for s in registry if s not in names)], registry)
+    traces = palette.traces_in(report)
+    dashed = {name for name, trace in traces.items() if trace.dashed}
+    inks = palette.colours({**traces, **{s: Trace(s, (s,)) for s in registry if s not in names}}, registry)
     roles = {**inks, **palette.ROLES}
     slugs = slugs_of(list(roles))
     drawn = {m.of for s in sections for p in s.panels for m in p.marks}
@@ -47,10 +49,10 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], registry: Seq
         figures=Figures(report),
         columns=columns_of(report["configurations"], main=True),
         every_column=columns_of(report["configurations"]),
-        sections=[_drawn(s, slugs) for s in sections],
+        sections=[_drawn(s, slugs, dashed) for s in sections],
         legend=[(name, slugs[name]) for name in names if name in drawn],
         slugs=slugs,
-        dashed=palette.dashed,
+        dashed=dashed,
         signs=SIGNS,
         tones=TONES,
         strips=_strips(report),
@@ -95,12 +97,14 @@ def _style(css: str, roles: Mapping[str, Colour], slugs: Mapping[str, str]) -> s
     return css.replace("/*light*/", light).replace("/*dark*/", dark) + uses + f"@media screen{{{hides}}}"
 
 
-def _drawn(section: Section, slugs: dict[str, str]) -> dict[str, Any]:
+def _drawn(section: Section, slugs: dict[str, str], dashed: Collection[str]) -> dict[str, Any]:
     """Return a section with its panels as SVG, row by row."""
     from markupsafe import Markup
 
     width, height = SIZES[section.columns]
-    drawn = [(p, Markup(svg(p, p_id(section, i), slugs, width, height))) for i, p in enumerate(section.panels)]
+    drawn = [
+        (p, Markup(svg(p, p_id(section, i), slugs, width, height, dashed))) for i, p in enumerate(section.panels)
+    ]
     per_row = section.columns if section.rows else max(1, len(drawn))
     rows = [drawn[i : i + per_row] for i in range(0, len(drawn), per_row)]
     keys = list(dict.fromkeys(k for p in section.panels for k in p.keys))

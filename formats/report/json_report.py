@@ -8,7 +8,10 @@ from typing import Any
 
 import msgspec
 
-from locfuse.fusion.data import Drive, Evaluation, SensorFigures
+from locfuse.fusion.data import Drive, Evaluation, LocfuseError, SensorFigures, result_name
+
+SCHEMA_VERSION = 1  # of report.json and run.json; locfuse 0.1 wrote none
+SMOOTHED_IN_0_1 = " smoothed"  # ended the name of a smoothed result in a report without schema_version
 
 
 def report(
@@ -20,6 +23,7 @@ def report(
 ) -> dict[str, Any]:
     """Return the report as plain values: `configurations.<name>`, `input`, `settings`, `notes`, `absent`."""
     return {
+        "schema_version": SCHEMA_VERSION,
         "locfuse": version,
         "input": {**source, "dropped": {k: dict(v) for k, v in drive.dropped.items() if v}},
         "configurations": {e.name: _configuration(e) for e in evaluations},
@@ -35,11 +39,45 @@ def encode(value: Mapping[str, Any]) -> str:
     return msgspec.json.format(msgspec.json.encode(_finite(value)), indent=2).decode() + "\n"
 
 
+def plain(report: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a report as it reads back from its JSON: lists for tuples, None for NaN and infinity."""
+    values: dict[str, Any] = _finite(report)
+    return values
+
+
+def current(report: Mapping[str, Any], source: str) -> dict[str, Any]:
+    """Return a report of this or an earlier version under today's keys; `source` names it in errors.
+
+    Raises LocfuseError for a report of a later version. What is no report at all raises KeyError, TypeError or
+    AttributeError.
+    """
+    version = report.get("schema_version", 0)
+    if version > SCHEMA_VERSION:
+        raise LocfuseError(
+            f"{source}: schema_version {version}, written by locfuse {report.get('locfuse')}; this locfuse reads "
+            f"up to {SCHEMA_VERSION}. Update locfuse, or make the report again with: locfuse compare LOG -o DIR"
+        )
+    if version == SCHEMA_VERSION:
+        return dict(report)
+    rows = [_row_of_0_1(name, values) for name, values in report["configurations"].items()]
+    named = {result_name(row["configuration"], row["smoothed"]): row for row in rows}
+    return {**report, "schema_version": SCHEMA_VERSION, "configurations": named}
+
+
+def _row_of_0_1(name: str, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of a configuration of 0.1, where only the name tells of which set a result is."""
+    smoothed = bool(values.get("smoothed", False))
+    configuration = name.removesuffix(SMOOTHED_IN_0_1) if smoothed else name
+    return {"rates_hz": {}, **values, "configuration": configuration, "smoothed": smoothed}
+
+
 def _configuration(evaluation: Evaluation) -> dict[str, Any]:
     return {
+        "configuration": evaluation.configuration,
         **evaluation.figures,
         "align": evaluation.align,
         "smoothed": evaluation.smoothed,
+        "rates_hz": dict(evaluation.rates),
         "lost": [list(interval) for interval in evaluation.lost],
         "notes": list(evaluation.notes),
         "sensors": {name: _sensor(s) for name, s in evaluation.sensors.items()},

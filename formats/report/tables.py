@@ -33,6 +33,7 @@ def csv(report: Mapping[str, Any]) -> str:
     keys = list(
         dict.fromkeys(k for v in rows.values() for k, x in v.items() if not isinstance(x, (Mapping, list)))
     )
+    keys.remove("configuration")  # the first column: there it is the row's name, such as all-smoothed
     sensors = list(dict.fromkeys(s for v in rows.values() for s in v["sensors"]))
     counts = ("accepted", "rejected", "absent", "nis")
     out = io.StringIO()

@@ -65,6 +65,22 @@ def apply_sets(sets: Sequence[str]) -> Tables:
     return tables
 
 
+def as_set(key: str, value: Any) -> str:
+    """Return one setting as `--set` takes it: ("lrf.topic", "/scan") is 'lrf.topic="/scan"'.
+
+    Raises UsageError for a value that TOML has no word for.
+    """
+    import tomli_w
+
+    plain = value.tolist() if hasattr(value, "tolist") else value  # NumPy's numbers and arrays
+    try:
+        lines = tomli_w.dumps({"value": plain}).removeprefix("value = ").splitlines()
+    except (TypeError, ValueError):
+        kinds = "a number, a text, a list, true or false"
+        raise UsageError(f"{key} = {_shown(value)}: robot.toml has no such value, but {kinds}") from None
+    return f"{key}={''.join(line.strip() for line in lines)}"
+
+
 def _value(text: str) -> Any:
     try:
         parsed = tomllib.loads(f"value = {text}")

@@ -78,7 +78,7 @@ def evaluate(estimates: Estimates, drive: Drive, align: Align = "none") -> Evalu
         **own,
     }
     return Evaluation(
-        estimates.name,
+        estimates.configuration,
         sensors,
         figures,
         pairs.t,
@@ -93,6 +93,7 @@ def evaluate(estimates: Estimates, drive: Drive, align: Align = "none") -> Evalu
         estimates.smoothed,
         estimates.lost,
         estimates.notes,
+        estimates.rates,
     )
 
 
@@ -101,7 +102,7 @@ def _without_truth(
 ) -> Evaluation:
     none, none2 = np.zeros(0), np.zeros((0, 2))
     return Evaluation(
-        estimates.name,
+        estimates.configuration,
         sensors,
         figures,
         none,
@@ -115,6 +116,7 @@ def _without_truth(
         smoothed=estimates.smoothed,
         lost=estimates.lost,
         notes=estimates.notes,
+        rates=estimates.rates,
     )
 
 

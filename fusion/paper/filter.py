@@ -158,7 +158,7 @@ class PrintedFilter:
             truth_pose[outside], truth_P[outside] = np.nan, np.nan
         lines = [line for part in self.parts.values() if isinstance(part, LineRows) for line in part.lines()]
         return Estimates(
-            name=name,
+            configuration=name,
             sensors=self.used,
             t=drive.t,
             pose=pose,

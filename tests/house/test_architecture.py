@@ -48,6 +48,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
     "cli": (
         "choose",
         "pipeline",
+        "session",
         "jobs rerun inspect",
         "terminal",
         "commands",

@@ -19,7 +19,7 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from locfuse import sample_logs
-from locfuse.cli.commands.simulate import localise
+from locfuse.cli.jobs.simulate import localise
 from locfuse.cli.pipeline.load import TABLES
 from locfuse.fusion.data import Array, ArrayStream, Ragged, UsageError
 from locfuse.sample_logs import load

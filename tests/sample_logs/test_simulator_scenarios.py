@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from locfuse.cli.commands.simulate import localise, simulate
+from locfuse.cli.commands.simulate import simulate
+from locfuse.cli.jobs.simulate import localise
 from locfuse.fusion.data import LocfuseError, UsageError
 from locfuse.sample_logs import load
 from locfuse.sample_logs.messages import streams

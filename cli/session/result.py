@@ -1,0 +1,202 @@
+"""What running or comparing configurations gives: estimates, judgements, a report, and its files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from locfuse.cli.pipeline import exports, maps, outputs, results
+from locfuse.cli.pipeline.compare import Compared
+from locfuse.cli.pipeline.load import Loaded
+from locfuse.cli.pipeline.settings import PathLike, chosen, path_of
+from locfuse.fusion.data import Drive, Estimates, Evaluation, UsageError
+from locfuse.fusion.judge.credit import Credit
+from locfuse.fusion.robot import Robot
+
+from .named import Named
+
+if TYPE_CHECKING:
+    from locfuse.formats.whole_files import Content
+
+Kinds = str | Iterable[str] | None  # "json,tum" or ["json", "tum"]; None: all
+EXPORT = "--export: unknown format"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Result:
+    """One or several configurations over one log.
+
+    `estimates["all"].pose` is (n, 3): x, y [m], theta [rad], map frame, at `estimates["all"].t` [s since the first
+    wheel reading]; `estimates["all"].P` its covariance (n, 3, 3). `evaluations["all"].figures` are the error
+    figures against truth (None without truth), SI units with the unit in the key. `report` is what report.json
+    or run.json holds.
+    """
+
+    loaded: Loaded
+    estimates: Named[Estimates]  # by the name of the result: "all", "all-smoothed"
+    evaluations: Named[Evaluation]  # by the same names
+    report: dict[str, Any]
+
+    @property
+    def drive(self) -> Drive:
+        """The measured log."""
+        return self.loaded.drive
+
+    @property
+    def robot(self) -> Robot:
+        """The settings that were used."""
+        return self.loaded.robot
+
+    @property
+    def notes(self) -> list[str]:
+        """What a reader of the figures must know, of the log and of what the configurations found in it."""
+        from locfuse.formats.report.notes import notes_of
+
+        return notes_of(self.report)
+
+    def table(self) -> list[dict[str, Any]]:
+        """Return one row per result, for pandas.DataFrame or polars.DataFrame: the columns of report.csv.
+
+        "configuration" is the result's name; figures are in SI units with the unit in the key, None where a
+        figure does not exist; `<sensor>_accepted`, `_rejected`, `_absent`, `_nis` count its measurements.
+        """
+        sensors = list(dict.fromkeys(s for v in self.report["configurations"].values() for s in v["sensors"]))
+        return [
+            {**_scalars(values), "configuration": name, **_counts(values["sensors"], sensors)}
+            for name, values in self.report["configurations"].items()
+        ]
+
+    def losses(self, strict: bool = False) -> list[str]:
+        """Return in words what was lost: bytes of the file, or more than 1 % of a used sensor's readings.
+
+        The command exits with 3 where there is any. `strict` counts every single reading.
+        """
+        return results.loss_lines(self.loaded, self._used(), strict)
+
+    def _used(self) -> list[str]:
+        return sorted({s for e in self.estimates.values() for s in e.sensors})
+
+    def __repr__(self) -> str:
+        """Return the kind of result, the log and the names of its results."""
+        return f"<{type(self).__name__} of {self.loaded.log.name}: {', '.join(self.estimates)}>"
+
+    def _repr_html_(self) -> str:
+        """Return verdicts and table, as a notebook shows them."""
+        from locfuse.formats.report import notebook
+
+        return notebook.render(self.report)
+
+    def _written(self, folder: PathLike | None, files: Mapping[str, Content], overwrite: bool) -> list[Path]:
+        from locfuse.formats.whole_files import write_results
+
+        place = results.default_folder(self.loaded.log.name) if folder is None else path_of(folder)
+        write_results(place, files, overwrite)
+        return [place / name for name in sorted(files)]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Run(Result):
+    """One configuration over one log, filtered, and smoothed where that was asked for."""
+
+    @property
+    def filtered(self) -> Estimates:
+        """What the filter estimated, with an audit of every measurement."""
+        return next(e for e in self.estimates.values() if not e.smoothed)
+
+    @property
+    def smoothed(self) -> Estimates | None:
+        """What the whole drive says of every instant; None where it was not asked for."""
+        return next((e for e in self.estimates.values() if e.smoothed), None)
+
+    def write(
+        self, folder: PathLike | None = None, *, write: Kinds = None, export: Kinds = (), overwrite: bool = False
+    ) -> list[Path]:
+        """Write what `locfuse run -o FOLDER` writes, byte for byte, and return the files.
+
+        Args:
+            folder: where to; None is locfuse-out/<log name>.
+            write: of "tum", "csv", "json" those to write; None writes all.
+            export: formats of other tools: "mcap", "log", "kitti", "tum-cov" ...
+            overwrite: write into a folder that holds something else.
+
+        Raises:
+            LocfuseError: the folder holds something else, or cannot be written.
+        """
+        kinds = chosen(write, outputs.OF_RUN)
+        named = {"smoothed" if e.smoothed else "trajectory": e for e in self.estimates.values()}
+        files = outputs.files_of_run(self.loaded, named, self.report, kinds)
+        files |= exports.files(chosen(export, list(exports.KINDS), EXPORT), self.loaded, named)
+        return self._written(folder, files, overwrite)
+
+    def _used(self) -> list[str]:
+        return list(self.filtered.sensors)
+
+    def write_audit(self, file: PathLike) -> None:
+        """Write every measurement with its distance, threshold and verdict as CSV."""
+        from locfuse.formats.results.audit import audit_csv
+        from locfuse.formats.whole_files import whole_file
+
+        with whole_file(path_of(file)) as path:
+            path.write_text(audit_csv(self.drive, self.filtered))
+
+    def save_map(self, file: PathLike) -> None:
+        """Write the line map of this run, with covariances, as JSON: `session.with_map` reads it."""
+        if "lrf" not in self.filtered.sensors:
+            raise UsageError(
+                "save_map: only the laser has a map, and this run did not use it; add lrf to its sensors"
+            )
+        maps.keep(self.filtered, path_of(file), self.loaded.log.name)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison(Result):
+    """Several configurations over one log, and what each sensor is worth."""
+
+    compared: Compared
+    drawn: outputs.Drawn
+
+    @cached_property
+    def verdicts(self) -> Named[dict[str, Any]]:
+        """By sensor: {"verdict": "helps", "words": why}."""
+        return Named("sensor", self.report["verdicts"])
+
+    @property
+    def credit(self) -> Credit | None:
+        """What each sensor does to the position error, with intervals; None without truth."""
+        return self.compared.credit
+
+    def write(
+        self, folder: PathLike | None = None, *, write: Kinds = None, export: Kinds = (), overwrite: bool = False
+    ) -> list[Path]:
+        """Write what `locfuse compare -o FOLDER` writes, byte for byte, and return the files.
+
+        Args:
+            folder: where to; None is locfuse-out/<log name>.
+            write: of "html", "md", "json", "tum", "csv", "tex" those to write; None writes all.
+            export: formats of other tools: "mcap", "log", "kitti", "tum-cov" ...
+            overwrite: write into a folder that holds something else.
+
+        Raises:
+            LocfuseError: the folder holds something else, or cannot be written.
+        """
+        kinds = chosen(write, outputs.OF_COMPARISON)
+        files = outputs.files(self.compared, self.drawn, self.report, kinds)
+        files |= exports.files(chosen(export, list(exports.KINDS), EXPORT), self.loaded, self.estimates)
+        return self._written(folder, files, overwrite)
+
+    def write_figures(self, folder: PathLike) -> list[Path]:
+        """Write every figure as SVG and PDF, for a paper, and return the files."""
+        return self._written(folder, outputs.figure_files(self.compared, self.drawn), overwrite=True)
+
+
+def _scalars(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a cell can hold; lists and tables of a configuration are in the report."""
+    return {"configuration": "", **{k: v for k, v in values.items() if not isinstance(v, Mapping | list)}}
+
+
+def _counts(found: Mapping[str, Mapping[str, Any]], sensors: Iterable[str]) -> dict[str, Any]:
+    counts = ("accepted", "rejected", "absent", "nis")
+    return {f"{s}_{count}": found.get(s, {}).get(count) for s in sensors for count in counts}

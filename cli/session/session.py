@@ -1,0 +1,169 @@
+"""A measured log: fused under any set of sensors as often as one likes, without being read again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import cast, get_args
+
+from locfuse.cli.pipeline import maps
+from locfuse.cli.pipeline.compare import compare_log, report_of, report_of_run
+from locfuse.cli.pipeline.configurations import Configuration, Sensors, for_comparison, parse
+from locfuse.cli.pipeline.load import Loaded, find_log, load_to_fuse
+from locfuse.cli.pipeline.memory import lean
+from locfuse.cli.pipeline.outputs import Drawn
+from locfuse.cli.pipeline.settings import (
+    LogOptions,
+    PathLike,
+    Progress,
+    Sets,
+    log_options,
+    one_of,
+    path_of,
+    silent,
+    words_of,
+)
+from locfuse.formats.log.log import Log
+from locfuse.fusion.data import Drive
+from locfuse.fusion.judge.evaluate import Align, evaluate
+from locfuse.fusion.robot import Robot
+
+from .named import Named
+from .result import Comparison, Run
+
+
+def load(
+    log: PathLike | Sequence[PathLike],
+    *,
+    robot: PathLike | None = None,
+    sets: Sets | None = None,
+    order: str | None = None,
+    preset: str | None = None,
+    progress: Progress = silent,
+) -> Session:
+    """Open a log, choose its topics, and measure every sensor once.
+
+    Args:
+        log: an .mcap, .db3 or .bag file, a rosbag2 folder, the name of a sample log ("rounded_rectangle"), or a
+            list with the parts of one recording.
+        robot: a robot.toml; it goes over the one that the log carries.
+        sets: single keys of robot.toml, which go over both: {"lrf.topic": "/front/scan", "wheels.radius": 0.033}.
+        order: "auto", "stamp" or "recorded": which clock wins where stamps run backwards.
+        preset: "default", or "paper" for the paper's equations as printed.
+        progress: called with the name of every step, such as `print`.
+
+    Raises:
+        LocfuseError: no such file, not a log, no wheels, a setting that fits nothing; in one line, as the command
+            prints it.
+    """
+    return opened(words_of(log), log_options(robot, sets, order, preset), progress)
+
+
+def opened(log: Sequence[str], how: LogOptions, progress: Progress, read_again: bool = False) -> Session:
+    """Return the session of a log as a command line names it; `read_again`: its columns are needed once more."""
+    return Session(load_to_fuse(find_log(log), how, progress, read_again), progress)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Session:
+    """One measured log under one description of the robot."""
+
+    loaded: Loaded
+    progress: Progress = silent
+
+    @property
+    def log(self) -> Log:
+        """The log: `log.topics`, `log.stream("/scan").columns("ranges")`."""
+        return self.loaded.log
+
+    @property
+    def robot(self) -> Robot:
+        """The effective settings: `robot.wheels.radius`, `robot.settings("lrf").topic`."""
+        return self.loaded.robot
+
+    @property
+    def drive(self) -> Drive:
+        """The measured log: wheel motion, measurements by sensor, truth; what the log lacks in `drive.absent`."""
+        return self.loaded.drive
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was chosen, repaired or found unusual while reading, in words."""
+        return self.drive.notes
+
+    def run(self, sensors: Sensors | Configuration = "all", *, align: str = "none", smooth: bool = False) -> Run:
+        """Estimate the trajectory with one set of sensors, as `locfuse run` does.
+
+        Args:
+            sensors: "all", "odometry", "compass,lrf", ["compass", "lrf"], or "lrf@2Hz" for a lower rate.
+            align: "none", "origin" or "se2": how to move the estimate onto the truth before judging it.
+            smooth: also smooth: what the whole drive, its end included, says of every instant.
+
+        Raises:
+            LocfuseError: an unknown sensor, or one that this log lacks.
+        """
+        one_of(align, get_args(Align), "align")
+        used = sensors if isinstance(sensors, Configuration) else self.configuration(sensors)
+        self.progress("fusing")
+        estimates = lean(used.fuse, self.drive, self.robot, smooth)
+        evaluations = [evaluate(e, used.drive(self.drive), cast("Align", align)) for e in estimates]
+        report = report_of_run(self.loaded, used, estimates, evaluations)
+        self.progress("writing")
+        return Run(
+            self.loaded,
+            Named("configuration", {e.name: e for e in estimates}),
+            Named("configuration", {e.name: e for e in evaluations}),
+            report,
+        )
+
+    def compare(
+        self,
+        sensors: Sensors | Iterable[Sensors] | None = None,
+        *,
+        all_subsets: bool = False,
+        align: str = "none",
+        smooth: bool = False,
+        audits: bool = True,
+    ) -> Comparison:
+        """Run several configurations and say what each sensor is worth, as `locfuse compare` does.
+
+        Args:
+            sensors: the configurations, such as ["odometry", "compass+lrf", "all", "lrf@2Hz"]; None compares
+                odometry, each sensor alone, and all.
+            all_subsets: every subset of the sensors: what each is worth beside the others too.
+            align: "none", "origin" or "se2": how to move every estimate onto the truth before judging it.
+            smooth: also smooth every configuration that has sensors: "all-smoothed".
+            audits: keep every measurement's innovation and verdict, `estimates["lrf"].audits["lrf"]`. They are
+                most of what a result holds; False frees them as soon as the figures have what they show.
+
+        Raises:
+            LocfuseError: an unknown sensor, or one that this log lacks.
+        """
+        words = () if sensors is None else (sensors,) if isinstance(sensors, str) else tuple(sensors)
+        wanted = for_comparison(words, self.drive, all_subsets)
+        drawn = Drawn()
+        compared = compare_log(self.loaded, wanted, align, self.progress, smooth, [drawn.take], audits)
+        report = report_of(compared)
+        self.progress("writing")
+        return Comparison(
+            self.loaded,
+            Named("configuration", {e.name: e for e in compared.estimates}),
+            Named("configuration", {e.name: e for e in compared.evaluations}),
+            report,
+            compared,
+            drawn,
+        )
+
+    def configuration(self, sensors: Sensors) -> Configuration:
+        """Return the configuration that words name. Raises LocfuseError for a sensor that this log lacks."""
+        return parse(sensors, self.drive)
+
+    def with_map(self, file: PathLike) -> Session:
+        """Return the same drive with a laser that localises in the line map of a file, which stays as it is."""
+        return replace(self, loaded=maps.give(self.loaded, path_of(file)))
+
+    def __repr__(self) -> str:
+        """Return the log's name, its duration and what was measured."""
+        sensors = ", ".join(("wheels", *self.drive.measurements))
+        truth = "no truth" if self.drive.truth is None else f"truth {self.drive.truth.topic}"
+        return f"<Session of {self.log.name}: {self.drive.t[-1] - self.drive.t[0]:.1f} s, {sensors}; {truth}>"

@@ -1,0 +1,189 @@
+"""Several logs compared one by one, and what they say together about each configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple, TypedDict, Unpack, overload
+
+from locfuse.cli.choose.grouping import logs_of
+from locfuse.cli.pipeline import outputs, results
+from locfuse.cli.pipeline.configurations import Sensors
+from locfuse.cli.pipeline.load import find_log
+from locfuse.cli.pipeline.settings import PathLike, Progress, Sets, chosen, log_options, path_of, silent, words_of
+from locfuse.cli.pipeline.verdicts import credit_values, verdicts
+from locfuse.formats.log.files import log_name
+from locfuse.formats.report import json_report
+from locfuse.formats.report import summary as over
+from locfuse.formats.whole_files import may_write, write_results
+from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.judge.credit import Credit, credit_over_logs
+
+from .named import Named
+from .result import Comparison, Kinds
+from .session import opened
+
+KINDS = ("json", "md", "csv")  # of a summary
+FOLDER = "summary"
+
+
+class Judged(NamedTuple):
+    """What a summary takes of one log's comparison."""
+
+    report: Mapping[str, Any]
+    credit: Credit | None
+
+
+class Summary:
+    """The comparisons of several logs, and what they say together.
+
+    `results["monday"]` is the comparison of one log, `report` what summary.json holds.
+    """
+
+    def __init__(self, found: Mapping[str, Comparison]) -> None:
+        self.results = Named("log", found)
+        self._judged = {name: Judged(r.report, r.credit) for name, r in found.items()}
+        self.report = summarised(self._judged)
+
+    def table(self) -> list[dict[str, Any]]:
+        """Return one row per log and configuration, as `Comparison.table`, with the log's name in "log"."""
+        return [{"log": name, **row} for name, result in self.results.items() for row in result.table()]
+
+    def write(self, folder: PathLike | None = None, *, write: Kinds = None, overwrite: bool = False) -> list[Path]:
+        """Write what `locfuse compare LOG LOG -o FOLDER` writes: the summary, and every log's results in a folder.
+
+        `write` chooses among "html", "md", "json", "tum", "csv", "tex"; None writes all. Returns the summary's
+        files. Raises LocfuseError where the folder holds something else, unless `overwrite`.
+        """
+        place = default_folder() if folder is None else path_of(folder)
+        may_write(place, overwrite)
+        for name, result in self.results.items():
+            result.write(place / name, write=of_each(write), overwrite=overwrite)
+        files = summary_files(self.report, self._judged, write)
+        write_results(place, files, overwrite=True)
+        return [place / name for name in sorted(files)]
+
+    def __repr__(self) -> str:
+        """Return the logs and which configuration is best."""
+        return f"<Summary of {', '.join(self.results)}: {over.headline(self.report)}>"
+
+    def _repr_html_(self) -> str:
+        """Return headline, verdicts and table, as a notebook shows them."""
+        from locfuse.formats.report import notebook
+
+        return notebook.render_summary(self.report)
+
+
+class Choices(TypedDict, total=False):
+    """The keywords of `compare`."""
+
+    robot: PathLike | None
+    sets: Sets | None
+    order: str | None
+    preset: str | None
+    sensors: Sensors | Sequence[Sensors] | None
+    all_subsets: bool
+    align: str
+    smooth: bool
+    progress: Progress
+
+
+@overload
+def compare(log: PathLike | Sequence[PathLike], /, **choices: Unpack[Choices]) -> Comparison: ...
+
+
+@overload
+def compare(
+    log: PathLike | Sequence[PathLike], /, *more: PathLike | Sequence[PathLike], **choices: Unpack[Choices]
+) -> Summary: ...
+
+
+def compare(
+    *logs: PathLike | Sequence[PathLike],
+    robot: PathLike | None = None,
+    sets: Sets | None = None,
+    order: str | None = None,
+    preset: str | None = None,
+    sensors: Sensors | Sequence[Sensors] | None = None,
+    all_subsets: bool = False,
+    align: str = "none",
+    smooth: bool = False,
+    progress: Progress = silent,
+) -> Comparison | Summary:
+    """Say what each sensor is worth, over one log or over several of one robot.
+
+    One log gives a Comparison, as `load(log).compare()`. Several give a Summary: every log compared by itself,
+    and what all say together. Arguments are those of `load` and of `Session.compare`; audits are kept of a single
+    log only.
+
+        locfuse.compare("rounded_rectangle")
+        locfuse.compare("monday.mcap", "tuesday.mcap", robot="robot.toml", sensors=["odometry", "lrf"])
+
+    Raises:
+        LocfuseError: a log cannot be used, or a sensor is unknown; in one line that names the log.
+    """
+    how = log_options(robot, sets, order, preset)
+    asked: dict[str, Any] = {"all_subsets": all_subsets, "align": align, "smooth": smooth}
+    if len(logs) == 1:
+        return opened(words_of(logs[0]), how, progress).compare(sensors, **asked)
+    found = {}
+    for name, parts in named(logs_of([word for log in logs for word in words_of(log)])).items():
+        with naming(name):
+            found[name] = opened(parts, how, progress).compare(sensors, **asked, audits=False)
+    return Summary(found)
+
+
+def named(logs: Sequence[Sequence[str]]) -> dict[str, Sequence[str]]:
+    """Return the logs by a name for the folder of each; of equal names the later ones are numbered."""
+    found: dict[str, Sequence[str]] = {}
+    for parts in logs:
+        name = stem = log_name(find_log(parts))
+        number = 2
+        while name in found:
+            name, number = f"{stem}_{number}", number + 1
+        found[name] = parts
+    return found
+
+
+@contextmanager
+def naming(log: str) -> Iterator[None]:
+    """Let an error inside name the log, unless it does so already."""
+    try:
+        yield
+    except LocfuseError as problem:
+        raise type(problem)(str(problem) if log in str(problem) else f"{log}: {problem}") from None
+
+
+def summarised(found: Mapping[str, Judged]) -> dict[str, Any]:
+    """Return the summary over comparisons by log: figures, and what each sensor does over all of them."""
+    reports = {name: one.report for name, one in found.items()}
+    summary = {"locfuse": version("locfuse"), **over.summarise(reports), "credit": None, "verdicts": {}}
+    judged = [one.credit for one in found.values() if one.credit is not None]
+    if len(judged) > 1:
+        together = credit_over_logs(judged)
+        summary["credit"] = credit_values(together)
+        summary["verdicts"] = verdicts(together, [], {})
+    return json_report.plain(summary)
+
+
+def default_folder() -> Path:
+    """Return where a summary goes unless -o says otherwise."""
+    return results.default_folder(FOLDER)
+
+
+def of_each(write: Kinds) -> Kinds:
+    """Return the kinds to write of every single log: those that were chosen, and the report always."""
+    return write if write is None else chosen(write, outputs.OF_COMPARISON) | {"json"}
+
+
+def summary_files(summary: Mapping[str, Any], found: Mapping[str, Judged], write: Kinds) -> dict[str, str]:
+    """Return the summary's files: .json, and .md and .csv unless `write` names only others of these kinds."""
+    asked = chosen(write, outputs.OF_COMPARISON)
+    kinds = set(KINDS) if asked - set(KINDS) else asked
+    files = {"summary.json": json_report.encode(summary)}
+    files |= {"summary.md": over.render(summary)} if "md" in kinds else {}
+    reports = {name: judged.report for name, judged in found.items()}
+    files |= {"summary.csv": over.csv(reports)} if "csv" in kinds else {}
+    return files

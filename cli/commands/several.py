@@ -19,13 +19,13 @@ from locfuse.cli.jobs import ci_gates
 from locfuse.cli.pipeline import results
 from locfuse.cli.pipeline.load import find_log
 from locfuse.cli.pipeline.verdicts import credit_values, verdicts
+from locfuse.cli.terminal import show
 from locfuse.cli.terminal.options import chosen
 from locfuse.cli.terminal.screen import reader_may_leave, screen
 from locfuse.formats.log.files import log_name
 from locfuse.formats.report import changes as sides
 from locfuse.formats.report import json_report
 from locfuse.formats.report import summary as over
-from locfuse.formats.report.columns import cell
 from locfuse.formats.whole_files import may_write, write_results
 from locfuse.fusion.data import LocfuseError, UsageError
 from locfuse.fusion.judge.credit import Credit, SensorCredit, credit_over_logs
@@ -166,32 +166,12 @@ def _ln(factor: float | None) -> float | None:
 
 
 def _show_summary(summary: Mapping[str, Any]) -> None:
-    from rich import box
-    from rich.table import Table
     from rich.text import Text
 
-    columns = [c for c in over.columns_of(summary) if c.key in {over.MAIN, "heading_rmse_deg", "anees"}]
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("configuration", no_wrap=True)
-    for column in columns:
-        heads = ("mean", "median", "worst") if column.key == over.MAIN else ("mean",)
-        for head in heads:
-            table.add_column(f"{column.title} {head}", justify="right")
-    table.add_column("best in", justify="right", no_wrap=True)
-    for name, values in summary["configurations"].items():
-        cells = []
-        for column in columns:
-            figure = values["figures"].get(column.key, {})
-            which = ("mean", "median", "worst") if column.key == over.MAIN else ("mean",)
-            unit = f" {column.unit}" if column.unit == "m" else column.unit
-            cells += [cell(column, figure.get(w)) + unit if figure else "-" for w in which]
-        table.add_row(Text(name), *cells, f"{values['best_in']} of {summary['judged']}")
-    console = screen()
-    if columns:
-        console.print(table)
-    console.print(Text(over.headline(summary)))
-    for sensor, verdict in summary["verdicts"].items():
-        console.print(Text.assemble((f"{sensor} {verdict['verdict']}. ", "bold"), verdict["words"]))
+    if over.columns_of(summary):
+        show.table(over.brief(summary))
+    screen().print(Text(over.headline(summary)))
+    show.verdicts(summary)
 
 
 def compare_results(files: Sequence[Path], params: Mapping[str, Any]) -> int:
@@ -211,7 +191,7 @@ def compare_results(files: Sequence[Path], params: Mapping[str, Any]) -> int:
         return 0
     for after, one in found.items():
         click.echo(f"{before} -> {after}")
-        _show_changes(one)
+        show.table(sides.table(one).once())
         for line in sides.remarks(one):
             click.echo(line)
     if written:
@@ -226,18 +206,3 @@ def _read(file: Path) -> dict[str, Any]:
     except (ValueError, KeyError, TypeError, AttributeError):
         raise LocfuseError(f"{file}: not a report of locfuse; make one with: locfuse compare LOG -o DIR") from None
     return report
-
-
-def _show_changes(found: Mapping[str, Any]) -> None:
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for i, title in enumerate(("configuration", "figure", "before", "after", "change")):
-        table.add_column(title, justify="left" if i < 2 else "right", no_wrap=True)
-    last = ""
-    for name, column, figure in sides.rows(found):
-        table.add_row(Text(name if name != last else ""), column.title, *sides.cells(column, figure))
-        last = name
-    screen().print(table)

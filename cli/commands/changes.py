@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 from click.core import ParameterSource
 
-from locfuse.cli.terminal.screen import screen
+from locfuse.cli.terminal import show
 from locfuse.formats.report import changes as sides
 from locfuse.formats.report import json_report
 from locfuse.formats.whole_files import write_results
@@ -39,7 +39,7 @@ def changes(files: Sequence[Path], wish: Wish) -> int:
         return 0
     for after, one in found.items():
         click.echo(f"{before} -> {after}")
-        _show_changes(one)
+        show.table(sides.table(one).once())
         for line in sides.remarks(one):
             click.echo(line)
     if written:
@@ -64,18 +64,3 @@ def _read(file: Path) -> dict[str, Any]:
     except (ValueError, KeyError, TypeError, AttributeError):
         raise LocfuseError(f"{file}: not a report of locfuse; make one with: locfuse compare LOG -o DIR") from None
     return report
-
-
-def _show_changes(found: Mapping[str, Any]) -> None:
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for i, title in enumerate(("configuration", "figure", "before", "after", "change")):
-        table.add_column(title, justify="left" if i < 2 else "right", no_wrap=True)
-    last = ""
-    for name, column, figure in sides.rows(found):
-        table.add_row(Text(name if name != last else ""), column.title, *sides.cells(column, figure))
-        last = name
-    screen().print(table)

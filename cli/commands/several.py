@@ -15,7 +15,6 @@ from locfuse.cli.session.summary import default_folder, named, naming, summarise
 from locfuse.cli.terminal import show
 from locfuse.cli.terminal.screen import reader_may_leave, screen
 from locfuse.formats.report import summary as over
-from locfuse.formats.report.columns import cell
 from locfuse.formats.whole_files import may_write, write_results
 from locfuse.fusion.data import UsageError
 
@@ -62,29 +61,9 @@ def _of_one(wish: Wish, name: str, folder: Path) -> Wish:
 
 
 def _show_summary(summary: Mapping[str, Any]) -> None:
-    from rich import box
-    from rich.table import Table
     from rich.text import Text
 
-    columns = [c for c in over.columns_of(summary) if c.key in {over.MAIN, "heading_rmse_deg", "anees"}]
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("configuration", no_wrap=True)
-    for column in columns:
-        heads = ("mean", "median", "worst") if column.key == over.MAIN else ("mean",)
-        for head in heads:
-            table.add_column(f"{column.title} {head}", justify="right")
-    table.add_column("best in", justify="right", no_wrap=True)
-    for name, values in summary["configurations"].items():
-        cells = []
-        for column in columns:
-            figure = values["figures"].get(column.key, {})
-            which = ("mean", "median", "worst") if column.key == over.MAIN else ("mean",)
-            unit = f" {column.unit}" if column.unit == "m" else column.unit
-            cells += [cell(column, figure.get(w)) + unit if figure else "-" for w in which]
-        table.add_row(Text(name), *cells, f"{values['best_in']} of {summary['judged']}")
-    console = screen()
-    if columns:
-        console.print(table)
-    console.print(Text(over.headline(summary)))
-    for sensor, verdict in summary["verdicts"].items():
-        console.print(Text.assemble((f"{sensor} {verdict['verdict']}. ", "bold"), verdict["words"]))
+    if over.columns_of(summary):
+        show.table(over.brief(summary))
+    screen().print(Text(over.headline(summary)))
+    show.verdicts(summary)

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import click
 
-from .screen import reader_may_leave, screen
+from .screen import reader_may_leave
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 Table = tuple[Sequence[str], Iterable[Sequence[str]]]  # titles, rows
@@ -33,27 +33,18 @@ def findings_options(what: str, tables: str) -> Callable[[Command], Command]:
 def print_findings(values: Any, tables: Iterable[Table], out: Path | None, as_json: bool) -> None:
     """Print what was found as JSON, or as tables and with how the file is used."""
     from locfuse.formats.report import json_report
+    from locfuse.formats.report.table import of_words, texts
+
+    from . import show
 
     with reader_may_leave():
         if as_json:
             click.echo(json_report.encode(values), nl=False)
             return
         for titles, rows in tables:
-            _print_table(titles, rows)
+            show.table(of_words(texts(*titles), rows))
         if out is not None:
             click.echo(f"{out}: use it with --robot {out}")
-
-
-def _print_table(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    from rich import box
-    from rich.table import Table as RichTable
-
-    table = RichTable(box=box.SIMPLE_HEAD, pad_edge=False)
-    for i, title in enumerate(titles):
-        table.add_column(title, justify="left" if i == 0 else "right", no_wrap=True)
-    for row in rows:
-        table.add_row(*row)
-    screen().print(table)
 
 
 def end(notes: Iterable[str], lost: Sequence[str], quiet: bool) -> int:

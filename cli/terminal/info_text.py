@@ -11,10 +11,11 @@ from locfuse.cli.inspect.mounts import extrinsics
 from locfuse.cli.inspect.overview import Overview
 from locfuse.cli.inspect.topics import TopicFacts, clock_word
 from locfuse.cli.inspect.values import absent, configurations, wheels_missing
+from locfuse.formats.report.table import Cell, Column, Table
 from locfuse.fusion.doctor.finding import Finding
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from .text_table import Column, table
+from . import text_table
 
 READS, CONFIGURATIONS, SPOILS, WORTH, NEXT = TITLES = (
     "what reads what",
@@ -22,6 +23,16 @@ READS, CONFIGURATIONS, SPOILS, WORTH, NEXT = TITLES = (
     "would spoil an estimate",
     "worth knowing",
     "next",
+)
+TOPICS = (
+    Column("topic", "topic", kind="text"),
+    Column("type", "type", kind="text", shorter=lambda kind: kind.rpartition("/")[2]),
+    Column("messages", "messages"),
+    Column("rate_hz", "Hz", form="{:.1f}", missing=""),
+    Column("longest_gap_s", "silent", "s", "{:.1f}", missing="", rank=1),
+    Column("clock", "clock", kind="text", rank=2),
+    Column("frame", "frame", kind="text", rank=3),
+    Column("roles", "read by", kind="text"),
 )
 MOST = 6  # unreadable topics, each with its reason
 
@@ -72,7 +83,7 @@ def _topics(overview: Overview, width: int | None) -> Iterator[str]:
             role.setdefault(topic, []).append(name)
     full = [f for f in overview.facts if f.count and f.problem is None]
     full.sort(key=lambda f: f.topic not in role)
-    yield from table(_columns(full, role), width)
+    yield from (line.rstrip() for line in text_table.lines(_table(full, role), width))
     if empty := [f.topic for f in overview.facts if not f.count]:
         yield from _wrapped("empty: ", ", ".join(empty), width, "  ")
     unreadable = [f for f in overview.facts if f.problem is not None and f.count]
@@ -82,22 +93,25 @@ def _topics(overview: Overview, width: int | None) -> Iterator[str]:
         yield f"not readable: {len(unreadable) - MOST} more"
 
 
-def _columns(facts: Sequence[TopicFacts], role: Mapping[str, Sequence[str]]) -> list[Column]:
-    kinds = [f.msgtype.replace("/msg/", "/") for f in facts]
-    return [
-        Column("topic", tuple(f.topic for f in facts)),
-        Column("type", tuple(kinds), short=tuple(k.rpartition("/")[2] for k in kinds)),
-        Column("messages", tuple(str(f.count) for f in facts), right=True),
-        Column("Hz", tuple(f"{f.rate_hz:.1f}" if f.rate_hz is not None else "" for f in facts), right=True),
-        Column("silent", tuple(_silence(f) for f in facts), right=True, rank=1),
-        Column("clock", tuple(clock_word(f) for f in facts), rank=2),
-        Column("frame", tuple(f.frame_id for f in facts), rank=3),
-        Column("read by", tuple(", ".join(role.get(f.topic, ())) for f in facts)),
-    ]
+def _table(facts: Sequence[TopicFacts], role: Mapping[str, Sequence[str]]) -> Table:
+    rows = (
+        (
+            f.topic,
+            f.msgtype.replace("/msg/", "/"),
+            f.count,
+            f.rate_hz,
+            _silence(f),
+            clock_word(f),
+            f.frame_id,
+            ", ".join(role.get(f.topic, ())),
+        )
+        for f in facts
+    )
+    return Table(TOPICS, tuple(tuple(map(Cell, row)) for row in rows))
 
 
-def _silence(f: TopicFacts) -> str:
-    return f"{max(b - a for a, b in f.gaps):.1f} s" if f.gaps else ""
+def _silence(f: TopicFacts) -> float | None:
+    return max(b - a for a, b in f.gaps) if f.gaps else None
 
 
 def _roles(overview: Overview, width: int | None) -> Iterator[str]:

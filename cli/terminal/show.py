@@ -11,20 +11,13 @@ from typing import Any, Protocol
 
 import click
 
-from locfuse.formats.report import json_report
-from locfuse.formats.report.columns import written
+from locfuse.formats.report import json_report, tables
 from locfuse.formats.report.notes import notes_of
+from locfuse.formats.report.table import Table
 
+from . import text_table
 from .screen import reader_may_leave, screen
 
-COLUMNS = (
-    ("rmse", "position_rmse_m", "{:.3f} m"),
-    ("max", "position_max_m", "{:.3f} m"),
-    ("final", "final_position_error_m", "{:.3f} m"),
-    ("heading", "heading_rmse_deg", "{:.2f}°"),
-    ("drift/5 m", "drift_5m", "{:.2%}"),
-    ("ANEES", "anees", "{:.2f}"),
-)
 NO_TRUTH = "no truth in this log: the error figures do not exist; if a topic holds it: --set truth.topic=/TOPIC"
 
 
@@ -80,72 +73,15 @@ def result(report: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> N
 
 def figures(report: Mapping[str, Any]) -> None:
     """Print the configurations and what became of each sensor's measurements."""
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    console = screen()
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    names, columns = list(report["configurations"]), _columns(report)
-    table.add_column("configuration", no_wrap=True, min_width=max(map(len, names)))
-    for title in columns:
-        table.add_column(title, justify="right", no_wrap=True)
-    for name, *cells in zip(names, *columns.values(), strict=True):
-        table.add_row(Text(name), *cells)
-    console.print(table)
-    sensors = _sensor_rows(report)
-    if sensors:
-        console.print(_sensor_table(sensors))
+    table(tables.brief(report))
+    table(tables.sensors(report).without("verdicts"))
 
 
-def _columns(report: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Return a cell per configuration by title: its errors, and without truth what can be told all the same."""
-    rows = report["configurations"]
-    shown = [c for c in COLUMNS if any(values.get(c[1]) is not None for values in rows.values())]
-    if shown:
-        return {title: [number(values.get(key), form) for values in rows.values()] for title, key, form in shown}
-    columns = {"distance": [number(values["distance_m"], "{:.2f} m") for values in rows.values()]}
-    if report.get("pseudo_reference"):
-        against = (values["against_smoothed"]["position_rmse_m"] for values in rows.values())
-        columns["rms to smoothed"] = [number(rmse, "{:.3f} m") for rmse in against]
-    if report.get("prediction"):
-        gains = {r["configuration"]: r["gain_nats"] for r in report["prediction"]["ranking"]}
-        columns["predicts the rest"] = [number(gains.get(name), "{:+.2f} nats") for name in rows]
-    return columns
-
-
-def _sensor_rows(report: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    return [
-        (
-            name,
-            sensor,
-            str(counts["accepted"]),
-            str(counts["rejected"]),
-            str(counts["absent"]),
-            number(counts["nis"], "{:.2f}"),
-        )
-        for name, values in report["configurations"].items()
-        for sensor, counts in values["sensors"].items()
-        if not values.get("smoothed")  # its measurements are those of the filter
-    ]
-
-
-def _sensor_table(rows: Sequence[tuple[str, ...]]) -> Any:
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for i, title in enumerate(("in", "sensor", "accepted", "rejected", "absent", "NIS")):
-        table.add_column(title, justify="left" if i < 2 else "right")
-    for row in rows:
-        table.add_row(*(Text(cell) for cell in row))
-    return table
-
-
-def number(value: float | None, form: str) -> str:
-    """Format a figure; a dash where it does not exist."""
-    return "-" if value is None else written(value, form)
+def table(shown: Table) -> None:
+    """Print a table if it has any rows."""
+    if shown.rows:
+        text = text_table.ruled(shown, width())
+        lines(text, bold=text[1:2])
 
 
 def notes(report: Mapping[str, Any], losses: Sequence[str], quiet: bool) -> None:

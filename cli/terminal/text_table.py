@@ -1,61 +1,87 @@
-"""A table of words that fits its width: what is least needed goes first, and no cell is folded."""
+"""A table on a terminal, fitted to its width: what is least needed goes first, and no number is ever cut."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-GAP = "  "
-LEAST = 12  # characters of a cell that is cut
+from locfuse.formats.report.table import Cell, Column, Table, text
+
+LEAST = 12  # characters of a text that is cut
 
 
 @dataclass(frozen=True)
-class Column:
-    """One column; where all cells are empty it is left out."""
+class Strip:
+    """One column as text, its heading first."""
 
-    title: str
+    column: Column
     cells: tuple[str, ...]
-    right: bool = False  # numbers stand at the right
-    short: tuple[str, ...] | None = None  # shorter words for the same
-    rank: int = 0  # where the table is too wide the highest goes first; 0 always stays
 
     @property
     def width(self) -> int:
         """Characters of its widest cell."""
-        return max(map(len, (self.title, *self.cells)))
+        return max(map(len, self.cells))
 
-    def lines(self) -> list[str]:
-        """Return title and cells, all of one width."""
-        pad = str.rjust if self.right else str.ljust
-        return [pad(cell, self.width) for cell in (self.title, *self.cells)]
-
-
-def table(columns: Sequence[Column], width: int | None) -> list[str]:
-    """Return the lines of a table of at most `width` characters, the titles first; None: as wide as it likes."""
-    fitted = [c for c in columns if any(c.cells)]
-    if width is not None:
-        fitted = _narrowed(fitted, width)
-    return [GAP.join(row).rstrip() for row in zip(*(c.lines() for c in fitted), strict=True)]
+    def padded(self) -> list[str]:
+        """Return heading and cells, all of one width."""
+        pad = str.rjust if self.column.kind == "number" else str.ljust
+        return [pad(cell, self.width) for cell in self.cells]
 
 
-def _narrowed(columns: Sequence[Column], width: int) -> list[Column]:
-    """Use short words, then leave columns out, then cut the widest cells."""
-    kept = list(columns)
-    if _width(kept) > width:
-        kept = [Column(c.title, c.short, c.right, None, c.rank) if c.short else c for c in kept]
-    while _width(kept) > width and any(c.rank for c in kept):
-        kept.remove(max(kept, key=lambda c: c.rank))
-    while (over := _width(kept) - width) > 0:
-        i, widest = max(enumerate(kept), key=lambda entry: entry[1].width)
-        if widest.width <= LEAST:
+def lines(table: Table, width: int | None, gap: str = "  ") -> list[str]:
+    """Return the lines of a table of at most `width` characters, headings first; None: as wide as it likes.
+
+    A column whose cells are all empty is left out.
+    """
+    strips = [
+        Strip(c, (c.brief or c.heading, *(_text(c, row[i]) for row in table.rows)))
+        for i, c in enumerate(table.columns)
+    ]
+    strips = [s for s in strips if any(s.cells[1:])]
+    fitted = strips if width is None else _fitted(strips, width, len(gap))
+    return [gap.join(row) for row in zip(*(s.padded() for s in fitted), strict=True)]
+
+
+def ruled(table: Table, width: int | None) -> list[str]:
+    """Return the lines of a table with a rule below its headings and an empty line before and after."""
+    found = lines(table, None if width is None else width - 2, "   ")
+    if not found:
+        return []
+    empty, rule = " " * len(found[0]), "─" * len(found[0])
+    return [f" {line} " for line in (empty, found[0], rule, *found[1:], empty)]
+
+
+def _text(column: Column, cell: Cell) -> str:
+    """Return a cell, a number with its unit."""
+    if isinstance(cell.value, int | float) and not isinstance(cell.value, bool):
+        return column.with_unit(cell.value, brief=True)
+    return text(column, cell)
+
+
+def _fitted(strips: Sequence[Strip], width: int, gap: int) -> list[Strip]:
+    """Use short words, then leave columns out, then cut the widest texts."""
+    kept = list(strips)
+    if _width(kept, gap) > width:
+        kept = [_shorter(s) for s in kept]
+    while _width(kept, gap) > width and any(s.column.rank for s in kept):
+        kept.remove(max(kept, key=lambda s: s.column.rank))
+    while (over := _width(kept, gap) - width) > 0:
+        i, widest = max(enumerate(kept), key=lambda entry: (entry[1].column.kind != "number", entry[1].width))
+        if widest.width <= LEAST or widest.column.kind == "number":
             break
-        cut = max(LEAST, widest.width - over)
-        kept[i] = Column(widest.title, tuple(_cut(cell, cut) for cell in widest.cells), widest.right)
+        to = max(LEAST, widest.width - over)
+        kept[i] = replace(widest, cells=tuple(_cut(cell, to) for cell in widest.cells))
     return kept
 
 
-def _width(columns: Sequence[Column]) -> int:
-    return sum(c.width for c in columns) + len(GAP) * max(0, len(columns) - 1)
+def _shorter(strip: Strip) -> Strip:
+    heading, *cells = strip.cells
+    shorter = strip.column.shorter
+    return strip if shorter is None else replace(strip, cells=(heading, *map(shorter, cells)))
+
+
+def _width(strips: Sequence[Strip], gap: int) -> int:
+    return sum(s.width for s in strips) + gap * max(0, len(strips) - 1)
 
 
 def _cut(cell: str, width: int) -> str:

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from .columns import COLUMNS, Column, cell
-from .markdown import escape
+from .render import escape, markdown
 from .summary import is_figure
+from .table import Column, Table, of_words, texts
+from .tables import MAIN
 
 Report = Mapping[str, Any]
-MAIN = tuple(c for c in COLUMNS if c.main)
+COLUMNS = texts("configuration", "figure", "before", "after", "change", left=2)
 
 
 def changes(before: Report, after: Report) -> dict[str, Any]:
@@ -58,17 +59,19 @@ def _flat(tables: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]
             yield f"{path}{key}", value
 
 
-def rows(found: Mapping[str, Any]) -> Iterator[tuple[str, Column, Mapping[str, float | None]]]:
-    """Yield (configuration, figure, its change) for people: the main figures that both results have."""
-    for name, figures in found["configurations"].items():
-        for column in MAIN:
-            if column.key in figures and figures[column.key]["change"] is not None:
-                yield name, column, figures[column.key]
+def table(found: Mapping[str, Any]) -> Table:
+    """Return for people the main figures that both results have, before and after."""
+    rows = (
+        (name, column.heading, *_sides(column, figures[column.key]))
+        for name, figures in found["configurations"].items()
+        for column in MAIN
+        if column.key in figures and figures[column.key]["change"] is not None
+    )
+    return of_words(COLUMNS, rows)
 
 
-def cells(column: Column, figure: Mapping[str, float | None]) -> tuple[str, str, str]:
-    """Return before, after and change as text with the unit."""
-    unit = f" {column.unit}" if column.unit == "m" else column.unit
+def _sides(column: Column, figure: Mapping[str, float | None]) -> tuple[str, str, str]:
+    """Return before, after and change as text; the figures of a column differ in unit."""
     share = figure["share"]
     change = (
         ""
@@ -79,7 +82,8 @@ def cells(column: Column, figure: Mapping[str, float | None]) -> tuple[str, str,
         if abs(share) < 10.0
         else f"x {share + 1:.3g}"
     )
-    return cell(column, figure["before"]) + unit, cell(column, figure["after"]) + unit, change
+    before, after = (column.with_unit(figure[side]) for side in ("before", "after"))
+    return before, after, change
 
 
 def remarks(found: Mapping[str, Any]) -> list[str]:
@@ -102,12 +106,6 @@ def _said(value: Any) -> str:
 
 def render(folders: tuple[str, str], found: Mapping[str, Any]) -> str:
     """Return the changes as Markdown."""
-    lines = [
-        f"# locfuse: {escape(folders[0])} and {escape(folders[1])}",
-        "",
-        "| configuration | figure | before | after | change |",
-        "|---|---|--:|--:|--:|",
-    ]
-    lines += [f"| {n} | {c.title} | " + " | ".join(cells(c, figure)) + " |" for n, c, figure in rows(found)]
-    lines += ["", *(f"- {escape(r)}" for r in remarks(found))]
+    title = f"# locfuse: {escape(folders[0])} and {escape(folders[1])}"
+    lines = [title, "", markdown(table(found)), "", *(f"- {escape(r)}" for r in remarks(found))]
     return "\n".join(lines).rstrip() + "\n"

@@ -16,13 +16,14 @@ from locfuse.formats.figures.palette import Colour, Trace
 from locfuse.formats.figures.panels import Section
 from locfuse.formats.figures.svg import HEIGHT, WIDTH, slugs_of, svg
 
-from .columns import columns_of, written
+from . import tables
 from .notes import notes_of
+from .render import SIGNS, Swatches, data, html
+from .table import Path, Piece, Table, written
 
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-SIGNS = {"helps": "▲", "does nothing": "■", "hurts": "▼"}
 TONES = {"helps": "good", "hurts": "bad"}
 SIZES = {1: (860, 500), 2: (WIDTH, HEIGHT), 3: (330, 190)}  # px of a panel by columns in its section
 STRIP = 200.0  # px, width of an effect strip
@@ -36,28 +37,28 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], registry: Seq
     folder = files(__package__)
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     template = environment.from_string((folder / "report.html.j2").read_text(encoding="utf-8"))
-    names = list(report["configurations"])
+    names, bars = list(report["configurations"]), _bars(report)
     traces = palette.traces_in(report)
     dashed = {name for name, trace in traces.items() if trace.dashed}
     inks = palette.colours({**traces, **{s: Trace(s, (s,)) for s in registry if s not in names}}, registry)
     roles = {**inks, **palette.ROLES}
     slugs = slugs_of(list(roles))
+    swatches = Swatches(slugs, dashed)
     drawn = {m.of for s in sections for p in s.panels for m in p.marks}
     page = template.render(
         report=report,
         style=Markup(_style((folder / "report.css").read_text(encoding="utf-8"), roles, slugs)),
         figures=Figures(report),
-        columns=columns_of(report["configurations"], main=True),
-        every_column=columns_of(report["configurations"]),
+        tables=tables,
+        table=lambda shown, painted=True: _table(shown, swatches if painted else None, bars),
         sections=[_drawn(s, slugs, dashed) for s in sections],
         legend=[(name, slugs[name]) for name in names if name in drawn],
         slugs=slugs,
-        dashed=dashed,
+        swatch=lambda name: Markup(swatches.of(name)),
         signs=SIGNS,
         tones=TONES,
         strips=_strips(report),
         notes=notes_of(report),
-        bars=_bars(report),
         roles=("truth", "bounds") if report["truth"] else ("bounds",),
     )
     return page.strip() + "\n"
@@ -69,7 +70,7 @@ class Figures:
     def __init__(self, report: Mapping[str, Any]) -> None:
         self._report = report
 
-    def __call__(self, path: Sequence[str | int], form: str = "{}", missing: str = "–") -> Markup:
+    def __call__(self, path: Sequence[str | int], form: str = "{}") -> Markup:
         """Return the figure at `path`, formatted; a dash where it does not exist."""
         from markupsafe import Markup
 
@@ -77,15 +78,14 @@ class Figures:
         for key in path:
             value = value[key]
         if value is None or (isinstance(value, float) and not math.isfinite(value)):
-            return Markup('<span class="none">{}</span>').format(missing)
-        return Markup('<data value="{}" data-from="{}">{}</data>').format(
-            repr(value), pointer(path), written(value, form)
-        )
+            return Markup('<span class="none">–</span>')
+        return Markup(data(Piece(written(value, form), value, tuple(path))))
 
 
-def pointer(path: Sequence[str | int]) -> str:
-    """Return a path as a JSON pointer (RFC 6901)."""
-    return "".join("/" + str(key).replace("~", "~0").replace("/", "~1") for key in path)
+def _table(shown: Table, swatches: Swatches | None, bars: Mapping[Path, float]) -> Markup:
+    from markupsafe import Markup
+
+    return Markup(html(shown, swatches, bars))
 
 
 def _style(css: str, roles: Mapping[str, Colour], slugs: Mapping[str, str]) -> str:
@@ -116,11 +116,16 @@ def p_id(section: Section, number: int) -> str:
     return f"{section.name}-{number}"
 
 
-def _bars(report: Mapping[str, Any]) -> dict[str, float]:
-    """Return each configuration's position rmse as a share of the worst, for the bars in the table."""
-    values = {n: v.get("position_rmse_m") for n, v in report["configurations"].items()}
+def _bars(report: Mapping[str, Any]) -> dict[Path, float]:
+    """Return each position rmse as a share [%] of the worst by its place, for the bars in the table."""
+    key = tables.RMSE.key
+    values = {name: v.get(key) for name, v in report["configurations"].items()}
     worst = max((v for v in values.values() if v), default=0.0)
-    return {n: 100.0 * v / worst for n, v in values.items() if v is not None and worst > 0.0}
+    return {
+        ("configurations", name, key): 100.0 * v / worst
+        for name, v in values.items()
+        if v is not None and worst > 0.0
+    }
 
 
 def _strips(report: Mapping[str, Any]) -> dict[str, dict[str, float | str]]:

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
-import csv as csv_format
-import io
 from collections.abc import Mapping
+from dataclasses import replace
 from statistics import fmean, median
 from typing import Any
 
-from .columns import COLUMNS, Column, cell
-from .markdown import escape
+from .render import csv as csv_of
+from .render import escape, markdown
+from .table import Column, Table, of_values
+from .tables import CONFIGURATION, DURATION, MAIN, RMSE
 
-MAIN = "position_rmse_m"
+OVER_LOGS = ("mean", "median", "worst")  # of a figure over the logs
+BRIEF = (
+    RMSE.key,
+    "heading_rmse_deg",
+    "anees",
+)  # on a terminal; all of OVER_LOGS of the first, the mean of the others
+OF = Column("of", "of", kind="text")
+BEST_IN = Column("best_in", "best in")
 NOT_ERRORS = ("duration_s", "distance_m", "truth_coverage")
 Reports = Mapping[str, Mapping[str, Any]]  # name of the log -> its report.json
 
@@ -39,13 +47,13 @@ def summarise(reports: Reports) -> dict[str, Any]:
 
 def best_of(report: Mapping[str, Any]) -> str | None:
     """Return the configuration with the smallest position error of one report; None without truth."""
-    known = {n: v[MAIN] for n, v in report["configurations"].items() if v.get(MAIN) is not None}
+    known = {n: v[RMSE.key] for n, v in report["configurations"].items() if v.get(RMSE.key) is not None}
     return min(known, key=lambda name: known[name]) if known else None
 
 
 def _best_mean(configurations: Mapping[str, Any], judged: int) -> str | None:
     """Return the configuration with the smallest mean position error among those that every judged log has."""
-    known = {n: c["figures"][MAIN] for n, c in configurations.items() if MAIN in c["figures"]}
+    known = {n: c["figures"][RMSE.key] for n, c in configurations.items() if RMSE.key in c["figures"]}
     everywhere = {n: f["mean"] for n, f in known.items() if f["logs"] == judged}
     return min(everywhere, key=lambda name: everywhere[name]) if everywhere else None
 
@@ -83,20 +91,49 @@ def is_figure(key: str, value: Any) -> bool:
 def columns_of(summary: Mapping[str, Any]) -> list[Column]:
     """Return the main columns that any configuration has."""
     rows = [c["figures"] for c in summary["configurations"].values()]
-    return [c for c in COLUMNS if c.main and any(c.key in row for row in rows)]
+    return [c for c in MAIN if any(c.key in row for row in rows)]
+
+
+def table(summary: Mapping[str, Any]) -> Table:
+    """Return mean, median and worst of every main figure, in rows below each other."""
+    rows = []
+    for name, values in summary["configurations"].items():
+        for which in OVER_LOGS:
+            own = {key: figure[which] for key, figure in values["figures"].items()}
+            best_in = _best_in(values, summary) if which == "mean" else ""
+            rows.append(({**own, "configuration": name, "of": which, "best_in": best_in}, ()))
+    return of_values((CONFIGURATION, OF, *columns_of(summary), BEST_IN), rows).once()
+
+
+def brief(summary: Mapping[str, Any]) -> Table:
+    """Return the most important figures for a terminal, a row per configuration."""
+    columns, rows = [], []
+    for c in (c for c in columns_of(summary) if c.key in BRIEF):
+        for which in OVER_LOGS if c is RMSE else OVER_LOGS[:1]:
+            heading = f"{c.brief or c.heading} {which}"
+            columns.append(replace(c, key=f"{c.key} {which}", brief=heading, brief_form=c.form))
+    for name, values in summary["configurations"].items():
+        own = {f"{key} {w}": figure[w] for key, figure in values["figures"].items() for w in OVER_LOGS}
+        rows.append(({**own, "configuration": name, "best_in": _best_in(values, summary)}, ()))
+    return of_values((CONFIGURATION, *columns, BEST_IN), rows)
+
+
+def _best_in(values: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
+    return f"{values['best_in']} of {summary['judged']}"
+
+
+def _logs(summary: Mapping[str, Any]) -> Table:
+    columns = (Column("log", "log", kind="text"), DURATION, Column("best", "best", kind="text"))
+    return of_values(columns, (({**v, "log": name}, ()) for name, v in summary["logs"].items()))
 
 
 def render(summary: Mapping[str, Any]) -> str:
     """Return the summary as Markdown. Names from logs are escaped."""
-    logs = summary["logs"]
     parts = [
-        f"# locfuse: {len(logs)} logs",
+        f"# locfuse: {len(summary['logs'])} logs",
         headline(summary),
-        _table(summary),
-        "\n".join(
-            ["| log | duration | best |", "|---|--:|---|"]
-            + [f"| {escape(n)} | {v['duration_s']:.1f} s | {v['best'] or '-'} |" for n, v in logs.items()]
-        ),
+        markdown(table(summary)) if columns_of(summary) else "",
+        markdown(_logs(summary)),
         "\n\n".join(
             f"**{escape(s)} {v['verdict']}.** {v['words']}" for s, v in summary.get("verdicts", {}).items()
         ),
@@ -111,7 +148,7 @@ def headline(summary: Mapping[str, Any]) -> str:
     if best is None:
         return "None of these logs has a truth: error figures do not exist."
     found = summary["configurations"][best]
-    mean = found["figures"][MAIN]["mean"]
+    mean = found["figures"][RMSE.key]["mean"]
     rivals = {n: c["best_in"] for n, c in summary["configurations"].items() if n != best and c["best_in"]}
     others = "".join(f", {n} in {k}" for n, k in rivals.items())
     unjudged = len(summary["logs"]) - judged
@@ -120,30 +157,12 @@ def headline(summary: Mapping[str, Any]) -> str:
     return f"Best is {best}: mean position rmse {mean:.4f} m; {wins}"
 
 
-def _table(summary: Mapping[str, Any]) -> str:
-    columns = columns_of(summary)
-    if not columns:
-        return ""
-    heads = [f"{c.title} [{c.unit}]" if c.unit else c.title for c in columns]
-    lines = [
-        "| configuration | of | " + " | ".join([*heads, "best in"]) + " |",
-        "|---|---|" + "--:|" * (len(heads) + 1),
-    ]
-    for name, values in summary["configurations"].items():
-        for which in ("mean", "median", "worst"):
-            cells = [cell(c, values["figures"].get(c.key, {}).get(which)) for c in columns]
-            count = f"{values['best_in']} of {summary['judged']}" if which == "mean" else ""
-            lines.append(f"| {name if which == 'mean' else ''} | {which} | " + " | ".join([*cells, count]) + " |")
-    return "\n".join(lines)
-
-
 def csv(reports: Reports) -> str:
     """Return one row per log and configuration with every error figure in full precision."""
-    rows = [(log, name, values) for log, r in reports.items() for name, values in r["configurations"].items()]
-    keys = list(dict.fromkeys(k for _, _, values in rows for k, v in values.items() if is_figure(k, v)))
-    out = io.StringIO()
-    writer = csv_format.writer(out, lineterminator="\n")
-    writer.writerow(["log", "configuration", *keys])
-    for log, name, values in rows:
-        writer.writerow([log, name, *("" if values.get(k) is None else repr(values[k]) for k in keys)])
-    return out.getvalue()
+    rows = [
+        ({**values, "log": log, "configuration": name}, ())
+        for log, r in reports.items()
+        for name, values in r["configurations"].items()
+    ]
+    keys = dict.fromkeys(k for values, _ in rows for k, v in values.items() if is_figure(k, v))
+    return csv_of(of_values([Column(key, key) for key in ("log", "configuration", *keys)], rows))

@@ -18,7 +18,8 @@ from trap_logs import PICTURES, WHEELS, Drive
 from traps_camera import decoded, raw
 
 from locfuse import sample_logs
-from locfuse.cli.terminal.text_table import Column, table
+from locfuse.cli.terminal import text_table
+from locfuse.formats.report.table import Column, of_words
 
 SAMPLES = ("rounded_rectangle", "rounded_triangle", "disturbed")
 GEOMETRY = ("--set", "wheels.radius=0.05", "--set", "wheels.track=0.4")
@@ -126,15 +127,19 @@ def test_in_a_pipe_every_finding_is_one_line(tmp_path: Path) -> None:
 
 def test_a_table_keeps_its_first_column_and_the_ends_of_long_words() -> None:
     names, kinds = ("/a/very/long/topic/name/with/many/parts", "/b"), ("package/LongTypeName", "p/T")
-    short = ("LongTypeName", "T")
-    columns = [Column("topic", names), Column("type", kinds, short=short), Column("x", ("1", "2"), rank=1)]
-    assert table(columns, None)[1].split() == [names[0], kinds[0], "1"]
+    columns = (
+        Column("topic", "topic", kind="text"),
+        Column("type", "type", kind="text", shorter=lambda kind: kind.rpartition("/")[2]),
+        Column("x", "x", rank=1),
+    )
+    table = of_words(columns, zip(names, kinds, ("1", "2"), strict=True))
+    assert text_table.lines(table, None)[1].split() == [names[0], kinds[0], "1"]
     for width in range(30, 80):
-        lines = table(columns, width)
+        lines = text_table.lines(table, width)
         assert max(map(len, lines)) <= width
         assert lines[1].split()[0].startswith("/a/v")
         assert lines[1].split()[0].endswith("rts")
-    assert table([Column("empty", ("", ""))], 80) == []
+    assert text_table.lines(of_words(columns[:1], [("",)]), 80) == []
 
 
 def test_what_is_missing_of_the_wheels_is_told_with_what_to_do(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from locfuse.cli.commands.several import read_credit, summarised
 from locfuse.cli.pipeline.verdicts import credit_values
 from locfuse.formats.report import changes as sides
 from locfuse.formats.report import summary as over
+from locfuse.formats.report.table import records
 from locfuse.fusion.data import UsageError
 from locfuse.fusion.judge.credit import Credit, SensorCredit
 from locfuse.fusion.judge.verdict import Effect
@@ -147,7 +148,7 @@ def test_changes_of_every_figure_and_setting_between_two_results() -> None:
 def test_a_figure_that_only_one_result_has_is_no_change() -> None:
     found = sides.changes(report({"all": None}), report({"all": 0.3}))
     assert found["configurations"]["all"]["position_rmse_m"]["change"] is None
-    assert [column.key for _, column, _ in sides.rows(found)] == ["anees"]
+    assert [row["figure"] for row in records(sides.table(found))] == ["ANEES"]
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,174 @@
+"""One table for every medium: the same rows as Markdown, HTML, LaTeX, CSV, records, and on a terminal."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from html.parser import HTMLParser
+from typing import Any
+
+import pytest
+import small_scene
+
+from locfuse.cli.terminal import show, text_table
+from locfuse.formats.report import render, tables
+from locfuse.formats.report.table import Cell, Column, Table, of_values, of_words, records, text, texts
+
+EVIL = "<b>&|*_`$\\"
+LENGTH = Column("length_m", "length", "m", "{:.2f}", brief="len", brief_form="{:.1f}")
+SHARE = Column("share", "share", form="{:.1%}", rank=1)
+TABLE = Table(
+    (Column("name", "name", kind="text"), LENGTH, SHARE),
+    (
+        (Cell("short"), Cell(1.239, ("runs", "short", "length_m")), Cell(0.5, ("runs", "short", "share"))),
+        (Cell("none"), Cell(None, ("runs", "none", "length_m")), Cell(float("nan"))),
+    ),
+)
+
+
+class Cells(HTMLParser):
+    """The texts of a table's cells by row, and what its numbers say of their source."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.rows: list[list[str]] = []
+        self.data: dict[str, float] = {}
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag == "tr":
+            self.rows.append([])
+        if tag in {"th", "td"}:
+            self.rows[-1].append("")
+        if tag == "data":
+            found = dict(attrs)
+            self.data[found["data-from"] or ""] = float(found["value"] or "")
+
+    def handle_data(self, data: str) -> None:
+        if self.rows and self.rows[-1] and data.strip():
+            self.rows[-1][-1] += data
+
+
+def in_html(table: Table) -> list[list[str]]:
+    return Cells(render.html(table)).rows[1:]
+
+
+def in_markdown(table: Table) -> list[list[str]]:
+    lines = render.markdown(table).splitlines()[2:]
+    cells = [re.split(r"(?<!\\)\|", line)[1:-1] for line in lines]
+    return [[re.sub(r"\\([^\w\s])", r"\1", re.sub(r"\\_", "_", c)).strip() for c in row] for row in cells]
+
+
+def in_latex(table: Table) -> list[list[str]]:
+    lines = render.latex(table).split("\\midrule\n")[1].split("\\bottomrule")[0].splitlines()
+    return [line.removesuffix(r" \\").replace(r"\%", "%").split(" & ") for line in lines]
+
+
+@pytest.fixture(scope="module")
+def report() -> dict[str, Any]:
+    _, found = small_scene.long(minutes=0.2, configurations=3)
+    for i, values in enumerate(found["configurations"].values()):
+        values |= {"position_max_m": 0.5 + i, "final_position_error_m": 0.25 * i, "drift_5m": 0.0123}
+    return found
+
+
+@pytest.mark.parametrize("build", [tables.configurations, tables.sensors], ids=["configurations", "sensors"])
+def test_every_medium_shows_the_same_rows(report: dict[str, Any], build: Any) -> None:
+    table = build(report)
+    shown = [[text(c, cell) for c, cell in zip(table.columns, row, strict=True)] for row in table.rows]
+    assert len(shown) >= 2
+    assert in_markdown(table) == shown
+    assert [[cell.replace("–", "-") for cell in row] for row in in_html(table)] == shown
+    assert [[cell.replace("--", "-") for cell in row] for row in in_latex(table)] == shown
+
+
+def test_a_value_that_does_not_exist_is_the_mediums_dash() -> None:
+    assert in_markdown(TABLE)[1] == ["none", "-", "-"]
+    assert in_html(TABLE)[1] == ["none", "–", "–"]
+    assert in_latex(TABLE)[1] == ["none", "--", "--"]
+    assert text_table.lines(TABLE, None)[2].split() == ["none", "-", "-"]
+    assert render.csv(TABLE).splitlines()[2] == "none,,"
+    assert records(TABLE)[1]["length_m"] is None
+
+
+def test_units_stand_in_the_heading_and_on_a_terminal_beside_the_number() -> None:
+    assert "| name | length, m | share |" in render.markdown(TABLE)
+    assert "name & length [m] & share" in render.latex(TABLE)
+    assert '<th scope="col">length, m</th>' in render.html(TABLE)
+    heads, first, _ = text_table.lines(TABLE, None)
+    assert heads.split() == ["name", "len", "share"]
+    assert first.split() == ["short", "1.2", "m", "50.0%"]
+
+
+def test_programs_get_full_precision_under_the_keys_of_report_json() -> None:
+    assert records(TABLE)[0] == {"name": "short", "length_m": 1.239, "share": 0.5}
+    assert render.csv(TABLE).splitlines()[:2] == ["name,length_m,share", "short,1.239,0.5"]
+
+
+def test_every_number_of_a_page_names_its_place() -> None:
+    assert Cells(render.html(TABLE)).data == {"/runs/short/length_m": 1.239, "/runs/short/share": 0.5}
+
+
+def test_counts_and_ranges_are_numbers_of_their_own() -> None:
+    columns = (
+        Column("n", "n", kind="text"),
+        Column("why", "why", kind="long"),
+        Column("range", "range", form="{:.1f}"),
+    )
+    rows = [({"n": "a", "why": {"out_of_order": 3, "repeat": 1}, "range": [0.25, 4.0]}, ("x", 0))]
+    table = of_values(columns, rows)
+    assert in_markdown(table) == [["a", "3 out of order, 1 repeat", "0.2 – 4.0"]]
+    found = Cells(render.html(table))
+    assert found.rows[1] == ["a", "3 out of order, 1 repeat", "0.2 – 4.0"]
+    assert found.data == {
+        "/x/0/why/out_of_order": 3,
+        "/x/0/why/repeat": 1,
+        "/x/0/range/0": 0.25,
+        "/x/0/range/1": 4.0,
+    }
+
+
+def test_text_from_logs_stays_text_in_every_medium() -> None:
+    table = of_words(texts("name", "said", left=2), [(EVIL, EVIL)])
+    assert in_html(table) == [[EVIL, EVIL]]
+    assert in_markdown(table) == [[EVIL, EVIL]]
+    assert r"<b>\&|*\_`\$\textbackslash{}" in render.latex(table)
+    assert list(csv.reader(io.StringIO(render.csv(table))))[1] == [EVIL, EVIL]
+
+
+def test_everything_is_one_flat_record_per_configuration(report: dict[str, Any]) -> None:
+    found = records(tables.everything(report))
+    assert [row["configuration"] for row in found] == list(report["configurations"])
+    for row in found:
+        values = report["configurations"][row["configuration"]]
+        assert row["position_rmse_m"] == values["position_rmse_m"]
+        for sensor, counts in values["sensors"].items():
+            assert row[f"{sensor}_accepted"] == counts["accepted"]
+        assert not any(isinstance(value, list | dict) for value in row.values())
+    json.dumps(found)
+
+
+@pytest.mark.parametrize("width", [120, 80, 60, 50, 40])
+def test_a_narrow_terminal_loses_columns_and_never_digits(report: dict[str, Any], width: int) -> None:
+    table = tables.configurations(report)
+    lines = text_table.ruled(table, width)
+    assert max(map(len, lines)) <= width
+    body = "\n".join(lines)
+    assert "…" not in body
+    for values in report["configurations"].values():
+        assert f"{values['position_rmse_m']:.3f} m" in body
+    wide = text_table.ruled(table, None)
+    assert "drift/5 m" in wide[1]
+    assert wide == text_table.ruled(table, 120)
+
+
+def test_a_name_repeated_from_the_row_above_can_be_left_out() -> None:
+    table = of_words(texts("a", "b"), [("x", "1"), ("x", "2"), ("y", "3")])
+    assert [row["a"] for row in records(table.once())] == ["x", "", "y"]
+
+
+def test_brackets_on_a_terminal_are_text_and_no_markup(capsys: pytest.CaptureFixture[str]) -> None:
+    show.table(of_words(texts("setting", "found"), [("wheels.noise [m]", "0.0004")]))
+    assert "wheels.noise [m]   0.0004" in capsys.readouterr().out

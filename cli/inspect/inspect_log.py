@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from locfuse.cli.pipeline.settings import LogOptions
 from .overview import Look
 
-COSTLY = ("camera",)  # decoding every picture takes longer than all the rest
 PHANTOMS = {"yaw", "range scale"}  # what walls that are none would say
 
 
@@ -107,7 +106,8 @@ def _measure(seen: Look, progress: Callable[[str], None]) -> None:
     if "wheels" not in seen.choice.topics:
         return
     try:
-        loaded = measured(seen.log, seen.tables, seen.choice, progress, aside=COSTLY)
+        costly = [name for name, sensor in REGISTRY.items() if sensor.costly]
+        loaded = measured(seen.log, seen.tables, seen.choice, progress, aside=costly)
     except LocfuseError as e:
         seen.oddities += _not_measured(seen, str(e))
         return

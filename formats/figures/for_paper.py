@@ -6,13 +6,14 @@ Same input, same bytes: no date, ids from a fixed salt. Text stays text, so that
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
 import numpy as np
 
 from locfuse.formats.thin import extremes
+from locfuse.fusion.data import Colour
 
 from . import palette, ticks
 from .panels import Band, Curve, Dots, Mark, Panel, Section, Strokes, ranges
@@ -53,11 +54,11 @@ STYLE: dict[Any, Any] = {
 }
 
 
-def paper_figures(sections: Sequence[Section], registry: Sequence[str]) -> dict[str, bytes]:
-    """Return {name}.svg and {name}.pdf of every panel."""
+def paper_figures(sections: Sequence[Section], sensors: Mapping[str, Colour]) -> dict[str, bytes]:
+    """Return {name}.svg and {name}.pdf of every panel; `sensors` are all known ones with their colours."""
     names = list(dict.fromkeys(m.of for s in sections for p in s.panels for m in p.marks))
     own = [n for n in names if n not in palette.ROLES]
-    inks = {**{n: c.light for n, c in palette.colours(own, registry).items()}, **_light_roles()}
+    inks = {**{n: c.light for n, c in palette.colours(own, sensors).items()}, **_light_roles()}
     out: dict[str, bytes] = {}
     for section in sections:
         for panel in section.panels:

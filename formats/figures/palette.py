@@ -1,37 +1,21 @@
 """One colour per configuration, the same in every figure and every report, apart for every kind of colour vision.
 
 Chosen by search so that all pairs stay apart under protanopia, deuteranopia and tritanopia and each has a
-contrast of 3 against its page (tests/figures/test_figures.py measures both). A sensor keeps its colour whatever
-else the log holds, since colours go by the registry's order; sets of several sensors are dashed.
+contrast of 3 against its page (tests/figures/test_figures.py measures both). A sensor brings its own colour and
+keeps it whatever else the log holds; sets of several sensors are dashed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
 
-from locfuse.fusion.data import VERDICTS
-
-
-class Colour(NamedTuple):
-    """A colour on a light page and on a dark one."""
-
-    light: str
-    dark: str
-
+from locfuse.fusion.data import VERDICTS, Colour
 
 SMOOTHED = " smoothed"  # ends the name of a configuration that has seen the whole drive
 PAGE = Colour("#ffffff", "#14171c")
 ODOMETRY = Colour("#686a70", "#94979c")
 ALL = Colour("#8a0a55", "#bf2f80")
 TRUTH = Colour("#0d0f12", "#f4f5f7")
-SENSORS = (
-    Colour("#cb7627", "#ec8c10"),
-    Colour("#1a34b0", "#3a78de"),
-    Colour("#2aa090", "#74f0a4"),
-    Colour("#a93fc6", "#ec92fd"),
-    Colour("#4f3510", "#7d7a3c"),
-)
 SETS = (  # of several sensors but not all: told apart by their dashes and names too
     Colour("#0b6e6e", "#58c6c6"),
     Colour("#6d4fc4", "#a58bf0"),
@@ -55,9 +39,9 @@ ROLES = {  # what is drawn besides configurations
 }
 
 
-def colours(configurations: Sequence[str], registry: Sequence[str]) -> dict[str, Colour]:
-    """Return a colour for every configuration: `registry` is the order of all sensors known to the product."""
-    return {name: _colour(name, registry) for name in configurations}
+def colours(configurations: Sequence[str], sensors: Mapping[str, Colour]) -> dict[str, Colour]:
+    """Return a colour for every configuration, by those of all sensors known to the product."""
+    return {name: _colour(name, sensors) for name in configurations}
 
 
 def dashed(configuration: str) -> bool:
@@ -65,12 +49,13 @@ def dashed(configuration: str) -> bool:
     return "+" in configuration or "@" in configuration or configuration.endswith(SMOOTHED)
 
 
-def _colour(name: str, registry: Sequence[str]) -> Colour:
+def _colour(name: str, sensors: Mapping[str, Colour]) -> Colour:
     name = name.removesuffix(SMOOTHED)
     if name in {"odometry", "all"}:
         return ODOMETRY if name == "odometry" else ALL
     members = [part.split("@")[0] for part in name.split("+")]
-    places = [registry.index(m) if m in registry else len(registry) for m in members]
-    if len(places) == 1 and places[0] < len(SENSORS):
-        return SENSORS[places[0]]
+    if len(members) == 1 and members[0] in sensors:
+        return sensors[members[0]]
+    order = list(sensors)
+    places = [order.index(m) if m in sensors else len(order) for m in members]
     return SETS[sum(2**p for p in places) % len(SETS)]

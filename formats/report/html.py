@@ -12,9 +12,9 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from locfuse.formats.figures import palette
-from locfuse.formats.figures.palette import Colour
 from locfuse.formats.figures.panels import Section
 from locfuse.formats.figures.svg import HEIGHT, WIDTH, slugs_of, svg
+from locfuse.fusion.data import Colour
 
 from .columns import columns_of, written
 from .notes import notes_of
@@ -28,8 +28,8 @@ SIZES = {1: (860, 500), 2: (WIDTH, HEIGHT), 3: (330, 190)}  # px of a panel by c
 STRIP = 200.0  # px, width of an effect strip
 
 
-def render(report: Mapping[str, Any], sections: Sequence[Section], registry: Sequence[str]) -> str:
-    """Return the page. `registry` is the order of all sensors known to the product: it settles the colours."""
+def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapping[str, Colour]) -> str:
+    """Return the page. `sensors` are all sensors known to the product, with their colours."""
     from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup
 
@@ -37,7 +37,7 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], registry: Seq
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     template = environment.from_string((folder / "report.html.j2").read_text(encoding="utf-8"))
     names = list(report["configurations"])
-    inks = palette.colours([*names, *(s for s in registry if s not in names)], registry)
+    inks = palette.colours([*names, *(s for s in sensors if s not in names)], sensors)
     roles = {**inks, **palette.ROLES}
     slugs = slugs_of(list(roles))
     drawn = {m.of for s in sections for p in s.panels for m in p.marks}

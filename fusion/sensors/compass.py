@@ -13,10 +13,21 @@ from typing import ClassVar, Literal, cast
 import numpy as np
 
 from locfuse.fusion.chi_square import MAD, chi_square
-from locfuse.fusion.data import VERDICTS, Array, LocfuseError, Measurements, Stream
+from locfuse.fusion.data import VERDICTS, Array, Colour, Component, LocfuseError, Measurements, Stream
 from locfuse.fusion.mount import rotated, rotation
 from locfuse.fusion.se2 import wrap, wrap_all
-from locfuse.fusion.sensor import Belief, Block, Innovation, Model, SensorSettings, WheelMotion
+from locfuse.fusion.sensor import (
+    Ask,
+    Belief,
+    Bias,
+    Block,
+    Innovation,
+    Model,
+    Reversal,
+    Sensor,
+    SensorSettings,
+    WheelMotion,
+)
 
 Convention = Literal["enu_rad", "enu_deg", "compass_rad", "compass_deg"]
 OFFSET = "compass_offset"
@@ -45,14 +56,27 @@ class CompassSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, k
     field_tolerance: float = 0.25  # share by which the field's strength may leave its median
 
 
-class Compass:
+class Compass(Sensor):
     """Reads magnetometer axes, an IMU's yaw, or a heading number."""
 
-    name: ClassVar[str] = "compass"
-    Settings: ClassVar[type[SensorSettings]] = CompassSettings
-    bias_key: ClassVar[tuple[str, float]] = ("offset_deg", 1.0)  # what cures a mean innovation, and its sign
-    estimates_bias: ClassVar[bool] = True  # where that key is left out
-    drift_key: ClassVar[str] = "offset_drift_deg"  # what cures slow errors
+    name = "compass"
+    Settings = CompassSettings
+    components = (Component("heading", "deg", math.degrees(1.0)),)
+    states: ClassVar[Mapping[str, tuple[Component, ...]]] = {
+        OFFSET: (Component("compass offset", "deg", math.degrees(1.0)),)
+    }
+    drawn = "heading"
+    colour = Colour("#cb7627", "#ec8c10")
+    noise_keys = ("sigma_deg",)
+    bias = Bias("offset_deg", 1.0, estimated=True)
+    drift_key = "offset_drift_deg"
+    asks: ClassVar[Mapping[str, Ask]] = {
+        "sigma_deg": Ask("noise of one heading"),
+        "offset_deg": Ask("left out, it is estimated from the drive; locfuse calibrate finds iron", 0.0),
+    }
+    guesses: ClassVar[Mapping[str, str]] = {
+        "convention": "guess: radians, 0 is east and counter-clockwise (enu_deg, compass_rad, compass_deg)",
+    }
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "sensor_msgs/msg/MagneticField": ("magnetic_field.x", "magnetic_field.y", "magnetic_field.z"),
         "sensor_msgs/msg/Imu": (
@@ -111,6 +135,18 @@ class Compass:
     def heading(self, m: Measurements) -> tuple[Array, Array]:
         """Return times (n,) and headings (n,) [rad, unwrapped, up to a constant] by this sensor alone."""
         return m.t, np.unwrap(m.z[:, 0])
+
+    def reversal(self, settings: CompassSettings, msgtype: str) -> Reversal:
+        """Return the convention of the other sense for a bare number, else that the sensor is upside-down."""
+        if not msgtype.startswith("std_msgs/"):
+            return super().reversal(settings, msgtype)
+        frame, unit = settings.convention.split("_")
+        other = {"enu": "compass", "compass": "enu"}[frame]
+        return Reversal("its headings grow clockwise", {"convention": f"{other}_{unit}"})
+
+    def concerns(self, key: str, msgtype: str) -> bool:
+        """Return whether a key means anything to messages of this type: only bare numbers have a convention."""
+        return key != "convention" or msgtype.startswith("std_msgs/")
 
     def model(self, settings: CompassSettings) -> CompassModel:
         """Return the compass' side of a new run."""

@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import Array, LocfuseError, Measurements, Stream
-from locfuse.fusion.sensor import Block, Innovation, Model, SensorSettings, WheelMotion
+from locfuse.fusion.data import Array, Colour, Component, LocfuseError, Measurements, Stream
+from locfuse.fusion.mount import ASK_MOUNT
+from locfuse.fusion.sensor import Ask, Block, Innovation, Model, Sensor, SensorSettings, WheelMotion
 
 from .geodesy import east_north
 
@@ -44,12 +45,20 @@ class GpsSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_on
     sigma: float = 1.5  # m per axis, where the receiver does not say
 
 
-class Gps:
+class Gps(Sensor):
     """Reads NavSatFix."""
 
-    name: ClassVar[str] = "gps"
-    Settings: ClassVar[type[SensorSettings]] = GpsSettings
-    extra: ClassVar[bool] = True
+    name = "gps"
+    Settings = GpsSettings
+    components = (Component("east", "m"), Component("north", "m"))
+    colour = Colour("#4f3510", "#7d7a3c")
+    noise_keys = ("sigma",)
+    extra = True
+    asks: ClassVar[Mapping[str, Ask]] = {
+        **dict.fromkeys(("x", "y"), Ask(f"m: {ASK_MOUNT}")),
+        "origin": Ask("latitude and longitude of the map's origin; left out, estimated", (0.0, 0.0)),
+        "sigma": Ask("m: where the receiver does not say"),
+    }
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "sensor_msgs/msg/NavSatFix": (
             "status.status",
@@ -83,6 +92,10 @@ class Gps:
             floor=np.zeros((2, 2)),
             dropped=dropped,
         )
+
+    def mount(self, settings: GpsSettings) -> tuple[float, float, float]:
+        """Return where the antenna sits on the base: x [m], y [m], and no yaw."""
+        return settings.x, settings.y, 0.0
 
     def says_noise(self, m: Measurements) -> bool:
         """Return whether the receiver says how good its fixes are: then `sigma` changes nothing."""

@@ -19,9 +19,10 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import VERDICTS, Array, Ints, Measurements, Stream
+from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Ints, Measurements, Stream
 from locfuse.fusion.linemap.sonar_echo import Cone, Echo, nearest_echo
-from locfuse.fusion.sensor import GATE, Innovation, Model, SensorSettings, WheelMotion
+from locfuse.fusion.mount import ASK_MOUNT
+from locfuse.fusion.sensor import GATE, Ask, Innovation, Model, Sensor, SensorSettings, WheelMotion
 from locfuse.fusion.streams import Joined
 
 UNMATCHED = VERDICTS.index("unmatched")
@@ -38,14 +39,22 @@ class SonarSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_
     widen_deg: float = 3.0  # walls count that stand square this far outside the cone: no heading is exact
 
 
-class Sonar:
+class Sonar(Sensor):
     """Reads Range."""
 
-    name: ClassVar[str] = "sonar"
-    Settings: ClassVar[type[SensorSettings]] = SonarSettings
-    extra: ClassVar[bool] = True
-    several: ClassVar[bool] = True  # all topics of the type are one sensor
-    needs: ClassVar[tuple[str, ...]] = ("lrf",)  # whose map it is held against
+    name = "sonar"
+    Settings = SonarSettings
+    components = (Component("distance", "m"),)
+    colour = Colour("#a93fc6", "#ec92fd")
+    noise_keys = ("sigma",)
+    extra = True
+    several = True
+    needs: ClassVar[Mapping[str, str]] = {"lrf": "held against the map of lrf"}
+    placed = True
+    sees = "echo"
+    asks: ClassVar[Mapping[str, Ask]] = {
+        "mounts": Ask(f"topic = [m, m, degrees]: {ASK_MOUNT}", {"/range": (0.0, 0.0, 0.0)})
+    }
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "sensor_msgs/msg/Range": ("field_of_view", "min_range", "max_range", "range"),
     }

@@ -17,7 +17,6 @@ import click
 
 from locfuse.cli.pipeline.load import make_robot
 from locfuse.formats.robot import robot_toml
-from locfuse.fusion.judge.noise_verdicts import noise_keys
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -41,7 +40,7 @@ def told_wrong(tables: dict[str, Any], factor: float) -> dict[str, Any]:
     wrong: dict[str, dict[str, float]] = {"wheels": {"noise": robot.wheels.noise * factor**2}}
     for sensor in (s for s in REGISTRY if s in tables):
         settings = robot.settings(sensor)
-        wrong[sensor] = {key: getattr(settings, key) * factor for key in noise_keys(settings)}
+        wrong[sensor] = {key: getattr(settings, key) * factor for key in REGISTRY[sensor].noise_keys}
     return robot_toml.merge(tables, wrong)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -256,6 +256,31 @@ class Audit:
     threshold: Array  # (k,) the gate
     y: Array  # (k, d) innovation; NaN where nothing was predicted
     sigma: Array  # (k, d) its predicted standard deviation
+
+
+class Component(NamedTuple):
+    """One number of a measurement or of a state, as people read it."""
+
+    name: str
+    unit: str  # "m", "deg", "deg/s", "%"; "" for none
+    scale: float = 1.0  # from SI to that unit
+
+    @property
+    def label(self) -> str:
+        """Name and unit as a title: "heading [deg]"."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    @property
+    def sign(self) -> str:
+        """The unit as it is typeset beside a number: ° for deg."""
+        return self.unit.replace("deg", "°")
+
+
+class Colour(NamedTuple):
+    """A colour on a light page and on a dark one, "#rrggbb"."""
+
+    light: str
+    dark: str
 
 
 @dataclass(frozen=True)

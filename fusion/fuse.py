@@ -165,7 +165,8 @@ class Filter:
         if WHEELS in self._blocks and isinstance(belief, JointBelief):
             column, x = belief.block(WHEELS)
             P = belief.covariance[column : column + len(x), column : column + len(x)]
-            yield from (f"wheels: {words}" for words in wheel_words(self._wheels, x, P, self._sensors))
+            metric = {s: REGISTRY[s].scale_key for s in self._sensors if REGISTRY[s].measures_metres}
+            yield from (f"wheels: {words}" for words in wheel_words(self._wheels, x, P, self._sensors, metric))
         for name, model in self.models.items():
             yield from (f"{name}: {words}" for words in model.notes(belief))
 

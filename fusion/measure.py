@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.sensors.registry import REGISTRY, unmet
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.read import read_wheels
 
@@ -59,11 +59,9 @@ def measure(
 
 def _drop_dependent(measurements: dict[str, Measurements], missing: dict[str, str]) -> None:
     """Leave out sensors whose map another one would have kept, had it been there."""
-    for name in list(measurements):
-        for other in getattr(REGISTRY[name], "needs", ()):
-            if other not in measurements:
-                missing[name] = f"it is held against the map of {other}, and that is absent"
-                measurements.pop(name, None)
+    for name, why in unmet(measurements).items():
+        del measurements[name]
+        missing[name] = why
 
 
 def cut(

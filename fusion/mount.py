@@ -11,10 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from .data import Array
+from .data import Array, Component
 from .sensor import Belief, Block, SensorSettings
 
 Row = tuple[float, ...]
+ASK_MOUNT = (
+    "not in this log (no /tf_static says it). Measure from the middle between the wheels: forward, left, turned. "
+    "How well they are known: sigma_x, sigma_y, sigma_yaw_deg; above 0 the drive improves them"
+)
 
 
 class MountedSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -26,6 +30,11 @@ class MountedSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, k
     sigma_x: float = 0.0  # m, standard deviation of x; above 0 it is a state
     sigma_y: float = 0.0
     sigma_yaw_deg: float = 0.0
+
+    @property
+    def mount(self) -> tuple[float, float, float]:
+        """Place on the base as told: x [m], y [m], yaw [rad]."""
+        return self.x, self.y, math.radians(self.yaw_deg)
 
     def __post_init__(self) -> None:
         """Raise ValueError where a standard deviation is negative."""
@@ -39,7 +48,7 @@ class Mount:
     """x [m], y [m], yaw [rad] of one sensor on the base; those that are uncertain are blocks of one state each."""
 
     def __init__(self, sensor: str, settings: MountedSettings) -> None:
-        self.told = (settings.x, settings.y, math.radians(settings.yaw_deg))
+        self.told = settings.mount
         sigmas = (settings.sigma_x, settings.sigma_y, math.radians(settings.sigma_yaw_deg))
         self.free = tuple(i for i in range(3) if sigmas[i] > 0.0)  # which of x, y, yaw are states
         self._names = {i: f"{sensor}_{('x', 'y', 'yaw')[i]}" for i in self.free}
@@ -74,6 +83,12 @@ class Mount:
     def rows(self, by_mount: tuple[Row, ...]) -> tuple[Row, ...]:
         """Return the columns of a derivative by (x, y, yaw), (d, 3), that belong to states."""
         return tuple(tuple(row[i] for i in self.free) for row in by_mount)
+
+
+def mount_states(sensor: str) -> dict[str, tuple[Component, ...]]:
+    """Return how the states of a `Mount` are shown, by the names of its blocks."""
+    units = {"x": ("m", 1.0), "y": ("m", 1.0), "yaw": ("deg", math.degrees(1.0))}
+    return {f"{sensor}_{part}": (Component(f"{sensor} mount {part}", *unit),) for part, unit in units.items()}
 
 
 def rotation(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Array:

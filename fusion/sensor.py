@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 import msgspec
 
-from .data import Array, MapLine, Measurements, Stream
+from .data import VERDICTS, Array, Colour, Component, MapLine, Measurements, Stream
+
+GATE = VERDICTS.index("gate")
+Matrix = tuple[tuple[float, ...], ...]
+PoseRows = tuple[tuple[float, float, float], ...]  # (d, 3) derivatives by x [m], y [m], theta [rad] of the pose
 
 
 class SensorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -48,10 +54,63 @@ class Innovation(msgspec.Struct, frozen=True, gc=False):
     threshold: float  # of the gate
     y: tuple[float, ...]  # (d,)
     sigma: tuple[float, ...]  # (d,) sqrt of the diagonal of S
-    H: tuple[tuple[float, float, float], ...]  # (d, 3) columns x, y, theta
-    R: tuple[tuple[float, ...], ...]  # (d, d)
+    H: PoseRows  # (d, 3) columns x, y, theta
+    R: Matrix  # (d, d)
     columns: tuple[int, ...] = ()  # state columns of the sensor's block
-    H_block: tuple[tuple[float, ...], ...] = ()  # (d, len(columns))
+    H_block: Matrix = ()  # (d, len(columns))
+
+    @classmethod
+    def of(
+        cls,
+        row: int,
+        y: tuple[float, ...],
+        H: PoseRows,
+        R: Matrix,
+        belief: Belief,
+        threshold: float,
+        *,
+        columns: tuple[int, ...] = (),
+        H_block: Matrix = (),
+        landmark: int = -1,
+        verdict: int | None = None,
+    ) -> Innovation:
+        """Judge the innovation y (d,), d = 1 or 2, of measurement `row` against the gate `threshold`.
+
+        S = H P H' + R and NIS = y' S^-1 y (Bar-Shalom, Li and Kirubarajan 2001, 5.4.2). The verdict is
+        "accepted" or "gate" by these, unless `verdict` (an index into VERDICTS) says something else.
+        """
+        spread = belief.spread(H, columns, H_block)
+        sigma: tuple[float, ...]
+        if len(y) == 1:
+            S = spread[0][0] + R[0][0]
+            nis, sigma = y[0] * y[0] / S, (math.sqrt(S),)
+        else:
+            nis, sigma = _pair(y, spread, R)
+        if verdict is None:
+            verdict = 0 if nis <= threshold else GATE
+        return cls(row, verdict, landmark, nis, threshold, y, sigma, H, R, columns, H_block)
+
+    @classmethod
+    def unpredicted(cls, row: int, verdict: int, d: int, threshold: float) -> Innovation:
+        """Return the record of a measurement of d numbers that was compared with nothing: all NaN."""
+        nan = (math.nan,) * d
+        return cls(row, verdict, -1, math.nan, threshold, nan, nan, (), ())
+
+    @classmethod
+    def of_states(cls, y: tuple[float, ...], R: Matrix, columns: tuple[int, ...], H_block: Matrix) -> Innovation:
+        """Return what is known of states without a reading, such as that two of them are equal."""
+        zero = ((0.0, 0.0, 0.0),) * len(y)
+        return cls(-1, 0, -1, 0.0, math.inf, y, y, zero, R, columns, H_block)
+
+
+def _pair(y: tuple[float, ...], spread: Matrix, R: Matrix) -> tuple[float, tuple[float, float]]:
+    """Return the NIS of two numbers, and the square roots of the diagonal of S = spread + R."""
+    y0, y1 = y
+    (p00, p01), (_, p11) = spread
+    (r00, r01), (_, r11) = R
+    s00, s01, s11 = p00 + r00, p01 + r01, p11 + r11
+    nis = (s11 * y0 * y0 - 2.0 * s01 * y0 * y1 + s00 * y1 * y1) / (s00 * s11 - s01 * s01)
+    return nis, (math.sqrt(s00), math.sqrt(s11))
 
 
 class Block(NamedTuple):
@@ -83,10 +142,10 @@ class Belief(Protocol):
 
     def spread(
         self,
-        H: tuple[tuple[float, float, float], ...],
+        H: PoseRows,
         columns: tuple[int, ...] = (),
-        H_block: tuple[tuple[float, ...], ...] = (),
-    ) -> tuple[tuple[float, ...], ...]:
+        H_block: Matrix = (),
+    ) -> Matrix:
         """Return H P H', (d, d): the innovation covariance without R."""
 
 
@@ -127,24 +186,169 @@ class Model:
         return []
 
 
-class Sensor(Protocol):
-    """A sensor: one file in this folder and one line in the registry.
+class Ask(NamedTuple):
+    """What `locfuse init` writes beside a key that no log can tell: how to find its value."""
 
-    What a sensor may say besides, and what holds where it does not: `in_blocks` (False) its readings are too big
-    to be in memory at once; `several` (False) all topics of its types are one sensor; `extra` (False) where topics
-    cannot be told apart it is absent, and the others run; `needs` (()) sensors whose map it reads; `named` ({})
-    words that a bare number's topic must hold, by type; `missing(settings)` why it cannot be used with these
-    settings; `carries(stream)` whether a topic says anything, where several fit; `heading(m)` its own turning, for
-    finding clock lags; `measures_by_sigma` (False) another sigma means another measurement;
-    `says_noise(m)` whether readings came with their own covariance: no sigma of ours to tune.
+    words: str  # unit, and how to measure it
+    example: Any = None  # the value written behind the #; None: the key's default
+    needed: bool = False  # whether nothing of this table can be used without the key
+
+
+class Bias(NamedTuple):
+    """The key of robot.toml that takes a constant error out of the readings."""
+
+    key: str  # in the unit of the sensor's first component
+    sign: float  # of the key's change by the mean innovation (measured - predicted)
+    estimated: bool = False  # whether the filter estimates it where the key is left out
+
+
+class Reversal(NamedTuple):
+    """Why a sensor turns the other way round than the wheels, and what would turn it back."""
+
+    why: str
+    sets: Mapping[str, Any] = {}
+
+
+class Sensor(ABC):
+    """A sensor: one file in `fusion/sensors` and one line in the registry there. All that concerns it stands here.
+
+    It gives `name`, `Settings`, `reads`, `noise_keys`, `components`, `colour`, `measure` and `model`. What else it
+    may say has a default. An instance holds nothing: what a run learns lies in its `Model`.
     """
 
-    name: ClassVar[str]  # its CLI word and TOML table
+    # ---- what it is, and what it reads ----
+
+    name: ClassVar[str]
+    """Its word in `--sensors`, and its table in robot.toml."""
+
     Settings: ClassVar[type[SensorSettings]]
-    reads: ClassVar[Mapping[str, tuple[str, ...]]]  # message type -> field paths it asks for
+    """The keys of that table, with their defaults."""
 
+    reads: ClassVar[Mapping[str, tuple[str, ...]]]
+    """Message type -> paths of the fields that `measure` reads."""
+
+    named: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    """Message type -> words, one of which its topic must hold: a bare number does not say what it is."""
+
+    several: ClassVar[bool] = False
+    """All topics of its types are one sensor: a ring of sonars."""
+
+    in_blocks: ClassVar[bool] = False
+    """Its readings are too big to be in memory at once."""
+
+    costly: ClassVar[bool] = False
+    """Measuring takes so long that `locfuse info` leaves it out."""
+
+    extra: ClassVar[bool] = False
+    """It lies beside the paper's sensors: where topics cannot be told apart it is absent, and the others run."""
+
+    needs: ClassVar[Mapping[str, str]] = {}
+    """Sensor without which this one says nothing -> why: "held against the map of lrf"."""
+
+    def carries(self, stream: Stream) -> bool:
+        """Return whether a topic of its types says anything to it; asked where several fit."""
+        return True
+
+    def missing(self, settings: Any) -> str | None:
+        """Return which setting it cannot do without and how to find it, or None."""
+        return None
+
+    # ---- how it measures ----
+
+    @abstractmethod
     def measure(self, stream: Stream, settings: Any, wheels: WheelMotion, epoch_ns: int) -> Measurements:
-        """Turn readings into pose-free measurements, in time order."""
+        """Turn readings into measurements free of any pose, in SI units and time order.
 
+        Raises LocfuseError where they cannot be understood.
+        """
+
+    @abstractmethod
     def model(self, settings: Any) -> Model:
-        """Return the sensor's side of a new filter run."""
+        """Return its side of a new run of the filter."""
+
+    def heading(self, m: Measurements) -> tuple[Array, Array] | None:
+        """Return times (n,) [s] and headings (n,) [rad, unwrapped, up to a constant] by its own turning.
+
+        None where it does not turn by itself. Clock lags, mirrored wheels and the track are found by it.
+        """
+        return None
+
+    heading_holds: ClassVar[bool] = False
+    """Where its heading stays the same to the bit, nothing told the turn (a scan that matches no line)."""
+
+    def reversal(self, settings: Any, msgtype: str) -> Reversal:
+        """Return why its heading turns the other way round than the wheels, and the settings that cure it."""
+        if not hasattr(settings, "roll_deg"):
+            return Reversal("its sense of turning is wrong")
+        return Reversal("it is mounted upside-down", {"roll_deg": (settings.roll_deg + 180.0) % 360.0})
+
+    # ---- its noise and its errors ----
+
+    noise_keys: ClassVar[tuple[str, ...]]
+    """Settings that say how exact one reading is; the first in the unit of its first component (deg, else SI)."""
+
+    measures_by_sigma: ClassVar[bool] = False
+    """Another sigma means other measurements: lines are cut by it."""
+
+    bias: ClassVar[Bias | None] = None
+    """The setting that takes out a constant error."""
+
+    drift_key: ClassVar[str | None] = None
+    """The setting by which that error, estimated, may drift: a random walk, per sqrt(s)."""
+
+    scale_key: ClassVar[str | None] = None
+    """The setting by which what it measures in metres is multiplied."""
+
+    def says_noise(self, m: Measurements) -> bool:
+        """Return whether readings came with their own covariance: then no sigma of ours is tuned."""
+        return False
+
+    # ---- where it sits ----
+
+    placed: ClassVar[bool] = False
+    """`locfuse info` warns where nothing tells where it sits on the base."""
+
+    def mount(self, settings: Any) -> tuple[float, float, float]:
+        """Return where it sits on the base: x [m], y [m], yaw [rad]."""
+        return 0.0, 0.0, 0.0
+
+    # ---- what `locfuse init` and `locfuse info` say of it ----
+
+    asks: ClassVar[Mapping[str, Ask]] = {}
+    """Key -> what its owner has to find out."""
+
+    guesses: ClassVar[Mapping[str, str]] = {}
+    """Key that no log states and whose default holds until somebody says otherwise -> what the default means."""
+
+    def concerns(self, key: str, msgtype: str) -> bool:
+        """Return whether a key means anything to messages of this type ("" where it has no topic)."""
+        return True
+
+    sees: ClassVar[str] = "value"
+    """What one reading measures, in one word: line, echo."""
+
+    blind_spoils: ClassVar[bool] = False
+    """Readings that measure nothing mean that it is set up wrongly, not that nothing was there."""
+
+    # ---- how it is shown ----
+
+    components: ClassVar[tuple[Component, ...]]
+    """Names, units and scales of the d numbers of a measurement (d,)."""
+
+    states: ClassVar[Mapping[str, tuple[Component, ...]]] = {}
+    """State block -> names, units and scales of its numbers."""
+
+    colour: ClassVar[Colour]
+    """Its own in every figure, whatever else a log holds."""
+
+    drawn: ClassVar[Literal["heading", "bearing", "segments", ""]] = ""
+    """What a measurement is on the map: a ray ahead, a ray to what it saw, pieces of walls; "" is nothing."""
+
+    def landmark(self, settings: Any) -> tuple[float, float] | None:
+        """Return the point of the map that it measures to, (x, y) [m]; None where it knows none."""
+        return None
+
+    @property
+    def measures_metres(self) -> bool:
+        """Whether it and the wheels must mean the same metre."""
+        return any(c.unit == "m" for c in self.components)

@@ -5,11 +5,12 @@ Truth is never guessed by type: /odom and /amcl_pose are estimates, and an estim
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from typing import TYPE_CHECKING, Any
 
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.sensor import Sensor
+from locfuse.fusion.sensors.registry import REGISTRY, unmet
 from locfuse.fusion.truth import TRUTH_READS, looks_like_truth
 
 from .topics import NAMED, ONLY, Choice, checked, of_type, one, several_fit, types
@@ -30,11 +31,9 @@ def choose(log: Log, robot: Robot, insisted: Collection[str] = ()) -> Choice:
     choose_wheels(log, robot, choice)
     for name in REGISTRY:
         choose_sensor(log, robot, name, name in insisted, choice)
-    for name, sensor in REGISTRY.items():
-        for other in getattr(sensor, "needs", ()):
-            if name in choice.topics and other not in choice.topics:
-                del choice.topics[name]
-                choice.absent[name] = f"it is held against the map of {other}, and that is absent"
+    for name, why in unmet(choice.topics).items():
+        del choice.topics[name]
+        choice.absent[name] = why
     return choice
 
 
@@ -47,14 +46,14 @@ def choose_sensor(log: Log, robot: Robot, name: str, insisted: bool, choice: Cho
         choice.absent[name] = f"{log.name} has no topic {gone[0]}, which robot.toml names"
         return
     candidates = _candidates(log, name, choice)
-    unset = getattr(sensor, "missing", lambda settings: None)(settings) if candidates or named else None
+    unset = sensor.missing(settings) if candidates or named else None
     if unset:
         choice.absent[name] = unset
         return
     if named:
         choice.take(name, [checked(log, name, topic, sensor.reads) for topic in named], NAMED)
     elif not candidates:
-        if not getattr(sensor, "extra", False):  # nobody expects what lies beside the paper's sensors
+        if not sensor.extra:  # nobody expects what lies beside the paper's sensors
             choice.absent[name] = f"no topic of type {types(sensor.reads)} in {log.name}"
         choice.foreign.add(name)
         return
@@ -75,13 +74,11 @@ def _candidates(log: Log, name: str, choice: Choice) -> list[str]:
     """Return the topics that a sensor could read and nobody but another sensor does, those with messages first."""
     sensor = REGISTRY[name]
     taken = {*choice.of("truth"), *choice.of("wheels")}
-    named: Mapping[str, tuple[str, ...]] = getattr(sensor, "named", {})
     found = [t for t in of_type(log, sensor.reads) if t not in taken]
-    found = [t for t in found if _named_well(t, log.topics[t].msgtype, named)]
+    found = [t for t in found if _named_well(t, log.topics[t].msgtype, sensor)]
     found = [t for t in found if log.topics[t].count != 0] or found
-    carries = getattr(sensor, "carries", None)
-    if carries is not None and len(found) > 1:
-        found = [t for t in found if carries(log.stream(t))] or found[:1]
+    if len(found) > 1:
+        found = [t for t in found if sensor.carries(log.stream(t))] or found[:1]
     return found
 
 
@@ -90,9 +87,9 @@ def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None
     sensor = REGISTRY[name]
     if len(candidates) == 1:
         choice.take(name, candidates, ONLY)
-    elif getattr(sensor, "several", False):
+    elif sensor.several:
         choice.take(name, candidates, f"all {len(candidates)} topics of its type")
-    elif not getattr(sensor, "extra", False):
+    elif not sensor.extra:
         raise several_fit(log, name, candidates)
     elif shared := [t for t in candidates if t in choice.topics.values()]:
         choice.take(name, shared[:1], "another sensor reads it too")
@@ -101,9 +98,9 @@ def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None
         choice.leave(name, why.sentence, why.fixes)
 
 
-def _named_well(topic: str, msgtype: str, named: Mapping[str, tuple[str, ...]]) -> bool:
+def _named_well(topic: str, msgtype: str, sensor: Sensor) -> bool:
     """Return whether a bare number's topic says what the number is; other types need no such word."""
-    return msgtype not in named or any(word in topic.lower() for word in named[msgtype])
+    return msgtype not in sensor.named or any(word in topic.lower() for word in sensor.named[msgtype])
 
 
 def choose_truth(log: Log, robot: Robot, insisted: bool, choice: Choice) -> None:

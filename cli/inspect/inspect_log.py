@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from locfuse.cli.pipeline.settings import LogOptions
 from .overview import Overview
 
-COSTLY = ("camera",)  # decoding every picture takes longer than all the rest
 PHANTOMS = {"yaw", "range scale"}  # what walls that are none would say
 
 
@@ -111,7 +110,8 @@ def _measure(overview: Overview, progress: Callable[[str], None]) -> None:
     if "wheels" not in overview.choice.topics:
         return
     try:
-        loaded = measured(overview.log, overview.tables, overview.choice, progress, aside=COSTLY)
+        costly = [name for name, sensor in REGISTRY.items() if sensor.costly]
+        loaded = measured(overview.log, overview.tables, overview.choice, progress, aside=costly)
     except LocfuseError as e:
         overview.findings += _not_measured(overview, e)
         return

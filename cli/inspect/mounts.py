@@ -44,7 +44,7 @@ def unplaced(overview: Overview) -> list[Finding]:
     """Say of the sensors whose place matters that nobody says where they sit."""
     found = []
     for name, mount in extrinsics(overview).items():
-        if mount["by"] == "nobody" and name in {"lrf", "sonar"}:
+        if mount["by"] == "nobody" and REGISTRY[name].placed:
             keys = f"{name}.mounts" if "mounts" in mount else f"{name}.x, {name}.y, {name}.yaw_deg"
             words = f"nothing says where it sits on the robot: the base's origin is assumed (set {keys})"
             found.append(Finding(name, "mount", words))

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from locfuse.cli.pipeline.load import ATTACHMENT, TABLES, make_robot
+from locfuse.cli.pipeline.load import ATTACHMENT, make_robot, table_types
 from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.commented_toml import Section
@@ -48,7 +48,7 @@ def draft(paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None
     suggested = _read({key: fix for key, fix in _fixes(overview.findings).items() if key not in fixes})
     facts = Facts(overview, known, suggested)
     missing: list[str] = []
-    sections = [Section(name, tuple(lines(facts, name, missing))) for name in ("", *TABLES)]
+    sections = [Section(name, tuple(lines(facts, name, missing))) for name in ("", *table_types())]
     return Draft(overview, sections, missing)
 
 

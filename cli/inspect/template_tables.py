@@ -9,14 +9,14 @@ import msgspec
 
 from locfuse.cli.choose.mounts import mount_tables
 from locfuse.cli.choose.topics import of_type
-from locfuse.cli.pipeline.load import TABLES
+from locfuse.cli.pipeline.load import table_types
 from locfuse.formats.robot.commented_toml import Line
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.read import ODOMETRY, counts_ticks
 from locfuse.fusion.wheels.sources import JOINTS
 
 from .overview import Overview
-from .template_words import ASKS, GUESSES, NEEDED
+from .template_words import ask, guess
 
 Known = dict[str, tuple[Any, str]]  # "table.key" -> its value, and who says so
 TOP = ("order", "preset")
@@ -57,7 +57,8 @@ def _topics(overview: Overview, role: str) -> Known:
     topics, why = overview.choice.of(role), overview.choice.why.get(role, "")
     if not topics and role in REGISTRY:  # a sensor that lacks a setting may have its topic all the same
         fit = [t for t in of_type(overview.log, REGISTRY[role].reads) if overview.log.topics[t].count]
-        unset = role in overview.choice.absent and len(fit) == 1 and hasattr(REGISTRY[role], "missing")
+        settings = overview.robot.settings(role)
+        unset = role in overview.choice.absent and len(fit) == 1 and REGISTRY[role].missing(settings) is not None
         topics, why = (tuple(fit), "the only topic of its type") if unset else ((), "")
     if not topics:
         return {}
@@ -101,25 +102,25 @@ def lines(facts: Facts, table: str, missing: list[str]) -> Iterator[Line]:
         return
     unsure = _suggested(facts, table)
     shown = table in {"wheels", "start"} or any(key.startswith(f"{table}.") for key in facts.known)
-    defaults = {f.name: f.default for f in msgspec.structs.fields(TABLES[table])}
+    defaults = {f.name: f.default for f in msgspec.structs.fields(table_types()[table])}
     for key, default in defaults.items():
         path = f"{table}.{key}"
         if path in facts.known:
             yield Line(key, *facts.known[path])
         elif shown and path not in unsure and _concerns(facts, table, key):
-            yield from _unknown(key, path, default, missing)
+            yield from _unknown(table, key, default, missing)
         if path in unsure:
             yield Line(key, *unsure[path], holds=False)
 
 
-def _unknown(key: str, path: str, default: Any, missing: list[str]) -> Iterator[Line]:
-    if path in GUESSES:
-        yield Line(key, default, GUESSES[path])
-    elif path in NEEDED or path in ASKS:
-        ask = NEEDED.get(path) or ASKS[path]
-        yield Line(key, default if ask.example is None else ask.example, ask.words, holds=False)
-        if path in NEEDED:
-            missing.append(path)
+def _unknown(table: str, key: str, default: Any, missing: list[str]) -> Iterator[Line]:
+    guessed, asked = guess(table, key), ask(table, key)
+    if guessed is not None:
+        yield Line(key, default, guessed)
+    elif asked is not None:
+        yield Line(key, default if asked.example is None else asked.example, asked.words, holds=False)
+        if asked.needed:
+            missing.append(f"{table}.{key}")
 
 
 def _suggested(facts: Facts, table: str) -> Known:
@@ -138,8 +139,8 @@ def _concerns(facts: Facts, table: str, key: str) -> bool:
     kind = facts.kind(table)
     if table == "wheels" and key in OF_COUNTERS:
         return kind not in {ODOMETRY, ""} and (key != "ticks_per_revolution" or counts_ticks(kind))
-    if f"{table}.{key}" == "compass.convention":
-        return kind.startswith("std_msgs/")
-    if table in REGISTRY and key in MOUNTED:
+    if table not in REGISTRY:
+        return True
+    if key in MOUNTED:
         return not any(f"{table}.{k}" in facts.known for k in MOUNTED)
-    return True
+    return REGISTRY[table].concerns(key, kind)

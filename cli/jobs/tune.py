@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from locfuse.cli.pipeline.configurations import needs
 from locfuse.cli.pipeline.load import Loaded, load
 from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.formats.robot import robot_toml
@@ -18,7 +17,7 @@ from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.consistency import Run, judge
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.sensors.registry import REGISTRY, needed
 from locfuse.fusion.tune.noise import Figures
 from locfuse.fusion.tune.tune import Row, Trial, Tuned, tune
 
@@ -167,7 +166,7 @@ def not_white(trials: Sequence[Trial]) -> list[str]:
     notes = []
     for trial in trials:
         sensors = list(trial.drive.measurements)
-        together = dict.fromkeys((tuple(sensors), *((*needs(s), s) for s in sensors)))
+        together = dict.fromkeys((tuple(sensors), *((*needed(s), s) for s in sensors)))
         runs = [Run.of(trial.drive, fuse(trial.drive, trial.robot, chosen)) for chosen in together]
         found = judge(runs, trial.robot)
         worded = {s: verdict for verdicts in found.values() for s, verdict in verdicts.items()}

@@ -12,7 +12,7 @@ from locfuse.fusion.judge.credit import subsets
 from locfuse.fusion.measure import thinned
 from locfuse.fusion.paper.preset import fuser
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.sensors.registry import REGISTRY, needed
 
 RATE = re.compile(r"(\d+(?:\.\d+)?)\s*hz", re.IGNORECASE)
 MOST_SUBSETS = 6  # sensors: 64 subsets
@@ -74,15 +74,18 @@ def parse(sensors: Sensors, drive: Drive) -> Configuration:
             rates[sensor] = _rate(name, rate)
     used = tuple(s for s in REGISTRY if s in written)
     for sensor in used:
-        lacking = [other for other in needs(sensor) if other not in used]
-        if lacking:
-            raise UsageError(
-                f"--sensors {words}: {sensor} is held against the map of {lacking[0]}; "
-                f"write --sensors {','.join((*lacking, *written.values()))}"
-            )
+        _check_needs(sensor, written, words)
     if not rates:
         return plain(used, drive)
     return Configuration("+".join(written[s] for s in used), used, rates)
+
+
+def _check_needs(sensor: str, written: Mapping[str, str], words: str) -> None:
+    """Raise UsageError where a sensor that this one needs is not among those written."""
+    for other, why in REGISTRY[sensor].needs.items():
+        if other not in written:
+            enough = ",".join((other, *written.values()))
+            raise UsageError(f"--sensors {words}: {sensor} is {why}; write --sensors {enough}")
 
 
 def _rate(name: str, text: str) -> float:
@@ -96,11 +99,6 @@ def _rate(name: str, text: str) -> float:
 def plain(sensors: tuple[str, ...], drive: Drive) -> Configuration:
     """Return a configuration of sensors at the rates of the log."""
     return Configuration(configuration_name(sensors, drive), sensors)
-
-
-def needs(sensor: str) -> tuple[str, ...]:
-    """Return the sensors without whose map this one says nothing."""
-    return tuple(getattr(REGISTRY[sensor], "needs", ()))
 
 
 def for_comparison(words: Sequence[Sensors], drive: Drive, every: bool = False) -> list[Configuration]:
@@ -118,7 +116,7 @@ def for_comparison(words: Sequence[Sensors], drive: Drive, every: bool = False) 
             )
         named = [plain(s, drive) for s in subsets(present)] + named
     if not named:
-        alone = [tuple(s for s in present if s in (name, *needs(name))) for name in present]
+        alone = [tuple(s for s in present if s in (name, *needed(name))) for name in present]
         together = [present] if len(present) > 1 else []
         named = [plain(s, drive) for s in [(), *alone, *together]]
     return list({c.name: c for c in named}.values())

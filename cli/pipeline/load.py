@@ -28,11 +28,10 @@ from .settings import ORDERS, PRESETS, LogOptions, Progress, silent
 
 ATTACHMENT = "robot.toml"
 PLAIN_CLOCK = "header stamps"
-TABLES: dict[str, type[msgspec.Struct]] = {
+BASE_TABLES: dict[str, type[msgspec.Struct]] = {
     "wheels": WheelSettings,
     "start": StartSettings,
     "truth": TruthSettings,
-    **{name: sensor.Settings for name, sensor in REGISTRY.items()},
 }
 
 
@@ -156,6 +155,11 @@ def _checked(data: bytes, source: str) -> dict[str, Any]:
     return tables
 
 
+def table_types() -> dict[str, type[msgspec.Struct]]:
+    """Return the tables of robot.toml with their keys: the robot's, then every sensor's."""
+    return {**BASE_TABLES, **{name: sensor.Settings for name, sensor in REGISTRY.items()}}
+
+
 def make_robot(tables: Mapping[str, Any]) -> Robot:
     """Turn tables into typed settings; an unknown key is an error that names the nearest."""
     tables = dict(tables)
@@ -165,8 +169,9 @@ def make_robot(tables: Mapping[str, Any]) -> Robot:
     preset = tables.pop("preset", "default")
     if preset not in PRESETS:
         raise LocfuseError(f"preset = {preset!r}; choose from {', '.join(PRESETS)}")
-    settings = robot_toml.convert(tables, TABLES)
-    defaults = {name: kind() for name, kind in TABLES.items()}
+    types = table_types()
+    settings = robot_toml.convert(tables, types)
+    defaults = {name: kind() for name, kind in types.items()}
     found: dict[str, Any] = {**defaults, **settings}
     return Robot(
         wheels=found["wheels"],
@@ -198,7 +203,7 @@ def _light(role: str, msgtype: str) -> tuple[str, ...]:
     reads = {"wheels": WHEEL_READS, "truth": TRUTH_READS}
     if role in reads:
         return reads[role][msgtype]
-    return () if getattr(REGISTRY[role], "in_blocks", False) else REGISTRY[role].reads[msgtype]
+    return () if REGISTRY[role].in_blocks else REGISTRY[role].reads[msgtype]
 
 
 def _clock_notes(streams: Mapping[str, Any]) -> list[str]:

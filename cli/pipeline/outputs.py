@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Estimates, Evaluation
 from locfuse.fusion.judge.nis_over_time import Running, running_nis
-from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.sensors.registry import REGISTRY, colours
+from locfuse.fusion.wheels.states import WHEEL_STATES
 
 from . import results
 from .compare import Compared
@@ -97,7 +98,7 @@ def page(compared: Compared, drawn: Drawn, report: Mapping[str, Any]) -> str:
     from locfuse.formats.figures.sections import sections
     from locfuse.formats.report import html
 
-    return html.render(report, sections(scene(compared, drawn)), list(REGISTRY))
+    return html.render(report, sections(scene(compared, drawn)), colours())
 
 
 def figure_files(compared: Compared, drawn: Drawn) -> dict[str, bytes]:
@@ -106,30 +107,21 @@ def figure_files(compared: Compared, drawn: Drawn) -> dict[str, bytes]:
     from locfuse.formats.figures.palette import traces_of
     from locfuse.formats.figures.sections import sections
 
-    return paper_figures(sections(scene(compared, drawn)), traces_of(compared.estimates), list(REGISTRY))
+    return paper_figures(sections(scene(compared, drawn)), traces_of(compared.estimates), colours())
 
 
 def scene(compared: Compared, drawn: Drawn) -> Scene:
     """Return what the figures show: estimates, judgements, and consistency with its chi-square bounds."""
-    from locfuse.formats.figures.scene import Component, Scene, Stretches
-
-    from .components import LOOKS
+    from locfuse.formats.figures.scene import Scene, Stretches
 
     drive = compared.loaded.drive
     dof = 3 if any(j.heading is not None for j in compared.evaluations) else 2
-    components = {}
-    for sensor, m in drive.measurements.items():
-        numbered = tuple(f"y{i}" for i in range(m.z.shape[1]))
-        _, names, scales = LOOKS.get(sensor, ("", numbered, (1.0,) * len(numbered)))
-        components[sensor] = [
-            Component(n.split(" [")[0], n.partition("[")[2].rstrip("]").replace("deg", "°"), scale)
-            for n, scale in zip(names, scales, strict=True)
-        ]
     return Scene(
         drive=drive,
         estimates=[drawn.best if drawn.best and drawn.best.name == e.name else e for e in compared.estimates],
         evaluations=compared.evaluations,
         nis={run: Stretches(*running) for run, running in drawn.nis.items()},
         nees_bounds=(chi_square(0.025, dof) / dof, chi_square(0.975, dof) / dof),
-        components=components,
+        components={sensor: REGISTRY[sensor].components for sensor in drive.measurements},
+        states=WHEEL_STATES | {name: shown for s in REGISTRY.values() for name, shown in s.states.items()},
     )

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from locfuse.cli.pipeline.components import LOOKS
 from locfuse.cli.pipeline.load import Loaded
 from locfuse.cli.session.result import Result
 from locfuse.formats.figures.palette import Trace, colours, traces_of
@@ -17,14 +16,15 @@ from locfuse.formats.rerun.scene import Detail, Picture, RawTopic, Rgb, ScanPoin
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Array, Column, Estimates, Evaluation, Ragged
 from locfuse.fusion.measure import thinned
-from locfuse.fusion.robot import VIRTUAL_TRACK, Robot
+from locfuse.fusion.robot import VIRTUAL_TRACK
+from locfuse.fusion.sensor import Sensor
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.sensors.registry import colours as sensor_colours
 from locfuse.fusion.truth import TRUTH_READS
 from locfuse.fusion.wheels.read import WHEEL_READS
 
 from .scans import BEAMS, scan_points
 
-DEG = 180.0 / math.pi
 MOST_PICTURES = 600  # kept by default
 MOST_COLUMNS = 8  # of a numeric array that is drawn as curves: a scan's ranges are not
 LOW, HIGH = 0.025, 0.975  # between them lie 95 % of consistent NIS
@@ -71,7 +71,7 @@ def make_scene(
 
 def palette(traces: Mapping[str, Trace]) -> dict[str, Rgb]:
     """Return the colours that results have in the report, on its dark page."""
-    return {name: _rgb(c.dark) for name, c in colours(traces, list(REGISTRY)).items()}
+    return {name: _rgb(c.dark) for name, c in colours(traces, sensor_colours()).items()}
 
 
 def _rgb(web: str) -> Rgb:
@@ -80,22 +80,18 @@ def _rgb(web: str) -> Rgb:
 
 
 def sights(loaded: Loaded) -> dict[str, Sight]:
-    """Return how each measured sensor is drawn; one that is not known here still gets its curves."""
-    return {s: _sight(s, m.z.shape[1], loaded.robot) for s, m in loaded.drive.measurements.items()}
+    """Return how each measured sensor is drawn."""
+    return {s: _sight(REGISTRY[s], loaded.robot.settings(s)) for s in loaded.drive.measurements}
 
 
-def _sight(sensor: str, width: int, robot: Robot) -> Sight:
-    numbered = tuple(f"y{i}" for i in range(width))
-    kind, components, scale = LOOKS.get(sensor, ("", numbered, (1.0,) * width))
-    settings = robot.settings(sensor)
-    mount = [float(getattr(settings, key, 0.0)) for key in ("x", "y", "yaw_deg")]
+def _sight(sensor: Sensor, settings: Any) -> Sight:
+    width = len(sensor.components)
     return Sight(
-        components=components,
-        scale=scale,
+        components=sensor.components,
         bounds=(chi_square(LOW, width), chi_square(HIGH, width)),
-        kind=kind,
-        mount=(mount[0], mount[1], math.radians(mount[2])),
-        landmark=getattr(settings, "landmark", None),
+        kind=sensor.drawn,
+        mount=sensor.mount(settings),
+        landmark=sensor.landmark(settings),
     )
 
 
@@ -138,7 +134,7 @@ def raw_topics(loaded: Loaded) -> list[RawTopic]:
 def _fields(role: str, msgtype: str) -> tuple[str, ...]:
     """Return the fields of a topic that are numbers: none where rows are scans or pictures."""
     sensor = REGISTRY.get(role)
-    if sensor is not None and (getattr(sensor, "in_blocks", False) or role == "lrf"):
+    if sensor is not None and sensor.in_blocks:
         return ()
     reads = {"wheels": WHEEL_READS, "truth": TRUTH_READS}.get(role) or (sensor.reads if sensor else {})
     return tuple(reads.get(msgtype, ()))

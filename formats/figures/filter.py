@@ -4,29 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, Evaluation
+from locfuse.fusion.data import VERDICTS, Array, Audit, Component, Estimates, Evaluation
 
 from .panels import Band, Curve, Dots, Mark, Panel, Section
-from .scene import Component, Scene
+from .scene import Scene
 
 TIME = "time, s"
 STRETCHES = 120  # of a drive, over which NEES is averaged for drawing
 BINS = 150  # of the gate timeline
 INNOVATION_SIGMAS = 2.0
-DEG = 180.0 / np.pi
-BLOCKS = {  # state blocks as people read them
-    "compass_offset": (Component("compass offset", "°", DEG),),
-    "wheels": (
-        Component("left wheel's scale", "%", 100.0),
-        Component("right wheel's scale", "%", 100.0),
-        Component("track, to first order", "%", 100.0),
-    ),
-    **{
-        f"{sensor}_{part}": (Component(f"{sensor} mount {part}", unit, scale),)
-        for sensor in ("lrf", "camera")
-        for part, unit, scale in (("x", "m", 1.0), ("y", "m", 1.0), ("yaw", "°", DEG))
-    },
-}
 
 
 def consistency(scene: Scene) -> Section:
@@ -116,7 +102,7 @@ def _innovation(e: Estimates, sensor: str, audit: Audit, i: int, c: Component) -
     return Panel(
         f"innovation_{sensor}_{i}",
         f"{sensor}: innovation of {c.name}",
-        f"{sensor} {c.name}, {c.unit}",
+        f"{sensor} {c.name}, {c.sign}",
         TIME,
         tuple(marks),
         f"{int(accepted.sum())} accepted, and those that were compared and refused.",
@@ -175,7 +161,7 @@ def learnt(scene: Scene) -> Section:
     best = scene.best
     panels = []
     for name, values in best.blocks.items():
-        known = BLOCKS.get(name, tuple(Component(f"{name} {i}", "", 1.0) for i in range(values.shape[1])))
+        known = scene.states.get(name, [Component(f"{name} {i}", "") for i in range(values.shape[1])])
         for i, c in enumerate(known[: values.shape[1]]):
             v, s = c.scale * values[:, i], 3.0 * c.scale * best.block_sigmas[name][:, i]
             final = float(s[-1]) if len(s) else 1.0
@@ -183,7 +169,7 @@ def learnt(scene: Scene) -> Section:
             seen = np.abs(v - v[-1]) < 20.0 * max(final, 1e-9)
             low, high = min(low, float(v[seen].min())), max(high, float(v[seen].max()))
             marks: tuple[Mark, ...] = (Band(best.name, best.t, v - s, v + s), Curve(best.name, best.t, v))
-            label = f"{c.name}, {c.unit}" if c.unit else c.name
+            label = f"{c.name}, {c.sign}" if c.unit else c.name
             limits = (low, max(high, low + 1e-9))
             words = f"{c.name} as estimated over time, in the band of its 3 sigma."
             panels.append(Panel(f"learnt_{name}_{i}", c.name, label, TIME, marks, words, y_range=limits))

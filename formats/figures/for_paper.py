@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from locfuse.formats.thin import extremes
+from locfuse.fusion.data import Colour
 
 from . import palette, ticks
 from .palette import Trace
@@ -55,12 +56,15 @@ STYLE: dict[Any, Any] = {
 
 
 def paper_figures(
-    sections: Sequence[Section], traces: Mapping[str, Trace], registry: Sequence[str]
+    sections: Sequence[Section], traces: Mapping[str, Trace], sensors: Mapping[str, Colour]
 ) -> dict[str, bytes]:
-    """Return {name}.svg and {name}.pdf of every panel; `traces` are the configurations drawn."""
+    """Return {name}.svg and {name}.pdf of every panel.
+
+    `traces` are the configurations drawn, `sensors` the colours of all sensors known to the product.
+    """
     names = list(dict.fromkeys(m.of for s in sections for p in s.panels for m in p.marks))
-    every = {**{s: Trace(s, (s,)) for s in names if s in registry}, **traces}
-    inks = {**{n: c.light for n, c in palette.colours(every, registry).items()}, **_light_roles()}
+    every = {**{s: Trace(s, (s,)) for s in names if s in sensors}, **traces}
+    inks = {**{n: c.light for n, c in palette.colours(every, sensors).items()}, **_light_roles()}
     dashed = {name for name, trace in traces.items() if trace.dashed}
     out: dict[str, bytes] = {}
     for section in sections:

@@ -1,23 +1,16 @@
 """One colour per configuration, the same in every figure and every report, apart for every kind of colour vision.
 
 Chosen by search so that all pairs stay apart under protanopia, deuteranopia and tritanopia and each has a
-contrast of 3 against its page (tests/figures/test_figures.py measures both). A sensor keeps its colour whatever
-else the log holds, since colours go by the registry's order; sets of several sensors are dashed.
+contrast of 3 against its page (tests/figures/test_figures.py measures both). A sensor brings its own colour and
+keeps it whatever else the log holds; sets of several sensors are dashed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
-from locfuse.fusion.data import VERDICTS, Estimates
-
-
-class Colour(NamedTuple):
-    """A colour on a light page and on a dark one."""
-
-    light: str
-    dark: str
+from locfuse.fusion.data import VERDICTS, Colour, Estimates
 
 
 class Trace(NamedTuple):
@@ -38,13 +31,6 @@ class Trace(NamedTuple):
 ODOMETRY = Colour("#686a70", "#94979c")
 ALL = Colour("#8a0a55", "#bf2f80")
 TRUTH = Colour("#0d0f12", "#f4f5f7")
-SENSORS = (
-    Colour("#cb7627", "#ec8c10"),
-    Colour("#1a34b0", "#3a78de"),
-    Colour("#2aa090", "#74f0a4"),
-    Colour("#a93fc6", "#ec92fd"),
-    Colour("#4f3510", "#7d7a3c"),
-)
 SETS = (  # of several sensors but not all: told apart by their dashes and names too
     Colour("#0b6e6e", "#58c6c6"),
     Colour("#6d4fc4", "#a58bf0"),
@@ -81,15 +67,16 @@ def traces_in(report: Mapping[str, Any]) -> dict[str, Trace]:
     }
 
 
-def colours(traces: Mapping[str, Trace], registry: Sequence[str]) -> dict[str, Colour]:
-    """Return a colour for every trace: `registry` is the order of all sensors known to the product."""
-    return {name: _colour(trace, registry) for name, trace in traces.items()}
+def colours(traces: Mapping[str, Trace], sensors: Mapping[str, Colour]) -> dict[str, Colour]:
+    """Return a colour for every trace, by those of all sensors known to the product."""
+    return {name: _colour(trace, sensors) for name, trace in traces.items()}
 
 
-def _colour(trace: Trace, registry: Sequence[str]) -> Colour:
+def _colour(trace: Trace, sensors: Mapping[str, Colour]) -> Colour:
     if trace.configuration in {"odometry", "all"}:
         return ODOMETRY if trace.configuration == "odometry" else ALL
-    places = [registry.index(s) if s in registry else len(registry) for s in trace.sensors]
-    if len(places) == 1 and places[0] < len(SENSORS):
-        return SENSORS[places[0]]
+    if len(trace.sensors) == 1 and trace.sensors[0] in sensors:
+        return sensors[trace.sensors[0]]
+    order = list(sensors)
+    places = [order.index(s) if s in sensors else len(order) for s in trace.sensors]
     return SETS[sum(2**p for p in places) % len(SETS)]

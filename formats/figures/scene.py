@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from locfuse.fusion.data import Array, Drive, Estimates, Evaluation
+from locfuse.fusion.data import Array, Component, Drive, Estimates, Evaluation
 
 MOST_CONFIGURATIONS = 8  # more curves in one panel say nothing
 
@@ -22,14 +22,6 @@ class Stretches(NamedTuple):
     high: Array  # (n,)
 
 
-class Component(NamedTuple):
-    """One number of a sensor's innovation, as people read it."""
-
-    name: str
-    unit: str
-    scale: float  # SI to that unit
-
-
 @dataclass(frozen=True)
 class Scene:
     """Everything the figures show."""
@@ -39,7 +31,8 @@ class Scene:
     evaluations: Sequence[Evaluation]
     nis: Mapping[tuple[str, str], Stretches] = field(default_factory=dict)  # (configuration, sensor)
     nees_bounds: tuple[float, float] = (0.0, 0.0)  # of a single value per degree of freedom, 95 %
-    components: Mapping[str, Sequence[Component]] = field(default_factory=dict)  # by sensor
+    components: Mapping[str, Sequence[Component]] = field(default_factory=dict)  # of innovations, by sensor
+    states: Mapping[str, Sequence[Component]] = field(default_factory=dict)  # beyond the pose, by block
 
     @property
     def best(self) -> Estimates:

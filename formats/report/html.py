@@ -12,9 +12,10 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from locfuse.formats.figures import palette
-from locfuse.formats.figures.palette import Colour, Trace
+from locfuse.formats.figures.palette import Trace
 from locfuse.formats.figures.panels import Section
 from locfuse.formats.figures.svg import HEIGHT, WIDTH, slugs_of, svg
+from locfuse.fusion.data import Colour
 
 from . import tables
 from .notes import notes_of
@@ -29,8 +30,8 @@ SIZES = {1: (860, 500), 2: (WIDTH, HEIGHT), 3: (330, 190)}  # px of a panel by c
 STRIP = 200.0  # px, width of an effect strip
 
 
-def render(report: Mapping[str, Any], sections: Sequence[Section], registry: Sequence[str]) -> str:
-    """Return the page. `registry` is the order of all sensors known to the product: it settles the colours."""
+def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapping[str, Colour]) -> str:
+    """Return the page. `sensors` are all sensors known to the product, with their colours."""
     from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup
 
@@ -40,7 +41,7 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], registry: Seq
     names, bars = list(report["configurations"]), _bars(report)
     traces = palette.traces_in(report)
     dashed = {name for name, trace in traces.items() if trace.dashed}
-    inks = palette.colours({**traces, **{s: Trace(s, (s,)) for s in registry if s not in names}}, registry)
+    inks = palette.colours({**traces, **{s: Trace(s, (s,)) for s in sensors if s not in names}}, sensors)
     roles = {**inks, **palette.ROLES}
     slugs = slugs_of(list(roles))
     swatches = Swatches(slugs, dashed)

@@ -198,11 +198,11 @@ def _innovations(scene: Scene) -> Any | None:
     for sensor in _used(scene):
         sight = scene.sights.get(sensor)
         width = next(e.audits[sensor].y.shape[1] for e in scene.estimates if sensor in e.audits)
-        names = sight.components if sight else tuple(f"y{i}" for i in range(width))
-        for i, name in enumerate(names):
-            span = _innovation_span(scene, sensor, i) * (sight.scale[i] if sight else 1.0)
-            origin = f"/innovation/{sensor}/{series.entity(name)}"
-            views.append(_plot(f"{sensor} {name}", origin, legend=i == 0, span=span or None))
+        for i in range(width):
+            shown = series.component(sight, i)
+            span = _innovation_span(scene, sensor, i) * shown.scale
+            origin = f"/innovation/{sensor}/{part(shown.name)}"
+            views.append(_plot(f"{sensor} {shown.label}", origin, legend=i == 0, span=span or None))
     return rrb.Vertical(contents=views, name="Innovation") if views else None
 
 

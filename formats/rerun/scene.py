@@ -11,7 +11,7 @@ import numpy as np
 
 from locfuse.formats.geometry import wall
 from locfuse.formats.thin import CURVE_POINTS, SCANS
-from locfuse.fusion.data import Array, Drive, Estimates, Evaluation, Ints
+from locfuse.fusion.data import Array, Component, Drive, Estimates, Evaluation, Ints
 
 Rgb = tuple[int, int, int]
 GREY: Rgb = (148, 151, 156)
@@ -21,8 +21,7 @@ GREY: Rgb = (148, 151, 156)
 class Sight:
     """How one sensor's measurements are drawn and named."""
 
-    components: tuple[str, ...]  # of its innovation, unit in the name: "heading [deg]"
-    scale: tuple[float, ...]  # SI to that unit
+    components: tuple[Component, ...]  # of its innovation
     bounds: tuple[float, float]  # of the NIS: 95 % of consistent measurements lie between
     kind: Literal["segments", "bearing", "heading", ""] = ""  # what it looks like on the map
     mount: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, m, rad on the base

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.formats.thin import extremes
-from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, Evaluation, Ints, Measurements
+from locfuse.fusion.data import VERDICTS, Array, Audit, Component, Estimates, Evaluation, Ints, Measurements
 
 from . import style
 from .deferred import rr
@@ -38,8 +38,13 @@ def draw_series(to: Recorder, scene: Scene) -> None:
 
 
 def entity(name: str) -> str:
-    """Return a component's name without its unit: what its entity is called."""
+    """Return a deviation's name without its unit: what its entity is called."""
     return name.split(" ", 1)[0]
+
+
+def component(sight: Sight | None, i: int) -> Component:
+    """Return how number i of a sensor's innovation is shown, y0, y1, ... where nobody says."""
+    return sight.components[i] if sight else Component(f"y{i}", "")
 
 
 def draw_deviation(to: Recorder, judged: Evaluation, colour: Rgb, limit: int) -> None:
@@ -82,8 +87,8 @@ def draw_innovation(
     some = np.flatnonzero(np.isfinite(audit.y).all(axis=1))
     t = e.t[audit.instant[some]]
     for i in range(audit.y.shape[1]):
-        name, scale = (sight.components[i], sight.scale[i]) if sight else (f"y{i}", 1.0)
-        path = f"{root}/{entity(name)}/{part(e.name)}"
+        name, _, scale = component(sight, i)
+        path = f"{root}/{part(name)}/{part(e.name)}"
         dots(to, path, t, scale * audit.y[some, i], e.name, colour, limit)
         bound = INNOVATION_BAND * scale * audit.sigma[some, i]
         band(to, f"{path}/two_sigma", t, bound, e.name, colour, limit)

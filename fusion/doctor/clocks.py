@@ -111,10 +111,12 @@ def clock_lags(measurements: Mapping[str, Measurements], wheels: Wheels) -> dict
 
 def _heading(name: str, m: Measurements) -> tuple[Array, Array] | None:
     """Return times (n,) [s] and headings (n,) [rad] of a sensor that knows its own turning."""
-    heading = getattr(REGISTRY[name], "heading", None)
-    if heading is None or len(m.t) < FEWEST:
+    if len(m.t) < FEWEST:
         return None
-    t, angle = heading(m.take(np.arange(min(len(m.t), READINGS))))
+    heading = REGISTRY[name].heading(m.take(np.arange(min(len(m.t), READINGS))))
+    if heading is None:
+        return None
+    t, angle = heading
     known = np.isfinite(angle)
     return (t[known], angle[known]) if known.sum() >= FEWEST else None
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from locfuse.fusion.data import Array, Drive, Measurements, Stream
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.repairs import times
 
 from .clocks import of_clocks
@@ -25,7 +26,6 @@ from .turning import Turning, aligned, of_track, of_turning, turnings
 GAP, GAP_PERIODS = 0.5, 5.0  # s, median periods: a longer silence is a gap
 FEWEST = 10  # readings from which a sensor is judged
 BLIND = 0.9  # share of readings without any measurement: such a sensor is dead, or misunderstood
-SEES = {"lrf": "line", "sonar": "echo"}
 REFUSED = {
     "repeat": "repeat the one before",
     "same_stamp": "share the stamp of another",
@@ -100,8 +100,6 @@ def gaps(t: Array) -> list[tuple[float, float]]:
 def _blind(name: str, m: Measurements) -> list[Finding]:
     n = len(m.t)
     if n >= FEWEST and m.absent > BLIND * n:
-        words = (
-            f"no {SEES.get(name, 'value')} in {m.absent} of {n} readings: it is dead, or its settings do not fit"
-        )
-        return [Finding(name, "blind", words, severe=name == "lrf")]
+        words = f"no {REGISTRY[name].sees} in {m.absent} of {n} readings: it is dead, or its settings do not fit"
+        return [Finding(name, "blind", words, severe=REGISTRY[name].blind_spoils)]
     return [] if n else [Finding(name, "blind", "no reading within the wheels' time", severe=True)]

@@ -48,19 +48,19 @@ def turnings(drive: Drive) -> dict[str, Turning]:
     """Return how the wheels explain the turning of every sensor that turns by itself."""
     found = {}
     for name, m in drive.measurements.items():
-        heading = getattr(REGISTRY[name], "heading", None)
-        if heading is None or len(m.t) < 20:
+        sensor = REGISTRY[name]
+        heading = sensor.heading(m.take(np.arange(min(len(m.t), READINGS)))) if len(m.t) >= 20 else None
+        if heading is None:
             continue
-        first = m.take(np.arange(min(len(m.t), READINGS)))
-        t, own = heading(first)
-        turning = explain(t, own, drive.wheels, _untold(own) if name == "lrf" else np.zeros(len(t)))
+        t, own = heading
+        turning = explain(t, own, drive.wheels, _untold(own) if sensor.heading_holds else np.zeros(len(t)))
         if turning is not None:
             found[name] = turning
     return found
 
 
 def _untold(heading: Array) -> Array:
-    """Return how many turns up to each scan (n,) no line told: the laser's heading stands still, to the bit."""
+    """Return how many turns up to each reading (n,) nothing told: the heading stands still, to the bit."""
     return np.cumsum(np.diff(heading, prepend=np.nan) == 0.0).astype(np.float64)
 
 
@@ -168,16 +168,14 @@ def _swapped(settings: WheelSettings, stream: Stream) -> tuple[str, ...]:
 
 def _reversed(name: str, robot: Robot, streams: Mapping[str, Stream]) -> Finding:
     """Return what to do about one sensor that turns the other way round."""
-    settings = robot.settings(name)
-    if name == "lrf":
-        fixes, why = (f"lrf.flipped={str(not settings.flipped).lower()}",), "the laser is mounted upside-down"
-    elif name == "compass" and streams[name].msgtype.startswith("std_msgs"):
-        now = settings.convention
-        other = now.replace("enu", "compass") if now.startswith("enu") else now.replace("compass", "enu")
-        fixes, why = (f"compass.convention={other}",), "its headings grow clockwise"
-    else:
-        fixes, why = (f"{name}.roll_deg={(settings.roll_deg + 180.0) % 360.0:g}",), "it is mounted upside-down"
+    why, sets = REGISTRY[name].reversal(robot.settings(name), streams[name].msgtype)
+    fixes = tuple(f"{name}.{key}={_toml(value)}" for key, value in sets.items())
     return Finding(name, "reversed", f"it turns the other way round than the wheels: {why}", fixes, True)
+
+
+def _toml(value: str | float | bool) -> str:
+    """Return a value as --set takes it."""
+    return str(value).lower() if isinstance(value, bool) else f"{value:g}" if isinstance(value, float) else value
 
 
 def of_track(

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion.data import Array, Evaluation
-from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.sensors.registry import needed
 
 from .bootstrap import CONFIDENCE, Errors, luck, student_t
 from .verdict import NOTHING, OVERCONFIDENT, Effect, Verdict, verdict
@@ -92,11 +92,6 @@ def credit_over_logs(drives: Sequence[Credit]) -> Credit:
 def subsets(sensors: Sequence[str]) -> list[tuple[str, ...]]:
     """Return all 2^n sets: none, each alone, pairs, ..., all; in the order of `sensors`."""
     return [c for k in range(len(sensors) + 1) for c in combinations(sensors, k)]
-
-
-def beside_whom(sensor: str) -> tuple[str, ...]:
-    """Return the sensors without which this one says nothing: what it buys "alone" is what it adds to them."""
-    return tuple(getattr(REGISTRY.get(sensor), "needs", ()))
 
 
 class Step(NamedTuple):
@@ -180,7 +175,7 @@ class _Book:
 
     def _beside(self, sensor: str, sensors: Sequence[str]) -> tuple[str, ...]:
         """Return the sensors that it is added to: those it needs, else the fewest it was run with and without."""
-        usual = beside_whom(sensor)
+        usual = needed(sensor)  # what it buys "alone" is what it adds to them
         run = [s for s in self.sets if sensor not in s and s | {sensor} in self.sets]
         if not run or frozenset(usual) in run:
             return usual

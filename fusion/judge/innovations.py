@@ -14,7 +14,7 @@ import numpy as np
 from locfuse.fusion.chi_square import MAD, chi_square, mean_bounds
 from locfuse.fusion.data import VERDICTS, Array, Audit, Counts, Drive, Estimates, Ints, Measurements, matrices
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.se2 import wrap_all
+from locfuse.fusion.se2 import wrap, wrap_all
 from locfuse.fusion.sensor import Block
 from locfuse.fusion.sensors.registry import REGISTRY
 
@@ -198,7 +198,7 @@ def heard(drive: Drive, robot: Robot, run: Estimates, sensor: str) -> Heard | No
     model = REGISTRY[sensor].model(robot.settings(sensor))
     if model.joint or m.z.shape[1] != 1 or len(m.t) < 2 * LAGS:
         return None
-    blocks = model.blocks()
+    blocks, angular = model.blocks(), REGISTRY[sensor].components[0].unit == "deg"
     belief, rows = Frozen(blocks), []
     readings = _some(len(m.t))
     instants = drive.instant[sensor][readings]
@@ -209,7 +209,7 @@ def heard(drive: Drive, robot: Robot, run: Estimates, sensor: str) -> Heard | No
         if seen and seen[0].verdict != DISTURBED:
             best = seen[0]
             rows.append((float(m.t[i]), best.y[0], best.sigma[0] ** 2 - best.R[0][0], best.R[0][0]))
-    return _agreement(np.array(rows), bool(blocks)) if len(rows) >= 2 * LAGS else None
+    return _agreement(np.array(rows), bool(blocks), angular) if len(rows) >= 2 * LAGS else None
 
 
 def _some(n: int) -> Ints:
@@ -227,16 +227,22 @@ def usual_period(t: Array) -> float | None:
     return float(np.median(apart)) if len(apart) else None
 
 
-def _agreement(rows: Array, unknown: bool) -> Heard | None:
+def _agreement(rows: Array, unknown: bool, angular: bool) -> Heard | None:
     """Return the figures of readings (k, 4): t, y, variance of the reference, R. `unknown`: y has an offset.
+
+    Innovations y [rad where `angular`, else m]: the mean of angles is that of their directions.
 
     None where they share one instant: such readings do not tell how long an error lasts.
     """
     period = usual_period(rows[:, 0])
     if period is None:
         return None
-    mean = math.atan2(float(np.sin(rows[:, 1]).mean()), float(np.cos(rows[:, 1]).mean()))
-    y = wrap_all(rows[:, 1] - mean)
+    if angular:
+        mean = math.atan2(float(np.sin(rows[:, 1]).mean()), float(np.cos(rows[:, 1]).mean()))
+        y = wrap_all(rows[:, 1] - mean)
+    else:
+        mean = float(rows[:, 1].mean())
+        y = rows[:, 1] - mean
     middle = float(np.median(y))
     deviation = float(np.median(np.abs(y - middle))) / MAD
     tame = np.abs(y - middle) <= WILD * max(deviation, 1e-12)
@@ -248,7 +254,8 @@ def _agreement(rows: Array, unknown: bool) -> Heard | None:
     white = 0.5 * float((np.diff(y)[near] ** 2).mean()) if near.any() else variance
     correlation = _autocorrelation(centred, t, period)
     memory = _memory(correlation)
-    bias = None if unknown else float(wrap_all(np.asarray(mean + y.mean())))
+    offset = mean + float(y.mean())
+    bias = None if unknown else wrap(offset) if angular else offset
     sure = math.sqrt(variance * memory / len(y) + float(h.mean()))
     return Heard(
         len(y),

@@ -26,9 +26,6 @@ WANDERS = 0.25  # autocorrelation of innovations from which the prediction is sa
 REFUSED, REFUSED_LINES = 0.05, 0.25  # share of readings; of the lines of scans
 
 
-NOISE = ("sigma", "sigma_deg", "sigma_range", "sigma_angle_deg")  # keys that say how exact a reading is
-
-
 @dataclass(frozen=True)
 class NoiseVerdict:
     """A verdict, its words, and what to write into robot.toml."""
@@ -73,12 +70,11 @@ def by_itself(sensor: str, settings: Any, o: Own, floor: Sequence[float], period
 
 def _drifts(sensor: str, settings: Any, h: Heard) -> bool:
     """Whether an estimated offset already drifts as much as the slow errors need."""
-    key = getattr(REGISTRY[sensor], "drift_key", None)
+    key = REGISTRY[sensor].drift_key
     if key is None or h.bias is not None:
         return False
-    return (
-        float(getattr(settings, key)) > 0.5 * _human(math.sqrt(4.0 * h.spread / h.memory / h.period), settings)[0]
-    )
+    needed, _ = _human(math.sqrt(4.0 * h.spread / h.memory / h.period), sensor)
+    return float(getattr(settings, key)) > 0.5 * needed
 
 
 def by_memory(
@@ -100,7 +96,7 @@ def by_scale(sensor: str, settings: Any, factor: float) -> NoiseVerdict:
     """Complain about a sigma that is off by more than LARGER."""
     if SMALLER <= factor <= LARGER:
         return NoiseVerdict("consistent", f"{sensor} noise is about as told", factor)
-    keys = noise_keys(settings)
+    keys = REGISTRY[sensor].noise_keys
     cures = {f"{sensor}.{k}": rounded(getattr(settings, k) * factor) for k in keys}
     verdict: Verdict = "understated" if factor > 1.0 else "overstated"
     times = f"{rounded(max(factor, 1.0 / factor)):g} times {'larger' if factor > 1.0 else 'smaller'}"
@@ -113,16 +109,17 @@ def by_scale(sensor: str, settings: Any, factor: float) -> NoiseVerdict:
 
 def biased(sensor: str, settings: Any, bias: float) -> NoiseVerdict:
     """Complain about a mean that is off; `bias` is measured minus predicted [rad or m]."""
-    amount, unit = _human(bias, settings)
+    amount, unit = _human(bias, sensor)
     words = f"{sensor} disagrees with what the other sensors say by {amount:+.2g} {unit} on average"
-    key, sign = getattr(REGISTRY[sensor], "bias_key", (None, 0.0))
-    if key is None:
+    fix = REGISTRY[sensor].bias
+    if fix is None:
         return NoiseVerdict("biased", words)
-    value = _turned((getattr(settings, key) or 0.0) + sign * amount)
-    words += f": set {sensor}.{key}={value:g}"
-    if getattr(settings, key) is not None and getattr(REGISTRY[sensor], "estimates_bias", False):
-        words += f", or leave {key} out and let it be estimated"
-    return NoiseVerdict("biased", words, None, {f"{sensor}.{key}": value})
+    value = (getattr(settings, fix.key) or 0.0) + fix.sign * amount
+    value = _turned(value) if unit == "deg" else rounded(value)
+    words += f": set {sensor}.{fix.key}={value:g}"
+    if getattr(settings, fix.key) is not None and fix.estimated:
+        words += f", or leave {fix.key} out and let it be estimated"
+    return NoiseVerdict("biased", words, None, {f"{sensor}.{fix.key}": value})
 
 
 def contradicting(sensor: str, others: Sequence[str]) -> NoiseVerdict:
@@ -134,16 +131,15 @@ def contradicting(sensor: str, others: Sequence[str]) -> NoiseVerdict:
 def correlated(sensor: str, settings: Any, sigma: float, repeats: float, period: float) -> NoiseVerdict:
     """Complain about slow errors: `sigma` [rad or m], repeating over so many readings."""
     memory = repeats * period
-    amount, unit = _human(sigma, settings)
-    key = noise_keys(settings)[0]
+    amount, unit = _human(sigma, sensor)
+    key = REGISTRY[sensor].noise_keys[0]
     value = rounded(amount * math.sqrt(repeats))
     cures = {f"{sensor}.{key}": value}
     parts = [f"{key} about {value:g}", f"fewer readings (--sensors {sensor}@{rounded(1.0 / memory):g}Hz)"]
-    drift = getattr(REGISTRY[sensor], "drift_key", None)
-    if drift is not None:
+    drift, offset = REGISTRY[sensor].drift_key, REGISTRY[sensor].bias
+    if drift is not None and offset is not None:
         cures[f"{sensor}.{drift}"] = q = rounded(amount * math.sqrt(4.0 / memory))
-        offset, _ = getattr(REGISTRY[sensor], "bias_key", ("", 0.0))
-        given = getattr(settings, offset, None) is not None
+        given = getattr(settings, offset.key) is not None
         parts.insert(0, f"{'an estimated offset with ' if given else ''}{drift} about {q:g}")
     errors = f"{rounded(amount):g} {unit} that last {rounded(memory):g} s"
     words = (
@@ -177,15 +173,10 @@ def by_share(sensor: str, share: float, lines: bool, rest: NoiseVerdict) -> Nois
     return NoiseVerdict("outliers", f"{sensor}: {words}")
 
 
-def noise_keys(settings: Any) -> list[str]:
-    """Return the settings that say how exact a reading is."""
-    return [k for k in settings.__struct_fields__ if k in NOISE]
-
-
-def _human(value: float, settings: Any) -> tuple[float, str]:
-    """Return an amount in the unit of the sensor's sigma: degrees, or metres."""
-    angular = noise_keys(settings)[0].endswith("_deg")
-    return (math.degrees(value), "deg") if angular else (value, "m")
+def _human(value: float, sensor: str) -> tuple[float, str]:
+    """Return an amount [rad or m] of the sensor's first component in its unit, which is the sigma's too."""
+    first = REGISTRY[sensor].components[0]
+    return value * first.scale, first.unit
 
 
 def rounded(value: float) -> float:

@@ -22,12 +22,12 @@ from locfuse.fusion.camera.bearing import (
     predict_bearing,
 )
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import VERDICTS, LocfuseError, Measurements, Stream
-from locfuse.fusion.mount import Mount, MountedSettings
+from locfuse.fusion.data import VERDICTS, Colour, Component, LocfuseError, Measurements, Stream
+from locfuse.fusion.mount import ASK_MOUNT, Mount, MountedSettings, mount_states
 from locfuse.fusion.se2 import wrap
-from locfuse.fusion.sensor import Belief, Block, Innovation, Model, SensorSettings, WheelMotion
+from locfuse.fusion.sensor import GATE, Ask, Belief, Bias, Block, Innovation, Model, Sensor, WheelMotion
 
-GATE, AMBIGUOUS, UNMATCHED = (VERDICTS.index(v) for v in ("gate", "ambiguous", "unmatched"))
+AMBIGUOUS, UNMATCHED = (VERDICTS.index(v) for v in ("ambiguous", "unmatched"))
 MOST_COLUMNS, MOST_ROWS = 3600, 8192  # of a panorama: its maps stay below 250 MB
 MARGIN = 9.0  # by how much the second-best candidate must fit worse (squared sigmas: odds of 90 to 1)
 
@@ -74,13 +74,34 @@ def _numbers(value: Any) -> tuple[float, ...]:
     return value if isinstance(value, tuple) else (value,) if isinstance(value, float) else ()
 
 
-class Camera:
+class Camera(Sensor):
     """Reads CompressedImage (JPEG, PNG) and Image (rgb8, bgr8, rgba8, bgra8)."""
 
-    name: ClassVar[str] = "camera"
-    Settings: ClassVar[type[SensorSettings]] = CameraSettings
-    bias_key: ClassVar[tuple[str, float]] = ("zero_deg", -1.0)  # what cures a mean innovation, and its sign
-    in_blocks: ClassVar[bool] = True  # pictures are never all in memory
+    name = "camera"
+    Settings = CameraSettings
+    components = (Component("bearing", "deg", math.degrees(1.0)),)
+    states = mount_states("camera")
+    drawn = "bearing"
+    colour = Colour("#2aa090", "#74f0a4")
+    noise_keys = ("sigma_deg",)
+    bias = Bias("zero_deg", -1.0)
+    in_blocks = True  # pictures are never all in memory
+    costly = True  # decoding every picture takes longer than all the rest
+    asks: ClassVar[Mapping[str, Ask]] = {
+        "landmark": Ask(
+            "m, map frame: not in this log. Where the red landmark stands; "
+            "`locfuse info LOG --preview DIR` shows what the camera takes for it",
+            (2.0, 0.0),
+            needed=True,
+        ),
+        **dict.fromkeys(("x", "y", "yaw_deg"), Ask(f"m, m, degrees: {ASK_MOUNT}")),
+        "centre": Ask("px: where the mirror's axis meets the picture; left out, its middle", (320.0, 240.0)),
+        "outer": Ask("px: radius of the mirror's rim; left out, to the picture's nearest edge", 230.0),
+    }
+    guesses: ClassVar[Mapping[str, str]] = {
+        "zero_deg": "guess: bearing at which column 0 (straight down in the picture) looks",
+        "clockwise": "guess: columns turn counter-clockwise in the world, seen from above",
+    }
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "sensor_msgs/msg/CompressedImage": ("data", "format"),
         "foxglove.CompressedImage": ("data", "format"),
@@ -95,6 +116,14 @@ class Camera:
             "camera.landmark is not set. Look at the pictures with: locfuse info LOG --preview DIR, "
             "then --set camera.landmark=[X,Y]"
         )
+
+    def mount(self, settings: CameraSettings) -> tuple[float, float, float]:
+        """Return where it sits on the base: x [m], y [m], yaw [rad]."""
+        return settings.mount
+
+    def landmark(self, settings: CameraSettings) -> Point | None:
+        """Return where the landmark stands, (x, y) [m, map frame]."""
+        return settings.landmark
 
     def measure(
         self, stream: Stream, settings: CameraSettings, wheels: WheelMotion, epoch_ns: int
@@ -216,15 +245,22 @@ class BearingModel(Model):
             columns = self.mount.columns(belief)
             H_block = self.mount.rows((bearing_by_mount(pose, self.landmark, (x, y)),))
         bend = belief.spread(((H[0], H[1], 0.0),))[0][0]
-        spread = belief.spread((H,), columns, H_block)[0][0]
         judged = []
         for row in range(first, last):
             # the bearing is not linear in the position: second-order variance (sigma_position / distance)^4
             r = variances[row] + bend * bend
-            y, S = wrap(z[row] - h), spread + r
-            sigma = math.sqrt(S)
             judged.append(
-                Innovation(row, 0, 0, y * y / S, self.threshold, (y,), (sigma,), (H,), ((r,),), columns, H_block)
+                Innovation.of(
+                    row,
+                    (wrap(z[row] - h),),
+                    (H,),
+                    ((r,),),
+                    belief,
+                    self.threshold,
+                    columns=columns,
+                    H_block=H_block,
+                    landmark=0,
+                )
             )
         return choose(judged)
 
@@ -252,10 +288,8 @@ class OrientationModel(Model):
             return []
         z, variances = m.scalars
         y = wrap(paper_orientation(self.direction, z[row] + self.yaw) - belief.theta)
-        S = belief.spread((H_ORIENTATION,))[0][0] + variances[row]
-        seen = Innovation(
-            row, 0, 0, y * y / S, self.threshold, (y,), (math.sqrt(S),), (H_ORIENTATION,), ((variances[row],),)
-        )
+        R = ((variances[row],),)
+        seen = Innovation.of(row, (y,), (H_ORIENTATION,), R, belief, self.threshold, landmark=0)
         return choose([seen])
 
 

@@ -8,18 +8,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal, cast
+from typing import ClassVar, Literal, cast
 
 import numpy as np
 
 from locfuse.fusion.chi_square import MAD, chi_square
-from locfuse.fusion.data import VERDICTS, Array, LocfuseError, Measurements, Stream
+from locfuse.fusion.data import VERDICTS, Array, Colour, Component, LocfuseError, Measurements, Stream
 from locfuse.fusion.mount import rotated, rotation
 from locfuse.fusion.se2 import wrap, wrap_all
-from locfuse.fusion.sensor import Belief, Block, Innovation, Model, SensorSettings, WheelMotion
+from locfuse.fusion.sensor import (
+    Ask,
+    Belief,
+    Bias,
+    Block,
+    Innovation,
+    Model,
+    Reversal,
+    Sensor,
+    SensorSettings,
+    WheelMotion,
+)
 
 Convention = Literal["enu_rad", "enu_deg", "compass_rad", "compass_deg"]
 OFFSET = "compass_offset"
+DISTURBED = VERDICTS.index("disturbed")
 H_HEADING = ((0.0, 0.0, 1.0),)
 H_OFFSET = ((1.0,),)
 # What disturbs a field changes its strength (share) about as much as its direction [rad]: beyond this many sigmas,
@@ -44,14 +56,27 @@ class CompassSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, k
     field_tolerance: float = 0.25  # share by which the field's strength may leave its median
 
 
-class Compass:
+class Compass(Sensor):
     """Reads magnetometer axes, an IMU's yaw, or a heading number."""
 
-    name: ClassVar[str] = "compass"
-    Settings: ClassVar[type[SensorSettings]] = CompassSettings
-    bias_key: ClassVar[tuple[str, float]] = ("offset_deg", 1.0)  # what cures a mean innovation, and its sign
-    estimates_bias: ClassVar[bool] = True  # where that key is left out
-    drift_key: ClassVar[str] = "offset_drift_deg"  # what cures slow errors
+    name = "compass"
+    Settings = CompassSettings
+    components = (Component("heading", "deg", math.degrees(1.0)),)
+    states: ClassVar[Mapping[str, tuple[Component, ...]]] = {
+        OFFSET: (Component("compass offset", "deg", math.degrees(1.0)),)
+    }
+    drawn = "heading"
+    colour = Colour("#cb7627", "#ec8c10")
+    noise_keys = ("sigma_deg",)
+    bias = Bias("offset_deg", 1.0, estimated=True)
+    drift_key = "offset_drift_deg"
+    asks: ClassVar[Mapping[str, Ask]] = {
+        "sigma_deg": Ask("noise of one heading"),
+        "offset_deg": Ask("left out, it is estimated from the drive; locfuse calibrate finds iron", 0.0),
+    }
+    guesses: ClassVar[Mapping[str, str]] = {
+        "convention": "guess: radians, 0 is east and counter-clockwise (enu_deg, compass_rad, compass_deg)",
+    }
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "sensor_msgs/msg/MagneticField": ("magnetic_field.x", "magnetic_field.y", "magnetic_field.z"),
         "sensor_msgs/msg/Imu": (
@@ -111,6 +136,18 @@ class Compass:
         """Return times (n,) and headings (n,) [rad, unwrapped, up to a constant] by this sensor alone."""
         return m.t, np.unwrap(m.z[:, 0])
 
+    def reversal(self, settings: CompassSettings, msgtype: str) -> Reversal:
+        """Return the convention of the other sense for a bare number, else that the sensor is upside-down."""
+        if not msgtype.startswith("std_msgs/"):
+            return super().reversal(settings, msgtype)
+        frame, unit = settings.convention.split("_")
+        other = {"enu": "compass", "compass": "enu"}[frame]
+        return Reversal("its headings grow clockwise", {"convention": f"{other}_{unit}"})
+
+    def concerns(self, key: str, msgtype: str) -> bool:
+        """Return whether a key means anything to messages of this type: only bare numbers have a convention."""
+        return key != "convention" or msgtype.startswith("std_msgs/")
+
     def model(self, settings: CompassSettings) -> CompassModel:
         """Return the compass' side of a new run."""
         return CompassModel(settings)
@@ -145,23 +182,21 @@ class CompassModel(Model):
             column, now = belief.block(OFFSET)
             columns, H_block, offset = (column,), H_OFFSET, float(now[0])
         y = wrap(z - belief.theta - offset)
-        S = belief.spread(H_HEADING, columns, H_block)[0][0] + r
-        return [self._judge(i, y, S, r, strength, columns, H_block)]
-
-    def _judge(
-        self, i: int, y: float, S: float, r: float, strength: float, columns: Any, H_block: Any
-    ) -> Innovation:
-        threshold, nis = self.threshold, y * y / S
-        verdict = 0 if nis <= threshold else GATE
-        if abs(strength - 1.0) > self.settings.field_tolerance:
-            verdict = DISTURBED
-        return Innovation(
-            i, verdict, -1, nis, threshold, (y,), (math.sqrt(S),), H_HEADING, ((r,),), columns, H_block
-        )
-
-
-GATE = VERDICTS.index("gate")
-DISTURBED = VERDICTS.index("disturbed")
+        disturbed = abs(strength - 1.0) > self.settings.field_tolerance
+        verdict = DISTURBED if disturbed else None
+        return [
+            Innovation.of(
+                i,
+                (y,),
+                H_HEADING,
+                ((r,),),
+                belief,
+                self.threshold,
+                columns=columns,
+                H_block=H_block,
+                verdict=verdict,
+            )
+        ]
 
 
 def _refuse_stuck(t: Array, heading: Array, wheels: WheelMotion, topic: str) -> None:

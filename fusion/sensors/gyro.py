@@ -20,11 +20,10 @@ from typing import Any, ClassVar, Literal, cast
 import numpy as np
 
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import VERDICTS, Array, Ints, LocfuseError, Measurements, Stream
+from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, Stream
 from locfuse.fusion.mount import rotation
-from locfuse.fusion.sensor import Block, Innovation, Model, SensorSettings, WheelMotion
+from locfuse.fusion.sensor import Block, Innovation, Model, Sensor, SensorSettings, WheelMotion
 
-GATE = VERDICTS.index("gate")
 BEFORE, BIAS = "_gyro_before", "gyro_bias"
 H_TURN = ((0.0, 0.0, 1.0),)
 GAP, GAP_PERIODS = 0.5, 5.0  # s, median periods: over a longer silence the turn is not known
@@ -49,12 +48,19 @@ class GyroSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_o
     bias_drift_deg: float = 0.002  # its random walk, degrees per s per sqrt(s)
 
 
-class Gyro:
+class Gyro(Sensor):
     """Reads an IMU's angular velocity."""
 
-    name: ClassVar[str] = "gyro"
-    Settings: ClassVar[type[SensorSettings]] = GyroSettings
-    extra: ClassVar[bool] = True  # most bags have an IMU: one that is of no use must not stop the others
+    name = "gyro"
+    Settings = GyroSettings
+    components = (Component("turn", "deg", math.degrees(1.0)),)
+    states: ClassVar[Mapping[str, tuple[Component, ...]]] = {
+        BIAS: (Component("gyro bias", "deg/s", math.degrees(1.0)),)
+    }
+    colour = Colour("#8c6a00", "#d2b13a")
+    noise_keys = ("sigma_deg",)
+    extra = True  # most bags have an IMU: one that is of no use must not stop the others
+    guesses: ClassVar[Mapping[str, str]] = {"unit": "guess: radians per second, as REP 103 wants"}
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "sensor_msgs/msg/Imu": (
             "angular_velocity.x",
@@ -143,11 +149,7 @@ class GyroModel(Model):
             columns, H_block, bias = (column, at), ((-1.0, dt),), float(now[0])
         y = turned - bias * dt - (belief.theta - float(before[0]))
         r = m.scale**2 * dt + (self.settings.sigma_scale * turned) ** 2
-        S = belief.spread(H_TURN, columns, H_block)[0][0] + r
-        nis = y * y / S
-        verdict = 0 if nis <= self.threshold else GATE
-        sigma = (math.sqrt(S),)
-        return [Innovation(i, verdict, -1, nis, self.threshold, (y,), sigma, H_TURN, ((r,),), columns, H_block)]
+        return [Innovation.of(i, (y,), H_TURN, ((r,),), belief, self.threshold, columns=columns, H_block=H_block)]
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Keep the heading as it is now."""

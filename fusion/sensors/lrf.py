@@ -13,13 +13,13 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from locfuse.fusion.data import Array, Ints, Measurements, Stream
+from locfuse.fusion.data import Array, Colour, Component, Ints, Measurements, Stream
 from locfuse.fusion.linemap.tracker import LineTracker
 from locfuse.fusion.lines.extract import LineSettings
 from locfuse.fusion.lines.flatness import wall_floor
 from locfuse.fusion.lines.scans import Gathered, Laser, equal_scans, lines_in_base, too_many_beams, turns
-from locfuse.fusion.mount import Mount, MountedSettings
-from locfuse.fusion.sensor import SensorSettings, WheelMotion
+from locfuse.fusion.mount import ASK_MOUNT, Mount, MountedSettings, mount_states
+from locfuse.fusion.sensor import Ask, Reversal, Sensor, WheelMotion
 
 MapMode = Literal["first-scan", "consider", "refine", "grow", "given"]
 SCANS_PER_BLOCK = 256  # line extraction is level-synchronous over this many scans (benchmarks: "lines per scan")
@@ -44,13 +44,27 @@ class LrfSettings(MountedSettings, frozen=True, forbid_unknown_fields=True, kw_o
     recover: bool = True  # from slips and being carried away
 
 
-class Lrf:
+class Lrf(Sensor):
     """Reads LaserScan."""
 
-    name: ClassVar[str] = "lrf"
-    Settings: ClassVar[type[SensorSettings]] = LrfSettings
-    in_blocks: ClassVar[bool] = True  # too big to be held in memory whole
-    measures_by_sigma: ClassVar[bool] = True  # where one line ends and the next begins is judged by its noise
+    name = "lrf"
+    Settings = LrfSettings
+    components = (Component("r", "m"), Component("psi", "deg", math.degrees(1.0)))
+    states = mount_states("lrf")
+    drawn = "segments"
+    colour = Colour("#1a34b0", "#3a78de")
+    noise_keys = ("sigma_range", "sigma_angle_deg")
+    measures_by_sigma = True  # where one line ends and the next begins is judged by its noise
+    scale_key = "range_scale"
+    in_blocks = True
+    heading_holds = True
+    placed = True
+    sees = "line"
+    blind_spoils = True
+    asks: ClassVar[Mapping[str, Ask]] = {
+        **dict.fromkeys(("x", "y", "yaw_deg"), Ask(f"m, m, degrees: {ASK_MOUNT}")),
+        "sigma_range": Ask("m: noise of one range, by the data sheet"),
+    }
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "sensor_msgs/msg/LaserScan": (
             "angle_min",
@@ -85,6 +99,14 @@ class Lrf:
     def heading(self, m: Measurements) -> tuple[Array, Array]:
         """Return times (n,) and headings (n,) [rad, unwrapped, up to a constant] by lines from scan to scan."""
         return m.t, np.cumsum(turns(m.first, m.z, m.R[:, 1, 1]))
+
+    def reversal(self, settings: LrfSettings, msgtype: str) -> Reversal:
+        """Return that the laser is mounted the other way up."""
+        return Reversal("the laser is mounted upside-down", {"flipped": not settings.flipped})
+
+    def mount(self, settings: LrfSettings) -> tuple[float, float, float]:
+        """Return where it sits on the base: x [m], y [m], yaw [rad]."""
+        return settings.mount
 
     def model(self, settings: LrfSettings) -> LineTracker:
         """Return the laser's side of a new run."""

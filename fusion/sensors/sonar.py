@@ -16,14 +16,16 @@ from typing import Any, ClassVar, cast
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import VERDICTS, Array, Ints, Measurements, Stream
+from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Ints, Measurements, Stream
 from locfuse.fusion.linemap.sonar_echo import Cone, Echo, nearest_echo
-from locfuse.fusion.sensor import Innovation, Model, SensorSettings, WheelMotion
+from locfuse.fusion.mount import ASK_MOUNT
+from locfuse.fusion.sensor import GATE, Ask, Innovation, Model, Sensor, SensorSettings, WheelMotion
 from locfuse.fusion.streams import MergedStream
 
-GATE, UNMATCHED = (VERDICTS.index(v) for v in ("gate", "unmatched"))
+UNMATCHED = VERDICTS.index("unmatched")
 Mount = tuple[float, float, float]
 CLUTTER = 0.25  # share of the echoes that come from something the map lacks, anywhere before the wall
 
@@ -37,14 +39,22 @@ class SonarSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_
     widen_deg: float = 3.0  # walls count that stand square this far outside the cone: no heading is exact
 
 
-class Sonar:
+class Sonar(Sensor):
     """Reads Range."""
 
-    name: ClassVar[str] = "sonar"
-    Settings: ClassVar[type[SensorSettings]] = SonarSettings
-    extra: ClassVar[bool] = True
-    several: ClassVar[bool] = True  # all topics of the type are one sensor
-    needs: ClassVar[tuple[str, ...]] = ("lrf",)  # whose map it is held against
+    name = "sonar"
+    Settings = SonarSettings
+    components = (Component("distance", "m"),)
+    colour = Colour("#a93fc6", "#ec92fd")
+    noise_keys = ("sigma",)
+    extra = True
+    several = True
+    needs: ClassVar[Mapping[str, str]] = {"lrf": "held against the map of lrf"}
+    placed = True
+    sees = "echo"
+    asks: ClassVar[Mapping[str, Ask]] = {
+        "mounts": Ask(f"topic = [m, m, degrees]: {ASK_MOUNT}", {"/range": (0.0, 0.0, 0.0)})
+    }
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "sensor_msgs/msg/Range": ("field_of_view", "min_range", "max_range", "range"),
     }
@@ -120,19 +130,24 @@ class SonarModel(Model):
         z, variances = m.scalars
         echo = nearest_echo(lines, belief, cone, math.sqrt(variances[row]))
         if echo is None:
-            nan = math.nan
-            return [Innovation(row, UNMATCHED, -1, nan, self.threshold, (nan,), (nan,), (), ())]
+            return [Innovation.unpredicted(row, UNMATCHED, 1, self.threshold)]
         return [self._judge(row, z[row] - echo.distance, variances[row], echo, belief)]
 
     def _judge(self, row: int, y: float, r: float, echo: Echo, belief: Any) -> Innovation:
-        r += echo.map_variance
-        S = belief.spread(echo.H, echo.columns, echo.H_block)[0][0] + r
-        nis, sigma = y * y / S, math.sqrt(S)
-        threshold = min(self.threshold, _likelier(echo.distance, sigma))
-        verdict = 0 if nis <= threshold else GATE
-        return Innovation(
-            row, verdict, echo.line, nis, threshold, (y,), (sigma,), echo.H, ((r,),), echo.columns, echo.H_block
+        R = ((r + echo.map_variance,),)
+        seen = Innovation.of(
+            row,
+            (y,),
+            echo.H,
+            R,
+            belief,
+            self.threshold,
+            columns=echo.columns,
+            H_block=echo.H_block,
+            landmark=echo.line,
         )
+        threshold = min(self.threshold, _likelier(echo.distance, seen.sigma[0]))
+        return replace(seen, threshold=threshold, verdict=0 if seen.nis <= threshold else GATE)
 
 
 def _likelier(distance: float, sigma: float) -> float:

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 
 import msgspec
 
-from locfuse.fusion.judge.noise_verdicts import noise_keys
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
@@ -44,7 +43,7 @@ class Figures:
         out = {WHEELS: self.told.wheels.noise * self.factor(WHEELS)}
         for s in self.sensors:
             settings = self.told.settings(s)
-            out |= {f"{s}.{k}": getattr(settings, k) * self.factor(s) for k in noise_keys(settings)}
+            out |= {f"{s}.{k}": getattr(settings, k) * self.factor(s) for k in REGISTRY[s].noise_keys}
         if self.drift:
             key = drift_key(self.drift)
             start = getattr(self.told.settings(self.drift), key) or DRIFT_START
@@ -76,14 +75,13 @@ class Figures:
 
 def drift_key(sensor: str) -> str:
     """Return the setting by which a sensor's estimated offset drifts, "" where it has none."""
-    return str(getattr(REGISTRY[sensor], "drift_key", ""))
+    return REGISTRY[sensor].drift_key or ""
 
 
 def drifting(robot: Robot, sensors: Sequence[str], wanted: bool) -> str | None:
     """Return the sensor whose offset is estimated and drifts, or may be asked whether it does."""
     for s in sensors:
-        offset, _ = getattr(REGISTRY[s], "bias_key", ("", 0.0))
-        key = drift_key(s)
-        if key and getattr(robot.settings(s), offset, None) is None:
+        offset, key = REGISTRY[s].bias, drift_key(s)
+        if key and offset is not None and getattr(robot.settings(s), offset.key) is None:
             return s if wanted or getattr(robot.settings(s), key) > 0.0 else None
     return None

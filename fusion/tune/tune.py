@@ -19,7 +19,6 @@ import numpy as np
 from locfuse.fusion.data import Drive, LocfuseError, Measurements, Motions
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.innovations import Own, own
-from locfuse.fusion.judge.noise_verdicts import noise_keys
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
@@ -170,7 +169,7 @@ class Bench:
         for s in self.figures.sensors:
             now = self.figures.factors.get(s, 0.0)
             wrong = abs(now - self._measured_at[s]) > math.log(MEASURE_AGAIN)
-            if wrong and self._remeasure is not None and getattr(REGISTRY[s], "measures_by_sigma", False):
+            if wrong and self._remeasure is not None and REGISTRY[s].measures_by_sigma:
                 for i, trial in enumerate(self.trials):
                     if s in trial.drive.measurements:
                         m = self._remeasure(i, s, self.figures.robot(trial.robot))
@@ -226,10 +225,8 @@ class Bench:
 
 def says_noise(sensor: str, trials: Sequence[Trial]) -> bool:
     """Return whether a sensor's readings come with their own covariance: its sigma would change nothing."""
-    says = getattr(REGISTRY[sensor], "says_noise", None)
-    return says is not None and any(
-        says(t.drive.measurements[sensor]) for t in trials if sensor in t.drive.measurements
-    )
+    found = [t.drive.measurements[sensor] for t in trials if sensor in t.drive.measurements]
+    return any(map(REGISTRY[sensor].says_noise, found))
 
 
 def check_told_alike(trials: Sequence[Trial], sensors: Sequence[str]) -> None:
@@ -239,7 +236,7 @@ def check_told_alike(trials: Sequence[Trial], sensors: Sequence[str]) -> None:
         pairs = [("wheels.noise", first.robot.wheels.noise, t.robot.wheels.noise)]
         for s in sensors:
             a, b = first.robot.settings(s), t.robot.settings(s)
-            pairs += [(f"{s}.{k}", getattr(a, k), getattr(b, k)) for k in noise_keys(a)]
+            pairs += [(f"{s}.{k}", getattr(a, k), getattr(b, k)) for k in REGISTRY[s].noise_keys]
         for key, a, b in pairs:
             if a != b:
                 fix = f"{key}={a:g}"

@@ -8,16 +8,22 @@ told radius, ratio and track: where robot.toml has the track 15 % too small, q i
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from locfuse.fusion.data import Array
+from locfuse.fusion.data import Array, Component
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensor import Block
 
 WHEELS = "wheels"
-WITH_METRE = ("lrf", "sonar", "gps")  # sensors that measure metres
+WHEEL_STATES: dict[str, Sequence[Component]] = {
+    WHEELS: (
+        Component("left wheel's scale", "%", 100.0),
+        Component("right wheel's scale", "%", 100.0),
+        Component("track, to first order", "%", 100.0),
+    )
+}
 SEEN = 0.7  # a scale whose standard deviation keeps more of its prior's was not seen
 SURPRISE = 2.0  # prior standard deviations: beyond, wheels and sensor do not mean the same metre
 
@@ -44,8 +50,13 @@ def derivative(x: Array) -> Array:
     )
 
 
-def wheel_words(settings: WheelSettings, x: Array, P: Array, sensors: Sequence[str]) -> list[str]:
-    """Say what the states x (3,) with covariance P (3, 3) mean, and what these sensors cannot tell."""
+def wheel_words(
+    settings: WheelSettings, x: Array, P: Array, sensors: Sequence[str], metric: Mapping[str, str | None]
+) -> list[str]:
+    """Say what the states x (3,) with covariance P (3, 3) mean, and what these sensors cannot tell.
+
+    `metric`: those of them that measure metres, and the setting, where there is one, by which theirs are scaled.
+    """
     found, G = geometry(x), derivative(x)
     sigma = np.sqrt(np.maximum(np.diagonal(G @ P @ G.T), 0.0))
     prior = settings.sigma_scale / math.sqrt(2.0)  # of the radius, the mean of both
@@ -58,25 +69,26 @@ def wheel_words(settings: WheelSettings, x: Array, P: Array, sensors: Sequence[s
     elif sigma[2] > SEEN * settings.sigma_track:
         words.append("the track is not identifiable: the robot hardly turned")
     elif abs(found[0]) > SURPRISE * prior:
-        words += _metres(settings, found, prior, [s for s in sensors if s in WITH_METRE])
+        words += _metres(settings, found, prior, metric)
     return words
 
 
-def _metres(settings: WheelSettings, found: Array, prior: float, sensors: Sequence[str]) -> list[str]:
+def _metres(settings: WheelSettings, found: Array, prior: float, metric: Mapping[str, str | None]) -> list[str]:
     """Say that wheels and sensors do not mean the same metre: only the quotient of the two is seen."""
-    if not sensors:
+    if not metric:
         return []
     scale, _, track = found.tolist()
     words = (
-        f"by the metre of {' and '.join(sensors)} the wheels are {100.0 * abs(scale):.1f} % "
+        f"by the metre of {' and '.join(metric)} the wheels are {100.0 * abs(scale):.1f} % "
         f"{'larger' if scale > 0 else 'smaller'} than told, and {100.0 * prior:.1f} % was expected. "
     )
-    if tuple(sensors) != ("lrf",):
+    keys = [f"{sensor}.{key}" for sensor, key in metric.items() if key]
+    if len(metric) > 1 or not keys:
         return [words + "One of the two is wrong, and which is not identifiable here"]
     told = f", the track is {settings.track * (1.0 + track) / (1.0 + scale):.4g}" if settings.track else ""
     return [
-        words + "Which is wrong is not identifiable from them: if the radius is right, lrf.range_scale should be "
-        f"{1.0 / (1.0 + scale):.4g} times what it is{told}; if lrf.range_scale is right, the figures above hold"
+        words + f"Which is wrong is not identifiable from them: if the radius is right, {keys[0]} should be "
+        f"{1.0 / (1.0 + scale):.4g} times what it is{told}; if {keys[0]} is right, the figures above hold"
     ]
 
 

@@ -18,9 +18,10 @@ from locfuse.formats.figures.for_paper import paper_figures
 from locfuse.formats.figures.panels import Band, Curve, Dots, Panel, Strokes
 from locfuse.formats.figures.sections import sections
 from locfuse.fusion.data import VERDICTS
+from locfuse.fusion.sensors.registry import colours
 
 Array = NDArray[np.float64]
-REGISTRY = ["compass", "lrf", "camera", "sonar", "gps"]
+SENSORS = colours()
 # Machado, Oliveira, Fernandes 2009: severity 1.0, on linear RGB
 VISION = {
     "normal": np.eye(3),
@@ -83,7 +84,7 @@ def contrast(a: str, b: str) -> float:
 @pytest.mark.parametrize("theme", ["light", "dark"])
 @pytest.mark.parametrize("vision", VISION)
 def test_the_papers_five_configurations_and_the_truth_stay_apart(theme: str, vision: str) -> None:
-    inks = palette.colours(["odometry", "compass", "lrf", "camera", "all"], REGISTRY) | {"truth": palette.TRUTH}
+    inks = palette.colours(["odometry", "compass", "lrf", "camera", "all"], SENSORS) | {"truth": palette.TRUTH}
     labs = {n: oklab(VISION[vision] @ linear_rgb(getattr(c, theme))) for n, c in inks.items()}
     for a, b in combinations(labs, 2):
         assert np.linalg.norm(labs[a] - labs[b]) > 0.09, (a, b)  # just noticeable: 0.02
@@ -91,17 +92,16 @@ def test_the_papers_five_configurations_and_the_truth_stay_apart(theme: str, vis
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_every_configuration_stands_out_from_its_page(theme: str) -> None:
-    names = ["odometry", "all", *REGISTRY, "compass+lrf", "lrf+camera", "compass+camera", "sonar+gps"]
-    for name, colour in palette.colours(names, REGISTRY).items():
+    names = ["odometry", "all", *SENSORS, "compass+lrf", "lrf+camera", "compass+camera", "sonar+gps"]
+    for name, colour in palette.colours(traced(names), SENSORS).items():
         assert contrast(getattr(colour, theme), page(theme)) >= 3.0, name
 
 
 def test_a_sensors_colour_does_not_depend_on_what_else_is_in_the_log() -> None:
     assert (
-        palette.colours(["lrf"], REGISTRY)["lrf"]
-        == palette.colours(["odometry", "compass", "lrf"], REGISTRY)["lrf"]
+        palette.colours(["lrf"], SENSORS)["lrf"] == palette.colours(["odometry", "compass", "lrf"], SENSORS)["lrf"]
     )
-    assert palette.colours(["lrf@2Hz"], REGISTRY)["lrf@2Hz"] == palette.colours(["lrf"], REGISTRY)["lrf"]
+    assert palette.colours(["lrf@2Hz"], SENSORS)["lrf@2Hz"] == palette.colours(["lrf"], SENSORS)["lrf"]
     assert palette.dashed("lrf@2Hz")
     assert palette.dashed("compass+lrf")
     assert not palette.dashed("lrf")
@@ -248,7 +248,7 @@ def test_a_report_has_its_figures_and_each_its_words() -> None:
 def test_paper_figures_are_the_same_bytes_twice_with_real_fonts() -> None:
     scene, _ = small_scene.long(0.05, 2)
     some = [s for s in sections(scene) if s.name in {"trajectories", "gates"}]
-    first, second = (paper_figures(some, REGISTRY) for _ in range(2))
+    first, second = (paper_figures(some, SENSORS) for _ in range(2))
     assert first == second
     assert set(first) == {"trajectories.svg", "trajectories.pdf", "gates.svg", "gates.pdf"}
     ET.fromstring(first["gates.svg"])

@@ -10,10 +10,11 @@ import small_drive
 from numpy.typing import NDArray
 
 from locfuse.cli.pipeline.verdicts import prediction_values, verdicts
-from locfuse.formats.figures.scene import Component, Scene, Stretches
+from locfuse.formats.figures.scene import Scene, Stretches
 from locfuse.formats.report import json_report
 from locfuse.fusion.data import (
     Audit,
+    Component,
     Drive,
     Estimates,
     Evaluation,
@@ -31,9 +32,9 @@ from locfuse.fusion.judge.predictive import listeners, scores
 Array = NDArray[np.float64]
 NAMES = ("odometry", "compass", "lrf", "camera", "compass+lrf", "all")
 COMPONENTS = {
-    "compass": (Component("heading", "°", 57.3),),
-    "lrf": (Component("r", "m", 1.0), Component("psi", "°", 57.3)),
-    "camera": (Component("bearing", "°", 57.3),),
+    "compass": (Component("heading", "deg", 57.3),),
+    "lrf": (Component("r", "m", 1.0), Component("psi", "deg", 57.3)),
+    "camera": (Component("bearing", "deg", 57.3),),
 }
 SOURCE: dict[str, Any] = {
     "name": "made_up",

@@ -11,13 +11,13 @@ import msgspec
 import pytest
 
 from locfuse.cli.main import COMMANDS, locfuse
-from locfuse.cli.pipeline.load import TABLES
+from locfuse.cli.pipeline.load import table_types
 from locfuse.sample_logs.scenario import Scenario
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 SCENARIO = {f.name: getattr(f.type, "__struct_fields__", ()) for f in msgspec.structs.fields(Scenario)}
-KEYS = {name: {*table.__struct_fields__, *SCENARIO.get(name, ())} for name, table in TABLES.items()}
+KEYS = {name: {*table.__struct_fields__, *SCENARIO.get(name, ())} for name, table in table_types().items()}
 OPTION = re.compile(r"(?<![\w-])(--?[a-z][a-z-]*)")
 
 

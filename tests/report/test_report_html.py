@@ -20,8 +20,9 @@ from commands import locfuse
 from locfuse.formats.figures.sections import sections
 from locfuse.formats.report import html as report_html
 from locfuse.formats.report import markdown, tables
+from locfuse.fusion.sensors.registry import colours
 
-REGISTRY = ["compass", "lrf", "camera", "sonar", "gps"]
+SENSORS = colours()
 EVIL = '/<script>alert(1)</script>"onload=x|`*_\\'
 VOID = {"meta", "input", "br"}
 # numbers that are words: what a column, a bound or a rule is called
@@ -198,7 +199,7 @@ def test_the_shipped_samples_page_is_small(compared: Path) -> None:
 
 def test_a_ten_minute_log_fits_in_one_and_a_half_megabytes() -> None:
     scene, report = small_scene.long(minutes=10.0, configurations=6)
-    html = report_html.render(report, sections(scene), REGISTRY)
+    html = report_html.render(report, sections(scene), SENSORS)
     assert len(html.encode()) < 1_500_000
 
 
@@ -215,7 +216,7 @@ def test_text_from_logs_stays_text(written: str) -> None:
     report["truth"] = {"topic": EVIL, "stamps": 3, "used": 2, "heading": True, "distance_m": 1.0}
     report["verdicts"] = {"compass": {"verdict": "helps", "words": EVIL}}
     if written == "html":
-        html = report_html.render(report, [], REGISTRY)
+        html = report_html.render(report, [], SENSORS)
         page = read(html)
         assert "script" not in page.tags
         assert "onload" not in dict(page.attributes)
@@ -229,7 +230,7 @@ def test_text_from_logs_stays_text(written: str) -> None:
 
 def test_a_report_without_truth_says_so_and_ranks_by_prediction(tmp_path: Path) -> None:
     scene, report = small_scene.untrue()
-    html = report_html.render(report, sections(scene), REGISTRY)
+    html = report_html.render(report, sections(scene), SENSORS)
     words = " ".join(read(html).words)
     assert "There is no truth in this log" in words
     assert report["prediction"]["trust"] in words
@@ -267,8 +268,9 @@ def test_the_page_needs_no_matplotlib(compared: Path) -> None:
         "import sys\nimport small_scene\n"
         "from locfuse.formats.report import html\n"
         "from locfuse.formats.figures.sections import sections\n"
+        "from locfuse.fusion.sensors.registry import colours\n"
         "scene, report = small_scene.long(0.1, 2)\n"
-        "html.render(report, sections(scene), ['compass'])\n"
+        "html.render(report, sections(scene), colours())\n"
         "assert 'matplotlib' not in sys.modules\n"
     )
     tests = str(Path(__file__).parents[1] / "helpers")
@@ -290,7 +292,7 @@ def test_what_configurations_noted_of_themselves_is_on_the_page_as_in_its_twin()
     lost = "lrf: lost from 19.9 s after the start until the end"
     for name in ("lrf", "all"):
         report["configurations"][name]["notes"] = [f"{lost} ({name})"]
-    words = " ".join(read(report_html.render(report, sections(scene), REGISTRY)).words)
+    words = " ".join(read(report_html.render(report, sections(scene), SENSORS)).words)
     for said in (f"{lost} (lrf)", f"all: {lost} (all)"):
         assert said in words
         assert said in markdown.render(report)

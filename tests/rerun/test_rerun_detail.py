@@ -17,14 +17,23 @@ from locfuse.formats.rerun.recording import sketch, unfolded
 from locfuse.formats.rerun.scene import Detail, RawTopic, Scene, Sight
 from locfuse.formats.rerun.series import reading_states, thinned_states
 from locfuse.formats.rerun.style import STATES
-from locfuse.fusion.data import VERDICTS, Audit, Drive, Estimates, Measurements, Motions, upper_triangles
+from locfuse.fusion.data import (
+    VERDICTS,
+    Audit,
+    Component,
+    Drive,
+    Estimates,
+    Measurements,
+    Motions,
+    upper_triangles,
+)
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 
 N = 30_000
 SIGHTS: Mapping[str, Sight] = {
-    "compass": Sight(("heading [deg]",), (57.3,), (0.001, 5.02), "heading"),
-    "lrf": Sight(("r [m]", "psi [deg]"), (1.0, 57.3), (0.05, 7.38), "segments"),
+    "compass": Sight((Component("heading", "deg", 57.3),), (0.001, 5.02), "heading"),
+    "lrf": Sight((Component("r", "m"), Component("psi", "deg", 57.3)), (0.05, 7.38), "segments"),
 }
 
 

@@ -20,7 +20,7 @@ from rosbags.highlevel import AnyReader
 
 from locfuse import sample_logs
 from locfuse.cli.jobs.simulate import localise
-from locfuse.cli.pipeline.load import TABLES
+from locfuse.cli.pipeline.load import table_types
 from locfuse.fusion.data import Array, ArrayStream, Ragged, UsageError
 from locfuse.sample_logs import load
 from locfuse.sample_logs.messages import RawMessage
@@ -113,8 +113,8 @@ def test_the_log_carries_the_scenario_that_made_it(name: str, tmp_path: Path) ->
 def test_robot_toml_holds_known_keys_and_nothing_the_simulator_drew(name: str) -> None:
     tables = tomllib.loads(attachments(name)["robot.toml"].decode())
     for table, values in tables.items():
-        if table in TABLES:
-            msgspec.convert(values, TABLES[table])
+        if table in table_types():
+            msgspec.convert(values, table_types()[table])
     assert tables["compass"] == {"topic": "/compass", "sigma_deg": 3.0}  # no offset, no iron, no true noise
     assert set(tables["wheels"]) == {"topic", "left", "right", "radius", "track"}
     assert "map" not in tables["lrf"]

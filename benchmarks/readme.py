@@ -1,15 +1,18 @@
-"""The commands that README.md and the docs show are run, and what they print is what the page says.
+"""The commands and the Python that README.md and the docs show are run, and print what the page says.
 
     python -m benchmarks.readme           exit 1 where a page differs from what its commands print today
     python -m benchmarks.readme --write   put today's output into the pages
 
 A block is a fence of ```console with lines `$ locfuse ...`, each followed by its stdout, if it is not sent to
-/dev/null.
+/dev/null. On a Python page every fence of ```python is run in page order, in one namespace, and a fence of ```text
+below it holds what it prints.
 """
 
 from __future__ import annotations
 
+import contextlib
 import difflib
+import io
 import os
 import re
 import shlex
@@ -20,6 +23,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 PAGES = ("README.md", "docs/bags.md", "docs/paper.md", "docs/trust.md")
+PYTHON_PAGES = ("docs/python.md",)
+PYTHON = re.compile(r"```python\n(.*?)```\n(?:```text\n.*?```\n)?", re.DOTALL)
 BLOCK = re.compile(r"```console\n(.*?)```", re.DOTALL)
 WIDTH = "100"
 NOTHING = " > /dev/null"
@@ -61,14 +66,28 @@ def replayed(page: str, folder: Path) -> str:
     return BLOCK.sub(replay, page)
 
 
+def replayed_python(page: str, folder: Path) -> str:
+    """Return the page with what its Python prints today, run in `folder`."""
+    namespace: dict[str, object] = {}
+
+    def replay(match: re.Match[str]) -> str:
+        printed = io.StringIO()
+        with contextlib.redirect_stdout(printed), contextlib.chdir(folder):
+            exec(compile(match[1], "page", "exec"), namespace)
+        text = printed.getvalue()
+        return f"```python\n{match[1]}```\n" + (f"```text\n{text}```\n" if text else "")
+
+    return PYTHON.sub(replay, page)
+
+
 def main(write: bool) -> int:
     """Check or rewrite all pages."""
     wrong = 0
-    for name in PAGES:
+    for name in (*PAGES, *PYTHON_PAGES):
         path = ROOT / name
         page = path.read_text(encoding="utf-8")
         with tempfile.TemporaryDirectory() as folder:
-            now = replayed(page, Path(folder))
+            now = (replayed_python if name in PYTHON_PAGES else replayed)(page, Path(folder))
         if write:
             path.write_text(now, encoding="utf-8")
         elif now != page:

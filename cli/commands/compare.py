@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from locfuse.cli.pipeline.outputs import OF_COMPARISON as KINDS
+from locfuse.cli.pipeline.settings import OF_COMPARISON as KINDS
 from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.cli.rerun.record import RerunOptions, record, sketched
 from locfuse.cli.terminal.options import (

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import click
 
-from locfuse.cli.pipeline.maps import MapOptions
-from locfuse.cli.pipeline.outputs import OF_RUN as KINDS
-from locfuse.cli.pipeline.settings import LogOptions
+from locfuse.cli.pipeline.settings import OF_RUN as KINDS
+from locfuse.cli.pipeline.settings import LogOptions, MapOptions
 from locfuse.cli.rerun.record import RerunOptions, record, sketched
 from locfuse.cli.terminal.options import (
     chosen,

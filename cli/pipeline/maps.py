@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -10,20 +10,6 @@ import msgspec
 from locfuse.fusion.data import Estimates, UsageError
 
 from .load import Loaded
-
-
-@dataclass(frozen=True)
-class MapOptions:
-    """Which map the laser is given, and where the map that it made goes."""
-
-    given: Path | None
-    save: Path | None
-
-    def check(self, sensors: tuple[str, ...]) -> None:
-        """Raise UsageError where maps are asked of a run without a laser."""
-        asked = "--map" if self.given is not None else "--save-map" if self.save is not None else None
-        if asked and "lrf" not in sensors:
-            raise UsageError(f"{asked}: only the laser has a map; add lrf to --sensors")
 
 
 def give(loaded: Loaded, file: Path) -> Loaded:

@@ -21,9 +21,6 @@ if TYPE_CHECKING:
 
     from .load import Loaded
 
-OF_COMPARISON = ("html", "md", "json", "tum", "csv", "tex")
-OF_RUN = ("tum", "csv", "json")
-
 
 class Drawn:
     """What figures show of the audits, taken as each configuration is judged."""

@@ -1,4 +1,7 @@
-"""What the user chose, on the command line or in Python: how to read a log, and which outputs to write."""
+"""What the user chose, on the command line or in Python: how to read a log, and which outputs to write.
+
+Every command imports this for its options, so NumPy is imported inside the functions that need what needs it.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from locfuse.formats.robot.robot_toml import as_set
-from locfuse.fusion.data import UsageError
-
 PathLike = str | os.PathLike[str]
 Sets = Mapping[str, Any] | Iterable[str]  # {"lrf.topic": "/scan"}, or as typed: ["lrf.topic=/scan"]
 Progress = Callable[[str], None]  # is given the name of the current step
+OF_COMPARISON = ("html", "md", "json", "tum", "csv", "tex")  # kinds of output
+OF_RUN = ("tum", "csv", "json")
 PRESETS = ("default", "paper")
 ORDERS = ("auto", "stamp", "recorded")
 
@@ -34,8 +36,26 @@ class LogOptions:
     preset: str | None = None
 
 
+@dataclass(frozen=True)
+class MapOptions:
+    """Which map the laser is given, and where the map that it made goes."""
+
+    given: Path | None
+    save: Path | None
+
+    def check(self, sensors: tuple[str, ...]) -> None:
+        """Raise UsageError where maps are asked of a run without a laser."""
+        from locfuse.fusion.data import UsageError
+
+        asked = "--map" if self.given is not None else "--save-map" if self.save is not None else None
+        if asked and "lrf" not in sensors:
+            raise UsageError(f"{asked}: only the laser has a map; add lrf to --sensors")
+
+
 def log_options(robot: PathLike | None, sets: Sets | None, order: str | None, preset: str | None) -> LogOptions:
     """Return the options of a log as Python gives them. Raises UsageError for what cannot be one."""
+    from locfuse.fusion.data import UsageError
+
     for what, word, known in (("order", order, ORDERS), ("preset", preset, PRESETS)):
         if word is not None:
             one_of(word, known, what)
@@ -56,6 +76,8 @@ def set_words(sets: Sets | None) -> tuple[str, ...]:
 
 def _words(key: str, value: Any) -> list[str]:
     """Return one setting, or those of a table."""
+    from locfuse.formats.robot.robot_toml import as_set
+
     if isinstance(value, Mapping):
         return [word for below, inner in value.items() for word in _words(f"{key}.{below}", inner)]
     return [as_set(key, os.fspath(value) if isinstance(value, os.PathLike) else value)]
@@ -68,6 +90,8 @@ def path_of(path: PathLike) -> Path:
 
 def words_of(log: PathLike | Sequence[PathLike]) -> list[str]:
     """Return one log, or the parts of one, as the words of a command line. Raises UsageError for none."""
+    from locfuse.fusion.data import UsageError
+
     parts = [log] if isinstance(log, str | os.PathLike) else list(log)
     if not parts:
         raise UsageError("which log? An empty list names none")
@@ -76,6 +100,8 @@ def words_of(log: PathLike | Sequence[PathLike]) -> list[str]:
 
 def one_of(word: str, known: Sequence[str], what: str) -> str:
     """Return a word as it is. Raises UsageError for one that is not known."""
+    from locfuse.fusion.data import UsageError
+
     if word not in known:
         raise UsageError(f"{what} = {word!r}: choose from {', '.join(known)}")
     return word
@@ -85,6 +111,8 @@ def chosen(
     kinds: str | Iterable[str] | None, known: Sequence[str], what: str = "--write: unknown output"
 ) -> set[str]:
     """Return kinds of output ("json,tum", or a list), None for all. Raises UsageError for an unknown one."""
+    from locfuse.fusion.data import UsageError
+
     if kinds is None:
         return set(known)
     names = {name.strip() for name in (kinds.split(",") if isinstance(kinds, str) else kinds) if name.strip()}

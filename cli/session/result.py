@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from locfuse.cli.pipeline import exports, maps, outputs, results
 from locfuse.cli.pipeline.compare import Compared
 from locfuse.cli.pipeline.load import Loaded
-from locfuse.cli.pipeline.settings import PathLike, chosen, path_of
+from locfuse.cli.pipeline.settings import OF_COMPARISON, OF_RUN, PathLike, chosen, path_of
 from locfuse.fusion.data import Drive, Estimates, Evaluation, UsageError
 from locfuse.fusion.judge.credit import Credit
 from locfuse.fusion.robot import Robot
@@ -125,7 +125,7 @@ class Run(Result):
         Raises:
             LocfuseError: the folder holds something else, or cannot be written.
         """
-        kinds = chosen(write, outputs.OF_RUN)
+        kinds = chosen(write, OF_RUN)
         named = {"smoothed" if e.smoothed else "trajectory": e for e in self.estimates.values()}
         files = outputs.files_of_run(self.loaded, named, self.report, kinds)
         files |= exports.files(chosen(export, list(exports.KINDS), EXPORT), self.loaded, named)
@@ -182,7 +182,7 @@ class Comparison(Result):
         Raises:
             LocfuseError: the folder holds something else, or cannot be written.
         """
-        kinds = chosen(write, outputs.OF_COMPARISON)
+        kinds = chosen(write, OF_COMPARISON)
         files = outputs.files(self.compared, self.drawn, self.report, kinds)
         files |= exports.files(chosen(export, list(exports.KINDS), EXPORT), self.loaded, self.estimates)
         return self._written(folder, files, overwrite)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
@@ -9,16 +10,26 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypedDict, Unpack, overload
 
 from locfuse.cli.choose.grouping import logs_of
-from locfuse.cli.pipeline import outputs, results
+from locfuse.cli.pipeline import results
 from locfuse.cli.pipeline.configurations import Sensors
 from locfuse.cli.pipeline.load import find_log
-from locfuse.cli.pipeline.settings import PathLike, Progress, Sets, chosen, log_options, path_of, silent, words_of
+from locfuse.cli.pipeline.settings import (
+    OF_COMPARISON,
+    PathLike,
+    Progress,
+    Sets,
+    chosen,
+    log_options,
+    path_of,
+    silent,
+    words_of,
+)
 from locfuse.cli.pipeline.verdicts import credit_values, verdicts
 from locfuse.formats.log.files import log_name
 from locfuse.formats.report import json_report
 from locfuse.formats.report import summary as over
 from locfuse.formats.whole_files import may_write, write_results
-from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.data import LocfuseError, UsageError
 from locfuse.fusion.judge.credit import Credit, credit_over_logs
 
 from .named import Named
@@ -129,10 +140,18 @@ def compare(
     if len(logs) == 1:
         return opened(words_of(logs[0]), how, progress).compare(sensors, **asked)
     found = {}
-    for name, parts in named(logs_of([word for log in logs for word in words_of(log)])).items():
+    for name, parts in named(_each(logs)).items():
         with naming(name):
             found[name] = opened(parts, how, progress).compare(sensors, **asked, audits=False)
     return Summary(found)
+
+
+def _each(logs: Sequence[PathLike | Sequence[PathLike]]) -> list[list[str]]:
+    """Return the parts of every log: a list is one log, single files are grouped as on the command line."""
+    if not logs:
+        raise UsageError("which log? Name one or several, such as locfuse.compare('rounded_rectangle')")
+    single = [word for log in logs if isinstance(log, str | os.PathLike) for word in words_of(log)]
+    return [*logs_of(single), *(words_of(log) for log in logs if not isinstance(log, str | os.PathLike))]
 
 
 def named(logs: Sequence[Sequence[str]]) -> dict[str, Sequence[str]]:
@@ -175,12 +194,12 @@ def default_folder() -> Path:
 
 def of_each(write: Kinds) -> Kinds:
     """Return the kinds to write of every single log: those that were chosen, and the report always."""
-    return write if write is None else chosen(write, outputs.OF_COMPARISON) | {"json"}
+    return write if write is None else chosen(write, OF_COMPARISON) | {"json"}
 
 
 def summary_files(summary: Mapping[str, Any], found: Mapping[str, Judged], write: Kinds) -> dict[str, str]:
     """Return the summary's files: .json, and .md and .csv unless `write` names only others of these kinds."""
-    asked = chosen(write, outputs.OF_COMPARISON)
+    asked = chosen(write, OF_COMPARISON)
     kinds = set(KINDS) if asked - set(KINDS) else asked
     files = {"summary.json": json_report.encode(summary)}
     files |= {"summary.md": over.render(summary)} if "md" in kinds else {}

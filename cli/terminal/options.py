@@ -11,8 +11,7 @@ import click
 
 from locfuse.cli.pipeline import settings
 from locfuse.cli.pipeline.exports import KINDS as EXPORTS
-from locfuse.cli.pipeline.maps import MapOptions
-from locfuse.cli.pipeline.settings import LogOptions
+from locfuse.cli.pipeline.settings import LogOptions, MapOptions
 
 F = TypeVar("F", bound=Callable[..., Any])
 

@@ -242,7 +242,7 @@ def test_ctrl_c_while_a_class_is_made_is_an_interruption_and_no_bug(monkeypatch:
     def importing(words: Any) -> None:
         type("Choice", (), {"topics": Pressed()})
 
-    monkeypatch.setattr("locfuse.cli.pipeline.load.find_log", importing)
+    monkeypatch.setattr("locfuse.cli.session.session.find_log", importing)
     done = locfuse("compare", LOG)
     assert done.exit_code == 130
     assert "interrupted" in done.stderr

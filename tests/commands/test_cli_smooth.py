@@ -17,10 +17,11 @@ def test_compare_smooths_every_configuration_with_sensors(tmp_path: Path) -> Non
     done = locfuse("compare", LOG, "--sensors", "odometry", "--sensors", "lrf", "--smooth", "-o", tmp_path / "out")
     assert done.exit_code == 0, done.stderr
     found = json.loads((tmp_path / "out" / "report.json").read_text())["configurations"]
-    assert list(found) == ["odometry", "lrf", "lrf smoothed"]
+    assert list(found) == ["odometry", "lrf", "lrf-smoothed"]
     assert [c["smoothed"] for c in found.values()] == [False, False, True]
-    assert found["lrf smoothed"]["position_rmse_m"] < found["lrf"]["position_rmse_m"]
-    assert (tmp_path / "out" / "lrf smoothed.tum").is_file()
+    assert [c["configuration"] for c in found.values()] == ["odometry", "lrf", "lrf"]
+    assert found["lrf-smoothed"]["position_rmse_m"] < found["lrf"]["position_rmse_m"]
+    assert (tmp_path / "out" / "lrf-smoothed.tum").is_file()
     assert "pseudo" not in done.stderr
 
 
@@ -61,9 +62,9 @@ def test_without_truth_the_smoothed_drive_is_a_labelled_pseudo_reference(tmp_pat
     done = locfuse("compare", log, *words, "-o", tmp_path / "out")
     assert done.exit_code == 0, done.stderr
     report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert report["pseudo_reference"]["configuration"] == "lrf smoothed"
+    assert report["pseudo_reference"]["configuration"] == "lrf-smoothed"
     away = {n: c["against_smoothed"]["position_rmse_m"] for n, c in report["configurations"].items()}
-    assert away["lrf smoothed"] == 0.0
+    assert away["lrf-smoothed"] == 0.0
     assert 0.0 < away["lrf"] < 0.05 < away["odometry"]
     assert all(c["position_rmse_m"] is None for c in report["configurations"].values())
     assert "pseudo-reference" in done.stderr

@@ -81,10 +81,17 @@ def contrast(a: str, b: str) -> float:
     return (light + 0.05) / (dark + 0.05)
 
 
+def trace(name: str, sensors: tuple[str, ...] | None = None, **how: bool) -> palette.Trace:
+    """How a configuration is drawn; its sensors are those of the name unless they are given."""
+    of_name = {"odometry": (), "all": ("compass", "lrf", "camera")}.get(name, tuple(name.split("+")))
+    return palette.Trace(name, of_name if sensors is None else sensors, **how)
+
+
 @pytest.mark.parametrize("theme", ["light", "dark"])
 @pytest.mark.parametrize("vision", VISION)
 def test_the_papers_five_configurations_and_the_truth_stay_apart(theme: str, vision: str) -> None:
-    inks = palette.colours(["odometry", "compass", "lrf", "camera", "all"], SENSORS) | {"truth": palette.TRUTH}
+    traces = {n: trace(n) for n in ("odometry", "compass", "lrf", "camera", "all")}
+    inks = palette.colours(traces, SENSORS) | {"truth": palette.TRUTH}
     labs = {n: oklab(VISION[vision] @ linear_rgb(getattr(c, theme))) for n, c in inks.items()}
     for a, b in combinations(labs, 2):
         assert np.linalg.norm(labs[a] - labs[b]) > 0.09, (a, b)  # just noticeable: 0.02
@@ -93,18 +100,24 @@ def test_the_papers_five_configurations_and_the_truth_stay_apart(theme: str, vis
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_every_configuration_stands_out_from_its_page(theme: str) -> None:
     names = ["odometry", "all", *SENSORS, "compass+lrf", "lrf+camera", "compass+camera", "sonar+gps"]
-    for name, colour in palette.colours(traced(names), SENSORS).items():
+    for name, colour in palette.colours({n: trace(n) for n in names}, SENSORS).items():
         assert contrast(getattr(colour, theme), page(theme)) >= 3.0, name
 
 
 def test_a_sensors_colour_does_not_depend_on_what_else_is_in_the_log() -> None:
-    assert (
-        palette.colours(["lrf"], SENSORS)["lrf"] == palette.colours(["odometry", "compass", "lrf"], SENSORS)["lrf"]
-    )
-    assert palette.colours(["lrf@2Hz"], SENSORS)["lrf@2Hz"] == palette.colours(["lrf"], SENSORS)["lrf"]
-    assert palette.dashed("lrf@2Hz")
-    assert palette.dashed("compass+lrf")
-    assert not palette.dashed("lrf")
+    alone = palette.colours({"lrf": trace("lrf")}, SENSORS)["lrf"]
+    beside = palette.colours({n: trace(n) for n in ("odometry", "compass", "lrf")}, SENSORS)
+    assert beside["lrf"] == alone
+    for look in (trace("lrf@2Hz", ("lrf",), slowed=True), trace("lrf", smoothed=True)):
+        assert palette.colours({"x": look}, SENSORS)["x"] == alone
+        assert look.dashed
+    assert trace("compass+lrf").dashed
+    assert not trace("all").dashed
+    assert not trace("lrf").dashed
+
+
+def test_a_name_alone_decides_nothing() -> None:
+    assert not trace("lrf@2Hz+x smoothed", ("lrf",)).dashed
 
 
 def test_every_verdict_has_a_colour() -> None:
@@ -248,7 +261,8 @@ def test_a_report_has_its_figures_and_each_its_words() -> None:
 def test_paper_figures_are_the_same_bytes_twice_with_real_fonts() -> None:
     scene, _ = small_scene.long(0.05, 2)
     some = [s for s in sections(scene) if s.name in {"trajectories", "gates"}]
-    first, second = (paper_figures(some, SENSORS) for _ in range(2))
+    traces = palette.traces_of(scene.estimates)
+    first, second = (paper_figures(some, traces, SENSORS) for _ in range(2))
     assert first == second
     assert set(first) == {"trajectories.svg", "trajectories.pdf", "gates.svg", "gates.pdf"}
     ET.fromstring(first["gates.svg"])

@@ -20,6 +20,13 @@ def test_every_command_on_a_page_prints_what_it_shows(name: str, tmp_path: Path)
     assert readme.replayed(page, tmp_path) == page
 
 
+@pytest.mark.parametrize("name", readme.PYTHON_PAGES)
+def test_the_python_on_a_page_runs_in_order_and_prints_what_it_shows(name: str, tmp_path: Path) -> None:
+    page = (ROOT / name).read_text(encoding="utf-8")
+    assert len(readme.PYTHON.findall(page)) >= 2
+    assert readme.replayed_python(page, tmp_path) == page
+
+
 def test_the_two_set_up_commands_are_the_ones_ci_uses() -> None:
     assert "python3 -m venv .venv && .venv/bin/pip install -e '.[test]' && .venv/bin/locfuse" in PAGE
     assert ".venv/bin/python -m pytest" in PAGE

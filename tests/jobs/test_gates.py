@@ -210,3 +210,30 @@ def test_a_what_if_keeps_its_name(tmp_path: Path) -> None:
     counts = report["configurations"]["compass@1Hz"]["sensors"]["compass"]
     assert sum(counts["verdicts"].values()) == pytest.approx(55, abs=1)
     assert (out / "compass+lrf@2Hz.tum").exists()
+
+
+OF_0_1: dict[str, Any] = {  # locfuse 0.1 wrote no schema_version, and smoothed results by name alone
+    "locfuse": "0.1.0",
+    "configurations": {
+        "all": {"position_rmse_m": 0.02, "smoothed": False},
+        "all smoothed": {"position_rmse_m": 0.01, "smoothed": True},
+    },
+}
+
+
+def test_a_baseline_of_0_1_is_compared_result_by_result_though_smoothed_ones_had_another_name(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "old.json").write_text(json.dumps(OF_0_1))
+    now = {
+        "truth": {},
+        "configurations": {"all": {"position_rmse_m": 0.02}, "all-smoothed": {"position_rmse_m": 1}},
+    }
+    (line,) = failures(now, [], read_baseline(tmp_path / "old.json", "5%"))
+    assert line.startswith("all-smoothed.position_rmse_m: 1 is")
+
+
+def test_a_baseline_of_a_later_version_is_refused_in_one_line_with_the_fix(tmp_path: Path) -> None:
+    (tmp_path / "new.json").write_text(json.dumps({**OF_0_1, "schema_version": 2, "locfuse": "9.9"}))
+    with pytest.raises(LocfuseError, match=r"schema_version 2.*9\.9.*[Uu]pdate locfuse"):
+        read_baseline(tmp_path / "new.json", "5%")

@@ -14,8 +14,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from locfuse.cli.choose.grouping import logs_of, results_of
-from locfuse.cli.commands.several import read_credit, summarised
-from locfuse.cli.pipeline.verdicts import credit_values
+from locfuse.cli.session.summary import Judged, summarised
 from locfuse.formats.report import changes as sides
 from locfuse.formats.report import summary as over
 from locfuse.formats.report.table import records
@@ -106,24 +105,12 @@ def sensor(ln: float) -> SensorCredit:
     return SensorCredit("helps", effect, effect, None, 0.5, (1.0, 1.5), ("compass",))
 
 
-def test_credit_is_read_back_as_it_was_written() -> None:
-    credit = Credit({"lrf": sensor(0.7)}, 1.4, True, "moving-block bootstrap", 12.0, 3.0)
-    back = read_credit(credit_values(credit))
-    assert back.total == pytest.approx(1.4)
-    effect = back.sensors["lrf"].credit
-    assert effect is not None
-    assert (effect.value, effect.low, effect.high, effect.expected) == pytest.approx((0.7, 0.2, 1.2, 0.7))
-    assert back.sensors["lrf"].last is None
-    assert back.sensors["lrf"].beside == ("compass",)
-    assert (back.sensors["lrf"].anees, back.method, back.block_s) == ((1.0, 1.5), credit.method, 3.0)
-
-
 def test_credit_over_logs_is_their_mean_with_an_interval_over_them() -> None:
-    reports = {}
+    judged = {}
     for i, ln in enumerate((0.6, 0.7, 0.8)):
         one = Credit({"lrf": sensor(ln)}, ln, True, "moving-block bootstrap", 12.0, 3.0)
-        reports[str(i)] = {**report({"odometry": 0.5, "lrf": 0.2}), "credit": credit_values(one)}
-    found = summarised(reports)
+        judged[str(i)] = Judged(report({"odometry": 0.5, "lrf": 0.2}), one)
+    found = summarised(judged)
     effect = found["credit"]["sensors"]["lrf"]["credit"]
     assert effect["ln"] == pytest.approx(0.7)
     half = 4.303 * 0.1 / math.sqrt(3)  # Student's t, 2 degrees of freedom

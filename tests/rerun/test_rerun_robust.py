@@ -196,7 +196,7 @@ def test_a_smoothed_configuration_at_a_lower_rate_is_recorded(tmp_path: Path) ->
     save = tmp_path / "drive.rrd"
     done = locfuse("compare", LOG, *words, "-o", tmp_path / "out", "--rerun-save", save, "--rerun-images", "none")
     assert not warnings_of(done.stderr)
-    assert check(save)["world/lrf\\@2Hz\\ smoothed/path"] > 100
+    assert check(save)["world/lrf\\@2Hz-smoothed/path"] > 100
 
 
 def test_a_recording_needs_no_pandas(tmp_path: Path) -> None:

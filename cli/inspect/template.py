@@ -18,9 +18,14 @@ from .inspect_log import inspect_log
 from .overview import Overview
 from .template_tables import Facts, Known, found, lines
 
-ROUNDS = 4  # a fix may bring out what could not be seen before
-MEASURED = {"lag", "range scale", "track", "yaw"}  # findings whose fix is right even where they change little
-CHOICES = {"choice", "unusable", "truth?"}  # nothing was measured: the first that fits
+MAX_ROUNDS = 4  # a fix may bring out what could not be seen before
+MEASURED_CODES = {
+    "lag",
+    "range scale",
+    "track",
+    "yaw",
+}  # findings whose fix is right even where they change little
+GUESSED_CODES = {"choice", "unusable", "truth?"}  # nothing was measured: the first that fits
 
 
 class Draft(NamedTuple):
@@ -36,7 +41,7 @@ def draft(paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None
     overview = inspect_log(paths, how, progress)
     said = _told(overview, how)
     fixes: dict[str, tuple[str, str]] = {}  # key -> "key=value", why
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         new = {key: fix for key, fix in _fixes(filter(_certain, overview.findings)).items() if key not in said}
         if new.items() <= fixes.items():
             break
@@ -81,13 +86,13 @@ def _fixes(findings: Iterable[Finding]) -> dict[str, tuple[str, str]]:
 
 def _certain(f: Finding) -> bool:
     """Whether the log itself shows that a fix is right, or nothing runs without it."""
-    return f.severe or f.code in MEASURED
+    return f.severe or f.code in MEASURED_CODES
 
 
 def _why(f: Finding) -> str:
     if f.code == "geometry":
         return f.source or f.message
-    return f"guess: {f.sentence}" if f.code in CHOICES else f"as this log shows: {f.sentence}"
+    return f"guess: {f.sentence}" if f.code in GUESSED_CODES else f"as this log shows: {f.sentence}"
 
 
 def _loads(fix: str) -> bool:

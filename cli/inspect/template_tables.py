@@ -22,7 +22,7 @@ Known = dict[str, tuple[Any, str]]  # "table.key" -> its value, and who says so
 TOP = ("order", "preset")
 OF_COUNTERS = ("radius", "track", "ticks_per_revolution", "mirrored")  # an odometry needs none of them
 MOUNTED = ("x", "y", "yaw_deg")  # written even where zero: that is worth knowing
-ROUND = 6  # decimals of a mount: micrometres
+MOUNT_DECIMALS = 6  # decimals of a mount: micrometres
 
 
 class Facts(NamedTuple):
@@ -88,7 +88,7 @@ def _mounts(overview: Overview) -> Known:
 
 def _rounded(value: Any) -> Any:
     if isinstance(value, float):
-        return round(value, ROUND) + 0.0
+        return round(value, MOUNT_DECIMALS) + 0.0
     if isinstance(value, dict):
         return {key: _rounded(v) for key, v in value.items()}
     return [_rounded(v) for v in value] if isinstance(value, list) else value

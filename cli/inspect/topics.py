@@ -14,9 +14,9 @@ from locfuse.fusion.doctor.examine import gaps
 if TYPE_CHECKING:
     from locfuse.formats.log.log import Log
 
-MOST_GAPS = 20  # listed for machines
-ANOTHER_CLOCK = 1.0  # s between stamp and recording: more is no delay
-FEWEST = 3  # messages before there is a rate
+MAX_GAPS_LISTED = 20  # listed for machines
+OTHER_CLOCK_S = 1.0  # s between stamp and recording: more is no delay
+MIN_MESSAGES = 3  # messages before there is a rate
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class TopicFacts:
             "frame": self.frame_id or None,
             "rate_hz": self.rate_hz,
             "period_s": self.period_s,
-            "gaps": [list(g) for g in self.gaps[:MOST_GAPS]],
+            "gaps": [list(g) for g in self.gaps[:MAX_GAPS_LISTED]],
             "longest_gap_s": max((b - a for a, b in self.gaps), default=None),
             "clock": self.clock or None,
             "delay_s": self.delay_s,
@@ -67,7 +67,7 @@ def clock_word(f: TopicFacts) -> str:
         return "repaired"
     if not f.by_stamps:
         return "recorded"
-    return f"{f.delay_s * 1e3:.0f} ms late" if abs(f.delay_s) < ANOTHER_CLOCK else "two clocks"
+    return f"{f.delay_s * 1e3:.0f} ms late" if abs(f.delay_s) < OTHER_CLOCK_S else "two clocks"
 
 
 def topic_facts(log: Log, order: str) -> list[TopicFacts]:
@@ -96,7 +96,7 @@ def _facts(log: Log, name: str, order: str) -> TopicFacts:
         msgtype=topic.msgtype,
         count=topic.count,
         frame_id=stream.frame_id,
-        rate_hz=float((len(t) - 1) / (t[-1] - t[0])) if len(t) >= FEWEST and t[-1] > t[0] else None,
+        rate_hz=float((len(t) - 1) / (t[-1] - t[0])) if len(t) >= MIN_MESSAGES and t[-1] > t[0] else None,
         period_s=float(np.median(moving)) if len(moving) else None,
         gaps=tuple(gaps(t)),
         clock=stream.clock,

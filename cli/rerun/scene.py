@@ -21,12 +21,12 @@ from locfuse.fusion.smooth import SUFFIX
 from locfuse.fusion.truth import TRUTH_READS
 from locfuse.fusion.wheels.read import WHEEL_READS
 
-from .scans import BEAMS, scan_points
+from .scans import MAX_BEAMS, scan_points
 
 DEG = 180.0 / math.pi
-MOST_PICTURES = 600  # kept by default
-MOST_COLUMNS = 8  # of a numeric array that is drawn as curves: a scan's ranges are not
-LOW, HIGH = 0.025, 0.975  # between them lie 95 % of consistent NIS
+MAX_PICTURES = 600  # kept by default
+MAX_ARRAY_COLUMNS = 8  # of a numeric array that is drawn as curves: a scan's ranges are not
+NIS_LOW, NIS_HIGH = 0.025, 0.975  # between them lie 95 % of consistent NIS
 
 
 def make_scene(
@@ -90,7 +90,7 @@ def _sight(sensor: str, width: int, robot: Robot) -> Sight:
     return Sight(
         components=components,
         scale=scale,
-        bounds=(chi_square(LOW, width), chi_square(HIGH, width)),
+        bounds=(chi_square(NIS_LOW, width), chi_square(NIS_HIGH, width)),
         kind=kind,
         mount=(mount[0], mount[1], math.radians(mount[2])),
         landmark=getattr(settings, "landmark", None),
@@ -105,7 +105,7 @@ def _stream(loaded: Loaded, role: str) -> Any:
 def _scans(loaded: Loaded, best: Estimates, detail: Detail, full: bool) -> ScanPoints | None:
     if "lrf" not in loaded.drive.measurements:
         return None
-    beams = 2**62 if full else BEAMS
+    beams = 2**62 if full else MAX_BEAMS
     return scan_points(_stream(loaded, "lrf"), loaded.robot.settings("lrf"), loaded.drive, detail.scans, beams)
 
 
@@ -117,7 +117,7 @@ def _pictures(loaded: Loaded, best: Estimates, images: int | None) -> tuple[Any,
     from .pictures import panorama_rows, pictures
 
     stream, settings = _stream(loaded, "camera"), loaded.robot.settings("camera")
-    every = images or max(1, math.ceil(len(stream.t_ns) / MOST_PICTURES))
+    every = images or max(1, math.ceil(len(stream.t_ns) / MAX_PICTURES))
     return pictures(stream, settings, loaded.drive, best, every), panorama_rows(stream, settings)
 
 
@@ -152,7 +152,7 @@ def _curves(columns: Mapping[str, Column]) -> dict[str, Array]:
             continue
         if values.ndim == 1:
             curves[field] = np.asarray(values, np.float64)
-        elif values.shape[1] <= MOST_COLUMNS:
+        elif values.shape[1] <= MAX_ARRAY_COLUMNS:
             curves |= {_named(field, i, names): np.asarray(v, np.float64) for i, v in enumerate(values.T)}
     return curves
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 GAP = "  "
-LEAST = 12  # characters of a cell that is cut
+MIN_CELL_WIDTH = 12  # characters of a cell that is cut
 
 
 @dataclass(frozen=True)
@@ -47,9 +47,9 @@ def _narrowed(columns: Sequence[Column], width: int) -> list[Column]:
         kept.remove(max(kept, key=lambda c: c.rank))
     while (over := _width(kept) - width) > 0:
         i, widest = max(enumerate(kept), key=lambda entry: entry[1].width)
-        if widest.width <= LEAST:
+        if widest.width <= MIN_CELL_WIDTH:
             break
-        cut = max(LEAST, widest.width - over)
+        cut = max(MIN_CELL_WIDTH, widest.width - over)
         kept[i] = Column(widest.title, tuple(_cut(cell, cut) for cell in widest.cells), widest.right)
     return kept
 

@@ -22,18 +22,18 @@ from .laser import laser_motion, of_laser
 from .truth import metre, of_truth
 from .turning import Turning, aligned, of_track, of_turning, turnings
 
-GAP, GAP_PERIODS = 0.5, 5.0  # s, median periods: a longer silence is a gap
-FEWEST = 10  # readings from which a sensor is judged
-BLIND = 0.9  # share of readings without any measurement: such a sensor is dead, or misunderstood
-SEES = {"lrf": "line", "sonar": "echo"}
-REFUSED = {
+MIN_GAP_S, MIN_GAP_PERIODS = 0.5, 5.0  # s, median periods: a longer silence is a gap
+MIN_READINGS = 10  # readings from which a sensor is judged
+MAX_EMPTY_SHARE = 0.9  # share of readings without any measurement: such a sensor is dead, or misunderstood
+MEASURED = {"lrf": "line", "sonar": "echo"}
+REFUSALS = {
     "repeat": "repeat the one before",
     "same_stamp": "share the stamp of another",
     "not_finite": "hold NaN or Inf",
     "outside_wheels": "before the first or after the last of the wheels",
     "too_many_beams": "with more beams than can be true",
 }
-TOLD = {"spike", "other_joints"}
+REPAIRED = {"spike", "other_joints"}
 
 
 def examine(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[Finding]:
@@ -71,7 +71,9 @@ def _refused(drive: Drive) -> list[Finding]:
     """Readings that are not used, by reason; what a repair counted is told with the repair."""
     found = []
     for stream, reasons in drive.dropped.items():
-        words = [f"{n} {REFUSED.get(why, why.replace('_', ' '))}" for why, n in reasons.items() if why not in TOLD]
+        words = [
+            f"{n} {REFUSALS.get(why, why.replace('_', ' '))}" for why, n in reasons.items() if why not in REPAIRED
+        ]
         if words:
             found.append(Finding(stream, "refused", f"readings that are not used: {', '.join(words)}"))
     return found
@@ -93,15 +95,14 @@ def gaps(t: Array) -> list[tuple[float, float]]:
     dt = np.diff(t)
     if len(dt) < 2:
         return []
-    long = np.flatnonzero(dt > max(GAP, GAP_PERIODS * float(np.median(dt))))
+    long = np.flatnonzero(dt > max(MIN_GAP_S, MIN_GAP_PERIODS * float(np.median(dt))))
     return [(float(t[i]), float(t[i + 1])) for i in long]
 
 
 def _blind(name: str, m: Measurements) -> list[Finding]:
     n = len(m.t)
-    if n >= FEWEST and m.absent > BLIND * n:
-        words = (
-            f"no {SEES.get(name, 'value')} in {m.absent} of {n} readings: it is dead, or its settings do not fit"
-        )
+    if n >= MIN_READINGS and m.absent > MAX_EMPTY_SHARE * n:
+        what = MEASURED.get(name, "value")
+        words = f"no {what} in {m.absent} of {n} readings: it is dead, or its settings do not fit"
         return [Finding(name, "blind", words, severe=name == "lrf")]
     return [] if n else [Finding(name, "blind", "no reading within the wheels' time", severe=True)]

@@ -22,15 +22,15 @@ from locfuse.fusion.wheels.read import ODOMETRY
 from .finding import Finding
 from .laser import Motion
 
-WINDOW = 1.0  # s
-LONGEST, STEP = 1.2, 0.05  # s: clocks may differ
-LEAST_TURN = math.radians(5.0)  # rms turn of a window
-EXPLAINED = 0.8  # share of a sensor's turning that the wheels must explain, in whatever sense
-ALONE = 0.98  # correlation of both wheels from which they cannot be told apart
-OFF, SURE = 0.04, 4.0  # relative error of the track worth saying; standard errors
-SPOILS_TRACK = 0.06
-STILL = 1e-3  # m per window
-READINGS = 3000
+WINDOW_S = 1.0  # s
+MAX_LAG_S, LAG_STEP_S = 1.2, 0.05  # s: clocks may differ
+MIN_RMS_TURN_RAD = math.radians(5.0)  # rms turn of a window
+MIN_EXPLAINED_SHARE = 0.8  # share of a sensor's turning that the wheels must explain, in whatever sense
+MAX_WHEEL_CORRELATION = 0.98  # correlation of both wheels from which they cannot be told apart
+MIN_TRACK_ERROR, MIN_SIGMAS = 0.04, 4.0  # relative error of the track worth saying; standard errors
+SEVERE_TRACK_ERROR = 0.06
+MIN_ROLL_SPREAD_M = 1e-3  # m per window
+MAX_READINGS = 3000
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def turnings(drive: Drive) -> dict[str, Turning]:
         heading = getattr(REGISTRY[name], "heading", None)
         if heading is None or len(m.t) < 20:
             continue
-        first = m.take(np.arange(min(len(m.t), READINGS)))
+        first = m.take(np.arange(min(len(m.t), MAX_READINGS)))
         t, own = heading(first)
         turning = explain(t, own, drive.wheels, _untold(own) if name == "lrf" else np.zeros(len(t)))
         if turning is not None:
@@ -66,21 +66,21 @@ def _untold(heading: Array) -> Array:
 
 def explain(t: Array, heading: Array, wheels: Wheels, untold: Array) -> Turning | None:
     """Fit a heading's turns by what either wheel rolled, at the clock offset that explains most, or None."""
-    start = t[(t >= wheels.t[0] + LONGEST) & (t <= wheels.t[-1] - LONGEST - WINDOW)]
-    start = start[start + WINDOW <= t[-1]]
-    start = start[np.interp(start + WINDOW, t, untold) == np.interp(start, t, untold)]
+    start = t[(t >= wheels.t[0] + MAX_LAG_S) & (t <= wheels.t[-1] - MAX_LAG_S - WINDOW_S)]
+    start = start[start + WINDOW_S <= t[-1]]
+    start = start[np.interp(start + WINDOW_S, t, untold) == np.interp(start, t, untold)]
     if len(start) < 20:
         return None
-    own = np.interp(start + WINDOW, t, heading) - np.interp(start, t, heading)
-    if math.sqrt(float((own**2).mean())) < LEAST_TURN:
+    own = np.interp(start + WINDOW_S, t, heading) - np.interp(start, t, heading)
+    if math.sqrt(float((own**2).mean())) < MIN_RMS_TURN_RAD:
         return None
     way = np.concatenate((np.zeros((1, 2)), np.cumsum(wheels.rolled, axis=0)))
     best: Turning | None = None
-    for offset in np.arange(-LONGEST, LONGEST + STEP / 2, STEP).tolist():
-        fit = _fit(own, _way(wheels, way, start + offset + WINDOW) - _way(wheels, way, start + offset), offset)
+    for offset in np.arange(-MAX_LAG_S, MAX_LAG_S + LAG_STEP_S / 2, LAG_STEP_S).tolist():
+        fit = _fit(own, _way(wheels, way, start + offset + WINDOW_S) - _way(wheels, way, start + offset), offset)
         if fit is not None and (best is None or fit.explained > best.explained):
             best = fit
-    return best if best is not None and best.explained > EXPLAINED else None
+    return best if best is not None and best.explained > MIN_EXPLAINED_SHARE else None
 
 
 def _way(wheels: Wheels, way: Array, t: Array) -> Array:
@@ -91,12 +91,12 @@ def _way(wheels: Wheels, way: Array, t: Array) -> Array:
 def _fit(own: Array, rolled: Array, offset: float) -> Turning | None:
     """Explain turns (n,) by both wheels (n, 2); where these move as one, by difference or sum."""
     left, right = rolled.T
-    if np.std(left) < STILL or np.std(right) < STILL or own.var() == 0.0:
+    if np.std(left) < MIN_ROLL_SPREAD_M or np.std(right) < MIN_ROLL_SPREAD_M or own.var() == 0.0:
         return None
-    if abs(float(np.corrcoef(left, right)[0, 1])) < ALONE:
+    if abs(float(np.corrcoef(left, right)[0, 1])) < MAX_WHEEL_CORRELATION:
         return _regression(own, np.stack((right, left), axis=-1), np.eye(2), offset)
     turn = _regression(own, (right - left)[:, None], np.array([[1.0, -1.0]]), offset)
-    if turn is not None and turn.explained > EXPLAINED:
+    if turn is not None and turn.explained > MIN_EXPLAINED_SHARE:
         return turn
     # at constant speed the wheels of a robot seem to turn against each other if one of them counts backward
     return _regression(own, (right + left)[:, None], np.array([[1.0, 1.0]]), offset) or turn
@@ -193,13 +193,13 @@ def of_track(
         return []
     track, sigma, by = metre * found[0], metre * found[1], found[2]
     off = track / (metre * told) - 1.0
-    if abs(off) < OFF + SURE * sigma / track:
+    if abs(off) < MIN_TRACK_ERROR + MIN_SIGMAS * sigma / track:
         return []
     words = (
         f"the track is {told:g} m, but the turning of {by} says {track:.3f} m (1 sigma {sigma:.3f}); "
         "or let the filter find it (wheels.estimate=true)"
     )
-    return [Finding("wheels", "track", words, (f"wheels.track={track:.3f}",), abs(off) > SPOILS_TRACK)]
+    return [Finding("wheels", "track", words, (f"wheels.track={track:.3f}",), abs(off) > SEVERE_TRACK_ERROR)]
 
 
 def _told_track(

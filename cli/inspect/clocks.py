@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from locfuse.cli.choose.topics import Choice
-from locfuse.cli.pipeline.load import PLAIN_CLOCK
 from locfuse.fusion.doctor.finding import Finding
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -22,7 +21,7 @@ def of_stamps(facts: Sequence[TopicFacts], choice: Choice, robot: Robot) -> list
     found = [
         Finding(role, "stamps", f"{topic}: {f.clock}")
         for topic, (role, f) in used.items()
-        if f.delay_s is not None and f.clock != PLAIN_CLOCK
+        if f.delay_s is not None and not f.as_stamped
     ]
     apart = _other_clocks(known, choice, robot)
     if not apart and any(_beside(f) for _, f in used.values()):

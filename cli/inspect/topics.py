@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from locfuse.formats.log.topics import UnreadableTopicError
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.doctor.examine import gaps
 
@@ -30,16 +31,13 @@ class TopicFacts:
     rate_hz: float | None = None
     period_s: float | None = None  # median
     gaps: tuple[tuple[float, float], ...] = ()  # (start, end) [s] since the log began
-    clock: str = ""  # which times were taken
+    clock: str = ""  # which times were taken, in words
+    by_stamps: bool = False  # whether they are those of the headers, sorted or repaired perhaps,
+    as_stamped: bool = False  # and whether every one of them is simply its header's
     repaired: dict[str, int] | None = None  # stamps replaced, by reason
     delay_s: float | None = None  # recording behind header stamps, median
     dropped: dict[str, int] | None = None
     problem: str | None = None  # why it cannot be read
-
-    @property
-    def by_stamps(self) -> bool:
-        """Whether its times are those of its headers."""
-        return self.delay_s is not None and self.clock.startswith("header")
 
     def values(self) -> dict[str, Any]:
         """Return it for report and JSON."""
@@ -86,7 +84,8 @@ def _facts(log: Log, name: str, order: str) -> TopicFacts:
         stream = log.stream(name, order)
         t_ns = stream.t_ns
     except LocfuseError as e:
-        return TopicFacts(name, topic.msgtype, topic.count, problem=_plain(str(e), log, name))
+        problem = e.problem if isinstance(e, UnreadableTopicError) else str(e)
+        return TopicFacts(name, topic.msgtype, topic.count, problem=problem)
     begin = (log.time_span_ns or (0, 0))[0]
     t = (t_ns - begin) * np.float64(1e-9)
     dt = np.diff(t)
@@ -100,12 +99,9 @@ def _facts(log: Log, name: str, order: str) -> TopicFacts:
         period_s=float(np.median(moving)) if len(moving) else None,
         gaps=tuple(gaps(t)),
         clock=stream.clock,
+        by_stamps=stream.by_stamps,
+        as_stamped=stream.as_stamped,
         repaired=dict(stream.repaired),
         delay_s=stream.delay_s,
         dropped=dict(stream.dropped),
     )
-
-
-def _plain(words: str, log: Log, name: str) -> str:
-    """Return an error about a topic without saying again which."""
-    return words.removeprefix(f"{log.name}: ").removeprefix(f"{name} cannot be read: ")

@@ -113,7 +113,8 @@ class Table:
         if self._pass.long > MAX_LONG_BYTES:
             raise LocfuseError(
                 f"{self.topic}: its messages are up to {int(raw.messages.length.max())} bytes long, more than "
-                f"{MAX_LONG_BYTES >> 20} MiB in all: too much to hold {', '.join(fields)}. Is this the right topic?"
+                f"{MAX_LONG_BYTES >> 20} MiB in all: too much to hold {', '.join(fields)}. "
+                "Is this the right topic?"
             )
 
     def _take_frame(self, raw: Raw, good: NDArray[np.bool_], path: str) -> None:

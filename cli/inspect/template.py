@@ -39,17 +39,17 @@ class Draft(NamedTuple):
 def draft(paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None] = lambda step: None) -> Draft:
     """Look at a log until no fix changes anything, and write down what was found."""
     overview = inspect_log(paths, how, progress)
-    said = _told(overview, how)
+    given = _given(overview, how)
     fixes: dict[str, tuple[str, str]] = {}  # key -> "key=value", why
     for _ in range(MAX_ROUNDS):
-        new = {key: fix for key, fix in _fixes(filter(_certain, overview.findings)).items() if key not in said}
+        new = {key: fix for key, fix in _fixes(filter(_certain, overview.findings)).items() if key not in given}
         if new.items() <= fixes.items():
             break
         fixes |= new
         overview = inspect_log(
             paths, replace(how, sets=(*how.sets, *(fix for fix, _ in fixes.values()))), progress
         )
-    known = {**found(overview), **_read(fixes), **said}
+    known = {**found(overview), **_read(fixes), **given}
     suggested = _read({key: fix for key, fix in _fixes(overview.findings).items() if key not in fixes})
     facts = Facts(overview, known, suggested)
     missing: list[str] = []
@@ -57,7 +57,7 @@ def draft(paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None
     return Draft(overview, sections, missing)
 
 
-def _told(overview: Overview, how: LogOptions) -> Known:
+def _given(overview: Overview, how: LogOptions) -> Known:
     """Return what somebody said already: the log's attachment, --robot, --set."""
     layers: list[tuple[str, Mapping[str, Any]]] = []
     if ATTACHMENT in overview.log.attachments:

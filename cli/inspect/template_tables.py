@@ -124,7 +124,7 @@ def _unknown(key: str, path: str, default: Any, missing: list[str]) -> Iterator[
 
 def _suggested(facts: Facts, table: str) -> Known:
     """Return fixes that are not in force, and the topics of a sensor that could not choose between several."""
-    here = {key: told for key, told in facts.suggested.items() if key.startswith(f"{table}.")}
+    here = {key: suggestion for key, suggestion in facts.suggested.items() if key.startswith(f"{table}.")}
     why = facts.overview.choice.absent.get(table, "")
     for fix in facts.overview.choice.fixes.get(table, ()):
         key, _, value = fix.partition("=")

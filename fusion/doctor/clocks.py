@@ -42,8 +42,8 @@ def of_clocks(drive: Drive, robot: Robot) -> list[Finding]:
 
 
 def _stream(name: str, lag: Lag, robot: Robot) -> Finding:
-    told = robot.truth if name == "truth" else robot.settings(name)
-    offset = told.time_offset + lag.offset
+    settings = robot.truth if name == "truth" else robot.settings(name)
+    offset = settings.time_offset + lag.offset
     fix = f"{name}.time_offset={offset:.2f}"
     return Finding(name, "lag", f"its motion {in_words(lag)}", (fix,), abs(lag.offset) > SEVERE_LAG_S)
 

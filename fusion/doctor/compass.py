@@ -61,13 +61,13 @@ def tilted(drive: Drive, robot: Robot, streams: Mapping[str, Stream], by_wheels:
         if stream is None:
             continue
         settings = robot.settings(name)
-        told = rotation(settings.roll_deg, settings.pitch_deg, 0.0)[2]
+        configured = rotation(settings.roll_deg, settings.pitch_deg, 0.0)[2]
         up, by = None, "gravity"
         if stream.msgtype == IMU_TYPE:
             up = by_gravity(_vectors(stream, ACCELERATION_FIELDS))
         elif stream.msgtype == FIELD_TYPE and by_wheels:
-            up, by = by_field(stream, drive, told), "the plane in which the field turns"
-        if up is None or _apart(up, told) < MIN_TILT_RAD:
+            up, by = by_field(stream, drive, configured), "the plane in which the field turns"
+        if up is None or _apart(up, configured) < MIN_TILT_RAD:
             continue
         roll, pitch = angles(up)
         if name == "compass" and by == "gravity" and _same_ahead(settings, roll, pitch):
@@ -83,8 +83,8 @@ def _apart(a: Array, b: Array) -> float:
 
 
 def _same_ahead(settings: CompassSettings, roll: float, pitch: float) -> bool:
-    told = rotation(settings.roll_deg, settings.pitch_deg, settings.yaw_deg)[0]
-    return _apart(told, rotation(roll, pitch, settings.yaw_deg)[0]) < MIN_TILT_RAD
+    configured = rotation(settings.roll_deg, settings.pitch_deg, settings.yaw_deg)[0]
+    return _apart(configured, rotation(roll, pitch, settings.yaw_deg)[0]) < MIN_TILT_RAD
 
 
 def by_gravity(acceleration: Array) -> Array | None:
@@ -97,7 +97,7 @@ def by_gravity(acceleration: Array) -> Array | None:
     return mean / g if GRAVITY_RANGE_MPS2[0] < g < GRAVITY_RANGE_MPS2[1] else None
 
 
-def by_field(stream: Stream, drive: Drive, told: Array) -> Array | None:
+def by_field(stream: Stream, drive: Drive, configured: Array) -> Array | None:
     """Return the axis about which a magnetometer's field turns (3,), in the sense of the robot's turning."""
     t = (stream.t_ns - drive.epoch_ns) * 1e-9
     inside = (t >= drive.wheels.t[0]) & (t <= drive.wheels.t[-1])

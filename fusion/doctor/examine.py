@@ -42,26 +42,28 @@ def examine(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[F
     found += _refused(drive)
     found += _gaps("wheels", drive.wheels.t)
     found += [o for name, m in drive.measurements.items() for o in (*_gaps(name, m.t), *_blind(name, m))]
-    seen = turnings(drive)
-    turning = of_turning(drive, robot, seen, streams)
+    by_sensor = turnings(drive)
+    turning = of_turning(drive, robot, by_sensor, streams)
     wrong_wheels = any(o.role == "wheels" and o.severe for o in turning)
     tilts = tilted(drive, robot, streams, by_wheels=not wrong_wheels)
     found += [*of_convention(drive, robot, streams), *tilts]
     found += [o for o in turning if o.role not in {t.role for t in tilts}]
     if wrong_wheels:
         return found  # nothing can be held against such wheels
-    scales = _scales(drive, robot, seen, turning)
+    scales = _scales(drive, robot, by_sensor, turning)
     truth = of_truth(drive, robot, not any(o.code == "wheel scale" for o in scales))
     return [*found, *scales, *of_clocks(drive, robot), *truth]
 
 
-def _scales(drive: Drive, robot: Robot, seen: Mapping[str, Turning], turning: Sequence[Finding]) -> list[Finding]:
+def _scales(
+    drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning], turning: Sequence[Finding]
+) -> list[Finding]:
     """Return what is odd about metres and the track; each fix is told in the metre that the others will leave."""
     motion, lrf = None, drive.measurements.get("lrf")
     if lrf is not None and len(lrf.t) > 20 and not any(o.role == "lrf" for o in turning):
-        motion = laser_motion(lrf, aligned(lrf, seen.get("lrf")), drive, robot)
+        motion = laser_motion(lrf, aligned(lrf, by_sensor.get("lrf")), drive, robot)
     factor, scaled = metre(drive, robot)
-    track = of_track(robot.wheels, seen, motion, factor) if robot.wheels.radius is not None else []
+    track = of_track(robot.wheels, by_sensor, motion, factor) if robot.wheels.radius is not None else []
     if track:
         scaled = [replace(o, fixes=o.fixes[:1]) for o in scaled]
     return [*scaled, *track, *of_laser(motion, robot, factor)]

@@ -44,7 +44,7 @@ class Walls(NamedTuple):
     n: Array  # (k, 2) normals in the base frame at the first place
     d: Array  # (k, 2) how far the laser moved, same frame [m]
     turn: Array  # (k,) by how much the wall's direction says that the robot turned [rad]
-    told: Array  # (k,) by how much the wheels do
+    by_wheels: Array  # (k,) by how much the wheels do
 
 
 class Motion(NamedTuple):
@@ -135,21 +135,21 @@ def fitted(walls: Walls) -> tuple[float, float] | None:
 
 def turned(walls: Walls) -> float | None:
     """Return the robot's turn per turn that the wheels tell, None where it hardly turned or the two disagree."""
-    rest = np.abs(walls.turn - walls.told)
+    rest = np.abs(walls.turn - walls.by_wheels)
     near = rest < MAX_WALL_TURN_RAD
     c = _slope(walls, near)
     if c is None:
         return None
     scatter = 1.4826 * float(np.median(rest[near])) + 1e-3
-    return _slope(walls, near & (np.abs(walls.turn - c * walls.told) < 3.0 * scatter))
+    return _slope(walls, near & (np.abs(walls.turn - c * walls.by_wheels) < 3.0 * scatter))
 
 
 def _slope(walls: Walls, rows: NDArray[np.bool_]) -> float | None:
-    turn, told = walls.turn[rows], walls.told[rows]
-    squares = float((told**2).sum())
-    if squares < MIN_TURN_SQUARES_RAD2 or float(np.corrcoef(turn, told)[0, 1]) < MIN_CORRELATION:
+    turn, by_wheels = walls.turn[rows], walls.by_wheels[rows]
+    squares = float((by_wheels**2).sum())
+    if squares < MIN_TURN_SQUARES_RAD2 or float(np.corrcoef(turn, by_wheels)[0, 1]) < MIN_CORRELATION:
         return None
-    return float((turn * told).sum()) / squares
+    return float((turn * by_wheels).sum()) / squares
 
 
 def _spread(estimate: Callable[[Walls], tuple[float, ...] | None], walls: Walls, numbers: int) -> list[float]:

@@ -26,12 +26,12 @@ PROBLEMS = {
 def of_pictures(stream: Stream, settings: CameraSettings) -> list[Finding]:
     """Return what is odd about some pictures of a stream, evenly spread."""
     wanted = set(range(0, len(stream.t_ns), max(1, len(stream.t_ns) // SAMPLE_PICTURES)))
-    seen = [decode(message) for block in messages(stream) for row, message in block if row in wanted]
-    found, total = [], len(seen)
-    for why, n in Counter(one for one in seen if isinstance(one, str)).items():
+    decoded = [decode(message) for block in messages(stream) for row, message in block if row in wanted]
+    found, total = [], len(decoded)
+    for why, n in Counter(one for one in decoded if isinstance(one, str)).items():
         words = f"{n} of {total} pictures looked at {PROBLEMS[why]}"
         found.append(Finding("camera", "pictures", words, (), n > MAX_BAD_SHARE * total))
-    pictures = [one for one in seen if not isinstance(one, str)]
+    pictures = [one for one in decoded if not isinstance(one, str)]
     sizes = Counter((p.shape[1], p.shape[0]) for p in pictures)
     if len(sizes) > 1:
         listed = ", ".join(f"{w} x {h} ({n})" for (w, h), n in sizes.most_common())

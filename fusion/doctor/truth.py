@@ -136,11 +136,11 @@ def _point(truth: Truth, drive: Drive) -> list[Finding]:
         x, *_ = np.linalg.lstsq(A[keep], y[keep], rcond=None)
         rest = np.abs(y - A @ x)
         keep = rest <= 4.0 * max(float(np.median(rest)), 1e-4)
-    told = np.array(truth.point)
-    if float(np.hypot(*(x - told))) < MIN_POINT_ERROR_M or (A[keep] ** 2).sum() < 1.0:
+    configured = np.array(truth.point)
+    if float(np.hypot(*(x - configured))) < MIN_POINT_ERROR_M or (A[keep] ** 2).sum() < 1.0:
         return []
     words = (
-        f"it swings as the body point ({x[0]:.2f}, {x[1]:.2f}) m does, not ({told[0]:g}, {told[1]:g}): a tracked "
-        "marker off the axle"
+        f"it swings as the body point ({x[0]:.2f}, {x[1]:.2f}) m does, not "
+        f"({configured[0]:g}, {configured[1]:g}): a tracked marker off the axle"
     )
     return [Finding("truth", "body point", words, (f"truth.x={x[0]:.3f}", f"truth.y={x[1]:.3f}"), True)]

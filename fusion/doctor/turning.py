@@ -53,22 +53,22 @@ def turnings(drive: Drive) -> dict[str, Turning]:
             continue
         first = m.take(np.arange(min(len(m.t), MAX_READINGS)))
         t, own = heading(first)
-        turning = explain(t, own, drive.wheels, _untold(own) if name == "lrf" else np.zeros(len(t)))
+        turning = explain(t, own, drive.wheels, _turns_without_lines(own) if name == "lrf" else np.zeros(len(t)))
         if turning is not None:
             found[name] = turning
     return found
 
 
-def _untold(heading: Array) -> Array:
+def _turns_without_lines(heading: Array) -> Array:
     """Return how many turns up to each scan (n,) no line told: the laser's heading stands still, to the bit."""
     return np.cumsum(np.diff(heading, prepend=np.nan) == 0.0).astype(np.float64)
 
 
-def explain(t: Array, heading: Array, wheels: Wheels, untold: Array) -> Turning | None:
+def explain(t: Array, heading: Array, wheels: Wheels, without_lines: Array) -> Turning | None:
     """Fit a heading's turns by what either wheel rolled, at the clock offset that explains most, or None."""
     start = t[(t >= wheels.t[0] + MAX_LAG_S) & (t <= wheels.t[-1] - MAX_LAG_S - WINDOW_S)]
     start = start[start + WINDOW_S <= t[-1]]
-    start = start[np.interp(start + WINDOW_S, t, untold) == np.interp(start, t, untold)]
+    start = start[np.interp(start + WINDOW_S, t, without_lines) == np.interp(start, t, without_lines)]
     if len(start) < 20:
         return None
     own = np.interp(start + WINDOW_S, t, heading) - np.interp(start, t, heading)
@@ -122,21 +122,21 @@ def _regression(own: Array, by: Array, shares: Array, offset: float) -> Turning 
 
 
 def of_turning(
-    drive: Drive, robot: Robot, seen: Mapping[str, Turning], streams: Mapping[str, Stream]
+    drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning], streams: Mapping[str, Stream]
 ) -> list[Finding]:
     """Return what the turning of all sensors together says of the senses of wheels and mounts."""
     counts_wheels = streams["wheels"].msgtype != ODOMETRY
     found = _dead_wheel(drive.wheels) if counts_wheels else []
-    if found or not seen:
+    if found or not by_sensor:
         return found or (_by_the_wheels_alone(drive.wheels, robot) if counts_wheels else [])
-    mirrored = [w for t in seen.values() if (w := _mirrored(t)) is not None]
-    if counts_wheels and len(mirrored) > len(seen) / 2:
+    mirrored = [w for t in by_sensor.values() if (w := _mirrored(t)) is not None]
+    if counts_wheels and len(mirrored) > len(by_sensor) / 2:
         wheel = max(set(mirrored), key=mirrored.count)
-        by = " and ".join(name for name, t in seen.items() if _mirrored(t) == wheel)
+        by = " and ".join(name for name, t in by_sensor.items() if _mirrored(t) == wheel)
         words = f"the {wheel} wheel counts backward, by the turning of {by}"
         return [Finding("wheels", "mirrored", words, (f"wheels.mirrored={_also(robot, wheel)}",), True)]
-    back = [name for name, t in seen.items() if t.a < 0.0 < t.b]
-    if len(back) > 1 and len(back) == len(seen):
+    back = [name for name, t in by_sensor.items() if t.a < 0.0 < t.b]
+    if len(back) > 1 and len(back) == len(by_sensor):
         words = f"the wheels turn against {' and '.join(back)}: left and right are swapped"
         return [Finding("wheels", "swapped", words, _swapped(robot.wheels, streams["wheels"]), True)]
     return [_reversed(name, robot, streams) for name in back]
@@ -181,34 +181,34 @@ def _reversed(name: str, robot: Robot, streams: Mapping[str, Stream]) -> Finding
 
 
 def of_track(
-    settings: WheelSettings, seen: Mapping[str, Turning], motion: Motion | None, metre: float = 1.0
+    settings: WheelSettings, by_sensor: Mapping[str, Turning], motion: Motion | None, metre: float = 1.0
 ) -> list[Finding]:
     """Hold the track against the laser's walls, else against the compass; a gyro's scale is not known any better.
 
     `metre` is by how much another fix will scale the wheels' metre: the track follows.
     """
-    told = settings.track
-    found = _told_track(told or 0.0, seen, motion)
-    if told is None or found is None:
+    configured = settings.track
+    found = _observed_track(configured or 0.0, by_sensor, motion)
+    if configured is None or found is None:
         return []
     track, sigma, by = metre * found[0], metre * found[1], found[2]
-    off = track / (metre * told) - 1.0
+    off = track / (metre * configured) - 1.0
     if abs(off) < MIN_TRACK_ERROR + MIN_SIGMAS * sigma / track:
         return []
     words = (
-        f"the track is {told:g} m, but the turning of {by} says {track:.3f} m (1 sigma {sigma:.3f}); "
+        f"the track is {configured:g} m, but the turning of {by} says {track:.3f} m (1 sigma {sigma:.3f}); "
         "or let the filter find it (wheels.estimate=true)"
     )
     return [Finding("wheels", "track", words, (f"wheels.track={track:.3f}",), abs(off) > SEVERE_TRACK_ERROR)]
 
 
-def _told_track(
-    told: float, seen: Mapping[str, Turning], motion: Motion | None
+def _observed_track(
+    configured: float, by_sensor: Mapping[str, Turning], motion: Motion | None
 ) -> tuple[float, float, str] | None:
     """Return a track, its sigma, and who says so."""
     if motion is not None and motion.turns is not None and math.isfinite(motion.turns_sigma):
-        return told / motion.turns, told * motion.turns_sigma / motion.turns**2, "the laser's walls"
-    t = seen.get("compass")
+        return configured / motion.turns, configured * motion.turns_sigma / motion.turns**2, "the laser's walls"
+    t = by_sensor.get("compass")
     if t is None or t.a - t.b <= 0.0:
         return None
     track = 2.0 / (t.a - t.b)

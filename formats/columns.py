@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Column, Ints, Ragged
 
-TRUSTED = 1 << 22  # elements allocated on the word of a file that so many will come
+MAX_UNCHECKED_ELEMENTS = 1 << 22  # elements allocated on the word of a file that so many will come
 
 
 def view(data: NDArray[np.uint8], dtype: str, at: Ints) -> NDArray[Any]:
@@ -106,7 +106,7 @@ class _Array:
 
     def __init__(self, capacity: int) -> None:
         self.used = 0
-        self._capacity = min(capacity, TRUSTED)
+        self._capacity = min(capacity, MAX_UNCHECKED_ELEMENTS)
         self._data: NDArray[Any] | None = None
 
     def add(self, piece: NDArray[Any]) -> None:

@@ -10,8 +10,8 @@ import numpy as np
 
 from locfuse.fusion.data import Array, Ints
 
-CURVE_POINTS = 4000
-SCANS = 2000
+MAX_CURVE_POINTS = 4000
+MAX_SCANS = 2000
 
 
 def evenly(n: int, limit: int) -> Ints:

@@ -18,8 +18,20 @@ if TYPE_CHECKING:
     from locfuse.formats.log.log import Log
 
 OTHER_SIDE = {"left": "right", "l": "r", "lwheel": "rwheel", "lw": "rw"}
-COUNTS = ("tick", "enc", "wheel", "count", "angle")  # what a wheel's own topic is called ...
-COMMANDS = ("cmd", "command", "speed", "vel", "power", "pwm", "current", "effort", "target", "setpoint", "rpm")
+COUNTER_WORDS = ("tick", "enc", "wheel", "count", "angle")  # what a wheel's own topic is called ...
+COMMAND_WORDS = (
+    "cmd",
+    "command",
+    "speed",
+    "vel",
+    "power",
+    "pwm",
+    "current",
+    "effort",
+    "target",
+    "setpoint",
+    "rpm",
+)
 
 
 def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
@@ -122,7 +134,11 @@ def pair_topics(log: Log) -> list[tuple[str, str]]:
     for topic in numbers:
         partner = other_side(topic)
         low = topic.lower()
-        if partner in numbers and any(w in low for w in COUNTS) and not any(w in low for w in COMMANDS):
+        if (
+            partner in numbers
+            and any(w in low for w in COUNTER_WORDS)
+            and not any(w in low for w in COMMAND_WORDS)
+        ):
             found.append((topic, partner))
     return found
 

@@ -59,7 +59,7 @@ def _foot(made: Draft) -> str:
     """Return which sensors the log lacks, and why where that is not plain."""
     written = {section.name for section in made.sections if section.lines}
     absent = {name: why for name, why in made.overview.choice.absent.items() if name not in written - {"wheels"}}
-    plain = [name for name, why in absent.items() if why.startswith("no topic of type")]
+    plain = [name for name in absent if name in made.overview.choice.foreign]
     odd = [f"{name}: {why}" for name, why in absent.items() if name not in plain]
     return "\n".join(([f"Not in this log: {', '.join(plain)}."] if plain else []) + odd)
 

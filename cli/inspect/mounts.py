@@ -58,8 +58,8 @@ def conflicts(overview: Overview) -> list[Finding]:
         facts[t].frame_id: role for role in overview.choice.topics for t in overview.choice.of(role) if t in facts
     }
     found, others = [], []
-    for words in overview.transforms.conflicts:
-        frame = words.partition(":")[0]
+    for conflict in overview.transforms.conflicts:
+        frame = conflict.frame
         role = frames.get(frame, "")
         mount = extrinsics(overview).get(role, {})
         if not role:
@@ -68,7 +68,7 @@ def conflicts(overview: Overview) -> list[Finding]:
             keys = [k for k in ("x", "y", "yaw_deg") if isinstance(mount.get(k), float)]
             wrong = any(o.role == role and o.code == "yaw" for o in overview.findings)
             fixes = () if wrong else tuple(f"{role}.{k}={mount[k]:.4g}" for k in keys)
-            found.append(Finding(role, "tf_static", words, fixes))
+            found.append(Finding(role, "tf_static", conflict.line, fixes))
     if others:
         listed = ", ".join(others[:3]) + (" ..." if len(others) > 3 else "")
         words = f"{len(others)} frames are said to be in two places ({listed}); no sensor used here sits there"

@@ -16,13 +16,13 @@ from locfuse.fusion.streams import merged
 from locfuse.fusion.truth import TRUTH_READS, looks_like_truth
 from locfuse.fusion.wheels.geometry import Geometry, by_odometry
 from locfuse.fusion.wheels.read import ODOMETRY, counts_ticks
-from locfuse.fusion.wheels.sources import JOINTS, KNOWN_TICKS, joint_names
+from locfuse.fusion.wheels.sources import JOINTS, USUAL_TICKS, joint_names
 
 if TYPE_CHECKING:
     from locfuse.formats.log.log import Log
 
-ESTIMATES = ("odom", "amcl", "slam", "ekf", "filter", "goal", "initial", "estimate", "fused", "map")
-MOVES = 0.05  # of a joint's readings, in its unit: a joint that never moves is no wheel
+ESTIMATE_WORDS = ("odom", "amcl", "slam", "ekf", "filter", "goal", "initial", "estimate", "fused", "map")
+MIN_MOVEMENT = 0.05  # of a joint's readings, in its unit: a joint that never moves is no wheel
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def find_robot_facts(log: Log, robot: Robot, choice: Choice) -> RobotFacts:
     fitted = None
     if odometry:
         fitted = by_odometry(merged([log.stream(t) for t in counters]), log.stream(odometry[0]), settings)
-    return RobotFacts(described, fitted, odometry[0] if odometry else "", KNOWN_TICKS.get(kind), joints)
+    return RobotFacts(described, fitted, odometry[0] if odometry else "", USUAL_TICKS.get(kind), joints)
 
 
 def of_robot(log: Log, robot: Robot, choice: Choice, found: RobotFacts) -> list[Finding]:
@@ -140,7 +140,7 @@ def _joints(log: Log, topic: str, robot: Robot) -> tuple[str, str] | None:
     except LocfuseError:
         pass
     way = _ways(names, cast("Ragged", columns["position"]))
-    turning = [j for j, w in way.items() if w > MOVES]
+    turning = [j for j, w in way.items() if w > MIN_MOVEMENT]
     fixed = {robot.wheels.left, robot.wheels.right}
     if len(turning) != 2 or (fixed - {None} and not fixed & set(turning)):
         return None
@@ -185,7 +185,9 @@ def _untold_truth(log: Log, choice: Choice) -> list[Finding]:
     if "truth" in choice.topics:
         return []
     kinds = [k for k in TRUTH_READS if k != ODOMETRY]
-    poses = [t for t in of_type(log, kinds) if log.topics[t].count and not any(w in t.lower() for w in ESTIMATES)]
+    poses = [
+        t for t in of_type(log, kinds) if log.topics[t].count and not any(w in t.lower() for w in ESTIMATE_WORDS)
+    ]
     if not poses:
         return []
     words = f"none is named; if {' or '.join(poses)} is a reference (not an estimate), say so"

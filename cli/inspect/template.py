@@ -18,9 +18,14 @@ from .inspect_log import inspect_log
 from .overview import Overview
 from .template_tables import Facts, Known, found, lines
 
-ROUNDS = 4  # a fix may bring out what could not be seen before
-MEASURED = {"lag", "range scale", "track", "yaw"}  # findings whose fix is right even where they change little
-CHOICES = {"choice", "unusable", "truth?"}  # nothing was measured: the first that fits
+MAX_ROUNDS = 4  # a fix may bring out what could not be seen before
+MEASURED_CODES = {
+    "lag",
+    "range scale",
+    "track",
+    "yaw",
+}  # findings whose fix is right even where they change little
+GUESSED_CODES = {"choice", "unusable", "truth?"}  # nothing was measured: the first that fits
 
 
 class Draft(NamedTuple):
@@ -34,17 +39,17 @@ class Draft(NamedTuple):
 def draft(paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None] = lambda step: None) -> Draft:
     """Look at a log until no fix changes anything, and write down what was found."""
     overview = inspect_log(paths, how, progress)
-    said = _told(overview, how)
+    given = _given(overview, how)
     fixes: dict[str, tuple[str, str]] = {}  # key -> "key=value", why
-    for _ in range(ROUNDS):
-        new = {key: fix for key, fix in _fixes(filter(_certain, overview.findings)).items() if key not in said}
+    for _ in range(MAX_ROUNDS):
+        new = {key: fix for key, fix in _fixes(filter(_certain, overview.findings)).items() if key not in given}
         if new.items() <= fixes.items():
             break
         fixes |= new
         overview = inspect_log(
             paths, replace(how, sets=(*how.sets, *(fix for fix, _ in fixes.values()))), progress
         )
-    known = {**found(overview), **_read(fixes), **said}
+    known = {**found(overview), **_read(fixes), **given}
     suggested = _read({key: fix for key, fix in _fixes(overview.findings).items() if key not in fixes})
     facts = Facts(overview, known, suggested)
     missing: list[str] = []
@@ -52,7 +57,7 @@ def draft(paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None
     return Draft(overview, sections, missing)
 
 
-def _told(overview: Overview, how: LogOptions) -> Known:
+def _given(overview: Overview, how: LogOptions) -> Known:
     """Return what somebody said already: the log's attachment, --robot, --set."""
     layers: list[tuple[str, Mapping[str, Any]]] = []
     if ATTACHMENT in overview.log.attachments:
@@ -81,13 +86,13 @@ def _fixes(findings: Iterable[Finding]) -> dict[str, tuple[str, str]]:
 
 def _certain(f: Finding) -> bool:
     """Whether the log itself shows that a fix is right, or nothing runs without it."""
-    return f.severe or f.code in MEASURED
+    return f.severe or f.code in MEASURED_CODES
 
 
 def _why(f: Finding) -> str:
     if f.code == "geometry":
         return f.source or f.message
-    return f"guess: {f.sentence}" if f.code in CHOICES else f"as this log shows: {f.sentence}"
+    return f"guess: {f.sentence}" if f.code in GUESSED_CODES else f"as this log shows: {f.sentence}"
 
 
 def _loads(fix: str) -> bool:

@@ -22,7 +22,7 @@ Known = dict[str, tuple[Any, str]]  # "table.key" -> its value, and who says so
 TOP = ("order", "preset")
 OF_COUNTERS = ("radius", "track", "ticks_per_revolution", "mirrored")  # an odometry needs none of them
 MOUNTED = ("x", "y", "yaw_deg")  # written even where zero: that is worth knowing
-ROUND = 6  # decimals of a mount: micrometres
+MOUNT_DECIMALS = 6  # decimals of a mount: micrometres
 
 
 class Facts(NamedTuple):
@@ -89,7 +89,7 @@ def _mounts(overview: Overview) -> Known:
 
 def _rounded(value: Any) -> Any:
     if isinstance(value, float):
-        return round(value, ROUND) + 0.0
+        return round(value, MOUNT_DECIMALS) + 0.0
     if isinstance(value, dict):
         return {key: _rounded(v) for key, v in value.items()}
     return [_rounded(v) for v in value] if isinstance(value, list) else value
@@ -125,7 +125,7 @@ def _unknown(table: str, key: str, default: Any, missing: list[str]) -> Iterator
 
 def _suggested(facts: Facts, table: str) -> Known:
     """Return fixes that are not in force, and the topics of a sensor that could not choose between several."""
-    here = {key: told for key, told in facts.suggested.items() if key.startswith(f"{table}.")}
+    here = {key: suggestion for key, suggestion in facts.suggested.items() if key.startswith(f"{table}.")}
     why = facts.overview.choice.absent.get(table, "")
     for fix in facts.overview.choice.fixes.get(table, ()):
         key, _, value = fix.partition("=")

@@ -8,15 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from locfuse.formats.log.topics import UnreadableTopicError
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.doctor.examine import gaps
 
 if TYPE_CHECKING:
     from locfuse.formats.log.log import Log
 
-MOST_GAPS = 20  # listed for machines
-ANOTHER_CLOCK = 1.0  # s between stamp and recording: more is no delay
-FEWEST = 3  # messages before there is a rate
+MAX_GAPS_LISTED = 20  # listed for machines
+OTHER_CLOCK_S = 1.0  # s between stamp and recording: more is no delay
+MIN_MESSAGES = 3  # messages before there is a rate
 
 
 @dataclass(frozen=True)
@@ -30,16 +31,13 @@ class TopicFacts:
     rate_hz: float | None = None
     period_s: float | None = None  # median
     gaps: tuple[tuple[float, float], ...] = ()  # (start, end) [s] since the log began
-    clock: str = ""  # which times were taken
+    clock: str = ""  # which times were taken, in words
+    by_stamps: bool = False  # whether they are those of the headers, sorted or repaired perhaps,
+    as_stamped: bool = False  # and whether every one of them is simply its header's
     repaired: dict[str, int] | None = None  # stamps replaced, by reason
     delay_s: float | None = None  # recording behind header stamps, median
     dropped: dict[str, int] | None = None
     problem: str | None = None  # why it cannot be read
-
-    @property
-    def by_stamps(self) -> bool:
-        """Whether its times are those of its headers."""
-        return self.delay_s is not None and self.clock.startswith("header")
 
     def values(self) -> dict[str, Any]:
         """Return it for report and JSON."""
@@ -49,7 +47,7 @@ class TopicFacts:
             "frame": self.frame_id or None,
             "rate_hz": self.rate_hz,
             "period_s": self.period_s,
-            "gaps": [list(g) for g in self.gaps[:MOST_GAPS]],
+            "gaps": [list(g) for g in self.gaps[:MAX_GAPS_LISTED]],
             "longest_gap_s": max((b - a for a, b in self.gaps), default=None),
             "clock": self.clock or None,
             "delay_s": self.delay_s,
@@ -67,7 +65,7 @@ def clock_word(f: TopicFacts) -> str:
         return "repaired"
     if not f.by_stamps:
         return "recorded"
-    return f"{f.delay_s * 1e3:.0f} ms late" if abs(f.delay_s) < ANOTHER_CLOCK else "two clocks"
+    return f"{f.delay_s * 1e3:.0f} ms late" if abs(f.delay_s) < OTHER_CLOCK_S else "two clocks"
 
 
 def topic_facts(log: Log, order: str) -> list[TopicFacts]:
@@ -86,7 +84,8 @@ def _facts(log: Log, name: str, order: str) -> TopicFacts:
         stream = log.stream(name, order)
         t_ns = stream.t_ns
     except LocfuseError as e:
-        return TopicFacts(name, topic.msgtype, topic.count, problem=_plain(str(e), log, name))
+        problem = e.problem if isinstance(e, UnreadableTopicError) else str(e)
+        return TopicFacts(name, topic.msgtype, topic.count, problem=problem)
     begin = (log.time_span_ns or (0, 0))[0]
     t = (t_ns - begin) * np.float64(1e-9)
     dt = np.diff(t)
@@ -96,16 +95,13 @@ def _facts(log: Log, name: str, order: str) -> TopicFacts:
         msgtype=topic.msgtype,
         count=topic.count,
         frame_id=stream.frame_id,
-        rate_hz=float((len(t) - 1) / (t[-1] - t[0])) if len(t) >= FEWEST and t[-1] > t[0] else None,
+        rate_hz=float((len(t) - 1) / (t[-1] - t[0])) if len(t) >= MIN_MESSAGES and t[-1] > t[0] else None,
         period_s=float(np.median(moving)) if len(moving) else None,
         gaps=tuple(gaps(t)),
         clock=stream.clock,
+        by_stamps=stream.by_stamps,
+        as_stamped=stream.as_stamped,
         repaired=dict(stream.repaired),
         delay_s=stream.delay_s,
         dropped=dict(stream.dropped),
     )
-
-
-def _plain(words: str, log: Log, name: str) -> str:
-    """Return an error about a topic without saying again which."""
-    return words.removeprefix(f"{log.name}: ").removeprefix(f"{name} cannot be read: ")

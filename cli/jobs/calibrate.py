@@ -17,13 +17,13 @@ from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.iron import Iron, fit_iron
-from locfuse.fusion.wheels.calibrate import PERIOD, WheelCalibration, calibrate_wheels
+from locfuse.fusion.wheels.calibrate import PAPER_PERIOD_S, WheelCalibration, calibrate_wheels
 from locfuse.fusion.wheels.likelihood import Figure
 
 FIELD = "sensor_msgs/msg/MagneticField"
 ODOMETRY = "nav_msgs/msg/Odometry"
-WIDTH = 1.96  # standard deviations of a 95 % interval
-CLEARLY = 3.0  # ln of a likelihood ratio that is worth saying (20 to 1)
+SIGMAS_95 = 1.96  # standard deviations of a 95 % interval
+MIN_LN_RATIO = 3.0  # ln of a likelihood ratio that is worth saying (20 to 1)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,7 +48,9 @@ class Calibration:
             "ratio": share_right / share_left,
             "track": old.track * (1.0 + track),
         }
-        spread = dict(zip(values, (WIDTH * found.sigmas * np.array(list(values.values()))).tolist(), strict=True))
+        spread = dict(
+            zip(values, (SIGMAS_95 * found.sigmas * np.array(list(values.values()))).tolist(), strict=True)
+        )
         return {
             key: Figure(value, value - spread[key], value + spread[key])
             for key, value in values.items()
@@ -85,7 +87,7 @@ class Calibration:
         figures = {"noise_m": found.k, "delta": found.delta, **self.geometry()}
         return {
             **{name: {"value": f.value, "low": f.low, "high": f.high} for name, f in figures.items()},
-            "delta_period_s": PERIOD,
+            "delta_period_s": PAPER_PERIOD_S,
             "ln_likelihood_noise_over_delta": found.prefers_k,
             "straight_pieces": found.pieces["straight"],
             "turn_pieces": found.pieces["turn"],
@@ -102,7 +104,7 @@ class Calibration:
             for key, figure in self.geometry().items():
                 unit = "" if key == "ratio" else " [m]"
                 rows.append(_row(f"wheels.{key}{unit}", figure, getattr(self.settings, key)))
-            rows.append(_row(f"paper's delta ({PERIOD:g} s)", self.wheels.delta, None))
+            rows.append(_row(f"paper's delta ({PAPER_PERIOD_S:g} s)", self.wheels.delta, None))
         if self.iron is not None:
             rows += _iron_rows(self.iron)
         return rows
@@ -217,7 +219,7 @@ def _wheel_notes(found: WheelCalibration, settings: WheelSettings) -> list[str]:
         notes += [
             f"wheels: {name} cannot be told without {lacking[name]}; it is taken as given" for name in untold
         ]
-    if abs(found.prefers_k) > CLEARLY:
+    if abs(found.prefers_k) > MIN_LN_RATIO:
         better, worse = ("noise per metre", "the paper's delta")[:: 1 if found.prefers_k > 0 else -1]
         notes.append(
             f"wheels: {better} explains these drives better than {worse} "
@@ -245,7 +247,7 @@ def _iron_rows(iron: Iron) -> list[tuple[str, str, str, str]]:
     for name, values, sigmas in (("hard", iron.hard, iron.hard_sigma), ("soft", iron.soft, iron.soft_sigma)):
         where = ("x", "y") if name == "hard" else ("xx", "xy", "yx", "yy")
         for axis, value, sigma in zip(where, values.ravel().tolist(), sigmas.ravel().tolist(), strict=True):
-            figure = Figure(value, value - WIDTH * sigma, value + WIDTH * sigma)
+            figure = Figure(value, value - SIGMAS_95 * sigma, value + SIGMAS_95 * sigma)
             rows.append(_row(f"compass.{name}_iron {axis}", figure, None))
     return rows
 

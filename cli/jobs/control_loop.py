@@ -1,7 +1,7 @@
 """The filter inside a control loop: raw messages in, pose out, nothing from the future.
 
-A scan arrives after the compass reading that was taken in its middle. So the filter runs DELAY behind the newest
-wheel reading, where the order of everything is known, and the wheels bridge from there to now.
+A scan arrives after the compass reading that was taken in its middle. So the filter runs MAX_LATENCY_S behind the
+newest wheel reading, where the order of everything is known, and the wheels bridge from there to now.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from locfuse.fusion.wheels.motion import Wheels
 if TYPE_CHECKING:
     from locfuse.sample_logs.messages import RawMessage
 
-DELAY = 0.15  # s: longer than any sensor's latency in the scenarios
-MEMORY = 4.0  # s of wheel readings that are kept
+MAX_LATENCY_S = 0.15  # s: longer than any sensor's latency in the scenarios
+WHEEL_MEMORY_S = 4.0  # s of wheel readings that are kept
 
 
 def make_estimator(
@@ -87,8 +87,8 @@ class Localiser:
         )
 
     def _correct(self, wheels: Wheels) -> None:
-        """Advance the filter through every reading that is older than DELAY, in time order."""
-        horizon = wheels.t[-1] - DELAY
+        """Advance the filter through every reading that is older than MAX_LATENCY_S, in time order."""
+        horizon = wheels.t[-1] - MAX_LATENCY_S
         measured = [(self._measure(s, message, wheels), s, message) for s, message in self._waiting]
         ready = [(m, s) for m, s, _ in measured if len(m.t) and self._at <= m.t[0] <= horizon]
         self._waiting = [(s, message) for m, s, message in measured if len(m.t) and m.t[0] > horizon]
@@ -109,7 +109,7 @@ class Localiser:
         return REGISTRY[sensor].measure(stream, self.robot.settings(sensor), wheels, self._epoch_ns)
 
     def _forget(self) -> None:
-        while self._wheel_t[0] < min(self._wheel_t[-1] - MEMORY, self._at - MEMORY / 2):
+        while self._wheel_t[0] < min(self._wheel_t[-1] - WHEEL_MEMORY_S, self._at - WHEEL_MEMORY_S / 2):
             self._wheel_t.pop(0)
             self._rolled.pop(0)
 

@@ -21,8 +21,8 @@ from locfuse.fusion.sensors.registry import REGISTRY, needed
 from locfuse.fusion.tune.noise import Figures
 from locfuse.fusion.tune.tune import Row, Trial, Tuned, tune
 
-WIDTH = 1.96  # standard deviations of a 95 % interval
-HELD_OUT = 0.2  # share of every log, its end, where no log is held out
+SIGMAS_95 = 1.96  # standard deviations of a 95 % interval
+HELD_OUT_SHARE = 0.2  # share of every log, its end, where no log is held out
 LIKELIHOOD = "ln likelihood per number, {part} ({numbers})"
 
 
@@ -122,7 +122,7 @@ def tune_logs(
     trials = []
     for i, one in enumerate(loaded):
         last = float(one.drive.t[-1])
-        until = -math.inf if i >= len(logs) else math.inf if held_out else (1.0 - HELD_OUT) * last
+        until = -math.inf if i >= len(logs) else math.inf if held_out else (1.0 - HELD_OUT_SHARE) * last
         trials.append(Trial(one.log.name, one.drive, one.robot, until))
 
     def remeasure(i: int, sensor: str, robot: Robot) -> Measurements:
@@ -178,12 +178,12 @@ def _found(row: Row) -> tuple[str, str]:
     """Return a figure and its interval, or that the logs do not tell."""
     if not row.identifiable:
         return f"{row.after:.3g}", "at most this" if row.after < row.before else "not identifiable"
-    low, high = row.after * math.exp(-WIDTH * row.error), row.after * math.exp(WIDTH * row.error)
+    low, high = row.after * math.exp(-SIGMAS_95 * row.error), row.after * math.exp(SIGMAS_95 * row.error)
     return f"{row.after:.3g}", f"{low:.3g} .. {high:.3g}"
 
 
 def _row_values(row: Row) -> dict[str, Any]:
-    factor = math.exp(WIDTH * row.error) if row.identifiable else None
+    factor = math.exp(SIGMAS_95 * row.error) if row.identifiable else None
     return {
         "before": row.before,
         "after": row.after,

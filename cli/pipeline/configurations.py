@@ -15,7 +15,7 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, needed
 
 RATE = re.compile(r"(\d+(?:\.\d+)?)\s*hz", re.IGNORECASE)
-MOST_SUBSETS = 6  # sensors: 64 subsets
+MAX_SUBSET_SENSORS = 6  # sensors: 64 subsets
 Sensors = str | Iterable[str]  # of one configuration
 
 
@@ -110,7 +110,7 @@ def for_comparison(words: Sequence[Sensors], drive: Drive, every: bool = False) 
     present = tuple(s for s in REGISTRY if s in drive.measurements)
     named = [parse(w, drive) for w in words]
     if every:
-        if len(present) > MOST_SUBSETS:
+        if len(present) > MAX_SUBSET_SENSORS:
             raise UsageError(
                 f"--all-subsets: {len(present)} sensors have {2 ** len(present)} subsets; leave it out"
             )

@@ -20,7 +20,7 @@ KINDS = {
     "csv": "with covariance",
 }
 MCAP = "estimates.mcap"
-TWO_CLOCKS = 1.0  # s between stamps and recording: more is another clock, in which players live
+OTHER_CLOCK_S = 1.0  # s between stamps and recording: more is another clock, in which players live
 
 
 def files(kinds: Collection[str], loaded: Loaded, found: Mapping[str, Estimates]) -> dict[str, Content]:
@@ -73,4 +73,4 @@ def _twist(drive: Drive) -> Array:
 def _other_clock(loaded: Loaded) -> int:
     """Return by how much the recording's clock runs ahead of the stamps, 0 for one clock [ns]."""
     delay = loaded.log.stream(loaded.choice.topics["wheels"], loaded.robot.order).delay_s or 0.0
-    return round(delay * 1e9) if abs(delay) > TWO_CLOCKS else 0
+    return round(delay * 1e9) if abs(delay) > OTHER_CLOCK_S else 0

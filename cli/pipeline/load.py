@@ -27,7 +27,6 @@ from .memory import give_back
 from .settings import ORDERS, PRESETS, LogOptions, Progress, silent
 
 ATTACHMENT = "robot.toml"
-PLAIN_CLOCK = "header stamps"
 BASE_TABLES: dict[str, type[msgspec.Struct]] = {
     "wheels": WheelSettings,
     "start": StartSettings,
@@ -211,7 +210,7 @@ def _clock_notes(streams: Mapping[str, Any]) -> list[str]:
     notes: dict[str, None] = {}  # as a set in order: several topics of one role may say the same
     for role, stream in streams.items():
         for part in parts(stream):
-            words = [] if part.clock == PLAIN_CLOCK else [part.clock]
+            words = [] if part.as_stamped else [part.clock]
             notes |= dict.fromkeys(f"{role}: {word}" for word in (*words, *part.notes))
     return list(notes)
 

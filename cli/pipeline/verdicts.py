@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from locfuse.fusion.judge.credit import Credit, SensorCredit
-from locfuse.fusion.judge.predictive import LEAST_GAIN, Score, contradictions, ranking
-from locfuse.fusion.judge.verdict import NOTHING, OVERCONFIDENT, Effect
+from locfuse.fusion.judge.predictive import MIN_GAIN_NATS, Score, contradictions, ranking
+from locfuse.fusion.judge.verdict import MAX_ANEES, MIN_EFFECT, Effect
 
 TRUST_SENSORS = (
     "There is no truth in this log, so configurations are ranked by how well each predicts the sensors that it "
@@ -78,7 +78,7 @@ def _credit_words(c: SensorCredit, credit: Credit) -> str:
     if main is None:
         return "No two of these sets differ by it alone; --all-subsets runs all of them."
     parts = [_main_words(c, main, len(credit.sensors) > 1, credit.logs)]
-    if c.verdict == "hurts" and c.anees is not None and c.anees[1] > OVERCONFIDENT:
+    if c.verdict == "hurts" and c.anees is not None and c.anees[1] > MAX_ANEES:
         parts.insert(
             0,
             f"It makes the filter sure and wrong: ANEES {short(c.anees[1])} with it, {short(c.anees[0])} without "
@@ -117,7 +117,7 @@ def _few(logs: int) -> str:
 
 
 def _last_words(last: Effect) -> str:
-    if abs(last.value) < NOTHING:
+    if abs(last.value) < MIN_EFFECT:
         return "Beside all others it changes nothing."
     if last.low <= 0.0 <= last.high:
         return "Beside all others it changes no more than chance."
@@ -194,7 +194,7 @@ def _predicted(mine: Sequence[Score], against: Sequence[str], sensors: int) -> d
         return _by_itself(mine[0])
     on = " and ".join(s.sensor for s in mine)
     better = f"{abs(gain):.2f} nats per number {'better' if gain >= 0 else 'worse'} than odometry does"
-    sure = all(s.low > 0.0 for s in mine) and gain > LEAST_GAIN
+    sure = all(s.low > 0.0 for s in mine) and gain > MIN_GAIN_NATS
     return {"verdict": "helps" if sure else "does nothing", "words": f"With it, {on} can be predicted {better}."}
 
 

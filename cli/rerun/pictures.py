@@ -11,7 +11,7 @@ from locfuse.formats.rerun.scene import Picture
 from locfuse.formats.rerun.style import GROUP_OF
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, Stream
 
-QUALITY = 80  # JPEG, of what has to be encoded: panoramas, and raw Image messages
+JPEG_QUALITY = 80  # JPEG, of what has to be encoded: panoramas, and raw Image messages
 MEDIA = {b"\xff\xd8": "image/jpeg", b"\x89P": "image/png"}
 
 
@@ -94,5 +94,5 @@ def _passed_through(message: Any, picture: Any) -> tuple[bytes, str]:
 def _jpeg(picture: Any) -> bytes:
     from locfuse.fusion.camera.opencv import cv2
 
-    done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     return data.tobytes() if done else b""

@@ -14,7 +14,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Ints, Ragged, Stream
 from locfuse.fusion.sensors.lrf import LrfSettings
 
-BEAMS = 360  # of a scan that are drawn: more than a screen shows
+MAX_BEAMS = 360  # of a scan that are drawn: more than a screen shows
 FIELDS = ("angle_min", "angle_increment", "time_increment", "range_min", "range_max", "ranges")
 
 

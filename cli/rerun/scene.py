@@ -23,11 +23,11 @@ from locfuse.fusion.sensors.registry import colours as sensor_colours
 from locfuse.fusion.truth import TRUTH_READS
 from locfuse.fusion.wheels.read import WHEEL_READS
 
-from .scans import BEAMS, scan_points
+from .scans import MAX_BEAMS, scan_points
 
-MOST_PICTURES = 600  # kept by default
-MOST_COLUMNS = 8  # of a numeric array that is drawn as curves: a scan's ranges are not
-LOW, HIGH = 0.025, 0.975  # between them lie 95 % of consistent NIS
+MAX_PICTURES = 600  # kept by default
+MAX_ARRAY_COLUMNS = 8  # of a numeric array that is drawn as curves: a scan's ranges are not
+NIS_LOW, NIS_HIGH = 0.025, 0.975  # between them lie 95 % of consistent NIS
 
 
 def scene_of_result(result: Result, images: int | None = None, full: bool = False) -> Scene:
@@ -88,7 +88,7 @@ def _sight(sensor: Sensor, settings: Any) -> Sight:
     width = len(sensor.components)
     return Sight(
         components=sensor.components,
-        bounds=(chi_square(LOW, width), chi_square(HIGH, width)),
+        bounds=(chi_square(NIS_LOW, width), chi_square(NIS_HIGH, width)),
         kind=sensor.drawn,
         mount=sensor.mount(settings),
         landmark=sensor.landmark(settings),
@@ -103,7 +103,7 @@ def _stream(loaded: Loaded, role: str) -> Any:
 def _scans(loaded: Loaded, best: Estimates, detail: Detail, full: bool) -> ScanPoints | None:
     if "lrf" not in loaded.drive.measurements:
         return None
-    beams = 2**62 if full else BEAMS
+    beams = 2**62 if full else MAX_BEAMS
     return scan_points(_stream(loaded, "lrf"), loaded.robot.settings("lrf"), loaded.drive, detail.scans, beams)
 
 
@@ -115,7 +115,7 @@ def _pictures(loaded: Loaded, best: Estimates, images: int | None) -> tuple[Any,
     from .pictures import panorama_rows, pictures
 
     stream, settings = _stream(loaded, "camera"), loaded.robot.settings("camera")
-    every = images or max(1, math.ceil(len(stream.t_ns) / MOST_PICTURES))
+    every = images or max(1, math.ceil(len(stream.t_ns) / MAX_PICTURES))
     return pictures(stream, settings, loaded.drive, best, every), panorama_rows(stream, settings)
 
 
@@ -150,7 +150,7 @@ def _curves(columns: Mapping[str, Column]) -> dict[str, Array]:
             continue
         if values.ndim == 1:
             curves[field] = np.asarray(values, np.float64)
-        elif values.shape[1] <= MOST_COLUMNS:
+        elif values.shape[1] <= MAX_ARRAY_COLUMNS:
             curves |= {_named(field, i, names): np.asarray(v, np.float64) for i, v in enumerate(values.T)}
     return curves
 

@@ -24,10 +24,10 @@ from locfuse.fusion.data import LocfuseError
 ADDRESS = re.compile(r"rerun(?:\+https?)?://(?P<host>\[[^\]/]+\]|[^/:@]+)(?::(?P<port>\d{1,5}))?/proxy")
 HOST, PORT = "127.0.0.1", 9876
 LOCAL_VIEWER = f"rerun+http://{HOST}:{PORT}/proxy"
-PROBE = 1.0  # s to wait for a port
-PATIENCE = 10.0  # s to wait for a viewer to take a recording, and
-RATE = 5e6  # bytes per second on top of that
-START = 2.0  # s in which a viewer that cannot start has said so
+PORT_TIMEOUT_S = 1.0  # s to wait for a port
+SEND_TIMEOUT_S = 10.0  # s to wait for a viewer to take a recording, and
+SEND_RATE_BPS = 5e6  # bytes per second on top of that
+START_TIMEOUT_S = 2.0  # s in which a viewer that cannot start has said so
 
 
 def show(path: Path) -> subprocess.Popen[bytes] | None:
@@ -58,7 +58,7 @@ def has_display() -> bool:
 def listening(host: str, port: int) -> bool:
     """Return whether something accepts connections there."""
     try:
-        with socket.create_connection((host, port), timeout=PROBE):
+        with socket.create_connection((host, port), timeout=PORT_TIMEOUT_S):
             return True
     except OSError:
         return False
@@ -77,7 +77,11 @@ def send(path: Path, url: str) -> None:
     command = [sys.executable, "-m", "locfuse.formats.rerun.send", str(path), url]
     try:
         done = subprocess.run(
-            command, timeout=PATIENCE + path.stat().st_size / RATE, capture_output=True, text=True, check=False
+            command,
+            timeout=SEND_TIMEOUT_S + path.stat().st_size / SEND_RATE_BPS,
+            capture_output=True,
+            text=True,
+            check=False,
         )
     except subprocess.TimeoutExpired:
         raise LocfuseError(f"what listens at {host}:{port} does not take a recording") from None
@@ -115,7 +119,7 @@ def start(path: Path) -> subprocess.Popen[bytes]:
     Raises LocfuseError where it ends at once (no graphics driver, no such program).
     """
     viewer = _popen([program(), "--bind", HOST, "--port", str(free_port(PORT)), str(path)])
-    deadline = time.monotonic() + START
+    deadline = time.monotonic() + START_TIMEOUT_S
     while time.monotonic() < deadline:
         if viewer.poll() is not None and viewer.returncode != 0:
             raise LocfuseError(f"the viewer ended at once with code {viewer.returncode}")

@@ -34,7 +34,7 @@ TOPICS = (
     Column("frame", "frame", kind="text", rank=3),
     Column("roles", "read by", kind="text"),
 )
-MOST = 6  # unreadable topics, each with its reason
+MAX_UNREADABLE_LISTED = 6  # unreadable topics, each with its reason
 
 
 def lines(overview: Overview, typed: Sequence[str], width: int | None) -> Iterator[str]:
@@ -87,10 +87,10 @@ def _topics(overview: Overview, width: int | None) -> Iterator[str]:
     if empty := [f.topic for f in overview.facts if not f.count]:
         yield from _wrapped("empty: ", ", ".join(empty), width, "  ")
     unreadable = [f for f in overview.facts if f.problem is not None and f.count]
-    for f in unreadable[:MOST]:
+    for f in unreadable[:MAX_UNREADABLE_LISTED]:
         yield from _wrapped("not readable: ", f"{f.topic}: {f.problem}", width, "  ")
-    if len(unreadable) > MOST:
-        yield f"not readable: {len(unreadable) - MOST} more"
+    if len(unreadable) > MAX_UNREADABLE_LISTED:
+        yield f"not readable: {len(unreadable) - MAX_UNREADABLE_LISTED} more"
 
 
 def _table(facts: Sequence[TopicFacts], role: Mapping[str, Sequence[str]]) -> Table:

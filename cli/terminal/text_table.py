@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from locfuse.formats.report.table import Cell, Column, Table, text
 
-LEAST = 12  # characters of a text that is cut
+MIN_CELL_WIDTH = 12  # characters of a text that is cut
 
 
 @dataclass(frozen=True)
@@ -67,9 +67,9 @@ def _fitted(strips: Sequence[Strip], width: int, gap: int) -> list[Strip]:
         kept.remove(max(kept, key=lambda s: s.column.rank))
     while (over := _width(kept, gap) - width) > 0:
         i, widest = max(enumerate(kept), key=lambda entry: (entry[1].column.kind != "number", entry[1].width))
-        if widest.width <= LEAST or widest.column.kind == "number":
+        if widest.width <= MIN_CELL_WIDTH or widest.column.kind == "number":
             break
-        to = max(LEAST, widest.width - over)
+        to = max(MIN_CELL_WIDTH, widest.width - over)
         kept[i] = replace(widest, cells=tuple(_cut(cell, to) for cell in widest.cells))
     return kept
 

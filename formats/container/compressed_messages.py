@@ -16,7 +16,7 @@ from locfuse.formats.columns import view
 from .source import MAX_MESSAGE, Messages
 
 ZSTD_MAGIC = 0xFD2FB528
-TOGETHER = 16 * 1024 * 1024  # bytes of unpacked messages handed on at once
+BATCH_BYTES = 16 * 1024 * 1024  # bytes of unpacked messages handed on at once
 
 Bytes = NDArray[np.uint8]
 
@@ -31,7 +31,7 @@ def unpack(data: Bytes, messages: Messages) -> Iterator[tuple[Bytes, Messages]]:
     for i, (at, n) in enumerate(zip(messages.start.tolist(), messages.length.tolist(), strict=True)):
         pieces.append(_unpacked(data[at : at + n].tobytes()))
         size += len(pieces[-1])
-        if size >= TOGETHER:
+        if size >= BATCH_BYTES:
             yield _portion(pieces, messages.take(slice(first, i + 1)))
             pieces, first, size = [], i + 1, 0
     if pieces:

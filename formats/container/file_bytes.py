@@ -9,7 +9,7 @@ from pathlib import Path
 
 from locfuse.fusion.data import LocfuseError
 
-WINDOW = 1 << 18
+WINDOW_BYTES = 1 << 18
 
 
 class FileBytes:
@@ -30,19 +30,19 @@ class FileBytes:
 
     def read(self, at: int, n: int) -> bytes:
         """Return up to n bytes from `at` on (fewer at the end of the file)."""
-        if n > WINDOW:
+        if n > WINDOW_BYTES:
             return self._pread(n, at)
         offset = at - self._start
         if not 0 <= offset <= len(self._window) - n:
-            self._window = self._pread(WINDOW, at)
+            self._window = self._pread(WINDOW_BYTES, at)
             self._start, offset = at, 0
         return self._window[offset : offset + n]
 
     def crc32(self, start: int, stop: int) -> int:
         """Return the checksum of the bytes from `start` up to `stop`."""
         crc = 0
-        for at in range(start, stop, WINDOW):
-            crc = zlib.crc32(self._pread(min(WINDOW, stop - at), at), crc)
+        for at in range(start, stop, WINDOW_BYTES):
+            crc = zlib.crc32(self._pread(min(WINDOW_BYTES, stop - at), at), crc)
         return crc
 
     def _pread(self, n: int, at: int) -> bytes:

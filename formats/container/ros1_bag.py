@@ -18,7 +18,7 @@ from .losses import Losses
 from .source import Batch, ChannelInfo, Messages
 
 CUT_OFF = "the bag was not closed: the recording was cut off"
-SEARCH = 1 << 20
+WINDOW_BYTES = 1 << 20
 HINT = b"compression="  # a field of every chunk's header,
 BEFORE = range(8, 64)  # so many bytes behind the record's start
 
@@ -119,7 +119,12 @@ class BagSource:
     def _take_loose(self, entry: rec.Entry) -> None:
         """Collect messages that a crash left outside a chunk, whose header was never completed."""
         before = self._parts[-1] if self._parts else None
-        if before and not before.size and before.start + before.length == entry.at and before.length < SEARCH:
+        if (
+            before
+            and not before.size
+            and before.start + before.length == entry.at
+            and before.length < WINDOW_BYTES
+        ):
             before.length = entry.end - before.start
         else:
             self._parts.append(Part(entry.at, entry.at, entry.end - entry.at))
@@ -139,14 +144,14 @@ class BagSource:
 
     def _next_chunk(self, at: int) -> int:
         while at < self._data.size:
-            window = self._data.read(at, SEARCH)
+            window = self._data.read(at, WINDOW_BYTES)
             i = window.find(HINT)
             while i >= 0:
                 starts = (at + i - back for back in BEFORE if back <= i)
                 if (start := next(filter(self._is_chunk, starts), None)) is not None:
                     return start
                 i = window.find(HINT, i + 1)
-            at += SEARCH - BEFORE.stop - len(HINT) if len(window) == SEARCH else len(window)
+            at += WINDOW_BYTES - BEFORE.stop - len(HINT) if len(window) == WINDOW_BYTES else len(window)
         return self._data.size
 
     def _is_chunk(self, at: int) -> bool:

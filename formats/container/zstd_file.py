@@ -15,10 +15,10 @@ from .file_bytes import FileBytes
 from .losses import Losses
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-PIECE = 1 << 20
+PIECE_BYTES = 1 << 20
 HEAD_BYTES = 18  # of the longest frame header
-LEAST_CAP = 1 << 30  # any file may unpack to a gigabyte,
-GREATEST_RATIO = 200  # a larger one to so many times its size (real bags: 2 to 20)
+MIN_CAP_BYTES = 1 << 30  # any file may unpack to a gigabyte,
+MAX_UNPACK_RATIO = 200  # a larger one to so many times its size (real bags: 2 to 20)
 
 
 def unpack_file(path: Path, losses: Losses) -> FileBytes:
@@ -39,14 +39,14 @@ def unpack_file(path: Path, losses: Losses) -> FileBytes:
 
 def _unpack(path: Path, plain: BinaryIO, losses: Losses) -> None:
     size = path.stat().st_size
-    cap = max(LEAST_CAP, GREATEST_RATIO * size)
+    cap = max(MIN_CAP_BYTES, MAX_UNPACK_RATIO * size)
     total, complete = 0, True
     with path.open("rb") as packed:
         declared = _declared_size(packed.read(HEAD_BYTES))
         packed.seek(0)
         reader = zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True)
         try:
-            while piece := reader.read(PIECE):
+            while piece := reader.read(PIECE_BYTES):
                 total += len(piece)
                 if total > cap:
                     raise LocfuseError(f"{path}: unpacks to more than {cap >> 20} MiB; try: zstd -d {path.name}")

@@ -10,7 +10,7 @@ from .panels import Band, Curve, Mark, Panel, Section
 from .scene import Scene, metres
 
 SIGMAS = 3.0
-LEAST = 1e-4  # m: a position error below is drawn there on logarithmic axes
+MIN_ERROR_M = 1e-4  # m: a position error below is drawn there on logarithmic axes
 TIME = "time, s"
 OVERLAYS = {  # title, and its figure in the report
     "deviation_x": ("Deviation in x", "x_rmse_m"),
@@ -57,7 +57,7 @@ def _heading(judged: list[Evaluation], span: tuple[float, float]) -> Panel:
 
 def _error(judged: list[Evaluation]) -> Panel:
     """Position error against the way driven, on a logarithmic axis."""
-    errors = [np.maximum(np.hypot(*j.deviation.T), LEAST) for j in judged]
+    errors = [np.maximum(np.hypot(*j.deviation.T), MIN_ERROR_M) for j in judged]
     scale, unit = metres(errors)
     return Panel(
         "error_distance",

@@ -11,7 +11,7 @@ from .scene import Scene
 
 TIME = "time, s"
 STRETCHES = 120  # of a drive, over which NEES is averaged for drawing
-BINS = 150  # of the gate timeline
+GATE_BINS = 150  # of the gate timeline
 INNOVATION_SIGMAS = 2.0
 
 
@@ -139,7 +139,7 @@ def gates(scene: Scene) -> Section:
 
 def _shares(audit: Audit, t: Array, lane: int) -> list[Band]:
     """Return stacked shares of every verdict in lane [lane + 0.1, lane + 0.9], accepted at the bottom."""
-    bins = int(np.clip(len(np.unique(audit.instant)) // 3, 1, BINS))
+    bins = int(np.clip(len(np.unique(audit.instant)) // 3, 1, GATE_BINS))
     edges = np.linspace(0.0, float(t[-1]), bins + 1)
     place = np.clip(np.searchsorted(edges, t[audit.instant], side="right") - 1, 0, bins - 1)
     counts = np.stack([np.bincount(place[audit.verdict == v], minlength=bins) for v in range(len(VERDICTS))])

@@ -10,7 +10,7 @@ import numpy as np
 
 from locfuse.fusion.data import Array, Component, Drive, Estimates, Evaluation
 
-MOST_CONFIGURATIONS = 8  # more curves in one panel say nothing
+MAX_CONFIGURATIONS = 8  # more curves in one panel say nothing
 
 
 class Stretches(NamedTuple):
@@ -47,10 +47,10 @@ class Scene:
     def shown(self) -> list[tuple[Estimates, Evaluation]]:
         """Return the configurations that are drawn: all, or of many the single sensors, none, and all."""
         pairs = list(zip(self.estimates, self.evaluations, strict=True))
-        if len(pairs) <= MOST_CONFIGURATIONS:
+        if len(pairs) <= MAX_CONFIGURATIONS:
             return pairs
         few = [p for p in pairs if len(p[0].sensors) <= 1 or p[0].configuration == "all" or p[0].rates]
-        return few[:MOST_CONFIGURATIONS] if len(few) > 1 else pairs[:MOST_CONFIGURATIONS]
+        return few[:MAX_CONFIGURATIONS] if len(few) > 1 else pairs[:MAX_CONFIGURATIONS]
 
 
 def metres(values: Sequence[Array], most: float = 0.2) -> tuple[float, str]:

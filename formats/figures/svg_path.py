@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from locfuse.formats.thin import extremes
 from locfuse.fusion.data import Array, Ints
 
-FLAT = 0.1  # px: a point this near to the line between its neighbours is not seen
-PASSES = 8
-TOUCHING = 2  # px: dots this near in one column look like a line
-FAR = 1e4  # px: beyond lies nothing that is drawn
+MAX_OFF_LINE_PX = 0.1  # px: a point this near to the line between its neighbours is not seen
+MAX_PASSES = 8
+TOUCHING_PX = 2  # px: dots this near in one column look like a line
+MAX_COORDINATE_PX = 1e4  # px: beyond lies nothing that is drawn
 
 
 def curve_path(x: Array, y: Array, pixels: int) -> str:
@@ -43,12 +43,12 @@ def band_path(x: Array, low: Array, high: Array, pixels: int) -> str:
 
 def dots_path(x: Array, y: Array) -> str:
     """Return one stroke per run of dots in a column of pixels; round caps make a single dot round."""
-    good = np.isfinite(x) & np.isfinite(y) & (np.abs(y) < FAR)
+    good = np.isfinite(x) & np.isfinite(y) & (np.abs(y) < MAX_COORDINATE_PX)
     cells = np.unique(np.rint(np.stack((x[good], y[good]), axis=-1)).astype(np.int64), axis=0)
     if len(cells) == 0:
         return ""
     step = np.diff(cells, axis=0)
-    starts = np.flatnonzero(np.concatenate(([True], (step[:, 0] > 0) | (step[:, 1] > TOUCHING))))
+    starts = np.flatnonzero(np.concatenate(([True], (step[:, 0] > 0) | (step[:, 1] > TOUCHING_PX))))
     ends = np.append(starts[1:] - 1, len(cells) - 1)
     runs = zip(cells[starts].tolist(), (cells[ends, 1] - cells[starts, 1]).tolist(), strict=True)
     return "".join(f"M{a}0 {b}0v{length}0" for (a, b), length in runs)
@@ -60,8 +60,8 @@ def strokes_path(ends: Array) -> str:
 
 
 def straightened(points: Array) -> Array:
-    """Drop points that lie within FLAT of the line between their neighbours, never two neighbours at once."""
-    for _ in range(PASSES):
+    """Drop points within MAX_OFF_LINE_PX of the line between their neighbours, never two neighbours at once."""
+    for _ in range(MAX_PASSES):
         if len(points) < 3:
             break
         a, b, c = points[:-2], points[1:-1], points[2:]
@@ -69,7 +69,7 @@ def straightened(points: Array) -> Array:
         length = np.hypot(chord[:, 0], chord[:, 1])
         along = (chord * to).sum(axis=1)
         off = np.abs(chord[:, 0] * to[:, 1] - chord[:, 1] * to[:, 0])
-        flat = (off <= FLAT * length) & (along >= 0.0) & (along <= length**2)
+        flat = (off <= MAX_OFF_LINE_PX * length) & (along >= 0.0) & (along <= length**2)
         flat[1::2] &= ~flat[:-1:2][: len(flat[1::2])]
         flat[2::2] &= ~flat[1::2][: len(flat[2::2])]
         if not flat.any():
@@ -91,7 +91,7 @@ def _runs(good: NDArray[np.bool_]) -> list[Ints]:
 
 def _text(points: Array) -> str:
     """Return "M x y l dx dy ..." in tenths of a pixel, without spaces that a minus sign can replace."""
-    tenths = np.rint(np.clip(points, -FAR, FAR) * 10.0).astype(np.int64)
+    tenths = np.rint(np.clip(points, -MAX_COORDINATE_PX, MAX_COORDINATE_PX) * 10.0).astype(np.int64)
     steps = np.diff(tenths, axis=0)
     steps = steps[(steps != 0).any(axis=1)]
     start = f"M{tenths[0, 0]} {tenths[0, 1]}"

@@ -30,9 +30,15 @@ class Clock:
     t_ns: Ints  # (n,) never decreasing
     rows: Ints | None  # (n,) which recorded message each row is; None: all of them in recording order
     words: str  # the choice made
+    by_stamps: bool = False  # whether the times are those of the headers, sorted or repaired perhaps
     repaired: dict[str, int] = field(default_factory=dict)  # reason -> stamps replaced
     dropped: dict[str, int] = field(default_factory=dict)  # reason -> messages without a usable time
     notes: tuple[str, ...] = ()
+
+    @property
+    def as_stamped(self) -> bool:
+        """Whether every time is simply its header's."""
+        return self.by_stamps and self.rows is None and not self.repaired
 
 
 def settle(log_time: Ints, stamp: Ints | None, order: str = "auto") -> Clock:
@@ -40,7 +46,7 @@ def settle(log_time: Ints, stamp: Ints | None, order: str = "auto") -> Clock:
     if stamp is None:
         return Clock(log_time, None, "log time (no header)")
     if not len(stamp):
-        return Clock(log_time, None, "header stamps")
+        return Clock(log_time, None, "header stamps", by_stamps=True)
     if order == "stamp":
         return _by_stamp(log_time, stamp)
     bad = _untrusted(log_time, stamp)
@@ -48,7 +54,7 @@ def settle(log_time: Ints, stamp: Ints | None, order: str = "auto") -> Clock:
     if order == "recorded":
         return _recorded(log_time, stamp, trusted, "recording order, as asked for")
     if trusted.all():
-        return Clock(stamp, None, "header stamps", notes=_differ(log_time, stamp))
+        return Clock(stamp, None, "header stamps", by_stamps=True, notes=_differ(log_time, stamp))
     if 2 * trusted.sum() < len(stamp):
         return _recorded(log_time, stamp, trusted, "recording order: most header stamps contradict it")
     return _repaired(log_time, stamp, trusted, {why: int(m.sum()) for why, m in bad.items() if m.any()})
@@ -59,7 +65,8 @@ def _by_stamp(log_time: Ints, stamp: Ints) -> Clock:
     rows = usable[np.argsort(stamp[usable], kind="stable")]
     unusable = len(stamp) - len(rows)
     dropped = {"zero or negative stamp": unusable} if unusable else {}
-    return Clock(stamp[rows], rows, "header stamps, sorted, as asked for", {}, dropped, _differ(log_time, stamp))
+    words = "header stamps, sorted, as asked for"
+    return Clock(stamp[rows], rows, words, True, {}, dropped, _differ(log_time, stamp))
 
 
 def _recorded(log_time: Ints, stamp: Ints, trusted: Mask, words: str) -> Clock:
@@ -74,9 +81,8 @@ def _repaired(log_time: Ints, stamp: Ints, trusted: Mask, counts: dict[str, int]
     why = ", ".join(f"{n} {reason}" for reason, n in counts.items())
     n_bad = int((~trusted).sum())
     words = f"header stamps; {n_bad} of {len(stamp)} dated by recording time instead ({why})"
-    return Clock(
-        _fill(log_time, stamp, trusted), None, words, counts, {}, _differ(log_time[trusted], stamp[trusted])
-    )
+    times, notes = _fill(log_time, stamp, trusted), _differ(log_time[trusted], stamp[trusted])
+    return Clock(times, None, words, True, repaired=counts, notes=notes)
 
 
 def _fill(log_time: Ints, stamp: Ints, trusted: Mask) -> Ints:

@@ -23,7 +23,7 @@ from . import clock as clocks
 from .files import log_files, log_name, open_source
 from .stream import LogStream
 from .table import Raw, Table, dated, digest
-from .topics import Topic, by_topic
+from .topics import Topic, UnreadableTopicError, by_topic
 
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
@@ -109,7 +109,7 @@ class Log:
             hint = f"did you mean {near[0]}?" if near else f"it has {', '.join(self.topics) or 'no topics'}"
             raise LocfuseError(f"{self.name} has no topic {topic}; {hint}")
         if problem := self.topics[topic].problem:
-            raise LocfuseError(f"{self.name}: {topic} cannot be read: {problem}")
+            raise UnreadableTopicError.of(self.name, topic, problem)
 
     def read(self, wants: Mapping[str, Sequence[str]]) -> dict[str, Table]:
         """Make sure that the fields are in memory; what is missing is read in one walk."""
@@ -139,7 +139,7 @@ class Log:
             try:
                 self._tables[topic] = Table(topic, self._channels[topic].decoder, self.topics[topic].count)
             except SchemaError as problem:
-                raise LocfuseError(f"{self.name}: {topic} cannot be read: {problem}") from None
+                raise UnreadableTopicError.of(self.name, topic, str(problem)) from None
         return self._tables[topic]
 
     def _check_fields(self, topic: str, fields: Sequence[str]) -> None:

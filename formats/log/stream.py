@@ -74,6 +74,16 @@ class LogStream:
         return self._clock.words
 
     @property
+    def by_stamps(self) -> bool:
+        """Whether the times are those of the headers, sorted or repaired perhaps."""
+        return self._clock.by_stamps
+
+    @property
+    def as_stamped(self) -> bool:
+        """Whether every time is simply its header's."""
+        return self._clock.as_stamped
+
+    @property
     def repaired(self) -> Mapping[str, int]:
         """Stamps that were replaced, by reason."""
         return self._clock.repaired

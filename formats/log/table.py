@@ -36,8 +36,8 @@ class Raw(NamedTuple):
 
 
 END_OF_TIME = 2**62  # ns
-LONG = 64 * 1024  # bytes: no message that is read into columns for a whole log is nearly as long
-MAX_LONG = 256 * 1024 * 1024  # bytes of such messages held at most
+LONG_BYTES = 64 * 1024  # bytes: no message that is read into columns for a whole log is nearly as long
+MAX_LONG_BYTES = 256 * 1024 * 1024  # bytes of such messages held at most
 NO_TIMES: tuple[Ints, Ints] = (np.empty(0, np.int64), np.empty(0, np.int64))
 
 
@@ -49,7 +49,7 @@ class Pass:
         self.columns = {name: Growing(rows) for name in self.fields}
         self.log_time = Growing(rows)
         self.sequence = Growing(rows)
-        self.long = 0  # bytes of the messages that are longer than LONG
+        self.long = 0  # bytes of the messages that are longer than LONG_BYTES
 
 
 class Table:
@@ -106,14 +106,15 @@ class Table:
     def _refuse_too_much(self, raw: Raw) -> None:
         """Bound the memory: a small compressed file can hold any number of giant messages."""
         fields = [name for name in self._pass.fields if name != self.stamp]
-        long = raw.messages.length > LONG
+        long = raw.messages.length > LONG_BYTES
         if not fields or not long.any():
             return
         self._pass.long += int(raw.messages.length[long].sum())
-        if self._pass.long > MAX_LONG:
+        if self._pass.long > MAX_LONG_BYTES:
             raise LocfuseError(
                 f"{self.topic}: its messages are up to {int(raw.messages.length.max())} bytes long, more than "
-                f"{MAX_LONG >> 20} MiB in all: too much to hold {', '.join(fields)}. Is this the right topic?"
+                f"{MAX_LONG_BYTES >> 20} MiB in all: too much to hold {', '.join(fields)}. "
+                "Is this the right topic?"
             )
 
     def _take_frame(self, raw: Raw, good: NDArray[np.bool_], path: str) -> None:

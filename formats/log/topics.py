@@ -6,12 +6,26 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from locfuse.formats.container.source import ChannelInfo, Source, message_type
 from locfuse.formats.messages.decode import encoding_problem, make_decoder
 from locfuse.formats.messages.decoded import MessageDecoder
 from locfuse.formats.messages.schema import SchemaError, signature
+from locfuse.fusion.data import LocfuseError
+
+
+class UnreadableTopicError(LocfuseError):
+    """The messages of a topic cannot be decoded; `problem` says why without saying again of which topic."""
+
+    problem: str = ""
+
+    @classmethod
+    def of(cls, log: str, topic: str, problem: str) -> Self:
+        """Return the error for raising."""
+        error = cls(f"{log}: {topic} cannot be read: {problem}")
+        error.problem = problem
+        return error
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from locfuse.formats.container.file_bytes import FileBytes
 from . import records as rec
 from .summary import Summary
 
-SEARCH = 1 << 20
+SEARCH_BYTES = 1 << 20
 CHUNK_HEAD = rec.RECORD.size + 64  # bytes that hold a chunk's header
 
 
@@ -34,7 +34,7 @@ class Resync:
 
     def _search(self, at: int, chunked: bool, channels: Collection[int]) -> int | None:
         while at + rec.RECORD.size <= self.end:
-            window = np.frombuffer(self.data.read(at, SEARCH), np.uint8)
+            window = np.frombuffer(self.data.read(at, SEARCH_BYTES), np.uint8)
             n = len(window) - rec.RECORD.size + 1
             wanted = window[:n] == rec.CHUNK
             if not chunked:

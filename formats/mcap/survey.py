@@ -21,7 +21,7 @@ from .resync import CHUNK_HEAD, Resync
 from .summary import Summary, lost_summary, read_summary
 
 RUN_BYTES = 1 << 20  # loose messages are read in runs of at most this size, if they are not larger themselves
-LARGE_CHUNK = 32 * 1024 * 1024
+LARGE_CHUNK_BYTES = 32 * 1024 * 1024
 CUT_OFF = "the file ends without an end mark: the recording was cut off"
 NO_SUMMARY = "the summary is damaged: messages may be missing that nobody counts"
 
@@ -155,7 +155,7 @@ class _Walk:
         available = min(header.length, max(self.data.size - start, 0))
         if available < header.length and self._onward(at + 1) is not None:
             raise DamagedError("a chunk reaches beyond the end of the file")
-        if not header.compression and header.length > LARGE_CHUNK:
+        if not header.compression and header.length > LARGE_CHUNK_BYTES:
             return self._opened(header, start, available)
         self.chunked = True
         if self.summary and at in self.summary.chunks:

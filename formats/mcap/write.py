@@ -29,7 +29,7 @@ LATCHED = """\
   avoid_ros_namespace_conventions: false
 """
 
-CHUNK_SIZE = 512 * 1024  # bytes before compression: a reader of one topic skips little
+CHUNK_BYTES = 512 * 1024  # bytes before compression: a reader of one topic skips little
 
 
 def time_message(ns: int) -> dict[str, int]:
@@ -117,7 +117,7 @@ class LogWriter:
         self._sequence: dict[str, int] = {}
         self._file = self._open()
         self._writer: Any = Writer(  # Any: its `finish` is untyped
-            self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD, enable_data_crcs=True
+            self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True
         )
         self._writer.start(profile="ros2", library="locfuse")
 

@@ -25,9 +25,9 @@ from .schema import Many, Record, Scalar, Text
 
 Bytes = NDArray[np.uint8]
 
-KNOWN_LAYOUTS = 64  # kept from chunk to chunk
-GROUPS = 64  # new layouts tried on all remaining messages of a chunk; then one by one
-GATHER = 1 << 21  # length words compared in one go
+MAX_LAYOUTS = 64  # kept from chunk to chunk
+MAX_GROUPS = 64  # new layouts tried on all remaining messages of a chunk; then one by one
+MAX_GATHERED_WORDS = 1 << 21  # length words compared in one go
 
 
 class Group(NamedTuple):
@@ -110,11 +110,11 @@ class Decoder:
                 bad[str(problem)] += 1
                 i += 1
                 continue
-            rest = rows[i:] if len(groups) < GROUPS else rows[i : i + 1]
+            rest = rows[i:] if len(groups) < MAX_GROUPS else rows[i : i + 1]
             same, tails = _same(data, start[rest], length[rest], layout, self.rules.spare)
             groups.append(Group(rest[same], layout, tails[same]))
-            if len(groups) < GROUPS:
-                request.layouts = [layout, *request.layouts[: KNOWN_LAYOUTS - 1]]
+            if len(groups) < MAX_GROUPS:
+                request.layouts = [layout, *request.layouts[: MAX_LAYOUTS - 1]]
                 rows, i = rest[~same], 0
             else:
                 i += 1
@@ -144,7 +144,7 @@ def _same(data: Bytes, start: Ints, length: Ints, layout: Layout, spare: int) ->
         same[near] = fits
         near = near[fits]
     if len(layout.spots):
-        step = max(GATHER // len(layout.spots), 1)
+        step = max(MAX_GATHERED_WORDS // len(layout.spots), 1)
         for i in range(0, len(near), step):
             some = near[i : i + step]
             words = view(data, "<u4", start[some, None] + layout.spots)

@@ -13,9 +13,9 @@ from .recorder import STEP, TIME, part
 from .scene import Scene
 
 BACKGROUND = (20, 21, 26)
-MARGIN = 0.06  # of the map's size, around it
-SCAN_RANGE = (1.5, 15.0)  # m shown around the robot at first: the least and the most
-RAW_VIEWS = 12  # topics with a view of their own: a viewer with hundreds is of no use
+MARGIN_SHARE = 0.06  # of the map's size, around it
+SCAN_RANGE_M = (1.5, 15.0)  # m shown around the robot at first: the least and the most
+MAX_RAW_VIEWS = 12  # topics with a view of their own: a viewer with hundreds is of no use
 TABS = ("Deviation", "Close-up", "NIS", "Innovation", "Gates", "Result", "Raw topics")
 
 
@@ -89,7 +89,7 @@ def _until_now() -> Any:
 def _bounds(scene: Scene) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return x and y ranges [m] around what matters."""
     low, high = scene.extent
-    margin = MARGIN * max(float((high - low).max()), 1.0)
+    margin = MARGIN_SHARE * max(float((high - low).max()), 1.0)
     (x0, y0), (x1, y1) = (low - margin).tolist(), (high + margin).tolist()
     return (x0, x1), (y0, y1)
 
@@ -122,8 +122,8 @@ def scan_view(scene: Scene) -> Any:
 def _reach(scene: Scene) -> float:
     """Return how far the scan view looks [m]: four of five returns are nearer."""
     if scene.scans is None or len(scene.scans.xy) == 0:
-        return SCAN_RANGE[0]
-    least, most = SCAN_RANGE
+        return SCAN_RANGE_M[0]
+    least, most = SCAN_RANGE_M
     return float(np.clip(1.1 * np.quantile(np.hypot(*scene.scans.xy.T), 0.8), least, most))
 
 
@@ -222,7 +222,7 @@ def _raw(scene: Scene) -> Any | None:
 
     views = [
         _plot(topic.topic, f"/{series.raw_path(topic.topic)}", legend=True)
-        for topic in scene.raw[:RAW_VIEWS]
+        for topic in scene.raw[:MAX_RAW_VIEWS]
         if topic.fields
     ]
     return rrb.Vertical(contents=views, name="Raw topics") if views else None

@@ -15,8 +15,8 @@ from .recorder import Recorder
 from .scene import Picture
 
 OMNI, PANORAMA = "camera/omni", "camera/panorama"
-ABOVE = 10.0  # draw order of what was found, over the picture
-BATCH = 16  # pictures in memory at a time
+FOUND_ORDER = 10.0  # draw order of what was found, over the picture
+PICTURES_AT_ONCE = 16  # pictures in memory at a time
 
 
 def draw_pictures(to: Recorder, pictures: Iterable[Picture], rows: int) -> Iterator[None]:
@@ -38,14 +38,14 @@ def draw_pictures(to: Recorder, pictures: Iterable[Picture], rows: int) -> Itera
 
 def _batches(pictures: Iterable[Picture]) -> Iterator[list[Picture]]:
     rest = iter(pictures)
-    while batch := list(islice(rest, BATCH)):
+    while batch := list(islice(rest, PICTURES_AT_ONCE)):
         yield batch
 
 
 def _styles(to: Recorder) -> None:
     for root in (OMNI, PANORAMA):
         for name, colour in style.GROUPS.items():
-            to.static(f"{root}/found/{name}", style.lines(colour, 1.0, order=ABOVE))
+            to.static(f"{root}/found/{name}", style.lines(colour, 1.0, order=FOUND_ORDER))
 
 
 def _send_encoded(to: Recorder, path: str, t: Array, data: Sequence[bytes], kinds: Sequence[str]) -> None:

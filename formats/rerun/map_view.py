@@ -20,7 +20,7 @@ from .scene import Rgb, Scene
 
 ROOT = "world"
 PATH_ORDER = 40.0  # above walls and scans; truth above the estimates, a thin line on broad ones
-LEAST_BODY = 0.02  # of the map: smaller robots would not be seen
+MIN_BODY_SHARE = 0.02  # of the map: smaller robots would not be seen
 FLIP = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -67,7 +67,7 @@ def _draw_pose(to: Recorder, root: str, e: Estimates, picks: Ints, colour: Rgb) 
 def _body(scene: Scene) -> Array:
     """Return the robot's outline (5, 2): an arrow head on the axle, as wide as the track or as can be seen."""
     low, high = scene.extent
-    size = max(scene.track, LEAST_BODY * float((high - low).max()))
+    size = max(scene.track, MIN_BODY_SHARE * float((high - low).max()))
     return size * np.array([[0.6, 0.0], [-0.4, 0.45], [-0.2, 0.0], [-0.4, -0.45], [0.6, 0.0]])
 
 

@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from locfuse.formats.geometry import wall
-from locfuse.formats.thin import CURVE_POINTS, SCANS
+from locfuse.formats.thin import MAX_CURVE_POINTS, MAX_SCANS
 from locfuse.fusion.data import Array, Component, Drive, Estimates, Evaluation, Ints
 
 Rgb = tuple[int, int, int]
@@ -60,8 +60,8 @@ class RawTopic(NamedTuple):
 class Detail:
     """How much of a long log is drawn."""
 
-    curve: int = CURVE_POINTS
-    scans: int = SCANS
+    curve: int = MAX_CURVE_POINTS
+    scans: int = MAX_SCANS
 
     @classmethod
     def everything(cls) -> Detail:

@@ -24,7 +24,7 @@ from .ros_messages import PATH, Series, odometry, path, points, poses, transform
 from .trajectory import stamps, with_truth_rows
 
 BASE = "base_link"
-CHUNK = 1 << 20  # bytes before compression
+CHUNK_BYTES = 1 << 20  # bytes before compression
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class _Topics:
         """Write all series in chunks that hold the same stretch of time of each."""
         t = np.sort(np.concatenate([part.series.t_ns for part in self._parts]))
         size = sum(part.series.messages(slice(1)).size * len(part.series.t_ns) for part in self._parts)
-        number = -(-size // CHUNK)
+        number = -(-size // CHUNK_BYTES)
         cuts = t[np.linspace(0, len(t) - 1, number + 1).astype(np.int64)[1:-1]]
         ends = [[0, *np.searchsorted(s.t_ns, cuts).tolist(), len(s.t_ns)] for _, s in self._parts]
         for i in range(number):

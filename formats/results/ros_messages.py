@@ -19,7 +19,7 @@ from .trajectory import SIX
 MAP = "map"
 ODOMETRY, PATH, TF = "nav_msgs/msg/Odometry", "nav_msgs/msg/Path", "tf2_msgs/msg/TFMessage"
 POSE, POINT = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PointStamped"
-MOST_POSES = 2000  # of a path, which is to be looked at; every pose is on the odometry topic
+MAX_PATH_POSES = 2000  # of a path, which is to be looked at; every pose is on the odometry topic
 
 
 @dataclass(frozen=True)
@@ -92,8 +92,8 @@ def transforms(t_ns: Ints, pose: Array, child: str) -> Series:
 
 
 def path(t_ns: Ints, pose: Array) -> NDArray[np.uint8]:
-    """Return one Path (1, size) through poses (n, 3), thinned to MOST_POSES."""
-    rows = np.unique(np.linspace(0, len(t_ns) - 1, min(len(t_ns), MOST_POSES)).round().astype(np.int64))
+    """Return one Path (1, size) through poses (n, 3), thinned to MAX_PATH_POSES."""
+    rows = np.unique(np.linspace(0, len(t_ns) - 1, min(len(t_ns), MAX_PATH_POSES)).round().astype(np.int64))
     columns = {**stamps("header.stamp", t_ns[rows]), **_pose("pose", pose[rows])}
     values = zip(*(column.tolist() for column in columns.values()), strict=True)
     listed = [nested({"header.frame_id": MAP, **dict(zip(columns, one, strict=True))}) for one in values]

@@ -11,7 +11,7 @@ import numpy as np
 
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, Truth, upper_triangles
 
-BLOCK = 4096  # lines at a time: an hour's lines as Python values take ten times their file
+LINES_AT_ONCE = 4096  # lines at a time: an hour's lines as Python values take ten times their file
 SIX = (0, 1, 5)  # where x, y, theta stand among x, y, z, roll, pitch, yaw
 TRIANGLE = [(i, j) for i in range(6) for j in range(i, 6)]
 TUM_COVARIANCE_HEADER = "# t x y z qx qy qz qw, then P by rows, upper triangle: " + " ".join(
@@ -59,7 +59,7 @@ def tum(epoch_ns: int, t: Array, xy: Array, theta: Array | None) -> Iterator[str
 
 
 def _blocks(n: int) -> Iterator[slice]:
-    return (slice(a, a + BLOCK) for a in range(0, n, BLOCK))
+    return (slice(a, a + LINES_AT_ONCE) for a in range(0, n, LINES_AT_ONCE))
 
 
 def write_blocks(blocks: Iterable[str], path: Path) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,12 +34,24 @@ class Transform:
     T_parent_child: Array  # (4, 4)
 
 
+class Conflict(NamedTuple):
+    """What is wrong with what was said of one frame: it sits in two places, or its rotation is unusable."""
+
+    frame: str
+    message: str
+
+    @property
+    def line(self) -> str:
+        """The frame, and what is wrong with it."""
+        return f"{self.frame}: {self.message}"
+
+
 @dataclass(frozen=True)
 class StaticTransforms:
     """What all publishers said, one transform per child frame: as in tf2, the last one said counts."""
 
     edges: tuple[Transform, ...] = ()
-    conflicts: tuple[str, ...] = ()  # in words: frames said to be in two places, unusable rotations
+    conflicts: tuple[Conflict, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -59,18 +72,19 @@ class Mount:
 def static_transforms(columns: Iterable[Mapping[str, Column]]) -> StaticTransforms:
     """Collect the transforms of TFMessage columns (FIELDS), one mapping per topic, rows in recording order."""
     edges: dict[str, Transform] = {}
-    words: dict[str, None] = {}
+    conflicts: dict[Conflict, None] = {}  # as a set in order: many publishers may say the same
     for topic in columns:
         for parent, child, numbers in _entries(topic):
             T = _matrix(numbers)
             if T is None:
-                words[f"{child}: a transform without a usable rotation is ignored"] = None
+                conflicts[Conflict(child, "a transform without a usable rotation is ignored")] = None
                 continue
             said = Transform(parent, child, T)
             if child in edges and _conflict(edges[child], said):
-                words[f"{child}: {_place(edges[child])} and {_place(said)} contradict; the last one counts"] = None
+                places = f"{_place(edges[child])} and {_place(said)} contradict; the last one counts"
+                conflicts[Conflict(child, places)] = None
             edges[child] = said
-    return StaticTransforms(tuple(edges.values()), tuple(words))
+    return StaticTransforms(tuple(edges.values()), tuple(conflicts))
 
 
 def _entries(topic: Mapping[str, Column]) -> Iterable[tuple[str, str, list[float]]]:

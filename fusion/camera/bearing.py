@@ -8,7 +8,7 @@ from locfuse.fusion.se2 import wrap
 
 Point = tuple[float, float]
 Row = tuple[float, float, float]
-INSIDE = 0.05  # m: nearer than this the camera is inside the landmark
+MIN_DISTANCE_M = 0.05  # m: nearer than this the camera is inside the landmark
 H_ORIENTATION: Row = (0.0, 0.0, 1.0)  # the camera's row of eq. 13, as printed
 
 
@@ -28,7 +28,7 @@ def predict_bearing(
     dx = landmark[0] - pose[0] - c * lever[0] + s * lever[1]
     dy = landmark[1] - pose[1] - s * lever[0] - c * lever[1]
     q = dx * dx + dy * dy
-    if q < INSIDE**2:
+    if q < MIN_DISTANCE_M**2:
         return None
     turn = -1.0 - (lever[0] * (dx * c + dy * s) + lever[1] * (dy * c - dx * s)) / q
     return wrap(math.atan2(dy, dx) - pose[2] - yaw), (dy / q, -dx / q, turn)

@@ -23,7 +23,7 @@ from .optics import Optics
 from .panorama import Candidate, Picture, Red
 
 Chain = Literal["fast", "paper", "printed"]
-THREADS = 4  # at most: more only wait for the interpreter
+MAX_THREADS = 4  # at most: more only wait for the interpreter
 
 
 class Detection(NamedTuple):
@@ -78,7 +78,7 @@ def detect(message: tuple[Any, ...], detector: Detector) -> Detection | str:
 
 def detections(stream: Stream, detector: Detector) -> Iterator[tuple[int, Detection | str]]:
     """Yield (row number, what it showed or why it did not) for every message of a stream, in order."""
-    with ThreadPoolExecutor(min(THREADS, os.cpu_count() or 1)) as pool:
+    with ThreadPoolExecutor(min(MAX_THREADS, os.cpu_count() or 1)) as pool:
         for block in messages(stream):
             found = pool.map(partial(detect, detector=detector), [fields for _, fields in block])
             yield from zip((row for row, _ in block), found, strict=True)

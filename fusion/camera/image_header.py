@@ -7,7 +7,7 @@ from __future__ import annotations
 
 PNG = b"\x89PNG\r\n\x1a\n"
 JPEG, EOI = b"\xff\xd8", b"\xff\xd9"
-LAST = 8  # bytes: shorter than what follows a frame header
+MIN_TAIL_BYTES = 8  # bytes: shorter than what follows a frame header
 FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # SOF markers: the frame's size follows
 BARE = frozenset({0x01, *range(0xD0, 0xD8)})  # markers without a length
 END = frozenset({0xD9, 0xDA})  # end of image, start of scan: the size should have come before
@@ -27,7 +27,7 @@ def _jpeg_size(data: memoryview) -> tuple[int, int] | None:
         marker = data[at + 1]
         if marker in FRAMES:
             # inside a scan 0xFF is always followed by 0; the end is nearly always the end
-            whole = EOI in bytes(data[-LAST:]) or EOI in bytes(data[at + 9 :])
+            whole = EOI in bytes(data[-MIN_TAIL_BYTES:]) or EOI in bytes(data[at + 9 :])
             height, width = (int.from_bytes(data[at + k : at + k + 2], "big") for k in (5, 7))
             return (width, height) if whole else None
         if marker in END:

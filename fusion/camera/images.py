@@ -21,7 +21,7 @@ FIELDS: dict[str, tuple[str, ...]] = {
     "foxglove.CompressedImage": ("data", "format"),
     "sensor_msgs/msg/Image": ("data", "width", "height", "encoding", "step"),
 }
-ROWS = 16  # pictures held undecoded at a time
+PICTURES_AT_ONCE = 16  # pictures held undecoded at a time
 # why a message gives no picture
 NO_COLOUR = "no_colour"  # grey (mono8): red needs colour
 UNREADABLE = "unreadable"  # truncated, or neither JPEG nor PNG
@@ -94,7 +94,7 @@ def decode(message: tuple[Any, ...]) -> Picture | str:
     return raw(data, int(width), int(height), encoding, int(step))
 
 
-def messages(stream: Stream, rows: int = ROWS) -> Iterator[list[tuple[int, tuple[Any, ...]]]]:
+def messages(stream: Stream, rows: int = PICTURES_AT_ONCE) -> Iterator[list[tuple[int, tuple[Any, ...]]]]:
     """Yield blocks of (row number, fields): the undecoded pictures of a stream, few at a time."""
     fields = FIELDS[stream.msgtype]
     for numbers, columns in stream.blocks(*fields, rows=rows):

@@ -21,11 +21,11 @@ from .optics import Optics, omni_1, paper_omni_1, picture_angle
 
 Picture = NDArray[np.uint8]
 
-EDGE = 2.0  # px within which an edge is known: a JPEG keeps colour at half resolution
-SHADE = 0.02  # error of the centre as part of the width: light that falls on a pole from one side
-LEAN = 0.1  # sideways px per px of height that a "vertical" Hough line may lean
-LINE = 64  # bytes of a cache line
-MOST = 8  # candidates kept of one picture, the largest first
+EDGE_PX = 2.0  # px within which an edge is known: a JPEG keeps colour at half resolution
+SHADE_SHARE = 0.02  # error of the centre as part of the width: light that falls on a pole from one side
+MAX_LEAN = 0.1  # sideways px per px of height that a "vertical" Hough line may lean
+CACHE_LINE_BYTES = 64  # bytes of a cache line
+MAX_CANDIDATES = 8  # candidates kept of one picture, the largest first
 
 
 class Red(NamedTuple):
@@ -87,7 +87,7 @@ def room_for_planes(shape: tuple[int, ...]) -> list[Picture]:
     cv2.split takes ten times as long into arrays that begin alike: its stores then go past the cache.
     """
     size = shape[0] * shape[1]
-    stride = -(-size // LINE) * LINE + 1
+    stride = -(-size // CACHE_LINE_BYTES) * CACHE_LINE_BYTES + 1
     room = np.empty(3 * stride, np.uint8)
     return [room[k * stride :][:size].reshape(shape) for k in range(3)]
 
@@ -117,7 +117,7 @@ def vertical_lines(panorama: Picture, red: Red) -> NDArray[np.int64]:
     length = min(red.length, rows)
     found = cv2.HoughLinesP(binary, 1, np.pi / 180, int(length), minLineLength=length, maxLineGap=4)
     x1, y1, x2, y2 = _lines(found).T
-    upright = np.abs(x2 - x1) <= LEAN * np.abs(y2 - y1)
+    upright = np.abs(x2 - x1) <= MAX_LEAN * np.abs(y2 - y1)
     lines = np.stack(((x1 + x2) // 2 % width, np.minimum(y1, y2), np.maximum(y1, y2)), axis=1)
     return np.asarray(lines[upright], np.int64)
 
@@ -178,15 +178,15 @@ def cap(grey: NDArray[Any]) -> float:
 def variance(theta: float, radius: float, length: float, width: float) -> float:
     """Return the variance [rad^2] of a candidate's middle, from its pixels.
 
-    One edge of one pixel row is known within EDGE: variance EDGE^2 / 12; the middle of two edges: EDGE^2 / 24.
-    Rows err together while the edge runs along the pixel grid, so only the `1 + length min(|sin|, |cos|)` grid
-    lines that it crosses are independent. Uneven light adds SHADE of the width.
+    One edge of one pixel row is known within EDGE_PX: variance EDGE_PX^2 / 12; the middle of two edges: half of
+    that. Rows err together while the edge runs along the pixel grid, so only the `1 + length min(|sin|, |cos|)`
+    grid lines that it crosses are independent. Uneven light adds SHADE_SHARE of the width.
     """
     crossed = 1.0 + length * min(abs(math.sin(theta)), abs(math.cos(theta)))
-    return EDGE**2 / (24.0 * max(radius, 1.0) ** 2 * crossed) + (SHADE * width) ** 2
+    return EDGE_PX**2 / (24.0 * max(radius, 1.0) ** 2 * crossed) + (SHADE_SHARE * width) ** 2
 
 
 def largest(found: list[Candidate], red: Red) -> list[Candidate]:
-    """Return the candidates that are radial lines, the largest first, at most MOST."""
+    """Return the candidates that are radial lines, the largest first, at most MAX_CANDIDATES."""
     lines = [c for c in found if c.length >= max(red.length, red.slender * c.width * c.radius)]
-    return sorted(lines, key=lambda c: (-c.pixels, c.theta))[:MOST]
+    return sorted(lines, key=lambda c: (-c.pixels, c.theta))[:MAX_CANDIDATES]

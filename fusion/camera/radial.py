@@ -19,8 +19,8 @@ from .opencv import cv2
 from .optics import Optics
 from .panorama import Candidate, Picture, Red, cap, largest, red_excess, red_share, room_for_planes, variance
 
-GAP = 2.0  # px: red pixels further apart than this, along the circle, belong to two things
-CLUSTERS = 32  # clusters looked at in one picture, the largest first: noise can make thousands
+MAX_GAP_PX = 2.0  # px: red pixels further apart than this, along the circle, belong to two things
+MAX_CLUSTERS = 32  # clusters looked at in one picture, the largest first: noise can make thousands
 _ROOM = threading.local()  # memory that one picture leaves for the next
 
 
@@ -82,14 +82,14 @@ def candidates(picture: Picture, optics: Optics, red: Red) -> list[Candidate]:
 
 
 def _clusters(theta: Array, r: Array, least: float) -> list[NDArray[np.int64]]:
-    """Return the pixels of each thing: neighbours along the circle at most GAP apart, column 0 included."""
+    """Return the pixels of each thing: neighbours along the circle at most MAX_GAP_PX apart, column 0 included."""
     order = np.argsort(theta, kind="stable")
     t, twice = theta[order], 2.0 * r[order]
     apart = (t[1:] - t[:-1]) * (twice[1:] + twice[:-1])  # four times the arc [px]
-    parts = np.split(order, np.flatnonzero(apart > 4.0 * GAP) + 1)
-    if len(parts) > 1 and (t[0] + TAU - t[-1]) * (twice[0] + twice[-1]) <= 4.0 * GAP:
+    parts = np.split(order, np.flatnonzero(apart > 4.0 * MAX_GAP_PX) + 1)
+    if len(parts) > 1 and (t[0] + TAU - t[-1]) * (twice[0] + twice[-1]) <= 4.0 * MAX_GAP_PX:
         parts[0] = np.concatenate((parts.pop(), parts[0]))
-    return sorted((part for part in parts if len(part) >= least), key=len, reverse=True)[:CLUSTERS]
+    return sorted((part for part in parts if len(part) >= least), key=len, reverse=True)[:MAX_CLUSTERS]
 
 
 def _whole_circles(part: NDArray[np.int64], r: Array, edge: NDArray[np.bool_]) -> NDArray[np.int64]:

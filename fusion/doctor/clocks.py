@@ -18,13 +18,13 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.motion import Wheels
 
 from .finding import Finding
-from .lag import WORTH_SAYING, Lag, Reference, by_wheels, find_lag, worth_saying
+from .lag import MIN_LAG_S, Lag, Reference, by_wheels, find_lag, worth_saying
 
-WINDOW = 1.0  # s over which ways are compared
-LONGEST, STEP = 1.5, 0.02  # s
-WORTH, BETTER, AGREES = 0.06, 0.75, 0.9
-LARGE = 0.1  # s: at half a metre per second and a radian per second this is centimetres and degrees
-ALIKE = 0.05  # s: lags that differ by less are one
+WINDOW_S = 1.0  # s over which ways are compared
+MAX_LAG_S, LAG_STEP_S = 1.5, 0.02  # s
+MIN_TRUTH_LAG_S, MAX_MISFIT_RATIO, MIN_CORRELATION = 0.06, 0.75, 0.9
+SEVERE_LAG_S = 0.1  # s: at half a metre per second and a radian per second this is centimetres and degrees
+SAME_LAG_S = 0.05  # s: lags that differ by less are one
 
 
 def of_clocks(drive: Drive, robot: Robot) -> list[Finding]:
@@ -36,28 +36,28 @@ def of_clocks(drive: Drive, robot: Robot) -> list[Finding]:
         lags["truth"] = truth
         late |= {"truth": truth} if off_by(truth) else {}
     offsets = [lag.offset for lag in late.values()]
-    if len(late) > 1 and len(late) == len(lags) and np.ptp(offsets) < ALIKE:
+    if len(late) > 1 and len(late) == len(lags) and np.ptp(offsets) < SAME_LAG_S:
         return [_wheels(float(np.mean(offsets)), list(late), robot)]
     return [_stream(name, lag, robot) for name, lag in late.items()]
 
 
 def _stream(name: str, lag: Lag, robot: Robot) -> Finding:
-    told = robot.truth if name == "truth" else robot.settings(name)
-    offset = told.time_offset + lag.offset
+    settings = robot.truth if name == "truth" else robot.settings(name)
+    offset = settings.time_offset + lag.offset
     fix = f"{name}.time_offset={offset:.2f}"
-    return Finding(name, "lag", f"its motion {in_words(lag)}", (fix,), abs(lag.offset) > LARGE)
+    return Finding(name, "lag", f"its motion {in_words(lag)}", (fix,), abs(lag.offset) > SEVERE_LAG_S)
 
 
 def _wheels(offset: float, names: list[str], robot: Robot) -> Finding:
     words = f"{' and '.join(names)} run {abs(offset):.2f} s {side(offset)} them alike: the wheels' clock is off"
     fix = f"wheels.time_offset={robot.wheels.time_offset - offset:.2f}"
-    return Finding("wheels", "lag", words, (fix,), abs(offset) > LARGE)
+    return Finding("wheels", "lag", words, (fix,), abs(offset) > SEVERE_LAG_S)
 
 
 def off_by(lag: Lag) -> bool:
     """Return whether the truth's lag is large and clear enough to be said."""
-    clearly = 1.0 - lag.correlation <= BETTER * (1.0 - lag.without)
-    return abs(lag.offset) >= WORTH and lag.correlation >= AGREES and clearly
+    clearly = 1.0 - lag.correlation <= MAX_MISFIT_RATIO * (1.0 - lag.without)
+    return abs(lag.offset) >= MIN_TRUTH_LAG_S and lag.correlation >= MIN_CORRELATION and clearly
 
 
 def truth_lag(drive: Drive) -> Lag | None:
@@ -74,27 +74,27 @@ def truth_lag(drive: Drive) -> Lag | None:
 def way_lag(truth: Truth, drive: Drive) -> Lag | None:
     """Return the lag at which the truth's speed follows the wheels' best; None where speed hardly changes."""
     wheels = drive.wheels
-    inside = (truth.t > wheels.t[0] + LONGEST) & (truth.t < wheels.t[-1] - LONGEST - WINDOW)
-    start = truth.t[inside & (truth.t + WINDOW <= truth.t[-1])]
+    inside = (truth.t > wheels.t[0] + MAX_LAG_S) & (truth.t < wheels.t[-1] - MAX_LAG_S - WINDOW_S)
+    start = truth.t[inside & (truth.t + WINDOW_S <= truth.t[-1])]
     if len(start) < 20:
         return None
-    ends = [np.stack([np.interp(start + s, truth.t, c) for c in truth.xy.T], axis=-1) for s in (0.0, WINDOW)]
+    ends = [np.stack([np.interp(start + s, truth.t, c) for c in truth.xy.T], axis=-1) for s in (0.0, WINDOW_S)]
     own = np.hypot(*(ends[1] - ends[0]).T)
     if own.std() < 0.02 or own.std() < 0.1 * own.mean():
         return None
-    lags = np.arange(-LONGEST, LONGEST + STEP / 2, STEP)
+    lags = np.arange(-MAX_LAG_S, MAX_LAG_S + LAG_STEP_S / 2, LAG_STEP_S)
     scores = []
     for lag in lags.tolist():
-        theirs = np.hypot(*wheels.relative(start + lag, start + lag + WINDOW)[:, :2].T)
+        theirs = np.hypot(*wheels.relative(start + lag, start + lag + WINDOW_S)[:, :2].T)
         scores.append(float(np.corrcoef(own, theirs)[0, 1]) if theirs.std() > 0 else 0.0)
     best = int(np.argmax(scores))
-    if scores[best] < AGREES or best in {0, len(lags) - 1}:
+    if scores[best] < MIN_CORRELATION or best in {0, len(lags) - 1}:
         return None
     return Lag(float(lags[best]), scores[best], scores[int(np.argmin(np.abs(lags)))])
 
 
-FEWEST = 20  # readings
-READINGS = 3000  # enough to find a lag: five minutes of a 10 Hz laser
+MIN_READINGS = 20  # readings
+MAX_READINGS = 3000  # enough to find a lag: five minutes of a 10 Hz laser
 
 
 def clock_lags(measurements: Mapping[str, Measurements], wheels: Wheels) -> dict[str, Lag]:
@@ -102,7 +102,7 @@ def clock_lags(measurements: Mapping[str, Measurements], wheels: Wheels) -> dict
     turned = {name: heading for name, m in measurements.items() if (heading := _heading(name, m)) is not None}
     found = {name: find_lag(*heading, by_wheels(wheels)) for name, heading in turned.items()}
     lags = {name: lag for name, lag in found.items() if lag is not None}
-    right = {name: turned[name] for name, lag in lags.items() if abs(lag.offset) < WORTH_SAYING}
+    right = {name: turned[name] for name, lag in lags.items() if abs(lag.offset) < MIN_LAG_S}
     return {
         name: _sharper(lag, turned[name], right, wheels) if worth_saying(lag) else lag
         for name, lag in lags.items()
@@ -111,14 +111,14 @@ def clock_lags(measurements: Mapping[str, Measurements], wheels: Wheels) -> dict
 
 def _heading(name: str, m: Measurements) -> tuple[Array, Array] | None:
     """Return times (n,) [s] and headings (n,) [rad] of a sensor that knows its own turning."""
-    if len(m.t) < FEWEST:
+    if len(m.t) < MIN_READINGS:
         return None
-    heading = REGISTRY[name].heading(m.take(np.arange(min(len(m.t), READINGS))))
+    heading = REGISTRY[name].heading(m.take(np.arange(min(len(m.t), MAX_READINGS))))
     if heading is None:
         return None
     t, angle = heading
     known = np.isfinite(angle)
-    return (t[known], angle[known]) if known.sum() >= FEWEST else None
+    return (t[known], angle[known]) if known.sum() >= MIN_READINGS else None
 
 
 def _sharper(lag: Lag, own: tuple[Array, Array], right: Mapping[str, tuple[Array, Array]], wheels: Wheels) -> Lag:

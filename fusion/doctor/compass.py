@@ -18,7 +18,7 @@ from locfuse.fusion.sensors.iron import plausible
 from .finding import Finding
 from .turning import explain
 
-MOST_RADIANS = 4.0 * math.pi  # a heading beyond two turns is in degrees
+MAX_HEADING_RAD = 4.0 * math.pi  # a heading beyond two turns is in degrees
 
 
 def of_convention(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[Finding]:
@@ -28,7 +28,7 @@ def of_convention(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> 
         return []
     columns = {"data": np.asarray(cast("Array", stream.columns("data")["data"]), dtype=np.float64)}
     largest = np.nanmax(np.abs(np.where(np.isfinite(columns["data"]), columns["data"], 0.0)), initial=0.0)
-    unit = "deg" if largest > MOST_RADIANS else "rad"
+    unit = "deg" if largest > MAX_HEADING_RAD else "rad"
     settings = msgspec.structs.replace(robot.settings("compass"), convention=f"enu_{unit}")
     heading, _ = from_number(columns, settings, stream.topic)
     good = np.isfinite(heading)
@@ -44,13 +44,13 @@ def of_convention(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> 
     return [Finding("compass", "convention", words, (fix,), True)]
 
 
-GRAVITY = (9.0, 10.6)  # m/s^2
-TILT = math.radians(25.0)
-TURNED = math.radians(120.0)  # an arc of the field shorter than this does not lie in one plane clearly
-FLAT = 10.0  # the field's plane: how much less it varies across than within
-IMU, FIELD = "sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField"
-ACCELERATION = tuple(f"linear_acceleration.{a}" for a in "xyz")
-MAGNETIC = tuple(f"magnetic_field.{a}" for a in "xyz")
+GRAVITY_RANGE_MPS2 = (9.0, 10.6)  # m/s^2
+MIN_TILT_RAD = math.radians(25.0)
+MIN_FIELD_ARC_RAD = math.radians(120.0)  # an arc of the field shorter than this does not lie in one plane clearly
+MIN_PLANE_RATIO = 10.0  # the field's plane: how much less it varies across than within
+IMU_TYPE, FIELD_TYPE = "sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField"
+ACCELERATION_FIELDS = tuple(f"linear_acceleration.{a}" for a in "xyz")
+MAGNETIC_FIELDS = tuple(f"magnetic_field.{a}" for a in "xyz")
 
 
 def tilted(drive: Drive, robot: Robot, streams: Mapping[str, Stream], by_wheels: bool = True) -> list[Finding]:
@@ -61,13 +61,13 @@ def tilted(drive: Drive, robot: Robot, streams: Mapping[str, Stream], by_wheels:
         if stream is None:
             continue
         settings = robot.settings(name)
-        told = rotation(settings.roll_deg, settings.pitch_deg, 0.0)[2]
+        configured = rotation(settings.roll_deg, settings.pitch_deg, 0.0)[2]
         up, by = None, "gravity"
-        if stream.msgtype == IMU:
-            up = by_gravity(_vectors(stream, ACCELERATION))
-        elif stream.msgtype == FIELD and by_wheels:
-            up, by = by_field(stream, drive, told), "the plane in which the field turns"
-        if up is None or _apart(up, told) < TILT:
+        if stream.msgtype == IMU_TYPE:
+            up = by_gravity(_vectors(stream, ACCELERATION_FIELDS))
+        elif stream.msgtype == FIELD_TYPE and by_wheels:
+            up, by = by_field(stream, drive, configured), "the plane in which the field turns"
+        if up is None or _apart(up, configured) < MIN_TILT_RAD:
             continue
         roll, pitch = angles(up)
         if name == "compass" and by == "gravity" and _same_ahead(settings, roll, pitch):
@@ -83,8 +83,8 @@ def _apart(a: Array, b: Array) -> float:
 
 
 def _same_ahead(settings: CompassSettings, roll: float, pitch: float) -> bool:
-    told = rotation(settings.roll_deg, settings.pitch_deg, settings.yaw_deg)[0]
-    return _apart(told, rotation(roll, pitch, settings.yaw_deg)[0]) < TILT
+    configured = rotation(settings.roll_deg, settings.pitch_deg, settings.yaw_deg)[0]
+    return _apart(configured, rotation(roll, pitch, settings.yaw_deg)[0]) < MIN_TILT_RAD
 
 
 def by_gravity(acceleration: Array) -> Array | None:
@@ -94,24 +94,24 @@ def by_gravity(acceleration: Array) -> Array | None:
         return None
     mean = np.median(finite, axis=0)
     g = float(np.linalg.norm(mean))
-    return mean / g if GRAVITY[0] < g < GRAVITY[1] else None
+    return mean / g if GRAVITY_RANGE_MPS2[0] < g < GRAVITY_RANGE_MPS2[1] else None
 
 
-def by_field(stream: Stream, drive: Drive, told: Array) -> Array | None:
+def by_field(stream: Stream, drive: Drive, configured: Array) -> Array | None:
     """Return the axis about which a magnetometer's field turns (3,), in the sense of the robot's turning."""
     t = (stream.t_ns - drive.epoch_ns) * 1e-9
     inside = (t >= drive.wheels.t[0]) & (t <= drive.wheels.t[-1])
-    field = _vectors(stream, MAGNETIC)
+    field = _vectors(stream, MAGNETIC_FIELDS)
     good = inside & plausible(field)
     field, t = field[good], t[good]
     if len(t) < 20:
         return None
     theta = drive.wheels.at(t)[2][:, 2]
-    if np.ptp(theta) < TURNED:
+    if np.ptp(theta) < MIN_FIELD_ARC_RAD:
         return None
     centred = field - field.mean(axis=0)
     values, axes = np.linalg.eigh(centred.T @ centred)
-    if values[1] < FLAT * values[0] or values[1] <= 0.0:
+    if values[1] < MIN_PLANE_RATIO * values[0] or values[1] <= 0.0:
         return None
     axis: Array = axes[:, 0]
     # seen from the robot the field turns against the robot

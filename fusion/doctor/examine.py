@@ -23,17 +23,17 @@ from .laser import laser_motion, of_laser
 from .truth import metre, of_truth
 from .turning import Turning, aligned, of_track, of_turning, turnings
 
-GAP, GAP_PERIODS = 0.5, 5.0  # s, median periods: a longer silence is a gap
-FEWEST = 10  # readings from which a sensor is judged
-BLIND = 0.9  # share of readings without any measurement: such a sensor is dead, or misunderstood
-REFUSED = {
+MIN_GAP_S, MIN_GAP_PERIODS = 0.5, 5.0  # s, median periods: a longer silence is a gap
+MIN_READINGS = 10  # readings from which a sensor is judged
+MAX_EMPTY_SHARE = 0.9  # share of readings without any measurement: such a sensor is dead, or misunderstood
+REFUSALS = {
     "repeat": "repeat the one before",
     "same_stamp": "share the stamp of another",
     "not_finite": "hold NaN or Inf",
     "outside_wheels": "before the first or after the last of the wheels",
     "too_many_beams": "with more beams than can be true",
 }
-TOLD = {"spike", "other_joints"}
+REPAIRED = {"spike", "other_joints"}
 
 
 def examine(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[Finding]:
@@ -42,26 +42,28 @@ def examine(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[F
     found += _refused(drive)
     found += _gaps("wheels", drive.wheels.t)
     found += [o for name, m in drive.measurements.items() for o in (*_gaps(name, m.t), *_blind(name, m))]
-    seen = turnings(drive)
-    turning = of_turning(drive, robot, seen, streams)
+    by_sensor = turnings(drive)
+    turning = of_turning(drive, robot, by_sensor, streams)
     wrong_wheels = any(o.role == "wheels" and o.severe for o in turning)
     tilts = tilted(drive, robot, streams, by_wheels=not wrong_wheels)
     found += [*of_convention(drive, robot, streams), *tilts]
     found += [o for o in turning if o.role not in {t.role for t in tilts}]
     if wrong_wheels:
         return found  # nothing can be held against such wheels
-    scales = _scales(drive, robot, seen, turning)
+    scales = _scales(drive, robot, by_sensor, turning)
     truth = of_truth(drive, robot, not any(o.code == "wheel scale" for o in scales))
     return [*found, *scales, *of_clocks(drive, robot), *truth]
 
 
-def _scales(drive: Drive, robot: Robot, seen: Mapping[str, Turning], turning: Sequence[Finding]) -> list[Finding]:
+def _scales(
+    drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning], turning: Sequence[Finding]
+) -> list[Finding]:
     """Return what is odd about metres and the track; each fix is told in the metre that the others will leave."""
     motion, lrf = None, drive.measurements.get("lrf")
     if lrf is not None and len(lrf.t) > 20 and not any(o.role == "lrf" for o in turning):
-        motion = laser_motion(lrf, aligned(lrf, seen.get("lrf")), drive, robot)
+        motion = laser_motion(lrf, aligned(lrf, by_sensor.get("lrf")), drive, robot)
     factor, scaled = metre(drive, robot)
-    track = of_track(robot.wheels, seen, motion, factor) if robot.wheels.radius is not None else []
+    track = of_track(robot.wheels, by_sensor, motion, factor) if robot.wheels.radius is not None else []
     if track:
         scaled = [replace(o, fixes=o.fixes[:1]) for o in scaled]
     return [*scaled, *track, *of_laser(motion, robot, factor)]
@@ -71,7 +73,9 @@ def _refused(drive: Drive) -> list[Finding]:
     """Readings that are not used, by reason; what a repair counted is told with the repair."""
     found = []
     for stream, reasons in drive.dropped.items():
-        words = [f"{n} {REFUSED.get(why, why.replace('_', ' '))}" for why, n in reasons.items() if why not in TOLD]
+        words = [
+            f"{n} {REFUSALS.get(why, why.replace('_', ' '))}" for why, n in reasons.items() if why not in REPAIRED
+        ]
         if words:
             found.append(Finding(stream, "refused", f"readings that are not used: {', '.join(words)}"))
     return found
@@ -93,13 +97,13 @@ def gaps(t: Array) -> list[tuple[float, float]]:
     dt = np.diff(t)
     if len(dt) < 2:
         return []
-    long = np.flatnonzero(dt > max(GAP, GAP_PERIODS * float(np.median(dt))))
+    long = np.flatnonzero(dt > max(MIN_GAP_S, MIN_GAP_PERIODS * float(np.median(dt))))
     return [(float(t[i]), float(t[i + 1])) for i in long]
 
 
 def _blind(name: str, m: Measurements) -> list[Finding]:
     n = len(m.t)
-    if n >= FEWEST and m.absent > BLIND * n:
+    if n >= MIN_READINGS and m.absent > MAX_EMPTY_SHARE * n:
         words = f"no {REGISTRY[name].sees} in {m.absent} of {n} readings: it is dead, or its settings do not fit"
         return [Finding(name, "blind", words, severe=REGISTRY[name].blind_spoils)]
     return [] if n else [Finding(name, "blind", "no reading within the wheels' time", severe=True)]

@@ -22,19 +22,24 @@ from numpy.typing import NDArray
 from locfuse.fusion.data import Array
 from locfuse.fusion.wheels.motion import Wheels
 
-WINDOW = 1.0  # s over which turning is compared
-LONGEST = 1.5  # s
-SHORT = (0.1, 0.25, 0.5)  # s: which tells most depends on whose noise is larger
-CHANGE = 0.3  # s before and after which the turning is compared, to see where it changes
-MOST = 0.9  # share of windows that may be left out because the turning hardly changes there
-RATE = 0.1  # s over which the wheels' turning rate is taken
-ROUNDS = 3  # of least squares: the turning is nearly straight over the few hundredths of a second that are left
-COARSE, STEP = 0.05, 0.01  # s: correlations over a whole window are smooth, so the best is near the coarse best
-WORTH_SAYING = 0.04  # s
-LEAST_TURN = math.radians(3.0)  # rms turn per window below which there is nothing to correlate
-LEAST_CORRELATION = 0.8
-FEWEST = 20  # windows
-ENOUGH = 4.0  # windows at any time, to know roughly where the best lag is
+WINDOW_S = 1.0  # s over which turning is compared
+MAX_LAG_S = 1.5  # s
+SHORT_WINDOWS_S = (0.1, 0.25, 0.5)  # s: which tells most depends on whose noise is larger
+RATE_CHANGE_SPAN_S = 0.3  # s before and after which the turning is compared, to see where it changes
+MAX_LEFT_OUT_SHARE = 0.9  # share of windows that may be left out because the turning hardly changes there
+RATE_SPAN_S = 0.1  # s over which the wheels' turning rate is taken
+MAX_ITERATIONS = (
+    3  # of least squares: the turning is nearly straight over the few hundredths of a second that are left
+)
+COARSE_STEP_S, FINE_STEP_S = (
+    0.05,
+    0.01,
+)  # s: correlations over a whole window are smooth, so the best is near the coarse best
+MIN_LAG_S = 0.04  # s
+MIN_RMS_TURN_RAD = math.radians(3.0)  # rms turn per window below which there is nothing to correlate
+MIN_CORRELATION = 0.8
+MIN_WINDOWS = 20  # windows
+COARSE_OVERLAP = 4.0  # windows at any time, to know roughly where the best lag is
 
 Heading = Callable[[Array], Array]  # [rad, not wrapped, up to a constant] at any time [s]
 
@@ -91,13 +96,13 @@ def find_lag(t: Array, heading: Array, reference: Reference) -> Lag | None:
     """
     ok = np.isfinite(heading)
     t, heading = t[ok], heading[ok]
-    turns = _turns(t, heading, WINDOW, reference.span)
-    if len(turns.angle) < FEWEST or math.sqrt(float((turns.angle**2).mean())) < LEAST_TURN:
+    turns = _turns(t, heading, WINDOW_S, reference.span)
+    if len(turns.angle) < MIN_WINDOWS or math.sqrt(float((turns.angle**2).mean())) < MIN_RMS_TURN_RAD:
         return None
     found = _best(turns, reference.heading)
     if found is None:
         return None
-    fits = [_least_squares(found, _turns(t, heading, w, reference.span), reference) for w in SHORT]
+    fits = [_least_squares(found, _turns(t, heading, w, reference.span), reference) for w in SHORT_WINDOWS_S]
     best = min((f for f in fits if f is not None), key=lambda f: f.sigma, default=None)
     offset = found if best is None else best.lag
     at, zero = turns.scores(reference.heading, np.array([offset, 0.0])).tolist()
@@ -114,22 +119,22 @@ def _turns(t: Array, heading: Array, window: float, span: tuple[float, float]) -
     start, end = t[first], t[last]
     period = float(np.median(np.diff(t))) if len(first) else window
     whole = (end - start > 0.5 * window) & (end - start < 2.0 * max(window, period))
-    inside = (start >= span[0] + LONGEST) & (end <= span[1] - LONGEST)
+    inside = (start >= span[0] + MAX_LAG_S) & (end <= span[1] - MAX_LAG_S)
     turns = _Turns(start, end, heading[last] - heading[first], max(window / max(period, 1e-9), 1.0))
     return turns.where(whole & inside)
 
 
 def _best(turns: _Turns, heading: Heading) -> float | None:
     """Return the lag [s] at which correlation is best, None where it is poor or rises further."""
-    coarse = np.arange(-LONGEST, LONGEST + COARSE / 2, COARSE)
-    some = turns.where(np.arange(len(turns.angle)) % max(round(turns.overlap / ENOUGH), 1) == 0)
+    coarse = np.arange(-MAX_LAG_S, MAX_LAG_S + COARSE_STEP_S / 2, COARSE_STEP_S)
+    some = turns.where(np.arange(len(turns.angle)) % max(round(turns.overlap / COARSE_OVERLAP), 1) == 0)
     middle = float(coarse[np.argmax(some.scores(heading, coarse))])
-    lags = middle + np.arange(-COARSE, COARSE + STEP / 2, STEP)
+    lags = middle + np.arange(-COARSE_STEP_S, COARSE_STEP_S + FINE_STEP_S / 2, FINE_STEP_S)
     score = turns.scores(heading, lags)
     best = int(np.argmax(score))
-    if abs(middle) > LONGEST - COARSE / 2 or score[best] <= LEAST_CORRELATION or best in (0, len(lags) - 1):
+    if abs(middle) > MAX_LAG_S - COARSE_STEP_S / 2 or score[best] <= MIN_CORRELATION or best in (0, len(lags) - 1):
         return None
-    return float(lags[best]) + STEP * _vertex(*score[best - 1 : best + 2].tolist())
+    return float(lags[best]) + FINE_STEP_S * _vertex(*score[best - 1 : best + 2].tolist())
 
 
 def _least_squares(start: float, turns: _Turns, reference: Reference) -> _Fit | None:
@@ -138,10 +143,10 @@ def _least_squares(start: float, turns: _Turns, reference: Reference) -> _Fit | 
     Gauss-Newton: a turn is the reference's, scaled, and the lag times how much the rate changed in the meantime.
     """
     turns = turns.where(_changing(turns, reference, start))
-    if len(turns.angle) < FEWEST:
+    if len(turns.angle) < MIN_WINDOWS:
         return None
     lag, sigma = start, math.inf
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ITERATIONS):
         a, b = turns.start + lag, turns.end + lag
         columns = np.stack(
             (reference.heading(b) - reference.heading(a), _rate(reference, b) - _rate(reference, a))
@@ -152,10 +157,10 @@ def _least_squares(start: float, turns: _Turns, reference: Reference) -> _Fit | 
             return None
         scale, shift = np.linalg.solve(N, columns @ own).tolist()
         left = own - scale * columns[0] - shift * columns[1]
-        if left @ left > (1.0 - LEAST_CORRELATION**2) * (own @ own) or scale <= 0.0:
+        if left @ left > (1.0 - MIN_CORRELATION**2) * (own @ own) or scale <= 0.0:
             return None
         lag += shift / scale
-        if abs(lag - start) > COARSE:
+        if abs(lag - start) > COARSE_STEP_S:
             return None
         sigma = math.sqrt(float(left.var()) * turns.overlap * float(np.linalg.inv(N)[1, 1])) / scale
     return _Fit(lag, sigma)
@@ -164,17 +169,19 @@ def _least_squares(start: float, turns: _Turns, reference: Reference) -> _Fit | 
 def _changing(turns: _Turns, reference: Reference, lag: float) -> NDArray[np.bool_]:
     """Return where the turning changes by more than its rms; at least in a tenth of the windows."""
     middle = 0.5 * (turns.start + turns.end) + lag
-    before, now, after = reference.wheels(middle + CHANGE * np.array([[-1.0], [0.0], [1.0]]))
+    before, now, after = reference.wheels(middle + RATE_CHANGE_SPAN_S * np.array([[-1.0], [0.0], [1.0]]))
     change = np.abs(after - 2.0 * now + before)
     if not len(change):
         return np.zeros(0, bool)
-    kept: NDArray[np.bool_] = change >= min(math.sqrt((change**2).mean()), float(np.quantile(change, MOST)))
+    kept: NDArray[np.bool_] = change >= min(
+        math.sqrt((change**2).mean()), float(np.quantile(change, MAX_LEFT_OUT_SHARE))
+    )
     return kept
 
 
 def _rate(reference: Reference, t: Array) -> Array:
     """Return the turning rate [rad/s] at times t (n,)."""
-    return (reference.wheels(t + RATE / 2) - reference.wheels(t - RATE / 2)) / RATE
+    return (reference.wheels(t + RATE_SPAN_S / 2) - reference.wheels(t - RATE_SPAN_S / 2)) / RATE_SPAN_S
 
 
 def _correlations(a: Array, b: Array) -> Array:
@@ -193,4 +200,4 @@ def _vertex(left: float, middle: float, right: float) -> float:
 
 def worth_saying(lag: Lag) -> bool:
     """Return whether a lag is large and clear enough to be reported."""
-    return abs(lag.offset) >= WORTH_SAYING and lag.correlation - lag.without > 0.1 * (1.0 - lag.without)
+    return abs(lag.offset) >= MIN_LAG_S and lag.correlation - lag.without > 0.1 * (1.0 - lag.without)

@@ -21,17 +21,20 @@ from locfuse.fusion.robot import Robot
 
 from .finding import Finding
 
-APART, ASTERN = 0.3, 0.35  # m, rad between the two places, whichever comes first
-LATER = 4.0  # s at most between them
-PAIRS = 1500
-TURN, SHIFT = math.radians(8.0), 0.25  # rad, m: further off than the wheels say is another wall
-FEWEST = 60  # walls seen twice
-REFINED = 3  # times at most
-BLOCKS = 8  # stretches of the drive whose estimates must agree
-OFF_SCALE, OFF_YAW, SURE = 0.03, math.radians(4.0), 3.0
-SPOILS_SCALE, SPOILS_YAW = 0.05, math.radians(8.0)
-ALIKE = 0.9  # correlation of both turns: less, and what the wheels tell is noise
-LEAST_TURNED = 0.5  # rad^2, all turns squared and added: what wobbles along a straight tells no track
+PAIR_DISTANCE_M, PAIR_TURN_RAD = 0.3, 0.35  # m, rad between the two places, whichever comes first
+MAX_PAIR_TIME_S = 4.0  # s at most between them
+MAX_PAIRS = 1500
+MAX_WALL_TURN_RAD, MAX_WALL_SHIFT_M = (
+    math.radians(8.0),
+    0.25,
+)  # rad, m: further off than the wheels say is another wall
+MIN_WALLS = 60  # walls seen twice
+MAX_ITERATIONS = 3  # times at most
+STRETCHES = 8  # stretches of the drive whose estimates must agree
+MIN_SCALE_ERROR, MIN_YAW_ERROR_RAD, MIN_SIGMAS = 0.03, math.radians(4.0), 3.0
+SEVERE_SCALE_ERROR, SEVERE_YAW_ERROR_RAD = 0.05, math.radians(8.0)
+MIN_CORRELATION = 0.9  # correlation of both turns: less, and what the wheels tell is noise
+MIN_TURN_SQUARES_RAD2 = 0.5  # rad^2, all turns squared and added: what wobbles along a straight tells no track
 
 
 class Walls(NamedTuple):
@@ -41,7 +44,7 @@ class Walls(NamedTuple):
     n: Array  # (k, 2) normals in the base frame at the first place
     d: Array  # (k, 2) how far the laser moved, same frame [m]
     turn: Array  # (k,) by how much the wall's direction says that the robot turned [rad]
-    told: Array  # (k,) by how much the wheels do
+    by_wheels: Array  # (k,) by how much the wheels do
 
 
 class Motion(NamedTuple):
@@ -61,12 +64,12 @@ def laser_motion(m: Measurements, t: Array, drive: Drive, robot: Robot) -> Motio
     settings = robot.settings("lrf")
     mount = np.array([settings.x, settings.y])
     yaw = 0.0
-    for _ in range(REFINED):  # walls pair badly while the laser is thought to look elsewhere
+    for _ in range(MAX_ITERATIONS):  # walls pair badly while the laser is thought to look elsewhere
         walls = seen_twice(_turned(m, yaw, mount), t, drive, mount)
         if (fit := fitted(walls)) is None:
             return None
         scale, yaw = fit[0], yaw + fit[1]
-        if abs(fit[1]) < OFF_YAW:
+        if abs(fit[1]) < MIN_YAW_ERROR_RAD:
             break
     scale_sigma, yaw_sigma = _spread(fitted, walls, 2)
     turns = turned(walls)
@@ -90,23 +93,29 @@ def of_laser(motion: Motion | None, robot: Robot, metre: float = 1.0) -> list[Fi
     if motion is None:
         return []
     settings = robot.settings("lrf")
-    if abs(motion.yaw) > OFF_YAW + SURE * motion.yaw_sigma:
+    if abs(motion.yaw) > MIN_YAW_ERROR_RAD + MIN_SIGMAS * motion.yaw_sigma:
         yaw = se2.wrap(math.radians(settings.yaw_deg) - motion.yaw)
         words = (
             f"walls come nearer as if it looked {math.degrees(-motion.yaw):+.0f} deg further left than its yaw of "
             f"{settings.yaw_deg:.1f} deg says"
         )
         return [
-            Finding("lrf", "yaw", words, (f"lrf.yaw_deg={math.degrees(yaw):.1f}",), abs(motion.yaw) > SPOILS_YAW)
+            Finding(
+                "lrf",
+                "yaw",
+                words,
+                (f"lrf.yaw_deg={math.degrees(yaw):.1f}",),
+                abs(motion.yaw) > SEVERE_YAW_ERROR_RAD,
+            )
         ]
     scale = motion.scale * metre
-    if abs(scale - 1.0) < OFF_SCALE + SURE * motion.scale_sigma:
+    if abs(scale - 1.0) < MIN_SCALE_ERROR + MIN_SIGMAS * motion.scale_sigma:
         return []
     whose = "wheels'" if metre == 1.0 else "truth's"
     words = f"its metre is {1.0 / scale:.3f} of the {whose} (1 sigma {motion.scale_sigma:.3f})"
     words += ": scale it if the wheels are right, or wheels.radius if it is" if metre == 1.0 else ""
     fix = f"lrf.range_scale={settings.range_scale * scale:.4g}"
-    return [Finding("lrf", "range scale", words, (fix,), abs(scale - 1.0) > SPOILS_SCALE)]
+    return [Finding("lrf", "range scale", words, (fix,), abs(scale - 1.0) > SEVERE_SCALE_ERROR)]
 
 
 def fitted(walls: Walls) -> tuple[float, float] | None:
@@ -115,7 +124,7 @@ def fitted(walls: Walls) -> tuple[float, float] | None:
     across = walls.n[:, 1] * walls.d[:, 0] - walls.n[:, 0] * walls.d[:, 1]
     A, keep = np.stack((along, across), axis=-1), np.ones(len(along), dtype=bool)
     for _ in range(4):
-        if keep.sum() < FEWEST:
+        if keep.sum() < MIN_WALLS:
             return None
         x, *_ = np.linalg.lstsq(A[keep], walls.y[keep], rcond=None)
         rest = np.abs(walls.y - A @ x)
@@ -126,26 +135,26 @@ def fitted(walls: Walls) -> tuple[float, float] | None:
 
 def turned(walls: Walls) -> float | None:
     """Return the robot's turn per turn that the wheels tell, None where it hardly turned or the two disagree."""
-    rest = np.abs(walls.turn - walls.told)
-    near = rest < TURN
+    rest = np.abs(walls.turn - walls.by_wheels)
+    near = rest < MAX_WALL_TURN_RAD
     c = _slope(walls, near)
     if c is None:
         return None
     scatter = 1.4826 * float(np.median(rest[near])) + 1e-3
-    return _slope(walls, near & (np.abs(walls.turn - c * walls.told) < 3.0 * scatter))
+    return _slope(walls, near & (np.abs(walls.turn - c * walls.by_wheels) < 3.0 * scatter))
 
 
 def _slope(walls: Walls, rows: NDArray[np.bool_]) -> float | None:
-    turn, told = walls.turn[rows], walls.told[rows]
-    squares = float((told**2).sum())
-    if squares < LEAST_TURNED or float(np.corrcoef(turn, told)[0, 1]) < ALIKE:
+    turn, by_wheels = walls.turn[rows], walls.by_wheels[rows]
+    squares = float((by_wheels**2).sum())
+    if squares < MIN_TURN_SQUARES_RAD2 or float(np.corrcoef(turn, by_wheels)[0, 1]) < MIN_CORRELATION:
         return None
-    return float((turn * told).sum()) / squares
+    return float((turn * by_wheels).sum()) / squares
 
 
 def _spread(estimate: Callable[[Walls], tuple[float, ...] | None], walls: Walls, numbers: int) -> list[float]:
     """Return standard errors by leaving out stretches of the drive (jackknife): pairs overlap, they depend."""
-    parts = np.array_split(np.arange(len(walls.y)), BLOCKS)
+    parts = np.array_split(np.arange(len(walls.y)), STRETCHES)
     found = [estimate(Walls(*(np.delete(column, part, axis=0) for column in walls))) for part in parts]
     if any(f is None for f in found):
         return [math.inf] * numbers
@@ -173,12 +182,12 @@ def seen_twice(m: Measurements, t: Array, drive: Drive, mount: Array) -> Walls:
 def _places(t: Array, drive: Drive) -> tuple[Ints, Ints]:
     """Return pairs of scans (k,), (k,) between which the wheels rolled or turned far enough."""
     wheels = drive.wheels
-    step = np.maximum(np.abs(wheels.twist[:, 0]) / APART, np.abs(wheels.twist[:, 2]) / ASTERN)
+    step = np.maximum(np.abs(wheels.twist[:, 0]) / PAIR_DISTANCE_M, np.abs(wheels.twist[:, 2]) / PAIR_TURN_RAD)
     way = np.interp(t, wheels.t, np.concatenate(([0.0], np.cumsum(step))))
     second = np.searchsorted(way, way + 1.0)
     first = np.flatnonzero(second < len(t))
-    first = first[t[second[first]] - t[first] < LATER]
-    every = max(1, len(first) // PAIRS)
+    first = first[t[second[first]] - t[first] < MAX_PAIR_TIME_S]
+    every = max(1, len(first) // MAX_PAIRS)
     return first[::every], second[first[::every]]
 
 
@@ -188,7 +197,11 @@ def _paired(a: Array, b: Array, moved: Array, d: Array, mount: Array) -> Walls:
     r, psi = a[:, 0] - n @ moved[:2], a[:, 1] - moved[2]
     turn = np.abs(se2.wrap_all(psi[:, None] - b[None, :, 1]))
     shift = np.abs(r[:, None] - b[None, :, 0])
-    cost = np.where((turn < TURN) & (shift < SHIFT), turn / TURN + shift / SHIFT, np.inf)
+    cost = np.where(
+        (turn < MAX_WALL_TURN_RAD) & (shift < MAX_WALL_SHIFT_M),
+        turn / MAX_WALL_TURN_RAD + shift / MAX_WALL_SHIFT_M,
+        np.inf,
+    )
     nearest = cost.argmin(axis=1)
     best = cost[np.arange(len(a)), nearest]
     # a rival nearly as good makes the pair worthless

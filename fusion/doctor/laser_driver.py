@@ -11,9 +11,9 @@ from locfuse.fusion.sensors.lrf import Lrf, LrfSettings
 
 from .finding import Finding
 
-SCANS = 300  # looked at
-SHARE = 0.01  # of the ranges at exactly range_max: more are no walls
-MANY = 0.05  # share from which they would be taken for walls
+SAMPLE_SCANS = 300  # looked at
+RANGE_MAX_SHARE = 0.01  # of the ranges at exactly range_max: more are no walls
+SEVERE_RANGE_MAX_SHARE = 0.05  # share from which they would be taken for walls
 
 
 def driver(stream: Stream, settings: LrfSettings) -> list[Finding]:
@@ -32,9 +32,9 @@ def driver(stream: Stream, settings: LrfSettings) -> list[Finding]:
 def _first(stream: Stream) -> list[tuple[Any, dict[str, Any]]]:
     found: list[tuple[Any, dict[str, Any]]] = []
     fields = (*Lrf.reads[stream.msgtype],)
-    for rows, columns in stream.blocks(*fields, rows=SCANS):
+    for rows, columns in stream.blocks(*fields, rows=SAMPLE_SCANS):
         found.append((rows, columns))
-        if sum(len(r) for r, _ in found) >= SCANS:
+        if sum(len(r) for r, _ in found) >= SAMPLE_SCANS:
             break
     return found
 
@@ -53,10 +53,14 @@ def _nothing(values: Array, far: Array, settings: LrfSettings) -> list[Finding]:
     limit = np.minimum(far, settings.range_max or np.inf)
     full = (values == far) & (values <= limit)
     share = float(full.sum()) / n
-    if share > SHARE:
+    if share > RANGE_MAX_SHARE:
         end = float(far[full][0])
         words = f"{share:.0%} of its ranges are exactly range_max = {end:g} m: its driver's word for no return"
-        found.append(Finding("lrf", "range_max", words, (f"lrf.range_max={0.999 * end:.4g}",), share > MANY))
+        found.append(
+            Finding(
+                "lrf", "range_max", words, (f"lrf.range_max={0.999 * end:.4g}",), share > SEVERE_RANGE_MAX_SHARE
+            )
+        )
     return found
 
 

@@ -12,9 +12,9 @@ from locfuse.fusion.sensors.camera import CameraSettings, detector
 
 from .finding import Finding
 
-PICTURES = 24  # looked at
-OFTEN = 0.5  # share of the pictures
-WORDS = {
+SAMPLE_PICTURES = 24  # looked at
+MAX_BAD_SHARE = 0.5  # share of the pictures
+PROBLEMS = {
     "no_colour": "are grey (mono): red needs colour",
     "unreadable": "cannot be decoded: truncated, or neither JPEG nor PNG",
     "too_large": "claim more pixels than can be held",
@@ -25,13 +25,13 @@ WORDS = {
 
 def of_pictures(stream: Stream, settings: CameraSettings) -> list[Finding]:
     """Return what is odd about some pictures of a stream, evenly spread."""
-    wanted = set(range(0, len(stream.t_ns), max(1, len(stream.t_ns) // PICTURES)))
-    seen = [decode(message) for block in messages(stream) for row, message in block if row in wanted]
-    found, total = [], len(seen)
-    for why, n in Counter(one for one in seen if isinstance(one, str)).items():
-        words = f"{n} of {total} pictures looked at {WORDS[why]}"
-        found.append(Finding("camera", "pictures", words, (), n > OFTEN * total))
-    pictures = [one for one in seen if not isinstance(one, str)]
+    wanted = set(range(0, len(stream.t_ns), max(1, len(stream.t_ns) // SAMPLE_PICTURES)))
+    decoded = [decode(message) for block in messages(stream) for row, message in block if row in wanted]
+    found, total = [], len(decoded)
+    for why, n in Counter(one for one in decoded if isinstance(one, str)).items():
+        words = f"{n} of {total} pictures looked at {PROBLEMS[why]}"
+        found.append(Finding("camera", "pictures", words, (), n > MAX_BAD_SHARE * total))
+    pictures = [one for one in decoded if not isinstance(one, str)]
     sizes = Counter((p.shape[1], p.shape[0]) for p in pictures)
     if len(sizes) > 1:
         listed = ", ".join(f"{w} x {h} ({n})" for (w, h), n in sizes.most_common())
@@ -46,10 +46,10 @@ def _red(pictures: list[Picture], settings: CameraSettings) -> list[Finding]:
         return []
     find, n = detector(settings), len(pictures)
     shows = sum(bool(find.find(p).candidates) for p in pictures)
-    if shows > (1.0 - OFTEN) * n:
+    if shows > (1.0 - MAX_BAD_SHARE) * n:
         return []
     exchanged = sum(bool(find.find(np.ascontiguousarray(p[..., ::-1])).candidates) for p in pictures)
-    if exchanged > max(shows, OFTEN * n):
+    if exchanged > max(shows, MAX_BAD_SHARE * n):
         words = f"{exchanged} of {n} pictures show something upright in blue, {shows} in red: rgb is taken for bgr"
         fix = f"camera.swapped={str(not settings.swapped).lower()}"
         return [Finding("camera", "swapped", words, (fix,), True)]

@@ -15,7 +15,7 @@ from locfuse.fusion.camera.panorama import Picture, red_grey, unwrap
 from locfuse.fusion.data import LocfuseError, Stream
 from locfuse.fusion.sensors.camera import CameraSettings, detector
 
-RINGS, GRID, FOUND = (255, 200, 0), (0, 200, 255), (80, 255, 80)  # blue, green, red
+RING_COLOUR, GRID_COLOUR, CANDIDATE_COLOUR = (255, 200, 0), (0, 200, 255), (80, 255, 80)  # blue, green, red
 
 
 class PreviewPictures(NamedTuple):
@@ -58,15 +58,15 @@ def preview(stream: Stream, settings: CameraSettings, count: int = 4) -> list[Pr
 
 
 def _pictures(row: int, delivered: Picture, find: Detector) -> PreviewPictures:
-    seen, picture = find.find(delivered), find.coloured(delivered)
-    grey = red_grey(picture, find.red) * _inside(picture, seen.optics)
-    bearings = [math.degrees(float(bearing(np.asarray(c.theta), seen.optics))) for c in seen.candidates]
+    detection, picture = find.find(delivered), find.coloured(delivered)
+    grey = red_grey(picture, find.red) * _inside(picture, detection.optics)
+    bearings = [math.degrees(float(bearing(np.asarray(c.theta), detection.optics))) for c in detection.candidates]
     return PreviewPictures(
         row=row,
         raw=picture,
         mask=np.where(grey > 0, np.uint8(255), np.uint8(0)),
-        panorama=unwrap(picture, seen.optics, printed=find.chain == "printed"),
-        detection=_drawn(picture, seen, bearings),
+        panorama=unwrap(picture, detection.optics, printed=find.chain == "printed"),
+        detection=_drawn(picture, detection, bearings),
         bearings_deg=tuple(bearings),
     )
 
@@ -77,20 +77,20 @@ def _inside(picture: Picture, optics: Optics) -> Picture:
     return np.where((r >= optics.inner) & (r <= optics.outer), np.uint8(1), np.uint8(0))
 
 
-def _drawn(picture: Picture, seen: Detection, bearings: list[float]) -> Picture:
+def _drawn(picture: Picture, detection: Detection, bearings: list[float]) -> Picture:
     """Draw the mirror's circles, a compass rose of bearings in the camera's frame, and the candidates."""
-    canvas, optics = picture.copy(), seen.optics
+    canvas, optics = picture.copy(), detection.optics
     centre = (round(optics.x_c), round(optics.y_c))
     for radius in (optics.inner, optics.outer):
-        cv2.circle(canvas, centre, round(radius), RINGS, _pen(canvas), cv2.LINE_AA)
-    cv2.drawMarker(canvas, centre, RINGS, cv2.MARKER_CROSS, 12 * _pen(canvas), _pen(canvas))
+        cv2.circle(canvas, centre, round(radius), RING_COLOUR, _pen(canvas), cv2.LINE_AA)
+    cv2.drawMarker(canvas, centre, RING_COLOUR, cv2.MARKER_CROSS, 12 * _pen(canvas), _pen(canvas))
     for degrees in range(-150, 181, 30):
         theta = float(angle_of_bearing(np.asarray(math.radians(degrees)), optics))
         word = "0 forward" if degrees == 0 else str(degrees)
-        _ray(canvas, optics, theta, (0.92 * optics.outer, optics.outer), GRID, word)
-    for candidate, found in zip(seen.candidates, bearings, strict=True):
+        _ray(canvas, optics, theta, (0.92 * optics.outer, optics.outer), GRID_COLOUR, word)
+    for candidate, found in zip(detection.candidates, bearings, strict=True):
         reach = candidate.radius - candidate.length / 2, candidate.radius + candidate.length / 2
-        _ray(canvas, optics, candidate.theta, reach, FOUND, f"{found:.2f}")
+        _ray(canvas, optics, candidate.theta, reach, CANDIDATE_COLOUR, f"{found:.2f}")
     return canvas
 
 

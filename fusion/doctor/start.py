@@ -13,9 +13,9 @@ from locfuse.fusion.robot import Robot
 
 from .finding import Finding
 
-OFF_START, OFF_HEADING = 0.1, math.radians(5.0)
-BEGINNING, AT_ONCE = 3.0, 0.1  # m of the drive from which the start pose is told: by points, by poses
-LEAST_SHAPE = 0.3  # m, extent of the points
+MIN_START_ERROR_M, MIN_START_ERROR_RAD = 0.1, math.radians(5.0)
+SHAPE_WAY_M, POSE_WAY_M = 3.0, 0.1  # m of the drive from which the start pose is told: by points, by poses
+MIN_SHAPE_EXTENT_M = 0.3  # m, extent of the points
 
 
 def of_start(truth: Truth, drive: Drive, robot: Robot) -> list[Finding]:
@@ -23,11 +23,13 @@ def of_start(truth: Truth, drive: Drive, robot: Robot) -> list[Finding]:
     fitted = start_pose(truth, drive)
     if fitted is None:
         return []
-    told = np.array([robot.start.x, robot.start.y, math.radians(robot.start.theta_deg)])
+    configured = np.array([robot.start.x, robot.start.y, math.radians(robot.start.theta_deg)])
     (x, y, theta), blur = fitted.pose.tolist(), fitted.sigma
-    away, turn = math.hypot(x - told[0], y - told[1]), abs(se2.wrap(theta - told[2]))
-    place = OFF_START + 3.0 * math.hypot(robot.start.sigma_xy, fitted.way * blur) + 4.0 * truth.sigma
-    if away < place and turn < OFF_HEADING + 3.0 * math.hypot(math.radians(robot.start.sigma_theta_deg), blur):
+    away, turn = math.hypot(x - configured[0], y - configured[1]), abs(se2.wrap(theta - configured[2]))
+    place = MIN_START_ERROR_M + 3.0 * math.hypot(robot.start.sigma_xy, fitted.way * blur) + 4.0 * truth.sigma
+    if away < place and turn < MIN_START_ERROR_RAD + 3.0 * math.hypot(
+        math.radians(robot.start.sigma_theta_deg), blur
+    ):
         return []
     words = (
         f"it starts {away:.2f} m and {math.degrees(turn):.0f} deg from where the drive starts; set the start, or "
@@ -53,28 +55,28 @@ def start_pose(truth: Truth, drive: Drive) -> Start | None:
     wheels = drive.wheels
     rolled = np.concatenate(([0.0], np.cumsum(np.abs(wheels.rolled).max(axis=1))))
     inside = (truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1])
-    way, fewest = (BEGINNING, 5) if truth.theta is None else (AT_ONCE, 1)
+    way, fewest = (SHAPE_WAY_M, 5) if truth.theta is None else (POSE_WAY_M, 1)
     inside &= np.interp(truth.t, wheels.t, rolled) <= min(way, 0.5 * float(rolled[-1]))
     if inside.sum() < fewest:
         return None
     own = wheels.at(truth.t[inside])[2]
     points = own[:, :2] + turned(own[:, 2], np.tile(truth.point, (len(own), 1)))
-    seen = truth.xy[inside]
+    tracked = truth.xy[inside]
     if truth.theta is not None:
         turns = se2.wrap_all(truth.theta[inside] - own[:, 2])
         turn, metre = float(turns[0] + np.median(se2.wrap_all(turns - turns[0]))), 1.0
-    elif float(np.ptp(points, axis=0).max()) < LEAST_SHAPE:
+    elif float(np.ptp(points, axis=0).max()) < MIN_SHAPE_EXTENT_M:
         return None
     else:
-        turn, metre = _laid_over(points, seen)
-    place = np.median(seen - metre * turned(np.full(len(points), turn), points), axis=0)
+        turn, metre = _laid_over(points, tracked)
+    place = np.median(tracked - metre * turned(np.full(len(points), turn), points), axis=0)
     blur = math.sqrt(2.0 * wheels.noise * way) / wheels.track if truth.theta is None else 0.0
     return Start(np.array([*place, se2.wrap(turn)]), way, blur)
 
 
-def _laid_over(points: Array, seen: Array) -> tuple[float, float]:
+def _laid_over(points: Array, tracked: Array) -> tuple[float, float]:
     """Return the turn and the scale that lay points (n, 2) over those seen (Umeyama 1991, in the plane)."""
-    a, b = points - points.mean(axis=0), seen - seen.mean(axis=0)
+    a, b = points - points.mean(axis=0), tracked - tracked.mean(axis=0)
     across, along = float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()), float((a * b).sum())
     return math.atan2(across, along), math.hypot(across, along) / float((a**2).sum())
 

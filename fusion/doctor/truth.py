@@ -14,13 +14,17 @@ from locfuse.fusion.wheels.repairs import times
 from .finding import Finding
 from .start import of_start, turned
 
-WINDOW = 1.0  # s over which ways are compared
-BLOCKS = 8  # stretches of the drive whose estimates must agree
-LEAST_WAY, OFF_METRE, SPOILS_METRE = 0.1, 0.03, 0.05  # m per window; relative errors of the wheels' metre
-GAP, GAP_PERIODS = 0.5, 5.0
-FASTER, JUMP = 3.0, 0.3  # a step is a jump if it is this many times the wheels', and this much [m] more
-OFF_POINT = 0.05  # m, of the tracked point
-LEAST_TURN = math.radians(60.0)
+WINDOW_S = 1.0  # s over which ways are compared
+STRETCHES = 8  # stretches of the drive whose estimates must agree
+MIN_WAY_M, MIN_SCALE_ERROR, SEVERE_SCALE_ERROR = (
+    0.1,
+    0.03,
+    0.05,
+)  # m per window; relative errors of the wheels' metre
+MIN_GAP_S, MIN_GAP_PERIODS = 0.5, 5.0
+JUMP_FACTOR, MIN_JUMP_M = 3.0, 0.3  # a step is a jump if it is this many times the wheels', and this much [m] more
+MIN_POINT_ERROR_M = 0.05  # m, of the tracked point
+MIN_TURN_RAD = math.radians(60.0)
 
 
 def of_truth(drive: Drive, robot: Robot, same_metre: bool = True) -> list[Finding]:
@@ -36,7 +40,7 @@ def of_truth(drive: Drive, robot: Robot, same_metre: bool = True) -> list[Findin
 
 def _gaps(truth: Truth) -> list[Finding]:
     dt = np.diff(truth.t)
-    long = dt > max(GAP, GAP_PERIODS * float(np.median(dt)))
+    long = dt > max(MIN_GAP_S, MIN_GAP_PERIODS * float(np.median(dt)))
     if not long.any():
         return []
     words = f"silent {times(int(long.sum()))}, at most {float(dt.max()):.1f} s; errors there do not exist"
@@ -63,7 +67,7 @@ def step_limits(truth: Truth, drive: Drive) -> Array:
     """How far the truth may step (n-1,) [m], given what the wheels rolled meanwhile."""
     wheels = drive.wheels
     way = np.interp(truth.t, wheels.t, np.concatenate(([0.0], np.cumsum(np.abs(wheels.rolled).max(axis=1)))))
-    limit: Array = FASTER * np.diff(way) + JUMP + 6.0 * truth.sigma
+    limit: Array = JUMP_FACTOR * np.diff(way) + MIN_JUMP_M + 6.0 * truth.sigma
     return limit
 
 
@@ -79,17 +83,17 @@ def wheels_metre(drive: Drive) -> tuple[float, float] | None:
     truth, wheels = drive.truth, drive.wheels
     if truth is None:
         return None
-    start = truth.t[(truth.t >= wheels.t[0]) & (truth.t + WINDOW <= min(wheels.t[-1], truth.t[-1]))]
+    start = truth.t[(truth.t >= wheels.t[0]) & (truth.t + WINDOW_S <= min(wheels.t[-1], truth.t[-1]))]
     if len(start) < 20:
         return None
-    step = np.stack([np.interp(start + WINDOW, truth.t, c) - np.interp(start, truth.t, c) for c in truth.xy.T])
-    own = np.hypot(*wheels.relative(start, start + WINDOW)[:, :2].T)
-    moving = own > LEAST_WAY
+    step = np.stack([np.interp(start + WINDOW_S, truth.t, c) - np.interp(start, truth.t, c) for c in truth.xy.T])
+    own = np.hypot(*wheels.relative(start, start + WINDOW_S)[:, :2].T)
+    moving = own > MIN_WAY_M
     ratio = np.hypot(*step)[moving] / own[moving]
     if moving.sum() < 20:
         return None
-    parts = [float(np.median(part)) for part in np.array_split(ratio, BLOCKS)]
-    return float(np.median(ratio)), 1.25 * float(np.std(parts, ddof=1)) / math.sqrt(BLOCKS)
+    parts = [float(np.median(part)) for part in np.array_split(ratio, STRETCHES)]
+    return float(np.median(ratio)), 1.25 * float(np.std(parts, ddof=1)) / math.sqrt(STRETCHES)
 
 
 def metre(drive: Drive, robot: Robot) -> tuple[float, list[Finding]]:
@@ -98,14 +102,14 @@ def metre(drive: Drive, robot: Robot) -> tuple[float, list[Finding]]:
     if found is None or robot.wheels.radius is None:
         return 1.0, []
     factor, sigma = found
-    if abs(factor - 1.0) < OFF_METRE + 3.0 * sigma:
+    if abs(factor - 1.0) < MIN_SCALE_ERROR + 3.0 * sigma:
         return 1.0, []
     words = f"their metre is {1.0 / factor:.3f} of the truth's (1 sigma {sigma:.3f})"
     radius = robot.wheels.radius * factor
     fixes = [f"wheels.radius={radius:.4g}"]
     if robot.wheels.track is not None:  # what turns right must go on turning right
         fixes.append(f"wheels.track={robot.wheels.track * factor:.4g}")
-    return factor, [Finding("wheels", "wheel scale", words, tuple(fixes), abs(factor - 1.0) > SPOILS_METRE)]
+    return factor, [Finding("wheels", "wheel scale", words, tuple(fixes), abs(factor - 1.0) > SEVERE_SCALE_ERROR)]
 
 
 def _point(truth: Truth, drive: Drive) -> list[Finding]:
@@ -113,13 +117,13 @@ def _point(truth: Truth, drive: Drive) -> list[Finding]:
 
     With p(t) = base + R(theta) l, a step of the point seen in the base frame is d + (R(turn) - 1) l.
     """
-    if truth.theta is None or np.ptp(np.unwrap(truth.theta)) < LEAST_TURN:
+    if truth.theta is None or np.ptp(np.unwrap(truth.theta)) < MIN_TURN_RAD:
         return []
     wheels = drive.wheels
-    rows = np.flatnonzero((truth.t >= wheels.t[0]) & (truth.t + WINDOW <= min(wheels.t[-1], truth.t[-1])))
+    rows = np.flatnonzero((truth.t >= wheels.t[0]) & (truth.t + WINDOW_S <= min(wheels.t[-1], truth.t[-1])))
     if len(rows) < 20:
         return []
-    start, end = truth.t[rows], truth.t[rows] + WINDOW
+    start, end = truth.t[rows], truth.t[rows] + WINDOW_S
     theta = np.unwrap(truth.theta)[rows]
     later = np.stack([np.interp(end, truth.t, c) for c in truth.xy.T], axis=-1)
     step = turned(-theta, later - truth.xy[rows])
@@ -132,11 +136,11 @@ def _point(truth: Truth, drive: Drive) -> list[Finding]:
         x, *_ = np.linalg.lstsq(A[keep], y[keep], rcond=None)
         rest = np.abs(y - A @ x)
         keep = rest <= 4.0 * max(float(np.median(rest)), 1e-4)
-    told = np.array(truth.point)
-    if float(np.hypot(*(x - told))) < OFF_POINT or (A[keep] ** 2).sum() < 1.0:
+    configured = np.array(truth.point)
+    if float(np.hypot(*(x - configured))) < MIN_POINT_ERROR_M or (A[keep] ** 2).sum() < 1.0:
         return []
     words = (
-        f"it swings as the body point ({x[0]:.2f}, {x[1]:.2f}) m does, not ({told[0]:g}, {told[1]:g}): a tracked "
-        "marker off the axle"
+        f"it swings as the body point ({x[0]:.2f}, {x[1]:.2f}) m does, not "
+        f"({configured[0]:g}, {configured[1]:g}): a tracked marker off the axle"
     )
     return [Finding("truth", "body point", words, (f"truth.x={x[0]:.3f}", f"truth.y={x[1]:.3f}"), True)]

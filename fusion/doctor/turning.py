@@ -22,15 +22,15 @@ from locfuse.fusion.wheels.read import ODOMETRY
 from .finding import Finding
 from .laser import Motion
 
-WINDOW = 1.0  # s
-LONGEST, STEP = 1.2, 0.05  # s: clocks may differ
-LEAST_TURN = math.radians(5.0)  # rms turn of a window
-EXPLAINED = 0.8  # share of a sensor's turning that the wheels must explain, in whatever sense
-ALONE = 0.98  # correlation of both wheels from which they cannot be told apart
-OFF, SURE = 0.04, 4.0  # relative error of the track worth saying; standard errors
-SPOILS_TRACK = 0.06
-STILL = 1e-3  # m per window
-READINGS = 3000
+WINDOW_S = 1.0  # s
+MAX_LAG_S, LAG_STEP_S = 1.2, 0.05  # s: clocks may differ
+MIN_RMS_TURN_RAD = math.radians(5.0)  # rms turn of a window
+MIN_EXPLAINED_SHARE = 0.8  # share of a sensor's turning that the wheels must explain, in whatever sense
+MAX_WHEEL_CORRELATION = 0.98  # correlation of both wheels from which they cannot be told apart
+MIN_TRACK_ERROR, MIN_SIGMAS = 0.04, 4.0  # relative error of the track worth saying; standard errors
+SEVERE_TRACK_ERROR = 0.06
+MIN_ROLL_SPREAD_M = 1e-3  # m per window
+MAX_READINGS = 3000
 
 
 @dataclass(frozen=True)
@@ -49,38 +49,40 @@ def turnings(drive: Drive) -> dict[str, Turning]:
     found = {}
     for name, m in drive.measurements.items():
         sensor = REGISTRY[name]
-        heading = sensor.heading(m.take(np.arange(min(len(m.t), READINGS)))) if len(m.t) >= 20 else None
+        heading = sensor.heading(m.take(np.arange(min(len(m.t), MAX_READINGS)))) if len(m.t) >= 20 else None
         if heading is None:
             continue
         t, own = heading
-        turning = explain(t, own, drive.wheels, _untold(own) if sensor.heading_holds else np.zeros(len(t)))
+        turning = explain(
+            t, own, drive.wheels, _turns_without_lines(own) if sensor.heading_holds else np.zeros(len(t))
+        )
         if turning is not None:
             found[name] = turning
     return found
 
 
-def _untold(heading: Array) -> Array:
+def _turns_without_lines(heading: Array) -> Array:
     """Return how many turns up to each reading (n,) nothing told: the heading stands still, to the bit."""
     return np.cumsum(np.diff(heading, prepend=np.nan) == 0.0).astype(np.float64)
 
 
-def explain(t: Array, heading: Array, wheels: Wheels, untold: Array) -> Turning | None:
+def explain(t: Array, heading: Array, wheels: Wheels, without_lines: Array) -> Turning | None:
     """Fit a heading's turns by what either wheel rolled, at the clock offset that explains most, or None."""
-    start = t[(t >= wheels.t[0] + LONGEST) & (t <= wheels.t[-1] - LONGEST - WINDOW)]
-    start = start[start + WINDOW <= t[-1]]
-    start = start[np.interp(start + WINDOW, t, untold) == np.interp(start, t, untold)]
+    start = t[(t >= wheels.t[0] + MAX_LAG_S) & (t <= wheels.t[-1] - MAX_LAG_S - WINDOW_S)]
+    start = start[start + WINDOW_S <= t[-1]]
+    start = start[np.interp(start + WINDOW_S, t, without_lines) == np.interp(start, t, without_lines)]
     if len(start) < 20:
         return None
-    own = np.interp(start + WINDOW, t, heading) - np.interp(start, t, heading)
-    if math.sqrt(float((own**2).mean())) < LEAST_TURN:
+    own = np.interp(start + WINDOW_S, t, heading) - np.interp(start, t, heading)
+    if math.sqrt(float((own**2).mean())) < MIN_RMS_TURN_RAD:
         return None
     way = np.concatenate((np.zeros((1, 2)), np.cumsum(wheels.rolled, axis=0)))
     best: Turning | None = None
-    for offset in np.arange(-LONGEST, LONGEST + STEP / 2, STEP).tolist():
-        fit = _fit(own, _way(wheels, way, start + offset + WINDOW) - _way(wheels, way, start + offset), offset)
+    for offset in np.arange(-MAX_LAG_S, MAX_LAG_S + LAG_STEP_S / 2, LAG_STEP_S).tolist():
+        fit = _fit(own, _way(wheels, way, start + offset + WINDOW_S) - _way(wheels, way, start + offset), offset)
         if fit is not None and (best is None or fit.explained > best.explained):
             best = fit
-    return best if best is not None and best.explained > EXPLAINED else None
+    return best if best is not None and best.explained > MIN_EXPLAINED_SHARE else None
 
 
 def _way(wheels: Wheels, way: Array, t: Array) -> Array:
@@ -91,12 +93,12 @@ def _way(wheels: Wheels, way: Array, t: Array) -> Array:
 def _fit(own: Array, rolled: Array, offset: float) -> Turning | None:
     """Explain turns (n,) by both wheels (n, 2); where these move as one, by difference or sum."""
     left, right = rolled.T
-    if np.std(left) < STILL or np.std(right) < STILL or own.var() == 0.0:
+    if np.std(left) < MIN_ROLL_SPREAD_M or np.std(right) < MIN_ROLL_SPREAD_M or own.var() == 0.0:
         return None
-    if abs(float(np.corrcoef(left, right)[0, 1])) < ALONE:
+    if abs(float(np.corrcoef(left, right)[0, 1])) < MAX_WHEEL_CORRELATION:
         return _regression(own, np.stack((right, left), axis=-1), np.eye(2), offset)
     turn = _regression(own, (right - left)[:, None], np.array([[1.0, -1.0]]), offset)
-    if turn is not None and turn.explained > EXPLAINED:
+    if turn is not None and turn.explained > MIN_EXPLAINED_SHARE:
         return turn
     # at constant speed the wheels of a robot seem to turn against each other if one of them counts backward
     return _regression(own, (right + left)[:, None], np.array([[1.0, 1.0]]), offset) or turn
@@ -122,21 +124,21 @@ def _regression(own: Array, by: Array, shares: Array, offset: float) -> Turning 
 
 
 def of_turning(
-    drive: Drive, robot: Robot, seen: Mapping[str, Turning], streams: Mapping[str, Stream]
+    drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning], streams: Mapping[str, Stream]
 ) -> list[Finding]:
     """Return what the turning of all sensors together says of the senses of wheels and mounts."""
     counts_wheels = streams["wheels"].msgtype != ODOMETRY
     found = _dead_wheel(drive.wheels) if counts_wheels else []
-    if found or not seen:
+    if found or not by_sensor:
         return found or (_by_the_wheels_alone(drive.wheels, robot) if counts_wheels else [])
-    mirrored = [w for t in seen.values() if (w := _mirrored(t)) is not None]
-    if counts_wheels and len(mirrored) > len(seen) / 2:
+    mirrored = [w for t in by_sensor.values() if (w := _mirrored(t)) is not None]
+    if counts_wheels and len(mirrored) > len(by_sensor) / 2:
         wheel = max(set(mirrored), key=mirrored.count)
-        by = " and ".join(name for name, t in seen.items() if _mirrored(t) == wheel)
+        by = " and ".join(name for name, t in by_sensor.items() if _mirrored(t) == wheel)
         words = f"the {wheel} wheel counts backward, by the turning of {by}"
         return [Finding("wheels", "mirrored", words, (f"wheels.mirrored={_also(robot, wheel)}",), True)]
-    back = [name for name, t in seen.items() if t.a < 0.0 < t.b]
-    if len(back) > 1 and len(back) == len(seen):
+    back = [name for name, t in by_sensor.items() if t.a < 0.0 < t.b]
+    if len(back) > 1 and len(back) == len(by_sensor):
         words = f"the wheels turn against {' and '.join(back)}: left and right are swapped"
         return [Finding("wheels", "swapped", words, _swapped(robot.wheels, streams["wheels"]), True)]
     return [_reversed(name, robot, streams) for name in back]
@@ -179,34 +181,34 @@ def _toml(value: str | float | bool) -> str:
 
 
 def of_track(
-    settings: WheelSettings, seen: Mapping[str, Turning], motion: Motion | None, metre: float = 1.0
+    settings: WheelSettings, by_sensor: Mapping[str, Turning], motion: Motion | None, metre: float = 1.0
 ) -> list[Finding]:
     """Hold the track against the laser's walls, else against the compass; a gyro's scale is not known any better.
 
     `metre` is by how much another fix will scale the wheels' metre: the track follows.
     """
-    told = settings.track
-    found = _told_track(told or 0.0, seen, motion)
-    if told is None or found is None:
+    configured = settings.track
+    found = _observed_track(configured or 0.0, by_sensor, motion)
+    if configured is None or found is None:
         return []
     track, sigma, by = metre * found[0], metre * found[1], found[2]
-    off = track / (metre * told) - 1.0
-    if abs(off) < OFF + SURE * sigma / track:
+    off = track / (metre * configured) - 1.0
+    if abs(off) < MIN_TRACK_ERROR + MIN_SIGMAS * sigma / track:
         return []
     words = (
-        f"the track is {told:g} m, but the turning of {by} says {track:.3f} m (1 sigma {sigma:.3f}); "
+        f"the track is {configured:g} m, but the turning of {by} says {track:.3f} m (1 sigma {sigma:.3f}); "
         "or let the filter find it (wheels.estimate=true)"
     )
-    return [Finding("wheels", "track", words, (f"wheels.track={track:.3f}",), abs(off) > SPOILS_TRACK)]
+    return [Finding("wheels", "track", words, (f"wheels.track={track:.3f}",), abs(off) > SEVERE_TRACK_ERROR)]
 
 
-def _told_track(
-    told: float, seen: Mapping[str, Turning], motion: Motion | None
+def _observed_track(
+    configured: float, by_sensor: Mapping[str, Turning], motion: Motion | None
 ) -> tuple[float, float, str] | None:
     """Return a track, its sigma, and who says so."""
     if motion is not None and motion.turns is not None and math.isfinite(motion.turns_sigma):
-        return told / motion.turns, told * motion.turns_sigma / motion.turns**2, "the laser's walls"
-    t = seen.get("compass")
+        return configured / motion.turns, configured * motion.turns_sigma / motion.turns**2, "the laser's walls"
+    t = by_sensor.get("compass")
     if t is None or t.a - t.b <= 0.0:
         return None
     track = 2.0 / (t.a - t.b)

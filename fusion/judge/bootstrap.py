@@ -18,9 +18,9 @@ from locfuse.fusion.data import Array
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000
-DRAWS = 20_000  # of luck: its tails are thin
-MOST_BLOCKS = 200  # longer blocks do no harm, shorter ones cost memory
-LEAST = 1e-18  # m^2: a mean squared error below is taken as this
+CHANCE_DRAWS = 20_000  # of luck: its tails are thin
+MAX_BLOCKS = 200  # longer blocks do no harm, shorter ones cost memory
+MIN_MSE_M2 = 1e-18  # m^2: a mean squared error below is taken as this
 
 
 class Interval(NamedTuple):
@@ -47,7 +47,7 @@ class Errors:
         q = deviation.shape[1]
         squares = (deviation**2).sum(axis=2)
         samples = np.array([effective_samples(d) for d in deviation])
-        block = max(math.ceil(q / MOST_BLOCKS), min(q, math.ceil(2.0 * q / float(samples.min()))))
+        block = max(math.ceil(q / MAX_BLOCKS), min(q, math.ceil(2.0 * q / float(samples.min()))))
         return cls(
             deviation,
             _ln_rms(squares.mean(axis=1)),
@@ -111,7 +111,7 @@ def block_means(values: Array, block: int, seed: int = 1) -> Array:
 
 
 def _ln_rms(mean_squares: Array) -> Array:
-    return 0.5 * np.log(np.maximum(mean_squares, LEAST))
+    return 0.5 * np.log(np.maximum(mean_squares, MIN_MSE_M2))
 
 
 def _correlation(deviation: Array, samples: Array) -> Array:
@@ -119,7 +119,7 @@ def _correlation(deviation: Array, samples: Array) -> Array:
     k = len(deviation)
     flat = deviation.reshape(k, -1)
     norms = np.linalg.norm(flat, axis=1)
-    r = np.clip(flat @ flat.T / np.maximum(np.outer(norms, norms), LEAST), -1.0, 1.0)
+    r = np.clip(flat @ flat.T / np.maximum(np.outer(norms, norms), MIN_MSE_M2), -1.0, 1.0)
     n = 2.0 * np.minimum.outer(samples, samples)
     open_ = np.where(n > 3.0, 1.0 / np.sqrt(np.maximum(n - 3.0, 1e-9)), np.inf)
     z = np.arctanh(np.minimum(np.abs(r), 1.0 - 1e-12))
@@ -134,8 +134,8 @@ def luck(move: float, n: float, seed: int = 1) -> tuple[float, float]:
     `move` is a move's standard deviation over an error's. |e + d|^2 = (sqrt(n) e + d_1)^2 + d_2^2 + ... + d_n^2.
     """
     rng = np.random.default_rng(seed)
-    along = (math.sqrt(n) + move * rng.standard_normal(DRAWS)) ** 2
-    across = 2.0 * move**2 * rng.standard_gamma(0.5 * (n - 1.0), DRAWS)
+    along = (math.sqrt(n) + move * rng.standard_normal(CHANCE_DRAWS)) ** 2
+    across = 2.0 * move**2 * rng.standard_gamma(0.5 * (n - 1.0), CHANCE_DRAWS)
     tail = 50.0 * (1.0 - CONFIDENCE)
     low, high = np.percentile(-0.5 * np.log((along + across) / n), (tail, 100.0 - tail))
     return float(low), float(high)

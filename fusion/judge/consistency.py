@@ -18,8 +18,8 @@ from locfuse.fusion.robot import Robot
 
 from .innovations import Heard, Own, heard, own, usual_period
 from .noise_verdicts import (
-    LARGER,
-    REFUSED_LINES,
+    MAX_REFUSED_LINE_SHARE,
+    MAX_SIGMA_FACTOR,
     NoiseVerdict,
     Verdict,
     biased,
@@ -29,8 +29,10 @@ from .noise_verdicts import (
     disagrees,
 )
 
-SICK = LARGER**2  # a run with a sensor whose variance is understated by more is no witness
-LEAST = 20  # readings
+MAX_REFERENCE_NIS_RATIO = (
+    MAX_SIGMA_FACTOR**2
+)  # a run with a sensor whose variance is understated by more is no witness
+MIN_READINGS = 20  # readings
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,7 @@ class Court:
                 return found
         run = self._purest(sensor)
         mine = None if run is None else self.own[run.estimates.name, sensor]
-        if run is None or mine is None or mine.compared < LEAST:
+        if run is None or mine is None or mine.compared < MIN_READINGS:
             return self._unclear(sensor)
         m = run.drive.measurements[sensor]
         period = usual_period(m.t)
@@ -115,7 +117,13 @@ class Court:
         return by_itself(sensor, settings, mine, np.diagonal(m.floor).tolist(), period)
 
     def _unclear(self, sensor: str) -> NoiseVerdict:
-        sick = sorted({s for (_, s), o in self.own.items() if s != sensor and o is not None and o.scale > SICK})
+        sick = sorted(
+            {
+                s
+                for (_, s), o in self.own.items()
+                if s != sensor and o is not None and o.scale > MAX_REFERENCE_NIS_RATIO
+            }
+        )
         why = f"{' and '.join(sick)} must be set right first" if sick else "too few measurements"
         return NoiseVerdict("unclear", f"{sensor} cannot be judged: {why}")
 
@@ -126,7 +134,7 @@ class Court:
             used = set(run.estimates.sensors)
             if used and not used & {sensor, *self.blamed} and self._healthy(run):
                 evidence = self._hear(run, sensor)
-                if evidence is not None and evidence.readings >= LEAST:
+                if evidence is not None and evidence.readings >= MIN_READINGS:
                     found.append((run, evidence))
         return sorted(found, key=lambda w: w[1].reference)
 
@@ -139,7 +147,10 @@ class Court:
     def _healthy(self, run: Run, but: str = "") -> bool:
         """Whether no sensor of a run (except one) has understated noise or is mostly refused."""
         found = [self.own[run.estimates.name, s] for s in run.estimates.sensors if s != but]
-        return all(o is not None and o.scale < SICK and o.refused < REFUSED_LINES for o in found)
+        return all(
+            o is not None and o.scale < MAX_REFERENCE_NIS_RATIO and o.refused < MAX_REFUSED_LINE_SHARE
+            for o in found
+        )
 
     def _purest(self, sensor: str) -> Run | None:
         """Return the run with the fewest other sensors, all healthy, that uses a sensor."""

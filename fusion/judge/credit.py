@@ -20,7 +20,7 @@ from locfuse.fusion.data import Array, Evaluation
 from locfuse.fusion.sensors.registry import needed
 
 from .bootstrap import CONFIDENCE, Errors, luck, student_t
-from .verdict import NOTHING, OVERCONFIDENT, Effect, Verdict, verdict
+from .verdict import MAX_ANEES, MIN_EFFECT, Effect, Verdict, verdict
 
 Subset = frozenset[str]
 
@@ -169,7 +169,7 @@ class _Book:
         alone = self.effect([Step(1.0, frozenset(beside), frozenset((*beside, sensor)))])
         last = self.effect([Step(1.0, every - {sensor}, every)])
         total = self.total(sensors)
-        share = shapley.value / total if shapley and total is not None and total > NOTHING else None
+        share = shapley.value / total if shapley and total is not None and total > MIN_EFFECT else None
         anees = self._worst_anees(sensor)
         return SensorCredit(verdict(shapley, alone, last, anees), shapley, alone, last, share, anees, beside)
 
@@ -189,7 +189,7 @@ class _Book:
             for s, a in zip(self.sets, self.anees, strict=True)
             if sensor not in s and s | {sensor} in self.sets
             for b in (self.anees[self.sets.index(s | {sensor})],)
-            if a is not None and b is not None and 0.0 < a <= OVERCONFIDENT
+            if a is not None and b is not None and 0.0 < a <= MAX_ANEES
         ]
         return max(pairs, key=lambda p: p[1] / p[0]) if pairs else None
 

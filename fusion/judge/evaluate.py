@@ -16,10 +16,10 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, Evaluation, SensorFigures, Truth
 
 Align = Literal["none", "origin", "se2"]
-DRIFT_LENGTHS = (1.0, 5.0, 10.0)  # m
-GAP_PERIODS, GAP_LEAST = 5.0, 0.5  # a longer hole in the truth is not bridged: median periods, and s
-BLOCK = 4096  # errors whose covariances are worked on at once: on the way they take ten times their room
-SINGULAR = 1e-12  # relative eigenvalue below which a covariance is singular
+DRIFT_LENGTHS_M = (1.0, 5.0, 10.0)  # m
+MAX_GAP_PERIODS, MAX_GAP_S = 5.0, 0.5  # a longer hole in the truth is not bridged: median periods, and s
+ERRORS_AT_ONCE = 4096  # errors whose covariances are worked on at once: on the way they take ten times their room
+MIN_EIGENVALUE_RATIO = 1e-12  # relative eigenvalue below which a covariance is singular
 ERROR_KEYS = (
     "position_rmse_m",
     "position_mean_m",
@@ -154,7 +154,7 @@ def aligned(pairs: _Pairs, point: tuple[float, float], align: Align) -> Array:
 def _expected(pairs: _Pairs, deviation: Array, heading: Array | None, truth: Truth) -> tuple[Array, Array]:
     """Return the claimed standard deviations (q, 3) of the tracked point and theta, and NEES (q,)."""
     sigma, nees = np.empty((len(pairs.t), 3)), np.empty(len(pairs.t))
-    for at in (slice(a, a + BLOCK) for a in range(0, len(pairs.t), BLOCK)):
+    for at in (slice(a, a + ERRORS_AT_ONCE) for a in range(0, len(pairs.t), ERRORS_AT_ONCE)):
         P = _at_point(pairs.P[at], pairs.pose[at], truth.point)
         sigma[at] = np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 0.0))
         nees[at] = _nees(deviation[at], None if heading is None else heading[at], P, truth.sigma)
@@ -179,7 +179,7 @@ def _nees(deviation: Array, heading: Array | None, P: Array, truth_sigma: float)
     S[:, 0, 0] += truth_sigma**2
     S[:, 1, 1] += truth_sigma**2
     values, vectors = np.linalg.eigh(S)
-    good = values[:, 0] > SINGULAR * np.maximum(values[:, -1], SINGULAR)
+    good = values[:, 0] > MIN_EIGENVALUE_RATIO * np.maximum(values[:, -1], MIN_EIGENVALUE_RATIO)
     across = np.einsum("qij,qi->qj", vectors, e)
     with np.errstate(divide="ignore", invalid="ignore"):
         nees = (across**2 / values).sum(axis=1) / dof
@@ -214,7 +214,7 @@ def _segments(t: Array) -> NDArray[np.int64]:
 
 def _longest_step(t: Array) -> float:
     period = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
-    return max(GAP_PERIODS * period, GAP_LEAST)
+    return max(MAX_GAP_PERIODS * period, MAX_GAP_S)
 
 
 def _travelled(xy: Array, segments: NDArray[np.int64]) -> Array:
@@ -262,7 +262,7 @@ def _drift_figures(
     With heading the error is of the relative pose (Kümmerle et al. 2009); without, of the displacement.
     """
     out: dict[str, float | None] = {}
-    for length in DRIFT_LENGTHS:
+    for length in DRIFT_LENGTHS_M:
         j = np.searchsorted(distance, distance + length)
         i = np.flatnonzero(j < len(distance))
         j = j[i]

@@ -22,10 +22,13 @@ ACCEPTED, GATE, UNMATCHED, DISTURBED, LOST = (
     VERDICTS.index(v) for v in ("accepted", "gate", "unmatched", "disturbed", "lost")
 )
 CONFIDENCE = 0.95
-LAGS = 5
-MEMORY = 0.05  # autocorrelation below which errors have forgotten
-MOST_HEARD, STRETCH = 1500, 150  # readings that are heard, in stretches so that neighbours stay neighbours
-WILD = 6.0  # sigmas (by the median deviation) beyond which a reading is an outlier
+MAX_LAG_READINGS = 5
+MIN_AUTOCORRELATION = 0.05  # autocorrelation below which errors have forgotten
+MAX_LISTENED_READINGS, STRETCH_READINGS = (
+    1500,
+    150,
+)  # readings that are heard, in stretches so that neighbours stay neighbours
+OUTLIER_SIGMAS = 6.0  # sigmas (by the median deviation) beyond which a reading is an outlier
 
 
 class Own(NamedTuple):
@@ -67,7 +70,7 @@ def own(audit: Audit, m: Measurements) -> Own | None:
     d = audit.y.shape[1]
     far = np.isin(audit.verdict, (GATE, UNMATCHED)) & (audit.nis > audit.threshold)
     compared = np.flatnonzero((audit.verdict == ACCEPTED) | (far & (audit.verdict == GATE)))
-    if len(compared) < 2 * LAGS:
+    if len(compared) < 2 * MAX_LAG_READINGS:
         return None
     accepted = int((audit.verdict == ACCEPTED).sum())
     refused = int(np.isin(audit.verdict, (GATE, UNMATCHED, LOST)).sum())
@@ -107,7 +110,7 @@ class _Shape(NamedTuple):
     middle: Array  # (d,) median
     deviation: Array  # (d,) by the median deviation
     bias: Array  # (d,) mean in predicted standard deviations
-    whiteness: Array  # (LAGS,)
+    whiteness: Array  # (MAX_LAG_READINGS,)
 
 
 def _shape(audit: Audit, compared: Ints) -> _Shape:
@@ -152,18 +155,18 @@ def _repeats(values: Array, landmark: Counts) -> float:
 
 
 def _by_landmark(values: Array, landmark: Counts) -> Array:
-    """Autocorrelation at lags 1..LAGS of values (k, d) along the sequence of each landmark, (LAGS,)."""
+    """Autocorrelation of values (k, d) along the sequence of each landmark, at lags 1.. (MAX_LAG_READINGS,)."""
     order = np.argsort(landmark, kind="stable")
     return _whiteness(values[order], landmark[order])
 
 
 def _whiteness(v: Array, mark: Counts) -> Array:
-    """Autocorrelation at lags 1..LAGS of values (k, d) that are sorted by their landmark (k,), (LAGS,)."""
-    out = np.zeros(LAGS)
+    """Autocorrelation of values (k, d) that are sorted by their landmark (k,), at lags 1.. (MAX_LAG_READINGS,)."""
+    out = np.zeros(MAX_LAG_READINGS)
     if len(v) < 2:
         return out
     variance = np.maximum((v**2).mean(axis=0), 1e-300)
-    for lag in range(1, min(LAGS, len(v) - 1) + 1):
+    for lag in range(1, min(MAX_LAG_READINGS, len(v) - 1) + 1):
         same = mark[lag:] == mark[:-lag]
         if same.any():
             out[lag - 1] = float(((v[lag:] * v[:-lag])[same].mean(axis=0) / variance).mean())
@@ -196,7 +199,7 @@ def heard(drive: Drive, robot: Robot, run: Estimates, sensor: str) -> Heard | No
     """Return how a sensor that measures one number agrees with a run that did not use it; None if it cannot be."""
     m = drive.measurements[sensor]
     model = REGISTRY[sensor].model(robot.settings(sensor))
-    if model.joint or m.z.shape[1] != 1 or len(m.t) < 2 * LAGS:
+    if model.joint or m.z.shape[1] != 1 or len(m.t) < 2 * MAX_LAG_READINGS:
         return None
     blocks, angular = model.blocks(), REGISTRY[sensor].components[0].unit == "deg"
     belief, rows = Frozen(blocks), []
@@ -209,15 +212,15 @@ def heard(drive: Drive, robot: Robot, run: Estimates, sensor: str) -> Heard | No
         if seen and seen[0].verdict != DISTURBED:
             best = seen[0]
             rows.append((float(m.t[i]), best.y[0], best.sigma[0] ** 2 - best.R[0][0], best.R[0][0]))
-    return _agreement(np.array(rows), bool(blocks), angular) if len(rows) >= 2 * LAGS else None
+    return _agreement(np.array(rows), bool(blocks), angular) if len(rows) >= 2 * MAX_LAG_READINGS else None
 
 
 def _some(n: int) -> Ints:
     """Return all of n readings, or evenly spread stretches of neighbours."""
-    if n <= MOST_HEARD:
+    if n <= MAX_LISTENED_READINGS:
         return np.arange(n)
-    starts = np.linspace(0, n - STRETCH, MOST_HEARD // STRETCH).astype(np.int64)
-    return (starts[:, None] + np.arange(STRETCH)).ravel()
+    starts = np.linspace(0, n - STRETCH_READINGS, MAX_LISTENED_READINGS // STRETCH_READINGS).astype(np.int64)
+    return (starts[:, None] + np.arange(STRETCH_READINGS)).ravel()
 
 
 def usual_period(t: Array) -> float | None:
@@ -245,7 +248,7 @@ def _agreement(rows: Array, unknown: bool, angular: bool) -> Heard | None:
         y = rows[:, 1] - mean
     middle = float(np.median(y))
     deviation = float(np.median(np.abs(y - middle))) / MAD
-    tame = np.abs(y - middle) <= WILD * max(deviation, 1e-12)
+    tame = np.abs(y - middle) <= OUTLIER_SIGMAS * max(deviation, 1e-12)
     t, _, h, R = rows[tame].T
     y = y[tame]
     centred = y - y.mean()
@@ -277,9 +280,9 @@ def _autocorrelation(y: Array, t: Array, period: float) -> Array:
     n = len(y)
     variance = float((y**2).mean())
     out = [1.0]
-    for lag in range(1, min(n // 2, STRETCH)):
+    for lag in range(1, min(n // 2, STRETCH_READINGS)):
         near = t[lag:] - t[:-lag] < (lag + 0.5) * period
-        if not near.any() or out[-1] < MEMORY:
+        if not near.any() or out[-1] < MIN_AUTOCORRELATION:
             break
         out.append(float((y[lag:] * y[:-lag])[near].mean()) / max(variance, 1e-300))
     return np.array(out)
@@ -287,6 +290,6 @@ def _autocorrelation(y: Array, t: Array, period: float) -> Array:
 
 def _memory(correlation: Array) -> float:
     """Return over how many values errors repeat: 1 + 2 sum of the autocorrelation until it is forgotten."""
-    forgotten = np.flatnonzero(correlation < MEMORY)
+    forgotten = np.flatnonzero(correlation < MIN_AUTOCORRELATION)
     end = int(forgotten[0]) if len(forgotten) else len(correlation)
     return 1.0 + 2.0 * float(correlation[1:end].sum())

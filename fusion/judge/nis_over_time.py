@@ -10,7 +10,7 @@ from locfuse.fusion.chi_square import mean_bounds
 from locfuse.fusion.data import Array, Audit
 
 STRETCHES = 80
-LEAST = 8  # accepted measurements that a stretch should hold
+MIN_MEASUREMENTS = 8  # accepted measurements that a stretch should hold
 CONFIDENCE = 0.95
 
 
@@ -26,7 +26,7 @@ class Running(NamedTuple):
 def running_nis(audit: Audit, t: Array, stretches: int = STRETCHES) -> Running:
     """Return the running NIS of what one run accepted; `t` (n,) are the drive's instants [s]."""
     accepted = audit.verdict == 0
-    stretches = int(np.clip(int(accepted.sum()) // LEAST, 1, stretches))
+    stretches = int(np.clip(int(accepted.sum()) // MIN_MEASUREMENTS, 1, stretches))
     edges = np.linspace(t[0], t[-1], stretches + 1)
     dof = audit.y.shape[1]
     nis = audit.nis[accepted] / dof

@@ -14,16 +14,16 @@ from .innovations import Heard, Own
 Verdict = Literal[
     "consistent", "understated", "overstated", "biased", "contradicts", "correlated", "outliers", "unclear"
 ]
-LARGER, SMALLER = 1.5, 1.0 / 1.5  # a factor on sigma between these is no complaint
-SURE = 3.0  # standard errors
-NOTABLE = 0.5  # of its noise: a smaller bias is no complaint
-SLOW = 3.0  # times the reference's own variance: slower errors must be the sensor's
-LONG = 4.0  # times the told variance: what a mean of many readings may be off
-CLEAR = 4.0  # times the sensor's variance: a reference with more is no judge
-WHITE = 0.3  # share of the innovations' variance: less is not white noise
-REPEATS = 0.5  # autocorrelation of innovations that follow their sensor's own slow errors
-WANDERS = 0.25  # autocorrelation of innovations from which the prediction is said to wander
-REFUSED, REFUSED_LINES = 0.05, 0.25  # share of readings; of the lines of scans
+MAX_SIGMA_FACTOR, MIN_SIGMA_FACTOR = 1.5, 1.0 / 1.5  # a factor on sigma between these is no complaint
+MIN_SIGMAS = 3.0  # standard errors
+MIN_BIAS_SIGMAS = 0.5  # of its noise: a smaller bias is no complaint
+MIN_SLOW_VARIANCE_RATIO = 3.0  # times the reference's own variance: slower errors must be the sensor's
+MIN_MEAN_VARIANCE_RATIO = 4.0  # times the told variance: what a mean of many readings may be off
+MAX_REFERENCE_VARIANCE_RATIO = 4.0  # times the sensor's variance: a reference with more is no judge
+MIN_WHITE_SHARE = 0.3  # share of the innovations' variance: less is not white noise
+MIN_REPEAT_CORRELATION = 0.5  # autocorrelation of innovations that follow their sensor's own slow errors
+MIN_WANDER_CORRELATION = 0.25  # autocorrelation of innovations from which the prediction is said to wander
+MAX_REFUSED_SHARE, MAX_REFUSED_LINE_SHARE = 0.05, 0.25  # share of readings; of the lines of scans
 
 
 @dataclass(frozen=True)
@@ -38,15 +38,19 @@ class NoiseVerdict:
 
 def disagrees(h: Heard) -> bool:
     """Return whether a sensor's mean is surely and notably off a run that does not use it."""
-    return h.bias is not None and abs(h.bias) > max(SURE * h.sure, NOTABLE * math.sqrt(h.white))
+    return h.bias is not None and abs(h.bias) > max(MIN_SIGMAS * h.sure, MIN_BIAS_SIGMAS * math.sqrt(h.white))
 
 
 def by_witness(sensor: str, settings: Any, h: Heard) -> NoiseVerdict | None:
     """Judge a sensor by a run that does not use it; None where that run is too vague."""
     noise = min(h.white, max(h.spread - h.reference, 0.5 * h.white))
-    if h.slow > SLOW * h.reference and h.slow > 0.1 * h.white and not _drifts(sensor, settings, h):
+    if (
+        h.slow > MIN_SLOW_VARIANCE_RATIO * h.reference
+        and h.slow > 0.1 * h.white
+        and not _drifts(sensor, settings, h)
+    ):
         return by_memory(sensor, settings, h.spread, h.memory, h.period, h.R)
-    if h.reference > CLEAR * noise:
+    if h.reference > MAX_REFERENCE_VARIANCE_RATIO * noise:
         return None
     return by_share(sensor, h.wild, False, by_scale(sensor, settings, math.sqrt(noise / h.R)))
 
@@ -54,17 +58,17 @@ def by_witness(sensor: str, settings: Any, h: Heard) -> NoiseVerdict | None:
 def by_itself(sensor: str, settings: Any, o: Own, floor: Sequence[float], period: float) -> NoiseVerdict:
     """Judge a sensor by the innovations of a run that uses it."""
     lines = len(o.R) > 1
-    if not lines and abs(o.middle[0]) > max(SURE * o.sure[0], math.sqrt(o.R[0])):
+    if not lines and abs(o.middle[0]) > max(MIN_SIGMAS * o.sure[0], math.sqrt(o.R[0])):
         return biased(sensor, settings, o.middle[0])
-    if not lines and o.white < WHITE and o.whiteness[0] > REPEATS:
+    if not lines and o.white < MIN_WHITE_SHARE and o.whiteness[0] > MIN_REPEAT_CORRELATION:
         repeats = 1.0 + 2.0 * o.whiteness[0] / (1.0 - min(o.whiteness[0], 0.98))  # as of a Markov chain
         # the state has followed the slow errors, so that the innovations show a part of them
-        return by_memory(sensor, settings, o.R[0] * o.nis, repeats, period, o.R[0] / LONG)
-    if o.raw > SMALLER and o.whiteness[0] > WANDERS:
+        return by_memory(sensor, settings, o.R[0] * o.nis, repeats, period, o.R[0] / MIN_MEAN_VARIANCE_RATIO)
+    if o.raw > MIN_SIGMA_FACTOR and o.whiteness[0] > MIN_WANDER_CORRELATION:
         return wanders(sensor, o)
     factor = _on_sigma(o, floor)
-    if SMALLER < o.raw < 1.0:
-        factor = max(factor, SMALLER)  # innovations as large as told do not say that noise is overstated
+    if MIN_SIGMA_FACTOR < o.raw < 1.0:
+        factor = max(factor, MIN_SIGMA_FACTOR)  # innovations as large as told do not say that noise is overstated
     return by_share(sensor, o.refused, lines, by_scale(sensor, settings, factor))
 
 
@@ -81,7 +85,7 @@ def by_memory(
     sensor: str, settings: Any, variance: float, repeats: float, period: float, R: float
 ) -> NoiseVerdict:
     """Judge slow errors: a mean of many readings is only as good as variance * repeats over their number."""
-    if variance * repeats > LONG * R:
+    if variance * repeats > MIN_MEAN_VARIANCE_RATIO * R:
         return correlated(sensor, settings, math.sqrt(variance), repeats, period)
     return by_scale(sensor, settings, min(1.0, math.sqrt(variance * repeats / R)))
 
@@ -93,8 +97,8 @@ def _on_sigma(o: Own, floor: Sequence[float]) -> float:
 
 
 def by_scale(sensor: str, settings: Any, factor: float) -> NoiseVerdict:
-    """Complain about a sigma that is off by more than LARGER."""
-    if SMALLER <= factor <= LARGER:
+    """Complain about a sigma that is off by more than MAX_SIGMA_FACTOR."""
+    if MIN_SIGMA_FACTOR <= factor <= MAX_SIGMA_FACTOR:
         return NoiseVerdict("consistent", f"{sensor} noise is about as told", factor)
     keys = REGISTRY[sensor].noise_keys
     cures = {f"{sensor}.{k}": rounded(getattr(settings, k) * factor) for k in keys}
@@ -162,7 +166,7 @@ def wanders(sensor: str, o: Own) -> NoiseVerdict:
 
 def by_share(sensor: str, share: float, lines: bool, rest: NoiseVerdict) -> NoiseVerdict:
     """Say that many readings are refused, unless their noise is understated anyway."""
-    if share <= (REFUSED_LINES if lines else REFUSED) or rest.verdict == "understated":
+    if share <= (MAX_REFUSED_LINE_SHARE if lines else MAX_REFUSED_SHARE) or rest.verdict == "understated":
         return rest
     if lines:
         words = (

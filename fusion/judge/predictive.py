@@ -23,8 +23,8 @@ from locfuse.fusion.data import Array, Audit, Drive, Estimates
 
 from .bootstrap import Interval, block_means
 
-OUTLIERS = 0.05  # share of readings that may be anything: one wild reading must not decide
-LEAST_GAIN = 0.02  # nats per number: less is none
+OUTLIER_SHARE = 0.05  # share of readings that may be anything: one wild reading must not decide
+MIN_GAIN_NATS = 0.02  # nats per number: less is none
 BLOCK_S = 5.0  # s: readings this far apart are taken as independent
 STRETCH_S = 5.0  # s that a sensor listens at a time where it cannot be left out
 
@@ -69,16 +69,16 @@ def listeners(drive: Drive, sensors: Sequence[str]) -> dict[str, NDArray[np.bool
 def log_density(audit: Audit, z: Array) -> Array:
     """Return the log predicted density of every number of every measurement, (rows of z,); NaN if not compared.
 
-    A mixture: with probability OUTLIERS the reading is anything the sensor ever says. A measurement that nothing
-    was predicted for is such a reading. Components count one by one, so that d numbers are d scores.
+    A mixture: with probability OUTLIER_SHARE the reading is anything the sensor ever says. A measurement that
+    nothing was predicted for is such a reading. Components count one by one, so that d numbers are d scores.
     """
     m, d = z.shape
     width = np.maximum(z.max(axis=0) - z.min(axis=0), 1e-9) if m else np.ones(d)
-    anything = math.log(OUTLIERS) - np.log(width)
+    anything = math.log(OUTLIER_SHARE) - np.log(width)
     out = np.full(m, np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
         normal = -0.5 * (np.log(2.0 * np.pi * audit.sigma**2) + (audit.y / audit.sigma) ** 2)
-    normal = np.where(np.isfinite(normal), normal + math.log(1.0 - OUTLIERS), -np.inf)
+    normal = np.where(np.isfinite(normal), normal + math.log(1.0 - OUTLIER_SHARE), -np.inf)
     out[audit.row] = np.logaddexp(normal, anything).mean(axis=1)
     return out
 
@@ -140,7 +140,7 @@ def contradictions(found: Sequence[Score], alone: Mapping[str, str]) -> list[tup
     pairs = {
         tuple(sorted((sensor_of[s.configuration], s.sensor)))
         for s in found
-        if s.configuration in sensor_of and not s.stretches and s.high < 0.0 and s.gain < -LEAST_GAIN
+        if s.configuration in sensor_of and not s.stretches and s.high < 0.0 and s.gain < -MIN_GAIN_NATS
     }
     return sorted((a, b) for a, b in pairs)
 

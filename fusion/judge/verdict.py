@@ -8,11 +8,11 @@ from typing import Literal
 
 Verdict = Literal["helps", "does nothing", "hurts", "cannot tell"]
 
-NOTHING = 0.02  # an effect below 2 % is none, however sure
-EXPECTED = 0.15  # what filter and truth must both say where one drive cannot settle it
-LAST_HURTS = 0.10  # a set that is surely 10 % better without the sensor is hurt by it
-HALVES = math.log(2.0)
-OVERCONFIDENT, WORSE_ANEES = 10.0, 5.0  # confidently wrong: ANEES above this, and this many times the one before
+MIN_EFFECT = 0.02  # an effect below 2 % is none, however sure
+MIN_EXPECTED_EFFECT = 0.15  # what filter and truth must both say where one drive cannot settle it
+MIN_HARM_LAST = 0.10  # a set that is surely 10 % better without the sensor is hurt by it
+LN_2 = math.log(2.0)
+MAX_ANEES, MAX_ANEES_RATIO = 10.0, 5.0  # confidently wrong: ANEES above this, and this many times the one before
 
 
 @dataclass(frozen=True)
@@ -37,14 +37,14 @@ def verdict(
     main = shapley or alone or last
     if main is None:
         return "cannot tell"
-    if _surely(main, -1.0) or (last is not None and last.high < -LAST_HURTS):
+    if _surely(main, -1.0) or (last is not None and last.high < -MIN_HARM_LAST):
         return "hurts"
-    overconfident = anees is not None and anees[1] > max(OVERCONFIDENT, WORSE_ANEES * anees[0])
-    if _surely(main, 1.0) and (not overconfident or main.low > HALVES):
+    overconfident = anees is not None and anees[1] > max(MAX_ANEES, MAX_ANEES_RATIO * anees[0])
+    if _surely(main, 1.0) and (not overconfident or main.low > LN_2):
         return "helps"
     if overconfident:
         return "hurts"
-    if main.value > EXPECTED and main.expected is not None and main.expected > EXPECTED:
+    if main.value > MIN_EXPECTED_EFFECT and main.expected is not None and main.expected > MIN_EXPECTED_EFFECT:
         return "helps"
     return "does nothing"
 
@@ -56,6 +56,6 @@ def _surely(effect: Effect, sign: float) -> bool:
     likelier reason for an effect, and 1 in 20 would be too often.
     """
     bound = effect.low if sign > 0 else effect.high
-    if effect.expected is not None and abs(effect.expected) < EXPECTED:
+    if effect.expected is not None and abs(effect.expected) < MIN_EXPECTED_EFFECT:
         bound = 2.0 * bound - effect.value
-    return sign * effect.value > NOTHING and sign * bound > 0.0
+    return sign * effect.value > MIN_EFFECT and sign * bound > 0.0

@@ -15,13 +15,16 @@ from locfuse.fusion.sensor import WheelMotion
 
 from .pairs import blocks, misfit, nearest, turn_of
 
-LAG = 20  # scans: far enough that another part of a wall is seen, near enough that it is the same wall
-SURE = math.radians(0.6)  # standard deviation of a line's angle above which it says nothing about floors
-NEAR_TURN, NEAR_OFFSET = 0.3, 0.3  # rad, m: a line this near to where the wheels expect it is the same wall
-ENOUGH = 150  # pairs of walls
-MISFIT = 1.35  # median change over its noise from which walls are not flat; below it is chance
-MEDIAN = 0.455  # of chi-square with one degree of freedom
-OFFSET_PER_ANGLE = 1.3  # m per rad: 8 mm with 0.35 degrees
+LAG_SCANS = 20  # scans: far enough that another part of a wall is seen, near enough that it is the same wall
+MAX_SIGMA_RAD = math.radians(0.6)  # standard deviation of a line's angle above which it says nothing about floors
+MAX_SAME_TURN_RAD, MAX_SAME_OFFSET_M = (
+    0.3,
+    0.3,
+)  # rad, m: a line this near to where the wheels expect it is the same wall
+MIN_PAIRS = 150  # pairs of walls
+MIN_MISFIT_RATIO = 1.35  # median change over its noise from which walls are not flat; below it is chance
+CHI_SQUARE_MEDIAN = 0.455  # of chi-square with one degree of freedom
+OFFSET_PER_ANGLE_M = 1.3  # m per rad: 8 mm with 0.35 degrees
 
 
 def wall_floor(t: Array, first: Ints, z: Array, variance: Array, wheels: WheelMotion) -> tuple[float, float]:
@@ -30,42 +33,44 @@ def wall_floor(t: Array, first: Ints, z: Array, variance: Array, wheels: WheelMo
     z (m, 2) lines of scans at t (n,), owned by first (n + 1,); variance (m,) of psi by the fit [rad^2].
     """
     change, noise = _changes(t, first, z, variance, wheels)
-    if len(change) < ENOUGH or 1.4826 * float(np.median(np.abs(change) / np.sqrt(noise))) < MISFIT:
+    if len(change) < MIN_PAIRS or 1.4826 * float(np.median(np.abs(change) / np.sqrt(noise))) < MIN_MISFIT_RATIO:
         return 0.0, 0.0
     low, high = 0.0, math.radians(2.0)
     for _ in range(30):  # the floor under which the median of change^2 / variance is what it should be
         floor = 0.5 * (low + high)
-        if np.median(change**2 / (noise + 4.0 * floor**2)) > MEDIAN:
+        if np.median(change**2 / (noise + 4.0 * floor**2)) > CHI_SQUARE_MEDIAN:
             low = floor
         else:
             high = floor
-    return float(OFFSET_PER_ANGLE * floor), float(floor)
+    return float(OFFSET_PER_ANGLE_M * floor), float(floor)
 
 
 def bend(uneven: Array) -> Array:
     """Return by what variance (2,) a wall differs from one scan to the next, from that of its unevenness.
 
     What is uneven about a wall repeats while the same part of it is seen, so it does not average out. As a random
-    walk of the line that explains the change over LAG scans, 2 `uneven`, it does not either.
+    walk of the line that explains the change over LAG_SCANS scans, 2 `uneven`, it does not either.
     """
-    return 2.0 * uneven / LAG
+    return 2.0 * uneven / LAG_SCANS
 
 
 def _changes(t: Array, first: Ints, z: Array, variance: Array, wheels: WheelMotion) -> tuple[Array, Array]:
-    """Return how the angle between two walls changed over LAG scans [rad], and its variance by the fits."""
-    sure = variance < SURE**2
+    """Return how the angle between two walls changed over LAG_SCANS scans [rad], and its variance by the fits."""
+    sure = variance < MAX_SIGMA_RAD**2
     first = np.concatenate(([0], np.cumsum(sure)))[first]  # from here on the sure lines only
     z, variance = z[sure], variance[sure]
     several = np.diff(first) >= 2
-    before = np.flatnonzero(several[:-LAG] & several[LAG:]) if len(t) > LAG else np.zeros(0, np.int64)
-    motion = wheels.relative(t[before], t[before + LAG])
+    before = (
+        np.flatnonzero(several[:-LAG_SCANS] & several[LAG_SCANS:]) if len(t) > LAG_SCANS else np.zeros(0, np.int64)
+    )
+    motion = wheels.relative(t[before], t[before + LAG_SCANS])
     change, noise = [np.zeros(0)], [np.zeros(0)]
-    for at, a, b in blocks(first, before, before + LAG):
+    for at, a, b in blocks(first, before, before + LAG_SCANS):
         x, y, theta = motion[at].T[:, :, None]
         r, psi = z[a.row].transpose(2, 0, 1)
         shift = (r - x * np.cos(psi) - y * np.sin(psi))[:, :, None] - z[b.row, 0][:, None, :]
         turn = turn_of(psi - theta, z[b.row, 1])
-        cost = misfit(turn, shift, (NEAR_TURN, NEAR_OFFSET), a, b)
+        cost = misfit(turn, shift, (MAX_SAME_TURN_RAD, MAX_SAME_OFFSET_M), a, b)
         turned, least, j = nearest(turn, cost)
         mutual = np.take_along_axis(cost.argmin(axis=1), j, 1) == np.arange(j.shape[1])
         scan, i = np.nonzero((least < 1.0) & mutual)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.se2 import wrap_all
 
-CELLS = 1 << 18  # pairs of lines that are compared at a time: memory is bounded
+CELLS_AT_ONCE = 1 << 18  # pairs of lines that are compared at a time: memory is bounded
 
 
 class Padded(NamedTuple):
@@ -27,7 +27,7 @@ def blocks(first: Ints, before: Ints, after: Ints) -> Iterator[tuple[Ints, Padde
     if not len(before) or not first[-1]:
         return
     widest = int(counts.max())
-    for at in np.array_split(np.arange(len(before)), len(before) * widest**2 // CELLS + 1):
+    for at in np.array_split(np.arange(len(before)), len(before) * widest**2 // CELLS_AT_ONCE + 1):
         yield at, _padded(first, counts, before[at]), _padded(first, counts, after[at])
 
 

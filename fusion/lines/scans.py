@@ -15,8 +15,11 @@ from .pairs import blocks, misfit, nearest, turn_of
 
 MAX_BEAMS = 100_000  # of one scan: no 2D laser has more
 BEAMS_AT_ONCE = 1 << 19  # lines are extracted from scans of at most so many beams together: memory is bounded
-KNOTS = 5  # instants of a scan at which the wheels are asked where the robot was
-SAME_TURN, SAME_SHIFT = 0.6, 0.4  # rad, m: lines of neighbouring scans further apart are different walls
+KNOTS_PER_SCAN = 5  # instants of a scan at which the wheels are asked where the robot was
+MAX_SAME_TURN_RAD, MAX_SAME_SHIFT_M = (
+    0.6,
+    0.4,
+)  # rad, m: lines of neighbouring scans further apart are different walls
 
 
 class Laser(NamedTuple):
@@ -84,12 +87,12 @@ def deskew(
         return stamps, None
     duration = np.clip(increment, 0.0, 1.0 / beams) * (beams - 1)
     middle = stamps + 0.5 * duration
-    at = stamps[:, None] + duration[:, None] * np.linspace(0.0, 1.0, KNOTS)
-    base = wheels.relative(np.repeat(middle, KNOTS), at.ravel())
+    at = stamps[:, None] + duration[:, None] * np.linspace(0.0, 1.0, KNOTS_PER_SCAN)
+    base = wheels.relative(np.repeat(middle, KNOTS_PER_SCAN), at.ravel())
     poses = se2.compose(se2.inverse(laser.mount), se2.compose(base, laser.mount))
-    poses = poses.reshape(len(stamps), KNOTS, 3)
-    share = np.linspace(0.0, KNOTS - 1.0, beams)
-    low = np.minimum(share.astype(np.int64), KNOTS - 2)
+    poses = poses.reshape(len(stamps), KNOTS_PER_SCAN, 3)
+    share = np.linspace(0.0, KNOTS_PER_SCAN - 1.0, beams)
+    low = np.minimum(share.astype(np.int64), KNOTS_PER_SCAN - 2)
     f = (share - low)[None, :, None]
     return middle, (1.0 - f) * poses[:, low] + f * poses[:, low + 1]
 
@@ -146,7 +149,7 @@ def turns(first: Ints, z: Array, variance: Array) -> Array:
     for at, a, b in blocks(first, scans[:-1], scans[1:]):
         turn = turn_of(z[a.row, 1], z[b.row, 1])
         shift = z[a.row, 0][:, :, None] - z[b.row, 0][:, None, :]
-        turned, cost, j = nearest(turn, misfit(turn, shift, (SAME_TURN, SAME_SHIFT), a, b))
+        turned, cost, j = nearest(turn, misfit(turn, shift, (MAX_SAME_TURN_RAD, MAX_SAME_SHIFT_M), a, b))
         both = variance[a.row] + variance[np.take_along_axis(b.row, j, 1)]
         out[at + 1] = _medians(turned, np.where(cost < 1.0, 1.0 / both, 0.0))
     return out

@@ -14,7 +14,7 @@ from .beams import Beams, LineSettings, Runs
 from .fit import Mask, misfit, total_least_squares
 from .split import chords, merge, split
 
-ISLAND = 2  # beams that hit something else and do not end a line: strays
+MAX_STRAY_BEAMS = 2  # beams that hit something else and do not end a line: strays
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ def _near(runs: Runs, head: Ints, tail: Ints, next_head: Ints, next_tail: Ints, 
     next_length = np.hypot(x[next_tail] - x[next_head], y[next_tail] - y[next_head])
     near = gap <= np.minimum(np.minimum(length, next_length), settings.bridge)
     between = (next_head - tail) % runs.counts[scan[head]] - 1
-    near |= (between <= ISLAND) & (gap <= settings.max_gap)
+    near |= (between <= MAX_STRAY_BEAMS) & (gap <= settings.max_gap)
     return np.asarray(near & (scan[head] == scan[next_head]))
 
 

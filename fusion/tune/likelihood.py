@@ -14,12 +14,16 @@ from .noise import DRIFT, WHEELS
 from .record import Move, Tape
 from .replay import Noise, bends, play
 
-BOUND = math.log(1e3)  # of one search
-STEP, HESSIAN_STEP = 0.02, 0.1
-KNOWN = 0.5  # standard error of a logarithm: more is not identifiable
-BEND = 0.5  # 1/m: a path that bends more is turning
-FLAT = 1e-3  # curvature that counts as none
-HARDLY, REACH, POINTS = 0.5, math.log(30.0), 25  # nats; logarithms looked at beyond the peak, how many
+SEARCH_BOUND_LOG = math.log(1e3)  # of one search
+STEP_LOG, HESSIAN_STEP_LOG = 0.02, 0.1
+MAX_SIGMA_LOG = 0.5  # standard error of a logarithm: more is not identifiable
+MIN_CURVATURE_PER_M = 0.5  # 1/m: a path that bends more is turning
+MIN_CURVATURE_NATS = 1e-3  # curvature that counts as none
+PROFILE_DROP_NATS, PROFILE_REACH_LOG, PROFILE_POINTS = (
+    0.5,
+    math.log(30.0),
+    25,
+)  # nats; logarithms looked at beyond the peak, how many
 NO_TURNS = (
     "rotation noise is not identifiable: these logs turn by only {turned:.0f} deg. wheels.noise was found on "
     "straights and may be wrong in turns"
@@ -48,7 +52,7 @@ class Problem:
             self.tapes, self.until if least is None else map(min, self.until, least), strict=True
         ):
             if end > tape.t[0]:
-                total += play(tape, self._noise(tape, theta, turns), BEND, end).scores.sum(axis=1)
+                total += play(tape, self._noise(tape, theta, turns), MIN_CURVATURE_PER_M, end).scores.sum(axis=1)
         return total
 
     def means(self, theta: Array) -> tuple[list[tuple[float, ...] | None], tuple[int, int]]:
@@ -82,13 +86,13 @@ def best(problem: Problem, starts: Sequence[float], least: Sequence[float] | Non
     from scipy.optimize import minimize
 
     p = len(problem.names)
-    steps = np.concatenate((np.zeros((1, p)), STEP * np.eye(p), -STEP * np.eye(p)))
+    steps = np.concatenate((np.zeros((1, p)), STEP_LOG * np.eye(p), -STEP_LOG * np.eye(p)))
 
     def cost(theta: Array) -> tuple[float, Array]:
         values = -problem(theta + steps, least=least)
-        return float(values[0]), (values[1 : p + 1] - values[p + 1 :]) / (2.0 * STEP)
+        return float(values[0]), (values[1 : p + 1] - values[p + 1 :]) / (2.0 * STEP_LOG)
 
-    limits = [(-BOUND, BOUND)] * p
+    limits = [(-SEARCH_BOUND_LOG, SEARCH_BOUND_LOG)] * p
     found = [
         minimize(cost, np.full(p, s), jac=True, method="L-BFGS-B", bounds=limits, options={"ftol": 1e-8})
         for s in starts
@@ -106,9 +110,9 @@ def identify(problem: Problem) -> tuple[Array, list[str]]:
     whole = np.vstack((np.eye(p), np.eye(p)[:1]))  # the split noise follows from the one
     split = standard_errors(H)
     flags = []
-    if split[p] > KNOWN:
+    if split[p] > MAX_SIGMA_LOG:
         flags.append(NO_TURNS.format(turned=math.degrees(sum(abs(m.turned) for m in _moves(problem, True)))))
-    if split[0] > KNOWN:
+    if split[0] > MAX_SIGMA_LOG:
         flags.append(NO_STRAIGHTS.format(driven=sum(m.driven for m in _moves(problem, False))))
     return standard_errors(whole.T @ H @ whole), flags
 
@@ -118,11 +122,11 @@ def at_most(problem: Problem, which: int, told: float) -> float:
 
     Where the likelihood is flat towards small noise, its shoulder is what can be said.
     """
-    grid = np.linspace(0.0, max(told, REACH), POINTS)
-    theta = np.zeros((POINTS, len(problem.names)))
+    grid = np.linspace(0.0, max(told, PROFILE_REACH_LOG), PROFILE_POINTS)
+    theta = np.zeros((PROFILE_POINTS, len(problem.names)))
     theta[:, which] = grid
     likelihood = problem(theta)
-    worse = np.flatnonzero(likelihood < likelihood[0] - HARDLY)
+    worse = np.flatnonzero(likelihood < likelihood[0] - PROFILE_DROP_NATS)
     return float(grid[worse[0] - 1]) if len(worse) else math.inf
 
 
@@ -132,7 +136,7 @@ def _moves(problem: Problem, turning: bool) -> list[Move]:
         op
         for tape, end in zip(problem.tapes, problem.until, strict=True)
         for op in tape.ops
-        if isinstance(op, Move) and tape.t[op.instant] < end and bends(op, BEND) == turning
+        if isinstance(op, Move) and tape.t[op.instant] < end and bends(op, MIN_CURVATURE_PER_M) == turning
     ]
 
 
@@ -142,17 +146,17 @@ def hessian(f: Callable[[Array], Array], p: int) -> Array:
     pairs = [(i, j) for i in range(p) for j in range(i, p)]
     points = np.zeros((len(pairs), 4, p))
     for point, (i, j) in zip(points, pairs, strict=True):
-        point[:, i] += HESSIAN_STEP * signs[:, 0]
-        point[:, j] += HESSIAN_STEP * signs[:, 1]
+        point[:, i] += HESSIAN_STEP_LOG * signs[:, 0]
+        point[:, j] += HESSIAN_STEP_LOG * signs[:, 1]
     values = f(points.reshape(-1, p)).reshape(-1, 4) @ (signs[:, 0] * signs[:, 1])
     out = np.zeros((p, p))
     for (i, j), value in zip(pairs, values.tolist(), strict=True):
-        out[i, j] = out[j, i] = value / (4.0 * HESSIAN_STEP**2)
+        out[i, j] = out[j, i] = value / (4.0 * HESSIAN_STEP_LOG**2)
     return out
 
 
 def standard_errors(H: Array) -> Array:
     """Return standard errors (p,) from the curvature H of -ln L; enormous along directions without any."""
     values, vectors = np.linalg.eigh(H)
-    errors: Array = np.sqrt((vectors**2 / np.maximum(values, FLAT)).sum(axis=1))
+    errors: Array = np.sqrt((vectors**2 / np.maximum(values, MIN_CURVATURE_NATS)).sum(axis=1))
     return errors

@@ -23,7 +23,7 @@ from locfuse.fusion.instants import due_readings, steps_of
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensor import Block, Innovation, Model
 
-UNKNOWN = 100.0  # variance of a new map line [m^2, rad^2]: nothing is known
+UNKNOWN_VARIANCE = 100.0  # variance of a new map line [m^2, rad^2]: nothing is known
 
 
 class Move(NamedTuple):
@@ -172,7 +172,7 @@ class Taped(JointBelief):
         """Append as ever; on the tape nothing is known of what is new."""
         n, k = self.n, len(values)
         column = super().augment(values, G, noise, columns)
-        self._note(np.eye(n + k, n), np.diag(np.concatenate((np.zeros(n), np.full(k, UNKNOWN)))))
+        self._note(np.eye(n + k, n), np.diag(np.concatenate((np.zeros(n), np.full(k, UNKNOWN_VARIANCE)))))
         return column
 
     def loosen(self, columns: Ints, variance: Array) -> None:

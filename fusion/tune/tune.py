@@ -22,18 +22,22 @@ from locfuse.fusion.judge.innovations import Own, own
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from .likelihood import KNOWN, Problem, at_most, best, identify
+from .likelihood import MAX_SIGMA_LOG, Problem, at_most, best, identify
 from .noise import DRIFT, WHEELS, Figures, drift_key, drifting
 from .record import record
 
-ROUNDS, SETTLED = 6, 0.03  # of deciding anew what is accepted; change of a logarithm that ends them
-STARTS = (0.0, math.log(6.0), -math.log(6.0))
-PREVIEW = 30.0  # s of driving that tell the starts apart
-TRIES = 8  # to bring noise near enough for measurements to be accepted for what they are
-REFUSED, LARGE, SMALL = 0.3, 2.25, 0.2  # share; squared ratio of innovations to what was told: near lies between
-OWN_SHARE = 0.3  # of the innovations' variance: less is not the sensor's to shrink
-WIDER = 3.0  # factor on the sigma of a sensor that is mostly refused
-MEASURE_AGAIN = 1.1  # factor on a sigma from which lines that were cut by it are measured again
+MAX_ROUNDS, MIN_LOG_CHANGE = 6, 0.03  # of deciding anew what is accepted; change of a logarithm that ends them
+START_LOG_FACTORS = (0.0, math.log(6.0), -math.log(6.0))
+PREVIEW_S = 30.0  # s of driving that tell the starts apart
+MAX_TRIES = 8  # to bring noise near enough for measurements to be accepted for what they are
+MAX_REFUSED_SHARE, MAX_NIS_RATIO, MIN_NIS_RATIO = (
+    0.3,
+    2.25,
+    0.2,
+)  # share; squared ratio of innovations to what was told: near lies between
+MIN_OWN_SHARE = 0.3  # of the innovations' variance: less is not the sensor's to shrink
+WIDENING_FACTOR = 3.0  # factor on the sigma of a sensor that is mostly refused
+REMEASURE_FACTOR = 1.1  # factor on a sigma from which lines that were cut by it are measured again
 OPTIMAL = {"first-scan": "refine", "consider": "refine"}  # frozen maps are not weighed optimally
 
 Remeasure = Callable[[int, str, Robot], Measurements]
@@ -87,14 +91,14 @@ def tune(
     """
     bench = Bench(trials, sensors, drift, remeasure)
     bench.bring_near(progress)
-    for n in range(ROUNDS):
+    for n in range(MAX_ROUNDS):
         progress(f"round {n + 1}: deciding what is accepted")
         problem = bench.problem()
         progress(f"round {n + 1}: searching the noise")
         first = n == 0
-        step = best(problem, STARTS, bench.preview()) if first else best(problem, STARTS[:1])
+        step = best(problem, START_LOG_FACTORS, bench.preview()) if first else best(problem, START_LOG_FACTORS[:1])
         bench.move(dict(zip(problem.names, step.tolist(), strict=True)))
-        if not first and np.abs(step).max() < SETTLED:
+        if not first and np.abs(step).max() < MIN_LOG_CHANGE:
             break
     progress("judging what was found")
     return bench.result()
@@ -141,7 +145,7 @@ class Bench:
 
     def bring_near(self, progress: Progress) -> None:
         """Move sigmas by the sensors' own innovations until most measurements are accepted."""
-        for n in range(TRIES):
+        for n in range(MAX_TRIES):
             progress(f"bringing the noise near ({n + 1})")
             found: dict[str, list[float]] = {}
             for t in self.now():
@@ -154,12 +158,12 @@ class Bench:
             self.move(steps)
 
     def preview(self) -> list[float]:
-        """Return when PREVIEW seconds have been driven, per log [s]."""
+        """Return when PREVIEW_S seconds have been driven, per log [s]."""
         ends = []
         for t in self.trials:
             d = t.drive
             driven = np.cumsum(np.diff(d.t, prepend=d.t[0]) * (np.abs(d.motions.u).max(axis=1) > 0.0))
-            ends.append(float(d.t[min(int(np.searchsorted(driven, PREVIEW)), len(d.t) - 1)]))
+            ends.append(float(d.t[min(int(np.searchsorted(driven, PREVIEW_S)), len(d.t) - 1)]))
         return ends
 
     def move(self, steps: dict[str, float]) -> None:
@@ -168,7 +172,7 @@ class Bench:
             self.figures.factors[name] = self.figures.factors.get(name, 0.0) + step
         for s in self.figures.sensors:
             now = self.figures.factors.get(s, 0.0)
-            wrong = abs(now - self._measured_at[s]) > math.log(MEASURE_AGAIN)
+            wrong = abs(now - self._measured_at[s]) > math.log(REMEASURE_FACTOR)
             if wrong and self._remeasure is not None and REGISTRY[s].measures_by_sigma:
                 for i, trial in enumerate(self.trials):
                     if s in trial.drive.measurements:
@@ -188,7 +192,7 @@ class Bench:
         errors, flags = identify(problem)
         told = -np.array([figures.factors.get(name, 0.0) for name in figures.names])
         for name, error in zip(figures.names, errors.tolist(), strict=True):
-            if error > KNOWN:
+            if error > MAX_SIGMA_LOG:
                 flags.append(self._leave(problem, name))
         now = told + np.array([figures.factors.get(name, 0.0) for name in figures.names])
         now[~np.isfinite(now)] = 0.0
@@ -198,7 +202,7 @@ class Bench:
         before = Figures(figures.told, figures.sensors, figures.drift)
         error_of = dict(zip(figures.names, errors.tolist(), strict=True))
         rows = [
-            Row(key, before.values()[key], after, error_of[name], error_of[name] <= KNOWN)
+            Row(key, before.values()[key], after, error_of[name], error_of[name] <= MAX_SIGMA_LOG)
             for key, after in figures.values().items()
             for name in (figures.name_of(key),)
         ]
@@ -279,8 +283,8 @@ def _louder(motions: Motions, factor: float) -> Motions:
 
 def _off(o: Own | None) -> float:
     """Return a factor on sigma that brings a sensor nearer, 1 where it is near."""
-    if o is None or o.refused > REFUSED or math.isinf(o.raw):
-        return WIDER
-    if SMALL <= o.raw <= LARGE or (o.raw < SMALL and o.share < OWN_SHARE):
+    if o is None or o.refused > MAX_REFUSED_SHARE or math.isinf(o.raw):
+        return WIDENING_FACTOR
+    if MIN_NIS_RATIO <= o.raw <= MAX_NIS_RATIO or (o.raw < MIN_NIS_RATIO and o.share < MIN_OWN_SHARE):
         return 1.0
     return math.sqrt(min(max(o.raw, 0.04), 9.0))

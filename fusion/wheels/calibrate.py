@@ -23,17 +23,19 @@ from locfuse.fusion.data import Array, Drive, Ints, LocfuseError, Truth
 
 from .likelihood import Figure, Residuals
 from .motion import Wheels
-from .runs import LEAST, STANDSTILL, STRAIGHT, TURN, cut_runs, find_runs
+from .runs import MIN_RUNS, STANDSTILL_MPS, STRAIGHT, TURN, cut_runs, find_runs
 
-PERIOD = 0.1  # s, the paper's sampling time: what its delta refers to
-PRIOR = np.array([0.1, 0.1, 0.3])  # relative, of mean scale, scale difference, track: wide enough to say nothing
-FIXED = 1e-9  # prior of what the log cannot tell
-UNSEEN = 1e6  # m^2, rad^2: variance of what the truth does not say
+PAPER_PERIOD_S = 0.1  # s, the paper's sampling time: what its delta refers to
+PRIOR_SIGMAS = np.array(
+    [0.1, 0.1, 0.3]
+)  # relative, of mean scale, scale difference, track: wide enough to say nothing
+FIXED_SIGMA = 1e-9  # prior of what the log cannot tell
+UNSEEN_VARIANCE = 1e6  # m^2, rad^2: variance of what the truth does not say
 FROM_PARAMETERS = np.array([[1.0, -0.5, 0.0], [1.0, 0.5, 0.0], [0.0, 0.0, 1.0]])  # to left, right, track
-OUTLIER = 0.99999  # a piece less likely than this is a slip or a jump of the truth
-MEDIAN = {1: 0.4549, 3: 2.3660}  # of chi-square, by degrees of freedom
-FEWEST = 4  # pieces
-QUIET = 0.5  # s of standstill that tell the truth's noise
+OUTLIER_CONFIDENCE = 0.99999  # a piece less likely than this is a slip or a jump of the truth
+CHI_SQUARE_MEDIANS = {1: 0.4549, 3: 2.3660}  # of chi-square, by degrees of freedom
+MIN_PIECES = 4  # pieces
+MIN_STANDSTILL_S = 0.5  # s of standstill that tell the truth's noise
 
 
 class Sigma(NamedTuple):
@@ -67,10 +69,10 @@ class Pieces:
 
     @property
     def prior(self) -> Array:
-        """How vague each parameter is to begin with; FIXED where no piece can tell it."""
+        """How vague each parameter is to begin with; FIXED_SIGMA where no piece can tell it."""
         straight, turn = self.kind == STRAIGHT, self.kind == TURN
         tells = (straight.any(), ((self.dof > 1) & (straight | turn)).any(), turn.any())
-        return np.where(tells, PRIOR, FIXED)
+        return np.where(tells, PRIOR_SIGMAS, FIXED_SIGMA)
 
     def residuals(self, Q: Array) -> Residuals:
         """Return the errors with covariance shapes `Q`."""
@@ -102,8 +104,8 @@ def calibrate_wheels(drives: Sequence[Drive]) -> WheelCalibration:
     for _ in range(1 if sideways else 3):  # Gauss-Newton: a track error of 10 % is not linear in the turn
         found = Pieces.joined([find_pieces(drive, moved) for drive in drives])
         used = without_outliers(found)
-        if len(used.e) < FEWEST:
-            raise LocfuseError(_too_few(len(used.e)))
+        if len(used.e) < MIN_PIECES:
+            raise LocfuseError(_too_few(len(used.e)), role="calibrate")
         residuals = used.residuals(used.Q)
         step, spread = residuals.parameters(residuals.best()[0])
         moved = (1.0 + moved) * (1.0 + FROM_PARAMETERS @ step) - 1.0
@@ -115,7 +117,7 @@ def calibrate_wheels(drives: Sequence[Drive]) -> WheelCalibration:
         delta=delta,
         prefers_k=ln_k - ln_delta,
         parameters=np.array([0.5 * (moved[0] + moved[1]), moved[1] - moved[0], moved[2]]),
-        sigmas=np.where(used.prior > FIXED, np.sqrt(np.diag(spread)), np.nan),
+        sigmas=np.where(used.prior > FIXED_SIGMA, np.sqrt(np.diag(spread)), np.nan),
         pieces={"straight": int(straight.sum()), "turn": int((~straight).sum())},
         outliers=len(found.e) - len(used.e),
         straight_m=float(used.size[straight].sum()),
@@ -145,7 +147,7 @@ def find_pieces(drive: Drive, moved: Array) -> Pieces:
         e = np.column_stack((seen[:, :2] - motions.u[:, :2], se2.wrap_all(seen[:, 2] - motions.u[:, 2])))
         T = _truth_noise(seen, sigma)
     # eq. 9: the variance of a wheel's way in one period is delta (omega dt R)^2, so per metre delta v dt
-    per_period = wheels.rolled**2 * (PERIOD / np.diff(wheels.t))[:, None]
+    per_period = wheels.rolled**2 * (PAPER_PERIOD_S / np.diff(wheels.t))[:, None]
     return Pieces(
         kind=kind,
         size=np.where(kind == STRAIGHT, np.hypot(motions.u[:, 0], motions.u[:, 1]), np.abs(motions.u[:, 2])),
@@ -161,14 +163,14 @@ def find_pieces(drive: Drive, moved: Array) -> Pieces:
 def without_outliers(pieces: Pieces) -> Pieces:
     """Drop pieces that the median piece makes unbelievable: a slip, a jump of the truth."""
     for _ in range(2):
-        if len(pieces.e) < FEWEST:
+        if len(pieces.e) < MIN_PIECES:
             break
         residuals = pieces.residuals(pieces.Q)
         scale, _ = residuals.best()
         p = residuals.parameters(scale)[0]
-        middle = np.array([MEDIAN[d] for d in pieces.dof.tolist()])
+        middle = np.array([CHI_SQUARE_MEDIANS[d] for d in pieces.dof.tolist()])
         scale *= float(np.median(residuals.squares(scale, p) / middle))
-        limit = np.array([chi_square(OUTLIER, d) for d in pieces.dof.tolist()])
+        limit = np.array([chi_square(OUTLIER_CONFIDENCE, d) for d in pieces.dof.tolist()])
         pieces = pieces.take(residuals.squares(scale, p) <= limit)
     return pieces
 
@@ -184,12 +186,12 @@ def adjusted(wheels: Wheels, moved: Array) -> Wheels:
 def truth_sigma(truth: Truth, wheels: Wheels) -> Sigma:
     """Return the truth's noise: as set, else its scatter while the robot stands."""
     middle = 0.5 * (wheels.t[1:] + wheels.t[:-1])
-    still = np.abs(wheels.rolled).max(axis=1) < STANDSTILL * np.diff(wheels.t)
+    still = np.abs(wheels.rolled).max(axis=1) < STANDSTILL_MPS * np.diff(wheels.t)
     edges = np.flatnonzero(np.diff(still, prepend=False, append=False))
     xy, theta = [np.zeros(0)], [np.zeros(0)]
     for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         rows = (truth.t >= middle[a]) & (truth.t <= middle[b - 1])
-        if middle[b - 1] - middle[a] < QUIET or rows.sum() < 3:
+        if middle[b - 1] - middle[a] < MIN_STANDSTILL_S or rows.sum() < 3:
             continue
         xy.append((truth.xy[rows] - truth.xy[rows].mean(axis=0)).ravel())
         if truth.theta is not None:
@@ -203,7 +205,7 @@ def piece_length(sigma: Sigma, wheels: Wheels) -> tuple[float, float]:
     """Return how long pieces must be (m, rad) for the truth's noise to be a small part of their error."""
     straight = 16.0 * sigma.xy**2 / wheels.noise
     turn = 8.0 * sigma.theta**2 * wheels.track / wheels.noise
-    return max(LEAST[STRAIGHT], straight), max(LEAST[TURN], turn)
+    return max(MIN_RUNS[STRAIGHT], straight), max(MIN_RUNS[TURN], turn)
 
 
 def _body(truth: Truth) -> Array:
@@ -227,12 +229,12 @@ def _lengths(seen: Array, u: Array, sigma: Sigma) -> tuple[Array, Array]:
     """Errors and covariances of straight pieces where the truth has no heading: only their length is known."""
     e = np.zeros_like(u)
     e[:, 0] = np.sign(u[:, 0]) * (np.hypot(seen[:, 0], seen[:, 1]) - np.hypot(u[:, 0], u[:, 1]))
-    return e, np.tile(np.diag([2.0 * sigma.xy**2, UNSEEN, UNSEEN]), (len(u), 1, 1))
+    return e, np.tile(np.diag([2.0 * sigma.xy**2, UNSEEN_VARIANCE, UNSEEN_VARIANCE]), (len(u), 1, 1))
 
 
 def _too_few(n: int) -> str:
-    least = f"{LEAST[STRAIGHT]:g} m straight or {math.degrees(LEAST[TURN]):.0f} degrees on the spot"
+    least = f"{MIN_RUNS[STRAIGHT]:g} m straight or {math.degrees(MIN_RUNS[TURN]):.0f} degrees on the spot"
     return (
-        f"calibrate: {n} usable pieces of straight runs and turns on the spot; at least {FEWEST} of {least} are "
-        "needed. See how such a drive looks: locfuse simulate straight_runs"
+        f"{n} usable pieces of straight runs and turns on the spot; at least {MIN_PIECES} of {least} are needed. "
+        "See how such a drive looks: locfuse simulate straight_runs"
     )

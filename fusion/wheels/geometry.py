@@ -14,10 +14,10 @@ from .read import read_wheels
 from .repairs import repaired
 from .sources import Counters, read_counters
 
-WINDOW = 0.5  # s over which both are compared
-GUESS = 0.05  # m: radius under which jumps of the counters are looked for
-FEWEST, AGREES = 40, 0.95  # windows; correlation
-LEAST_TURN = 0.5  # rad, rms sum of turns, before the track is told
+WINDOW_S = 0.5  # s over which both are compared
+ASSUMED_RADIUS_M = 0.05  # m: radius under which jumps of the counters are looked for
+MIN_WINDOWS, MIN_CORRELATION = 40, 0.95  # windows; correlation
+MIN_TURN_RAD = 0.5  # rad, rms sum of turns, before the track is told
 
 
 class Geometry(NamedTuple):
@@ -37,11 +37,11 @@ def by_odometry(counters: Stream, odometry: Stream, settings: WheelSettings) -> 
         return None
     t, left, right = _angles(both, known)
     offset = (theirs.epoch_ns - both.zero_ns) * 1e-9
-    start = np.arange(max(t[0], offset), min(t[-1], offset + theirs.wheels.t[-1]) - WINDOW, WINDOW)
-    if len(start) < FEWEST:
+    start = np.arange(max(t[0], offset), min(t[-1], offset + theirs.wheels.t[-1]) - WINDOW_S, WINDOW_S)
+    if len(start) < MIN_WINDOWS:
         return None
-    moved = theirs.wheels.relative(start - offset, start - offset + WINDOW)
-    rolled = [np.interp(start + WINDOW, t, side) - np.interp(start, t, side) for side in (left, right)]
+    moved = theirs.wheels.relative(start - offset, start - offset + WINDOW_S)
+    rolled = [np.interp(start + WINDOW_S, t, side) - np.interp(start, t, side) for side in (left, right)]
     return _fitted(0.5 * (rolled[0] + rolled[1]), rolled[1] - rolled[0], moved)
 
 
@@ -49,18 +49,23 @@ def _angles(both: Counters, settings: WheelSettings) -> tuple[Array, Array, Arra
     """Return times and the angles of both wheels (n,) [rad]."""
     turn = 2.0 * np.pi / settings.ticks_per_revolution if settings.ticks_per_revolution else 1.0
     left, right = (
-        repaired(s, GUESS * turn, settings.rollover, settings.max_speed) for s in (both.left, both.right)
+        repaired(s, ASSUMED_RADIUS_M * turn, settings.rollover, settings.max_speed)
+        for s in (both.left, both.right)
     )
     t = both.left.t[left.keep]
-    return t, left.rolled / GUESS, np.interp(t, both.right.t[right.keep], right.rolled / GUESS)
+    return (
+        t,
+        left.rolled / ASSUMED_RADIUS_M,
+        np.interp(t, both.right.t[right.keep], right.rolled / ASSUMED_RADIUS_M),
+    )
 
 
 def _fitted(mean: Array, difference: Array, moved: Array) -> Geometry | None:
     ahead, turn = moved[:, 0], moved[:, 2]
-    if np.std(mean) == 0.0 or np.std(ahead) == 0.0 or float(np.corrcoef(mean, ahead)[0, 1]) < AGREES:
+    if np.std(mean) == 0.0 or np.std(ahead) == 0.0 or float(np.corrcoef(mean, ahead)[0, 1]) < MIN_CORRELATION:
         return None
     radius = float((mean * ahead).sum() / (mean**2).sum())
     turns = float(np.sqrt((turn**2).sum()))
-    if turns < LEAST_TURN or float(np.corrcoef(difference, turn)[0, 1]) < AGREES:
+    if turns < MIN_TURN_RAD or float(np.corrcoef(difference, turn)[0, 1]) < MIN_CORRELATION:
         return Geometry(radius, None)
     return Geometry(radius, radius * float((difference**2).sum() / (difference * turn).sum()))

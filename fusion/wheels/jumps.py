@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Array, Ints
 
-WINDOW = 11  # steps whose median speed is the speed of the moment
-FACTOR = 8.0  # times the speed of the moment ...
-SLACK = 0.5  # ... plus this much [m/s] ...
-LEAST = 0.02  # ... plus this much [m]: less is no jump
-FASTEST = 1e6  # m/s: not even a counter in a unit that nobody told goes faster
-SPIKE_READINGS, SPIKE_S = 10, 0.5  # what returns later than this did not spike
+WINDOW_STEPS = 11  # steps whose median speed is the speed of the moment
+JUMP_FACTOR = 8.0  # times the speed of the moment ...
+JUMP_SLACK_MPS = 0.5  # ... plus this much [m/s] ...
+MIN_JUMP_M = 0.02  # ... plus this much [m]: less is no jump
+MAX_SPEED_MPS = 1e6  # m/s: not even a counter in a unit that nobody told goes faster
+MAX_SPIKE_READINGS, MAX_SPIKE_S = 10, 0.5  # what returns later than this did not spike
 
 Mask = NDArray[np.bool_]
 
@@ -29,20 +29,20 @@ def limits(t: Array, steps: Array, max_speed: float | None = None) -> Array:
         return np.zeros(0)
     usual = np.maximum(dt, np.median(dt))
     if max_speed is not None:
-        return max_speed * usual + LEAST
-    least: Array = SLACK * usual + LEAST
+        return max_speed * usual + MIN_JUMP_M
+    least: Array = JUMP_SLACK_MPS * usual + MIN_JUMP_M
     suspects = np.flatnonzero(np.abs(steps) > least)
     out = least.copy()
-    out[suspects] += FACTOR * _speeds(np.abs(steps) / usual, suspects) * usual[suspects]
-    return np.minimum(out, FASTEST * usual)
+    out[suspects] += JUMP_FACTOR * _speeds(np.abs(steps) / usual, suspects) * usual[suspects]
+    return np.minimum(out, MAX_SPEED_MPS * usual)
 
 
 def _speeds(speed: Array, at: Ints) -> Array:
-    """Median of `speed` (n,) over the WINDOW steps around each of the positions `at`, (k,), or nearest to them."""
+    """Median of `speed` (n,) over the WINDOW_STEPS steps around, or nearest to, each position `at` (k,)."""
     if not len(at):
         return np.zeros(0)
-    window = min(WINDOW, len(speed))
-    begin = np.clip(at - WINDOW // 2, 0, len(speed) - window)
+    window = min(WINDOW_STEPS, len(speed))
+    begin = np.clip(at - WINDOW_STEPS // 2, 0, len(speed) - window)
     median: Array = np.median(speed[begin[:, None] + np.arange(window)], axis=1)
     return median
 
@@ -67,7 +67,7 @@ def _return_of(t: Array, values: Array, limit: Array, jumps: Ints, at: int) -> i
     before = int(jumps[at])
     for later in range(at + 1, len(jumps)):
         after = int(jumps[later]) + 1
-        if after - before > SPIKE_READINGS or t[after] - t[before] > SPIKE_S:
+        if after - before > MAX_SPIKE_READINGS or t[after] - t[before] > MAX_SPIKE_S:
             return None
         allowed = float(limit[before:after].min()) * (after - before)
         if float(_length(values[after] - values[before])) <= min(allowed, float(limit[before])):

@@ -16,8 +16,8 @@ from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Array
 
 CONFIDENCE = 0.95
-RANGE = (1e-10, 10.0)  # where s is looked for
-EXACT = 1e-6  # of ln s
+S_BOUNDS = (1e-10, 10.0)  # where s is looked for
+LN_S_TOLERANCE = 1e-6  # of ln s
 
 
 @dataclass(frozen=True)
@@ -67,8 +67,8 @@ class Residuals:
         """Return the likeliest scale, and ln of its likelihood."""
         from scipy.optimize import minimize_scalar
 
-        bounds = tuple(map(math.log, RANGE))
-        tight = {"xatol": EXACT}
+        bounds = tuple(map(math.log, S_BOUNDS))
+        tight = {"xatol": LN_S_TOLERANCE}
         found = minimize_scalar(
             lambda x: -self.ln_likelihood(math.exp(x)), bounds=bounds, method="bounded", options=tight
         )
@@ -77,7 +77,7 @@ class Residuals:
     def fit(self) -> tuple[Figure, float]:
         """Return the likeliest scale with its likelihood-ratio interval, and ln of its likelihood."""
         scale, top = self.best()
-        low, high = (math.exp(self._edge(math.log(scale), math.log(end), top)) for end in RANGE)
+        low, high = (math.exp(self._edge(math.log(scale), math.log(end), top)) for end in S_BOUNDS)
         return Figure(scale, low, high), top
 
     def _edge(self, inside: float, outside: float, top: float) -> float:
@@ -87,5 +87,7 @@ class Residuals:
         drop = 0.5 * chi_square(CONFIDENCE, 1)
         if top - self.ln_likelihood(math.exp(outside)) <= drop:
             return outside
-        edge: float = brentq(lambda x: top - self.ln_likelihood(math.exp(x)) - drop, inside, outside, xtol=EXACT)
+        edge: float = brentq(
+            lambda x: top - self.ln_likelihood(math.exp(x)) - drop, inside, outside, xtol=LN_S_TOLERANCE
+        )
         return edge

@@ -13,8 +13,8 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, Motions
 
-SILENCE, SILENCE_PERIODS = 0.5, 5.0  # s, median periods: over a longer one the way is not known, only the sums
-BLOCK = 8192  # intervals at a time: what is needed on the way is many times larger than the result
+MIN_GAP_S, MIN_GAP_PERIODS = 0.5, 5.0  # s, median periods: over a longer one the way is not known, only the sums
+INTERVALS_AT_ONCE = 8192  # intervals at a time: what is needed on the way is many times larger than the result
 PARAMETERS = ("scale_left", "scale_right", "track")  # relative corrections, 0 = as given
 
 
@@ -74,7 +74,7 @@ class Wheels:
         rate (the paper's eq. 9 depends on the period). Each piece between two cuts contributes through
         eq. 8 in its right form plus the lever arm to the interval's end.
         """
-        blocks = [slice(a, a + BLOCK) for a in range(0, max(len(t_from), 1), BLOCK)]
+        blocks = [slice(a, a + INTERVALS_AT_ONCE) for a in range(0, max(len(t_from), 1), INTERVALS_AT_ONCE)]
         parts = [self._between(t_from[at], t_to[at], parameters) for at in blocks]
         return Motions(*map(np.concatenate, zip(*parts, strict=True)))
 
@@ -177,7 +177,7 @@ def silences(t: Array, rolled: Array, turn: Array) -> Array:
     by that much of the way; at most it lies anywhere in a disc about the start.
     """
     span, way = np.diff(t), 0.5 * np.abs(rolled).sum(axis=1)
-    silent = span > max(SILENCE, SILENCE_PERIODS * float(np.median(span)))
+    silent = span > max(MIN_GAP_S, MIN_GAP_PERIODS * float(np.median(span)))
     if not silent.any():
         return np.broadcast_to(np.float64(0.0), (len(span), 2))  # holds nothing
     fastest = float(np.percentile(np.abs(turn[~silent]) / span[~silent], 99))

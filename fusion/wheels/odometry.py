@@ -27,11 +27,11 @@ FIELDS = (
     "twist.twist.linear.x",
     "twist.twist.angular.z",
 )
-STILL = 1e-3  # m: steps below say nothing about a direction
-AGREES = 3.0  # |pose step| and |twist| dt within this factor speak of the same motion
-MOSTLY = 0.8  # share of the moving steps that must agree before the twist is believed
-SPEED = "wheels.max_speed [m/s] says how far it may step"
-RARELY = 0.1  # share of backing up that the pose may know of and still be called blind to it
+MIN_STEP_M = 1e-3  # m: steps below say nothing about a direction
+MAX_STEP_RATIO = 3.0  # |pose step| and |twist| dt within this factor speak of the same motion
+MIN_AGREEING_SHARE = 0.8  # share of the moving steps that must agree before the twist is believed
+SPEED_SETTING = "wheels.max_speed [m/s] says how far it may step"
+MAX_REVERSE_SHARE = 0.1  # share of backing up that the pose may know of and still be called blind to it
 
 
 class Way(NamedTuple):
@@ -69,9 +69,11 @@ def travelled(t: Array, values: Array, by_twist: bool, max_speed: float | None) 
 def _words(spiked: int, restarts: int, turned: int) -> list[str]:
     words = []
     if spiked:
-        words.append(f"its pose jumped away and back in {spiked} messages, not used; {SPEED}")
+        words.append(f"its pose jumped away and back in {spiked} messages, not used; {SPEED_SETTING}")
     if restarts:
-        words.append(f"its pose jumped {times(restarts)}; the motion there is taken from around it; {SPEED}")
+        words.append(
+            f"its pose jumped {times(restarts)}; the motion there is taken from around it; {SPEED_SETTING}"
+        )
     if turned:
         words.append(
             f"its pose moves ahead in {turned} steps whose twist says backward; "
@@ -88,15 +90,15 @@ def backing_up(t: Array, steps: Array, speed: Array) -> Mask:
     """
     said = 0.5 * (speed[1:] + speed[:-1]) * np.diff(t)
     ahead = steps[:, 0]
-    moving = (np.abs(ahead) > STILL) & (np.abs(said) > STILL)
+    moving = (np.abs(ahead) > MIN_STEP_M) & (np.abs(said) > MIN_STEP_M)
     wrong = moving & (said < 0.0) & (ahead > 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.abs(said / ahead)
-    agrees = moving & (ratio < AGREES) & (ratio > 1.0 / AGREES)
+    agrees = moving & (ratio < MAX_STEP_RATIO) & (ratio > 1.0 / MAX_STEP_RATIO)
     forward = moving & (said > 0.0) & (ahead > 0.0)
     known = moving & (said < 0.0) & (ahead < 0.0)
-    believed = agrees.sum() >= MOSTLY * moving.sum() and forward.sum() > wrong.sum()
-    blind = known.sum() <= RARELY * wrong.sum()
+    believed = agrees.sum() >= MIN_AGREEING_SHARE * moving.sum() and forward.sum() > wrong.sum()
+    blind = known.sum() <= MAX_REVERSE_SHARE * wrong.sum()
     return (
         ((said < 0.0) & (ahead > 0.0)) if believed and blind and wrong.any() else np.zeros(len(said), dtype=bool)
     )
@@ -105,7 +107,7 @@ def backing_up(t: Array, steps: Array, speed: Array) -> Mask:
 def contradictions(t: Array, steps: Array, speed: Array) -> tuple[int, int]:
     """Return how many moving steps (n-1, 3) go against the twist's speed (n,), and how many there are."""
     said = 0.5 * (speed[1:] + speed[:-1]) * np.diff(t)
-    moving = (np.abs(steps[:, 0]) > STILL) & (np.abs(said) > STILL)
+    moving = (np.abs(steps[:, 0]) > MIN_STEP_M) & (np.abs(said) > MIN_STEP_M)
     return int((moving & (said * steps[:, 0] < 0.0)).sum()), int(moving.sum())
 
 

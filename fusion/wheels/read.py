@@ -14,7 +14,7 @@ from locfuse.fusion.robot import VIRTUAL_TRACK, WheelSettings
 from . import odometry
 from .motion import Wheels
 from .repairs import repaired
-from .sources import JOINTS, KNOWN_TICKS, NUMBERS, TICKS, Counters, read_counters, require_two, usable
+from .sources import JOINTS, NUMBERS, TICKS, USUAL_TICKS, Counters, read_counters, require_two, usable
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 # In order of preference: angles of the wheels before somebody else's dead reckoning.
@@ -95,7 +95,7 @@ def _geometry(settings: WheelSettings, stream: Stream) -> tuple[float, float]:
             f"ratio {settings.ratio:g} must be positive: right radius over left radius", role="wheels"
         )
     if settings.ticks_per_revolution is None and counts_ticks(stream.msgtype):
-        usual = KNOWN_TICKS.get(stream.msgtype)
+        usual = USUAL_TICKS.get(stream.msgtype)
         fix = f"wheels.ticks_per_revolution={usual or '<ticks>'}"
         raise LocfuseError(
             f"{stream.topic} counts ticks, so wheels.ticks_per_revolution must be known.",

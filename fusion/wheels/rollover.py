@@ -10,8 +10,8 @@ import numpy as np
 
 from locfuse.fusion.data import Array
 
-BITS = (8, 10, 12, 13, 14, 15, 16, 18, 20, 24, 32)  # widths of counters seen in the wild
-WHOLE = 0.02  # quanta by which a step of a counter may miss a whole number
+COUNTER_BITS = (8, 10, 12, 13, 14, 15, 16, 18, 20, 24, 32)  # widths of counters seen in the wild
+MAX_FRACTION_QUANTA = 0.02  # quanta by which a step of a counter may miss a whole number
 
 
 class Unrolled(NamedTuple):
@@ -68,8 +68,8 @@ def _powers(steps: Array, longest: float) -> list[float]:
         return []
     wholes = np.rint(sizes / quantum)
     short = wholes < 1000
-    if not short.any() or np.abs(sizes / quantum - wholes)[short].max() > WHOLE:
+    if not short.any() or np.abs(sizes / quantum - wholes)[short].max() > MAX_FRACTION_QUANTA:
         return []
     quantum = float(sizes[short].sum() / wholes[short].sum())
     # several ticks may pass in every step, so that the quantum seen is a multiple of the counter's own
-    return [quantum / part * 2.0**bits for bits in BITS for part in (1, 2, 3, 4, 5)]
+    return [quantum / part * 2.0**bits for bits in COUNTER_BITS for part in (1, 2, 3, 4, 5)]

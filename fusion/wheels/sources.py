@@ -30,7 +30,7 @@ NUMBERS: Mapping[str, int] = {
     "std_msgs/msg/Float32": 0,
     "std_msgs/msg/Float64": 0,
 }
-KNOWN_TICKS = {
+USUAL_TICKS = {
     "irobot_create_msgs/msg/WheelTicks": 508.8,  # Create 3, and the TurtleBot 4 on it
     "turtlebot3_msgs/msg/SensorState": 4096.0,  # the TurtleBot 3's Dynamixels
 }

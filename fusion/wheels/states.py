@@ -24,8 +24,8 @@ WHEEL_STATES: dict[str, Sequence[Component]] = {
         Component("track, to first order", "%", 100.0),
     )
 }
-SEEN = 0.7  # a scale whose standard deviation keeps more of its prior's was not seen
-SURPRISE = 2.0  # prior standard deviations: beyond, wheels and sensor do not mean the same metre
+MAX_PRIOR_SHARE = 0.7  # a scale whose standard deviation keeps more of its prior's was not seen
+MAX_PRIOR_SIGMAS = 2.0  # prior standard deviations: beyond, wheels and sensor do not mean the same metre
 
 
 def wheel_block(wheels: WheelSettings) -> Block:
@@ -61,14 +61,14 @@ def wheel_words(
     sigma = np.sqrt(np.maximum(np.diagonal(G @ P @ G.T), 0.0))
     prior = settings.sigma_scale / math.sqrt(2.0)  # of the radius, the mean of both
     words = [_told(settings, found, sigma)]
-    if sigma[0] > SEEN * prior:
+    if sigma[0] > MAX_PRIOR_SHARE * prior:
         quotient = G[2] / (1.0 + found[2]) - G[0] / (1.0 + found[0])  # of the logarithm of track over radius
-        seen = math.sqrt(float(quotient @ P @ quotient)) < SEEN * settings.sigma_track
+        seen = math.sqrt(float(quotient @ P @ quotient)) < MAX_PRIOR_SHARE * settings.sigma_track
         tail = ": only track over radius is" if seen else ""
         words.append(f"radius and track are not identifiable from {' and '.join(sensors) or 'wheels alone'}{tail}")
-    elif sigma[2] > SEEN * settings.sigma_track:
+    elif sigma[2] > MAX_PRIOR_SHARE * settings.sigma_track:
         words.append("the track is not identifiable: the robot hardly turned")
-    elif abs(found[0]) > SURPRISE * prior:
+    elif abs(found[0]) > MAX_PRIOR_SIGMAS * prior:
         words += _metres(settings, found, prior, metric)
     return words
 

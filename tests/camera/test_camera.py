@@ -202,7 +202,7 @@ def test_the_number_of_threads_does_not_change_a_bit(monkeypatch: pytest.MonkeyP
     shots = [coded(picture(LENS, Pole(13.0 * k, 1.0 + 0.3 * k))) for k in range(12)]
     results = []
     for threads in (1, 3):
-        monkeypatch.setattr(landmark_module, "THREADS", threads)
+        monkeypatch.setattr(landmark_module, "MAX_THREADS", threads)
         monkeypatch.setattr("os.cpu_count", lambda: 8)
         m = measured(compressed(*shots))
         results.append((m.z.tobytes(), m.R.tobytes(), m.first.tobytes(), m.extra["pixels"].tobytes()))

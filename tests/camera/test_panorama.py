@@ -253,7 +253,7 @@ def test_red_noise_gives_few_candidates(chain: Chain) -> None:
     rng = np.random.default_rng(5)
     shot = np.zeros((480, 640, 3), np.uint8)
     shot[..., 2] = rng.integers(0, 2, (480, 640), np.uint8) * np.uint8(255)
-    assert len(chain(shot, optics_of(LENS), Red())) <= panorama.MOST
+    assert len(chain(shot, optics_of(LENS), Red())) <= panorama.MAX_CANDIDATES
 
 
 @pytest.mark.parametrize("fine", [1, 2], ids=["jagged", "smooth"])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from locfuse.fusion.doctor.lag import LONGEST, by_wheels, find_lag
+from locfuse.fusion.doctor.lag import MAX_LAG_S, by_wheels, find_lag
 from locfuse.fusion.wheels.motion import Wheels
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ def test_the_lag_that_was_put_in_is_found(lag: float) -> None:
 
 def test_a_lag_beyond_the_longest_is_none() -> None:
     t = np.arange(4.0, 115.0, 0.1)
-    assert find_lag(t, np.interp(t + LONGEST + 0.3, T, TURNED), by_wheels(wheels())) is None
+    assert find_lag(t, np.interp(t + MAX_LAG_S + 0.3, T, TURNED), by_wheels(wheels())) is None
 
 
 def test_a_robot_that_hardly_turns_says_nothing_of_clocks() -> None:

@@ -36,7 +36,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "smooth tune paper",
     ),
     "formats": (
-        "columns thin geometry whole_files robot",
+        "columns thin geometry whole_files no_pandas robot",
         "container",
         "messages",
         "mcap",

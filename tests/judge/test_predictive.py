@@ -11,7 +11,7 @@ from scipy import stats
 
 from locfuse.fusion.data import Audit, Drive, Estimates
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.judge.predictive import OUTLIERS, contradictions, listeners, log_density, ranking, scores
+from locfuse.fusion.judge.predictive import OUTLIER_SHARE, contradictions, listeners, log_density, ranking, scores
 from locfuse.fusion.measure import thinned
 from locfuse.fusion.robot import Robot
 
@@ -79,10 +79,10 @@ def test_the_score_is_the_mixture_of_the_predicted_normal_and_anything() -> None
     )
     z = np.array([[0.0], [4.0], [10.0]])
     found = log_density(audit, z)
-    density = (1 - OUTLIERS) * stats.norm.pdf(0.5, scale=2.0) + OUTLIERS / 10.0
+    density = (1 - OUTLIER_SHARE) * stats.norm.pdf(0.5, scale=2.0) + OUTLIER_SHARE / 10.0
     assert found[0] == pytest.approx(math.log(density), rel=1e-12)
     assert math.isnan(found[1])  # never compared
-    assert found[2] == pytest.approx(math.log(OUTLIERS / 10.0))  # compared, and nothing was predicted
+    assert found[2] == pytest.approx(math.log(OUTLIER_SHARE / 10.0))  # compared, and nothing was predicted
 
 
 @pytest.mark.parametrize("seed", range(2))

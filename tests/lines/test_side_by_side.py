@@ -43,7 +43,7 @@ def one_turn(before: Array, after: Array) -> float:
 
 @pytest.mark.parametrize("cells", [1 << 18, 200])
 def test_turns_of_all_scans_equal_those_found_one_by_one(cells: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(side_by_side, "CELLS", cells)
+    monkeypatch.setattr(side_by_side, "CELLS_AT_ONCE", cells)
     rng = np.random.default_rng(3)
     first, z = lines(rng, 80)
     variance = rng.uniform(1e-6, 1e-4, len(z))
@@ -94,14 +94,14 @@ def one_change(before: Array, after: Array, a: Array, b: Array) -> tuple[list[fl
 def test_changes_between_walls_equal_those_found_one_by_one() -> None:
     rng = np.random.default_rng(4)
     first, z = lines(rng, 60)
-    variance = rng.uniform(0.1, 1.2, len(z)) * flatness.SURE**2
+    variance = rng.uniform(0.1, 1.2, len(z)) * flatness.MAX_SIGMA_RAD**2
     change, noise = flatness._changes(np.arange(60.0), first, z, variance, Standing())
     expected: tuple[list[float], list[float]] = ([], [])
-    for i in range(60 - flatness.LAG):
+    for i in range(60 - flatness.LAG_SCANS):
         rows = []
-        for k in (i, i + flatness.LAG):
+        for k in (i, i + flatness.LAG_SCANS):
             at = np.arange(first[k], first[k + 1])
-            rows.append(at[variance[at] < flatness.SURE**2])
+            rows.append(at[variance[at] < flatness.MAX_SIGMA_RAD**2])
         a, b = rows
         for total, more in zip(expected, one_change(z[a], z[b], variance[a], variance[b]), strict=True):
             total.extend(more)

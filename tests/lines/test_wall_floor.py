@@ -13,7 +13,7 @@ from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.linemap.association import associate
 from locfuse.fusion.linemap.scan import Scan
 from locfuse.fusion.linemap.tracker import LineTracker
-from locfuse.fusion.lines.flatness import LAG, bend, wall_floor
+from locfuse.fusion.lines.flatness import LAG_SCANS, bend, wall_floor
 from locfuse.fusion.se2 import wrap_all
 
 Array = NDArray[np.float64]
@@ -58,9 +58,9 @@ def test_too_few_walls_say_nothing() -> None:
 
 
 def test_a_line_that_bends_changes_over_the_lag_as_the_walls_did() -> None:
-    """Two readings of a wall with unevenness u differ by 2 u; a random walk must get there in LAG steps."""
+    """Two readings of a wall with unevenness u differ by 2 u; a random walk must get there in LAG_SCANS steps."""
     uneven = np.array([1e-4, 7e-5])
-    steps = np.random.default_rng(0).normal(size=(4000, LAG, 2)) * np.sqrt(bend(uneven))
+    steps = np.random.default_rng(0).normal(size=(4000, LAG_SCANS, 2)) * np.sqrt(bend(uneven))
     assert steps.sum(axis=1).var(axis=0) == pytest.approx(2.0 * uneven, rel=0.1)
 
 
@@ -76,6 +76,6 @@ def test_a_line_that_is_seen_for_ever_stays_within_its_walls_unevenness() -> Non
     found = associate(Scan(z, R, ends), tracker.map, belief, math.inf)
     for which in (0, 1):
         pair = next(p for p, pair in enumerate(found.pairs) if pair.which == which)
-        for _ in range(10 * LAG):
+        for _ in range(10 * LAG_SCANS):
             tracker._bend(replace(found, match=[pair]), uneven, belief)
     np.testing.assert_allclose(np.diagonal(belief.covariance)[3:], [*uneven, 4e-4, 4e-4], rtol=1e-9)

@@ -371,7 +371,7 @@ def test_a_lone_giant_message_is_refused_and_the_others_are_read(
 def test_an_uncompressed_chunk_too_large_to_hold_is_walked_into(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, crcs: bool
 ) -> None:
-    monkeypatch.setattr("locfuse.formats.mcap.survey.LARGE_CHUNK", 5000)
+    monkeypatch.setattr("locfuse.formats.mcap.survey.LARGE_CHUNK_BYTES", 5000)
     monkeypatch.setattr("locfuse.formats.mcap.survey.RUN_BYTES", 2000)
     said = drive(100)
     path = write(tmp_path / "x.mcap", said, chunk_size=20_000, enable_crcs=crcs)

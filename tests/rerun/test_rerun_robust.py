@@ -103,7 +103,7 @@ def test_a_stranger_on_the_port_costs_a_warning_and_no_hang(
     tmp_path: Path, stranger: list[str], manner: str, monkeypatch: pytest.MonkeyPatch, recording: Path
 ) -> None:
     stranger[0] = manner
-    monkeypatch.setattr(viewer, "PATIENCE", 2.0)
+    monkeypatch.setattr(viewer, "SEND_TIMEOUT_S", 2.0)
     with pytest.raises(LocfuseError, match="take"):
         viewer.show(recording)
 
@@ -123,13 +123,12 @@ FULL_DISK = """
 import resource, signal, sys
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 from locfuse.cli.main import main
-from locfuse.formats import whole_files as outdir
-import locfuse.formats.rerun.file as rerun_file
-before = rerun_file.save_recording
+from locfuse.formats.rerun import file
+before = file.save_recording
 def full(*a):
     resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
     before(*a)
-rerun_file.save_recording = full
+file.save_recording = full
 main(sys.argv[1:])
 """
 
@@ -271,7 +270,7 @@ def test_everything_we_start_listens_on_loopback_only(recording: Path, monkeypat
         return Process()
 
     monkeypatch.setattr(viewer, "_popen", popen)
-    monkeypatch.setattr(viewer, "START", 0.0)
+    monkeypatch.setattr(viewer, "START_TIMEOUT_S", 0.0)
     viewer.start(recording)
     with pytest.raises(LocfuseError, match="ended"):
         viewer.serve(recording, 0, print)

@@ -103,7 +103,7 @@ def test_several_publishers_and_their_conflicts_are_told_and_the_last_one_counts
     )
     assert mount(transforms, "laser").x == pytest.approx(0.2)
     assert len(transforms.conflicts) == 1
-    assert "laser: (0.100, 0.000, 0.000) m" in transforms.conflicts[0]
+    assert "laser: (0.100, 0.000, 0.000) m" in transforms.conflicts[0].line
 
 
 def test_a_transform_without_a_rotation_is_ignored_and_told(tmp_path: Path) -> None:
@@ -111,7 +111,7 @@ def test_a_transform_without_a_rotation_is_ignored_and_told(tmp_path: Path) -> N
     broken["transform"]["rotation"] = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 0.0}
     transforms = published(tmp_path, [broken])
     assert planar_mount(transforms, BASES, "laser") is None
-    assert transforms.conflicts == ("laser: a transform without a usable rotation is ignored",)
+    assert transforms.conflicts == (("laser", "a transform without a usable rotation is ignored"),)
 
 
 def test_frames_with_a_leading_slash_are_the_same_frames(tmp_path: Path) -> None:
@@ -152,5 +152,5 @@ def test_two_real_publishers_contradict_on_21_frames_but_not_on_the_laser() -> N
     assert m.yaw == pytest.approx(math.pi / 2, abs=1e-6)
     assert not m.flipped
     assert len(transforms.conflicts) == 21
-    assert not any(line.startswith("rplidar") for line in transforms.conflicts)
+    assert not any(conflict.frame.startswith("rplidar") for conflict in transforms.conflicts)
     assert mount(transforms, "left_wheel").y == pytest.approx(0.116, abs=0.001)

@@ -1,0 +1,406 @@
+"""What every sensor of the registry owes the house: a new one is held to it by being registered."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from copy import deepcopy
+from dataclasses import replace
+from itertools import combinations
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+import six_sensors
+from numpy.typing import NDArray
+
+from locfuse.cli.pipeline.load import make_robot
+from locfuse.cli.pipeline.results import robot_file
+from locfuse.formats.robot import robot_toml
+from locfuse.fusion.data import ArrayStream, LocfuseError, Measurements, Ragged
+from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.fuse import Filter
+from locfuse.fusion.instants import due_readings, steps_of
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensor import Innovation, Model, Reversal, Sensor
+from locfuse.fusion.sensors.compass import CompassSettings
+from locfuse.fusion.sensors.gyro import GyroSettings
+from locfuse.fusion.sensors.lrf import LrfSettings
+from locfuse.fusion.sensors.registry import REGISTRY, needed, unmet
+
+Array = NDArray[np.float64]
+SENSORS = [pytest.param(sensor, id=name) for name, sensor in REGISTRY.items()]
+UNITS = {"m": 1.0, "deg": math.degrees(1.0), "deg/s": math.degrees(1.0), "m/s": 1.0, "%": 100.0}
+each_sensor = pytest.mark.parametrize("sensor", SENSORS)
+
+
+# ---- settings ----
+
+
+@each_sensor
+def test_settings_survive_robot_toml(sensor: Sensor) -> None:
+    """As they are by default, and with every number, switch and choice changed."""
+    for settings in (sensor.Settings(), changed(sensor.Settings())):
+        robot = make_robot({})
+        robot = replace(robot, sensors={**robot.sensors, sensor.name: settings})
+        again = make_robot(robot_toml.parse(robot_file(robot), "robot.toml"))
+        assert again.settings(sensor.name) == settings
+
+
+def changed(settings: Any) -> Any:
+    """Settings in which every number that may be is another one, and every switch is turned."""
+    for name in settings.__struct_fields__:
+        old = getattr(settings, name)
+        new = not old if isinstance(old, bool) else old * 0.75 if isinstance(old, float) else old
+        try:
+            settings = msgspec.structs.replace(settings, **{name: new})
+            type(settings)(**msgspec.structs.asdict(settings))
+        except ValueError:
+            settings = msgspec.structs.replace(settings, **{name: old})
+    return settings
+
+
+@each_sensor
+def test_a_sensor_speaks_of_keys_that_its_table_has(sensor: Sensor) -> None:
+    keys = set(sensor.Settings.__struct_fields__)
+    bias = [sensor.bias.key] if sensor.bias else []
+    others = [key for key in (sensor.drift_key, sensor.scale_key) if key is not None]
+    assert {*sensor.noise_keys, *sensor.asks, *sensor.guesses, *bias, *others} <= keys
+    assert sensor.drift_key is None or sensor.bias is not None
+    for msgtype in sensor.reads:
+        assert any(sensor.concerns(key, msgtype) for key in keys)
+
+
+@each_sensor
+def test_its_first_sigma_is_in_the_unit_of_its_first_number(sensor: Sensor) -> None:
+    """So that a verdict on its noise names a value that can be written as it stands."""
+    in_degrees = sensor.noise_keys[0].endswith("_deg")
+    assert (sensor.components[0].unit == "deg") == in_degrees
+    for key in sensor.noise_keys:
+        assert getattr(sensor.Settings(), key) > 0.0
+    with pytest.raises(ValueError, match=sensor.noise_keys[0]):
+        sensor.Settings(**dict[str, Any]({sensor.noise_keys[0]: 0.0}))
+
+
+@each_sensor
+def test_init_asks_in_words(sensor: Sensor) -> None:
+    for key, ask in sensor.asks.items():
+        assert len(ask.words.split()) > 3, key
+        if ask.example is not None:
+            msgspec.convert({key: ask.example}, sensor.Settings)
+        assert not ask.needed or sensor.missing(sensor.Settings()) is not None
+    for key, words in sensor.guesses.items():
+        assert words.startswith("guess: "), key
+    missing = sensor.missing(sensor.Settings())
+    assert missing is None or f"{sensor.name}." in missing
+
+
+# ---- needs ----
+
+
+@each_sensor
+def test_a_sensor_needs_registered_others_and_says_why(sensor: Sensor) -> None:
+    assert sensor.name not in needed(sensor.name)
+    assert set(needed(sensor.name)) <= set(REGISTRY)
+    everybody = set(REGISTRY)
+    assert sensor.name not in unmet(everybody)
+    for other, why in sensor.needs.items():
+        assert unmet(everybody - {other})[sensor.name] == f"it is {why}, and that is absent"
+
+
+class _Needy(Sensor):
+    """Needs the sonar, which needs the laser."""
+
+    name = "needy"
+    needs = {"sonar": "heard by the sonar"}  # noqa: RUF012
+
+    def measure(self, *_: Any) -> Measurements:
+        raise NotImplementedError
+
+    def model(self, settings: Any) -> Model:
+        raise NotImplementedError
+
+
+def test_who_needs_a_sensor_that_needs_another_goes_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the order of the registry."""
+    for registry in (REGISTRY, dict(reversed(REGISTRY.items()))):
+        with monkeypatch.context() as patch:
+            patch.setattr("locfuse.fusion.sensors.registry.REGISTRY", {"needy": _Needy(), **registry})
+            assert needed("needy") == ("lrf", "sonar")
+            assert set(unmet({"needy", "sonar", "gps"})) == {"needy", "sonar"}
+            assert unmet({"needy", "sonar", "lrf"}) == {}
+
+
+# ---- measuring ----
+
+
+@each_sensor
+def test_measurements_have_the_numbers_that_it_names(sensor: Sensor) -> None:
+    m = six_sensors.drive()[0].measurements[sensor.name]
+    d = len(sensor.components)
+    assert m.z.shape[1] == d
+    assert m.R_unit.shape[1:] == m.floor.shape == (d, d)
+    assert m.first[-1] == len(m.z) > 0
+    assert (np.diff(m.t) >= 0.0).all()
+
+
+@each_sensor
+def test_nothing_measured_is_nothing_or_one_line(sensor: Sensor) -> None:
+    """No message at all, every number NaN, every number 0: measurements that are finite, or a LocfuseError."""
+    drive, robot = six_sensors.drive()
+    stream: Any = six_sensors.streams()[0][sensor.name]
+    part = getattr(stream, "parts", (stream,))[0]
+    for damage in (empty, all_nan, all_zero):
+        spoilt = damage(part, sensor.reads[part.msgtype])
+        try:
+            m = sensor.measure(spoilt, robot.settings(sensor.name), drive.wheels, drive.epoch_ns)
+        except LocfuseError as e:
+            words = str(e)
+        else:
+            words = f"{sensor.name}: "
+            assert np.isfinite(m.z).all(), damage.__name__
+            assert np.isfinite(m.R_unit).all(), damage.__name__
+            assert m.first[0] == 0
+            assert m.first[-1] == len(m.z)
+            assert len(m.first) == len(m.t) + 1
+        assert "\n" not in words
+        assert words.startswith((f"{sensor.name}: ", f"{spoilt.topic}: "))
+
+
+@each_sensor
+def test_one_damaged_reading_leaves_the_others_as_they_are(sensor: Sensor) -> None:
+    drive, robot = six_sensors.drive()
+    stream: Any = six_sensors.streams()[0][sensor.name]
+    part = getattr(stream, "parts", (stream,))[0]
+    fields = sensor.reads[part.msgtype]
+    whole = ArrayStream(part.topic, part.msgtype, part.t_ns, dict(part.columns(*fields)), part.frame_id)
+    columns: dict[str, Any] = {name: damaged_row(column, 7) for name, column in whole.data.items()}
+    settings = robot.settings(sensor.name)
+    before = sensor.measure(whole, settings, drive.wheels, drive.epoch_ns)
+    m = sensor.measure(replace(whole, data=columns), settings, drive.wheels, drive.epoch_ns)
+    assert np.isfinite(m.z).all()
+    lost = set(before.t.tolist()) - set(m.t.tolist())
+    assert len(lost) <= 1
+    assert len(before.z) - len(m.z) < 10
+
+
+def empty(stream: ArrayStream, fields: tuple[str, ...]) -> ArrayStream:
+    return ArrayStream(
+        stream.topic, stream.msgtype, stream.t_ns[:0], {f: head(c) for f, c in data(stream, fields)}
+    )
+
+
+def all_nan(stream: ArrayStream, fields: tuple[str, ...]) -> ArrayStream:
+    return filled(stream, fields, math.nan)
+
+
+def all_zero(stream: ArrayStream, fields: tuple[str, ...]) -> ArrayStream:
+    return filled(stream, fields, 0.0)
+
+
+def data(stream: ArrayStream, fields: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
+    yield from stream.columns(*fields).items()
+
+
+def head(column: Any) -> Any:
+    return Ragged(column.values[:0], column.first[:1]) if isinstance(column, Ragged) else column[:0]
+
+
+def filled(stream: ArrayStream, fields: tuple[str, ...], value: float) -> ArrayStream:
+    """Return the stream with all its numbers the same; text and bytes are empty."""
+    columns: dict[str, Any] = {}
+    for name, column in data(stream, fields):
+        if isinstance(column, Ragged):
+            columns[name] = Ragged(np.full_like(column.values, value), column.first)
+        elif isinstance(column, list):
+            columns[name] = [type(v)() for v in column]
+        else:
+            columns[name] = np.full_like(column, value if column.dtype.kind == "f" else 0)
+    return ArrayStream(stream.topic, stream.msgtype, stream.t_ns, columns)
+
+
+def damaged_row(column: Any, i: int) -> Any:
+    """Return a column whose row i holds nothing that is a number."""
+    if isinstance(column, list):
+        return [b"" if k == i and isinstance(v, bytes) else v for k, v in enumerate(column)]
+    column = deepcopy(column)
+    row = column[i] if isinstance(column, Ragged) else column[i : i + 1]
+    if row.dtype.kind == "f":
+        row[...] = math.nan
+    return column
+
+
+# ---- Jacobians ----
+
+CERTAIN_GPS = {"east_deg": 20.0}
+VARIANTS: dict[str, list[dict[str, dict[str, Any]]]] = {
+    "compass": [{}, {"compass": {"offset_deg": 10.0}}],
+    "lrf": [{}, {"lrf": {"map": "first-scan"}}, {"lrf": {"sigma_x": 0.02, "sigma_y": 0.02, "sigma_yaw_deg": 1.0}}],
+    "camera": [{}, {"camera": {"sigma_x": 0.02, "sigma_y": 0.02, "sigma_yaw_deg": 1.0}}],
+    "sonar": [{}],
+    "gps": [{}, {"gps": CERTAIN_GPS}, {"gps": {**CERTAIN_GPS, "origin": (48.0, 11.0), "x": 0.3, "y": 0.1}}],
+    "gyro": [{}, {"gyro": {"bias_deg": 0.5}}],
+}
+STEP = 1e-6
+
+
+@each_sensor
+def test_jacobians_are_the_derivatives_of_the_innovation(sensor: Sensor) -> None:
+    """By central differences: standing still, across the heading pi, and at readings in between.
+
+    H = dh/dstate = -d(z - h)/dstate, by the pose and by every state that the sensor names.
+    """
+    drive, robot = six_sensors.drive()
+    for variant in VARIANTS.get(sensor.name, [{}]):
+        used = (*needed(sensor.name), sensor.name)
+        checked = 0
+        for seen, model, m, i, belief in walked(with_settings(robot, variant), used, sensor.name):
+            checked += check(seen, model, m, i, belief)
+        assert checked >= (3 if sensor.name == "camera" else 8), (variant, drive.absent)
+
+
+def test_the_bearing_to_a_near_landmark_has_the_right_derivative() -> None:
+    """A hand's breadth away its direction changes by 5 rad per metre."""
+    _, robot = six_sensors.drive()
+    x, y = robot.settings("camera").landmark
+    for seen, model, m, i, belief in walked(robot, ("camera",), "camera"):
+        if not seen:
+            continue
+        for away in ((-0.3, 0.0), (0.1, 0.1), (0.0, -0.2)):
+            near = deepcopy(belief)
+            near.place((x + away[0], y + away[1], math.pi), 1e-4, 1e-4)
+            assert check(deepcopy(model).innovations(m, i, near), model, m, i, near) == 1
+
+
+def with_settings(robot: Robot, changes: dict[str, dict[str, Any]]) -> Robot:
+    sensors = {s: msgspec.structs.replace(c, **changes.get(s, {})) for s, c in robot.sensors.items()}
+    return replace(robot, sensors=sensors)
+
+
+def walked(
+    robot: Robot, sensors: tuple[str, ...], of: str
+) -> Iterator[tuple[list[Innovation], Model, Measurements, int, JointBelief]]:
+    """Run the filter; yield what one sensor makes of some readings, with copies of its model and the belief."""
+    drive, _ = six_sensors.drive()
+    m = drive.measurements[of]
+    run = Filter(robot, sensors, beliefs=(_no_pose_alone, JointBelief))
+    at_pi = np.argsort(np.abs(true_heading(m.t) - math.pi))[:2]
+    wanted = {1, 2, *at_pi.tolist(), *np.linspace(3, len(m.t) - 1, 30).astype(int).tolist()}
+    if of == "camera":
+        wanted = set(range(len(m.t)))
+    for k, (step, due) in enumerate(zip(steps_of(drive), due_readings(drive, sensors), strict=True)):
+        mine = [i for s, i in due if s == of and i in wanted]
+        ahead = deepcopy(run.belief)
+        ahead.predict(*step)
+        for i in mine:
+            model = deepcopy(run.models[of])
+            assert isinstance(ahead, JointBelief)
+            yield deepcopy(model).innovations(m, i, ahead), model, m, i, ahead
+        run.advance(k, step, due, drive.measurements)
+
+
+def _no_pose_alone(pose: Any, P: Any) -> Any:
+    return JointBelief(pose, P, [])
+
+
+def check(seen: list[Innovation], model: Model, m: Measurements, i: int, belief: JointBelief) -> int:
+    """Compare the H of every predicted innovation with central differences; return how many there were."""
+    predicted = [s for s in seen if math.isfinite(s.nis)]
+    for s in predicted:
+        columns = (0, 1, 2, *s.columns)
+        H = np.array([(*h, *b) for h, b in zip(s.H, s.H_block, strict=True)] if s.columns else s.H)
+        for j, column in enumerate(columns):
+            ahead, behind = (moved(s, model, m, i, belief, column, d) for d in (STEP, -STEP))
+            numeric = (behind - ahead) / (2.0 * STEP)
+            assert numeric == pytest.approx(H[:, j], abs=2e-4 * max(1.0, float(np.abs(H).max()))), (i, column)
+    return len(predicted)
+
+
+def moved(s: Innovation, model: Model, m: Measurements, i: int, belief: JointBelief, j: int, d: float) -> Array:
+    """Return the innovation of the same row by the same landmark with state j moved by d, (k,)."""
+    at = deepcopy(belief)
+    at.transform(np.array([j]), np.array([float(at.state[j]) + d]), np.eye(1))
+    rows = deepcopy(model).innovations(m, i, at)
+    (same,) = [row for row in rows if row.row == s.row and row.landmark == s.landmark]
+    return np.array(same.y)
+
+
+# ---- how it is shown ----
+
+
+@each_sensor
+def test_components_have_names_and_units(sensor: Sensor) -> None:
+    shown = [*sensor.components, *(c for state in sensor.states.values() for c in state)]
+    assert shown
+    for c in shown:
+        assert c.scale == pytest.approx(UNITS[c.unit]), c
+    names = [c.name for c in sensor.components]
+    assert len(set(names)) == len(names)
+    assert all(name.isidentifier() for name in names)
+
+
+@each_sensor
+def test_every_state_that_a_report_draws_has_a_name(sensor: Sensor) -> None:
+    blocks = [b for v in VARIANTS.get(sensor.name, [{}]) for b in blocks_of(sensor, v.get(sensor.name, {}))]
+    for name, width in blocks:
+        if not name.startswith("_"):
+            assert len(sensor.states[name]) == width, name
+
+
+def blocks_of(sensor: Sensor, settings: dict[str, Any]) -> list[tuple[str, int]]:
+    robot = with_settings(six_sensors.drive()[1], {sensor.name: settings})
+    return [(b.name, len(b.x)) for b in sensor.model(robot.settings(sensor.name)).blocks()]
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_colours_differ(theme: str) -> None:
+    """By more than a screen's or a printer's error; the paper's sensors are held to more in the figures' tests."""
+    inks = {name: np.array(list(bytes.fromhex(getattr(s.colour, theme)[1:]))) for name, s in REGISTRY.items()}
+    for a, b in combinations(inks, 2):
+        assert np.linalg.norm(inks[a] - inks[b]) > 40.0, (a, b)
+
+
+@each_sensor
+def test_what_is_drawn_of_a_sensor_is_what_it_measures(sensor: Sensor) -> None:
+    _, robot = six_sensors.drive()
+    assert sensor.drawn not in {"heading", "bearing"} or sensor.components[0].unit == "deg"
+    x, y, yaw = sensor.mount(robot.settings(sensor.name))
+    assert math.hypot(x, y) < 1.0
+    assert abs(yaw) <= math.pi
+
+
+# ---- turning ----
+
+
+@each_sensor
+def test_a_heading_of_its_own_turns_as_the_robot_does(sensor: Sensor) -> None:
+    drive, _ = six_sensors.drive()
+    found = sensor.heading(drive.measurements[sensor.name])
+    if found is None:
+        return
+    t, heading = found
+    assert np.corrcoef(true_heading(t), heading)[0, 1] > 0.99
+
+
+def true_heading(t: Array) -> Array:
+    """The heading at times t (n,), (n,) rad, unwrapped."""
+    truth = six_sensors.drive()[0].truth
+    assert truth is not None
+    assert truth.theta is not None
+    return np.interp(t, truth.t, np.unwrap(truth.theta))
+
+
+def test_what_turns_a_sensor_round_is_its_own_setting() -> None:
+    def of(sensor: str, settings: Any, msgtype: str) -> Reversal:
+        return REGISTRY[sensor].reversal(settings, msgtype)
+
+    assert of("lrf", LrfSettings(flipped=True), "").sets == {"flipped": False}
+    assert of("gyro", GyroSettings(roll_deg=180.0), "").sets == {"roll_deg": 0.0}
+    number = "std_msgs/msg/Float64"
+    for now, other in (("enu_deg", "compass_deg"), ("compass_rad", "enu_rad")):
+        assert of("compass", msgspec.convert({"convention": now}, CompassSettings), number).sets == {
+            "convention": other
+        }
+    assert of("compass", CompassSettings(), six_sensors.IMU).sets == {"roll_deg": 180.0}
+    assert not of("gps", REGISTRY["gps"].Settings(), "").sets

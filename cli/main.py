@@ -20,7 +20,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # 3 x 3 matrices need no thr
 
 import click
 
-from locfuse.cli.terminal.screen import reader_may_leave
+from locfuse.cli.terminal.screen import reader_may_leave, say
 
 COMMANDS = {
     "run": "Run one configuration: trajectory, covariances, run.json.",
@@ -124,7 +124,7 @@ def _expected(e: Exception) -> int:
 
 
 def _say(text: str, code: int) -> int:
-    click.echo(f"locfuse: {' '.join(text.split())}", err=True)
+    say(f"locfuse: {' '.join(text.split())}")
     return code
 
 

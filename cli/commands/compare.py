@@ -58,9 +58,14 @@ KINDS = ("html", "md", "json", "tum", "csv", "tex")
     "--baseline",
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
     metavar="REPORT.JSON",
-    help="Exit with 4 if an error figure is worse than in this earlier report.",
+    help="Exit with 4 if an error figure is worse than in this earlier report of the same log.",
 )
-@click.option("--tolerance", default="5%", show_default=True, help="How much worse than the baseline is allowed.")
+@click.option(
+    "--tolerance",
+    default="5%",
+    show_default=True,
+    help="How much worse than the baseline is allowed: a share, a floor (1mm, 0.1deg), or both: 5%,1mm.",
+)
 @log_options
 @preset_option
 @out_options(KINDS)
@@ -114,6 +119,8 @@ def compare(
     before = ci_gates.read_baseline(baseline, tolerance) if baseline else None
     with show.progress(how.quiet) as progress:
         loaded = load_to_fuse(find_log(log), how, progress, rerun.wanted)
+        if before is not None:
+            ci_gates.refuse_another_log(before, loaded.log.name, loaded.log.sha256)
         wanted = configurations.for_comparison(sensors, loaded.drive, all_subsets)
         drawn, recorded = outputs.Drawn(), Recorded()
         watch = [drawn.take] if "html" in kinds or figures else []
@@ -135,10 +142,7 @@ def compare(
     sketch = sketched(rerun, loaded, recorded.in_order(compared.estimates), compared.evaluations, report, show.say)
     del loaded, compared, drawn, recorded, watch, files  # Rerun's import takes as much memory as all of them
     record(rerun, sketch, folder, show.say)
-    other = ci_gates.of_another_log(report, before) if before is not None else None
-    if other is not None and not how.quiet:
-        click.echo(f"note: {other}", err=True)
     failed = ci_gates.failures(report, limits, before)
     for line in failed:
-        click.echo(f"gate: {line}", err=True)
+        show.say(f"gate: {line}")
     return ci_gates.FAILED if failed else results.LOSS if lost else 0

@@ -67,7 +67,7 @@ def compare_logs(logs: Sequence[Sequence[str]], context: click.Context) -> int:
     codes, reports = [], {}
     for name, parts in _named(logs).items():
         if not params["quiet"]:
-            click.echo(f"{name}:", err=True)
+            show.say(f"{name}:")
         codes.append(_one(name, parts, folder / name, context))
         reports[name] = json.loads((folder / name / "report.json").read_bytes())
     summary = summarised(reports)

@@ -17,7 +17,7 @@ from locfuse.fusion.wheels.read import ODOMETRY, counts_ticks
 from locfuse.fusion.wheels.sources import JOINTS
 
 from .overview import Look
-from .template_words import ASKS, GUESSES, NEEDED
+from .template_words import ASKS, BLANK, GUESSES, NEEDED
 
 Known = dict[str, tuple[Any, str]]  # "table.key" -> its value, and who says so
 TOP = ("order", "preset")
@@ -115,8 +115,8 @@ def _unknown(key: str, path: str, default: Any, missing: list[str]) -> Iterator[
     if path in GUESSES:
         yield Line(key, default, GUESSES[path])
     elif path in NEEDED or path in ASKS:
-        ask = NEEDED.get(path) or ASKS[path]
-        yield Line(key, default if ask.example is None else ask.example, ask.words, holds=False)
+        blank = path in BLANK or default in (None, msgspec.NODEFAULT)
+        yield Line(key, None if blank else default, NEEDED.get(path) or ASKS[path], holds=False)
         if path in NEEDED:
             missing.append(path)
 

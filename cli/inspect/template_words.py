@@ -2,56 +2,46 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-
-
-class Ask(NamedTuple):
-    """A key that only the robot's owner can fill in."""
-
-    words: str
-    example: Any = None  # None: the key's default
-
-
 # Without these nothing runs (wheels), or their sensor does not.
 NEEDED = {
-    "wheels.radius": Ask("m: not in this log. Roll ten turns of a wheel along a ruler: way / (10 * 2 pi)", 0.035),
-    "wheels.track": Ask(
-        "m: not in this log. Between the middles of both tyres; `locfuse calibrate` refines it",
-        0.16,
-    ),
-    "wheels.ticks_per_revolution": Ask("not in this log. Turn a wheel ten times by hand: ticks / 10", 4096.0),
-    "camera.landmark": Ask(
-        "m, map frame: not in this log. Where the red landmark stands; "
-        "`locfuse info LOG --preview DIR` shows what the camera takes for it",
-        (2.0, 0.0),
+    "wheels.radius": "m: not in this log. Roll ten turns of a wheel along a ruler: way / (10 * 2 pi)",
+    "wheels.track": "m: not in this log. Between the middles of both tyres; `locfuse calibrate` refines it",
+    "wheels.ticks_per_revolution": "not in this log. Turn a wheel ten times by hand: ticks / 10",
+    "camera.landmark": (
+        "[x, y] in m, map frame: not in this log. Where the red landmark stands; "
+        "`locfuse info LOG --preview DIR` shows what the camera takes for it"
     ),
 }
 MOUNT = (
     "not in this log (no /tf_static says it). Measure from the middle between the wheels: forward, left, turned. "
     "How well they are known: sigma_x, sigma_y, sigma_yaw_deg; above 0 the drive improves them"
 )
+# Blank although they have a default: zero looks as if somebody had measured it.
+PLACE = ("x", "y", "yaw_deg")
+BLANK = {f"{sensor}.{key}" for sensor in ("lrf", "camera", "gps") for key in PLACE}
 ASKS = {
-    "wheels.noise": Ask("m: variance per metre that a wheel rolls; `locfuse calibrate` finds it"),
+    "wheels.noise": "m: variance per metre that a wheel rolls; `locfuse calibrate` finds it",
     **dict.fromkeys(
         ("start.x", "start.y", "start.theta_deg"),
-        Ask("m, degrees: pose at the first wheel reading, where the map is not to begin at the robot"),
+        "m, degrees: pose at the first wheel reading, where the map is not to begin at the robot",
     ),
     **dict.fromkeys(
         ("truth.x", "truth.y"),
-        Ask("m: the point of the robot that was tracked, forward and left of the axle's middle"),
+        "m: the point of the robot that was tracked, forward and left of the axle's middle",
     ),
-    "truth.sigma": Ask("m: how exact the truth is itself"),
-    **dict.fromkeys((f"lrf.{k}" for k in ("x", "y", "yaw_deg")), Ask(f"m, m, degrees: {MOUNT}")),
-    **dict.fromkeys((f"camera.{k}" for k in ("x", "y", "yaw_deg")), Ask(f"m, m, degrees: {MOUNT}")),
-    **dict.fromkeys(("gps.x", "gps.y"), Ask(f"m: {MOUNT}")),
-    "sonar.mounts": Ask(f"topic = [m, m, degrees]: {MOUNT}", {"/range": (0.0, 0.0, 0.0)}),
-    "lrf.sigma_range": Ask("m: noise of one range, by the data sheet"),
-    "compass.sigma_deg": Ask("noise of one heading"),
-    "compass.offset_deg": Ask("left out, it is estimated from the drive; locfuse calibrate finds iron", 0.0),
-    "camera.centre": Ask("px: where the mirror's axis meets the picture; left out, its middle", (320.0, 240.0)),
-    "camera.outer": Ask("px: radius of the mirror's rim; left out, to the picture's nearest edge", 230.0),
-    "gps.origin": Ask("latitude and longitude of the map's origin; left out, estimated", (0.0, 0.0)),
-    "gps.sigma": Ask("m: where the receiver does not say"),
+    "truth.sigma": "m: how exact the truth is itself",
+    **dict.fromkeys(
+        (f"{sensor}.{key}" for sensor in ("lrf", "camera") for key in PLACE), f"m, m, degrees: {MOUNT}"
+    ),
+    **dict.fromkeys(("gps.x", "gps.y"), f"m: {MOUNT}"),
+    "sonar.mounts": f'{{ "/topic" = [m, m, degrees] }}: {MOUNT}',
+    "lrf.sigma_range": "m: noise of one range, by the data sheet",
+    "compass.sigma_deg": "noise of one heading",
+    "compass.offset_deg": "left out, it is estimated from the drive; locfuse calibrate finds iron",
+    "camera.centre": "[column, row] in px: where the mirror's axis meets the picture; left out, its middle",
+    "camera.outer": "px: radius of the mirror's rim; left out, to the picture's nearest edge",
+    "gps.origin": "[latitude, longitude] of the map's origin; left out, estimated",
+    "gps.sigma": "m: where the receiver does not say",
 }
 # Conventions that are in force unless somebody says otherwise, and that no log states.
 GUESSES = {

@@ -17,7 +17,7 @@ from locfuse.formats.figures.panels import Section
 from locfuse.formats.figures.svg import HEIGHT, WIDTH, slugs_of, svg
 
 from . import tables
-from .notes import notes_of
+from .notes import notes_of, title_of
 from .render import SIGNS, data, html, swatch
 from .table import Path, Piece, Table, written
 
@@ -44,6 +44,7 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], registry: Seq
     drawn = {m.of for s in sections for p in s.panels for m in p.marks}
     page = template.render(
         report=report,
+        title=title_of(report),
         style=Markup(_style((folder / "report.css").read_text(encoding="utf-8"), roles, slugs)),
         figures=Figures(report),
         tables=tables,

@@ -20,7 +20,7 @@ import click
 
 from locfuse.cli.pipeline.memory import collect_rarely
 from locfuse.cli.terminal.numpy_warnings import silence_overflows
-from locfuse.cli.terminal.screen import reader_may_leave
+from locfuse.cli.terminal.screen import reader_may_leave, say
 
 COMMANDS = {
     "run": "Run one configuration: trajectory, covariances, run.json.",
@@ -123,7 +123,7 @@ def _expected(e: Exception) -> int:
 
 
 def _say(text: str, code: int) -> int:
-    click.echo(f"locfuse: {' '.join(text.split())}", err=True)
+    say(f"locfuse: {' '.join(text.split())}")
     return code
 
 

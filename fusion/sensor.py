@@ -190,8 +190,8 @@ class Ask(NamedTuple):
     """What `locfuse init` writes beside a key that no log can tell: how to find its value."""
 
     words: str  # unit, and how to measure it
-    example: Any = None  # the value written behind the #; None: the key's default
     needed: bool = False  # whether nothing of this table can be used without the key
+    blank: bool = False  # whether its default is no answer: zero looks as if somebody had measured it
 
 
 class Bias(NamedTuple):

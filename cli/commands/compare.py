@@ -63,9 +63,14 @@ if TYPE_CHECKING:
     "--baseline",
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
     metavar="REPORT.JSON",
-    help="Exit with 4 if an error figure is worse than in this earlier report.",
+    help="Exit with 4 if an error figure is worse than in this earlier report of the same log.",
 )
-@click.option("--tolerance", default="5%", show_default=True, help="How much worse than the baseline is allowed.")
+@click.option(
+    "--tolerance",
+    default="5%",
+    show_default=True,
+    help="How much worse than the baseline is allowed: a share, a floor (1mm, 0.1deg), or both: 5%,1mm.",
+)
 @log_options
 @preset_option
 @out_options(KINDS)
@@ -142,6 +147,7 @@ def one(log: Sequence[str], wish: Wish, table: bool = True) -> Done:
     gates = ci_gates.read(wish.fail_if, wish.baseline, wish.tolerance)
     with show.progress(how.quiet) as progress:
         session = opened(log, how, progress, read_again=rerun.wanted)
+        gates.refuse_another_log(session.log)
         result = session.compare(
             wish.sensors or None,
             all_subsets=wish.all_subsets,
@@ -160,8 +166,6 @@ def one(log: Sequence[str], wish: Wish, table: bool = True) -> Done:
     sketch = sketched(rerun, result, show.say)
     del session, result  # Rerun's import takes as much memory as they do
     record(rerun, sketch, files[0].parent, show.say)
-    if (remark := gates.remark(judged.report)) is not None and not how.quiet:
-        show.say(f"note: {remark}")
     failed = gates.failures(judged.report)
     for line in failed:
         show.say(f"gate: {line}")

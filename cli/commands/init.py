@@ -9,6 +9,7 @@ import click
 
 from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.cli.terminal.options import log_options
+from locfuse.cli.terminal.screen import reader_may_leave
 
 if TYPE_CHECKING:
     from locfuse.cli.inspect.template import Draft
@@ -38,7 +39,8 @@ def init(log: tuple[str, ...], how: LogOptions) -> int:
     with show.progress(how.quiet) as progress:
         made = draft(find_log(log), how, progress)
     words = printable(shlex.join(log))
-    click.echo(render(_head(made, words), made.sections, _foot(made)), nl=False)
+    with reader_may_leave():
+        click.echo(render(_head(made, words), made.sections, _foot(made)), nl=False)
     lost = made.overview.log.losses.lines()
     if not how.quiet:
         _say(made, words, lost)
@@ -65,11 +67,13 @@ def _foot(made: Draft) -> str:
 
 
 def _say(made: Draft, words: str, lost: list[str]) -> None:
+    from locfuse.cli.terminal import show
+
     for line in lost:
-        click.echo(f"lost: {line}", err=True)
+        show.say(f"lost: {line}")
     if (nothing := made.overview.choice.absent.get("wheels")) is not None:
-        click.echo(f"this log cannot run: {nothing}", err=True)
+        show.say(f"this log cannot run: {nothing}")
     elif made.missing:
-        click.echo(f"to be filled in: {', '.join(made.missing)} (their lines say how to measure them)", err=True)
+        show.say(f"to be filled in: {', '.join(made.missing)} (their lines say how to measure them)")
     else:
-        click.echo(f"nothing is missing; try: locfuse compare {words} --robot robot.toml", err=True)
+        show.say(f"nothing is missing; try: locfuse compare {words} --robot robot.toml")

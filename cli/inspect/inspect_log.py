@@ -6,16 +6,19 @@ Whatever is wrong becomes a finding and the rest is looked at all the same: this
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from locfuse.cli.choose.choose import choose_sensor, choose_truth
+from locfuse.cli.choose.mounts import mount_tables
 from locfuse.cli.choose.topics import Choice
 from locfuse.cli.choose.wheel_topics import NoWheelsError, choose_wheels
 from locfuse.cli.pipeline.load import Loaded, make_robot, measured, merged_tables, named_by_hand
 from locfuse.formats.log.log import Log, open_log
+from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.doctor.examine import examine
@@ -50,7 +53,7 @@ def inspect_log(
     found: list[Finding] = []
     choice = _choose(log, robot, named_by_hand(how.sets), found)
     transforms = _transforms(log, found)
-    overview = Overview(log, tables, choice, facts, transforms, robot)
+    overview = Overview(log, tables, choice, facts, transforms, _placed(log, tables, choice, transforms))
     overview.robot_facts = find_robot_facts(log, robot, choice)
     overview.findings = [
         *_of_files(log),
@@ -92,6 +95,16 @@ def _transforms(log: Log, found: list[Finding]) -> StaticTransforms:
         found.append(Finding("/tf_static", "tf_static", str(e)))
         return StaticTransforms()
     return transforms
+
+
+def _placed(log: Log, tables: dict[str, Any], choice: Choice, transforms: StaticTransforms) -> Robot:
+    """Return the robot with the mounts of /tf_static, which are known before anything can be measured."""
+    streams = {}
+    for name in REGISTRY:
+        with suppress(LocfuseError):  # a topic that cannot be read says so elsewhere
+            if topics := choice.of(name):
+                streams[name] = [log.stream(topic) for topic in topics]
+    return make_robot(robot_toml.merge(mount_tables(transforms, streams), tables))
 
 
 def _of_files(log: Log) -> list[Finding]:

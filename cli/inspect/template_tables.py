@@ -118,7 +118,8 @@ def _unknown(table: str, key: str, default: Any, missing: list[str]) -> Iterator
     if guessed is not None:
         yield Line(key, default, guessed)
     elif asked is not None:
-        yield Line(key, default if asked.example is None else asked.example, asked.words, holds=False)
+        blank = asked.blank or asked.needed or default in (None, msgspec.NODEFAULT)
+        yield Line(key, None if blank else default, asked.words, holds=False)
         if asked.needed:
             missing.append(f"{table}.{key}")
 

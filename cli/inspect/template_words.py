@@ -11,16 +11,13 @@ from locfuse.fusion.sensors.registry import REGISTRY
 ASKS = {
     "wheels": {
         "radius": Ask(
-            "m: not in this log. Roll ten turns of a wheel along a ruler: way / (10 * 2 pi)", 0.035, needed=True
+            "m: not in this log. Roll ten turns of a wheel along a ruler: way / (10 * 2 pi)", needed=True
         ),
         "track": Ask(
             "m: not in this log. Between the middles of both tyres; `locfuse calibrate` refines it",
-            0.16,
             needed=True,
         ),
-        "ticks_per_revolution": Ask(
-            "not in this log. Turn a wheel ten times by hand: ticks / 10", 4096.0, needed=True
-        ),
+        "ticks_per_revolution": Ask("not in this log. Turn a wheel ten times by hand: ticks / 10", needed=True),
         "noise": Ask("m: variance per metre that a wheel rolls; `locfuse calibrate` finds it"),
     },
     "start": dict.fromkeys(

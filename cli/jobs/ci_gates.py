@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from locfuse.formats.log.log import Log
 from locfuse.formats.report import json_report
 from locfuse.fusion.data import LocfuseError, UsageError
 
@@ -24,6 +25,16 @@ OPERATORS: dict[str, Callable[[float, float], bool]] = {
     ">": operator.gt,
     "<": operator.lt,
 }
+UNITS = {
+    "": ("share", 1.0),
+    "%": ("share", 0.01),
+    "mm": ("metres", 1e-3),
+    "cm": ("metres", 1e-2),
+    "m": ("metres", 1.0),
+    "deg": ("degrees", 1.0),
+    "°": ("degrees", 1.0),
+}
+PART = re.compile(r"(\S*?)\s*(%|mm|cm|m|deg|°|)")  # of a tolerance: a number and its unit
 GATE = re.compile(r"\s*(?P<figure>[^\s<>=]+)\s*(?P<op>>=|<=|>|<)\s*(?P<limit>\S+)\s*")
 
 
@@ -38,12 +49,27 @@ class Gate:
 
 
 @dataclass(frozen=True)
+class Tolerance:
+    """How much worse a figure may be: a share of the baseline's, or a length or an angle where that is more."""
+
+    text: str
+    share: float = 0.0
+    metres: float = 0.0
+    degrees: float = 0.0
+
+    def limit(self, key: str, old: float) -> float:
+        """Return the largest value that passes; the unit stands at the end of the key."""
+        floor = self.metres if key.endswith("_m") else self.degrees if key.endswith("_deg") else 0.0
+        return old + max(self.share * old, floor)
+
+
+@dataclass(frozen=True)
 class Baseline:
-    """An earlier report that this one must not be worse than, by more than a share."""
+    """An earlier report of the same log that this one must not be worse than."""
 
     path: Path
     report: Mapping[str, Any]
-    tolerance: float
+    tolerance: Tolerance
 
 
 @dataclass(frozen=True)
@@ -57,9 +83,10 @@ class Gates:
         """Return one line per gate that failed or whose figure does not exist."""
         return failures(report, self.limits, self.baseline)
 
-    def remark(self, report: Mapping[str, Any]) -> str | None:
-        """Say where the baseline was made of another log than this report."""
-        return None if self.baseline is None else of_another_log(report, self.baseline)
+    def refuse_another_log(self, log: Log) -> None:
+        """Raise LocfuseError where the baseline was made of another log."""
+        if self.baseline is not None:
+            refuse_another_log(self.baseline, log.name, log.sha256)
 
 
 def read(fail_if: Sequence[str], baseline: Path | None, tolerance: str) -> Gates:
@@ -77,12 +104,19 @@ def parse_gate(text: str) -> Gate:
     return Gate(text.strip(), found["figure"], found["op"], limit)
 
 
-def parse_tolerance(text: str) -> float:
-    """Return "5%" or "0.05" as 0.05. Raises UsageError."""
-    value = _number(text.strip().removesuffix("%"))
-    if value is None or value < 0.0:
-        raise UsageError(f"--tolerance {text!r}: write it like 5% or 0.05")
-    return value / 100.0 if text.strip().endswith("%") else value
+def parse_tolerance(text: str) -> Tolerance:
+    """Return "5%", "0.05", "1mm" or "5%,1mm,0.1deg". Raises UsageError, also for 5, which would be 500 %."""
+    found: dict[str, float] = {}
+    for part in text.split(","):
+        read = PART.fullmatch(part.strip())
+        number, unit = read.groups() if read else ("", "")
+        kind, scale = UNITS[unit]
+        value = _number(number)
+        if value is None or value < 0.0 or kind in found or (not unit and value >= 1.0):
+            meant = f"{part.strip()}%, or " if value is not None and value >= 1.0 and not unit else ""
+            raise UsageError(f"--tolerance {text!r}: write it like {meant}5%, 0.05 or 5%,1mm,0.1deg")
+        found[kind] = value * scale
+    return Tolerance(text.strip(), **found)
 
 
 def read_baseline(path: Path, tolerance: str) -> Baseline:
@@ -99,15 +133,17 @@ def read_baseline(path: Path, tolerance: str) -> Baseline:
     return Baseline(path, report, parse_tolerance(tolerance))
 
 
-def of_another_log(report: Mapping[str, Any], baseline: Baseline) -> str | None:
-    """Say where the baseline was made of other bytes than this report; None where of the same."""
-    then, now = baseline.report.get("input", {}), report["input"]
-    if then.get("sha256") in (None, now["sha256"]):
-        return None
-    which = (
-        f"of {then.get('name')}, this is {now['name']}" if then.get("name") != now["name"] else "of other bytes"
+def refuse_another_log(baseline: Baseline, name: str, sha256: str) -> None:
+    """Raise LocfuseError where the baseline is of other bytes: what got worse may be the drive."""
+    then = baseline.report.get("input", {})
+    if then.get("sha256") in (None, sha256):
+        return
+    other = then.get("name")
+    which = f"{other}, and this is {name}" if other != name else f"another log that is also called {name}"
+    raise LocfuseError(
+        f"--baseline {baseline.path} is of {which}: the error figures of two drives cannot be compared. Make a "
+        f"baseline of this log: locfuse compare {name} -o DIR"
     )
-    return f"the baseline {baseline.path} is {which}: what got worse may be the log"
 
 
 def failures(report: Mapping[str, Any], gates: Sequence[Gate], baseline: Baseline | None) -> list[str]:
@@ -169,11 +205,11 @@ def _worse(report: Mapping[str, Any], baseline: Baseline) -> list[str]:
             if old is None or new is None:
                 continue
             compared += 1
-            if new > old * (1.0 + baseline.tolerance):
+            if new > baseline.tolerance.limit(key, old):
                 more = f"{new / old - 1.0:.1%} more" if old > 0.0 else "more"
                 lines.append(
                     f"{name}.{key}: {new:.6g} is {more} than the baseline's {old:.6g} "
-                    f"(tolerance {baseline.tolerance:.3g} of it)"
+                    f"(tolerance {baseline.tolerance.text})"
                 )
     if not compared:
         return [f"--baseline {baseline.path}: it has no error figure in common with this report"]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from locfuse.cli.pipeline.configurations import refuse_beside_others
 from locfuse.cli.pipeline.load import Loaded, load
 from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.formats.robot import robot_toml
@@ -102,6 +103,7 @@ def sensor_names(words: str) -> tuple[str, ...]:
     if words.strip() == "all":
         return tuple(REGISTRY)
     names = tuple(dict.fromkeys(w.strip() for w in words.split(",") if w.strip()))
+    refuse_beside_others(words, names)
     for name in names:
         if name not in REGISTRY:
             raise UsageError(f"--sensors: unknown sensor {name!r}; choose from {', '.join(REGISTRY)}, all")

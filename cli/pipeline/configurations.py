@@ -54,10 +54,12 @@ def parse(sensors: Sensors, drive: Drive) -> Configuration:
     words = sensors if isinstance(sensors, str) else ",".join(sensors)
     present = tuple(s for s in REGISTRY if s in drive.measurements)
     names = [w.strip() for w in words.replace("+", ",").split(",") if w.strip()]
+    names = list(dict.fromkeys(names))
     if names == ["all"]:
         return plain(present, drive)
     if names == ["odometry"]:
         return plain((), drive)
+    refuse_beside_others(words, names)
     rates: dict[str, float] = {}
     written: dict[str, str] = {}
     for name in names:
@@ -86,6 +88,18 @@ def _check_needs(sensor: str, written: Mapping[str, str], words: str) -> None:
         if other not in written:
             enough = ",".join((other, *written.values()))
             raise UsageError(f"--sensors {words}: {sensor} is {why}; write --sensors {enough}")
+
+
+def refuse_beside_others(words: str, names: Sequence[str]) -> None:
+    """Raise UsageError where `all` or `odometry` is named together with other words."""
+    meaning = {"all": "every sensor of the log", "odometry": "the wheels and no sensor"}
+    for word, what in meaning.items():
+        others = [name for name in names if name != word]
+        if word in names and others:
+            raise UsageError(
+                f"--sensors {words}: {word} stands alone, it means {what}; write --sensors {word} or --sensors "
+                f"{','.join(name for name in others if name not in meaning) or others[0]}"
+            )
 
 
 def _rate(name: str, text: str) -> float:

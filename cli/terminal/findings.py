@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import click
 
-from .screen import reader_may_leave
+from .screen import reader_may_leave, say
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 Table = tuple[Sequence[str], Iterable[Sequence[str]]]  # titles, rows
@@ -53,5 +53,5 @@ def end(notes: Iterable[str], lost: Sequence[str], quiet: bool) -> int:
 
     if not quiet:
         for line in (*(f"note: {n}" for n in notes), *(f"lost: {n}" for n in lost)):
-            click.echo(line, err=True)
+            say(line)
     return LOSS if lost else 0

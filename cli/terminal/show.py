@@ -17,6 +17,7 @@ from locfuse.formats.report.table import Table
 
 from . import text_table
 from .screen import reader_may_leave, screen
+from .screen import say as say  # noqa: PLC0414 - commands know it as show.say
 
 NO_TRUTH = "no truth in this log: the error figures do not exist; if a topic holds it: --set truth.topic=/TOPIC"
 
@@ -26,11 +27,6 @@ class Progress(Protocol):
 
     def __call__(self, what: str) -> None:
         """Name the current step."""
-
-
-def say(line: str) -> None:
-    """Print a line on stderr."""
-    click.echo(line, err=True)
 
 
 @contextmanager
@@ -89,20 +85,20 @@ def notes(report: Mapping[str, Any], losses: Sequence[str], quiet: bool) -> None
     if quiet:
         return
     for sensor, why in report["absent"].items():
-        click.echo(f"absent: {sensor}: {why}", err=True)
+        say(f"absent: {sensor}: {why}")
     for note in notes_of(report):
-        click.echo(f"note: {note}", err=True)
+        say(f"note: {note}")
     for stream, reasons in report["input"]["dropped"].items():
         counted = ", ".join(f"{count} {reason.replace('_', ' ')}" for reason, count in reasons.items())
-        click.echo(f"dropped: {stream}: {counted}", err=True)
+        say(f"dropped: {stream}: {counted}")
     if "pseudo_reference" in report:
-        click.echo(f"note: {report['pseudo_reference']['words']}", err=True)
+        say(f"note: {report['pseudo_reference']['words']}")
     if report["truth"] is None:
-        click.echo(NO_TRUTH, err=True)
+        say(NO_TRUTH)
     if report.get("prediction"):
-        click.echo(f"note: {report['prediction']['trust']}", err=True)
+        say(f"note: {report['prediction']['trust']}")
     for line in losses:
-        click.echo(f"lost: {line}", err=True)
+        say(f"lost: {line}")
 
 
 def verdicts(report: Mapping[str, Any]) -> None:

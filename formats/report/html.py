@@ -18,7 +18,7 @@ from locfuse.formats.figures.svg import HEIGHT, WIDTH, slugs_of, svg
 from locfuse.fusion.data import Colour
 
 from . import tables
-from .notes import notes_of
+from .notes import notes_of, title_of
 from .render import SIGNS, Swatches, data, html
 from .table import Path, Piece, Table, written
 
@@ -48,6 +48,7 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
     drawn = {m.of for s in sections for p in s.panels for m in p.marks}
     page = template.render(
         report=report,
+        title=title_of(report),
         style=Markup(_style((folder / "report.css").read_text(encoding="utf-8"), roles, slugs)),
         figures=Figures(report),
         tables=tables,

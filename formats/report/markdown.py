@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from . import tables
-from .notes import notes_of
+from .notes import notes_of, title_of
 from .render import SIGNS, code, escape, markdown
 
 
@@ -21,7 +21,7 @@ def render(report: Mapping[str, Any]) -> str:
         _listing("Lost", {k: counts(v) for k, v in source["losses"].items()}),
     ]
     parts = [
-        f"# locfuse: {escape(source['name'])}",
+        f"# locfuse: {escape(title_of(report))}",
         _verdicts(report),
         markdown(tables.configurations(report)),
         _truth_line(report),

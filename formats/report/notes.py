@@ -6,6 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 
+def title_of(report: Mapping[str, Any]) -> str:
+    """Return the name of the log, and of the preset unless it is the default one."""
+    preset = report["settings"].get("preset", "default")
+    name: str = report["input"]["name"]
+    return name if preset == "default" else f"{name}, preset {preset}"
+
+
 def notes_of(report: Mapping[str, Any]) -> list[str]:
     """Return the log's notes, then the configurations' (slips, a track that was found), with who found them."""
     runs = report["configurations"]

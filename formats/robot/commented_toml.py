@@ -15,7 +15,7 @@ class Line(NamedTuple):
     """One key. `words` say where its value comes from, or how to find it."""
 
     key: str
-    value: Any
+    value: Any  # None: blank, to be filled in
     words: str = ""
     holds: bool = True  # False: behind a #
 
@@ -60,7 +60,7 @@ def _section(section: Section) -> Iterator[str]:
     if section.name:
         yield f"[{section.name}]" if any(line.holds for line in section.lines) else f"# [{section.name}]"
     for words, group in itertools.groupby(section.lines, key=lambda line: line.words):
-        lines = [("" if line.holds else "# ") + f"{line.key} = {value(line.value)}" for line in group]
+        lines = [("" if line.holds else "# ") + _assigned(line) for line in group]
         beside = f"{lines[0]}  # {printable(words)}"
         if not words:
             yield from lines
@@ -68,6 +68,10 @@ def _section(section: Section) -> Iterator[str]:
             yield beside
         else:
             yield from (comment(words), *lines)
+
+
+def _assigned(line: Line) -> str:
+    return f"{line.key} =" if line.value is None else f"{line.key} = {value(line.value)}"
 
 
 _WHOLE: Mapping[str, Any] = {"break_long_words": False, "break_on_hyphens": False}

@@ -89,14 +89,13 @@ class Camera(Sensor):
     costly = True  # decoding every picture takes longer than all the rest
     asks: ClassVar[Mapping[str, Ask]] = {
         "landmark": Ask(
-            "m, map frame: not in this log. Where the red landmark stands; "
+            "[x, y] in m, map frame: not in this log. Where the red landmark stands; "
             "`locfuse info LOG --preview DIR` shows what the camera takes for it",
-            (2.0, 0.0),
             needed=True,
         ),
-        **dict.fromkeys(("x", "y", "yaw_deg"), Ask(f"m, m, degrees: {ASK_MOUNT}")),
-        "centre": Ask("px: where the mirror's axis meets the picture; left out, its middle", (320.0, 240.0)),
-        "outer": Ask("px: radius of the mirror's rim; left out, to the picture's nearest edge", 230.0),
+        **dict.fromkeys(("x", "y", "yaw_deg"), Ask(f"m, m, degrees: {ASK_MOUNT}", blank=True)),
+        "centre": Ask("[column, row] in px: where the mirror's axis meets the picture; left out, its middle"),
+        "outer": Ask("px: radius of the mirror's rim; left out, to the picture's nearest edge"),
     }
     guesses: ClassVar[Mapping[str, str]] = {
         "zero_deg": "guess: bearing at which column 0 (straight down in the picture) looks",

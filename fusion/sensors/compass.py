@@ -72,7 +72,7 @@ class Compass(Sensor):
     drift_key = "offset_drift_deg"
     asks: ClassVar[Mapping[str, Ask]] = {
         "sigma_deg": Ask("noise of one heading"),
-        "offset_deg": Ask("left out, it is estimated from the drive; locfuse calibrate finds iron", 0.0),
+        "offset_deg": Ask("left out, it is estimated from the drive; locfuse calibrate finds iron"),
     }
     guesses: ClassVar[Mapping[str, str]] = {
         "convention": "guess: radians, 0 is east and counter-clockwise (enu_deg, compass_rad, compass_deg)",

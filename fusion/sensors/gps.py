@@ -55,8 +55,8 @@ class Gps(Sensor):
     noise_keys = ("sigma",)
     extra = True
     asks: ClassVar[Mapping[str, Ask]] = {
-        **dict.fromkeys(("x", "y"), Ask(f"m: {ASK_MOUNT}")),
-        "origin": Ask("latitude and longitude of the map's origin; left out, estimated", (0.0, 0.0)),
+        **dict.fromkeys(("x", "y"), Ask(f"m: {ASK_MOUNT}", blank=True)),
+        "origin": Ask("[latitude, longitude] of the map's origin; left out, estimated"),
         "sigma": Ask("m: where the receiver does not say"),
     }
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {

@@ -62,7 +62,7 @@ class Lrf(Sensor):
     sees = "line"
     blind_spoils = True
     asks: ClassVar[Mapping[str, Ask]] = {
-        **dict.fromkeys(("x", "y", "yaw_deg"), Ask(f"m, m, degrees: {ASK_MOUNT}")),
+        **dict.fromkeys(("x", "y", "yaw_deg"), Ask(f"m, m, degrees: {ASK_MOUNT}", blank=True)),
         "sigma_range": Ask("m: noise of one range, by the data sheet"),
     }
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {

@@ -53,7 +53,7 @@ class Sonar(Sensor):
     placed = True
     sees = "echo"
     asks: ClassVar[Mapping[str, Ask]] = {
-        "mounts": Ask(f"topic = [m, m, degrees]: {ASK_MOUNT}", {"/range": (0.0, 0.0, 0.0)})
+        "mounts": Ask(f'{{ "/topic" = [m, m, degrees] }}: {ASK_MOUNT}', blank=True)
     }
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "sensor_msgs/msg/Range": ("field_of_view", "min_range", "max_range", "range"),

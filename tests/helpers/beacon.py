@@ -45,7 +45,7 @@ class Beacon(Sensor):
     bias = Bias("offset", 1.0)
     sees = "range"
     asks: ClassVar[Mapping[str, Ask]] = {
-        "place": Ask("m, map frame: not in this log. Where the beacon stands", (2.0, 1.0), needed=True),
+        "place": Ask("m, map frame: not in this log. Where the beacon stands", needed=True),
         "sigma": Ask("m: noise of one range"),
     }
 

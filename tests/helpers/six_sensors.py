@@ -15,7 +15,7 @@ from locfuse.fusion.data import ArrayStream, Drive, Stream
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.streams import joined
+from locfuse.fusion.streams import merged
 from locfuse.sample_logs.load import load
 from locfuse.sample_logs.record import in_memory
 
@@ -38,7 +38,7 @@ def streams() -> tuple[dict[str, Stream], dict[str, dict[str, Any]]]:
     topics, tables, _ = in_memory(load("extras", SCENARIO), 5)
     found: dict[str, Stream] = {r: topics[t["topic"]] for r, t in tables.items() if "topic" in t}
     for role in ("sonar", "gps"):  # robot.toml need not name them
-        found[role] = joined([s for s in topics.values() if s.msgtype in REGISTRY[role].reads])
+        found[role] = merged([s for s in topics.values() if s.msgtype in REGISTRY[role].reads])
     found["gyro"] = imu(found["truth"])
     return found, tables
 

@@ -95,6 +95,20 @@ def test_where_sensors_sit_and_who_says_so(tmp_path: Path) -> None:
     assert as_json(tour.record(tmp_path / "none.mcap"))["extrinsics"]["lrf"]["by"] == "nobody"
 
 
+def test_a_mount_of_tf_static_is_told_before_the_wheels_are_known(tmp_path: Path) -> None:
+    tour = Drive()
+    for key in ("x", "y", "yaw_deg"):
+        del tour.tables["lrf"][key]
+    for key in ("radius", "track"):
+        tour.tables["wheels"].pop(key)
+    log = tour.record(tmp_path / "x.mcap")
+    found = as_json(log)
+    assert found["configurations"]["odometry"] is not None  # nothing can be measured yet
+    assert found["extrinsics"]["lrf"]["by"] == "/tf_static"
+    assert found["extrinsics"]["lrf"]["x"] == pytest.approx(0.2)
+    assert any("at x 0.2 m, y 0 m by /tf_static" in line for line in locfuse("info", log).stdout.splitlines())
+
+
 def test_why_a_topic_was_chosen(tmp_path: Path) -> None:
     roles = as_json(write(tmp_path / "x.mcap", drive(100)), *GEOMETRY, "--set", "lrf.topic=/scan")["roles"]
     assert roles["wheels"] == {"topics": ["/joint_states"], "why": "the only topic of its type"}

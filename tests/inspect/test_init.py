@@ -79,9 +79,14 @@ def test_what_no_log_tells_is_a_line_behind_a_hash_that_says_what_to_measure(tmp
     log = log_of(tmp_path / "x.mcap", joint_states(t, angle))
     done = init(log, tmp_path / "robot.toml")
     assert "to be filled in: wheels.radius, wheels.track" in done.stderr
-    text = done.stdout.replace("# radius = 0.035", f"radius = {RADIUS}").replace(
-        "# track = 0.16", f"track = {TRACK}"
-    )
+    refused = locfuse("run", log, "-o", tmp_path / "none")
+    assert refused.exit_code == 1
+    assert "locfuse init LOG > robot.toml" in refused.stderr
+    (tmp_path / "blank.toml").write_text(done.stdout.replace("# radius =", "radius ="))
+    blank = locfuse("run", log, "-o", tmp_path / "none", "--robot", tmp_path / "blank.toml")
+    assert blank.exit_code == 1  # a line that is in force must be filled in
+    assert "not valid TOML" in blank.stderr
+    text = done.stdout.replace("# radius =", f"radius = {RADIUS}").replace("# track =", f"track = {TRACK}")
     assert text.count(f"radius = {RADIUS}") == text.count(f"track = {TRACK}") == 1
     (tmp_path / "filled.toml").write_text(text)
     pose, _ = final(log, tmp_path / "out", "--robot", tmp_path / "filled.toml")
@@ -108,6 +113,14 @@ def test_mounts_come_from_tf_static_and_lines_below_a_hash_leave_no_table(tmp_pa
     assert "by /tf_static: where laser sits" in done.stdout
     assert "# [start]" in done.stdout
     assert "start" not in robot
+
+
+def test_a_place_that_nobody_knows_is_blank_and_not_zero(tmp_path: Path) -> None:
+    scan = cdr("sensor_msgs/msg/LaserScan", header=header(T0 + 10**9, "laser"), range_max=30.0, ranges=[1.0] * 90)
+    said = [Said("/scan", "sensor_msgs/msg/LaserScan", scan, T0 + 10**9)]
+    done = init(log_of(tmp_path / "x.mcap", said, joint_states(*angles())), tmp_path / "robot.toml", *GEOMETRY)
+    lrf = done.stdout.partition("[lrf]")[2].splitlines()
+    assert {"# x =", "# y =", "# yaw_deg ="} <= set(lrf)
 
 
 def test_where_several_topics_fit_the_first_is_a_guess_and_the_others_are_named(tmp_path: Path) -> None:
@@ -144,7 +157,7 @@ def test_a_camera_lacks_its_landmark_and_runs_once_it_has_it(tmp_path: Path) -> 
     _, before = final(log, tmp_path / "out", *words)
     _, after = final(log, tmp_path / "out", "--robot", tmp_path / "robot.toml")
     assert rmse(after) < 0.1 * rmse(before)
-    text = done.stdout.replace("# landmark = [2.0, 0.0]", "landmark = [7.9, 5.5]")
+    text = done.stdout.replace("# landmark =", "landmark = [7.9, 5.5]")
     (tmp_path / "robot.toml").write_text(text)
     _, report = final(log, tmp_path / "out", "--robot", tmp_path / "robot.toml", "--sensors", "camera")
     assert report["configurations"]["camera"]["sensors"]["camera"]["accepted"] > 50

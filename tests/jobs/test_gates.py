@@ -12,7 +12,14 @@ from typing import Any
 import pytest
 from commands import locfuse
 
-from locfuse.cli.jobs.ci_gates import failures, figure, parse_gate, parse_tolerance, read_baseline
+from locfuse.cli.jobs.ci_gates import (
+    failures,
+    figure,
+    parse_gate,
+    parse_tolerance,
+    read_baseline,
+    refuse_another_log,
+)
 from locfuse.fusion.data import LocfuseError, UsageError
 
 REPORT: dict[str, Any] = {
@@ -86,10 +93,27 @@ def test_a_gate_that_is_none_is_a_usage_error(text: str) -> None:
 
 @pytest.mark.parametrize(("text", "value"), [("5%", 0.05), ("0.05", 0.05), ("0", 0.0), (" 12.5 % ", 0.125)])
 def test_tolerance_is_a_share(text: str, value: float) -> None:
-    assert parse_tolerance(text) == pytest.approx(value)
+    assert parse_tolerance(text).share == pytest.approx(value)
 
 
-@pytest.mark.parametrize("text", ["-1%", "much", "", "inf"])
+@pytest.mark.parametrize(
+    ("text", "share", "metres", "degrees"),
+    [("5%,1mm", 0.05, 0.001, 0.0), ("2cm, 1 %", 0.01, 0.02, 0.0), ("0.1deg,0.5m", 0.0, 0.5, 0.1), ("1°", 0, 0, 1)],
+)
+def test_a_tolerance_may_have_a_floor(text: str, share: float, metres: float, degrees: float) -> None:
+    found = parse_tolerance(text)
+    assert (found.share, found.metres, found.degrees) == pytest.approx((share, metres, degrees))
+
+
+def test_five_without_a_per_cent_sign_is_refused_as_it_would_be_500_per_cent() -> None:
+    with pytest.raises(UsageError, match="write it like 5%, or"):
+        parse_tolerance("5")
+    assert parse_tolerance("500%").share == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize(
+    "text", ["-1%", "much", "", "inf", "1", "5%,", "5%,1%", "1mm,1cm", "m", "1km", "nan%", "5%,-1mm", "5% 1mm"]
+)
 def test_a_tolerance_that_is_none_is_a_usage_error(text: str) -> None:
     with pytest.raises(UsageError, match="tolerance"):
         parse_tolerance(text)
@@ -108,6 +132,18 @@ def test_only_what_grew_by_more_than_the_tolerance_fails(tmp_path: Path) -> None
     assert baseline(tmp_path, "5%", position_rmse_m=0.0191) == []
     (line,) = baseline(tmp_path, "5%", position_rmse_m=0.0189)
     assert line.startswith("all.position_rmse_m: 0.02 is 5.8% more")
+
+
+def test_a_floor_lets_small_lengths_and_angles_grow_by_more_than_their_share(tmp_path: Path) -> None:
+    assert len(baseline(tmp_path, "5%", position_rmse_m=0.0185)) == 1
+    assert baseline(tmp_path, "5%,2mm", position_rmse_m=0.0185) == []
+    (line,) = baseline(tmp_path, "5%,1mm", position_rmse_m=0.0185)
+    assert line.endswith("(tolerance 5%,1mm)")
+    assert len(baseline(tmp_path, "5%,2deg", position_rmse_m=0.0185)) == 1
+    limit = parse_tolerance("5%,1mm,0.1deg").limit
+    assert limit("heading_rmse_deg", 1.0) == pytest.approx(1.1)
+    assert limit("position_rmse_m", 1.0) == pytest.approx(1.05)
+    assert limit("drift_5m", 0.01) == pytest.approx(0.0105)  # a share of the way, no length
 
 
 def test_what_got_better_and_what_is_no_error_does_not_fail(tmp_path: Path) -> None:
@@ -161,14 +197,60 @@ def test_gates_hold_although_the_reader_of_the_table_has_left(tmp_path: Path, ho
     assert len(done.stderr.splitlines()) == 1
 
 
-def test_a_baseline_of_another_log_is_said(tmp_path: Path) -> None:
+@pytest.mark.parametrize("how", [(), ("--json",)])
+def test_gates_hold_although_the_reader_of_stdout_and_stderr_has_left(
+    tmp_path: Path, how: tuple[str, ...]
+) -> None:
+    """As with `2>&1 | head -1`: the notes and the gate's own line have no reader either."""
+    read, write = os.pipe()
+    os.close(read)
+    words = ("compare", "rounded_rectangle", "--sensors", "odometry", "--write", "json", "-o", str(tmp_path))
+    gate = ("--fail-if", "odometry.position_rmse_m > 0")
+    command = [sys.executable, "-m", "locfuse.cli", *words, *gate, *how]
+    done = subprocess.run(command, stdout=write, stderr=write, check=False, timeout=60)
+    os.close(write)
+    assert done.returncode == 4
+    assert (tmp_path / "report.json").exists()
+
+
+def test_a_baseline_of_another_log_is_refused_before_anything_is_fused(tmp_path: Path) -> None:
     words = ("--sensors", "odometry", "--write", "json", "-o")
     assert locfuse("compare", "rounded_rectangle", *words, tmp_path / "a").exit_code == 0
     baseline = ("--baseline", tmp_path / "a" / "report.json", "--tolerance", "900%")
     same = locfuse("compare", "rounded_rectangle", *words, tmp_path / "b", *baseline)
-    assert "baseline" not in same.stderr
+    assert (same.exit_code, "baseline" in same.stderr) == (0, False)
     other = locfuse("compare", "rounded_triangle", *words, tmp_path / "c", *baseline)
-    assert "is of rounded_rectangle, this is rounded_triangle" in other.stderr
+    assert other.exit_code == 1
+    assert "is of rounded_rectangle, and this is rounded_triangle" in other.stderr
+    assert "locfuse compare rounded_triangle -o DIR" in other.stderr
+    assert not (tmp_path / "c").exists()
+
+
+def test_a_baseline_of_other_bytes_under_the_same_name_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "old.json"
+    path.write_text(json.dumps({**REPORT, "input": {"name": "drive", "sha256": "00"}}))
+    before = read_baseline(path, "5%")
+    refuse_another_log(before, "drive", "00")
+    with pytest.raises(LocfuseError, match="another log that is also called drive"):
+        refuse_another_log(before, "drive", "11")
+    path.write_text(json.dumps(REPORT))  # an early report that does not say of which log it is
+    refuse_another_log(read_baseline(path, "5%"), "drive", "11")
+
+
+@pytest.mark.parametrize(
+    ("command", "words", "instead"),
+    [
+        ("run", "all,lrf", "--sensors all or --sensors lrf"),
+        ("compare", "lrf,odometry", "--sensors odometry or --sensors lrf"),
+        ("compare", "all,odometry", "--sensors all or --sensors odometry"),
+        ("tune", "all,lrf", "--sensors all or --sensors lrf"),
+    ],
+)
+def test_all_and_odometry_stand_alone(tmp_path: Path, command: str, words: str, instead: str) -> None:
+    done = locfuse(command, "rounded_rectangle", "--sensors", words, "-o", tmp_path / "out")
+    assert done.exit_code == 2
+    assert "stands alone" in done.stderr
+    assert instead in done.stderr
 
 
 def test_the_command_compares_with_a_baseline(tmp_path: Path) -> None:

@@ -238,6 +238,16 @@ def test_a_report_without_truth_says_so_and_ranks_by_prediction(tmp_path: Path) 
     assert '<section id="deviation">' not in html
 
 
+def test_title_names_the_preset_unless_it_is_the_default() -> None:
+    scene, report = small_scene.long(minutes=0.1, configurations=2)
+    for settings, title in (({"preset": "default"}, "made_up"), ({"preset": "paper"}, "made_up, preset paper")):
+        html = report_html.render({**report, "settings": settings}, sections(scene), SENSORS)
+        assert f"<title>{title}: " in html
+        assert f" on {title}</h1>" in html
+        written = markdown.render({**report, "settings": settings}).splitlines()[0]
+        assert written.replace("\\", "") == f"# locfuse: {title}"
+
+
 def test_csv_holds_every_figure_in_full(compared: Path, report: dict[str, Any]) -> None:
     lines = (compared / "report.csv").read_text().splitlines()
     heads = lines[0].split(",")

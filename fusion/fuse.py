@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.belief_blocks import FewBlocks
 from locfuse.fusion.ekf.belief_pose import Pose, PoseBelief, Triangle
+from locfuse.fusion.ekf.equations import predicted
 from locfuse.fusion.ekf.robust import inflated
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
 
-from . import se2
 from .audit import MANY, Record
 from .data import Array, Drive, Estimates, LocfuseError, Measurements, matrices
 from .ekf import belief_blocks
@@ -208,19 +208,7 @@ def _at_truth(
         u = motions.u[at]
         if wheels is not None:
             u = u + np.einsum("nij,nj->ni", motions.J[at], wheels[k])
-        out[at], spread[at] = _moved(pose[k], matrices(triangles[k]), u, motions.Q[at])
+        out[at], spread[at] = predicted(pose[k], matrices(triangles[k]), u, motions.Q[at])
     outside = drive.truth_instant < 0
     out[outside], spread[outside] = np.nan, np.nan
     return out, spread
-
-
-def _moved(pose: Array, P: Array, u: Array, Q: Array) -> tuple[Array, Array]:
-    """Return poses (n, 3) and covariances (n, 3, 3) after the motions u (n, 3) of covariance Q (n, 3, 3)."""
-    out = se2.compose(pose, u)
-    A = np.zeros((len(u), 3, 3))
-    A[:] = np.eye(3)
-    A[:, 0, 2], A[:, 1, 2] = pose[:, 1] - out[:, 1], out[:, 0] - pose[:, 0]
-    turn = np.zeros_like(A)
-    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-    turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1], turn[:, 2, 2] = c, -s, s, c, 1.0
-    return out, A @ P @ A.transpose(0, 2, 1) + turn @ Q @ turn.transpose(0, 2, 1)

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.ekf.equations import eq5_x, eq6_noise, eq7_A
 from locfuse.fusion.ekf.journal import Birth, Drop, Journal, Step
 from locfuse.fusion.wheels.states import WHEELS
 
@@ -158,11 +159,11 @@ def between_instants(
     if wheels is not None:  # their covariance is left out: over a part of an interval it is nothing
         u, v = u + drive.truth_motions.J @ wheels, v + drive.motions.J[after] @ wheels
     start = filtered.pose[k]
-    at, end = se2.compose(start, u), se2.compose(start, v)
-    to_at, to_end, on = _lever(start, at), _lever(start, end), _lever(at, end)
-    turn = _turns(start[:, 2])
-    Q = turn @ drive.truth_motions.Q @ turn.transpose(0, 2, 1)
-    whole = turn @ drive.motions.Q[after] @ turn.transpose(0, 2, 1)
+    at, end = eq5_x(start, u), eq5_x(start, v)
+    to_at, to_end, on = eq7_A(start, at), eq7_A(start, end), eq7_A(at, end)
+    turn = se2.rotation(start[:, 2])
+    Q = eq6_noise(turn, drive.truth_motions.Q)
+    whole = eq6_noise(turn, drive.motions.Q[after])
     share = Q @ on.transpose(0, 2, 1) @ np.linalg.pinv(whole, rcond=RANK, hermitian=True)
     share[k == after] = 0.0
     near = to_at - share @ to_end
@@ -180,18 +181,3 @@ def _apply(M: Array, x: Array) -> Array:
     """Matrix (n, 3, 3) times vector (n, 3)."""
     product: Array = np.einsum("nij,nj->ni", M, x)
     return product
-
-
-def _lever(a: Array, b: Array) -> Array:
-    """Derivative of a later pose b by an earlier one a, (n, 3, 3): paper eq. 7."""
-    out = np.zeros((len(a), 3, 3))
-    out[:] = np.eye(3)
-    out[:, 0, 2], out[:, 1, 2] = a[:, 1] - b[:, 1], b[:, 0] - a[:, 0]
-    return out
-
-
-def _turns(theta: Array) -> Array:
-    out = np.zeros((len(theta), 3, 3))
-    c, s = np.cos(theta), np.sin(theta)
-    out[:, 0, 0], out[:, 0, 1], out[:, 1, 0], out[:, 1, 1], out[:, 2, 2] = c, -s, s, c, 1.0
-    return out

@@ -13,6 +13,7 @@ import numpy as np
 
 from locfuse.fusion.data import Array, Drive, Measurements, Stream
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.streams import gap_limit
 from locfuse.fusion.wheels.repairs import times
 
 from .clocks import of_clocks
@@ -22,7 +23,6 @@ from .laser import laser_motion, of_laser
 from .truth import metre, of_truth
 from .turning import Turning, aligned, of_track, of_turning, turnings
 
-GAP, GAP_PERIODS = 0.5, 5.0  # s, median periods: a longer silence is a gap
 FEWEST = 10  # readings from which a sensor is judged
 BLIND = 0.9  # share of readings without any measurement: such a sensor is dead, or misunderstood
 SEES = {"lrf": "line", "sonar": "echo"}
@@ -98,7 +98,7 @@ def gaps(t: Array) -> list[tuple[float, float]]:
     dt = np.diff(t)
     if len(dt) < 2:
         return []
-    long = np.flatnonzero(dt > max(GAP, GAP_PERIODS * float(np.median(dt))))
+    long = np.flatnonzero(dt > gap_limit(t))
     return [(float(t[i]), float(t[i + 1])) for i in long]
 
 

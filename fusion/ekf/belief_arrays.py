@@ -14,6 +14,7 @@ from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.sensor import Block, Innovation
 
 from .belief_pose import Pose, Rows, Triangle, too_far_apart
+from .equations import eq10_12
 from .rows import sparse_row, stacked
 
 
@@ -200,11 +201,11 @@ class JointBelief:
             u = (u + J @ x[self._motion_block]).tolist()
         theta = float(x[2])
         c, s = math.cos(theta), math.sin(theta)
-        dx, dy = c * u[0] - s * u[1], s * u[0] + c * u[1]
+        dx, dy = c * u[0] - s * u[1], s * u[0] + c * u[1]  # eq. 5
         x[0] += dx
         x[1] += dy
         x[2] += u[2]
-        # A P A' with A of eq. 7: rows x and y, then their columns, which but for the pose's own are the rows again
+        # eq. 6, A P A' with A of eq. 7: rows x and y, then their columns: the rows again, but for the pose's own
         row = P[2, :n]
         P[0, :n] -= dy * row
         P[1, :n] += dx * row
@@ -249,8 +250,8 @@ class JointBelief:
             self._schmidt(V, e, self._considered)
             return
         n = self.n
-        self._x[:n] += e @ V
-        self._P[:n, :n] -= V.T @ V
+        self._x[:n] += e @ V  # eq. 11
+        self._P[:n, :n] -= V.T @ V  # eq. 12
 
     def listen(self, seen: Sequence[Innovation]) -> None:
         """Let innovations teach only the block columns that they name; the pose and all else is considered."""
@@ -268,14 +269,13 @@ class JointBelief:
         PH = P[:n, columns] @ H.T  # H has entries for the pose and the blocks in question only
         S = H @ PH[columns] + R
         try:
-            L = np.linalg.cholesky(0.5 * (S + S.T))
+            V, e, _ = eq10_12(PH, S, y)
         except np.linalg.LinAlgError:
             raise too_far_apart(float(S.diagonal().max())) from None
-        V = np.linalg.solve(L, np.column_stack((PH.T, y)))
-        return V[:, :n], V[:, n]
+        return V, e
 
     def _whitened_number(self, seen: Innovation) -> tuple[Array, Array]:
-        """Return V (1, n) and e (1,) of a single number, which needs no factorisation."""
+        """Return V (1, n) and e (1,) of a single number: eq. 10-12 without a factorisation."""
         row = sparse_row(seen.H[0], seen.columns, seen.H_block)
         V = np.zeros(self.n)
         for i, h in row:

@@ -47,13 +47,13 @@ class PoseBelief:
         """
         ux, uy, turn = u
         c, s = cos(self.theta), sin(self.theta)
-        dx, dy = c * ux - s * uy, s * ux + c * uy
+        dx, dy = c * ux - s * uy, s * ux + c * uy  # eq. 5
         self.x += dx
         self.y += dy
         self.theta += turn
         xx, xy, xt, yy, yt, tt = self.P
         qxx, qxy, qxt, qyy, qyt, qtt = Q
-        # A P A' with A of eq. 7, then the motion's noise turned into the map frame
+        # eq. 6: A P A' with A of eq. 7, then the motion's noise turned into the map frame
         xt_, yt_ = xt - dy * tt, yt + dx * tt
         cc, cs, ss = c * c, c * s, s * s
         bend = 2.0 * cs * qxy
@@ -84,12 +84,12 @@ class PoseBelief:
             p0 = xx * a + xy * b + xt * c
             p1 = xy * a + yy * b + yt * c
             p2 = xt * a + yt * b + tt * c
-            s = a * p0 + b * p1 + c * p2 + r
+            s = a * p0 + b * p1 + c * p2 + r  # eq. 10: the gain is p / s
             e = (y - a * dx - b * dy - c * dt) / s
-            dx += p0 * e
+            dx += p0 * e  # eq. 11
             dy += p1 * e
             dt += p2 * e
-            g0, g1, g2 = p0 / s, p1 / s, p2 / s
+            g0, g1, g2 = p0 / s, p1 / s, p2 / s  # eq. 12
             xx -= g0 * p0
             xy -= g0 * p1
             xt -= g0 * p2

@@ -8,17 +8,18 @@ n x n.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.sensor import Block
 
 from .belief_arrays import JointBelief
 from .belief_pose import Pose, PoseBelief, Triangle
+from .equations import eq6_noise, eq7_A
 
 POSE = np.arange(3)
 
@@ -121,7 +122,7 @@ class NotedJoint(JointBelief):
         coupling = None
         if self._motion_block is not None and J is not None:
             coupling = np.zeros((3, self.n))
-            coupling[:, self._motion_block] = turning(theta) @ J
+            coupling[:, self._motion_block] = se2.rotation(np.array(theta)) @ J
         self.events.append(undone(x, P, self.state, self.covariance, rows, noise, coupling))
 
     def _shift(self, turn: float, xy: float, theta: float) -> None:
@@ -195,8 +196,7 @@ def undone(
     rounding in G, which matters after an exact start, where P_next is singular.
     """
     n, r = len(x), len(rows)
-    A = np.eye(3)
-    A[0, 2], A[1, 2] = x[1] - x_next[1], x_next[0] - x[0]
+    A = eq7_A(x[:3], x_next[:3])
     unit = np.zeros((r, n))
     unit[np.arange(r), rows] = 1.0
     if not noise.any():
@@ -227,12 +227,4 @@ def _solved(P: Array, B: Array) -> Array:
 def in_map(Q: Sequence[float], theta: float) -> Array:
     """Turn a motion's covariance triangle from the frame of its start into the map, (3, 3)."""
     xx, xy, xt, yy, yt, tt = Q
-    turn = turning(theta)
-    turned: Array = turn @ np.array(((xx, xy, xt), (xy, yy, yt), (xt, yt, tt))) @ turn.T
-    return turned
-
-
-def turning(theta: float) -> Array:
-    """Return the rotation of (x, y, theta) by theta, (3, 3)."""
-    c, s = math.cos(theta), math.sin(theta)
-    return np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
+    return eq6_noise(se2.rotation(np.array(theta)), np.array(((xx, xy, xt), (xy, yy, yt), (xt, yt, tt))))

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, Evaluation, SensorFigures, Truth
+from locfuse.fusion.streams import gap_limit
 
 Align = Literal["none", "origin", "se2"]
 DRIFT_LENGTHS = (1.0, 5.0, 10.0)  # m
-GAP_PERIODS, GAP_LEAST = 5.0, 0.5  # a longer hole in the truth is not bridged: median periods, and s
 BLOCK = 4096  # errors whose covariances are worked on at once: on the way they take ten times their room
 SINGULAR = 1e-12  # relative eigenvalue below which a covariance is singular
 ERROR_KEYS = (
@@ -207,12 +207,7 @@ def _tangent(xy: Array) -> Array:
 
 def _segments(t: Array) -> NDArray[np.int64]:
     """Number the stretches of truth between holes, (q,)."""
-    return np.cumsum(np.diff(t, prepend=t[0]) > _longest_step(t))
-
-
-def _longest_step(t: Array) -> float:
-    period = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
-    return max(GAP_PERIODS * period, GAP_LEAST)
+    return np.cumsum(np.diff(t, prepend=t[0]) > gap_limit(t))
 
 
 def _travelled(xy: Array, segments: NDArray[np.int64]) -> Array:
@@ -225,7 +220,7 @@ def _coverage(t: Array, drive: Drive) -> float:
     """Share of the drive's time that the truth covers."""
     steps = np.diff(t)
     duration = float(drive.t[-1] - drive.t[0])
-    return min(1.0, float(steps[steps <= _longest_step(t)].sum()) / duration) if duration > 0 else 0.0
+    return min(1.0, float(steps[steps <= gap_limit(t)].sum()) / duration) if duration > 0 else 0.0
 
 
 def _position_figures(deviation: Array, along_cross: Array) -> dict[str, float | None]:

@@ -229,7 +229,7 @@ def tried(belief: AnyBelief, turn: float, xy: float, theta: float) -> Iterator[N
 def _turns(scan: Scan, lines: LineMap, recent: Ints, belief: AnyBelief) -> list[float]:
     """Return the distinct heading changes that lay a seen line onto a recent one, the most supported first."""
     beta = lines.values(belief)[recent, 1]
-    turns = _wrap(beta[None, :] - belief.theta - scan.z[:, 1, None])
+    turns = se2.wrap_all(beta[None, :] - belief.theta - scan.z[:, 1, None])
     length = np.broadcast_to((scan.ends[:, 1] - scan.ends[:, 0])[:, None], turns.shape)
     near = np.abs(turns) < LARGEST_SLIP
     cells = np.round(turns[near] / math.radians(2.0)).astype(np.int64)
@@ -238,7 +238,3 @@ def _turns(scan: Scan, lines: LineMap, recent: Ints, belief: AnyBelief) -> list[
         support[cell] = support.get(cell, 0.0) + weight
     ranked = sorted(support, key=lambda c: (-support[c], abs(c), c))[:CANDIDATES]
     return [c * math.radians(2.0) for c in ranked if c != 0]
-
-
-def _wrap(angle: Array) -> Array:
-    return (angle + math.pi) % (2.0 * math.pi) - math.pi

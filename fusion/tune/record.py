@@ -13,10 +13,11 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Ints, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.belief_pose import Pose, Triangle
-from locfuse.fusion.ekf.journal import in_map, turning
+from locfuse.fusion.ekf.journal import in_map
 from locfuse.fusion.ekf.rows import stacked
 from locfuse.fusion.fuse import Filter
 from locfuse.fusion.instants import due_readings, steps_of
@@ -139,7 +140,7 @@ class Taped(JointBelief):
         """Predict as ever, and write down the motion."""
         x, y, theta = self.state[:3].tolist()
         super().predict(u, Q, dt, J)
-        coupling = None if self._motion_block is None or J is None else turning(theta) @ J
+        coupling = None if self._motion_block is None or J is None else se2.rotation(np.array(theta)) @ J
         lever = (y - float(self.state[1]), float(self.state[0]) - x)
         turned, driven = float(self.state[2]) - theta, float(np.hypot(*lever))
         self.tape.ops.append(Move(self.instant, lever, in_map(Q, theta), coupling, turned, driven))

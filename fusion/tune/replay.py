@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.ekf.equations import eq10_12
 
 from .record import Change, Loosen, Move, See, Tape
 
@@ -69,7 +70,7 @@ class Head:
         self.m = np.zeros((B, len(tape.P0)))
 
     def move(self, op: Move) -> None:
-        """Predict."""
+        """Predict: eq. 5-7 for the deviation, whose eq. 7 has only a lever."""
         P, m = self.P, self.m
         a, b = op.lever
         m[:, 0] += a * m[:, 2]
@@ -93,15 +94,12 @@ class Head:
             P[:, columns, columns] += np.outer(self.noise.drifts.get(name, np.ones(len(P))), drift * dt)
 
     def see(self, op: See) -> Array:
-        """Correct; return the log likelihood of what sensors measured, (B,)."""
+        """Correct (eq. 10-12); return the log likelihood of what sensors measured, (B,)."""
         P, m = self.P, self.m
         scale = self.scale[:, op.sensor]
         PH = P[:, :, op.columns] @ op.H.T
         S = op.H @ PH[:, op.columns, :] + scale[:, :, None] * scale[:, None, :] * op.R_sigma + op.R_rest
-        L = np.linalg.cholesky(S)
-        e = op.y - m[:, op.columns] @ op.H.T
-        V = np.linalg.solve(L, np.concatenate((PH.transpose(0, 2, 1), e[:, :, None]), axis=2))
-        w, V = V[:, :, -1], V[:, :, :-1]
+        V, w, L = eq10_12(PH, S, op.y - m[:, op.columns] @ op.H.T)
         P -= V.transpose(0, 2, 1) @ V
         m += (w[:, None, :] @ V)[:, 0, :] - op.step
         terms = -0.5 * w**2 - np.log(np.diagonal(L, axis1=1, axis2=2)) - 0.5 * math.log(2.0 * math.pi)

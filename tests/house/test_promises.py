@@ -198,7 +198,8 @@ def test_empty_or_not_mcap_is_one_line(tmp_path: Path, content: bytes) -> None:
 LIMITED = """
 import resource, sys
 import cv2, rosbags.typesys, zstandard
-import locfuse.cli.load, locfuse.cli.run, locfuse.cli.results, locfuse.fusion.evaluate
+import locfuse.cli.pipeline.load, locfuse.cli.commands.run, locfuse.cli.pipeline.results
+import locfuse.fusion.judge.evaluate
 from locfuse.cli.main import main
 size = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize() + (400 << 20)
 resource.setrlimit(resource.RLIMIT_AS, (size, size))

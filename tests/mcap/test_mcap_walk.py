@@ -324,7 +324,7 @@ def test_an_unknown_compression_and_a_giant_are_refused_by_name() -> None:
 BOMB = """
     import resource, sys
     from pathlib import Path
-    from locfuse.formats.log import open_log
+    from locfuse.formats.log.log import open_log
     resource.setrlimit(resource.RLIMIT_AS, (1 << 30, 1 << 30))
     log = open_log([Path(sys.argv[1])])
     for name in log.topics:

@@ -127,8 +127,8 @@ FULL_DISK = """
 import resource, signal, sys
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 from locfuse.cli.main import main
-from locfuse.formats import outdir
-import locfuse.formats.rerun_file as rerun_file
+from locfuse.formats import whole_files as outdir
+import locfuse.formats.rerun.file as rerun_file
 before = rerun_file.save_recording
 def full(*a):
     resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 import msgspec
 
-from .data import Array, MapLine, Measurements, Stream
+from .data import VERDICTS, Array, MapLine, Measurements, Stream
+
+GATE = VERDICTS.index("gate")
+Matrix = tuple[tuple[float, ...], ...]
+PoseRows = tuple[tuple[float, float, float], ...]  # (d, 3) derivatives by x [m], y [m], theta [rad] of the pose
 
 
 class SensorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -48,10 +53,63 @@ class Innovation(msgspec.Struct, frozen=True, gc=False):
     threshold: float  # of the gate
     y: tuple[float, ...]  # (d,)
     sigma: tuple[float, ...]  # (d,) sqrt of the diagonal of S
-    H: tuple[tuple[float, float, float], ...]  # (d, 3) columns x, y, theta
-    R: tuple[tuple[float, ...], ...]  # (d, d)
+    H: PoseRows  # (d, 3) columns x, y, theta
+    R: Matrix  # (d, d)
     columns: tuple[int, ...] = ()  # state columns of the sensor's block
-    H_block: tuple[tuple[float, ...], ...] = ()  # (d, len(columns))
+    H_block: Matrix = ()  # (d, len(columns))
+
+    @classmethod
+    def of(
+        cls,
+        row: int,
+        y: tuple[float, ...],
+        H: PoseRows,
+        R: Matrix,
+        belief: Belief,
+        threshold: float,
+        *,
+        columns: tuple[int, ...] = (),
+        H_block: Matrix = (),
+        landmark: int = -1,
+        verdict: int | None = None,
+    ) -> Innovation:
+        """Judge the innovation y (d,), d = 1 or 2, of measurement `row` against the gate `threshold`.
+
+        S = H P H' + R and NIS = y' S^-1 y (Bar-Shalom, Li and Kirubarajan 2001, 5.4.2). The verdict is
+        "accepted" or "gate" by these, unless `verdict` (an index into VERDICTS) says something else.
+        """
+        spread = belief.spread(H, columns, H_block)
+        sigma: tuple[float, ...]
+        if len(y) == 1:
+            S = spread[0][0] + R[0][0]
+            nis, sigma = y[0] * y[0] / S, (math.sqrt(S),)
+        else:
+            nis, sigma = _pair(y, spread, R)
+        if verdict is None:
+            verdict = 0 if nis <= threshold else GATE
+        return cls(row, verdict, landmark, nis, threshold, y, sigma, H, R, columns, H_block)
+
+    @classmethod
+    def unpredicted(cls, row: int, verdict: int, d: int, threshold: float) -> Innovation:
+        """Return the record of a measurement of d numbers that was compared with nothing: all NaN."""
+        nan = (math.nan,) * d
+        return cls(row, verdict, -1, math.nan, threshold, nan, nan, (), ())
+
+    @classmethod
+    def of_states(cls, y: tuple[float, ...], R: Matrix, columns: tuple[int, ...], H_block: Matrix) -> Innovation:
+        """Return what is known of states without a reading, such as that two of them are equal."""
+        zero = ((0.0, 0.0, 0.0),) * len(y)
+        return cls(-1, 0, -1, 0.0, math.inf, y, y, zero, R, columns, H_block)
+
+
+def _pair(y: tuple[float, ...], spread: Matrix, R: Matrix) -> tuple[float, tuple[float, float]]:
+    """Return the NIS of two numbers, and the square roots of the diagonal of S = spread + R."""
+    y0, y1 = y
+    (p00, p01), (_, p11) = spread
+    (r00, r01), (_, r11) = R
+    s00, s01, s11 = p00 + r00, p01 + r01, p11 + r11
+    nis = (s11 * y0 * y0 - 2.0 * s01 * y0 * y1 + s00 * y1 * y1) / (s00 * s11 - s01 * s01)
+    return nis, (math.sqrt(s00), math.sqrt(s11))
 
 
 class Block(NamedTuple):
@@ -83,10 +141,10 @@ class Belief(Protocol):
 
     def spread(
         self,
-        H: tuple[tuple[float, float, float], ...],
+        H: PoseRows,
         columns: tuple[int, ...] = (),
-        H_block: tuple[tuple[float, ...], ...] = (),
-    ) -> tuple[tuple[float, ...], ...]:
+        H_block: Matrix = (),
+    ) -> Matrix:
         """Return H P H', (d, d): the innovation covariance without R."""
 
 

@@ -107,11 +107,10 @@ def _join(lines: LineMap, belief: JointBelief, i: int, j: int, R: Array) -> None
     """Measure that lines i and j are equal, then keep i with the extent of both."""
     y, H, lo, hi = _difference(lines, lines.values(belief), i, j)
     columns = tuple(int(c) for c in _columns(lines, i, j))
-    zero = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     rows = tuple(tuple(float(v) for v in row) for row in H)
     noise = tuple(map(tuple, R.tolist()))
     innovation = (float(y[0]), float(y[1]))
-    belief.correct([Innovation(-1, 0, -1, 0.0, 0.0, innovation, innovation, zero, noise, columns, rows)])
+    belief.correct([Innovation.of_states(innovation, noise, columns, rows)])
     lines.lo[i], lines.hi[i] = min(lines.lo[i], lo), max(lines.hi[i], hi)
     lines.hits[i] += lines.hits[j]
     lines.seen[i] = max(lines.seen[i], lines.seen[j])

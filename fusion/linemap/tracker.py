@@ -75,14 +75,14 @@ class LineTracker(Model):
         if first == last:
             return []
         if len(self.map) == 0:
-            return [_nothing(row, NEW, self._gate) for row in range(first, last)]
+            return [Innovation.unpredicted(row, NEW, 2, self._gate) for row in range(first, last)]
         scan = self._scan_of(m, first, last, belief)
         found = associate(scan, self.map, belief, self._gate)
         if self.guard is not None:
             found, self._teach = self.guard.watch(float(m.t[i]), scan, found, self.map, belief, self._gate)
         self._last = found
         if not self._teach:
-            return [_nothing(first + k, LOST, self._gate) for k in range(last - first)]
+            return [Innovation.unpredicted(first + k, LOST, 2, self._gate) for k in range(last - first)]
         if self.mode == "grow":
             _refuse_a_lone_match(found)
         return [self._innovation(found, k, first + k, scan) for k in range(last - first)]
@@ -93,7 +93,7 @@ class LineTracker(Model):
             p = found.best[k]
             if p < 0 or not found.near[k]:
                 grows = self.mode == "grow" and not found.near[k]
-                return _nothing(row, NEW if grows else UNMATCHED, self._gate)
+                return Innovation.unpredicted(row, NEW if grows else UNMATCHED, 2, self._gate)
             verdict = AMBIGUOUS if found.ambiguous[k] else UNMATCHED
         pair = found.pairs[p]
         c, s, u, (r00, r01, r11) = pair.cos, pair.sin, pair.u, pair.R
@@ -106,17 +106,17 @@ class LineTracker(Model):
             columns += scan.seat.columns
             H_block = tuple((*h, *m) for h, m in zip(H_block or ((), ()), by_mount, strict=True))
         return Innovation(
-            row,
-            verdict,
-            int(self.map.ids[pair.which]),
-            pair.d2,
-            self._gate,
-            pair.y,
-            (math.sqrt(pair.S[0]), math.sqrt(pair.S[2])),
-            ((-c, -s, 0.0), (0.0, 0.0, -1.0)),
-            ((r00, r01), (r01, r11)),
-            columns,
-            H_block,
+            row=row,
+            verdict=verdict,
+            landmark=int(self.map.ids[pair.which]),
+            nis=pair.d2,
+            threshold=self._gate,
+            y=pair.y,
+            sigma=(math.sqrt(pair.S[0]), math.sqrt(pair.S[2])),
+            H=((-c, -s, 0.0), (0.0, 0.0, -1.0)),
+            R=((r00, r01), (r01, r11)),
+            columns=columns,
+            H_block=H_block,
         )
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
@@ -233,9 +233,3 @@ def _refuse_a_lone_match(found: Association) -> None:
     if pair.d2 > LONE_D2 or abs(turn) > LONE_ANGLE or abs(offset) > LONE_OFFSET:
         found.match[k] = -1
         found.near[k] = True
-
-
-def _nothing(row: int, verdict: int, gate: float) -> Innovation:
-    """Return an innovation without a prediction: nothing in the map was near, or nothing was asked."""
-    nan = math.nan
-    return Innovation(row, verdict, -1, nan, gate, (nan, nan), (nan, nan), (), ())

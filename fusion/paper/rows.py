@@ -42,7 +42,7 @@ class LineRows:
         lines = range(int(m.first[i]), int(m.first[i + 1]))
         if not self.map:
             self._remember(m, lines, x)
-            return [_no_prediction(row, NEW) for row in lines]
+            return [Innovation.unpredicted(row, NEW, 2, math.inf) for row in lines]
         return [self._row(row, float(m.z[row, 0]), float(m.z[row, 1]) + TO_RIGHT, x, P) for row in lines]
 
     def _remember(self, m: Measurements, lines: range, x: Array) -> None:
@@ -57,7 +57,7 @@ class LineRows:
     def _row(self, row: int, r: float, psi: float, x: Array, P: Array) -> Innovation:
         j, dr, dpsi = self._nearest(r, psi, x)
         if j < 0:
-            return _no_prediction(row, UNMATCHED)
+            return Innovation.unpredicted(row, UNMATCHED, 2, math.inf)
         self.hits[j] += 1
         rho, beta = self.map[j]
         C = equations.eq17_C(rho, beta, float(x[0]), float(x[1]))
@@ -126,19 +126,17 @@ def innovation(row: int, landmark: int, y: Array, H: Array, R: Array, P: Array) 
     """Return an accepted measurement with y (d,), H (d, 3), R (d, d): the print knows no gate."""
     S = H @ P @ H.T + R
     nis = float(y @ np.linalg.solve(S, y))
-    sigma = np.sqrt(np.maximum(np.diag(S), 0.0))
-    columns = (
-        tuple(y.tolist()),
-        tuple(sigma.tolist()),
-        tuple(map(tuple, H.tolist())),
-        tuple(map(tuple, R.tolist())),
+    return Innovation(
+        row=row,
+        verdict=0,
+        landmark=landmark,
+        nis=nis,
+        threshold=math.inf,
+        y=tuple(y.tolist()),
+        sigma=tuple(np.sqrt(np.maximum(np.diag(S), 0.0)).tolist()),
+        H=tuple(map(tuple, H.tolist())),
+        R=tuple(map(tuple, R.tolist())),
     )
-    return Innovation(row, 0, landmark, nis, math.inf, *columns)
-
-
-def _no_prediction(row: int, verdict: int) -> Innovation:
-    nan = math.nan
-    return Innovation(row, verdict, -1, nan, math.inf, (nan, nan), (nan, nan), (), ())
 
 
 PARTS: dict[str, type[LineRows] | type[CompassRow] | type[CameraRow]] = {

@@ -25,9 +25,9 @@ from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import VERDICTS, LocfuseError, Measurements, Stream
 from locfuse.fusion.mount import Mount, MountedSettings
 from locfuse.fusion.se2 import wrap
-from locfuse.fusion.sensor import Belief, Block, Innovation, Model, SensorSettings, WheelMotion
+from locfuse.fusion.sensor import GATE, Belief, Block, Innovation, Model, SensorSettings, WheelMotion
 
-GATE, AMBIGUOUS, UNMATCHED = (VERDICTS.index(v) for v in ("gate", "ambiguous", "unmatched"))
+AMBIGUOUS, UNMATCHED = (VERDICTS.index(v) for v in ("ambiguous", "unmatched"))
 MOST_COLUMNS, MOST_ROWS = 3600, 8192  # of a panorama: its maps stay below 250 MB
 MARGIN = 9.0  # by how much the second-best candidate must fit worse (squared sigmas: odds of 90 to 1)
 
@@ -216,15 +216,22 @@ class BearingModel(Model):
             columns = self.mount.columns(belief)
             H_block = self.mount.rows((bearing_by_mount(pose, self.landmark, (x, y)),))
         bend = belief.spread(((H[0], H[1], 0.0),))[0][0]
-        spread = belief.spread((H,), columns, H_block)[0][0]
         judged = []
         for row in range(first, last):
             # the bearing is not linear in the position: second-order variance (sigma_position / distance)^4
             r = variances[row] + bend * bend
-            y, S = wrap(z[row] - h), spread + r
-            sigma = math.sqrt(S)
             judged.append(
-                Innovation(row, 0, 0, y * y / S, self.threshold, (y,), (sigma,), (H,), ((r,),), columns, H_block)
+                Innovation.of(
+                    row,
+                    (wrap(z[row] - h),),
+                    (H,),
+                    ((r,),),
+                    belief,
+                    self.threshold,
+                    columns=columns,
+                    H_block=H_block,
+                    landmark=0,
+                )
             )
         return choose(judged)
 
@@ -252,10 +259,8 @@ class OrientationModel(Model):
             return []
         z, variances = m.scalars
         y = wrap(paper_orientation(self.direction, z[row] + self.yaw) - belief.theta)
-        S = belief.spread((H_ORIENTATION,))[0][0] + variances[row]
-        seen = Innovation(
-            row, 0, 0, y * y / S, self.threshold, (y,), (math.sqrt(S),), (H_ORIENTATION,), ((variances[row],),)
-        )
+        R = ((variances[row],),)
+        seen = Innovation.of(row, (y,), (H_ORIENTATION,), R, belief, self.threshold, landmark=0)
         return choose([seen])
 
 

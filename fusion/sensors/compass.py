@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal, cast
+from typing import ClassVar, Literal, cast
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from locfuse.fusion.sensor import Belief, Block, Innovation, Model, SensorSettin
 
 Convention = Literal["enu_rad", "enu_deg", "compass_rad", "compass_deg"]
 OFFSET = "compass_offset"
+DISTURBED = VERDICTS.index("disturbed")
 H_HEADING = ((0.0, 0.0, 1.0),)
 H_OFFSET = ((1.0,),)
 # What disturbs a field changes its strength (share) about as much as its direction [rad]: beyond this many sigmas,
@@ -145,23 +146,21 @@ class CompassModel(Model):
             column, now = belief.block(OFFSET)
             columns, H_block, offset = (column,), H_OFFSET, float(now[0])
         y = wrap(z - belief.theta - offset)
-        S = belief.spread(H_HEADING, columns, H_block)[0][0] + r
-        return [self._judge(i, y, S, r, strength, columns, H_block)]
-
-    def _judge(
-        self, i: int, y: float, S: float, r: float, strength: float, columns: Any, H_block: Any
-    ) -> Innovation:
-        threshold, nis = self.threshold, y * y / S
-        verdict = 0 if nis <= threshold else GATE
-        if abs(strength - 1.0) > self.settings.field_tolerance:
-            verdict = DISTURBED
-        return Innovation(
-            i, verdict, -1, nis, threshold, (y,), (math.sqrt(S),), H_HEADING, ((r,),), columns, H_block
-        )
-
-
-GATE = VERDICTS.index("gate")
-DISTURBED = VERDICTS.index("disturbed")
+        disturbed = abs(strength - 1.0) > self.settings.field_tolerance
+        verdict = DISTURBED if disturbed else None
+        return [
+            Innovation.of(
+                i,
+                (y,),
+                H_HEADING,
+                ((r,),),
+                belief,
+                self.threshold,
+                columns=columns,
+                H_block=H_block,
+                verdict=verdict,
+            )
+        ]
 
 
 def _refuse_stuck(t: Array, heading: Array, wheels: WheelMotion, topic: str) -> None:

@@ -19,12 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import VERDICTS, Array, LocfuseError, Measurements, Stream
+from locfuse.fusion.data import Array, LocfuseError, Measurements, Stream
 from locfuse.fusion.sensor import Block, Innovation, Model, SensorSettings, WheelMotion
 
 from .geodesy import east_north
 
-GATE = VERDICTS.index("gate")
 FRAME = "_gps_frame"
 WIDE = 100.0  # m: how far the first fix may be from where the robot was
 KNOWN = math.radians(10.0)  # from here on the direction of east is a state of its own
@@ -145,13 +144,8 @@ class GpsModel(Model):
         z = m.z[i]
         y = (float(z[0]) - h[0], float(z[1]) - h[1])
         (r00, r01), (_, r11) = m.R[i].tolist()
-        (s00, s01), (_, s11) = belief.spread(H, columns, H_block)
-        s00, s01, s11 = s00 + r00, s01 + r01, s11 + r11
-        nis = (s11 * y[0] ** 2 - 2.0 * s01 * y[0] * y[1] + s00 * y[1] ** 2) / (s00 * s11 - s01**2)
-        verdict = 0 if nis <= self.threshold else GATE
         R = ((r00, r01), (r01, r11))
-        sigma = (math.sqrt(s00), math.sqrt(s11))
-        return [Innovation(i, verdict, -1, nis, self.threshold, y, sigma, H, R, columns, H_block)]
+        return [Innovation.of(i, y, H, R, belief, self.threshold, columns=columns, H_block=H_block)]
 
     def _predicted(
         self, belief: Any
@@ -199,10 +193,7 @@ class GpsModel(Model):
         if float(G[0] @ P @ G[0]) > KNOWN**2:
             return
         belief.transform(columns, np.array([math.atan2(b, a), length, now[2], now[3]]), G)
-        zero, one = ((0.0, 0.0, 0.0),), ((1.0,),)
-        belief.correct(
-            [Innovation(-1, 0, -1, 0.0, 0.0, (1.0 - length,), (1.0,), zero, ((LENGTH**2,),), (first + 1,), one)]
-        )
+        belief.correct([Innovation.of_states((1.0 - length,), ((LENGTH**2,),), (first + 1,), ((1.0,),))])
         self.known = True
 
     def notes(self, belief: Any) -> list[str]:

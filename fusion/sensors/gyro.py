@@ -20,12 +20,11 @@ from typing import Any, ClassVar, Literal, cast
 import numpy as np
 
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import VERDICTS, Array, Ints, LocfuseError, Measurements, Stream
+from locfuse.fusion.data import Array, Ints, LocfuseError, Measurements, Stream
 from locfuse.fusion.mount import rotation
 from locfuse.fusion.sensor import Block, Innovation, Model, SensorSettings, WheelMotion
 from locfuse.fusion.streams import gap_limit
 
-GATE = VERDICTS.index("gate")
 BEFORE, BIAS = "_gyro_before", "gyro_bias"
 H_TURN = ((0.0, 0.0, 1.0),)
 LEAST_TURN = math.radians(20.0)  # rms of the wheels' turn about its mean, before the gyro is held against it
@@ -143,11 +142,7 @@ class GyroModel(Model):
             columns, H_block, bias = (column, at), ((-1.0, dt),), float(now[0])
         y = turned - bias * dt - (belief.theta - float(before[0]))
         r = m.scale**2 * dt + (self.settings.sigma_scale * turned) ** 2
-        S = belief.spread(H_TURN, columns, H_block)[0][0] + r
-        nis = y * y / S
-        verdict = 0 if nis <= self.threshold else GATE
-        sigma = (math.sqrt(S),)
-        return [Innovation(i, verdict, -1, nis, self.threshold, (y,), sigma, H_TURN, ((r,),), columns, H_block)]
+        return [Innovation.of(i, (y,), H_TURN, ((r,),), belief, self.threshold, columns=columns, H_block=H_block)]
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Keep the heading as it is now."""

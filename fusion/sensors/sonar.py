@@ -16,14 +16,15 @@ from typing import Any, ClassVar, cast
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import VERDICTS, Array, Ints, Measurements, Stream
 from locfuse.fusion.linemap.sonar_echo import Cone, Echo, nearest_echo
-from locfuse.fusion.sensor import Innovation, Model, SensorSettings, WheelMotion
+from locfuse.fusion.sensor import GATE, Innovation, Model, SensorSettings, WheelMotion
 from locfuse.fusion.streams import Joined
 
-GATE, UNMATCHED = (VERDICTS.index(v) for v in ("gate", "unmatched"))
+UNMATCHED = VERDICTS.index("unmatched")
 Mount = tuple[float, float, float]
 CLUTTER = 0.25  # share of the echoes that come from something the map lacks, anywhere before the wall
 
@@ -118,19 +119,24 @@ class SonarModel(Model):
         z, variances = m.scalars
         echo = nearest_echo(lines, belief, cone, math.sqrt(variances[row]))
         if echo is None:
-            nan = math.nan
-            return [Innovation(row, UNMATCHED, -1, nan, self.threshold, (nan,), (nan,), (), ())]
+            return [Innovation.unpredicted(row, UNMATCHED, 1, self.threshold)]
         return [self._judge(row, z[row] - echo.distance, variances[row], echo, belief)]
 
     def _judge(self, row: int, y: float, r: float, echo: Echo, belief: Any) -> Innovation:
-        r += echo.map_variance
-        S = belief.spread(echo.H, echo.columns, echo.H_block)[0][0] + r
-        nis, sigma = y * y / S, math.sqrt(S)
-        threshold = min(self.threshold, _likelier(echo.distance, sigma))
-        verdict = 0 if nis <= threshold else GATE
-        return Innovation(
-            row, verdict, echo.line, nis, threshold, (y,), (sigma,), echo.H, ((r,),), echo.columns, echo.H_block
+        R = ((r + echo.map_variance,),)
+        seen = Innovation.of(
+            row,
+            (y,),
+            echo.H,
+            R,
+            belief,
+            self.threshold,
+            columns=echo.columns,
+            H_block=echo.H_block,
+            landmark=echo.line,
         )
+        threshold = min(self.threshold, _likelier(echo.distance, seen.sigma[0]))
+        return replace(seen, threshold=threshold, verdict=0 if seen.nis <= threshold else GATE)
 
 
 def _likelier(distance: float, sigma: float) -> float:

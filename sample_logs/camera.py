@@ -72,7 +72,7 @@ class Painter:
             Standing(scene.walls, room.height, Surface.WALL),
             Standing(scene.plates, room.plate_height, Surface.PLATE),
         ]
-        return self.view.trace(eye, standing, scene.pillars(t), room.height)
+        return self.view.trace(eye, standing, scene.pillars(t), room.height, scene.rings)
 
     def _background(self) -> NDArray[np.float32]:
         width, height = self.camera.size

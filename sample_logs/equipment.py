@@ -5,11 +5,15 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import msgspec
+import numpy as np
+
+from ..fusion.data import Array
 from .camera import OmniCamera
 from .extras import Ranger, SatelliteReceiver
 from .messages import Pose, RawMessage, Streams
 from .robot import Robot
-from .scenario import Scenario
+from .scenario import Lrf, Scenario
 from .sensors import JOINTS, Encoders, GroundTruth, Laser, Magnetometer, Sensor
 from .world import Scene
 
@@ -20,7 +24,7 @@ def sensors(scenario: Scenario, scene: Scene, robot: Robot, streams: Streams) ->
     if scenario.compass.enabled:
         carried.append(Magnetometer(scenario.compass, scene, robot, streams("compass")))
     if scenario.lrf.enabled:
-        carried.append(Laser(scenario.lrf, scene, robot, streams("lrf")))
+        carried.append(Laser(scenario.lrf, scene, robot, streams("lrf"), beam_pattern(scenario.lrf, streams)))
     if scenario.camera.enabled:
         carried.append(OmniCamera(scenario.camera, scene, robot, streams("camera")))
     carried += [Ranger(s, scene, robot, streams(f"sonar {s.name}")) for s in scenario.sonar]
@@ -28,6 +32,11 @@ def sensors(scenario: Scenario, scene: Scene, robot: Robot, streams: Streams) ->
         carried.append(SatelliteReceiver(scenario.gps, robot, streams("gps")))
     carried.append(GroundTruth(scenario.truth, robot))
     return carried
+
+
+def beam_pattern(lrf: Lrf, streams: Streams) -> Array:
+    """Return the fixed error of each beam (beams,) [m]: one draw per beam and drive, from a stream of its own."""
+    return np.asarray(lrf.pattern * streams("lrf pattern").standard_normal(lrf.beams))
 
 
 def static_transforms(scenario: Scenario, epoch_ns: int) -> RawMessage:
@@ -57,12 +66,20 @@ def static_transforms(scenario: Scenario, epoch_ns: int) -> RawMessage:
     return RawMessage("/tf_static", "tf2_msgs/msg/TFMessage", epoch_ns, epoch_ns, "", fields)
 
 
+def stated_start(scenario: Scenario, true: Pose, streams: Streams) -> Pose:
+    """Return the start pose that the user states: the true one plus one draw of the scenario's start sigmas."""
+    s = scenario.start
+    sigma = np.array([s.sigma_xy, s.sigma_xy, math.radians(s.sigma_theta_deg)])
+    x, y, theta = (true + sigma * streams("start").standard_normal(3)).tolist()
+    return x, y, theta
+
+
 def robot_tables(scenario: Scenario, start: Pose) -> dict[str, dict[str, Any]]:
     """Return the robot.toml a user of this robot would write: nominal geometry, data-sheet accuracies.
 
-    What the scenario draws from (noise, iron, wheel errors, the field's direction) is not in it.
+    `start` is the pose that the user states. What the scenario draws from (noise, iron, wheel errors, the field's
+    direction) is not in it.
     """
-    x, y, theta = start
     wheels = scenario.wheels
     tables: dict[str, dict[str, Any]] = {
         "wheels": {
@@ -72,7 +89,7 @@ def robot_tables(scenario: Scenario, start: Pose) -> dict[str, dict[str, Any]]:
             "radius": wheels.radius,
             "track": wheels.track,
         },
-        "start": {"x": x, "y": y, "theta_deg": math.degrees(theta)},
+        "start": _start_table(scenario, start),
     }
     if scenario.compass.enabled:
         tables["compass"] = {"topic": Magnetometer.topic, "sigma_deg": scenario.compass.sigma_deg}
@@ -82,6 +99,12 @@ def robot_tables(scenario: Scenario, start: Pose) -> dict[str, dict[str, Any]]:
         tables["camera"] = _camera_table(scenario)
     tables["truth"] = {"topic": GroundTruth.topic, "x": 0.0, "y": 0.0}
     return tables
+
+
+def _start_table(scenario: Scenario, start: Pose) -> dict[str, Any]:
+    x, y, theta = start
+    sigmas: dict[str, float] = msgspec.to_builtins(scenario.start)
+    return {"x": x, "y": y, "theta_deg": math.degrees(theta), **{k: s for k, s in sigmas.items() if s > 0}}
 
 
 def _lrf_table(scenario: Scenario) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from .table import Pillar
 
 Floats = NDArray[np.float32]
 NEAR = 0.01  # m: what is nearer is the camera itself
+NO_RINGS = np.zeros((0, 3))
 MARGIN = 1e-3  # rad, by which a slice is wider than the thing it holds
 
 
@@ -39,9 +40,21 @@ class View:
         self.cos, self.sin = (f(rays.azimuth).astype(np.float32) for f in (np.cos, np.sin))
         self.slope = rays.slope.astype(np.float32)
 
-    def trace(self, eye: Array, standing: list[Standing], pillars: tuple[Pillar, ...], ceiling: float) -> Hits:
-        """Return what every ray from `eye` = (x, y, z, heading) meets first, and where."""
+    def trace(
+        self,
+        eye: Array,
+        standing: list[Standing],
+        pillars: tuple[Pillar, ...],
+        ceiling: float,
+        rings: Array = NO_RINGS,
+    ) -> Hits:
+        """Return what every ray from `eye` = (x, y, z, heading) meets first, and where.
+
+        `rings` (l, 3) are round walls up to the ceiling: x, y, radius [m], seen from inside.
+        """
         hits = self._empty_room(eye, ceiling)
+        for ring in rings:
+            self._ring(hits, eye, ring, ceiling)
         for kind in standing:
             for segment in kind.segments:
                 self._wall(hits, eye, segment, kind)
@@ -85,6 +98,18 @@ class View:
                 seen = (way > NEAR) & (way < hits.way[part]) & (at >= 0) & (at <= length)
                 seen &= z + way * hits.slope[part] <= kind.height
             hits.put(part, seen, way, kind.surface, at, facing * uy, -facing * ux)
+
+    def _ring(self, hits: Hits, eye: Array, ring: Array, height: float) -> None:
+        x, y, radius = (ring - (eye[0], eye[1], 0.0)).tolist()  # centre as seen from the eye
+        power = radius**2 - x * x - y * y
+        if power <= 0:
+            return  # the camera is outside
+        ahead = hits.dx * x + hits.dy * y
+        way = (ahead + np.sqrt(power + ahead**2)).astype(np.float32)
+        out_x, out_y = way * hits.dx - x, way * hits.dy - y  # from the centre to where the ray ends
+        seen = (way < hits.way) & (float(eye[2]) + way * hits.slope <= height)
+        along = np.float32(radius) * np.arctan2(out_y, out_x)
+        hits.put(slice(None), seen, way, Surface.WALL, along, -out_x / radius, -out_y / radius)
 
     def _cylinder(self, hits: Hits, eye: Array, pillar: Pillar) -> None:
         x, y = pillar.x - float(eye[0]), pillar.y - float(eye[1])

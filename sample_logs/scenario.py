@@ -9,7 +9,7 @@ from __future__ import annotations
 import msgspec
 
 from .faults import Fault
-from .table import Count, Percent, Pillar, Point, Positive, Segment, Share, Table
+from .table import Count, NotNegative, Percent, Pillar, Point, Positive, Segment, Share, Table
 
 
 class Room(Table, frozen=True, kw_only=True):
@@ -17,6 +17,7 @@ class Room(Table, frozen=True, kw_only=True):
 
     size: Point = (8.0, 6.0)  # m, along x and y
     walls: tuple[Segment, ...] | None = None  # None: the four sides; give them to leave a door open
+    radius: Positive | None = None  # m, of one round wall about the middle of `size`, instead of the four sides
     plates: tuple[Segment, ...] = ((3, 0, 3, 1), (5, 6, 5, 5.4), (8, 3, 7, 3), (0, 5.2, 0.8, 5.2))
     height: Positive = 2.6  # m, of walls and ceiling
     plate_height: Positive = 1.2
@@ -137,6 +138,7 @@ class Lrf(Table, frozen=True, kw_only=True):
     sigma_range: float = 0.03
     sigma_angle_deg: float = 0.25
     lost: Share = 0.002  # share of rays that never return
+    pattern: NotNegative = 0.0  # m, 1 sigma of an error of each beam that stays the same in the whole drive
 
 
 class Camera(Table, frozen=True, kw_only=True):
@@ -195,6 +197,13 @@ class Gps(Table, frozen=True, kw_only=True):
     sigma: float = 1.5  # m, of each horizontal axis
 
 
+class Start(Table, frozen=True, kw_only=True):
+    """How well the user knows the start: robot.toml gets the true pose plus one draw, and these sigmas."""
+
+    sigma_xy: NotNegative = 0.0  # m, of x and of y
+    sigma_theta_deg: NotNegative = 0.0
+
+
 class Truth(Table, frozen=True, kw_only=True):
     """The reference pose, without noise."""
 
@@ -219,4 +228,5 @@ class Scenario(Table, frozen=True, kw_only=True):
     sonar: tuple[Sonar, ...] = ()
     gps: Gps = Gps()
     truth: Truth = Truth()
+    start: Start = Start()
     faults: tuple[Fault, ...] = ()

@@ -103,8 +103,12 @@ class Laser:
     name, topic, msgtype, frame_id = "lrf", "/scan", "sensor_msgs/msg/LaserScan", "laser"
     latency = 0.002
 
-    def __init__(self, lrf: Lrf, scene: Scene, robot: Robot, rng: np.random.Generator) -> None:
+    def __init__(
+        self, lrf: Lrf, scene: Scene, robot: Robot, rng: np.random.Generator, pattern: Array | None = None
+    ) -> None:
+        """`pattern` (beams,) [m] is a fixed error of each beam; left out, there is none."""
         self.settings = lrf
+        self.pattern = np.zeros(lrf.beams) if pattern is None else pattern
         self.period, self.phase, self.duration = 1 / lrf.rate, lrf.phase, lrf.duration
         self.scene = scene
         self.robot = robot
@@ -136,7 +140,7 @@ class Laser:
         wobble = np.radians(s.sigma_angle_deg) * self.rng.standard_normal(s.beams)
         noise = s.sigma_range * self.rng.standard_normal(s.beams)
         lost = self.rng.random(s.beams) < s.lost
-        ranges = cast(plan, laser[:, :2], laser[:, 2] + self.angles + wobble) + noise
+        ranges = cast(plan, laser[:, :2], laser[:, 2] + self.angles + wobble) + noise + self.pattern
         seen = ~lost & (ranges >= s.range_min) & (ranges <= s.range_max)
         return np.where(seen, ranges, np.inf).astype(np.float32)
 

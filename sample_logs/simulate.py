@@ -62,7 +62,8 @@ class Simulation:
     @property
     def robot_tables(self) -> dict[str, dict[str, Any]]:
         """What a user of this robot would write into robot.toml."""
-        return equipment.robot_tables(self.scenario, self.start)
+        stated = equipment.stated_start(self.scenario, self.start, self.streams)
+        return equipment.robot_tables(self.scenario, stated)
 
     def run(self, estimator: Estimator | None, emit: Emit) -> Outcome:
         """Drive once and `emit` every raw message in the order of its arrival.

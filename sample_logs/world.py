@@ -19,14 +19,22 @@ class Plan(NamedTuple):
 
     segments: Array  # (m, 4) x1, y1, x2, y2 [m], map frame
     circles: Array  # (k, 3) x, y, radius [m], or (n, k, 3) where they move from ray to ray
+    rings: Array = np.zeros((0, 3))  # (l, 3) x, y, radius [m] of round walls, seen from inside
 
 
 def walls(room: Room) -> Array:
-    """Return the outer walls, (m, 4)."""
-    if room.walls is not None:
-        return np.array(room.walls, float).reshape(-1, 4)
+    """Return the straight outer walls, (m, 4); a round room has only those it names."""
+    if room.walls is not None or room.radius is not None:
+        return np.array(room.walls or (), float).reshape(-1, 4)
     w, h = room.size
     return np.array([(0, 0, w, 0), (w, 0, w, h), (w, h, 0, h), (0, h, 0, 0)], float)
+
+
+def rings(room: Room) -> Array:
+    """Return the round outer walls, (l, 3) x, y, radius [m]."""
+    if room.radius is None:
+        return np.zeros((0, 3))
+    return np.array([(room.size[0] / 2, room.size[1] / 2, room.radius)])
 
 
 class Scene:
@@ -37,6 +45,7 @@ class Scene:
         self.landmark = scenario.landmark
         self.faults = scenario.faults
         self.walls = walls(self.room)
+        self.rings = rings(self.room)
         self.plates = np.array(self.room.plates, float).reshape(-1, 4)
 
     def pillars(self, t: float) -> tuple[Pillar, ...]:
@@ -47,16 +56,17 @@ class Scene:
         """Return what lies at height z [m]: lasting things, or with `times` (n,) all there is at each of them."""
         standing = [(self.walls, self.room.height), (self.plates, self.room.plate_height)]
         segments = np.concatenate([part for part, height in standing if z < height] or [np.zeros((0, 4))])
+        round_walls = self.rings if z < self.room.height else self.rings[:0]
         lasting: tuple[Pillar, ...] = (self.landmark, *self.room.pillars)
         if times is None:
-            return Plan(segments, _circles(lasting, z))
+            return Plan(segments, _circles(lasting, z), round_walls)
         begin, end = float(times[0]), float(times[-1])
         lasting += self._red_objects(begin)
         now, then = (_circles((*lasting, *self._people(begin, t)), z) for t in (begin, end))
         if not self._people(begin, begin) or end == begin:
-            return Plan(segments, now)
+            return Plan(segments, now, round_walls)
         share = (times - begin) / (end - begin)
-        return Plan(segments, now + share[:, None, None] * (then - now))
+        return Plan(segments, now + share[:, None, None] * (then - now), round_walls)
 
     def magnetic(self, t: float, at: Array) -> Array:
         """Return the field of the magnets that run at t, at points (n, 2) in the map, (n, 2) T."""
@@ -90,7 +100,7 @@ def cast(plan: Plan, origin: Array, angle: Array) -> Array:
     """Return how far each ray goes, (n,) m, inf where it hits nothing.
 
     Args:
-        plan: segments and circles.
+        plan: segments, circles and rings.
         origin: (n, 2) m, map frame.
         angle: (n,) rad, map frame.
     """
@@ -99,6 +109,7 @@ def cast(plan: Plan, origin: Array, angle: Array) -> Array:
         (
             hit_segments(plan.segments, origin, direction),
             hit_circles(plan.circles, origin, direction),
+            hit_rings(plan.rings, origin, direction),
             np.full((len(angle), 1), np.inf),
         ),
         axis=1,
@@ -130,6 +141,15 @@ def hit_circles(circles: Array, origin: Array, direction: Array) -> Array:
     return np.where(hit, distance, np.inf)
 
 
+def hit_rings(rings: Array, origin: Array, direction: Array) -> Array:
+    """Return the distance from every ray (n,) to every round wall (l,), (n, l) m, seen from inside; else inf."""
+    w = rings[:, :2] - origin[:, None]  # (n, l, 2)
+    ahead = (w * direction[:, None]).sum(axis=-1)
+    inside = rings[:, 2] ** 2 - (w * w).sum(axis=-1)  # m^2, the power of the point: positive inside
+    distance = ahead + np.sqrt(np.maximum(inside, 0.0) + ahead**2)
+    return np.where(inside > 0, distance, np.inf)
+
+
 def clearance(plan: Plan, points: Array) -> Array:
     """Return the distance of every point (n, 2) from the nearest thing in the plan, (n,) m."""
     a, along = plan.segments[:, :2], plan.segments[:, 2:] - plan.segments[:, :2]
@@ -137,9 +157,11 @@ def clearance(plan: Plan, points: Array) -> Array:
     share = np.clip((w * along).sum(axis=-1) / (along * along).sum(axis=-1), 0, 1)
     gap = w - share[..., None] * along
     to_circles = points[:, None] - plan.circles[None, :, :2]
+    to_rings = points[:, None] - plan.rings[None, :, :2]
     gaps = (
         np.hypot(gap[..., 0], gap[..., 1]),
         np.hypot(to_circles[..., 0], to_circles[..., 1]) - plan.circles[:, 2],
+        plan.rings[:, 2] - np.hypot(to_rings[..., 0], to_rings[..., 1]),
         np.full((len(points), 1), np.inf),
     )
     return np.asarray(np.concatenate(gaps, axis=1).min(axis=1))

@@ -1,0 +1,99 @@
+"""Does the covariance stay right where nothing observes the heading or the place? Simulated drives (issue 16).
+
+    python -m benchmarks.consistency --drives 30
+    python -m benchmarks.consistency --drives 10 --case "laser alone" --case "laser at 40 Hz"
+
+Each row is a case of `consistency_cases`: the mean over drives with the worst in brackets, the same of version
+0.1, and the goal. `walls` is the smallest sigma of a map line's direction at the end, over the sigma of the
+heading at the first scan. With a laser alone it must not fall below 1: nothing that is measured can improve it.
+Where the filter says that it is lost, nothing is judged. Thirty drives give an ANEES near 1 to about 0.1, a large
+one only roughly: with a laser alone a drive has a single draw of the heading.
+"""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import click
+
+from locfuse.cli.load import make_robot
+from locfuse.formats import robot_toml
+from locfuse.fusion.data import ArrayStream
+from locfuse.fusion.fuse import fuse
+from locfuse.fusion.measure import measure
+from locfuse.fusion.smooth import fuse_and_smooth
+from locfuse.sample_logs.load import load
+from locfuse.sample_logs.record import in_memory
+
+from .accuracy import FIRST_SEED, streams_by_role
+from .consistency_before import BEFORE
+from .consistency_cases import ALONE, CASES, Case
+from .consistency_figures import Figures, Means, figures, means
+from .consistency_table import HEAD, row
+
+STARTS = (ALONE, *(c.name for c in CASES if c.name.startswith("laser, start")))
+RATES = (ALONE, "laser at 40 Hz")
+
+
+@functools.lru_cache(maxsize=32)
+def simulated(scenario: str, sets: tuple[str, ...], seed: int) -> tuple[dict[str, ArrayStream], dict[str, Any]]:
+    """Return one drive as raw streams, and its robot.toml; cases in a row often share their drives."""
+    topics, tables, _ = in_memory(load(scenario, sets), seed)
+    return topics, tables
+
+
+def judged(case: Case, seed: int) -> Figures:
+    """Simulate one drive, fuse it and judge it."""
+    topics, tables = simulated(case.scenario, case.sets, seed)
+    tables = robot_toml.merge(tables, robot_toml.apply_sets(case.given))
+    robot = make_robot(tables)
+    drive = measure(streams_by_role(topics, tables), robot)
+    run = fuse_and_smooth(drive, robot, case.sensors)[1] if case.smooth else fuse(drive, robot, case.sensors)
+    return figures(run, drive, case.aligned_from, case.unknowable)
+
+
+def invariants(found: Mapping[str, Means]) -> Iterator[str]:
+    """Say what must not depend on the start's sigma or on the laser's rate."""
+    starts = [name for name in STARTS if name in found]
+    if len(starts) > 1:
+        values = [found[name].aligned for name in starts]
+        listed = ", ".join(f"{v:.2f}" for v in values)
+        spread = 100 * (max(values) / min(values) - 1)
+        yield f"Aligned error by the start's sigma: {listed} mm, {spread:.1f} % apart (goal: 1 %)."
+    if all(name in found for name in RATES):
+        slow, fast = (found[name].anees for name in RATES)
+        yield f"Laser at 10 Hz and at 40 Hz: ANEES {slow:.2f} and {fast:.2f} (goal: equal)."
+
+
+@click.command()
+@click.option("--drives", default=30, show_default=True)
+@click.option("--case", "names", multiple=True, type=click.Choice([c.name for c in CASES]))
+@click.option("--seed", default=FIRST_SEED, show_default=True, help="Of the first drive.")
+@click.option("--record", is_flag=True, help="Print the figures as lines of consistency_before.py.")
+def main(drives: int, names: tuple[str, ...], seed: int, record: bool) -> None:
+    """Print how accurate and how consistent the filter is in every case."""
+    found: dict[str, Means] = {}
+    if not record:
+        click.echo(HEAD)
+    for case in (c for c in CASES if not names or c.name in names):
+        begin = time.perf_counter()
+        found[case.name] = means([judged(case, s) for s in range(seed, seed + drives)])
+        seconds = time.perf_counter() - begin
+        click.echo(
+            recorded(case, found[case.name]) if record else row(case, found, BEFORE.get(case.name), seconds)
+        )
+    if not record:
+        click.echo("\n" + "\n".join(invariants(found)))
+
+
+def recorded(case: Case, m: Means) -> str:
+    """Return the figures with four digits, as a line of consistency_before.py."""
+    values = ", ".join(f"{float(f'{value:.4g}')}" for value in m[1:])
+    return f'    "{case.name}": Means({m.drives}, {values}),'
+
+
+if __name__ == "__main__":
+    main()

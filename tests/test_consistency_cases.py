@@ -1,0 +1,88 @@
+"""The table of `python -m benchmarks.consistency`: cases that can be driven, figures as named."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+
+from benchmarks import consistency
+from benchmarks.accuracy import streams_by_role
+from benchmarks.consistency_before import BEFORE
+from benchmarks.consistency_cases import CASES, LASER, MOVING, Case, Goal
+from benchmarks.consistency_figures import Means, inside, means, without
+from benchmarks.consistency_table import HEAD, row
+from locfuse.cli.load import make_robot
+from locfuse.formats import robot_toml
+from locfuse.fusion.data import Drive, Estimates
+from locfuse.fusion.evaluate import evaluate
+from locfuse.fusion.fuse import fuse
+from locfuse.fusion.measure import measure
+from locfuse.sample_logs.load import load
+from locfuse.sample_logs.simulate import Simulation
+
+SHORT = Case("short", LASER, Goal(), (*MOVING, "path.laps=0.1"))
+
+
+@pytest.fixture(scope="module")
+def short() -> tuple[Drive, Estimates]:
+    topics, tables = consistency.simulated(SHORT.scenario, SHORT.sets, 1)
+    robot = make_robot(tables)
+    drive = measure(streams_by_role(topics, tables), robot)
+    return drive, fuse(drive, robot, LASER)
+
+
+def test_every_case_has_a_name_of_its_own_and_figures_of_0_1() -> None:
+    names = [case.name for case in CASES]
+    assert len(set(names)) == len(names)
+    assert set(BEFORE) == set(names)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_a_case_names_settings_that_exist(case: Case) -> None:
+    tables = Simulation(load(case.scenario, case.sets), 1).robot_tables
+    robot = make_robot(robot_toml.merge(tables, robot_toml.apply_sets(case.given)))
+    assert all(robot.settings(sensor).topic for sensor in case.sensors)
+    assert case.goal.aligned_as is None or case.goal.aligned_as[0] in {c.name for c in CASES}
+
+
+def test_inside_counts_x_y_and_heading_and_leaves_out_what_is_exact(short: tuple[Drive, Estimates]) -> None:
+    drive, run = short
+    judged = evaluate(run, drive)
+    n = len(judged.t)
+    zero = replace(judged, deviation=np.zeros((n, 2)), heading=np.zeros(n), sigma=np.ones((n, 3)))
+    far = np.where(np.arange(n) == 0, 3.1, 0.0)
+    assert inside(zero) == 1.0
+    assert inside(replace(zero, heading=far)) == pytest.approx(1 - 1 / (3 * n))
+    assert inside(replace(zero, heading=far, sigma=np.where(np.arange(3 * n).reshape(n, 3) < 3, 0.0, 1.0))) == 1.0
+
+
+def test_a_span_left_out_is_not_judged(short: tuple[Drive, Estimates]) -> None:
+    drive, run = short
+    judged = evaluate(without(run, drive, ((1.0, 2.0), (3.0, 3.5))), drive)
+    whole = evaluate(run, drive).t
+    hidden = ((whole >= 1.0) & (whole < 2.0)) | ((whole >= 3.0) & (whole < 3.5))
+    assert hidden.any()
+    assert np.array_equal(judged.t, whole[~hidden])
+
+
+def test_a_row_shows_now_before_and_the_goal() -> None:
+    case = replace(SHORT, goal=Goal((0.8, 1.4), aligned=3.0, inside=0.99, walls=0.95))
+    now = Means(10, 1.1, 1.6, 50.0, 2.5, 2.9, 0.995, 0.97)
+    before = Means(10, 4.1, 9.0, 75.0, 7.1, 16.1, 0.73, 0.5)
+    line = row(case, {case.name: now}, before, 12.0)
+    assert line.count("|") == HEAD.splitlines()[0].count("|")
+    assert "| 1.1 (1.6) | 4.1 (9) | 0.8-1.4 |" in line
+    assert line.endswith("| yes | 12 s |")
+    assert "| no |" in row(case, {case.name: now._replace(inside=0.98)}, before, 12.0)
+
+
+def test_a_drive_gives_finite_figures() -> None:
+    found = means([consistency.judged(SHORT, 1)])
+    assert found.drives == 1
+    assert np.isfinite(found[1:]).all()

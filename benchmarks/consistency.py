@@ -19,8 +19,8 @@ from typing import Any
 
 import click
 
-from locfuse.cli.load import make_robot
-from locfuse.formats import robot_toml
+from locfuse.cli.pipeline.load import make_robot
+from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import ArrayStream
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure

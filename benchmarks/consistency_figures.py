@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion.data import Drive, Estimates, Evaluation
-from locfuse.fusion.evaluate import evaluate
+from locfuse.fusion.judge.evaluate import evaluate
 
 Span = tuple[float, float]  # s since the first wheel reading: from, to
 POSITION = "position_rmse_m"

@@ -8,7 +8,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from ..fusion.data import Array
+from locfuse.fusion.data import Array
+
 from .camera import OmniCamera
 from .extras import Ranger, SatelliteReceiver
 from .messages import Pose, RawMessage, Streams

@@ -11,7 +11,7 @@ from locfuse.fusion.se2 import compose
 
 from .robot import Robot
 from .scenario import Gps, Sonar
-from .world import Scene, cast
+from .world import Scene
 
 EARTH_RADIUS = 6_378_137.0  # m, WGS 84 semi-major axis
 FLATTENING = 1 / 298.257223563
@@ -38,7 +38,8 @@ class Ranger:
         """Return the range of the nearest thing within the cone."""
         s = self.settings
         x, y, theta = compose(self.robot.trail.pose(np.array([t])), self.mount)[0]
-        echoes = cast(self.scene.plan(s.z, np.array([t])), np.full((RAYS, 2), (x, y)), theta + self.angles)
+        eye = np.full((RAYS, 2), (x, y))
+        echoes = self.scene.see(s.z, np.array([t]), eye, theta + self.angles, s.range_max)
         distance = float(echoes.min()) + s.sigma * self.rng.standard_normal()
         return {
             "radiation_type": ULTRASOUND,

@@ -41,10 +41,12 @@ class PathFollower:
     """Follows a sampled path: feed-forward of its curvature, feedback of lateral and heading error."""
 
     AHEAD = 100  # points searched for the nearest one: the path may cross itself
+    SLOWING = 30  # points before a curve at which the robot begins to slow down
 
-    def __init__(self, path: Sampled, speed: float) -> None:
+    def __init__(self, path: Sampled, speed: float, turning: float = math.inf) -> None:
         self.path = path
-        self.speed = speed
+        self.speed = speed  # m/s
+        self.turning = turning  # rad/s, at most: in narrow curves the robot is slower
         self.at = 0
 
     def command(self, now: float, pose: Pose) -> Command | None:
@@ -54,11 +56,17 @@ class PathFollower:
         if self.at >= len(self.path.pose) - 1:
             return None
         x, y, theta = self.path.pose[self.at].tolist()
-        ahead = self.at + round(0.1 * self.speed / SPACING)
+        speed = self._speed()
+        ahead = self.at + round(0.1 * speed / SPACING)
         curvature = float(self.path.curvature[min(ahead, len(self.path.curvature) - 1)])
         lateral, error = off_line(pose, (x, y, theta))
         omega = curvature - LATERAL * lateral - HEADING * error
-        return Command(self.speed, self.speed * omega)
+        return Command(speed, speed * omega)
+
+    def _speed(self) -> float:
+        """Return how fast to drive here [m/s]."""
+        sharpest = float(np.abs(self.path.curvature[self.at : self.at + self.SLOWING]).max())
+        return self.speed if self.speed * sharpest <= self.turning else self.turning / sharpest
 
 
 class LegFollower:

@@ -11,7 +11,7 @@ from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.se2 import wrap, wrap_all
 
 from .messages import Pose
-from .scenario import Polygon, Tour
+from .scenario import Polygon, Tour, Waypoints
 from .world import Plan, clearance
 
 SPACING = 0.01  # m between the points of a sampled path
@@ -48,6 +48,13 @@ def polygon(path: Polygon) -> Sampled:
     n = round(path.laps * len(lap.pose))
     times = math.ceil(path.laps)
     return Sampled(np.tile(lap.pose, (times, 1))[:n], np.tile(lap.curvature, times)[:n])
+
+
+def waypoints(path: Waypoints) -> Sampled:
+    """Return the open path through the points of `path`, its corners rounded."""
+    if len(path.points) < 2:
+        raise LocfuseError(f"path.points holds {len(path.points)} points: a path needs at least two")
+    return _open(np.array(path.points, float), path.radius)
 
 
 def tour(path: Tour, plan: Plan, size: tuple[float, float], rng: np.random.Generator) -> Sampled:

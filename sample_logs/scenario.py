@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import msgspec
 
+from .building import Building
 from .faults import Fault
 from .table import Count, NotNegative, Percent, Pillar, Point, Positive, Segment, Share, Table
 
@@ -104,6 +105,14 @@ class Tour(Table, frozen=True, tag_field="kind", tag="tour"):
     radius: Positive = 0.4  # m, of the corners
     legs: Point = (1.2, 4.0)  # m, shortest and longest distance of two corners
     clearance: float = 0.7  # m, from the corners and the straights between them to any obstacle
+
+
+class Waypoints(Table, frozen=True, tag_field="kind", tag="waypoints"):
+    """An open path through given points, its corners rounded."""
+
+    points: tuple[Point, ...]
+    radius: Positive = 0.5  # m, of the corners
+    turning: Positive = 0.9  # rad/s, at most: the robot slows down for its corners
 
 
 class Compass(Table, frozen=True, kw_only=True):
@@ -221,7 +230,7 @@ class Scenario(Table, frozen=True, kw_only=True):
     wheels: Wheels = Wheels()
     motor: Motor = Motor()
     control: Control = Control()
-    path: Polygon | Legs | Tour = msgspec.field(default_factory=Polygon)
+    path: Polygon | Legs | Tour | Waypoints = msgspec.field(default_factory=Polygon)
     compass: Compass = Compass()
     lrf: Lrf = Lrf()
     camera: Camera = Camera()
@@ -230,3 +239,8 @@ class Scenario(Table, frozen=True, kw_only=True):
     truth: Truth = Truth()
     start: Start = Start()
     faults: tuple[Fault, ...] = ()
+    building: Building | None = None  # instead of the walls and plates of `room`, whose `size` it fills
+
+    def __post_init__(self) -> None:
+        if self.building is not None and self.camera.enabled:
+            raise ValueError("the camera cannot draw a building: set camera.enabled = false")

@@ -13,7 +13,7 @@ from locfuse.fusion.se2 import compose
 from .faults import EncoderRollover, EncoderSpike
 from .robot import SIDES, Robot
 from .scenario import Compass, Lrf, Scenario, Truth
-from .world import Scene, cast
+from .world import Scene
 
 JOINTS = ("left_wheel_joint", "right_wheel_joint")
 
@@ -136,11 +136,11 @@ class Laser:
     def _ranges(self, times: Array) -> NDArray[np.float32]:
         s = self.settings
         laser = compose(self.robot.trail.pose(times), self.mount)
-        plan = self.scene.plan(s.z, times)
         wobble = np.radians(s.sigma_angle_deg) * self.rng.standard_normal(s.beams)
         noise = s.sigma_range * self.rng.standard_normal(s.beams)
         lost = self.rng.random(s.beams) < s.lost
-        ranges = cast(plan, laser[:, :2], laser[:, 2] + self.angles + wobble) + noise + self.pattern
+        angles = laser[:, 2] + self.angles + wobble
+        ranges = self.scene.see(s.z, times, laser[:, :2], angles, s.range_max) + noise + self.pattern
         seen = ~lost & (ranges >= s.range_min) & (ranges <= s.range_max)
         return np.where(seen, ranges, np.inf).astype(np.float32)
 

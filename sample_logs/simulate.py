@@ -12,12 +12,13 @@ import numpy as np
 from locfuse.fusion.data import Array, LocfuseError
 
 from . import equipment
+from .building_scene import scene_of
 from .faults import ClockOffset, Dropout, Fault, Latency, label
 from .follow import Follower, LegFollower, PathFollower, Steering
 from .messages import Emit, Estimator, Pose, RawMessage, Streams, streams
-from .paths import polygon, tour
+from .paths import polygon, tour, waypoints
 from .robot import Robot
-from .scenario import Legs, Polygon, Scenario
+from .scenario import Legs, Polygon, Scenario, Waypoints
 from .sensors import Sensor
 from .world import Scene, clearance
 
@@ -54,10 +55,10 @@ class Simulation:
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
         self.scenario = scenario
-        self.scene = Scene(scenario)
+        self.scene = scene_of(scenario, seed)
         self.streams = streams(seed)
         self.start, self.follower = plan_way(scenario, self.scene, self.streams)
-        self.obstacles = self.scene.plan(OBSTACLE_HEIGHT)
+        self.obstacles = self.scene.obstacles(OBSTACLE_HEIGHT)
 
     @property
     def robot_tables(self) -> dict[str, dict[str, Any]]:
@@ -170,10 +171,13 @@ def plan_way(scenario: Scenario, scene: Scene, streams: Streams) -> tuple[Pose, 
     if isinstance(path, Legs):
         start = (path.x, path.y, float(np.radians(path.theta_deg)))
         return start, lambda: LegFollower(path.legs, scenario.wheels.track)
+    if isinstance(path, Waypoints):
+        sampled = waypoints(path)
+        return sampled.start, lambda: PathFollower(sampled, speed, path.turning)
     if isinstance(path, Polygon):
         sampled = polygon(path)
     else:
-        sampled = tour(path, scene.plan(OBSTACLE_HEIGHT), scenario.room.size, streams("tour"))
+        sampled = tour(path, scene.obstacles(OBSTACLE_HEIGHT), scenario.room.size, streams("tour"))
     return sampled.start, lambda: PathFollower(sampled, speed)
 
 

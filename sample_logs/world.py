@@ -68,6 +68,22 @@ class Scene:
         share = (times - begin) / (end - begin)
         return Plan(segments, now + share[:, None, None] * (then - now), round_walls)
 
+    def obstacles(self, z: float) -> Plan:
+        """Return what a robot can hit at height z [m]."""
+        return self.plan(z)
+
+    def see(self, z: float, times: Array, origin: Array, angle: Array, reach: float) -> Array:
+        """Return how far each ray goes, (n,) m, inf where it hits nothing; beyond `reach` hits may be missed.
+
+        Args:
+            z: m, height of the rays.
+            times: (n,) s of the drive, increasing, or (1,) for all rays.
+            origin: (n, 2) m, map frame.
+            angle: (n,) rad, map frame.
+            reach: m.
+        """
+        return cast(self.plan(z, times), origin, angle)
+
     def magnetic(self, t: float, at: Array) -> Array:
         """Return the field of the magnets that run at t, at points (n, 2) in the map, (n, 2) T."""
         field = np.zeros_like(at)

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent.parent))
 
 from benchmarks import consistency
 from benchmarks.accuracy import streams_by_role
@@ -17,11 +13,11 @@ from benchmarks.consistency_before import BEFORE
 from benchmarks.consistency_cases import CASES, LASER, MOVING, Case, Goal
 from benchmarks.consistency_figures import Means, inside, means, without
 from benchmarks.consistency_table import HEAD, row
-from locfuse.cli.load import make_robot
-from locfuse.formats import robot_toml
+from locfuse.cli.pipeline.load import make_robot
+from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import Drive, Estimates
-from locfuse.fusion.evaluate import evaluate
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 from locfuse.sample_logs.load import load
 from locfuse.sample_logs.simulate import Simulation

@@ -1,0 +1,97 @@
+"""A building made ready: its walls are bent, its people have their walks, and rays are cast through its glass."""
+
+from __future__ import annotations
+
+import zlib
+from typing import NamedTuple
+
+import numpy as np
+
+from locfuse.fusion.data import Array
+
+from . import doors, furniture, glass, walkers
+from .bent_walls import bent
+from .building import Building
+from .masonry import straight_walls
+from .messages import streams
+from .nearby import cast_near
+from .scenario import Scenario
+from .world import Plan, Scene, cast, hit_segments
+
+SCREEN = 1.5  # m, height of a thin wall
+NO_SEGMENTS = np.zeros((0, 4))
+
+
+class Solid(NamedTuple):
+    """What of a building stands still at one height."""
+
+    opaque: Plan
+    panes: Array  # (g, 4) m, map frame
+
+
+def scene_of(scenario: Scenario, seed: int) -> Scene:
+    """Return the room or the building of a scenario, with its chance drawn from the seed."""
+    if scenario.building is None:
+        return Scene(scenario)
+    return BuildingScene(scenario, scenario.building, seed)
+
+
+class BuildingScene(Scene):
+    """A building instead of the walls and plates of a room; pillars, landmark and faults remain."""
+
+    def __init__(self, scenario: Scenario, building: Building, seed: int) -> None:
+        super().__init__(scenario)
+        self.plates = NO_SEGMENTS
+        self.building = building
+        self.seed = seed if building.seed is None else building.seed
+        chance = streams(self.seed)
+        self.walls = NO_SEGMENTS  # of the room: `plan` returns what is not the building's
+        self.faces = bent(straight_walls(building, self.room.size), building.bow, chance)  # (m, 4) m
+        self.walks = [walkers.Walk(w, chance(f"walker {i}")) for i, w in enumerate(building.people)]
+        self._solid: dict[float, Solid] = {}
+
+    def solid(self, z: float) -> Solid:
+        """Return what of the building stands still at height z [m]."""
+        if z not in self._solid:
+            self._solid[z] = self._cut(z)
+        return self._solid[z]
+
+    def obstacles(self, z: float) -> Plan:
+        """Return what a robot can hit at height z [m]: glass as well, people not."""
+        opaque, panes = self.solid(z)
+        lasting = self.plan(z)
+        segments = np.concatenate((opaque.segments, panes, lasting.segments))
+        return Plan(segments, np.concatenate((opaque.circles, lasting.circles)))
+
+    def see(self, z: float, times: Array, origin: Array, angle: Array, reach: float) -> Array:
+        """Return how far each ray goes, (n,) m, inf where it hits nothing; beyond `reach` hits may be missed."""
+        moving = Plan(NO_SEGMENTS, walkers.circles(self.walks, times, z, origin[: len(times)]))
+        echoes = (
+            cast_near(self.solid(z).opaque, origin, angle, reach),
+            cast(moving, origin, angle),
+            cast(self.plan(z, times), origin, angle),
+            self._through_glass(z, float(times[0]), origin, angle),
+        )
+        return np.asarray(np.min(echoes, axis=0))
+
+    def _through_glass(self, z: float, t: float, origin: Array, angle: Array) -> Array:
+        """Return where panes send rays back, (n,) m; the chance of it is another one at every time t [s]."""
+        panes = self.solid(z).panes
+        direction = np.stack((np.cos(angle), np.sin(angle)), axis=-1)
+        distance = hit_segments(panes, origin, direction)
+        name = zlib.crc32(b"glass"), round(t * 1e9)
+        chance = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=name)).random(distance.shape)
+        echoes = glass.returned(distance, panes, direction, self.building.glass, chance)
+        return np.asarray(echoes.min(axis=1, initial=np.inf))
+
+    def _cut(self, z: float) -> Solid:
+        pieces = tuple(p for space in self.building.spaces for p in space.furniture)
+        screens = np.array(self.building.screens if z < SCREEN else (), float).reshape(-1, 4)
+        still = (
+            self.faces,
+            glass.posts(self.building),
+            doors.leaves(self.building),
+            screens,
+            furniture.outlines(pieces, z),
+        )
+        return Solid(Plan(np.concatenate(still), furniture.legs(pieces, z)), glass.panes(self.building))

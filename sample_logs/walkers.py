@@ -1,0 +1,88 @@
+"""People who walk up and down their paths for the whole drive, as moving circles: two legs, above them a body."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from locfuse.fusion.data import Array
+
+from .building import Walker
+
+STRIDE = 0.7  # m, of one step
+HIP = 0.8  # m: below they are two legs, above a body
+LEG, BODY, TOP = 0.07, 0.2, 1.7  # m: radii, and the height of the head
+APART = 0.1  # m, of a leg from the middle
+AWAY = 0.75  # m: nobody comes closer to the robot's laser than this
+
+
+class Walk:
+    """One person's walk: there, a pause, back, a pause, and so on."""
+
+    def __init__(self, walker: Walker, rng: np.random.Generator) -> None:
+        self.path = np.array(walker.path, float)
+        step = np.diff(self.path, axis=0)
+        length = np.hypot(step[:, 0], step[:, 1])
+        self.gone = np.concatenate(([0.0], np.cumsum(length)))
+        self.ahead = step / length[:, None]
+        self.speed = walker.speed * rng.uniform(0.8, 1.2)
+        self.pause = walker.pause * rng.uniform(0.5, 1.5)
+        self.once = float(self.gone[-1]) / self.speed  # s for one way
+        self.start = rng.uniform(0, 2 * (self.once + self.pause))
+
+    def way(self, t: Array) -> Array:
+        """Return how far along the path the person is at the times t [s], (n,) m."""
+        phase = (t + self.start) % (2 * (self.once + self.pause))
+        there = np.minimum(phase, self.once)
+        back = np.clip(phase - self.once - self.pause, 0, self.once)
+        return np.asarray(self.speed * (there - back))
+
+    def place(self, t: Array) -> tuple[Array, Array]:
+        """Return where the person is and which way the path runs there, both (n, 2), map frame."""
+        way = self.way(t)
+        i = np.clip(np.searchsorted(self.gone, way, side="right") - 1, 0, len(self.ahead) - 1)
+        return self.path[i] + (way - self.gone[i])[:, None] * self.ahead[i], self.ahead[i]
+
+    def circles(self, t: Array, z: float, robot: Array) -> Array:
+        """Return what of the person is at height z [m] at the times t (n,), (n, k, 3): x, y, radius, m.
+
+        Args:
+            t: s of the drive.
+            z: m.
+            robot: (n, 2) m, where the robot is: the person steps aside for it.
+        """
+        middle, ahead = self.place(t)
+        middle = stepped_aside(middle, robot)
+        if z >= HIP:
+            return np.concatenate((middle, np.full((len(t), 1), BODY)), axis=1)[:, None]
+        swing = STRIDE / 2 * np.sin(math.pi * self.way(t) / STRIDE)[:, None]
+        left = np.stack((-ahead[:, 1], ahead[:, 0]), axis=-1)
+        foot = np.stack([middle + side * (swing * ahead + APART * left) for side in (-1, 1)], axis=1)
+        return np.concatenate((foot, np.full((len(t), 2, 1), LEG)), axis=2)
+
+
+def stepped_aside(middle: Array, robot: Array) -> Array:
+    """Return the places (n, 2), those closer to the robot than AWAY moved straight away from it."""
+    gap = middle - robot
+    distance = np.maximum(np.hypot(gap[:, 0], gap[:, 1]), 1e-9)[:, None]
+    return np.where(distance < AWAY, robot + AWAY * gap / distance, middle)
+
+
+def circles(walks: list[Walk], t: Array, z: float, robot: Array) -> Array:
+    """Return everybody at height z [m] at the times of the rays, (n, k, 3): x, y, radius, m, map frame.
+
+    Between the first and the last ray people move evenly.
+
+    Args:
+        walks: the people.
+        t: (n,) s of the drive, increasing.
+        z: m.
+        robot: (n, 2) m, where each ray begins.
+    """
+    if not walks or z >= TOP:
+        return np.zeros((len(t), 0, 3))
+    both = [0, -1]
+    begin, end = np.concatenate([w.circles(t[both], z, robot[both]) for w in walks], axis=1)
+    share = (t - t[0]) / max(t[-1] - t[0], 1e-9)
+    return np.asarray(begin + share[:, None, None] * (end - begin))

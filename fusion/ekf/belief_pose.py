@@ -14,8 +14,9 @@ from math import cos, sin
 import numpy as np
 
 from locfuse.fusion.data import Array, LocfuseError
-from locfuse.fusion.sensor import Innovation
+from locfuse.fusion.sensor import Innovation, Matrix, PoseRows
 
+from .map_frame import Together
 from .rows import pose_rows
 
 Pose = tuple[float, float, float]
@@ -24,9 +25,13 @@ Rows = Sequence[Sequence[float]]
 
 
 class PoseBelief:
-    """Pose (x, y, theta) [m, m, rad] in the map and its covariance, in plain floats."""
+    """Pose (x, y, theta) [m, m, rad] in the map and its covariance, in plain floats.
+
+    Where a local frame has begun (map_frame), in that frame.
+    """
 
     __slots__ = ("P", "theta", "x", "y")
+    frame: int | None = None  # first column of the map frame in the state; None: the pose is that in the map
 
     def __init__(self, pose: Pose, P: Triangle) -> None:
         self.x, self.y, self.theta = pose
@@ -35,6 +40,20 @@ class PoseBelief:
     def block(self, name: str) -> tuple[int, Sequence[float]]:
         """Raise: this belief has no blocks."""
         raise KeyError(name)
+
+    def frame_pose(self) -> Pose | None:
+        """Return the map frame, where the local frame lies in the map; None: they are the same."""
+        return None
+
+    def with_frame(self) -> Together:
+        """Raise: this belief has no map frame of its own."""
+        raise KeyError("map frame")
+
+    def observed(
+        self, H: PoseRows, columns: tuple[int, ...] = (), H_block: Matrix = ()
+    ) -> tuple[Matrix, PoseRows, tuple[int, ...], Matrix]:
+        """Return H P H' and the derivatives as they are: they are by this belief's own pose."""
+        return self.spread(H, columns, H_block), H, columns, H_block
 
     def variances(self, name: str) -> list[float]:
         """Raise: this belief has no blocks."""
@@ -115,6 +134,10 @@ class PoseBelief:
     def pose(self) -> Pose:
         """Return (x, y, theta)."""
         return self.x, self.y, self.theta
+
+    def located(self) -> tuple[Pose, Triangle]:
+        """Return the pose and its covariance's upper triangle."""
+        return (self.x, self.y, self.theta), self.P
 
     def triangle(self) -> Triangle:
         """Return the pose covariance's upper triangle."""

@@ -38,6 +38,7 @@ class Birth(NamedTuple):
     """New states were appended."""
 
     before: int  # number of states until then
+    frame: bool = False  # the map frame: from here on the pose is local
 
 
 class Drop(NamedTuple):
@@ -49,23 +50,39 @@ class Drop(NamedTuple):
     D: Array  # (k, k)
 
 
+class Swung(NamedTuple):
+    """The map frame was corrected by (dx, dy), and the uncertainty of its place followed (JointBelief._swing)."""
+
+    undone: Step
+    dx: float  # m
+    dy: float
+
+
+class FrameMoved(NamedTuple):
+    """From here on the map frame is another one: that of a map that began anew."""
+
+
+Event = Step | Birth | Drop | Swung | FrameMoved
+
+
 class Journal:
     """What the smoother must know of one run of the filter; `pose` and `joint` make beliefs that write it."""
 
     def __init__(self) -> None:
-        self.events: list[Step | Birth | Drop] = []
+        self.events: list[Event] = []
+        self.starts: list[Pose] = []  # of every motion: the local pose at the end of the instant before
         self.belief: PoseBelief | JointBelief | None = None
 
     def pose(self, pose: Pose, P: Triangle) -> PoseBelief:
         """Return a belief of the pose alone."""
         self.belief = belief = NotedPose(pose, P)
-        belief.events = self.events
+        belief.events, belief.starts = self.events, self.starts
         return belief
 
     def joint(self, pose: Pose, P: Triangle, blocks: Sequence[Block]) -> JointBelief:
         """Return a belief with blocks."""
         self.belief = belief = NotedJoint(pose, P, blocks)
-        belief.events = self.events
+        belief.events, belief.starts = self.events, self.starts
         return belief
 
     def final(self) -> tuple[Array, Array]:
@@ -81,10 +98,12 @@ class Journal:
 class NotedPose(PoseBelief):
     """A pose belief that notes its predictions."""
 
-    events: list[Step | Birth | Drop]
+    events: list[Event]
+    starts: list[Pose]
 
     def predict(self, u: Sequence[float], Q: Sequence[float], dt: float = 0.0, J: Array | None = None) -> None:
         """Predict as ever, and note how to go back."""
+        self.starts.append(self.pose())
         x, P = np.array((self.x, self.y, self.theta)), self.matrix()
         super().predict(u, Q)
         after = np.array((self.x, self.y, self.theta))
@@ -108,10 +127,12 @@ class NotedPose(PoseBelief):
 class NotedJoint(JointBelief):
     """A joint belief that notes its predictions, births and drops."""
 
-    events: list[Step | Birth | Drop]
+    events: list[Event]
+    starts: list[Pose]
 
     def predict(self, u: Sequence[float], Q: Sequence[float], dt: float = 0.0, J: Array | None = None) -> None:
         """Predict as ever, and note how to go back."""
+        self.starts.append(self.pose())
         x, P = self.state.copy(), self.covariance.copy()
         super().predict(u, Q, dt, J)
         theta = float(x[2])
@@ -170,6 +191,39 @@ class NotedJoint(JointBelief):
         self.events.append(Birth(self.n))
         return super().augment(values, G, noise, columns)
 
+    def _clone_pose(self) -> int:
+        """Append the map frame as ever, and note that the pose is local from here on."""
+        column = super()._clone_pose()
+        self.events[-1] = Birth(column, frame=True)
+        return column
+
+    def _move_frame(self) -> None:
+        """Move the map frame as ever, and note that it is another one."""
+        self.events.append(FrameMoved())
+        super()._move_frame()
+
+    def _forget_pose(self, first: bool) -> None:
+        """Begin the local frame as ever, and note where the pose went: into the map frame."""
+        G = np.zeros((3, self.n))
+        if first:
+            G[POSE, self._frame_columns()] = 1.0
+            c, D = np.zeros(3), np.zeros((3, 3))
+        else:
+            c, G[:, 3:], D = self._given_others(POSE)
+        self.events.append(Step(POSE, c, G, D, instant=False))
+        super()._forget_pose(first)
+
+    def _swing(self, dx: float, dy: float) -> None:
+        """Swing as ever, and note the way back."""
+        super()._swing(dx, dy)
+        first = self.frame or 0
+        rows = np.array((first, first + 1))
+        back = np.zeros((2, self.n))
+        back[(0, 1), rows] = 1.0
+        back[:, first + 2] = dy, -dx
+        c = self.state[rows] - back @ self.state
+        self.events.append(Swung(Step(rows, c, back, np.zeros((2, 2)), instant=False), dx, dy))
+
     def remove(self, columns: Ints) -> None:
         """Drop states as ever, and note what the others say of them."""
         self.events.append(Drop(np.asarray(columns), *self._given_others(columns)))
@@ -217,11 +271,18 @@ def undone(
 
 
 def _solved(P: Array, B: Array) -> Array:
-    """Return P^-1 B; where P is singular (an exact start), the least of all solutions."""
+    """Return P^-1 B; where P is singular (an exact start, a frame that just began), the least of all solutions.
+
+    Scaled to a unit diagonal: a pose whose frame just began has 1e-14 m^2 beside states of 1.
+    """
+    scale = np.sqrt(np.diagonal(P))
+    scale = np.divide(1.0, scale, out=np.ones_like(scale), where=scale > 0.0)
+    unit, right = scale[:, None] * P * scale, scale[:, None] * B
     try:
-        return np.asarray(np.linalg.solve(P, B), np.float64)
+        solved = np.linalg.solve(unit, right)
     except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.pinv(P, hermitian=True) @ B, np.float64)
+        solved = np.linalg.pinv(unit, hermitian=True) @ right
+    return np.asarray(scale[:, None] * solved, np.float64)
 
 
 def in_map(Q: Sequence[float], theta: float) -> Array:

@@ -112,6 +112,8 @@ class Gyro:
 class GyroModel(Model):
     """z_i - z_before = theta - theta_before + bias dt + noise."""
 
+    local = True  # both headings are of one frame
+
     def __init__(self, settings: GyroSettings) -> None:
         self.settings = settings
         self.threshold = chi_square(settings.gate, 1)

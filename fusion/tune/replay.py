@@ -15,7 +15,7 @@ import numpy as np
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.ekf.equations import eq10_12
 
-from .record import Change, Loosen, Move, See, Tape
+from .record import Change, Loosen, Move, See, Swing, Tape
 
 
 class Noise(NamedTuple):
@@ -54,6 +54,8 @@ def play(tape: Tape, noise: Noise, bend: float = 0.0, until: float = math.inf) -
             numbers.append(int((op.sensor >= 0).sum()))
         elif isinstance(op, Loosen):
             head.P[:, op.columns, op.columns] += op.variance
+        elif isinstance(op, Swing):
+            head.swing(op)
         else:
             head.change(op)
     return Played(np.concatenate(scores, axis=1), np.array(instants, np.int64), np.array(numbers, np.int64))
@@ -105,6 +107,15 @@ class Head:
         terms = -0.5 * w**2 - np.log(np.diagonal(L, axis1=1, axis2=2)) - 0.5 * math.log(2.0 * math.pi)
         score: Array = terms[:, op.sensor >= 0].sum(axis=1)
         return score
+
+    def swing(self, op: Swing) -> None:
+        """Let the map frame's place follow its direction, by a recorded correction."""
+        P, m, turn = self.P, self.m, op.first + 2
+        for column, by in ((op.first, -op.dy), (op.first + 1, op.dx)):
+            m[:, column] += by * m[:, turn]
+            P[:, column, :] += by * P[:, turn, :]
+        for column, by in ((op.first, -op.dy), (op.first + 1, op.dx)):
+            P[:, :, column] += by * P[:, :, turn]
 
     def change(self, op: Change) -> None:
         """Apply a linear change of the state."""

@@ -123,12 +123,7 @@ def test_a_frame_begins_without_a_change_in_the_map() -> None:
     assert not belief.covariance[:3].any()
     belief.predict(STEP, Q, 0.1, J)
     belief.clone_heading(3)
-    x, P, pose, P_map = (
-        belief.state.copy(),
-        belief.covariance.copy(),
-        InMap(belief).pose(),
-        InMap(belief).matrix(),
-    )
+    x, P, pose = belief.state.copy(), belief.covariance.copy(), InMap(belief).pose()
     belief.begin_frame()  # once more, after a map was lost
 
     def moved(x: Array) -> Array:

@@ -1,29 +1,15 @@
-"""`locfuse compare`: every configuration over one log, measured once."""
+"""`locfuse compare`: every configuration over one log, measured once; or several logs; or finished results."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any
 
 import click
 
-from locfuse.cli.pipeline.settings import OF_COMPARISON as KINDS
-from locfuse.cli.pipeline.settings import LogOptions
-from locfuse.cli.rerun.record import RerunOptions, record, sketched
-from locfuse.cli.terminal.options import (
-    chosen,
-    export_option,
-    log_options,
-    out_options,
-    preset_option,
-    smooth_option,
-)
+from locfuse.cli.pipeline.settings import OF_COMPARISON
+from locfuse.cli.terminal.options import export_option, log_options, out_options, preset_option, smooth_option
 from locfuse.cli.terminal.rerun_options import rerun_options
-
-if TYPE_CHECKING:
-    from locfuse.cli.session.summary import Judged
 
 
 @click.command()
@@ -68,7 +54,7 @@ if TYPE_CHECKING:
 @click.option("--tolerance", default="5%", show_default=True, help="How much worse than the baseline is allowed.")
 @log_options
 @preset_option
-@out_options(KINDS)
+@out_options(OF_COMPARISON)
 @export_option
 @rerun_options
 def compare(log: tuple[str, ...], **asked: Any) -> int:
@@ -87,6 +73,8 @@ def compare(log: tuple[str, ...], **asked: Any) -> int:
     """
     from locfuse.cli.choose.grouping import logs_of, results_of
 
+    from .one_log import Wish, one
+
     wish = Wish(**asked)
     finished = results_of(log)
     if finished is not None:
@@ -99,70 +87,3 @@ def compare(log: tuple[str, ...], **asked: Any) -> int:
     from .several import several
 
     return several(logs, wish)
-
-
-@dataclass(frozen=True)
-class Wish:
-    """What the command line asks of a comparison."""
-
-    sensors: tuple[str, ...]
-    all_subsets: bool
-    align: str
-    smooth: bool
-    figures: Path | None
-    fail_if: tuple[str, ...]
-    baseline: Path | None
-    tolerance: str
-    how: LogOptions
-    out: Path | None
-    overwrite: bool
-    write: str | None
-    as_json: bool
-    export: set[str]
-    rerun: RerunOptions
-
-
-class Done(NamedTuple):
-    """What remains of one log's comparison once everything is written and printed."""
-
-    judged: Judged
-    code: int
-
-
-def one(log: Sequence[str], wish: Wish, table: bool = True) -> Done:
-    """Compare one log, write and print it; without its `table` where it is one of several."""
-    from locfuse.cli.jobs import ci_gates
-    from locfuse.cli.pipeline.results import LOSS
-    from locfuse.cli.session.session import opened
-    from locfuse.cli.session.summary import Judged
-    from locfuse.cli.terminal import show
-
-    how, rerun = wish.how, wish.rerun
-    kinds = chosen(wish.write, KINDS)
-    gates = ci_gates.read(wish.fail_if, wish.baseline, wish.tolerance)
-    with show.progress(how.quiet) as progress:
-        session = opened(log, how, progress, read_again=rerun.wanted)
-        result = session.compare(
-            wish.sensors or None,
-            all_subsets=wish.all_subsets,
-            align=wish.align,
-            smooth=wish.smooth,
-            audits=rerun.wanted,
-        )
-        files = result.write(wish.out, write=kinds, export=wish.export, overwrite=wish.overwrite)
-        if wish.figures is not None:
-            progress("drawing figures")
-            result.write_figures(wish.figures)
-    judged, lost = Judged(result.report, result.credit), result.losses(how.strict)
-    if table:
-        show.result(judged.report, files, wish.as_json)
-    show.notes(judged.report, lost, how.quiet)
-    sketch = sketched(rerun, result, show.say)
-    del session, result  # Rerun's import takes as much memory as they do
-    record(rerun, sketch, files[0].parent, show.say)
-    if (remark := gates.remark(judged.report)) is not None and not how.quiet:
-        show.say(f"note: {remark}")
-    failed = gates.failures(judged.report)
-    for line in failed:
-        show.say(f"gate: {line}")
-    return Done(judged, ci_gates.FAILED if failed else LOSS if lost else 0)

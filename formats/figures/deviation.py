@@ -112,13 +112,12 @@ def _band(judged: Evaluation, what: str, deviation: Array, column: int) -> Panel
 def uncertainty(scene: Scene) -> Section:
     """Return the standard deviations that the filters claim: all that can be shown without truth."""
     panels = []
+    names = {shown.name for shown, _ in scene.shown()}
     for what, column in (("x", 0), ("y", 1), ("heading", 2)):
         sigmas = [SIGMAS * np.sqrt(np.maximum(e.P[:, column, column], 0.0)) for e in scene.estimates]
         scale, unit = (180.0 / np.pi, "°") if what == "heading" else metres(sigmas)
         marks = tuple(
-            Curve(e.name, e.t, scale * s)
-            for e, s in zip(scene.estimates, sigmas, strict=True)
-            if e in [shown for shown, _ in scene.shown()]
+            Curve(e.name, e.t, scale * s) for e, s in zip(scene.estimates, sigmas, strict=True) if e.name in names
         )
         label = f"3 sigma of {what}, {unit}"
         panels.append(Panel(f"sigma_{what}", f"Claimed 3 sigma of {what}", label, TIME, marks, label))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 from commands import locfuse
+from numpy.typing import NDArray
 from recordings import read
 
 LOG = "rounded_triangle"
@@ -57,6 +59,37 @@ def test_a_run_folder_keeps_its_covariances(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         axes[:, 0], 3.0 * np.sqrt(np.linalg.eigvalsh(P)[:, 1].clip(0)), atol=1e-6, rtol=1e-5
     )
+
+
+def drawn(recording: Path, name: str) -> NDArray[np.float64]:
+    return read(recording)[f"world/{name}/pose"].array("Transform3D:translation")[:, 0, :2]
+
+
+def test_a_smoothed_run_is_drawn_from_its_own_file(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert locfuse("run", LOG, "--sensors", "compass", "--smooth", "-o", out).exit_code == 0
+    assert locfuse("view", out, "--save", tmp_path / "drive.rrd").exit_code == 0
+    for name, file in (("compass", "trajectory.tum"), ("compass-smoothed", "smoothed.tum")):
+        tum = np.loadtxt(out / file)
+        np.testing.assert_allclose(drawn(tmp_path / "drive.rrd", name), tum[:, 1:3], atol=1e-5)
+
+
+def test_a_folder_of_0_1_is_shown_though_smoothed_results_had_another_name(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    words = ("--sensors", "compass", "--smooth", "--write", "json,tum")
+    assert locfuse("compare", LOG, *words, "-o", out).exit_code == 0
+    report = json.loads((out / "report.json").read_text())
+    del report["schema_version"]
+    rows = report["configurations"]
+    for row in rows.values():
+        del row["configuration"], row["rates_hz"]
+    rows["compass smoothed"] = rows.pop("compass-smoothed")
+    (out / "report.json").write_text(json.dumps(report))
+    (out / "compass-smoothed.tum").rename(out / "compass smoothed.tum")
+    done = locfuse("view", out, "--save", tmp_path / "drive.rrd")
+    assert done.exit_code == 0, done.stderr
+    tum = np.loadtxt(out / "compass smoothed.tum")
+    np.testing.assert_allclose(drawn(tmp_path / "drive.rrd", "compass-smoothed"), tum[:, 1:3], atol=1e-5)
 
 
 def test_a_recording_beside_the_results_is_used_while_it_is_not_older(results: Path, tmp_path: Path) -> None:

@@ -238,7 +238,7 @@ def see_x(k: int, belief: JointBelief, batch: Batch) -> None:
 def test_smoothing_through_the_beginning_of_a_frame_is_batch_least_squares(rest: bool) -> None:
     """A linear case, since the heading is known. Also where the robot stands still once the frame has begun."""
     journal, batch = Journal(), Batch()
-    belief = cast("JointBelief", journal.joint((0.0, 0.0, HEADING), triangle_of(OF_START), []))
+    belief = journal.joint((0.0, 0.0, HEADING), triangle_of(OF_START), [])
     rho: int | None = None
     batch.joined(0, np.zeros(2), OF_START)
     belief.predict((0.0, 0.0, 0.0), (0.0,) * 6)

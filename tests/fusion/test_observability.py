@@ -130,6 +130,7 @@ def test_a_wall_in_the_map_has_the_covariance_of_finite_differences() -> None:
     drive, robot = drive_of(KNOWN, 4.0)
     run = run_of(drive, begun(robot, 5.0, 10.0), ["compass", "lrf"])
     lines, belief = run.models["lrf"].map, run.belief  # type: ignore[attr-defined]
+    assert belief.frame is not None
     frame = list(range(belief.frame, belief.frame + 3))
 
     def in_map(x: Array) -> Array:

@@ -1,4 +1,4 @@
-"""`locfuse compare`: every configuration over one log, measured once; or several logs; or finished results."""
+"""`locfuse compare`: every configuration over one log, measured once."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ from .one_log import Wish, one
 )
 @log_options
 @preset_option
-@out_options(OF_COMPARISON)
+@out_options(KINDS)
 @export_option
 @rerun_options
 def compare(log: tuple[str, ...], **asked: Any) -> int:
@@ -85,8 +85,6 @@ def compare(log: tuple[str, ...], **asked: Any) -> int:
     locfuse compare locfuse-out/before locfuse-out/after
     """
     from locfuse.cli.choose.grouping import logs_of, results_of
-
-    from .one_log import Wish, one
 
     wish = Wish(**asked)
     finished = results_of(log)

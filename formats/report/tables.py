@@ -197,6 +197,7 @@ def everything(report: Report) -> Table:
     """
     runs = report["configurations"]
     keys = dict.fromkeys(k for v in runs.values() for k, x in v.items() if not isinstance(x, Mapping | list))
+    keys.pop("configuration")  # the first column: there it is the row's name, such as all-smoothed
     names = dict.fromkeys(sensor for v in runs.values() for sensor in v["sensors"])
     counts = {f"{s}_{c.key}": (s, c.key) for s in names for c in COUNTS}
     rows = []

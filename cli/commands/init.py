@@ -9,6 +9,7 @@ import click
 
 from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.cli.terminal.options import log_options
+from locfuse.cli.terminal.screen import put, say
 
 if TYPE_CHECKING:
     from locfuse.cli.inspect.template import Draft
@@ -38,7 +39,7 @@ def init(log: tuple[str, ...], how: LogOptions) -> int:
     with show.progress(how.quiet) as progress:
         made = draft(find_log(log), how, progress)
     words = printable(shlex.join(log))
-    click.echo(render(_head(made, words), made.sections, _foot(made)), nl=False)
+    put(render(_head(made, words), made.sections, _foot(made)))
     lost = made.seen.log.losses.lines()
     if not how.quiet:
         _say(made, words, lost)
@@ -65,10 +66,10 @@ def _foot(made: Draft) -> str:
 
 def _say(made: Draft, words: str, lost: list[str]) -> None:
     for line in lost:
-        click.echo(f"lost: {line}", err=True)
+        say(f"lost: {line}", err=True)
     if (nothing := made.seen.choice.absent.get("wheels")) is not None:
-        click.echo(f"this log cannot run: {nothing}", err=True)
+        say(f"this log cannot run: {nothing}", err=True)
     elif made.missing:
-        click.echo(f"to be filled in: {', '.join(made.missing)} (their lines say how to measure them)", err=True)
+        say(f"to be filled in: {', '.join(made.missing)} (their lines say how to measure them)", err=True)
     else:
-        click.echo(f"nothing is missing; try: locfuse compare {words} --robot robot.toml", err=True)
+        say(f"nothing is missing; try: locfuse compare {words} --robot robot.toml", err=True)

@@ -20,7 +20,9 @@ from locfuse.cli.pipeline import results
 from locfuse.cli.pipeline.load import find_log
 from locfuse.cli.pipeline.verdicts import credit_values, verdicts
 from locfuse.cli.terminal.options import chosen
-from locfuse.cli.terminal.screen import reader_may_leave, screen
+from locfuse.cli.terminal.screen import put, reader_may_leave, say, screen
+from locfuse.formats.caps import MAX_REPORT
+from locfuse.formats.inputs import read_small
 from locfuse.formats.log.files import log_name
 from locfuse.formats.report import changes as sides
 from locfuse.formats.report import json_report
@@ -67,7 +69,7 @@ def compare_logs(logs: Sequence[Sequence[str]], context: click.Context) -> int:
     codes, reports = [], {}
     for name, parts in _named(logs).items():
         if not params["quiet"]:
-            click.echo(f"{name}:", err=True)
+            say(f"{name}:", err=True)
         codes.append(_one(name, parts, folder / name, context))
         reports[name] = json.loads((folder / name / "report.json").read_bytes())
     summary = summarised(reports)
@@ -78,10 +80,10 @@ def compare_logs(logs: Sequence[Sequence[str]], context: click.Context) -> int:
     write_results(folder, files, overwrite=True)
     with reader_may_leave():
         if params["as_json"]:
-            click.echo(files["summary.json"], nl=False)
+            put(files["summary.json"])
         else:
             _show_summary(summary)
-            click.echo(f"{folder}: {', '.join(sorted(files))}; a folder with the report of each log")
+            say(f"{folder}: {', '.join(sorted(files))}; a folder with the report of each log")
     return max(codes, key=lambda code: (code == ci_gates.FAILED, code == results.LOSS))
 
 
@@ -207,23 +209,23 @@ def compare_results(files: Sequence[Path], params: Mapping[str, Any]) -> int:
         written = {"changes.json": json_report.encode(values), "changes.md": "\n".join(texts)}
         write_results(params["out"], written, params["overwrite"])
     if params["as_json"]:
-        click.echo(json_report.encode(values), nl=False)
+        put(json_report.encode(values))
         return 0
     for after, one in found.items():
-        click.echo(f"{before} -> {after}")
+        say(f"{before} -> {after}")
         _show_changes(one)
         for line in sides.remarks(one):
-            click.echo(line)
+            say(line)
     if written:
-        click.echo(f"{params['out']}: {', '.join(written)}")
+        say(f"{params['out']}: {', '.join(written)}")
     return 0
 
 
 def _read(file: Path) -> dict[str, Any]:
     try:
-        report: dict[str, Any] = json.loads(file.read_bytes())
+        report: dict[str, Any] = json.loads(read_small(file, MAX_REPORT))
         sides.changes(report, report)
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise LocfuseError(f"{file}: not a report of locfuse; make one with: locfuse compare LOG -o DIR") from None
     return report
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from locfuse.cli.terminal.findings import may_replace
+from locfuse.cli.terminal.screen import put, say
 
 if TYPE_CHECKING:
     from locfuse.sample_logs.messages import Estimator
@@ -55,13 +56,13 @@ def simulate(
 
     if listing:
         for name in load.names():
-            click.echo(f"{name:24} {load.load(name).title}")
+            say(f"{name:24} {load.load(name).title}")
         return
     if scenario is None:
         raise UsageError("which SCENARIO? See: locfuse simulate --list")
     chosen = load.load(scenario, sets)
     if show:
-        click.echo(load.dumps(chosen), nl=False)
+        put(load.dumps(chosen))
         return
     if out is None:
         raise UsageError("where to? Name the log with -o LOG.mcap")
@@ -77,9 +78,9 @@ def _drive(scenario: Scenario, seed: int, out: Path, as_json: bool) -> None:
     outcome = write_log(scenario, seed, localise(scenario.control.estimator), out)
     facts = {"log": str(out), "seed": seed, **_facts(outcome)}
     if as_json:
-        click.echo(json.dumps(facts, indent=2))
+        put(json.dumps(facts, indent=2) + "\n")
     else:
-        click.echo(
+        say(
             f"{out}: {facts['duration_s']} s, {facts['way_m']} m; wheel speeds within "
             f"{facts['speed_worst_percent']} % of their set points over 0.1 s"
         )

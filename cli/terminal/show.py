@@ -9,13 +9,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
-import click
-
 from locfuse.formats.report import json_report
 from locfuse.formats.report.columns import written
 from locfuse.formats.report.notes import notes_of
 
-from .screen import reader_may_leave, screen
+from .screen import put, reader_may_leave, screen
+from .screen import say as on_screen
 
 COLUMNS = (
     ("rmse", "position_rmse_m", "{:.3f} m"),
@@ -37,7 +36,7 @@ class Progress(Protocol):
 
 def say(line: str) -> None:
     """Print a line on stderr."""
-    click.echo(line, err=True)
+    on_screen(line, err=True)
 
 
 @contextmanager
@@ -47,7 +46,8 @@ def progress(quiet: bool) -> Iterator[Progress]:
         yield lambda what: None
         return
 
-    with screen(stderr=True).status("opening", spinner="dots") as status:
+    own = os.fdopen(os.dup(sys.stderr.fileno()), "w", encoding=sys.stderr.encoding, errors="backslashreplace")
+    with own, screen(file=own).status("opening", spinner="dots") as status:
         yield lambda what: status.update(what)  # noqa: PLW0108 - its type differs from Progress
 
 
@@ -70,12 +70,12 @@ def result(report: Mapping[str, Any], folder: Path, files: Collection[str], as_j
     """Print a finished report, and which files it was written to."""
     with reader_may_leave():
         if as_json:
-            click.echo(json_report.encode(report), nl=False)
+            put(json_report.encode(report))
             return
         figures(report)
         verdicts(report)
         consistency(report)
-        click.echo(f"{folder}: {', '.join(sorted(files))}")
+        on_screen(f"{folder}: {', '.join(sorted(files))}")
 
 
 def figures(report: Mapping[str, Any]) -> None:
@@ -153,20 +153,20 @@ def notes(report: Mapping[str, Any], losses: Sequence[str], quiet: bool) -> None
     if quiet:
         return
     for sensor, why in report["absent"].items():
-        click.echo(f"absent: {sensor}: {why}", err=True)
+        say(f"absent: {sensor}: {why}")
     for note in notes_of(report):
-        click.echo(f"note: {note}", err=True)
+        say(f"note: {note}")
     for stream, reasons in report["input"]["dropped"].items():
         counted = ", ".join(f"{count} {reason.replace('_', ' ')}" for reason, count in reasons.items())
-        click.echo(f"dropped: {stream}: {counted}", err=True)
+        say(f"dropped: {stream}: {counted}")
     if "pseudo_reference" in report:
-        click.echo(f"note: {report['pseudo_reference']['words']}", err=True)
+        say(f"note: {report['pseudo_reference']['words']}")
     if report["truth"] is None:
-        click.echo(NO_TRUTH, err=True)
+        say(NO_TRUTH)
     if report.get("prediction"):
-        click.echo(f"note: {report['prediction']['trust']}", err=True)
+        say(f"note: {report['prediction']['trust']}")
     for line in losses:
-        click.echo(f"lost: {line}", err=True)
+        say(f"lost: {line}")
 
 
 def verdicts(report: Mapping[str, Any]) -> None:

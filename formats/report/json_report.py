@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 
+from locfuse.formats.visible import escaped, writable
 from locfuse.fusion.data import Drive, Evaluation, SensorFigures
 
 
@@ -31,8 +32,8 @@ def report(
 
 
 def encode(value: Mapping[str, Any]) -> str:
-    """Return indented JSON with sorted-as-given keys; NaN and infinity become null."""
-    return msgspec.json.format(msgspec.json.encode(_finite(value)), indent=2).decode() + "\n"
+    """Return indented JSON with keys as given; NaN and infinity become null, controls are escaped."""
+    return escaped(msgspec.json.format(msgspec.json.encode(_finite(value)), indent=2).decode()) + "\n"
 
 
 def _configuration(evaluation: Evaluation) -> dict[str, Any]:
@@ -75,7 +76,7 @@ def _finite(value: Any) -> Any:
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
-        return {str(k): _finite(v) for k, v in value.items()}
+        return {writable(str(k)): _finite(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
         return [_finite(v) for v in value]
-    return value
+    return writable(value) if isinstance(value, str) else value

@@ -33,7 +33,7 @@ def calibrate(log: tuple[str, ...], out: Path | None, overwrite: bool, as_json: 
     from locfuse.cli.pipeline.load import find_log, load
     from locfuse.cli.terminal import show
 
-    may_replace(out, overwrite)
+    may_replace(out, overwrite, log)
     with show.progress(how.quiet) as progress:
         loaded = [load(find_log(parts), how, progress, only=("compass",)) for parts in logs_of(log)]
         progress("calibrating")

@@ -8,6 +8,7 @@ import click
 
 from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.cli.rerun.record import Recorded, RerunOptions, record, sketched
+from locfuse.cli.terminal.findings import may_replace
 from locfuse.cli.terminal.options import (
     chosen,
     export_option,
@@ -17,6 +18,7 @@ from locfuse.cli.terminal.options import (
     smooth_option,
 )
 from locfuse.cli.terminal.rerun_options import rerun_options
+from locfuse.cli.terminal.screen import say
 
 KINDS = ("html", "md", "json", "tum", "csv", "tex")
 
@@ -102,7 +104,7 @@ def compare(
     from locfuse.cli.pipeline.compare import compare_log, report_of
     from locfuse.cli.pipeline.load import find_log, load_to_fuse
     from locfuse.cli.terminal import show
-    from locfuse.formats.whole_files import write_results
+    from locfuse.formats.whole_files import may_write, write_results
 
     if len(log) > 1:
         from .several import several
@@ -112,9 +114,12 @@ def compare(
     kinds = chosen(write, KINDS)
     limits = [ci_gates.parse_gate(text) for text in fail_if]
     before = ci_gates.read_baseline(baseline, tolerance) if baseline else None
+    may_replace(rerun.save, overwrite, log)
     with show.progress(how.quiet) as progress:
         loaded = load_to_fuse(find_log(log), how, progress, rerun.wanted)
         wanted = configurations.for_comparison(sensors, loaded.drive, all_subsets)
+        folder = out or results.default_folder(loaded.log.name)
+        may_write(folder, overwrite, (how.robot, baseline))
         drawn, recorded = outputs.Drawn(), Recorded()
         watch = [drawn.take] if "html" in kinds or figures else []
         watch += [recorded.take] if rerun.wanted else []
@@ -123,7 +128,6 @@ def compare(
         progress("writing")
         files = outputs.files(compared, drawn, report, kinds)
         files |= exports.files(export, loaded, {e.name: e for e in compared.estimates})
-        folder = out or results.default_folder(loaded.log.name)
         write_results(folder, files, overwrite)
         if figures is not None:
             progress("drawing figures")
@@ -137,8 +141,8 @@ def compare(
     record(rerun, sketch, folder, show.say)
     other = ci_gates.of_another_log(report, before) if before is not None else None
     if other is not None and not how.quiet:
-        click.echo(f"note: {other}", err=True)
+        say(f"note: {other}", err=True)
     failed = ci_gates.failures(report, limits, before)
     for line in failed:
-        click.echo(f"gate: {line}", err=True)
+        say(f"gate: {line}", err=True)
     return ci_gates.FAILED if failed else results.LOSS if lost else 0

@@ -10,6 +10,7 @@ import click
 from locfuse.cli.pipeline.maps import MapOptions
 from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.cli.rerun.record import RerunOptions, record, sketched
+from locfuse.cli.terminal.findings import may_replace
 from locfuse.cli.terminal.options import (
     chosen,
     export_option,
@@ -82,15 +83,19 @@ def run(
     from locfuse.formats.report import json_report
     from locfuse.formats.results import trajectory
     from locfuse.formats.results.audit import audit_csv
-    from locfuse.formats.whole_files import Content, whole_file, write_results
+    from locfuse.formats.whole_files import Content, may_write, whole_file, write_results
     from locfuse.fusion.judge.evaluate import evaluate
 
     kinds = chosen(write, KINDS)
+    for file in (audit, maps.save, rerun.save):
+        may_replace(file, overwrite, log)
     with show.progress(how.quiet) as progress:
         loaded = maps.give(load_to_fuse(find_log(log), how, progress, rerun.wanted))
         drive, robot = loaded.drive, loaded.robot
         configuration = configurations.parse(sensors, drive)
         maps.check(configuration.sensors)
+        folder = out or results.default_folder(loaded.log.name)
+        may_write(folder, overwrite, (how.robot, maps.given))
         progress("fusing")
         found = lean(configuration.fuse, drive, robot, smooth)
         judged = [evaluate(e, configuration.drive(drive), align) for e in found]  # type: ignore[arg-type]
@@ -107,7 +112,6 @@ def run(
         files |= exports.files(export, loaded, named)
         if "json" in kinds:
             files["run.json"] = json_report.encode(report)
-        folder = out or results.default_folder(loaded.log.name)
         write_results(folder, files, overwrite)
         maps.keep(found[0], loaded.log.name)
         if audit is not None:

@@ -52,7 +52,7 @@ def tune(
     from locfuse.cli.pipeline.load import find_log
     from locfuse.cli.terminal import show
 
-    may_replace(out, overwrite)
+    may_replace(out, overwrite, (*log, *hold_out))
     paths = [find_log(parts) for parts in logs_of(log)]
     held_out = [find_log(parts) for parts in logs_of(hold_out)]
     with show.progress(how.quiet) as progress:

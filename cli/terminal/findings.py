@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import click
 
-from .screen import reader_may_leave, screen
+from .screen import put, reader_may_leave, say, screen
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 Table = tuple[Sequence[str], Iterable[Sequence[str]]]  # titles, rows
@@ -30,10 +30,13 @@ def findings_options(what: str, tables: str) -> Callable[[Command], Command]:
     return add
 
 
-def may_replace(out: Path | None, overwrite: bool) -> None:
-    """Raise UsageError where a file would be lost: to know it before the work is done."""
+def may_replace(out: Path | None, overwrite: bool, given: Sequence[str | Path] = ()) -> None:
+    """Raise UsageError where a file would be lost, or is one of the inputs: to know it before the work is done."""
+    from locfuse.formats.inputs import DESTROYS, is_among
     from locfuse.fusion.data import UsageError
 
+    if out is not None and is_among(out, [Path(one) for one in given]):
+        raise UsageError(f"{out}: {DESTROYS}")
     if out is not None and out.exists() and not overwrite:
         raise UsageError(f"{out} exists: choose another name, or replace it with --overwrite")
 
@@ -44,12 +47,12 @@ def print_findings(values: Any, tables: Iterable[Table], out: Path | None, as_js
 
     with reader_may_leave():
         if as_json:
-            click.echo(json_report.encode(values), nl=False)
+            put(json_report.encode(values))
             return
         for titles, rows in tables:
             _print_table(titles, rows)
         if out is not None:
-            click.echo(f"{out}: use it with --robot {out}")
+            say(f"{out}: use it with --robot {out}")
 
 
 def _print_table(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
@@ -70,5 +73,5 @@ def end(notes: Iterable[str], lost: Sequence[str], quiet: bool) -> int:
 
     if not quiet:
         for line in (*(f"note: {n}" for n in notes), *(f"lost: {n}" for n in lost)):
-            click.echo(line, err=True)
+            say(line, err=True)
     return LOSS if lost else 0

@@ -36,7 +36,9 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "smooth tune paper",
     ),
     "formats": (
-        "columns thin geometry whole_files robot",
+        "caps visible columns thin geometry",
+        "inputs",
+        "whole_files robot",
         "container",
         "messages",
         "mcap",

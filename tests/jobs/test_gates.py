@@ -210,3 +210,10 @@ def test_a_what_if_keeps_its_name(tmp_path: Path) -> None:
     counts = report["configurations"]["compass@1Hz"]["sensors"]["compass"]
     assert sum(counts["verdicts"].values()) == pytest.approx(55, abs=1)
     assert (out / "compass+lrf@2Hz.tum").exists()
+
+
+@pytest.mark.parametrize("text", ["[" * 200_000, '{"configurations": {"all": {}}, "input": []}'])
+def test_a_baseline_that_is_no_report_is_refused_before_the_work(tmp_path: Path, text: str) -> None:
+    (tmp_path / "b.json").write_text(text)
+    with pytest.raises(LocfuseError, match=r"not a report\.json of locfuse"):
+        read_baseline(tmp_path / "b.json", "5%")

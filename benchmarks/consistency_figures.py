@@ -87,7 +87,7 @@ def walls_kept(estimates: Estimates, drive: Drive) -> float:
     """
     first = drive.instant["lrf"][0]
     heading = math.sqrt(estimates.triangles[first, 5])
-    directions = [math.sqrt(line.P[1, 1]) for line in estimates.final_map]
+    directions = [math.sqrt(line.P_map[1, 1]) for line in estimates.final_map]
     return min(directions) / heading if directions and heading > 0 else math.nan
 
 

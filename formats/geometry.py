@@ -64,8 +64,8 @@ def wall_band(line: MapLine, points: int = 9) -> Array:
     At t along the tangent the wall is off by drho - t dbeta, so the band is narrowest near the middle of what
     was seen and opens towards the ends.
     """
-    t = np.linspace(*line.ends, points)
-    variance = line.P[0, 0] - 2.0 * t * line.P[0, 1] + t**2 * line.P[1, 1]
+    t, P = np.linspace(*line.ends, points), line.P_map
+    variance = P[0, 0] - 2.0 * t * P[0, 1] + t**2 * P[1, 1]
     width = SIGMAS * np.sqrt(np.maximum(variance, 0.0))
     normal = np.array([math.cos(line.beta), math.sin(line.beta)])
     middle = segments(np.full((points, 2), (line.rho, line.beta)), np.column_stack((t, t)))[:, 0]

@@ -291,8 +291,18 @@ class MapLine:
     rho: float
     beta: float
     ends: tuple[float, float]  # m along the tangent (-sin beta, cos beta)
-    P: Array  # (2, 2) covariance of (rho, beta)
+    P: Array  # (2, 2) covariance of (rho, beta); in a map of its own with the map frame held
     hits: int = 0
+    P_free: Array | None = None  # (2, 2) the same with the map frame's own uncertainty; None: it has none
+
+    @property
+    def P_map(self) -> Array:
+        """Covariance (2, 2) of (rho, beta) in the map, all uncertainty counted: how well its place is known.
+
+        A map that is given to another run needs P instead: one and the same frame error of all its walls would be
+        taken for as many independent ones.
+        """
+        return self.P if self.P_free is None else self.P_free
 
 
 @dataclass(frozen=True)

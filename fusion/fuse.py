@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.belief_blocks import FewBlocks
 from locfuse.fusion.ekf.belief_pose import Pose, PoseBelief, Triangle
+from locfuse.fusion.ekf.equations import predicted
+from locfuse.fusion.ekf.map_frame import InMap
 from locfuse.fusion.ekf.robust import inflated
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
 
-from . import se2
 from .audit import MANY, Record
 from .data import Array, Drive, Estimates, Measurements, matrices
 from .ekf import belief_blocks
@@ -27,6 +28,7 @@ from .instants import BLOCK, Due, Step, due_readings, steps_of
 from .robot import Robot, StartSettings
 from .sensor import Block, Innovation, Model
 
+AnyBelief = PoseBelief | JointBelief
 # what makes the belief at the start: of the pose alone, or with blocks; None: whatever fits, the fastest first
 Beliefs = tuple[Callable[[Pose, Triangle], PoseBelief], Callable[[Pose, Triangle, Sequence[Block]], JointBelief]]
 
@@ -85,7 +87,11 @@ class Filter:
         self.models: dict[str, Model] = {
             s: REGISTRY[s].model(robot.settings(s)) for s in REGISTRY if s in sensors or s in self._listens
         }
-        self.belief = _begin(robot, list(self.models.values()), beliefs, any(map(any, self._listens.values())))
+        self.belief: AnyBelief = _begin(
+            robot, list(self.models.values()), beliefs, any(map(any, self._listens.values()))
+        )
+        self._in_map: AnyBelief | InMap = self.belief  # the belief as it is seen from the map
+        self._mapping = [s for s in self._sensors if self.models[s].maps]
         for model in self.models.values():
             model.begin(robot.lines, self.belief)
         for s, model in self.models.items():
@@ -101,12 +107,16 @@ class Filter:
 
     def advance(self, k: int, step: Step, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
         """Take the belief to instant k and correct it by every reading (sensor, i) that is due there."""
-        belief, models = self.belief, self.models
-        belief.predict(*step)
+        self.belief.predict(*step)
+        for sensor, i in due:
+            if sensor in self._mapping and self.models[sensor].begins_map(measurements[sensor], i):
+                self._begin_frame()
+        belief, in_map, models = self.belief, self._in_map, self.models
         accepted: list[Innovation] = []
         heard: list[Innovation] = []
         for sensor, i in due:
-            seen = models[sensor].innovations(measurements[sensor], i, belief)
+            model = models[sensor]
+            seen = model.innovations(measurements[sensor], i, belief if model.local else in_map)
             if sensor in self._inflates:
                 seen = [inflated(innovation) for innovation in seen]
             self._records[sensor].add(k, seen)
@@ -119,13 +129,33 @@ class Filter:
         if accepted:
             belief.correct(accepted)
         for sensor, i in due:
-            models[sensor].learn(measurements[sensor], i, belief)
+            model = models[sensor]
+            model.learn(measurements[sensor], i, belief if model.local else in_map)
         self._record()
 
-    def _record(self) -> None:
+    def pose(self) -> Pose:
+        """Return the pose (x, y, theta) in the map [m, m, rad], theta not wrapped."""
+        return self._in_map.pose()
+
+    def _seen_by(self, model: Model) -> AnyBelief | InMap:
+        return self.belief if model.local else self._in_map
+
+    def _begin_frame(self) -> None:
+        """Let a map of a sensor's own begin in a local frame (fusion.ekf.map_frame)."""
         belief = self.belief
-        self._poses.extend(belief.pose())
-        self._triangles.extend(belief.triangle())
+        if not isinstance(belief, (FewBlocks, JointBelief)):
+            if not any(belief.triangle()):
+                return  # the pose is known exactly: so is the frame
+            belief = FewBlocks(belief.pose(), belief.triangle(), ())
+        belief.begin_frame()
+        self.belief = belief
+        self._in_map = belief if belief.frame is None else InMap(belief)
+
+    def _record(self) -> None:
+        belief = self._in_map
+        pose, triangle = belief.located()
+        self._poses.extend(pose)
+        self._triangles.extend(triangle)
         for name, (values, variances) in self._blocks.items():
             values.extend(belief.block(name)[1])
             variances.extend(belief.variances(name))
@@ -136,7 +166,7 @@ class Filter:
         pose = np.frombuffer(self._poses).reshape(n, 3)
         triangles = np.frombuffer(self._triangles).reshape(n, 6)
         blocks = {name: np.array(v).reshape(n, -1) for name, (v, _) in self._blocks.items()}
-        maps = [m.lines(self.belief) for m in self.models.values()]
+        maps = [m.lines(self._seen_by(m)) for m in self.models.values()]
         truth_pose, truth_P = _at_truth(drive, pose, triangles, blocks.get(WHEELS))
         return Estimates(
             configuration=name,
@@ -168,7 +198,7 @@ class Filter:
             metric = {s: REGISTRY[s].scale_key for s in self._sensors if REGISTRY[s].measures_metres}
             yield from (f"wheels: {words}" for words in wheel_words(self._wheels, x, P, self._sensors, metric))
         for name, model in self.models.items():
-            yield from (f"{name}: {words}" for words in model.notes(belief))
+            yield from (f"{name}: {words}" for words in model.notes(self._seen_by(model)))
 
 
 def _begin(
@@ -209,19 +239,7 @@ def _at_truth(
         u = motions.u[at]
         if wheels is not None:
             u = u + np.einsum("nij,nj->ni", motions.J[at], wheels[k])
-        out[at], spread[at] = _moved(pose[k], matrices(triangles[k]), u, motions.Q[at])
+        out[at], spread[at] = predicted(pose[k], matrices(triangles[k]), u, motions.Q[at])
     outside = drive.truth_instant < 0
     out[outside], spread[outside] = np.nan, np.nan
     return out, spread
-
-
-def _moved(pose: Array, P: Array, u: Array, Q: Array) -> tuple[Array, Array]:
-    """Return poses (n, 3) and covariances (n, 3, 3) after the motions u (n, 3) of covariance Q (n, 3, 3)."""
-    out = se2.compose(pose, u)
-    A = np.zeros((len(u), 3, 3))
-    A[:] = np.eye(3)
-    A[:, 0, 2], A[:, 1, 2] = pose[:, 1] - out[:, 1], out[:, 0] - pose[:, 0]
-    turn = np.zeros_like(A)
-    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-    turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1], turn[:, 2, 2] = c, -s, s, c, 1.0
-    return out, A @ P @ A.transpose(0, 2, 1) + turn @ Q @ turn.transpose(0, 2, 1)

@@ -49,6 +49,27 @@ def between(a: Array, b: Array) -> Array:
     return compose(inverse(a), b)
 
 
+def rotation(theta: Array) -> Array:
+    """Return the rotations of (x, y, theta) by angles theta (...) [rad], (..., 3, 3)."""
+    c, s = np.cos(theta), np.sin(theta)
+    out = np.zeros((*np.shape(theta), 3, 3))
+    out[..., 0, 0] = out[..., 1, 1] = c
+    out[..., 0, 1], out[..., 1, 0] = -s, s
+    out[..., 2, 2] = 1.0
+    return out
+
+
+def rotated(theta: Array, v: Array) -> Array:
+    """Return vectors v (..., 2) turned by angles theta (...) [rad]."""
+    c, s = np.cos(theta), np.sin(theta)
+    return np.stack((c * v[..., 0] - s * v[..., 1], s * v[..., 0] + c * v[..., 1]), axis=-1)
+
+
+def yaw(x: Array, y: Array, z: Array, w: Array) -> Array:
+    """Return the heading (...) [rad] of quaternions of any length, by their parts (...)."""
+    return np.asarray(np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z), np.float64)
+
+
 def exp(twist: Array) -> Array:
     """Return the pose reached by a constant body twist (..., 3) = (forward, left, turn) over unit time.
 

@@ -54,9 +54,9 @@ class Innovation(msgspec.Struct, frozen=True, gc=False):
     threshold: float  # of the gate
     y: tuple[float, ...]  # (d,)
     sigma: tuple[float, ...]  # (d,) sqrt of the diagonal of S
-    H: PoseRows  # (d, 3) columns x, y, theta
+    H: PoseRows  # (d, 3) columns x, y, theta of the pose in the state (fusion.ekf.map_frame)
     R: Matrix  # (d, d)
-    columns: tuple[int, ...] = ()  # state columns of the sensor's block
+    columns: tuple[int, ...] = ()  # state columns of the sensor's block, and of the map frame
     H_block: Matrix = ()  # (d, len(columns))
 
     @classmethod
@@ -79,7 +79,7 @@ class Innovation(msgspec.Struct, frozen=True, gc=False):
         S = H P H' + R and NIS = y' S^-1 y (Bar-Shalom, Li and Kirubarajan 2001, 5.4.2). The verdict is
         "accepted" or "gate" by these, unless `verdict` (an index into VERDICTS) says something else.
         """
-        spread = belief.spread(H, columns, H_block)
+        spread, H, columns, H_block = belief.observed(H, columns, H_block)
         sigma: tuple[float, ...]
         if len(y) == 1:
             S = spread[0][0] + R[0][0]
@@ -148,12 +148,19 @@ class Belief(Protocol):
     ) -> Matrix:
         """Return H P H', (d, d): the innovation covariance without R."""
 
+    def observed(
+        self, H: PoseRows, columns: tuple[int, ...] = (), H_block: Matrix = ()
+    ) -> tuple[Matrix, PoseRows, tuple[int, ...], Matrix]:
+        """Return H P H', and the derivatives by the pose and the columns of the state: H, columns, H_block."""
+
 
 class Model:
     """One sensor inside one run of the filter; holds what it has learnt (a map), never the pose."""
 
     joint: bool = False  # whether it adds states while driving, beyond its blocks
     settled: bool = False  # whether its states are only drifted and corrected: never added, cloned or transformed
+    local: bool = False  # whether it observes the pose in the run's local frame, as lines of its own map do
+    maps: bool = False  # whether it may make a map of its own, with which a local frame begins
     teaches: bool = True  # whether states that it names are its own: what only listens teaches nobody else
 
     def blocks(self) -> list[Block]:
@@ -165,6 +172,10 @@ class Model:
 
     def meet(self, others: Mapping[str, Model]) -> None:
         """Get to know the other models of the run, by sensor: one may read the map that another keeps."""
+
+    def begins_map(self, m: Measurements, i: int) -> bool:
+        """Return whether reading i is the first of a map of its own: the local frame begins at its instant."""
+        return False
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
         """Compare reading i with the prior belief. Verdict 0 ("accepted") corrects the filter."""

@@ -12,7 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.ekf.journal import Birth, Drop, Journal, Step
+from locfuse.fusion.ekf.equations import eq5_x, eq6_noise, eq7_A
+from locfuse.fusion.ekf.journal import Birth, Drop, FrameMoved, Journal, Step, Swung
+from locfuse.fusion.ekf.map_frame import in_map_P
 from locfuse.fusion.wheels.states import WHEELS
 
 from . import se2
@@ -56,11 +58,11 @@ def smoothed(drive: Drive, filtered: Estimates, journal: Journal) -> Estimates:
     back = Backward(drive, filtered, journal)
     back.run(journal)
     wheels = back.blocks.get(WHEELS)
-    truth_pose, truth_P = between_instants(drive, filtered, back, None if wheels is None else wheels[-1])
+    truth_pose, truth_P = between_instants(drive, journal, back, None if wheels is None else wheels[-1])
     return replace(
         filtered,
         pose=back.pose,
-        triangles=upper_triangles(back.P),
+        triangles=upper_triangles(in_map_P(back.frame, back.local, back.P)),
         blocks=back.blocks,
         block_sigmas=back.block_sigmas,
         truth_pose=truth_pose,
@@ -81,36 +83,64 @@ def against(reference: Estimates, e: Estimates) -> dict[str, float]:
 
 
 class Backward:
-    """The backward pass: the smoothed state from the last instant to the first."""
+    """The backward pass: the smoothed state from the last instant to the first.
+
+    Before the first scan of a growing map, and without one, the frame is the map and known exactly: G = 0. A frame
+    that begins at instant k is that of `local[k]`, but `arrived[k]` is still of the frame before.
+    """
 
     def __init__(self, drive: Drive, filtered: Estimates, journal: Journal) -> None:
         n = len(drive.t)
-        self.pose, self.P = np.empty((n, 3)), np.empty((n, 3, 3))
-        self.arrived, self.arrived_P = np.zeros((n, 3)), np.zeros((n, 3, 3))  # as the motion ended: before a shift
-        self.ahead = np.zeros((n, 3, 3))  # covariance of the pose at k (rows) and as it arrived at k + 1 (columns)
+        self.local, self.frame = np.empty((n, 3)), np.zeros((n, 3))  # q and G
+        self.P = np.zeros((n, 6, 6))  # of both
+        self.arrived = np.zeros((n, 3))  # q as the motion ended: before a shift
+        self.arrived_P = np.zeros((n, 3, 6))  # its covariance with itself and with G
+        self.ahead = np.zeros((n, 3, 3))  # covariance of q at k (rows) and as it arrived at k + 1 (columns)
         self.blocks = {name: np.empty_like(v) for name, v in filtered.blocks.items()}
         self.block_sigmas = {name: np.empty_like(v) for name, v in filtered.blocks.items()}
         belief = journal.belief
         joint = isinstance(belief, JointBelief)
         self._columns = {b: belief.block(b)[0] for b in self.blocks} if joint and belief is not None else {}
+        self._frame = None if belief is None else belief.frame
         self._x, self._S = journal.final()
+        self._found = self._x[self._of_frame].copy()  # G by the whole drive: it does not move
+        self._swung = np.eye(6)  # from the errors of (q, G) as they were taken at an instant to those of `_found`
+
+    @property
+    def pose(self) -> Array:
+        """Poses in the map, (n, 3)."""
+        return se2.compose(self.frame, self.local)
 
     def run(self, journal: Journal) -> None:
         """Go through the journal from its end; what lies before the first instant is left."""
-        k = len(self.pose) - 1
+        k = len(self.local) - 1
         self._note(k)
         for event in reversed(journal.events):
             if isinstance(event, Birth):
                 self._x, self._S = self._x[: event.before], self._S[: event.before, : event.before]
+                self._frame = None if event.frame else self._frame
+            elif isinstance(event, Swung):
+                self._step(event.undone)
+                self._swung[3, 5] -= event.dy
+                self._swung[4, 5] += event.dx
+            elif isinstance(event, FrameMoved):
+                self._found, self._swung = self._x[self._of_frame].copy(), np.eye(6)
             elif isinstance(event, Drop):
                 self._restore(event)
             elif not event.instant:
                 self._step(event)
             elif k > 0:
-                self.arrived[k], self.arrived_P[k] = self._x[:3], self._S[:3, :3]
+                self.arrived[k], self.arrived_P[k, :, :3] = self._x[:3], self._S[:3, :3]
+                if self._frame is not None:
+                    self.arrived_P[k, :, 3:] = self._S[:3, self._of_frame] @ self._swung[3:, 3:].T
                 self.ahead[k - 1] = self._step(event)[:3, :3]
                 k -= 1
                 self._note(k)
+
+    @property
+    def _of_frame(self) -> slice:
+        first = self._frame or 0
+        return slice(first, first + 3)
 
     def _step(self, step: Step) -> Array:
         rows, G, S = step.rows, step.G, self._S
@@ -134,7 +164,11 @@ class Backward:
         self._x, self._S = x, S
 
     def _note(self, k: int) -> None:
-        self.pose[k], self.P[k] = self._x[:3], self._S[:3, :3]
+        x, S = self._x, self._S
+        self.local[k], self.P[k, :3, :3] = x[:3], S[:3, :3]
+        if self._frame is not None:
+            at = [0, 1, 2, *range(self._frame, self._frame + 3)]
+            self.frame[k], self.P[k] = self._found, self._swung @ S[np.ix_(at, at)] @ self._swung.T
         for name, column in self._columns.items():
             where = slice(column, column + self.blocks[name].shape[1])
             self.blocks[name][k] = self._x[where]
@@ -142,13 +176,14 @@ class Backward:
 
 
 def between_instants(
-    drive: Drive, filtered: Estimates, back: Backward, wheels: Array | None
+    drive: Drive, journal: Journal, back: Backward, wheels: Array | None
 ) -> tuple[Array | None, Array | None]:
     """Return smoothed poses (q, 3) and covariances at the truth's stamps; NaN outside the drive.
 
     A stamp lies on a bridge between two smoothed instants: what the wheels said on the way there, plus the share
-    of what they missed over the whole interval that their noise assigns to the part before the stamp. All about
-    the filter's own poses, since across the wheels' direction the noise is micrometres and bending is not.
+    of what they missed over the whole interval that their noise assigns to the part before the stamp. All in the
+    local frame and about the filter's own poses, since across the wheels' direction the noise is micrometres and
+    bending is not. Then the frame puts it into the map.
     """
     if drive.truth_motions is None or drive.truth_instant is None:
         return None, None
@@ -157,41 +192,30 @@ def between_instants(
     u, v = drive.truth_motions.u, drive.motions.u[after]
     if wheels is not None:  # their covariance is left out: over a part of an interval it is nothing
         u, v = u + drive.truth_motions.J @ wheels, v + drive.motions.J[after] @ wheels
-    start = filtered.pose[k]
-    at, end = se2.compose(start, u), se2.compose(start, v)
-    to_at, to_end, on = _lever(start, at), _lever(start, end), _lever(at, end)
-    turn = _turns(start[:, 2])
-    Q = turn @ drive.truth_motions.Q @ turn.transpose(0, 2, 1)
-    whole = turn @ drive.motions.Q[after] @ turn.transpose(0, 2, 1)
+    start = np.array([*journal.starts[1:], journal.final()[0][:3]])[k]  # of every motion, and where the last led
+    at, end = eq5_x(start, u), eq5_x(start, v)
+    to_at, to_end, on = eq7_A(start, at), eq7_A(start, end), eq7_A(at, end)
+    turn = se2.rotation(start[:, 2])
+    Q = eq6_noise(turn, drive.truth_motions.Q)
+    whole = eq6_noise(turn, drive.motions.Q[after])
     share = Q @ on.transpose(0, 2, 1) @ np.linalg.pinv(whole, rcond=RANK, hermitian=True)
     share[k == after] = 0.0
     near = to_at - share @ to_end
-    moved, moved_end = back.pose[k] - start, back.arrived[after] - end
-    out = at + _apply(near, moved) + _apply(share, moved_end)
+    out = at + _apply(near, back.local[k] - start) + _apply(share, back.arrived[after] - end)
     cross = near @ back.ahead[k] @ share.transpose(0, 2, 1)
-    P = near @ back.P[k] @ near.transpose(0, 2, 1) + share @ back.arrived_P[after] @ share.transpose(0, 2, 1)
-    P += cross + cross.transpose(0, 2, 1) + Q - share @ on @ Q
+    P = back.P[k]  # of q and G at k; from here on that of `out` and G
+    to_frame = near @ P[:, :3, 3:] + share @ back.arrived_P[after, :, 3:]
+    own = near @ P[:, :3, :3] @ near.transpose(0, 2, 1)
+    own += share @ back.arrived_P[after, :, :3] @ share.transpose(0, 2, 1)
+    own += cross + cross.transpose(0, 2, 1) + Q - share @ on @ Q
+    P[:, :3, :3], P[:, :3, 3:], P[:, 3:, :3] = own, to_frame, to_frame.transpose(0, 2, 1)
+    placed, P = se2.compose(back.frame[k], out), in_map_P(back.frame[k], out, P)
     outside = drive.truth_instant < 0
-    out[outside], P[outside] = np.nan, np.nan
-    return out, P
+    placed[outside], P[outside] = np.nan, np.nan
+    return placed, P
 
 
 def _apply(M: Array, x: Array) -> Array:
     """Matrix (n, 3, 3) times vector (n, 3)."""
     product: Array = np.einsum("nij,nj->ni", M, x)
     return product
-
-
-def _lever(a: Array, b: Array) -> Array:
-    """Derivative of a later pose b by an earlier one a, (n, 3, 3): paper eq. 7."""
-    out = np.zeros((len(a), 3, 3))
-    out[:] = np.eye(3)
-    out[:, 0, 2], out[:, 1, 2] = a[:, 1] - b[:, 1], b[:, 0] - a[:, 0]
-    return out
-
-
-def _turns(theta: Array) -> Array:
-    out = np.zeros((len(theta), 3, 3))
-    c, s = np.cos(theta), np.sin(theta)
-    out[:, 0, 0], out[:, 0, 1], out[:, 1, 0], out[:, 1, 1], out[:, 2, 2] = c, -s, s, c, 1.0
-    return out

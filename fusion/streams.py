@@ -1,4 +1,4 @@
-"""Several topics that are one thing: two wheels on two topics, a ring of sonars."""
+"""Several topics that are one thing: two wheels on two topics, a ring of sonars; and where a stream has gaps."""
 
 from __future__ import annotations
 
@@ -11,6 +11,13 @@ from typing import cast
 import numpy as np
 
 from .data import Array, Block, Column, Ints, Stream
+
+GAP, GAP_PERIODS = 0.5, 5.0  # s, median periods
+
+
+def gap_limit(t: Array) -> float:
+    """Return the longest step [s] in stamps t (n,) that is no gap: 5 median periods, at least half a second."""
+    return max(GAP, GAP_PERIODS * float(np.median(np.diff(t)))) if len(t) > 1 else GAP
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy as np
 
 from locfuse.fusion.wheels.jumps import limits, spikes
 
+from . import se2
 from .data import Array, LocfuseError, Stream, Truth
 from .robot import TruthSettings
 
@@ -86,5 +87,4 @@ def _yaw(q: Array) -> Array | None:
     x, y, z, w = q.T
     if not q.any():
         return None
-    yaw: Array = np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
-    return yaw
+    return se2.yaw(x, y, z, w)

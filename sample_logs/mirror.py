@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.se2 import wrap_all
 
 from .scenario import Camera
 
@@ -37,7 +38,7 @@ def azimuth(u: Array, v: Array, camera: Camera) -> Array:
     """Return which way pixels (u, v) look, rad in [-pi, pi): the image's "down" is `zero_deg` (paper eq. 1)."""
     right_of_down = np.arctan2(u - camera.centre[0], v - camera.centre[1])
     turn = -right_of_down if camera.clockwise else right_of_down
-    return np.asarray((turn + np.radians(camera.zero_deg) + np.pi) % (2 * np.pi) - np.pi)
+    return wrap_all(turn + np.radians(camera.zero_deg))
 
 
 def rays(camera: Camera) -> Rays:

@@ -19,7 +19,7 @@ from locfuse.formats.report import json_report
 from locfuse.formats.whole_files import write_results
 from locfuse.fusion.data import LocfuseError, UsageError
 
-from .compare import Wish
+from .one_log import Wish
 
 FOLLOWED = ("log", "out", "overwrite", "as_json", "quiet")  # options that finished results can follow
 

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any
 
 import click
 
 from locfuse.cli.pipeline.settings import OF_COMPARISON as KINDS
-from locfuse.cli.pipeline.settings import LogOptions
-from locfuse.cli.rerun.record import RerunOptions, record, sketched
 from locfuse.cli.terminal.options import (
-    chosen,
     export_option,
     log_options,
     out_options,
@@ -22,8 +17,7 @@ from locfuse.cli.terminal.options import (
 )
 from locfuse.cli.terminal.rerun_options import rerun_options
 
-if TYPE_CHECKING:
-    from locfuse.cli.session.summary import Judged
+from .one_log import Wish, one
 
 
 @click.command()
@@ -104,72 +98,3 @@ def compare(log: tuple[str, ...], **asked: Any) -> int:
     from .several import several
 
     return several(logs, wish)
-
-
-@dataclass(frozen=True)
-class Wish:
-    """What the command line asks of a comparison."""
-
-    sensors: tuple[str, ...]
-    all_subsets: bool
-    align: str
-    smooth: bool
-    figures: Path | None
-    fail_if: tuple[str, ...]
-    baseline: Path | None
-    tolerance: str
-    how: LogOptions
-    out: Path | None
-    overwrite: bool
-    write: str | None
-    as_json: bool
-    export: set[str]
-    rerun: RerunOptions
-
-
-class Done(NamedTuple):
-    """What remains of one log's comparison once everything is written and printed."""
-
-    judged: Judged
-    code: int
-
-
-def one(log: Sequence[str], wish: Wish, table: bool = True) -> Done:
-    """Compare one log, write and print it; without its `table` where it is one of several."""
-    from locfuse.cli.jobs import ci_gates
-    from locfuse.cli.pipeline.results import LOSS, default_folder
-    from locfuse.cli.session.session import opened
-    from locfuse.cli.session.summary import Judged
-    from locfuse.cli.terminal import show
-    from locfuse.formats.whole_files import may_replace, may_write
-
-    how, rerun = wish.how, wish.rerun
-    kinds = chosen(wish.write, KINDS)
-    gates = ci_gates.read(wish.fail_if, wish.baseline, wish.tolerance)
-    may_replace(rerun.save, wish.overwrite, log)
-    with show.progress(how.quiet) as progress:
-        session = opened(log, how, progress, read_again=rerun.wanted)
-        gates.refuse_another_log(session.log)
-        may_write(wish.out or default_folder(session.log.name), wish.overwrite, (how.robot, wish.baseline))
-        result = session.compare(
-            wish.sensors or None,
-            all_subsets=wish.all_subsets,
-            align=wish.align,
-            smooth=wish.smooth,
-            audits=rerun.wanted,
-        )
-        files = result.write(wish.out, write=kinds, export=wish.export, overwrite=wish.overwrite)
-        if wish.figures is not None:
-            progress("drawing figures")
-            result.write_figures(wish.figures)
-    judged, lost = Judged(result.report, result.credit), result.losses(how.strict)
-    if table:
-        show.result(judged.report, files, wish.as_json)
-    show.notes(judged.report, lost, how.quiet)
-    sketch = sketched(rerun, result, show.say)
-    del session, result  # Rerun's import takes as much memory as they do
-    record(rerun, sketch, files[0].parent, show.say)
-    failed = gates.failures(judged.report)
-    for line in failed:
-        show.say(f"gate: {line}")
-    return Done(judged, ci_gates.FAILED if failed else LOSS if lost else 0)

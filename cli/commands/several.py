@@ -16,7 +16,7 @@ from locfuse.formats.report import summary as over
 from locfuse.formats.whole_files import may_write, write_results
 from locfuse.fusion.data import UsageError
 
-from .compare import Wish, one
+from .one_log import Wish, one
 
 
 def several(logs: Sequence[Sequence[str]], wish: Wish) -> int:

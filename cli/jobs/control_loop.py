@@ -60,8 +60,7 @@ class Localiser:
             wheels = self._wheels()
             self._correct(wheels)
             now = wheels.relative(np.array([self._at]), wheels.t[-1:])[0]
-            belief = self.filter.belief
-            self._pose = se2.compose(np.array([belief.x, belief.y, belief.theta]), now)
+            self._pose = se2.compose(np.array(self.filter.pose()), now)
             self._forget()
         x, y, theta = self._pose.tolist()
         return x, y, theta

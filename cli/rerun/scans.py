@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import Any, cast
 
@@ -10,9 +9,9 @@ import numpy as np
 
 from locfuse.formats.rerun.scene import ScanPoints
 from locfuse.formats.thin import evenly
-from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Ints, Ragged, Stream
-from locfuse.fusion.sensors.lrf import LrfSettings
+from locfuse.fusion.lines.scans import points_in_base
+from locfuse.fusion.sensors.lrf import LrfSettings, laser_of
 
 MAX_BEAMS = 360  # of a scan that are drawn: more than a screen shows
 FIELDS = ("angle_min", "angle_increment", "time_increment", "range_min", "range_max", "ranges")
@@ -48,21 +47,9 @@ def _points(
     scan: dict[str, Any], stamp: float, settings: LrfSettings, drive: Drive, beams: int
 ) -> tuple[float, Array]:
     """Return one scan's middle instant and its returns (k, 2) [m, base frame at that instant]."""
-    raw = np.asarray(scan["ranges"], dtype=np.float64)
-    n = len(raw)
-    index = evenly(n, beams)
-    raw = raw[index]
-    far = min(scan["range_max"], settings.range_max or math.inf)
-    valid = np.flatnonzero(np.isfinite(raw) & (raw >= scan["range_min"]) & (raw <= far) & (raw > 0.0))
-    ranges, index = settings.range_scale * raw[valid] + settings.range_offset, index[valid]
-    angles = scan["angle_min"] + scan["angle_increment"] * index
-    angles = -angles if settings.flipped else angles
-    mount = np.array([settings.x, settings.y, math.radians(settings.yaw_deg)])
-    points = se2.transform(mount, np.stack((ranges * np.cos(angles), ranges * np.sin(angles)), axis=-1))
-    if not settings.deskew or n < 2 or not scan["time_increment"] > 0.0 or len(points) == 0:
-        return stamp, points
-    step = min(scan["time_increment"], 1.0 / n)
-    middle = stamp + 0.5 * step * (n - 1)
-    when = stamp + step * index
-    moved = drive.wheels.relative(np.full(len(when), middle), when)
-    return middle, se2.transform(moved, points)
+    one = {
+        name: np.atleast_1d(value)[None] if name == "ranges" else np.array([value]) for name, value in scan.items()
+    }
+    points, middle = points_in_base(one, np.array([stamp]), laser_of(settings), drive.wheels)
+    drawn = points[0, evenly(points.shape[1], beams)]
+    return float(middle[0]), drawn[np.isfinite(drawn[:, 0])]

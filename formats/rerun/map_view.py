@@ -107,7 +107,7 @@ def _births(e: Estimates) -> dict[int, float]:
 
 
 def _label(line: MapLine) -> str:
-    offset, angle = np.sqrt(np.maximum(np.diagonal(line.P), 0.0))
+    offset, angle = np.sqrt(np.maximum(np.diagonal(line.P_map), 0.0))
     return (
         f"wall {line.id}: rho {line.rho:.3f} ± {offset:.3f} m, "
         f"beta {np.degrees(line.beta):.2f} ± {np.degrees(angle):.2f}°, {line.hits} hits"

@@ -14,6 +14,7 @@ import numpy as np
 from locfuse.fusion.data import Array, Drive, Measurements, Stream
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.streams import gap_limit
 from locfuse.fusion.wheels.repairs import times
 
 from .clocks import of_clocks
@@ -23,7 +24,6 @@ from .laser import laser_motion, of_laser
 from .truth import metre, of_truth
 from .turning import Turning, aligned, of_track, of_turning, turnings
 
-MIN_GAP_S, MIN_GAP_PERIODS = 0.5, 5.0  # s, median periods: a longer silence is a gap
 MIN_READINGS = 10  # readings from which a sensor is judged
 MAX_EMPTY_SHARE = 0.9  # share of readings without any measurement: such a sensor is dead, or misunderstood
 REFUSALS = {
@@ -97,7 +97,7 @@ def gaps(t: Array) -> list[tuple[float, float]]:
     dt = np.diff(t)
     if len(dt) < 2:
         return []
-    long = np.flatnonzero(dt > max(MIN_GAP_S, MIN_GAP_PERIODS * float(np.median(dt))))
+    long = np.flatnonzero(dt > gap_limit(t))
     return [(float(t[i]), float(t[i + 1])) for i in long]
 
 

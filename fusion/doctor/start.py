@@ -60,7 +60,7 @@ def start_pose(truth: Truth, drive: Drive) -> Start | None:
     if inside.sum() < fewest:
         return None
     own = wheels.at(truth.t[inside])[2]
-    points = own[:, :2] + turned(own[:, 2], np.tile(truth.point, (len(own), 1)))
+    points = own[:, :2] + se2.rotated(own[:, 2], np.tile(truth.point, (len(own), 1)))
     tracked = truth.xy[inside]
     if truth.theta is not None:
         turns = se2.wrap_all(truth.theta[inside] - own[:, 2])
@@ -69,7 +69,7 @@ def start_pose(truth: Truth, drive: Drive) -> Start | None:
         return None
     else:
         turn, metre = _laid_over(points, tracked)
-    place = np.median(tracked - metre * turned(np.full(len(points), turn), points), axis=0)
+    place = np.median(tracked - metre * se2.rotated(np.full(len(points), turn), points), axis=0)
     blur = math.sqrt(2.0 * wheels.noise * way) / wheels.track if truth.theta is None else 0.0
     return Start(np.array([*place, se2.wrap(turn)]), way, blur)
 
@@ -79,9 +79,3 @@ def _laid_over(points: Array, tracked: Array) -> tuple[float, float]:
     a, b = points - points.mean(axis=0), tracked - tracked.mean(axis=0)
     across, along = float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()), float((a * b).sum())
     return math.atan2(across, along), math.hypot(across, along) / float((a**2).sum())
-
-
-def turned(angle: Array, v: Array) -> Array:
-    """Turn vectors v (n, 2) by angles (n,)."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.stack((c * v[:, 0] - s * v[:, 1], s * v[:, 0] + c * v[:, 1]), axis=-1)

@@ -6,22 +6,20 @@ import math
 
 import numpy as np
 
+from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Truth
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.streams import gap_limit
 from locfuse.fusion.wheels.jumps import Mask, spikes
 from locfuse.fusion.wheels.repairs import times
 
 from .finding import Finding
-from .start import of_start, turned
+from .start import of_start
 
 WINDOW_S = 1.0  # s over which ways are compared
 STRETCHES = 8  # stretches of the drive whose estimates must agree
-MIN_WAY_M, MIN_SCALE_ERROR, SEVERE_SCALE_ERROR = (
-    0.1,
-    0.03,
-    0.05,
-)  # m per window; relative errors of the wheels' metre
-MIN_GAP_S, MIN_GAP_PERIODS = 0.5, 5.0
+MIN_WAY_M = 0.1  # m per window
+MIN_SCALE_ERROR, SEVERE_SCALE_ERROR = 0.03, 0.05  # relative errors of the wheels' metre
 JUMP_FACTOR, MIN_JUMP_M = 3.0, 0.3  # a step is a jump if it is this many times the wheels', and this much [m] more
 MIN_POINT_ERROR_M = 0.05  # m, of the tracked point
 MIN_TURN_RAD = math.radians(60.0)
@@ -40,7 +38,7 @@ def of_truth(drive: Drive, robot: Robot, same_metre: bool = True) -> list[Findin
 
 def _gaps(truth: Truth) -> list[Finding]:
     dt = np.diff(truth.t)
-    long = dt > max(MIN_GAP_S, MIN_GAP_PERIODS * float(np.median(dt)))
+    long = dt > gap_limit(truth.t)
     if not long.any():
         return []
     words = f"silent {times(int(long.sum()))}, at most {float(dt.max()):.1f} s; errors there do not exist"
@@ -126,7 +124,7 @@ def _point(truth: Truth, drive: Drive) -> list[Finding]:
     start, end = truth.t[rows], truth.t[rows] + WINDOW_S
     theta = np.unwrap(truth.theta)[rows]
     later = np.stack([np.interp(end, truth.t, c) for c in truth.xy.T], axis=-1)
-    step = turned(-theta, later - truth.xy[rows])
+    step = se2.rotated(-theta, later - truth.xy[rows])
     moved = wheels.relative(start, end)
     c, s = np.cos(moved[:, 2]) - 1.0, np.sin(moved[:, 2])
     A = np.concatenate((np.stack((c, -s), axis=-1), np.stack((s, c), axis=-1)))

@@ -10,15 +10,21 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
-from locfuse.fusion.sensor import Block, Innovation
+from locfuse.fusion.sensor import Block, Innovation, Matrix, PoseRows
 
 from .belief_pose import Pose, Rows, Triangle, too_far_apart
+from .equations import eq10_12
+from .map_frame import Together, by_frame
 from .rows import sparse_row, stacked
 
 
 class JointBelief:
-    """Pose and sensor-owned blocks in one state vector (n,) with one covariance (n, n)."""
+    """Pose, sensor-owned blocks, map frame and map lines in one state vector (n,) with one covariance (n, n).
+
+    Where a local frame has begun (map_frame), x, y, theta, pose(), matrix() and the lines are local; InMap is not.
+    """
 
     def __init__(self, pose: Pose, P: Triangle, blocks: Sequence[Block]) -> None:
         xx, xy, xt, yy, yt, tt = P
@@ -32,6 +38,8 @@ class JointBelief:
         self._considered: Ints = np.zeros(0, dtype=np.int64)  # columns that count but are never updated
         self._motion_block: slice | None = None
         self._clones: set[int] = set()  # columns that hold the heading of an earlier instant
+        self.frame: int | None = None  # first column of the map frame; None: the local frame is the map
+        self.lost = False  # the pose is wrong by metres: it must not teach the map frame
         for block in blocks:
             self.add(block)
 
@@ -65,6 +73,12 @@ class JointBelief:
         x, y, theta = self._x[:3].tolist()
         return x, y, theta
 
+    def located(self) -> tuple[Pose, Triangle]:
+        """Return the pose and its covariance's upper triangle."""
+        (xx, xy, xt), (_, yy, yt), (_, _, tt) = self._P[:3, :3].tolist()
+        x, y, theta = self._x[:3].tolist()
+        return (x, y, theta), (xx, xy, xt, yy, yt, tt)
+
     def triangle(self) -> Triangle:
         """Return the pose covariance's upper triangle."""
         (xx, xy, xt), (_, yy, yt), (_, _, tt) = self._P[:3, :3].tolist()
@@ -97,6 +111,71 @@ class JointBelief:
     def drive_with(self, name: str) -> None:
         """Let a block's values correct the wheel motion: `predict` takes J = du/d(block)."""
         self._motion_block = self._slices[name]
+
+    def begin_frame(self) -> None:
+        """Let a local frame begin at the pose, which becomes exactly 0 in it (map_frame).
+
+        Nothing happens where the pose is known exactly: the map frame would have no uncertainty. A second time,
+        where a map was lost, the map frame is moved on to the pose, and what the old frame knew is forgotten.
+        """
+        first = self.frame is None
+        if first and not self._P[:3, :3].any():
+            return
+        if first:
+            self.frame = self._clone_pose()
+        else:
+            self._move_frame()
+        for column in sorted(self._clones):  # kept headings become local; a transform, not a new clone: the noise
+            turned = np.array([[1.0, 0.0], [-1.0, 1.0]])  # between a kept heading and now stays
+            self.transform(np.array([2, column]), np.array([self.theta, self._x[column] - self.theta]), turned)
+        self._forget_pose(first)
+
+    def _clone_pose(self) -> int:
+        """Append a copy of the pose and return its first column."""
+        return self.augment(self._x[:3].copy(), np.eye(3), np.zeros((3, 3)))
+
+    def _move_frame(self) -> None:
+        """Replace G by G o q."""
+        G, q = np.array(self.frame_pose()), self._x[:3].copy()
+        at = np.concatenate((np.arange(3), self._frame_columns()))
+        J = np.eye(6)
+        J[3:] = np.hstack((se2.rotation(G[2]), by_frame(G[None], q[None])[0]))
+        self.transform(at, np.concatenate((q, se2.compose(G, q))), J)
+
+    def _forget_pose(self, first: bool) -> None:
+        """Set the pose to exactly 0: the map frame has taken its place."""
+        self._x[:3] = 0.0
+        self._P[:3, : self.n] = 0.0
+        self._P[: self.n, :3] = 0.0
+
+    def _frame_columns(self) -> Ints:
+        return np.zeros(0, np.int64) if self.frame is None else np.arange(self.frame, self.frame + 3)
+
+    def frame_pose(self) -> Pose | None:
+        """Return the map frame, where the local frame lies in the map; None: they are the same."""
+        if self.frame is None:
+            return None
+        x, y, theta = self._x[self.frame : self.frame + 3].tolist()
+        return x, y, theta
+
+    def with_frame(self) -> Together:
+        """Return the pose and the map frame with their covariances."""
+        first = self.frame or 0
+        x, rows = self._x[: first + 3].tolist(), self._P[:3, : first + 3].tolist()
+        (xx, xy, xt, *_), (_, yy, yt, *_), (_, _, tt, *_) = rows
+        return Together(
+            (x[0], x[1], x[2]),
+            (x[first], x[first + 1], x[first + 2]),
+            (xx, xy, xt, yy, yt, tt),
+            [row[first:] for row in rows],
+            self._P[first : first + 3, first : first + 3].tolist(),
+        )
+
+    def observed(
+        self, H: PoseRows, columns: tuple[int, ...] = (), H_block: Matrix = ()
+    ) -> tuple[Matrix, PoseRows, tuple[int, ...], Matrix]:
+        """Return H P H' and the derivatives as they are: they are by this belief's own pose."""
+        return self.spread(H, columns, H_block), H, columns, H_block
 
     def shift(self, turn: float, xy: float, theta: float) -> None:
         """Turn the pose by `turn` [rad] and add variances xy [m^2] and theta [rad^2]: a slip was found."""
@@ -166,7 +245,10 @@ class JointBelief:
         self._P[columns, columns] += variance
 
     def remove(self, columns: Ints) -> None:
-        """Drop state columns that belong to no named block (map lines that proved worthless)."""
+        """Drop state columns that belong to no named block (map lines that proved worthless).
+
+        Map lines come after the map frame, whose columns stay where they are.
+        """
         keep = np.setdiff1d(np.arange(self.n), columns)
         m = len(keep)
         self._x[:m] = self._x[keep]
@@ -196,11 +278,11 @@ class JointBelief:
             u = (u + J @ x[self._motion_block]).tolist()
         theta = float(x[2])
         c, s = math.cos(theta), math.sin(theta)
-        dx, dy = c * u[0] - s * u[1], s * u[0] + c * u[1]
+        dx, dy = c * u[0] - s * u[1], s * u[0] + c * u[1]  # eq. 5
         x[0] += dx
         x[1] += dy
         x[2] += u[2]
-        # A P A' with A of eq. 7: rows x and y, then their columns, which but for the pose's own are the rows again
+        # eq. 6, A P A' with A of eq. 7: rows x and y, then their columns: the rows again, but for the pose's own
         row = P[2, :n]
         P[0, :n] -= dy * row
         P[1, :n] += dx * row
@@ -241,16 +323,44 @@ class JointBelief:
         if not seen:
             return
         V, e = self._whitened(seen)
-        if len(self._considered):
-            self._schmidt(V, e, self._considered)
+        if self.frame is None:
+            self._update(V, e, self._considered)
+            return
+        at = slice(self.frame, self.frame + 2)
+        before = self._x[at].tolist()
+        kept = self._considered  # and while lost the map frame: a wrong lever must not teach it
+        kept = np.union1d(kept, self._frame_columns()) if self.lost else kept
+        self._update(V, e, kept)
+        after = self._x[at].tolist()
+        if after != before:
+            self._swing(after[0] - before[0], after[1] - before[1])
+
+    def _update(self, V: Array, e: Array, kept: Ints) -> None:
+        if len(kept):
+            self._schmidt(V, e, kept)
             return
         n = self.n
-        self._x[:n] += e @ V
-        self._P[:n, :n] -= V.T @ V
+        self._x[:n] += e @ V  # eq. 11
+        self._P[:n, :n] -= V.T @ V  # eq. 12
+
+    def _swing(self, dx: float, dy: float) -> None:
+        """Let the uncertainty of the map frame's place follow its correction by (dx, dy) [m].
+
+        A turn of the map about a point of it is what nobody has observed yet, and the frame's place is where that
+        turn takes it: with the place moves the direction in which it takes it, rows x, y += (-dy, dx) row Th.
+        """
+        n, P, first = self.n, self._P, self.frame or 0
+        x, y, turn = first, first + 1, first + 2
+        P[x, :n] -= dy * P[turn, :n]
+        P[y, :n] += dx * P[turn, :n]
+        P[:n, x] -= dy * P[:n, turn]
+        P[:n, y] += dx * P[:n, turn]
+        P[y, x] = P[x, y]
 
     def listen(self, seen: Sequence[Innovation]) -> None:
         """Let innovations teach only the block columns that they name; the pose and all else is considered."""
         named = np.array([c for s in seen for c in s.columns], dtype=np.int64)
+        named = np.setdiff1d(named, self._frame_columns())
         if len(named):
             kept = np.setdiff1d(np.arange(self.n), named)
             self._schmidt(*self._whitened(seen), np.union1d(kept, self._considered))
@@ -264,14 +374,13 @@ class JointBelief:
         PH = P[:n, columns] @ H.T  # H has entries for the pose and the blocks in question only
         S = H @ PH[columns] + R
         try:
-            L = np.linalg.cholesky(0.5 * (S + S.T))
+            V, e, _ = eq10_12(PH, S, y)
         except np.linalg.LinAlgError:
             raise too_far_apart(float(S.diagonal().max())) from None
-        V = np.linalg.solve(L, np.column_stack((PH.T, y)))
-        return V[:, :n], V[:, n]
+        return V, e
 
     def _whitened_number(self, seen: Innovation) -> tuple[Array, Array]:
-        """Return V (1, n) and e (1,) of a single number, which needs no factorisation."""
+        """Return V (1, n) and e (1,) of a single number: eq. 10-12 without a factorisation."""
         row = sparse_row(seen.H[0], seen.columns, seen.H_block)
         V = np.zeros(self.n)
         for i, h in row:

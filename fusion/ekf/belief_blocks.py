@@ -15,6 +15,7 @@ from locfuse.fusion.data import Array
 from locfuse.fusion.sensor import Block, Innovation
 
 from .belief_pose import Pose, PoseBelief, Rows, Triangle, too_far_apart
+from .map_frame import Together
 from .rows import Row, pose_rows, whitened
 
 MOST = 6  # states beside the pose; with more of them arrays are faster
@@ -24,10 +25,12 @@ Beside = tuple[tuple[int, float], ...]  # (which state, derivative of a row by i
 class FewBlocks(PoseBelief):
     """Pose (x, y, theta) and m states b beside it."""
 
-    __slots__ = ("_b", "_drift", "_rows", "_states", "_where")
+    __slots__ = ("_b", "_drift", "_rows", "_states", "_where", "frame")
+    frame: int | None
 
     def __init__(self, pose: Pose, P: Triangle, blocks: Sequence[Block]) -> None:
         super().__init__(pose, P)
+        self.frame = None
         self._where: dict[str, range] = {}
         self._b: list[float] = []
         self._drift: list[float] = []  # variance per second
@@ -61,6 +64,45 @@ class FewBlocks(PoseBelief):
         """The joint covariance, (3 + m, 3 + m)."""
         rows = np.array(self._rows)
         return np.vstack((np.hstack((self.matrix(), rows[:, :3].T)), rows))
+
+    def begin_frame(self) -> None:
+        """Let a local frame begin at the pose, which becomes exactly 0 in it (map_frame).
+
+        Nothing happens where the pose is known exactly. Once only: a map that is no part of the state stays.
+        """
+        if self.frame is not None:
+            raise ValueError("the local frame has begun")
+        if not any(self.P):
+            return
+        m = len(self._b)
+        self.frame = 3 + m
+        xx, xy, xt, yy, yt, tt = self.P
+        of_pose = [[row[k] for row in self._rows] for k in range(3)]
+        for row in self._rows:
+            row[:] = [0.0, 0.0, 0.0, *row[3:], *row[:3]]
+        for own, across in zip(((xx, xy, xt), (xy, yy, yt), (xt, yt, tt)), of_pose, strict=True):
+            self._rows.append([0.0, 0.0, 0.0, *across, *own])
+        self._b += self.pose()
+        self._drift += [0.0, 0.0, 0.0]
+        self._states = range(m + 3)
+        self.x = self.y = self.theta = 0.0
+        self.P = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def frame_pose(self) -> Pose | None:
+        """Return the map frame, where the local frame lies in the map; None: they are the same."""
+        if self.frame is None:
+            return None
+        x, y, theta = self._b[self.frame - 3 : self.frame]
+        return x, y, theta
+
+    def with_frame(self) -> Together:
+        """Return the pose and the map frame with their covariances."""
+        first = self.frame or 0
+        (x, y, theta), rows = self._b[first - 3 : first], self._rows[first - 3 : first]
+        (ax, bx, cx, *_), (ay, by, cy, *_), (at, bt, ct, *_) = rows
+        across = [[ax, ay, at], [bx, by, bt], [cx, cy, ct]]
+        own = [row[first : first + 3] for row in rows]
+        return Together((self.x, self.y, self.theta), (x, y, theta), self.P, across, own)
 
     def predict(self, u: Sequence[float], Q: Sequence[float], dt: float = 0.0, J: Array | None = None) -> None:
         """Paper eq. 5, 6 for pose and blocks: blocks drift by their random walk over dt [s]."""
@@ -132,6 +174,21 @@ class FewBlocks(PoseBelief):
         self.x += dx
         self.y += dy
         self.theta += dt
+        if self.frame is not None:
+            self._swing(before)
+
+    def _swing(self, before: Sequence[float]) -> None:
+        """Let the uncertainty of the map frame's place follow its correction (map_frame.swung)."""
+        i = (self.frame or 0) - 3
+        dx, dy = self._b[i] - before[i], self._b[i + 1] - before[i + 1]
+        if not dx and not dy:
+            return
+        rows, (a, b, t) = self._rows, (i, i + 1, i + 2)
+        rows[a] = [p - dy * q for p, q in zip(rows[a], rows[t], strict=True)]
+        rows[b] = [p + dx * q for p, q in zip(rows[b], rows[t], strict=True)]
+        for row in rows:
+            row[3 + a] -= dy * row[3 + t]
+            row[3 + b] += dx * row[3 + t]
 
     def place(self, pose: Pose, xy: float, theta: float) -> None:
         """Set the pose with variances xy [m^2] and theta [rad^2]: the robot was carried off, or found again."""

@@ -14,8 +14,9 @@ from math import cos, sin
 import numpy as np
 
 from locfuse.fusion.data import Array, LocfuseError
-from locfuse.fusion.sensor import Innovation
+from locfuse.fusion.sensor import Innovation, Matrix, PoseRows
 
+from .map_frame import Together
 from .rows import pose_rows
 
 Pose = tuple[float, float, float]
@@ -24,9 +25,13 @@ Rows = Sequence[Sequence[float]]
 
 
 class PoseBelief:
-    """Pose (x, y, theta) [m, m, rad] in the map and its covariance, in plain floats."""
+    """Pose (x, y, theta) [m, m, rad] in the map and its covariance, in plain floats.
+
+    Where a local frame has begun (map_frame), in that frame.
+    """
 
     __slots__ = ("P", "theta", "x", "y")
+    frame: int | None = None  # first column of the map frame in the state; None: the pose is that in the map
 
     def __init__(self, pose: Pose, P: Triangle) -> None:
         self.x, self.y, self.theta = pose
@@ -35,6 +40,20 @@ class PoseBelief:
     def block(self, name: str) -> tuple[int, Sequence[float]]:
         """Raise: this belief has no blocks."""
         raise KeyError(name)
+
+    def frame_pose(self) -> Pose | None:
+        """Return the map frame, where the local frame lies in the map; None: they are the same."""
+        return None
+
+    def with_frame(self) -> Together:
+        """Raise: this belief has no map frame of its own."""
+        raise KeyError("map frame")
+
+    def observed(
+        self, H: PoseRows, columns: tuple[int, ...] = (), H_block: Matrix = ()
+    ) -> tuple[Matrix, PoseRows, tuple[int, ...], Matrix]:
+        """Return H P H' and the derivatives as they are: they are by this belief's own pose."""
+        return self.spread(H, columns, H_block), H, columns, H_block
 
     def variances(self, name: str) -> list[float]:
         """Raise: this belief has no blocks."""
@@ -47,13 +66,13 @@ class PoseBelief:
         """
         ux, uy, turn = u
         c, s = cos(self.theta), sin(self.theta)
-        dx, dy = c * ux - s * uy, s * ux + c * uy
+        dx, dy = c * ux - s * uy, s * ux + c * uy  # eq. 5
         self.x += dx
         self.y += dy
         self.theta += turn
         xx, xy, xt, yy, yt, tt = self.P
         qxx, qxy, qxt, qyy, qyt, qtt = Q
-        # A P A' with A of eq. 7, then the motion's noise turned into the map frame
+        # eq. 6: A P A' with A of eq. 7, then the motion's noise turned into the map frame
         xt_, yt_ = xt - dy * tt, yt + dx * tt
         cc, cs, ss = c * c, c * s, s * s
         bend = 2.0 * cs * qxy
@@ -84,12 +103,12 @@ class PoseBelief:
             p0 = xx * a + xy * b + xt * c
             p1 = xy * a + yy * b + yt * c
             p2 = xt * a + yt * b + tt * c
-            s = a * p0 + b * p1 + c * p2 + r
+            s = a * p0 + b * p1 + c * p2 + r  # eq. 10: the gain is p / s
             e = (y - a * dx - b * dy - c * dt) / s
-            dx += p0 * e
+            dx += p0 * e  # eq. 11
             dy += p1 * e
             dt += p2 * e
-            g0, g1, g2 = p0 / s, p1 / s, p2 / s
+            g0, g1, g2 = p0 / s, p1 / s, p2 / s  # eq. 12
             xx -= g0 * p0
             xy -= g0 * p1
             xt -= g0 * p2
@@ -115,6 +134,10 @@ class PoseBelief:
     def pose(self) -> Pose:
         """Return (x, y, theta)."""
         return self.x, self.y, self.theta
+
+    def located(self) -> tuple[Pose, Triangle]:
+        """Return the pose and its covariance's upper triangle."""
+        return (self.x, self.y, self.theta), self.P
 
     def triangle(self) -> Triangle:
         """Return the pose covariance's upper triangle."""

@@ -8,17 +8,18 @@ n x n.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.sensor import Block
 
 from .belief_arrays import JointBelief
 from .belief_pose import Pose, PoseBelief, Triangle
+from .equations import eq6_noise, eq7_A
 
 POSE = np.arange(3)
 
@@ -37,6 +38,7 @@ class Birth(NamedTuple):
     """New states were appended."""
 
     before: int  # number of states until then
+    frame: bool = False  # the map frame: from here on the pose is local
 
 
 class Drop(NamedTuple):
@@ -48,23 +50,39 @@ class Drop(NamedTuple):
     D: Array  # (k, k)
 
 
+class Swung(NamedTuple):
+    """The map frame was corrected by (dx, dy), and the uncertainty of its place followed (JointBelief._swing)."""
+
+    undone: Step
+    dx: float  # m
+    dy: float
+
+
+class FrameMoved(NamedTuple):
+    """From here on the map frame is another one: that of a map that began anew."""
+
+
+Event = Step | Birth | Drop | Swung | FrameMoved
+
+
 class Journal:
     """What the smoother must know of one run of the filter; `pose` and `joint` make beliefs that write it."""
 
     def __init__(self) -> None:
-        self.events: list[Step | Birth | Drop] = []
+        self.events: list[Event] = []
+        self.starts: list[Pose] = []  # of every motion: the local pose at the end of the instant before
         self.belief: PoseBelief | JointBelief | None = None
 
     def pose(self, pose: Pose, P: Triangle) -> PoseBelief:
         """Return a belief of the pose alone."""
         self.belief = belief = NotedPose(pose, P)
-        belief.events = self.events
+        belief.events, belief.starts = self.events, self.starts
         return belief
 
     def joint(self, pose: Pose, P: Triangle, blocks: Sequence[Block]) -> JointBelief:
         """Return a belief with blocks."""
         self.belief = belief = NotedJoint(pose, P, blocks)
-        belief.events = self.events
+        belief.events, belief.starts = self.events, self.starts
         return belief
 
     def final(self) -> tuple[Array, Array]:
@@ -80,10 +98,12 @@ class Journal:
 class NotedPose(PoseBelief):
     """A pose belief that notes its predictions."""
 
-    events: list[Step | Birth | Drop]
+    events: list[Event]
+    starts: list[Pose]
 
     def predict(self, u: Sequence[float], Q: Sequence[float], dt: float = 0.0, J: Array | None = None) -> None:
         """Predict as ever, and note how to go back."""
+        self.starts.append(self.pose())
         x, P = np.array((self.x, self.y, self.theta)), self.matrix()
         super().predict(u, Q)
         after = np.array((self.x, self.y, self.theta))
@@ -107,10 +127,12 @@ class NotedPose(PoseBelief):
 class NotedJoint(JointBelief):
     """A joint belief that notes its predictions, births and drops."""
 
-    events: list[Step | Birth | Drop]
+    events: list[Event]
+    starts: list[Pose]
 
     def predict(self, u: Sequence[float], Q: Sequence[float], dt: float = 0.0, J: Array | None = None) -> None:
         """Predict as ever, and note how to go back."""
+        self.starts.append(self.pose())
         x, P = self.state.copy(), self.covariance.copy()
         super().predict(u, Q, dt, J)
         theta = float(x[2])
@@ -121,7 +143,7 @@ class NotedJoint(JointBelief):
         coupling = None
         if self._motion_block is not None and J is not None:
             coupling = np.zeros((3, self.n))
-            coupling[:, self._motion_block] = turning(theta) @ J
+            coupling[:, self._motion_block] = se2.rotation(np.array(theta)) @ J
         self.events.append(undone(x, P, self.state, self.covariance, rows, noise, coupling))
 
     def _shift(self, turn: float, xy: float, theta: float) -> None:
@@ -169,6 +191,39 @@ class NotedJoint(JointBelief):
         self.events.append(Birth(self.n))
         return super().augment(values, G, noise, columns)
 
+    def _clone_pose(self) -> int:
+        """Append the map frame as ever, and note that the pose is local from here on."""
+        column = super()._clone_pose()
+        self.events[-1] = Birth(column, frame=True)
+        return column
+
+    def _move_frame(self) -> None:
+        """Move the map frame as ever, and note that it is another one."""
+        self.events.append(FrameMoved())
+        super()._move_frame()
+
+    def _forget_pose(self, first: bool) -> None:
+        """Begin the local frame as ever, and note where the pose went: into the map frame."""
+        G = np.zeros((3, self.n))
+        if first:
+            G[POSE, self._frame_columns()] = 1.0
+            c, D = np.zeros(3), np.zeros((3, 3))
+        else:
+            c, G[:, 3:], D = self._given_others(POSE)
+        self.events.append(Step(POSE, c, G, D, instant=False))
+        super()._forget_pose(first)
+
+    def _swing(self, dx: float, dy: float) -> None:
+        """Swing as ever, and note the way back."""
+        super()._swing(dx, dy)
+        first = self.frame or 0
+        rows = np.array((first, first + 1))
+        back = np.zeros((2, self.n))
+        back[(0, 1), rows] = 1.0
+        back[:, first + 2] = dy, -dx
+        c = self.state[rows] - back @ self.state
+        self.events.append(Swung(Step(rows, c, back, np.zeros((2, 2)), instant=False), dx, dy))
+
     def remove(self, columns: Ints) -> None:
         """Drop states as ever, and note what the others say of them."""
         self.events.append(Drop(np.asarray(columns), *self._given_others(columns)))
@@ -195,8 +250,7 @@ def undone(
     rounding in G, which matters after an exact start, where P_next is singular.
     """
     n, r = len(x), len(rows)
-    A = np.eye(3)
-    A[0, 2], A[1, 2] = x[1] - x_next[1], x_next[0] - x[0]
+    A = eq7_A(x[:3], x_next[:3])
     unit = np.zeros((r, n))
     unit[np.arange(r), rows] = 1.0
     if not noise.any():
@@ -217,22 +271,21 @@ def undone(
 
 
 def _solved(P: Array, B: Array) -> Array:
-    """Return P^-1 B; where P is singular (an exact start), the least of all solutions."""
+    """Return P^-1 B; where P is singular (an exact start, a frame that just began), the least of all solutions.
+
+    Scaled to a unit diagonal: a pose whose frame just began has 1e-14 m^2 beside states of 1.
+    """
+    scale = np.sqrt(np.diagonal(P))
+    scale = np.divide(1.0, scale, out=np.ones_like(scale), where=scale > 0.0)
+    unit, right = scale[:, None] * P * scale, scale[:, None] * B
     try:
-        return np.asarray(np.linalg.solve(P, B), np.float64)
+        solved = np.linalg.solve(unit, right)
     except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.pinv(P, hermitian=True) @ B, np.float64)
+        solved = np.linalg.pinv(unit, hermitian=True) @ right
+    return np.asarray(scale[:, None] * solved, np.float64)
 
 
 def in_map(Q: Sequence[float], theta: float) -> Array:
     """Turn a motion's covariance triangle from the frame of its start into the map, (3, 3)."""
     xx, xy, xt, yy, yt, tt = Q
-    turn = turning(theta)
-    turned: Array = turn @ np.array(((xx, xy, xt), (xy, yy, yt), (xt, yt, tt))) @ turn.T
-    return turned
-
-
-def turning(theta: float) -> Array:
-    """Return the rotation of (x, y, theta) by theta, (3, 3)."""
-    c, s = math.cos(theta), math.sin(theta)
-    return np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
+    return eq6_noise(se2.rotation(np.array(theta)), np.array(((xx, xy, xt), (xy, yy, yt), (xt, yt, tt))))

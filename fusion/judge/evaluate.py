@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, Evaluation, SensorFigures, Truth
+from locfuse.fusion.streams import gap_limit
 
 Align = Literal["none", "origin", "se2"]
 DRIFT_LENGTHS_M = (1.0, 5.0, 10.0)  # m
-MAX_GAP_PERIODS, MAX_GAP_S = 5.0, 0.5  # a longer hole in the truth is not bridged: median periods, and s
 ERRORS_AT_ONCE = 4096  # errors whose covariances are worked on at once: on the way they take ten times their room
 MIN_EIGENVALUE_RATIO = 1e-12  # relative eigenvalue below which a covariance is singular
 ERROR_KEYS = (
@@ -209,12 +209,7 @@ def _tangent(xy: Array) -> Array:
 
 def _segments(t: Array) -> NDArray[np.int64]:
     """Number the stretches of truth between holes, (q,)."""
-    return np.cumsum(np.diff(t, prepend=t[0]) > _longest_step(t))
-
-
-def _longest_step(t: Array) -> float:
-    period = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
-    return max(MAX_GAP_PERIODS * period, MAX_GAP_S)
+    return np.cumsum(np.diff(t, prepend=t[0]) > gap_limit(t))
 
 
 def _travelled(xy: Array, segments: NDArray[np.int64]) -> Array:
@@ -227,7 +222,7 @@ def _coverage(t: Array, drive: Drive) -> float:
     """Share of the drive's time that the truth covers."""
     steps = np.diff(t)
     duration = float(drive.t[-1] - drive.t[0])
-    return min(1.0, float(steps[steps <= _longest_step(t)].sum()) / duration) if duration > 0 else 0.0
+    return min(1.0, float(steps[steps <= gap_limit(t)].sum()) / duration) if duration > 0 else 0.0
 
 
 def _position_figures(deviation: Array, along_cross: Array) -> dict[str, float | None]:

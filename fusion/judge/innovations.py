@@ -189,6 +189,10 @@ class Frozen:
         """Return a column and the block's start."""
         return 3, self._blocks[name]
 
+    def observed(self, H: Any, columns: Any = (), H_block: Any = ()) -> tuple[Any, Any, Any, Any]:
+        """Return H P H' and the derivatives as they are: no map frame stands beside this pose."""
+        return self.spread(H, columns, H_block), H, columns, H_block
+
     def spread(self, H: Any, columns: Any = (), H_block: Any = ()) -> tuple[tuple[float, ...], ...]:
         """Return H P H' of the pose alone."""
         rows = [[sum(h[i] * self._P[i][j] for i in range(3)) for j in range(3)] for h in H]

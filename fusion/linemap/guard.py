@@ -116,10 +116,28 @@ class Guard:
         if self._intervals and self._lost_from <= self._intervals[-1][1]:  # what was found was no place
             self._lost_from = min(self._lost_from, self._intervals.pop()[0])
         gone = np.flatnonzero(lines.ids >= born)
-        if len(gone) < len(lines) and isinstance(belief, JointBelief):
-            belief.remove(lines.drop(gone))
+        if isinstance(belief, JointBelief):
+            belief.lost = True
+            if len(gone) < len(lines):
+                belief.remove(lines.drop(gone))
         self._trail.forget()
         belief.place((belief.x, belief.y, belief.theta), LOST_XY**2, math.pi**2 / 3.0)
+
+    def begin_anew(self, t: float, belief: AnyBelief) -> None:
+        """Begin with a map that begins now, where the robot is in it is exactly known."""
+        self._before = self._since = self._place = self._carried = None
+        self._last = (math.inf, math.inf, math.inf)
+        self._trail.forget()
+        if self._lost_from is not None:
+            self._found(t, belief)
+
+    def _found(self, t: float, belief: AnyBelief) -> None:
+        if self._lost_from is not None:
+            self._intervals.append((self._lost_from, t))
+        self._lost_from = self._since = self._place = None
+        self._torn = False
+        if isinstance(belief, JointBelief):
+            belief.lost = False
 
     def _disagree(self, t: float, lines: LineMap, belief: AnyBelief) -> bool:
         if self._since is None:
@@ -137,9 +155,7 @@ class Guard:
         if pose is None or self._lost_from is None or not self._confirmed(pose, belief):
             return found, False
         belief.place(pose, PLACED_XY**2, PLACED_THETA**2)
-        self._intervals.append((self._lost_from, t))
-        self._lost_from = self._since = self._place = None
-        self._torn = False
+        self._found(t, belief)
         return associate(scan, lines, belief, gate), True
 
     def _confirmed(self, pose: Pose, belief: AnyBelief) -> bool:
@@ -229,7 +245,7 @@ def tried(belief: AnyBelief, turn: float, xy: float, theta: float) -> Iterator[N
 def _turns(scan: Scan, lines: LineMap, recent: Ints, belief: AnyBelief) -> list[float]:
     """Return the distinct heading changes that lay a seen line onto a recent one, the most supported first."""
     beta = lines.values(belief)[recent, 1]
-    turns = _wrap(beta[None, :] - belief.theta - scan.z[:, 1, None])
+    turns = se2.wrap_all(beta[None, :] - belief.theta - scan.z[:, 1, None])
     length = np.broadcast_to((scan.ends[:, 1] - scan.ends[:, 0])[:, None], turns.shape)
     near = np.abs(turns) < LARGEST_SLIP
     cells = np.round(turns[near] / math.radians(2.0)).astype(np.int64)
@@ -238,7 +254,3 @@ def _turns(scan: Scan, lines: LineMap, recent: Ints, belief: AnyBelief) -> list[
         support[cell] = support.get(cell, 0.0) + weight
     ranked = sorted(support, key=lambda c: (-support[c], abs(c), c))[:CANDIDATES]
     return [c * math.radians(2.0) for c in ranked if c != 0]
-
-
-def _wrap(angle: Array) -> Array:
-    return (angle + math.pi) % (2.0 * math.pi) - math.pi

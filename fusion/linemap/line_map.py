@@ -8,16 +8,17 @@ from where the line was first seen into the wall, so C = rho - n.(p - a) > 0 on 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import cos, sin
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
+from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, MapLine
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.ekf.belief_pose import PoseBelief
+from locfuse.fusion.ekf.belief_pose import Pose, PoseBelief
 
 AnyBelief = PoseBelief | JointBelief
 
@@ -150,20 +151,64 @@ class LineMap:
         return P
 
     def lines(self, belief: AnyBelief) -> list[MapLine]:
-        """Return the map about the map origin: values in the paper's form, for people and files."""
+        """Return the map about the map's origin: values in the paper's form, for people and files."""
+        frame = belief.frame_pose()
         return [
             self._line(j, v, P)
+            if frame is None
+            else self._framed(j, _placed(v, self.anchor[j], frame), P, self._joint_with_frame(j, P, belief))
             for j, (v, P) in enumerate(zip(self.values(belief), self.covariances(belief), strict=True))
         ]
 
-    def _line(self, j: int, value: Array, P: Array) -> MapLine:
+    def _line(self, j: int, value: Array, P: Array, anchor: Array | None = None) -> MapLine:
         rho, beta = float(value[0]), float(value[1])
         c, s = math.cos(beta), math.sin(beta)
-        ax, ay = map(float, self.anchor[j])
-        G = np.array([[1.0, ay * c - ax * s], [0.0, 1.0]])
+        ax, ay = map(float, self.anchor[j] if anchor is None else anchor)
         along = ay * c - ax * s
+        G = np.array([[1.0, along], [0.0, 1.0]])
         ends = (float(self.lo[j]) + along, float(self.hi[j]) + along)
         return MapLine(int(self.ids[j]), rho + ax * c + ay * s, beta, ends, G @ P @ G.T, int(self.hits[j]))
+
+    def _framed(self, j: int, placed: Placed, P: Array, joint: Array) -> MapLine:
+        """Return line j where the map frame puts it; its covariance with that frame held, and with it free."""
+        line = self._line(j, placed.value, P, placed.anchor)
+        J = line_by_frame(line, placed.anchor, placed.frame)
+        return replace(line, P_free=J @ joint @ J.T)
+
+    def _joint_with_frame(self, j: int, P: Array, belief: AnyBelief) -> Array:
+        """Return the covariance of (rho, beta) of line j and the map frame, (5, 5)."""
+        out = np.zeros((5, 5))
+        out[:2, :2], out[2:, 2:] = P, belief.with_frame().own
+        if isinstance(belief, JointBelief) and belief.frame is not None and self.column[j] >= 0:
+            own, frame = self.column[j] + np.arange(2), belief.frame + np.arange(3)
+            out[:2, 2:] = belief.covariance[np.ix_(own, frame)]
+            out[2:, :2] = out[:2, 2:].T
+        return out
+
+
+class Placed(NamedTuple):
+    """A line where the map frame (X, Y, Th) puts it."""
+
+    value: Array  # (2,) rho about the anchor, beta in the map
+    anchor: Array  # (2,) m, map
+    frame: Pose
+
+
+def _placed(value: Array, anchor: Array, frame: Pose) -> Placed:
+    at = np.asarray(se2.transform(np.array(frame), anchor))
+    return Placed(np.array([value[0], se2.wrap(float(value[1]) + frame[2])]), at, frame)
+
+
+def line_by_frame(line: MapLine, anchor: Array, frame: Pose) -> Array:
+    """Return d(rho, beta) in the map by (rho about the anchor, beta, X, Y, Th), (2, 5).
+
+    rho = value + n.a. The anchor a moves with the frame and turns with Th about the frame's place g, and the
+    direction n turns with beta and Th: dn.a = a_y c - a_x s.
+    """
+    c, s = math.cos(line.beta), math.sin(line.beta)
+    along = float(anchor[1] * c - anchor[0] * s)
+    gx, gy = anchor[0] - frame[0], anchor[1] - frame[1]
+    return np.array([[1.0, along, c, s, along + gx * s - gy * c], [0.0, 1.0, 0.0, 0.0, 1.0]])
 
 
 def about_middle(line: MapLine) -> tuple[Array, float, Array]:

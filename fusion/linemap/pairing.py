@@ -14,6 +14,7 @@ import numpy as np
 
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.se2 import wrap_all
 
 from .laser_mount import mount_spread
 from .line_map import AnyBelief, LineMap, PlainLine, line_spread
@@ -182,9 +183,9 @@ def pairs_in_arrays(scan: Scan, lines: LineMap, belief: AnyBelief, limit: float)
     r = values[:, 0] - dx * c - dy * s
     P = belief.matrix()
     angle_slack, offset_slack = _slack(float(P[0, 0] + P[1, 1]), float(P[2, 2]))
-    turn = _wrap(scan.z[:, 1, None] - (values[:, 1] - belief.theta))
+    turn = wrap_all(scan.z[:, 1, None] - (values[:, 1] - belief.theta))
     flip = np.where(np.abs(turn) > QUARTER, -1.0, 1.0)
-    turn = np.where(flip < 0, _wrap(turn + math.pi), turn)
+    turn = np.where(flip < 0, wrap_all(turn + math.pi), turn)
     offset = flip * scan.z[:, 0, None] - r
     line, which = np.nonzero((np.abs(turn) < angle_slack) & (np.abs(offset) < offset_slack))
     seen = lines.predict(which, values, belief)
@@ -221,7 +222,3 @@ def _flipped(R: Array, flip: Array) -> Array:
     out[:, 0, 1] *= flip
     out[:, 1, 0] *= flip
     return out
-
-
-def _wrap(angle: Array) -> Array:
-    return (angle + math.pi) % (2.0 * math.pi) - math.pi

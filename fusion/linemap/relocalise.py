@@ -105,7 +105,7 @@ def find_pose(scan: Scan, lines: LineMap, belief: AnyBelief, trail: Trail) -> tu
         return None
     pose = poses[best]
     apart = np.hypot(*(poses[:, :2] - pose[:2]).T) > APART
-    apart |= np.abs(_wrap(poses[:, 2] - pose[2])) > TURNED
+    apart |= np.abs(se2.wrap_all(poses[:, 2] - pose[2])) > TURNED
     rivals = _distinct(poses[apart & (possible >= RIVAL * share[best])])
     here = np.array([belief.x, belief.y, belief.theta])
     stand = _standing(np.vstack((pose, rivals)), scan, lines, values)
@@ -113,7 +113,7 @@ def find_pose(scan: Scan, lines: LineMap, belief: AnyBelief, trail: Trail) -> tu
     if len(last) != 1 or (last[0] != pose).any():
         return None
     x, y, theta = pose.tolist()
-    return x, y, belief.theta + float(_wrap(np.array(theta - belief.theta)))
+    return x, y, belief.theta + float(se2.wrap_all(np.array(theta - belief.theta)))
 
 
 def _standing(poses: Array, scan: Scan, lines: LineMap, values: Array) -> Array:
@@ -141,7 +141,7 @@ def _lasting(
 def _heading_fits(theta: Array, belief: AnyBelief) -> NDArray[np.bool_]:
     """Return which headings the belief allows: a compass may have kept it while the place was lost."""
     slack = HEADING_SIGMAS * math.sqrt(max(float(belief.matrix()[2, 2]), 0.0)) + HEADING_SLACK
-    return np.asarray(np.abs(_wrap(theta - belief.theta)) <= slack)
+    return np.asarray(np.abs(se2.wrap_all(theta - belief.theta)) <= slack)
 
 
 def _hypotheses(scan: Scan, lines: LineMap, values: Array, known: Ints) -> Array:
@@ -151,12 +151,12 @@ def _hypotheses(scan: Scan, lines: LineMap, values: Array, known: Ints) -> Array
     rho = values[known, 0] + (lines.anchor[known] * n).sum(axis=1)
     found = [np.zeros((0, 3))]
     for a, b in combinations(longest.tolist(), 2):
-        between = float(_wrap(scan.z[b, 1] - scan.z[a, 1]))
+        between = float(se2.wrap_all(scan.z[b, 1] - scan.z[a, 1]))
         if abs(math.sin(between)) < math.sin(SKEW):
             continue
-        j, k = np.nonzero(np.abs(_wrap(beta[None, :] - beta[:, None] - between)) < SAME_ANGLE)
-        slack = 0.5 * _wrap(beta[k] - beta[j] - between)
-        theta = _wrap(beta[j] - scan.z[a, 1] + slack)
+        j, k = np.nonzero(np.abs(se2.wrap_all(beta[None, :] - beta[:, None] - between)) < SAME_ANGLE)
+        slack = 0.5 * se2.wrap_all(beta[k] - beta[j] - between)
+        theta = se2.wrap_all(beta[j] - scan.z[a, 1] + slack)
         det = n[j, 0] * n[k, 1] - n[j, 1] * n[k, 0]
         p, q = rho[j] - scan.z[a, 0], rho[k] - scan.z[b, 0]
         x, y = (p * n[k, 1] - q * n[j, 1]) / det, (n[j, 0] * q - n[k, 0] * p) / det
@@ -166,7 +166,7 @@ def _hypotheses(scan: Scan, lines: LineMap, values: Array, known: Ints) -> Array
 
 def _distinct(poses: Array) -> Array:
     """Return one of the poses (h, 3) in every cell of half the size within which poses count as the same."""
-    cells = np.floor(np.column_stack((poses[:, :2] / (0.5 * APART), _wrap(poses[:, 2]) / (0.5 * TURNED))))
+    cells = np.floor(np.column_stack((poses[:, :2] / (0.5 * APART), se2.wrap_all(poses[:, 2]) / (0.5 * TURNED))))
     return poses[np.sort(np.unique(cells, axis=0, return_index=True)[1])]
 
 
@@ -185,7 +185,7 @@ def _explained(
         rho, beta = values[known, 0], values[known, 1]
         c, s = np.cos(beta), np.sin(beta)
         dx, dy = x - lines.anchor[known, 0], y - lines.anchor[known, 1]
-        turn = _wrap(scan.z[:, 1, None] + theta - beta)
+        turn = se2.wrap_all(scan.z[:, 1, None] + theta - beta)
         offset = scan.z[:, 0, None] - (rho - dx * c - dy * s)
         along = c * dy - s * dx
         lo, hi = scan.ends[:, :1] + along, scan.ends[:, 1:] + along
@@ -196,7 +196,3 @@ def _explained(
         share[at : at + 512] = (seen * length).sum(axis=1) / length.sum()
         count[at : at + 512] = seen.sum(axis=1)
     return share, possible, count
-
-
-def _wrap(angle: Array) -> Array:
-    return (angle + math.pi) % (2.0 * math.pi) - math.pi

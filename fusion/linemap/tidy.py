@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.se2 import wrap, wrap_all
 from locfuse.fusion.sensor import Innovation
 
 from .line_map import LineMap
@@ -53,7 +54,7 @@ def merge_doubles(lines: LineMap, belief: JointBelief, scan: int, uneven: Array)
 def _near(lines: LineMap, values: Array, chosen: Ints) -> NDArray[np.bool_]:
     """Return which lines (J,) may be one wall with each of the chosen ones (k,) by where they lie, (k, J)."""
     rho, beta = values[chosen].T[:, :, None]
-    turn = np.abs((values[:, 1] - beta + math.pi) % (2.0 * math.pi) - math.pi)
+    turn = np.abs(wrap_all(values[:, 1] - beta))
     away = lines.anchor[chosen][:, None] - lines.anchor  # (k, J, 2)
     c, s = np.cos(beta), np.sin(beta)
     offset = values[:, 0] - (rho + away[:, :, 0] * c + away[:, :, 1] * s)
@@ -84,7 +85,7 @@ def _difference(lines: LineMap, values: Array, i: int, j: int) -> tuple[Array, A
     rho, beta = values[j]
     c, s = math.cos(beta), math.sin(beta)
     ax, ay = lines.anchor[j] - lines.anchor[i]
-    turn = (values[i, 1] - beta + math.pi) % (2.0 * math.pi) - math.pi
+    turn = wrap(float(values[i, 1] - beta))
     y = np.array([values[i, 0] - (rho + ax * c + ay * s), turn])
     H = np.array([[-1.0, 0.0, 1.0, ay * c - ax * s], [0.0, -1.0, 0.0, 1.0]])
     along = ay * math.cos(values[i, 1]) - ax * math.sin(values[i, 1])

@@ -33,11 +33,14 @@ LONE_D2, LONE_ANGLE, LONE_OFFSET = 5.0, math.radians(3.0), 0.15
 class LineTracker(Model):
     """Association, extents and growth of the line map; `mode` is how the map enters the filter."""
 
+    local = True
+
     def __init__(self, mode: str, gate: float, recover: bool = True, mount: Mount | None = None) -> None:
         self.mode = mode
         self.mount = mount if mount is not None and mount.free else None  # None: known exactly
         self.map = LineMap()
         self.joint = mode != "first-scan"
+        self.maps = mode != "given"
         self.settled = not self.joint and self.mount is None
         # only a map that holds what was seen since can say that something is wrong
         self.guard = Guard() if recover and mode in ("grow", "given") else None
@@ -68,6 +71,10 @@ class LineTracker(Model):
             self.map.append(anchor, np.array([0.0, line.beta]), P, column, (-half, half), 0)
         self.map.hits = np.array([max(line.hits, LEAST_HITS) for line in given])
         self._first_map = list(given)
+
+    def begins_map(self, m: Measurements, i: int) -> bool:
+        """Return whether scan i is the first with lines, or the first after all of the map was lost."""
+        return self.maps and not self.map.ids.size and bool(m.first[i] < m.first[i + 1])
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
         """Associate the lines of scan i; each becomes one innovation with its verdict."""
@@ -130,6 +137,8 @@ class LineTracker(Model):
         self._scan += 1
         found = self._last
         if found is None:
+            if self.guard is not None:
+                self.guard.begin_anew(float(m.t[i]), belief)
             scan = self._scan_of(m, first, last, belief)
             for k in range(last - first):
                 self._add(scan, k, belief)

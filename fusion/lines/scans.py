@@ -60,6 +60,26 @@ def too_many_beams(columns: dict[str, Any]) -> int:
 
 def lines_in_base(scans: dict[str, Any], stamps: Array, laser: Laser, wheels: WheelMotion) -> tuple[Lines, Array]:
     """Return the lines of k scans in the base frame, and the instants (k,) [s] at which they hold."""
+    ranges, angles = returns(scans, laser)
+    t, offsets = deskew(scans["time_increment"].astype(np.float64), ranges.shape[1], stamps, laser, wheels)
+    lines = extract_lines(ranges, angles, laser.lines, offsets)
+    x, y, yaw = laser.mount.tolist()
+    z, R_unit, ends = to_base(lines.z, lines.R_unit, lines.ends, x, y, yaw)
+    return Lines(lines.first, z, R_unit, ends, lines.points, lines.chi2, lines.span), t
+
+
+def points_in_base(scans: dict[str, Any], stamps: Array, laser: Laser, wheels: WheelMotion) -> tuple[Array, Array]:
+    """Return what k scans saw as points in the base, (k, b, 2) [m], NaN without a return; and when (k,) [s]."""
+    ranges, angles = returns(scans, laser)
+    t, offsets = deskew(scans["time_increment"].astype(np.float64), ranges.shape[1], stamps, laser, wheels)
+    points = np.stack((ranges * np.cos(angles), ranges * np.sin(angles)), axis=-1)
+    if offsets is not None:
+        points = se2.transform(offsets, points)
+    return se2.transform(laser.mount, points), t
+
+
+def returns(scans: dict[str, Any], laser: Laser) -> tuple[Array, Array]:
+    """Return the ranges [m], NaN where there is none, and angles [rad, laser's frame] of k scans, (k, b) each."""
     beams = scans["ranges"].shape[1]
     angles = scans["angle_min"][:, None] + scans["angle_increment"][:, None] * np.arange(beams)
     if laser.flipped:
@@ -67,12 +87,7 @@ def lines_in_base(scans: dict[str, Any], stamps: Array, laser: Laser, wheels: Wh
     raw = scans["ranges"].astype(np.float64)
     far = np.minimum(scans["range_max"], laser.range_max or np.inf)[:, None]
     valid = np.isfinite(raw) & (raw >= scans["range_min"][:, None]) & (raw <= far) & (raw > 0.0)
-    ranges = np.where(valid, laser.scale * raw + laser.offset, np.nan)
-    t, offsets = deskew(scans["time_increment"].astype(np.float64), beams, stamps, laser, wheels)
-    lines = extract_lines(ranges, angles, laser.lines, offsets)
-    x, y, yaw = laser.mount.tolist()
-    z, R_unit, ends = to_base(lines.z, lines.R_unit, lines.ends, x, y, yaw)
-    return Lines(lines.first, z, R_unit, ends, lines.points, lines.chi2, lines.span), t
+    return np.where(valid, laser.scale * raw + laser.offset, np.nan), angles
 
 
 def deskew(

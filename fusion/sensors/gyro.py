@@ -23,10 +23,10 @@ from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, Stream
 from locfuse.fusion.mount import rotation
 from locfuse.fusion.sensor import Block, Innovation, Model, Sensor, SensorSettings, WheelMotion
+from locfuse.fusion.streams import gap_limit
 
 BEFORE, BIAS = "_gyro_before", "gyro_bias"
 H_TURN = ((0.0, 0.0, 1.0),)
-GAP, GAP_PERIODS = 0.5, 5.0  # s, median periods: over a longer silence the turn is not known
 LEAST_TURN = math.radians(20.0)  # rms of the wheels' turn about its mean, before the gyro is held against it
 AGREES = 0.8  # correlation from which gyro and wheels speak of the same turning
 WRONG_SCALE = 2.0  # a factor that no wheel geometry explains
@@ -119,6 +119,8 @@ class Gyro(Sensor):
 class GyroModel(Model):
     """z_i - z_before = theta - theta_before + bias dt + noise."""
 
+    local = True  # both headings are of one frame
+
     def __init__(self, settings: GyroSettings) -> None:
         self.settings = settings
         self.threshold = chi_square(settings.gate, 1)
@@ -178,7 +180,7 @@ def _summed(t: Array, rate: Array) -> tuple[Array, Ints]:
     dt = np.diff(t)
     if not len(dt):
         return np.zeros(len(t)), np.zeros(len(t), dtype=np.int64)
-    gap = dt > max(GAP, GAP_PERIODS * float(np.median(dt)))
+    gap = dt > gap_limit(t)  # over a longer silence the turn is not known
     steps = np.where(gap, 0.0, 0.5 * (rate[1:] + rate[:-1]) * dt)
     return np.concatenate(([0.0], np.cumsum(steps))), np.concatenate(([0], np.cumsum(gap)))
 

@@ -108,6 +108,7 @@ class SonarModel(Model):
     """z = C + noise for the wall that must have answered."""
 
     teaches = False
+    local = True
     settled = True
 
     def __init__(self, settings: SonarSettings) -> None:

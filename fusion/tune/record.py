@@ -13,10 +13,11 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Ints, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.belief_pose import Pose, Triangle
-from locfuse.fusion.ekf.journal import in_map, turning
+from locfuse.fusion.ekf.journal import in_map
 from locfuse.fusion.ekf.rows import stacked
 from locfuse.fusion.fuse import Filter
 from locfuse.fusion.instants import due_readings, steps_of
@@ -64,6 +65,14 @@ class Loosen(NamedTuple):
     variance: Array  # (k,)
 
 
+class Swing(NamedTuple):
+    """The map frame at `first` was corrected by (dx, dy), and its place follows its direction (map_frame)."""
+
+    first: int
+    dx: float  # m
+    dy: float
+
+
 @dataclass
 class Tape:
     """The recorded run."""
@@ -71,7 +80,7 @@ class Tape:
     sensors: tuple[str, ...]
     P0: Array  # (n, n)
     t: Array  # (instants,) s
-    ops: list[Move | See | Change | Loosen] = field(default_factory=list)
+    ops: list[Move | See | Change | Loosen | Swing] = field(default_factory=list)
     drifts: dict[str, tuple[Ints, Array]] = field(default_factory=dict)  # block -> columns, variance per s
     wheels: slice | None = None  # columns of the wheel parameters
 
@@ -139,7 +148,7 @@ class Taped(JointBelief):
         """Predict as ever, and write down the motion."""
         x, y, theta = self.state[:3].tolist()
         super().predict(u, Q, dt, J)
-        coupling = None if self._motion_block is None or J is None else turning(theta) @ J
+        coupling = None if self._motion_block is None or J is None else se2.rotation(np.array(theta)) @ J
         lever = (y - float(self.state[1]), float(self.state[0]) - x)
         turned, driven = float(self.state[2]) - theta, float(np.hypot(*lever))
         self.tape.ops.append(Move(self.instant, lever, in_map(Q, theta), coupling, turned, driven))
@@ -148,8 +157,10 @@ class Taped(JointBelief):
         """Correct as ever, and write down what was seen and how far it moved the state."""
         if not seen:
             return
-        before = self.state.copy()
+        before, swings = self.state.copy(), len(self.tape.ops)
         super().correct(seen)
+        swung = self.tape.ops[swings:]
+        del self.tape.ops[swings:]
         y, columns, H, R = stacked(seen)
         R_sigma, sensor = np.zeros_like(R), np.full(len(y), -1)
         k = 0
@@ -159,6 +170,7 @@ class Taped(JointBelief):
                 sensor[rows], R_sigma[rows, rows] = self._owned(s, R[rows, rows])
             k = rows.stop
         self.tape.ops.append(See(self.instant, y, columns, H, R_sigma, R - R_sigma, sensor, self.state - before))
+        self.tape.ops += swung
 
     def _owned(self, s: Innovation, R: Array) -> tuple[int, Array]:
         index, of_its_sigma = self.owners[id(s)]
@@ -174,6 +186,27 @@ class Taped(JointBelief):
         column = super().augment(values, G, noise, columns)
         self._note(np.eye(n + k, n), np.diag(np.concatenate((np.zeros(n), np.full(k, UNKNOWN_VARIANCE)))))
         return column
+
+    def _clone_pose(self) -> int:
+        """Append the map frame as ever: on the tape too it is what the pose was."""
+        n = self.n
+        column = super()._clone_pose()
+        T = np.eye(n + 3, n)
+        T[n:, :3] = np.eye(3)
+        self.tape.ops[-1] = Change(T, np.zeros((n + 3, n + 3)))
+        return column
+
+    def _forget_pose(self, first: bool) -> None:
+        """Begin the local frame as ever."""
+        super()._forget_pose(first)
+        T = np.eye(self.n)
+        T[:3] = 0.0
+        self._note(T)
+
+    def _swing(self, dx: float, dy: float) -> None:
+        """Swing as ever."""
+        super()._swing(dx, dy)
+        self.tape.ops.append(Swing(self.frame or 0, dx, dy))
 
     def loosen(self, columns: Ints, variance: Array) -> None:
         """Loosen as ever."""

@@ -13,8 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.ekf.equations import eq10_12
 
-from .record import Change, Loosen, Move, See, Tape
+from .record import Change, Loosen, Move, See, Swing, Tape
 
 
 class Noise(NamedTuple):
@@ -53,6 +54,8 @@ def play(tape: Tape, noise: Noise, bend: float = 0.0, until: float = math.inf) -
             numbers.append(int((op.sensor >= 0).sum()))
         elif isinstance(op, Loosen):
             head.P[:, op.columns, op.columns] += op.variance
+        elif isinstance(op, Swing):
+            head.swing(op)
         else:
             head.change(op)
     return Played(np.concatenate(scores, axis=1), np.array(instants, np.int64), np.array(numbers, np.int64))
@@ -69,7 +72,7 @@ class Head:
         self.m = np.zeros((B, len(tape.P0)))
 
     def move(self, op: Move) -> None:
-        """Predict."""
+        """Predict: eq. 5-7 for the deviation, whose eq. 7 has only a lever."""
         P, m = self.P, self.m
         a, b = op.lever
         m[:, 0] += a * m[:, 2]
@@ -93,20 +96,26 @@ class Head:
             P[:, columns, columns] += np.outer(self.noise.drifts.get(name, np.ones(len(P))), drift * dt)
 
     def see(self, op: See) -> Array:
-        """Correct; return the log likelihood of what sensors measured, (B,)."""
+        """Correct (eq. 10-12); return the log likelihood of what sensors measured, (B,)."""
         P, m = self.P, self.m
         scale = self.scale[:, op.sensor]
         PH = P[:, :, op.columns] @ op.H.T
         S = op.H @ PH[:, op.columns, :] + scale[:, :, None] * scale[:, None, :] * op.R_sigma + op.R_rest
-        L = np.linalg.cholesky(S)
-        e = op.y - m[:, op.columns] @ op.H.T
-        V = np.linalg.solve(L, np.concatenate((PH.transpose(0, 2, 1), e[:, :, None]), axis=2))
-        w, V = V[:, :, -1], V[:, :, :-1]
+        V, w, L = eq10_12(PH, S, op.y - m[:, op.columns] @ op.H.T)
         P -= V.transpose(0, 2, 1) @ V
         m += (w[:, None, :] @ V)[:, 0, :] - op.step
         terms = -0.5 * w**2 - np.log(np.diagonal(L, axis1=1, axis2=2)) - 0.5 * math.log(2.0 * math.pi)
         score: Array = terms[:, op.sensor >= 0].sum(axis=1)
         return score
+
+    def swing(self, op: Swing) -> None:
+        """Let the map frame's place follow its direction, by a recorded correction."""
+        P, m, turn = self.P, self.m, op.first + 2
+        for column, by in ((op.first, -op.dy), (op.first + 1, op.dx)):
+            m[:, column] += by * m[:, turn]
+            P[:, column, :] += by * P[:, turn, :]
+        for column, by in ((op.first, -op.dy), (op.first + 1, op.dx)):
+            P[:, :, column] += by * P[:, :, turn]
 
     def change(self, op: Change) -> None:
         """Apply a linear change of the state."""

@@ -87,7 +87,7 @@ class Wheels:
         J = np.zeros((len(u), 3, 0))
         if parameters:
             J = pieces.total(pieces.by_parameters(columns))
-        turn = _rotation(-pieces.start[:, 2])
+        turn = se2.rotation(-pieces.start[:, 2])
         return u, turn @ Q @ turn.transpose(0, 2, 1), turn @ J
 
 
@@ -193,13 +193,3 @@ def dead_reckoning(twist: Array) -> Array:
     x = np.cumsum(c * step[:, 0] - s * step[:, 1])
     y = np.cumsum(s * step[:, 0] + c * step[:, 1])
     return np.stack((np.append(0.0, x), np.append(0.0, y), theta), axis=-1)
-
-
-def _rotation(angle: Array) -> Array:
-    """Return (n, 3, 3) rotations of (x, y, theta) by `angle` (n,)."""
-    c, s = np.cos(angle), np.sin(angle)
-    out = np.zeros((len(angle), 3, 3))
-    out[:, 0, 0], out[:, 0, 1] = c, -s
-    out[:, 1, 0], out[:, 1, 1] = s, c
-    out[:, 2, 2] = 1.0
-    return out

@@ -46,7 +46,7 @@ class Way(NamedTuple):
 def pose_and_twist(columns: dict[str, Array]) -> Array:
     """Return (n, 5) x, y, yaw, forward speed, turning rate."""
     x, y, z, w = (columns[f"pose.pose.orientation.{a}"] for a in "xyzw")
-    yaw = np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    yaw = se2.yaw(x, y, z, w)
     position = (columns["pose.pose.position.x"], columns["pose.pose.position.y"])
     return np.stack((*position, yaw, columns["twist.twist.linear.x"], columns["twist.twist.angular.z"]), axis=-1)
 

@@ -12,7 +12,7 @@ import pytest
 import small_drive
 from lock_step import simulated
 from scipy.optimize import least_squares
-from textbook import TextbookEkf, move, wrap
+from textbook import TextbookEkf, move, numeric_jacobian, wrap
 from worlds import World
 
 from locfuse.fusion.data import Array, Drive, Estimates, Measurements, Motions, Stream, UsageError
@@ -82,12 +82,14 @@ class Remembering(JointBelief):
     """Clones the pose into the state before every motion; correlations do the smoothing."""
 
     clones: list[int]
+    local: list[bool]  # whether a clone's pose was in the frame of a map of its own
 
     def predict(self, u: Sequence[float], Q: Sequence[float], dt: float = 0.0, J: Array | None = None) -> None:
         if not hasattr(self, "clones"):
-            self.clones = []
+            self.clones, self.local = [], []
         else:
             self.clones.append(self.clone())
+            self.local.append(self.frame is not None)
         super().predict(u, Q, dt, J)
 
     def clone(self) -> int:
@@ -113,9 +115,27 @@ def remembered(drive: Drive, robot: Robot, sensors: Sequence[str]) -> tuple[Arra
         return made[0]
 
     fuse(drive, robot, sensors, beliefs=(PoseBelief, joint))
-    belief = made[0]
-    columns = np.array([*belief.clones, 0])[:, None] + np.arange(3)
-    return belief.state[columns], belief.covariance[columns[:, :, None], columns[:, None, :]]
+    belief, poses, covariances = made[0], [], []
+    for column, local in zip([*belief.clones, 0], [*belief.local, belief.frame is not None], strict=True):
+        at = list(range(column, column + 3))
+        if local:
+            assert belief.frame is not None
+            at += range(belief.frame, belief.frame + 3)
+        pose, P = in_map(belief.state[at], belief.covariance[np.ix_(at, at)])
+        poses.append(pose)
+        covariances.append(P)
+    return np.array(poses), np.array(covariances)
+
+
+def in_map(x: Array, P: Array) -> tuple[Array, Array]:
+    """Return a pose, or one in a frame, in the map; what a bent Gaussian adds along the lever included."""
+    if len(x) == 3:
+        return x, P
+    J = numeric_jacobian(lambda v: move(v[3:], v[:3]), x)
+    pose = move(x[3:], x[:3])
+    out = J @ P @ J.T
+    out[:2, :2] += 0.75 * P[5, 5] ** 2 * np.outer(pose[:2] - x[3:5], pose[:2] - x[3:5])
+    return pose, out
 
 
 CASES: dict[str, dict[str, Any]] = {
@@ -342,9 +362,10 @@ def test_the_last_instant_is_not_changed() -> None:
 def test_every_way_to_change_a_belief_is_noted_or_needs_no_note() -> None:
     """A new method of JointBelief that moves P must be thought about in the journal."""
     known = {"predict", "augment", "remove", "shift", "place", "clone_heading", "transform", "loosen"}
+    known |= {"begin_frame"}
     known |= {"correct", "consider", "listen", "add", "drive_with"}  # knowledge only, or before the first motion
     reading = {"x", "y", "theta", "pose", "triangle", "state", "covariance", "matrix", "block", "variances", "has"}
-    reading |= {"spread"}
+    reading |= {"spread", "observed", "frame_pose", "with_frame", "located"}
     public = {name for name in vars(JointBelief) if not name.startswith("_")}
     assert public <= known | reading, public - known - reading
 

@@ -1,0 +1,67 @@
+"""Make docs/images/observability.svg: python -m benchmarks.observability
+
+What a filter claims to know of one wall's direction in the map while a laser alone drives a lap: with the map
+frame as states, and without, where pose and lines stand in the map itself (the usual EKF-SLAM, and version 0.1).
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+
+from locfuse.cli.pipeline.load import make_robot
+from locfuse.fusion.data import Array, Drive
+from locfuse.fusion.fuse import Filter
+from locfuse.fusion.instants import due_readings, steps_of
+from locfuse.fusion.measure import measure
+from locfuse.fusion.robot import Robot
+
+from .accuracy import streams_by_role
+from .consistency import simulated
+from .consistency_cases import MOVING, SCENARIO
+
+SEED = 1000
+PICTURE = Path(__file__).parents[1] / "docs" / "images" / "observability.svg"
+
+
+class WithoutFrame(Filter):
+    """The filter whose map has no frame of its own."""
+
+    def _begin_frame(self) -> None:
+        return
+
+
+def directions(run: Filter, drive: Drive) -> Array:
+    """Return times [s] and sigmas [deg] of the first wall's direction in the map, (n, 2)."""
+    model, rows = run.models["lrf"], []
+    for k, (step, due) in enumerate(zip(steps_of(drive), due_readings(drive, ["lrf"]), strict=True)):
+        run.advance(k, step, due, drive.measurements)
+        if due:
+            wall = next(line for line in model.lines(run.belief)[1] if line.id == 0)
+            rows.append((drive.t[k], math.degrees(math.sqrt(wall.P_map[1, 1]))))
+    return np.array(rows)
+
+
+def draw(drive: Drive, robot: Robot, path: Path) -> None:
+    """Draw both filters."""
+    mpl.use("svg")
+    mpl.rcParams.update({"svg.hashsalt": "locfuse", "font.size": 9, "svg.fonttype": "none"})
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(6.0, 2.4), layout="constrained")
+    for kind, words in ((Filter, "map frame as states"), (WithoutFrame, "without (version 0.1)")):
+        t, sigma = directions(kind(robot, ["lrf"]), drive).T
+        axes.plot(t, sigma, label=f"{words}: {sigma[0]:.2f}° to {sigma[-1]:.2f}°", linewidth=1.2)
+    axes.set(xlabel="time [s]", ylabel="sigma of a wall's direction [°]", ylim=(0.0, None))
+    axes.legend(frameon=False)
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.savefig(path, metadata={"Date": None})
+
+
+if __name__ == "__main__":
+    topics, tables = simulated(SCENARIO, MOVING, SEED)
+    machine = make_robot(tables)
+    draw(measure(streams_by_role(topics, tables), machine), machine, PICTURE)

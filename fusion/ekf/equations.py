@@ -1,0 +1,58 @@
+"""The filter's equations by their numbers in the paper: 5-7 (predict) and 10-12 (correct), in NumPy.
+
+The one body of each, used wherever speed does not matter: prediction at the truth's stamps, smoother, tuning.
+The fast paths (`PoseBelief`, `FewBlocks`, `JointBelief`) write the same equations out and name them in a comment.
+State x = (x, y, theta) [m, m, rad] in the map, then what a run adds. Leading axes (...) are allowed everywhere.
+The paper's W (eq. 8) and Q (eq. 9) speak of wheel speeds; here u and Q are the relative pose of one motion and its
+covariance in the frame of its start (fusion.wheels.motion), so W is the rotation of (x, y, theta) by theta.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array
+
+
+def eq5_x(x: Array, u: Array) -> Array:
+    """Eq. 5 (eq. 3 with exact arcs): poses (..., 3) after the relative poses u (..., 3); theta is not wrapped."""
+    return se2.compose(x, u)
+
+
+def eq6_P(P: Array, A: Array, W: Array, Q: Array) -> Array:
+    """Eq. 6: P <- A P A' + W Q W', all (..., 3, 3)."""
+    return A @ P @ np.swapaxes(A, -1, -2) + eq6_noise(W, Q)
+
+
+def eq6_noise(W: Array, Q: Array) -> Array:
+    """Return the second term of eq. 6, W Q W': a motion's noise turned into the map frame, (..., 3, 3)."""
+    return W @ Q @ np.swapaxes(W, -1, -2)
+
+
+def eq7_A(x: Array, x_next: Array) -> Array:
+    """Eq. 7: derivative (..., 3, 3) of a later pose x_next (..., 3) by an earlier one x (..., 3)."""
+    A = np.zeros((*np.shape(x)[:-1], 3, 3))
+    A[..., 0, 0] = A[..., 1, 1] = A[..., 2, 2] = 1.0
+    A[..., 0, 2] = x[..., 1] - x_next[..., 1]
+    A[..., 1, 2] = x_next[..., 0] - x[..., 0]
+    return A
+
+
+def predicted(x: Array, P: Array, u: Array, Q: Array) -> tuple[Array, Array]:
+    """Eq. 5-7: poses (..., 3) and covariances (..., 3, 3) after motions u (..., 3) of covariance Q (..., 3, 3)."""
+    x_next = eq5_x(x, u)
+    return x_next, eq6_P(P, eq7_A(x, x_next), se2.rotation(x[..., 2]), Q)
+
+
+def eq10_12(PH: Array, S: Array, y: Array) -> tuple[Array, Array, Array]:
+    """Eq. 10-12 by the Cholesky factor L of S = H P H' + R: (V (..., m, n), e (..., m), L (..., m, m)).
+
+    From P H' (..., n, m), S (..., m, m) and the innovation y (..., m): V = L^-1 H P and e = L^-1 y, whose parts
+    are independent and of unit variance. The gain of eq. 10 is K = V' L^-1, so eq. 11 is x <- x + V' e, and
+    eq. 12 is P <- P - V' V, symmetric by construction. Raises np.linalg.LinAlgError where S is not positive.
+    """
+    L = np.asarray(np.linalg.cholesky(0.5 * (S + np.swapaxes(S, -1, -2))), np.float64)
+    right = np.concatenate((np.swapaxes(PH, -1, -2), y[..., None]), axis=-1)
+    V = np.asarray(np.linalg.solve(L, right), np.float64)
+    return V[..., :-1], V[..., -1], L

@@ -1,0 +1,265 @@
+"""The map frame: chain rule, its beginning, what teaches it, and the way back through it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from textbook import move, numeric_jacobian
+
+from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.ekf.belief_blocks import FewBlocks
+from locfuse.fusion.ekf.belief_pose import Triangle
+from locfuse.fusion.ekf.journal import Journal
+from locfuse.fusion.ekf.map_frame import InMap, bent, in_map_P
+from locfuse.fusion.sensor import Block, Innovation
+from locfuse.fusion.smooth import Backward
+
+Array = np.ndarray
+START = (1.0, -2.0, 0.4)
+P0: Triangle = (0.09, 0.01, 0.004, 0.05, -0.003, 0.02)
+Q: Triangle = (1e-4, 0.0, 0.0, 2e-5, 1e-5, 4e-4)
+STEP = (0.3, 0.02, 0.25)
+OFFSET = Block("offset", np.array([0.7]), np.array([[0.04]]), np.zeros(1))
+COMPASS = ((0.0, 0.0, 1.0),)
+NORTH = ((0.6, -0.8, 0.3),)  # any row of the pose in the map
+
+
+def row(belief: Any, H: Any, y: float, r: float, columns: Any = (), H_block: Any = ()) -> Innovation:
+    return Innovation.of(0, (y,), H, ((r,),), belief, math.inf, columns=columns, H_block=H_block)
+
+
+def driven(belief: Any) -> Any:
+    """Some way with a compass, a frame that begins, local rows, and a compass again: every state is correlated."""
+    at = belief.block("offset")[0]
+    belief.predict(STEP, Q)
+    belief.correct([row(belief, COMPASS, 0.05, 0.01, (at,), ((1.0,),))])
+    belief.begin_frame()
+    world = InMap(belief)
+    for y in (0.02, -0.03, 0.01):
+        belief.predict(STEP, Q)
+        belief.correct([row(belief, ((0.6, 0.8, -0.2),), y, 1e-4)])
+        belief.correct([row(world, COMPASS, y, 0.02, (at,), ((1.0,),)), row(world, NORTH, 4 * y, 0.03)])
+    return belief
+
+
+@pytest.mark.parametrize("tt", [1e-8, 1e-3, 0.01, 0.3, 3.0])
+def test_a_lever_spreads_along_itself_as_samples_do(tt: float) -> None:
+    angle = math.sqrt(tt) * np.linspace(-9, 9, 20001)
+    weight = np.exp(-0.5 * angle**2 / tt)
+    assert bent(tt) == pytest.approx(float((weight * (np.cos(angle) - 1) ** 2).sum() / weight.sum()), rel=2e-3)
+
+
+@pytest.mark.parametrize("make", [FewBlocks, JointBelief])
+def test_the_pose_in_the_map_has_the_covariance_of_finite_differences(make: Callable[..., Any]) -> None:
+    belief = driven(make(START, P0, [OFFSET]))
+    at = [0, 1, 2, belief.frame, belief.frame + 1, belief.frame + 2]
+    x, P = np.asarray(belief.state)[at], np.asarray(belief.covariance)[np.ix_(at, at)]
+    J = numeric_jacobian(lambda v: move(v[3:], v[:3]), x)
+    r = (move(x[3:], x[:3]) - x[3:])[:2]
+    expected = J @ P @ J.T
+    expected[:2, :2] += bent(P[5, 5]) * np.outer(r, r)
+    np.testing.assert_allclose(InMap(belief).pose(), move(x[3:], x[:3]), atol=1e-14)
+    np.testing.assert_allclose(InMap(belief).matrix(), expected, atol=1e-9)
+    np.testing.assert_allclose(in_map_P(x[None, 3:], x[None, :3], P[None])[0], InMap(belief).matrix(), atol=1e-14)
+
+
+def test_floats_and_arrays_agree_on_a_drive_with_a_frame() -> None:
+    few, joint = driven(FewBlocks(START, P0, [OFFSET])), driven(JointBelief(START, P0, [OFFSET]))
+    np.testing.assert_allclose(few.state, joint.state, atol=1e-13)
+    np.testing.assert_allclose(few.covariance, joint.covariance, atol=1e-14)
+    np.testing.assert_allclose(joint.covariance, joint.covariance.T, atol=0)
+
+
+LANDMARK, LEVER = np.array([3.0, 1.0]), np.array([0.2, -0.1])
+
+
+def bearing(p: Array) -> Array:
+    return np.array([math.atan2(LANDMARK[1] - p[1], LANDMARK[0] - p[0]) - p[2]])
+
+
+def antenna(p: Array) -> Array:
+    return move(p, np.array([*LEVER, 0.0]))[:2]
+
+
+@pytest.mark.parametrize("h", [bearing, antenna, lambda p: p[2:]])
+def test_what_observes_the_pose_in_the_map_observes_both_by_the_chain_rule(h: Callable[[Array], Array]) -> None:
+    belief = driven(JointBelief(START, P0, [OFFSET]))
+    first, n = belief.frame or 0, belief.n
+    H = numeric_jacobian(h, np.array(InMap(belief).pose()))
+    expected = numeric_jacobian(lambda x: h(move(x[first : first + 3], x[:3])), belief.state.copy())
+    _, by_q, columns, by_columns = InMap(belief).observed(tuple(map(tuple, H.tolist())), (3,), ((0.5,),) * len(H))
+    found = np.zeros((len(H), n))
+    found[:, :3], found[:, list(columns)] = by_q, by_columns
+    expected[:, 3] = 0.5
+    np.testing.assert_allclose(found, expected, atol=1e-8)
+
+
+def test_a_frame_begins_without_a_change_in_the_map() -> None:
+    """Also for a kept heading and wheel states: the joint covariance is that of the states as functions."""
+    belief = JointBelief(START, P0, [Block("kept", np.zeros(1), np.zeros((1, 1)), np.zeros(1)), OFFSET])
+    belief.add(Block("wheels", np.zeros(3), np.diag([1e-3, 2e-3, 3e-3]), np.zeros(3)))
+    belief.drive_with("wheels")
+    J = np.array([[0.15, 0.15, 0.0], [0.0, 0.0, 0.0], [-0.5, 0.5, -0.3]])
+    belief.predict(STEP, Q, 0.1, J)
+    belief.clone_heading(3)
+    belief.predict(STEP, Q, 0.1, J)
+    x, P, n = belief.state.copy(), belief.covariance.copy(), belief.n
+
+    def begun(x: Array) -> Array:
+        return np.concatenate((np.zeros(3), [x[3] - x[2]], x[4:n], x[:3]))
+
+    T = numeric_jacobian(begun, x)
+    pose, triangle = belief.pose(), belief.triangle()
+    belief.begin_frame()
+    np.testing.assert_allclose(belief.state, begun(x), atol=1e-14)
+    np.testing.assert_allclose(belief.covariance, T @ P @ T.T, atol=1e-9)
+    assert InMap(belief).pose() == pose
+    np.testing.assert_allclose(InMap(belief).triangle(), triangle, atol=1e-15)
+    assert not belief.covariance[:3].any()
+    belief.predict(STEP, Q, 0.1, J)
+    belief.clone_heading(3)
+    x, P, pose = belief.state.copy(), belief.covariance.copy(), InMap(belief).pose()
+    belief.begin_frame()  # once more, after a map was lost
+
+    def moved(x: Array) -> Array:
+        return np.concatenate((np.zeros(3), [x[3] - x[2]], x[4:n], move(x[n : n + 3], x[:3])))
+
+    T = numeric_jacobian(moved, x)
+    np.testing.assert_allclose(belief.state, moved(x), atol=1e-14)
+    np.testing.assert_allclose(belief.covariance, T @ P @ T.T, atol=1e-9)
+    np.testing.assert_allclose(InMap(belief).pose(), pose, atol=1e-14)
+
+
+@pytest.mark.parametrize("make", [FewBlocks, JointBelief])
+def test_a_start_that_is_known_exactly_needs_no_frame(make: Callable[..., Any]) -> None:
+    belief = make(START, (0.0,) * 6, [])
+    belief.begin_frame()
+    assert belief.frame is None
+    assert belief.pose() == START
+
+
+def test_what_is_local_teaches_the_frame_nothing() -> None:
+    belief = JointBelief(START, P0, [])
+    belief.begin_frame()
+    first, before = belief.frame or 0, belief.covariance.copy()
+    frame = slice(first, first + 3)
+    for _ in range(50):
+        belief.predict(STEP, Q)
+        belief.correct([row(belief, ((0.3, -0.9, 0.2),), 0.01, 1e-6), row(belief, COMPASS, 0.02, 1e-6)])
+    np.testing.assert_array_equal(belief.covariance[frame, frame], before[frame, frame])
+    np.testing.assert_array_equal(belief.state[frame], START)
+
+
+def test_a_lost_pose_teaches_the_frame_nothing() -> None:
+    belief = driven(JointBelief(START, P0, [OFFSET]))
+    frame = slice(belief.frame, belief.frame + 3)
+    belief.place(belief.pose(), 25.0, 3.0)
+    before, G = belief.covariance.copy(), belief.state[frame].copy()
+    belief.lost = True
+    belief.correct([row(InMap(belief), COMPASS, 0.4, 1e-4), row(InMap(belief), NORTH, 1.0, 0.01)])
+    np.testing.assert_array_equal(belief.state[frame], G)
+    np.testing.assert_array_equal(belief.covariance[frame, frame], before[frame, frame])
+    assert belief.matrix()[2, 2] < 0.1  # and the pose takes all of it
+    assert np.linalg.eigvalsh(belief.covariance).min() > -1e-12
+
+
+def test_listening_teaches_the_frame_nothing() -> None:
+    belief = driven(JointBelief(START, P0, [OFFSET]))
+    frame, G = slice(belief.frame, belief.frame + 3), belief.state.copy()
+    belief.listen([row(InMap(belief), COMPASS, 0.4, 1e-4, (3,), ((1.0,),))])
+    np.testing.assert_array_equal(belief.state[frame], G[frame])
+    assert belief.state[3] != G[3]
+
+
+class Batch:
+    """Least squares over the places p_0 .. p_5 (x, y each) and a wall's rho, all at once."""
+
+    def __init__(self) -> None:
+        self.A: list[Array] = []
+        self.b: list[float] = []
+
+    def known(self, row: Array, value: float, sigma: float = 1.0) -> None:
+        self.A.append(row / sigma)
+        self.b.append(value / sigma)
+
+    def joined(self, k: int, u: Array, W: Array) -> None:
+        """Place k lies at u from the place before, of covariance W."""
+        for h in np.linalg.inv(np.linalg.cholesky(W + 1e-9 * np.eye(2))):
+            self.known(of_place(k, h) - (of_place(k - 1, h) if k else 0.0), float(h @ u))
+
+    def solved(self) -> tuple[Array, Array]:
+        A = np.array(self.A)
+        spread = np.linalg.inv(A.T @ A)
+        return spread @ A.T @ np.array(self.b), spread
+
+
+def of_place(k: int, h: Array) -> Array:
+    out = np.zeros(13)
+    out[2 * k : 2 * k + 2] = h
+    return out
+
+
+HEADING, WALL = 0.5, np.array([0.6, 0.8])  # rad; normal in the map
+TURN = np.array([[math.cos(HEADING), -math.sin(HEADING)], [math.sin(HEADING), math.cos(HEADING)]])
+OF_START = np.array([[0.3, 0.1], [0.1, 0.2]])
+OF_MOTION = np.array([[0.02, 0.003], [0.003, 0.01]])
+
+
+def see_wall(k: int, belief: JointBelief, batch: Batch, rho: int | None) -> int:
+    """Measure the distance of a wall: the first time it enters the state, in the local frame."""
+    seen, local = 2.0 - 0.05 * k, TURN.T @ WALL
+    batch.known(np.append(np.zeros(12), 1.0) - of_place(k, WALL), seen, 0.01)
+    if rho is None:
+        return belief.augment(np.array([seen]), np.array([[*local, 0.0]]), np.array([[1e-4]]))
+    y = seen - float(belief.state[rho] - local @ belief.state[:2])
+    H = ((-float(local[0]), -float(local[1]), 0.0),)
+    belief.correct([row(belief, H, y, 1e-4, (rho,), ((1.0,),))])
+    return rho
+
+
+def see_x(k: int, belief: JointBelief, batch: Batch) -> None:
+    """Measure x in the map."""
+    world = belief if belief.frame is None else InMap(belief)
+    belief.correct([row(world, ((1.0, 0.0, 0.0),), 0.1 * k - world.pose()[0], 0.0025)])
+    batch.known(of_place(k, np.array([1.0, 0.0])), 0.1 * k, 0.05)
+
+
+@pytest.mark.parametrize("rest", [False, True])
+def test_smoothing_through_the_beginning_of_a_frame_is_batch_least_squares(rest: bool) -> None:
+    """A linear case, since the heading is known. Also where the robot stands still once the frame has begun."""
+    journal, batch = Journal(), Batch()
+    belief = journal.joint((0.0, 0.0, HEADING), triangle_of(OF_START), [])
+    rho: int | None = None
+    batch.joined(0, np.zeros(2), OF_START)
+    belief.predict((0.0, 0.0, 0.0), (0.0,) * 6)
+    for k in range(1, 6):
+        moves = 0.0 if rest and k > 3 else 1.0
+        belief.predict((0.3 * moves, 0.0, 0.0), triangle_of(moves * OF_MOTION))
+        batch.joined(k, moves * TURN @ (0.3, 0.0), moves * TURN @ OF_MOTION @ TURN.T)
+        if k == 3:
+            belief.begin_frame()
+        if k >= 3:
+            rho = see_wall(k, belief, batch, rho)
+        if k in (1, 4, 5):
+            see_x(k, belief, batch)
+    back = Backward(
+        cast("Any", SimpleNamespace(t=np.zeros(6))),
+        cast("Any", SimpleNamespace(blocks={}, block_sigmas={})),
+        journal,
+    )
+    back.run(journal)
+    x, spread = batch.solved()
+    P = in_map_P(back.frame, back.local, back.P)
+    for k in range(6):
+        at = slice(2 * k, 2 * k + 2)
+        np.testing.assert_allclose(back.pose[k, :2], x[at], atol=5e-6)
+        np.testing.assert_allclose(P[k, :2, :2], spread[at, at], atol=1e-6)
+
+
+def triangle_of(xy: Array) -> Triangle:
+    return float(xy[0, 0]), float(xy[0, 1]), 0.0, float(xy[1, 1]), 0.0, 0.0

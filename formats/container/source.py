@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Ints
 
-MAX_MESSAGE = 64 * 1024 * 1024  # bytes of one message: more is refused
+from .file_bytes import FileBytes
 
 
 class ChannelInfo(NamedTuple):
@@ -50,6 +50,10 @@ class Batch(NamedTuple):
 
 class Source(Protocol):
     """One file of a log."""
+
+    @property
+    def data(self) -> FileBytes:
+        """Its bytes."""
 
     @property
     def channels(self) -> Mapping[int, ChannelInfo]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 
+from locfuse.formats.visible import escaped, writable
 from locfuse.fusion.data import Drive, Evaluation, LocfuseError, SensorFigures, result_name
 
 SCHEMA_VERSION = 1  # of report.json and run.json; locfuse 0.1 wrote none
@@ -35,8 +36,8 @@ def report(
 
 
 def encode(value: Mapping[str, Any]) -> str:
-    """Return indented JSON with sorted-as-given keys; NaN and infinity become null."""
-    return msgspec.json.format(msgspec.json.encode(_finite(value)), indent=2).decode() + "\n"
+    """Return indented JSON with keys as given; NaN and infinity become null, controls are escaped."""
+    return escaped(msgspec.json.format(msgspec.json.encode(_finite(value)), indent=2).decode()) + "\n"
 
 
 def plain(report: Mapping[str, Any]) -> dict[str, Any]:
@@ -113,7 +114,7 @@ def _finite(value: Any) -> Any:
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
-        return {str(k): _finite(v) for k, v in value.items()}
+        return {writable(str(k)): _finite(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
         return [_finite(v) for v in value]
-    return value
+    return writable(value) if isinstance(value, str) else value

@@ -92,7 +92,9 @@ def main(arguments: list[str] | None = None) -> NoReturn:
         code = _say("out of memory", 1)
     except Exception as e:
         # Python 3.11 makes a RuntimeError of a signal that arrives while a class is made, as in an import
-        code = _stopped(e.__cause__) if isinstance(e.__cause__, (_Interrupted, _Terminated)) else _expected(e)
+        cause = e.__cause__
+        signalled = (KeyboardInterrupt, _Interrupted, _Terminated)
+        code = _stopped(cause) if isinstance(cause, signalled) else _expected(e)
     finally:
         signal.signal(signal.SIGINT, on_interrupt)
     sys.exit(code if isinstance(code, int) else 0)

@@ -15,10 +15,41 @@ NUMBER, TRUTH, TEXT, TIME, BYTES = "a number", "true or false", "a text", "a tim
 NUMBERS, TRUTHS, TEXTS, TIMES = "an array of numbers", "an array of true or false", "an array of texts", "times"
 NINE = "9 numbers"
 
-# dotted path, or its end -> the kinds that its readers take; every other field is one number
+STAMPS = ("header.stamp", "timestamp")  # they date the messages of any type
+
+# message types that something reads; the fields of every other type may be what their definition says
+READ_TYPES = frozenset(
+    (
+        "foxglove.CompressedImage",
+        "foxglove.LocationFix",
+        "geometry_msgs/msg/PointStamped",
+        "geometry_msgs/msg/PoseStamped",
+        "geometry_msgs/msg/PoseWithCovarianceStamped",
+        "geometry_msgs/msg/TransformStamped",
+        "irobot_create_msgs/msg/WheelTicks",
+        "nav_msgs/msg/Odometry",
+        "sensor_msgs/msg/CompressedImage",
+        "sensor_msgs/msg/Image",
+        "sensor_msgs/msg/Imu",
+        "sensor_msgs/msg/JointState",
+        "sensor_msgs/msg/LaserScan",
+        "sensor_msgs/msg/MagneticField",
+        "sensor_msgs/msg/NavSatFix",
+        "sensor_msgs/msg/Range",
+        "std_msgs/msg/Float32",
+        "std_msgs/msg/Float64",
+        "std_msgs/msg/Int16",
+        "std_msgs/msg/Int32",
+        "std_msgs/msg/Int64",
+        "std_msgs/msg/String",
+        "std_msgs/msg/UInt16",
+        "std_msgs/msg/UInt32",
+        "tf2_msgs/msg/TFMessage",
+        "turtlebot3_msgs/msg/SensorState",
+    )
+)
+# dotted path in these types -> the kinds that its readers take
 EXPECTED: Mapping[str, tuple[str, ...]] = {
-    "header.stamp": (TIME,),
-    "timestamp": (TIME,),
     "ranges": (NUMBERS,),
     "name": (TEXTS,),
     "position": (NUMBERS,),
@@ -34,6 +65,17 @@ OF_TYPE: Mapping[tuple[str, str], tuple[str, ...]] = {
     ("sensor_msgs/msg/Image", "data"): (BYTES,),
     ("foxglove.CompressedImage", "data"): (BYTES,),
 }
+# last word of a path in these types that is read as one number
+ONE_NUMBER = frozenset(
+    (
+        *("x", "y", "z", "w", "data"),
+        *("angle_min", "angle_increment", "time_increment", "range_min", "range_max"),
+        *("field_of_view", "min_range", "max_range", "range"),
+        *("width", "height", "step"),
+        *("status", "latitude", "longitude", "position_covariance_type"),
+        *("ticks_left", "ticks_right", "left_encoder", "right_encoder"),
+    )
+)
 TF = "transforms."  # one value for each transform of a message
 TF_TEXTS = ("frame_id",)
 
@@ -58,14 +100,20 @@ def kind_of(parts: Sequence[Part]) -> str:
 
 
 def expected(msgtype: str, path: str) -> tuple[str, ...]:
-    """Return the kinds that whoever reads this field of this message type can take."""
+    """Return the kinds that whoever reads this field of this message type can take; none where nobody reads it."""
+    if path in STAMPS:
+        return (TIME,)
+    if msgtype not in READ_TYPES:
+        return ()
+    is_number = path.rpartition(".")[2] in ONE_NUMBER
     if path.startswith(TF):
-        return (TEXTS,) if path.endswith(TF_TEXTS) else (NUMBERS,)
-    return OF_TYPE.get((msgtype, path)) or EXPECTED.get(path) or (NUMBER,)
+        return (TEXTS,) if path.endswith(TF_TEXTS) else (NUMBERS,) if is_number else ()
+    number = (NUMBER,) if is_number else ()
+    return OF_TYPE.get((msgtype, path)) or EXPECTED.get(path) or number
 
 
 def check_kind(msgtype: str, path: str, parts: Sequence[Part]) -> None:
     """Raise FieldError where a field is of a kind that its readers cannot take."""
     found, accepted = kind_of(parts), expected(msgtype, path)
-    if found not in accepted:
+    if accepted and found not in accepted:
         raise FieldError(f"{path} is {found} by its definition; accepted: {' or '.join(accepted)}")

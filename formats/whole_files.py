@@ -31,7 +31,7 @@ RESULTS = ("run.json", "report.json", "summary.json", "changes.json")
 TEMPORARY = ".locfuse-tmp"  # ending of files that are being written: .NAME.PID.locfuse-tmp
 LOCK = f".lock{TEMPORARY}"  # in a folder that is being written: who writes
 SCRATCH = "locfuse-"  # beginning of temporary names outside the results: locfuse-PID-...
-PATIENCE = 20.0  # s to wait for another run to finish writing
+LOCK_TIMEOUT_S = 20.0  # s to wait for another run to finish writing
 REPLACED = ("robot.toml", *RESULTS, "estimates.mcap", "recording.rrd")  # names that a user might give as input
 Content = str | bytes | Callable[[Path], None]  # what is too big to be held writes itself to a path
 
@@ -146,7 +146,7 @@ def _sole_writer(folder: Path) -> Iterator[None]:
 
 def _locked(path: Path) -> int | None:
     """Take the lock, which the system lifts when its holder dies; None where there are no locks."""
-    end = time.monotonic() + PATIENCE
+    end = time.monotonic() + LOCK_TIMEOUT_S
     while fcntl is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:

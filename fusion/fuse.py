@@ -213,7 +213,11 @@ def _begin(
     if not blocks and not any(model.joint for model in models):
         return make_pose(pose, P)
     simple = beliefs is None and not listens and not robot.wheels.estimate
-    if simple and all(model.settled for model in models) and sum(len(b.x) for b in blocks) <= belief_blocks.MOST:
+    if (
+        simple
+        and all(model.settled for model in models)
+        and sum(len(b.x) for b in blocks) <= belief_blocks.MAX_BLOCK_STATES
+    ):
         return FewBlocks(pose, P, blocks)
     belief = make_joint(pose, P, blocks)
     if robot.wheels.estimate:

@@ -77,7 +77,7 @@ def _candidates(log: Log, name: str, choice: Choice) -> list[str]:
     found = [t for t in of_type(log, sensor.reads) if t not in taken]
     found = [t for t in found if _named_well(t, log.topics[t].msgtype, sensor)]
     found = [t for t in found if log.topics[t].count != 0] or found
-    if len(found) > 1:
+    if len(found) > 1 and type(sensor).carries is not Sensor.carries:  # to ask costs reading the topics
         found = [t for t in found if sensor.carries(log.stream(t))] or found[:1]
     return found
 

@@ -28,9 +28,9 @@ class Named(Mapping[str, V]):
         if name in self._values:
             return self._values[name]
         near = difflib.get_close_matches(str(name), self._values, 1)
-        hint = f"did you mean {near[0]}? " if near else ""
+        hint = f"; did you mean {near[0]}?" if near else "."
         known = ", ".join(self._values) or "none"
-        raise UnknownNameError(f"no {self._what} {name!r} in this result; {hint}There are: {known}")
+        raise UnknownNameError(f"no {self._what} {name!r} in this result{hint} There are: {known}")
 
     def __iter__(self) -> Iterator[str]:
         """Yield the names in order."""

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
-LARGE = 1e5
+MIN_EXPONENT_FORM = 1e5
 Path = tuple[str | int, ...]
 
 
@@ -127,7 +127,7 @@ def text(column: Column, cell: Cell, dash: str = "-") -> str:
 
 def written(value: float, form: str) -> str:
     """Format a figure; powers of ten where it is too large to be read (the ANEES of the printed filter)."""
-    return f"{value:.1e}" if isinstance(value, float) and abs(value) >= LARGE else form.format(value)
+    return f"{value:.1e}" if isinstance(value, float) and abs(value) >= MIN_EXPONENT_FORM else form.format(value)
 
 
 def records(table: Table) -> list[dict[str, Any]]:

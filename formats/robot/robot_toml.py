@@ -15,7 +15,7 @@ from locfuse.formats.visible import escaped
 from locfuse.fusion.data import LocfuseError, UsageError
 
 FEW = 12  # keys are listed up to this many
-LARGEST = 1e20  # no robot's number is larger; a 64-bit counter's range is not
+MAX_NUMBER = 1e20  # no robot's number is larger; a 64-bit counter's range is not
 Tables = dict[str, Any]
 
 
@@ -123,8 +123,10 @@ def _refuse_absurd(tables: Mapping[str, Any], source: str) -> None:
 def _refuse_number(value: Any, source: str, path: str) -> None:
     if isinstance(value, float) and not math.isfinite(value):
         raise LocfuseError(f"{source}: {path} = {value}: a finite number is needed")
-    if isinstance(value, int | float) and abs(value) > LARGEST:
-        raise LocfuseError(f"{source}: {path} = {_shown(value)}: no number of a robot is larger than {LARGEST:g}")
+    if isinstance(value, int | float) and abs(value) > MAX_NUMBER:
+        raise LocfuseError(
+            f"{source}: {path} = {_shown(value)}: no number of a robot is larger than {MAX_NUMBER:g}"
+        )
 
 
 def convert(tables: Mapping[str, Any], types: Mapping[str, Any]) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from .belief_pose import Pose, PoseBelief, Rows, Triangle, too_far_apart
 from .map_frame import Together
 from .rows import Row, pose_rows, whitened
 
-MOST = 6  # states beside the pose; with more of them arrays are faster
+MAX_BLOCK_STATES = 6  # states beside the pose; with more of them arrays are faster
 Beside = tuple[tuple[int, float], ...]  # (which state, derivative of a row by it)
 
 

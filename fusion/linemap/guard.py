@@ -26,12 +26,12 @@ from .relocalise import find_pose, matched_share, seen_through
 from .scan import Scan
 from .scan_history import Trail, expected_share
 
-ENOUGH = 0.5  # share of the seen length that must match in an ordinary scan
+MIN_MATCHED_SHARE = 0.5  # share of the seen length that must match in an ordinary scan
 THROUGH = 0.3  # share of the seen length that lies behind known walls: more is disagreement
 WELL, LOOK_BACK = 0.9, 3.0  # share of the seen length in a scan that fits; s by which being lost is dated back
 SUSTAINED, SUSTAINED_SCANS = 0.5, 4  # s and scans of disagreement before the robot counts as lost
 MOVED, TURNED = 0.01, math.radians(0.5)  # since the last scan: at rest nothing slips
-LARGEST_SLIP = math.radians(30.0)
+MAX_SLIP_RAD = math.radians(30.0)
 SLIP_SHARE = 0.6  # of the seen length that a slipped heading must explain, with two lines
 GAP = 1.0  # s without a scan after which walls need not continue
 HARDLY = 0.2  # a slip turns everything: where more than this share still matches, there was none
@@ -79,7 +79,7 @@ class Guard:
         share = matched_share(found, scan)
         if share >= WELL:
             self._well = (t, lines.next_id)
-        if share >= ENOUGH:
+        if share >= MIN_MATCHED_SHARE:
             self._since, self._torn = None, False
             return found, True
         if moved and share < HARDLY:
@@ -203,7 +203,7 @@ def _jumped(last: Seen, now: Seen) -> bool:
     (before, there, old), (t, here, scan) = last, now
     if t - before > GAP or min(len(scan.z), len(old.z)) < 2:
         return False
-    return expected_share(scan, old, se2.between(np.array(there), np.array(here)), LARGEST_SLIP) < HARDLY
+    return expected_share(scan, old, se2.between(np.array(there), np.array(here)), MAX_SLIP_RAD) < HARDLY
 
 
 def _keep_open(belief: AnyBelief, dt: float) -> None:
@@ -247,7 +247,7 @@ def _turns(scan: Scan, lines: LineMap, recent: Ints, belief: AnyBelief) -> list[
     beta = lines.values(belief)[recent, 1]
     turns = se2.wrap_all(beta[None, :] - belief.theta - scan.z[:, 1, None])
     length = np.broadcast_to((scan.ends[:, 1] - scan.ends[:, 0])[:, None], turns.shape)
-    near = np.abs(turns) < LARGEST_SLIP
+    near = np.abs(turns) < MAX_SLIP_RAD
     cells = np.round(turns[near] / math.radians(2.0)).astype(np.int64)
     support: dict[int, float] = {}
     for cell, weight in zip(cells.tolist(), length[near].tolist(), strict=True):

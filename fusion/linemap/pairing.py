@@ -20,9 +20,9 @@ from .laser_mount import mount_spread
 from .line_map import AnyBelief, LineMap, PlainLine, line_spread
 from .scan import Scan
 
-NEAR_ANGLE = math.radians(25.0)  # pairs further apart are not looked at
-NEAR_OFFSET = 1.0  # m
-NEAR_SIGMAS = 6.0  # added to both
+MAX_PAIR_ANGLE_RAD = math.radians(25.0)  # pairs further apart are not looked at
+MAX_PAIR_OFFSET_M = 1.0  # m
+PAIR_SIGMAS = 6.0  # added to both
 FACE_SIGMAS = 3.0
 FEW = 32  # map lines up to which a loop is faster than arrays
 TURN, HALF_TURN, QUARTER = 2.0 * math.pi, math.pi, 0.5 * math.pi
@@ -133,7 +133,9 @@ def pairs_in_floats(scan: Scan, lines: LineMap, belief: AnyBelief, limit: float)
 
 def _slack(xy: float, tt: float) -> tuple[float, float]:
     """Return the angle [rad] and the offset [m] within which a pair is worth a covariance."""
-    return NEAR_ANGLE + NEAR_SIGMAS * sqrt(max(tt, 0.0)), NEAR_OFFSET + NEAR_SIGMAS * sqrt(max(xy, 0.0))
+    return MAX_PAIR_ANGLE_RAD + PAIR_SIGMAS * sqrt(max(tt, 0.0)), MAX_PAIR_OFFSET_M + PAIR_SIGMAS * sqrt(
+        max(xy, 0.0)
+    )
 
 
 def _angle_variance(line: PlainLine, P_theta: list[float]) -> float:

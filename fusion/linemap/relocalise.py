@@ -24,8 +24,8 @@ from .scan import Scan
 from .scan_history import Trail
 
 LONGEST = 5  # seen walls from which pairs are made
-KNOWN = 60  # map lines that are considered, the best seen first
-LEAST_HITS = 4
+MAX_MAP_LINES = 60  # map lines that are considered, the best seen first
+MIN_HITS = 4
 SKEW = math.radians(25.0)  # two walls must differ by this much in direction to fix a pose
 SAME_ANGLE, SAME_OFFSET = math.radians(5.0), 0.25  # a seen wall is a known one within these
 EXPLAINED, LINES = 0.7, 3  # share of the seen length, and walls, that a pose must explain
@@ -54,7 +54,7 @@ def seen_through(
 
     `values` (J, 2) are rho and beta of the map's lines; `both`: walls block the sight from their unseen side too.
     """
-    known = np.flatnonzero(lines.hits >= LEAST_HITS)
+    known = np.flatnonzero(lines.hits >= MIN_HITS)
     if len(known) == 0 or len(scan.z) == 0:
         return 0.0
     points = _points(scan)  # (k * SAMPLES, 2) base frame
@@ -90,8 +90,8 @@ def find_pose(scan: Scan, lines: LineMap, belief: AnyBelief, trail: Trail) -> tu
     Another one counts as a rival unless scans of the trail contradict it.
     """
     values = lines.values(belief)
-    known = np.flatnonzero(lines.hits >= LEAST_HITS)
-    known = known[np.argsort(-lines.hits[known], kind="stable")][:KNOWN]
+    known = np.flatnonzero(lines.hits >= MIN_HITS)
+    known = known[np.argsort(-lines.hits[known], kind="stable")][:MAX_MAP_LINES]
     if len(scan.z) < LINES or len(known) < 2:
         return None
     poses = _hypotheses(scan, lines, values, known)

@@ -19,7 +19,7 @@ from .scan import Scan
 
 STRIDE, TURN = 0.2, math.radians(15.0)  # m, rad between two scans that are kept
 LENGTH, TURNED = 30, math.radians(90.0)  # scans, rad: over 6 m, or around a corner, the wheels have drifted
-LEAST_LINES = 2
+MIN_LINES = 2
 SAME_ANGLE, SAME_OFFSET = math.radians(4.0), 0.1  # a line is where the wheels expect it within these
 CONTINUES = 0.6  # share of the seen length that must be: less, and the robot is being carried
 
@@ -35,7 +35,7 @@ class Trail:
 
         Where the walls moved otherwise than the wheels, the robot is still being carried: what was before is void.
         """
-        if len(scan.z) < LEAST_LINES:
+        if len(scan.z) < MIN_LINES:
             return
         if self._seen:
             there, before = self._seen[-1]

@@ -18,8 +18,8 @@ from locfuse.fusion.sensor import Innovation
 
 from .line_map import LineMap
 
-LEAST_HITS = 4
-PATIENCE = 15  # scans after its birth in which a line must earn its hits
+MIN_HITS = 4
+TRIAL_SCANS = 15  # scans after its birth in which a line must earn its hits
 DOUBLE_ANGLE, DOUBLE_OFFSET = math.radians(8.0), 0.25  # further apart is two walls, whatever the covariance says
 APART = 0.3  # m along the wall between two pieces that may still be one
 DOUBLE_D2 = 9.2  # chi-square with 2 degrees of freedom at 99 %
@@ -27,8 +27,8 @@ FLAT = np.array([0.005, math.radians(0.2)])  # m, rad: how well two pieces of on
 
 
 def prune(lines: LineMap, belief: JointBelief, scan: int) -> None:
-    """Drop lines that were born PATIENCE scans ago and hardly seen since: people, poles, bad fits."""
-    gone = np.flatnonzero((lines.hits < LEAST_HITS) & (scan - lines.born > PATIENCE) & (lines.born > 0))
+    """Drop lines that were born TRIAL_SCANS scans ago and hardly seen since: people, poles, bad fits."""
+    gone = np.flatnonzero((lines.hits < MIN_HITS) & (scan - lines.born > TRIAL_SCANS) & (lines.born > 0))
     if len(gone):
         belief.remove(lines.drop(gone))
 
@@ -39,7 +39,7 @@ def merge_doubles(lines: LineMap, belief: JointBelief, scan: int, uneven: Array)
     `uneven` (2,) is the variance [m^2, rad^2] by which a piece of wall is off its line: two pieces differ by both.
     """
     R = np.diag(np.maximum(FLAT**2, 2.0 * uneven))
-    recent = np.flatnonzero(scan - lines.seen <= PATIENCE)[::-1]
+    recent = np.flatnonzero(scan - lines.seen <= TRIAL_SCANS)[::-1]
     while len(recent):
         recent = recent[_near(lines, lines.values(belief), recent).any(axis=1)]
         doubles = ((j, i) for j in recent.tolist() if (i := _double_of(lines, belief, j, R)) is not None)

@@ -22,7 +22,7 @@ from .laser_mount import seated
 from .line_map import AnyBelief, LineMap, about_middle
 from .pairing import Pair
 from .scan import Scan, Scans
-from .tidy import LEAST_HITS, merge_doubles, prune
+from .tidy import MIN_HITS, merge_doubles, prune
 
 UNMATCHED, AMBIGUOUS, NEW, LOST = (VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new", "lost"))
 TIDY_EVERY = 10  # scans
@@ -69,7 +69,7 @@ class LineTracker(Model):
             column = belief.augment(np.array([0.0, line.beta]), np.zeros((2, 3)), P)
             belief.consider(np.array([column, column + 1]))
             self.map.append(anchor, np.array([0.0, line.beta]), P, column, (-half, half), 0)
-        self.map.hits = np.array([max(line.hits, LEAST_HITS) for line in given])
+        self.map.hits = np.array([max(line.hits, MIN_HITS) for line in given])
         self._first_map = list(given)
 
     def begins_map(self, m: Measurements, i: int) -> bool:

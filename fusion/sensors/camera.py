@@ -28,7 +28,7 @@ from locfuse.fusion.se2 import wrap
 from locfuse.fusion.sensor import GATE, Ask, Belief, Bias, Block, Innovation, Model, Sensor, WheelMotion
 
 AMBIGUOUS, UNMATCHED = (VERDICTS.index(v) for v in ("ambiguous", "unmatched"))
-MOST_COLUMNS, MOST_ROWS = 3600, 8192  # of a panorama: its maps stay below 250 MB
+MAX_PANORAMA_COLUMNS, MAX_PANORAMA_ROWS = 3600, 8192  # of a panorama: its maps stay below 250 MB
 MARGIN = 9.0  # by how much the second-best candidate must fit worse (squared sigmas: odds of 90 to 1)
 
 
@@ -57,13 +57,13 @@ class CameraSettings(MountedSettings, frozen=True, forbid_unknown_fields=True, k
         numbers = [v for f in self.__struct_fields__ for v in _numbers(getattr(self, f))]
         if not all(map(math.isfinite, numbers)):
             raise ValueError("camera: every number must be finite")
-        if not 36 <= self.width <= MOST_COLUMNS:
-            raise ValueError(f"camera.width = {self.width}, must be within 36..{MOST_COLUMNS} columns")
+        if not 36 <= self.width <= MAX_PANORAMA_COLUMNS:
+            raise ValueError(f"camera.width = {self.width}, must be within 36..{MAX_PANORAMA_COLUMNS} columns")
         inner = self.inner or 0.0
         if inner < 0.0 or (self.outer is not None and self.outer <= inner):
             raise ValueError(f"camera: outer = {self.outer} px must exceed inner = {self.inner} px, both positive")
-        if (self.outer or 0.0) > MOST_ROWS or inner > MOST_ROWS:
-            raise ValueError(f"camera: inner and outer must be at most {MOST_ROWS} px")
+        if (self.outer or 0.0) > MAX_PANORAMA_ROWS or inner > MAX_PANORAMA_ROWS:
+            raise ValueError(f"camera: inner and outer must be at most {MAX_PANORAMA_ROWS} px")
         if self.sigma_deg <= 0.0:
             raise ValueError(f"camera.sigma_deg = {self.sigma_deg}, must be positive")
         if self.bearing == "absolute" and (self.sigma_x or self.sigma_y or self.sigma_yaw_deg):

@@ -27,9 +27,9 @@ from .geodesy import east_north
 
 FRAME = "_gps_frame"
 WIDE = 100.0  # m: how far the first fix may be from where the robot was
-KNOWN = math.radians(10.0)  # from here on the direction of east is a state of its own
+MAX_KNOWN_DIRECTION_RAD = math.radians(10.0)  # from here on the direction of east is a state of its own
 LENGTH = 1e-4  # how well a^2 + b^2 = 1 is said
-LEAST = 1e-3  # m, of a standard deviation
+MIN_SIGMA_M = 1e-3  # m, of a standard deviation
 
 Rows = tuple[tuple[float, float, float], ...]
 Geographic = tuple[float, float]
@@ -124,7 +124,7 @@ def _covariance(columns: Mapping[str, Any], sigma: float) -> Array:
     matrix = _nine(columns["position_covariance"])
     own = matrix[:, [0, 1, 3, 4]].reshape(-1, 2, 2)
     told = np.asarray(columns["position_covariance_type"]) > 0
-    told &= (own[:, 0, 0] > LEAST**2) & (own[:, 1, 1] > LEAST**2) & np.isfinite(own).all(axis=(1, 2))
+    told &= (own[:, 0, 0] > MIN_SIGMA_M**2) & (own[:, 1, 1] > MIN_SIGMA_M**2) & np.isfinite(own).all(axis=(1, 2))
     told &= np.linalg.det(np.where(told[:, None, None], own, np.eye(2))) > 0.0
     return np.where(told[:, None, None], 0.5 * (own + own.transpose(0, 2, 1)), sigma**2 * np.eye(2))
 
@@ -214,7 +214,7 @@ class GpsModel(Model):
             return
         G = np.eye(4)
         G[0, :2], G[1, :2] = (-b / length**2, a / length**2), (a / length, b / length)
-        if float(G[0] @ P @ G[0]) > KNOWN**2:
+        if float(G[0] @ P @ G[0]) > MAX_KNOWN_DIRECTION_RAD**2:
             return
         belief.transform(columns, np.array([math.atan2(b, a), length, now[2], now[3]]), G)
         belief.correct([Innovation.of_states((1.0 - length,), ((LENGTH**2,),), (first + 1,), ((1.0,),))])

@@ -27,7 +27,7 @@ from locfuse.fusion.streams import gap_limit
 
 BEFORE, BIAS = "_gyro_before", "gyro_bias"
 H_TURN = ((0.0, 0.0, 1.0),)
-LEAST_TURN = math.radians(20.0)  # rms of the wheels' turn about its mean, before the gyro is held against it
+MIN_TURN_RAD = math.radians(20.0)  # rms of the wheels' turn about its mean, before the gyro is held against it
 AGREES = 0.8  # correlation from which gyro and wheels speak of the same turning
 WRONG_SCALE = 2.0  # a factor that no wheel geometry explains
 
@@ -201,7 +201,7 @@ def _check_against(
         return
     own = np.diff(angle)[np.diff(piece) == 0]
     theirs = wheels.relative(t[:-1], t[1:])[np.diff(piece) == 0, 2]
-    if len(own) < 20 or math.sqrt(float(theirs.var()) * len(theirs)) < LEAST_TURN:
+    if len(own) < 20 or math.sqrt(float(theirs.var()) * len(theirs)) < MIN_TURN_RAD:
         return
     if not own.any():
         raise LocfuseError(

@@ -15,7 +15,7 @@ import numpy as np
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.se2 import wrap_all
 
-FEWEST = 50  # readings
+MIN_READINGS = 50  # readings
 GAP = math.radians(60.0)  # largest part of the circle that may be missing
 ROUNDS = 100
 ABSURD = 10.0  # times the usual strength: no field of iron or earth
@@ -48,8 +48,8 @@ class Iron:
 def fit_iron(field: Array) -> Iron:
     """Fit an ellipse to field readings (n, 2). Raises LocfuseError where they show too little of one."""
     field = field[plausible(field)]
-    if len(field) < FEWEST:
-        raise LocfuseError(f"{len(field)} field readings; at least {FEWEST} are needed", role="compass")
+    if len(field) < MIN_READINGS:
+        raise LocfuseError(f"{len(field)} field readings; at least {MIN_READINGS} are needed", role="compass")
     unit = float(np.abs(field - field.mean(axis=0)).max()) or 1.0
     c, A = _start(field / unit)
     weights = np.ones(len(field))

@@ -111,7 +111,7 @@ HOLDER = """
 
 
 def test_a_second_run_at_one_folder_says_who_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(whole_files, "PATIENCE", 0.1)
+    monkeypatch.setattr(whole_files, "LOCK_TIMEOUT_S", 0.1)
     command = [sys.executable, "-c", textwrap.dedent(HOLDER), str(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
         assert holder.stdout is not None

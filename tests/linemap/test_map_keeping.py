@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.linemap.line_map import LineMap
-from locfuse.fusion.linemap.tidy import FLAT, LEAST_HITS, PATIENCE, merge_doubles, prune
+from locfuse.fusion.linemap.tidy import FLAT, MIN_HITS, TRIAL_SCANS, merge_doubles, prune
 
 Array = NDArray[np.float64]
 EVEN = np.zeros(2)
@@ -92,11 +92,11 @@ def test_a_merge_closes_a_loop_the_pose_follows_the_wall_it_knows_again() -> Non
 
 def test_lines_that_were_hardly_seen_again_leave_with_their_states() -> None:
     lines, belief = a_map((3.0, 0.0, 0.0, 0.02), (0.0, 3.0, math.pi / 2, 0.02), (-3.0, 0.0, math.pi, 0.02))
-    lines.hits[1] = LEAST_HITS - 1
+    lines.hits[1] = MIN_HITS - 1
     kept = belief.state[[0, 1, 2, 3, 4, 7, 8]].copy()
-    prune(lines, belief, 1 + PATIENCE)
+    prune(lines, belief, 1 + TRIAL_SCANS)
     assert len(lines) == 3
-    prune(lines, belief, 2 + PATIENCE)
+    prune(lines, belief, 2 + TRIAL_SCANS)
     assert lines.ids.tolist() == [0, 2]
     np.testing.assert_array_equal(belief.state, kept)
     assert lines.column.tolist() == [3, 5]

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import math
-import time
 
 import msgspec
 import numpy as np
 import pytest
 
 from locfuse.fusion.data import Array
-from locfuse.sample_logs.camera import OmniCamera, Painter, expose
-from locfuse.sample_logs.messages import streams
+from locfuse.sample_logs.camera import Painter, expose
 from locfuse.sample_logs.mirror import rays, slope
-from locfuse.sample_logs.robot import Robot
 from locfuse.sample_logs.scenario import Camera, Landmark, Room, Scenario
 from locfuse.sample_logs.surface import Surface
 from locfuse.sample_logs.table import Pillar
@@ -200,19 +197,6 @@ def test_a_person_in_front_of_the_landmark_hides_it() -> None:
     scenario = Scenario(room=Room(plates=(), pillars=(person,)))
     assert len(painted(scenario, place)[0]) == 0
     assert len(painted(msgspec.structs.replace(scenario, room=Room(plates=())), place)[0]) > 50
-
-
-def test_an_image_is_rendered_ten_times_faster_than_two_a_second() -> None:
-    scenario = Scenario()
-    robot = Robot(scenario, (2.0, 2.0, 0.5), streams(1))
-    robot.drive((0.0, 0.0))
-    camera = OmniCamera(scenario.camera, Scene(scenario), robot, np.random.default_rng(1))
-    took = []
-    for _ in range(8):
-        begin = time.process_time()
-        camera.read(0.01)
-        took.append(time.process_time() - begin)
-    assert min(took) < 0.05
 
 
 def test_image_noise_has_the_deviation_that_was_asked_for() -> None:

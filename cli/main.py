@@ -30,6 +30,7 @@ COMMANDS = {
     "view": "Look at a log, a result or a recording in Rerun.",
     "calibrate": "Find wheel noise, wheel geometry and magnetometer iron from logs.",
     "tune": "Find the noise of wheels and sensors from logs, without truth.",
+    "recover": "Copy everything readable of a damaged log into one clean MCAP.",
     "simulate": "Drive a scenario and record it as a log with known truth.",
 }
 INTERRUPTED, TERMINATED = 130, 143
@@ -93,7 +94,11 @@ def main(arguments: list[str] | None = None) -> NoReturn:
         code = _say("out of memory", 1)
     except Exception as e:
         # Python 3.11 makes a RuntimeError of a signal that arrives while a class is made, as in an import
-        code = _stopped(e.__cause__) if isinstance(e.__cause__, (_Interrupted, _Terminated)) else _expected(e)
+        code = (
+            _stopped(e.__cause__)
+            if isinstance(e.__cause__, (KeyboardInterrupt, _Interrupted, _Terminated))
+            else _expected(e)
+        )
     finally:
         signal.signal(signal.SIGINT, on_interrupt)
     sys.exit(code if isinstance(code, int) else 0)

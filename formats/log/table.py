@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.formats.caps import MAX_LONG
 from locfuse.formats.columns import Growing, take
 from locfuse.formats.container.source import Messages
 from locfuse.formats.messages.decoded import Decoded, MessageDecoder
@@ -37,7 +38,6 @@ class Raw(NamedTuple):
 
 END_OF_TIME = 2**62  # ns
 LONG = 64 * 1024  # bytes: no message that is read into columns for a whole log is nearly as long
-MAX_LONG = 256 * 1024 * 1024  # bytes of such messages held at most
 NO_TIMES: tuple[Ints, Ints] = (np.empty(0, np.int64), np.empty(0, np.int64))
 
 

@@ -3,13 +3,26 @@
 from __future__ import annotations
 
 import math
+import platform
 from collections.abc import Mapping, Sequence
+from importlib import metadata
 from typing import Any
 
 import msgspec
 
 from locfuse.formats.visible import escaped, writable
 from locfuse.fusion.data import Drive, Evaluation, SensorFigures
+
+# library -> the distributions that carry it
+LIBRARIES = {
+    "numpy": ("numpy",),
+    "opencv": (
+        "opencv-python-headless",
+        "opencv-python",
+        "opencv-contrib-python-headless",
+        "opencv-contrib-python",
+    ),
+}
 
 
 def report(
@@ -22,6 +35,7 @@ def report(
     """Return the report as plain values: `configurations.<name>`, `input`, `settings`, `notes`, `absent`."""
     return {
         "locfuse": version,
+        "made_with": made_with(),
         "input": {**source, "dropped": {k: dict(v) for k, v in drive.dropped.items() if v}},
         "configurations": {e.name: _configuration(e) for e in evaluations},
         "truth": None if drive.truth is None else _truth(drive, evaluations),
@@ -29,6 +43,21 @@ def report(
         "notes": list(drive.notes),
         "settings": dict(settings),
     }
+
+
+def made_with() -> dict[str, str | None]:
+    """Return the versions on which the last digits depend: same bytes are promised for the same versions only."""
+    found: dict[str, str | None] = {"python": platform.python_version(), "machine": platform.machine()}
+    for name, distributions in LIBRARIES.items():
+        found[name] = next((v for d in distributions if (v := _version(d)) is not None), None)
+    return found
+
+
+def _version(distribution: str) -> str | None:
+    try:
+        return metadata.version(distribution)
+    except metadata.PackageNotFoundError:
+        return None
 
 
 def encode(value: Mapping[str, Any]) -> str:

@@ -17,9 +17,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 
-from locfuse.formats.inputs import is_among, refuse_to_write
-from locfuse.formats.visible import visible_lines
 from locfuse.fusion.data import LocfuseError, UsageError
+
+from .inputs import is_among, refuse_to_write
+from .visible import visible_lines
 
 try:
     import fcntl

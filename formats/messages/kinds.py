@@ -15,8 +15,28 @@ NUMBER, TRUTH, TEXT, TIME, BYTES = "a number", "true or false", "a text", "a tim
 NUMBERS, TRUTHS, TEXTS, TIMES = "an array of numbers", "an array of true or false", "an array of texts", "times"
 NINE = "9 numbers"
 
-# dotted path, or its end -> the kinds that its readers take; every other field is one number
+XY, XYZ, XYZW = ("x", "y"), ("x", "y", "z"), ("x", "y", "z", "w")
+# the fields of any type that are read as one number
+ONE_NUMBER = frozenset(
+    (
+        *(f"magnetic_field.{axis}" for axis in XYZ),
+        *(f"angular_velocity.{axis}" for axis in XYZ),
+        *(f"{at}orientation.{axis}" for at in ("", "pose.", "pose.pose.") for axis in XYZW),
+        *(f"{at}position.{axis}" for at in ("pose.", "pose.pose.") for axis in XY),
+        *(f"transform.translation.{axis}" for axis in XY),
+        *(f"transform.rotation.{axis}" for axis in XYZW),
+        *(f"point.{axis}" for axis in XY),
+        "twist.twist.linear.x", "twist.twist.angular.z",
+        "angle_min", "angle_increment", "time_increment", "range_min", "range_max",
+        "width", "height", "step",
+        "field_of_view", "min_range", "max_range", "range",
+        "status.status", "latitude", "longitude", "position_covariance_type",
+        "ticks_left", "ticks_right", "left_encoder", "right_encoder",
+    )
+)  # fmt: skip
+# dotted path -> the kinds that its readers take
 EXPECTED: Mapping[str, tuple[str, ...]] = {
+    **dict.fromkeys(ONE_NUMBER, (NUMBER,)),
     "header.stamp": (TIME,),
     "timestamp": (TIME,),
     "ranges": (NUMBERS,),
@@ -28,7 +48,9 @@ EXPECTED: Mapping[str, tuple[str, ...]] = {
     "angular_velocity_covariance": (NINE,),
     "position_covariance": (NINE, NUMBERS),  # JSON arrays do not say their length
 }
+WHOLE_NUMBERS = ("Int16", "UInt16", "Int32", "UInt32", "Int64")
 OF_TYPE: Mapping[tuple[str, str], tuple[str, ...]] = {
+    **{(f"std_msgs/msg/{name}", "data"): (NUMBER,) for name in (*WHOLE_NUMBERS, "Float32", "Float64")},
     ("std_msgs/msg/String", "data"): (TEXT,),
     ("sensor_msgs/msg/CompressedImage", "data"): (BYTES,),
     ("sensor_msgs/msg/Image", "data"): (BYTES,),
@@ -58,14 +80,14 @@ def kind_of(parts: Sequence[Part]) -> str:
 
 
 def expected(msgtype: str, path: str) -> tuple[str, ...]:
-    """Return the kinds that whoever reads this field of this message type can take."""
+    """Return the kinds that whoever reads this field of this message type can take; none where nobody reads it."""
     if path.startswith(TF):
         return (TEXTS,) if path.endswith(TF_TEXTS) else (NUMBERS,)
-    return OF_TYPE.get((msgtype, path)) or EXPECTED.get(path) or (NUMBER,)
+    return OF_TYPE.get((msgtype, path)) or EXPECTED.get(path, ())
 
 
 def check_kind(msgtype: str, path: str, parts: Sequence[Part]) -> None:
     """Raise FieldError where a field is of a kind that its readers cannot take."""
     found, accepted = kind_of(parts), expected(msgtype, path)
-    if found not in accepted:
+    if accepted and found not in accepted:
         raise FieldError(f"{path} is {found} by its definition; accepted: {' or '.join(accepted)}")

@@ -26,7 +26,7 @@ def jpeg(seed: int = 0) -> bytes:
 
 def dented(data: bytes) -> bytes:
     middle = len(data) // 2
-    return data[:middle] + bytes(40) + data[middle + 40 :]
+    return data[:middle] + data[middle + 40 :]
 
 
 @pytest.mark.parametrize("damage", [dented, lambda data: data[: len(data) // 2] + b"\xff\xd9"])

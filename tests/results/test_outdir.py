@@ -133,7 +133,7 @@ def test_a_whole_file_keeps_the_old_one_when_the_block_fails(tmp_path: Path) -> 
 WRITER = """
     import sys, time
     from pathlib import Path
-    from locfuse.formats.outdir import write_results
+    from locfuse.formats.whole_files import write_results
     print("ready", flush=True)
     while True:
         write_results(Path(sys.argv[1]), {name: "x" * 1_000_000 for name in ("run.json", "a.tum", "b.csv")})

@@ -7,6 +7,7 @@ picture is decoded, that stream leads to a file in memory; what arrives there te
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
@@ -15,8 +16,10 @@ from typing import TypeVar
 
 T = TypeVar("T")
 STDERR = 2
-# bytes too many in front of the end mark: some cameras pad so, and the picture in front of them is whole
-HARMLESS = b"extraneous bytes before marker 0xd9"
+# a few bytes too many in front of the end mark: some cameras pad so, and the picture in front of them is whole. Many
+# are what a decoder that lost its place has left over
+PADDING = re.compile(rb"(\d+) extraneous bytes before marker 0xd9")
+MAX_PADDING_BYTES = 15
 
 
 class _Listener:
@@ -84,7 +87,12 @@ def listened(decode: Callable[[], T]) -> tuple[T, bytes]:
 def tells_of_damage(words: bytes) -> bool:
     """Return whether what was said means that part of a picture is not what the camera saw."""
     lines = [line for line in words.splitlines() if b"JPEG" in line]
-    return any(HARMLESS not in line for line in lines)
+    return any(not _is_padding(line) for line in lines)
+
+
+def _is_padding(line: bytes) -> bool:
+    found = PADDING.search(line)
+    return found is not None and int(found[1]) <= MAX_PADDING_BYTES
 
 
 def _size(file: int) -> int:

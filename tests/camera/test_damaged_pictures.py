@@ -69,6 +69,7 @@ def test_stderr_is_where_it_was_after_an_error(capfd: pytest.CaptureFixture[str]
 def test_only_words_about_the_picture_count() -> None:
     assert tells_of_damage(b"Corrupt JPEG data: premature end of data segment\n")
     assert not tells_of_damage(b"Corrupt JPEG data: 3 extraneous bytes before marker 0xd9\n")
+    assert tells_of_damage(b"Corrupt JPEG data: 900 extraneous bytes before marker 0xd9\n")
     assert not tells_of_damage(b"some other thread's words\n")
 
 

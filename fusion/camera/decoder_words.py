@@ -16,8 +16,8 @@ from typing import TypeVar
 
 T = TypeVar("T")
 STDERR = 2
-# a few bytes too many in front of the end mark: some cameras pad so, and the picture in front of them is whole. Many
-# are what a decoder that lost its place has left over
+# a few bytes too many in front of the end mark: some cameras pad so, and the picture in front of them is whole;
+# many are what a decoder that lost its place has left over
 PADDING = re.compile(rb"(\d+) extraneous bytes before marker 0xd9")
 MAX_PADDING_BYTES = 15
 

@@ -30,6 +30,7 @@ COMMANDS = {
     "view": "Look at a log, a result or a recording in Rerun.",
     "calibrate": "Find wheel noise, wheel geometry and magnetometer iron from logs.",
     "tune": "Find the noise of wheels and sensors from logs, without truth.",
+    "recover": "Copy everything readable of a damaged log into one clean MCAP.",
     "simulate": "Drive a scenario and record it as a log with known truth.",
 }
 INTERRUPTED, TERMINATED = 130, 143

@@ -10,6 +10,7 @@ from __future__ import annotations
 # bytes
 MAX_CHUNK = 256 * 1024 * 1024  # of one chunk, compressed or not; writers use 1 to 8 MiB
 MAX_MESSAGE = 64 * 1024 * 1024  # of one message
+MAX_LONG = 64 * 1024 * 1024  # of all messages of a topic that are held as columns and longer than 64 KiB each
 MAX_TEXT = 4 * 1024 * 1024  # of one string in a message; a robot's description has some hundred thousand
 MAX_ATTACHMENT = 16 * 1024 * 1024  # larger attachments stay in the file
 MAX_ROBOT_TOML = 128 * 1024  # `locfuse init` writes 5 kB

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.formats.caps import FREE_RECORDS, MAX_CHUNK
-from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.data import Ints, LocfuseError
 
 from . import ros1_records as rec
 from .decompress import CODECS, DamagedError, decompress, decompress_prefix
@@ -58,6 +58,10 @@ class BagSource:
     def time_span_ns(self) -> tuple[int, int] | None:
         """First and last time, None without messages."""
         return self._span
+
+    def published(self, data: NDArray[np.uint8], messages: Messages) -> Ints:
+        """Return the log times: the file keeps no others."""
+        return messages.log_time
 
     def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
         """Yield the messages of the wanted connections in file order."""

@@ -14,9 +14,10 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_CHUNK, MAX_DATABASE_SECONDS, MAX_MESSAGE
-from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.data import Ints, LocfuseError
 
 from .file_bytes import FileBytes
 from .known_types import definition
@@ -184,6 +185,10 @@ class SqliteSource:
                 return None if first is None else (int(first), int(last))
             except ERRORS:
                 return None
+
+    def published(self, data: NDArray[np.uint8], messages: Messages) -> Ints:
+        """Return the log times: the file keeps no others."""
+        return messages.log_time
 
     def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
         """Yield the messages of the wanted topics in file order, about a megabyte at a time."""

@@ -9,12 +9,11 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_TOPICS, names_its_cap
 from locfuse.formats.container.compressed_messages import unpack
 from locfuse.formats.container.losses import Losses
-from locfuse.formats.container.source import ChannelInfo, Messages, Source
+from locfuse.formats.container.source import Recorded, Source
 from locfuse.formats.messages.fields import FieldError, resolve
 from locfuse.formats.messages.kinds import check_kind
 from locfuse.formats.messages.schema import SchemaError
@@ -166,12 +165,17 @@ class Log:
                     for data, unpacked in unpack(batch.data, messages):
                         yield topic, dated(Raw(data, unpacked, decoder))
 
-    def messages(self) -> Iterator[list[tuple[ChannelInfo, NDArray[np.uint8], Messages]]]:
+    def messages(self) -> Iterator[list[Recorded]]:
         """Yield all messages as they lie in the files, whether or not they can be read, batch by batch."""
         for source in self._sources:
             for batch in source.batches(source.channels.keys()):
                 yield [
-                    (source.channels[ident], data, unpacked)
+                    Recorded(
+                        source.channels[ident],
+                        data,
+                        unpacked,
+                        source.published(data, unpacked) if data is batch.data else unpacked.log_time,
+                    )
                     for ident, messages in batch.messages.items()
                     for data, unpacked in unpack(batch.data, messages)
                 ]

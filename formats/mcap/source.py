@@ -12,10 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_ATTACHMENT, MAX_CHUNK
+from locfuse.formats.columns import view
 from locfuse.formats.container.decompress import DamagedError, decompress, decompress_prefix
 from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
-from locfuse.formats.container.source import Batch, ChannelInfo
+from locfuse.formats.container.source import Batch, ChannelInfo, Messages
+from locfuse.fusion.data import Ints
 
 from . import records as rec
 from .chunk import Index, Records, counted, records
@@ -64,6 +66,10 @@ class McapSource:
         """First and last log time, None without messages."""
         spans = [part.span for part in self._survey.parts if part.counts and any(part.counts.values())]
         return (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
+
+    def published(self, data: NDArray[np.uint8], messages: Messages) -> Ints:
+        """Return when the messages were published, ns: the last thing in front of their payloads."""
+        return view(data, "<u8", messages.start - 8).astype(np.int64)
 
     def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
         """Yield the messages of the wanted channels in file order."""

@@ -90,7 +90,7 @@ def _object(text: bytes) -> dict[str, Any] | None:
     if len(text) <= MAX_MESSAGE:
         try:
             value = msgspec.json.decode(text)
-        except (msgspec.DecodeError, RecursionError):
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             try:
                 value = json.loads(text)  # some writers put NaN and Infinity, which JSON does not have
             except (ValueError, RecursionError):

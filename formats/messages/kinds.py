@@ -16,7 +16,6 @@ NUMBERS, TRUTHS, TEXTS, TIMES = "an array of numbers", "an array of true or fals
 NINE = "9 numbers"
 
 STAMPS = ("header.stamp", "timestamp")  # they date the messages of any type
-
 # message types that something reads; the fields of every other type may be what their definition says
 READ_TYPES = frozenset(
     (
@@ -48,8 +47,28 @@ READ_TYPES = frozenset(
         "turtlebot3_msgs/msg/SensorState",
     )
 )
+XY, XYZ, XYZW = ("x", "y"), ("x", "y", "z"), ("x", "y", "z", "w")
+# dotted paths in these types that are read as one number
+ONE_NUMBER = frozenset(
+    (
+        *(f"magnetic_field.{axis}" for axis in XYZ),
+        *(f"angular_velocity.{axis}" for axis in XYZ),
+        *(f"{at}orientation.{axis}" for at in ("", "pose.", "pose.pose.") for axis in XYZW),
+        *(f"{at}position.{axis}" for at in ("pose.", "pose.pose.") for axis in XY),
+        *(f"transform.translation.{axis}" for axis in XY),
+        *(f"transform.rotation.{axis}" for axis in XYZW),
+        *(f"point.{axis}" for axis in XY),
+        "twist.twist.linear.x", "twist.twist.angular.z",
+        "angle_min", "angle_increment", "time_increment", "range_min", "range_max",
+        "width", "height", "step",
+        "field_of_view", "min_range", "max_range", "range",
+        "status.status", "latitude", "longitude", "position_covariance_type",
+        "ticks_left", "ticks_right", "left_encoder", "right_encoder",
+    )
+)  # fmt: skip
 # dotted path in these types -> the kinds that its readers take
 EXPECTED: Mapping[str, tuple[str, ...]] = {
+    **dict.fromkeys(ONE_NUMBER, (NUMBER,)),
     "ranges": (NUMBERS,),
     "name": (TEXTS,),
     "position": (NUMBERS,),
@@ -59,23 +78,14 @@ EXPECTED: Mapping[str, tuple[str, ...]] = {
     "angular_velocity_covariance": (NINE,),
     "position_covariance": (NINE, NUMBERS),  # JSON arrays do not say their length
 }
+WHOLE_NUMBERS = ("Int16", "UInt16", "Int32", "UInt32", "Int64")
 OF_TYPE: Mapping[tuple[str, str], tuple[str, ...]] = {
+    **{(f"std_msgs/msg/{name}", "data"): (NUMBER,) for name in (*WHOLE_NUMBERS, "Float32", "Float64")},
     ("std_msgs/msg/String", "data"): (TEXT,),
     ("sensor_msgs/msg/CompressedImage", "data"): (BYTES,),
     ("sensor_msgs/msg/Image", "data"): (BYTES,),
     ("foxglove.CompressedImage", "data"): (BYTES,),
 }
-# last word of a path in these types that is read as one number
-ONE_NUMBER = frozenset(
-    (
-        *("x", "y", "z", "w", "data"),
-        *("angle_min", "angle_increment", "time_increment", "range_min", "range_max"),
-        *("field_of_view", "min_range", "max_range", "range"),
-        *("width", "height", "step"),
-        *("status", "latitude", "longitude", "position_covariance_type"),
-        *("ticks_left", "ticks_right", "left_encoder", "right_encoder"),
-    )
-)
 TF = "transforms."  # one value for each transform of a message
 TF_TEXTS = ("frame_id",)
 
@@ -105,11 +115,9 @@ def expected(msgtype: str, path: str) -> tuple[str, ...]:
         return (TIME,)
     if msgtype not in READ_TYPES:
         return ()
-    is_number = path.rpartition(".")[2] in ONE_NUMBER
     if path.startswith(TF):
-        return (TEXTS,) if path.endswith(TF_TEXTS) else (NUMBERS,) if is_number else ()
-    number = (NUMBER,) if is_number else ()
-    return OF_TYPE.get((msgtype, path)) or EXPECTED.get(path) or number
+        return (TEXTS,) if path.endswith(TF_TEXTS) else (NUMBERS,) if path.rpartition(".")[2] in XYZW else ()
+    return OF_TYPE.get((msgtype, path)) or EXPECTED.get(path, ())
 
 
 def check_kind(msgtype: str, path: str, parts: Sequence[Part]) -> None:

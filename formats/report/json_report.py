@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import platform
 from collections.abc import Mapping, Sequence
+from importlib import metadata
 from typing import Any
 
 import msgspec
@@ -13,6 +15,17 @@ from locfuse.fusion.data import Drive, Evaluation, LocfuseError, SensorFigures, 
 
 SCHEMA_VERSION = 1  # of report.json and run.json; locfuse 0.1 wrote none
 SMOOTHED_IN_0_1 = " smoothed"  # ended the name of a smoothed result in a report without schema_version
+
+# library -> the distributions that carry it
+LIBRARIES = {
+    "numpy": ("numpy",),
+    "opencv": (
+        "opencv-python-headless",
+        "opencv-python",
+        "opencv-contrib-python-headless",
+        "opencv-contrib-python",
+    ),
+}
 
 
 def report(
@@ -26,6 +39,7 @@ def report(
     return {
         "schema_version": SCHEMA_VERSION,
         "locfuse": version,
+        "made_with": made_with(),
         "input": {**source, "dropped": {k: dict(v) for k, v in drive.dropped.items() if v}},
         "configurations": {e.name: _configuration(e) for e in evaluations},
         "truth": None if drive.truth is None else _truth(drive, evaluations),
@@ -33,6 +47,21 @@ def report(
         "notes": list(drive.notes),
         "settings": dict(settings),
     }
+
+
+def made_with() -> dict[str, str | None]:
+    """Return the versions on which the last digits depend: same bytes are promised for the same versions only."""
+    found: dict[str, str | None] = {"python": platform.python_version(), "machine": platform.machine()}
+    for name, distributions in LIBRARIES.items():
+        found[name] = next((v for d in distributions if (v := _version(d)) is not None), None)
+    return found
+
+
+def _version(distribution: str) -> str | None:
+    try:
+        return metadata.version(distribution)
+    except metadata.PackageNotFoundError:
+        return None
 
 
 def encode(value: Mapping[str, Any]) -> str:

@@ -20,6 +20,7 @@ from locfuse.formats.mcap.write import LATCHED
 from locfuse.formats.mcap.write_columns import Block, ColumnWriter
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Truth
 
+from .recovered_log import copy_messages
 from .ros_messages import PATH, Series, odometry, path, points, poses, transforms
 from .trajectory import stamps, with_truth_rows
 
@@ -59,7 +60,7 @@ class Export:
                 _truth(topics, self.drive.truth, self.drive.epoch_ns)
             topics.write()
             if self.log is not None:
-                _copy(writer, self.log)
+                copy_messages(writer, self.log)
             writer.finish()
 
     def _estimates(self, topics: _Topics, e: Estimates) -> None:
@@ -147,23 +148,3 @@ class _Topics:
 def ros_name(configuration: str) -> str:
     """Return a configuration's name with nothing but what ROS allows in a topic: compass+lrf -> compass_lrf."""
     return re.sub(r"[^A-Za-z0-9_]+", "_", configuration)
-
-
-def _copy(writer: ColumnWriter, log: Log) -> None:
-    """Copy every message of a log: bytes, times and order of recording as they are."""
-    schemas: dict[tuple[str, str, bytes], int] = {}
-    channels: dict[tuple[str, str, int], int] = {}
-    for batch in log.messages():
-        blocks = []
-        for channel, data, messages in batch:
-            schema = (channel.msgtype, channel.schema_encoding, channel.schema)
-            if schema not in schemas:
-                schemas[schema] = writer.schema(*schema) if channel.schema_encoding else 0
-            key = (channel.topic, channel.encoding, schemas[schema])
-            if key not in channels:
-                once = channel.n == 1 or channel.topic.endswith("tf_static")  # such topics are latched
-                channels[key] = writer.channel(*key, {"offered_qos_profiles": LATCHED if once else ""})
-            ends = (messages.start + messages.length).tolist()
-            payload = [data[a:b].data for a, b in zip(messages.start.tolist(), ends, strict=True)]
-            blocks.append(Block(channels[key], messages.log_time, messages.sequence, payload))
-        writer.chunk(blocks)

@@ -7,16 +7,19 @@ picture is decoded, that stream leads to a file in memory; what arrives there te
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import IO, TypeVar
+from typing import TypeVar
 
 T = TypeVar("T")
 STDERR = 2
-# bytes too many in front of the end mark: some cameras pad so, and the picture in front of them is whole
-HARMLESS = b"extraneous bytes before marker 0xd9"
+# a few bytes too many in front of the end mark: some cameras pad so, and the picture in front of them is whole;
+# many are what a decoder that lost its place has left over
+PADDING = re.compile(rb"(\d+) extraneous bytes before marker 0xd9")
+MAX_PADDING_BYTES = 15
 
 
 class _Listener:
@@ -26,10 +29,10 @@ class _Listener:
         self._change = threading.Condition()
         self._decoding = 0
         self._saved = -1
-        self._file: IO[bytes] | None = None
+        self._file = -1
 
     @contextmanager
-    def listening(self, alone: bool) -> Iterator[IO[bytes]]:
+    def listening(self, alone: bool) -> Iterator[int]:
         """Decode beside others, or alone so that all that is said is of one picture."""
         with self._change:
             while alone and self._decoding:
@@ -47,11 +50,13 @@ class _Listener:
             with self._change:
                 self._leave()
 
-    def _enter(self) -> IO[bytes]:
-        self._file = self._file or tempfile.TemporaryFile()  # noqa: SIM115 - open as long as we decode
+    def _enter(self) -> int:
+        if self._file < 0:
+            with tempfile.TemporaryFile() as file:
+                self._file = os.dup(file.fileno())  # stays as long as the process
         if not self._decoding:
             self._saved = os.dup(STDERR)
-            os.dup2(self._file.fileno(), STDERR)
+            os.dup2(self._file, STDERR)
         self._decoding += 1
         return self._file
 
@@ -76,14 +81,19 @@ def listened(decode: Callable[[], T]) -> tuple[T, bytes]:
     with _LISTENER.listening(alone=True) as file:  # it may have been said of another thread's picture
         before = _size(file)
         found = decode()
-        return found, os.pread(file.fileno(), 4096, before)
+        return found, os.pread(file, 4096, before)
 
 
 def tells_of_damage(words: bytes) -> bool:
     """Return whether what was said means that part of a picture is not what the camera saw."""
     lines = [line for line in words.splitlines() if b"JPEG" in line]
-    return any(HARMLESS not in line for line in lines)
+    return any(not _is_padding(line) for line in lines)
 
 
-def _size(file: IO[bytes]) -> int:
-    return os.fstat(file.fileno()).st_size
+def _is_padding(line: bytes) -> bool:
+    found = PADDING.search(line)
+    return found is not None and int(found[1]) <= MAX_PADDING_BYTES
+
+
+def _size(file: int) -> int:
+    return os.fstat(file).st_size

@@ -48,9 +48,9 @@ def test_every_field_that_is_read_is_of_the_expected_kind_in_its_standard_defini
     check_kind(msgtype, path, resolve(message, path))
 
 
-@pytest.mark.parametrize(("msgtype", "path"), ALL)
-def test_every_field_that_is_read_has_a_kind_that_its_readers_expect(msgtype: str, path: str) -> None:
-    assert expected(msgtype, path)
+def test_of_every_field_that_is_read_the_expected_kind_is_known() -> None:
+    """A new sensor that reads a field says in kinds.py what it takes."""
+    assert [(kind, path) for kind, path in ALL if not expected(kind, path)] == []
 
 
 @pytest.mark.parametrize("msgtype", ["sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "foxglove.Log"])

@@ -20,7 +20,7 @@ import click
 
 from locfuse.cli.pipeline.memory import collect_rarely
 from locfuse.cli.terminal.numpy_warnings import silence_overflows
-from locfuse.cli.terminal.screen import reader_may_leave, say
+from locfuse.cli.terminal.screen import reader_may_leave, say, settle_streams
 
 COMMANDS = {
     "run": "Run one configuration: trajectory, covariances, run.json.",
@@ -30,9 +30,11 @@ COMMANDS = {
     "view": "Look at a log, a result or a recording in Rerun.",
     "calibrate": "Find wheel noise, wheel geometry and magnetometer iron from logs.",
     "tune": "Find the noise of wheels and sensors from logs, without truth.",
+    "recover": "Copy everything readable of a damaged log into one clean MCAP.",
     "simulate": "Drive a scenario and record it as a log with known truth.",
 }
 INTERRUPTED, TERMINATED = 130, 143
+NO_ROOM = ("failed to map segment", "annot allocate memory")  # what the loader says when memory is short
 
 
 class LazyGroup(click.Group):
@@ -69,7 +71,11 @@ def locfuse() -> None:
 
 def main(arguments: list[str] | None = None) -> NoReturn:
     """Run the command line and exit with the code that design promises (0, 1, 2, 3, 4, 130, 143)."""
+    settle_streams()
     signal.signal(signal.SIGTERM, _terminate)
+    on_interrupt = signal.getsignal(signal.SIGINT)
+    if on_interrupt is signal.default_int_handler:  # not where `nohup` or `&` has it ignored
+        signal.signal(signal.SIGINT, _interrupt)  # click would print an empty line first
     collect_rarely()
     if arguments is None and not sys.warnoptions:
         silence_overflows()
@@ -81,13 +87,17 @@ def main(arguments: list[str] | None = None) -> NoReturn:
         code = e.exit_code
     except click.ClickException as e:
         code = _misused(e)
-    except (KeyboardInterrupt, click.Abort, _Terminated) as e:
+    except (KeyboardInterrupt, click.Abort, _Interrupted, _Terminated) as e:
         code = _stopped(e)
     except MemoryError:
         code = _say("out of memory", 1)
     except Exception as e:
         # Python 3.11 makes a RuntimeError of a signal that arrives while a class is made, as in an import
-        code = _stopped(e.__cause__) if isinstance(e.__cause__, (KeyboardInterrupt, _Terminated)) else _expected(e)
+        cause = e.__cause__
+        signalled = (KeyboardInterrupt, _Interrupted, _Terminated)
+        code = _stopped(cause) if isinstance(cause, signalled) else _expected(e)
+    finally:
+        signal.signal(signal.SIGINT, on_interrupt)
     sys.exit(code if isinstance(code, int) else 0)
 
 
@@ -119,12 +129,18 @@ def _expected(e: Exception) -> int:
         where = f" {e.filename}" if e.filename else ""
         hint = ". Free some space or choose another folder with -o" if e.errno == errno.ENOSPC else ""
         return _say(f"{what}:{where}{hint}" if where else f"{what}{hint}", 1)
+    if isinstance(e, ImportError) and any(words in str(e) for words in NO_ROOM):
+        return _say(f"out of memory: a library could not be loaded ({str(e).splitlines()[-1].strip()})", 1)
     raise e
 
 
 def _say(text: str, code: int) -> int:
-    say(f"locfuse: {' '.join(text.split())}")
+    say(f"locfuse: {' '.join(text.split())}", err=True)
     return code
+
+
+class _Interrupted(BaseException):
+    """SIGINT arrived."""
 
 
 class _Terminated(BaseException):
@@ -133,3 +149,9 @@ class _Terminated(BaseException):
 
 def _terminate(number: int, frame: FrameType | None) -> Any:
     raise _Terminated
+
+
+def _interrupt(number: int, frame: FrameType | None) -> Any:
+    if sys.stderr.isatty():
+        say("", err=True)  # ends the line on which the terminal shows ^C
+    raise _Interrupted

@@ -5,27 +5,46 @@ The .json comes last: where it stands, everything it speaks of stands too.
 
 from __future__ import annotations
 
+import glob
 import os
+import shutil
 import signal
+import tempfile
 import threading
-from collections.abc import Callable, Iterator, Mapping
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 
 from locfuse.fusion.data import LocfuseError, UsageError
 
+from .inputs import DESTROYS, is_among, refuse_to_write
+from .visible import visible_lines
+
+try:
+    import fcntl
+except ImportError:  # Windows: two runs at one folder are then not kept apart
+    fcntl = None  # type: ignore[assignment]
+
 RESULTS = ("run.json", "report.json", "summary.json", "changes.json")
-TEMPORARY = ".locfuse-tmp"  # ending of files that are being written
+TEMPORARY = ".locfuse-tmp"  # ending of files that are being written: .NAME.PID.locfuse-tmp
+LOCK = f".lock{TEMPORARY}"  # in a folder that is being written: who writes
+SCRATCH = "locfuse-"  # beginning of temporary names outside the results: locfuse-PID-...
+LOCK_TIMEOUT_S = 20.0  # s to wait for another run to finish writing
+REPLACED = ("robot.toml", *RESULTS, "estimates.mcap", "recording.rrd")  # names that a user might give as input
 Content = str | bytes | Callable[[Path], None]  # what is too big to be held writes itself to a path
 
 
 def write_results(folder: Path, files: Mapping[str, Content], overwrite: bool = False) -> None:
     """Write files into `folder`, replacing a locfuse result there; another non-empty folder is refused."""
+    for name in files:
+        refuse_to_write(folder / name)
     created = _prepare(folder, overwrite)
     names = sorted(files, key=lambda name: (name.endswith(".json"), name))
     try:
-        with _terminable():
+        with _terminable(), _sole_writer(folder):
+            _remove_leftovers(folder.iterdir())
             _write_all(folder, {name: files[name] for name in names})
     except OSError as problem:
         raise LocfuseError(f"cannot write to {folder}: {problem.strerror or problem}") from None
@@ -33,13 +52,24 @@ def write_results(folder: Path, files: Mapping[str, Content], overwrite: bool = 
         _remove_if_empty(folder, created)
 
 
-def may_write(folder: Path, overwrite: bool = False) -> None:
-    """Raise LocfuseError where `write_results` would refuse the folder: to know it before the work is done."""
+def may_write(folder: Path, overwrite: bool = False, given: Iterable[Path | None] = ()) -> None:
+    """Raise LocfuseError where `write_results` would refuse the folder: to know it before the work is done.
+
+    Raises UsageError where it would replace one of the files `given` to the command, unless told to overwrite.
+    """
+    paths = [folder / name for name in REPLACED]
+    inputs = [path for path in given if path is not None]
+    for path in paths:
+        refuse_to_write(path)
+        if not overwrite and is_among(path, inputs):
+            raise UsageError(f"{path} is an input and would be replaced: choose another -o, or add --overwrite")
     _remove_if_empty(folder, _prepare(folder, overwrite))
 
 
-def may_replace(file: Path | None, overwrite: bool) -> None:
-    """Raise UsageError where a file would be lost: to know it before the work is done."""
+def may_replace(file: Path | None, overwrite: bool, given: Iterable[str | Path] = ()) -> None:
+    """Raise UsageError where a file would be lost, or is one `given` as input: known before the work is done."""
+    if file is not None and is_among(file, map(Path, given)):
+        raise UsageError(f"{file}: {DESTROYS}")
     if file is not None and file.exists() and not overwrite:
         raise UsageError(f"{file} exists: choose another name, or replace it with --overwrite")
 
@@ -47,7 +77,7 @@ def may_replace(file: Path | None, overwrite: bool) -> None:
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
     """Give a temporary path beside `path` to write to; it takes the final name when the block ends well."""
-    temporary = _temporary(path)
+    temporary = temporary_for(path)
     try:
         with _terminable():
             yield temporary
@@ -67,7 +97,7 @@ def _write_all(folder: Path, files: Mapping[str, Content]) -> None:
             if callable(content):
                 content(temporary[name])
             else:
-                temporary[name].write_bytes(content.encode() if isinstance(content, str) else content)
+                temporary[name].write_bytes(_encoded(name, content) if isinstance(content, str) else content)
             _sync(temporary[name])
         for name in files:
             temporary[name].replace(folder / name)
@@ -77,29 +107,116 @@ def _write_all(folder: Path, files: Mapping[str, Content]) -> None:
             _remove(path)
 
 
+def _encoded(name: str, text: str) -> bytes:
+    """Return a text as UTF-8; in what people read nothing acts on the screen."""
+    shown = visible_lines(text) if name.endswith((".md", ".html")) else text
+    return shown.encode(errors="replace")
+
+
 def _prepare(folder: Path, overwrite: bool) -> list[Path]:
     """Check the folder rules and make the folder; return the folders made, innermost first."""
     try:
         if folder.exists() and not folder.is_dir():
             raise LocfuseError(f"{folder} is a file, not a folder: choose another with -o")
         present = list(folder.iterdir()) if folder.is_dir() else []
-        stale = [p for p in present if p.name.endswith(TEMPORARY)]
-        others = {p.name for p in present} - {p.name for p in stale}
+        others = {p.name for p in present if not p.name.endswith(TEMPORARY)}
         if others and not overwrite and not others.intersection(RESULTS):
             raise LocfuseError(
                 f"{folder} is not empty and holds no locfuse result: choose another with -o, or add --overwrite"
             )
         missing = [p for p in (folder, *folder.parents) if not p.exists()]
         folder.mkdir(parents=True, exist_ok=True)
-        for path in stale:
-            _remove(path)
     except OSError as problem:
         raise LocfuseError(f"cannot write to {folder}: {problem.strerror or problem}") from None
     return missing
 
 
+@contextmanager
+def _sole_writer(folder: Path) -> Iterator[None]:
+    """Let one process at a time write into a folder. Raises LocfuseError that names the other one."""
+    path = folder / LOCK
+    handle = _locked(path)
+    try:
+        yield
+    finally:
+        _remove(path)
+        if handle is not None:
+            os.close(handle)
+
+
+def _locked(path: Path) -> int | None:
+    """Take the lock, which the system lifts when its holder dies; None where there are no locks."""
+    end = time.monotonic() + LOCK_TIMEOUT_S
+    while fcntl is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        except FileNotFoundError:  # the other run failed and took its empty folder away
+            continue
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if path.exists() and path.stat().st_ino == os.fstat(handle).st_ino:  # not the one just taken away
+                os.write(handle, str(os.getpid()).encode())
+                return handle
+        except BlockingIOError:
+            if time.monotonic() > end:
+                who = os.read(handle, 20).decode("ascii", "replace")
+                os.close(handle)
+                raise LocfuseError(
+                    f"{path.parent} is being written by process {who}: wait for it, or choose another -o"
+                ) from None
+            time.sleep(0.02)
+        except OSError:  # a file system without locks
+            os.close(handle)
+            return None
+        os.close(handle)
+    return None
+
+
+def temporary_for(path: Path) -> Path:
+    """Return where to write what is to become `path`, and clear away what a killed process left of it.
+
+    Raises LocfuseError where `path` is being read.
+    """
+    refuse_to_write(path)
+    with suppress(OSError):
+        _remove_leftovers(path.parent.glob(f".{glob.escape(path.name)}.*{TEMPORARY}"))
+    return _temporary(path)
+
+
 def _temporary(path: Path) -> Path:
     return path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY}")
+
+
+def _remove_leftovers(paths: Iterable[Path]) -> None:
+    """Remove the temporary files of processes that live no more."""
+    for path in list(paths):
+        pid = path.name.removesuffix(TEMPORARY).rpartition(".")[2]
+        if path.name.endswith(TEMPORARY) and pid.isdecimal() and not alive(int(pid)):
+            _remove(path)
+
+
+def scratch_prefix() -> str:
+    """Return how names of temporary files and folders of this process begin; clear away those of killed ones."""
+    for path in Path(tempfile.gettempdir()).glob(f"{SCRATCH}*"):
+        pid = path.name.removeprefix(SCRATCH).partition("-")[0]
+        if pid.isdecimal() and not alive(int(pid)):
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                _remove(path)
+    return f"{SCRATCH}{os.getpid()}-"
+
+
+def alive(pid: int) -> bool:
+    """Return whether a process of this number runs."""
+    try:
+        os.kill(pid, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:
+        pass
+    return True
 
 
 def _remove(path: Path) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 
@@ -17,6 +17,9 @@ from .sensor import SensorSettings
 Order = Literal["auto", "stamp", "recorded"]
 Preset = Literal["default", "paper"]
 Mirrored = Literal["none", "left", "right", "both"]
+# nobody knows less of a start; a variance of 1e38 beside one of 1e-6 leaves nothing of either in double precision
+MAX_START_SIGMA_M = 1e5
+MAX_START_SIGMA_DEG = 3600.0
 VIRTUAL_TRACK = 0.3  # m: carries the noise of an odometry topic, which knows no wheels
 
 
@@ -55,8 +58,8 @@ class StartSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     x: float = 0.0
     y: float = 0.0
     theta_deg: float = 0.0
-    sigma_xy: float = 0.0
-    sigma_theta_deg: float = 0.0
+    sigma_xy: Annotated[float, msgspec.Meta(ge=0.0, le=MAX_START_SIGMA_M)] = 0.0
+    sigma_theta_deg: Annotated[float, msgspec.Meta(ge=0.0, le=MAX_START_SIGMA_DEG)] = 0.0
 
 
 class TruthSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -34,7 +34,7 @@ def calibrate(log: tuple[str, ...], out: Path | None, overwrite: bool, as_json: 
     from locfuse.cli.terminal import show
     from locfuse.formats.whole_files import may_replace
 
-    may_replace(out, overwrite)
+    may_replace(out, overwrite, log)
     with show.progress(how.quiet) as progress:
         loaded = [load(find_log(parts), how, progress, only=("compass",)) for parts in logs_of(log)]
         progress("calibrating")

@@ -11,6 +11,9 @@ import click
 from click.core import ParameterSource
 
 from locfuse.cli.terminal import show
+from locfuse.cli.terminal.screen import put, say
+from locfuse.formats.caps import MAX_REPORT
+from locfuse.formats.inputs import read_small
 from locfuse.formats.report import changes as sides
 from locfuse.formats.report import json_report
 from locfuse.formats.whole_files import write_results
@@ -35,15 +38,15 @@ def changes(files: Sequence[Path], wish: Wish) -> int:
         written = {"changes.json": json_report.encode(values), "changes.md": "\n".join(texts)}
         write_results(wish.out, written, wish.overwrite)
     if wish.as_json:
-        click.echo(json_report.encode(values), nl=False)
+        put(json_report.encode(values))
         return 0
     for after, one in found.items():
-        click.echo(f"{before} -> {after}")
+        say(f"{before} -> {after}")
         show.table(sides.table(one).once())
         for line in sides.remarks(one):
-            click.echo(line)
+            say(line)
     if written:
-        click.echo(f"{wish.out}: {', '.join(written)}")
+        say(f"{wish.out}: {', '.join(written)}")
     return 0
 
 
@@ -59,8 +62,8 @@ def _refuse_what_needs_a_log() -> None:
 
 def _read(file: Path) -> dict[str, Any]:
     try:
-        report = json_report.current(json.loads(file.read_bytes()), str(file))
+        report = json_report.current(json.loads(read_small(file, MAX_REPORT)), str(file))
         sides.changes(report, report)
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise LocfuseError(f"{file}: not a report of locfuse; make one with: locfuse compare LOG -o DIR") from None
     return report

@@ -9,7 +9,7 @@ import click
 
 from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.cli.terminal.options import log_options
-from locfuse.cli.terminal.screen import reader_may_leave
+from locfuse.cli.terminal.screen import put, reader_may_leave
 
 if TYPE_CHECKING:
     from locfuse.cli.inspect.overview import Overview
@@ -50,7 +50,7 @@ def info(log: tuple[str, ...], check: bool, as_json: bool, preview: Path | None,
         pictures = _preview(overview, preview) if preview is not None else []
     with reader_may_leave():
         if as_json:
-            click.echo(json_report.encode(values.values(overview)), nl=False)
+            put(json_report.encode(values.values(overview)))
         else:
             text = info_text.lines(overview, _typed(log, how), show.width())
             show.lines((*text, *pictures), (*info_text.TITLES, PICTURES))

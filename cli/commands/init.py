@@ -9,7 +9,7 @@ import click
 
 from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.cli.terminal.options import log_options
-from locfuse.cli.terminal.screen import reader_may_leave
+from locfuse.cli.terminal.screen import put, reader_may_leave
 
 if TYPE_CHECKING:
     from locfuse.cli.inspect.template import Draft
@@ -40,7 +40,7 @@ def init(log: tuple[str, ...], how: LogOptions) -> int:
         made = draft(find_log(log), how, progress)
     words = printable(shlex.join(log))
     with reader_may_leave():
-        click.echo(render(_head(made, words), made.sections, _foot(made)), nl=False)
+        put(render(_head(made, words), made.sections, _foot(made)))
     lost = made.overview.log.losses.lines()
     if not how.quiet:
         _say(made, words, lost)

@@ -47,17 +47,20 @@ class Done(NamedTuple):
 def one(log: Sequence[str], wish: Wish, table: bool = True) -> Done:
     """Compare one log, write and print it; without its `table` where it is one of several."""
     from locfuse.cli.jobs import ci_gates
-    from locfuse.cli.pipeline.results import LOSS
+    from locfuse.cli.pipeline.results import LOSS, default_folder
     from locfuse.cli.session.session import opened
     from locfuse.cli.session.summary import Judged
     from locfuse.cli.terminal import show
+    from locfuse.formats.whole_files import may_replace, may_write
 
     how, rerun = wish.how, wish.rerun
     kinds = chosen(wish.write, KINDS)
     gates = ci_gates.read(wish.fail_if, wish.baseline, wish.tolerance)
+    may_replace(rerun.save, wish.overwrite, log)
     with show.progress(how.quiet) as progress:
         session = opened(log, how, progress, read_again=rerun.wanted)
         gates.refuse_another_log(session.log)
+        may_write(wish.out or default_folder(session.log.name), wish.overwrite, (how.robot, wish.baseline))
         result = session.compare(
             wish.sensors or None,
             all_subsets=wish.all_subsets,

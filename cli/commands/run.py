@@ -71,17 +71,21 @@ def run(
     locfuse run rounded_rectangle --sensors all
     locfuse run bag/ --sensors compass,lrf --robot robot.toml -o out
     """
-    from locfuse.cli.pipeline.results import LOSS
+    from locfuse.cli.pipeline.results import LOSS, default_folder
     from locfuse.cli.session.session import opened
     from locfuse.cli.terminal import show
+    from locfuse.formats.whole_files import may_replace, may_write
 
     kinds = chosen(write, KINDS)
+    for file in (audit, maps.save, rerun.save):
+        may_replace(file, overwrite, log)
     with show.progress(how.quiet) as progress:
         session = opened(log, how, progress, read_again=rerun.wanted)
         if maps.given is not None:
             session = session.with_map(maps.given)
         configuration = session.configuration(sensors)
         maps.check(configuration.sensors)
+        may_write(out or default_folder(session.log.name), overwrite, (how.robot, maps.given))
         result = session.run(configuration, align=align, smooth=smooth)
         files = result.write(out, write=kinds, export=export, overwrite=overwrite)
         if maps.save is not None:

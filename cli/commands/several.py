@@ -7,13 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import click
-
 from locfuse.cli.jobs import ci_gates
 from locfuse.cli.pipeline.results import LOSS
 from locfuse.cli.session.summary import default_folder, named, naming, summarised, summary_files
 from locfuse.cli.terminal import show
-from locfuse.cli.terminal.screen import reader_may_leave, screen
+from locfuse.cli.terminal.screen import put, reader_may_leave, say, screen
 from locfuse.formats.report import summary as over
 from locfuse.formats.whole_files import may_write, write_results
 from locfuse.fusion.data import UsageError
@@ -25,7 +23,7 @@ def several(logs: Sequence[Sequence[str]], wish: Wish) -> int:
     """Compare every log, then write and print the summary; return the worst exit code."""
     _refuse_rerun(wish)
     folder = wish.out or default_folder()
-    may_write(folder, wish.overwrite)
+    may_write(folder, wish.overwrite, (wish.how.robot, wish.baseline))
     done = {}
     for name, parts in named(logs).items():
         if not wish.how.quiet:
@@ -38,10 +36,10 @@ def several(logs: Sequence[Sequence[str]], wish: Wish) -> int:
     write_results(folder, files, overwrite=True)
     with reader_may_leave():
         if wish.as_json:
-            click.echo(files["summary.json"], nl=False)
+            put(files["summary.json"])
         else:
             _show_summary(summary)
-            click.echo(f"{folder}: {', '.join(sorted(files))}; a folder with the report of each log")
+            say(f"{folder}: {', '.join(sorted(files))}; a folder with the report of each log")
     codes = [found.code for found in done.values()]
     return max(codes, key=lambda code: (code == ci_gates.FAILED, code == LOSS))
 

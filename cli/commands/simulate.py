@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from locfuse.cli.terminal.screen import put, say
+
 
 @click.command()
 @click.argument("scenario", required=False)
@@ -50,13 +52,13 @@ def simulate(
 
     if listing:
         for name in load.names():
-            click.echo(f"{name:24} {load.load(name).title}")
+            say(f"{name:24} {load.load(name).title}")
         return
     if scenario is None:
         raise UsageError("which SCENARIO? See: locfuse simulate --list")
     chosen = load.load(scenario, sets)
     if show:
-        click.echo(load.dumps(chosen), nl=False)
+        put(load.dumps(chosen))
         return
     if out is None:
         raise UsageError("where to? Name the log with -o LOG.mcap")
@@ -64,9 +66,9 @@ def simulate(
     seed = chosen.seed if seed is None else seed
     facts = {"log": str(out), "seed": seed, **job.facts(job.drive(chosen, seed, out))}
     if as_json:
-        click.echo(json.dumps(facts, indent=2))
+        put(json.dumps(facts, indent=2) + "\n")
     else:
-        click.echo(
+        say(
             f"{out}: {facts['duration_s']} s, {facts['way_m']} m; wheel speeds within "
             f"{facts['speed_worst_percent']} % of their set points over 0.1 s"
         )

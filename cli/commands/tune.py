@@ -53,7 +53,7 @@ def tune(
     from locfuse.cli.terminal import show
     from locfuse.formats.whole_files import may_replace
 
-    may_replace(out, overwrite)
+    may_replace(out, overwrite, (*log, *hold_out))
     paths = [find_log(parts) for parts in logs_of(log)]
     held_out = [find_log(parts) for parts in logs_of(hold_out)]
     with show.progress(how.quiet) as progress:

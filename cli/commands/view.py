@@ -14,6 +14,7 @@ from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.cli.rerun.record import RECORDING
 from locfuse.cli.terminal.options import log_options
 from locfuse.cli.terminal.rerun_options import address, detail_options
+from locfuse.cli.terminal.screen import say
 
 if TYPE_CHECKING:
     from locfuse.cli.terminal.show import Progress
@@ -41,6 +42,7 @@ class Wish:
     metavar="FILE.rrd",
     help="Write the recording to this file and open nothing.",
 )
+@click.option("--overwrite", is_flag=True, help="Let --save replace an existing file.")
 @click.option("--connect", callback=address, metavar="URL", help="Send it to the viewer at this address.")
 @click.option("--web", is_flag=True, help="Serve it to a browser on this machine, on 127.0.0.1 only.")
 @click.option("--web-port", type=click.IntRange(1, 65535), default=9090, show_default=True)
@@ -51,6 +53,7 @@ def view(
     what: tuple[str, ...],
     sensors: tuple[str, ...],
     save: Path | None,
+    overwrite: bool,
     connect: str | None,
     web: bool,
     web_port: int,
@@ -71,17 +74,19 @@ def view(
     """
     from locfuse.cli.rerun import viewer
     from locfuse.cli.terminal import show
+    from locfuse.formats.whole_files import may_replace, scratch_prefix
 
+    may_replace(save, overwrite, what)
     if save is None and connect is None and not web:
         viewer.require()
-    with tempfile.TemporaryDirectory(prefix="locfuse-") as scratch:
+    with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
         with show.progress(how.quiet) as progress:
             path = ready(what)
             if path is None or save is not None:
                 wish = Wish(sensors, images, full, how)
                 path = _record(what, path, wish, save or Path(scratch) / RECORDING, tab, progress)
         if save is not None:
-            click.echo(f"{save}: Rerun recording")
+            say(f"{save}: Rerun recording")
         elif connect is not None:
             viewer.send(path, connect)
         elif web:

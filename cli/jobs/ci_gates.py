@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from locfuse.formats.caps import MAX_REPORT
+from locfuse.formats.inputs import read_small
 from locfuse.formats.log.log import Log
 from locfuse.formats.report import json_report
 from locfuse.fusion.data import LocfuseError, UsageError
@@ -122,11 +124,11 @@ def parse_tolerance(text: str) -> Tolerance:
 def read_baseline(path: Path, tolerance: str) -> Baseline:
     """Return an earlier report.json. Raises LocfuseError where the file is none."""
     try:
-        report = json_report.current(json.loads(path.read_bytes()), f"--baseline {path}")
+        report = json_report.current(json.loads(read_small(path, MAX_REPORT)), f"--baseline {path}")
         configurations = report["configurations"]
-        if not all(isinstance(values, dict) for values in configurations.values()):
+        if not all(isinstance(values, dict) for values in (report.get("input", {}), *configurations.values())):
             raise TypeError
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise LocfuseError(
             f"--baseline {path}: not a report.json of locfuse; make one with: locfuse compare LOG -o DIR"
         ) from None

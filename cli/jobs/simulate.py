@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from locfuse.cli.pipeline.settings import PathLike, Progress, Sets, path_of, set_words, silent
 from locfuse.cli.session.session import Session, load
-from locfuse.formats.whole_files import may_replace
+from locfuse.formats.whole_files import may_replace, scratch_prefix
 from locfuse.fusion.data import UsageError
 from locfuse.fusion.sensors.registry import REGISTRY
 
@@ -58,7 +58,7 @@ def simulate(
         drive(chosen, seed, path)
         return load(path, progress=progress)
     with ExitStack() as until:
-        folder = until.enter_context(tempfile.TemporaryDirectory(prefix="locfuse-"))
+        folder = until.enter_context(tempfile.TemporaryDirectory(prefix=scratch_prefix()))
         path = Path(folder) / f"{Path(scenario).stem}.mcap"
         drive(chosen, seed, path)
         session = load(path, progress=progress)

@@ -13,6 +13,8 @@ import msgspec
 from locfuse.cli.choose.choose import choose
 from locfuse.cli.choose.mounts import mount_tables
 from locfuse.cli.choose.topics import Choice
+from locfuse.formats.caps import MAX_ROBOT_TOML
+from locfuse.formats.inputs import read_small
 from locfuse.formats.log.log import Log, open_log
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import Drive, LocfuseError, UsageError
@@ -98,6 +100,7 @@ def measured(
     """Measure the chosen topics of a log under the tables of robot.toml; those of roles in `aside` are not."""
     _leave_out(choice, only, tables["preset"])
     streams = _streams(log, choice, str(tables.get("order", "auto")))
+    _refuse_lost_wheels(log, choice, streams)
     mounts = mount_tables(log.static_transforms(), {s: parts(streams[s]) for s in REGISTRY if s in streams})
     robot = make_robot(robot_toml.merge(mounts, tables))
     drive = measure({role: s for role, s in streams.items() if role not in aside}, robot, choice.absent, progress)
@@ -106,6 +109,14 @@ def measured(
     chosen = (f"wheels: {note}" for note in choice.notes)
     notes = (*preset, *chosen, *_clock_notes(streams), *_start_notes(robot, drive), *drive.notes, *lags)
     return Loaded(log, robot, choice, replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes}))
+
+
+def _refuse_lost_wheels(log: Log, choice: Choice, streams: Mapping[str, Any]) -> None:
+    """Say that the file is damaged where the wheels' messages are all lost: their names are then not at fault."""
+    promised = sum(log.topics[topic].count for topic in choice.of("wheels"))
+    if "wheels" in streams and log.losses and promised and not len(streams["wheels"].t_ns):
+        topics = " and ".join(choice.of("wheels"))
+        raise LocfuseError(f"wheels: none of {promised} messages on {topics} can be read: {log.losses.lines()[0]}")
 
 
 def _leave_out(choice: Choice, only: Collection[str] | None, preset: str) -> None:
@@ -123,7 +134,7 @@ def merged_tables(log: Log, how: LogOptions) -> dict[str, Any]:
     if ATTACHMENT in log.attachments:
         layers.append(_checked(log.attachments[ATTACHMENT], f"{log.name}: attachment {ATTACHMENT}"))
     if how.robot is not None:
-        layers.append(_checked(how.robot.read_bytes(), str(how.robot)))
+        layers.append(_checked(read_small(how.robot, MAX_ROBOT_TOML), str(how.robot)))
     try:
         sets = robot_toml.apply_sets(how.sets)
         make_robot(sets)

@@ -9,7 +9,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.figures.palette import traces_in
+from locfuse.formats.inputs import read_small
 from locfuse.formats.report import json_report, markdown
 from locfuse.formats.rerun.scene import Scene
 from locfuse.formats.results.trajectory import read_tum
@@ -34,7 +36,7 @@ def scene_of(folder: Path) -> Scene:
     if path is None:
         raise LocfuseError(f"{folder} holds no locfuse result: neither report.json nor run.json")
     try:
-        report = json_report.current(msgspec.json.decode(path.read_bytes()), str(path))
+        report = json_report.current(msgspec.json.decode(read_small(path, MAX_REPORT)), str(path))
         rows = report["configurations"]
         tracks = {name: _track(folder / _file(folder, name, rows[name], path.name)) for name in rows}
         return _scene(folder, report, tracks)

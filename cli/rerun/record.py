@@ -39,7 +39,7 @@ def sketched(options: RerunOptions, result: Result, say: Say) -> Sketch | None:
     """Return the recording of a result in values, None where none is wanted or none can be made."""
     if not options.wanted:
         return None
-    with _at_worst_a_warning(say):
+    with _at_worst_a_warning(say, options.save):
         from locfuse.formats.rerun.recording import sketch
 
         from .scene import scene_of_result
@@ -51,35 +51,41 @@ def sketched(options: RerunOptions, result: Result, say: Say) -> Sketch | None:
 def record(options: RerunOptions, sketch: Sketch | None, folder: Path, say: Say) -> None:
     """Write a recording and show it as the options say; at worst warn.
 
-    Without --rerun-save the recording lies beside the results, where `locfuse view FOLDER` finds it.
+    Without --rerun-save the recording lies beside the results, where `locfuse view FOLDER` finds it. With it, the
+    file was asked for by name: LocfuseError where it cannot be written.
     """
     if sketch is None:
         return
     path = options.save or folder / RECORDING
-    if _saved(path, sketch, say):
+    if _saved(path, sketch, say, options.save):
         say(f"{path}: Rerun recording")
         _show(path, options, say)
 
 
 @contextmanager
-def _at_worst_a_warning(say: Say) -> Iterator[None]:
-    """Let nothing fail the run: a Rerun of another version, or none, or broken. The results stand."""
+def _at_worst_a_warning(say: Say, named: Path | None) -> Iterator[None]:
+    """Let nothing fail the run: a Rerun of another version, or none, or broken. The results stand.
+
+    Raises LocfuseError where the recording was asked for by the name of its file.
+    """
     from locfuse.fusion.data import LocfuseError
 
     try:
         yield
-    except LocfuseError as problem:
-        say(warning(str(problem)))
     except Exception as problem:
-        say(warning(f"no recording was made: {type(problem).__name__}: {problem}"))
+        ours = isinstance(problem, LocfuseError)
+        words = str(problem) if ours else f"no recording was made: {type(problem).__name__}: {problem}"
+        if named is not None:
+            raise LocfuseError(f"--rerun-save {named}: {words}. The other results are written") from None
+        say(warning(words))
 
 
-def _saved(path: Path, sketch: Sketch, say: Say) -> bool:
+def _saved(path: Path, sketch: Sketch, say: Say, named: Path | None) -> bool:
     from locfuse.cli.pipeline.memory import give_back
     from locfuse.formats.rerun.file import save_recording
 
     give_back()  # Rerun's import takes as much as an hour's estimates did
-    with _at_worst_a_warning(say):
+    with _at_worst_a_warning(say, named):
         save_recording(path, sketch)
         return True
     return False

@@ -137,7 +137,8 @@ def serve(path: Path, wanted: int, say: Callable[[str], None]) -> None:
     server = _popen([*command, str(path)])
     try:
         address = f"http://{HOST}:{port}/?url=" + quote(f"rerun+http://{HOST}:{data}/proxy", safe="")
-        say(f"{address}\nCtrl-C ends it")
+        say(address)
+        say("Ctrl-C ends it")
         if has_display():
             webbrowser.open(address)
         code = server.wait()

@@ -12,6 +12,7 @@ from locfuse.cli.pipeline import exports, maps, outputs, results
 from locfuse.cli.pipeline.compare import Compared
 from locfuse.cli.pipeline.load import Loaded
 from locfuse.cli.pipeline.settings import OF_COMPARISON, OF_RUN, PathLike, chosen, path_of
+from locfuse.formats.visible import visible
 from locfuse.fusion.data import Drive, Estimates, Evaluation, UsageError
 from locfuse.fusion.judge.credit import Credit
 from locfuse.fusion.robot import Robot
@@ -81,7 +82,7 @@ class Result:
 
     def __repr__(self) -> str:
         """Return the kind of result, the log and the names of its results."""
-        return f"<{type(self).__name__} of {self.loaded.log.name}: {', '.join(self.estimates)}>"
+        return visible(f"<{type(self).__name__} of {self.loaded.log.name}: {', '.join(self.estimates)}>")
 
     def _repr_html_(self) -> str:
         """Return verdicts and table, as a notebook shows them."""

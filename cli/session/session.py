@@ -24,6 +24,7 @@ from locfuse.cli.pipeline.settings import (
     words_of,
 )
 from locfuse.formats.log.log import Log
+from locfuse.formats.visible import visible
 from locfuse.fusion.data import Drive
 from locfuse.fusion.judge.evaluate import Align, evaluate
 from locfuse.fusion.robot import Robot
@@ -166,4 +167,6 @@ class Session:
         """Return the log's name, its duration and what was measured."""
         sensors = ", ".join(("wheels", *self.drive.measurements))
         truth = "no truth" if self.drive.truth is None else f"truth {self.drive.truth.topic}"
-        return f"<Session of {self.log.name}: {self.drive.t[-1] - self.drive.t[0]:.1f} s, {sensors}; {truth}>"
+        return visible(
+            f"<Session of {self.log.name}: {self.drive.t[-1] - self.drive.t[0]:.1f} s, {sensors}; {truth}>"
+        )

@@ -28,6 +28,7 @@ from locfuse.cli.pipeline.verdicts import credit_values, verdicts
 from locfuse.formats.log.files import log_name
 from locfuse.formats.report import json_report
 from locfuse.formats.report import summary as over
+from locfuse.formats.visible import visible
 from locfuse.formats.whole_files import may_write, write_results
 from locfuse.fusion.data import LocfuseError, UsageError
 from locfuse.fusion.judge.credit import Credit, credit_over_logs
@@ -78,7 +79,7 @@ class Summary:
 
     def __repr__(self) -> str:
         """Return the logs and which configuration is best."""
-        return f"<Summary of {', '.join(self.results)}: {over.headline(self.report)}>"
+        return visible(f"<Summary of {', '.join(self.results)}: {over.headline(self.report)}>")
 
     def _repr_html_(self) -> str:
         """Return headline, verdicts and table, as a notebook shows them."""

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import click
 
-from .screen import reader_may_leave, say
+from .screen import put, reader_may_leave, say
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 Table = tuple[Sequence[str], Iterable[Sequence[str]]]  # titles, rows
@@ -39,12 +39,12 @@ def print_findings(values: Any, tables: Iterable[Table], out: Path | None, as_js
 
     with reader_may_leave():
         if as_json:
-            click.echo(json_report.encode(values), nl=False)
+            put(json_report.encode(values))
             return
         for titles, rows in tables:
             show.table(of_words(texts(*titles), rows))
         if out is not None:
-            click.echo(f"{out}: use it with --robot {out}")
+            say(f"{out}: use it with --robot {out}")
 
 
 def end(notes: Iterable[str], lost: Sequence[str], quiet: bool) -> int:
@@ -53,5 +53,5 @@ def end(notes: Iterable[str], lost: Sequence[str], quiet: bool) -> int:
 
     if not quiet:
         for line in (*(f"note: {n}" for n in notes), *(f"lost: {n}" for n in lost)):
-            say(line)
+            say(line, err=True)
     return LOSS if lost else 0

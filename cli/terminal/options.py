@@ -96,7 +96,11 @@ def out_options(kinds: tuple[str, ...]) -> Callable[[F], F]:
                     type=click.Path(path_type=Path, file_okay=False),
                     help="Folder for the results.  [default: locfuse-out/<log name>]",
                 ),
-                click.option("--overwrite", is_flag=True, help="Write into a folder that holds something else."),
+                click.option(
+                    "--overwrite",
+                    is_flag=True,
+                    help="Replace files, and write into a folder that holds something else.",
+                ),
                 click.option(
                     "--write",
                     metavar="KINDS",

@@ -1,4 +1,7 @@
-"""The screen, by rich, for which a reader of stdout that has gone (`| head`) is no error of ours."""
+"""The screen: lines by click, tables by rich, and text of a log that does nothing but stand there.
+
+A reader of stdout that has gone (`| head`) is no error of ours.
+"""
 
 from __future__ import annotations
 
@@ -10,19 +13,62 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from locfuse.formats.visible import visible, visible_lines
+
 if TYPE_CHECKING:
-    from rich.console import Console
+    from rich.console import Console, ConsoleOptions, RenderableType
+    from rich.segment import Segment
 
 
 def screen(**options: Any) -> Console:
     """Return rich's console; it passes a broken pipe on instead of ending the program with code 1."""
     from rich.console import Console
+    from rich.segment import Segment
 
     class Patient(Console):
         def on_broken_pipe(self) -> None:
             raise BrokenPipeError
 
+        def render(
+            self, renderable: RenderableType, options: ConsoleOptions | None = None
+        ) -> Iterator[Segment]:  # its own controls (colours, the spinner) pass
+            for text, style, control in super().render(renderable, options):
+                yield Segment(text if control else visible_lines(text), style, control)
+
     return Patient(**options)
+
+
+def say(line: str, err: bool = False) -> None:
+    """Print one line on stdout or stderr, whatever a log put into it.
+
+    On stderr to nobody where its reader has gone (`2>&1 | head`): the exit code is still due.
+    """
+    try:
+        click.echo(visible(line), err=err)
+    except BrokenPipeError:
+        if not err:
+            raise  # `reader_may_leave` knows
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
+
+
+def put(document: str) -> None:
+    """Print JSON or TOML as it is: its writer has escaped what acts on a terminal."""
+    click.echo(document, nl=False)
+
+
+def settle_streams() -> None:
+    """Let no stream fail a run: one that is closed leads nowhere, what an encoding lacks is shown in letters."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number: this one, so that no file of ours gets it
+    for number, name in ((1, "stdout"), (2, "stderr")):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, os.fdopen(number, "w", errors="backslashreplace", closefd=False))
+        elif hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
 
 
 @contextmanager
@@ -33,11 +79,3 @@ def reader_may_leave() -> Iterator[None]:
         sys.stdout.flush()
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-def say(line: str) -> None:
-    """Print a line on stderr; to nobody where its reader has gone (`2>&1 | head`): the exit code is still due."""
-    try:
-        click.echo(line, err=True)
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())

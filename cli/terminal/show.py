@@ -9,15 +9,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
-import click
-
 from locfuse.formats.report import json_report, tables
 from locfuse.formats.report.notes import notes_of
 from locfuse.formats.report.table import Table
 
 from . import text_table
-from .screen import reader_may_leave, screen
-from .screen import say as say  # noqa: PLC0414 - commands know it as show.say
+from .screen import put, reader_may_leave, screen
+from .screen import say as on_screen
 
 NO_TRUTH = "no truth in this log: the error figures do not exist; if a topic holds it: --set truth.topic=/TOPIC"
 
@@ -29,6 +27,11 @@ class Progress(Protocol):
         """Name the current step."""
 
 
+def say(line: str) -> None:
+    """Print a line on stderr."""
+    on_screen(line, err=True)
+
+
 @contextmanager
 def progress(quiet: bool) -> Iterator[Progress]:
     """Show the current step on a terminal; nothing where stderr is a file or --quiet was given."""
@@ -36,7 +39,8 @@ def progress(quiet: bool) -> Iterator[Progress]:
         yield lambda what: None
         return
 
-    with screen(stderr=True).status("opening", spinner="dots") as status:
+    own = os.fdopen(os.dup(sys.stderr.fileno()), "w", encoding=sys.stderr.encoding, errors="backslashreplace")
+    with own, screen(file=own).status("opening", spinner="dots") as status:
         yield lambda what: status.update(what)  # noqa: PLW0108 - its type differs from Progress
 
 
@@ -59,12 +63,12 @@ def result(report: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> N
     """Print a finished report, and which files it was written to; they lie in one folder."""
     with reader_may_leave():
         if as_json:
-            click.echo(json_report.encode(report), nl=False)
+            put(json_report.encode(report))
             return
         figures(report)
         verdicts(report)
         consistency(report)
-        click.echo(f"{files[0].parent}: {', '.join(file.name for file in files)}")
+        on_screen(f"{files[0].parent}: {', '.join(file.name for file in files)}")
 
 
 def figures(report: Mapping[str, Any]) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from locfuse.formats.report.table import Cell, Column, Table, text
+from locfuse.formats.visible import visible
 
 MIN_CELL_WIDTH = 12  # characters of a text that is cut
 
@@ -34,7 +35,7 @@ def lines(table: Table, width: int | None, gap: str = "  ") -> list[str]:
     A column whose cells are all empty is left out.
     """
     strips = [
-        Strip(c, (c.brief or c.heading, *(_text(c, row[i]) for row in table.rows)))
+        Strip(c, (c.brief or c.heading, *(visible(_text(c, row[i])) for row in table.rows)))
         for i, c in enumerate(table.columns)
     ]
     strips = [s for s in strips if any(s.cells[1:])]

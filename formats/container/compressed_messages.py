@@ -11,9 +11,10 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
+from locfuse.formats.caps import MAX_MESSAGE
 from locfuse.formats.columns import view
 
-from .source import MAX_MESSAGE, Messages
+from .source import Messages
 
 ZSTD_MAGIC = 0xFD2FB528
 BATCH_BYTES = 16 * 1024 * 1024  # bytes of unpacked messages handed on at once

@@ -12,9 +12,9 @@ from collections.abc import Callable
 import lz4.frame
 import zstandard
 
-Codec = Callable[[bytes, int], bytes]  # (data, at most so many bytes) -> bytes
+from locfuse.formats.caps import MAX_CHUNK
 
-MAX_BYTES = 256 * 1024 * 1024  # of one chunk, compressed or not; writers use 1..8 MiB
+Codec = Callable[[bytes, int], bytes]  # (data, at most so many bytes) -> bytes
 
 
 class DamagedError(ValueError):
@@ -25,8 +25,8 @@ def decompress(data: bytes, compression: str, size: int) -> bytes:
     """Return exactly `size` bytes, or raise DamagedError with the reason."""
     if size == 0 and not data:
         return b""
-    if size > MAX_BYTES:
-        raise DamagedError(f"a chunk claims more than {MAX_BYTES >> 20} MiB")
+    if size > MAX_CHUNK:
+        raise DamagedError(f"a chunk claims more than {MAX_CHUNK >> 20} MiB")
     out = _codec(compression)(data, size + 1)
     if len(out) != size:
         raise DamagedError("a chunk's size is not the declared one")
@@ -35,7 +35,7 @@ def decompress(data: bytes, compression: str, size: int) -> bytes:
 
 def decompress_prefix(data: bytes, compression: str, size: int) -> bytes:
     """Return what a cut-off stream still gives: at most `size` bytes."""
-    limit = min(size, MAX_BYTES)
+    limit = min(size, MAX_CHUNK)
     if compression == "zstd":
         return _zstd_prefix(data, limit)
     if compression == "lz4":

@@ -5,26 +5,36 @@ from __future__ import annotations
 import os
 import weakref
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 
+from locfuse.formats import inputs
 from locfuse.fusion.data import LocfuseError
 
+from .losses import Losses
+
 WINDOW_BYTES = 1 << 18
+WRITTEN_TO = "the file was written to while it was read: what was read may not fit together"
 
 
 class FileBytes:
     """Random access to a file with a read-ahead window: never more in memory than asked for plus the window.
 
-    The file is opened for each read (some microseconds per chunk), so that nothing needs to be closed. Where it
+    The file is opened for each read (some microseconds per chunk), so that nothing needs to be closed; each time
+    it must be the file that it was. As long as this object lives, nothing of ours is written onto it. Where it
     had to be unpacked, the bytes are those of a temporary file that goes when this object goes.
     """
 
-    def __init__(self, path: Path, unpacked: Path | None = None) -> None:
+    def __init__(self, path: Path, losses: Losses, unpacked: Path | None = None) -> None:
         self.path = path  # what to call it
         self.where = unpacked or path  # where the bytes are
-        self.size = self.where.stat().st_size
+        self.losses = losses
+        self._given = inputs.identity(path)
+        self._read = inputs.identity(self.where)
+        self.size = self._read.size
         self._start = 0
         self._window = b""
+        inputs.hold(self, self._given)
         if unpacked is not None:
             weakref.finalize(self, unpacked.unlink, missing_ok=True)
 
@@ -45,9 +55,31 @@ class FileBytes:
             crc = zlib.crc32(self._pread(min(WINDOW_BYTES, stop - at), at), crc)
         return crc
 
+    def feed(self, take: Callable[[bytes], None]) -> None:
+        """Give all bytes of the file as the user has it, packed or not, piece by piece."""
+        try:
+            with self.path.open("rb") as file:
+                self._compare(inputs.identity_of_open(file.fileno()), self._given)
+                while piece := file.read(1 << 20):
+                    take(piece)
+        except OSError as problem:
+            raise LocfuseError(f"{self.path}: cannot be read: {problem.strerror}") from None
+
+    def still_the_same(self) -> None:
+        """Raise LocfuseError where another file has taken the name; count one that was written to as a loss."""
+        self._compare(inputs.identity(self.path), self._given)
+
     def _pread(self, n: int, at: int) -> bytes:
         try:
             with self.where.open("rb", buffering=0) as file:
+                if (now := inputs.identity_of_open(file.fileno())) != self._read:
+                    self._compare(now, self._read)
                 return os.pread(file.fileno(), n, at)
         except OSError as problem:
             raise LocfuseError(f"{self.path}: cannot be read: {problem.strerror}") from None
+
+    def _compare(self, now: inputs.Identity, then: inputs.Identity) -> None:
+        if now.file != then.file:
+            raise LocfuseError(f"{self.path}: it was replaced by another file while it was read; start again")
+        if now != then:
+            self.losses.add(str(self.path), WRITTEN_TO, 0, 0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
@@ -9,18 +10,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.fusion.data import LocfuseError
+from locfuse.formats.caps import FREE_RECORDS, MAX_CHUNK
+from locfuse.fusion.data import Ints, LocfuseError
 
 from . import ros1_records as rec
-from .decompress import CODECS, MAX_BYTES, DamagedError, decompress, decompress_prefix
+from .decompress import CODECS, DamagedError, decompress, decompress_prefix
 from .file_bytes import FileBytes
 from .losses import Losses
 from .source import Batch, ChannelInfo, Messages
 
 CUT_OFF = "the bag was not closed: the recording was cut off"
 WINDOW_BYTES = 1 << 20
-HINT = b"compression="  # a field of every chunk's header,
-BEFORE = range(8, 64)  # so many bytes behind the record's start
+HINT = re.compile(rb"[\x0f\x10]\0\0\0compression=(?:none|bz2|lz4)")  # a field of every chunk's header,
+BEFORE = range(4, 64)  # so many bytes behind the record's start
 
 
 @dataclass
@@ -44,7 +46,7 @@ class BagSource:
     def __init__(self, data: FileBytes, losses: Losses) -> None:
         self.path = data.path
         self.losses = losses
-        self._data = data
+        self.data = data
         self._parts: list[Part] = []
         self._connections: dict[int, tuple[rec.Fields, bytes]] = {}
         self._span: tuple[int, int] | None = None
@@ -56,6 +58,10 @@ class BagSource:
     def time_span_ns(self) -> tuple[int, int] | None:
         """First and last time, None without messages."""
         return self._span
+
+    def published(self, data: NDArray[np.uint8], messages: Messages) -> Ints:
+        """Return the log times: the file keeps no others."""
+        return messages.log_time
 
     def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
         """Yield the messages of the wanted connections in file order."""
@@ -75,16 +81,16 @@ class BagSource:
         """Walk the outermost records: chunks and their indexes, connections, the span of time."""
         at = len(rec.MAGIC)
         closed = False
-        while at < self._data.size:
+        while at < self.data.size:
             try:
-                entry = rec.read_entry(self._data, at)
-                if entry.end > self._data.size and entry.op != rec.CHUNK:
+                entry = rec.read_entry(self.data, at)
+                if entry.end > self.data.size and entry.op != rec.CHUNK:
                     raise DamagedError("a record reaches beyond the end of the file")
                 closed = self._take(entry) or closed
             except DamagedError as problem:
                 at = self._lost(at, str(problem))
             else:
-                at = min(entry.end, self._data.size)
+                at = min(entry.end, self.data.size)
         if not closed:
             self.losses.add(str(self.path), CUT_OFF, 0, 0)
 
@@ -99,7 +105,7 @@ class BagSource:
             chunk = self._parts[-1]
             chunk.counts = (chunk.counts or {}) | {entry.number(b"conn"): entry.number(b"count")}
         elif entry.op == rec.CONNECTION:
-            data = self._data.read(entry.start, entry.length)
+            data = self.data.read(entry.start, entry.length)
             self._connections.setdefault(entry.number(b"conn"), (entry.fields, data))
         elif entry.op == rec.MESSAGE:
             self._take_loose(entry)
@@ -110,7 +116,7 @@ class BagSource:
 
     def _take_chunk(self, entry: rec.Entry) -> None:
         name = entry.fields.get(b"compression", b"").decode("utf-8", "replace")
-        available = min(entry.length, self._data.size - entry.start)
+        available = min(entry.length, self.data.size - entry.start)
         part = Part(entry.at, entry.start, available, "" if name == "none" else name, entry.number(b"size"))
         part.cut_off = available < entry.length
         if part.length:
@@ -143,33 +149,33 @@ class BagSource:
         return onward
 
     def _next_chunk(self, at: int) -> int:
-        while at < self._data.size:
-            window = self._data.read(at, WINDOW_BYTES)
-            i = window.find(HINT)
-            while i >= 0:
-                starts = (at + i - back for back in BEFORE if back <= i)
-                if (start := next(filter(self._is_chunk, starts), None)) is not None:
+        while at < self.data.size:
+            window = self.data.read(at, WINDOW_BYTES)
+            for hint in HINT.finditer(window):
+                starts = (hint.start() - back for back in BEFORE if back <= hint.start())
+                headed = (at + i for i in starts if _heads(window, i, hint.end()))
+                if (start := next(filter(self._is_chunk, headed), None)) is not None:
                     return start
-                i = window.find(HINT, i + 1)
-            at += WINDOW_BYTES - BEFORE.stop - len(HINT) if len(window) == WINDOW_BYTES else len(window)
-        return self._data.size
+            at += WINDOW_BYTES - 2 * BEFORE.stop if len(window) == WINDOW_BYTES else len(window)
+        return self.data.size
 
     def _is_chunk(self, at: int) -> bool:
         try:
-            entry = rec.read_entry(self._data, at)
+            entry = rec.read_entry(self.data, at)
         except DamagedError:
             return False
-        return entry.op == rec.CHUNK and entry.end <= self._data.size
+        return entry.op == rec.CHUNK and entry.end <= self.data.size
 
     def _load(self, part: Part) -> tuple[NDArray[np.uint8], rec.Scanned]:
         """Read one part; what is damaged is counted and left out."""
         try:
             data = np.frombuffer(self._bytes(part), np.uint8)
+            found = rec.scan(data, FREE_RECORDS + part.length)
         except DamagedError as problem:
             known = None if part.counts is None else sum(part.counts.values())
             self.losses.add(str(self.path), str(problem), part.at, part.length, known)
             data = np.empty(0, np.uint8)
-        found = rec.scan(data)
+            found = rec.scan(data, 0)
         if found.end < len(data):
             reason = (
                 "the file is cut off inside a chunk" if part.cut_off else "a chunk holds bytes that are no record"
@@ -178,11 +184,11 @@ class BagSource:
         return data, found
 
     def _bytes(self, part: Part) -> bytes:
-        if part.length > MAX_BYTES:
-            raise DamagedError(f"a chunk is larger than {MAX_BYTES >> 20} MiB")
+        if part.length > MAX_CHUNK:
+            raise DamagedError(f"a chunk is larger than {MAX_CHUNK >> 20} MiB")
         if part.compression not in CODECS:
             raise DamagedError(f"unknown compression {part.compression[:16]!r}")
-        packed = self._data.read(part.start, part.length)
+        packed = self.data.read(part.start, part.length)
         if part.size == 0:
             return packed
         unpack = decompress_prefix if part.cut_off else decompress
@@ -214,6 +220,12 @@ class BagSource:
             text = said.get(b"message_definition", b"")
             found[ident] = ChannelInfo(topic, msgtype, "ros1", "ros1msg", text, counts[ident])
         return found
+
+
+def _heads(window: bytes, start: int, end: int) -> bool:
+    """Tell whether a record that starts here has a header that reaches `end` and is as short as a chunk's."""
+    length = int(rec.WORD.unpack_from(window, start)[0])
+    return end <= start + rec.WORD.size + length <= start + 2 * BEFORE.stop
 
 
 def _messages(found: rec.Scanned) -> Messages:

@@ -93,13 +93,16 @@ class Scanned(NamedTuple):
     end: int  # where the records stop making sense
 
 
-def scan(data: NDArray[np.uint8]) -> Scanned:
-    """Walk a chunk's decompressed bytes record by record."""
+def scan(data: NDArray[np.uint8], most: int) -> Scanned:
+    """Walk a chunk's decompressed bytes record by record. Raises DamagedError at more than `most` records."""
     buffer = data.data
     connections: dict[int, tuple[Fields, bytes]] = {}
     rows: list[tuple[int, int, int, int]] = []
-    at = 0
+    at = count = 0
     while at < len(buffer):
+        count += 1
+        if count > most:
+            raise DamagedError(f"a chunk unpacks to more than {most} records, the cap for its size")
         try:
             entry = _entry(buffer, at)
             _take(entry, buffer, rows, connections)

@@ -1,28 +1,95 @@
-"""A rosbag2 sqlite3 file (.db3) as a source of message batches."""
+"""A rosbag2 sqlite3 file (.db3) as a source of message batches.
+
+sqlite runs what a database tells it to. On a stranger's file it is kept on a leash: tables only, no views, no
+computed columns, values of bounded size, a deadline for every step (https://sqlite.org/security.html).
+"""
 
 from __future__ import annotations
 
 import sqlite3
+import time
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import closing
+from contextlib import closing, contextmanager
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from locfuse.fusion.data import LocfuseError
+from locfuse.formats.caps import MAX_CHUNK, MAX_DATABASE_SECONDS, MAX_MESSAGE
+from locfuse.fusion.data import Ints, LocfuseError
 
 from .file_bytes import FileBytes
 from .known_types import definition
 from .losses import Losses
-from .source import MAX_MESSAGE, Batch, ChannelInfo, Messages, message_type
+from .source import Batch, ChannelInfo, Messages, message_type
+from .sqlite_journal import unused_tail
 
 ERRORS = (sqlite3.Error, UnicodeDecodeError, ValueError, MemoryError)  # of a damaged database
 BATCH_BYTES = 1 << 20
 DAMAGED = "the database is damaged: rows may be missing"
 CUT_SHORT = "the messages behind a damaged place of the database are lost"
 
+TABLES = ("messages", "topics", "message_definitions")  # what is asked for
+STEPS = 10_000  # of sqlite's machine between two looks at the clock
+TOPIC = "COALESCE(CAST(topic_id AS INTEGER), -1)"  # some writers keep numbers as text
+BYTES_PER_SECOND = 20e6  # a whole database is checked faster than that
+
 Row = tuple[int, int, bytes | None]  # topic, time in ns, message
+
+
+class Leash:
+    """Ends a step of sqlite that takes too long, and lets a signal end any.
+
+    sqlite calls back every STEPS instructions and drops exceptions from there. Where Ctrl-C arrives meanwhile,
+    Python raises in the callback's first instruction, so the callback is a generator that waits inside a `try`.
+    """
+
+    def __init__(self, path: Path, size: int) -> None:
+        self._path = path
+        self._allowed = MAX_DATABASE_SECONDS + size / BYTES_PER_SECOND
+        self._end = 0.0
+        self._late = False
+        self._raised: BaseException | None = None
+        self._watch = self._watching()
+        next(self._watch)
+
+    def hold(self, database: sqlite3.Connection) -> None:
+        """Put a connection on the leash."""
+        database.set_progress_handler(self._watch.__next__, STEPS)
+        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_CHUNK)
+
+    def begin(self) -> None:
+        """Start the clock anew."""
+        self._end = time.thread_time() + self._allowed
+
+    @contextmanager
+    def step(self) -> Iterator[None]:
+        """Bound one step. Raises LocfuseError where it takes too long, and what a signal raised meanwhile."""
+        self.begin()
+        try:
+            yield
+        except sqlite3.OperationalError:
+            raised, self._raised = self._raised, None
+            if raised is not None:
+                raise raised from None
+            if self._late:
+                raise LocfuseError(
+                    f"{self._path}: the database keeps sqlite busy for more than the cap of {self._allowed:.0f} s"
+                ) from None
+            raise
+
+    def _watching(self) -> Iterator[int]:
+        stop = 0
+        while True:
+            try:
+                yield stop
+                self._late = time.thread_time() > self._end
+                stop = int(self._late)
+            except GeneratorExit:
+                raise
+            except BaseException as problem:
+                self._raised, stop = problem, 1
 
 
 class SqliteSource:
@@ -33,18 +100,47 @@ class SqliteSource:
     def __init__(self, data: FileBytes, losses: Losses) -> None:
         self.path = data.path
         self.losses = losses
-        self._data = data
+        self.data = data
+        self._leash = Leash(self.path, data.size)
+        self._count_unused_journal()
         try:
-            with closing(self._connect()) as database:
+            with closing(self._connect()) as database, self._leash.step():
+                self._refuse_programs(database)
                 self._check(database)
-                self.channels, self._counts = _channels(database)
+                self.channels, self._counts = _channels(database, self._leash)
         except ERRORS as problem:
             raise LocfuseError(f"{self.path}: not a readable rosbag2 database: {problem}") from None
+
+    def _count_unused_journal(self) -> None:
+        """Count what sqlite leaves out of the journal of a crashed recording, and calls normal."""
+        journal = self._journal
+        try:
+            if journal.exists() and journal.stat().st_size and (tail := unused_tail(journal)) is not None:
+                self.losses.add(str(self.path), tail.reason, tail.offset, tail.bytes)
+        except OSError:
+            pass  # then sqlite cannot read it either, and that is counted
+
+    @property
+    def _journal(self) -> Path:
+        return Path(f"{self.data.where.resolve()}-wal")
+
+    def _refuse_programs(self, database: sqlite3.Connection) -> None:
+        """Refuse tables whose rows are not stored but computed: they can be without end."""
+        listed = "SELECT lower(name), type, sql FROM sqlite_master WHERE lower(name) IN (?, ?, ?)"
+        for name, kind, sql in database.execute(listed, TABLES).fetchall():
+            if kind != "table" or str(sql).upper().startswith("CREATE VIRTUAL"):
+                what = kind if kind != "table" else "virtual table"
+                raise LocfuseError(f"{self.path}: its {name} is a {what}; only plain tables are read")
+            if any(column[-1] for column in database.execute(f"PRAGMA table_xinfo({name})")):
+                raise LocfuseError(
+                    f"{self.path}: its table {name} has computed columns; only stored ones are read"
+                )
 
     def _check(self, database: sqlite3.Connection) -> None:
         """Look for damage, which sqlite would meet in silence: rows it cannot reach are just not there."""
         try:
-            verdict = str(database.execute("PRAGMA quick_check(1)").fetchone()[0])
+            with self._leash.step():
+                verdict = str(database.execute("PRAGMA quick_check(1)").fetchone()[0])
         except ERRORS as problem:
             verdict = str(problem)
         if verdict != "ok":
@@ -52,28 +148,47 @@ class SqliteSource:
 
     def _connect(self) -> sqlite3.Connection:
         """Open read-only; with the journal of a crashed recording where there is one and it can be read."""
-        where = self._data.where.resolve()
-        quoted = str(where).replace("%", "%25").replace("?", "%3f").replace("#", "%23")
-        journal = Path(f"{where}-wal")
+        self.data.still_the_same()
+        where = self.data.where.resolve()
+        journal = self._journal
         if journal.exists() and journal.stat().st_size:
-            try:
-                database = sqlite3.connect(f"file:{quoted}?mode=ro", uri=True)
-                database.execute("SELECT count(*) FROM sqlite_master")
-            except ERRORS:
-                self.losses.add(str(self.path), "its journal (-wal) cannot be read", 0, journal.stat().st_size)
-            else:
+            # where no recorder has the file open, without locks: nothing is then written beside the user's bag
+            alone = not Path(f"{where}-shm").exists()
+            for options in ("&vfs=unix-none", "") if alone else ("", "&vfs=unix-none"):
+                try:
+                    database = self._open(where, options)
+                    if options:
+                        database.execute("PRAGMA locking_mode=EXCLUSIVE")
+                    database.execute("SELECT count(*) FROM sqlite_master")
+                except ERRORS:
+                    continue
                 return database
-        return sqlite3.connect(f"file:{quoted}?mode=ro&immutable=1", uri=True)
+            self.losses.add(str(self.path), "its journal (-wal) cannot be read", 0, journal.stat().st_size)
+        return self._open(where, "&immutable=1")
+
+    def _open(self, where: Path, options: str) -> sqlite3.Connection:
+        quoted = str(where).replace("%", "%25").replace("?", "%3f").replace("#", "%23")
+        database = sqlite3.connect(f"file:{quoted}?mode=ro{options}", uri=True)
+        self._leash.hold(database)
+        for pragma in ("trusted_schema=OFF", "cell_size_check=ON", "mmap_size=0"):
+            database.execute(f"PRAGMA {pragma}")
+        return database
 
     @cached_property
     def time_span_ns(self) -> tuple[int, int] | None:
         """First and last time, None without messages."""
         with closing(self._connect()) as database:
             try:
-                first, last = database.execute("SELECT min(timestamp), max(timestamp) FROM messages").fetchone()
+                with self._leash.step():
+                    found = database.execute("SELECT min(timestamp), max(timestamp) FROM messages").fetchone()
+                first, last = found
                 return None if first is None else (int(first), int(last))
             except ERRORS:
                 return None
+
+    def published(self, data: NDArray[np.uint8], messages: Messages) -> Ints:
+        """Return the log times: the file keeps no others."""
+        return messages.log_time
 
     def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
         """Yield the messages of the wanted topics in file order, about a megabyte at a time."""
@@ -84,6 +199,7 @@ class SqliteSource:
             size += len(row[2] or b"")
             if size >= BATCH_BYTES:
                 yield _batch(rows)
+                self._leash.begin()  # what was done with them is none of sqlite's time
                 rows, size = [], 0
         if rows:
             yield _batch(rows)
@@ -91,31 +207,33 @@ class SqliteSource:
     def _rows(self, wanted: Collection[int]) -> Iterator[Row]:
         topics = sorted(wanted)
         query = (
-            "SELECT topic_id, COALESCE(CAST(timestamp AS INTEGER), -1), "
+            f"SELECT {TOPIC}, COALESCE(CAST(timestamp AS INTEGER), -1), "
             "CASE WHEN length(data) <= ? THEN CAST(data AS BLOB) END FROM messages "
-            f"WHERE topic_id IN ({','.join('?' * len(topics))}) ORDER BY id"
+            f"WHERE {TOPIC} IN ({','.join('?' * len(topics))}) ORDER BY rowid"
         )
         n = 0
         with closing(self._connect()) as database:
             try:
-                for row in database.execute(query, (MAX_MESSAGE, *topics)):
-                    n += 1
-                    yield row
+                with self._leash.step():
+                    for row in database.execute(query, (MAX_MESSAGE, *topics)):
+                        n += 1
+                        yield row
             except ERRORS:
                 expected = sum(self._counts.get(topic, 0) for topic in topics)
                 self.losses.add(str(self.path), CUT_SHORT, 0, 0, max(expected - n, 0) or None)
 
 
-def _channels(database: sqlite3.Connection) -> tuple[dict[int, ChannelInfo], dict[int, int]]:
+def _channels(database: sqlite3.Connection, leash: Leash) -> tuple[dict[int, ChannelInfo], dict[int, int]]:
     database.text_factory = lambda text: text.decode("utf-8", "replace")
-    texts = _definitions(database)
+    texts = _definitions(database, leash)
     try:
-        counts = dict(database.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id"))
+        with leash.step():
+            counts = dict(database.execute(f"SELECT {TOPIC}, count(*) FROM messages GROUP BY 1"))
     except ERRORS:
         counts = {}
     found = {}
     for ident, *texts_of_topic in database.execute(
-        "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
+        "SELECT CAST(id AS INTEGER), name, type, serialization_format FROM topics ORDER BY 1"
     ):
         topic, msgtype, encoding = (str(text or "") for text in texts_of_topic)
         language, text = texts.get(msgtype) or ("ros2msg", definition(message_type(msgtype)))
@@ -124,11 +242,12 @@ def _channels(database: sqlite3.Connection) -> tuple[dict[int, ChannelInfo], dic
     return found, counts
 
 
-def _definitions(database: sqlite3.Connection) -> dict[str, tuple[str, str]]:
+def _definitions(database: sqlite3.Connection, leash: Leash) -> dict[str, tuple[str, str]]:
     """Return type -> (language, text) as the bag itself says, since ROS 2 Iron."""
     columns = "topic_type, encoding, encoded_message_definition"
     try:
-        rows = database.execute(f"SELECT {columns} FROM message_definitions").fetchall()
+        with leash.step():
+            rows = database.execute(f"SELECT {columns} FROM message_definitions").fetchall()
     except ERRORS:
         return {}
     return {str(name): (str(language), str(text)) for name, language, text in rows if text}

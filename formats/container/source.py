@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Ints
 
-MAX_MESSAGE = 64 * 1024 * 1024  # bytes of one message: more is refused
+from .file_bytes import FileBytes
 
 
 class ChannelInfo(NamedTuple):
@@ -52,6 +52,10 @@ class Source(Protocol):
     """One file of a log."""
 
     @property
+    def data(self) -> FileBytes:
+        """Its bytes."""
+
+    @property
     def channels(self) -> Mapping[int, ChannelInfo]:
         """Channels by id."""
 
@@ -63,8 +67,20 @@ class Source(Protocol):
     def time_span_ns(self) -> tuple[int, int] | None:
         """First and last log time, None without messages."""
 
+    def published(self, data: NDArray[np.uint8], messages: Messages) -> Ints:
+        """Return when the messages of a batch were published, ns; the log times where the file does not say."""
+
     def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
         """Yield the messages of the wanted channels in file order; the same order at every call."""
+
+
+class Recorded(NamedTuple):
+    """Messages of one channel as they lie in a file, whether or not they can be decoded."""
+
+    channel: ChannelInfo
+    data: NDArray[np.uint8]  # the buffer they lie in
+    messages: Messages
+    published: Ints  # (k,) ns; the log times where the file keeps no others
 
 
 def message_type(name: str) -> str:

@@ -9,6 +9,7 @@ from typing import BinaryIO
 
 import zstandard
 
+from locfuse.formats.whole_files import scratch_prefix
 from locfuse.fusion.data import LocfuseError
 
 from .file_bytes import FileBytes
@@ -23,7 +24,7 @@ MAX_UNPACK_RATIO = 200  # a larger one to so many times its size (real bags: 2 t
 
 def unpack_file(path: Path, losses: Losses) -> FileBytes:
     """Return the unpacked bytes; what a cut-off or damaged file still gives is kept and the rest counted."""
-    handle, name = tempfile.mkstemp(prefix="locfuse-")
+    handle, name = tempfile.mkstemp(prefix=scratch_prefix())
     temporary = Path(name)
     try:
         with os.fdopen(handle, "wb") as plain:
@@ -34,7 +35,7 @@ def unpack_file(path: Path, losses: Losses) -> FileBytes:
     except BaseException:
         temporary.unlink()
         raise
-    return FileBytes(path, temporary)
+    return FileBytes(path, losses, temporary)
 
 
 def _unpack(path: Path, plain: BinaryIO, losses: Losses) -> None:

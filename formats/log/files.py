@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
+from itertools import takewhile
 from pathlib import Path
 
+from locfuse.formats.caps import MAX_METADATA
 from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.container.source import Source
 from locfuse.formats.container.zstd_file import ZSTD_MAGIC, unpack_file
+from locfuse.formats.inputs import read_small
 from locfuse.formats.mcap.source import McapSource
+from locfuse.formats.visible import writable
 from locfuse.fusion.data import LocfuseError, UsageError
 
 
@@ -32,6 +35,7 @@ SOURCES: dict[bytes, Callable[[FileBytes, Losses], Source]] = {
 }
 ENDINGS = ("*.mcap", "*.mcap.zstd", "*.db3", "*.db3.zstd", "*.bag")  # of the files in a folder without metadata
 RESULTS = ("run.json", "report.json")
+UNNAMED = "log"  # what to call "...mcap": its stem ".." would lead results out of their folder
 
 
 def log_files(path: Path) -> list[Path]:
@@ -58,33 +62,36 @@ def _folder(folder: Path) -> list[Path]:
 
 def _by_ending(folder: Path) -> list[Path]:
     """Return the files of the first ending there are any of: kinds are not mixed."""
-    return next((files for ending in ENDINGS if (files := sorted(folder.glob(ending)))), [])
+    return next(
+        (files for ending in ENDINGS if (files := sorted(f for f in folder.glob(ending) if f.is_file()))),
+        [],
+    )
 
 
 def _listed(metadata: Path) -> list[str]:
     """Return the files a rosbag2 metadata.yaml lists (after a crash there is none: then those of the folder)."""
-    try:
-        text = metadata.read_text(encoding="utf-8", errors="replace")
-    except OSError:
+    if not metadata.is_file():  # a pipe would never end
         return []
-    block = re.search(r"^\s*relative_file_paths:\s*\n((?:\s*- .*\n?)*)", text, re.MULTILINE)
-    names = re.findall(r"^\s*- (.*)$", block[1], re.MULTILINE) if block else []
-    listed = [Path(name.strip().strip("'\"")).name for name in names]
+    text = read_small(metadata, MAX_METADATA).decode("utf-8", "replace")
+    lines = iter(text.splitlines())
+    if not any(line.strip() == "relative_file_paths:" for line in lines):
+        return []
+    entries = takewhile(lambda line: line.startswith("- "), map(str.strip, lines))
+    listed = [Path(entry[2:].strip().strip("'\"")).name for entry in entries]
     return [name for given in listed for name in (given, f"{given}.zstd")]  # some versions leave the .zstd out
 
 
 def log_name(paths: Sequence[Path]) -> str:
     """Return what to call the log: the file without its ending, or the folder."""
-    first = paths[0]
-    if first.name == "metadata.yaml":
-        return first.parent.resolve().name
-    return first.resolve().name if first.is_dir() else Path(first.name.removesuffix(".zstd")).stem
+    first = paths[0].parent if paths[0].name == "metadata.yaml" else paths[0]
+    name = first.resolve().name if first.is_dir() else Path(first.name.removesuffix(".zstd")).stem
+    return writable(name) if name.strip(".") else UNNAMED
 
 
 def open_source(file: Path, losses: Losses) -> Source:
     """Open one file of a log by what its first bytes say it is."""
     try:
-        data = FileBytes(file)
+        data = FileBytes(file, losses)
         if data.read(0, len(ZSTD_MAGIC)) == ZSTD_MAGIC:
             data = unpack_file(file, losses)
         head = data.read(0, 64)

@@ -9,12 +9,13 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from locfuse.formats.caps import MAX_TOPICS, names_its_cap
 from locfuse.formats.container.compressed_messages import unpack
 from locfuse.formats.container.losses import Losses
-from locfuse.formats.container.source import ChannelInfo, Messages, Source
+from locfuse.formats.container.source import Recorded, Source
 from locfuse.formats.messages.fields import FieldError, resolve
+from locfuse.formats.messages.kinds import check_kind
 from locfuse.formats.messages.schema import SchemaError
 from locfuse.formats.robot import transforms
 from locfuse.fusion.data import Ints, LocfuseError, UsageError
@@ -44,6 +45,8 @@ class Log:
         self._sources = tuple(sources)
         self.losses = losses
         self._channels = by_topic(sources)
+        if len(self._channels) > MAX_TOPICS:
+            raise LocfuseError(names_its_cap(f"{name}: too many topics", len(self._channels), MAX_TOPICS))
         self.topics = {topic: channels.topic for topic, channels in self._channels.items()}
         self._tables: dict[str, Table] = {}
         self._streams: dict[tuple[str, str], LogStream] = {}
@@ -52,10 +55,8 @@ class Log:
     def sha256(self) -> str:
         """Hash of the input's bytes, file after file by name."""
         state = hashlib.sha256()
-        for path in self.paths:
-            with path.open("rb") as file:
-                while piece := file.read(1 << 20):
-                    state.update(piece)
+        for source in self._sources:
+            source.data.feed(state.update)
         return state.hexdigest()
 
     @cached_property
@@ -145,7 +146,8 @@ class Log:
     def _check_fields(self, topic: str, fields: Sequence[str]) -> None:
         for path in fields:
             try:
-                resolve(self._channels[topic].decoder.message, path)
+                parts = resolve(self._channels[topic].decoder.message, path)
+                check_kind(self.topics[topic].msgtype, path, parts)
             except FieldError as problem:
                 raise LocfuseError(f"{topic} ({self.topics[topic].msgtype}): {problem.args[0]}") from None
 
@@ -163,12 +165,17 @@ class Log:
                     for data, unpacked in unpack(batch.data, messages):
                         yield topic, dated(Raw(data, unpacked, decoder))
 
-    def messages(self) -> Iterator[list[tuple[ChannelInfo, NDArray[np.uint8], Messages]]]:
+    def messages(self) -> Iterator[list[Recorded]]:
         """Yield all messages as they lie in the files, whether or not they can be read, batch by batch."""
         for source in self._sources:
             for batch in source.batches(source.channels.keys()):
                 yield [
-                    (source.channels[ident], data, unpacked)
+                    Recorded(
+                        source.channels[ident],
+                        data,
+                        unpacked,
+                        source.published(data, unpacked) if data is batch.data else unpacked.log_time,
+                    )
                     for ident, messages in batch.messages.items()
                     for data, unpacked in unpack(batch.data, messages)
                 ]

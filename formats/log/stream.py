@@ -111,7 +111,7 @@ class LogStream:
         room, at = rows, 0
         for raw in self._log.raw(self.topic, fields):
             while len(raw.messages.start):
-                some, raw = raw.split(room)  # noqa: PLW2901
+                some, raw = raw.split(min(room, _at_once(raw.messages.length)))  # noqa: PLW2901
                 decoded = some.columns(fields)
                 here = row_of[at : at + int(decoded.good.sum())]
                 at += len(here)
@@ -139,6 +139,11 @@ def _rows(numbers: Ints, columns: dict[str, Column]) -> Block:
         return numbers, columns
     rows = np.flatnonzero(keep)
     return numbers[rows], {name: take(column, rows) for name, column in columns.items()}
+
+
+def _at_once(length: Ints) -> int:
+    """Return how many messages of these lengths (k,) to decode together: those of BLOCK_BYTES, at least one."""
+    return max(int(np.searchsorted(np.cumsum(length), BLOCK_BYTES, "right")), 1)
 
 
 def _bytes(blocks: list[Block]) -> int:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.formats.caps import MAX_LONG
 from locfuse.formats.columns import Growing, take
 from locfuse.formats.container.source import Messages
 from locfuse.formats.messages.decoded import Decoded, MessageDecoder
@@ -37,7 +38,6 @@ class Raw(NamedTuple):
 
 END_OF_TIME = 2**62  # ns
 LONG_BYTES = 64 * 1024  # bytes: no message that is read into columns for a whole log is nearly as long
-MAX_LONG_BYTES = 256 * 1024 * 1024  # bytes of such messages held at most
 NO_TIMES: tuple[Ints, Ints] = (np.empty(0, np.int64), np.empty(0, np.int64))
 
 
@@ -110,10 +110,10 @@ class Table:
         if not fields or not long.any():
             return
         self._pass.long += int(raw.messages.length[long].sum())
-        if self._pass.long > MAX_LONG_BYTES:
+        if self._pass.long > MAX_LONG:
             raise LocfuseError(
                 f"{self.topic}: its messages are up to {int(raw.messages.length.max())} bytes long, more than "
-                f"{MAX_LONG_BYTES >> 20} MiB in all: too much to hold {', '.join(fields)}. "
+                f"{MAX_LONG >> 20} MiB in all: too much to hold {', '.join(fields)}. "
                 "Is this the right topic?"
             )
 

@@ -12,7 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.formats.caps import FREE_RECORDS
 from locfuse.formats.columns import view
+from locfuse.formats.container.decompress import DamagedError
 from locfuse.formats.container.source import Messages
 from locfuse.fusion.data import Ints
 
@@ -31,30 +33,49 @@ class Records(NamedTuple):
     end: int  # where the records stop making sense; the chunk's size when all is well
 
 
-def records(data: NDArray[np.uint8], index: Index | None) -> Records:
-    """Find the records of a chunk's decompressed bytes."""
-    if index is not None and (found := _by_index(data, index)) is not None:
+def records(data: NDArray[np.uint8], index: Index | None, packed: int | None = None) -> Records:
+    """Find the records of a chunk's decompressed bytes; `packed` is how many they were in the file.
+
+    Raises DamagedError where so few bytes unpack to absurdly many records.
+    """
+    most = most_records(len(data) if packed is None else packed)
+    if index is not None and (found := _by_index(data, index, most)) is not None:
         return found
-    scanned = scan(data)
+    scanned = scan(data, most)
     if not index or scanned.end == len(data):
         return scanned
     return _salvage(data, scanned, index)
 
 
-def scan(data: NDArray[np.uint8]) -> Records:
-    """Walk record by record until the end or the first record that cannot be one."""
+def most_records(packed: int) -> int:
+    """Return how many records so many bytes of a file may unpack to: every real one takes a byte and more."""
+    return FREE_RECORDS + packed
+
+
+def scan(data: NDArray[np.uint8], most: int | None = None) -> Records:
+    """Walk record by record until the end or the first record that cannot be one.
+
+    Raises DamagedError at more than `most` records.
+    """
     offsets: list[int] = []
     definitions: list[tuple[int, int, int]] = []
-    end = _walk(data.data, 0, len(data), offsets, definitions)
+    end = _walk(data.data, (0, len(data)), offsets, definitions, len(data) if most is None else most)
     if offsets and not len(_followed(data, np.array(offsets[-1:], np.int64))):
         end = offsets.pop()
     return Records(_gather(data, np.array(offsets, np.int64)), definitions, end)
 
 
 def _walk(
-    data: memoryview, at: int, stop: int, offsets: list[int], definitions: list[tuple[int, int, int]]
+    data: memoryview,
+    within: tuple[int, int],
+    offsets: list[int],
+    definitions: list[tuple[int, int, int]],
+    most: int,
 ) -> int:
-    while at + RECORD.size <= stop:
+    at, stop = within
+    for _ in range(most):
+        if at + RECORD.size > stop:
+            break
         opcode, length = RECORD.unpack_from(data, at)
         end = at + RECORD.size + length
         if end > stop or not _allowed(opcode, length):
@@ -64,6 +85,9 @@ def _walk(
         elif opcode < PRIVATE:
             definitions.append((opcode, at + RECORD.size, length))
         at = end
+    else:
+        if at + RECORD.size <= stop:
+            raise DamagedError(f"a chunk unpacks to more than {most} records, the cap for its size")
     return at
 
 
@@ -114,7 +138,7 @@ def _flatten(index: Index) -> tuple[Ints, NDArray[np.uint64], Ints]:
     return channel[order], entries[order, 0], offsets[order]
 
 
-def _by_index(data: NDArray[np.uint8], index: Index) -> Records | None:
+def _by_index(data: NDArray[np.uint8], index: Index, most: int) -> Records | None:
     channel, log_time, offsets = _flatten(index)
     if not _credible(data, channel, log_time, offsets).all():
         return None
@@ -123,7 +147,7 @@ def _by_index(data: NDArray[np.uint8], index: Index) -> Records | None:
     definitions: list[tuple[int, int, int]] = []
     buffer = data.data
     for at, stop in _gaps(offsets, ends, len(data)):
-        if at > stop or _walk(buffer, at, stop, missed, definitions) != stop or missed:
+        if at > stop or _walk(buffer, (at, stop), missed, definitions, most) != stop or missed:
             return None
     rows = {ident: channel == ident for ident in index}
     start = offsets + PAYLOAD

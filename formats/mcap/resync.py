@@ -6,6 +6,7 @@ from bisect import bisect_left
 from collections.abc import Collection
 
 import numpy as np
+from numpy.typing import NDArray
 
 from locfuse.formats.container.decompress import CODECS, DamagedError
 from locfuse.formats.container.file_bytes import FileBytes
@@ -24,6 +25,9 @@ class Resync:
         self.data = data
         self.starts = sorted(summary.chunks) if summary else []
         self.end = summary.start if summary else data.size
+        self._window = range(0)  # the bytes last searched
+        self._places: NDArray[np.int64] = np.empty(0, np.int64)  # where in them a record might begin
+        self._chunked = False  # whether these are places of chunks only
 
     def next(self, at: int, chunked: bool, channels: Collection[int]) -> int | None:
         """Return the offset of the next chunk at or after `at` (in an unchunked file: message), None without."""
@@ -34,17 +38,26 @@ class Resync:
 
     def _search(self, at: int, chunked: bool, channels: Collection[int]) -> int | None:
         while at + rec.RECORD.size <= self.end:
-            window = np.frombuffer(self.data.read(at, SEARCH_BYTES), np.uint8)
-            n = len(window) - rec.RECORD.size + 1
-            wanted = window[:n] == rec.CHUNK
-            if not chunked:
-                wanted |= window[:n] == rec.MESSAGE
-            wanted &= (window[5 : n + 5] == 0) & (window[6 : n + 6] == 0)  # shorter than 4 GiB
-            for i in np.flatnonzero(wanted).tolist():
-                if self._is_chunk(at + i) or (not chunked and self._are_records(at + i, channels)):
-                    return at + int(i)
-            at += n
+            if at not in self._window or chunked != self._chunked:
+                self._search_window(at, chunked)
+            for i in range(int(np.searchsorted(self._places, at)), len(self._places)):
+                place = int(self._places[i])
+                if self._is_chunk(place) or (not chunked and self._are_records(place, channels)):
+                    return place
+            at = self._window.stop
         return None
+
+    def _search_window(self, at: int, chunked: bool) -> None:
+        """Note where a record might begin, once for all holes in these bytes."""
+        window = np.frombuffer(self.data.read(at, SEARCH_BYTES), np.uint8)
+        n = len(window) - rec.RECORD.size + 1
+        wanted = window[:n] == rec.CHUNK
+        if not chunked:
+            wanted |= window[:n] == rec.MESSAGE
+        for i in (5, 6, 7, 8):
+            wanted &= window[i : n + i] == 0  # shorter than 4 GiB
+        self._window, self._chunked = range(at, at + n), chunked
+        self._places = np.flatnonzero(wanted) + at
 
     def _is_chunk(self, at: int) -> bool:
         head = self.data.read(at, CHUNK_HEAD)

@@ -11,10 +11,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.formats.container.decompress import MAX_BYTES, DamagedError, decompress, decompress_prefix
+from locfuse.formats.caps import MAX_ATTACHMENT, MAX_CHUNK
+from locfuse.formats.columns import view
+from locfuse.formats.container.decompress import DamagedError, decompress, decompress_prefix
 from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
-from locfuse.formats.container.source import Batch, ChannelInfo
+from locfuse.formats.container.source import Batch, ChannelInfo, Messages
+from locfuse.fusion.data import Ints
 
 from . import records as rec
 from .chunk import Index, Records, counted, records
@@ -22,7 +25,6 @@ from .parts import ChunkRef, LooseRun, Part
 from .survey import survey
 
 Bytes = NDArray[np.uint8]
-MAX_ATTACHMENT = 16 * 1024 * 1024  # larger ones are no robot.toml and stay in the file
 
 
 class McapSource:
@@ -31,7 +33,7 @@ class McapSource:
     def __init__(self, data: FileBytes, losses: Losses) -> None:
         self.path = data.path
         self.losses = losses
-        self._data = data
+        self.data = data
         self._survey = survey(data, losses)
         self._discover()
         self.channels = self._channels()
@@ -44,7 +46,7 @@ class McapSource:
         for at, length in self._survey.attachments:
             if length > MAX_ATTACHMENT:
                 continue
-            content = self._data.read(at, length)
+            content = self.data.read(at, length)
             try:
                 name, data, crc = rec.attachment(content)
                 if crc and zlib.crc32(content[:-4]) != crc:
@@ -65,6 +67,10 @@ class McapSource:
         spans = [part.span for part in self._survey.parts if part.counts and any(part.counts.values())]
         return (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
 
+    def published(self, data: NDArray[np.uint8], messages: Messages) -> Ints:
+        """Return when the messages were published, ns: the last thing in front of their payloads."""
+        return view(data, "<u8", messages.start - 8).astype(np.int64)
+
     def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
         """Yield the messages of the wanted channels in file order."""
         for part in self._survey.parts:
@@ -79,19 +85,19 @@ class McapSource:
         """Read one part; what is damaged is counted and left out."""
         try:
             data = self._bytes(part)
+            found = records(data, self._index(part) if isinstance(part, ChunkRef) else None, part.size)
         except DamagedError as problem:
             known = None if part.counts is None else sum(part.counts.values())
             self.losses.add(str(self.path), str(problem), part.offset, part.size, known)
             return np.empty(0, np.uint8), Records({}, [], 0)
-        found = records(data, self._index(part) if isinstance(part, ChunkRef) else None)
         if found.end < len(data) or part.cut_off:
             self._count_gap(part, len(data), found)
         return data, found
 
     def _bytes(self, part: Part) -> Bytes:
-        if part.size > MAX_BYTES:
-            raise DamagedError(f"a chunk is larger than {MAX_BYTES >> 20} MiB")
-        packed = self._data.read(part.start, part.size)
+        if part.size > MAX_CHUNK:
+            raise DamagedError(f"a chunk is larger than {MAX_CHUNK >> 20} MiB")
+        packed = self.data.read(part.start, part.size)
         if isinstance(part, LooseRun):
             return np.frombuffer(packed, np.uint8)
         header = part.header
@@ -106,7 +112,7 @@ class McapSource:
     def _index(self, chunk: ChunkRef) -> Index | None:
         """Return the message indexes behind a chunk, None where there are none."""
         try:
-            found = [rec.message_index(self._data.read(at, length)) for at, length in chunk.index.values()]
+            found = [rec.message_index(self.data.read(at, length)) for at, length in chunk.index.values()]
         except DamagedError:
             return None
         return dict(found) if found and not chunk.cut_off else None

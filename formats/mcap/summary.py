@@ -5,7 +5,8 @@ from __future__ import annotations
 import zlib
 from dataclasses import dataclass, field
 
-from locfuse.formats.container.decompress import MAX_BYTES, DamagedError
+from locfuse.formats.caps import MAX_CHUNK
+from locfuse.formats.container.decompress import DamagedError
 from locfuse.formats.container.file_bytes import FileBytes
 
 from . import records as rec
@@ -45,7 +46,7 @@ def read_summary(data: FileBytes) -> Summary | None:
         return None
     start, _, crc = rec.Cursor(foot, rec.RECORD.size).integers("QQI")
     end = data.size - TAIL
-    if not len(rec.MAGIC) <= start <= end or end - start > MAX_BYTES:
+    if not len(rec.MAGIC) <= start <= end or end - start > MAX_CHUNK:
         return None
     section = data.read(start, end - start)
     if crc and zlib.crc32(section + foot[: rec.RECORD.size + rec.FOOTER_LENGTH - 4]) != crc:

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from locfuse.formats.container.decompress import MAX_BYTES, DamagedError
+from locfuse.formats.caps import MAX_CHUNK
+from locfuse.formats.container.decompress import DamagedError
 from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.container.signatures import describe
@@ -120,8 +121,8 @@ class _Walk:
             chunk.counts = None
 
     def _content(self, at: int, length: int) -> bytes:
-        if length > MAX_BYTES:
-            raise DamagedError(f"a record claims more than {MAX_BYTES >> 20} MiB")
+        if length > MAX_CHUNK:
+            raise DamagedError(f"a record claims more than {MAX_CHUNK >> 20} MiB")
         return self.data.read(at + rec.RECORD.size, length)
 
     def _schema(self, at: int, length: int) -> None:
@@ -133,8 +134,8 @@ class _Walk:
     def _loose(self, at: int, length: int) -> int:
         """Take messages outside any chunk, as many as lie in a row; return where they end."""
         n_bytes = max(rec.RECORD.size + length, RUN_BYTES)
-        if n_bytes > MAX_BYTES:
-            self.losses.add(self.name, f"a message is larger than {MAX_BYTES >> 20} MiB", at, n_bytes, 1)
+        if n_bytes > MAX_CHUNK:
+            self.losses.add(self.name, f"a message is larger than {MAX_CHUNK >> 20} MiB", at, n_bytes, 1)
             return at + n_bytes
         data = np.frombuffer(self.data.read(at, n_bytes), np.uint8)
         found = scan(data)

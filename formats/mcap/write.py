@@ -14,6 +14,7 @@ from mcap.writer import CompressionType, Writer
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
+from locfuse.formats.whole_files import temporary_for
 from locfuse.fusion.data import LocfuseError
 
 # A late subscriber of a latched topic still gets it when the bag is played: rosbag2 reads this per channel.
@@ -110,7 +111,7 @@ class LogWriter:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self._part = self.path.with_name(f".{self.path.name}.{os.getpid()}.part")
+        self._part = temporary_for(self.path)
         self._messages = Messages()
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, tuple[int, str]] = {}  # topic -> channel id, message type

@@ -23,6 +23,8 @@ from mcap.records import (
     DataEnd,
     Footer,
     Header,
+    Metadata,
+    MetadataIndex,
     Schema,
     Statistics,
     SummaryOffset,
@@ -46,6 +48,7 @@ class Block(NamedTuple):
     log_time: Ints  # (n,) ns
     sequence: Ints  # (n,)
     payload: NDArray[np.uint8] | Sequence[memoryview]  # (n, size), or of any lengths
+    publish_time: Ints | None = None  # (n,) ns; None: the log times
 
 
 class ColumnWriter:
@@ -61,6 +64,7 @@ class ColumnWriter:
         self._attachments: list[AttachmentIndex] = []
         self._counts: Counter[int] = Counter()
         self._times: list[int] = []
+        self._notes: list[MetadataIndex] = []
         self._put(MAGIC)
         self._record(Header(profile, "locfuse"))
 
@@ -83,6 +87,12 @@ class ColumnWriter:
         self._record(Attachment(time_ns, time_ns, name, media_type, data))
         length = self._at - at
         self._attachments.append(AttachmentIndex(at, length, time_ns, time_ns, len(data), name, media_type))
+
+    def metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Write a metadata record: words about the file by key."""
+        at = self._at
+        self._record(Metadata(name=name, metadata=dict(values)))
+        self._notes.append(MetadataIndex(length=self._at - at, name=name, offset=at))
 
     def chunk(self, blocks: Sequence[Block]) -> None:
         """Write messages as one chunk with an index for each of its channels."""
@@ -139,6 +149,7 @@ class ColumnWriter:
             (Opcode.STATISTICS, [self._statistics()]),
             (Opcode.CHUNK_INDEX, self._chunks),
             (Opcode.ATTACHMENT_INDEX, self._attachments),
+            (Opcode.METADATA_INDEX, self._notes),
         ]
         start, offsets = self._at, []
         summary: Any = RecordBuilder()  # Any: its `end` is untyped
@@ -167,7 +178,7 @@ class ColumnWriter:
             message_count=self._counts.total(),
             message_end_time=max(self._times, default=0),
             message_start_time=min(self._times, default=0),
-            metadata_count=0,
+            metadata_count=len(self._notes),
             schema_count=len(self._schemas),
         )
 
@@ -188,7 +199,8 @@ def _records(block: Block) -> tuple[bytes, Ints]:
     lengths = np.fromiter(map(len, block.payload), np.int64, n)
     head = np.empty(n, HEAD)
     head["op"], head["channel"], head["length"] = Opcode.MESSAGE, block.channel, HEAD_BYTES - RECORD + lengths
-    head["sequence"], head["log"], head["pub"] = block.sequence, block.log_time, block.log_time
+    published = block.log_time if block.publish_time is None else block.publish_time
+    head["sequence"], head["log"], head["pub"] = block.sequence, block.log_time, published
     offsets: Ints = np.concatenate(([0], np.cumsum(HEAD_BYTES + lengths)[:-1]))
     heads = head.view(np.uint8).reshape(n, -1)
     if isinstance(block.payload, np.ndarray):

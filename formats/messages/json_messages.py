@@ -13,16 +13,18 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.formats.container.source import MAX_MESSAGE
+from locfuse.formats.caps import MAX_DEPTH, MAX_MESSAGE
+from locfuse.formats.visible import writable
 from locfuse.fusion.data import Column, Ints, Ragged
 
 from .decoded import Decoded
 from .fields import Part, resolve
-from .schema import MAX_DEPTH, TIMES, Many, Node, Record, Scalar, SchemaError, Text
+from .schema import TIMES, Many, Node, Record, Scalar, SchemaError, Text, refuse_large
 
 NUMBER = Scalar("f8", 8)
 SCALARS: dict[str, Node] = {"number": NUMBER, "integer": NUMBER, "boolean": Scalar("?", 1), "string": Text()}
-TIME = Record(min(TIMES - {"builtin_interfaces/msg/Duration"}), {"sec": NUMBER, "nanosec": NUMBER})
+WHOLE = Scalar("i8", 8)
+TIME = Record(min(TIMES - {"builtin_interfaces/msg/Duration"}), {"sec": WHOLE, "nanosec": WHOLE})
 NANOSECONDS = ("nsec", "nanosec", "nsecs")
 NAN = float("nan")
 
@@ -30,8 +32,9 @@ NAN = float("nan")
 def parse_jsonschema(name: str, text: str) -> Record:
     """Return the tree of a JSON schema: numbers, strings, base64 bytes, arrays, objects; a time is one value."""
     try:
+        refuse_large(name, "jsonschema", text)
         tree = _node(name, msgspec.json.decode(text), 0)
-    except (msgspec.DecodeError, RecursionError):
+    except (msgspec.DecodeError, RecursionError, UnicodeEncodeError):
         raise SchemaError(f"its jsonschema definition of {name} cannot be parsed") from None
     if not isinstance(tree, Record):
         raise SchemaError(f"its jsonschema definition of {name} is not that of an object")
@@ -87,7 +90,7 @@ def _object(text: bytes) -> dict[str, Any] | None:
     if len(text) <= MAX_MESSAGE:
         try:
             value = msgspec.json.decode(text)
-        except (msgspec.DecodeError, RecursionError):
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             try:
                 value = json.loads(text)  # some writers put NaN and Infinity, which JSON does not have
             except (ValueError, RecursionError):
@@ -146,7 +149,7 @@ def _nanoseconds(value: Any) -> int:
 
 
 def _text(value: Any) -> str:
-    return value if isinstance(value, str) else ""
+    return writable(value) if isinstance(value, str) else ""  # JSON can spell half a surrogate pair
 
 
 def _many(node: Many, values: list[Any]) -> Column:
@@ -160,9 +163,10 @@ def _many(node: Many, values: list[Any]) -> Column:
 
 def _floats(row: list[Any]) -> NDArray[Any]:
     try:
-        return np.array(row, float)  # None (what JSON has for NaN) becomes NaN
-    except (TypeError, ValueError):
-        return np.array([_number(value) for value in row], float)
+        numbers = np.array(row, float)  # None (what JSON has for NaN) becomes NaN
+    except (TypeError, ValueError, OverflowError):
+        numbers = np.empty((0, 0))
+    return numbers if numbers.ndim == 1 else np.array([_number(value) for value in row], float)
 
 
 def _ragged(rows: list[NDArray[Any]], dtype: str) -> Ragged:

@@ -17,13 +17,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.formats.caps import MAX_ITEMS, MAX_TEXT
 from locfuse.fusion.data import Ints
 
 from .schema import Many, Node, Record, Scalar, Text
 
 WORD = struct.Struct("<I")
-MAX_ITEMS = 100_000  # strings, arrays and structs walked one by one in a message
-MAX_TEXT = 4 * 1024 * 1024  # bytes of one string; a robot's description has some hundred thousand
 
 
 class MalformedError(ValueError):

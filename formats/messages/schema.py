@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, cast
 
+from locfuse.formats.caps import MAX_DEFINITION, MAX_DEFINITION_LINES, MAX_DEPTH, MAX_FIELDS, names_its_cap
 from locfuse.formats.container.source import message_type
 
 if TYPE_CHECKING:
@@ -16,7 +17,6 @@ DTYPES = {
     "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8",
 }  # fmt: skip
 TIMES = frozenset({"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"})
-MAX_DEPTH = 32
 FILLER = "structure_needs_at_least_one_member"  # the byte that an empty message takes in CDR
 DIVIDER = re.compile(r"^={20,}\s*$", re.MULTILINE)
 
@@ -57,7 +57,8 @@ class Record:
     def is_time(self) -> bool:
         """Whether this is a stamp or a duration: delivered as one number of nanoseconds."""
         parts = tuple(self.fields.values())
-        return self.name in TIMES and len(parts) == 2 and all(isinstance(part, Scalar) for part in parts)
+        whole = all(isinstance(part, Scalar) and part.dtype[0] in "iu" for part in parts)
+        return self.name in TIMES and len(parts) == 2 and whole
 
 
 Node = Scalar | Text | Many | Record
@@ -71,12 +72,31 @@ def parse(name: str, encoding: str, text: str, filler: bool = True) -> Record:
     from rosbags.typesys import TypesysError
 
     msgtype = message_type(name)
+    refuse_large(msgtype, encoding, text)
     try:
         types = _types(msgtype, encoding, text.replace("\r\n", "\n"))
     except (TypesysError, RecursionError, ValueError, KeyError, AssertionError, TypeError):
         raise SchemaError(f"its {encoding} definition of {msgtype} cannot be parsed") from None
-    tree = _record(msgtype, types, 0)
+    tree = _Trees(types).record(msgtype, 0)
+    fields = _fields(tree, {})
+    if fields > MAX_FIELDS:
+        raise SchemaError(
+            names_its_cap(f"its definition of {msgtype} unfolds to too many fields", fields, MAX_FIELDS)
+        )
     return tree if filler else _without_filler(tree)
+
+
+def refuse_large(name: str, encoding: str, text: str) -> None:
+    """Raise SchemaError for a text that would take the parser minutes."""
+    lines = sum(1 for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#"))
+    for what, found, cap, unit in (
+        ("long", len(text), MAX_DEFINITION, "characters"),
+        ("long", lines, MAX_DEFINITION_LINES, "lines"),
+    ):
+        if found > cap:
+            raise SchemaError(
+                names_its_cap(f"its {encoding} definition of {name} is too {what}", found, cap, unit)
+            )
 
 
 def _types(msgtype: str, encoding: str, text: str) -> Typesdict:
@@ -92,15 +112,52 @@ def _types(msgtype: str, encoding: str, text: str) -> Typesdict:
     return found
 
 
-def _record(name: str, types: Typesdict, depth: int) -> Record:
-    if depth > MAX_DEPTH:
-        raise SchemaError("its definition contains itself")
-    if name not in types:
-        if name in TIMES:
-            return Record(name, {"sec": Scalar("i4", 4), "nanosec": Scalar("u4", 4)})
-        raise SchemaError(f"its definition names {name} and does not define it")
-    fields = {field: _node(desc, types, depth + 1) for field, desc in types[name][1]}
-    return Record(name, fields or {FILLER: Scalar("u1", 1)})
+class _Trees:
+    """Builds each type of a definition once: a type that is mentioned often is one tree in many places."""
+
+    def __init__(self, types: Typesdict) -> None:
+        self._types = types
+        self._made: dict[str, Record] = {}
+        self._height: dict[str, int] = {}  # of each tree: structures in structures
+
+    def record(self, name: str, depth: int) -> Record:
+        """Return the tree of a type, `depth` structures deep in the message."""
+        if depth + self._height.get(name, 0) > MAX_DEPTH:
+            raise SchemaError(f"its definition contains itself, or nests more than {MAX_DEPTH} structures")
+        if name not in self._made:
+            made = self._new(name, depth)
+            parts = (part.element if isinstance(part, Many) else part for part in made.fields.values())
+            heights = (1 + self._height.get(part.name, 0) for part in parts if isinstance(part, Record))
+            self._made[name], self._height[name] = made, max(heights, default=0)
+        return self._made[name]
+
+    def _new(self, name: str, depth: int) -> Record:
+        if name not in self._types:
+            if name in TIMES:
+                return Record(name, {"sec": Scalar("i4", 4), "nanosec": Scalar("u4", 4)})
+            raise SchemaError(f"its definition names {name} and does not define it")
+        fields = {field: self._node(desc, depth + 1) for field, desc in self._types[name][1]}
+        return Record(name, fields or {FILLER: Scalar("u1", 1)})
+
+    def _node(self, desc: FieldDesc, depth: int) -> Node:
+        kind, detail = desc[0].name, desc[1]
+        if kind == "NAME":
+            return self.record(str(detail), depth)
+        if kind == "BASE":
+            return _base(str(detail[0]))
+        element, size = cast("tuple[FieldDesc, int]", detail)
+        return Many(self._node(element, depth), size if kind == "ARRAY" else None)
+
+
+def _fields(node: Node, known: dict[int, int]) -> int:
+    """Count the fields of a message, those of its parts at every mention."""
+    if isinstance(node, Many):
+        return _fields(node.element, known)
+    if not isinstance(node, Record):
+        return 1
+    if id(node) not in known:
+        known[id(node)] = 1 + sum(_fields(part, known) for part in node.fields.values())
+    return known[id(node)]
 
 
 def _without_filler(record: Record) -> Record:
@@ -112,16 +169,6 @@ def _bare(node: Node) -> Node:
     if isinstance(node, Record):
         return _without_filler(node)
     return Many(_bare(node.element), node.count) if isinstance(node, Many) else node
-
-
-def _node(desc: FieldDesc, types: Typesdict, depth: int) -> Node:
-    kind, detail = desc[0].name, desc[1]
-    if kind == "NAME":
-        return _record(str(detail), types, depth)
-    if kind == "BASE":
-        return _base(str(detail[0]))
-    element, size = cast("tuple[FieldDesc, int]", detail)
-    return Many(_node(element, types, depth), size if kind == "ARRAY" else None)
 
 
 def _base(name: str) -> Node:

@@ -3,15 +3,29 @@
 from __future__ import annotations
 
 import math
+import platform
 from collections.abc import Mapping, Sequence
+from importlib import metadata
 from typing import Any
 
 import msgspec
 
+from locfuse.formats.visible import escaped, writable
 from locfuse.fusion.data import Drive, Evaluation, LocfuseError, SensorFigures, result_name
 
 SCHEMA_VERSION = 1  # of report.json and run.json; locfuse 0.1 wrote none
 SMOOTHED_IN_0_1 = " smoothed"  # ended the name of a smoothed result in a report without schema_version
+
+# library -> the distributions that carry it
+LIBRARIES = {
+    "numpy": ("numpy",),
+    "opencv": (
+        "opencv-python-headless",
+        "opencv-python",
+        "opencv-contrib-python-headless",
+        "opencv-contrib-python",
+    ),
+}
 
 
 def report(
@@ -25,6 +39,7 @@ def report(
     return {
         "schema_version": SCHEMA_VERSION,
         "locfuse": version,
+        "made_with": made_with(),
         "input": {**source, "dropped": {k: dict(v) for k, v in drive.dropped.items() if v}},
         "configurations": {e.name: _configuration(e) for e in evaluations},
         "truth": None if drive.truth is None else _truth(drive, evaluations),
@@ -34,9 +49,24 @@ def report(
     }
 
 
+def made_with() -> dict[str, str | None]:
+    """Return the versions on which the last digits depend: same bytes are promised for the same versions only."""
+    found: dict[str, str | None] = {"python": platform.python_version(), "machine": platform.machine()}
+    for name, distributions in LIBRARIES.items():
+        found[name] = next((v for d in distributions if (v := _version(d)) is not None), None)
+    return found
+
+
+def _version(distribution: str) -> str | None:
+    try:
+        return metadata.version(distribution)
+    except metadata.PackageNotFoundError:
+        return None
+
+
 def encode(value: Mapping[str, Any]) -> str:
-    """Return indented JSON with sorted-as-given keys; NaN and infinity become null."""
-    return msgspec.json.format(msgspec.json.encode(_finite(value)), indent=2).decode() + "\n"
+    """Return indented JSON with keys as given; NaN and infinity become null, controls are escaped."""
+    return escaped(msgspec.json.format(msgspec.json.encode(_finite(value)), indent=2).decode()) + "\n"
 
 
 def plain(report: Mapping[str, Any]) -> dict[str, Any]:
@@ -113,7 +143,7 @@ def _finite(value: Any) -> Any:
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
-        return {str(k): _finite(v) for k, v in value.items()}
+        return {writable(str(k)): _finite(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
         return [_finite(v) for v in value]
-    return value
+    return writable(value) if isinstance(value, str) else value

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from html import escape
 from typing import Any
 
 from . import summary as over
-from .render import html
+from .render import html, html_text
 from .tables import configurations
 
 
@@ -18,12 +17,12 @@ def render(report: Mapping[str, Any]) -> str:
 
 def render_summary(summary: Mapping[str, Any]) -> str:
     """Return headline, verdicts and the figures of every configuration over several logs."""
-    head = f"<p>{escape(over.headline(summary))}</p>"
+    head = f"<p>{html_text(over.headline(summary))}</p>"
     return head + _verdicts(summary["verdicts"]) + html(over.table(summary))
 
 
 def _verdicts(found: Mapping[str, Mapping[str, Any]]) -> str:
     return "".join(
-        f"<p><b>{escape(sensor)} {escape(v['verdict'])}.</b> {escape(v['words'])}</p>"
+        f"<p><b>{html_text(sensor)} {html_text(v['verdict'])}.</b> {html_text(v['words'])}</p>"
         for sensor, v in found.items()
     )

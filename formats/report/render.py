@@ -1,4 +1,7 @@
-"""A table as Markdown, HTML, LaTeX and CSV. Text from logs is escaped by each medium's rules."""
+"""A table as Markdown, HTML, LaTeX and CSV. Text from logs is escaped by each medium's rules.
+
+In all but CSV, which programs read, characters that act on what shows them are shown by their numbers.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,10 @@ import io
 import math
 import re
 from collections.abc import Collection, Mapping
-from html import escape as html_text
+from html import escape as _escaped
 from typing import Any, NamedTuple
+
+from locfuse.formats.visible import visible, visible_lines
 
 from .table import Cell, Column, Path, Piece, Table, pieces, records, text
 
@@ -116,6 +121,11 @@ def pointer(path: Path) -> str:
     return "".join("/" + str(key).replace("~", "~0").replace("/", "~1") for key in path)
 
 
+def html_text(words: str) -> str:
+    """Return a text in which HTML sees no markup, and a browser nothing that acts."""
+    return _escaped(visible_lines(words))
+
+
 def latex(table: Table) -> str:
     """Return the table as a booktabs tabular."""
     heads = [f"{c.heading} [{c.unit}]" if c.unit else c.heading for c in table.columns]
@@ -130,7 +140,7 @@ def latex(table: Table) -> str:
 
 def latex_text(words: str) -> str:
     """Return a text in which LaTeX sees no command."""
-    return " ".join("".join(LATEX.get(character, character) for character in words).split())
+    return "".join(LATEX.get(character, character) for character in visible(_one_line(words)))
 
 
 def csv(table: Table) -> str:
@@ -152,12 +162,16 @@ def escape(words: str) -> str:
     """Escape what Markdown would read as markup: topic names and notes come from logs."""
     for character in "\\`*_[]<>|":
         words = words.replace(character, "\\" + character)
-    return " ".join(words.split())
+    return visible(_one_line(words))
 
 
 def code(words: str) -> str:
     """Return a code span, fenced so that no backtick of the text can end it."""
-    words = " ".join(words.split()).replace("|", "\\|")
+    words = visible(_one_line(words)).replace("|", "\\|")
     fence = "`" * (1 + max((len(run) for run in re.findall(r"`+", words)), default=0))
     pad = " " if words.startswith("`") or words.endswith("`") else ""
     return f"{fence}{pad}{words}{pad}{fence}"
+
+
+def _one_line(words: str) -> str:
+    return " ".join(words.split())

@@ -18,13 +18,15 @@ from locfuse.formats.log.log import TF_TYPES, Log
 from locfuse.formats.mcap.template import MESSAGES
 from locfuse.formats.mcap.write import LATCHED
 from locfuse.formats.mcap.write_columns import Block, ColumnWriter
-from locfuse.fusion.data import Array, Drive, Estimates, Ints, Truth
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Truth
 
+from .recovered_log import copy_messages
 from .ros_messages import PATH, Series, odometry, path, points, poses, transforms
 from .trajectory import stamps, with_truth_rows
 
 BASE = "base_link"
 CHUNK_BYTES = 1 << 20  # bytes before compression
+LAST_STAMP = 2**31 * 10**9 - 1  # ns: a ROS stamp counts its seconds in 32 bits
 
 
 @dataclass(frozen=True)
@@ -39,10 +41,18 @@ class Export:
     log: Log | None = None  # its messages are copied
 
     def write(self, file: Path) -> None:
-        """Write the file."""
+        """Write the file. Raises LocfuseError where its times do not fit a ROS stamp."""
+        end = self.drive.epoch_ns + int(self.drive.t[-1] * 1e9)
+        if end > LAST_STAMP:
+            raise LocfuseError(
+                f"--export: the drive ends {end // 10**9} s after 1970, and a ROS stamp ends in January 2038; "
+                "leave mcap and log out of --export, or try --order stamp"
+            )
         with file.open("wb") as opened:
             writer = ColumnWriter(opened)
-            writer.attach("robot.toml", self.robot_toml, "application/toml", self.drive.epoch_ns + self.clock_ns)
+            writer.attach(
+                "robot.toml", self.robot_toml, "application/toml", max(self.drive.epoch_ns + self.clock_ns, 0)
+            )
             topics = _Topics(writer, self.clock_ns)
             for e in self.estimates:
                 self._estimates(topics, e)
@@ -50,7 +60,7 @@ class Export:
                 _truth(topics, self.drive.truth, self.drive.epoch_ns)
             topics.write()
             if self.log is not None:
-                _copy(writer, self.log)
+                copy_messages(writer, self.log)
             writer.finish()
 
     def _estimates(self, topics: _Topics, e: Estimates) -> None:
@@ -101,9 +111,13 @@ class _Topics:
     def once(self, topic: str, t_ns: Ints, pose: Array) -> None:
         """Write a path at the beginning, latched."""
         block = Block(
-            self._channel(topic, PATH, LATCHED), t_ns[:1] + self._clock_ns, np.ones(1, np.int64), path(t_ns, pose)
+            self._channel(topic, PATH, LATCHED), self._recorded(t_ns[:1]), np.ones(1, np.int64), path(t_ns, pose)
         )
         self._writer.chunk([block])
+
+    def _recorded(self, t_ns: Ints) -> Ints:
+        """Return recording times (n,) of stamps (n,): an MCAP has none before the recording clock's zero."""
+        return np.maximum(t_ns + self._clock_ns, 0)
 
     def _channel(self, topic: str, msgtype: str, profile: str = "") -> int:
         if msgtype not in self._schemas:
@@ -128,29 +142,9 @@ class _Topics:
     def _block(self, part: _Part, rows: slice) -> Block:
         t_ns = part.series.t_ns[rows]
         sequence = np.arange(rows.start + 1, rows.stop + 1)
-        return Block(part.channel, t_ns + self._clock_ns, sequence, part.series.messages(rows))
+        return Block(part.channel, self._recorded(t_ns), sequence, part.series.messages(rows))
 
 
 def ros_name(configuration: str) -> str:
     """Return a configuration's name with nothing but what ROS allows in a topic: compass+lrf -> compass_lrf."""
     return re.sub(r"[^A-Za-z0-9_]+", "_", configuration)
-
-
-def _copy(writer: ColumnWriter, log: Log) -> None:
-    """Copy every message of a log: bytes, times and order of recording as they are."""
-    schemas: dict[tuple[str, str, bytes], int] = {}
-    channels: dict[tuple[str, str, int], int] = {}
-    for batch in log.messages():
-        blocks = []
-        for channel, data, messages in batch:
-            schema = (channel.msgtype, channel.schema_encoding, channel.schema)
-            if schema not in schemas:
-                schemas[schema] = writer.schema(*schema) if channel.schema_encoding else 0
-            key = (channel.topic, channel.encoding, schemas[schema])
-            if key not in channels:
-                once = channel.n == 1 or channel.topic.endswith("tf_static")  # such topics are latched
-                channels[key] = writer.channel(*key, {"offered_qos_profiles": LATCHED if once else ""})
-            ends = (messages.start + messages.length).tolist()
-            payload = [data[a:b].data for a, b in zip(messages.start.tolist(), ends, strict=True)]
-            blocks.append(Block(channels[key], messages.log_time, messages.sequence, payload))
-        writer.chunk(blocks)

@@ -8,6 +8,8 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from locfuse.formats.visible import escaped
+
 WIDTH = 100
 
 
@@ -48,7 +50,7 @@ def value(plain: Any) -> str:
         return "{ " + ", ".join(f"{value(str(k))} = {value(v)}" for k, v in plain.items()) + " }"
     if isinstance(plain, list | tuple):
         return "[" + ", ".join(map(value, plain)) + "]"
-    return json.dumps(plain, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return escaped(json.dumps(plain, ensure_ascii=False))
 
 
 def printable(text: str) -> str:

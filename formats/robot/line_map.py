@@ -14,6 +14,9 @@ from typing import Literal
 import msgspec
 import numpy as np
 
+from locfuse.formats.caps import MAX_MAP_FILE
+from locfuse.formats.inputs import read_small
+from locfuse.formats.visible import writable
 from locfuse.fusion.data import Array, LocfuseError, MapLine
 
 FORMAT, VERSION = "locfuse line map", 1
@@ -40,7 +43,7 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
 def encode(lines: Sequence[MapLine], made_from: str = "") -> str:
     """Return the map as indented JSON, one wall per line."""
     walls = (msgspec.json.encode(_wall(line)).decode() for line in lines)
-    head = {"format": FORMAT, "version": VERSION, "made_from": made_from}
+    head = {"format": FORMAT, "version": VERSION, "made_from": writable(made_from)}
     start = msgspec.json.encode(head).decode()[:-1]
     body = ",\n  ".join(walls)
     return f'{start},\n "lines": [\n  {body}\n ]}}\n'
@@ -48,18 +51,14 @@ def encode(lines: Sequence[MapLine], made_from: str = "") -> str:
 
 def read(path: Path) -> list[MapLine]:
     """Read a map file. Raises LocfuseError where it is not one, or says what cannot be."""
-    try:
-        text = path.read_bytes()
-    except OSError as problem:
-        raise LocfuseError(f"cannot read the map {path}: {problem.strerror or problem}") from None
-    return decode(text, str(path))
+    return decode(read_small(path, MAX_MAP_FILE), str(path))
 
 
 def decode(text: bytes | str, name: str) -> list[MapLine]:
     """Return the lines of a map file's text."""
     try:
         file = msgspec.json.decode(text, type=_File)
-    except (msgspec.DecodeError, UnicodeDecodeError) as problem:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as problem:
         raise LocfuseError(
             f"{name} is not a line map: {problem}. Write one with: locfuse run LOG --save-map FILE"
         ) from None

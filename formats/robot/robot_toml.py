@@ -10,10 +10,12 @@ from typing import Any
 
 import msgspec
 
+from locfuse.formats.caps import MAX_DOTS, MAX_KEY_DEPTH, MAX_KEYS, MAX_ROBOT_TOML, names_its_cap
+from locfuse.formats.visible import escaped
 from locfuse.fusion.data import LocfuseError, UsageError
 
 FEW = 12  # keys are listed up to this many
-LARGEST = 1e20  # no robot's number is larger; a 64-bit counter's range is not
+MAX_NUMBER = 1e20  # no robot's number is larger; a 64-bit counter's range is not
 Tables = dict[str, Any]
 
 
@@ -22,15 +24,25 @@ def parse(text: str | bytes, source: str) -> Tables:
     try:
         if isinstance(text, bytes):
             text = text.decode("utf-8")
+        _refuse_large(text, source)
         tables = tomllib.loads(text.removeprefix("\ufeff"))
     except UnicodeDecodeError as problem:
         raise LocfuseError(f"{source}: not UTF-8 text (byte {problem.start})") from None
-    except tomllib.TOMLDecodeError as problem:
+    except ValueError as problem:  # tomllib's own, and that of int() for thousands of digits
         raise LocfuseError(f"{source}: not valid TOML: {_one_line(str(problem))}") from None
     except RecursionError:
         raise LocfuseError(f"{source}: not valid TOML: nested too deeply") from None
     _refuse_absurd(tables, source)
     return tables
+
+
+def _refuse_large(text: str, source: str) -> None:
+    """Refuse what TOML's parser would take minutes for."""
+    if len(text) > MAX_ROBOT_TOML:
+        raise LocfuseError(names_its_cap(f"{source}: too long", len(text), MAX_ROBOT_TOML, "characters"))
+    dots = max((line.count(".") for line in text.splitlines()), default=0)
+    if dots > MAX_DOTS:
+        raise LocfuseError(names_its_cap(f"{source}: too many dots in a line", dots, MAX_DOTS))
 
 
 def merge(*tables: Mapping[str, Any]) -> Tables:
@@ -49,7 +61,7 @@ def apply_sets(sets: Sequence[str]) -> Tables:
     tables: Tables = {}
     for text in sets:
         path, equals, value = text.partition("=")
-        keys = [key.strip() for key in path.split(".")]
+        keys = [key.strip() for key in path.split(".", MAX_KEY_DEPTH)]
         if not equals or not all(keys):
             raise UsageError(f"--set {text}: write it as table.key=value, such as wheels.radius=0.033")
         table = tables
@@ -84,23 +96,37 @@ def as_set(key: str, value: Any) -> str:
 def _value(text: str) -> Any:
     try:
         parsed = tomllib.loads(f"value = {text}")
-    except (tomllib.TOMLDecodeError, RecursionError):
+    except (ValueError, RecursionError):
         return text
     return parsed["value"] if parsed.keys() == {"value"} else text
 
 
-def _refuse_absurd(value: Any, source: str, path: str = "") -> None:
+def _refuse_absurd(tables: Mapping[str, Any], source: str) -> None:
+    """Refuse numbers that are none of a robot, and more or deeper keys than any robot has."""
+    waiting: list[tuple[str, Any]] = [("", tables)]
+    for count, (path, value) in enumerate(waiting):  # grows while it is walked
+        _refuse_number(value, source, path)
+        children: Iterable[tuple[Any, Any]] = ()
+        if isinstance(value, Mapping):
+            children = value.items()
+        elif isinstance(value, list):
+            children = enumerate(value)
+        waiting += [(f"{path}.{key}" if path else str(key), child) for key, child in children]
+        if len(waiting) > MAX_KEYS:
+            raise LocfuseError(names_its_cap(f"{source}: too many keys", len(waiting), MAX_KEYS))
+        if count and path.count(".") >= MAX_KEY_DEPTH and children:
+            raise LocfuseError(
+                names_its_cap(f"{source}: tables in tables", path.count(".") + 1, MAX_KEY_DEPTH, "deep")
+            )
+
+
+def _refuse_number(value: Any, source: str, path: str) -> None:
     if isinstance(value, float) and not math.isfinite(value):
         raise LocfuseError(f"{source}: {path} = {value}: a finite number is needed")
-    if isinstance(value, int | float) and abs(value) > LARGEST:
-        raise LocfuseError(f"{source}: {path} = {_shown(value)}: no number of a robot is larger than {LARGEST:g}")
-    children: Iterable[tuple[Any, Any]] = ()
-    if isinstance(value, dict):
-        children = value.items()
-    elif isinstance(value, list):
-        children = enumerate(value)
-    for key, child in children:
-        _refuse_absurd(child, source, f"{path}.{key}" if path else str(key))
+    if isinstance(value, int | float) and abs(value) > MAX_NUMBER:
+        raise LocfuseError(
+            f"{source}: {path} = {_shown(value)}: no number of a robot is larger than {MAX_NUMBER:g}"
+        )
 
 
 def convert(tables: Mapping[str, Any], types: Mapping[str, Any]) -> dict[str, Any]:
@@ -159,7 +185,10 @@ def _plain(reason: str) -> str:
 
 
 def _shown(value: Any) -> str:
-    text = repr(value)
+    try:
+        text = repr(value)
+    except ValueError:  # Python writes no integer of more than 4300 digits
+        return "an integer of more than 4300 digits"
     return text if len(text) <= 60 else text[:57] + "..."
 
 
@@ -172,7 +201,7 @@ def dump(tables: Mapping[str, Any]) -> str:
     import tomli_w
 
     _refuse_absurd(dict(tables), "robot.toml")
-    return tomli_w.dumps(_without_none(tables))
+    return escaped(tomli_w.dumps(_without_none(tables)))
 
 
 def _without_none(tables: Mapping[str, Any]) -> Tables:

@@ -6,13 +6,15 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from locfuse.fusion.data import Array, Column, Ragged
+from locfuse.formats.caps import MAX_TRANSFORMS, names_its_cap
+from locfuse.fusion.data import Array, Column, LocfuseError, Ragged
 
 FIELDS = (
     "transforms.header.frame_id",
@@ -84,6 +86,8 @@ def static_transforms(columns: Iterable[Mapping[str, Column]]) -> StaticTransfor
                 places = f"{_place(edges[child])} and {_place(said)} contradict; the last one counts"
                 conflicts[Conflict(child, places)] = None
             edges[child] = said
+            if len(edges) > MAX_TRANSFORMS:
+                raise LocfuseError(names_its_cap("/tf_static: too many frames", len(edges), MAX_TRANSFORMS))
     return StaticTransforms(tuple(edges.values()), tuple(conflicts))
 
 
@@ -149,10 +153,14 @@ def planar_mount(transforms: StaticTransforms, base_frames: Sequence[str], frame
 def _chain(transforms: StaticTransforms, start: str, goal: str) -> Array | None:
     """Return T_start_goal over the edges in either direction, None where there is no way."""
     reached = {start: np.eye(4)}
-    waiting = [start]
+    waiting = deque([start])
+    at: dict[str, list[Transform]] = {}  # frame -> the edges that it is an end of
+    for edge in transforms.edges:
+        at.setdefault(edge.parent, []).append(edge)
+        at.setdefault(edge.child, []).append(edge)
     while waiting and goal not in reached:
-        here = waiting.pop(0)
-        for edge in transforms.edges:
+        here = waiting.popleft()
+        for edge in at.get(here, ()):
             if edge.parent == here and edge.child not in reached:
                 reached[edge.child] = reached[here] @ edge.T_parent_child
                 waiting.append(edge.child)

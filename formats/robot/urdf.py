@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from locfuse.formats.caps import MAX_JOINTS, MAX_TEXT
 from locfuse.fusion.data import Array
 
-LARGEST = 4 * 1024 * 1024  # characters: no robot's description is longer
 TURNS = ("continuous", "revolute")
 
 
@@ -29,13 +29,15 @@ def wheel_geometry(text: str) -> WheelGeometry | None:
 
     Descriptions with a DTD are not read: entities can be made to fill the memory.
     """
-    if len(text) > LARGEST or "<!DOCTYPE" in text or "<!ENTITY" in text:
+    if len(text) > MAX_TEXT or "<!DOCTYPE" in text or "<!ENTITY" in text:
         return None
     try:
         robot = ET.fromstring(text)
     except ET.ParseError:
         return None
     joints = {j.get("name", ""): j for j in robot.iter("joint") if j.get("type")}
+    if len(joints) > MAX_JOINTS:
+        return None
     wheels = [n for n, j in joints.items() if j.get("type") in TURNS and "wheel" in n.lower()]
     left = [n for n in wheels if "left" in n.lower() or n.lower().startswith("l")]
     right = [n for n in wheels if "right" in n.lower() or n.lower().startswith("r")]
@@ -52,13 +54,16 @@ def _place(robot: ET.Element, joint: ET.Element) -> Array:
     """Return where a joint sits in the root link (3,), over the fixed joints above it."""
     T = np.eye(4)
     seen: set[str] = set()
+    above: dict[str | None, ET.Element] = {}  # link -> the joint on which it hangs
+    for one in robot.iter("joint"):
+        above.setdefault(_child(one), one)
     here: ET.Element | None = joint
     while here is not None and here.get("name", "") not in seen:
         seen.add(here.get("name", ""))
         T = _origin(here) @ T
         parent = here.find("parent")
         link = parent.get("link") if parent is not None else None
-        here = next((j for j in robot.iter("joint") if _child(j) == link and link is not None), None)
+        here = above.get(link) if link is not None else None
     place: Array = T[:3, 3]
     return place
 

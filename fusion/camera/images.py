@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Stream
 
+from .decoder_words import listened, tells_of_damage
 from .image_header import image_size
 from .opencv import MAX_PIXELS, cv2
 
@@ -25,6 +26,7 @@ PICTURES_AT_ONCE = 16  # pictures held undecoded at a time
 # why a message gives no picture
 NO_COLOUR = "no_colour"  # grey (mono8): red needs colour
 UNREADABLE = "unreadable"  # truncated, or neither JPEG nor PNG
+NOT_WHOLE = "not_whole"  # damaged inside: from there on it shows what the camera did not see
 TOO_LARGE = "too_large"  # more than MAX_PIXELS
 TOO_SHORT = "too_short"  # less data than height x step
 ENCODING = "unknown_encoding"
@@ -55,9 +57,11 @@ def compressed(data: Any, layout: str) -> Picture | str:
         return UNREADABLE
     if size[0] * size[1] > MAX_PIXELS:
         return TOO_LARGE
-    picture = _decoded(data)
+    picture, words = listened(lambda: _decoded(data))
     if picture is None:
         return UNREADABLE
+    if tells_of_damage(words):
+        return NOT_WHOLE
     if picture.ndim != 3:
         return NO_COLOUR
     swapped = "compressed rgb" in rest

@@ -17,6 +17,7 @@ MAX_BAD_SHARE = 0.5  # share of the pictures
 PROBLEMS = {
     "no_colour": "are grey (mono): red needs colour",
     "unreadable": "cannot be decoded: truncated, or neither JPEG nor PNG",
+    "not_whole": "are damaged inside",
     "too_large": "claim more pixels than can be held",
     "too_short": "hold less data than their size says",
     "unknown_encoding": "are of an encoding that is not read (rgb8, bgr8, rgba8, bgra8 are)",

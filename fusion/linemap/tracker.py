@@ -50,6 +50,7 @@ class LineTracker(Model):
         self._scans = Scans()
         self._last: Association | None = None
         self._teach = True
+        self._asked = -1  # the reading that `innovations` was asked for last
 
     def blocks(self) -> list[Block]:
         """Return what is uncertain of the laser's mount."""
@@ -78,7 +79,7 @@ class LineTracker(Model):
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
         """Associate the lines of scan i; each becomes one innovation with its verdict."""
         first, last = int(m.first[i]), int(m.first[i + 1])
-        self._last, self._teach = None, True
+        self._asked, self._last, self._teach = i, None, True
         if first == last:
             return []
         if len(self.map) == 0:
@@ -130,6 +131,8 @@ class LineTracker(Model):
         """Let matched extents grow, and add what is new: all of the first scan, later only in `grow`."""
         first, last = int(m.first[i]), int(m.first[i + 1])
         if first == last or not self._teach or self.mode == "given":
+            return
+        if i != self._asked:  # two scans at one instant: what is known of matches is of the last one
             return
         self._scan += 1
         found = self._last

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import Array, Colour, Component, LocfuseError, Measurements, Stream
+from locfuse.fusion.data import Array, Colour, Component, LocfuseError, Measurements, Ragged, Stream
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.sensor import Ask, Block, Innovation, Model, Sensor, SensorSettings, WheelMotion
 
@@ -121,13 +121,22 @@ def _usable(where: Array, status: Array | None, dropped: dict[str, int]) -> NDAr
 
 def _covariance(columns: Mapping[str, Any], sigma: float) -> Array:
     """Return the covariance of (east, north), (n, 2, 2): the receiver's where it says one, else sigma^2."""
-    raw = columns["position_covariance"]
-    matrix = np.asarray(raw if isinstance(raw, np.ndarray) else raw.matrix(), np.float64).reshape(-1, 9)
+    matrix = _nine(columns["position_covariance"])
     own = matrix[:, [0, 1, 3, 4]].reshape(-1, 2, 2)
     told = np.asarray(columns["position_covariance_type"]) > 0
     told &= (own[:, 0, 0] > MIN_SIGMA_M**2) & (own[:, 1, 1] > MIN_SIGMA_M**2) & np.isfinite(own).all(axis=(1, 2))
     told &= np.linalg.det(np.where(told[:, None, None], own, np.eye(2))) > 0.0
     return np.where(told[:, None, None], 0.5 * (own + own.transpose(0, 2, 1)), sigma**2 * np.eye(2))
+
+
+def _nine(column: Array | Ragged) -> Array:
+    """Return covariances as (n, 9); one of another length, as JSON may hold, is none: zeros."""
+    if isinstance(column, np.ndarray):
+        return column.astype(np.float64).reshape(-1, 9)
+    whole = column.lengths == 9
+    matrix = np.zeros((len(column), 9))
+    matrix[whole] = column.values[column.first[:-1][whole][:, None] + np.arange(9)]
+    return matrix
 
 
 class GpsModel(Model):

@@ -374,6 +374,18 @@ def test_near_the_landmark_the_innovation_is_as_large_as_predicted(distance: flo
         assert np.mean(nis) > 0.95
 
 
+def test_nearer_still_the_bearings_second_order_spread_is_claimed_too() -> None:
+    """A tenth of a metre off, H P H alone is a quarter too small: the bearing bends over the belief's width."""
+    rng = np.random.default_rng(2)
+    now = belief(3.9, 0.0, 0.0, 0.04, 0.02)
+    model = Camera().model(CameraSettings(landmark=(4.0, 0.0), gate=1.0))
+    off = rng.normal(size=(8000, 3)) * (0.04, 0.04, 0.02)
+    true = np.arctan2(-off[:, 1], 0.1 - off[:, 0]) - off[:, 2] + 0.005 * rng.normal(size=8000)
+    m = readings(*((z,) for z in wrap_all(true).tolist()), sigma=0.005)
+    nis = [model.innovations(m, i, now)[0].nis for i in range(8000)]
+    assert 0.95 < np.mean(nis) < 1.15
+
+
 def test_the_papers_orientation_is_the_landmarks_first_direction_minus_its_bearing() -> None:
     settings = CameraSettings(landmark=(3.0, 4.0), bearing="absolute", yaw_deg=10.0, gate=1.0)
     model = Camera().model(settings)

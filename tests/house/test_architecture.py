@@ -36,7 +36,9 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "smooth tune paper",
     ),
     "formats": (
-        "columns thin geometry whole_files no_pandas robot",
+        "caps visible columns thin geometry no_pandas",
+        "inputs",
+        "whole_files robot",
         "container",
         "messages",
         "mcap",

@@ -87,7 +87,7 @@ def streamed(content: bytes) -> Counter[tuple[int, bytes]]:
 
 
 def recovered(path: Path) -> Counter[tuple[int, bytes]]:
-    source = McapSource(FileBytes(path), Losses())
+    source = McapSource(FileBytes(path, losses := Losses()), losses)
     found: Counter[tuple[int, bytes]] = Counter()
     for batch in source.batches(source.channels.keys()):
         for m in batch.messages.values():

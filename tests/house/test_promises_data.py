@@ -238,6 +238,6 @@ def test_a_start_known_to_no_power_of_ten_is_one_line(tmp_path: Path, sensors: s
     """1e17 degrees beside a compass of one: what rounding leaves of P is no covariance."""
     words = ("--set", "start.sigma_theta_deg=1e17", "--sensors", sensors)
     done = locfuse("run", "rounded_rectangle", *words, "-o", tmp_path, "-q")
-    assert done.exit_code == 1
-    assert done.stderr.startswith("locfuse: the filter's variances span too many powers of ten")
+    assert done.exit_code == 2
+    assert done.stderr.startswith("locfuse: start.sigma_theta_deg = 1e+17: expected float <= 3600.0")
     assert done.stderr.count("\n") == 1

@@ -319,3 +319,10 @@ def test_a_baseline_of_a_later_version_is_refused_in_one_line_with_the_fix(tmp_p
     (tmp_path / "new.json").write_text(json.dumps({**OF_0_1, "schema_version": 2, "locfuse": "9.9"}))
     with pytest.raises(LocfuseError, match=r"schema_version 2.*9\.9.*[Uu]pdate locfuse"):
         read_baseline(tmp_path / "new.json", "5%")
+
+
+@pytest.mark.parametrize("text", ["[" * 200_000, '{"configurations": {"all": {}}, "input": []}'])
+def test_a_baseline_that_is_no_report_is_refused_before_the_work(tmp_path: Path, text: str) -> None:
+    (tmp_path / "b.json").write_text(text)
+    with pytest.raises(LocfuseError, match=r"not a report\.json of locfuse"):
+        read_baseline(tmp_path / "b.json", "5%")

@@ -21,7 +21,7 @@ from bags import LIGHT, T0, Said, cdr, drive, real_log, write
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType
 
-from locfuse.formats.container import decompress as codecs
+from locfuse.formats.caps import MAX_CHUNK
 from locfuse.formats.container.decompress import DamagedError, decompress
 from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
@@ -37,7 +37,7 @@ PLAIN: dict[str, Any] = {"enable_crcs": False, "chunk_size": 4000}
 
 def payloads(path: Path) -> list[tuple[str, int, bytes]]:
     """(topic, log time, bytes) of every message the source delivers."""
-    source = McapSource(FileBytes(path), Losses())
+    source = McapSource(FileBytes(path, losses := Losses()), losses)
     return [
         (
             source.channels[ident].topic,
@@ -94,7 +94,7 @@ def test_the_message_index_and_the_record_scan_find_the_same(tmp_path: Path, com
 
 def test_an_index_that_misses_messages_is_not_believed(tmp_path: Path) -> None:
     path = write(tmp_path / "x.mcap", drive(60))
-    source = McapSource(FileBytes(path), Losses())
+    source = McapSource(FileBytes(path, losses := Losses()), losses)
     batch = next(iter(source.batches(source.channels.keys())))
     messages = batch.messages[1]
     entries = np.stack([messages.log_time, messages.start - 31], axis=1).astype("<u8")
@@ -105,7 +105,7 @@ def test_an_index_that_misses_messages_is_not_believed(tmp_path: Path) -> None:
 @pytest.mark.parametrize("offset", [2**63 - 1, 2**63, 2**64 - 1])
 def test_an_index_that_points_beyond_all_numbers_is_not_believed(tmp_path: Path, offset: int) -> None:
     path = write(tmp_path / "x.mcap", drive(60))
-    source = McapSource(FileBytes(path), Losses())
+    source = McapSource(FileBytes(path, losses := Losses()), losses)
     batch = next(iter(source.batches(source.channels.keys())))
     found = records(batch.data, {1: np.array([[batch.messages[1].log_time[0], offset]], "<u8")})
     assert sum(len(m.start) for m in found.messages.values()) == len(drive(60))
@@ -318,7 +318,7 @@ def test_an_unknown_compression_and_a_giant_are_refused_by_name() -> None:
     with pytest.raises(DamagedError, match="unknown compression 'brotli'"):
         decompress(b"", "brotli", 10)
     with pytest.raises(DamagedError, match="claims more than 256 MiB"):
-        decompress(b"x", "zstd", codecs.MAX_BYTES + 1)
+        decompress(b"x", "zstd", MAX_CHUNK + 1)
 
 
 BOMB = """
@@ -358,7 +358,7 @@ def test_a_decompression_bomb_is_refused_within_the_memory_limit(tmp_path: Path,
 def test_a_lone_giant_message_is_refused_and_the_others_are_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("locfuse.formats.mcap.source.MAX_BYTES", 1_200_000)
+    monkeypatch.setattr("locfuse.formats.mcap.source.MAX_CHUNK", 1_200_000)
     said = drive(20)
     giant = Said(
         "/scan", "sensor_msgs/msg/LaserScan", cdr("sensor_msgs/msg/LaserScan", ranges=[1.0] * 400_000), T0

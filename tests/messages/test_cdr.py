@@ -14,11 +14,11 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.serde.errors import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from locfuse.formats.caps import MAX_ITEMS
 from locfuse.formats.container.source import message_type
 from locfuse.formats.messages.cdr import Decoder
 from locfuse.formats.messages.decoded import Decoded
 from locfuse.formats.messages.fields import FieldError, paths, resolve, stamp_path
-from locfuse.formats.messages.layout import MAX_ITEMS
 from locfuse.formats.messages.schema import SchemaError, parse
 from locfuse.fusion.data import Ragged
 

@@ -133,26 +133,28 @@ main(sys.argv[1:])
 """
 
 
-def test_a_full_disk_costs_a_warning_and_leaves_nothing_half_written(tmp_path: Path) -> None:
+def test_a_full_disk_costs_what_was_asked_for_by_name_and_leaves_nothing_half_written(tmp_path: Path) -> None:
     save = tmp_path / "drive.rrd"
     words = ["run", LOG, *LIGHT, "-o", str(tmp_path / "out"), "--rerun-save", str(save)]
     done = subprocess.run(
         [sys.executable, "-c", FULL_DISK, *words], capture_output=True, text=True, timeout=60, check=False
     )
-    assert done.returncode == 0, done.stderr
-    (warning,) = warnings_of(done.stderr)
-    assert "disk is full" in warning
+    assert done.returncode == 1, done.stderr
+    (line,) = (one for one in done.stderr.splitlines() if "--rerun-save" in one)
+    assert "disk is full" in line
+    assert line.endswith("The other results are written")
     assert "ERROR" not in done.stderr  # Rerun's own log stays quiet
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out"]
     assert (tmp_path / "out" / "run.json").is_file()
 
 
-def test_a_place_that_cannot_be_written_costs_a_warning(tmp_path: Path) -> None:
+def test_a_place_that_cannot_be_written_is_an_error_after_the_results(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     save = tmp_path / "file" / "drive.rrd"
     done = locfuse("run", LOG, *LIGHT, "-o", tmp_path / "out", "--rerun-save", save, "--rerun-images", "none")
-    assert done.exit_code == 0
-    assert len(warnings_of(done.stderr)) == 1
+    assert done.exit_code == 1
+    assert sum("--rerun-save" in line for line in done.stderr.splitlines()) == 1
+    assert (tmp_path / "out" / "run.json").is_file()
 
 
 def test_rerun_is_imported_only_when_asked_for(tmp_path: Path) -> None:

@@ -114,7 +114,7 @@ def test_a_folder_that_cannot_be_made_is_one_line() -> None:
 
 
 def test_left_overs_of_a_killed_run_are_cleared_away_and_do_not_count(tmp_path: Path) -> None:
-    (tmp_path / f".run.json.123{whole_files.TEMPORARY}").write_text("half")
+    (tmp_path / f".run.json.{2**31 - 1}{whole_files.TEMPORARY}").write_text("half")  # no process has this number
     write_results(tmp_path, FILES)
     assert names(tmp_path) == sorted(FILES)
 

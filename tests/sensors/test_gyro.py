@@ -190,6 +190,23 @@ def test_readings_are_summed_so_that_their_rate_costs_nothing() -> None:
     )
 
 
+@pytest.mark.parametrize("period", [0.1, 0.4])
+def test_the_variance_of_a_turn_grows_with_the_time_it_took(period: float) -> None:
+    """White noise of the rate summed over a period: sigma^2 times the period, whatever the rate of readings."""
+    walk, errors, claims = 0.01, [], []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        t, theta, speed = way(20.0, rate=100.0)
+        described = robot({"period": period, "sigma_deg": math.degrees(walk)})
+        stream = imu(t, theta, rng, walk=walk)
+        m = measure({"wheels": wheels(t, theta, speed, rng), "gyro": stream}, described).measurements["gyro"]
+        true = np.diff(np.interp(m.t, t, theta))
+        errors.append(np.diff(m.z[:, 0]) - true)
+        claims.append(m.R[1:, 0, 0])
+    ratio = np.concatenate(errors) ** 2 / np.concatenate(claims)
+    assert ratio.mean() == pytest.approx(1.0, abs=0.15)
+
+
 def test_a_thinned_gyro_compares_turns_over_its_own_longer_periods() -> None:
     rng = np.random.default_rng(7)
     t, theta, speed = way()

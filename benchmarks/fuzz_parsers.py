@@ -1,0 +1,314 @@
+"""Every parser by itself, in memory, on damaged input: python -m benchmarks.fuzz_parsers (an hour: --seconds 300).
+
+Each parser starts from a small corpus (benchmarks/corpus, and a few bytes built here), which is cut, spliced,
+repeated and sprinkled with words of its own language. A parser may refuse in its own words; anything else that it
+raises, an answer of the wrong kind, and an input that takes more than `SLOW` seconds of CPU are findings. They are
+saved; exit 1.
+"""
+
+from __future__ import annotations
+
+import random
+import resource
+import struct
+import tempfile
+import time
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+import numpy as np
+
+from locfuse.cli.pipeline.load import make_robot
+from locfuse.formats.container import ros1_records
+from locfuse.formats.container.decompress import DamagedError
+from locfuse.formats.container.source import ChannelInfo
+from locfuse.formats.container.sqlite_journal import unused_tail
+from locfuse.formats.log.files import log_files
+from locfuse.formats.log.log import open_log
+from locfuse.formats.mcap import records as mcap_records
+from locfuse.formats.mcap.chunk import scan
+from locfuse.formats.messages.decode import make_decoder
+from locfuse.formats.messages.fields import paths
+from locfuse.formats.messages.schema import SchemaError, parse, signature
+from locfuse.formats.robot import line_map, robot_toml
+from locfuse.formats.robot.urdf import wheel_geometry
+from locfuse.fusion.data import LocfuseError
+
+CORPUS = Path(__file__).parent / "corpus"
+SLOW = 5.0  # s of CPU for one input of some kilobytes
+LONGEST = 1 << 16  # bytes of an input
+GIB = 1 << 30
+
+
+@dataclass(frozen=True)
+class Target:
+    """A parser, its corpus, the words of its language, and how it may refuse."""
+
+    parse: Callable[[bytes], object]
+    corpus: tuple[bytes, ...]
+    words: tuple[bytes, ...]
+    refusals: tuple[type[Exception], ...]
+
+
+def corpus(folder: str) -> tuple[bytes, ...]:
+    return tuple(path.read_bytes() for path in sorted((CORPUS / folder).iterdir()))
+
+
+def definition(language: str) -> Callable[[bytes], object]:
+    """A message definition, and all that is asked of its tree."""
+
+    def run(data: bytes) -> object:
+        tree = parse("a/msg/A", language, data.decode("utf-8", "replace"), filler=language != "ros1msg")
+        return paths(tree), signature(tree)
+
+    return run
+
+
+def jsonschema(data: bytes) -> object:
+    decoder = make_decoder(ChannelInfo("/a", "A", "json", "jsonschema", data, 1))
+    return decoded(decoder, b'{"a": 1, "b": [1, 2], "header": {"stamp": {"sec": 1, "nanosec": 2}}}')
+
+
+def decoded(decoder: object, *messages: bytes) -> object:
+    """Decode messages by every field; the number of rows must be that of the good messages."""
+    length = np.array([len(m) for m in messages], np.int64)
+    data = np.frombuffer(b"".join(messages), np.uint8)
+    fields = tuple(paths(decoder.message)[:40])  # type: ignore[attr-defined]
+    found = decoder.decode(data, np.cumsum(length) - length, length, fields)  # type: ignore[attr-defined]
+    for path, column in found.columns.items():
+        assert len(column) == int(found.good.sum()), path
+    return found
+
+
+SCAN_TEXT = (
+    "std_msgs/Header header\nfloat32 angle_min\nfloat32[] ranges\nstring[] names\nuint8[] data\nfloat64[3] at\n"
+    + "=" * 80
+    + "\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+    + "=" * 80
+    + "\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+)
+SCAN = make_decoder(ChannelInfo("/a", "a/msg/A", "cdr", "ros2msg", SCAN_TEXT.encode(), 1))
+SCAN_MESSAGE = (
+    b"\0\1\0\0" + struct.pack("<iII6sxxfI3fI", 1, 2, 6, b"laser\0", 0.5, 3, 1.0, 2.0, 3.0, 1)
+    + struct.pack("<I4sI3sx3d", 4, b"abc\0", 3, b"xyz", 1.0, 2.0, 3.0)
+)  # fmt: skip
+FIX_SCHEMA = b"""{"type": "object", "properties": {"timestamp": {"type": "object", "properties": {"sec": {"type":
+"integer"}, "nsec": {"type": "integer"}}}, "frame_id": {"type": "string"}, "latitude": {"type": "number"},
+"cov": {"type": "array", "items": {"type": "number"}}, "data": {"type": "string", "contentEncoding": "base64"},
+"parts": {"type": "array", "items": {"type": "object", "properties": {"x": {"type": "number"}}}}}}"""
+FIX = make_decoder(ChannelInfo("/a", "A", "json", "jsonschema", FIX_SCHEMA, 1))
+
+
+def robot(data: bytes) -> object:
+    return make_robot(robot_toml.parse(data, "robot.toml"))
+
+
+def metadata(data: bytes) -> object:
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "a.mcap").write_bytes(b"x")
+        (Path(folder) / "metadata.yaml").write_bytes(data)
+        files = log_files(Path(folder))
+    assert all(file.parent == Path(folder) for file in files)
+    return files
+
+
+def mcap_record(data: bytes) -> object:
+    """The content of every kind of record."""
+    for read in (
+        mcap_records.schema, mcap_records.channel, mcap_records.chunk_header, mcap_records.chunk_index,
+        mcap_records.message_index, mcap_records.attachment, mcap_records.message_counts,
+    ):  # fmt: skip
+        try:
+            read(data)
+        except DamagedError:
+            continue
+    return scan(np.frombuffer(data, np.uint8), 5000)
+
+
+def file_of(ending: str) -> Callable[[bytes], object]:
+    """A whole file: opened, and every topic decoded."""
+
+    def run(data: bytes) -> object:
+        with tempfile.NamedTemporaryFile(suffix=ending) as file:
+            file.write(data)
+            file.flush()
+            log = open_log([Path(file.name)])
+            for topic, info in log.topics.items():
+                if info.problem is None:
+                    try:
+                        log.stream(topic).t_ns  # noqa: B018 - the property reads
+                    except LocfuseError:
+                        continue
+            return log.losses.lines()
+
+    return run
+
+
+def bag_record(data: bytes) -> object:
+    return ros1_records.scan(np.frombuffer(data, np.uint8), 5000)
+
+
+def journal(data: bytes) -> object:
+    with tempfile.NamedTemporaryFile() as file:
+        file.write(data)
+        file.flush()
+        return unused_tail(Path(file.name))
+
+
+def bag_bytes() -> bytes:
+    head = b"\x04\0\0\0op=\x07" + b"\x09\0\0\0conn=\0\0\0\0" + b"\x08\0\0\0topic=/a"
+    body = b"\x10\0\0\0type=std_msgs/Int" + b"\x19\0\0\0message_definition=int8 a"
+    message = b"\x04\0\0\0op=\x02" + b"\x09\0\0\0conn=\0\0\0\0" + b"\x0d\0\0\0time=" + struct.pack("<II", 1, 2)
+    records = ((head, body), (message, b"\x05"))
+    return b"".join(struct.pack("<I", len(h)) + h + struct.pack("<I", len(d)) + d for h, d in records)
+
+
+MCAP = (
+    b"\x89MCAP0\r\n" + struct.pack("<BQII", 1, 8, 0, 0)
+    + struct.pack("<BQ", 3, 45) + struct.pack("<HI9sI7sI", 1, 9, b"a/msg/A__", 7, b"ros2msg", 11) + b"float64 x\n "
+    + struct.pack("<BQ", 4, 21) + struct.pack("<HHI2sI3sI", 1, 1, 2, b"/a", 3, b"cdr", 0)
+    + struct.pack("<BQHIQQ", 5, 34, 1, 0, 1, 1) + b"\0\1\0\0" + bytes(8)
+    + struct.pack("<BQI", 15, 4, 0)
+)  # fmt: skip
+ROS_WORDS = (
+    b"float64", b"string", b"[]", b"[3]", b"[<=4]", b" x\n", b"=" * 80, b"\nMSG: a/A\n", b"a/A b\n", b"#",
+    b"Header",
+)  # fmt: skip
+IDL_WORDS = (b"module", b"struct", b"{", b"};", b"sequence<", b">", b"long")
+JSON_WORDS = (
+    b"[", b"]", b"{", b"}", b"null", b"NaN", b"1e999", b'"\\ud800"', b"-1", b'"sec"', b'"type"', b'"array"', b",",
+)  # fmt: skip
+TOML_WORDS = (b"[", b"]", b"=", b".", b"'", b'"', b"{", b"}", b"nan", b"9" * 400, b"\n")
+XML_WORDS = (b"<joint", b"<parent link='a'/>", b"<child link='a'/>", b"&", b"<", b">", b"nan", b"1e999")
+YAML_WORDS = (b"- ", b"\n", b":", b"../", b"'", b"\0", b" ")
+BYTES = (b"\0", b"\xff", b"\xff\xff\xff\xff", b"\0\0\0\0\0\0\0\x80", struct.pack("<I", 1 << 30))
+JOURNAL = struct.pack(">8I", 0x377F0682, 3007000, 512, 0, 1, 2, 0, 0) + bytes(1072)
+OURS = (LocfuseError,)
+
+
+def urdf(data: bytes) -> object:
+    return wheel_geometry(data.decode("utf-8", "replace"))
+
+
+def wall_map(data: bytes) -> object:
+    return line_map.decode(data, "map")
+
+
+def fix_message(data: bytes) -> object:
+    return decoded(FIX, data, data[:9])
+
+
+def scan_message(data: bytes) -> object:
+    return decoded(SCAN, data, data[:20])
+
+
+TARGETS: dict[str, Target] = {
+    "ros2msg": Target(definition("ros2msg"), (*corpus("ros2msg"), SCAN_TEXT.encode()), ROS_WORDS, (SchemaError,)),
+    "ros1msg": Target(definition("ros1msg"), corpus("ros2msg"), ROS_WORDS, (SchemaError,)),
+    "ros2idl": Target(definition("ros2idl"), corpus("ros2idl"), IDL_WORDS, (SchemaError,)),
+    "jsonschema": Target(jsonschema, (*corpus("jsonschema"), FIX_SCHEMA), JSON_WORDS, (SchemaError,)),
+    "json": Target(fix_message, corpus("json"), JSON_WORDS, ()),
+    "cdr": Target(scan_message, (SCAN_MESSAGE,), BYTES, ()),
+    "robot.toml": Target(robot, corpus("robot.toml"), TOML_WORDS, OURS),
+    "urdf": Target(urdf, corpus("urdf"), XML_WORDS, ()),
+    "metadata.yaml": Target(metadata, corpus("metadata.yaml"), YAML_WORDS, OURS),
+    "mcap record": Target(mcap_record, (MCAP[8:], MCAP[25:], MCAP[80:]), BYTES, (DamagedError,)),
+    "mcap": Target(file_of(".mcap"), (MCAP,), BYTES, OURS),
+    "bag record": Target(bag_record, (bag_bytes(),), (*BYTES, b"op=\x02", b"conn=", b"time="), (DamagedError,)),
+    "bag": Target(file_of(".bag"), (ros1_records.MAGIC + bag_bytes(),), (*BYTES, b"op=\x05"), OURS),
+    "journal": Target(journal, (JOURNAL,), BYTES, ()),
+    "line map": Target(wall_map, corpus("line_map"), JSON_WORDS, OURS),
+}
+
+
+def mutated(target: Target, rng: random.Random) -> bytes:
+    """Return an input: a corpus file, changed in one to eight places."""
+    data = bytearray(rng.choice(target.corpus))
+    for _ in range(rng.choice((1, 1, 2, 4, 8))):
+        at = rng.randrange(len(data) + 1)
+        end = min(at + rng.choice((1, 4, 16, 200)), len(data))
+        kind = rng.randrange(7)
+        if kind == 0:
+            del data[at:end]
+        elif kind == 1:
+            data[at:at] = rng.choice(target.words)
+        elif kind == 2:
+            data[at:end] = rng.choice(target.words)
+        elif kind == 3 and at < len(data):
+            data[at] ^= 1 << rng.randrange(8)
+        elif kind == 4:
+            data[at:at] = bytes(data[at:end]) * rng.choice((1, 2, 30, 1000))
+        elif kind == 5:
+            data[at:at] = rng.choice(target.corpus)[: rng.randrange(1, 400)]
+        else:
+            data[at:end] = rng.randbytes(end - at)
+        del data[LONGEST:]
+    return bytes(data)
+
+
+def wrong(target: Target, data: bytes) -> str | None:
+    """Return what is wrong with what a parser makes of an input, None for nothing."""
+    begin = time.process_time()
+    try:
+        target.parse(data)
+    except target.refusals as refusal:
+        if len(str(refusal).splitlines()) != 1:
+            return f"a refusal of several lines: {refusal}"
+    except Exception:
+        return traceback.format_exc(limit=-4)
+    took = time.process_time() - begin
+    return f"{took:.1f} s of CPU" if took > SLOW else None
+
+
+def findings(name: str, seed: int, seconds: float) -> Iterator[tuple[int, bytes, str]]:
+    """Yield (number, input, what is wrong) for the inputs of so many seconds of CPU."""
+    rng, target = random.Random(f"{name} {seed}"), TARGETS[name]
+    end, n = time.process_time() + seconds, 0
+    while time.process_time() < end:
+        data = mutated(target, rng)
+        if (problem := wrong(target, data)) is not None:
+            yield n, data, problem
+        n += 1
+    yield n, b"", ""
+
+
+def fuzz(name: str, seed: int, seconds: float, save: Path | None) -> tuple[int, list[str]]:
+    """Return how many inputs a parser was given, and what was wrong, each kind once."""
+    problems: dict[str, str] = {}
+    n = 0
+    for n, data, problem in findings(name, seed, seconds):
+        place = problem.rstrip().rpartition("\n")[0] or problem  # where it was raised: one finding
+        if problem and place not in problems:
+            problems[place] = problem
+            if save is not None:
+                save.mkdir(parents=True, exist_ok=True)
+                (save / f"{name.replace(' ', '_')}-{seed}-{n}").write_bytes(data)
+    return n, list(problems.values())
+
+
+@click.command()
+@click.option("--seconds", default=4.0, show_default=True, help="CPU for each parser.")
+@click.option("--seed", default=1, show_default=True)
+@click.option("--only", type=click.Choice(list(TARGETS)), help="One parser.")
+@click.option("--save", type=click.Path(path_type=Path), default=Path("findings"), show_default=True)
+def main(seconds: float, seed: int, only: str | None, save: Path) -> None:
+    """Give every parser damaged input for some seconds each."""
+    resource.setrlimit(resource.RLIMIT_AS, (4 * GIB, 4 * GIB))
+    names: Sequence[str] = [only] if only else list(TARGETS)
+    bad = 0
+    for name in names:
+        n, problems = fuzz(name, seed, seconds, save)
+        bad += len(problems)
+        click.echo(f"{name:14} {n:8} inputs, {n / seconds:8.0f} a second, {len(problems)} findings")
+        for problem in problems[:5]:
+            click.echo(problem)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    click.echo(f"peak {peak:.0f} MiB")
+    raise SystemExit(1 if bad else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,87 @@
+"""Input files: regular ones only, what they were when they were opened, and that nothing is written onto them."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NamedTuple
+from weakref import WeakKeyDictionary
+
+from locfuse.fusion.data import LocfuseError
+
+from .caps import names_its_cap
+
+
+class Identity(NamedTuple):
+    """Which file a path led to, and in which state it was."""
+
+    device: int
+    inode: int
+    size: int  # bytes
+    mtime_ns: int
+
+    @property
+    def file(self) -> tuple[int, int]:
+        """What stays the same while a file is written to."""
+        return self.device, self.inode
+
+
+_HELD: WeakKeyDictionary[object, tuple[int, int]] = WeakKeyDictionary()  # who reads -> which file
+DESTROYS = "it is the input: to write there would destroy it; choose another name"
+
+
+def identity(path: Path) -> Identity:
+    """Return what a path leads to. Raises LocfuseError unless it is a regular file: a pipe would never end."""
+    try:
+        found = path.stat()
+    except OSError as problem:
+        raise LocfuseError(f"{path}: cannot be read: {problem.strerror or problem}") from None
+    if not stat.S_ISREG(found.st_mode):
+        raise LocfuseError(f"{path}: not a regular file; copy its content to one first")
+    return _of(found)
+
+
+def identity_of_open(handle: int) -> Identity:
+    """Return which file a descriptor reads."""
+    return _of(os.fstat(handle))
+
+
+def hold(reader: object, file: Identity) -> None:
+    """Keep a file from being written as long as its `reader` lives."""
+    _HELD[reader] = file.file
+
+
+def refuse_to_write(path: Path) -> None:
+    """Raise LocfuseError where `path` is a file that is being read: to write it would destroy the input."""
+    try:
+        found = path.stat()
+    except OSError:
+        return
+    if (found.st_dev, found.st_ino) in _HELD.values():
+        raise LocfuseError(f"{path}: {DESTROYS}")
+
+
+def is_among(path: Path, given: Iterable[Path]) -> bool:
+    """Tell whether `path` is one of the files given, or of those in a folder given."""
+    if not path.exists():
+        return False
+    files = (file for one in given for file in (one.iterdir() if one.is_dir() else (one,)))
+    return any(file.exists() and file.samefile(path) for file in files)
+
+
+def read_small(path: Path, cap: int) -> bytes:
+    """Return the bytes of a regular file of at most `cap` bytes. Raises LocfuseError."""
+    found = identity(path)
+    if found.size > cap:
+        raise LocfuseError(names_its_cap(str(path), found.size, cap, "bytes"))
+    try:
+        with path.open("rb") as file:
+            return file.read(cap)  # never more, should it grow
+    except OSError as problem:
+        raise LocfuseError(f"{path}: cannot be read: {problem.strerror or problem}") from None
+
+
+def _of(found: os.stat_result) -> Identity:
+    return Identity(found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)

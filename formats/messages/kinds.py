@@ -1,0 +1,127 @@
+"""Kinds of column: what a field of a message holds, and what its readers expect of it.
+
+A message type is only a name; the definition in the log says what the messages hold. Where the two disagree (a
+LaserScan whose `ranges` is one number), the field is refused in one line before anything is decoded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from .fields import FieldError, Part
+from .schema import Many, Scalar, Text
+
+NUMBER, TRUTH, TEXT, TIME, BYTES = "a number", "true or false", "a text", "a time", "bytes"
+NUMBERS, TRUTHS, TEXTS, TIMES = "an array of numbers", "an array of true or false", "an array of texts", "times"
+NINE = "9 numbers"
+
+STAMPS = ("header.stamp", "timestamp")  # they date the messages of any type
+# message types that something reads; the fields of every other type may be what their definition says
+READ_TYPES = frozenset(
+    (
+        "foxglove.CompressedImage",
+        "foxglove.LocationFix",
+        "geometry_msgs/msg/PointStamped",
+        "geometry_msgs/msg/PoseStamped",
+        "geometry_msgs/msg/PoseWithCovarianceStamped",
+        "geometry_msgs/msg/TransformStamped",
+        "irobot_create_msgs/msg/WheelTicks",
+        "nav_msgs/msg/Odometry",
+        "sensor_msgs/msg/CompressedImage",
+        "sensor_msgs/msg/Image",
+        "sensor_msgs/msg/Imu",
+        "sensor_msgs/msg/JointState",
+        "sensor_msgs/msg/LaserScan",
+        "sensor_msgs/msg/MagneticField",
+        "sensor_msgs/msg/NavSatFix",
+        "sensor_msgs/msg/Range",
+        "std_msgs/msg/Float32",
+        "std_msgs/msg/Float64",
+        "std_msgs/msg/Int16",
+        "std_msgs/msg/Int32",
+        "std_msgs/msg/Int64",
+        "std_msgs/msg/String",
+        "std_msgs/msg/UInt16",
+        "std_msgs/msg/UInt32",
+        "tf2_msgs/msg/TFMessage",
+        "turtlebot3_msgs/msg/SensorState",
+    )
+)
+XY, XYZ, XYZW = ("x", "y"), ("x", "y", "z"), ("x", "y", "z", "w")
+# dotted paths in these types that are read as one number
+ONE_NUMBER = frozenset(
+    (
+        *(f"magnetic_field.{axis}" for axis in XYZ),
+        *(f"angular_velocity.{axis}" for axis in XYZ),
+        *(f"{at}orientation.{axis}" for at in ("", "pose.", "pose.pose.") for axis in XYZW),
+        *(f"{at}position.{axis}" for at in ("pose.", "pose.pose.") for axis in XY),
+        *(f"transform.translation.{axis}" for axis in XY),
+        *(f"transform.rotation.{axis}" for axis in XYZW),
+        *(f"point.{axis}" for axis in XY),
+        "twist.twist.linear.x", "twist.twist.angular.z",
+        "angle_min", "angle_increment", "time_increment", "range_min", "range_max",
+        "width", "height", "step",
+        "field_of_view", "min_range", "max_range", "range",
+        "status.status", "latitude", "longitude", "position_covariance_type",
+        "ticks_left", "ticks_right", "left_encoder", "right_encoder",
+    )
+)  # fmt: skip
+# dotted path in these types -> the kinds that its readers take
+EXPECTED: Mapping[str, tuple[str, ...]] = {
+    **dict.fromkeys(ONE_NUMBER, (NUMBER,)),
+    "ranges": (NUMBERS,),
+    "name": (TEXTS,),
+    "position": (NUMBERS,),
+    "format": (TEXT,),
+    "encoding": (TEXT,),
+    "orientation_covariance": (NINE,),
+    "angular_velocity_covariance": (NINE,),
+    "position_covariance": (NINE, NUMBERS),  # JSON arrays do not say their length
+}
+WHOLE_NUMBERS = ("Int16", "UInt16", "Int32", "UInt32", "Int64")
+OF_TYPE: Mapping[tuple[str, str], tuple[str, ...]] = {
+    **{(f"std_msgs/msg/{name}", "data"): (NUMBER,) for name in (*WHOLE_NUMBERS, "Float32", "Float64")},
+    ("std_msgs/msg/String", "data"): (TEXT,),
+    ("sensor_msgs/msg/CompressedImage", "data"): (BYTES,),
+    ("sensor_msgs/msg/Image", "data"): (BYTES,),
+    ("foxglove.CompressedImage", "data"): (BYTES,),
+}
+TF = "transforms."  # one value for each transform of a message
+TF_TEXTS = ("frame_id",)
+
+
+def kind_of(parts: Sequence[Part]) -> str:
+    """Return what a resolved field holds in one message: the kind of its column."""
+    first = parts[0]
+    if len(parts) == 2:
+        return TIMES if first.inside else TIME
+    node, many = first.node, first.inside
+    if isinstance(node, Many):
+        if isinstance(node.element, Scalar) and node.element.dtype == "u1" and node.count is None:
+            return BYTES
+        if isinstance(node.element, Scalar) and node.element.dtype != "?" and node.count is not None:
+            return f"{node.count} numbers"
+        node, many = node.element, True
+    if isinstance(node, Text):
+        return TEXTS if many else TEXT
+    if isinstance(node, Scalar) and node.dtype == "?":
+        return TRUTHS if many else TRUTH
+    return NUMBERS if many else NUMBER
+
+
+def expected(msgtype: str, path: str) -> tuple[str, ...]:
+    """Return the kinds that whoever reads this field of this message type can take; none where nobody reads it."""
+    if path in STAMPS:
+        return (TIME,)
+    if msgtype not in READ_TYPES:
+        return ()
+    if path.startswith(TF):
+        return (TEXTS,) if path.endswith(TF_TEXTS) else (NUMBERS,) if path.rpartition(".")[2] in XYZW else ()
+    return OF_TYPE.get((msgtype, path)) or EXPECTED.get(path, ())
+
+
+def check_kind(msgtype: str, path: str, parts: Sequence[Part]) -> None:
+    """Raise FieldError where a field is of a kind that its readers cannot take."""
+    found, accepted = kind_of(parts), expected(msgtype, path)
+    if accepted and found not in accepted:
+        raise FieldError(f"{path} is {found} by its definition; accepted: {' or '.join(accepted)}")

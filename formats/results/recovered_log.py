@@ -1,0 +1,89 @@
+"""The messages of a log, copied; and a log that can be read again: all that is readable in one clean MCAP.
+
+The copy is chunked, indexed and checksummed, so that tools that trust a file's index read it too. What could not
+be read is said in its metadata.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+from locfuse.formats.container.source import Recorded
+from locfuse.formats.log.log import Log
+from locfuse.formats.mcap.write import LATCHED
+from locfuse.formats.mcap.write_columns import Block, ColumnWriter
+from locfuse.formats.visible import writable
+from locfuse.formats.whole_files import whole_file
+from locfuse.fusion.data import LocfuseError
+
+NOTE = "locfuse recover"  # name of the metadata record
+CLOCKLESS = 0  # log time of a message whose own is before 1970 or beyond what MCAP can say
+END_OF_TIME = 2**63 - 1  # ns
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """What a recovered copy holds."""
+
+    path: Path
+    messages: dict[str, int]  # by topic
+    lost: tuple[str, ...]  # one line for each file and reason
+
+
+def recover(log: Log, path: Path) -> Recovered:
+    """Write everything readable of a log to `path`, whole or not at all. Raises LocfuseError where nothing is."""
+    encodings = {topic.encoding for topic in log.topics.values()}
+    with whole_file(path) as temporary, temporary.open("wb") as file:
+        writer = ColumnWriter(file, "ros1" if encodings == {"ros1"} else "ros2")
+        for name, data in log.attachments.items():
+            writer.attach(name, data, "application/octet-stream", 0)
+        counts = copy_messages(writer, log)
+        if not counts:
+            why = f": {log.losses.lines()[0]}" if log.losses else ""
+            raise LocfuseError(f"{log.name}: not one message can be read{why}")
+        lines = tuple(log.losses.lines())
+        writer.metadata(
+            NOTE,
+            {
+                "input": ", ".join(writable(file.name) for file in log.paths),
+                "messages": str(counts.total()),
+                "lost": "; ".join(map(writable, lines)),
+                "lost_messages": str(log.losses.messages),
+                "lost_bytes": str(log.losses.bytes),
+            },
+        )
+        writer.finish()
+    return Recovered(path, dict(sorted(counts.items())), lines)
+
+
+def copy_messages(writer: ColumnWriter, log: Log) -> Counter[str]:
+    """Copy every message of a log, bytes, times and order as they are; return their number by topic."""
+    schemas: dict[tuple[str, str, bytes], int] = {}
+    channels: dict[tuple[str, str, int], int] = {}
+    counts: Counter[str] = Counter()
+    for batch in log.messages():
+        blocks = []
+        for recorded in batch:
+            channel = recorded.channel
+            schema = (channel.msgtype, channel.schema_encoding, channel.schema)
+            if schema not in schemas:
+                schemas[schema] = writer.schema(*schema) if channel.schema_encoding else 0
+            key = (channel.topic, channel.encoding, schemas[schema])
+            if key not in channels:
+                once = channel.n == 1 or channel.topic.endswith("tf_static")  # such topics are latched
+                channels[key] = writer.channel(*key, {"offered_qos_profiles": LATCHED if once else ""})
+            blocks.append(_block(channels[key], recorded))
+            counts[channel.topic] += len(recorded.messages.start)
+        writer.chunk(blocks)
+    return counts
+
+
+def _block(channel: int, recorded: Recorded) -> Block:
+    data, messages = recorded.data, recorded.messages
+    ends = (messages.start + messages.length).tolist()
+    payload = [data[a:b].data for a, b in zip(messages.start.tolist(), ends, strict=True)]
+    times = (column.clip(CLOCKLESS, END_OF_TIME) for column in (messages.log_time, recorded.published))
+    log_time, published = times
+    return Block(channel, log_time, messages.sequence, payload, published)

@@ -1,0 +1,99 @@
+"""What the picture libraries say of a damaged picture: off the terminal, and known to us.
+
+libjpeg returns a picture of damaged data as if it were whole and says so only on the process' stderr. While a
+picture is decoded, that stream leads to a file in memory; what arrives there tells which picture is damaged.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TypeVar
+
+T = TypeVar("T")
+STDERR = 2
+# a few bytes too many in front of the end mark: some cameras pad so, and the picture in front of them is whole;
+# many are what a decoder that lost its place has left over
+PADDING = re.compile(rb"(\d+) extraneous bytes before marker 0xd9")
+MAX_PADDING_BYTES = 15
+
+
+class _Listener:
+    """Leads stderr to a file while anybody decodes."""
+
+    def __init__(self) -> None:
+        self._change = threading.Condition()
+        self._decoding = 0
+        self._saved = -1
+        self._file = -1
+
+    @contextmanager
+    def listening(self, alone: bool) -> Iterator[int]:
+        """Decode beside others, or alone so that all that is said is of one picture."""
+        with self._change:
+            while alone and self._decoding:
+                self._change.wait()
+            file = self._enter()
+            if alone:  # nobody else enters as long as the lock is held
+                try:
+                    yield file
+                finally:
+                    self._leave()
+                return
+        try:
+            yield file
+        finally:
+            with self._change:
+                self._leave()
+
+    def _enter(self) -> int:
+        if self._file < 0:
+            with tempfile.TemporaryFile() as file:
+                self._file = os.dup(file.fileno())  # stays as long as the process
+        if not self._decoding:
+            self._saved = os.dup(STDERR)
+            os.dup2(self._file, STDERR)
+        self._decoding += 1
+        return self._file
+
+    def _leave(self) -> None:
+        self._decoding -= 1
+        if not self._decoding:
+            os.dup2(self._saved, STDERR)
+            os.close(self._saved)
+            self._change.notify_all()
+
+
+_LISTENER = _Listener()
+
+
+def listened(decode: Callable[[], T]) -> tuple[T, bytes]:
+    """Return what `decode` returns, and what the libraries said of it on stderr (mostly nothing)."""
+    with _LISTENER.listening(alone=False) as file:
+        before = _size(file)
+        found = decode()
+        if _size(file) == before:
+            return found, b""
+    with _LISTENER.listening(alone=True) as file:  # it may have been said of another thread's picture
+        before = _size(file)
+        found = decode()
+        return found, os.pread(file, 4096, before)
+
+
+def tells_of_damage(words: bytes) -> bool:
+    """Return whether what was said means that part of a picture is not what the camera saw."""
+    lines = [line for line in words.splitlines() if b"JPEG" in line]
+    return any(not _is_padding(line) for line in lines)
+
+
+def _is_padding(line: bytes) -> bool:
+    found = PADDING.search(line)
+    return found is not None and int(found[1]) <= MAX_PADDING_BYTES
+
+
+def _size(file: int) -> int:
+    return os.fstat(file).st_size

@@ -1,0 +1,205 @@
+"""What is read is never written, and no file is lost that nobody gave up."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import textwrap
+from pathlib import Path
+
+import pytest
+from commands import locfuse
+from hostile import write
+
+from locfuse.formats import inputs, whole_files
+from locfuse.formats.container.file_bytes import WRITTEN_TO, FileBytes
+from locfuse.formats.container.losses import Losses
+from locfuse.formats.log.files import log_name
+from locfuse.formats.log.log import open_log
+from locfuse.formats.whole_files import temporary_for, whole_file, write_results
+from locfuse.fusion.data import LocfuseError
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    return write(tmp_path / "d.mcap")
+
+
+@pytest.mark.parametrize("option", ["--audit", "--save-map", "--rerun-save"])
+@pytest.mark.parametrize("overwrite", [[], ["--overwrite"]])
+def test_a_named_output_never_replaces_the_log(log: Path, option: str, overwrite: list[str]) -> None:
+    before = log.read_bytes()
+    done = locfuse("run", log, "-o", log.parent / "o", option, log, *overwrite)
+    assert (done.exit_code, log.read_bytes() == before) == (2, True)
+    assert "it is the input" in done.stderr
+    assert not (log.parent / "o").exists()
+
+
+def test_view_never_saves_onto_the_log(log: Path) -> None:
+    before = log.read_bytes()
+    assert locfuse("view", log, "--save", log, "--overwrite").exit_code == 2
+    assert log.read_bytes() == before
+
+
+@pytest.mark.parametrize("option", ["--audit", "--save-map", "--rerun-save"])
+def test_a_named_output_replaces_a_file_only_where_told_to(log: Path, option: str) -> None:
+    mine = log.parent / "mine"
+    mine.write_text("mine")
+    done = locfuse("run", log, "-o", log.parent / "o", option, mine)
+    assert (done.exit_code, mine.read_text()) == (2, "mine")
+    assert "--overwrite" in done.stderr
+
+
+def test_an_audit_replaces_a_file_where_told_to(log: Path) -> None:
+    mine = log.parent / "mine"
+    mine.write_text("mine")
+    assert locfuse("run", log, "-o", log.parent / "o", "--audit", mine, "--overwrite").exit_code == 0
+    assert mine.read_text().startswith("t,")
+
+
+def test_a_result_that_is_read_as_a_log_is_not_replaced_by_its_own_export(log: Path) -> None:
+    out = log.parent / "o"
+    assert locfuse("run", log, "-o", out, "--export", "log").exit_code == 0
+    before = (out / "estimates.mcap").read_bytes()
+    done = locfuse("run", out / "estimates.mcap", "-o", out, "--export", "log")
+    assert done.exit_code == 1
+    assert "it is the input" in done.stderr
+    assert (out / "estimates.mcap").read_bytes() == before
+
+
+def test_a_robot_toml_in_the_folder_of_results_is_not_replaced_by_the_run_that_reads_it(log: Path) -> None:
+    out = log.parent / "o"
+    assert locfuse("run", log, "-o", out).exit_code == 0
+    (out / "robot.toml").write_text("# my words\n" + (out / "robot.toml").read_text())
+    done = locfuse("run", log, "-o", out, "--robot", out / "robot.toml")
+    assert done.exit_code == 2
+    assert (out / "robot.toml").read_text().startswith("# my words")
+
+
+@pytest.mark.parametrize("name", ["...mcap", "..mcap"])
+def test_a_log_named_after_a_folder_above_keeps_its_results_below(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / name)
+    (tmp_path / "robot.toml").write_text("mine")
+    assert locfuse("run", name).exit_code == 1 or not (tmp_path / "locfuse-out" / "run.json").exists()
+    assert (tmp_path / "robot.toml").read_text() == "mine"
+    assert not (tmp_path / "run.json").exists()
+
+
+def test_every_name_of_a_log_is_one_folder() -> None:
+    for name in ("...mcap", "..mcap", "....mcap.zstd", ".mcap", "a.mcap"):
+        stem = log_name([Path("x") / name])
+        assert stem.strip(".")
+        assert Path(stem).name == stem
+
+
+HOLDER = """
+    import sys, time
+    from pathlib import Path
+    from locfuse.formats.whole_files import write_results
+    def slowly(path):
+        path.write_text("x")
+        print("writing", flush=True)
+        time.sleep(60)
+    write_results(Path(sys.argv[1]), {"run.json": slowly})
+"""
+
+
+def test_a_second_run_at_one_folder_says_who_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(whole_files, "LOCK_TIMEOUT_S", 0.1)
+    command = [sys.executable, "-c", textwrap.dedent(HOLDER), str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout is not None
+        holder.stdout.readline()
+        with pytest.raises(LocfuseError, match=f"being written by process {holder.pid}"):
+            write_results(tmp_path, {"run.json": "{}"})
+        assert list(tmp_path.glob(".run.json.*"))  # the other's file is not taken from it
+        holder.kill()
+    write_results(tmp_path, {"run.json": "{}"})  # a dead process holds nothing
+    assert [p.name for p in tmp_path.iterdir()] == ["run.json"]
+
+
+def _ended() -> int:
+    with subprocess.Popen([sys.executable, "-c", ""]) as process:
+        process.wait()
+    return process.pid
+
+
+def test_what_a_killed_process_left_of_a_file_goes_with_the_next(tmp_path: Path) -> None:
+    target = tmp_path / "drive.mcap"
+    left = tmp_path / f".drive.mcap.{_ended()}{whole_files.TEMPORARY}"
+    living = tmp_path / f".drive.mcap.{os.getppid()}{whole_files.TEMPORARY}"
+    for path in (left, living):
+        path.write_text("half")
+    temporary_for(target)
+    assert (left.exists(), living.exists()) == (False, True)
+
+
+def test_scratch_of_killed_processes_goes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    folder = tmp_path / f"locfuse-{_ended()}-x"
+    folder.mkdir()
+    (folder / "recording.rrd").write_text("x")
+    (tmp_path / f"locfuse-{os.getpid()}-y").write_text("mine")
+    assert whole_files.scratch_prefix() == f"locfuse-{os.getpid()}-"
+    assert [p.name for p in tmp_path.iterdir()] == [f"locfuse-{os.getpid()}-y"]
+
+
+def test_a_file_may_be_written_when_its_reader_is_gone(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    path.write_text("a")
+    reader = FileBytes(path, Losses())
+    with pytest.raises(LocfuseError, match="it is the input"), whole_file(path):
+        pass
+    del reader
+    with whole_file(path) as temporary:
+        temporary.write_text("b")
+    assert path.read_text() == "b"
+
+
+def test_a_log_that_is_replaced_while_it_is_read_is_noticed(tmp_path: Path) -> None:
+    log = write(tmp_path / "d.mcap", seconds=20.0)
+    opened = open_log([log])
+    other = write(log.parent / "other.mcap", seconds=2.0)
+    shutil.move(other, log)
+    with pytest.raises(LocfuseError, match="replaced by another file"):
+        opened.stream("/scan").columns("ranges")
+    with pytest.raises(LocfuseError, match="replaced by another file"):
+        opened.sha256  # noqa: B018 - the property reads
+
+
+def test_a_log_that_is_written_to_while_it_is_read_is_counted(tmp_path: Path) -> None:
+    log = write(tmp_path / "d.mcap", seconds=20.0)
+    opened = open_log([log])
+    with log.open("ab") as file:
+        file.write(b"more")
+    opened.stream("/scan").columns("ranges")
+    assert any(WRITTEN_TO in line for line in opened.losses.lines())
+
+
+@pytest.mark.parametrize("where", ["log", "metadata", "robot"])
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path: Path, where: str) -> None:
+    os.mkfifo(tmp_path / "pipe.mcap")
+    if where == "log":
+        done = locfuse("info", tmp_path / "pipe.mcap")
+    elif where == "metadata":
+        write(tmp_path / "a.mcap")
+        os.mkfifo(tmp_path / "metadata.yaml")
+        assert locfuse("info", tmp_path).exit_code == 0  # read without either pipe
+        return
+    else:
+        done = locfuse("info", write(tmp_path / "a.mcap"), "--robot", tmp_path / "pipe.mcap")
+    assert done.exit_code == 1
+    assert "not a regular file" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_small_file_that_is_large_is_refused_by_its_cap(tmp_path: Path) -> None:
+    (tmp_path / "robot.toml").write_bytes(b"#" * 2_000_000)
+    with pytest.raises(LocfuseError, match=r"2 000 000 bytes, more than the cap of 1 000"):
+        inputs.read_small(tmp_path / "robot.toml", 1000)

@@ -1,0 +1,231 @@
+"""Databases of strangers: no silent loss from a journal, no view without end, no value that fills the memory."""
+
+from __future__ import annotations
+
+import random
+import signal
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from commands import locfuse
+from hostile import crashed_recording, sample
+
+from locfuse.formats.container import rosbag2_sqlite, sqlite_journal
+from locfuse.formats.container.rosbag2_sqlite import Leash
+from locfuse.formats.container.sqlite_journal import HEADER, unused_tail
+from locfuse.formats.log.log import open_log
+from locfuse.fusion.data import LocfuseError
+
+PAGE = 4096
+FRAME = PAGE + 24
+TOPICS = (
+    "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT);"
+    "INSERT INTO topics VALUES(1, '/a', 'std_msgs/msg/String', 'cdr');"
+)
+MESSAGES = "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB);"
+ENDLESS = "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c)"
+
+
+def database(path: Path, script: str) -> Path:
+    with closing(sqlite3.connect(path)) as made:
+        made.executescript(script)
+        made.commit()
+    return path
+
+
+@pytest.fixture(scope="module")
+def crashed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return crashed_recording(tmp_path_factory.mktemp("crash"))
+
+
+@pytest.fixture
+def recording(crashed: Path, tmp_path: Path) -> Path:
+    for ending in ("", "-wal"):
+        (tmp_path / f"bag.db3{ending}").write_bytes(Path(f"{crashed}{ending}").read_bytes())
+    return tmp_path / "bag.db3"
+
+
+def messages_by_sqlite(path: Path) -> int:
+    with closing(sqlite3.connect(path)) as read:
+        return int(read.execute("SELECT count(*) FROM messages").fetchone()[0])
+
+
+def count(path: Path) -> tuple[int, list[str]]:
+    log = open_log([path])
+    return sum(topic.count for topic in log.topics.values()), log.losses.lines()
+
+
+def test_the_journal_of_a_crash_is_read_whole_and_nothing_appears_beside_the_bag(recording: Path) -> None:
+    assert count(recording) == (600, [])
+    assert sorted(p.name for p in recording.parent.iterdir()) == ["bag.db3", "bag.db3-wal"]
+    assert locfuse("info", recording).exit_code == 0
+
+
+def test_a_flipped_bit_in_the_journal_is_a_loss(recording: Path) -> None:
+    wal = Path(f"{recording}-wal")
+    data = bytearray(wal.read_bytes())
+    data[len(data) // 4] ^= 1
+    wal.write_bytes(data)
+    n, losses = count(recording)
+    assert 0 < n < 600
+    assert any(sqlite_journal.DAMAGED in line for line in losses)
+    assert locfuse("info", recording).exit_code == 3
+
+
+def test_no_damage_of_a_journal_loses_messages_in_silence(recording: Path) -> None:
+    """Whatever is cut off, flipped or overwritten: either all is there, or a loss is told."""
+    wal = Path(f"{recording}-wal")
+    whole = wal.read_bytes()
+    rng = random.Random(1)
+    for trial in range(60):
+        data = bytearray(whole)
+        at = rng.randrange(len(data))
+        if trial % 3 == 0:
+            del data[at:]
+        elif trial % 3 == 1:
+            data[at] ^= 1 << rng.randrange(8)
+        else:
+            data[at : at + 64] = rng.randbytes(len(data[at : at + 64]))
+        wal.write_bytes(data)
+        n, losses = count(recording)
+        if at % FRAME == HEADER.size and trial % 3 == 0:
+            continue  # cut between two frames: nobody can see what is missing
+        assert n == 600 or losses, (trial, at)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
+def test_the_end_that_is_used_is_the_one_that_sqlite_uses(recording: Path, share: float) -> None:
+    """sqlite reads as many messages from a damaged journal as from one that ends where we say it stops."""
+    wal = Path(f"{recording}-wal")
+    data = bytearray(wal.read_bytes())
+    data[HEADER.size + int(share * len(data) / FRAME) * FRAME + 100] ^= 4
+    wal.write_bytes(data)
+    tail = unused_tail(wal)
+    assert tail is not None
+    cut = recording.with_name("cut.db3")
+    cut.write_bytes(recording.read_bytes())
+    Path(f"{cut}-wal").write_bytes(data[: tail.offset])
+    assert unused_tail(Path(f"{cut}-wal")) is None
+    assert 0 < messages_by_sqlite(recording) == messages_by_sqlite(cut) < 600
+
+
+def test_a_transaction_that_was_not_finished_is_told(recording: Path) -> None:
+    wal = Path(f"{recording}-wal")
+    data = wal.read_bytes()
+    wal.write_bytes(data[: len(data) - FRAME])  # the frame that commits is gone
+    n, losses = count(recording)
+    assert n < 600
+    assert any(sqlite_journal.UNFINISHED in line for line in losses)
+
+
+def test_frames_of_an_older_journal_are_no_loss(tmp_path: Path) -> None:
+    live = tmp_path / "a.db3"
+    with closing(sqlite3.connect(live)) as writer:
+        writer.execute("PRAGMA journal_mode=wal")
+        writer.executescript(TOPICS + MESSAGES)
+        row = (1, 10**18, bytes(3000))
+        writer.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES(?, ?, ?)", [row] * 50)
+        writer.commit()
+        writer.execute("PRAGMA wal_checkpoint(RESTART)")
+        writer.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES(?, ?, ?)", row)
+        writer.commit()
+        for ending in ("", "-wal"):
+            (tmp_path / f"b.db3{ending}").write_bytes(Path(f"{live}{ending}").read_bytes())
+    assert unused_tail(tmp_path / "b.db3-wal") is None
+    assert count(tmp_path / "b.db3") == (51, [])
+
+
+ENDLESS_VIEW = (
+    f"CREATE VIEW messages AS {ENDLESS} SELECT x AS id, 1 AS topic_id, x AS timestamp, x'00' AS data FROM c;"
+)
+GIANT_VIEW = (
+    "CREATE VIEW topics AS SELECT 1 AS id, CAST(zeroblob(900000000) AS TEXT) AS name, 'x' AS type, "
+    "'cdr' AS serialization_format;"
+)
+COMPUTED = MESSAGES.replace("data BLOB", "data BLOB AS (zeroblob(60000000))")
+VIRTUAL = "CREATE VIRTUAL TABLE messages USING fts5(id, topic_id, timestamp, data);"
+
+
+@pytest.mark.parametrize(
+    ("script", "words"),
+    [
+        (TOPICS + ENDLESS_VIEW, "its messages is a view"),
+        (MESSAGES + GIANT_VIEW, "its topics is a view"),
+        (TOPICS + COMPUTED, "computed columns"),
+        (TOPICS + VIRTUAL, "is a virtual table"),
+    ],
+)
+def test_what_a_database_computes_is_not_read(tmp_path: Path, script: str, words: str) -> None:
+    done = locfuse("info", database(tmp_path / "f.db3", script))
+    assert done.exit_code == 1
+    assert words in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def endless(path: Path) -> Iterator[tuple[Leash, sqlite3.Connection]]:
+    leash = Leash(path, 0)
+    with closing(sqlite3.connect(":memory:")) as made:
+        leash.hold(made)
+        yield leash, made
+
+
+def test_a_query_without_end_meets_its_deadline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rosbag2_sqlite, "MAX_DATABASE_SECONDS", 0.05)
+    for leash, made in endless(tmp_path):
+        with pytest.raises(LocfuseError, match="busy for more than the cap of"), leash.step():
+            made.execute(f"{ENDLESS} SELECT count(*) FROM c").fetchall()
+
+
+def test_a_signal_ends_a_query_without_end(tmp_path: Path) -> None:
+    class Arrived(BaseException):
+        pass
+
+    def arrive(*_: object) -> None:
+        raise Arrived
+
+    before = signal.signal(signal.SIGALRM, arrive)
+    try:
+        for leash, made in endless(tmp_path):
+            signal.setitimer(signal.ITIMER_REAL, 0.1)
+            with pytest.raises(Arrived), leash.step():
+                made.execute(f"{ENDLESS} SELECT count(*) FROM c").fetchall()
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def copied(recording: Path, script: str) -> Path:
+    """The recording with its tables rewritten by a script."""
+    with closing(sqlite3.connect(recording)) as changed:
+        changed.execute("PRAGMA journal_mode=delete")
+        changed.executescript(script)
+        changed.commit()
+    return recording
+
+
+def test_a_recording_without_ids_is_read_by_its_rows(recording: Path) -> None:
+    copied(recording, "CREATE TABLE m AS SELECT topic_id, timestamp, data FROM messages; DROP TABLE messages;"
+                      "ALTER TABLE m RENAME TO messages")  # fmt: skip
+    log = open_log([recording])
+    assert len(log.stream("/joint_states").t_ns) == log.topics["/joint_states"].count > 0
+
+
+def test_ids_that_are_text_are_numbers(recording: Path) -> None:
+    copied(recording, "CREATE TABLE m(id TEXT, topic_id TEXT, timestamp TEXT, data BLOB);"
+                      "INSERT INTO m SELECT id, topic_id, timestamp, data FROM messages; DROP TABLE messages;"
+                      "ALTER TABLE m RENAME TO messages")  # fmt: skip
+    log = open_log([recording])
+    assert len(log.stream("/joint_states").t_ns) == log.topics["/joint_states"].count > 0
+
+
+def test_where_all_messages_are_lost_the_file_is_named_and_not_the_wheels(recording: Path) -> None:
+    copied(recording, "ALTER TABLE messages RENAME COLUMN data TO payload")
+    robot = recording.parent / "robot.toml"
+    robot.write_bytes(sample()[1])
+    done = locfuse("run", recording, "-o", recording.parent / "o", "--robot", robot)
+    assert done.exit_code == 1
+    assert "messages on /joint_states can be read" in done.stderr
+    assert "damaged place of the database" in done.stderr

@@ -1,0 +1,63 @@
+"""The ruler: what a consistent claim scores, at any body point, against a truth with errors of its own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from locfuse.fusion import se2
+from locfuse.fusion.data import Drive, Estimates, Motions, Truth, upper_triangles
+from locfuse.fusion.judge.evaluate import evaluate
+
+Array = NDArray[np.float64]
+N = 6000
+POINTS = [(0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (-0.3, 0.4), (0.3, -0.6)]
+
+
+def claimed() -> Array:
+    """Covariance (3, 3) of a pose whose heading and place go together [m^2, m rad, rad^2]."""
+    A = np.array([[0.01, 0.0, 0.0], [0.004, 0.006, 0.0], [0.02, -0.015, 0.03]])
+    return A @ A.T
+
+
+def judged(point: tuple[float, float], truth_sigma: float, heading: bool = True) -> tuple[Estimates, Drive]:
+    """Estimates whose errors are drawn from the covariance they claim, at headings all round."""
+    rng = np.random.default_rng(4)
+    t = np.arange(N) * 0.1
+    true = np.column_stack((rng.uniform(-5.0, 5.0, (N, 2)), rng.uniform(-np.pi, np.pi, N)))
+    P = np.broadcast_to(claimed(), (N, 3, 3))
+    pose = true + rng.multivariate_normal(np.zeros(3), claimed(), N)
+    xy = se2.transform(true, np.broadcast_to(np.array(point), (N, 2))) + truth_sigma * rng.normal(size=(N, 2))
+    truth = Truth("/truth", t, xy, true[:, 2] if heading else None, point, truth_sigma)
+    motions = Motions(np.zeros((N, 3)), np.zeros((N, 3, 3)), np.zeros((N, 3, 0)))
+    drive = Drive(0, t, motions, {}, {}, {}, truth)
+    return Estimates("all", (), t, pose, upper_triangles(P), {}, truth_pose=pose, truth_P=P), drive
+
+
+@pytest.mark.parametrize("point", POINTS)
+@pytest.mark.parametrize("truth_sigma", [0.0, 0.02])
+@pytest.mark.parametrize("heading", [True, False])
+def test_a_consistent_claim_scores_one(point: tuple[float, float], truth_sigma: float, heading: bool) -> None:
+    """ANEES of errors drawn from the claim is 1 (by chi-square within 0.04 at 3 sigma for 6000 samples)."""
+    anees = evaluate(*judged(point, truth_sigma, heading)).figures["anees"]
+    assert anees == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize("point", POINTS)
+def test_the_claimed_sigma_is_that_of_the_tracked_point(point: tuple[float, float]) -> None:
+    """Against the spread of the point itself, at one heading after the other."""
+    found = evaluate(*judged(point, 0.0))
+    ratio = found.deviation / found.sigma[:, :2]
+    assert ratio.std(axis=0) == pytest.approx([1.0, 1.0], abs=0.04)
+    quadrant = np.floor(judged(point, 0.0)[0].pose[:, 2] / (np.pi / 2.0))
+    for q in np.unique(quadrant)[1:-1]:
+        assert ratio[quadrant == q].std(axis=0) == pytest.approx([1.0, 1.0], abs=0.1)
+
+
+@pytest.mark.parametrize("wrong", [0.5, 2.0])
+def test_a_claim_that_is_wrong_by_a_factor_scores_its_square(wrong: float) -> None:
+    estimates, drive = judged((0.2, 0.3), 0.0)
+    assert estimates.truth_P is not None
+    found = evaluate(Estimates(**{**vars(estimates), "truth_P": estimates.truth_P * wrong**2}), drive)
+    assert found.figures["anees"] == pytest.approx(1.0 / wrong**2, rel=0.05)

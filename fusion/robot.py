@@ -34,6 +34,7 @@ class WheelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     radius: float | None = None  # m, mean of both wheels
     ratio: float = 1.0  # right wheel's radius over the left one's
     track: float | None = None  # m between the wheels' contact points
+    wheelbase: float | None = None  # m between the axles: of a steering angle
     ticks_per_revolution: float | None = None  # positions are ticks, not radians
     mirrored: Mirrored = "none"  # wheels whose count falls while the robot drives forward
     rollover: float | None = None  # the counter's range, in its own unit; 0: it never rolls over; None: found

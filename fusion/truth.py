@@ -8,25 +8,14 @@ from typing import cast
 import numpy as np
 
 from locfuse.fusion.wheels.jumps import limits, spikes
+from locfuse.fusion.wheels.odometry import POSE
 
 from . import se2
 from .data import Array, LocfuseError, Stream, Truth
 from .robot import TruthSettings
 
-
-def _pose(prefix: str, position: str = "position", orientation: str = "orientation") -> tuple[str, ...]:
-    return (
-        f"{prefix}.{position}.x",
-        f"{prefix}.{position}.y",
-        *(f"{prefix}.{orientation}.{axis}" for axis in "xyzw"),
-    )
-
-
 TRUTH_READS: Mapping[str, tuple[str, ...]] = {
-    "geometry_msgs/msg/PoseStamped": _pose("pose"),
-    "geometry_msgs/msg/PoseWithCovarianceStamped": _pose("pose.pose"),
-    "geometry_msgs/msg/TransformStamped": _pose("transform", "translation", "rotation"),
-    "nav_msgs/msg/Odometry": _pose("pose.pose"),
+    **POSE,
     "geometry_msgs/msg/PointStamped": ("point.x", "point.y"),
 }
 TRUTH_NAMES = (

@@ -41,7 +41,7 @@ def choose_sensor(log: Log, robot: Robot, name: str, insisted: bool, choice: Cho
     """Take the topics of one sensor, or say why it has none."""
     sensor, settings = REGISTRY[name], robot.settings(name)
     named = _names(settings)
-    gone = [t for t in named if t not in log.topics]
+    gone = [t for t in named if log.find(t) is None]
     if gone and not insisted:
         choice.absent[name] = f"{log.name} has no topic {gone[0]}, which robot.toml names"
         return
@@ -106,7 +106,7 @@ def _named_well(topic: str, msgtype: str, sensor: Sensor) -> bool:
 def choose_truth(log: Log, robot: Robot, insisted: bool, choice: Choice) -> None:
     """Take the truth's topic: by its name only."""
     named = robot.truth.topic
-    if named is not None and named not in log.topics and not insisted:
+    if named is not None and log.find(named) is None and not insisted:
         return
     candidates = [t for t in of_type(log, TRUTH_READS) if looks_like_truth(t)]
     topic = one(log, "truth", named, candidates, TRUTH_READS)

@@ -1,21 +1,35 @@
-"""Where /tf_static puts the sensors on the base, as tables of robot.toml."""
+"""Where /tf_static puts the sensors on the base, or /tf where nothing is static, as tables of robot.toml."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from locfuse.formats.robot.transforms import Mount, StaticTransforms, planar_mount
+from locfuse.fusion.data import Stream
 from locfuse.fusion.sensors.registry import REGISTRY
 
 if TYPE_CHECKING:
-    from locfuse.formats.log.stream import LogStream
+    from locfuse.formats.log.log import Log
 
 BASE_FRAMES = ("base_link", "base_footprint", "base")
 
 
-def mount_tables(transforms: StaticTransforms, streams: Mapping[str, Sequence[LogStream]]) -> dict[str, Any]:
+def transforms_of(log: Log, frames: Iterable[str]) -> StaticTransforms:
+    """Return the transforms of /tf_static, and where they do not place all frames those of /tf that never change.
+
+    ROS 1 publishes mounts on /tf. Reading it takes time, so it is asked only where something is missing.
+    """
+    static = log.static_transforms()
+    if all(frame in BASE_FRAMES or mount_of(static, frame) is not None for frame in frames if frame):
+        return static
+    known = {edge.child for edge in static.edges}
+    still = [edge for edge in log.still_transforms().edges if edge.child not in known]
+    return StaticTransforms((*static.edges, *still), static.conflicts)
+
+
+def mount_tables(transforms: StaticTransforms, streams: Mapping[str, Sequence[Stream]]) -> dict[str, Any]:
     """Return the mounts that /tf_static knows of sensors (name -> its topics' streams), for the keys they have."""
     tables: dict[str, Any] = {}
     for sensor, parts in streams.items():

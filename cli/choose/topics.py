@@ -71,7 +71,7 @@ def several_fit(log: Log, role: str, topics: Sequence[str]) -> LocfuseError:
 
 def checked(log: Log, role: str, topic: str, reads: Iterable[str]) -> str:
     """Return a topic that was named. Raises LocfuseError where it is missing or cannot be read."""
-    info = log.topics.get(topic)
+    info = log.find(topic)
     if info is None:
         have = ", ".join(sorted(log.topics)[:12]) or "no topics"
         raise LocfuseError(f"{log.name} has no topic {topic}; it has {have}.", role=role)

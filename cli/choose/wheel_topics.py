@@ -1,4 +1,7 @@
-"""Which topics feed the wheels: joint angles, ticks, a pair of numbers, or another odometry."""
+"""Which topics feed the wheels: angles, ticks or speeds of the wheels, else the body's motion as somebody says it.
+
+The body's motion is taken from, in this order: an odometry topic, an odometry that only /tf has, a measured twist.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +12,11 @@ from typing import TYPE_CHECKING, cast
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.truth import looks_like_truth
-from locfuse.fusion.wheels.read import ODOMETRY, WHEEL_READS, counts_ticks
-from locfuse.fusion.wheels.sources import JOINTS, NUMBERS, TICKS, joint_names
+from locfuse.fusion.wheels.odometry import ODOMETRY, POSE, SPEED, STEERED
+from locfuse.fusion.wheels.read import WHEEL_READS, counts_ticks
+from locfuse.fusion.wheels.sources import JOINTS, NUMBERS, SPEEDS, TICKS, joint_names
 
+from .mounts import BASE_FRAMES
 from .topics import NAMED, ONLY, Choice, checked, of_type, one, several_fit, types
 
 if TYPE_CHECKING:
@@ -32,6 +37,9 @@ COMMAND_WORDS = (
     "setpoint",
     "rpm",
 )
+COMMANDED = ("cmd", "command", "target", "setpoint", "teleop", "joy")  # what the body was asked to do
+TWISTS = tuple(kind for kind in (*SPEED, *STEERED) if kind not in POSE)
+ODOMETRY_FRAMES = ("odom", "odometry")  # last word of the frame in which an odometry says its pose
 
 
 def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
@@ -53,21 +61,62 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
         choice.take("wheels", [topic], NAMED)
         return
     counters, kind = _counters(log, robot)
-    odometry = [t for t in of_type(log, (ODOMETRY,)) if not looks_like_truth(t) and log.topics[t].count != 0]
-    odometry = [t for t in odometry if t not in choice.topics.values()]
     unknown = _unknown(log, robot, counters)
-    if counters and not (unknown and odometry):
+    if counters and not unknown:
         choice.take("wheels", counters, kind)
         return
-    topic_or_none = one(log, "wheels", None, odometry, WHEEL_READS)
+    bodies, why = _bodies(log, choice)
+    topic_or_none = one(log, "wheels", None, bodies, WHEEL_READS)
     if topic_or_none is None:
-        raise _nothing(log)
-    choice.take("wheels", [topic_or_none], ONLY)
+        if not counters:
+            raise _nothing(log)
+        choice.take("wheels", counters, kind)
+        return
+    choice.take("wheels", [topic_or_none], why)
     if counters:
         choice.notes.append(
             f"{topic_or_none} is used, since {' and '.join(counters)} gives wheel angles and no {unknown} "
             f"{'are' if ' and ' in unknown else 'is'} set"
         )
+
+
+def _bodies(log: Log, choice: Choice) -> tuple[list[str], str]:
+    """Return topics that say how the body moved, those of the best kind, and why."""
+    taken = {topic for role in choice.topics for topic in choice.of(role)}
+
+    def filled(kinds: Sequence[str]) -> list[str]:
+        return [
+            t
+            for t in of_type(log, kinds)
+            if log.topics[t].count and t not in taken and ":" not in t and not looks_like_truth(t)
+        ]
+
+    if odometry := filled((ODOMETRY,)):
+        return odometry, ONLY
+    if pairs := odometry_frames(log):
+        return pairs, "the only odometry in /tf"
+    return [t for t in filled(TWISTS) if not commanded(t)], ONLY
+
+
+def odometry_frames(log: Log) -> list[str]:
+    """Return the pairs of frames in /tf that are an odometry, as topics: a base that moves in a frame odom."""
+    found: dict[str, bool] = {}
+    for topic in log.transform_topics:
+        for (parent, child), edge in log.frames(topic).items():
+            if edge.moves and _last_word(parent) in ODOMETRY_FRAMES:
+                found[f"{topic}:{parent}:{child}"] = _last_word(child) in BASE_FRAMES
+    based = [name for name, base in found.items() if base]
+    names = based or list(found)
+    return [name for name in names if log.find(name) is not None]
+
+
+def _last_word(frame: str) -> str:
+    return frame.rpartition("/")[2].lower()
+
+
+def commanded(topic: str) -> bool:
+    """Return whether a topic's name says that its speeds were asked for, not measured."""
+    return any(word in topic.lower() for word in COMMANDED)
 
 
 def _unknown(log: Log, robot: Robot, counters: Sequence[str]) -> str:
@@ -96,11 +145,13 @@ def _named_pair(log: Log, robot: Robot) -> list[str]:
 
 def _counters(log: Log, robot: Robot) -> tuple[list[str], str]:
     """Return what counts wheel turns, best kind first, and why; nothing where nothing does."""
-    joints, ticks = ([t for t in of_type(log, kind) if log.topics[t].count != 0] for kind in ((JOINTS,), TICKS))
+    joints, ticks, speeds = (
+        [t for t in of_type(log, kind) if log.topics[t].count != 0] for kind in ((JOINTS,), TICKS, SPEEDS)
+    )
     pairs = pair_topics(log)
-    if len(joints) + len(ticks) + len(pairs) > 1:
+    if len(joints) + len(ticks) + len(speeds) + len(pairs) > 1:
         joints = [t for t in joints if _has_wheels(log, t, robot)]
-    for found in (joints, ticks):
+    for found in (joints, ticks, [] if pairs else speeds):
         if len(found) > 1:
             raise several_fit(log, "wheels", found)
         if found:
@@ -157,10 +208,19 @@ class NoWheelsError(LocfuseError):
 
 
 def _nothing(log: Log) -> NoWheelsError:
+    """Return the error that says what is read, and what of this log could stand in."""
     kinds = (JOINTS, *TICKS, ODOMETRY)
+    have = ", ".join(sorted(log.topics)[:12]) or "no topics"
+    asked = [t for t in of_type(log, TWISTS) if log.topics[t].count]
+    poses = [t for t in of_type(log, POSE) if log.topics[t].count]
+    stand_in = [f"{t} holds {_what(t, asked)}: --set wheels.topic={t} takes it" for t in (asked + poses)[:1]]
     return NoWheelsError(
-        f"{log.name} has no topic of type {types(kinds)}, nor two std_msgs numbers named left and right, "
-        "so nothing says how the robot moved.",
+        f"{log.name} has no topic of type {types(kinds)}, no odometry in /tf, nor two std_msgs numbers named left "
+        "and right, so nothing says how the robot moved.",
         role="wheels",
-        hint=f"It has {', '.join(sorted(log.topics)[:12]) or 'no topics'}",
+        hint=". ".join((f"It has {have}", *stand_in)),
     )
+
+
+def _what(topic: str, asked: Sequence[str]) -> str:
+    return "the commanded motion" if topic in asked else "poses, whose increments can stand in"

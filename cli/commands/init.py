@@ -71,6 +71,8 @@ def _say(made: Draft, words: str, lost: list[str]) -> None:
 
     for line in lost:
         show.say(f"lost: {line}")
+    for guess in made.guesses:
+        show.say(f"guessed: {guess}")
     if (nothing := made.overview.choice.absent.get("wheels")) is not None:
         show.say(f"this log cannot run: {nothing}")
     elif made.missing:

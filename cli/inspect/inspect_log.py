@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from locfuse.cli.choose.choose import choose_sensor, choose_truth
-from locfuse.cli.choose.mounts import mount_tables
+from locfuse.cli.choose.mounts import mount_tables, transforms_of
 from locfuse.cli.choose.topics import Choice
 from locfuse.cli.choose.wheel_topics import NoWheelsError, choose_wheels
 from locfuse.cli.pipeline.load import Loaded, make_robot, measured, merged_tables, named_by_hand
@@ -52,7 +52,7 @@ def inspect_log(
     facts = topic_facts(log, robot.order)
     found: list[Finding] = []
     choice = _choose(log, robot, named_by_hand(how.sets), found)
-    transforms = _transforms(log, found)
+    transforms = _transforms(log, choice, found)
     overview = Overview(log, tables, choice, facts, transforms, _placed(log, tables, choice, transforms))
     overview.robot_facts = find_robot_facts(log, robot, choice)
     overview.findings = [
@@ -88,9 +88,13 @@ def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) ->
     return choice
 
 
-def _transforms(log: Log, found: list[Finding]) -> StaticTransforms:
+def _transforms(log: Log, choice: Choice, found: list[Finding]) -> StaticTransforms:
+    frames = []
+    for topic in (t for name in REGISTRY for t in choice.of(name)):
+        with suppress(LocfuseError):  # a topic that cannot be read says so elsewhere
+            frames.append(log.stream(topic).frame_id)
     try:
-        transforms = log.static_transforms()
+        transforms = transforms_of(log, frames)
     except LocfuseError as e:
         found.append(Finding("/tf_static", "tf_static", str(e)))
         return StaticTransforms()

@@ -15,7 +15,8 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import merged
 from locfuse.fusion.truth import TRUTH_READS, looks_like_truth
 from locfuse.fusion.wheels.geometry import Geometry, by_odometry
-from locfuse.fusion.wheels.read import ODOMETRY, counts_ticks
+from locfuse.fusion.wheels.odometry import BODY_READS, ODOMETRY
+from locfuse.fusion.wheels.read import counts_ticks
 from locfuse.fusion.wheels.sources import JOINTS, USUAL_TICKS, joint_names
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ def find_robot_facts(log: Log, robot: Robot, choice: Choice) -> RobotFacts:
     described = _described(log)
     topics = choice.of("wheels")
     kind = log.topics[topics[0]].msgtype if topics else ""
-    counters = topics if topics and kind != ODOMETRY else _unused_counters(log, choice)
+    counters = topics if topics and kind not in BODY_READS else _unused_counters(log, choice)
     if not counters:
         return RobotFacts(described)
     kind = log.topics[counters[0]].msgtype
@@ -65,7 +66,7 @@ def of_robot(log: Log, robot: Robot, choice: Choice, found: RobotFacts) -> list[
 
 def _geometry(log: Log, robot: Robot, choice: Choice, found: RobotFacts) -> list[Finding]:
     topics = choice.of("wheels") or _unused_counters(log, choice)
-    if not topics or log.topics[topics[0]].msgtype == ODOMETRY:
+    if not topics or log.topics[topics[0]].msgtype in BODY_READS:
         topics = _unused_counters(log, choice)
     if not topics:
         return []
@@ -80,16 +81,24 @@ def _geometry(log: Log, robot: Robot, choice: Choice, found: RobotFacts) -> list
             words.append(key)
             if key in values:
                 fixes.append(f"wheels.{key}={values[key]:.5g}")
+    fixes += _senses(robot, found) if fixes else []
     named = robot.wheels.left is not None and robot.wheels.right is not None
     if found.joints is not None and not named and not _named_well(log, topics[0], robot):
         words.append("which joints are the wheels'")
         fixes += [f"wheels.left={found.joints[0]}", f"wheels.right={found.joints[1]}"]
     if not words:
         return []
-    other = choice.of("wheels") and log.topics[choice.of("wheels")[0]].msgtype == ODOMETRY
+    other = choice.of("wheels") and log.topics[choice.of("wheels")[0]].msgtype in BODY_READS
     counts = "count" if len(topics) > 1 else "counts"
     message = f"{' and '.join(topics)} {counts} wheel turns, but nothing says {', '.join(words)}"
     return [Finding("wheels", "geometry", message, tuple(fixes), not other, source if fixes else "")]
+
+
+def _senses(robot: Robot, found: RobotFacts) -> list[str]:
+    """Return the setting of the wheels' senses of counting, where the odometry counts otherwise than is set."""
+    fitted = found.fitted
+    differ = fitted is not None and fitted.mirrored != robot.wheels.mirrored
+    return [f"wheels.mirrored={fitted.mirrored}"] if fitted is not None and differ else []
 
 
 def geometry(robot: Robot, found: RobotFacts) -> tuple[dict[str, float], str]:
@@ -110,10 +119,10 @@ def geometry(robot: Robot, found: RobotFacts) -> tuple[dict[str, float], str]:
 def _unused_counters(log: Log, choice: Choice) -> tuple[str, ...]:
     """Return topics of wheel turns that lost to an odometry for lack of geometry."""
     from locfuse.cli.choose.wheel_topics import pair_topics
-    from locfuse.fusion.wheels.sources import TICKS
+    from locfuse.fusion.wheels.sources import SPEEDS, TICKS
 
     taken = {t for role in choice.topics for t in choice.of(role)}
-    for kinds in ((JOINTS,), TICKS):
+    for kinds in ((JOINTS,), TICKS, SPEEDS):
         free = [t for t in of_type(log, kinds) if t not in taken and log.topics[t].count]
         if len(free) == 1:
             return (free[0],)

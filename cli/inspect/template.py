@@ -25,6 +25,7 @@ MEASURED_CODES = {
     "track",
     "yaw",
 }  # findings whose fix is right even where they change little
+GUESS = "guess: "
 GUESSED_CODES = {"choice", "unusable", "truth?"}  # nothing was measured: the first that fits
 
 
@@ -34,6 +35,7 @@ class Draft(NamedTuple):
     overview: Overview  # with all fixes that are in force
     sections: list[Section]
     missing: list[str]  # keys without which nothing runs, or not their sensor
+    guesses: list[str]  # "key=value: why" of choices that the log leaves open
 
 
 def draft(paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None] = lambda step: None) -> Draft:
@@ -54,7 +56,8 @@ def draft(paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None
     facts = Facts(overview, known, suggested)
     missing: list[str] = []
     sections = [Section(name, tuple(lines(facts, name, missing))) for name in ("", *table_types())]
-    return Draft(overview, sections, missing)
+    guesses = [f"{fix} ({why.removeprefix(GUESS)})" for fix, why in fixes.values() if why.startswith(GUESS)]
+    return Draft(overview, sections, missing, guesses)
 
 
 def _given(overview: Overview, how: LogOptions) -> Known:
@@ -92,7 +95,7 @@ def _certain(f: Finding) -> bool:
 def _why(f: Finding) -> str:
     if f.code == "geometry":
         return f.source or f.message
-    return f"guess: {f.sentence}" if f.code in GUESSED_CODES else f"as this log shows: {f.sentence}"
+    return f"{GUESS}{f.sentence}" if f.code in GUESSED_CODES else f"as this log shows: {f.sentence}"
 
 
 def _loads(fix: str) -> bool:

@@ -12,7 +12,8 @@ from locfuse.cli.choose.topics import of_type
 from locfuse.cli.pipeline.load import table_types
 from locfuse.formats.robot.commented_toml import Line
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.wheels.read import ODOMETRY, counts_ticks
+from locfuse.fusion.wheels.odometry import BODY_READS
+from locfuse.fusion.wheels.read import counts_ticks
 from locfuse.fusion.wheels.sources import JOINTS
 
 from .overview import Overview
@@ -139,7 +140,7 @@ def _concerns(facts: Facts, table: str, key: str) -> bool:
     """Whether a key means anything to the kind of message that is read."""
     kind = facts.kind(table)
     if table == "wheels" and key in OF_COUNTERS:
-        return kind not in {ODOMETRY, ""} and (key != "ticks_per_revolution" or counts_ticks(kind))
+        return kind not in BODY_READS and bool(kind) and (key != "ticks_per_revolution" or counts_ticks(kind))
     if table not in REGISTRY:
         return True
     if key in MOUNTED:

@@ -11,7 +11,8 @@ from typing import Any
 import msgspec
 
 from locfuse.cli.choose.choose import choose
-from locfuse.cli.choose.mounts import mount_tables
+from locfuse.cli.choose.mounts import mount_tables, transforms_of
+from locfuse.cli.choose.standing import refuse_standing
 from locfuse.cli.choose.topics import Choice
 from locfuse.formats.caps import MAX_ROBOT_TOML
 from locfuse.formats.inputs import read_small
@@ -101,9 +102,12 @@ def measured(
     _leave_out(choice, only, tables["preset"])
     streams = _streams(log, choice, str(tables.get("order", "auto")))
     _refuse_lost_wheels(log, choice, streams)
-    mounts = mount_tables(log.static_transforms(), {s: parts(streams[s]) for s in REGISTRY if s in streams})
+    sensed = {s: parts(streams[s]) for s in REGISTRY if s in streams}
+    frames = [part.frame_id for s in sensed for part in sensed[s]]
+    mounts = mount_tables(transforms_of(log, frames), sensed)
     robot = make_robot(robot_toml.merge(mounts, tables))
     drive = measure({role: s for role, s in streams.items() if role not in aside}, robot, choice.absent, progress)
+    refuse_standing(log, choice, drive.wheels)
     preset = (filters.NOTE,) if robot.preset == "paper" else ()
     lags = lag_notes(drive.wheels, drive.measurements)
     chosen = (f"wheels: {note}" for note in choice.notes)

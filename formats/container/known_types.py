@@ -5,6 +5,8 @@ from __future__ import annotations
 HEADER = "std_msgs/Header header\n"
 ROBOTS = {
     "irobot_create_msgs/msg/WheelTicks": HEADER + "int32 ticks_left\nint32 ticks_right\n",
+    "irobot_create_msgs/msg/WheelVels": HEADER + "float32 velocity_left\nfloat32 velocity_right\n",
+    "duckietown_msgs/msg/WheelEncoderStamped": HEADER + "int32 data\nuint16 resolution\nuint8 type\n",
     "irobot_create_msgs/msg/SlipStatus": HEADER + "bool is_slipping\n",
     "irobot_create_msgs/msg/KidnapStatus": HEADER + "bool is_kidnapped\n",
     "turtlebot3_msgs/msg/SensorState": (

@@ -25,6 +25,7 @@ from .files import log_files, log_name, open_source
 from .stream import LogStream
 from .table import Raw, Table, dated, digest
 from .topics import Topic, UnreadableTopicError, by_topic
+from .transform_stream import TF_FIELDS, TRANSFORM, Edge, TransformStream, edges_of, loop_in, pair_of
 
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
@@ -49,7 +50,8 @@ class Log:
             raise LocfuseError(names_its_cap(f"{name}: too many topics", len(self._channels), MAX_TOPICS))
         self.topics = {topic: channels.topic for topic, channels in self._channels.items()}
         self._tables: dict[str, Table] = {}
-        self._streams: dict[tuple[str, str], LogStream] = {}
+        self._streams: dict[tuple[str, str], LogStream | TransformStream] = {}
+        self._edges: dict[tuple[str, str], dict[tuple[str, str], Edge]] = {}
 
     @cached_property
     def sha256(self) -> str:
@@ -79,24 +81,78 @@ class Log:
         """Messages walked by themselves."""
         return sum(table.decoder.general for table in self._tables.values())
 
-    def stream(self, topic: str, order: str = "auto") -> LogStream:
-        """Return a topic's stream; nothing is read before its rows are asked for."""
+    def stream(self, topic: str, order: str = "auto") -> LogStream | TransformStream:
+        """Return a topic's stream; nothing is read before its rows are asked for.
+
+        "/tf:odom:base_link" is the frame base_link in the frame odom as /tf says, a topic of TransformStamped.
+        """
         if order not in clocks.ORDERS:
             raise UsageError(f"order = {order!r} is unknown; it is one of {', '.join(clocks.ORDERS)}")
-        self._check(topic)
-        return self._streams.setdefault((topic, order), LogStream(self, topic, self.topics[topic].msgtype, order))
+        if (topic, order) not in self._streams:
+            self._streams[topic, order] = self._made(topic, order)
+        return self._streams[topic, order]
 
-    def streams(self, wants: Mapping[str, Sequence[str]], order: str = "auto") -> dict[str, LogStream]:
+    def _made(self, topic: str, order: str) -> LogStream | TransformStream:
+        if self.find(topic) is None or (pair := pair_of(topic)) is None or topic in self._channels:
+            self._check(topic)
+            return LogStream(self, topic, self.topics[topic].msgtype, order)
+        edges = tuple(self.frames(pair[0], order).values())
+        return TransformStream(topic, order, edges, self.static_transforms())
+
+    def streams(
+        self, wants: Mapping[str, Sequence[str]], order: str = "auto"
+    ) -> dict[str, LogStream | TransformStream]:
         """Return the streams of several topics, their named fields read in one walk over the log."""
         streams = {topic: self.stream(topic, order) for topic in wants}
-        self.read(wants)
+        self.read({topic: fields for topic, fields in wants.items() if isinstance(streams[topic], LogStream)})
         return streams
+
+    def find(self, name: str) -> Topic | None:
+        """Return a topic by its name, or two frames of /tf as one ("/tf:odom:base_link"); None without it."""
+        pair = pair_of(name)
+        if name not in self.topics and pair is not None and self._is_tf(pair[0]):
+            source = self.topics[pair[0]]
+            edges = self.frames(pair[0])
+            count = len(edges[pair[1:]].stamp) if pair[1:] in edges else source.count
+            self.topics[name] = Topic(TRANSFORM, count, source.encoding, source.schema_encoding)
+        return self.topics.get(name)
+
+    def _is_tf(self, name: str) -> bool:
+        topic = self.topics.get(name)
+        return topic is not None and topic.msgtype in TF_TYPES and not topic.problem
+
+    @property
+    def transform_topics(self) -> list[str]:
+        """Topics of transforms that may change: /tf, namespaced ones too."""
+        return [name for name in sorted(self.topics) if self._is_tf(name) and name.rpartition("/")[2] == "tf"]
+
+    def frames(self, topic: str, order: str = "auto") -> dict[tuple[str, str], Edge]:
+        """Return the transforms of a /tf topic by (parent, child). Raises LocfuseError where they form a loop."""
+        if (topic, order) not in self._edges:
+            table = self.read({topic: TF_FIELDS})[topic]
+            assert table.log_time is not None
+            found = edges_of(table.log_time, table.columns, order)
+            if loop := loop_in(tuple(found.values())):
+                raise LocfuseError(f"{topic}: frames form a loop: {' -> '.join(loop)}")
+            self._edges[topic, order] = found
+        return self._edges[topic, order]
 
     def static_transforms(self) -> transforms.StaticTransforms:
         """Return the transforms of /tf_static, namespaced ones too, by all its publishers."""
         topics = [name for name, topic in self.topics.items() if _is_static_tf(name, topic)]
         self.read(dict.fromkeys(topics, transforms.FIELDS))
         return transforms.static_transforms(self.stream(topic).columns(*transforms.FIELDS) for topic in topics)
+
+    def still_transforms(self) -> transforms.StaticTransforms:
+        """Return the transforms of /tf that never change: mounts, where nothing publishes /tf_static."""
+        return transforms.StaticTransforms(
+            tuple(
+                transforms.Transform(edge.parent, edge.child, transforms.matrices_of(edge.values[:1])[0])
+                for topic in self.transform_topics
+                for edge in self.frames(topic).values()
+                if not edge.moves
+            )
+        )
 
     @property
     def time_span_ns(self) -> tuple[int, int] | None:
@@ -190,6 +246,7 @@ class Log:
         """Let go of what was read; what is asked for again is read again."""
         self._tables.clear()
         self._streams.clear()
+        self._edges.clear()
 
     def left_out(self, topic: str) -> Mapping[str, int]:
         """Count the messages on a topic that are of another type than the rest of it."""

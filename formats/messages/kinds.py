@@ -19,13 +19,22 @@ STAMPS = ("header.stamp", "timestamp")  # they date the messages of any type
 # message types that something reads; the fields of every other type may be what their definition says
 READ_TYPES = frozenset(
     (
+        "ackermann_msgs/msg/AckermannDrive",
+        "ackermann_msgs/msg/AckermannDriveStamped",
+        "autoware_auto_vehicle_msgs/msg/VelocityReport",
+        "autoware_vehicle_msgs/msg/VelocityReport",
+        "duckietown_msgs/msg/WheelEncoderStamped",
         "foxglove.CompressedImage",
         "foxglove.LocationFix",
         "geometry_msgs/msg/PointStamped",
         "geometry_msgs/msg/PoseStamped",
         "geometry_msgs/msg/PoseWithCovarianceStamped",
         "geometry_msgs/msg/TransformStamped",
+        "geometry_msgs/msg/Twist",
+        "geometry_msgs/msg/TwistStamped",
+        "geometry_msgs/msg/TwistWithCovarianceStamped",
         "irobot_create_msgs/msg/WheelTicks",
+        "irobot_create_msgs/msg/WheelVels",
         "nav_msgs/msg/Odometry",
         "sensor_msgs/msg/CompressedImage",
         "sensor_msgs/msg/Image",
@@ -43,6 +52,7 @@ READ_TYPES = frozenset(
         "std_msgs/msg/String",
         "std_msgs/msg/UInt16",
         "std_msgs/msg/UInt32",
+        "tf/msg/tfMessage",
         "tf2_msgs/msg/TFMessage",
         "turtlebot3_msgs/msg/SensorState",
     )
@@ -58,7 +68,10 @@ ONE_NUMBER = frozenset(
         *(f"transform.translation.{axis}" for axis in XY),
         *(f"transform.rotation.{axis}" for axis in XYZW),
         *(f"point.{axis}" for axis in XY),
-        "twist.twist.linear.x", "twist.twist.angular.z",
+        *(f"{at}linear.x" for at in ("", "twist.", "twist.twist.")),
+        *(f"{at}angular.z" for at in ("", "twist.", "twist.twist.")),
+        *(f"{at}{part}" for at in ("", "drive.") for part in ("speed", "steering_angle")),
+        "longitudinal_velocity", "heading_rate", "velocity_left", "velocity_right",
         "angle_min", "angle_increment", "time_increment", "range_min", "range_max",
         "width", "height", "step",
         "field_of_view", "min_range", "max_range", "range",
@@ -72,6 +85,7 @@ EXPECTED: Mapping[str, tuple[str, ...]] = {
     "ranges": (NUMBERS,),
     "name": (TEXTS,),
     "position": (NUMBERS,),
+    "velocity": (NUMBERS,),
     "format": (TEXT,),
     "encoding": (TEXT,),
     "orientation_covariance": (NINE,),
@@ -81,6 +95,7 @@ EXPECTED: Mapping[str, tuple[str, ...]] = {
 WHOLE_NUMBERS = ("Int16", "UInt16", "Int32", "UInt32", "Int64")
 OF_TYPE: Mapping[tuple[str, str], tuple[str, ...]] = {
     **{(f"std_msgs/msg/{name}", "data"): (NUMBER,) for name in (*WHOLE_NUMBERS, "Float32", "Float64")},
+    ("duckietown_msgs/msg/WheelEncoderStamped", "data"): (NUMBER,),
     ("std_msgs/msg/String", "data"): (TEXT,),
     ("sensor_msgs/msg/CompressedImage", "data"): (BYTES,),
     ("sensor_msgs/msg/Image", "data"): (BYTES,),
@@ -115,6 +130,8 @@ def expected(msgtype: str, path: str) -> tuple[str, ...]:
         return (TIME,)
     if msgtype not in READ_TYPES:
         return ()
+    if path == "transforms.header.stamp":
+        return (TIMES,)
     if path.startswith(TF):
         return (TEXTS,) if path.endswith(TF_TEXTS) else (NUMBERS,) if path.rpartition(".")[2] in XYZW else ()
     return OF_TYPE.get((msgtype, path)) or EXPECTED.get(path, ())

@@ -117,6 +117,32 @@ def _matrix(numbers: Sequence[float]) -> Array | None:
     )
 
 
+def matrices_of(values: Array) -> Array:
+    """Return matrices (n, 4, 4) of positions and quaternions (n, 7): x, y, z, then x, y, z, w, not zero."""
+    x, y, z, w = (values[:, 3:] / np.linalg.norm(values[:, 3:], axis=1, keepdims=True)).T
+    T = np.zeros((len(values), 4, 4))
+    T[:, 0, :3] = np.stack((1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)), axis=-1)
+    T[:, 1, :3] = np.stack((2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)), axis=-1)
+    T[:, 2, :3] = np.stack((2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)), axis=-1)
+    T[:, :3, 3] = values[:, :3]
+    T[:, 3, 3] = 1.0
+    return T
+
+
+def quaternions_of(R: Array) -> Array:
+    """Return unit quaternions (n, 4) x, y, z, w of rotation matrices (n, 3, 3) (Shepperd 1978)."""
+    trace = R[:, 0, 0] + R[:, 1, 1] + R[:, 2, 2]
+    squares = np.stack((*(1.0 + 2.0 * R[:, i, i] - trace for i in range(3)), 1.0 + trace), axis=-1)
+    products = np.empty((len(R), 4, 4))  # 4 q_i q_j
+    products[:, range(4), range(4)] = squares
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        products[:, i, j] = products[:, j, i] = R[:, i, j] + R[:, j, i]
+        products[:, k, 3] = products[:, 3, k] = R[:, j, i] - R[:, i, j]
+    rows = products[np.arange(len(R)), np.argmax(squares, axis=1)]  # the largest component divides best
+    found: Array = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+    return found
+
+
 def _conflict(a: Transform, b: Transform) -> bool:
     shift = np.abs(a.T_parent_child[:3, 3] - b.T_parent_child[:3, 3]).max()
     turn = np.abs(a.T_parent_child[:3, :3] - b.T_parent_child[:3, :3]).max()
@@ -165,13 +191,16 @@ def _chain(transforms: StaticTransforms, start: str, goal: str) -> Array | None:
                 reached[edge.child] = reached[here] @ edge.T_parent_child
                 waiting.append(edge.child)
             if edge.child == here and edge.parent not in reached:
-                reached[edge.parent] = reached[here] @ _inverse(edge.T_parent_child)
+                reached[edge.parent] = reached[here] @ inverse_of(edge.T_parent_child)
                 waiting.append(edge.parent)
     return reached.get(goal)
 
 
-def _inverse(T: Array) -> Array:
-    inverse = np.eye(4)
-    inverse[:3, :3] = T[:3, :3].T
-    inverse[:3, 3] = -T[:3, :3].T @ T[:3, 3]
+def inverse_of(T: Array) -> Array:
+    """Return the inverses of rigid transforms (..., 4, 4)."""
+    inverse = np.zeros_like(T)
+    turned = np.swapaxes(T[..., :3, :3], -1, -2)
+    inverse[..., :3, :3] = turned
+    inverse[..., :3, 3] = -(turned @ T[..., :3, 3:])[..., 0]
+    inverse[..., 3, 3] = 1.0
     return inverse

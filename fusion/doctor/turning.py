@@ -17,7 +17,7 @@ from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream
 from locfuse.fusion.wheels.motion import Wheels
-from locfuse.fusion.wheels.read import ODOMETRY
+from locfuse.fusion.wheels.odometry import BODY_READS
 
 from .finding import Finding
 from .laser import Motion
@@ -127,7 +127,7 @@ def of_turning(
     drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning], streams: Mapping[str, Stream]
 ) -> list[Finding]:
     """Return what the turning of all sensors together says of the senses of wheels and mounts."""
-    counts_wheels = streams["wheels"].msgtype != ODOMETRY
+    counts_wheels = streams["wheels"].msgtype not in BODY_READS
     found = _dead_wheel(drive.wheels) if counts_wheels else []
     if found or not by_sensor:
         return found or (_by_the_wheels_alone(drive.wheels, robot) if counts_wheels else [])

@@ -8,9 +8,9 @@ import msgspec
 import numpy as np
 
 from locfuse.fusion.data import Array, LocfuseError, Stream
-from locfuse.fusion.robot import WheelSettings
+from locfuse.fusion.robot import Mirrored, WheelSettings
 
-from .read import read_wheels
+from .read import SIGNS, read_wheels
 from .repairs import repaired
 from .sources import Counters, read_counters
 
@@ -25,6 +25,7 @@ class Geometry(NamedTuple):
 
     radius: float  # m; of ticks: metres per tick times ticks_per_revolution / 2 pi, one tick taken as a radian
     track: float | None  # m; None where the robot hardly turned
+    mirrored: Mirrored = "none"  # wheels whose count falls while the robot drives forward
 
 
 def by_odometry(counters: Stream, odometry: Stream, settings: WheelSettings) -> Geometry | None:
@@ -42,7 +43,7 @@ def by_odometry(counters: Stream, odometry: Stream, settings: WheelSettings) -> 
         return None
     moved = theirs.wheels.relative(start - offset, start - offset + WINDOW_S)
     rolled = [np.interp(start + WINDOW_S, t, side) - np.interp(start, t, side) for side in (left, right)]
-    return _fitted(0.5 * (rolled[0] + rolled[1]), rolled[1] - rolled[0], moved)
+    return _best(rolled[0], rolled[1], moved)
 
 
 def _angles(both: Counters, settings: WheelSettings) -> tuple[Array, Array, Array]:
@@ -60,9 +61,25 @@ def _angles(both: Counters, settings: WheelSettings) -> tuple[Array, Array, Arra
     )
 
 
+def _best(left: Array, right: Array, moved: Array) -> Geometry | None:
+    """Return the geometry under the senses of counting that fit best: as they are, where that is as good."""
+    agrees = {
+        mirrored: _correlation(0.5 * (s_left * left + s_right * right), moved[:, 0])
+        for mirrored, (s_left, s_right) in SIGNS.items()
+    }
+    best = max(agrees, key=lambda mirrored: (agrees[mirrored], mirrored == "none"))
+    s_left, s_right = SIGNS[best]
+    found = _fitted(0.5 * (s_left * left + s_right * right), s_right * right - s_left * left, moved)
+    return None if found is None else found._replace(mirrored=best)
+
+
+def _correlation(a: Array, b: Array) -> float:
+    return float(np.corrcoef(a, b)[0, 1]) if np.std(a) > 0.0 and np.std(b) > 0.0 else -1.0
+
+
 def _fitted(mean: Array, difference: Array, moved: Array) -> Geometry | None:
     ahead, turn = moved[:, 0], moved[:, 2]
-    if np.std(mean) == 0.0 or np.std(ahead) == 0.0 or float(np.corrcoef(mean, ahead)[0, 1]) < MIN_CORRELATION:
+    if _correlation(mean, ahead) < MIN_CORRELATION:
         return None
     radius = float((mean * ahead).sum() / (mean**2).sum())
     turns = float(np.sqrt((turn**2).sum()))

@@ -1,32 +1,59 @@
-"""Another odometry as wheels: increments of its poses, held against its twist.
+"""The body's motion as somebody else computed it: increments of poses, or speeds.
 
-Only increments count, so that a first pose far from 0 does not matter. Some drivers put wheel turns without their
-sign into the pose, while the twist still knows that the robot backs up: then the pose moves ahead wherever the
-twist is negative (fr079: 513 messages).
+Of poses only increments count, so that a first pose far from 0 does not matter. Some drivers put wheel turns
+without their sign into the pose, while the twist still knows that the robot backs up: then the pose moves ahead
+wherever the twist is negative (fr079: 513 messages).
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import NamedTuple, cast
 
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array
+from locfuse.fusion.data import Array, LocfuseError, Stream
+from locfuse.fusion.robot import WheelSettings
 
 from .jumps import Mask, limits, restarted, spikes
 from .repairs import times
 
-FIELDS = (
-    "pose.pose.position.x",
-    "pose.pose.position.y",
-    "pose.pose.orientation.x",
-    "pose.pose.orientation.y",
-    "pose.pose.orientation.z",
-    "pose.pose.orientation.w",
-    "twist.twist.linear.x",
-    "twist.twist.angular.z",
-)
+ODOMETRY = "nav_msgs/msg/Odometry"
+TRANSFORM = "geometry_msgs/msg/TransformStamped"
+
+
+def _pose(prefix: str, position: str = "position", orientation: str = "orientation") -> tuple[str, ...]:
+    """Return the six fields of a planar pose: x, y, and a quaternion x, y, z, w."""
+    return (
+        *(f"{prefix}.{position}.{axis}" for axis in "xy"),
+        *(f"{prefix}.{orientation}.{axis}" for axis in "xyzw"),
+    )
+
+
+# Message type -> fields of its pose (6), and of its forward speed [m/s] and turning rate [rad/s] (2).
+POSE: Mapping[str, tuple[str, ...]] = {
+    ODOMETRY: _pose("pose.pose"),
+    TRANSFORM: _pose("transform", "translation", "rotation"),
+    "geometry_msgs/msg/PoseStamped": _pose("pose"),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": _pose("pose.pose"),
+}
+SPEED: Mapping[str, tuple[str, str]] = {
+    ODOMETRY: ("twist.twist.linear.x", "twist.twist.angular.z"),
+    "geometry_msgs/msg/TwistStamped": ("twist.linear.x", "twist.angular.z"),
+    "geometry_msgs/msg/TwistWithCovarianceStamped": ("twist.twist.linear.x", "twist.twist.angular.z"),
+    "geometry_msgs/msg/Twist": ("linear.x", "angular.z"),
+    "autoware_auto_vehicle_msgs/msg/VelocityReport": ("longitudinal_velocity", "heading_rate"),
+    "autoware_vehicle_msgs/msg/VelocityReport": ("longitudinal_velocity", "heading_rate"),
+}
+# Speed and the angle of the front wheels: they turn the body by speed * tan(angle) / wheelbase.
+STEERED: Mapping[str, tuple[str, str]] = {
+    "ackermann_msgs/msg/AckermannDriveStamped": ("drive.speed", "drive.steering_angle"),
+    "ackermann_msgs/msg/AckermannDrive": ("speed", "steering_angle"),
+}
+BODY_READS: Mapping[str, tuple[str, ...]] = {
+    kind: (*POSE.get(kind, ()), *SPEED.get(kind, ()), *STEERED.get(kind, ())) for kind in (*POSE, *SPEED, *STEERED)
+}
 MIN_STEP_M = 1e-3  # m: steps below say nothing about a direction
 MAX_STEP_RATIO = 3.0  # |pose step| and |twist| dt within this factor speak of the same motion
 MIN_AGREEING_SHARE = 0.8  # share of the moving steps that must agree before the twist is believed
@@ -43,19 +70,44 @@ class Way(NamedTuple):
     notes: tuple[str, ...]
 
 
-def pose_and_twist(columns: dict[str, Array]) -> Array:
-    """Return (n, 5) x, y, yaw, forward speed, turning rate."""
-    x, y, z, w = (columns[f"pose.pose.orientation.{a}"] for a in "xyzw")
-    yaw = se2.yaw(x, y, z, w)
-    position = (columns["pose.pose.position.x"], columns["pose.pose.position.y"])
-    return np.stack((*position, yaw, columns["twist.twist.linear.x"], columns["twist.twist.angular.z"]), axis=-1)
+def pose_and_speed(stream: Stream, settings: WheelSettings) -> Array:
+    """Return (n, 5) x, y [m], yaw [rad], forward speed [m/s], turning rate [rad/s]; what is not said is zero.
+
+    Raises LocfuseError where a steering angle turns the body by a wheelbase that is not known.
+    """
+    kind = stream.msgtype
+    columns = cast("dict[str, Array]", stream.columns(*BODY_READS[kind]))
+    values = np.zeros((len(stream.t_ns), 5))
+    if kind in POSE:
+        x, y, *q = (columns[name].astype(np.float64) for name in POSE[kind])
+        values[:, :3] = np.stack((x, y, se2.yaw(*q)), axis=-1)
+    if kind in SPEED:
+        values[:, 3:] = np.stack([columns[name] for name in SPEED[kind]], axis=-1)
+    if kind in STEERED:
+        speed, angle = (columns[name].astype(np.float64) for name in STEERED[kind])
+        values[:, 3:] = np.stack((speed, speed * np.tan(angle) / _wheelbase(stream, settings)), axis=-1)
+    return values
 
 
-def travelled(t: Array, values: Array, by_twist: bool, max_speed: float | None) -> Way:
-    """Return the way of poses (n, 5); the twist counts only where the pose never changes, or for its sign."""
+def _wheelbase(stream: Stream, settings: WheelSettings) -> float:
+    if not settings.wheelbase or settings.wheelbase <= 0.0:
+        raise LocfuseError(
+            f"{stream.topic} gives a steering angle, so the distance between the axles must be known.",
+            role="wheels",
+            hint="Set it with --set wheels.wheelbase=<metres>",
+        )
+    return settings.wheelbase
+
+
+def travelled(t: Array, values: Array, by_twist: bool, max_speed: float | None, posed: bool = True) -> Way:
+    """Return the way of poses (n, 5); the twist counts only where the pose never changes, or for its sign.
+
+    `posed` is whether the messages have a pose at all.
+    """
     everything = np.ones(len(t), dtype=bool)
-    if np.ptp(values[:, :3], axis=0).max() <= 0.0 and values[:, 3:].any():
-        return Way(everything, _integrated(t, values[:, 3:]), 0, ("its pose never changes: its twist is used",))
+    if not posed or (np.ptp(values[:, :3], axis=0).max() <= 0.0 and values[:, 3:].any()):
+        notes = ("its pose never changes: its twist is used",) if posed else ()
+        return Way(everything, _integrated(t, values[:, 3:]), 0, notes)
     bad = spikes(t, values[:, :2], _limits(t, values, max_speed))
     t, values = t[~bad], values[~bad]
     twist = _steps(values)

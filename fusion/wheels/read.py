@@ -4,28 +4,43 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 
 from locfuse.fusion.data import Array, LocfuseError, Stream
-from locfuse.fusion.robot import VIRTUAL_TRACK, WheelSettings
+from locfuse.fusion.robot import VIRTUAL_TRACK, Mirrored, WheelSettings
 
 from . import odometry
 from .motion import Wheels
 from .repairs import repaired
-from .sources import JOINTS, NUMBERS, TICKS, USUAL_TICKS, Counters, read_counters, require_two, usable
+from .sources import (
+    JOINTS,
+    NUMBERS,
+    SPEEDS,
+    TICKS,
+    USUAL_TICKS,
+    Counters,
+    read_counters,
+    require_two,
+    usable,
+)
 
-ODOMETRY = "nav_msgs/msg/Odometry"
 # In order of preference: angles of the wheels before somebody else's dead reckoning.
 WHEEL_READS: Mapping[str, tuple[str, ...]] = {
     JOINTS: ("name", "position"),
     **TICKS,
+    **SPEEDS,
     **dict.fromkeys(NUMBERS, ("data",)),
-    ODOMETRY: odometry.FIELDS,
+    **odometry.BODY_READS,
 }
 MIN_LENGTH_M = 1e-6  # no wheel is smaller, and no two stand closer
-SIGNS = {"none": (1.0, 1.0), "left": (-1.0, 1.0), "right": (1.0, -1.0), "both": (-1.0, -1.0)}
+SIGNS: Mapping[Mirrored, tuple[float, float]] = {
+    "none": (1.0, 1.0),
+    "left": (-1.0, 1.0),
+    "right": (1.0, -1.0),
+    "both": (-1.0, -1.0),
+}
 
 
 class WheelReading(NamedTuple):
@@ -39,8 +54,8 @@ class WheelReading(NamedTuple):
 
 def read_wheels(stream: Stream, settings: WheelSettings) -> WheelReading:
     """Return the wheel motion. Raises LocfuseError where the readings give none or the geometry is not known."""
-    if stream.msgtype == ODOMETRY:
-        return _from_odometry(stream, settings)
+    if stream.msgtype in odometry.BODY_READS:
+        return _from_body(stream, settings)
     radius, track = _geometry(settings, stream)
     counters = read_counters(stream, settings)
     turn = 2.0 * math.pi / settings.ticks_per_revolution if settings.ticks_per_revolution else 1.0
@@ -112,14 +127,15 @@ def counts_ticks(msgtype: str) -> bool:
     return msgtype in TICKS or NUMBERS.get(msgtype, 0) > 0
 
 
-def _from_odometry(stream: Stream, settings: WheelSettings) -> WheelReading:
-    """Use the poses' increments; the noise grows by a virtual track, since an odometry knows no wheels."""
+def _from_body(stream: Stream, settings: WheelSettings) -> WheelReading:
+    """Use the body's own motion; the noise grows by a virtual track, since an odometry knows no wheels."""
     dropped = dict(stream.dropped)
-    values = odometry.pose_and_twist(cast("dict[str, Array]", stream.columns(*odometry.FIELDS)))
+    values = odometry.pose_and_speed(stream, settings)
     keep = usable(stream.t_ns, values, dropped)
     require_two(stream.topic, len(keep), len(stream.t_ns))
     t = (stream.t_ns[keep] - stream.t_ns[keep[0]]) * 1e-9
-    way = odometry.travelled(t, values[keep], settings.reverse_by_twist, settings.max_speed)
+    posed = stream.msgtype in odometry.POSE
+    way = odometry.travelled(t, values[keep], settings.reverse_by_twist, settings.max_speed, posed)
     if way.spikes:
         dropped["spike"] = dropped.get("spike", 0) + way.spikes
     t = t[way.keep]

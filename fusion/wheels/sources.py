@@ -1,4 +1,4 @@
-"""What publishes wheels: joint angles, tick messages, and pairs of bare numbers on two topics."""
+"""What publishes wheels: joint angles or speeds, tick messages, and pairs of bare numbers on two topics."""
 
 from __future__ import annotations
 
@@ -20,6 +20,10 @@ TICKS: Mapping[str, tuple[str, str]] = {
     "irobot_create_msgs/msg/WheelTicks": ("ticks_left", "ticks_right"),
     "turtlebot3_msgs/msg/SensorState": ("left_encoder", "right_encoder"),
 }
+# Message type -> fields of the left and the right wheel's speed [rad/s].
+SPEEDS: Mapping[str, tuple[str, str]] = {
+    "irobot_create_msgs/msg/WheelVels": ("velocity_left", "velocity_right"),
+}
 # One wheel per topic -> bits of its counter; 0: a number that may be an angle.
 NUMBERS: Mapping[str, int] = {
     "std_msgs/msg/Int16": 16,
@@ -29,10 +33,12 @@ NUMBERS: Mapping[str, int] = {
     "std_msgs/msg/Int64": 64,
     "std_msgs/msg/Float32": 0,
     "std_msgs/msg/Float64": 0,
+    "duckietown_msgs/msg/WheelEncoderStamped": 32,
 }
 USUAL_TICKS = {
     "irobot_create_msgs/msg/WheelTicks": 508.8,  # Create 3, and the TurtleBot 4 on it
     "turtlebot3_msgs/msg/SensorState": 4096.0,  # the TurtleBot 3's Dynamixels
+    "duckietown_msgs/msg/WheelEncoderStamped": 135.0,  # the Duckiebot DB21's Hall encoders
 }
 
 
@@ -51,14 +57,35 @@ def read_counters(stream: Stream, settings: WheelSettings) -> Counters:
     if isinstance(stream, MergedStream):
         return _pair(stream, settings)
     dropped = dict(stream.dropped)
-    found = _joints(stream, settings, dropped) if stream.msgtype == JOINTS else _ticks(stream)
+    found = _found(stream, settings, dropped)
     keep = usable(found.t_ns, found.values, dropped)
     require_two(stream.topic, len(keep), len(stream.t_ns))
     zero_ns = int(found.t_ns[keep[0]])
     t: Array = (found.t_ns[keep] - zero_ns) * np.float64(1e-9)
+    values = _rolled_by(t, found.values[keep]) if found.speeds else found.values[keep]
     likely = (*found.likely, *_revolution(settings))
-    left, right = (Side(name, t, found.values[keep, i], likely) for i, name in enumerate(("left", "right")))
+    left, right = (Side(name, t, values[:, i], likely) for i, name in enumerate(("left", "right")))
     return Counters(left, right, zero_ns, dropped, found.notes)
+
+
+def _found(stream: Stream, settings: WheelSettings, dropped: dict[str, int]) -> _Found:
+    if stream.msgtype == JOINTS:
+        return _joints(stream, settings, dropped)
+    fields = SPEEDS.get(stream.msgtype)
+    if fields is not None:
+        return _Found(stream.t_ns, _two(stream, fields), speeds=True)
+    return _Found(stream.t_ns, _two(stream, TICKS[stream.msgtype]), (2.0**32,))
+
+
+def _two(stream: Stream, fields: tuple[str, str]) -> Array:
+    columns = cast("dict[str, Array]", stream.columns(*fields))
+    return np.stack([columns[name] for name in fields], axis=-1).astype(np.float64)
+
+
+def _rolled_by(t: Array, speeds: Array) -> Array:
+    """Return the angles (n, 2) [rad] that wheels of these speeds (n, 2) [rad/s] turn by: the trapezoidal rule."""
+    steps = 0.5 * (speeds[1:] + speeds[:-1]) * np.diff(t)[:, None]
+    return np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))
 
 
 class _Found(NamedTuple):
@@ -66,6 +93,7 @@ class _Found(NamedTuple):
     values: Array  # (n, 2) left, right
     likely: tuple[float, ...] = ()
     notes: tuple[str, ...] = ()
+    speeds: bool = False  # the values are rad/s
 
 
 def usable(t_ns: Ints, values: Array, dropped: dict[str, int]) -> Ints:
@@ -99,13 +127,6 @@ def _revolution(settings: WheelSettings) -> tuple[float, ...]:
     return (settings.ticks_per_revolution,) if settings.ticks_per_revolution else ()
 
 
-def _ticks(stream: Stream) -> _Found:
-    left, right = TICKS[stream.msgtype]
-    columns = cast("dict[str, Array]", stream.columns(left, right))
-    values = np.stack((columns[left], columns[right]), axis=-1).astype(np.float64)
-    return _Found(stream.t_ns, values, (2.0**32,))
-
-
 def _pair(stream: MergedStream, settings: WheelSettings) -> Counters:
     """Two topics with a bare number each: they come unsynchronised, and only the recording dates them."""
     dropped: dict[str, int] = {}
@@ -129,16 +150,21 @@ def _joints(stream: Stream, settings: WheelSettings, dropped: dict[str, int]) ->
     """Return the wheels' joints, matched by name only; messages of other joints (an arm) are set aside."""
     columns = stream.columns("name", "position")
     names, positions = cast("list[tuple[str, ...]]", columns["name"]), cast("Ragged", columns["position"])
-    left, right = joint_names(names, stream.topic, settings)
-    values, held = _by_name(names, positions, (left, right))
-    if not held.any():
+    joints = joint_names(names, stream.topic, settings)
+    values, held = _by_name(names, positions, joints)
+    speeds = not np.isfinite(values).any()
+    if speeds:  # no angle at all: drivers of velocity interfaces leave the array empty, or fill it with NaN
+        values, held = _by_name(names, cast("Ragged", stream.columns("velocity")["velocity"]), joints)
+    left, right = joints
+    if not held.any() or (speeds and not np.isfinite(values).any()):
         raise LocfuseError(f"no message on {stream.topic} holds a position of {left} or {right}", role="wheels")
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ("it gives speeds and no angles: they are integrated",) if speeds else ()
     if not held.all():
         others = int((~held).sum())
         dropped["other_joints"] = others
-        notes = (f"{others} of {len(held)} messages are of other joints than {left} and {right}; set aside",)
-    return _Found(stream.t_ns[held], values[held], (), notes)
+        words = f"{others} of {len(held)} messages are of other joints than {left} and {right}; set aside"
+        notes = (*notes, words)
+    return _Found(stream.t_ns[held], values[held], (), notes, speeds)
 
 
 def _by_name(names: list[tuple[str, ...]], positions: Ragged, joints: Sequence[str]) -> tuple[Array, Mask]:

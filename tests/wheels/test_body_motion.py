@@ -1,0 +1,261 @@
+"""Motion as strangers record it: frames in /tf, twists, wheel speeds, steering; each gives its own path."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bags import Said, cdr, header
+from commands import locfuse
+from numpy.typing import NDArray
+from wheel_bags import GEOMETRY, RADIUS, TRACK, angles, custom, joint_states, log_of, pose_of, stamps
+
+from locfuse.formats.log.log import open_log
+from locfuse.fusion.data import ArrayStream, LocfuseError
+from locfuse.fusion.robot import WheelSettings
+from locfuse.fusion.streams import MergedStream
+from locfuse.fusion.wheels.read import read_wheels
+
+Array = NDArray[np.float64]
+TF = "tf2_msgs/msg/TFMessage"
+ODOMETRY = "nav_msgs/msg/Odometry"
+SPEED, RATE, DURATION = 0.4, 0.2, 20.0  # m/s, rad/s, s: a circle of 2 m radius
+T = np.arange(0.0, DURATION + 0.01, 0.05)
+CIRCLE = np.stack(
+    (SPEED / RATE * np.sin(RATE * T), SPEED / RATE * (1.0 - np.cos(RATE * T)), RATE * T), axis=-1
+)  # closed form
+
+
+def turned(theta: float) -> dict[str, float]:
+    return {"z": math.sin(theta / 2), "w": math.cos(theta / 2)}
+
+
+def entry(ns: int, parent: str, child: str, pose: Any) -> dict[str, Any]:
+    return {
+        "header": header(ns, parent),
+        "child_frame_id": child,
+        "transform": {"translation": {"x": pose[0], "y": pose[1]}, "rotation": turned(pose[2])},
+    }
+
+
+def tf(t: Array, poses: Array, parent: str = "odom", child: str = "base_link", more: Any = ()) -> list[Said]:
+    """One frame in another, and frames that never move in every message."""
+    return [
+        Said("/tf", TF, cdr(TF, transforms=[entry(ns, parent, child, p), *(entry(ns, *m) for m in more)]), ns)
+        for ns, p in zip(stamps(t), poses.tolist(), strict=True)
+    ]
+
+
+def odometry(t: Array, poses: Array, topic: str = "/odom") -> list[Said]:
+    return [
+        Said(
+            topic,
+            ODOMETRY,
+            cdr(
+                ODOMETRY,
+                header=header(ns, "odom"),
+                pose={"pose": {"position": {"x": p[0], "y": p[1]}, "orientation": turned(p[2])}},
+            ),
+            ns,
+        )
+        for ns, p in zip(stamps(t), poses.tolist(), strict=True)
+    ]
+
+
+def numbers_of(stream: Any, *fields: str) -> dict[str, Array]:
+    """Columns of a TransformStamped, by the part of the transform."""
+    columns = stream.columns(*(f"transform.{field}" for field in fields))
+    return {field: np.asarray(columns[f"transform.{field}"]) for field in fields}
+
+
+def twists(t: Array, topic: str, kind: str = "TwistStamped", speed: float = SPEED) -> list[Said]:
+    twist: dict[str, Any] = {"linear": {"x": speed}, "angular": {"z": speed / SPEED * RATE}}
+    msgtype = f"geometry_msgs/msg/{kind}"
+    fields = {"twist": {"twist": twist} if "Covariance" in kind else twist}
+    return [Said(topic, msgtype, cdr(msgtype, header=header(ns), **fields), ns) for ns in stamps(t)]
+
+
+def final(log: Path, *words: Any) -> tuple[list[float], dict[str, Any]]:
+    done = locfuse("run", log, "-o", log.parent / "out", "--overwrite", "--write", "csv,json", *words)
+    assert done.exit_code == 0, done.stderr
+    last = (log.parent / "out" / "trajectory.csv").read_text().splitlines()[-1].split(",")
+    return [float(v) for v in last[1:4]], json.loads((log.parent / "out" / "run.json").read_text())
+
+
+def test_an_odometry_that_only_tf_has_gives_what_the_same_odometry_topic_gives(tmp_path: Path) -> None:
+    mount = ("base_link", "laser", (0.1, 0.0, 0.0))
+    in_tf, _ = final(log_of(tmp_path / "tf.mcap", tf(T, CIRCLE, more=[mount])))
+    topic, _ = final(log_of(tmp_path / "odom.mcap", odometry(T, CIRCLE)))
+    assert in_tf == pytest.approx(topic, abs=1e-9)
+    assert in_tf[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-6)
+    info = locfuse("info", tmp_path / "tf.mcap").stdout
+    assert "/tf:odom:base_link, the only odometry in /tf" in info
+    assert 'topic = "/tf:odom:base_link"' in locfuse("init", tmp_path / "tf.mcap").stdout
+
+
+def test_mounts_come_from_tf_where_nothing_is_static(tmp_path: Path) -> None:
+    scans = [
+        Said("/scan", "sensor_msgs/msg/LaserScan", scan(ns), ns) for ns in stamps(np.arange(0.1, DURATION, 0.5))
+    ]
+    mount = ("base_link", "laser", (0.12, -0.03, 0.5))
+    log = log_of(tmp_path / "x.mcap", tf(T, CIRCLE, more=[mount]), scans)
+    found = json.loads(locfuse("info", log, "--json").stdout)["extrinsics"]["lrf"]
+    assert [found["x"], found["y"], found["yaw_deg"]] == pytest.approx([0.12, -0.03, math.degrees(0.5)], abs=1e-5)
+
+
+def scan(ns: int) -> bytes:
+    return cdr(
+        "sensor_msgs/msg/LaserScan", header=header(ns, "laser"), angle_min=-1.5, angle_increment=0.1,
+        range_max=10.0, ranges=[2.0 + 0.05 * i for i in range(30)],
+    )  # fmt: skip
+
+
+def test_frames_of_tf_are_chained_and_the_slower_one_is_interpolated(tmp_path: Path) -> None:
+    """map -> odom drifts along x linearly, so that between its stamps the chain is known exactly."""
+    slow = T[::10]
+    drift = np.stack((0.1 * slow, np.zeros_like(slow), np.zeros_like(slow)), axis=-1)
+    log = open_log([log_of(tmp_path / "x.mcap", tf(T, CIRCLE), tf(slow, drift, "map", "odom"))])
+    stream = log.stream("/tf:map:base_link")
+    columns = numbers_of(stream, "translation.x", "translation.y", "rotation.z")
+    n = len(stream.t_ns)
+    assert n == len(T)
+    np.testing.assert_allclose(columns["translation.x"], CIRCLE[:n, 0] + 0.1 * T[:n], atol=1e-9)
+    np.testing.assert_allclose(columns["translation.y"], CIRCLE[:n, 1], atol=1e-9)
+    np.testing.assert_allclose(columns["rotation.z"], np.sin(RATE * T[:n] / 2), atol=1e-9)
+    backward = numbers_of(log.stream("/tf:base_link:odom"), "translation.x")["translation.x"]
+    c, s = np.cos(RATE * T), np.sin(RATE * T)
+    np.testing.assert_allclose(backward, -(c * CIRCLE[:, 0] + s * CIRCLE[:, 1]), atol=1e-9)
+
+
+def test_frames_that_loop_are_refused_in_one_line(tmp_path: Path) -> None:
+    log = log_of(tmp_path / "x.mcap", tf(T, CIRCLE), tf(T, CIRCLE, "base_link", "odom"))
+    done = locfuse("run", log, "-o", tmp_path / "out")
+    assert done.exit_code == 1
+    assert "frames form a loop: base_link -> odom -> base_link" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_frame_that_is_not_there_is_named(tmp_path: Path) -> None:
+    log = log_of(tmp_path / "x.mcap", tf(T, CIRCLE))
+    done = locfuse("run", log, "-o", tmp_path / "out", "--set", "wheels.topic=/tf:odom:base_footprint")
+    assert done.exit_code == 1
+    assert "/tf has no frame base_footprint; it has base_link, odom" in done.stderr
+
+
+@pytest.mark.parametrize("kind", ["TwistStamped", "TwistWithCovarianceStamped"])
+def test_a_measured_twist_drives_its_circle(kind: str, tmp_path: Path) -> None:
+    pose, _ = final(log_of(tmp_path / "x.mcap", twists(T, "/wheel_velocity", kind)))
+    assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-9)
+
+
+def test_a_commanded_twist_is_never_taken_unasked_and_named_as_what_it_is(tmp_path: Path) -> None:
+    log = log_of(tmp_path / "x.mcap", twists(T, "/cmd_vel"))
+    done = locfuse("run", log, "-o", tmp_path / "out")
+    assert done.exit_code == 1
+    assert "/cmd_vel holds the commanded motion: --set wheels.topic=/cmd_vel takes it" in done.stderr
+    pose, _ = final(log, "--set", "wheels.topic=/cmd_vel")
+    assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-9)
+
+
+WHEEL_VELS = "irobot_create_msgs/msg/WheelVels"
+
+
+def test_wheel_speeds_are_integrated(tmp_path: Path) -> None:
+    left, right = ((SPEED + side * RATE * TRACK / 2) / RADIUS for side in (-1, 1))
+    text = "std_msgs/Header header\nfloat32 velocity_left\nfloat32 velocity_right\n"
+    rows = [{"velocity_left": left, "velocity_right": right} for _ in T]
+    log = custom(tmp_path / "x.mcap", "/wheel_vels", WHEEL_VELS, text, T, rows)
+    pose, _ = final(log, *GEOMETRY)
+    assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-5)  # the message holds single precision
+
+
+def test_joint_states_of_speeds_alone_are_integrated_and_that_is_said(tmp_path: Path) -> None:
+    left, right = ((SPEED + side * RATE * TRACK / 2) / RADIUS for side in (-1, 1))
+    kind = "sensor_msgs/msg/JointState"
+    empty: tuple[dict[str, Any], ...] = ({}, {"position": [math.nan, math.nan]}) * len(T)
+    said = [
+        Said("/joint_states", kind, cdr(kind, header=header(ns), name=["left_wheel", "right_wheel"],
+                                        velocity=[left, right], **more), ns)
+        for ns, more in zip(stamps(T), empty, strict=False)
+    ]  # fmt: skip
+    pose, report = final(log_of(tmp_path / "x.mcap", said), *GEOMETRY)
+    assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-9)
+    assert "it gives speeds and no angles: they are integrated" in json.dumps(report)
+
+
+def test_ticks_of_a_duckiebot_come_one_wheel_a_topic(tmp_path: Path) -> None:
+    t, angle = angles()
+    ticks = np.round(angle * 135 / (2 * math.pi))
+    kind = "duckietown_msgs/msg/WheelEncoderStamped"
+    ns = np.array(stamps(t))
+    sides = (
+        ArrayStream(f"/bot/{s}_wheel_encoder_node/tick", kind, ns, {"data": ticks[:, i]})
+        for i, s in enumerate(("left", "right"))
+    )
+    known = WheelSettings(radius=RADIUS, track=TRACK, ticks_per_revolution=135)
+    pose = read_wheels(MergedStream(tuple(sides)), known).wheels.pose[-1]
+    np.testing.assert_allclose(pose, pose_of(ticks * 2 * math.pi / 135), atol=1e-9)
+
+
+def test_a_steering_angle_turns_by_speed_times_its_tangent_over_the_wheelbase() -> None:
+    kind, wheelbase = "ackermann_msgs/msg/AckermannDriveStamped", 0.33
+    data = {
+        "drive.speed": np.full(len(T), SPEED),
+        "drive.steering_angle": np.full(len(T), math.atan(RATE * wheelbase / SPEED)),
+    }
+    stream = ArrayStream("/drive", kind, np.array(stamps(T)), data)
+    pose = read_wheels(stream, WheelSettings(wheelbase=wheelbase)).wheels.pose[-1]
+    np.testing.assert_allclose(pose, CIRCLE[-1], atol=1e-9)
+    with pytest.raises(LocfuseError, match=r"--set wheels\.wheelbase"):
+        read_wheels(stream, WheelSettings())
+
+
+def test_an_odometry_that_stands_while_a_twist_moves_is_refused_in_words(tmp_path: Path) -> None:
+    still = odometry(T, np.zeros_like(CIRCLE))
+    log = log_of(tmp_path / "x.mcap", still, twists(T, "/wheel_velocity"))
+    done = locfuse("run", log, "-o", tmp_path / "out")
+    assert done.exit_code == 1
+    assert "/odom never moves, but /wheel_velocity moves 8.0 m" in done.stderr
+    assert "--set wheels.topic=/wheel_velocity" in done.stderr
+    pose, _ = final(log, "--set", "wheels.topic=/wheel_velocity")
+    assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-9)
+    alone = log_of(tmp_path / "alone.mcap", still)
+    assert locfuse("run", alone, "-o", tmp_path / "out2").exit_code == 0
+
+
+def test_an_odometry_that_stands_while_fixes_move_is_refused_in_words(tmp_path: Path) -> None:
+    kind = "sensor_msgs/msg/NavSatFix"
+    fixes = [
+        Said("/fix", kind, cdr(kind, header=header(ns), latitude=48.0 + 1e-5 * i, longitude=11.0), ns)
+        for i, ns in enumerate(stamps(T[::10]))
+    ]
+    log = log_of(tmp_path / "x.mcap", odometry(T, np.zeros_like(CIRCLE)), fixes)
+    done = locfuse("run", log, "-o", tmp_path / "out")
+    assert done.exit_code == 1
+    assert "/odom never moves, but the fixes of /fix lie up to" in done.stderr
+
+
+@pytest.mark.parametrize(("mirrored", "signs"), [("right", (1, -1)), ("left", (-1, 1)), ("both", (-1, -1))])
+def test_a_mirrored_wheel_does_not_hide_radius_and_track(
+    mirrored: str, signs: tuple[int, int], tmp_path: Path
+) -> None:
+    t, angle = angles(40.0)
+    poses = np.array([pose_of(angle[: i + 1]) for i in range(0, len(t), 5)])
+    log = log_of(tmp_path / "x.mcap", joint_states(t, angle * signs), odometry(t[::5], poses))
+    (found,) = (
+        f for f in json.loads(locfuse("info", log, "--json").stdout)["findings"] if f["code"] == "geometry"
+    )
+    fixes = dict(fix.split("=") for fix in found["fixes"])
+    assert fixes["wheels.mirrored"] == mirrored
+    assert [float(fixes[f"wheels.{k}"]) for k in ("radius", "track")] == pytest.approx([RADIUS, TRACK], rel=0.02)
+
+
+def test_init_says_which_of_several_odometries_it_guessed(tmp_path: Path) -> None:
+    log = log_of(tmp_path / "x.mcap", odometry(T, CIRCLE), odometry(T, CIRCLE, "/odometry/wheels"))
+    done = locfuse("init", log)
+    assert "guessed: wheels.topic=/odom" in done.stderr
+    assert "/odometry/wheels" in done.stderr

@@ -14,6 +14,7 @@ MAX_LONG = 64 * 1024 * 1024  # of all messages of a topic that are held as colum
 MAX_TEXT = 4 * 1024 * 1024  # of one string in a message; a robot's description has some hundred thousand
 MAX_ATTACHMENT = 16 * 1024 * 1024  # larger attachments stay in the file
 MAX_ROBOT_TOML = 128 * 1024  # `locfuse init` writes 5 kB
+MAX_TEXT_FILE = 256 * 1024 * 1024  # a trajectory or detections: an hour at 100 Hz is 40 MB
 MAX_METADATA = 4 * 1024 * 1024  # metadata.yaml of a rosbag2 folder; a bag of 10 000 files has 1 MB
 MAX_MAP_FILE = 64 * 1024 * 1024  # a line map: 150 bytes a wall
 MAX_REPORT = 64 * 1024 * 1024  # report.json; over an hour's drive it has 100 kB

@@ -66,7 +66,10 @@ class StartSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 class TruthSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """[truth]: the reference topic and the body point that it tracks."""
 
-    topic: str | None = None
+    topic: str | None = None  # or a .tum or .csv file, or two frames of /tf: "/tf:map:base_link"
+    body: str | None = None  # name of the rigid body, where a mocap tracks several
+    origin: tuple[float, float] | None = None  # latitude, longitude [deg] of the map's origin, of satellite fixes
+    east_deg: float = 0.0  # where east lies in the map, counter-clockwise from its x axis, of satellite fixes
     x: float = 0.0
     y: float = 0.0
     time_offset: float = 0.0

@@ -1,7 +1,8 @@
-"""Reading truth: reference poses or points of ROS' usual messages. Used to judge, never to estimate."""
+"""Reading truth: reference poses, points, mocap bodies or satellite fixes. Used to judge, never to estimate."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import cast
 
@@ -11,12 +12,21 @@ from locfuse.fusion.wheels.jumps import limits, spikes
 from locfuse.fusion.wheels.odometry import POSE
 
 from . import se2
-from .data import Array, LocfuseError, Stream, Truth
+from .data import Array, Column, LocfuseError, Ragged, Stream, Truth
+from .geodesy import east_north
 from .robot import TruthSettings
 
+BODIES = "mocap4r2_msgs/msg/RigidBodies"
+FIX = "sensor_msgs/msg/NavSatFix"
 TRUTH_READS: Mapping[str, tuple[str, ...]] = {
     **POSE,
     "geometry_msgs/msg/PointStamped": ("point.x", "point.y"),
+    BODIES: (
+        "rigidbodies.rigid_body_name",
+        *(f"rigidbodies.pose.position.{axis}" for axis in "xy"),
+        *(f"rigidbodies.pose.orientation.{axis}" for axis in "xyzw"),
+    ),
+    FIX: ("latitude", "longitude"),
 }
 TRUTH_NAMES = (
     "ground_truth",
@@ -36,13 +46,12 @@ def looks_like_truth(topic: str) -> bool:
 
 def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[Truth, dict[str, int]]:
     """Return the truth in strictly increasing time, and what was dropped by reason."""
-    columns = cast("dict[str, Array]", stream.columns(*TRUTH_READS[stream.msgtype]))
-    fields = list(columns.values())
-    values = np.stack([f.astype(np.float64) for f in fields], axis=-1) if fields else np.zeros((0, 2))
     dropped = dict(stream.dropped)
+    values = _values(stream, settings, dropped)
     finite = np.isfinite(values).all(axis=1)
     if not finite.all():
-        dropped["not_finite"] = int((~finite).sum())
+        missing = int((~finite).sum()) - dropped.get("other_bodies", 0)
+        dropped |= {"not_finite": missing} if missing else {}
     rows = np.flatnonzero(finite)
     later = np.diff(stream.t_ns[rows], prepend=-1) > 0
     if not later.all():
@@ -69,6 +78,46 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
         ),
         dropped,
     )
+
+
+def _values(stream: Stream, settings: TruthSettings, dropped: dict[str, int]) -> Array:
+    """Return x, y [m] and perhaps a quaternion (n, 2) or (n, 6) of every reading; NaN where there is none."""
+    columns = stream.columns(*TRUTH_READS[stream.msgtype])
+    if stream.msgtype == BODIES:
+        return _of_body(stream.topic, columns, settings.body, dropped)
+    values = np.stack([np.asarray(column, np.float64) for column in columns.values()], axis=-1)
+    return _in_plane(values, settings) if stream.msgtype == FIX else values
+
+
+def _of_body(topic: str, columns: dict[str, Column], body: str | None, dropped: dict[str, int]) -> Array:
+    """Return one rigid body's poses (n, 6), NaN in the messages that do not hold it."""
+    names, *fields = columns.values()
+    rows = cast("list[tuple[str, ...]]", names)
+    known = sorted({name for row in rows for name in row})
+    if body is None and len(known) == 1:
+        body = known[0]
+    if body not in known:
+        fix = f"truth.body={known[0]}" if known else ""
+        said = f"{topic} tracks {', '.join(known) or 'nothing'}" + (f", not {body}" if body is not None else "")
+        hint = f"Choose one with --set {fix}" if fix else ""
+        raise LocfuseError(f"{said}.", role="truth", fixes=(fix,) if fix and len(known) == 1 else (), hint=hint)
+    place = np.array([row.index(body) if body in row else -1 for row in rows])
+    held = place >= 0
+    if not held.all():
+        dropped["other_bodies"] = int((~held).sum())
+    values = np.full((len(rows), len(fields)), np.nan)
+    for i, column in enumerate(cast("list[Ragged]", fields)):
+        values[held, i] = column.values[column.first[:-1][held] + place[held]]
+    return values
+
+
+def _in_plane(where: Array, settings: TruthSettings) -> Array:
+    """Return fixes (n, 2) latitude, longitude [deg] as x, y [m] of the map: east and north, turned by east_deg."""
+    finite = where[np.isfinite(where).all(axis=1)]
+    origin = settings.origin or (tuple(finite[0].tolist()) if len(finite) else (0.0, 0.0))
+    xy = east_north(where[:, 0], where[:, 1], (origin[0], origin[1]))
+    c, s = math.cos(math.radians(settings.east_deg)), math.sin(math.radians(settings.east_deg))
+    return xy @ np.array([[c, s], [-s, c]])
 
 
 def _yaw(q: Array) -> Array | None:

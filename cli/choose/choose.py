@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensor import Sensor
 from locfuse.fusion.sensors.registry import REGISTRY, unmet
-from locfuse.fusion.truth import TRUTH_READS, looks_like_truth
+from locfuse.fusion.truth import BODIES, TRUTH_READS, looks_like_truth
 
 from .topics import NAMED, ONLY, Choice, checked, of_type, one, several_fit, types
 from .wheel_topics import choose_wheels
@@ -108,7 +108,7 @@ def choose_truth(log: Log, robot: Robot, insisted: bool, choice: Choice) -> None
     named = robot.truth.topic
     if named is not None and log.find(named) is None and not insisted:
         return
-    candidates = [t for t in of_type(log, TRUTH_READS) if looks_like_truth(t)]
+    candidates = [t for t in of_type(log, TRUTH_READS) if looks_like_truth(t) or log.topics[t].msgtype == BODIES]
     topic = one(log, "truth", named, candidates, TRUTH_READS)
     if topic is not None:
         choice.take("truth", [topic], NAMED if named else "its name says so")

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from locfuse.fusion.data import Array, LocfuseError
+from locfuse.fusion.geodesy import east_north
 from locfuse.fusion.robot import WheelSettings
-from locfuse.fusion.sensors.geodesy import east_north
 from locfuse.fusion.truth import looks_like_truth
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.odometry import SPEED

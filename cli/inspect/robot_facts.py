@@ -13,7 +13,7 @@ from locfuse.fusion.data import Array, LocfuseError, Ragged
 from locfuse.fusion.doctor.finding import Finding
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import merged
-from locfuse.fusion.truth import TRUTH_READS, looks_like_truth
+from locfuse.fusion.truth import FIX, TRUTH_READS, looks_like_truth
 from locfuse.fusion.wheels.geometry import Geometry, by_odometry
 from locfuse.fusion.wheels.odometry import BODY_READS, ODOMETRY
 from locfuse.fusion.wheels.read import counts_ticks
@@ -193,7 +193,7 @@ def _untold_truth(log: Log, choice: Choice) -> list[Finding]:
     """Name topics of poses that might be the truth, had somebody said so: an estimate must not judge another."""
     if "truth" in choice.topics:
         return []
-    kinds = [k for k in TRUTH_READS if k != ODOMETRY]
+    kinds = [k for k in TRUTH_READS if k not in {ODOMETRY, FIX}]
     poses = [
         t for t in of_type(log, kinds) if log.topics[t].count and not any(w in t.lower() for w in ESTIMATE_WORDS)
     ]

@@ -108,11 +108,26 @@ def measured(
     robot = make_robot(robot_toml.merge(mounts, tables))
     drive = measure({role: s for role, s in streams.items() if role not in aside}, robot, choice.absent, progress)
     refuse_standing(log, choice, drive.wheels)
+    _refuse_other_clock(log, drive)
     preset = (filters.NOTE,) if robot.preset == "paper" else ()
     lags = lag_notes(drive.wheels, drive.measurements)
     chosen = (f"wheels: {note}" for note in choice.notes)
     notes = (*preset, *chosen, *_clock_notes(streams), *_start_notes(robot, drive), *drive.notes, *lags)
     return Loaded(log, robot, choice, replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes}))
+
+
+def _refuse_other_clock(log: Log, drive: Drive) -> None:
+    """Say that a truth file is of another clock, or of another drive, where no row lies within the drive."""
+    truth = drive.truth
+    if truth is None or not log.is_file(truth.topic) or ((truth.t >= 0.0) & (truth.t <= drive.t[-1])).any():
+        return
+    epoch = drive.epoch_ns * 1e-9
+    spans = [f"{a + epoch:.3f} to {b + epoch:.3f} s" for a, b in ((truth.t[0], truth.t[-1]), (0.0, drive.t[-1]))]
+    raise LocfuseError(
+        f"{truth.topic} covers {spans[0]}, the drive {spans[1]}: another clock, or another drive.",
+        role="truth",
+        hint=f"If both began together: --set truth.time_offset={-truth.t[0]:.3f}",
+    )
 
 
 def _refuse_lost_wheels(log: Log, choice: Choice, streams: Mapping[str, Any]) -> None:

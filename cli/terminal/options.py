@@ -40,7 +40,7 @@ def smooth_option(command: F) -> F:
 
 
 def log_options(command: F) -> F:
-    """Add --robot, --set, --order, --strict, --quiet; the command receives them as `how: LogOptions`."""
+    """Add --robot, --set, --order, --truth, --strict, --quiet; the command receives them as `how: LogOptions`."""
     import functools
 
     @functools.wraps(command)
@@ -51,8 +51,13 @@ def log_options(command: F) -> F:
         order: str | None,
         strict: bool,
         quiet: bool,
+        truth: Path | None,
         **kwargs: Any,
     ) -> Any:
+        if truth is not None:
+            from locfuse.formats.robot.robot_toml import as_set
+
+            sets = (*sets, as_set("truth.topic", str(truth)))
         return command(*args, how=LogOptions(robot, sets, order, strict, quiet), **kwargs)
 
     decorated: Any = wrapped
@@ -74,6 +79,12 @@ def log_options(command: F) -> F:
                 "--order",
                 type=click.Choice(["auto", "stamp", "recorded"]),
                 help="Which clock wins where stamps run backwards.  [default: auto]",
+            ),
+            click.option(
+                "--truth",
+                type=click.Path(path_type=Path, exists=True, dir_okay=False),
+                metavar="FILE",
+                help="Reference poses beside the log: a .tum, or a .csv with columns t, x, y (theta).",
             ),
             click.option("--strict", is_flag=True, help="Exit with 3 on any loss of data."),
             click.option("-q", "--quiet", is_flag=True, help="Print no progress and no notes."),

@@ -21,12 +21,14 @@ from locfuse.formats.robot import transforms
 from locfuse.fusion.data import Ints, LocfuseError, UsageError
 
 from . import clock as clocks
+from .file_stream import FileStream, is_file_topic, read_file
 from .files import log_files, log_name, open_source
 from .stream import LogStream
 from .table import Raw, Table, dated, digest
 from .topics import Topic, UnreadableTopicError, by_topic
 from .transform_stream import TF_FIELDS, TRANSFORM, Edge, TransformStream, edges_of, loop_in, pair_of
 
+AnyStream = LogStream | TransformStream | FileStream
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 
@@ -50,7 +52,8 @@ class Log:
             raise LocfuseError(names_its_cap(f"{name}: too many topics", len(self._channels), MAX_TOPICS))
         self.topics = {topic: channels.topic for topic, channels in self._channels.items()}
         self._tables: dict[str, Table] = {}
-        self._streams: dict[tuple[str, str], LogStream | TransformStream] = {}
+        self._streams: dict[tuple[str, str], AnyStream] = {}
+        self._files: dict[str, FileStream] = {}
         self._edges: dict[tuple[str, str], dict[tuple[str, str], Edge]] = {}
 
     @cached_property
@@ -81,10 +84,11 @@ class Log:
         """Messages walked by themselves."""
         return sum(table.decoder.general for table in self._tables.values())
 
-    def stream(self, topic: str, order: str = "auto") -> LogStream | TransformStream:
+    def stream(self, topic: str, order: str = "auto") -> AnyStream:
         """Return a topic's stream; nothing is read before its rows are asked for.
 
-        "/tf:odom:base_link" is the frame base_link in the frame odom as /tf says, a topic of TransformStamped.
+        "/tf:odom:base_link" is the frame base_link in the frame odom as /tf says, a topic of TransformStamped; the
+        name of a .tum or .csv file is that file.
         """
         if order not in clocks.ORDERS:
             raise UsageError(f"order = {order!r} is unknown; it is one of {', '.join(clocks.ORDERS)}")
@@ -92,30 +96,38 @@ class Log:
             self._streams[topic, order] = self._made(topic, order)
         return self._streams[topic, order]
 
-    def _made(self, topic: str, order: str) -> LogStream | TransformStream:
-        if self.find(topic) is None or (pair := pair_of(topic)) is None or topic in self._channels:
+    def _made(self, topic: str, order: str) -> AnyStream:
+        self.find(topic)
+        if topic in self._files:
+            return self._files[topic]
+        if topic in self._channels or topic not in self.topics or (pair := pair_of(topic)) is None:
             self._check(topic)
             return LogStream(self, topic, self.topics[topic].msgtype, order)
         edges = tuple(self.frames(pair[0], order).values())
         return TransformStream(topic, order, edges, self.static_transforms())
 
-    def streams(
-        self, wants: Mapping[str, Sequence[str]], order: str = "auto"
-    ) -> dict[str, LogStream | TransformStream]:
+    def streams(self, wants: Mapping[str, Sequence[str]], order: str = "auto") -> dict[str, AnyStream]:
         """Return the streams of several topics, their named fields read in one walk over the log."""
         streams = {topic: self.stream(topic, order) for topic in wants}
         self.read({topic: fields for topic, fields in wants.items() if isinstance(streams[topic], LogStream)})
         return streams
 
     def find(self, name: str) -> Topic | None:
-        """Return a topic by its name, or two frames of /tf as one ("/tf:odom:base_link"); None without it."""
+        """Return a topic by its name, two frames of /tf as one ("/tf:odom:base_link"), or a file; else None."""
         pair = pair_of(name)
         if name not in self.topics and pair is not None and self._is_tf(pair[0]):
             source = self.topics[pair[0]]
             edges = self.frames(pair[0])
             count = len(edges[pair[1:]].stamp) if pair[1:] in edges else source.count
             self.topics[name] = Topic(TRANSFORM, count, source.encoding, source.schema_encoding)
+        if name not in self.topics and is_file_topic(name):
+            file = self._files[name] = read_file(name)
+            self.topics[name] = Topic(file.msgtype, len(file.t_ns), "", "")
         return self.topics.get(name)
+
+    def is_file(self, name: str) -> bool:
+        """Return whether a topic is a file beside the log."""
+        return name in self._files
 
     def _is_tf(self, name: str) -> bool:
         topic = self.topics.get(name)

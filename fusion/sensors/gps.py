@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Array, Colour, Component, LocfuseError, Measurements, Ragged, Stream
+from locfuse.fusion.geodesy import east_north
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.sensor import Ask, Block, Innovation, Model, Sensor, SensorSettings, WheelMotion
-
-from .geodesy import east_north
 
 FRAME = "_gps_frame"
 WIDE = 100.0  # m: how far the first fix may be from where the robot was

@@ -25,7 +25,7 @@ LAZY = {"rerun", "matplotlib", "scipy", "jinja2"}  # only inside the function th
 # Floors, lowest first. A name is a room, or a file at the root of a top folder.
 FLOORS: dict[str, tuple[str, ...]] = {
     "fusion": (
-        "data se2 chi_square",
+        "data se2 chi_square geodesy",
         "sensor streams",
         "robot mount audit",
         "camera lines ekf",

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from locfuse.cli.pipeline.load import make_robot
 from locfuse.fusion.data import ArrayStream, Column, Drive, Estimates
 from locfuse.fusion.fuse import Filter, fuse
+from locfuse.fusion.geodesy import east_north
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.sensors.geodesy import east_north
 from locfuse.sample_logs.extras import radii
 
 Array = NDArray[np.float64]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from locfuse.fusion.data import Array
+from .data import Array
 
 AXIS = 6_378_137.0  # m, semi-major axis
 FLATTENING = 1.0 / 298.257223563

@@ -1,0 +1,161 @@
+"""References as people have them: a file beside the log, two frames of /tf, mocap bodies, satellite fixes."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bags import Said, cdr, header
+from commands import locfuse
+from evo.core import metrics, sync
+from evo.tools import file_interface
+from numpy.typing import NDArray
+from wheel_bags import custom, log_of, stamps
+
+from locfuse.formats.log.log import open_log
+from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.robot import TruthSettings
+from locfuse.fusion.truth import read_truth
+
+Array = NDArray[np.float64]
+SAMPLE = "rounded_rectangle"
+WHEELS = ("--sensors", "odometry", "--write", "json,tum,csv")
+
+
+def error(log: Any, out: Path, *words: Any) -> float:
+    done = locfuse("compare", log, "-o", out, "--overwrite", *WHEELS, *words)
+    assert done.exit_code == 0, done.stderr
+    figures: dict[str, Any] = json.loads((out / "report.json").read_text())["configurations"]["odometry"]
+    return float(figures["position_rmse_m"])
+
+
+def test_the_truth_as_a_file_gives_what_the_truth_in_the_log_gives_and_what_evo_says(tmp_path: Path) -> None:
+    own = error(SAMPLE, tmp_path / "own")
+    truth = tmp_path / "own" / "truth.tum"
+    by_file = error(SAMPLE, tmp_path / "file", "--truth", truth)
+    assert by_file == pytest.approx(own, abs=1e-9)
+    reference = file_interface.read_tum_trajectory_file(str(truth))
+    estimate = file_interface.read_tum_trajectory_file(str(tmp_path / "file" / "odometry.tum"))
+    ape = metrics.APE(metrics.PoseRelation.translation_part)
+    ape.process_data(sync.associate_trajectories(reference, estimate, max_diff=1e-6))
+    assert by_file == pytest.approx(ape.get_statistic(metrics.StatisticsType.rmse), abs=1e-9)
+
+
+def test_a_csv_of_poses_says_the_same_as_the_tum_file(tmp_path: Path) -> None:
+    own = error(SAMPLE, tmp_path / "own")
+    rows = [line.split() for line in (tmp_path / "own" / "truth.tum").read_text().splitlines()]
+    named = tmp_path / "truth.csv"
+    heading = [2.0 * math.atan2(float(r[6]), float(r[7])) for r in rows]
+    lines = [f"{r[0]},{r[1]},{r[2]},{h!r}" for r, h in zip(rows, heading, strict=True)]
+    named.write_text("\n".join(("# t,x,y,theta", *lines)) + "\n")
+    assert error(SAMPLE, tmp_path / "csv", "--truth", named) == pytest.approx(own, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("t,x,y\n1,2\n", "line 2 has 2 values, the first line names 3"),
+        ("t,x,y\n1,2,north\n", "line 2: 'north' is no number"),
+        ("x,y\n1,2\n", "names no column t"),
+        ("t,a,b\n1,2,3\n", "x and y of poses, or id, range and bearing"),
+        ("t,x,y\n", "holds no readings"),
+        ("", "is empty"),
+        ("t,x,y\n1,2,3\n", "another clock, or another drive"),
+    ],
+)
+def test_a_file_that_is_none_is_refused_in_one_line(text: str, says: str, tmp_path: Path) -> None:
+    path = tmp_path / "truth.csv"
+    path.write_text(text)
+    done = locfuse("compare", SAMPLE, "-o", tmp_path / "out", "--truth", path)
+    assert done.exit_code == 1
+    (line,) = done.stderr.splitlines()
+    assert says in line
+
+
+def test_a_tum_of_another_clock_is_refused_and_the_offset_that_it_names_fits(tmp_path: Path) -> None:
+    own = error(SAMPLE, tmp_path / "own")
+    rows = [line.split() for line in (tmp_path / "own" / "truth.tum").read_text().splitlines()]
+    zero = float(rows[0][0])
+    path = tmp_path / "gt.tum"
+    path.write_text("".join(f"{float(r[0]) - zero:.9f} {' '.join(r[1:])}\n" for r in rows))
+    done = locfuse("compare", SAMPLE, "-o", tmp_path / "out", "--truth", path)
+    assert done.exit_code == 1
+    offset = done.stderr.split("--set ")[1].strip()
+    assert error(SAMPLE, tmp_path / "shifted", "--truth", path, "--set", offset) == pytest.approx(own, rel=0.01)
+
+
+T = np.arange(0.0, 10.0, 0.1)
+PATH = np.stack((0.3 * T, np.sin(0.2 * T)), axis=-1)
+BODIES = "mocap4r2_msgs/msg/RigidBodies"
+BODIES_TEXT = """std_msgs/Header header
+uint32 frame_number
+mocap4r2_msgs/RigidBody[] rigidbodies
+================================================================================
+MSG: mocap4r2_msgs/RigidBody
+string rigid_body_name
+mocap4r2_msgs/Marker[] markers
+geometry_msgs/Pose pose
+================================================================================
+MSG: mocap4r2_msgs/Marker
+int8 id_type
+int32 marker_index
+string marker_name
+geometry_msgs/Point translation
+================================================================================
+MSG: geometry_msgs/Pose
+geometry_msgs/Point position
+geometry_msgs/Quaternion orientation
+================================================================================
+MSG: geometry_msgs/Point
+float64 x
+float64 y
+float64 z
+================================================================================
+MSG: geometry_msgs/Quaternion
+float64 x
+float64 y
+float64 z
+float64 w
+"""
+
+
+def body(name: str, xy: Array, markers: int) -> dict[str, Any]:
+    pose = {"position": {"x": xy[0], "y": xy[1]}, "orientation": {"z": math.sin(0.3), "w": math.cos(0.3)}}
+    return {"rigid_body_name": name, "pose": pose, "markers": [{"marker_name": "m"}] * markers}
+
+
+def test_one_of_several_mocap_bodies_is_read_by_its_name(tmp_path: Path) -> None:
+    """Bodies change places, carry markers, and are hidden now and then."""
+    rows = []
+    for i, xy in enumerate(PATH):
+        seen = [body("cart", xy + 5.0, 2)] + ([body("robot", xy, i % 3)] if i % 7 else [])
+        rows.append({"rigidbodies": seen[:: (-1) ** i]})
+    log = open_log([custom(tmp_path / "x.mcap", "/rigid_bodies", BODIES, BODIES_TEXT, T, rows)])
+    stream = log.stream("/rigid_bodies")
+    truth, dropped = read_truth(stream, TruthSettings(body="robot"), int(stream.t_ns[0]))
+    seen = np.arange(len(T)) % 7 > 0
+    np.testing.assert_allclose(truth.xy, PATH[seen], atol=1e-12)
+    assert truth.theta is not None
+    np.testing.assert_allclose(truth.theta, 0.6, atol=1e-12)
+    assert dropped == {"other_bodies": int((~seen).sum())}
+    with pytest.raises(LocfuseError, match=r"tracks cart, robot\.(.|\n)*truth\.body=cart"):
+        read_truth(stream, TruthSettings(), 0)
+
+
+def test_satellite_fixes_are_metres_east_and_north_turned_into_the_map(tmp_path: Path) -> None:
+    """A minute of latitude at 45 degrees is 1852.3 m on WGS 84: the meridian radius times pi / 10800."""
+    kind = "sensor_msgs/msg/NavSatFix"
+    said = [
+        Said("/fix", kind, cdr(kind, header=header(ns), latitude=45.0 + i / 60.0, longitude=9.0), ns)
+        for i, ns in enumerate(stamps(T[:3]))
+    ]
+    stream = open_log([log_of(tmp_path / "x.mcap", said)]).stream("/fix")
+    truth, _ = read_truth(stream, TruthSettings(origin=(45.0, 9.0), east_deg=90.0), 0)
+    e2 = 0.00669437999014
+    meridian = 6378137.0 * (1 - e2) / (1 - e2 * math.sin(math.radians(45.0)) ** 2) ** 1.5
+    assert truth.theta is None
+    np.testing.assert_allclose(truth.xy[1], [-meridian * math.pi / 10800, 0.0], rtol=2e-4, atol=0.01)

@@ -117,7 +117,8 @@ def _in_plane(where: Array, settings: TruthSettings) -> Array:
     origin = settings.origin or (tuple(finite[0].tolist()) if len(finite) else (0.0, 0.0))
     xy = east_north(where[:, 0], where[:, 1], (origin[0], origin[1]))
     c, s = math.cos(math.radians(settings.east_deg)), math.sin(math.radians(settings.east_deg))
-    return xy @ np.array([[c, s], [-s, c]])
+    turned: Array = xy @ np.array([[c, s], [-s, c]])
+    return turned
 
 
 def _yaw(q: Array) -> Array | None:

@@ -67,7 +67,9 @@ def choose_sensor(log: Log, robot: Robot, name: str, insisted: bool, choice: Cho
 def _names(settings: Any) -> tuple[str, ...]:
     """Return the topics that a sensor's table names."""
     several = tuple(getattr(settings, "topics", None) or ())
-    return several or ((settings.topic,) if settings.topic is not None else ())
+    field = getattr(settings, "field", None)
+    suffix = f":{field}" if field else ""
+    return several or ((f"{settings.topic}{suffix}",) if settings.topic is not None else ())
 
 
 def _candidates(log: Log, name: str, choice: Choice) -> list[str]:

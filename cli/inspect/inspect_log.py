@@ -31,7 +31,7 @@ from .clocks import of_stamps
 from .mounts import conflicts, unplaced
 from .robot_facts import find_robot_facts, of_robot
 from .sensors import raw_findings
-from .topics import topic_facts
+from .topics import derived_facts, topic_facts
 
 if TYPE_CHECKING:
     from locfuse.cli.pipeline.settings import LogOptions
@@ -52,6 +52,7 @@ def inspect_log(
     facts = topic_facts(log, robot.order)
     found: list[Finding] = []
     choice = _choose(log, robot, named_by_hand(how.sets), found)
+    facts += derived_facts(log, robot.order)
     transforms = _transforms(log, choice, found)
     overview = Overview(log, tables, choice, facts, transforms, _placed(log, tables, choice, transforms))
     overview.robot_facts = find_robot_facts(log, robot, choice)

@@ -38,6 +38,7 @@ class TopicFacts:
     delay_s: float | None = None  # recording behind header stamps, median
     dropped: dict[str, int] | None = None
     problem: str | None = None  # why it cannot be read
+    derived: bool = False  # made of another topic, or a file: it holds no messages of its own
 
     def values(self) -> dict[str, Any]:
         """Return it for report and JSON."""
@@ -73,7 +74,12 @@ def topic_facts(log: Log, order: str) -> list[TopicFacts]:
     readable = [name for name, topic in log.topics.items() if topic.problem is None and topic.count]
     with suppress(LocfuseError):  # where one of them cannot be read, each says so for itself below
         log.streams(dict.fromkeys(readable, ()), order=order)
-    return [_facts(log, name, order) for name in sorted(log.topics)]
+    return [_facts(log, name, order) for name in sorted(log.topics) if log.recorded(name)]
+
+
+def derived_facts(log: Log, order: str) -> list[TopicFacts]:
+    """Return the facts of what roles made of topics: two frames of /tf, a number of a message, a file."""
+    return [_facts(log, name, order) for name in sorted(log.topics) if not log.recorded(name)]
 
 
 def _facts(log: Log, name: str, order: str) -> TopicFacts:
@@ -104,4 +110,5 @@ def _facts(log: Log, name: str, order: str) -> TopicFacts:
         repaired=dict(stream.repaired),
         delay_s=stream.delay_s,
         dropped=dict(stream.dropped),
+        derived=not log.recorded(name),
     )

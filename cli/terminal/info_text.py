@@ -67,12 +67,11 @@ def _section(title: str, body: Sequence[str]) -> Iterator[str]:
 def _headline(overview: Overview) -> str:
     span = overview.log.time_span_ns
     seconds = f"{(span[1] - span[0]) * 1e-9:.1f} s" if span else "no messages"
-    count = sum(f.count for f in overview.facts)
+    recorded = [f for f in overview.facts if not f.derived]
+    count = sum(f.count for f in recorded)
     size = sum(p.stat().st_size for p in overview.log.paths) / 1e6
     files = f" in {len(overview.log.paths)} files" if len(overview.log.paths) > 1 else ""
-    return (
-        f"{overview.log.name}: {seconds}, {count} messages on {len(overview.facts)} topics, {size:.1f} MB{files}"
-    )
+    return f"{overview.log.name}: {seconds}, {count} messages on {len(recorded)} topics, {size:.1f} MB{files}"
 
 
 def _topics(overview: Overview, width: int | None) -> Iterator[str]:

@@ -20,7 +20,7 @@ from locfuse.formats.caps import MAX_CHUNK, MAX_DATABASE_SECONDS, MAX_MESSAGE
 from locfuse.fusion.data import Ints, LocfuseError
 
 from .file_bytes import FileBytes
-from .known_types import definition
+from .known_types import MAX_SAMPLE, definition
 from .losses import Losses
 from .source import Batch, ChannelInfo, Messages, message_type
 from .sqlite_journal import unused_tail
@@ -231,15 +231,32 @@ def _channels(database: sqlite3.Connection, leash: Leash) -> tuple[dict[int, Cha
             counts = dict(database.execute(f"SELECT {TOPIC}, count(*) FROM messages GROUP BY 1"))
     except ERRORS:
         counts = {}
+    samples = _samples(database, leash)
     found = {}
     for ident, *texts_of_topic in database.execute(
         "SELECT CAST(id AS INTEGER), name, type, serialization_format FROM topics ORDER BY 1"
     ):
         topic, msgtype, encoding = (str(text or "") for text in texts_of_topic)
-        language, text = texts.get(msgtype) or ("ros2msg", definition(message_type(msgtype)))
+        language, text = texts.get(msgtype) or (
+            "ros2msg",
+            definition(message_type(msgtype), samples.get(ident, b"")),
+        )
         schema = (language, text.encode()) if text else ("", b"")
         found[ident] = ChannelInfo(topic, msgtype, encoding, *schema, counts.get(ident, 0))
     return found, counts
+
+
+def _samples(database: sqlite3.Connection, leash: Leash) -> dict[int, bytes]:
+    """Return the first message of every topic, of those that are not too long to be looked at."""
+    query = (
+        f"SELECT {TOPIC}, CAST(data AS BLOB) FROM messages WHERE rowid IN "
+        f"(SELECT min(rowid) FROM messages GROUP BY {TOPIC}) AND length(data) <= ?"
+    )
+    try:
+        with leash.step():
+            return {int(ident): bytes(data) for ident, data in database.execute(query, (MAX_SAMPLE,)) if data}
+    except ERRORS:
+        return {}
 
 
 def _definitions(database: sqlite3.Connection, leash: Leash) -> dict[str, tuple[str, str]]:

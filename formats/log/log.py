@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
@@ -15,7 +16,8 @@ from locfuse.formats.container.compressed_messages import unpack
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.container.source import Recorded, Source
 from locfuse.formats.messages.fields import FieldError, resolve
-from locfuse.formats.messages.kinds import check_kind
+from locfuse.formats.messages.kinds import NUMBER as A_NUMBER
+from locfuse.formats.messages.kinds import check_kind, kind_of
 from locfuse.formats.messages.schema import SchemaError
 from locfuse.formats.robot import transforms
 from locfuse.fusion.data import Ints, LocfuseError, UsageError
@@ -23,12 +25,13 @@ from locfuse.fusion.data import Ints, LocfuseError, UsageError
 from . import clock as clocks
 from .file_stream import FileStream, is_file_topic, read_file
 from .files import log_files, log_name, open_source
+from .number_stream import NUMBER, NumberStream, field_of
 from .stream import LogStream
 from .table import Raw, Table, dated, digest
 from .topics import Topic, UnreadableTopicError, by_topic
 from .transform_stream import TF_FIELDS, TRANSFORM, Edge, TransformStream, edges_of, loop_in, pair_of
 
-AnyStream = LogStream | TransformStream | FileStream
+AnyStream = LogStream | TransformStream | FileStream | NumberStream
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 
@@ -87,8 +90,8 @@ class Log:
     def stream(self, topic: str, order: str = "auto") -> AnyStream:
         """Return a topic's stream; nothing is read before its rows are asked for.
 
-        "/tf:odom:base_link" is the frame base_link in the frame odom as /tf says, a topic of TransformStamped; the
-        name of a .tum or .csv file is that file.
+        "/tf:odom:base_link" is the frame base_link in the frame odom as /tf says (TransformStamped),
+        "/status:yaw.value" a number of any message, and the name of a .tum or .csv file is that file.
         """
         if order not in clocks.ORDERS:
             raise UsageError(f"order = {order!r} is unknown; it is one of {', '.join(clocks.ORDERS)}")
@@ -100,7 +103,12 @@ class Log:
         self.find(topic)
         if topic in self._files:
             return self._files[topic]
-        if topic in self._channels or topic not in self.topics or (pair := pair_of(topic)) is None:
+        number, pair = field_of(topic), pair_of(topic)
+        if topic not in self._channels and topic in self.topics and number is not None:
+            return NumberStream(
+                topic, LogStream(self, number[0], self.topics[number[0]].msgtype, order), number[1]
+            )
+        if topic in self._channels or topic not in self.topics or pair is None:
             self._check(topic)
             return LogStream(self, topic, self.topics[topic].msgtype, order)
         edges = tuple(self.frames(pair[0], order).values())
@@ -113,17 +121,32 @@ class Log:
         return streams
 
     def find(self, name: str) -> Topic | None:
-        """Return a topic by its name, two frames of /tf as one ("/tf:odom:base_link"), or a file; else None."""
+        """Return a topic by its name, two frames of /tf ("/tf:odom:base_link"), a number, a file; else None."""
         pair = pair_of(name)
         if name not in self.topics and pair is not None and self._is_tf(pair[0]):
             source = self.topics[pair[0]]
             edges = self.frames(pair[0])
             count = len(edges[pair[1:]].stamp) if pair[1:] in edges else source.count
             self.topics[name] = Topic(TRANSFORM, count, source.encoding, source.schema_encoding)
+        number = field_of(name)
+        if name not in self.topics and number is not None and number[0] in self._channels:
+            self._check_number(*number)
+            self.topics[name] = replace(self.topics[number[0]], msgtype=NUMBER)
         if name not in self.topics and is_file_topic(name):
             file = self._files[name] = read_file(name)
             self.topics[name] = Topic(file.msgtype, len(file.t_ns), "", "")
         return self.topics.get(name)
+
+    def _check_number(self, topic: str, field: str) -> None:
+        """Raise LocfuseError where a field is not there, or is no number."""
+        self._check(topic)
+        self._check_fields(topic, (field,))
+        if (kind := kind_of(resolve(self._channels[topic].decoder.message, field))) != A_NUMBER:
+            raise LocfuseError(f"{topic} ({self.topics[topic].msgtype}): {field} is {kind}, not {A_NUMBER}")
+
+    def recorded(self, name: str) -> bool:
+        """Return whether a topic was recorded; frames of /tf, numbers and files are made of something else."""
+        return name in self._channels
 
     def is_file(self, name: str) -> bool:
         """Return whether a topic is a file beside the log."""

@@ -47,6 +47,8 @@ class CompassSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, k
     sigma_deg: float = 3.0  # white noise of one reading
     offset_deg: float | None = None  # measured heading minus theta; None: estimated from the drive
     offset_drift_deg: float = 0.0  # random walk of an estimated offset, degrees per sqrt(s)
+    field: str | None = None  # of a message of any type: the number that is the heading, "status.yaw"
+    unit: Literal["rad", "deg"] | None = None  # of heading messages; None: as the convention says
     convention: Convention = "enu_rad"  # of heading messages: 0 = east, ccw; or 0 = north, clockwise
     roll_deg: float = 0.0  # mount on the base, of a magnetometer or an IMU
     pitch_deg: float = 0.0
@@ -246,7 +248,9 @@ def from_number(columns: dict[str, Array], settings: CompassSettings, topic: str
     """Heading from a bare number, by the convention the settings name."""
     value = columns["data"].astype(np.float64)
     value[~np.isfinite(value)] = np.nan
-    convention = settings.convention
+    convention: str = settings.convention
+    if settings.unit is not None:
+        convention = f"{convention.partition('_')[0]}_{settings.unit}"
     finite = np.abs(value[np.isfinite(value)])
     largest = float(finite.max()) if len(finite) else 0.0
     if convention.endswith("rad") and largest > 4.0 * math.pi:

@@ -29,6 +29,7 @@ BEFORE, BIAS = "_gyro_before", "gyro_bias"
 H_TURN = ((0.0, 0.0, 1.0),)
 MIN_TURN_RAD = math.radians(20.0)  # rms of the wheels' turn about its mean, before the gyro is held against it
 AGREES = 0.8  # correlation from which gyro and wheels speak of the same turning
+SAYS_SO = ("gyro", "yaw_rate", "yawrate", "turn_rate", "angular_velocity")  # topics of bare turning rates
 WRONG_SCALE = 2.0  # a factor that no wheel geometry explains
 
 
@@ -37,6 +38,7 @@ class GyroSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_o
 
     # a turn that the wheels did not see is a slip: the gyro is the one to believe
     gate: float = 1.0
+    field: str | None = None  # of a message of any type: the number that is the turning rate, "state.yaw_rate"
     unit: Literal["rad", "deg"] = "rad"  # of the angular velocity, per second
     roll_deg: float = 0.0  # mount of the IMU on the base
     pitch_deg: float = 0.0
@@ -49,7 +51,7 @@ class GyroSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_o
 
 
 class Gyro(Sensor):
-    """Reads an IMU's angular velocity."""
+    """Reads an IMU's angular velocity, or a turning rate that is a bare number."""
 
     name = "gyro"
     Settings = GyroSettings
@@ -68,6 +70,12 @@ class Gyro(Sensor):
             "angular_velocity.z",
             "angular_velocity_covariance",
         ),
+        "std_msgs/msg/Float64": ("data",),
+        "std_msgs/msg/Float32": ("data",),
+    }
+    named: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "std_msgs/msg/Float64": SAYS_SO,
+        "std_msgs/msg/Float32": SAYS_SO,
     }
 
     def carries(self, stream: Stream) -> bool:
@@ -162,6 +170,9 @@ class GyroModel(Model):
 
 def up_rate(columns: dict[str, Array], settings: GyroSettings, topic: str) -> Array:
     """Turning rate about the robot's vertical axis (n,) [rad/s]: the mount's row of up times the three rates."""
+    if "data" in columns:  # a bare number is the rate itself
+        bare = np.asarray(columns["data"], dtype=np.float64)
+        return np.radians(bare) if settings.unit == "deg" else bare
     omega = np.stack([columns[f"angular_velocity.{a}"] for a in "xyz"], axis=-1)
     covariance = columns["angular_velocity_covariance"]
     if len(omega) and (covariance[:, 0] == -1.0).all():

@@ -132,8 +132,8 @@ def test_one_of_several_mocap_bodies_is_read_by_its_name(tmp_path: Path) -> None
     """Bodies change places, carry markers, and are hidden now and then."""
     rows = []
     for i, xy in enumerate(PATH):
-        seen = [body("cart", xy + 5.0, 2)] + ([body("robot", xy, i % 3)] if i % 7 else [])
-        rows.append({"rigidbodies": seen[:: (-1) ** i]})
+        bodies = [body("cart", xy + 5.0, 2)] + ([body("robot", xy, i % 3)] if i % 7 else [])
+        rows.append({"rigidbodies": bodies[:: (-1) ** i]})
     log = open_log([custom(tmp_path / "x.mcap", "/rigid_bodies", BODIES, BODIES_TEXT, T, rows)])
     stream = log.stream("/rigid_bodies")
     truth, dropped = read_truth(stream, TruthSettings(body="robot"), int(stream.t_ns[0]))

@@ -75,7 +75,7 @@ def numbers_of(stream: Any, *fields: str) -> dict[str, Array]:
 def twists(t: Array, topic: str, kind: str = "TwistStamped", speed: float = SPEED) -> list[Said]:
     twist: dict[str, Any] = {"linear": {"x": speed}, "angular": {"z": speed / SPEED * RATE}}
     msgtype = f"geometry_msgs/msg/{kind}"
-    fields = {"twist": {"twist": twist} if "Covariance" in kind else twist}
+    fields: dict[str, Any] = {"twist": {"twist": twist} if "Covariance" in kind else twist}
     return [Said(topic, msgtype, cdr(msgtype, header=header(ns), **fields), ns) for ns in stamps(t)]
 
 

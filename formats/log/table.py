@@ -89,8 +89,8 @@ class Table:
 
     def feed(self, raw: Raw) -> None:
         """Take the next messages in file order."""
-        self._refuse_too_much(raw)
         decoded = raw.columns(self._pass.fields)
+        self._refuse_too_much(raw, decoded.good)
         for name, piece in decoded.columns.items():
             self._pass.columns[name].add(piece)
         self._pass.log_time.add(raw.messages.log_time[decoded.good])
@@ -103,10 +103,10 @@ class Table:
         if self._frame and decoded.good.any():
             self._take_frame(raw, decoded.good, self._frame)
 
-    def _refuse_too_much(self, raw: Raw) -> None:
+    def _refuse_too_much(self, raw: Raw, held: NDArray[np.bool_]) -> None:
         """Bound the memory: a small compressed file can hold any number of giant messages."""
         fields = [name for name in self._pass.fields if name != self.stamp]
-        long = raw.messages.length > LONG_BYTES
+        long = held & (raw.messages.length > LONG_BYTES)
         if not fields or not long.any():
             return
         self._pass.long += int(raw.messages.length[long].sum())

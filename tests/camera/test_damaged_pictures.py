@@ -52,7 +52,7 @@ def test_bytes_behind_the_picture_are_no_damage(capfd: pytest.CaptureFixture[str
 
 
 def test_in_many_threads_the_damaged_one_is_found_and_no_other() -> None:
-    """Cut in two, so that libjpeg hears of each; it steps over some dents in silence, as the Huffman code recovers."""
+    """Cut in two, so that libjpeg hears of each; some dents it steps over in silence."""
     pictures = [cut(jpeg(i)) if i % 7 == 3 else jpeg(i) for i in range(60)]
     with ThreadPoolExecutor(4) as pool:
         found = list(pool.map(lambda data: images.compressed(data, "jpeg"), pictures))

@@ -23,7 +23,7 @@ OFF_BEAT, OFF_PERIODS = 8.0, 0.25  # robust deviations and periods off the beat:
 
 
 def credibility(times: Ints) -> tuple[Array, NDArray[np.bool_]]:
-    """Weigh times (n,) in their true order by how well they keep the beat of their neighbours; mark what is off it.
+    """Weigh times (n,) in their true order by how well they keep their neighbours' beat; mark what is off it.
 
     The beat at i is the median of t_j + (i - j) T over the neighbours j, T their median step. Most streams keep
     it, and then it tells which of two times in the wrong order is the wrong one, and which one is wrong without

@@ -17,6 +17,8 @@ from locfuse.formats.messages.decoded import Decoded, MessageDecoder
 from locfuse.formats.messages.fields import frame_path, stamp_path
 from locfuse.fusion.data import Column, Ints, LocfuseError
 
+from . import jitter
+
 
 class Raw(NamedTuple):
     """The messages of one channel in one batch, and what decodes them."""
@@ -65,6 +67,7 @@ class Table:
         self.bad: Counter[str] = Counter()  # reason -> messages that are no rows
         self.log_time: Ints | None = None  # (n,) recording order; None before the first read
         self.columns: dict[str, Column] = {}
+        self.jittered = 0  # log times that ran backwards and were replaced
         self._walk_rows: Ints | None = None  # row -> walk row; None: the same
         self._pass = Pass((), 0)
         self._earliest: int | None = None
@@ -159,9 +162,16 @@ class Table:
         return times[counts > 1]
 
     def sort(self, digests: Ints | None) -> None:
-        """Put the rows into recording order; `digests` (n,) of the bytes, walk order, settle ties."""
+        """Put the rows into recording order; `digests` (n,) of the bytes, walk order, settle ties.
+
+        That is the order of their log times, or, where these jitter, the order in which they lie in the file.
+        """
         log_time, sequence = self._times
         self._times = NO_TIMES  # needed no more
+        steady = jitter.pooled(log_time)
+        if steady is not None:
+            self.log_time, self.jittered = steady
+            return
         if digests is None and (np.diff(log_time) > 0).all():
             self.log_time = log_time
             return

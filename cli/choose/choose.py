@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import TYPE_CHECKING, Any
 
+from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensor import Sensor
 from locfuse.fusion.sensors.registry import REGISTRY, unmet
@@ -42,6 +43,8 @@ def choose_sensor(log: Log, robot: Robot, name: str, insisted: bool, choice: Cho
     sensor, settings = REGISTRY[name], robot.settings(name)
     named = _names(settings)
     gone = [t for t in named if log.find(t) is None]
+    if gone and getattr(settings, "file", None) == gone[0]:
+        raise LocfuseError(f"no such file: {gone[0]} (.csv and .tum are read)", role=name)
     if gone and not insisted:
         choice.absent[name] = f"{log.name} has no topic {gone[0]}, which robot.toml names"
         return
@@ -55,7 +58,8 @@ def choose_sensor(log: Log, robot: Robot, name: str, insisted: bool, choice: Cho
     elif not candidates:
         if not sensor.extra:  # nobody expects what lies beside the paper's sensors
             choice.absent[name] = f"no topic of type {types(sensor.reads)} in {log.name}"
-        choice.foreign.add(name)
+        if not all(kind.startswith("locfuse/") for kind in sensor.reads):  # a file that nobody named is not missed
+            choice.foreign.add(name)
         return
     else:
         _by_type(log, name, candidates, choice)
@@ -69,7 +73,8 @@ def _names(settings: Any) -> tuple[str, ...]:
     several = tuple(getattr(settings, "topics", None) or ())
     field = getattr(settings, "field", None)
     suffix = f":{field}" if field else ""
-    return several or ((f"{settings.topic}{suffix}",) if settings.topic is not None else ())
+    topic = settings.topic if settings.topic is not None else getattr(settings, "file", None)
+    return several or ((f"{topic}{suffix}",) if topic is not None else ())
 
 
 def _candidates(log: Log, name: str, choice: Choice) -> list[str]:

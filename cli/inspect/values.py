@@ -46,7 +46,8 @@ def absent(overview: Overview) -> dict[str, str]:
 def configurations(overview: Overview) -> dict[str, str | None]:
     """Return for odometry, each sensor and all of them what is missing, None where nothing is."""
     missing, base = absent(overview), wheels_missing(overview)
-    ready = {name: missing.get(name) or base for name in REGISTRY}
+    known = [name for name in REGISTRY if name in missing or name in overview.choice.topics]
+    ready = {name: missing.get(name) or base for name in known}
     together = None if any(why is None for why in ready.values()) else base or "no sensor beside the wheels"
     return {"odometry": base, **ready, "all": together}
 

@@ -17,7 +17,7 @@ from locfuse.cli.choose.topics import Choice
 from locfuse.formats.caps import MAX_ROBOT_TOML
 from locfuse.formats.inputs import read_small
 from locfuse.formats.log.log import Log, open_log
-from locfuse.formats.robot import robot_toml
+from locfuse.formats.robot import landmark_map, robot_toml
 from locfuse.fusion.data import Drive, LocfuseError, UsageError
 from locfuse.fusion.doctor.clocks import lag_notes
 from locfuse.fusion.measure import measure
@@ -105,7 +105,7 @@ def measured(
     sensed = {s: parts(streams[s]) for s in REGISTRY if s in streams}
     frames = [part.frame_id for s in sensed for part in sensed[s]]
     mounts = mount_tables(transforms_of(log, frames), sensed)
-    robot = make_robot(robot_toml.merge(mounts, tables))
+    robot = with_landmarks(make_robot(robot_toml.merge(mounts, tables)))
     drive = measure({role: s for role, s in streams.items() if role not in aside}, robot, choice.absent, progress)
     refuse_standing(log, choice, drive.wheels)
     _refuse_other_clock(log, drive)
@@ -128,6 +128,20 @@ def _refuse_other_clock(log: Log, drive: Drive) -> None:
         role="truth",
         hint=f"If both began together: --set truth.time_offset={-truth.t[0]:.3f}",
     )
+
+
+def with_landmarks(robot: Robot) -> Robot:
+    """Return the robot with its landmarks' map read from the file that the settings name."""
+    settings = robot.settings("landmarks")
+    if not isinstance(settings.map, str):
+        return robot
+    path = Path(settings.map).expanduser()
+    if not path.is_file():
+        raise LocfuseError(
+            f"no such file: {path}", role="landmarks", hint="--set landmarks.map=<id, x, y as .csv>"
+        )
+    read = msgspec.structs.replace(settings, map=landmark_map.read(path))
+    return replace(robot, sensors={**robot.sensors, "landmarks": read})
 
 
 def _refuse_lost_wheels(log: Log, choice: Choice, streams: Mapping[str, Any]) -> None:

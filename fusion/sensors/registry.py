@@ -11,6 +11,7 @@ from .camera import Camera
 from .compass import Compass
 from .gps import Gps
 from .gyro import Gyro
+from .landmarks import Landmarks
 from .lrf import Lrf
 from .sonar import Sonar
 
@@ -23,6 +24,7 @@ REGISTRY: dict[str, Sensor] = {
         Sonar(),
         Gps(),
         Gyro(),
+        Landmarks(),
     )
 }
 

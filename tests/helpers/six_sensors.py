@@ -29,6 +29,7 @@ SCENARIO = (
     *("camera.size=[240,240]", "camera.centre=[120.7,119.1]", "camera.focal=160", "camera.inner=31"),
     "camera.outer=116",
 )
+LANDMARKS = {6: (0.5, 0.7), 7: (4.5, 1.0), 11: (4.0, 4.2), 20: (0.8, 3.9)}
 IMU = "sensor_msgs/msg/Imu"
 
 
@@ -40,7 +41,31 @@ def streams() -> tuple[dict[str, Stream], dict[str, dict[str, Any]]]:
     for role in ("sonar", "gps"):  # robot.toml need not name them
         found[role] = merged([s for s in topics.values() if s.msgtype in REGISTRY[role].reads])
     found["gyro"] = imu(found["truth"])
+    found["landmarks"] = detections(found["truth"])
+    tables["landmarks"] = {
+        "map": {str(key): list(place) for key, place in LANDMARKS.items()},
+        "x": 0.1,
+        "y": -0.05,
+    }
     return found, tables
+
+
+def detections(truth: Stream) -> Stream:
+    """Range and bearing to four landmarks at the true poses, two of them at every third stamp."""
+    columns = cast("dict[str, Any]", truth.columns("pose.position.x", "pose.position.y"))
+    turn = cast("dict[str, Any]", truth.columns("pose.orientation.z", "pose.orientation.w"))
+    theta = 2.0 * np.arctan2(turn["pose.orientation.z"], turn["pose.orientation.w"])
+    rows = []
+    for i in range(0, len(theta), 3):
+        c, s = np.cos(theta[i]), np.sin(theta[i])
+        x = columns["pose.position.x"][i] + c * 0.1 + s * 0.05
+        y = columns["pose.position.y"][i] + s * 0.1 - c * 0.05
+        for key in sorted(LANDMARKS)[(i // 3) % 2 :: 2]:
+            dx, dy = LANDMARKS[key][0] - x, LANDMARKS[key][1] - y
+            rows.append((int(truth.t_ns[i]), key, np.hypot(dx, dy), np.arctan2(dy, dx) - theta[i]))
+    t_ns, ids, ranges, bearings = (np.array(column) for column in zip(*rows, strict=True))
+    data: dict[str, Any] = {"id": ids.astype(np.int64), "range": ranges, "bearing": bearings}
+    return ArrayStream("detections.csv", "locfuse/msg/Detections", t_ns.astype(np.int64), data)
 
 
 def imu(truth: Stream) -> Stream:

@@ -25,8 +25,8 @@ LAZY = {"rerun", "matplotlib", "scipy", "jinja2"}  # only inside the function th
 # Floors, lowest first. A name is a room, or a file at the root of a top folder.
 FLOORS: dict[str, tuple[str, ...]] = {
     "fusion": (
-        "data se2 chi_square geodesy",
-        "sensor streams",
+        "data se2 chi_square",
+        "sensor streams geodesy",
         "robot mount audit",
         "camera lines ekf",
         "wheels linemap",

@@ -1,0 +1,38 @@
+"""A map of landmarks: a .csv whose first line names id, x and y [m, map frame]."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from pathlib import Path
+
+from locfuse.formats.caps import MAX_MAP_FILE
+from locfuse.formats.inputs import read_small
+from locfuse.fusion.data import LocfuseError
+
+
+def read(path: Path) -> dict[str, tuple[float, float]]:
+    """Return id -> x, y [m]. Raises LocfuseError naming the line that is wrong, and an id that occurs twice."""
+    text = read_small(path, MAX_MAP_FILE).decode("utf-8", "replace").lstrip("\ufeff")
+    rows = [(n, row) for n, row in enumerate(csv.reader(io.StringIO(text)), 1) if any(w.strip() for w in row)]
+    names = [word.strip().lstrip("#").strip().lower() for word in rows[0][1]] if rows else []
+    missing = [name for name in ("id", "x", "y") if name not in names]
+    if missing:
+        raise LocfuseError(f"{path}: its first line names no column {missing[0]}; id, x and y are read")
+    found: dict[str, tuple[float, float]] = {}
+    lines: dict[str, int] = {}
+    for number, row in rows[1:]:
+        try:
+            key, x, y = (row[names.index(name)].strip() for name in ("id", "x", "y"))
+            ident, place = str(int(key)), (float(x), float(y))
+        except (ValueError, IndexError):
+            raise LocfuseError(f"{path}: line {number} is not id, x, y: {','.join(row)[:60]!r}") from None
+        if not all(map(math.isfinite, place)):
+            raise LocfuseError(f"{path}: line {number}: a landmark stands somewhere: x and y must be finite")
+        if ident in found:
+            raise LocfuseError(f"{path}: id {ident} occurs twice (lines {lines[ident]} and {number})")
+        found[ident], lines[ident] = place, number
+    if not found:
+        raise LocfuseError(f"{path} holds no landmarks")
+    return found

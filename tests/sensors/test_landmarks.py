@@ -1,0 +1,178 @@
+"""Landmarks with ids: range and bearing to a known map, and what is wrong with a map."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bags import T0
+from commands import locfuse
+from numpy.typing import NDArray
+from textbook import wrap
+from wheel_bags import GEOMETRY, RADIUS, TRACK, angles, joint_states, log_of
+
+from locfuse.formats.robot import landmark_map
+from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.sensors.landmarks import predict
+
+Array = NDArray[np.float64]
+MAP = {6: (2.0, 1.5), 7: (-1.0, 2.0), 8: (1.0, -2.0), 9: (3.0, -1.0), 12: (-2.0, -1.0)}
+SIGMA_RANGE, SIGMA_BEARING, OFFSET = 0.05, math.radians(1.0), 0.08
+
+
+def path_of(t: Array, angle: Array) -> Array:
+    """Poses (n, 3) of dead reckoning along chords: the truth of these logs."""
+    ds, turn = np.diff(angle, axis=0).mean(axis=1) * RADIUS, np.diff(angle, axis=0) @ [-1, 1] * RADIUS / TRACK
+    theta = np.concatenate(([0.0], np.cumsum(turn)))
+    middle = theta[:-1] + turn / 2
+    steps = np.stack((ds * np.cos(middle), ds * np.sin(middle)), axis=-1)
+    return np.column_stack((np.vstack(([0.0, 0.0], np.cumsum(steps, axis=0))), theta))
+
+
+def written(folder: Path, drift: float = 0.0, more: str = "", seed: int = 1, **changed: Any) -> tuple[Path, ...]:
+    """Write a log whose wheels slip by `drift` of every turn, detections of the true path, truth and a map."""
+    t, angle = angles(60.0)
+    true = path_of(t, angle)
+    slipping = angle + drift * np.stack((-(angle[:, 1] - angle[:, 0]), angle[:, 1] - angle[:, 0]), axis=-1) / 2
+    log = log_of(folder / "x.mcap", joint_states(t, slipping))
+    rng = np.random.default_rng(seed)
+    lines = ["t,id,range,bearing"]
+    for i in range(5, len(t), 10):
+        for key in rng.choice(sorted(MAP), 2, replace=False).tolist():
+            d = np.array(MAP[key]) - true[i, :2]
+            r = np.hypot(*d) + OFFSET + SIGMA_RANGE * rng.standard_normal()
+            b = wrap(math.atan2(d[1], d[0]) - true[i, 2] + SIGMA_BEARING * rng.standard_normal())
+            lines.append(f"{T0 // 10**9 + t[i]:.9f},{key},{float(r)!r},{float(b)!r}")
+    (folder / "detections.csv").write_text("\n".join(lines) + "\n" + more)
+    given = {**MAP, **{int(k[1:]): v for k, v in changed.items()}}
+    rows = "".join(f"{key},{x},{y}\n" for key, (x, y) in given.items())
+    (folder / "landmarks.csv").write_text(f"id,x,y\n{rows}")
+    truth = "".join(
+        f"{T0 // 10**9 + s:.9f},{x!r},{y!r},{th!r}\n" for s, (x, y, th) in zip(t, true.tolist(), strict=True)
+    )
+    (folder / "truth.csv").write_text(f"t,x,y,theta\n{truth}")
+    return log, folder / "detections.csv", folder / "landmarks.csv", folder / "truth.csv"
+
+
+def compared(files: tuple[Path, ...], *words: Any) -> tuple[dict[str, Any], str]:
+    log, detections, given, truth = files
+    sets = [f"landmarks.file={detections}", f"landmarks.map={given}", f"landmarks.sigma_range={SIGMA_RANGE}",
+            f"landmarks.sigma_bearing_deg={math.degrees(SIGMA_BEARING)}"]  # fmt: skip
+    typed = [word for key in sets for word in ("--set", key)]
+    out = log.parent / "out"
+    done = locfuse("compare", log, *GEOMETRY, *typed, "--truth", truth, "-o", out, "--overwrite", *words)
+    assert done.exit_code == 0, done.stderr
+    found: dict[str, Any] = json.loads((out / "report.json").read_text())
+    return found, done.stderr
+
+
+def test_landmarks_hold_a_robot_whose_wheels_drift_and_find_the_offset_of_the_ranges(tmp_path: Path) -> None:
+    report, stderr = compared(written(tmp_path, drift=0.05))
+    wheels, landmarks = (report["configurations"][name] for name in ("odometry", "landmarks"))
+    assert wheels["position_rmse_m"] > 0.25
+    assert landmarks["position_rmse_m"] < 0.06
+    assert landmarks["heading_rmse_deg"] < 2.0
+    assert 0.6 < landmarks["sensors"]["landmarks"]["nis"] < 1.6
+    assert "swapped" not in stderr
+    assert "from its place in the map" not in stderr
+
+
+def test_anees_over_many_drives_is_one(tmp_path: Path) -> None:
+    """Wheels that are exact but for the noise that is configured as small: only the landmarks' noise is drawn."""
+    found = [
+        compared(written(tmp_path, seed=seed), "--sensors", "landmarks", "--set", "wheels.noise=1e-9",
+                 "--set", "start.sigma_xy=0.2", "--set", "start.sigma_theta_deg=5", "--write", "json")[0]
+        for seed in range(4)
+    ]  # fmt: skip
+    nis = np.mean([r["configurations"]["landmarks"]["sensors"]["landmarks"]["nis"] for r in found])
+    assert nis == pytest.approx(1.0, abs=0.12)  # 4 x 600 detections of two numbers
+
+
+def test_two_swapped_landmarks_and_a_wrong_one_are_named(tmp_path: Path) -> None:
+    swapped = {"_6": MAP[7], "_7": MAP[6]}
+    report, stderr = compared(written(tmp_path, **swapped))
+    assert "ids 6 and 7 look swapped in the map" in stderr
+    assert report["configurations"]["landmarks"]["position_rmse_m"] < 0.06
+    _, stderr = compared(written(tmp_path, _9=(3.6, -1.0)))
+    assert "id 9 is seen at (3.0" in stderr
+    assert "0.6" in stderr.split("id 9 is seen at")[1].split("from its place")[0]
+    assert "swapped" not in stderr
+
+
+def test_ids_without_an_entry_and_two_tags_of_one_id_are_counted_and_the_rest_is_used(tmp_path: Path) -> None:
+    twice = "".join(f"{T0 // 10**9 + 3.001:.9f},8,{r},0.1\n" for r in (1.0, 2.0))
+    report, stderr = compared(written(tmp_path, more=f"{twice}{T0 // 10**9 + 4}.0,3,1.0,0.0\n"))
+    assert "2 same id" in stderr
+    assert "1 not in map" in stderr
+    assert report["configurations"]["landmarks"]["position_rmse_m"] < 0.06
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("id,x,y\n6,1,2\n6,2,3\n", "id 6 occurs twice (lines 2 and 3)"),
+        ("id,x\n6,1\n", "names no column y"),
+        ("id,x,y\nsix,1,2\n", "line 2 is not id, x, y: 'six,1,2'"),
+        ("id,x,y\n6,nan,2\n", "x and y must be finite"),
+        ("id,x,y\n", "holds no landmarks"),
+    ],
+)
+def test_a_map_that_is_none_is_refused_in_one_line(text: str, says: str, tmp_path: Path) -> None:
+    path = tmp_path / "landmarks.csv"
+    path.write_text(text)
+    with pytest.raises(LocfuseError, match="landmarks") as error:
+        landmark_map.read(path)
+    assert says in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("sets", "says"),
+    [
+        (("landmarks.file=detections.csv",), "landmarks.map is not set"),
+        (("landmarks.file=nowhere.csv", "landmarks.map=landmarks.csv"), "no such file: nowhere.csv"),
+        (("landmarks.file=detections.csv", "landmarks.map=nowhere.csv"), "no such file: nowhere.csv"),
+        (("landmarks.file=detections.csv", 'landmarks.map={ "99" = [0.0, 1.0] }'), "the map has 99"),
+    ],
+)
+def test_what_is_missing_is_said_in_one_line(
+    sets: tuple[str, ...], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log, *_ = written(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    words = [word for key in sets for word in ("--set", key)]
+    done = locfuse("run", log, *GEOMETRY, "--sensors", "landmarks", *words, "-o", tmp_path / "out")
+    assert done.exit_code == 1
+    assert says in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_info_finds_the_file_and_init_writes_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log, *_ = written(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    words = (*GEOMETRY, "--set", "landmarks.file=detections.csv", "--set", "landmarks.map=landmarks.csv")
+    said = locfuse("info", log, *words).stdout
+    assert "detections.csv, named in the settings" in said
+    assert "ready    odometry, landmarks" in said
+    (tmp_path / "robot.toml").write_text(locfuse("init", log, *words).stdout)
+    done = locfuse("compare", log, "--robot", "robot.toml", "-o", "out")
+    assert done.exit_code == 0, done.stderr
+    assert "landmarks" in done.stdout
+
+
+def test_the_derivatives_hold_wherever_the_detector_sits() -> None:
+    pose, place, mount = (0.3, -0.2, 2.9), (1.4, 0.8), (0.4, -0.3, 0.7)
+    found = predict(pose, place, mount)
+    assert found is not None
+    for j in range(3):
+        step = 1e-6 * np.eye(3)[j]
+        ahead, behind = (predict(tuple(np.array(pose) + s), place, mount) for s in (step, -step))
+        assert ahead is not None
+        assert behind is not None
+        numeric = (np.array(ahead[0]) - np.array(behind[0])) / 2e-6
+        np.testing.assert_allclose(np.array(found[1])[:, j], numeric, atol=1e-7)
+    assert predict((1.4, 0.8, 0.0), place, (0.0, 0.0, 0.0)) is None

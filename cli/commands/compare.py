@@ -34,6 +34,13 @@ from .one_log import Wish, one
     help="Run every subset of the sensors: each one's credit, not only its effect alone.",
 )
 @click.option(
+    "--estimate",
+    multiple=True,
+    metavar="NAME=SOURCE",
+    help="Another estimate as a row: a topic of poses, two frames of /tf, a .tum or .csv file, "
+    "e.g. --estimate amcl=/amcl_pose. Repeatable.",
+)
+@click.option(
     "--align",
     type=click.Choice(["none", "origin", "se2"]),
     default="none",

@@ -35,6 +35,7 @@ class Wish:
     as_json: bool
     export: set[str]
     rerun: RerunOptions
+    estimate: tuple[str, ...] = ()
 
 
 class Done(NamedTuple):
@@ -47,6 +48,7 @@ class Done(NamedTuple):
 def one(log: Sequence[str], wish: Wish, table: bool = True) -> Done:
     """Compare one log, write and print it; without its `table` where it is one of several."""
     from locfuse.cli.jobs import ci_gates
+    from locfuse.cli.pipeline.foreign import named_sources
     from locfuse.cli.pipeline.results import LOSS, default_folder
     from locfuse.cli.session.session import opened
     from locfuse.cli.session.summary import Judged
@@ -55,6 +57,7 @@ def one(log: Sequence[str], wish: Wish, table: bool = True) -> Done:
 
     how, rerun = wish.how, wish.rerun
     kinds = chosen(wish.write, KINDS)
+    sources = named_sources(wish.estimate)
     gates = ci_gates.read(wish.fail_if, wish.baseline, wish.tolerance)
     may_replace(rerun.save, wish.overwrite, log)
     with show.progress(how.quiet) as progress:
@@ -67,6 +70,7 @@ def one(log: Sequence[str], wish: Wish, table: bool = True) -> Done:
             align=wish.align,
             smooth=wish.smooth,
             audits=rerun.wanted,
+            estimates=sources,
         )
         files = result.write(wish.out, write=kinds, export=wish.export, overwrite=wish.overwrite)
         if wish.figures is not None:

@@ -18,6 +18,7 @@ from locfuse.fusion.sensors.registry import REGISTRY
 
 from . import results
 from .configurations import Configuration
+from .foreign import other_frame
 from .load import Loaded
 from .memory import lean
 from .settings import Progress, one_of
@@ -60,8 +61,11 @@ def compare_log(
     smooth: bool = False,
     watch: Sequence[Watch] = (),
     audits: bool = False,
+    foreign: Sequence[Estimates] = (),
 ) -> Compared:
     """Run and judge every configuration; smoothed ones come after all others.
+
+    `foreign` are other people's estimates, judged beside ours.
 
     Audits are most of what a run holds. Unless `audits` are kept they end as soon as it is judged: who draws them
     takes what is drawn then (`watch`).
@@ -82,7 +86,7 @@ def compare_log(
     present = [s for s in REGISTRY if s in drive.measurements]
     found = credit(plain, present) if drive.truth is not None else None
     predicted = [] if found is not None else predict(drive, robot, configurations, progress)
-    every = [*filtered, *smoothed]
+    every = [*filtered, *smoothed, *(_judged_foreign(e, drive, align) for e in foreign)]
     return Compared(
         loaded=loaded,
         configurations=configurations,
@@ -107,6 +111,17 @@ def _judged(
         kept = e if audits else replace(e, audits={})
         judged.append(Judged(kept, evaluation, evidence(drive, e, robot)))
     return judged
+
+
+def _judged_foreign(e: Estimates, drive: Drive, align: str) -> Judged:
+    """Judge an estimate that is not ours; one of another frame is moved to the truth at its first pose."""
+    away = other_frame(e, drive) if align == "none" else None
+    if away is not None:
+        words = (
+            f"{e.name}: begins {away:.2f} m from the truth, so it is of another frame: aligned at its first pose"
+        )
+        e = replace(e, notes=(*e.notes, words))
+    return Judged(e, evaluate(e, drive, cast("Align", align if away is None else "origin")), [])
 
 
 def refuse_smoothing(robot: Robot, configurations: Sequence[Configuration]) -> None:

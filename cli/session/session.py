@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import cast, get_args
 
 from locfuse.cli.pipeline import maps
 from locfuse.cli.pipeline.compare import compare_log, report_of, report_of_run
 from locfuse.cli.pipeline.configurations import Configuration, Sensors, for_comparison, parse
+from locfuse.cli.pipeline.foreign import foreign_estimates, named_sources
 from locfuse.cli.pipeline.load import Loaded, find_log, load_to_fuse
 from locfuse.cli.pipeline.memory import lean
 from locfuse.cli.pipeline.outputs import Drawn
@@ -125,6 +126,7 @@ class Session:
         align: str = "none",
         smooth: bool = False,
         audits: bool = True,
+        estimates: Mapping[str, str] | None = None,
     ) -> Comparison:
         """Run several configurations and say what each sensor is worth, as `locfuse compare` does.
 
@@ -136,14 +138,16 @@ class Session:
             smooth: also smooth every configuration that has sensors: "all-smoothed".
             audits: keep every measurement's innovation and verdict, `estimates["lrf"].audits["lrf"]`. They are
                 most of what a result holds; False frees them as soon as the figures have what they show.
+            estimates: other people's estimates as rows of their own, {"amcl": "/amcl_pose", "slam": "slam.tum"}.
 
         Raises:
             LocfuseError: an unknown sensor, or one that this log lacks.
         """
         words = () if sensors is None else (sensors,) if isinstance(sensors, str) else tuple(sensors)
         wanted = for_comparison(words, self.drive, all_subsets)
+        foreign = foreign_estimates(self.loaded, named_sources(estimates or {}), [c.name for c in wanted])
         drawn = Drawn()
-        compared = compare_log(self.loaded, wanted, align, self.progress, smooth, [drawn.take], audits)
+        compared = compare_log(self.loaded, wanted, align, self.progress, smooth, [drawn.take], audits, foreign)
         report = report_of(compared)
         self.progress("writing")
         return Comparison(

@@ -1,0 +1,134 @@
+"""Other people's estimates as rows of a comparison: `--estimate NAME=/topic` or `NAME=file.tum`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Mapping, Sequence
+from typing import cast
+
+import numpy as np
+
+from locfuse.formats.log.log import Log
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array, Drive, Estimates, LocfuseError, Stream, UsageError, matrices
+from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.streams import gap_limit
+from locfuse.fusion.wheels.odometry import POSE
+
+from .load import Loaded
+
+NAME = re.compile(r"[A-Za-z][\w.-]*")
+COVARIANCE = "pose.covariance"
+PLANE = (0, 1, 5)  # where x, y and yaw stand in a pose covariance of ROS
+UPPER = np.triu_indices(3)
+WITH_COVARIANCE = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped")
+OTHER_FRAME_M, OTHER_FRAME_RAD = (
+    0.5,
+    np.radians(20.0),
+)  # a first pose this far from the truth's is of another frame
+
+
+def named_sources(words: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
+    """Return name -> topic or file of `--estimate` words. Raises UsageError for a name that is taken or none."""
+    pairs = (
+        list(words.items()) if isinstance(words, Mapping) else [tuple(word.partition("=")[::2]) for word in words]
+    )
+    found: dict[str, str] = {}
+    for name, source in pairs:
+        if not NAME.fullmatch(name) or not source:
+            raise UsageError(f"--estimate {name}={source}: it reads NAME=/topic or NAME=file.tum")
+        if name in {"odometry", "all", "truth"} or name.removesuffix("-smoothed") in {
+            *REGISTRY,
+            "odometry",
+            "all",
+        }:
+            raise UsageError(f"--estimate {name}: that is the name of a configuration; choose another")
+        if name in found:
+            raise UsageError(f"--estimate {name}: two estimates have this name")
+        found[name] = source
+    return found
+
+
+def foreign_estimates(loaded: Loaded, sources: Mapping[str, str], taken: Collection[str] = ()) -> list[Estimates]:
+    """Return the estimates of topics or files. Raises LocfuseError for what holds no poses of this drive."""
+    for name in sources:
+        if name in taken:
+            raise UsageError(f"--estimate {name}: that is the name of a configuration; choose another")
+    return [_read(loaded.log, loaded.drive, name, source) for name, source in sources.items()]
+
+
+def other_frame(estimates: Estimates, drive: Drive) -> float | None:
+    """Return how far [m] a foreign estimate begins from the truth, where that means another frame; else None."""
+    if drive.truth is None or estimates.truth_pose is None:
+        return None
+    rows = np.flatnonzero(np.isfinite(estimates.truth_pose[:, 0]))
+    if not len(rows):
+        return None
+    first, pose = rows[0], estimates.truth_pose[rows[0]]
+    point = se2.transform(pose[None], np.array([drive.truth.point]))[0]
+    away = float(np.hypot(*(point - drive.truth.xy[first])))
+    theta = drive.truth.theta
+    turned = 0.0 if theta is None else abs(float(se2.wrap_all(np.array([pose[2] - theta[first]]))[0]))
+    return away if away > OTHER_FRAME_M or turned > OTHER_FRAME_RAD else None
+
+
+def _read(log: Log, drive: Drive, name: str, source: str) -> Estimates:
+    topic = log.find(source)
+    if topic is None:
+        raise LocfuseError(
+            f"--estimate {name}: {log.name} has no topic {source}, nor is there a .tum or .csv file"
+        )
+    if topic.msgtype not in POSE:
+        kinds = ", ".join(kind.replace("/msg/", "/") for kind in POSE)
+        raise LocfuseError(f"--estimate {name}: {source} is {topic.msgtype}; read are {kinds}")
+    stream = log.stream(source)
+    t, pose, triangles = _columns(stream, drive.epoch_ns)
+    inside = (t >= drive.t[0]) & (t <= drive.t[-1]) & np.isfinite(pose).all(axis=1)
+    inside[1:] &= np.diff(t) > 0
+    if inside.sum() < 2:
+        span = f"{t[0]:.1f} to {t[-1]:.1f} s" if len(t) else "nothing"
+        raise LocfuseError(
+            f"--estimate {name}: {source} covers {span} of a drive from 0 to {drive.t[-1]:.1f} s: another clock?"
+        )
+    t, pose, triangles = t[inside], pose[inside], triangles[inside]
+    pose[:, 2] = np.unwrap(pose[:, 2])
+    at = None if drive.truth is None else _at(drive.truth.t, t, pose, triangles)
+    return Estimates(
+        configuration=name,
+        sensors=(),
+        t=t,
+        pose=pose,
+        triangles=triangles,
+        audits={},
+        truth_pose=None if at is None else at[0],
+        truth_P=None if at is None else at[1],
+    )
+
+
+def _columns(stream: Stream, epoch_ns: int) -> tuple[Array, Array, Array]:
+    """Return t (n,) [s], poses (n, 3) and triangles of their covariance (n, 6), zeros where none is said."""
+    x, y, *q = (np.asarray(c, np.float64) for c in stream.columns(*POSE[stream.msgtype]).values())
+    pose = np.stack((x, y, se2.yaw(*q)), axis=-1)
+    triangles = np.zeros((len(pose), 6))
+    if stream.msgtype in WITH_COVARIANCE:
+        P = np.asarray(cast("Array", stream.columns(COVARIANCE)[COVARIANCE]), np.float64).reshape(-1, 6, 6)
+        P = P[:, PLANE][:, :, PLANE]
+        said = np.isfinite(P).all(axis=(1, 2)) & (np.diagonal(P, axis1=1, axis2=2) > 0.0).all(axis=1)
+        triangles[said] = P[said][:, UPPER[0], UPPER[1]]
+    return (stream.t_ns - epoch_ns) * np.float64(1e-9), pose, triangles
+
+
+def _at(stamps: Array, t: Array, pose: Array, triangles: Array) -> tuple[Array, Array]:
+    """Return poses (q, 3) and covariances (q, 3, 3) at the truth's stamps, interpolated; NaN outside and in gaps.
+
+    A covariance is that of the row before: between two rows nobody says how it grows.
+    """
+    before = np.clip(np.searchsorted(t, stamps, side="right") - 1, 0, len(t) - 1)
+    after = np.minimum(before + 1, len(t) - 1)
+    exact = np.abs(stamps - t[before]) < 1e-9
+    near = (stamps >= t[0]) & (stamps <= t[-1] + 1e-9) & (exact | (t[after] - t[before] <= gap_limit(t)))
+    out = np.stack([np.interp(stamps, t, column) for column in pose.T], axis=-1)
+    out[~near] = np.nan
+    spread = matrices(triangles[before])
+    spread[~near] = np.nan
+    return out, spread

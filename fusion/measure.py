@@ -10,14 +10,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 
 from locfuse.fusion.sensors.registry import REGISTRY, unmet
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.read import read_wheels
 
-from .data import Array, Drive, Ints, LocfuseError, Measurements, Motions, Stream
-from .robot import Robot
+from . import se2
+from .data import Array, Drive, Ints, LocfuseError, Measurements, Motions, Stream, Truth
+from .robot import Robot, StartSettings
 from .truth import read_truth
 
 FILL = 0.2  # s: where no sensor speaks for this long, a wheel reading becomes an instant
@@ -139,6 +141,74 @@ def _within(m: Measurements, wheels: Wheels) -> Measurements:
         return m.take(keep)
     dropped = {**m.dropped, "outside_wheels": m.dropped.get("outside_wheels", 0) + outside}
     return replace(m.take(keep), dropped=dropped)
+
+
+def windowed(drive: Drive, robot: Robot, begin: float | None, end: float | None) -> tuple[Drive, Robot]:
+    """Return the drive between two times [s], and the robot with the pose at which it begins there.
+
+    Times stay those of the whole drive. The start is the truth's pose there where it has a heading, else [start]
+    carried on by the wheels. Raises LocfuseError where the window holds no motion.
+    """
+    last = float(drive.t[-1])
+    a, b = 0.0 if begin is None else begin, last if end is None else end
+    wheels: Wheels = drive.wheels.window(a, b)
+    if len(wheels.t) < 2:
+        raise LocfuseError(
+            f"--from {a:g} --to {b:g}: the drive lasts from 0 to {last:.1f} s, and nothing moves there"
+        )
+    measurements = {name: _inside(m, wheels) for name, m in drive.measurements.items()}
+    t = instants(wheels.t, [m.t for m in measurements.values()])
+    before = np.concatenate((t[:1], t[:-1]))
+    estimate = robot.wheels.estimate
+    truth = _truth_between(drive.truth, wheels)
+    instant, motions = (None, None) if truth is None else _to_truth(wheels, t, truth.t, estimate)
+    start, words = _start_at(float(wheels.t[0]), drive, robot)
+    cut_out = replace(
+        drive,
+        t=t,
+        motions=wheels.between(before, t, estimate),
+        measurements=measurements,
+        instant={name: np.searchsorted(t, m.t) for name, m in measurements.items()},
+        truth=truth,
+        truth_motions=motions,
+        truth_instant=instant,
+        wheels=wheels,
+        notes=(*drive.notes, f"only {wheels.t[0]:.1f} to {wheels.t[-1]:.1f} s of the drive are used{words}"),
+    )
+    return cut_out, replace(robot, start=start)
+
+
+def _inside(m: Measurements, wheels: Wheels) -> Measurements:
+    return m.take(np.flatnonzero((m.t >= wheels.t[0]) & (m.t <= wheels.t[-1])))
+
+
+def _truth_between(truth: Truth | None, wheels: Wheels) -> Truth | None:
+    """Return the truth within the wheels' time, None where nothing of it lies there."""
+    if truth is None:
+        return None
+    rows = np.flatnonzero((truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1]))
+    theta = None if truth.theta is None else truth.theta[rows]
+    return replace(truth, t=truth.t[rows], xy=truth.xy[rows], theta=theta) if len(rows) else None
+
+
+def _start_at(t: float, drive: Drive, robot: Robot) -> tuple[StartSettings, str]:
+    """Return the pose at time t [s], and in words where it comes from; [start] itself at the drive's beginning."""
+    if t <= float(drive.t[0]):
+        return robot.start, ""
+    truth, start = drive.truth, robot.start
+    if truth is not None and truth.theta is not None and truth.t[0] <= t <= truth.t[-1]:
+        x, y = (float(np.interp(t, truth.t, column)) for column in truth.xy.T)
+        theta = float(np.interp(t, truth.t, np.unwrap(truth.theta)))
+        c, s = np.cos(theta), np.sin(theta)
+        px, py = truth.point
+        pose = np.array([x - c * px + s * py, y - s * px - c * py, theta])
+        words = "; it starts there at the truth's pose"
+    else:
+        begin = np.array([start.x, start.y, np.radians(start.theta_deg)])
+        pose = se2.compose(begin, drive.wheels.at(np.array(t))[2])
+        words = "; it starts there where the wheels alone lead from [start]: --align origin judges the shape"
+    x, y, theta = (float(v) for v in pose)
+    return msgspec.structs.replace(start, x=x, y=y, theta_deg=float(np.degrees(theta))), words
 
 
 def thinned(drive: Drive, rates: Mapping[str, float]) -> Drive:

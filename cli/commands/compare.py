@@ -14,6 +14,7 @@ from locfuse.cli.terminal.options import (
     out_options,
     preset_option,
     smooth_option,
+    window_options,
 )
 from locfuse.cli.terminal.rerun_options import rerun_options
 
@@ -74,6 +75,7 @@ from .one_log import Wish, one
 )
 @log_options
 @preset_option
+@window_options
 @out_options(KINDS)
 @export_option
 @rerun_options

@@ -17,6 +17,7 @@ from locfuse.cli.terminal.options import (
     out_options,
     preset_option,
     smooth_option,
+    window_options,
 )
 from locfuse.cli.terminal.rerun_options import rerun_options
 
@@ -44,6 +45,7 @@ from locfuse.cli.terminal.rerun_options import rerun_options
 )
 @log_options
 @preset_option
+@window_options
 @out_options(KINDS)
 @export_option
 @map_options

@@ -20,7 +20,7 @@ from locfuse.formats.log.log import Log, open_log
 from locfuse.formats.robot import landmark_map, robot_toml
 from locfuse.fusion.data import Drive, LocfuseError, UsageError
 from locfuse.fusion.doctor.clocks import lag_notes
-from locfuse.fusion.measure import measure
+from locfuse.fusion.measure import measure, windowed
 from locfuse.fusion.paper import preset as filters
 from locfuse.fusion.robot import Robot, StartSettings, TruthSettings, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -78,7 +78,11 @@ def load(
     log = open_log(paths)
     tables = merged_tables(log, how)
     choice = choose(log, make_robot(tables), named_by_hand(how.sets))
-    return measured(log, tables, choice, progress, only)
+    loaded = measured(log, tables, choice, progress, only)
+    if how.begin is None and how.end is None:
+        return loaded
+    drive, robot = windowed(loaded.drive, loaded.robot, how.begin, how.end)
+    return replace(loaded, drive=drive, robot=robot)
 
 
 def load_to_fuse(paths: Sequence[Path], how: LogOptions, progress: Progress, read_again: bool = False) -> Loaded:

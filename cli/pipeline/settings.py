@@ -34,6 +34,8 @@ class LogOptions:
     strict: bool
     quiet: bool
     preset: str | None = None
+    begin: float | None = None  # s since the first wheel reading: only what comes later is used
+    end: float | None = None  # s: only what comes earlier
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,7 @@ def load(
     sets: Sets | None = None,
     order: str | None = None,
     preset: str | None = None,
+    between: tuple[float | None, float | None] = (None, None),
     progress: Progress = silent,
 ) -> Session:
     """Open a log, choose its topics, and measure every sensor once.
@@ -52,13 +53,15 @@ def load(
         sets: single keys of robot.toml, which go over both: {"lrf.topic": "/front/scan", "wheels.radius": 0.033}.
         order: "auto", "stamp" or "recorded": which clock wins where stamps run backwards.
         preset: "default", or "paper" for the paper's equations as printed.
+        between: (30.0, 90.0) uses only what comes then, in seconds since the first wheel reading; None: no bound.
         progress: called with the name of every step, such as `print`.
 
     Raises:
         LocfuseError: no such file, not a log, no wheels, a setting that fits nothing; in one line, as the command
             prints it.
     """
-    return opened(words_of(log), log_options(robot, sets, order, preset), progress)
+    how = replace(log_options(robot, sets, order, preset), begin=between[0], end=between[1])
+    return opened(words_of(log), how, progress)
 
 
 def opened(log: Sequence[str], how: LogOptions, progress: Progress, read_again: bool = False) -> Session:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,8 +19,6 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 def preset_option(command: F) -> F:
     """Add --preset to a command with @log_options below it: it arrives in `how`."""
-    import functools
-    from dataclasses import replace
 
     @functools.wraps(command)
     def wrapped(*args: Any, how: LogOptions, preset: str | None, **kwargs: Any) -> Any:
@@ -31,6 +30,25 @@ def preset_option(command: F) -> F:
         help="The filter: our own, or the paper's equations as printed (docs/paper.md).  [default: default]",
     )
     return option(wrapped)  # type: ignore[return-value]
+
+
+def window_options(command: F) -> F:
+    """Add --from and --to to a command with @log_options above it: they arrive in `how`."""
+
+    @functools.wraps(command)
+    def wrapped(*args: Any, how: LogOptions, begin: float | None, end: float | None, **kwargs: Any) -> Any:
+        if begin is not None and end is not None and begin >= end:
+            raise click.UsageError(f"--from {begin:g} --to {end:g}: the first must be the earlier one")
+        return command(*args, how=replace(how, begin=begin, end=end), **kwargs)
+
+    decorated: Any = wrapped
+    words = "s since the first wheel reading"
+    for option in (
+        click.option("--to", "end", type=float, metavar="S", help=f"Use only what comes before: {words}."),
+        click.option("--from", "begin", type=float, metavar="S", help=f"Use only what comes after: {words}."),
+    ):
+        decorated = option(decorated)
+    return decorated  # type: ignore[no-any-return]
 
 
 def smooth_option(command: F) -> F:

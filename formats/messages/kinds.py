@@ -35,6 +35,7 @@ READ_TYPES = frozenset(
         "geometry_msgs/msg/TwistWithCovarianceStamped",
         "irobot_create_msgs/msg/WheelTicks",
         "irobot_create_msgs/msg/WheelVels",
+        "locfuse/msg/Detections",
         "mocap4r2_msgs/msg/RigidBodies",
         "nav_msgs/msg/Odometry",
         "sensor_msgs/msg/CompressedImage",
@@ -100,6 +101,7 @@ WHOLE_NUMBERS = ("Int16", "UInt16", "Int32", "UInt32", "Int64")
 OF_TYPE: Mapping[tuple[str, str], tuple[str, ...]] = {
     **{(f"std_msgs/msg/{name}", "data"): (NUMBER,) for name in (*WHOLE_NUMBERS, "Float32", "Float64")},
     ("duckietown_msgs/msg/WheelEncoderStamped", "data"): (NUMBER,),
+    **{("locfuse/msg/Detections", name): (NUMBER,) for name in ("id", "range", "bearing")},
     ("std_msgs/msg/String", "data"): (TEXT,),
     ("sensor_msgs/msg/CompressedImage", "data"): (BYTES,),
     ("sensor_msgs/msg/Image", "data"): (BYTES,),

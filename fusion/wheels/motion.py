@@ -6,7 +6,7 @@ the motion, its covariance and its derivative by the wheel parameters are summed
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -49,6 +49,20 @@ class Wheels:
         half = 0.5 * track * twist[:, 2]
         rolled = np.stack((twist[:, 0] - half, twist[:, 0] + half), axis=-1)
         return cls(t, twist, rolled, dead_reckoning(twist), track, noise, np.zeros_like(rolled))
+
+    def window(self, begin: float, end: float) -> Wheels:
+        """Return the readings between two times [s]; times and poses stay those of the whole drive."""
+        first, last = np.searchsorted(self.t, [begin, end], side="left")
+        last = min(last + int(last < len(self.t) and self.t[last] == end), len(self.t))
+        rows, between = slice(first, last), slice(first, max(last - 1, first))
+        return replace(
+            self,
+            t=self.t[rows],
+            twist=self.twist[between],
+            rolled=self.rolled[between],
+            pose=self.pose[rows],
+            silence=self.silence[between],
+        )
 
     def at(self, t: Array) -> tuple[Ints, Array, Array]:
         """Return for each time the wheel interval, the share of it that has passed, and the dead-reckoned pose.

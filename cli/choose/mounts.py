@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import permutations
 from typing import TYPE_CHECKING, Any
 
 from locfuse.formats.robot.transforms import Mount, StaticTransforms, planar_mount
@@ -13,6 +14,7 @@ from locfuse.fusion.sensors.registry import REGISTRY
 if TYPE_CHECKING:
     from locfuse.formats.log.log import Log
 
+TURNS = ("roll_deg", "pitch_deg")
 BASE_FRAMES = ("base_link", "base_footprint", "base")
 
 
@@ -40,6 +42,23 @@ def mount_tables(transforms: StaticTransforms, streams: Mapping[str, Sequence[St
         elif parts[0].topic in mounts:
             tables[sensor] = {k: v for k, v in _table(mounts[parts[0].topic]).items() if k in keys}
     return tables
+
+
+def shared_turns(tables: Mapping[str, Any], streams: Mapping[str, Sequence[Stream]]) -> dict[str, Any]:
+    """Return roll and pitch that are given for one sensor and hold for another of the same topic or frame.
+
+    An IMU is compass and gyro: it is bolted to the robot once.
+    """
+    found: dict[str, Any] = {}
+    turned = [s for s in streams if {*TURNS} <= set(REGISTRY[s].Settings.__struct_fields__)]
+    for given, other in permutations(turned, 2):
+        a, b = streams[given][0], streams[other][0]
+        if a.topic != b.topic and not (a.frame_id and a.frame_id == b.frame_id):
+            continue
+        if not any(key in tables.get(other, {}) for key in TURNS):
+            keys = {key: tables[given][key] for key in TURNS if key in tables.get(given, {})}
+            found |= {other: keys} if keys else {}
+    return found
 
 
 def mount_of(transforms: StaticTransforms, frame: str) -> Mount | None:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from locfuse.cli.choose.choose import choose_sensor, choose_truth
-from locfuse.cli.choose.mounts import mount_tables, transforms_of
+from locfuse.cli.choose.mounts import mount_tables, shared_turns, transforms_of
 from locfuse.cli.choose.topics import Choice
 from locfuse.cli.choose.wheel_topics import NoWheelsError, choose_wheels
 from locfuse.cli.pipeline.load import Loaded, make_robot, measured, merged_tables, named_by_hand
@@ -109,7 +109,8 @@ def _placed(log: Log, tables: dict[str, Any], choice: Choice, transforms: Static
         with suppress(LocfuseError):  # a topic that cannot be read says so elsewhere
             if topics := choice.of(name):
                 streams[name] = [log.stream(topic) for topic in topics]
-    return make_robot(robot_toml.merge(mount_tables(transforms, streams), tables))
+    turns = shared_turns(tables, streams)
+    return make_robot(robot_toml.merge(mount_tables(transforms, streams), turns, tables))
 
 
 def _of_files(log: Log) -> list[Finding]:

@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 
 from locfuse.cli.choose.choose import choose
-from locfuse.cli.choose.mounts import mount_tables, transforms_of
+from locfuse.cli.choose.mounts import mount_tables, shared_turns, transforms_of
 from locfuse.cli.choose.standing import refuse_standing
 from locfuse.cli.choose.topics import Choice
 from locfuse.formats.caps import MAX_ROBOT_TOML
@@ -109,7 +109,7 @@ def measured(
     sensed = {s: parts(streams[s]) for s in REGISTRY if s in streams}
     frames = [part.frame_id for s in sensed for part in sensed[s]]
     mounts = mount_tables(transforms_of(log, frames), sensed)
-    robot = with_landmarks(make_robot(robot_toml.merge(mounts, tables)))
+    robot = with_landmarks(make_robot(robot_toml.merge(mounts, shared_turns(tables, sensed), tables)))
     drive = measure({role: s for role, s in streams.items() if role not in aside}, robot, choice.absent, progress)
     refuse_standing(log, choice, drive.wheels)
     _refuse_other_clock(log, drive)

@@ -16,7 +16,7 @@ from locfuse.fusion.sensors.compass import CompassSettings, from_number
 from locfuse.fusion.sensors.iron import plausible
 
 from .finding import Finding
-from .turning import explain
+from .turning import Turning, explain
 
 MAX_HEADING_RAD = 4.0 * math.pi  # a heading beyond two turns is in degrees
 
@@ -53,8 +53,17 @@ ACCELERATION_FIELDS = tuple(f"linear_acceleration.{a}" for a in "xyz")
 MAGNETIC_FIELDS = tuple(f"magnetic_field.{a}" for a in "xyz")
 
 
-def tilted(drive: Drive, robot: Robot, streams: Mapping[str, Stream], by_wheels: bool = True) -> list[Finding]:
-    """Return the mounts that gravity contradicts, or the field as the wheels turned the robot in it."""
+def tilted(
+    drive: Drive,
+    robot: Robot,
+    streams: Mapping[str, Stream],
+    by_wheels: bool = True,
+    by_sensor: Mapping[str, Turning] | None = None,
+) -> list[Finding]:
+    """Return the mounts that gravity contradicts, or the field as the wheels turned the robot in it.
+
+    Where gravity says upside-down but the gyro turns with the wheels, gravity has the other sign.
+    """
     found = []
     for name in ("compass", "gyro"):
         stream = streams.get(name)
@@ -69,6 +78,12 @@ def tilted(drive: Drive, robot: Robot, streams: Mapping[str, Stream], by_wheels:
             up, by = by_field(stream, drive, configured), "the plane in which the field turns"
         if up is None or _apart(up, configured) < MIN_TILT_RAD:
             continue
+        if name == "gyro" and _apart(-up, configured) < MIN_TILT_RAD and _agrees((by_sensor or {}).get(name)):
+            words = (
+                f"{stream.topic} gives gravity with the other sign (down, not up): its turning fits the wheels'"
+            )
+            found.append(Finding(name, "gravity", words))
+            continue
         roll, pitch = angles(up)
         if name == "compass" and by == "gravity" and _same_ahead(settings, roll, pitch):
             continue  # an orientation knows where the robot's x axis points, however the IMU rolls about it
@@ -76,6 +91,11 @@ def tilted(drive: Drive, robot: Robot, streams: Mapping[str, Stream], by_wheels:
         fixes = (f"{name}.roll_deg={roll}", f"{name}.pitch_deg={pitch}")
         found.append(Finding(name, "tilt", words, fixes, True))
     return found
+
+
+def _agrees(turning: Turning | None) -> bool:
+    """Return whether a sensor turns with the wheels."""
+    return turning is not None and turning.a > 0.0 > turning.b
 
 
 def _apart(a: Array, b: Array) -> float:

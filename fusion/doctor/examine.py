@@ -45,7 +45,7 @@ def examine(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[F
     by_sensor = turnings(drive)
     turning = of_turning(drive, robot, by_sensor, streams)
     wrong_wheels = any(o.role == "wheels" and o.severe for o in turning)
-    tilts = tilted(drive, robot, streams, by_wheels=not wrong_wheels)
+    tilts = tilted(drive, robot, streams, by_wheels=not wrong_wheels, by_sensor=by_sensor)
     found += [*of_convention(drive, robot, streams), *tilts]
     found += [o for o in turning if o.role not in {t.role for t in tilts}]
     if wrong_wheels:

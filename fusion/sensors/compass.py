@@ -49,7 +49,7 @@ class CompassSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, k
     offset_drift_deg: float = 0.0  # random walk of an estimated offset, degrees per sqrt(s)
     field: str | None = None  # of a message of any type: the number that is the heading, "status.yaw"
     unit: Literal["rad", "deg"] | None = None  # of heading messages; None: as the convention says
-    convention: Convention = "enu_rad"  # of heading messages: 0 = east, ccw; or 0 = north, clockwise
+    convention: Convention = "enu_rad"  # of headings: 0 = east, ccw; or 0 = north, clockwise (an IMU in NED)
     roll_deg: float = 0.0  # mount on the base, of a magnetometer or an IMU
     pitch_deg: float = 0.0
     yaw_deg: float = 0.0
@@ -139,8 +139,8 @@ class Compass(Sensor):
         return m.t, np.unwrap(m.z[:, 0])
 
     def reversal(self, settings: CompassSettings, msgtype: str) -> Reversal:
-        """Return the convention of the other sense for a bare number, else that the sensor is upside-down."""
-        if not msgtype.startswith("std_msgs/"):
+        """Return the convention of the other sense; a magnetometer is upside-down instead."""
+        if msgtype.endswith("MagneticField"):
             return super().reversal(settings, msgtype)
         frame, unit = settings.convention.split("_")
         other = {"enu": "compass", "compass": "enu"}[frame]
@@ -241,7 +241,10 @@ def from_imu(
         raise LocfuseError(f"{topic} carries no orientation (orientation_covariance[0] is -1)", role="compass")
     # the base's x axis in the IMU's axes, turned into the world
     ahead = rotated(q, rotation(settings.roll_deg, settings.pitch_deg, settings.yaw_deg)[0])
-    return np.where(none, np.nan, np.arctan2(ahead[:, 1], ahead[:, 0])), np.ones(len(q))
+    yaw = np.arctan2(ahead[:, 1], ahead[:, 0])
+    if settings.convention.startswith("compass"):  # its world is north, east, down: headings grow clockwise
+        yaw = wrap_all(math.pi / 2 - yaw)
+    return np.where(none, np.nan, yaw), np.ones(len(q))
 
 
 def from_number(columns: dict[str, Array], settings: CompassSettings, topic: str) -> tuple[Array, Array]:

@@ -12,6 +12,7 @@ from traps_wheels import Trap
 
 from locfuse.sample_logs.messages import RawMessage
 
+VECTORS = ("angular_velocity", "linear_acceleration")
 OFFSET = 0.6  # rad: where the compass' zero lies in the map
 IMU = "sensor_msgs/msg/Imu"
 # base -> sensor, of mounts turned by 90 deg about x, and about y
@@ -87,6 +88,31 @@ def pitched_imu(drive: Drive) -> None:
     del drive.tables["compass"]
 
 
+def ned_imu(drive: Drive) -> None:
+    """North, east, down: the world's axes and the sensor's, as aerial autopilots write them."""
+    imu(drive, np.eye(3), orientation=True)
+    flip = np.diag([1.0, -1.0, -1.0])
+    world = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # ENU to NED
+
+    def ned(m: Any) -> Any:
+        q = [m.fields[f"orientation.{a}"] for a in "xyzw"]
+        turned = Rotation.from_matrix(world @ Rotation.from_quat(q).as_matrix() @ flip).as_quat().tolist()
+        fields = {f"orientation.{a}": v for a, v in zip("xyzw", turned, strict=True)}
+        fields |= {f"{name}.{a}": -m.fields[f"{name}.{a}"] for name in VECTORS for a in "yz"}
+        return m._replace(fields={**m.fields, **fields})
+
+    drive.each("/imu", ned)
+    drive.tables["gyro"] = {"roll_deg": 180.0}
+    drive.drop(COMPASS)
+    del drive.tables["compass"]
+
+
+def gravity_reversed(drive: Drive) -> None:
+    """A driver that gives gravity's pull, not what an accelerometer feels."""
+    imu(drive, np.eye(3), orientation=False)
+    drive.field("/imu", **{"linear_acceleration.z": lambda v: -v})
+
+
 def imu_without_yaw(drive: Drive) -> None:
     """Most IMUs have no yaw; the compass beside it has."""
     imu(drive, np.eye(3), orientation=False)
@@ -127,6 +153,8 @@ COMPASS_TRAPS = (
     Trap("a magnetometer rolled by 90 degrees", field_rolled, "the field turns says that it", True, "compass"),
     Trap("an IMU on end", pitched_imu, "compass: gravity says that it is mounted", True, "compass"),
     Trap("an IMU rolled by 90 degrees", rolled_imu, "gyro: gravity says that it is mounted", True, "gyro", True),
+    Trap("an IMU in NED", ned_imu, "headings grow clockwise", True, "compass"),
+    Trap("gravity of the other sign", gravity_reversed, "gives gravity with the other sign", False, "gyro"),
     Trap("an IMU without orientation", imu_without_yaw, None, False, "compass"),
     Trap("a gyro upside-down", upside_down_gyro, "turns -0.9", True, "gyro", True),
     Trap("a gyro in degrees", gyro_in_degrees, "times as far as the wheels", True, "gyro", True),

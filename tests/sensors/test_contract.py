@@ -402,5 +402,6 @@ def test_what_turns_a_sensor_round_is_its_own_setting() -> None:
         assert of("compass", msgspec.convert({"convention": now}, CompassSettings), number).sets == {
             "convention": other
         }
-    assert of("compass", CompassSettings(), six_sensors.IMU).sets == {"roll_deg": 180.0}
+    assert of("compass", CompassSettings(), six_sensors.IMU).sets == {"convention": "compass_rad"}
+    assert of("compass", CompassSettings(), "sensor_msgs/msg/MagneticField").sets == {"roll_deg": 180.0}
     assert not of("gps", REGISTRY["gps"].Settings(), "").sets

@@ -93,7 +93,7 @@ def test_anees_over_many_drives_is_one(tmp_path: Path) -> None:
 
 
 def test_two_swapped_landmarks_and_a_wrong_one_are_named(tmp_path: Path) -> None:
-    swapped = {"_6": MAP[7], "_7": MAP[6]}
+    swapped: dict[str, Any] = {"_6": MAP[7], "_7": MAP[6]}
     report, stderr = compared(written(tmp_path, **swapped))
     assert "ids 6 and 7 look swapped in the map" in stderr
     assert report["configurations"]["landmarks"]["position_rmse_m"] < 0.06

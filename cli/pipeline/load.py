@@ -17,7 +17,7 @@ from locfuse.formats.caps import MAX_ROBOT_TOML
 from locfuse.formats.inputs import read_small
 from locfuse.formats.log.log import Log, open_log
 from locfuse.formats.robot import robot_toml
-from locfuse.fusion.data import Drive, LocfuseError, UsageError
+from locfuse.fusion.data import Drive, Event, LocfuseError, UsageError
 from locfuse.fusion.doctor.clocks import lag_notes
 from locfuse.fusion.measure import measure
 from locfuse.fusion.paper import preset as filters
@@ -25,6 +25,7 @@ from locfuse.fusion.robot import Robot, StartSettings, TruthSettings, WheelSetti
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream, merged
 
+from .labels import labels
 from .memory import give_back
 from .settings import ORDERS, PRESETS, LogOptions, Progress, silent
 
@@ -44,6 +45,7 @@ class Loaded:
     robot: Robot
     choice: Choice
     drive: Drive
+    labels: tuple[Event, ...] = ()  # faults that the log labels itself
 
 
 def find_log(words: Sequence[str]) -> list[Path]:
@@ -108,7 +110,8 @@ def measured(
     lags = lag_notes(drive.wheels, drive.measurements)
     chosen = (f"wheels: {note}" for note in choice.notes)
     notes = (*preset, *chosen, *_clock_notes(streams), *_start_notes(robot, drive), *drive.notes, *lags)
-    return Loaded(log, robot, choice, replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes}))
+    drive = replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes})
+    return Loaded(log, robot, choice, drive, tuple(labels(log, drive, robot.order)))
 
 
 def _refuse_lost_wheels(log: Log, choice: Choice, streams: Mapping[str, Any]) -> None:

@@ -25,7 +25,7 @@ class Entry:
     @property
     def losses(self) -> dict[str, int]:
         """Bytes and messages of the file that could not be read."""
-        places = self.report.get("input", {}).get("losses", {}).values()
+        places = (self.report.get("input", {}).get("losses") or {}).values()
         return {unit: sum(p[unit] for p in places) for unit in ("bytes", "messages")}
 
 

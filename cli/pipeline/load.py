@@ -18,11 +18,7 @@ from locfuse.formats.caps import MAX_ROBOT_TOML
 from locfuse.formats.inputs import read_small
 from locfuse.formats.log.log import Log, open_log
 from locfuse.formats.robot import robot_toml
-<<<<<<< HEAD
-from locfuse.fusion.data import Drive, Event, LocfuseError, UsageError
-=======
-from locfuse.fusion.data import Drive, LocfuseError, Measurements, UsageError
->>>>>>> ready-fleet
+from locfuse.fusion.data import Drive, Event, LocfuseError, Measurements, UsageError
 from locfuse.fusion.doctor.clocks import lag_notes
 from locfuse.fusion.measure import measure
 from locfuse.fusion.paper import preset as filters
@@ -30,11 +26,8 @@ from locfuse.fusion.robot import Robot, StartSettings, TruthSettings, WheelSetti
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream, merged
 
-<<<<<<< HEAD
-from .labels import labels
-=======
 from .key import asked_tables
->>>>>>> ready-fleet
+from .labels import labels
 from .memory import give_back
 from .settings import ORDERS, PRESETS, LogOptions, Progress, silent
 
@@ -54,13 +47,10 @@ class Loaded:
     robot: Robot
     choice: Choice
     drive: Drive
-<<<<<<< HEAD
-    labels: tuple[Event, ...] = ()  # faults that the log labels itself
-=======
     tables: Mapping[str, Any] = field(default_factory=dict)  # robot.toml as merged, without mounts from /tf_static
     asked: Mapping[str, Any] | None = None  # what the user gave of them; None: the result has no key
     hash_all: bool = False  # whether every byte is to be hashed
->>>>>>> ready-fleet
+    labels: tuple[Event, ...] = ()  # faults that the log labels itself
 
 
 def find_log(words: Sequence[str]) -> list[Path]:
@@ -132,11 +122,7 @@ def measured(
     chosen = (f"wheels: {note}" for note in choice.notes)
     notes = (*preset, *chosen, *_clock_notes(streams), *_start_notes(robot, drive), *drive.notes, *lags)
     drive = replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes})
-<<<<<<< HEAD
-    return Loaded(log, robot, choice, drive, tuple(labels(log, drive, robot.order)))
-=======
-    return Loaded(log, robot, choice, drive, tables)
->>>>>>> ready-fleet
+    return Loaded(log, robot, choice, drive, tables, labels=tuple(labels(log, drive, robot.order)))
 
 
 def _refuse_lost_wheels(log: Log, choice: Choice, streams: Mapping[str, Any]) -> None:

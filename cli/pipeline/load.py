@@ -16,6 +16,7 @@ from locfuse.cli.choose.mounts import mount_tables
 from locfuse.cli.choose.topics import Choice
 from locfuse.formats.caps import MAX_ROBOT_TOML
 from locfuse.formats.inputs import read_small
+from locfuse.formats.log.labels import labels
 from locfuse.formats.log.log import Log, open_log
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import Drive, Event, LocfuseError, Measurements, UsageError
@@ -27,7 +28,6 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream, merged
 
 from .key import asked_tables
-from .labels import labels
 from .memory import give_back
 from .settings import ORDERS, PRESETS, LogOptions, Progress, silent
 

@@ -6,9 +6,10 @@ from typing import Any
 
 import msgspec
 
-from locfuse.formats.log.log import Log
 from locfuse.formats.visible import visible
 from locfuse.fusion.data import FAULT, Drive, Event
+
+from .log import Log
 
 TOPIC, MSGTYPE = "/faults", "std_msgs/msg/String"
 MAX_WORDS = 120  # characters of a label that are shown

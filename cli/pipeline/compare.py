@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, cast, get_args
 
+import numpy as np
+
 from locfuse.formats.report import json_report
+from locfuse.fusion import se2
 from locfuse.fusion.data import Drive, Estimates, Evaluation
 from locfuse.fusion.judge.consistency import Run
 from locfuse.fusion.judge.credit import Credit, credit
@@ -18,13 +22,14 @@ from locfuse.fusion.sensors.registry import REGISTRY
 
 from . import results
 from .configurations import Configuration
-from .foreign import other_frame
+from .key import Asked, key
 from .load import Loaded
 from .memory import lean
 from .settings import Progress, one_of
 from .trust import add_consistency, evidence
 from .verdicts import credit_values, prediction_values, verdicts
 
+OTHER_FRAME_M, OTHER_FRAME_RAD = 0.5, math.radians(20.0)  # a first pose this far from the truth's: another frame
 PSEUDO = (
     "there is no truth in this log. The smoothed estimate has seen the whole drive and serves as a "
     "pseudo-reference: it shows what only the future corrects, and shares every error of its own sensors and map"
@@ -113,9 +118,24 @@ def _judged(
     return judged
 
 
+def _other_frame(estimates: Estimates, drive: Drive) -> float | None:
+    """Return how far [m] a foreign estimate begins from the truth, where that means another frame; else None."""
+    if drive.truth is None or estimates.truth_pose is None:
+        return None
+    rows = np.flatnonzero(np.isfinite(estimates.truth_pose[:, 0]))
+    if not len(rows):
+        return None
+    first, pose = rows[0], estimates.truth_pose[rows[0]]
+    point = se2.transform(pose[None], np.array([drive.truth.point]))[0]
+    away = float(np.hypot(*(point - drive.truth.xy[first])))
+    theta = drive.truth.theta
+    turned = 0.0 if theta is None else abs(float(se2.wrap_all(np.array([pose[2] - theta[first]]))[0]))
+    return away if away > OTHER_FRAME_M or turned > OTHER_FRAME_RAD else None
+
+
 def _judged_foreign(e: Estimates, drive: Drive, align: str) -> Judged:
     """Judge an estimate that is not ours; one of another frame is moved to the truth at its first pose."""
-    away = other_frame(e, drive) if align == "none" else None
+    away = _other_frame(e, drive) if align == "none" else None
     if away is not None:
         words = (
             f"{e.name}: begins {away:.2f} m from the truth, so it is of another frame: aligned at its first pose"
@@ -148,9 +168,11 @@ def predict(
     return scores(drive, tried())
 
 
-def report_of(compared: Compared) -> dict[str, Any]:
-    """Return the report as plain values: report.json."""
+def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
+    """Return the report as plain values: report.json. With what was `asked` it has a key."""
     report = results.build(compared.loaded, compared.evaluations)
+    tables = compared.loaded.asked
+    report["key"] = key(compared.loaded.log.identity, tables, asked) if asked and tables is not None else None
     sets = {c.name: c.sensors for c in compared.configurations if not c.rates}
     report["verdicts"] = verdicts(compared.credit, compared.scores, sets)
     report["credit"] = None if compared.credit is None else credit_values(compared.credit)

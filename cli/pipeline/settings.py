@@ -36,6 +36,7 @@ class LogOptions:
     preset: str | None = None
     begin: float | None = None  # s since the first wheel reading: only what comes later is used
     end: float | None = None  # s: only what comes earlier
+    hash_all: bool = False  # hash every byte of the log for the report
 
 
 @dataclass(frozen=True)

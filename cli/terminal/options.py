@@ -57,6 +57,14 @@ def smooth_option(command: F) -> F:
     return click.option("--smooth", is_flag=True, help=words)(command)
 
 
+class RobotFile(click.Path):
+    """A robot.toml, or one for each robot of a fleet: those are looked for when the robots are known."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path."""
+        return Path(value) if "{robot}" in str(value) else super().convert(value, param, ctx)
+
+
 def log_options(command: F) -> F:
     """Add --robot, --set, --order, --truth, --strict, --quiet; the command receives them as `how: LogOptions`."""
     import functools
@@ -70,21 +78,24 @@ def log_options(command: F) -> F:
         strict: bool,
         quiet: bool,
         truth: Path | None,
+        hash_all: bool,
         **kwargs: Any,
     ) -> Any:
         if truth is not None:
             from locfuse.formats.robot.robot_toml import as_set
 
             sets = (*sets, as_set("truth.topic", str(truth)))
-        return command(*args, how=LogOptions(robot, sets, order, strict, quiet), **kwargs)
+        how = LogOptions(robot, sets, order, strict, quiet, hash_all=hash_all)
+        return command(*args, how=how, **kwargs)
 
     decorated: Any = wrapped
     for option in reversed(
         (
             click.option(
                 "--robot",
-                type=click.Path(path_type=Path, exists=True, dir_okay=False),
-                help="robot.toml that describes the robot; merged over the one in the log.",
+                type=RobotFile(path_type=Path, exists=True, dir_okay=False),
+                help="robot.toml that describes the robot; merged over the one in the log. Of many logs "
+                "(--robot-from): 'robots/{robot}.toml'.",
             ),
             click.option(
                 "--set",
@@ -105,6 +116,12 @@ def log_options(command: F) -> F:
                 help="Reference poses beside the log: a .tum, or a .csv with columns t, x, y (theta).",
             ),
             click.option("--strict", is_flag=True, help="Exit with 3 on any loss of data."),
+            click.option(
+                "--hash",
+                "hash_all",
+                is_flag=True,
+                help="Read and hash every byte of the log for the report.  [default: only if all bytes are read]",
+            ),
             click.option("-q", "--quiet", is_flag=True, help="Print no progress and no notes."),
         )
     ):

@@ -24,9 +24,9 @@ from locfuse.fusion.data import Ints, LocfuseError, UsageError
 
 from . import clock as clocks
 from .file_stream import FileStream, is_file_topic, read_file
-from .files import log_files, log_name, open_source
-from .number_stream import NUMBER, NumberStream, field_of
-from .stream import LogStream
+from .files import log_name, open_source
+from .identity import Identity, files_of, identity_of
+from .stream import NUMBER, LogStream, NumberStream, field_of
 from .table import Raw, Table, dated, digest
 from .topics import Topic, UnreadableTopicError, by_topic
 from .transform_stream import TF_FIELDS, TRANSFORM, Edge, TransformStream, edges_of, loop_in, pair_of
@@ -37,7 +37,7 @@ TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 def open_log(paths: Sequence[Path]) -> Log:
     """Open one log made of the given files and folders; messages are merged by topic over all files."""
-    files = sorted({file for path in paths for file in log_files(path)}, key=lambda file: (file.name, str(file)))
+    files = files_of(paths)
     losses = Losses()
     return Log(files, [open_source(file, losses) for file in files], log_name(paths), losses)
 
@@ -66,6 +66,16 @@ class Log:
         for source in self._sources:
             source.data.feed(state.update)
         return state.hexdigest()
+
+    @property
+    def all_read(self) -> bool:
+        """Whether every byte of the files was read, so that their hash costs no reading."""
+        return all(source.data.all_read for source in self._sources)
+
+    @cached_property
+    def identity(self) -> Identity:
+        """What the content is known by without reading all of it."""
+        return identity_of(self.paths)
 
     @cached_property
     def attachments(self) -> dict[str, bytes]:

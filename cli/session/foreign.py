@@ -8,14 +8,13 @@ from typing import cast
 
 import numpy as np
 
+from locfuse.cli.pipeline.load import Loaded
 from locfuse.formats.log.log import Log
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Estimates, LocfuseError, Stream, UsageError, matrices
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import gap_limit
 from locfuse.fusion.wheels.odometry import POSE
-
-from .load import Loaded
 
 NAME = re.compile(r"[A-Za-z][\w.-]*")
 COVARIANCE = "pose.covariance"
@@ -55,21 +54,6 @@ def foreign_estimates(loaded: Loaded, sources: Mapping[str, str], taken: Collect
         if name in taken:
             raise UsageError(f"--estimate {name}: that is the name of a configuration; choose another")
     return [_read(loaded.log, loaded.drive, name, source) for name, source in sources.items()]
-
-
-def other_frame(estimates: Estimates, drive: Drive) -> float | None:
-    """Return how far [m] a foreign estimate begins from the truth, where that means another frame; else None."""
-    if drive.truth is None or estimates.truth_pose is None:
-        return None
-    rows = np.flatnonzero(np.isfinite(estimates.truth_pose[:, 0]))
-    if not len(rows):
-        return None
-    first, pose = rows[0], estimates.truth_pose[rows[0]]
-    point = se2.transform(pose[None], np.array([drive.truth.point]))[0]
-    away = float(np.hypot(*(point - drive.truth.xy[first])))
-    theta = drive.truth.theta
-    turned = 0.0 if theta is None else abs(float(se2.wrap_all(np.array([pose[2] - theta[first]]))[0]))
-    return away if away > OTHER_FRAME_M or turned > OTHER_FRAME_RAD else None
 
 
 def _read(log: Log, drive: Drive, name: str, source: str) -> Estimates:

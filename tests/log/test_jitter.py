@@ -16,7 +16,8 @@ T0 = 1_700_000_000 * S
 def steady(n: int = 4000, uneven_ms: float = 5.0) -> Ints:
     """A stream at 8 Hz whose period varies."""
     steps = 120.0 + np.random.default_rng(1).normal(0.0, uneven_ms, n)
-    return T0 + np.rint(np.cumsum(np.maximum(steps, 5.0)) * MS).astype(np.int64)
+    stamps: Ints = T0 + np.rint(np.cumsum(np.maximum(steps, 5.0)) * MS).astype(np.int64)
+    return stamps
 
 
 def set_back(truth: Ints, share: float = 0.05, most: float = 0.9) -> Ints:

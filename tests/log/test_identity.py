@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 from commands import locfuse
@@ -26,7 +27,7 @@ def raw(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Uncompressed pictures in chunks of 1 MB with small messages between them: the shape of a raw-image bag."""
     path = tmp_path_factory.mktemp("raw") / "raw.mcap"
     with path.open("wb") as file:
-        writer = Writer(file, chunk_size=1 << 20, compression=CompressionType.NONE)
+        writer: Any = Writer(file, chunk_size=1 << 20, compression=CompressionType.NONE)
         writer.start()
         schema = writer.register_schema("a/msg/B", "ros2msg", b"uint8[] data")
         pictures, ticks = (writer.register_channel(topic, "cdr", schema) for topic in ("/raw", "/ticks"))

@@ -16,9 +16,10 @@ from locfuse.cli.choose.mounts import mount_tables
 from locfuse.cli.choose.topics import Choice
 from locfuse.formats.caps import MAX_ROBOT_TOML
 from locfuse.formats.inputs import read_small
+from locfuse.formats.log.labels import labels
 from locfuse.formats.log.log import Log, open_log
 from locfuse.formats.robot import robot_toml
-from locfuse.fusion.data import Drive, LocfuseError, Measurements, UsageError
+from locfuse.fusion.data import Drive, Event, LocfuseError, Measurements, UsageError
 from locfuse.fusion.doctor.clocks import lag_notes
 from locfuse.fusion.measure import measure
 from locfuse.fusion.paper import preset as filters
@@ -49,6 +50,7 @@ class Loaded:
     tables: Mapping[str, Any] = field(default_factory=dict)  # robot.toml as merged, without mounts from /tf_static
     asked: Mapping[str, Any] | None = None  # what the user gave of them; None: the result has no key
     hash_all: bool = False  # whether every byte is to be hashed
+    labels: tuple[Event, ...] = ()  # faults that the log labels itself
 
 
 def find_log(words: Sequence[str]) -> list[Path]:
@@ -120,7 +122,7 @@ def measured(
     chosen = (f"wheels: {note}" for note in choice.notes)
     notes = (*preset, *chosen, *_clock_notes(streams), *_start_notes(robot, drive), *drive.notes, *lags)
     drive = replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes})
-    return Loaded(log, robot, choice, drive, tables)
+    return Loaded(log, robot, choice, drive, tables, labels=tuple(labels(log, drive, robot.order)))
 
 
 def _refuse_lost_wheels(log: Log, choice: Choice, streams: Mapping[str, Any]) -> None:

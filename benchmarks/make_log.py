@@ -23,7 +23,7 @@ if not __package__:  # run as a script: python benchmarks/make_log.py
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks import recorded
 from benchmarks.loop_drive import LANDMARK, Array, Loop, walls
-from benchmarks.recorded import Camera, Compass, Encoders, Laser, Truth, nanoseconds
+from benchmarks.recorded import Camera, Compass, Encoders, Laser, RawPictures, Truth, nanoseconds
 
 LATENCY_NS = 2_000_000  # from a reading's stamp to the recorder
 BLOCK = 30.0  # s of log in memory at a time
@@ -108,6 +108,7 @@ def size(_context: click.Context, _option: click.Parameter, text: str) -> tuple[
 @click.option("--truth-hz", default=10.0, show_default=True)
 @click.option("--image-hz", default=0.0, show_default=True)
 @click.option("--image-size", default="640x480", callback=size, show_default=True)
+@click.option("--raw-image-hz", default=0.0, show_default=True, help="Uncompressed pictures that nothing reads.")
 @click.option("--beams", default=361, show_default=True)
 @click.option("--sweep", default=0.0, show_default=True, help="Seconds from a scan's first beam to its last.")
 @click.option("--walls", "count", default=12, type=click.IntRange(4, 64), show_default=True)
@@ -130,6 +131,9 @@ def main(out: Path, seed: int, **options: Any) -> None:
     if camera is not None:
         name = "/omni/image/compressed"
         topics.append(Topic(name, "sensor_msgs/msg/CompressedImage", options["image_hz"], camera.messages))
+    if options["raw_image_hz"]:
+        raw = RawPictures(rng[1], options["image_size"])
+        topics.append(Topic("/front/image_raw", "sensor_msgs/msg/Image", options["raw_image_hz"], raw.messages))
     topics = [topic for topic in topics if topic.rate > 0]
     seconds = 60.0 * options["minutes"]
     count = write(out, topics, seconds, options["chunk_size"], options["compression"], robot_toml(camera))

@@ -58,6 +58,7 @@ FRAMES = {
     "sensor_msgs/msg/MagneticField": "base_link",
     "sensor_msgs/msg/LaserScan": "laser",
     "sensor_msgs/msg/CompressedImage": "omni_camera",
+    "sensor_msgs/msg/Image": "front_camera",
     "geometry_msgs/msg/PoseStamped": "map",
 }
 
@@ -153,6 +154,22 @@ class Camera:
             jpeg = self.view.jpeg(pose)
             found.append(self.head[:4] + stamp.tobytes() + self.head[12:] + struct.pack("<I", len(jpeg)) + jpeg)
         return found
+
+
+class RawPictures:
+    """Pictures as a driver sends them, uncompressed: nothing reads them, and they are nearly all of a log."""
+
+    def __init__(self, rng: np.random.Generator, size: tuple[int, int]) -> None:
+        width, height = size
+        self.pixels = rng.integers(0, 256, 3 * width * height, np.uint8).tobytes()
+        shape = {"height": height, "width": width, "encoding": "rgb8", "is_bigendian": 0, "step": 3 * width}
+        empty = cdr("sensor_msgs/msg/Image", {**shape, "data": b""})
+        self.head = empty[: len(empty) - 4]  # less the length of the data
+
+    def messages(self, t: Array) -> list[bytes]:
+        """Return a picture at each t (n,) [s] as CDR."""
+        data = struct.pack("<I", len(self.pixels)) + self.pixels
+        return [self.head[:4] + stamp.tobytes() + self.head[12:] + data for stamp in stamps(t)]
 
 
 class Truth:

@@ -20,6 +20,7 @@ from locfuse.cli.session.session import Session
 from locfuse.fusion.data import LocfuseError, UsageError
 
 from .job import Cell, Job, Outcome
+from .resume import is_torn
 
 ORPHANED = 1  # exit code where the command that started it is gone
 
@@ -69,7 +70,8 @@ def compare(job: Job) -> None:
             smooth=job.asked.smooth,
             audits=False,
         )
-        found.write(job.place(cell), write=job.kinds, export=job.export, overwrite=job.overwrite)
+        folder = job.place(cell)
+        found.write(folder, write=job.kinds, export=job.export, overwrite=job.overwrite or is_torn(folder))
         if job.figures is not None:
             found.write_figures(Path(job.figures) / cell.name.replace(" ", ","))
 

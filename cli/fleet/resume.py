@@ -15,11 +15,13 @@ from locfuse.cli.pipeline.load import find_log
 from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.inputs import read_small
 from locfuse.formats.log.identity import files_of, identity_of
+from locfuse.formats.whole_files import TEMPORARY
 from locfuse.fusion.data import LocfuseError
 
 from .job import Cell, Job
 
 REPORT = "report.json"
+OTHERS = ("robot.toml", "estimates.mcap")  # files of a result that are of no kind of output
 OF_KIND = {"html": "report.html", "md": "report.md", "csv": "report.csv", "tex": "report.tex", "json": REPORT}
 
 
@@ -48,6 +50,13 @@ def _is_there(job: Job, cell: Cell, changed_ns: int, expected: str) -> bool:
     names = [OF_KIND[kind] for kind in job.kinds if kind in OF_KIND]
     names += [f"{name}.tum" for name in report["configurations"]] if "tum" in job.kinds else []
     return all((folder / name).is_file() for name in names)
+
+
+def is_torn(folder: Path) -> bool:
+    """Tell whether a folder holds nothing but files of a result: one whose writing was ended by force."""
+    known = {*OF_KIND.values(), *OTHERS}
+    names = [path.name for path in folder.iterdir()] if folder.is_dir() else []
+    return all(name in known or name.endswith((".tum", TEMPORARY)) for name in names)
 
 
 def read_report(folder: Path) -> dict[str, Any] | None:

@@ -18,7 +18,7 @@ from locfuse.formats.figures import palette
 from locfuse.formats.figures.palette import Trace
 from locfuse.formats.figures.svg import slugs_of
 from locfuse.formats.report import summary as over
-from locfuse.formats.report.html import section_drawings, style_sheet
+from locfuse.formats.report.html import TONES, section_drawings, style_sheet
 from locfuse.formats.report.render import SIGNS, Swatches, html, html_text
 from locfuse.formats.report.table import Column, Table, of_values
 from locfuse.formats.report.tables import RMSE
@@ -62,6 +62,8 @@ def render(summary: Mapping[str, Any], entries: Sequence[Entry], sensors: Mappin
         failures=_cut(_failures(entries)),
         losses=_cut(_losses(entries)),
         signs=SIGNS,
+        slugs=slugs,
+        tones=TONES,
     )
     return str(page).strip() + "\n"
 

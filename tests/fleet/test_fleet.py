@@ -1,0 +1,298 @@
+"""Many logs: a job each, failed ones are rows, finished ones are not run again, whatever ends the run."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+import pytest
+from commands import locfuse
+
+from benchmarks.fleet import killed, tables, write_logs
+from locfuse.cli.fleet import process
+from locfuse.cli.fleet.job import Job, Outcome
+from locfuse.cli.fleet.queue import Standing, duration, run_all
+from locfuse.cli.fleet.words import expanded
+from locfuse.cli.pipeline.key import Asked
+from locfuse.formats.whole_files import RUN_LOCK, sole_writer
+from locfuse.fusion.data import UsageError
+
+ONE = ("--sensors", "odometry", "--sensors", "compass", "--write", "json,csv", "-q")
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Four light drives of two robots: fleet/r0/a.mcap, ..."""
+    folder = tmp_path_factory.mktemp("fleet") / "fleet"
+    made = write_logs(
+        folder / "made", 4, ("camera.enabled=false", "lrf.enabled=false", "path.legs=[{forward=1.5}]")
+    )
+    places = [folder / f"r{i // 2}" / f"drive{'ab'[i % 2]}{i}.mcap" for i in range(4)]
+    for source, place in zip(made, places, strict=True):
+        place.parent.mkdir(exist_ok=True)
+        source.rename(place)
+    return places
+
+
+def rows(folder: Path) -> list[dict[str, str]]:
+    with (folder / "summary.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_log_that_cannot_be_read_is_a_row_and_the_others_are_compared(logs: list[Path], tmp_path: Path) -> None:
+    bad = tmp_path / "bad.mcap"
+    bad.write_text("no log at all")
+    done = locfuse("compare", logs[0], bad, tmp_path / "gone.mcap", logs[1], "-o", tmp_path / "out", *ONE)
+    assert done.exit_code == 3, done.stderr
+    found = {(r["log"], r["configuration"]): r for r in rows(tmp_path / "out")}
+    assert found["bad", ""]["state"] == found["gone", ""]["state"] == "failed"
+    assert "not an MCAP file" in found["bad", ""]["reason"]
+    assert "no such log" in found["gone", ""]["reason"]
+    assert found[logs[1].stem, "compass"]["state"] == "done"
+    assert [r["log"] for r in rows(tmp_path / "out")] == [
+        *[logs[0].stem] * 2, "bad", "gone", *[logs[1].stem] * 2,
+    ]  # fmt: skip
+    assert done.stderr.count("failed: ") == 2
+    assert "2 failed" in done.stdout
+
+
+def test_all_logs_failing_is_an_error_and_all_by_a_wrong_word_is_misuse(logs: list[Path], tmp_path: Path) -> None:
+    for name in ("bad", "worse"):
+        (tmp_path / f"{name}.mcap").write_text("no log at all")
+    words = (tmp_path / "bad.mcap", tmp_path / "worse.mcap", "-o", tmp_path / "out", "--write", "json")
+    assert locfuse("compare", *words).exit_code == 1
+    wrong = locfuse("compare", *logs[:2], "-o", tmp_path / "b", "--sensors", "odometre")
+    assert wrong.exit_code == 2
+    assert "unknown sensor 'odometre'" in wrong.stderr
+    assert locfuse("compare", *logs[:2], "-o", tmp_path / "c", "--set", "lrf.sigmarange=1").exit_code == 2
+
+
+def test_a_finished_log_is_not_run_again_until_something_changes(
+    logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran: list[str] = []
+    real = process._in_a_process
+
+    def counted(job: Job) -> Outcome:
+        ran.append(job.name)
+        return real(job)
+
+    monkeypatch.setattr(process, "_in_a_process", counted)
+    own = [tmp_path / log.name for log in logs[:2]]
+    for source, copy in zip(logs, own, strict=False):
+        shutil.copy2(source, copy)
+    out = tmp_path / "out"
+
+    def names(*words: Any) -> list[str]:
+        ran.clear()
+        done = locfuse("compare", *own, "-o", out, *ONE, *words)
+        assert done.exit_code == 0, done.stderr
+        return sorted(ran)
+
+    every = sorted(p.stem for p in own)
+    assert names() == every
+    before = tables(out)
+    assert names() == []
+    assert tables(out) == before
+    assert names("--again") == every
+    assert names("--set", "compass.sigma_deg=5") == every  # other settings
+    assert names() == every  # and back
+    (out / own[0].stem / "report.json").unlink()
+    assert names() == [own[0].stem]
+    later = time.time() + 60
+    os.utime(own[1], (later, later))  # written to after the result
+    assert names() == [own[1].stem]
+
+
+def test_a_setting_in_a_file_is_the_setting_on_the_command_line(
+    logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    first = locfuse("compare", *logs[:2], "-o", out, *ONE, "--set", "compass.sigma_deg=5")
+    assert first.exit_code == 0, first.stderr
+    (tmp_path / "robot.toml").write_text("# a comment\n[compass]\nsigma_deg = 5\n")
+    monkeypatch.setattr(process, "_in_a_process", lambda job: pytest.fail(f"{job.name} was run again"))
+    again = locfuse("compare", *logs[:2], "-o", out, *ONE, "--robot", tmp_path / "robot.toml")
+    assert again.exit_code == 0, again.stderr
+
+
+def test_a_run_that_is_killed_and_started_again_equals_one_that_is_left_alone(
+    logs: list[Path], tmp_path: Path
+) -> None:
+    words = ("--write", "json,csv,html", "-q")
+    assert locfuse("compare", *logs, "-o", tmp_path / "alone", *words).exit_code == 0
+    found, _ = killed(logs, tmp_path / "killed", times=3, seed=5)
+    assert found == tables(tmp_path / "alone")
+
+
+def test_two_jobs_at_once_give_the_files_of_one(logs: list[Path], tmp_path: Path) -> None:
+    for jobs in (1, 2):
+        words = ("-o", tmp_path / str(jobs), "--jobs", jobs, *ONE)
+        assert locfuse("compare", *logs, *words).exit_code == 0
+    assert tables(tmp_path / "1") == tables(tmp_path / "2")
+
+
+def test_a_process_that_is_killed_is_a_row_that_names_the_signal(
+    logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dies = (sys.executable, "-c", "import os, signal; os.kill(os.getpid(), signal.SIGKILL)")
+    monkeypatch.setattr(process, "COMMAND", dies)
+    done = locfuse("compare", *logs[:2], "-o", tmp_path / "out", *ONE)
+    assert done.exit_code == 1
+    assert "ended by signal 9 (SIGKILL)" in done.stderr
+    monkeypatch.setattr(process, "COMMAND", (sys.executable, "-c", "raise SystemError('odd')"))
+    done = locfuse("compare", *logs[:2], "-o", tmp_path / "out", *ONE)
+    assert "its process ended with code 1: SystemError: odd" in done.stderr
+
+
+def test_a_job_ends_with_the_command_that_started_it() -> None:
+    with subprocess.Popen(
+        process.COMMAND, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as child:
+        assert child.stdin is not None
+        job = b'{"name":"a","log":["/dev/stdin"],"folder":"/nowhere","asked":{"sensors":[],"all_subsets":false,'
+        child.stdin.write(job + b'"align":"none","smooth":false},"kinds":["json"]}\n')
+        child.stdin.close()
+        assert child.wait(60) in {0, 1}
+
+
+def test_ctrl_c_keeps_what_is_done(logs: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    slow = tmp_path / "slow.py"  # the first log is compared, every other one takes for ever
+    slow.write_text(
+        "import sys, time, msgspec\nfrom locfuse.cli.fleet.child import outcome\n"
+        "from locfuse.cli.fleet.job import Job\n"
+        "job = msgspec.json.decode(sys.stdin.buffer.readline(), type=Job)\n"
+        f"job.name == {logs[0].stem!r} or time.sleep(600)\n"
+        "print(msgspec.json.encode(outcome(job)).decode())\n"
+    )
+    code = (
+        "import sys\nfrom locfuse.cli.fleet import process\n"
+        f"process.COMMAND = (sys.executable, {str(slow)!r})\n"
+        "from locfuse.cli.main import main\nmain(sys.argv[1:])\n"
+    )
+    command = (sys.executable, "-c", code, "compare", *map(str, logs), "-o", str(out), "--jobs", "2", *ONE)
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
+        until = time.monotonic() + 120
+        while not (out / logs[0].stem / "report.json").exists() and time.monotonic() < until:
+            time.sleep(0.1)
+        time.sleep(2.0)  # its process says so and ends
+        run.send_signal(signal.SIGINT)
+        _, words = run.communicate(timeout=120)
+    assert run.returncode == 130, words
+    assert "the same command goes on with the rest" in words
+    states = {r["log"]: r["state"] for r in rows(out)}
+    assert states[logs[3].stem] == "not run"
+    assert (out / logs[0].stem / "report.json").is_file()
+
+
+def test_two_runs_do_not_share_a_folder(logs: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    with sole_writer(out, RUN_LOCK):
+        done = locfuse("compare", *logs[:2], "-o", out, *ONE)
+    assert done.exit_code == 1
+    assert f"is being written by process {os.getpid()}" in done.stderr
+
+
+class Failing:
+    """An executor that runs nothing and fails everything."""
+
+    def submit(self, _fn: Any, job: Job, /) -> Future[Outcome]:
+        future: Future[Outcome] = Future()
+        future.set_result(Outcome(job.name, "failed", "no luck"))
+        return future
+
+
+def job(name: str) -> Job:
+    return Job(name=name, log=(name,), folder=name, asked=Asked((), False, "none", False), kinds=("json",))
+
+
+def test_too_many_failures_stop_the_queue() -> None:
+    jobs = [job(str(i)) for i in range(100)]
+    seen: list[str] = []
+    ended = run_all(jobs, Failing(), 1, 2, lambda standing, outcome: seen.append(standing.words()))
+    assert 3 <= len(ended.outcomes) < 100
+    assert "more than 2 logs failed" in ended.stopped
+    assert seen[0].startswith("0 done, 1 failed, 99 left")
+    assert len(run_all(jobs, Failing(), 1, None, lambda standing, outcome: None).outcomes) == 100
+
+
+def test_progress_says_how_long_it_will_take() -> None:
+    standing = Standing(10, done=4, failed=1, resumed=3, began=time.monotonic() - 20.0)
+    assert standing.seconds_left == pytest.approx(50.0, rel=0.01)  # two were run in 20 s, five are left
+    assert standing.words() == "4 done, 1 failed, 5 left, about 50 s"
+    assert [duration(s) for s in (89.0, 600.0, 7200.0)] == ["89 s", "10 min", "2.0 h"]
+
+
+def test_lists_patterns_and_folders_name_logs(logs: list[Path], tmp_path: Path) -> None:
+    listed = tmp_path / "logs.txt"
+    listed.write_text(f"# two of them\n{logs[0]}\n\n{logs[3].parent}/*.mcap\n")
+    assert expanded([f"@{listed}"]) == [str(p) for p in (logs[0], logs[2], logs[3])]
+    assert expanded([str(logs[0].parent.parent / "r*" / "*.mcap")]) == [str(p) for p in logs]
+    root = logs[0].parent.parent
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    shutil.copy(logs[0], bag)
+    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information: {}")
+    (tmp_path / "result").mkdir()
+    (tmp_path / "result" / "report.json").write_text("{}")
+    shutil.copy(logs[0], tmp_path / "result" / "estimates.mcap")
+    assert expanded([], [root]) == [str(p) for p in logs]
+    assert expanded([], [tmp_path]) == [str(bag)]
+    for words in (["*.nothing"], [f"@{tmp_path / 'robot.toml'}"]):
+        with pytest.raises((UsageError, Exception), match=r"nothing fits|cannot be read"):
+            expanded(words)
+
+
+def test_a_list_gives_a_summary_even_of_one_log(logs: list[Path], tmp_path: Path) -> None:
+    (tmp_path / "logs.txt").write_text(f"{logs[0]}\n")
+    done = locfuse("compare", f"@{tmp_path / 'logs.txt'}", "-o", tmp_path / "out", *ONE)
+    assert done.exit_code == 0, done.stderr
+    assert (tmp_path / "out" / logs[0].stem / "report.json").is_file()
+
+
+def test_a_robot_has_its_own_settings(logs: list[Path], tmp_path: Path) -> None:
+    for robot, sigma in (("r0", 4.0), ("r1", 9.0)):
+        (tmp_path / f"{robot}.toml").write_text(f"[compass]\nsigma_deg = {sigma}\n")
+    words = ("--robot-from", r"/(?P<robot>r\d)/", "--robot", tmp_path / "{robot}.toml", "-o", tmp_path / "out")
+    done = locfuse("compare", *logs, *words, *ONE)
+    assert done.exit_code == 0, done.stderr
+    for log, sigma in zip(logs, (4.0, 4.0, 9.0, 9.0), strict=True):
+        report = json.loads((tmp_path / "out" / log.stem / "report.json").read_text())
+        assert report["settings"]["compass"]["sigma_deg"] == sigma
+    assert {r["log"]: r["robot"] for r in rows(tmp_path / "out")} == {log.stem: log.parent.name for log in logs}
+    (tmp_path / "r1.toml").unlink()
+    done = locfuse("compare", *logs, *words, *ONE)
+    assert done.exit_code == 3
+    assert "r1.toml is no file" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--robot-from", "fleet/r"), "in a group"),
+        (("--robot-from", "(r"), "not a regular expression"),
+        (("--robot", "robots/{robot}.toml"), "--robot-from REGEX"),
+        (("--sweep", "compass.sigma_deg"), "write it like"),
+        (("--sweep", "compass.sigmadeg=1,2"), "did you mean"),
+        (("--rerun-save", "a.rrd"), "one log at a time"),
+        (("--baseline", __file__), "not a summary.json"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_before_any_log_is_read(
+    logs: list[Path], tmp_path: Path, words: tuple[str, ...], said: str
+) -> None:
+    done = locfuse("compare", *logs, "-o", tmp_path / "out", *words)
+    assert done.exit_code in {1, 2}
+    assert said in done.stderr
+    assert not (tmp_path / "out").exists() or not list((tmp_path / "out").glob("drive*"))

@@ -1,0 +1,204 @@
+"""What is said over all logs: rows, statistics by robot, gates, the page. Against SciPy and pyarrow."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet
+import pytest
+from scipy import stats
+
+from benchmarks.fleet import simulated_files, simulated_report
+from locfuse.cli.fleet.gates import FleetGates
+from locfuse.cli.session.replicates import mean_over
+from locfuse.cli.session.summary import summarised
+from locfuse.formats.fleet.entry import Entry, slim
+from locfuse.formats.fleet.files import KINDS, summary_files
+from locfuse.formats.fleet.rows import Rows, csv
+from locfuse.formats.report import summary as over
+from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.sensors.registry import colours
+
+RMSE = "position_rmse_m"
+
+
+def entry(name: str, robot: str | None, figures: dict[str, float | None], **more: Any) -> Entry:
+    """A log of a robot with these position errors by configuration."""
+    report = simulated_report(np.random.default_rng(0), int(more.pop("log", 0)), 0)
+    base = report["configurations"]["all"]
+    report["configurations"] = {c: {**base, "configuration": c, RMSE: v} for c, v in figures.items()}
+    report["input"]["identity"] = more.pop("identity", name)
+    return Entry(name, robot, report=slim({"": {**report, **more}}))
+
+
+def test_ten_thousand_rows_fit_a_small_page_and_lose_nothing() -> None:
+    files = simulated_files(10_000)
+    assert len(files["summary.html"]) < 3_000_000
+    table = pyarrow.parquet.read_table(io.BytesIO(files["fleet.parquet"]))
+    lines = files["summary.csv"].splitlines()
+    assert table.num_rows == len(lines) - 1 == 2000 * 5 - 40 * 4  # one row of each log that failed
+    assert table.column_names == lines[0].split(",")
+    errors = table.column(RMSE).to_pylist()
+    at = table.column_names.index(RMSE)
+    assert [None if e is None else repr(e) for e in errors[:500]] == [
+        line.split(",")[at] or None for line in lines[1:501]
+    ]
+    assert sum(state == "failed" for state in table.column("state").to_pylist()) == 40
+
+
+def test_the_mean_is_of_robots_and_its_interval_students_t_over_them() -> None:
+    errors = {"r1": (0.1, 0.3, 0.2), "r2": (0.5,), "r3": (0.4, 0.2)}
+    entries = [
+        entry(f"{robot}-{i}", robot, {"all": e}) for robot, found in errors.items() for i, e in enumerate(found)
+    ]
+    summary = summarised(entries)
+    figure = summary["configurations"]["all"]["figures"][RMSE]
+    means = [np.mean(found) for found in errors.values()]
+    low, high = stats.t.interval(0.95, 2, np.mean(means), stats.sem(means))
+    assert figure["mean"] == pytest.approx(np.mean(means))
+    assert (figure["low"], figure["high"]) == pytest.approx((low, high), rel=1e-4)
+    assert (figure["replicates"], figure["logs"]) == (3, 6)
+    assert summary["replicates"] == {"of": "robots", "robots": 3, "logs": 6}
+    assert figure["p90"] == pytest.approx(np.percentile([e for found in errors.values() for e in found], 90))
+
+
+def test_a_single_replicate_has_no_interval() -> None:
+    assert mean_over([0.2]) == (0.2, None, None, 1)
+
+
+def test_equal_configurations_tie_and_different_ones_do_not() -> None:
+    rng = np.random.default_rng(2)
+    entries = [
+        entry(str(i), f"r{i}", {"lrf": e, "all": e * math.exp(0.1 * rng.standard_normal()), "odometry": 9 * e})
+        for i, e in enumerate(rng.uniform(0.1, 0.2, 12))
+    ]
+    summary = summarised(entries)
+    assert len(summary["ties"]) == 1
+    assert {summary["best"], *summary["ties"]} == {"lrf", "all"}
+    assert "A tie with" in over.headline(summary)
+    assert "12 robots cannot tell them apart" in over.headline(summary)
+
+
+def test_what_a_sensor_does_is_averaged_within_a_robot_first() -> None:
+    effects = {"r1": (0.2, 0.4), "r2": (0.9,), "r3": (1.2, 1.0)}
+    entries = []
+    for robot, found in effects.items():
+        for i, ln in enumerate(found):
+            report = simulated_report(np.random.default_rng(0), 0, 0)
+            for sensor in report["credit"]["sensors"].values():
+                sensor["alone"] = {"ln": ln, "expected": 2.0}
+            entries.append(Entry(f"{robot}{i}", robot, report=slim({"": report})))
+    alone = summarised(entries)["credit"]["sensors"]["lrf"]["alone"]
+    means = [np.mean(found) for found in effects.values()]
+    low, high = stats.t.interval(0.95, 2, np.mean(means), stats.sem(means))
+    assert alone["ln"] == pytest.approx(np.mean(means))
+    assert (math.log(alone["low"]), math.log(alone["high"])) == pytest.approx((low, high), rel=1e-4)
+
+
+def fleet(scale: float = 1.0, count: int = 11) -> dict[str, Any]:
+    return summarised([entry(str(i), None, {"all": scale * (0.01 + 0.001 * i)}) for i in range(count)])
+
+
+@pytest.mark.parametrize(
+    ("gate", "line"),
+    [
+        ("fleet.all.position_rmse_m.p90 > 0.018", "it is 0.019"),
+        ("fleet.all.position_rmse_m.p90 > 0.0195", None),
+        ("fleet.all.position_rmse_m.worst >= 0.02", "it is 0.02"),
+        ("fleet.failed > 0", "it is 1"),
+        ("fleet.lrf.position_rmse_m.p90 > 1", "no such configuration"),
+        ("fleet.all.position_rmse_m > 1", "name a statistic"),
+        ("fleet.all.height_m.p90 > 1", "no such figure"),
+    ],
+)
+def test_a_gate_over_all_logs(gate: str, line: str | None) -> None:
+    summary = fleet()
+    summary["logs"]["broken"] = {"state": "failed"}
+    found = FleetGates.read([gate], None, "5%").of_fleet(summary)
+    assert bool(found) == (line is not None)
+    assert line is None or line in found[0]
+
+
+def test_gates_without_fleet_are_for_every_log() -> None:
+    gates = FleetGates.read(["all.position_rmse_m > 0.1"], None, "5%")
+    assert gates.of_fleet(fleet()) == []
+    assert gates.of_log("a", {"configurations": {"all": {RMSE: 0.2}}}) == [
+        "a: all.position_rmse_m > 0.1: it is 0.2"
+    ]
+
+
+def test_a_baseline_is_a_summary_of_the_same_logs(tmp_path: Path) -> None:
+    path = tmp_path / "summary.json"
+    path.write_text(json.dumps(fleet()))
+    gates = FleetGates.read([], path, "5%")
+    assert gates.of_fleet(fleet()) == []
+    assert gates.of_fleet(fleet(1.04)) == []
+    worse = gates.of_fleet(fleet(1.06))
+    assert any(line.startswith("fleet.all.position_rmse_m.p90: 0.02014 is more") for line in worse)
+    assert "1 of its logs have no result now (10)" in gates.of_fleet(fleet(count=10))[0]
+    assert "1 logs are not in it (11)" in gates.of_fleet(fleet(count=12))[0]
+    path.write_text("{}")
+    with pytest.raises(LocfuseError, match=r"not a summary\.json"):
+        FleetGates.read([], path, "5%")
+
+
+def page(entries: list[Entry]) -> str:
+    found = summary_files(summarised(entries), entries, {"html"}, colours())["summary.html"]
+    assert isinstance(found, str)
+    return found
+
+
+def test_the_page_links_the_worst_logs_and_shows_robots_failures_and_days() -> None:
+    entries = [entry(f"log {i}", f"r{i % 3}", {"all": 0.01 * (i + 1)}, log=20 * i) for i in range(15)]
+    entries.append(Entry("torn", "r1", "failed", "torn.mcap: not an MCAP file: empty (0 bytes)"))
+    found = page(entries)
+    worst = found[found.index('id="worst"') : found.index('id="robots"')]
+    assert worst.index('href="log%2014/report.html"') < worst.index('href="log%2013/report.html"')
+    assert worst.count("/report.html") == 10
+    assert "not an MCAP file: empty" in found[found.index('id="failures"') :]
+    assert "15 logs of 3 robots" in found
+    assert "days since 2026-01-01" in found
+    assert 'id="distribution"' in found
+    assert "<script" not in found
+
+
+def test_names_of_logs_and_reasons_are_no_markup_on_the_page() -> None:
+    evil = '<script>alert(1)</script>"onload=x'
+    entries = [
+        entry(evil, evil, {"all": 0.1}),
+        entry("b", evil, {"all": 0.2}),
+        Entry(evil + "2", None, "failed", evil),
+    ]
+    assert "<script" not in page(entries)
+    assert 'href="javascript:' not in page([entry("javascript:alert(1)", None, {"all": 0.1})])
+
+
+def test_logs_without_truth_and_without_any_result_have_a_page() -> None:
+    assert "None of these logs has a truth" in page(
+        [entry("a", None, {"all": None}), entry("b", "r", {"all": None})]
+    )
+    assert "No log could be compared" in page([Entry("a", None, "failed", "no")])
+
+
+def test_the_cells_of_a_sweep_are_columns_and_configurations() -> None:
+    reports = {f"lrf.x={x}": simulated_report(np.random.default_rng(x), 0, 0) for x in (1, 2)}
+    one = Entry("a", report=slim(reports), cells=tuple(reports))
+    header, *lines = csv(Rows([one], ["lrf.x"])).splitlines()
+    assert header.startswith("log,robot,start,configuration,cell,state,reason,lrf.x,")
+    assert len(lines) == 10
+    assert lines[0].split(",")[3:8] == ["odometry", "lrf.x=1", "done", "", "1"]
+    assert "all [lrf.x=2]" in summarised([one])["configurations"]
+
+
+def test_without_pyarrow_the_csv_stands_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    entries = [entry("a", None, {"all": 0.1})]
+    files = summary_files(summarised(entries), entries, KINDS, colours())
+    assert "fleet.parquet" not in files
+    assert "summary.csv" in files

@@ -7,8 +7,10 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import Estimates, Evaluation
+from locfuse.fusion.data import Estimates, Evaluation, Event
+from locfuse.fusion.judge.events import events_of_drive, events_of_run
 from locfuse.fusion.judge.nis_over_time import Running, running_nis
+from locfuse.fusion.measure import thinned
 from locfuse.fusion.sensors.registry import REGISTRY, colours
 from locfuse.fusion.wheels.states import WHEEL_STATES
 
@@ -120,5 +122,15 @@ def scene(compared: Compared, drawn: Drawn) -> Scene:
         nis={run: Stretches(*running) for run, running in drawn.nis.items()},
         nees_bounds=(chi_square(0.025, dof) / dof, chi_square(0.975, dof) / dof),
         components={sensor: REGISTRY[sensor].components for sensor in drive.measurements},
+        events=events(compared, drawn),
         states=WHEEL_STATES | {name: shown for s in REGISTRY.values() for name, shown in s.states.items()},
     )
+
+
+def events(compared: Compared, drawn: Drawn) -> list[Event]:
+    """Return what happened when: in the drive, by the log's own labels, and in the run whose audit is drawn."""
+    loaded, best = compared.loaded, drawn.best
+    found = [*loaded.labels, *events_of_drive(loaded.drive)]
+    if best is not None:
+        found += events_of_run(thinned(loaded.drive, best.rates) if best.rates else loaded.drive, best)
+    return sorted(found)

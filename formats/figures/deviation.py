@@ -6,12 +6,11 @@ import numpy as np
 
 from locfuse.fusion.data import Array, Evaluation
 
-from .panels import Band, Curve, Mark, Panel, Section
+from .panels import TIME, Band, Curve, Mark, Panel, Section
 from .scene import Scene, metres
 
 SIGMAS = 3.0
 MIN_ERROR_M = 1e-4  # m: a position error below is drawn there on logarithmic axes
-TIME = "time, s"
 OVERLAYS = {  # title, and its figure in the report
     "deviation_x": ("Deviation in x", "x_rmse_m"),
     "deviation_y": ("Deviation in y", "y_rmse_m"),

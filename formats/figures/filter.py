@@ -6,10 +6,9 @@ import numpy as np
 
 from locfuse.fusion.data import VERDICTS, Array, Audit, Component, Estimates, Evaluation
 
-from .panels import Band, Curve, Dots, Mark, Panel, Section
+from .panels import TIME, Band, Curve, Dots, Mark, Panel, Section
 from .scene import Scene
 
-TIME = "time, s"
 STRETCHES = 120  # of a drive, over which NEES is averaged for drawing
 GATE_BINS = 150  # of the gate timeline
 INNOVATION_SIGMAS = 2.0

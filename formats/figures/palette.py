@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
-from locfuse.fusion.data import VERDICTS, Colour, Estimates
+from locfuse.fusion.data import FAULT, LOST, REFUSED, REST, VERDICTS, Colour, Estimates
 
 
 class Trace(NamedTuple):
@@ -38,9 +38,9 @@ SETS = (  # of several sensors but not all: told apart by their dashes and names
     Colour("#b0413e", "#f08a80"),
     Colour("#4d7a1f", "#9fce62"),
 )
-REFUSED = Colour("#a3123a", "#e0566f")
+OUT = Colour("#a3123a", "#e0566f")
 ROLES = {  # what is drawn besides configurations
-    **dict.fromkeys(VERDICTS, REFUSED),
+    **dict.fromkeys(VERDICTS, OUT),
     "truth": TRUTH,
     "walls of the first scan": Colour("#9aa3af", "#667080"),
     "walls seen later": Colour("#cfc09f", "#6f6750"),
@@ -51,7 +51,10 @@ ROLES = {  # what is drawn besides configurations
     "unmatched": Colour("#c7843a", "#a8642a"),
     "lost": Colour("#3b3f46", "#b9bec7"),
     "disturbed": Colour("#6a1b6a", "#b06ab8"),
+    "fault": Colour("#b86e00", "#e0a040"),
+    "rest": Colour("#5f7f95", "#7f9fb5"),
 }
+EVENTS = {FAULT: "fault", LOST: "lost", REFUSED: "gate", REST: "rest"}  # kind of event -> role
 
 
 def traces_of(estimates: Iterable[Estimates]) -> dict[str, Trace]:

@@ -9,7 +9,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from locfuse.fusion.data import Array
+from locfuse.fusion.data import Array, Event
+
+TIME = "time, s"  # the label of a time axis
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,7 @@ class Panel:
     y_range: tuple[float, float] | None = None
     lanes: tuple[str, ...] = ()  # names of unit-high lanes on y, from the top
     keys: tuple[str, ...] = ()  # roles that need a legend of their own
+    events: tuple[Event, ...] = ()  # what happened when, shaded behind the marks of a time axis
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from locfuse.fusion.data import Array, Component, Drive, Estimates, Evaluation
+from locfuse.fusion.data import Array, Component, Drive, Estimates, Evaluation, Event
 
 MAX_CONFIGURATIONS = 8  # more curves in one panel say nothing
 
@@ -33,6 +33,7 @@ class Scene:
     nees_bounds: tuple[float, float] = (0.0, 0.0)  # of a single value per degree of freedom, 95 %
     components: Mapping[str, Sequence[Component]] = field(default_factory=dict)  # of innovations, by sensor
     states: Mapping[str, Sequence[Component]] = field(default_factory=dict)  # beyond the pose, by block
+    events: Sequence[Event] = ()  # of the drive and of the configuration with most sensors
 
     @property
     def best(self) -> Estimates:

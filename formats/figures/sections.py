@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from .panels import Section
+from dataclasses import replace
+
+from .panels import TIME, Section
 from .scene import Scene
 
 
@@ -15,4 +17,11 @@ def sections(scene: Scene) -> list[Section]:
     found = [trajectories(scene)]
     found += [deviations(scene), bands(scene)] if scene.has_truth else [uncertainty(scene)]
     found += [consistency(scene), innovations(scene), gates(scene), learnt(scene)]
-    return [s for s in found if s.panels]
+    return [_with_events(s, scene) for s in found if s.panels]
+
+
+def _with_events(section: Section, scene: Scene) -> Section:
+    """Return a section whose time axes show what happened when."""
+    events = tuple(scene.events)
+    panels = (replace(p, events=events) if p.x_label == TIME else p for p in section.panels)
+    return replace(section, panels=tuple(panels))

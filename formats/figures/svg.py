@@ -13,15 +13,17 @@ from html import escape
 
 import numpy as np
 
-from locfuse.fusion.data import Array
+from locfuse.fusion.data import REFUSED, Array, Event
 
 from . import ticks
+from .palette import EVENTS
 from .panels import Band, Curve, Dots, Mark, Panel, Strokes, ranges
 from .svg_path import band_path, curve_path, dots_path, free_path, strokes_path
 
 WIDTH, HEIGHT = 460, 216  # px of an ordinary panel; the page scales it
 TOP, BOTTOM, RIGHT = 20, 34, 10
 CHARACTER = 6.4  # px, of a tick label at 11 px
+MIN_SHADE, SHADE_FOOT = 1.0, 6.0  # px: width of an instant, height of what lies at the foot
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,9 @@ def svg(
         f'<title id="{ident}-t">{escape(panel.title)}</title><desc id="{ident}-d">{escape(panel.summary)}</desc>',
         f'<clipPath id="{ident}-c"><path d="M{left} {TOP}H{width - RIGHT}V{height - BOTTOM}H{left}z"/></clipPath>',
         _frame(panel, x, y),
-        f'<g clip-path="url(#{ident}-c)"><g transform="scale(.1)">',
+        f'<g clip-path="url(#{ident}-c)">',
+        *(_shade(event, x, y, slugs) for event in panel.events),
+        '<g transform="scale(.1)">',
         *(_mark(mark, x, y, slugs, dashed) for mark in panel.marks),
         "</g></g></svg>",
     ]
@@ -128,6 +132,15 @@ def _mark(mark: Mark, x: Axis, y: Axis, slugs: dict[str, str], dashed: Collectio
         return ""
     look = " truth" if mark.of == "truth" else " dash" if isinstance(mark, Curve) and mark.of in dashed else ""
     return f'<path class="{kind}{look} {slugs[mark.of]}" d="{d}"><title>{escape(mark.of)}</title></path>'
+
+
+def _shade(event: Event, x: Axis, y: Axis, slugs: dict[str, str]) -> str:
+    """Return what happened when as a stretch behind the curves; what was refused in a row lies at the foot."""
+    start, end = x.px(np.array([event.start, event.end])).tolist()
+    width = max(end - start, MIN_SHADE)
+    top = y.start - SHADE_FOOT if event.kind == REFUSED else y.end
+    box = f'x="{start:.1f}" y="{top:g}" width="{width:.1f}" height="{y.start - top:g}"'
+    return f'<rect class="shade {slugs[EVENTS[event.kind]]}" {box}><title>{escape(event.words)}</title></rect>'
 
 
 def _curve(mark: Curve, x: Axis, y: Axis, pixels: int) -> tuple[str, str]:

@@ -15,7 +15,7 @@ from locfuse.formats.figures import palette
 from locfuse.formats.figures.palette import Trace
 from locfuse.formats.figures.panels import Section
 from locfuse.formats.figures.svg import HEIGHT, WIDTH, slugs_of, svg
-from locfuse.fusion.data import Colour
+from locfuse.fusion.data import REFUSED, Colour
 
 from . import tables
 from .json_report import fingerprint
@@ -63,6 +63,7 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
         tones=TONES,
         strips=_strips(report),
         notes=notes_of(report),
+        events=_shaded(sections),
         roles=("truth", "bounds") if report["truth"] else ("bounds",),
     )
     return page.strip() + "\n"
@@ -90,6 +91,12 @@ def _table(shown: Table, swatches: Swatches | None, bars: Mapping[Path, float]) 
     from markupsafe import Markup
 
     return Markup(html(shown, swatches, bars))
+
+
+def _shaded(sections: Sequence[Section]) -> list[tuple[str, str]]:
+    """Return (words, role) of the kinds of events that are shaded in some figure."""
+    kinds = dict.fromkeys(e.kind for s in sections for p in s.panels for e in p.events)
+    return [("refused in a row" if kind == REFUSED else kind, palette.EVENTS[kind]) for kind in kinds]
 
 
 def style_sheet(css: str, roles: Mapping[str, Colour], slugs: Mapping[str, str]) -> str:

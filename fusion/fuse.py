@@ -91,6 +91,7 @@ class Filter:
             robot, list(self.models.values()), beliefs, any(map(any, self._listens.values()))
         )
         self._in_map: AnyBelief | InMap = self.belief  # the belief as it is seen from the map
+        self._rolling = [m for m in self.models.values() if type(m).rolled is not Model.rolled]
         self._mapping = [s for s in self._sensors if self.models[s].maps]
         for model in self.models.values():
             model.begin(robot.lines, self.belief)
@@ -108,6 +109,8 @@ class Filter:
     def advance(self, k: int, step: Step, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
         """Take the belief to instant k and correct it by every reading (sensor, i) that is due there."""
         self.belief.predict(*step)
+        for model in self._rolling:
+            model.rolled(step.u)
         for sensor, i in due:
             if sensor in self._mapping and self.models[sensor].begins_map(measurements[sensor], i):
                 self._begin_frame()

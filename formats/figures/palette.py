@@ -51,6 +51,7 @@ ROLES = {  # what is drawn besides configurations
     "unmatched": Colour("#c7843a", "#a8642a"),
     "lost": Colour("#3b3f46", "#b9bec7"),
     "disturbed": Colour("#6a1b6a", "#b06ab8"),
+    "repeated": Colour("#e4e7ec", "#2f353e"),
 }
 
 

@@ -22,9 +22,12 @@ from .laser_mount import seated
 from .line_map import AnyBelief, LineMap, about_middle
 from .pairing import Pair
 from .scan import Scan, Scans
+from .standing import Standing
 from .tidy import MIN_HITS, merge_doubles, prune
 
-UNMATCHED, AMBIGUOUS, NEW, LOST = (VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new", "lost"))
+UNMATCHED, AMBIGUOUS, NEW, LOST, REPEATED = (
+    VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new", "lost", "repeated")
+)
 TIDY_EVERY = 10  # scans
 # A scan in which only one line matches says little about whether the match is right: it must fit nearly perfectly.
 LONE_D2, LONE_ANGLE, LONE_OFFSET = 5.0, math.radians(3.0), 0.15
@@ -51,6 +54,8 @@ class LineTracker(Model):
         self._last: Association | None = None
         self._teach = True
         self._asked = -1  # the reading that `innovations` was asked for last
+        self._standing = Standing()
+        self._raw: Scan | None = None  # what that reading says: at rest the mean since the last use
 
     def blocks(self) -> list[Block]:
         """Return what is uncertain of the laser's mount."""
@@ -76,6 +81,10 @@ class LineTracker(Model):
         """Return whether scan i is the first with lines, or the first after all of the map was lost."""
         return self.maps and not self.map.ids.size and bool(m.first[i] < m.first[i + 1])
 
+    def rolled(self, u: Sequence[float]) -> None:
+        """Take in the wheels' motion: a robot that stands still learns nothing new."""
+        self._standing.rolled(u)
+
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
         """Associate the lines of scan i; each becomes one innovation with its verdict."""
         first, last = int(m.first[i]), int(m.first[i + 1])
@@ -83,13 +92,20 @@ class LineTracker(Model):
         if first == last:
             return []
         if len(self.map) == 0:
+            self._standing.forget()
+        raw = self._raw = self._standing.take(self._scans.read(m, first, last))
+        if raw is None:
+            self._teach = False
+            return [Innovation.unpredicted(row, REPEATED, 2, self._gate) for row in range(first, last)]
+        if len(self.map) == 0:
             return [Innovation.unpredicted(row, NEW, 2, self._gate) for row in range(first, last)]
-        scan = self._scan_of(m, first, last, belief)
+        scan = self._in_base(raw, belief)
         found = associate(scan, self.map, belief, self._gate)
         if self.guard is not None:
             found, self._teach = self.guard.watch(float(m.t[i]), scan, found, self.map, belief, self._gate)
         self._last = found
         if not self._teach:
+            self._standing.forget()
             return [Innovation.unpredicted(first + k, LOST, 2, self._gate) for k in range(last - first)]
         if self.mode == "grow":
             _refuse_a_lone_match(found)
@@ -139,29 +155,26 @@ class LineTracker(Model):
         if found is None:
             if self.guard is not None:
                 self.guard.begin_anew(float(m.t[i]), belief)
-            scan = self._scan_of(m, first, last, belief)
-            for k in range(last - first):
-                self._add(scan, k, belief)
+            self._add_all(range(last - first), belief)
             self._first_map = self._first_map or self.map.lines(belief)
             return
         for p in found.match:
             if p >= 0:
                 self._extend(found.pairs[p])
         if self.joint and isinstance(belief, JointBelief):
-            self._revise(m, first, last, found, belief)
+            uneven = m.extra["uneven"][first] if "uneven" in m.extra else np.zeros(2)
+            self._revise(uneven, found, belief)
+            if not uneven.any():
+                self._keep_floor(m.floor, belief)
 
-    def _revise(self, m: Measurements, first: int, last: int, found: Association, belief: JointBelief) -> None:
+    def _revise(self, uneven: Array, found: Association, belief: JointBelief) -> None:
         """Let lines that are states bend; in `grow` add what is new, drop what proved worthless, join doubles."""
-        uneven = m.extra["uneven"][first] if "uneven" in m.extra else np.zeros(2)
         if uneven.any():
             self._bend(found, uneven, belief)
         if self.mode != "grow":
             return
         new = [k for k, p in enumerate(found.match) if p < 0 and not found.near[k]]
-        if new:
-            scan = self._scan_of(m, first, last, belief)
-            for k in new:
-                self._add(scan, k, belief)
+        self._add_all(new, belief)
         if self._scan % TIDY_EVERY == 0:
             prune(self.map, belief, self._scan)
             merge_doubles(self.map, belief, self._scan, uneven)
@@ -179,9 +192,21 @@ class LineTracker(Model):
         room = np.repeat(uneven, len(seen)) - np.diagonal(belief.covariance)[columns]
         belief.loosen(columns, np.clip(room, 0.0, np.repeat(bend(uneven), len(seen))))
 
-    def _scan_of(self, m: Measurements, first: int, last: int, belief: Any) -> Scan:
-        """Return rows first:last as one scan, put into the base by the mount as the belief has it."""
-        scan = self._scans.read(m, first, last)
+    def _keep_floor(self, floor: Array, belief: JointBelief) -> None:
+        """Know no line better than its floor (2, 2), whatever was averaged: no wall is a plane to less than that.
+
+        Walls that are less even than their floor says are loosened step by step instead (`_bend`).
+        """
+        if self.mode == "consider" or not len(self.map):
+            return
+        columns = np.concatenate((self.map.column, self.map.column + 1))
+        lacks = np.repeat(np.diagonal(floor), len(self.map)) - np.diagonal(belief.covariance)[columns]
+        below = lacks > 0.0
+        if below.any():
+            belief.loosen(columns[below], lacks[below])
+
+    def _in_base(self, scan: Scan, belief: Any) -> Scan:
+        """Return a scan put into the base by the mount as the belief has it."""
         if self.mount is None:
             return scan
         return Scan(*seated(scan.z, scan.R, scan.ends, self.mount, belief))
@@ -205,6 +230,14 @@ class LineTracker(Model):
             lines.lo[j], lines.hi[j] = min(lines.lo[j], pair.lo), max(lines.hi[j], pair.hi)
         lines.hits[j] += 1
         lines.seen[j] = self._scan
+
+    def _add_all(self, which: Sequence[int], belief: AnyBelief) -> None:
+        """Begin map lines from lines `which` of the last scan."""
+        if not which or self._raw is None:
+            return
+        scan = self._in_base(self._raw, belief)
+        for k in which:
+            self._add(scan, k, belief)
 
     def _add(self, scan: Scan, k: int, belief: AnyBelief) -> None:
         """New line from (r, psi), the inverse of LineMap.predict; its anchor is the middle of the segment."""

@@ -108,9 +108,7 @@ class Filter:
 
     def advance(self, k: int, step: Step, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
         """Take the belief to instant k and correct it by every reading (sensor, i) that is due there."""
-        self.belief.predict(*step)
-        for model in self._rolling:
-            model.rolled(step.u)
+        self._move(step)
         for sensor, i in due:
             if sensor in self._mapping and self.models[sensor].begins_map(measurements[sensor], i):
                 self._begin_frame()
@@ -135,6 +133,12 @@ class Filter:
             model = models[sensor]
             model.learn(measurements[sensor], i, belief if model.local else in_map)
         self._record()
+
+    def _move(self, step: Step) -> None:
+        """Predict, and let those models know that ask how far the wheels rolled."""
+        self.belief.predict(*step)
+        for model in self._rolling:
+            model.rolled(step.u)
 
     def pose(self) -> Pose:
         """Return the pose (x, y, theta) in the map [m, m, rad], theta not wrapped."""

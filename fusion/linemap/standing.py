@@ -21,7 +21,7 @@ from locfuse.fusion.se2 import wrap_all
 from .scan import Scan
 
 MAX_ROLLED_M, MAX_TURNED_RAD = 0.001, math.radians(0.1)  # since the first scan: encoders tremble by a tick
-SAME_D2 = 25.0  # squared distance within which a line is one of the first scan's
+SAME_D2 = 25.0  # squared distance within which two lines of two scans are one
 SAME_LENGTH = 0.5  # share of the longer one's length that two sights of one line have in common
 SAME_SHARE = 0.5  # share of the seen length that must be the same: less, and something has moved
 
@@ -72,7 +72,7 @@ class Standing:
         self._sum, self._count = np.zeros_like(scan.z), np.zeros(len(scan.z), np.int64)
 
     def _add(self, scan: Scan, same: Ints) -> None:
-        """Take a scan into the sums; a line that repeats none is one to repeat from now on: `same` (k,) names it."""
+        """Take a scan into the sums; a line that repeats none begins one, which `same` (k,) names from here on."""
         new = np.flatnonzero(same < 0)
         if len(new):
             same[new] = len(self._z) + np.arange(len(new))
@@ -88,7 +88,7 @@ class Standing:
         a, b = np.moveaxis(_apart(scan.z[:, None], self._z), -1, 0)
         R = scan.R[:, None]
         det = R[..., 0, 0] * R[..., 1, 1] - R[..., 0, 1] ** 2
-        d2 = (R[..., 1, 1] * a**2 - 2.0 * R[..., 0, 1] * a * b + R[..., 0, 0] * b**2) / det
+        d2 = (R[..., 1, 1] * a**2 - 2.0 * R[..., 0, 1] * a * b + R[..., 0, 0] * b**2) / (2.0 * det)
         own, there = scan.ends[:, None], self._ends
         common = np.minimum(own[..., 1], there[:, 1]) - np.maximum(own[..., 0], there[:, 0])
         longer = np.maximum(own[..., 1] - own[..., 0], there[:, 1] - there[:, 0])

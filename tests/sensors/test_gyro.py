@@ -308,7 +308,7 @@ def test_a_given_bias_is_taken_out_and_no_state() -> None:
 
 
 def stopping(bias_deg: float, stop: tuple[float, float], seed: int = 3) -> tuple[Drive, Array, Robot]:
-    """A drive on a wide curve that begins in motion and stands still from stop[0] to stop[1] s; the true places."""
+    """A wide curve that begins in motion, with a stop from stop[0] to stop[1] s; the true places."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, stop[1] + 5.0, 0.02)
     moves = (t < stop[0]) | (t > stop[1])

@@ -93,13 +93,13 @@ class LineTracker(Model):
             return []
         if len(self.map) == 0:
             self._standing.forget()
-        raw = self._raw = self._standing.take(self._scans.read(m, first, last))
-        if raw is None:
+        self._raw = self._standing.take(self._scans.read(m, first, last))
+        if self._raw is None:
             self._teach = False
             return [Innovation.unpredicted(row, REPEATED, 2, self._gate) for row in range(first, last)]
         if len(self.map) == 0:
             return [Innovation.unpredicted(row, NEW, 2, self._gate) for row in range(first, last)]
-        scan = self._in_base(raw, belief)
+        scan = self._scan_of(m, first, last, belief)
         found = associate(scan, self.map, belief, self._gate)
         if self.guard is not None:
             found, self._teach = self.guard.watch(float(m.t[i]), scan, found, self.map, belief, self._gate)
@@ -155,26 +155,30 @@ class LineTracker(Model):
         if found is None:
             if self.guard is not None:
                 self.guard.begin_anew(float(m.t[i]), belief)
-            self._add_all(range(last - first), belief)
+            scan = self._scan_of(m, first, last, belief)
+            for k in range(last - first):
+                self._add(scan, k, belief)
             self._first_map = self._first_map or self.map.lines(belief)
             return
         for p in found.match:
             if p >= 0:
                 self._extend(found.pairs[p])
         if self.joint and isinstance(belief, JointBelief):
-            uneven = m.extra["uneven"][first] if "uneven" in m.extra else np.zeros(2)
-            self._revise(uneven, found, belief)
-            if not uneven.any():
-                self._keep_floor(m.floor, belief)
+            self._revise(m, first, last, found, belief)
+            self._keep_floor(m, belief)
 
-    def _revise(self, uneven: Array, found: Association, belief: JointBelief) -> None:
+    def _revise(self, m: Measurements, first: int, last: int, found: Association, belief: JointBelief) -> None:
         """Let lines that are states bend; in `grow` add what is new, drop what proved worthless, join doubles."""
+        uneven = m.extra["uneven"][first] if "uneven" in m.extra else np.zeros(2)
         if uneven.any():
             self._bend(found, uneven, belief)
         if self.mode != "grow":
             return
         new = [k for k, p in enumerate(found.match) if p < 0 and not found.near[k]]
-        self._add_all(new, belief)
+        if new:
+            scan = self._scan_of(m, first, last, belief)
+            for k in new:
+                self._add(scan, k, belief)
         if self._scan % TIDY_EVERY == 0:
             prune(self.map, belief, self._scan)
             merge_doubles(self.map, belief, self._scan, uneven)
@@ -192,21 +196,22 @@ class LineTracker(Model):
         room = np.repeat(uneven, len(seen)) - np.diagonal(belief.covariance)[columns]
         belief.loosen(columns, np.clip(room, 0.0, np.repeat(bend(uneven), len(seen))))
 
-    def _keep_floor(self, floor: Array, belief: JointBelief) -> None:
-        """Know no line better than its floor (2, 2), whatever was averaged: no wall is a plane to less than that.
+    def _keep_floor(self, m: Measurements, belief: JointBelief) -> None:
+        """Know no line better than its floor, whatever was averaged: no wall is a plane to less than that.
 
-        Walls that are less even than their floor says are loosened step by step instead (`_bend`).
+        Walls that are less even than that are loosened step by step instead (`_bend`).
         """
-        if self.mode == "consider" or not len(self.map):
+        if self.mode == "consider" or "uneven" in m.extra or not len(self.map):
             return
         columns = np.concatenate((self.map.column, self.map.column + 1))
-        lacks = np.repeat(np.diagonal(floor), len(self.map)) - np.diagonal(belief.covariance)[columns]
+        lacks = np.repeat(np.diagonal(m.floor), len(self.map)) - np.diagonal(belief.covariance)[columns]
         below = lacks > 0.0
         if below.any():
             belief.loosen(columns[below], lacks[below])
 
-    def _in_base(self, scan: Scan, belief: Any) -> Scan:
-        """Return a scan put into the base by the mount as the belief has it."""
+    def _scan_of(self, m: Measurements, first: int, last: int, belief: Any) -> Scan:
+        """Return what rows first:last say as one scan, put into the base by the mount as the belief has it."""
+        scan = self._raw if self._raw is not None else self._scans.read(m, first, last)
         if self.mount is None:
             return scan
         return Scan(*seated(scan.z, scan.R, scan.ends, self.mount, belief))
@@ -230,14 +235,6 @@ class LineTracker(Model):
             lines.lo[j], lines.hi[j] = min(lines.lo[j], pair.lo), max(lines.hi[j], pair.hi)
         lines.hits[j] += 1
         lines.seen[j] = self._scan
-
-    def _add_all(self, which: Sequence[int], belief: AnyBelief) -> None:
-        """Begin map lines from lines `which` of the last scan."""
-        if not which or self._raw is None:
-            return
-        scan = self._in_base(self._raw, belief)
-        for k in which:
-            self._add(scan, k, belief)
 
     def _add(self, scan: Scan, k: int, belief: AnyBelief) -> None:
         """New line from (r, psi), the inverse of LineMap.predict; its anchor is the middle of the segment."""

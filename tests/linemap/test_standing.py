@@ -52,7 +52,7 @@ def test_a_robot_that_drives_learns_from_every_scan_and_a_tick_of_an_encoder_is_
     standing, rng = Standing(), np.random.default_rng(2)
     taken = []
     for k in range(40):
-        standing.rolled(np.array(motion) * (1.0 if counts or k % 2 else -1.0))
+        standing.rolled([u * (1.0 if counts or k % 2 else -1.0) for u in motion])
         taken.append(standing.take(noisy(rng)))
     assert sum(s is not None for s in taken) == (40 if counts else 6)
 

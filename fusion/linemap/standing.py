@@ -32,6 +32,7 @@ class Standing:
     def __init__(self) -> None:
         self._rolled = (0.0, 0.0, 0.0)  # x, y [m], theta [rad] by the wheels since the first scan
         self._scans = 0  # at rest; 0: none yet
+        self._first: Scan | None = None
         self._z = np.zeros((0, 2))  # lines of the first scan, and those that others showed beside them
         self._ends = np.zeros((0, 2))
         self._sum = np.zeros((0, 2))  # of the scans since the last use, off these
@@ -44,13 +45,16 @@ class Standing:
 
     def forget(self) -> None:
         """Let the next scan be the first."""
-        self._scans = 0
+        self._first = None
 
     def take(self, scan: Scan) -> Scan | None:
         """Return what a scan says: itself, or at rest the mean since the last use; None where it only repeats."""
-        if not self._scans or self._moved():
-            self._begin(scan)
+        x, y, theta = self._rolled
+        if self._first is None or x * x + y * y > MAX_ROLLED_M**2 or not -MAX_TURNED_RAD < theta < MAX_TURNED_RAD:
+            self._rolled, self._scans, self._first = (0.0, 0.0, 0.0), 1, scan  # driving: no more than this
             return scan
+        if self._scans == 1:
+            self._begin(self._first)
         same = self._same(scan)
         length = scan.ends[:, 1] - scan.ends[:, 0]
         if float(length[same >= 0].sum()) < SAME_SHARE * float(length.sum()):
@@ -62,12 +66,7 @@ class Standing:
         self._sum[:], self._count[:] = 0.0, 0
         return Scan(z, scan.R, scan.ends)
 
-    def _moved(self) -> bool:
-        x, y, theta = self._rolled
-        return math.hypot(x, y) > MAX_ROLLED_M or abs(theta) > MAX_TURNED_RAD
-
     def _begin(self, scan: Scan) -> None:
-        self._rolled, self._scans = (0.0, 0.0, 0.0), 1
         self._z, self._ends = scan.z, scan.ends
         self._sum, self._count = np.zeros_like(scan.z), np.zeros(len(scan.z), np.int64)
 

@@ -29,6 +29,7 @@ UNMATCHED, AMBIGUOUS, NEW, LOST, REPEATED = (
     VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new", "lost", "repeated")
 )
 TIDY_EVERY = 10  # scans
+RHO_BETA = np.array([[0], [1]])  # of a line from its column on
 # A scan in which only one line matches says little about whether the match is right: it must fit nearly perfectly.
 LONE_D2, LONE_ANGLE, LONE_OFFSET = 5.0, math.radians(3.0), 0.15
 
@@ -201,13 +202,13 @@ class LineTracker(Model):
 
         Walls that are less even than that are loosened step by step instead (`_bend`).
         """
-        if self.mode == "consider" or "uneven" in m.extra or not len(self.map):
+        if self.mode == "consider" or "uneven" in m.extra:
             return
-        columns = np.concatenate((self.map.column, self.map.column + 1))
-        lacks = np.repeat(np.diagonal(m.floor), len(self.map)) - np.diagonal(belief.covariance)[columns]
+        at = self.map.column + RHO_BETA
+        lacks = m.floor.diagonal()[:, None] - belief.covariance.diagonal()[at]
         below = lacks > 0.0
         if below.any():
-            belief.loosen(columns[below], lacks[below])
+            belief.loosen(at[below], lacks[below])
 
     def _scan_of(self, m: Measurements, first: int, last: int, belief: Any) -> Scan:
         """Return what rows first:last say as one scan, put into the base by the mount as the belief has it."""

@@ -14,10 +14,11 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import click
+import numpy as np
 
 from locfuse.cli.pipeline.load import make_robot
 from locfuse.formats.robot import robot_toml
@@ -26,6 +27,7 @@ from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure
 from locfuse.fusion.smooth import fuse_and_smooth
 from locfuse.sample_logs.load import load
+from locfuse.sample_logs.messages import streams
 from locfuse.sample_logs.record import in_memory
 
 from .accuracy import FIRST_SEED, streams_by_role
@@ -55,8 +57,15 @@ def judged(case: Case, seed: int) -> Figures:
     return figures(run, drive, case.aligned_from, case.unknowable)
 
 
-def invariants(found: Mapping[str, Means]) -> Iterator[str]:
-    """Say what must not depend on the start's sigma or on the laser's rate."""
+def of_starts(seeds: Iterable[int]) -> float:
+    """Return the ANEES of the vague starts alone: where nothing observes the start, no filter has another one."""
+    drawn = [streams(seed)("start").standard_normal(3) for seed in seeds]
+    return float(np.square(drawn).mean())
+
+
+def invariants(found: Mapping[str, Means], seeds: Iterable[int]) -> Iterator[str]:
+    """Say what must not depend on the start's sigma or on the laser's rate, and what is chance."""
+    yield f"Starts with a sigma: the drawn ones alone have ANEES {of_starts(seeds):.2f}, whatever the filter does."
     starts = [name for name in STARTS if name in found]
     if len(starts) > 1:
         values = [found[name].aligned for name in starts]
@@ -86,7 +95,7 @@ def main(drives: int, names: tuple[str, ...], seed: int, record: bool) -> None:
             recorded(case, found[case.name]) if record else row(case, found, BEFORE.get(case.name), seconds)
         )
     if not record:
-        click.echo("\n" + "\n".join(invariants(found)))
+        click.echo("\n" + "\n".join(invariants(found, range(seed, seed + drives))))
 
 
 def recorded(case: Case, m: Means) -> str:

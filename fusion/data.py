@@ -241,7 +241,7 @@ class Drive:
         return LocfuseError(why, role=sensor, fixes=self.fixes.get(sensor, ()))
 
 
-VERDICTS = ("accepted", "gate", "ambiguous", "unmatched", "new", "disturbed", "lost")
+VERDICTS = ("accepted", "gate", "ambiguous", "unmatched", "new", "disturbed", "lost", "repeated")
 
 
 @dataclass(frozen=True)

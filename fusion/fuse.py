@@ -91,6 +91,7 @@ class Filter:
             robot, list(self.models.values()), beliefs, any(map(any, self._listens.values()))
         )
         self._in_map: AnyBelief | InMap = self.belief  # the belief as it is seen from the map
+        self._rolling = [m for m in self.models.values() if type(m).rolled is not Model.rolled]
         self._mapping = [s for s in self._sensors if self.models[s].maps]
         for model in self.models.values():
             model.begin(robot.lines, self.belief)
@@ -107,7 +108,7 @@ class Filter:
 
     def advance(self, k: int, step: Step, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
         """Take the belief to instant k and correct it by every reading (sensor, i) that is due there."""
-        self.belief.predict(*step)
+        self._move(step)
         for sensor, i in due:
             if sensor in self._mapping and self.models[sensor].begins_map(measurements[sensor], i):
                 self._begin_frame()
@@ -132,6 +133,12 @@ class Filter:
             model = models[sensor]
             model.learn(measurements[sensor], i, belief if model.local else in_map)
         self._record()
+
+    def _move(self, step: Step) -> None:
+        """Predict, and let those models know that ask how far the wheels rolled."""
+        self.belief.predict(*step)
+        for model in self._rolling:
+            model.rolled(step.u)
 
     def pose(self) -> Pose:
         """Return the pose (x, y, theta) in the map [m, m, rad], theta not wrapped."""

@@ -173,6 +173,9 @@ class Model:
     def meet(self, others: Mapping[str, Model]) -> None:
         """Get to know the other models of the run, by sensor: one may read the map that another keeps."""
 
+    def rolled(self, u: Sequence[float]) -> None:
+        """Take in the wheels' motion (x [m], y [m], theta [rad]) since the instant before, seen from there."""
+
     def begins_map(self, m: Measurements, i: int) -> bool:
         """Return whether reading i is the first of a map of its own: the local frame begins at its instant."""
         return False

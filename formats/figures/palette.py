@@ -53,6 +53,7 @@ ROLES = {  # what is drawn besides configurations
     "disturbed": Colour("#6a1b6a", "#b06ab8"),
     "fault": Colour("#b86e00", "#e0a040"),
     "rest": Colour("#5f7f95", "#7f9fb5"),
+    "repeated": Colour("#e4e7ec", "#2f353e"),
 }
 EVENTS = {FAULT: "fault", LOST: "lost", REFUSED: "gate", REST: "rest"}  # kind of event -> role
 

@@ -17,7 +17,7 @@ from .scene import Rgb, Scene, Sight
 DEVIATIONS = ("x [m]", "y [m]", "heading [deg]")
 BAND = 3.0  # sigmas of a deviation
 INNOVATION_BAND = 2.0  # sigmas of an innovation
-ACCEPTED, NEW = VERDICTS.index("accepted"), VERDICTS.index("new")
+ACCEPTED, NEW, REPEATED = (VERDICTS.index(v) for v in ("accepted", "new", "repeated"))
 
 
 def draw_series(to: Recorder, scene: Scene) -> None:
@@ -116,9 +116,10 @@ def reading_states(m: Measurements, audit: Audit) -> Ints:
     """Return the state of every reading (n,): a scan of five walls is one reading."""
     n = len(m.t)
     owner = np.searchsorted(m.first, audit.row, side="right") - 1
-    accepted = np.bincount(owner[audit.verdict == ACCEPTED], minlength=n) > 0
+    accepted = np.bincount(owner[np.isin(audit.verdict, (ACCEPTED, REPEATED))], minlength=n) > 0
     new = np.bincount(owner[audit.verdict == NEW], minlength=n) > 0
-    refused = np.bincount(owner[(audit.verdict != ACCEPTED) & (audit.verdict != NEW)], minlength=n) > 0
+    fine = np.isin(audit.verdict, (ACCEPTED, NEW, REPEATED))
+    refused = np.bincount(owner[~fine], minlength=n) > 0
     order = list(style.STATES)
     cases = {"rejected": refused & ~accepted, "partly": refused, "accepted": accepted, "new": new}
     codes = [order.index(name) for name in cases]

@@ -45,7 +45,8 @@ LEVEL: Rgb = (205, 205, 210)
 
 MATCHED, REJECTED, NEW = "matched", "rejected", "new"
 GROUPS: dict[str, Rgb] = {MATCHED: (40, 185, 50), REJECTED: (240, 60, 50), NEW: (0, 225, 235)}
-GROUP_OF = tuple(MATCHED if v == "accepted" else NEW if v == "new" else REJECTED for v in VERDICTS)
+GROUP = {"accepted": MATCHED, "repeated": MATCHED, "new": NEW}  # verdict -> group, REJECTED for the others
+GROUP_OF = tuple(GROUP.get(v, REJECTED) for v in VERDICTS)
 
 # states of one reading on the gate timeline, the worst last: a stretch that is drawn as one shows its worst
 STATES: dict[str, Rgb] = {

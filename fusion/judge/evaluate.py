@@ -280,7 +280,7 @@ def _sensor_figures(audit: Audit, absent: int) -> SensorFigures:
     counts = np.bincount(audit.verdict, minlength=len(VERDICTS)).tolist()
     verdicts = {name: n for name, n in zip(VERDICTS, counts, strict=True) if n}
     accepted = verdicts.get("accepted", 0)
-    refused = sum(verdicts.values()) - accepted - verdicts.get("new", 0)
+    refused = sum(verdicts.values()) - accepted - verdicts.get("new", 0) - verdicts.get("repeated", 0)
     return SensorFigures(
         accepted, refused, absent, _mean(audit.nis[audit.verdict == 0] / audit.y.shape[1]), verdicts
     )

@@ -23,7 +23,7 @@ from locfuse.fusion.data import (
 MIN_REST_S = 2.0
 REST_STEP_M, REST_STEP_RAD = 1e-4, 1e-4  # of one interval of the wheels: below, nothing turned
 MIN_REFUSED = 5  # readings in a row; fewer are outliers, and the gates show them
-TAKEN = tuple(VERDICTS.index(v) for v in ("accepted", "new"))
+TAKEN = tuple(VERDICTS.index(v) for v in ("accepted", "new", "repeated"))
 
 
 def events_of_drive(drive: Drive) -> list[Event]:

@@ -22,10 +22,14 @@ from .laser_mount import seated
 from .line_map import AnyBelief, LineMap, about_middle
 from .pairing import Pair
 from .scan import Scan, Scans
+from .standing import Standing
 from .tidy import MIN_HITS, merge_doubles, prune
 
-UNMATCHED, AMBIGUOUS, NEW, LOST = (VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new", "lost"))
+UNMATCHED, AMBIGUOUS, NEW, LOST, REPEATED = (
+    VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new", "lost", "repeated")
+)
 TIDY_EVERY = 10  # scans
+RHO_BETA = np.array([[0], [1]])  # of a line from its column on
 # A scan in which only one line matches says little about whether the match is right: it must fit nearly perfectly.
 LONE_D2, LONE_ANGLE, LONE_OFFSET = 5.0, math.radians(3.0), 0.15
 
@@ -51,6 +55,8 @@ class LineTracker(Model):
         self._last: Association | None = None
         self._teach = True
         self._asked = -1  # the reading that `innovations` was asked for last
+        self._standing = Standing()
+        self._raw: Scan | None = None  # what that reading says: at rest the mean since the last use
 
     def blocks(self) -> list[Block]:
         """Return what is uncertain of the laser's mount."""
@@ -76,12 +82,22 @@ class LineTracker(Model):
         """Return whether scan i is the first with lines, or the first after all of the map was lost."""
         return self.maps and not self.map.ids.size and bool(m.first[i] < m.first[i + 1])
 
+    def rolled(self, u: Sequence[float]) -> None:
+        """Take in the wheels' motion: a robot that stands still learns nothing new."""
+        self._standing.rolled(u)
+
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
         """Associate the lines of scan i; each becomes one innovation with its verdict."""
         first, last = int(m.first[i]), int(m.first[i + 1])
         self._asked, self._last, self._teach = i, None, True
         if first == last:
             return []
+        if len(self.map) == 0:
+            self._standing.forget()
+        self._raw = self._standing.take(self._scans.read(m, first, last))
+        if self._raw is None:
+            self._teach = False
+            return [Innovation.unpredicted(row, REPEATED, 2, self._gate) for row in range(first, last)]
         if len(self.map) == 0:
             return [Innovation.unpredicted(row, NEW, 2, self._gate) for row in range(first, last)]
         scan = self._scan_of(m, first, last, belief)
@@ -90,6 +106,7 @@ class LineTracker(Model):
             found, self._teach = self.guard.watch(float(m.t[i]), scan, found, self.map, belief, self._gate)
         self._last = found
         if not self._teach:
+            self._standing.forget()
             return [Innovation.unpredicted(first + k, LOST, 2, self._gate) for k in range(last - first)]
         if self.mode == "grow":
             _refuse_a_lone_match(found)
@@ -149,6 +166,7 @@ class LineTracker(Model):
                 self._extend(found.pairs[p])
         if self.joint and isinstance(belief, JointBelief):
             self._revise(m, first, last, found, belief)
+            self._keep_floor(m, belief)
 
     def _revise(self, m: Measurements, first: int, last: int, found: Association, belief: JointBelief) -> None:
         """Let lines that are states bend; in `grow` add what is new, drop what proved worthless, join doubles."""
@@ -179,9 +197,22 @@ class LineTracker(Model):
         room = np.repeat(uneven, len(seen)) - np.diagonal(belief.covariance)[columns]
         belief.loosen(columns, np.clip(room, 0.0, np.repeat(bend(uneven), len(seen))))
 
+    def _keep_floor(self, m: Measurements, belief: JointBelief) -> None:
+        """Know no line better than its floor, whatever was averaged: no wall is a plane to less than that.
+
+        Walls that are less even than that are loosened step by step instead (`_bend`).
+        """
+        if self.mode == "consider" or "uneven" in m.extra:
+            return
+        at = self.map.column + RHO_BETA
+        lacks = m.floor.diagonal()[:, None] - belief.covariance.diagonal()[at]
+        below = lacks > 0.0
+        if below.any():
+            belief.loosen(at[below], lacks[below])
+
     def _scan_of(self, m: Measurements, first: int, last: int, belief: Any) -> Scan:
-        """Return rows first:last as one scan, put into the base by the mount as the belief has it."""
-        scan = self._scans.read(m, first, last)
+        """Return what rows first:last say as one scan, put into the base by the mount as the belief has it."""
+        scan = self._raw if self._raw is not None else self._scans.read(m, first, last)
         if self.mount is None:
             return scan
         return Scan(*seated(scan.z, scan.R, scan.ends, self.mount, belief))

@@ -9,22 +9,30 @@ The copy carries its correlation with everything, so what other sensors correcte
 counted twice, and the wheels' noise of just this interval decides how much the gyro is believed: between two
 readings var(theta - theta_before) is what the wheels' turn may be wrong by. With nothing in between this is the
 gain K = Q_theta / (Q_theta + r) on the difference of both turns.
+
+The bias is taken at rest: the longest stretch in which the wheels stand still says bias = turn / time with the
+variance sigma^2 / time, and the filter begins with that. Were it learnt only when the robot first stands still,
+the heading of the whole drive before would be corrected in one step: by tens of degrees after a minute with a
+bias of 1 deg/s, where no derivative holds, and the place with it by metres. That stretch's readings are used up.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any, ClassVar, Literal, cast
+from collections.abc import Iterator, Mapping
+from typing import Any, ClassVar, Literal, NamedTuple, cast
 
 import numpy as np
 
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, Stream
+from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Ints, LocfuseError, Measurements, Stream
 from locfuse.fusion.mount import rotation
 from locfuse.fusion.sensor import Block, Innovation, Model, Sensor, SensorSettings, WheelMotion
 from locfuse.fusion.streams import gap_limit
 
+MAX_REST_ROLLED_M, MAX_REST_TURNED_RAD = 0.001, math.radians(0.1)  # over a whole rest: encoders tremble by a tick
+WILD_SIGMAS = 4.0  # prior sigmas by which a bias at rest is none: somebody turned the robot by hand
+REPEATED = VERDICTS.index("repeated")
 BEFORE, BIAS = "_gyro_before", "gyro_bias"
 H_TURN = ((0.0, 0.0, 1.0),)
 MIN_TURN_RAD = math.radians(20.0)  # rms of the wheels' turn about its mean, before the gyro is held against it
@@ -111,7 +119,10 @@ class Gyro(Sensor):
             R_unit=np.diff(t[keep], prepend=t[keep[:1]]).reshape(n, 1, 1),
             scale=math.radians(settings.sigma_deg),
             floor=np.zeros((1, 1)),
-            extra={"piece": piece[keep].astype(np.float64)},
+            extra={
+                "piece": piece[keep].astype(np.float64),
+                **_rest_of(t[keep], angle[keep], piece[keep], wheels, settings),
+            },
             dropped=dropped,
         )
 
@@ -124,6 +135,14 @@ class Gyro(Sensor):
         return GyroModel(settings)
 
 
+class Rest(NamedTuple):
+    """A stretch in which the wheels stood still: everything that the gyro turned is its bias."""
+
+    begin: float  # s
+    end: float
+    turned: float  # rad, by the gyro less the wheels
+
+
 class GyroModel(Model):
     """z_i - z_before = theta - theta_before + bias dt + noise."""
 
@@ -134,6 +153,7 @@ class GyroModel(Model):
         self.threshold = chi_square(settings.gate, 1)
         self.given = None if settings.bias_deg is None else math.radians(settings.bias_deg)
         self._last: int | None = None  # reading whose heading is kept
+        self.rest: Rest | None = None  # that gave the bias
 
     def blocks(self) -> list[Block]:
         """Return the kept heading, and the bias where it is not given."""
@@ -149,6 +169,8 @@ class GyroModel(Model):
         last = self._last
         if last is None or m.extra["piece"][i] != m.extra["piece"][last]:
             return []
+        if self._used_up(m, last, i):
+            return [Innovation.unpredicted(i, REPEATED, 1, self.threshold)]
         dt, turned = float(m.t[i] - m.t[last]), float(m.z[i, 0] - m.z[last, 0])
         column, before = belief.block(BEFORE)
         columns: tuple[int, ...] = (column,)
@@ -161,8 +183,35 @@ class GyroModel(Model):
         r = m.scale**2 * dt + (self.settings.sigma_scale * turned) ** 2
         return [Innovation.of(i, (y,), H_TURN, ((r,),), belief, self.threshold, columns=columns, H_block=H_block)]
 
+    def _used_up(self, m: Measurements, last: int, i: int) -> bool:
+        """Return whether the turn between two readings belongs to the rest that gave the bias."""
+        return self.rest is not None and self.rest.begin <= m.t[last] and m.t[i] <= self.rest.end
+
+    def _begin(self, m: Measurements, i: int, belief: Any) -> None:
+        """Measure the bias at rest, with the first reading. It drifts between here and there."""
+        self.rest = rest_in(m)
+        if self.rest is None or self.given is not None:
+            self.rest = None
+            return
+        at, now = belief.block(BIAS)
+        span = self.rest.end - self.rest.begin
+        apart = abs(0.5 * (self.rest.begin + self.rest.end) - float(m.t[i]))
+        r = m.scale**2 / span + math.radians(self.settings.bias_drift_deg) ** 2 * apart
+        y = self.rest.turned / span - float(now[0])
+        belief.correct([Innovation.of_states((y,), ((r,),), (at,), ((1.0,),))])
+
+    def notes(self, belief: Any) -> list[str]:
+        """Say where the bias comes from."""
+        if self.rest is None:
+            return []
+        span = self.rest.end - self.rest.begin
+        rate = math.degrees(self.rest.turned / span)
+        return [f"bias at rest: {rate:.3f}°/s over {span:.1f} s, from {self.rest.begin:.1f} s on"]
+
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Keep the heading as it is now."""
+        if self._last is None:
+            self._begin(m, i, belief)
         column, _ = belief.block(BEFORE)
         belief.clone_heading(column)
         self._last = i
@@ -202,6 +251,48 @@ def _one_each(t: Array, period: float) -> Ints:
         return np.zeros(0, dtype=np.int64)
     cell = np.floor(t / period) if period > 0.0 else t
     return np.flatnonzero(np.append(np.diff(cell) > 0, True))
+
+
+def _rest_of(t: Array, angle: Array, piece: Ints, wheels: WheelMotion, settings: GyroSettings) -> dict[str, Array]:
+    """Return columns (n,) that say when the robot rested, and how far the gyro turned; none without a rest.
+
+    Of several rests the one that says most of the bias: sigma^2 / time, and what the bias drifts until there.
+    """
+    if len(t) < 2:
+        return {}
+    where = wheels.relative(np.broadcast_to(t[:1], t.shape), t)
+    sigma, drift = math.radians(settings.sigma_deg), math.radians(settings.bias_drift_deg)
+    prior = math.radians(settings.sigma_bias_deg)
+    least, best = math.inf, None
+    for a, b in rests(where, piece):
+        span, turned = float(t[b] - t[a]), float(angle[b] - angle[a] - (where[b, 2] - where[a, 2]))
+        variance = sigma**2 / span + drift**2 * (0.5 * float(t[a] + t[b]) - float(t[0]))
+        if variance < least and abs(turned / span) < WILD_SIGMAS * math.hypot(prior, math.sqrt(variance)):
+            least, best = variance, Rest(float(t[a]), float(t[b]), turned)
+    if best is None:
+        return {}
+    return {f"rest_{name}": np.full(len(t), value) for name, value in best._asdict().items()}
+
+
+def rests(where: Array, piece: Ints) -> Iterator[tuple[int, int]]:
+    """Yield the first and last of the readings of every rest: poses (n, 3) by the wheels that stay as they are."""
+    poses, a = where.tolist(), 0
+    for i, (x, y, theta) in enumerate(poses):
+        x0, y0, theta0 = poses[a]
+        far = math.hypot(x - x0, y - y0) > MAX_REST_ROLLED_M or abs(theta - theta0) > MAX_REST_TURNED_RAD
+        if far or piece[i] != piece[a]:
+            if i - a > 2:
+                yield a, i - 1
+            a = i
+    if len(poses) - a > 2:
+        yield a, len(poses) - 1
+
+
+def rest_in(m: Measurements) -> Rest | None:
+    """Return the rest that measured the bias, None without one."""
+    if "rest_begin" not in m.extra or not len(m.t):
+        return None
+    return Rest(*(float(m.extra[f"rest_{name}"][0]) for name in Rest._fields))
 
 
 def _check_against(

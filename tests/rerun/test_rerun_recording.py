@@ -144,7 +144,8 @@ def test_segments_stand_where_the_pose_puts_them_in_the_colour_of_their_verdict(
         for group in ("matched", "rejected", "new")
         if f"world/{name_of(configuration)}/seen/lrf/{group}" in made.entities
     }
-    assert sum(map(len, seen["matched"])) == int((audit.verdict == 0).sum())
+    matched = np.isin(audit.verdict, (0, VERDICTS.index("repeated")))
+    assert sum(map(len, seen["matched"])) == int(matched.sum())
     assert len(seen["matched"]) == len(m.t)  # one row a scan: what is no longer seen goes away
     assert sum(map(len, seen["new"])) == int((audit.verdict == VERDICTS.index("new")).sum())
     scan = len(m.t) // 2

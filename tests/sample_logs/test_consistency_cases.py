@@ -10,7 +10,7 @@ import pytest
 from benchmarks import consistency
 from benchmarks.accuracy import streams_by_role
 from benchmarks.consistency_before import BEFORE
-from benchmarks.consistency_cases import CASES, LASER, MOVING, Case, Goal
+from benchmarks.consistency_cases import CASES, LASER, MOVING, Case, Goal, vague
 from benchmarks.consistency_figures import Means, inside, means, without
 from benchmarks.consistency_table import HEAD, row
 from locfuse.cli.pipeline.load import make_robot
@@ -82,3 +82,13 @@ def test_a_drive_gives_finite_figures() -> None:
     found = means([consistency.judged(SHORT, 1)])
     assert found.drives == 1
     assert np.isfinite(found[1:]).all()
+
+
+def test_the_starts_alone_have_the_anees_of_what_the_simulator_draws() -> None:
+    """That of the very errors with which the drives begin, over the sigmas that are stated."""
+    off = []
+    for seed in (1, 2, 3):
+        tables = Simulation(load("rounded_rectangle", vague(2, 0.05)), seed).robot_tables["start"]
+        true = Simulation(load("rounded_rectangle", MOVING), seed).robot_tables["start"]
+        off.append([(tables[k] - true[k]) / sigma for k, sigma in (("x", 0.05), ("y", 0.05), ("theta_deg", 2.0))])
+    assert consistency.of_starts((1, 2, 3)) == pytest.approx(float(np.square(off).mean()), rel=1e-6)

@@ -1,5 +1,9 @@
 """Smoothing: what the whole drive, its end included, says of every instant (Rauch, Tung, Striebel 1965).
 
+One smoother for the user, two ways of solving it. Where a laser came back to places that the filter's own map does
+not hold together, the graph of key poses (fusion.graph) closes these loops. Else the backward pass below is the
+better one: it weighs every line of every scan.
+
 Backward through the filter's journal: undo each prediction; map lines leave where they were born, and dropped ones
 return. Holds where the filter's gain is the optimal one: not for the frozen and the considered map.
 """
@@ -20,9 +24,11 @@ from locfuse.fusion.wheels.states import WHEELS
 from . import se2
 from .data import Array, Drive, Estimates, UsageError, upper_triangles
 from .fuse import fuse
+from .graph.whole_drive import Graph, whole_drive
 from .robot import Robot
 
 NOT_OPTIMAL = ("first-scan", "consider")
+MIN_GAIN, MIN_GAIN_M = 1.5, 0.01  # by how much the graph must fit the loops better than the backward pass
 RANK = 1e-12  # relative eigenvalue below which the wheels' noise has no extent
 
 
@@ -50,7 +56,39 @@ def fuse_and_smooth(
     check_optimal(robot, sensors)
     journal = Journal()
     filtered = fuse(drive, robot, sensors, name, beliefs=(journal.pose, journal.joint))
-    return filtered, smoothed(drive, filtered, journal)
+    by_filter = smoothed(drive, filtered, journal)
+    wheels = by_filter.blocks.get(WHEELS)
+    graph = whole_drive(drive, robot, sensors, None if wheels is None else wheels[-1])
+    return filtered, chosen(by_filter, graph)
+
+
+def chosen(by_filter: Estimates, graph: Graph | None) -> Estimates:
+    """Return the drive by the graph where the backward pass does not hold its loops together, else by that one.
+
+    Both are judged by the same closures: how far apart they leave what two visits of a place saw. A filter that
+    was lost on the way is no ground for a backward pass.
+    """
+    if graph is None:
+        return by_filter
+    if not len(graph.closures):
+        notes = graph.notes() or ("smoothing: no place was seen again, so no loop was closed",)
+        return replace(by_filter, notes=(*by_filter.notes, *notes))
+    pose, P = graph.poses()
+    apart, better = graph.misfit(by_filter.pose), graph.misfit(pose)
+    if not by_filter.lost and apart < MIN_GAIN * better + MIN_GAIN_M:
+        held = f"smoothing: the filter's own map holds {len(graph.closures)} loops together to {apart:.3f} m"
+        return replace(by_filter, notes=(*by_filter.notes, held))
+    truth_pose, truth_P = graph.at_truth()
+    return replace(
+        by_filter,
+        pose=pose,
+        triangles=upper_triangles(P),
+        truth_pose=truth_pose,
+        truth_P=truth_P,
+        final_map=graph.walls(),
+        lost=(),
+        notes=(*by_filter.notes, *graph.notes()),
+    )
 
 
 def smoothed(drive: Drive, filtered: Estimates, journal: Journal) -> Estimates:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Array, Ints
 
+from . import jitter
 from .monotone import never_decreasing
 
 ORDERS = ("auto", "stamp", "recorded")
@@ -106,10 +107,28 @@ def _untrusted(log_time: Ints, stamp: Ints) -> dict[str, Mask]:
     off = np.zeros(len(stamp), bool)
     ordinary = np.flatnonzero(stamp > 0)
     off[ordinary] = _off_the_clock(log_time[ordinary], stamp[ordinary])
-    backwards = np.zeros(len(stamp), bool)
+    backwards, unsteady = np.zeros(len(stamp), bool), np.zeros(len(stamp), bool)
     left = np.flatnonzero((stamp > 0) & ~off)
-    backwards[left] = ~never_decreasing(stamp[left], _credibility(log_time[left] - stamp[left]))
-    return {"zero": zero, "negative": negative, "off the stream's clock": off, "backwards": backwards}
+    delay = log_time[left] - stamp[left]
+    weights, _ = jitter.credibility(stamp[left])
+    backwards[left] = ~never_decreasing(stamp[left], _credibility(delay) * weights)
+    if backwards.any():
+        recorded, _ = jitter.credibility(log_time[left])
+        steady = (weights < recorded) & ~_bunched(log_time[left])
+        unsteady[left] = steady & _off_the_delay(delay) & ~backwards[left]
+    return {
+        "zero": zero,
+        "negative": negative,
+        "off the stream's clock": off,
+        "backwards": backwards,
+        "off the beat": unsteady,
+    }
+
+
+def _off_the_delay(delay: Ints) -> Mask:
+    """Mark stamps (n,) that recording does not follow: of the two, the one that keeps the beat worse is wrong."""
+    unusual = np.abs(delay - np.median(delay))
+    return unusual > jitter.OFF_BEAT * max(float(np.median(unusual)), MS)
 
 
 def _credibility(delay: Ints) -> Array:
@@ -120,6 +139,16 @@ def _credibility(delay: Ints) -> Array:
     scale = max(float(np.median(unusual)), MS)
     weights: Array = 1 / (1 + (unusual / scale) ** 2) + 1e-6  # all else equal, the more stamps the better
     return weights
+
+
+def _bunched(log_time: Ints) -> Mask:
+    """Mark messages (n,) recorded in a bunch, as after a stall: such recording times say nothing."""
+    steps = np.diff(log_time)
+    close = steps < 0.25 * np.median(steps) if len(steps) else np.zeros(0, bool)
+    marked = np.zeros(len(log_time), bool)
+    marked[1:] |= close
+    marked[:-1] |= close
+    return marked
 
 
 def _off_the_clock(log_time: Ints, stamp: Ints) -> Mask:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Protocol
 
@@ -48,7 +49,8 @@ class LogStream:
         table = self._table
         assert table.log_time is not None
         stamp = np.asarray(table.columns[table.stamp]) if table.stamp else None
-        return clocks.settle(table.log_time, stamp, self.order)
+        clock = clocks.settle(table.log_time, stamp, self.order)
+        return replace(clock, notes=(*clock.notes, _jittered(table.jittered))) if table.jittered else clock
 
     @property
     def frame_id(self) -> str:
@@ -131,6 +133,14 @@ class LogStream:
         row = np.full(len(recorded) + 1, -1, np.int64)  # the last one answers for -1
         row[self._clock.rows] = np.arange(len(self._clock.rows))
         return row[recorded]
+
+
+def _jittered(n: int) -> str:
+    """Say that times ran backwards and the order of the file was kept."""
+    return (
+        f"recording times jitter: {n} run backwards or are off the beat; the order of the messages in the file "
+        "is kept, and those are dated evenly between their neighbours"
+    )
 
 
 def _rows(numbers: Ints, columns: dict[str, Column]) -> Block:

@@ -17,6 +17,8 @@ from locfuse.formats.messages.decoded import Decoded, MessageDecoder
 from locfuse.formats.messages.fields import frame_path, stamp_path
 from locfuse.fusion.data import Column, Ints, LocfuseError
 
+from . import jitter
+
 
 class Raw(NamedTuple):
     """The messages of one channel in one batch, and what decodes them."""
@@ -65,6 +67,7 @@ class Table:
         self.bad: Counter[str] = Counter()  # reason -> messages that are no rows
         self.log_time: Ints | None = None  # (n,) recording order; None before the first read
         self.columns: dict[str, Column] = {}
+        self.jittered = 0  # log times that ran backwards and were replaced
         self._walk_rows: Ints | None = None  # row -> walk row; None: the same
         self._pass = Pass((), 0)
         self._earliest: int | None = None
@@ -89,8 +92,8 @@ class Table:
 
     def feed(self, raw: Raw) -> None:
         """Take the next messages in file order."""
-        self._refuse_too_much(raw)
         decoded = raw.columns(self._pass.fields)
+        self._refuse_too_much(raw, decoded.good)
         for name, piece in decoded.columns.items():
             self._pass.columns[name].add(piece)
         self._pass.log_time.add(raw.messages.log_time[decoded.good])
@@ -103,10 +106,10 @@ class Table:
         if self._frame and decoded.good.any():
             self._take_frame(raw, decoded.good, self._frame)
 
-    def _refuse_too_much(self, raw: Raw) -> None:
+    def _refuse_too_much(self, raw: Raw, held: NDArray[np.bool_]) -> None:
         """Bound the memory: a small compressed file can hold any number of giant messages."""
         fields = [name for name in self._pass.fields if name != self.stamp]
-        long = raw.messages.length > LONG_BYTES
+        long = held & (raw.messages.length > LONG_BYTES)
         if not fields or not long.any():
             return
         self._pass.long += int(raw.messages.length[long].sum())
@@ -159,9 +162,16 @@ class Table:
         return times[counts > 1]
 
     def sort(self, digests: Ints | None) -> None:
-        """Put the rows into recording order; `digests` (n,) of the bytes, walk order, settle ties."""
+        """Put the rows into recording order; `digests` (n,) of the bytes, walk order, settle ties.
+
+        That is the order of their log times, or, where these jitter, the order in which they lie in the file.
+        """
         log_time, sequence = self._times
         self._times = NO_TIMES  # needed no more
+        steady = jitter.pooled(log_time)
+        if steady is not None:
+            self.log_time, self.jittered = steady
+            return
         if digests is None and (np.diff(log_time) > 0).all():
             self.log_time = log_time
             return

@@ -29,7 +29,11 @@ def dented(data: bytes) -> bytes:
     return data[:middle] + data[middle + 40 :]
 
 
-@pytest.mark.parametrize("damage", [dented, lambda data: data[: len(data) // 2] + b"\xff\xd9"])
+def cut(data: bytes) -> bytes:
+    return data[: len(data) // 2] + b"\xff\xd9"
+
+
+@pytest.mark.parametrize("damage", [dented, cut])
 def test_a_damaged_picture_is_not_whole_and_the_terminal_stays_quiet(
     damage: Callable[[bytes], bytes], capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -48,7 +52,8 @@ def test_bytes_behind_the_picture_are_no_damage(capfd: pytest.CaptureFixture[str
 
 
 def test_in_many_threads_the_damaged_one_is_found_and_no_other() -> None:
-    pictures = [dented(jpeg(i)) if i % 7 == 3 else jpeg(i) for i in range(60)]
+    """Cut in two, so that libjpeg hears of each; some dents it steps over in silence."""
+    pictures = [cut(jpeg(i)) if i % 7 == 3 else jpeg(i) for i in range(60)]
     with ThreadPoolExecutor(4) as pool:
         found = list(pool.map(lambda data: images.compressed(data, "jpeg"), pictures))
     bad = [i for i, one in enumerate(found) if isinstance(one, str)]

@@ -45,6 +45,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "log",
         "results figures",
         "report rerun",
+        "fleet",
     ),
     "sample_logs": (),
     "cli": (
@@ -52,6 +53,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "pipeline",
         "session",
         "jobs rerun inspect",
+        "fleet",
         "terminal",
         "commands",
         "main",

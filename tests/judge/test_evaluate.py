@@ -18,16 +18,16 @@ POINTS = [(0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (-0.3, 0.4), (0.3, -0.6)]
 def claimed() -> Array:
     """Covariance (3, 3) of a pose whose heading and place go together [m^2, m rad, rad^2]."""
     A = np.array([[0.01, 0.0, 0.0], [0.004, 0.006, 0.0], [0.02, -0.015, 0.03]])
-    return A @ A.T
+    return np.asarray(A @ A.T, np.float64)
 
 
 def judged(point: tuple[float, float], truth_sigma: float, heading: bool = True) -> tuple[Estimates, Drive]:
     """Estimates whose errors are drawn from the covariance they claim, at headings all round."""
     rng = np.random.default_rng(4)
-    t = np.arange(N) * 0.1
+    t = np.linspace(0.0, 0.1 * N, N)
     true = np.column_stack((rng.uniform(-5.0, 5.0, (N, 2)), rng.uniform(-np.pi, np.pi, N)))
     P = np.broadcast_to(claimed(), (N, 3, 3))
-    pose = true + rng.multivariate_normal(np.zeros(3), claimed(), N)
+    pose = np.asarray(true + rng.multivariate_normal(np.zeros(3), claimed(), N), np.float64)
     xy = se2.transform(true, np.broadcast_to(np.array(point), (N, 2))) + truth_sigma * rng.normal(size=(N, 2))
     truth = Truth("/truth", t, xy, true[:, 2] if heading else None, point, truth_sigma)
     motions = Motions(np.zeros((N, 3)), np.zeros((N, 3, 3)), np.zeros((N, 3, 0)))

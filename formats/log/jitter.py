@@ -1,0 +1,99 @@
+"""Times that jitter: the messages lie in their true order, and some of their times run backwards.
+
+A time that lies before that of the message before it has one of two reasons. The message was written late: then
+its time is right, and where it belongs by its time there is a hole that it fills. Or its time was taken wrongly:
+then the hole is where the message lies, between the two beside it, and where its time would put it is no room.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from locfuse.fusion.data import Array, Ints
+
+from .monotone import never_decreasing
+
+MAX_BACK_NS = 2 * 10**9  # a time that runs back by more is no jitter: another clock, or files in another order
+MAX_SHARE = 0.25  # of the times may contradict the order; with more of them nobody can tell what is right
+
+WINDOW = 7  # neighbours on either side by which the beat of a stream is known
+OFF_BEAT, OFF_PERIODS = 8.0, 0.25  # robust deviations and periods off the beat: a time like that is wrong
+
+
+def credibility(times: Ints) -> tuple[Array, NDArray[np.bool_]]:
+    """Weigh times (n,) in their true order by how well they keep their neighbours' beat; mark what is off it.
+
+    The beat at i is the median of t_j + (i - j) T over the neighbours j, T their median step. Most streams keep
+    it, and then it tells which of two times in the wrong order is the wrong one, and which one is wrong without
+    contradicting the order. The weights have the long tail of a Cauchy distribution.
+    """
+    n = len(times)
+    if n <= 2 * WINDOW:
+        return np.ones(n), np.zeros(n, bool)
+    t = (times - times[0]).astype(np.float64)
+    steps = np.pad(np.diff(t), WINDOW, mode="reflect")
+    period = np.median(sliding_window_view(steps, 2 * WINDOW), axis=1)[:n]
+    places = np.arange(-WINDOW, WINDOW + 1)
+    inner = np.arange(WINDOW, n - WINDOW)
+    beat = t.copy()
+    beat[inner] = np.median(t[inner[:, None] + places] - places * period[inner, None], axis=1)
+    off = np.abs(t - beat)
+    scale = max(float(np.median(off[inner])), 1e6)
+    weights = 1.0 / (1.0 + (off / scale) ** 2) + 1e-6  # all else equal, the more times the better
+    return weights, (off > OFF_BEAT * scale) & (off > OFF_PERIODS * period)
+
+
+def pooled(times: Ints) -> tuple[Ints, int] | None:
+    """Return times (n,) in the order of the file that never decrease, and how many of them were replaced.
+
+    None where the times are in order, or where they are right and the order of the file is not. The least credible
+    times that make the others an ordered series are replaced, evenly between their neighbours: isotonic regression
+    in the norm that counts outliers, so that a time that is right is never moved by one that is not. Where times
+    run backwards, those that are off the beat without running backwards are wrong too.
+    """
+    if len(times) < 3 or (np.diff(times) >= 0).all():
+        return None
+    weights, off = credibility(times)
+    keep = never_decreasing(times, weights)
+    backwards = np.flatnonzero(~keep)
+    if len(backwards) > MAX_SHARE * len(times) or not _room_in_file(times, keep, backwards):
+        return None
+    keep &= ~off
+    wrong = np.flatnonzero(~keep)
+    if len(wrong) > MAX_SHARE * len(times):
+        return None
+    filled = _filled(times, keep)
+    if np.abs(filled - times)[wrong].max() > MAX_BACK_NS:
+        return None
+    return filled, len(wrong)
+
+
+def _filled(times: Ints, keep: NDArray[np.bool_]) -> Ints:
+    """Replace what is not kept, evenly between the neighbours; beyond the last one, by the usual period."""
+    known = np.flatnonzero(keep)
+    first = int(times[known[0]])
+    at = np.arange(len(times))
+    out: Ints = times.copy()
+    out[~keep] = first + np.rint(np.interp(at[~keep], known, times[known] - first)).astype(np.int64)
+    period = int(np.median(np.diff(times[known]))) if len(known) > 1 else 0
+    before, after = at < known[0], at > known[-1]
+    out[before] = first - period * (known[0] - at[before])
+    out[after] = times[known[-1]] + period * (at[after] - known[-1])
+    return out
+
+
+def _room_in_file(times: Ints, keep: NDArray[np.bool_], wrong: Ints) -> bool:
+    """Return whether there is room for most of the `wrong` where they lie, rather than where their times are."""
+    known, kept = np.flatnonzero(keep), times[keep]
+    after = np.searchsorted(known, wrong)
+    inner = (after > 0) & (after < len(known))
+    if not inner.any():
+        return False
+    wrong, after = wrong[inner], after[inner]
+    between = known[after] - known[after - 1]  # steps from neighbour to neighbour in the file
+    in_file: Array = (kept[after] - kept[after - 1]) / between
+    by_time = np.clip(np.searchsorted(kept, times[wrong]), 1, len(kept) - 1)
+    in_time: Array = (kept[by_time] - kept[by_time - 1]) / 2.0
+    return bool(2 * np.count_nonzero(in_file > in_time) > len(wrong))

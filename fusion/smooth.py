@@ -28,7 +28,6 @@ from .graph.whole_drive import Graph, whole_drive
 from .robot import Robot
 
 NOT_OPTIMAL = ("first-scan", "consider")
-MIN_GAIN, MIN_GAIN_M = 1.5, 0.01  # by how much the graph must fit the loops better than the backward pass
 RANK = 1e-12  # relative eigenvalue below which the wheels' noise has no extent
 
 
@@ -56,38 +55,30 @@ def fuse_and_smooth(
     check_optimal(robot, sensors)
     journal = Journal()
     filtered = fuse(drive, robot, sensors, name, beliefs=(journal.pose, journal.joint))
-    by_filter = smoothed(drive, filtered, journal)
-    wheels = by_filter.blocks.get(WHEELS)
+    wheels = filtered.blocks.get(WHEELS)
     graph = whole_drive(drive, robot, sensors, None if wheels is None else wheels[-1])
-    return filtered, chosen(by_filter, graph)
-
-
-def chosen(by_filter: Estimates, graph: Graph | None) -> Estimates:
-    """Return the drive by the graph where the backward pass does not hold its loops together, else by that one.
-
-    Both are judged by the same closures: how far apart they leave what two visits of a place saw. A filter that
-    was lost on the way is no ground for a backward pass.
-    """
     if graph is None:
-        return by_filter
-    if not len(graph.closures):
-        notes = graph.notes() or ("smoothing: no place was seen again, so no loop was closed",)
-        return replace(by_filter, notes=(*by_filter.notes, *notes))
+        return filtered, smoothed(drive, filtered, journal)
+    if graph.needed(filtered):
+        return filtered, by_graph(filtered, graph)
+    found = smoothed(drive, filtered, journal)
+    return filtered, replace(found, notes=(*found.notes, *graph.notes(used=False)))
+
+
+def by_graph(filtered: Estimates, graph: Graph) -> Estimates:
+    """Return the drive as the graph has it, its map straightened. States beside the pose stay the filter's."""
     pose, P = graph.poses()
-    apart, better = graph.misfit(by_filter.pose), graph.misfit(pose)
-    if not by_filter.lost and apart < MIN_GAIN * better + MIN_GAIN_M:
-        held = f"smoothing: the filter's own map holds {len(graph.closures)} loops together to {apart:.3f} m"
-        return replace(by_filter, notes=(*by_filter.notes, held))
     truth_pose, truth_P = graph.at_truth()
     return replace(
-        by_filter,
+        filtered,
         pose=pose,
         triangles=upper_triangles(P),
         truth_pose=truth_pose,
         truth_P=truth_P,
         final_map=graph.walls(),
         lost=(),
-        notes=(*by_filter.notes, *graph.notes()),
+        notes=(*filtered.notes, *graph.notes()),
+        smoothed=True,
     )
 
 

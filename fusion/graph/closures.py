@@ -25,6 +25,7 @@ MIN_WAY_M = 15.0  # two places this far apart along the way are a loop
 MAX_APART_M = 5.0  # between the middles of two submaps that overlap
 NARROW_M, NARROW_RAD = 0.35, np.radians(4.0)  # 1 sigma: a match finds it without a search
 WIDE_M = (2.0, 4.0, 8.0, 16.0, 16.0, 16.0)  # 1 sigma of the widest search, round by round
+MAX_VISITS = 6  # candidates of one submap in a round
 MAX_SEARCHES = 100  # correlations in a round: those of the smallest windows
 MIN_INLIERS, MIN_OVERLAP, MAX_RMS_M = 0.65, 0.4, 0.05
 MAX_THROUGH = 0.05  # share of the points that look through walls
@@ -107,7 +108,15 @@ def candidates(x: Array, normal: Normal, maps: Submaps, way: Array, loops: Loops
     likely = apart < MAX_APART_M + np.minimum(2.0 * sigma, MAX_APART_M)
     closed = np.array([(i, j) in loops.pair for i, j in zip(a.tolist(), b.tolist(), strict=True)], dtype=bool)
     at = np.flatnonzero(likely & ~closed)
+    at = at[_nearest_visits(b[at], (apart + sigma)[at])]
     return Candidates(a[at], b[at], guess[at], P[at])
+
+
+def _nearest_visits(b: Ints, cost: Array) -> Ints:
+    """Return where the MAX_VISITS cheapest candidates of each submap are: a robot in one room has too many."""
+    order = np.lexsort((cost, b))
+    first = np.searchsorted(b[order], b[order])
+    return np.sort(order[np.arange(len(order)) - first < MAX_VISITS])
 
 
 def relative(x: Array, joint: Array, keys: Ints, a: Ints, b: Ints) -> tuple[Array, Array]:

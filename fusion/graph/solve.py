@@ -17,8 +17,8 @@ from locfuse.fusion.data import Array, Ints
 MAX_STEPS, STEPS_BETWEEN = 10, 2  # at the last width of the kernels, and at those before
 SETTLED = 1e-4  # m, rad
 COLUMNS_AT_ONCE = 384
-# systematic errors of a drive, and how large they may be (1 sigma): a heading that drifts with the way, and a laser
-# that is mounted a little turned, so that it sees the robot go sideways: left out, either bends the building
+# systematic errors of a drive, and how large they may be (1 sigma): a heading that drifts with the way, and a
+# laser that is mounted a little turned, so that it sees the robot go sideways: left out, either bends the building
 SYSTEMATIC = (np.radians(0.1), np.radians(1.0))  # rad per metre; rad
 MAX_DENSE = 3600  # states: up to here the whole inverse is the quickest way to covariances
 
@@ -63,7 +63,7 @@ class Edges:
         """Return e (m, 3) at poses x (n, 3) and systematic errors (2,)."""
         e = se2.between(x[self.i], x[self.j]) - self.z
         if systematic is not None:
-            e -= self.by @ systematic
+            e += self.by @ systematic
         e[:, 2] = se2.wrap_all(e[:, 2])
         return e
 
@@ -124,7 +124,7 @@ class Normal:
         e, Omega = edges.errors(x, s), edges.information * weights[:, None, None]
         at = [3 * edges.i[:, None] + np.arange(3), 3 * edges.j[:, None] + np.arange(3)]
         at.append(np.broadcast_to(3 * len(x) + np.arange(len(s)), (len(edges), len(s))))
-        J = np.concatenate((*edges.jacobians(x), -edges.by), axis=2)
+        J = np.concatenate((*edges.jacobians(x), edges.by), axis=2)
         JO = J.transpose(0, 2, 1) @ Omega
         off = anchor.pose - x[anchor.at]
         off[2] = se2.wrap(float(off[2]))

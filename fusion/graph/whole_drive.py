@@ -7,15 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Ints, MapLine
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, MapLine
 from locfuse.fusion.doctor.clocks import clock_lags
 from locfuse.fusion.doctor.lag import worth_saying
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.wheels.states import WHEELS
 
 from .bridge import bridged
 from .chain import again, sequential, wheel_edges
@@ -25,14 +25,15 @@ from .keys import choose_keys, clouds_of
 from .match import Targets, sources_of
 from .odometry import Odometry, odometry_of
 from .others import Others
-from .solve import Anchor, Edges, Problem
+from .solve import Anchor, Edges, Normal, Problem
 from .submaps import Submaps, submaps_of
 from .walls import straightened
 
 LASER = "lrf"
 MIN_KEYS = 10
 START_FLOOR = np.diag([1e-4**2, 1e-4**2, 1e-5**2])  # m^2, rad^2: a start that is known exactly
-LOOP_GAP_M = 8.0  # closures further apart along the way are different loops
+SPAN_GAP_S = 30.0  # closures further apart in time are told apart
+MIN_GAIN, MIN_GAIN_M = 1.5, 0.01  # by how much the graph must fit the loops better than the filter
 
 
 @dataclass(frozen=True)
@@ -44,8 +45,7 @@ class Graph:
     keys: Ints  # (m,) instants
     readings: Ints  # (m,) of the laser
     x: Array  # (m, 3) key poses in the map
-    P: Array  # (m, 3, 3)
-    after: Array  # (m - 1, 3, 3) covariance with the next
+    normal: Normal  # the normal equations there
     loops: Loops
     maps: Submaps
     lag: float  # s by which the wheels' clock was moved
@@ -74,38 +74,69 @@ class Graph:
         return pose, P
 
     def _between(self, stamps: Odometry, k: Ints) -> tuple[Array, Array]:
-        return bridged(self.odometry, stamps, k, self.keys, self.x, self.P, self.after)
+        return bridged(self.odometry, stamps, k, self.keys, self.x, *self.spread)
+
+    @cached_property
+    def spread(self) -> tuple[Array, Array]:
+        """Covariance of each key pose (m, 3, 3), and that with the next one (m - 1, 3, 3)."""
+        return self.normal.chain(len(self.x))
 
     def walls(self) -> list[MapLine]:
         """Return the straightened map."""
-        return straightened(self.drive.measurements[LASER], self.readings, self.x, self.P)
+        return straightened(self.drive.measurements[LASER], self.readings, self.x, self.spread[0])
 
     def misfit(self, pose: Array) -> float:
         """Return how far poses (n, 3) of the drive are from what the closures say, rms [m]."""
-        at = pose[self.keys]
-        e = self.closures.errors(at)
-        return float(np.sqrt((e[:, :2] ** 2).sum(axis=1).mean()))
+        return _rms(self.closures.errors(pose[self.keys]))
 
-    def notes(self) -> tuple[str, ...]:
-        """Say which loops were closed, and what stayed undecided."""
-        t, middle = self.drive.t[self.keys], self.closures
-        order = np.argsort(middle.j, kind="stable")
-        spans: list[list[float]] = []
-        for j in t[middle.j[order]].tolist():
-            if spans and j - spans[-1][1] < 30.0:
-                spans[-1][1] = j
-            else:
-                spans.append([j, j])
-        when = ", ".join(f"{a:.0f}-{b:.0f} s" for a, b in spans)
-        said = [f"closed {len(middle)} loops onto places seen before ({when})"] if spans else []
-        if self.lag:
-            said.append(
-                f"took the wheels' clock to be {abs(self.lag):.2f} s {'late' if self.lag > 0 else 'early'}"
-            )
+    def needed(self, filtered: Estimates) -> bool:
+        """Return whether the filter's own map does not hold the closed loops together, or it was lost on the way.
+
+        Where it does, a backward pass through the filter is better than the graph: it weighs every line of every
+        scan. Both are judged by the same closures: how far apart they leave what two visits of a place saw.
+        """
+        if not len(self.closures):
+            return bool(filtered.lost)
+        return bool(filtered.lost) or self.misfit(filtered.pose) > MIN_GAIN * self.misfit_of_keys() + MIN_GAIN_M
+
+    def misfit_of_keys(self) -> float:
+        """Return the same of the graph's own poses, rms [m]."""
+        return _rms(self.closures.errors(self.x))
+
+    def notes(self, used: bool = True) -> tuple[str, ...]:
+        """Say which loops were closed and when, what stayed undecided, and whether the graph was needed."""
+        return tuple(f"smoothing: {words}" for words in self._words(used))
+
+    def _words(self, used: bool) -> list[str]:
+        closed = len(self.closures)
+        if not closed:
+            said = ["no loop was closed: no place was recognised as seen before"]
+        elif not used:
+            return [f"the filter's own map holds its {closed} loops together; no loop had to be closed"]
+        else:
+            said = [f"closed {closed} loops onto places seen before (at {self._when()})"]
+        if used and self.lag:
+            side = "behind" if self.lag < 0 else "ahead of"
+            said.append(f"the laser's stamps run {abs(self.lag):.2f} s {side} the wheels', which was allowed for")
         if self.loops.undecided:
-            n, reasons = len(self.loops.undecided), sorted(set(self.loops.undecided.values()))
-            said.append(f"left {n} possible loops open ({'; '.join(reasons)})")
-        return tuple(f"smoothing: {words}" for words in said)
+            n, why = len(self.loops.undecided), "; ".join(sorted(set(self.loops.undecided.values())))
+            said.append(f"{n} possible loops stayed open ({why})")
+        return said
+
+    def _when(self) -> str:
+        """Return the spans of time in which places were seen again."""
+        t = self.drive.t[self.keys]
+        spans: list[list[float]] = []
+        for at in sorted(t[self.closures.j].tolist()):
+            if spans and at - spans[-1][1] < SPAN_GAP_S:
+                spans[-1][1] = at
+            else:
+                spans.append([at, at])
+        return ", ".join(f"{a:.0f}-{b:.0f} s" if b > a else f"{a:.0f} s" for a, b in spans)
+
+
+def _rms(errors: Array) -> float:
+    return float(np.sqrt((errors[:, :2] ** 2).sum(axis=1).mean())) if len(errors) else 0.0
 
 
 def whole_drive(drive: Drive, robot: Robot, sensors: Sequence[str], wheels: Array | None = None) -> Graph | None:
@@ -136,21 +167,19 @@ def whole_drive(drive: Drive, robot: Robot, sensors: Sequence[str], wheels: Arra
     if len(loops.edges):
         closed = Edges.joined(closed, again(targets, sources, x, way))
     x, normal = problem.solve(x, closed, GRADUATIONS if len(loops.edges) else (1.0,))
-    P, after = normal.chain(len(x))
     return Graph(
-        drive,
-        odometry,
-        keys,
-        readings,
-        x,
-        P,
-        after,
-        loops,
-        maps,
-        lag,
-        problem.systematic,
-        wheels,
-        (LASER, *others.sensors),
+        drive=drive,
+        odometry=odometry,
+        keys=keys,
+        readings=readings,
+        x=x,
+        normal=normal,
+        loops=loops,
+        maps=maps,
+        lag=lag,
+        systematic=problem.systematic,
+        wheels=wheels,
+        sensors=(LASER, *others.sensors),
     )
 
 
@@ -167,6 +196,3 @@ def start(robot: Robot, odometry: Odometry, first: int) -> Anchor:
     u, C = odometry.between(np.array([0]), np.array([first]))
     P = np.diag([s.sigma_xy**2, s.sigma_xy**2, np.radians(s.sigma_theta_deg) ** 2]) + START_FLOOR + C[0]
     return Anchor(0, se2.compose(pose, u[0]), np.linalg.inv(P))
-
-
-__all__ = ["LASER", "WHEELS", "Graph", "whole_drive"]

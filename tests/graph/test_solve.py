@@ -93,7 +93,7 @@ def test_a_wrong_closure_among_right_ones_is_given_up() -> None:
 def test_a_heading_that_drifts_with_the_way_is_found_and_taken_out() -> None:
     truth, edges = ring(np.random.default_rng(5), 0.0)
     edges.by[:-1, 2, 0] = 2.6 * (edges.j - edges.i)[:-1]
-    edges.information[:] *= 1e4
+    edges.information[:] *= 1e6
     drift = 0.002
     edges.z[:] += edges.by @ np.array([drift, 0.0])
     problem = Problem(ANCHOR)

@@ -51,7 +51,7 @@ def path(laps: float) -> tuple[Array, Array]:
         if k + 1 < sides:
             poses += [poses[-1] + np.array([0.0, 0.0, np.pi / 40.0]) * s for s in range(1, 21)]
     found = np.array(poses)
-    return STEP_S * np.arange(len(found)), found
+    return np.arange(len(found)) * np.float64(STEP_S), found
 
 
 def scan(pose: Array, segments: Array, rng: np.random.Generator) -> Array:

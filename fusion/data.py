@@ -139,6 +139,20 @@ class ArrayStream:
         yield np.arange(len(self.t_ns)), self.columns(*fields)
 
 
+class Points(Protocol):
+    """What a laser saw as points, read anew from the log on request: an hour of it is too big to be held."""
+
+    @property
+    def origin(self) -> tuple[float, float]:
+        """Where the laser sits on the base, x, y [m]."""
+
+    def take(self, readings: Ints) -> Points:
+        """Return the points of the readings at these positions."""
+
+    def read(self, readings: Ints) -> list[Array]:
+        """Return of each reading the points (k, 2) [m] in the base frame, in the order of the beams."""
+
+
 @dataclass(frozen=True)
 class Measurements:
     """What one sensor measured over a drive, free of any pose: ragged, since a scan gives several lines.
@@ -156,6 +170,7 @@ class Measurements:
     floor: Array  # (d, d)
     extra: dict[str, Array] = field(default_factory=dict)  # more columns with m rows, e.g. segment ends
     dropped: dict[str, int] = field(default_factory=dict)  # readings refused, by reason
+    points: Points | None = None  # of a laser: what else its n scans saw
 
     @cached_property
     def R(self) -> Array:
@@ -190,6 +205,7 @@ class Measurements:
             floor=self.floor,
             extra={k: v[rows] for k, v in self.extra.items()},
             dropped=self.dropped,
+            points=None if self.points is None else self.points.take(readings),
         )
 
 

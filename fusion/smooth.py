@@ -1,5 +1,9 @@
 """Smoothing: what the whole drive, its end included, says of every instant (Rauch, Tung, Striebel 1965).
 
+One smoother for the user, two ways of solving it. Where a laser came back to places that the filter's own map does
+not hold together, the graph of key poses (fusion.graph) closes these loops. Else the backward pass below is the
+better one: it weighs every line of every scan.
+
 Backward through the filter's journal: undo each prediction; map lines leave where they were born, and dropped ones
 return. Holds where the filter's gain is the optimal one: not for the frozen and the considered map.
 """
@@ -20,6 +24,7 @@ from locfuse.fusion.wheels.states import WHEELS
 from . import se2
 from .data import Array, Drive, Estimates, UsageError, upper_triangles
 from .fuse import fuse
+from .graph.whole_drive import Graph, whole_drive
 from .robot import Robot
 
 NOT_OPTIMAL = ("first-scan", "consider")
@@ -50,7 +55,31 @@ def fuse_and_smooth(
     check_optimal(robot, sensors)
     journal = Journal()
     filtered = fuse(drive, robot, sensors, name, beliefs=(journal.pose, journal.joint))
-    return filtered, smoothed(drive, filtered, journal)
+    wheels = filtered.blocks.get(WHEELS)
+    graph = whole_drive(drive, robot, sensors, None if wheels is None else wheels[-1])
+    if graph is None:
+        return filtered, smoothed(drive, filtered, journal)
+    if graph.needed(filtered):
+        return filtered, by_graph(filtered, graph)
+    found = smoothed(drive, filtered, journal)
+    return filtered, replace(found, notes=(*found.notes, *graph.notes(used=False)))
+
+
+def by_graph(filtered: Estimates, graph: Graph) -> Estimates:
+    """Return the drive as the graph has it, its map straightened. States beside the pose stay the filter's."""
+    pose, P = graph.poses()
+    truth_pose, truth_P = graph.at_truth()
+    return replace(
+        filtered,
+        pose=pose,
+        triangles=upper_triangles(P),
+        truth_pose=truth_pose,
+        truth_P=truth_P,
+        final_map=graph.walls(),
+        lost=(),
+        notes=(*filtered.notes, *graph.notes()),
+        smoothed=True,
+    )
 
 
 def smoothed(drive: Drive, filtered: Estimates, journal: Journal) -> Estimates:

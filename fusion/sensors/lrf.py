@@ -17,12 +17,12 @@ from locfuse.fusion.data import Array, Colour, Component, Ints, Measurements, St
 from locfuse.fusion.linemap.tracker import LineTracker
 from locfuse.fusion.lines.extract import LineSettings
 from locfuse.fusion.lines.flatness import wall_floor
+from locfuse.fusion.lines.points import SCANS_PER_BLOCK, ScanPoints
 from locfuse.fusion.lines.scans import Gathered, Laser, equal_scans, lines_in_base, too_many_beams, turns
 from locfuse.fusion.mount import ASK_MOUNT, Mount, MountedSettings, mount_states
 from locfuse.fusion.sensor import Ask, Reversal, Sensor, WheelMotion
 
 MapMode = Literal["first-scan", "consider", "refine", "grow", "given"]
-SCANS_PER_BLOCK = 256  # line extraction is level-synchronous over this many scans (benchmarks: "lines per scan")
 
 
 class LrfSettings(MountedSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -94,7 +94,8 @@ class Lrf(Sensor):
         if uneven.any():
             extra["uneven"] = np.broadcast_to(uneven, z.shape)  # m^2, rad^2
         dropped = {**stream.dropped, **({"too_many_beams": giants} if giants else {})}
-        return Measurements(t, first, z, R_unit, settings.sigma_range, np.diag(floor), extra, dropped)
+        points = ScanPoints(stream, self.reads[stream.msgtype], stamps, laser, wheels, np.arange(len(t)))
+        return Measurements(t, first, z, R_unit, settings.sigma_range, np.diag(floor), extra, dropped, points)
 
     def heading(self, m: Measurements) -> tuple[Array, Array]:
         """Return times (n,) and headings (n,) [rad, unwrapped, up to a constant] by lines from scan to scan."""

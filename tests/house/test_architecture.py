@@ -32,7 +32,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "wheels linemap",
         "truth sensors",
         "measure instants judge doctor",
-        "fuse",
+        "fuse graph",
         "smooth tune paper",
     ),
     "formats": (

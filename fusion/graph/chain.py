@@ -1,0 +1,130 @@
+"""The way from key to key: wheels and matches of neighbouring scans, without any loop yet."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array, Ints
+
+from .keys import Clouds
+from .match import Matches, Targets, match
+from .odometry import Odometry, by_lever
+from .solve import Edges, Problem
+
+WHEEL_FLOOR = np.diag([0.005**2, 0.005**2, np.radians(0.3) ** 2])  # what wheels leave out: uneven floors
+SIDEWAYS = 0.04  # of the way: a laser whose mount is 2 degrees off sees the robot go sideways, and no wheel does
+WHEEL_WIDTH = 3.0  # sigmas: slips are no noise
+SCAN_WIDTH = 4.0
+NEIGHBOUR_STEPS = (2, 3, 5, 8)  # keys further on that a key is matched with, beside the next one
+MAX_NEIGHBOUR_M = 5.0
+MIN_INLIERS, MIN_OVERLAP, MAX_RMS_M = 0.6, 0.3, 0.05
+SLIPS_RAD = np.radians([-30.0, -24.0, -18.0, -12.0, -8.0, -4.0, 4.0, 8.0, 12.0, 18.0, 24.0, 30.0])
+SLIP_INLIERS, SLIP_GAIN = 0.75, 0.1  # where fewer points fit a slip is looked for; it must let so many more fit
+LOOSE = np.diag([0.1**-2, 0.1**-2, np.radians(8.0) ** -2])  # the wheels' prior while one is looked for
+INFLATION = 0.3  # of the matches' information: fitted on simulated buildings (benchmarks/simulated_building.py)
+PLACES_AGAIN, MIN_WAY_M, MAX_AGAIN_M = 2, 5.0, 2.5  # earlier visits that a key is matched with again, how near
+
+
+def wheel_edges(odometry: Odometry, instants: Ints) -> Edges:
+    """Return the wheels' motions from key to key at `instants` (n,)."""
+    a = np.arange(len(instants) - 1)
+    u, C = odometry.between(instants[:-1], instants[1:])
+    Q = by_lever(C, -u[:, 1], u[:, 0]) + WHEEL_FLOOR
+    aside = SIDEWAYS * np.hypot(u[:, 0], u[:, 1])
+    Q[:, [0, 1], [0, 1]] += np.square(aside)[:, None]
+    edges = Edges.of(a, a + 1, u, np.asarray(np.linalg.inv(Q), np.float64), WHEEL_WIDTH)
+    edges.by[:, 1, 1] = u[:, 0]
+    return edges
+
+
+def next_keys(targets: Targets, clouds: Clouds, wheels: Edges) -> Matches:
+    """Match every key with the next, from the wheels' motion; where that fits badly, look for a slip."""
+    found = match(targets, wheels.i, clouds, wheels.j, wheels.z, wheels.information)
+    bad = np.flatnonzero(found.inliers < SLIP_INLIERS)
+    if not len(bad):
+        return found
+    again, tries = np.repeat(bad, len(SLIPS_RAD)), np.tile(SLIPS_RAD, len(bad))
+    guess = wheels.z[again] + np.outer(tries, (0.0, 0.0, 1.0))
+    slips = match(
+        targets, wheels.i[again], clouds, wheels.j[again], guess, np.broadcast_to(LOOSE, (len(again), 3, 3))
+    )
+    score = (slips.inliers * (slips.overlap > MIN_OVERLAP)).reshape(len(bad), -1)
+    best = score.argmax(axis=1)
+    take = score.max(axis=1) > found.inliers[bad] + SLIP_GAIN
+    chosen = np.arange(len(bad)) * len(SLIPS_RAD) + best
+    for column, other in zip(vars(found).values(), vars(slips).values(), strict=True):
+        column[bad[take]] = other[chosen[take]]
+    return found
+
+
+def good(found: Matches) -> Array:
+    """Tell which matches are to be believed, (p,)."""
+    return np.asarray((found.inliers > MIN_INLIERS) & (found.overlap > MIN_OVERLAP) & (found.rms < MAX_RMS_M))
+
+
+def edges_of(i: Ints, j: Ints, found: Matches, way: Array | None = None) -> Edges:
+    """Return matches of clouds j in the frames of clouds i as edges; along the `way` (n,) headings may drift."""
+    edges = Edges.of(i, j, found.pose, INFLATION * found.information, SCAN_WIDTH)
+    if way is not None:
+        edges.by[:, 2, 0] = way[j] - way[i]
+    return edges
+
+
+def chained(poses: Array) -> Array:
+    """Return key poses (n, 3) from relative ones (n - 1, 3), from (0, 0, 0)."""
+    x = np.zeros((len(poses) + 1, 3))
+    for k, step in enumerate(poses):
+        x[k + 1] = se2.compose(x[k], step)
+    return x
+
+
+def sequential(
+    targets: Targets, clouds: Clouds, wheels: Edges, way: Array, problem: Problem
+) -> tuple[Array, Edges]:
+    """Return the key poses without any loop, (n, 3), and the edges: wheels, then scans."""
+    found = next_keys(targets, clouds, wheels)
+    sure = good(found)
+    step = np.where(sure[:, None], found.pose, wheels.z)
+    x = se2.compose(problem.anchor.pose, chained(step))
+    scans = edges_of(wheels.i, wheels.j, found, way).take(sure)
+    x, _ = problem.solve(x, Edges.joined(wheels, scans), (100.0, 1.0))
+    further = [scans, *(skipping(targets, clouds, x, way, n) for n in NEIGHBOUR_STEPS)]
+    edges = Edges.joined(wheels, *further)
+    x, _ = problem.solve(x, edges, (100.0, 1.0))
+    return x, edges
+
+
+def skipping(targets: Targets, clouds: Clouds, x: Array, way: Array, n: int) -> Edges:
+    """Match every key with the n-th after it, where that is near."""
+    i = np.arange(max(len(x) - n, 0))
+    j = i + n
+    near = np.hypot(*(x[j, :2] - x[i, :2]).T) < MAX_NEIGHBOUR_M
+    i, j = i[near], j[near]
+    guess = se2.between(x[i], x[j])
+    prior = np.linalg.inv(np.diag([0.05**2, 0.05**2, np.radians(1.0) ** 2]) * n)
+    found = match(targets, i, clouds, j, guess, np.broadcast_to(prior, (len(i), 3, 3)), 0.3)
+    return edges_of(i, j, found, way).take(good(found))
+
+
+def again(targets: Targets, clouds: Clouds, x: Array, way: Array) -> Edges:
+    """Match every key with the nearest keys of earlier visits, once the loops are closed (Lu and Milios 1997)."""
+    from scipy.spatial import cKDTree
+
+    near = cKDTree(x[:, :2]).query_ball_point(x[:, :2], MAX_AGAIN_M, return_sorted=True)
+    pairs = []
+    for j, others in enumerate(near):
+        i = np.array([k for k in others if way[j] - way[k] > MIN_WAY_M], dtype=np.int64)
+        i = i[np.argsort(np.hypot(*(x[i, :2] - x[j, :2]).T), kind="stable")]
+        visits: list[int] = []
+        for k in i.tolist():
+            if len(visits) < PLACES_AGAIN and all(abs(way[k] - way[v]) > MIN_WAY_M for v in visits):
+                visits.append(k)
+        pairs += [(k, j) for k in visits]
+    if not pairs:
+        return Edges.none()
+    i, j = np.array(pairs, dtype=np.int64).T
+    guess = se2.between(x[i], x[j])
+    prior = np.linalg.inv(np.diag([0.1**2, 0.1**2, np.radians(2.0) ** 2]))
+    found = match(targets, i, clouds, j, guess, np.broadcast_to(prior, (len(i), 3, 3)), 0.3)
+    return edges_of(i, j, found).take(good(found))

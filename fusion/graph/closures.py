@@ -1,0 +1,237 @@
+"""Loops: which places were seen before, in rounds from what is nearly certain to what needs a wide search.
+
+A candidate must fit (points on surfaces), must not look through walls, must agree with what the graph says within
+its covariance, and must agree with another candidate beside it: one look alone closes nothing. What is refused is
+asked again after each solve, since a loop that closes elsewhere narrows every window.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array, Ints
+
+from .free_space import MIN_POINTS, Views
+from .keys import Clouds
+from .match import Matches, Targets, match, sources_of
+from .solve import Edges, Normal, Problem
+from .submaps import Peak, Submaps, correlate
+
+MIN_WAY_M = 15.0  # two places this far apart along the way are a loop
+MAX_APART_M = 5.0  # between the middles of two submaps that overlap
+NARROW_M, NARROW_RAD = 0.35, np.radians(4.0)  # 1 sigma: a match finds it without a search
+WIDE_M = (2.0, 4.0, 8.0, 16.0, 16.0, 16.0)  # 1 sigma of the widest search, round by round
+MAX_VISITS = 6  # candidates of one submap in a round
+MAX_SEARCHES = 100  # correlations in a round: those of the smallest windows
+MIN_INLIERS, MIN_OVERLAP, MAX_RMS_M = 0.65, 0.4, 0.05
+MAX_THROUGH = 0.05  # share of the points that look through walls
+MAX_CONDITION = 1e4
+MAX_CHI2 = 16.3  # of three numbers: 99.9 %
+DOUBT = 4.0  # the graph's covariance is taken for so much larger when a candidate is judged
+NARROWER = 0.7  # of the last window: only then a search may find something new
+CLOSURE_WIDTH = 4.0  # sigmas
+KEPT = 0.3  # weight below which a closure is given up after the solve
+SUPPORT_M, SUPPORT_RAD = 0.35, np.radians(2.5)  # two candidates beside each other must agree to this
+SUPPORT_WAY_M = 12.0
+GRADUATIONS = (1e4, 1e3, 1e2, 10.0, 1.0)
+
+
+@dataclass
+class Loops:
+    """The closures of a drive as they are found, and what stayed undecided."""
+
+    edges: Edges = field(default_factory=Edges.none)  # between middle keys
+    pair: set[tuple[int, int]] = field(default_factory=set)  # submaps that are closed
+    undecided: dict[tuple[int, int], str] = field(default_factory=dict)  # submaps -> why not
+    asked: dict[tuple[int, int], float] = field(default_factory=dict)  # submaps -> window of the last search [m]
+    searches: int = 0
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Pairs of submaps that may see the same place."""
+
+    a: Ints  # (c,) submap that came first
+    b: Ints
+    guess: Array  # (c, 3) middle key of b seen from that of a, by the graph
+    P: Array  # (c, 3, 3) covariance of the guess, in the frame of a
+
+    def take(self, at: Ints) -> Candidates:
+        """Return those at these positions."""
+        return Candidates(self.a[at], self.b[at], self.guess[at], self.P[at])
+
+    @property
+    def sigma(self) -> Array:
+        """Standard deviations (c, 3)."""
+        return np.sqrt(np.maximum(np.diagonal(self.P, axis1=1, axis2=2), 0.0))
+
+
+def close(
+    x: Array, edges: Edges, problem: Problem, maps: Submaps, way: Array, clouds: Clouds, views: Views
+) -> tuple[Array, Edges, Loops]:
+    """Return the key poses with all loops closed, all edges, and the loops."""
+    loops = Loops()
+    x, normal = problem.solve(x, edges)
+    targets, sources = Targets(maps.clouds), sources_of(maps.clouds, 400)
+    for wide in WIDE_M:
+        before = set(loops.pair)
+        found = candidates(x, normal, maps, way, loops)
+        ready, start = placed(found, maps, wide, loops)
+        if len(ready.a):
+            new = judged(ready, start, targets, sources, maps, clouds, views, x, way, loops)
+            trial = Edges.joined(edges, loops.edges, new)
+            x, normal = problem.solve(x, trial, GRADUATIONS)
+            loops.edges = Edges.joined(loops.edges, new)
+            loops.edges = loops.edges.take(loops.edges.weights(x) > KEPT)
+            index = {int(k): s for s, k in enumerate(maps.middle.tolist())}
+            loops.pair = {
+                (index[i], index[j]) for i, j in zip(loops.edges.i.tolist(), loops.edges.j.tolist(), strict=True)
+            }
+        if loops.pair == before and wide == WIDE_M[-1]:
+            break
+    return x, Edges.joined(edges, loops.edges), loops
+
+
+def candidates(x: Array, normal: Normal, maps: Submaps, way: Array, loops: Loops) -> Candidates:
+    """Return the pairs of submaps that may overlap by what the graph knows, and are not closed yet."""
+    middle = maps.middle
+    a, b = np.triu_indices(len(middle), 1)
+    apart = np.hypot(*(x[middle[b], :2] - x[middle[a], :2]).T)
+    far = way[middle[b]] - way[middle[a]] > MIN_WAY_M
+    a, b, apart = a[far], b[far], apart[far]
+    guess, P = relative(x, normal.joint(middle), middle, a, b)
+    sigma = np.sqrt(np.maximum(P[:, 0, 0] + P[:, 1, 1], 0.0))
+    likely = apart < MAX_APART_M + np.minimum(2.0 * sigma, MAX_APART_M)
+    closed = np.array([(i, j) in loops.pair for i, j in zip(a.tolist(), b.tolist(), strict=True)], dtype=bool)
+    at = np.flatnonzero(likely & ~closed)
+    at = at[_nearest_visits(b[at], (apart + sigma)[at])]
+    return Candidates(a[at], b[at], guess[at], P[at])
+
+
+def _nearest_visits(b: Ints, cost: Array) -> Ints:
+    """Return where the MAX_VISITS cheapest candidates of each submap are: a robot in one room has too many."""
+    order = np.lexsort((cost, b))
+    first = np.searchsorted(b[order], b[order])
+    return np.sort(order[np.arange(len(order)) - first < MAX_VISITS])
+
+
+def relative(x: Array, joint: Array, keys: Ints, a: Ints, b: Ints) -> tuple[Array, Array]:
+    """Return poses of b seen from a (c, 3), and their covariances, from the joint one of `keys` (s, 3, s, 3)."""
+    i, j = keys[a], keys[b]
+    nothing = np.zeros((len(a), 3))
+    A, B = Edges.of(i, j, nothing, np.zeros((len(a), 3, 3)), np.inf).jacobians(x)
+    P_aa, P_bb, P_ab = joint[a, :, a, :], joint[b, :, b, :], joint[a, :, b, :]
+    At, Bt = A.transpose(0, 2, 1), B.transpose(0, 2, 1)
+    mixed = A @ P_ab @ Bt
+    P = A @ P_aa @ At + B @ P_bb @ Bt + mixed + mixed.transpose(0, 2, 1)
+    return se2.between(x[i], x[j]), P
+
+
+def placed(found: Candidates, maps: Submaps, wide: float, loops: Loops) -> tuple[Candidates, Array]:
+    """Return the candidates whose place is known well enough to be matched, and that place, (c, 3)."""
+    sigma = found.sigma
+    reach = np.hypot(sigma[:, 0], sigma[:, 1])
+    narrow = (reach < NARROW_M) & (sigma[:, 2] < NARROW_RAD)
+    start, ready = found.guess.copy(), narrow.copy()
+    pairs = list(zip(found.a.tolist(), found.b.tolist(), strict=True))
+    news = np.array([r < NARROWER * loops.asked.get(p, np.inf) for p, r in zip(pairs, reach, strict=True)], bool)
+    asked = np.flatnonzero(~narrow & (reach < wide) & news)
+    for c in asked[np.argsort(reach[asked], kind="stable")][:MAX_SEARCHES].tolist():
+        peak = _searched(found, c, maps)
+        loops.searches += 1
+        pair = pairs[c]
+        loops.asked[pair] = float(reach[c])
+        if peak.decided:
+            start[c], ready[c] = peak.pose, True
+        elif not peak.edge:
+            loops.undecided[pair] = "two places fit alike"
+    at = np.flatnonzero(ready)
+    return found.take(at), start[at]
+
+
+def _searched(found: Candidates, c: int, maps: Submaps) -> Peak:
+    ours, theirs = (
+        maps.clouds.xy[maps.clouds.first[s] : maps.clouds.first[s + 1]] for s in (found.a[c], found.b[c])
+    )
+    return correlate(ours, theirs, found.guess[c], found.sigma[c])
+
+
+def judged(
+    c: Candidates,
+    start: Array,
+    targets: Targets,
+    sources: Clouds,
+    maps: Submaps,
+    clouds: Clouds,
+    views: Views,
+    x: Array,
+    way: Array,
+    loops: Loops,
+) -> Edges:
+    """Return the candidates that pass every test, as edges between the middles of their submaps."""
+    loose = np.diag([0.2**2, 0.2**2, np.radians(3.0) ** 2])
+    prior = np.asarray(np.linalg.inv(c.P + loose), np.float64)
+    found = match(targets, c.a, sources, c.b, start, prior, 1.0)
+    fits = (found.inliers > MIN_INLIERS) & (found.overlap > MIN_OVERLAP) & (found.rms < MAX_RMS_M)
+    fits &= np.linalg.cond(found.information) < MAX_CONDITION
+    off = found.pose - c.guess
+    off[:, 2] = se2.wrap_all(off[:, 2])
+    S = DOUBT * c.P + np.linalg.inv(found.information + 1e-3 * np.eye(3))
+    fits &= np.einsum("ni,nij,nj->n", off, np.linalg.inv(S), off) < MAX_CHI2
+    at = np.flatnonzero(fits)
+    at = at[through_walls(c.take(at), found.pose[at], maps, clouds, views, x) < MAX_THROUGH]
+    c, found = c.take(at), found.take(at)
+    supported = support(c, found, maps, x, way, loops)
+    for k in np.flatnonzero(~supported).tolist():
+        loops.undecided[int(c.a[k]), int(c.b[k])] = "one look alone"
+    c, found = c.take(np.flatnonzero(supported)), found.take(supported)
+    for pair in zip(c.a.tolist(), c.b.tolist(), strict=True):
+        loops.undecided.pop(pair, None)
+    i, j = maps.middle[c.a], maps.middle[c.b]
+    return Edges.of(i, j, found.pose, found.information, CLOSURE_WIDTH)
+
+
+def through_walls(c: Candidates, pose: Array, maps: Submaps, clouds: Clouds, views: Views, x: Array) -> Array:
+    """Return the share of points that scans of one submap looked through, were the other at `pose` (c, 3)."""
+    pair, i, j, relative_poses = [], [], [], []
+    for k, (a, b) in enumerate(zip(c.a.tolist(), c.b.tolist(), strict=True)):
+        ours, theirs = maps.members[a], maps.members[b]
+        at_a, at_b = se2.between(x[maps.middle[a]], x[ours]), se2.between(x[maps.middle[b]], x[theirs])
+        at_b = se2.compose(pose[k], at_b)
+        nearest = np.hypot(*(at_b[:, None, :2] - at_a[None, :, :2]).transpose(2, 0, 1)).argmin(axis=1)
+        pair.append(np.full(2 * len(theirs), k))
+        i += [ours[nearest], theirs]
+        j += [theirs, ours[nearest]]
+        relative_poses += [se2.between(at_a[nearest], at_b), se2.between(at_b, at_a[nearest])]
+    if not pair:
+        return np.zeros(0)
+    of = np.concatenate(pair)
+    bad, seen = views.contradicted(clouds, np.concatenate(i), np.concatenate(j), np.concatenate(relative_poses))
+    total = np.bincount(of, seen, len(c.a))
+    share = np.bincount(of, bad, len(c.a)) / np.maximum(total, 1.0)
+    return np.where(total < MIN_POINTS, 1.0, share)
+
+
+def support(c: Candidates, found: Matches, maps: Submaps, x: Array, way: Array, loops: Loops) -> NDArray[np.bool_]:
+    """Tell which candidates agree with another one, or with a closure, at neighbouring submaps, (c,)."""
+    i = np.concatenate((maps.middle[c.a], loops.edges.i))
+    j = np.concatenate((maps.middle[c.b], loops.edges.j))
+    z = np.concatenate((found.pose, loops.edges.z))
+    out = np.zeros(len(c.a), dtype=bool)
+    for k in range(len(c.a)):
+        near = (np.abs(way[i] - way[i[k]]) < SUPPORT_WAY_M) & (np.abs(way[j] - way[j[k]]) < SUPPORT_WAY_M)
+        near &= (i != i[k]) | (j != j[k])
+        others = np.flatnonzero(near)
+        if not len(others):
+            continue
+        to_i, to_j = se2.between(x[i[k]], x[i[others]]), se2.between(x[j[k]], x[j[others]])
+        said = se2.compose(to_i, z[others])
+        own = se2.compose(z[k], to_j)
+        off = se2.between(own, said)
+        agree = np.hypot(off[:, 0], off[:, 1]) < SUPPORT_M
+        out[k] = bool((agree & (np.abs(se2.wrap_all(off[:, 2])) < SUPPORT_RAD)).any())
+    return out

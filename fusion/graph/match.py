@@ -1,0 +1,189 @@
+"""Scan matching: many pairs of clouds at once, point to line, with a prior for what the walls do not say.
+
+A corridor says nothing along itself: there the prior (the wheels) holds, and without one a match slides (Censi
+2008, "An ICP variant using a point-to-line metric"). The nearest points of all pairs are found by one
+search: each cloud lies in a layer of its own, far from all others.
+
+Frames: the pose of a pair is that of cloud j in the frame of cloud i, (x, y, theta); its information is that of
+these three numbers, so in the frame of i.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array, Ints
+
+from .keys import Clouds
+
+LAYER_M = 1e4  # between two clouds in the search
+RADII_M = (0.5, 0.4, 0.3, 0.2, 0.15, 0.15, 0.15)  # how far a point's partner may be, iteration by iteration
+SIGMA_M = 0.03  # of one point about its line
+DEPENDENT = 16.0  # neighbouring points are not independent: so many count as one
+FLOOR_M, FLOOR_RAD = 0.01, np.radians(0.2)  # no pair is known better
+MAX_ASLANT = 0.7  # cosine between the two surfaces of a pair of points, at least
+INLIER_M = 0.1  # a point closer to its line fits
+MATCHED_POINTS = 120  # of one cloud: more cost time and, being neighbours, say little new
+POINTS_AT_ONCE = 1_000_000
+SETTLED_M = 2e-4
+
+
+@dataclass(frozen=True)
+class Matches:
+    """What p pairs of clouds say of their relative poses."""
+
+    pose: Array  # (p, 3)
+    information: Array  # (p, 3, 3) by the points alone, without the prior
+    inliers: Array  # (p,) share of the points within reach of the other cloud that fit
+    overlap: Array  # (p,) share of all points that have a partner
+    rms: Array  # (p,) m, of those that fit
+
+    def take(self, at: Any) -> Matches:
+        """Return the pairs at these positions, or where a mask says so."""
+        return Matches(
+            *(column[at] for column in (self.pose, self.information, self.inliers, self.overlap, self.rms))
+        )
+
+    @classmethod
+    def joined(cls, parts: list[Matches]) -> Matches:
+        """Return the pairs of several results as one."""
+        names = ("pose", "information", "inliers", "overlap", "rms")
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+class Targets:
+    """Clouds that others are matched to: all their surfaces in one search tree."""
+
+    def __init__(self, clouds: Clouds) -> None:
+        from scipy.spatial import cKDTree
+
+        rows = np.flatnonzero(np.isfinite(clouds.normal[:, 0]))
+        self.xy, self.normal = clouds.xy[rows], clouds.normal[rows]
+        self._tree = cKDTree(np.column_stack((self.xy, LAYER_M * clouds.owner[rows])))
+
+    def nearest(self, xy: Array, clouds: Ints, reach: float) -> tuple[Array, Ints]:
+        """Return distance and row of the surface nearest to each point (m, 2) in its cloud; inf beyond `reach`."""
+        distance, row = self._tree.query(
+            np.column_stack((xy, LAYER_M * clouds)), distance_upper_bound=reach, workers=1
+        )
+        return distance, np.minimum(row, len(self.xy) - 1)
+
+
+def sources_of(clouds: Clouds, most: int = MATCHED_POINTS) -> Clouds:
+    """Return the points that are matched: those on a surface, evenly thinned to at most about `most` a cloud."""
+    rows = np.flatnonzero(np.isfinite(clouds.normal[:, 0]))
+    owner = clouds.owner[rows]
+    counts = np.bincount(owner, minlength=len(clouds))
+    nth = np.arange(len(rows)) - (np.cumsum(counts) - counts)[owner]
+    keep = rows[nth % np.maximum(counts // most, 1)[owner] == 0]
+    first = np.concatenate(([0], np.cumsum(np.bincount(clouds.owner[keep], minlength=len(clouds)))))
+    return Clouds(first, clouds.xy[keep], clouds.normal[keep])
+
+
+def match(
+    targets: Targets, i: Ints, sources: Clouds, j: Ints, guess: Array, prior: Array, reach: float = RADII_M[0]
+) -> Matches:
+    """Match clouds j (p,) of `sources` with clouds i (p,) of the targets, from poses `guess` (p, 3).
+
+    `prior` (p, 3, 3): information of the guess, in the frame of i.
+    """
+    counts = np.diff(sources.first)[j]
+    cuts = np.flatnonzero(np.diff(np.cumsum(counts) // POINTS_AT_ONCE)) + 1
+    parts = [
+        _match(targets, i[at], sources, j[at], guess[at], prior[at], reach)
+        for at in np.split(np.arange(len(i)), cuts)
+    ]
+    return Matches.joined(parts)
+
+
+def _match(
+    targets: Targets, i: Ints, sources: Clouds, j: Ints, guess: Array, prior: Array, reach: float
+) -> Matches:
+    pose, moving = guess.copy(), np.arange(len(i))
+    scale = reach / RADII_M[0]
+    for radius in RADII_M:
+        pairs = _Pairs.made(targets, i[moving], sources, j[moving], pose[moving], max(radius * scale, RADII_M[-1]))
+        H, g = pairs.normal_equations()
+        off = se2_difference(guess[moving], pose[moving])
+        Lambda = prior[moving]
+        step = np.linalg.solve(
+            H + Lambda + 1e-6 * np.eye(3), (g + np.einsum("nij,nj->ni", Lambda, off))[..., None]
+        )[..., 0]
+        pose[moving] += step
+        if radius * scale <= RADII_M[-1]:
+            moving = moving[np.abs(step).max(axis=1) > SETTLED_M]
+        if not len(moving):
+            break
+    last = _Pairs.made(targets, i, sources, j, pose, RADII_M[0])
+    H, _ = last.normal_equations()
+    return Matches(pose, floored(H), *last.quality(np.diff(sources.first)[j]))
+
+
+def se2_difference(a: Array, b: Array) -> Array:
+    """Return a - b of poses (n, 3) number by number, the angle wrapped."""
+    d = a - b
+    d[:, 2] = se2.wrap_all(d[:, 2])
+    return d
+
+
+def floored(information: Array) -> Array:
+    """Return information (p, 3, 3) with the floors added to its covariance; singular ones stay singular."""
+    floor = np.diag([FLOOR_M**2, FLOOR_M**2, FLOOR_RAD**2])
+    out: Array = information @ np.linalg.inv(np.eye(3) + floor @ information)
+    return 0.5 * (out + out.transpose(0, 2, 1))
+
+
+@dataclass(frozen=True)
+class _Pairs:
+    """Points of all pairs with their partners: only those that have one."""
+
+    n: int  # number of pairs of clouds
+    of: Ints  # (k,) which pair of clouds
+    e: Array  # (k,) signed distance from the partner's line [m]
+    row: Array  # (k, 3) its derivative by the pose
+    distance: Array  # (k,)
+
+    @classmethod
+    def made(cls, targets: Targets, i: Ints, sources: Clouds, j: Ints, pose: Array, reach: float) -> _Pairs:
+        rows, of = sources.rows(j)
+        turn = pose[of, 2]
+        arm = se2.rotated(turn, sources.xy[rows])
+        at = arm + pose[of, :2]
+        distance, partner = targets.nearest(at, i[of], reach)
+        near = np.isfinite(distance)
+        own = se2.rotated(turn, sources.normal[rows])
+        normal = targets.normal[partner]
+        with np.errstate(invalid="ignore"):
+            aslant = np.abs((own * normal).sum(axis=1)) < MAX_ASLANT  # False without a surface of its own
+        near &= ~aslant
+        of, arm, at, normal, partner = of[near], arm[near], at[near], normal[near], partner[near]
+        e = ((at - targets.xy[partner]) * normal).sum(axis=1)
+        by_turn = normal[:, 1] * arm[:, 0] - normal[:, 0] * arm[:, 1]
+        return cls(len(i), of, e, np.column_stack((normal, by_turn)), distance[near])
+
+    def normal_equations(self) -> tuple[Array, Array]:
+        """Return H (n, 3, 3) and g (n, 3) of the pairs: Cauchy weights, since people and doors are outliers."""
+        w = 1.0 / (1.0 + (self.e / (2.0 * SIGMA_M)) ** 2) / (DEPENDENT * SIGMA_M**2)
+        H, g = np.empty((self.n, 3, 3)), np.empty((self.n, 3))
+        for a in range(3):
+            wa = w * self.row[:, a]
+            g[:, a] = -np.bincount(self.of, wa * self.e, self.n)
+            for b in range(a, 3):
+                H[:, a, b] = H[:, b, a] = np.bincount(self.of, wa * self.row[:, b], self.n)
+        return H, g
+
+    def quality(self, counts: Ints) -> tuple[Array, Array, Array]:
+        """Return share of the partnered points that fit, share of all points with a partner, rms of what fits."""
+        paired = np.bincount(self.of, minlength=self.n)
+        fits = np.abs(self.e) < INLIER_M
+        good = np.bincount(self.of, fits, self.n)
+        squares = np.bincount(self.of, np.where(fits, self.e**2, 0.0), self.n)
+        return (
+            good / np.maximum(paired, 1),
+            paired / np.maximum(counts, 1),
+            np.sqrt(squares / np.maximum(good, 1)),
+        )

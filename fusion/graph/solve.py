@@ -1,0 +1,233 @@
+"""Sparse least squares over key poses: Gauss-Newton with a direct factorisation (Dellaert and Kaess 2006).
+
+Variables are poses (x, y, theta) in the map and the states of sensors behind them. An edge says where pose j lies
+as seen from pose i: e = between(x_i, x_j) - z, angle wrapped, information in the frame of pose i.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array, Ints
+
+MAX_STEPS, STEPS_BETWEEN = 10, 2  # at the last width of the kernels, and at those before
+SETTLED = 1e-4  # m, rad
+COLUMNS_AT_ONCE = 384
+# systematic errors of a drive, and how large they may be (1 sigma): a heading that drifts with the way, and a
+# laser that is mounted a little turned, so that it sees the robot go sideways: left out, either bends the building
+SYSTEMATIC = (np.radians(0.1), np.radians(1.0))  # rad per metre; rad
+MAX_DENSE = 3600  # states: up to here the whole inverse is the quickest way to covariances
+
+
+@dataclass(frozen=True)
+class Edges:
+    """m relative poses; `width` is where the robust kernel takes hold, in sigmas, inf for none."""
+
+    i: Ints  # (m,)
+    j: Ints  # (m,)
+    z: Array  # (m, 3) pose j seen from pose i
+    information: Array  # (m, 3, 3) in the frame of i
+    width: Array  # (m,)
+    by: Array  # (m, 3, 2) what z owes to the systematic errors of a drive (SYSTEMATIC), per unit
+
+    def __len__(self) -> int:
+        """Return the number of edges."""
+        return len(self.i)
+
+    def take(self, at: Any) -> Edges:
+        """Return some of them."""
+        return Edges(self.i[at], self.j[at], self.z[at], self.information[at], self.width[at], self.by[at])
+
+    @classmethod
+    def none(cls) -> Edges:
+        """Return no edges."""
+        nothing = np.zeros(0, np.int64)
+        return cls.of(nothing, nothing, np.zeros((0, 3)), np.zeros((0, 3, 3)), np.inf)
+
+    @classmethod
+    def of(cls, i: Ints, j: Ints, z: Array, information: Array, width: float) -> Edges:
+        """Return edges that share the width of their kernel, and owe nothing to systematic errors."""
+        return cls(i, j, z, information, np.full(len(i), width), np.zeros((len(i), 3, len(SYSTEMATIC))))
+
+    @classmethod
+    def joined(cls, *parts: Edges) -> Edges:
+        """Return several lists of edges as one."""
+        names = ("i", "j", "z", "information", "width", "by")
+        return cls(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))
+
+    def errors(self, x: Array, systematic: Array | None = None) -> Array:
+        """Return e (m, 3) at poses x (n, 3) and systematic errors (2,)."""
+        e = se2.between(x[self.i], x[self.j]) - self.z
+        if systematic is not None:
+            e += self.by @ systematic
+        e[:, 2] = se2.wrap_all(e[:, 2])
+        return e
+
+    def chi2(self, x: Array, systematic: Array | None = None) -> Array:
+        """Return e' Omega e of every edge, (m,)."""
+        e = self.errors(x, systematic)
+        found: Array = np.einsum("ni,nij,nj->n", e, self.information, e)
+        return found
+
+    def weights(self, x: Array, systematic: Array | None = None, graduation: float = 1.0) -> Array:
+        """Return weights (m,) of a Geman-McClure kernel, convex for a large `graduation` (Yang et al. 2020)."""
+        c2 = graduation * self.width**2
+        with np.errstate(invalid="ignore"):
+            w = (c2 / (c2 + self.chi2(x, systematic))) ** 2
+        return np.where(np.isfinite(self.width), w, 1.0)
+
+    def jacobians(self, x: Array) -> tuple[Array, Array]:
+        """Return the derivatives of e by pose i and by pose j, (m, 3, 3) each."""
+        apart = x[self.j, :2] - x[self.i, :2]
+        by_j = se2.rotation(-x[self.i, 2])
+        by_i = -by_j
+        local = se2.rotated(-x[self.i, 2], apart)
+        by_i[:, 0, 2], by_i[:, 1, 2] = local[:, 1], -local[:, 0]
+        return by_i, by_j
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Linear terms beside the edges: ready-made blocks of the normal equations about the present poses."""
+
+    at: Ints  # (k, d) columns of the state that each block concerns; equal ones are summed
+    H: Array  # (k, d, d)
+    g: Array  # (k, d) the right side: H dx = g
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """What is known of one pose by itself: the start."""
+
+    at: int
+    pose: Array  # (3,)
+    information: Array  # (3, 3)
+
+
+class Normal:
+    """The normal equations about poses x and systematic errors s: their factorisation gives steps, covariances.
+
+    The state is the poses (3 n), the systematic errors (2), then the states of other sensors.
+    """
+
+    def __init__(
+        self, x: Array, s: Array, edges: Edges, weights: Array, anchor: Anchor, rows: list[Rows], states: int
+    ) -> None:
+        from scipy.sparse import coo_matrix
+        from scipy.sparse.linalg import splu
+
+        n = 3 * len(x) + len(s) + states
+        e, Omega = edges.errors(x, s), edges.information * weights[:, None, None]
+        at = [3 * edges.i[:, None] + np.arange(3), 3 * edges.j[:, None] + np.arange(3)]
+        at.append(np.broadcast_to(3 * len(x) + np.arange(len(s)), (len(edges), len(s))))
+        J = np.concatenate((*edges.jacobians(x), edges.by), axis=2)
+        JO = J.transpose(0, 2, 1) @ Omega
+        off = anchor.pose - x[anchor.at]
+        off[2] = se2.wrap(float(off[2]))
+        known = anchor.information
+        prior = np.diag(1.0 / np.square(SYSTEMATIC))
+        rows = [
+            Rows(np.hstack(at), JO @ J, -np.einsum("nij,nj->ni", JO, e)),
+            Rows(3 * anchor.at + np.arange(3)[None], known[None], (known @ off)[None]),
+            Rows(3 * len(x) + np.arange(len(s))[None], prior[None], -(prior @ s)[None]),
+            *rows,
+        ]
+        self.g, self.n = np.zeros(n), n
+        data, down, across = [], [], []
+        for block in rows:
+            self.g += np.bincount(block.at.ravel(), block.g.ravel(), n)
+            data.append(block.H.ravel())
+            down.append(np.repeat(block.at, block.at.shape[1], axis=1).ravel())
+            across.append(np.tile(block.at, (1, block.at.shape[1])).ravel())
+        where = (np.concatenate(down), np.concatenate(across))
+        self._H = coo_matrix((np.concatenate(data), where), shape=(n, n)).tocsc()
+        how = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+        self._lu = splu(self._H, **how)
+
+    def step(self) -> Array:
+        """Return the Gauss-Newton step, (n,)."""
+        found: Array = self._lu.solve(self.g)
+        return found
+
+    def columns(self, poses: Ints) -> Array:
+        """Return the covariance of all states (n,) with these poses (k,): (n, 3 k)."""
+        at = (3 * poses[:, None] + np.arange(3)).ravel()
+        unit = np.zeros((self.n, len(at)))
+        unit[at, np.arange(len(at))] = 1.0
+        found: Array = self._lu.solve(unit)
+        return found
+
+    def joint(self, poses: Ints) -> Array:
+        """Return the joint covariance of these poses (k,), (k, 3, k, 3)."""
+        at = (3 * poses[:, None] + np.arange(3)).ravel()
+        found: Array = self.columns(poses)[at].reshape(len(poses), 3, len(poses), 3)
+        return found
+
+    def chain(self, n: int) -> tuple[Array, Array]:
+        """Return each pose's covariance (n, 3, 3), and that with the pose after it, (n - 1, 3, 3)."""
+        if self.n <= MAX_DENSE:
+            return self._dense(n)
+        own, after = np.empty((n, 3, 3)), np.empty((max(n - 1, 0), 3, 3))
+        for first in range(0, n, COLUMNS_AT_ONCE // 3):
+            last = min(first + COLUMNS_AT_ONCE // 3, n)
+            found = self.columns(np.arange(first, last)).reshape(self.n, last - first, 3)
+            for k in range(first, last):
+                own[k] = found[3 * k : 3 * k + 3, k - first]
+                if k + 1 < n:
+                    after[k] = found[3 * k + 3 : 3 * k + 6, k - first].T
+        return 0.5 * (own + own.transpose(0, 2, 1)), after
+
+    def _dense(self, n: int) -> tuple[Array, Array]:
+        from scipy.linalg import cho_factor, cho_solve
+
+        P = cho_solve(cho_factor(self._H.toarray(), lower=True), np.eye(self.n), overwrite_b=True)
+        blocks = P[: 3 * n, : 3 * n].reshape(n, 3, n, 3)
+        k = np.arange(n)
+        own = blocks[k, :, k, :]
+        return 0.5 * (own + own.transpose(0, 2, 1)), blocks[k[:-1], :, k[1:], :]
+
+
+class Beside(Protocol):
+    """What else is known of the key poses, such as other sensors' readings; it may have states of its own."""
+
+    states: int
+
+    def rows(self, x: Array) -> list[Rows]:
+        """Return its share of the normal equations at poses x (n, 3) and its present states."""
+
+    def move(self, step: Array) -> None:
+        """Add a step (states,) to its states."""
+
+
+class Problem:
+    """What every solve of a drive has in common: the start, other sensors, and the systematic errors found."""
+
+    def __init__(self, anchor: Anchor, beside: Beside | None = None) -> None:
+        self.anchor, self.beside = anchor, beside
+        self.systematic = np.zeros(len(SYSTEMATIC))
+
+    def solve(self, x: Array, edges: Edges, graduations: tuple[float, ...] = (1.0,)) -> tuple[Array, Normal]:
+        """Return the poses of least squares (n, 3) from poses x (n, 3), and the normal equations there.
+
+        `graduations`: how wide the robust kernels are, one after another; the last is 1.
+        """
+        x, n = x.copy(), 3 * len(x)
+        for graduation in graduations:
+            for _ in range(MAX_STEPS if graduation == graduations[-1] else STEPS_BETWEEN):
+                step = self._normal(x, edges, graduation).step()
+                x += step[:n].reshape(-1, 3)
+                self.systematic = self.systematic + step[n : n + len(SYSTEMATIC)]
+                if self.beside is not None:
+                    self.beside.move(step[n + len(SYSTEMATIC) :])
+                if np.abs(step[:n]).max() < SETTLED:
+                    break
+        return x, self._normal(x, edges, graduations[-1])
+
+    def _normal(self, x: Array, edges: Edges, graduation: float) -> Normal:
+        rows, states = ([], 0) if self.beside is None else (self.beside.rows(x), self.beside.states)
+        weights = edges.weights(x, self.systematic, graduation)
+        return Normal(x, self.systematic, edges, weights, self.anchor, rows, states)

@@ -1,0 +1,58 @@
+"""The points of chosen scans, read anew from the log: only smoothing a building needs them, and only some."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from locfuse.fusion.data import Array, Ints, Stream
+from locfuse.fusion.sensor import WheelMotion
+
+from .scans import Laser, equal_scans, points_in_base
+
+SCANS_PER_BLOCK = 256  # line extraction is level-synchronous over this many scans (benchmarks: "lines per scan")
+
+
+@dataclass(frozen=True)
+class ScanPoints:
+    """The points of a stream of scans; reading i is row `rows[i]` of the stream."""
+
+    stream: Stream
+    fields: tuple[str, ...]
+    stamps: Array  # (all rows,) s since the drive's epoch, as read
+    laser: Laser
+    wheels: WheelMotion
+    rows: Ints  # (n,)
+
+    @property
+    def origin(self) -> tuple[float, float]:
+        """Where the laser sits on the base, x, y [m]."""
+        return float(self.laser.mount[0]), float(self.laser.mount[1])
+
+    def take(self, readings: Ints) -> ScanPoints:
+        """Return the points of the readings at these positions."""
+        return replace(self, rows=self.rows[readings])
+
+    def read(self, readings: Ints) -> list[Array]:
+        """Return of each reading the points (k, 2) [m] in the base frame, deskewed as its lines are.
+
+        In the order of the beams; beams without a return are left out.
+        """
+        rows = self.rows[readings]
+        wanted = np.unique(rows)
+        found: dict[int, Array] = {}
+        for at, columns in self.stream.blocks(*self.fields, rows=SCANS_PER_BLOCK):
+            if not np.isin(at, wanted).any():
+                continue
+            for group, scans in equal_scans(columns):
+                some = np.flatnonzero(np.isin(at[group], wanted))
+                if not len(some):
+                    continue
+                chosen = at[group][some]
+                few = {name: column[some] for name, column in scans.items()}
+                points, _ = points_in_base(few, self.stamps[chosen], self.laser, self.wheels)
+                found.update(
+                    (row, p[np.isfinite(p[:, 0])]) for row, p in zip(chosen.tolist(), points, strict=True)
+                )
+        return [found.get(row, np.zeros((0, 2))) for row in rows.tolist()]

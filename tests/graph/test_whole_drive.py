@@ -1,0 +1,105 @@
+"""The whole drive: loops are closed where a place is seen again, and nowhere else."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from ring_drive import ring_drive, robot
+
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array, Drive
+from locfuse.fusion.graph.bridge import bridged
+from locfuse.fusion.graph.odometry import odometry_of
+from locfuse.fusion.graph.whole_drive import Graph, whole_drive
+
+
+@cache
+def solved(alike: bool = False) -> tuple[Drive, Array, Graph]:
+    drive, truth = ring_drive(3, alike=alike)
+    graph = whole_drive(drive, robot(), ["lrf"])
+    assert graph is not None
+    return drive, truth, graph
+
+
+def worst(pose: Array, truth: Array) -> float:
+    return float(np.hypot(*(pose - truth)[:, :2].T).max())
+
+
+def test_a_ring_driven_twice_is_closed_and_straight() -> None:
+    drive, truth, graph = solved()
+    pose, P = graph.poses()
+    assert worst(odometry_of(drive).pose, truth) > 1.5, "the wheels alone are good: the test shows nothing"
+    assert worst(pose, truth) < 0.12
+    assert len(graph.closures) >= 3
+    assert "closed" in graph.notes()[0]
+    assert (np.linalg.eigvalsh(P) > 0.0).all()
+
+
+def test_the_claimed_covariance_covers_the_error() -> None:
+    _, truth, graph = solved()
+    pose, P = graph.poses()
+    e = pose - truth
+    e[:, 2] = se2.wrap_all(e[:, 2])
+    later = slice(50, None)  # the start is known
+    nees = np.einsum("ni,nij,nj->n", e[later], np.linalg.inv(P[later]), e[later])
+    assert nees.mean() / 3.0 < 2.0
+
+
+@pytest.mark.parametrize("alike", [False, True])
+def test_no_closure_joins_two_places(alike: bool) -> None:
+    """The ring with the same lockers on opposite sides looks the same from half a ring on."""
+    _, truth, graph = solved(alike)
+    e = graph.closures
+    at = truth[graph.keys]
+    apart = se2.between(e.z, se2.between(at[e.i], at[e.j]))
+    assert np.hypot(apart[:, 0], apart[:, 1]).max(initial=0.0) < 0.15
+    assert worst(graph.poses()[0], truth) < 0.2
+
+
+def test_the_same_bytes_twice() -> None:
+    _, _, graph = solved()
+    drive, _ = ring_drive(3)
+    again = whole_drive(drive, robot(), ["lrf"])
+    assert again is not None
+    for one, other in zip(graph.poses(), again.poses(), strict=True):
+        assert one.tobytes() == other.tobytes()
+
+
+def test_a_drive_without_a_loop_closes_none_and_says_so() -> None:
+    drive, _ = ring_drive(4, laps=0.75)
+    graph = whole_drive(drive, robot(), ["lrf"])
+    assert graph is not None
+    assert not len(graph.closures)
+
+
+def test_without_a_laser_or_with_a_given_map_there_is_no_graph() -> None:
+    drive, _, _ = solved()
+    assert whole_drive(drive, robot(), []) is None
+
+
+def test_between_key_poses_the_way_leads_from_one_to_the_other() -> None:
+    drive, truth, _ = solved()
+    odometry = odometry_of(drive)
+    keys = np.arange(0, len(drive.t), 25)
+    P = np.tile(np.diag([1e-4, 1e-4, 1e-5]), (len(keys), 1, 1))
+    pose, out = bridged(odometry, odometry, np.arange(len(drive.t)), keys, truth[keys], P, 0.5 * P[1:])
+    np.testing.assert_allclose(pose[keys], truth[keys], atol=1e-6)
+    np.testing.assert_allclose(out[keys[:-1]], P[:-1], atol=1e-7)
+    assert worst(pose, truth) < 0.05
+    middle = (keys[:-1] + keys[1:]) // 2
+    moving = np.hypot(*(truth[keys[1:]] - truth[keys[:-1]])[:, :2].T) > 0.3
+    assert (out[middle, 0, 0] + out[middle, 1, 1] > 2e-4)[moving].all(), "between two keys less is known"
+
+
+def test_turning_both_keys_turns_what_lies_between() -> None:
+    drive, truth, _ = solved()
+    odometry = odometry_of(drive)
+    keys = np.arange(0, len(drive.t), 25)
+    P = np.tile(np.eye(3) * 1e-4, (len(keys), 1, 1))
+    k = np.arange(len(drive.t))
+    G = np.array([3.0, -1.0, 2.0])
+    plain, _ = bridged(odometry, odometry, k, keys, truth[keys], P, P[1:])
+    turned, _ = bridged(odometry, odometry, k, keys, se2.compose(G, truth[keys]), P, P[1:])
+    np.testing.assert_allclose(turned, se2.compose(G, plain), atol=1e-9)

@@ -13,8 +13,8 @@ MAD = 0.6745  # median absolute deviation of a normal distribution
 def chi_square(confidence: float, dof: int) -> float:
     """Return the `confidence` quantile of a chi-square distribution with `dof` degrees of freedom.
 
-    Exact for one and two degrees of freedom; Wilson and Hilferty (1931) above, within 1 % from dof 3 on
-    for the confidences that gates and bounds use. A confidence of 1 or more accepts everything.
+    Exact: in closed form for one and two degrees of freedom, which are all that gates need; above by SciPy, which
+    is only then imported. A confidence of 1 or more accepts everything.
     """
     if confidence >= 1.0:
         return math.inf
@@ -24,8 +24,9 @@ def chi_square(confidence: float, dof: int) -> float:
         return NormalDist().inv_cdf(0.5 * (1.0 + confidence)) ** 2
     if dof == 2:
         return -2.0 * math.log1p(-confidence)
-    spread = 2.0 / (9.0 * dof)
-    return float(dof * (1.0 - spread + NormalDist().inv_cdf(confidence) * math.sqrt(spread)) ** 3)
+    from scipy.special import gammaincinv
+
+    return 2.0 * float(gammaincinv(0.5 * dof, confidence))
 
 
 def mean_bounds(confidence: float, dof: float, count: float) -> tuple[float, float]:

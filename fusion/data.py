@@ -228,6 +228,7 @@ class Truth:
     theta: Array | None  # (n,) rad, of the body; None where the truth has no heading
     point: tuple[float, float] = (0.0, 0.0)  # the tracked point on the body, m
     sigma: float = 0.0  # m, the truth's own standard deviation per axis
+    sigma_theta: float = 0.0  # rad, that of its heading
 
 
 @dataclass(frozen=True)

@@ -73,7 +73,8 @@ class TruthSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     x: float = 0.0
     y: float = 0.0
     time_offset: float = 0.0
-    sigma: float = 0.0  # m, standard deviation per axis
+    sigma: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0  # m, standard deviation per axis
+    sigma_theta_deg: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0  # of the truth's heading
     max_speed: float | None = None  # m/s: readings that jump away faster and return are not used
 
 

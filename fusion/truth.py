@@ -75,6 +75,7 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
             theta=theta,
             point=(settings.x, settings.y),
             sigma=settings.sigma,
+            sigma_theta=math.radians(settings.sigma_theta_deg),
         ),
         dropped,
     )

@@ -29,6 +29,7 @@ ASKS = {
             ("x", "y"), Ask("m: the point of the robot that was tracked, forward and left of the axle's middle")
         ),
         "sigma": Ask("m: how exact the truth is itself"),
+        "sigma_theta_deg": Ask("degrees: how exact its heading is"),
     },
 }
 # Conventions that are in force unless somebody says otherwise, and that no log states.

@@ -157,7 +157,7 @@ def _expected(pairs: _Pairs, deviation: Array, heading: Array | None, truth: Tru
     for at in (slice(a, a + ERRORS_AT_ONCE) for a in range(0, len(pairs.t), ERRORS_AT_ONCE)):
         P = _at_point(pairs.P[at], pairs.pose[at], truth.point)
         sigma[at] = np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 0.0))
-        nees[at] = _nees(deviation[at], None if heading is None else heading[at], P, truth.sigma)
+        nees[at] = _nees(deviation[at], None if heading is None else heading[at], P, truth)
     return sigma, nees
 
 
@@ -171,13 +171,16 @@ def _at_point(P: Array, pose: Array, point: tuple[float, float]) -> Array:
     return G @ P @ G.transpose(0, 2, 1)
 
 
-def _nees(deviation: Array, heading: Array | None, P: Array, truth_sigma: float) -> Array:
-    """Normalised estimation error squared per degree of freedom (Bar-Shalom 2001, 5.4.2); NaN where singular."""
+def _nees(deviation: Array, heading: Array | None, P: Array, truth: Truth) -> Array:
+    """Normalised estimation error squared per degree of freedom (Bar-Shalom 2001, 5.4.2); NaN where singular.
+
+    The truth's own noise counts: of its position, and of its heading where it has one.
+    """
     dof = 2 if heading is None else 3
     e = deviation if heading is None else np.column_stack((deviation, heading))
     S = P[:, :dof, :dof].copy()
-    S[:, 0, 0] += truth_sigma**2
-    S[:, 1, 1] += truth_sigma**2
+    own = np.square((truth.sigma, truth.sigma, truth.sigma_theta))
+    S[:, np.arange(dof), np.arange(dof)] += own[:dof]
     values, vectors = np.linalg.eigh(S)
     good = values[:, 0] > MIN_EIGENVALUE_RATIO * np.maximum(values[:, -1], MIN_EIGENVALUE_RATIO)
     across = np.einsum("qij,qi->qj", vectors, e)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -53,6 +55,18 @@ def test_the_claimed_sigma_is_that_of_the_tracked_point(point: tuple[float, floa
     quadrant = np.floor(judged(point, 0.0)[0].pose[:, 2] / (np.pi / 2.0))
     for q in np.unique(quadrant)[1:-1]:
         assert ratio[quadrant == q].std(axis=0) == pytest.approx([1.0, 1.0], abs=0.1)
+
+
+def test_the_noise_of_the_truths_heading_counts() -> None:
+    estimates, drive = judged((0.0, 0.0), 0.0)
+    truth = drive.truth
+    assert truth is not None
+    assert truth.theta is not None
+    noise = np.random.default_rng(5).normal(0.0, 0.05, N)
+    noisy = replace(truth, theta=truth.theta + noise)
+    assert evaluate(estimates, replace(drive, truth=noisy)).figures["anees"] > 1.5
+    known = replace(noisy, sigma_theta=0.05)
+    assert evaluate(estimates, replace(drive, truth=known)).figures["anees"] == pytest.approx(1.0, abs=0.05)
 
 
 @pytest.mark.parametrize("wrong", [0.5, 2.0])

@@ -14,7 +14,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from locfuse.fusion.data import Array, Colour, Component, Ints, Measurements, Stream
-from locfuse.fusion.linemap.tracker import LineTracker
+from locfuse.fusion.atlas.tracker import AtlasTracker
 from locfuse.fusion.lines.extract import LineSettings
 from locfuse.fusion.lines.flatness import wall_floor
 from locfuse.fusion.lines.scans import Gathered, Laser, equal_scans, lines_in_base, too_many_beams, turns
@@ -108,9 +108,9 @@ class Lrf(Sensor):
         """Return where it sits on the base: x [m], y [m], yaw [rad]."""
         return settings.mount
 
-    def model(self, settings: LrfSettings) -> LineTracker:
+    def model(self, settings: LrfSettings) -> AtlasTracker:
         """Return the laser's side of a new run."""
-        return LineTracker(settings.map, settings.gate, settings.recover, Mount(self.name, settings))
+        return AtlasTracker(settings.map, settings.gate, settings.recover, Mount(self.name, settings))
 
 
 def unevenness(

@@ -66,6 +66,11 @@ class Anchors:
         self.edges = [e for e in self.edges if e is not edge]
         self._P = None
 
+    def beside(self, node: int) -> set[int]:
+        """Return the anchors to which an edge leads from this one."""
+        edges = [e for e in self.edges if e.of != NOWHERE and node in (e.of, e.to)]
+        return {e.to if e.of == node else e.of for e in edges}
+
     def covariance(self, nodes: tuple[int, ...]) -> Array:
         """Return the joint covariance of some anchors, (3k, 3k), in the frame of the map."""
         if self._P is None:

@@ -9,10 +9,12 @@ import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array
+from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.linemap.line_map import AnyBelief, LineMap
 from locfuse.fusion.linemap.scan import Scan
 
 STRIDE, TURN = 0.75, math.radians(45.0)  # m, rad between two scans that are kept
+MANY_SIGHTS = 60  # of a map: more say nothing new
 
 
 class Sight(NamedTuple):
@@ -30,11 +32,17 @@ class Way:
         self.length = 0.0  # m
         self._last: Array | None = None
 
+    def resume(self) -> None:
+        """Go on with a way that was left: what lies between is no way."""
+        self._last = None
+
     def note(self, pose: Array, scan: Scan) -> None:
         """Keep a scan from a pose (3,) that is not the last one's."""
         if self._last is not None:
             self.length += math.hypot(*(pose[:2] - self._last[:2]))
         self._last = pose
+        if len(self.sights) >= MANY_SIGHTS:
+            return
         if self.sights:
             step = se2.between(self.sights[-1].pose, pose)
             if math.hypot(step[0], step[1]) < STRIDE and abs(se2.wrap(float(step[2]))) < TURN:
@@ -49,6 +57,8 @@ class FrozenMap(NamedTuple):
     lines: LineMap  # none of them is a state
     way: Way
     box: tuple[Array, Array]  # (2,) m: what the lines and the way lie within
+    origin: Array  # (3,) where it began, the anchor's own place but for a first map that is the map frame's
+    joint: Array  # (2J, 2J) covariance of rho and beta of all lines, line by line
 
 
 def frozen(lines: LineMap, belief: AnyBelief) -> LineMap:
@@ -67,6 +77,20 @@ def frozen(lines: LineMap, belief: AnyBelief) -> LineMap:
         lines.born.copy(),
         lines.next_id,
     )
+
+
+def thaw(kept: LineMap, lines: LineMap, first_column: int) -> None:
+    """Let `lines` be those that were kept, as states from a column on; its own ids go on."""
+    for name in ("ids", "anchor", "lo", "hi", "hits", "value", "P"):
+        setattr(lines, name, getattr(kept, name).copy())
+    lines.column = first_column + 2 * np.arange(len(kept))
+
+
+def joint_covariance(lines: LineMap, belief: JointBelief) -> Array:
+    """Return the covariance (2J, 2J) of rho and beta of all lines."""
+    at = np.stack((lines.column, lines.column + 1), axis=-1).reshape(-1)
+    P: Array = belief.covariance[np.ix_(at, at)]
+    return P
 
 
 def box_of(lines: LineMap, values: Array, way: Way) -> tuple[Array, Array]:

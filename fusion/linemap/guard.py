@@ -123,6 +123,12 @@ class Guard:
         self._trail.forget()
         belief.place((belief.x, belief.y, belief.theta), LOST_XY**2, math.pi**2 / 3.0)
 
+    def turn_page(self) -> None:
+        """Go on in another map: what was seen before in this one's frame is void."""
+        self._before = self._since = self._carried = None
+        self._last = (math.inf, math.inf, math.inf)
+        self._torn = False
+
     def begin_anew(self, t: float, belief: AnyBelief) -> None:
         """Begin with a map that begins now, where the robot is in it is exactly known."""
         self._before = self._since = self._place = self._carried = None

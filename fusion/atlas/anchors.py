@@ -1,12 +1,12 @@
-"""The graph of anchors: where the small maps of a building lie, by what leads from one to the next and by closures.
+"""The graph of anchors: where the small maps of a building lie, by what leads from one to another.
 
 Every edge says that anchor j, seen from anchor i, lies at z with information L (in the frame of anchor i):
 
     e = (inverse(x_i) o x_j) - z,    cost = sum e' L e,    theta wrapped
 
-What absolute sensors (a compass, GPS) said of an anchor is an edge from nowhere: e = x_j - z. Gauss-Newton from the
-poses as they stand (Lu and Milios 1997; Grisetti et al., "A tutorial on graph-based SLAM", 2010); covariances are
-blocks of the inverse of its normal matrix.
+What absolute sensors (a compass, GPS) said of an anchor is an edge from nowhere: e = x_j - z. Gauss-Newton from
+the poses as they stand (Lu and Milios 1997; Grisetti et al., "A tutorial on graph-based SLAM", 2010); covariances
+are blocks of the inverse of its normal matrix.
 """
 
 from __future__ import annotations
@@ -73,10 +73,10 @@ class Anchors:
 
     def covariance(self, nodes: tuple[int, ...]) -> Array:
         """Return the joint covariance of some anchors, (3k, 3k), in the frame of the map."""
-        if self._P is None:
-            self._P = np.linalg.inv(self._normal()[0])
+        joint = np.asarray(np.linalg.inv(self._normal()[0]), np.float64) if self._P is None else self._P
+        self._P = joint
         at = np.concatenate([np.arange(3 * k, 3 * k + 3) for k in nodes])
-        P: Array = self._P[np.ix_(at, at)]
+        P: Array = joint[np.ix_(at, at)]
         return P
 
     def relative(self, of: int, to: int) -> tuple[Array, Array]:
@@ -130,8 +130,8 @@ class Anchors:
 
 def inverted(P: Array) -> Array:
     """Return the information (3, 3) of a covariance that may be singular, as after an exact start."""
-    L: Array = np.linalg.inv(0.5 * (P + P.T) + EXACT * np.eye(3))
-    return 0.5 * (L + L.T)
+    L = np.asarray(np.linalg.inv(0.5 * (P + P.T) + EXACT * np.eye(3)), np.float64)
+    return np.asarray(0.5 * (L + L.T), np.float64)
 
 
 def _derivatives(of: Array, to: Array) -> tuple[Array, Array]:

@@ -1,7 +1,7 @@
-"""Is this small map a part of that one? Both seen walls and free space must say so, and nothing else may fit as well.
+"""Is this small map a part of that one? Walls and free space must say so, and nothing else may fit as well.
 
-Pairs of walls of one map are laid onto pairs of walls of the other; what the graph of anchors does not allow is left
-out. The place that explains most is refined wall by wall. It counts where no other place explains nearly as much,
+Pairs of walls of one map are laid onto pairs of walls of the other; what the graph of anchors does not allow is
+left out. The place that explains most is refined wall by wall. It counts where no other explains nearly as much,
 and where the scans that made either map do not see through the walls of the other.
 """
 

@@ -53,9 +53,13 @@ class AtlasTracker(LineTracker):
         self._left: tuple[Array, Array] | None = None  # where in the map before the next one began, and P
         self._full = False
         self._asked_at = 0.0  # m of way
-        self._seen_in: dict[int, tuple[Closure, int]] = {}  # frozen map -> the last look's closure, looks that agree
+        self._seen_in: dict[
+            int, tuple[Closure, int]
+        ] = {}  # frozen map -> the last look's closure, looks that agree
         self._loops: list[Edge] = []
-        self._ask_known_at: dict[int, float] = {}  # frozen map in which this one was seen -> m of way to look again
+        self._ask_known_at: dict[
+            int, float
+        ] = {}  # frozen map in which this one was seen -> m of way to look again
         self._bridge: tuple[Scan, Ints] | None = None  # what leads over to the next map, and how often it was seen
         self.closed: list[float] = []  # s
 
@@ -85,7 +89,7 @@ class AtlasTracker(LineTracker):
         return super().innovations(m, i, belief)
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Teach the map at hand; leave it where the robot is far from its anchor, and look for it in earlier ones."""
+        """Teach the map at hand, look for it in earlier ones, and leave it where its anchor is far."""
         first, last = int(m.first[i]), int(m.first[i + 1])
         begins = not len(self.map)
         super().learn(m, i, belief)
@@ -153,7 +157,8 @@ class AtlasTracker(LineTracker):
         """
         R, P = self._anchors.relative(old.anchor, self._at)
         q, frame = np.array(belief.pose()), belief.frame_pose()
-        assert belief.frame is not None and frame is not None
+        assert belief.frame is not None
+        assert frame is not None
         back = se2.inverse(R)
         G = np.array(frame)
         columns = np.arange(belief.frame, belief.frame + 3)

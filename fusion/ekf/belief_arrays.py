@@ -161,8 +161,8 @@ class JointBelief:
     def know_frame(self, frame: Array, P: Array) -> None:
         """Let the map frame be (3,) with covariance P (3, 3), by evidence that is none of this state's.
 
-        All else follows by what it has to do with the frame (Jeffrey's rule for Gaussians): with K = P_rG P_G^-1 it
-        moves by K (frame - G), and its covariance changes by K (P - P_G) K'.
+        All else follows by what it has to do with the frame (Jeffrey's rule for Gaussians): with K = P_rG P_G^-1
+        it moves by K (frame - G), and its covariance changes by K (P - P_G) K'.
         """
         if self.frame is None:
             raise ValueError("no local frame has begun")

@@ -161,7 +161,7 @@ class LineMap:
         ]
 
     def placed_at(self, frame: Array, P: Array) -> list[MapLine]:
-        """Return lines that are no states, in a local frame (3,) of covariance P (3, 3), about the map's origin."""
+        """Return lines that are no states, of a local frame (3,) of covariance P (3, 3), in the map."""
         x, y, theta = map(float, frame)
         joint = np.zeros((5, 5))
         joint[2:, 2:] = P

@@ -50,13 +50,24 @@ def matched_share(found: Association, scan: Scan) -> float:
 def seen_through(
     scan: Scan, lines: LineMap, values: Array, x: float, y: float, theta: float, both: bool = False
 ) -> float:
-    """Return the share of the seen wall length that lies behind known walls, from a supposed pose.
+    """Return the share of the seen wall length that lies behind known walls, from a supposed pose."""
+    if len(scan.z) == 0:
+        return 0.0
+    length = scan.ends[:, 1] - scan.ends[:, 0]
+    return float((behind_walls(scan, lines, values, (x, y, theta), both) * length).sum() / length.sum())
+
+
+def behind_walls(
+    scan: Scan, lines: LineMap, values: Array, pose: tuple[float, float, float], both: bool = False
+) -> Array:
+    """Return the share of every seen wall (k,) that lies behind known walls, from a supposed pose.
 
     `values` (J, 2) are rho and beta of the map's lines; `both`: walls block the sight from their unseen side too.
     """
+    x, y, theta = pose
     known = np.flatnonzero(lines.hits >= MIN_HITS)
     if len(known) == 0 or len(scan.z) == 0:
-        return 0.0
+        return np.zeros(len(scan.z))
     points = _points(scan)  # (k * SAMPLES, 2) base frame
     distance = np.hypot(points[:, 0], points[:, 1])
     bearing = np.arctan2(points[:, 1], points[:, 0]) + theta
@@ -71,9 +82,8 @@ def seen_through(
     facing = np.abs(d @ n.T) if both else d @ n.T
     blocks = (range_ > 0) & (range_ < distance[:, None] - BEHIND) & (facing > 0.1)
     blocks &= (along > lines.lo[known] + MARGIN) & (along < lines.hi[known] - MARGIN)
-    behind = blocks.any(axis=1).reshape(-1, SAMPLES).mean(axis=1)
-    length = scan.ends[:, 1] - scan.ends[:, 0]
-    return float((behind * length).sum() / length.sum())
+    behind: Array = blocks.any(axis=1).reshape(-1, SAMPLES).mean(axis=1)
+    return behind
 
 
 def _points(scan: Scan) -> Array:
@@ -145,7 +155,7 @@ def _heading_fits(theta: Array, belief: AnyBelief) -> NDArray[np.bool_]:
 
 
 def hypotheses(scan: Scan, lines: LineMap, values: Array, known: Ints, most: int = LONGEST) -> Array:
-    """Return poses (h, 3) from pairs of the longest seen walls laid onto pairs of known walls at the same angle."""
+    """Return poses (h, 3) from pairs of the longest seen walls laid onto pairs of known ones at the same angle."""
     longest = np.argsort(-(scan.ends[:, 1] - scan.ends[:, 0]), kind="stable")[:most]
     beta, n = values[known, 1], np.stack((np.cos(values[known, 1]), np.sin(values[known, 1])), axis=-1)
     rho = values[known, 0] + (lines.anchor[known] * n).sum(axis=1)

@@ -13,8 +13,8 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from locfuse.fusion.data import Array, Colour, Component, Ints, Measurements, Stream
 from locfuse.fusion.atlas.tracker import AtlasTracker
+from locfuse.fusion.data import Array, Colour, Component, Ints, Measurements, Stream
 from locfuse.fusion.lines.extract import LineSettings
 from locfuse.fusion.lines.flatness import wall_floor
 from locfuse.fusion.lines.scans import Gathered, Laser, equal_scans, lines_in_base, too_many_beams, turns

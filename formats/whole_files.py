@@ -27,9 +27,11 @@ try:
 except ImportError:  # Windows: two runs at one folder are then not kept apart
     fcntl = None  # type: ignore[assignment]
 
-RESULTS = ("run.json", "report.json", "summary.json", "changes.json")
+UNFINISHED = "unfinished.json"  # of a run over many logs that was ended before its summary
+RESULTS = ("run.json", "report.json", "summary.json", "changes.json", UNFINISHED)
 TEMPORARY = ".locfuse-tmp"  # ending of files that are being written: .NAME.PID.locfuse-tmp
 LOCK = f".lock{TEMPORARY}"  # in a folder that is being written: who writes
+RUN_LOCK = f".run-lock{TEMPORARY}"  # in the folder of a run over many logs: who runs
 SCRATCH = "locfuse-"  # beginning of temporary names outside the results: locfuse-PID-...
 LOCK_TIMEOUT_S = 20.0  # s to wait for another run to finish writing
 REPLACED = ("robot.toml", *RESULTS, "estimates.mcap", "recording.rrd")  # names that a user might give as input
@@ -43,7 +45,7 @@ def write_results(folder: Path, files: Mapping[str, Content], overwrite: bool = 
     created = _prepare(folder, overwrite)
     names = sorted(files, key=lambda name: (name.endswith(".json"), name))
     try:
-        with _terminable(), _sole_writer(folder):
+        with _terminable(), sole_writer(folder):
             _remove_leftovers(folder.iterdir())
             _write_all(folder, {name: files[name] for name in names})
     except OSError as problem:
@@ -132,10 +134,10 @@ def _prepare(folder: Path, overwrite: bool) -> list[Path]:
 
 
 @contextmanager
-def _sole_writer(folder: Path) -> Iterator[None]:
+def sole_writer(folder: Path, name: str = LOCK, patience_s: float | None = None) -> Iterator[None]:
     """Let one process at a time write into a folder. Raises LocfuseError that names the other one."""
-    path = folder / LOCK
-    handle = _locked(path)
+    path = folder / name
+    handle = _locked(path, LOCK_TIMEOUT_S if patience_s is None else patience_s)
     try:
         yield
     finally:
@@ -144,9 +146,9 @@ def _sole_writer(folder: Path) -> Iterator[None]:
             os.close(handle)
 
 
-def _locked(path: Path) -> int | None:
+def _locked(path: Path, patience_s: float) -> int | None:
     """Take the lock, which the system lifts when its holder dies; None where there are no locks."""
-    end = time.monotonic() + LOCK_TIMEOUT_S
+    end = time.monotonic() + patience_s
     while fcntl is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:

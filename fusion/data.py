@@ -258,6 +258,19 @@ class Audit:
     sigma: Array  # (k, d) its predicted standard deviation
 
 
+FAULT, LOST, REFUSED, REST = "fault", "lost", "refused", "rest"  # kinds of events
+
+
+class Event(NamedTuple):
+    """Something that lasted from `start` to `end` [s since the first wheel reading]."""
+
+    start: float
+    end: float
+    kind: str  # FAULT, LOST, REFUSED or REST
+    words: str
+    configuration: str = ""  # in which result; "" where it is of the drive itself
+
+
 class Component(NamedTuple):
     """One number of a measurement or of a state, as people read it."""
 

@@ -28,9 +28,11 @@ def measure(
     robot: Robot,
     absent: Mapping[str, str] | None = None,
     progress: Callable[[str], None] = lambda role: None,
+    known: Mapping[str, Measurements] | None = None,
 ) -> Drive:
     """Measure a log: `streams` holds "wheels", sensors by name, and perhaps "truth".
 
+    Sensors in `known` were measured before, under the same settings of theirs and of the wheels.
     Raises LocfuseError where the wheels give no motion or a sensor's readings cannot be understood.
     """
     progress("wheels")
@@ -40,7 +42,10 @@ def measure(
     missing = dict(absent or {})
     fixes: dict[str, tuple[str, ...]] = {}
     for name, sensor in REGISTRY.items():
-        if name in streams:
+        if known and name in known and name in streams:
+            measurements[name] = known[name]
+            drops[name] = dict(known[name].dropped)
+        elif name in streams:
             progress(name)
             try:
                 found = sensor.measure(streams[name], robot.settings(name), wheels, epoch_ns)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
-from locfuse.fusion.data import UsageError
+from locfuse.fusion.data import LocfuseError, UsageError
 
 PART = re.compile(r"(?P<name>.+)_(?P<number>\d+)\.(?:mcap(?:\.zstd)?|db3(?:\.zstd)?)")
 OVERLAP_NS = 1_000_000_000  # parts of one recording follow each other; two drives need not
@@ -67,6 +67,9 @@ def _split(parts: list[str]) -> list[list[str]]:
         return [parts]
     from locfuse.formats.log.log import open_log
 
-    spans = sorted(span for part in parts if (span := open_log([Path(part)]).time_span_ns) is not None)
+    try:
+        spans = sorted(span for part in parts if (span := open_log([Path(part)]).time_span_ns) is not None)
+    except LocfuseError:  # the one that cannot be opened fails by itself
+        return [[part] for part in parts]
     apart = all(b[0] > a[1] - OVERLAP_NS for a, b in pairwise(spans))
     return [parts] if apart else [[part] for part in parts]

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from locfuse.cli.pipeline.settings import OF_COMPARISON as KINDS
+from locfuse.cli.terminal.fleet_options import fleet_options
 from locfuse.cli.terminal.options import (
     export_option,
     log_options,
@@ -21,7 +22,7 @@ from .one_log import Wish, one
 
 
 @click.command()
-@click.argument("log", nargs=-1, required=True)
+@click.argument("log", nargs=-1)
 @click.option(
     "--sensors",
     multiple=True,
@@ -51,13 +52,15 @@ from .one_log import Wish, one
     "--fail-if",
     multiple=True,
     metavar="GATE",
-    help='Exit with 4 if it holds, e.g. "all.position_rmse_m > 0.02". Repeatable.',
+    help='Exit with 4 if it holds, e.g. "all.position_rmse_m > 0.02"; of several logs also '
+    '"fleet.all.position_rmse_m.p90 > 0.05". Repeatable.',
 )
 @click.option(
     "--baseline",
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
     metavar="REPORT.JSON",
-    help="Exit with 4 if an error figure is worse than in this earlier report of the same log.",
+    help="Exit with 4 if an error figure is worse than in this earlier report of the same log (of several logs: "
+    "their summary.json).",
 )
 @click.option(
     "--tolerance",
@@ -65,6 +68,7 @@ from .one_log import Wish, one
     show_default=True,
     help="How much worse than the baseline is allowed: a share, a floor (1mm, 0.1deg), or both: 5%,1mm.",
 )
+@fleet_options
 @log_options
 @preset_option
 @out_options(KINDS)
@@ -73,28 +77,34 @@ from .one_log import Wish, one
 def compare(log: tuple[str, ...], **asked: Any) -> int:
     """Say what each sensor of LOG bought: all configurations in one pass, and a report.
 
-    LOG is an .mcap, the parts of a split one, a rosbag2 folder, or the name of a sample log. Several logs give a
-    summary over them; folders of finished results are set side by side.
+    LOG is an .mcap, the parts of a split one, a rosbag2 folder, or the name of a sample log. Several logs, also as
+    @list.txt or "pattern*.mcap", give a summary over them (docs/fleet.md); folders of finished results are set
+    side by side.
 
     \b
     locfuse compare rounded_rectangle
     locfuse compare rounded_rectangle --all-subsets
     locfuse compare bag/ --sensors odometry --sensors lrf -o out
     locfuse compare log.mcap --fail-if "all.position_rmse_m > 0.02"
-    locfuse compare rounded_rectangle rounded_triangle disturbed
+    locfuse compare rounded_rectangle rounded_triangle disturbed --jobs 2
+    locfuse compare @logs.txt --robot-from "fleet/([^/]+)/" --robot "robots/{robot}.toml"
     locfuse compare locfuse-out/before locfuse-out/after
     """
     from locfuse.cli.choose.grouping import logs_of, results_of
+    from locfuse.cli.fleet.words import expanded
 
     wish = Wish(**asked)
-    finished = results_of(log)
+    words = expanded(log, wish.fleet.each)
+    if not words:
+        raise click.UsageError("Missing argument 'LOG...'.", click.get_current_context())
+    finished = results_of(words)
     if finished is not None:
         from .changes import changes
 
         return changes(finished, wish)
-    logs = [log] if len(log) == 1 else logs_of(log)
-    if len(logs) == 1:
-        return one(log, wish).code
+    listed = any(word.startswith("@") for word in log) or wish.fleet.asked
+    if not listed and (len(words) == 1 or len(logs_of(words)) == 1):
+        return one(words, wish)
     from .several import several
 
-    return several(logs, wish)
+    return several(words, wish)

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
 
+from locfuse.cli.fleet.options import FleetOptions
 from locfuse.cli.pipeline.settings import OF_COMPARISON as KINDS
 from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.cli.rerun.record import RerunOptions, record, sketched
 from locfuse.cli.terminal.options import chosen
-
-if TYPE_CHECKING:
-    from locfuse.cli.session.summary import Judged
 
 
 @dataclass(frozen=True)
@@ -35,21 +32,22 @@ class Wish:
     as_json: bool
     export: set[str]
     rerun: RerunOptions
+    fleet: FleetOptions
+
+    def without_robot(self) -> LogOptions:
+        """Return how a log is read but for --robot."""
+        return replace(self.how, robot=None)
+
+    def with_sets(self, sets: Sequence[str]) -> LogOptions:
+        """Return how a log is read with more words of --set, and nothing from files."""
+        return replace(self.how, robot=None, sets=(*self.how.sets, *sets))
 
 
-class Done(NamedTuple):
-    """What remains of one log's comparison once everything is written and printed."""
-
-    judged: Judged
-    code: int
-
-
-def one(log: Sequence[str], wish: Wish, table: bool = True) -> Done:
-    """Compare one log, write and print it; without its `table` where it is one of several."""
+def one(log: Sequence[str], wish: Wish) -> int:
+    """Compare one log, write and print it; return the exit code."""
     from locfuse.cli.jobs import ci_gates
     from locfuse.cli.pipeline.results import LOSS, default_folder
     from locfuse.cli.session.session import opened
-    from locfuse.cli.session.summary import Judged
     from locfuse.cli.terminal import show
     from locfuse.formats.whole_files import may_replace, may_write
 
@@ -72,14 +70,13 @@ def one(log: Sequence[str], wish: Wish, table: bool = True) -> Done:
         if wish.figures is not None:
             progress("drawing figures")
             result.write_figures(wish.figures)
-    judged, lost = Judged(result.report, result.credit), result.losses(how.strict)
-    if table:
-        show.result(judged.report, files, wish.as_json)
-    show.notes(judged.report, lost, how.quiet)
+    report, lost = result.report, result.losses(how.strict)
+    show.result(report, files, wish.as_json)
+    show.notes(report, lost, how.quiet)
     sketch = sketched(rerun, result, show.say)
     del session, result  # Rerun's import takes as much memory as they do
     record(rerun, sketch, files[0].parent, show.say)
-    failed = gates.failures(judged.report)
+    failed = gates.failures(report)
     for line in failed:
         show.say(f"gate: {line}")
-    return Done(judged, ci_gates.FAILED if failed else LOSS if lost else 0)
+    return ci_gates.FAILED if failed else LOSS if lost else 0

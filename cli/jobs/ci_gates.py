@@ -12,11 +12,11 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.inputs import read_small
-from locfuse.formats.log.log import Log
+from locfuse.formats.log.identity import Identity
 from locfuse.formats.report import json_report
 from locfuse.fusion.data import LocfuseError, UsageError
 
@@ -74,6 +74,22 @@ class Baseline:
     tolerance: Tolerance
 
 
+class Content(Protocol):
+    """What a log is known by."""
+
+    @property
+    def name(self) -> str:
+        """What to call it."""
+
+    @property
+    def identity(self) -> Identity:
+        """What its content is known by without reading all of it."""
+
+    @property
+    def sha256(self) -> str:
+        """Hash of all its bytes."""
+
+
 @dataclass(frozen=True)
 class Gates:
     """Everything that a report must hold."""
@@ -85,10 +101,10 @@ class Gates:
         """Return one line per gate that failed or whose figure does not exist."""
         return failures(report, self.limits, self.baseline)
 
-    def refuse_another_log(self, log: Log) -> None:
+    def refuse_another_log(self, log: Content) -> None:
         """Raise LocfuseError where the baseline was made of another log."""
         if self.baseline is not None:
-            refuse_another_log(self.baseline, log.name, log.sha256)
+            refuse_another_log(self.baseline, log)
 
 
 def read(fail_if: Sequence[str], baseline: Path | None, tolerance: str) -> Gates:
@@ -135,17 +151,24 @@ def read_baseline(path: Path, tolerance: str) -> Baseline:
     return Baseline(path, report, parse_tolerance(tolerance))
 
 
-def refuse_another_log(baseline: Baseline, name: str, sha256: str) -> None:
-    """Raise LocfuseError where the baseline is of other bytes: what got worse may be the drive."""
+def refuse_another_log(baseline: Baseline, log: Content) -> None:
+    """Raise LocfuseError where the baseline is of another content: what got worse may be the drive."""
     then = baseline.report.get("input", {})
-    if then.get("sha256") in (None, sha256):
+    if _is_of(then, log):
         return
-    other = then.get("name")
+    name, other = log.name, then.get("name")
     which = f"{other}, and this is {name}" if other != name else f"another log that is also called {name}"
     raise LocfuseError(
         f"--baseline {baseline.path} is of {which}: the error figures of two drives cannot be compared. Make a "
         f"baseline of this log: locfuse compare {name} -o DIR"
     )
+
+
+def _is_of(then: Mapping[str, Any], log: Content) -> bool:
+    """Tell whether a report's input is this log: by its identity, in a report of 0.1 by the hash of all bytes."""
+    if then.get("identity") is not None:
+        return bool(then["identity"] == log.identity.digest)
+    return then.get("sha256") is None or then["sha256"] == log.sha256
 
 
 def failures(report: Mapping[str, Any], gates: Sequence[Gate], baseline: Baseline | None) -> list[str]:

@@ -18,6 +18,7 @@ from locfuse.fusion.sensors.registry import REGISTRY
 
 from . import results
 from .configurations import Configuration
+from .key import Asked, key
 from .load import Loaded
 from .memory import lean
 from .settings import Progress, one_of
@@ -133,9 +134,11 @@ def predict(
     return scores(drive, tried())
 
 
-def report_of(compared: Compared) -> dict[str, Any]:
-    """Return the report as plain values: report.json."""
+def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
+    """Return the report as plain values: report.json. With what was `asked` it has a key."""
     report = results.build(compared.loaded, compared.evaluations)
+    tables = compared.loaded.asked
+    report["key"] = key(compared.loaded.log.identity, tables, asked) if asked and tables is not None else None
     sets = {c.name: c.sensors for c in compared.configurations if not c.rates}
     report["verdicts"] = verdicts(compared.credit, compared.scores, sets)
     report["credit"] = None if compared.credit is None else credit_values(compared.credit)

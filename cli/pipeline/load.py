@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,10 @@ from locfuse.cli.choose.mounts import mount_tables
 from locfuse.cli.choose.topics import Choice
 from locfuse.formats.caps import MAX_ROBOT_TOML
 from locfuse.formats.inputs import read_small
+from locfuse.formats.log.labels import labels
 from locfuse.formats.log.log import Log, open_log
 from locfuse.formats.robot import robot_toml
-from locfuse.fusion.data import Drive, LocfuseError, UsageError
+from locfuse.fusion.data import Drive, Event, LocfuseError, Measurements, UsageError
 from locfuse.fusion.doctor.clocks import lag_notes
 from locfuse.fusion.measure import measure
 from locfuse.fusion.paper import preset as filters
@@ -25,6 +27,7 @@ from locfuse.fusion.robot import Robot, StartSettings, TruthSettings, WheelSetti
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream, merged
 
+from .key import asked_tables
 from .memory import give_back
 from .settings import ORDERS, PRESETS, LogOptions, Progress, silent
 
@@ -44,6 +47,10 @@ class Loaded:
     robot: Robot
     choice: Choice
     drive: Drive
+    tables: Mapping[str, Any] = field(default_factory=dict)  # robot.toml as merged, without mounts from /tf_static
+    asked: Mapping[str, Any] | None = None  # what the user gave of them; None: the result has no key
+    hash_all: bool = False  # whether every byte is to be hashed
+    labels: tuple[Event, ...] = ()  # faults that the log labels itself
 
 
 def find_log(words: Sequence[str]) -> list[Path]:
@@ -77,7 +84,8 @@ def load(
     log = open_log(paths)
     tables = merged_tables(log, how)
     choice = choose(log, make_robot(tables), named_by_hand(how.sets))
-    return measured(log, tables, choice, progress, only)
+    found = measured(log, tables, choice, progress, only)
+    return replace(found, asked=asked_tables(how), hash_all=how.hash_all)
 
 
 def load_to_fuse(paths: Sequence[Path], how: LogOptions, progress: Progress, read_again: bool = False) -> Loaded:
@@ -96,19 +104,25 @@ def measured(
     progress: Progress = silent,
     only: Collection[str] | None = None,
     aside: Collection[str] = (),
+    known: Mapping[str, Measurements] | None = None,
 ) -> Loaded:
-    """Measure the chosen topics of a log under the tables of robot.toml; those of roles in `aside` are not."""
+    """Measure the chosen topics of a log under the tables of robot.toml; those of roles in `aside` are not.
+
+    Sensors that are `known` are not measured again: their settings, and those of the wheels, must be the same.
+    """
     _leave_out(choice, only, tables["preset"])
     streams = _streams(log, choice, str(tables.get("order", "auto")))
     _refuse_lost_wheels(log, choice, streams)
     mounts = mount_tables(log.static_transforms(), {s: parts(streams[s]) for s in REGISTRY if s in streams})
     robot = make_robot(robot_toml.merge(mounts, tables))
-    drive = measure({role: s for role, s in streams.items() if role not in aside}, robot, choice.absent, progress)
+    wanted = {role: s for role, s in streams.items() if role not in aside}
+    drive = measure(wanted, robot, choice.absent, progress, known)
     preset = (filters.NOTE,) if robot.preset == "paper" else ()
     lags = lag_notes(drive.wheels, drive.measurements)
     chosen = (f"wheels: {note}" for note in choice.notes)
     notes = (*preset, *chosen, *_clock_notes(streams), *_start_notes(robot, drive), *drive.notes, *lags)
-    return Loaded(log, robot, choice, replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes}))
+    drive = replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes})
+    return Loaded(log, robot, choice, drive, tables, labels=tuple(labels(log, drive, robot.order)))
 
 
 def _refuse_lost_wheels(log: Log, choice: Choice, streams: Mapping[str, Any]) -> None:
@@ -135,11 +149,7 @@ def merged_tables(log: Log, how: LogOptions) -> dict[str, Any]:
         layers.append(_checked(log.attachments[ATTACHMENT], f"{log.name}: attachment {ATTACHMENT}"))
     if how.robot is not None:
         layers.append(_checked(read_small(how.robot, MAX_ROBOT_TOML), str(how.robot)))
-    try:
-        sets = robot_toml.apply_sets(how.sets)
-        make_robot(sets)
-    except LocfuseError as e:
-        raise UsageError(e.message, role=e.role, fixes=e.fixes, hint=e.hint) from None
+    sets = _set_tables(how.sets)
     if how.order:
         sets["order"] = how.order
     if how.preset:
@@ -147,6 +157,48 @@ def merged_tables(log: Log, how: LogOptions) -> dict[str, Any]:
     tables = robot_toml.merge(*layers, sets)
     tables.setdefault("preset", "default")
     return robot_toml.merge(filters.TABLES[tables["preset"]], tables)
+
+
+def check_settings(how: LogOptions) -> None:
+    """Raise LocfuseError for settings that fit no log at all: known before the first of many is opened."""
+    _set_tables(how.sets)
+    if how.robot is not None:
+        _checked(read_small(how.robot, MAX_ROBOT_TOML), str(how.robot))
+
+
+def _set_tables(words: Sequence[str]) -> dict[str, Any]:
+    """Return the words of --set as tables. Raises UsageError for a key or value that fits nothing."""
+    try:
+        sets = robot_toml.apply_sets(words)
+        make_robot(sets)
+    except LocfuseError as e:
+        raise UsageError(e.message, role=e.role, fixes=e.fixes, hint=e.hint) from None
+    return sets
+
+
+def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = silent) -> Loaded:
+    """Return the same log under other settings: only sensors whose own tables change are measured again.
+
+    Raises UsageError for settings that choose what is read, which needs a new `load`.
+    """
+    sets = _set_tables(words)
+    _refuse_other_reading(loaded, sets)
+    tables = robot_toml.merge(loaded.tables, sets)
+    same = {table for table in tables if tables[table] == loaded.tables.get(table)}
+    wheels = "wheels" in same or "wheels" not in tables
+    unchanged = {s: m for s, m in loaded.drive.measurements.items() if wheels and (s in same or s not in tables)}
+    found = measured(loaded.log, tables, deepcopy(loaded.choice), progress, known=unchanged)
+    asked = None if loaded.asked is None else robot_toml.merge(loaded.asked, sets)
+    return replace(found, asked=asked, hash_all=loaded.hash_all)
+
+
+def _refuse_other_reading(loaded: Loaded, sets: Mapping[str, Any]) -> None:
+    keys = {f"{table}.{key}" for table, values in sets.items() if isinstance(values, Mapping) for key in values}
+    reading = [k for k in (*sets, *keys) if k in {"order", "preset"} or k.endswith((".topic", ".topics"))]
+    if reading:
+        raise UsageError(f"{reading[0]} decides what is read of the log: give it when the log is loaded (--set)")
+    if loaded.robot.lines:
+        raise UsageError("this session was given a map: change the settings first, then with_map(FILE)")
 
 
 def named_by_hand(sets: Sequence[str]) -> set[str]:

@@ -24,7 +24,7 @@ def give(loaded: Loaded, file: Path) -> Loaded:
     robot = loaded.robot
     lrf = msgspec.structs.replace(robot.settings("lrf"), map="given")
     lines = tuple(line_map.read(file))
-    return replace(loaded, robot=replace(robot, sensors={**robot.sensors, "lrf": lrf}, lines=lines))
+    return replace(loaded, asked=None, robot=replace(robot, sensors={**robot.sensors, "lrf": lrf}, lines=lines))
 
 
 def keep(estimates: Estimates, file: Path, made_from: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -54,11 +55,35 @@ def source(loaded: Loaded) -> dict[str, Any]:
     return {
         "name": log.name,
         "files": [p.name for p in log.paths],
-        "sha256": log.sha256,
+        "size": log.identity.size,
+        "identity": log.identity.digest,
+        "sha256": log.sha256 if loaded.hash_all or log.all_read else None,
+        "start": _date(loaded.drive.epoch_ns),
         "topics": dict(loaded.choice.topics),
         "messages": {topic: info.count for topic, info in log.topics.items()},
         "losses": log.losses.by_reason(),
+        "refused": _refusals(loaded),
     }
+
+
+def _refusals(loaded: Loaded) -> dict[str, dict[str, int]]:
+    """Return how many readings of each stream were refused, of how many; streams without any are left out."""
+    found = {
+        stream: {
+            "readings": _refused(reasons),
+            "of": sum(loaded.log.topics[t].count for t in loaded.choice.of(stream)),
+        }
+        for stream, reasons in loaded.drive.dropped.items()
+    }
+    return {stream: counts for stream, counts in found.items() if counts["readings"]}
+
+
+def _date(epoch_ns: int) -> str | None:
+    """Return the time of the first wheel reading in UTC, by the log's own clock; None where it is no date."""
+    try:
+        return datetime.fromtimestamp(epoch_ns // 1_000_000_000, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    except (ValueError, OverflowError, OSError):
+        return None
 
 
 def default_folder(name: str) -> Path:
@@ -68,13 +93,28 @@ def default_folder(name: str) -> Path:
 
 def loss_lines(loaded: Loaded, used: Sequence[str], strict: bool) -> list[str]:
     """Return in words what was lost: bytes of the file, or too large a share of a used stream's readings."""
-    lines = list(loaded.log.losses.lines())
-    for stream in ("wheels", *used):
-        reasons = loaded.drive.dropped.get(stream, {})
-        total = sum(loaded.log.topics[topic].count for topic in loaded.choice.of(stream))
-        refused = _refused(reasons)
-        if refused > (0 if strict else REFUSED_SHARE * total):
-            lines.append(f"{stream}: {refused} of {total} readings refused ({_words(reasons)})")
+    return [*loaded.log.losses.lines(), *_refused_lines(_refusals(loaded), loaded.drive.dropped, used, strict)]
+
+
+def lost_in(report: Mapping[str, Any], strict: bool) -> list[str]:
+    """Return in words what a finished report says was lost, as `loss_lines` does of a log."""
+    source = report["input"]
+    bytes_lost = [f"{reason} ({lost['bytes']} bytes)" for reason, lost in source.get("losses", {}).items()]
+    used = sorted({s for values in report["configurations"].values() for s in values["sensors"]})
+    return [*bytes_lost, *_refused_lines(source.get("refused", {}), source.get("dropped", {}), used, strict)]
+
+
+def _refused_lines(
+    refused: Mapping[str, Mapping[str, int]],
+    dropped: Mapping[str, Mapping[str, int]],
+    used: Sequence[str],
+    strict: bool,
+) -> list[str]:
+    lines = []
+    for stream in (s for s in ("wheels", *used) if s in refused):
+        count, total = refused[stream]["readings"], refused[stream]["of"]
+        if count > (0 if strict else REFUSED_SHARE * total):
+            lines.append(f"{stream}: {count} of {total} readings refused ({_words(dropped[stream])})")
     return lines
 
 

@@ -34,6 +34,7 @@ class LogOptions:
     strict: bool
     quiet: bool
     preset: str | None = None
+    hash_all: bool = False  # hash every byte of the log for the report
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,13 @@ import numpy as np
 from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.figures.palette import traces_in
 from locfuse.formats.inputs import read_small
-from locfuse.formats.report import json_report, markdown
+from locfuse.formats.report import json_report
 from locfuse.formats.rerun.scene import Scene
 from locfuse.formats.results.trajectory import read_tum
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Motions, Truth, matrices
 from locfuse.fusion.judge.evaluate import evaluate
 
-from .scene import palette
+from .scene import palette, table_of
 
 REPORTS = ("report.json", "run.json")
 TRUTH = "truth.tum"
@@ -84,7 +84,7 @@ def _scene(folder: Path, report: Mapping[str, Any], tracks: Mapping[str, tuple[I
         estimates,
         judged,
         track=track_width,
-        table=markdown.render(report),
+        table=table_of(report),
         palette=palette(traces_in(report)),
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -13,8 +14,10 @@ from locfuse.cli.session.result import Result
 from locfuse.formats.figures.palette import Trace, colours, traces_of
 from locfuse.formats.report import markdown
 from locfuse.formats.rerun.scene import Detail, Picture, RawTopic, Rgb, ScanPoints, Scene, Sight
+from locfuse.formats.visible import visible
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import Array, Column, Estimates, Evaluation, Ragged
+from locfuse.fusion.data import Array, Column, Estimates, Evaluation, Event, Ragged
+from locfuse.fusion.judge.events import events_of_drive, events_of_run
 from locfuse.fusion.measure import thinned
 from locfuse.fusion.robot import VIRTUAL_TRACK
 from locfuse.fusion.sensor import Sensor
@@ -33,7 +36,15 @@ NIS_LOW, NIS_HIGH = 0.025, 0.975  # between them lie 95 % of consistent NIS
 def scene_of_result(result: Result, images: int | None = None, full: bool = False) -> Scene:
     """Return what a recording of a result shows, its report's tables too; `images`, `full` as in `make_scene`."""
     estimates, evaluations = tuple(result.estimates.values()), tuple(result.evaluations.values())
-    return make_scene(result.loaded, estimates, evaluations, markdown.render(result.report), images, full)
+    return make_scene(result.loaded, estimates, evaluations, table_of(result.report), images, full)
+
+
+def table_of(report: Mapping[str, Any]) -> str:
+    """Return the tables of a report in Markdown, and below them the command to type next."""
+    log = shlex.quote(visible(str(report["input"]["name"])))
+    what = "tune" if "verdicts" in report else "compare"
+    why = "which noise figures suit this log" if what == "tune" else "what each sensor adds"
+    return f"{markdown.render(report)}\n\nNext: `locfuse {what} {log}` says {why}.\n"
 
 
 def make_scene(
@@ -63,10 +74,19 @@ def make_scene(
         pictures=shown,
         picture_rows=rows,
         raw=raw_topics(loaded),
+        events=events(loaded, estimates),
         detail=detail,
         palette=palette(traces_of(estimates)),
         thinned={e.name: thinned(loaded.drive, e.rates) for e in estimates if e.rates},
     )
+
+
+def events(loaded: Loaded, estimates: Sequence[Estimates]) -> list[Event]:
+    """Return what happened in the drive and in every configuration, in order of time."""
+    found = [*loaded.labels, *events_of_drive(loaded.drive)]
+    for e in estimates:
+        found += events_of_run(thinned(loaded.drive, e.rates) if e.rates else loaded.drive, e)
+    return sorted(found)
 
 
 def palette(traces: Mapping[str, Trace]) -> dict[str, Rgb]:

@@ -74,7 +74,7 @@ def send(path: Path, url: str) -> None:
     host, port = match["host"].strip("[]"), int(match["port"] or PORT)
     if not listening(host, port):
         raise LocfuseError(f"no viewer answers at {host}:{port}")
-    command = [sys.executable, "-m", "locfuse.formats.rerun.send", str(path), url]
+    command = [sys.executable, "-m", "locfuse.cli.rerun.send", str(path), url]
     try:
         done = subprocess.run(
             command,

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import cast, get_args
+from typing import Any, cast, get_args
 
 from locfuse.cli.pipeline import maps
 from locfuse.cli.pipeline.compare import compare_log, report_of, report_of_run
 from locfuse.cli.pipeline.configurations import Configuration, Sensors, for_comparison, parse
-from locfuse.cli.pipeline.load import Loaded, find_log, load_to_fuse
+from locfuse.cli.pipeline.key import Asked
+from locfuse.cli.pipeline.load import Loaded, find_log, load_to_fuse, with_settings
 from locfuse.cli.pipeline.memory import lean
 from locfuse.cli.pipeline.outputs import Drawn
 from locfuse.cli.pipeline.settings import (
@@ -20,10 +21,12 @@ from locfuse.cli.pipeline.settings import (
     log_options,
     one_of,
     path_of,
+    set_words,
     silent,
     words_of,
 )
 from locfuse.formats.log.log import Log
+from locfuse.formats.robot.robot_toml import as_set
 from locfuse.formats.visible import visible
 from locfuse.fusion.data import Drive
 from locfuse.fusion.judge.evaluate import Align, evaluate
@@ -31,6 +34,7 @@ from locfuse.fusion.robot import Robot
 
 from .named import Named
 from .result import Comparison, Run
+from .sweep import cells
 
 
 def load(
@@ -144,7 +148,7 @@ class Session:
         wanted = for_comparison(words, self.drive, all_subsets)
         drawn = Drawn()
         compared = compare_log(self.loaded, wanted, align, self.progress, smooth, [drawn.take], audits)
-        report = report_of(compared)
+        report = report_of(compared, Asked.of(words, all_subsets, align, smooth))
         self.progress("writing")
         return Comparison(
             self.loaded,
@@ -158,6 +162,34 @@ class Session:
     def configuration(self, sensors: Sensors) -> Configuration:
         """Return the configuration that words name. Raises LocfuseError for a sensor that this log lacks."""
         return parse(sensors, self.drive)
+
+    def with_settings(self, sets: Sets) -> Session:
+        """Return the same log under other settings; sensors whose settings stay are not measured again.
+
+        The result equals that of `load` with these `sets`, bit for bit. Raises UsageError for an unknown key, and
+        for a topic, `order` or `preset`: these decide what is read.
+        """
+        return replace(self, loaded=with_settings(self.loaded, set_words(sets), self.progress))
+
+    def sweep(
+        self,
+        keys: Mapping[str, Iterable[Any]],
+        sensors: Sensors | Iterable[Sensors] | None = None,
+        *,
+        all_subsets: bool = False,
+        align: str = "none",
+        smooth: bool = False,
+    ) -> Named[Comparison]:
+        """Compare under every combination of settings, {"lrf.sigma_range": [0.01, 0.03], "lrf.map": ["grow"]}.
+
+        The log is measured once; a cell measures again only the sensors whose settings it changes. Returns the
+        comparisons by cell, "lrf.sigma_range=0.01 lrf.map=grow"; other arguments are those of `compare`,
+        audits are not kept. Raises UsageError as `with_settings` does, and for more than 1000 cells.
+        """
+        found = cells({key: [as_set(key, value) for value in values] for key, values in keys.items()})
+        asked: Any = {"all_subsets": all_subsets, "align": align, "smooth": smooth, "audits": False}
+        results = {cell: self.with_settings(sets).compare(sensors, **asked) for cell, sets in found.items()}
+        return Named("cell", results)
 
     def with_map(self, file: PathLike) -> Session:
         """Return the same drive with a laser that localises in the line map of a file, which stays as it is."""

@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple, TypedDict, Unpack, overload
+from typing import Any, TypedDict, Unpack, overload
 
 from locfuse.cli.choose.grouping import logs_of
 from locfuse.cli.pipeline import results
@@ -25,27 +26,22 @@ from locfuse.cli.pipeline.settings import (
     words_of,
 )
 from locfuse.cli.pipeline.verdicts import credit_values, verdicts
+from locfuse.formats.fleet.entry import Entry, slim
+from locfuse.formats.fleet.files import summary_files
 from locfuse.formats.log.files import log_name
 from locfuse.formats.report import json_report
 from locfuse.formats.report import summary as over
 from locfuse.formats.visible import visible
 from locfuse.formats.whole_files import may_write, write_results
 from locfuse.fusion.data import LocfuseError, UsageError
-from locfuse.fusion.judge.credit import Credit, credit_over_logs
+from locfuse.fusion.sensors.registry import colours
 
 from .named import Named
+from .replicates import add_intervals, add_ties, credit_over
 from .result import Comparison, Kinds
 from .session import opened
 
-KINDS = ("json", "md", "csv")  # of a summary
 FOLDER = "summary"
-
-
-class Judged(NamedTuple):
-    """What a summary takes of one log's comparison."""
-
-    report: Mapping[str, Any]
-    credit: Credit | None
 
 
 class Summary:
@@ -56,8 +52,8 @@ class Summary:
 
     def __init__(self, found: Mapping[str, Comparison]) -> None:
         self.results = Named("log", found)
-        self._judged = {name: Judged(r.report, r.credit) for name, r in found.items()}
-        self.report = summarised(self._judged)
+        self._entries = [Entry(name, report=slim({"": r.report})) for name, r in found.items()]
+        self.report = summarised(self._entries)
 
     def table(self) -> list[dict[str, Any]]:
         """Return one row per log and configuration, as `Comparison.table`, with the log's name in "log"."""
@@ -66,14 +62,16 @@ class Summary:
     def write(self, folder: PathLike | None = None, *, write: Kinds = None, overwrite: bool = False) -> list[Path]:
         """Write what `locfuse compare LOG LOG -o FOLDER` writes: the summary, and every log's results in a folder.
 
-        `write` chooses among "html", "md", "json", "tum", "csv", "tex"; None writes all. Returns the summary's
-        files. Raises LocfuseError where the folder holds something else, unless `overwrite`.
+        `write` chooses among "html", "md", "json", "tum", "csv", "tex"; None writes all. With "csv" comes
+        fleet.parquet, where pyarrow is installed. Returns the summary's files.
+
+        Raises LocfuseError where the folder holds something else, unless `overwrite`.
         """
         place = default_folder() if folder is None else path_of(folder)
         may_write(place, overwrite)
         for name, result in self.results.items():
             result.write(place / name, write=of_each(write), overwrite=overwrite)
-        files = summary_files(self.report, self._judged, write)
+        files = summary_files(self.report, self._entries, chosen(write, OF_COMPARISON), colours())
         write_results(place, files, overwrite=True)
         return [place / name for name in sorted(files)]
 
@@ -176,16 +174,23 @@ def naming(log: str) -> Iterator[None]:
         raise type(problem)(str(problem) if log in str(problem) else f"{log}: {problem}") from None
 
 
-def summarised(found: Mapping[str, Judged]) -> dict[str, Any]:
-    """Return the summary over comparisons by log: figures, and what each sensor does over all of them."""
-    reports = {name: one.report for name, one in found.items()}
+def summarised(entries: Sequence[Entry]) -> dict[str, Any]:
+    """Return the summary over logs: figures, and what each sensor does over all of them."""
+    reports = {e.name: e.report for e in entries if e.state == "done"}
     summary = {"locfuse": version("locfuse"), **over.summarise(reports), "credit": None, "verdicts": {}}
-    judged = [one.credit for one in found.values() if one.credit is not None]
-    if len(judged) > 1:
-        together = credit_over_logs(judged)
+    summary["logs"] = {e.name: {**summary["logs"].get(e.name, {}), **_standing(e)} for e in entries}
+    add_intervals(summary, entries)
+    add_ties(summary, entries)
+    together = credit_over(entries)
+    if together is not None:
+        together = replace(together, method=f"Student's t over {summary['replicates']['of']}")
         summary["credit"] = credit_values(together)
         summary["verdicts"] = verdicts(together, [], {})
     return json_report.plain(summary)
+
+
+def _standing(entry: Entry) -> dict[str, Any]:
+    return {"robot": entry.robot, "state": entry.state, "reason": entry.reason or None, "losses": entry.losses}
 
 
 def default_folder() -> Path:
@@ -193,17 +198,6 @@ def default_folder() -> Path:
     return results.default_folder(FOLDER)
 
 
-def of_each(write: Kinds) -> Kinds:
+def of_each(write: Kinds) -> set[str]:
     """Return the kinds to write of every single log: those that were chosen, and the report always."""
-    return write if write is None else chosen(write, OF_COMPARISON) | {"json"}
-
-
-def summary_files(summary: Mapping[str, Any], found: Mapping[str, Judged], write: Kinds) -> dict[str, str]:
-    """Return the summary's files: .json, and .md and .csv unless `write` names only others of these kinds."""
-    asked = chosen(write, OF_COMPARISON)
-    kinds = set(KINDS) if asked - set(KINDS) else asked
-    files = {"summary.json": json_report.encode(summary)}
-    files |= {"summary.md": over.render(summary)} if "md" in kinds else {}
-    reports = {name: judged.report for name, judged in found.items()}
-    files |= {"summary.csv": over.csv(reports)} if "csv" in kinds else {}
-    return files
+    return chosen(write, OF_COMPARISON) | {"json"}

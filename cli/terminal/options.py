@@ -39,6 +39,14 @@ def smooth_option(command: F) -> F:
     return click.option("--smooth", is_flag=True, help=words)(command)
 
 
+class RobotFile(click.Path):
+    """A robot.toml, or one for each robot of a fleet: those are looked for when the robots are known."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path."""
+        return Path(value) if "{robot}" in str(value) else super().convert(value, param, ctx)
+
+
 def log_options(command: F) -> F:
     """Add --robot, --set, --order, --strict, --quiet; the command receives them as `how: LogOptions`."""
     import functools
@@ -51,17 +59,20 @@ def log_options(command: F) -> F:
         order: str | None,
         strict: bool,
         quiet: bool,
+        hash_all: bool,
         **kwargs: Any,
     ) -> Any:
-        return command(*args, how=LogOptions(robot, sets, order, strict, quiet), **kwargs)
+        how = LogOptions(robot, sets, order, strict, quiet, hash_all=hash_all)
+        return command(*args, how=how, **kwargs)
 
     decorated: Any = wrapped
     for option in reversed(
         (
             click.option(
                 "--robot",
-                type=click.Path(path_type=Path, exists=True, dir_okay=False),
-                help="robot.toml that describes the robot; merged over the one in the log.",
+                type=RobotFile(path_type=Path, exists=True, dir_okay=False),
+                help="robot.toml that describes the robot; merged over the one in the log. Of many logs "
+                "(--robot-from): 'robots/{robot}.toml'.",
             ),
             click.option(
                 "--set",
@@ -76,6 +87,12 @@ def log_options(command: F) -> F:
                 help="Which clock wins where stamps run backwards.  [default: auto]",
             ),
             click.option("--strict", is_flag=True, help="Exit with 3 on any loss of data."),
+            click.option(
+                "--hash",
+                "hash_all",
+                is_flag=True,
+                help="Read and hash every byte of the log for the report.  [default: only if all bytes are read]",
+            ),
             click.option("-q", "--quiet", is_flag=True, help="Print no progress and no notes."),
         )
     ):

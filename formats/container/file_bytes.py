@@ -13,7 +13,8 @@ from locfuse.fusion.data import LocfuseError
 
 from .losses import Losses
 
-WINDOW_BYTES = 1 << 18
+MIN_WINDOW_BYTES = 1 << 12  # read ahead after a jump: a walk from chunk to chunk wants little of each
+WINDOW_BYTES = 1 << 18  # read ahead where reads follow each other
 WRITTEN_TO = "the file was written to while it was read: what was read may not fit together"
 
 
@@ -34,6 +35,8 @@ class FileBytes:
         self.size = self._read.size
         self._start = 0
         self._window = b""
+        self._ahead = MIN_WINDOW_BYTES
+        self._spans: set[tuple[int, int]] = set()  # what was read, (start, stop)
         inputs.hold(self, self._given)
         if unpacked is not None:
             weakref.finalize(self, unpacked.unlink, missing_ok=True)
@@ -44,9 +47,25 @@ class FileBytes:
             return self._pread(n, at)
         offset = at - self._start
         if not 0 <= offset <= len(self._window) - n:
-            self._window = self._pread(WINDOW_BYTES, at)
+            follows = 0 <= offset <= len(self._window)
+            self._ahead = min(2 * self._ahead, WINDOW_BYTES) if follows else MIN_WINDOW_BYTES
+            self._window = self._pread(max(n, self._ahead), at)
             self._start, offset = at, 0
         return self._window[offset : offset + n]
+
+    @property
+    def read_bytes(self) -> int:
+        """How many bytes were read; those that were read twice count once."""
+        total = end = 0
+        for start, stop in sorted(self._spans):
+            total += max(stop - max(start, end), 0)
+            end = max(end, stop)
+        return total
+
+    @property
+    def all_read(self) -> bool:
+        """Whether every byte was read."""
+        return self.where != self.path or self.read_bytes >= self.size  # to unpack it all of it was read
 
     def crc32(self, start: int, stop: int) -> int:
         """Return the checksum of the bytes from `start` up to `stop`."""
@@ -74,9 +93,11 @@ class FileBytes:
             with self.where.open("rb", buffering=0) as file:
                 if (now := inputs.identity_of_open(file.fileno())) != self._read:
                     self._compare(now, self._read)
-                return os.pread(file.fileno(), n, at)
+                data = os.pread(file.fileno(), n, at)
         except OSError as problem:
             raise LocfuseError(f"{self.path}: cannot be read: {problem.strerror}") from None
+        self._spans.add((at, at + len(data)))
+        return data
 
     def _compare(self, now: inputs.Identity, then: inputs.Identity) -> None:
         if now.file != then.file:

@@ -21,7 +21,8 @@ from locfuse.formats.robot import transforms
 from locfuse.fusion.data import Ints, LocfuseError, UsageError
 
 from . import clock as clocks
-from .files import log_files, log_name, open_source
+from .files import log_name, open_source
+from .identity import Identity, files_of, identity_of
 from .stream import LogStream
 from .table import Raw, Table, dated, digest
 from .topics import Topic, UnreadableTopicError, by_topic
@@ -31,7 +32,7 @@ TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 def open_log(paths: Sequence[Path]) -> Log:
     """Open one log made of the given files and folders; messages are merged by topic over all files."""
-    files = sorted({file for path in paths for file in log_files(path)}, key=lambda file: (file.name, str(file)))
+    files = files_of(paths)
     losses = Losses()
     return Log(files, [open_source(file, losses) for file in files], log_name(paths), losses)
 
@@ -58,6 +59,16 @@ class Log:
         for source in self._sources:
             source.data.feed(state.update)
         return state.hexdigest()
+
+    @property
+    def all_read(self) -> bool:
+        """Whether every byte of the files was read, so that their hash costs no reading."""
+        return all(source.data.all_read for source in self._sources)
+
+    @cached_property
+    def identity(self) -> Identity:
+        """What the content is known by without reading all of it."""
+        return identity_of(self.paths)
 
     @cached_property
     def attachments(self) -> dict[str, bytes]:

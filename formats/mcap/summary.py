@@ -39,8 +39,8 @@ def _footer(data: FileBytes) -> bytes:
     return foot if whole else b""
 
 
-def read_summary(data: FileBytes) -> Summary | None:
-    """Return the summary, None where there is none to believe."""
+def summary_section(data: FileBytes) -> bytes | None:
+    """Return the bytes of the summary section, None where there are none or their checksum is wrong."""
     foot = _footer(data)
     if not foot:
         return None
@@ -51,8 +51,16 @@ def read_summary(data: FileBytes) -> Summary | None:
     section = data.read(start, end - start)
     if crc and zlib.crc32(section + foot[: rec.RECORD.size + rec.FOOTER_LENGTH - 4]) != crc:
         return None
+    return section
+
+
+def read_summary(data: FileBytes) -> Summary | None:
+    """Return the summary, None where there is none to believe."""
+    section = summary_section(data)
+    if section is None:
+        return None
     try:
-        return _parse(section, start)
+        return _parse(section, data.size - TAIL - len(section))
     except DamagedError:
         return None
 

@@ -60,7 +60,8 @@ def _node(name: str, schema: Any, depth: int) -> Node | None:
         return None
     if "sec" in properties and len(properties) == 2 and not properties.keys().isdisjoint(NANOSECONDS):
         return TIME
-    parts = {key: _node(key, value, depth + 1) for key, value in properties.items()}
+    # a dot separates the parts of a path, so that no path leads to a key that holds one
+    parts = {key: _node(key, value, depth + 1) for key, value in properties.items() if "." not in key}
     return Record(name, {key: node for key, node in parts.items() if node is not None})
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from .json_report import same_input
 from .render import escape, markdown
 from .summary import is_figure
 from .table import Column, Table, of_words, texts
@@ -18,7 +19,7 @@ def changes(before: Report, after: Report) -> dict[str, Any]:
     """Return every figure of both reports with its change, and what else differs between them."""
     a, b = before["configurations"], after["configurations"]
     return {
-        "same_input": before["input"]["sha256"] == after["input"]["sha256"],
+        "same_input": same_input(before["input"], after["input"]),
         "inputs": [before["input"]["name"], after["input"]["name"]],
         "versions": [before["locfuse"], after["locfuse"]],
         "settings": _settings(before["settings"], after["settings"]),

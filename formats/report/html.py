@@ -18,6 +18,7 @@ from locfuse.formats.figures.svg import HEIGHT, WIDTH, slugs_of, svg
 from locfuse.fusion.data import Colour
 
 from . import tables
+from .json_report import fingerprint
 from .notes import notes_of, title_of
 from .render import SIGNS, Swatches, data, html
 from .table import Path, Piece, Table, written
@@ -49,11 +50,12 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
     page = template.render(
         report=report,
         title=title_of(report),
-        style=Markup(_style((folder / "report.css").read_text(encoding="utf-8"), roles, slugs)),
+        fingerprint=fingerprint(report["input"]),
+        style=Markup(style_sheet((folder / "report.css").read_text(encoding="utf-8"), roles, slugs)),
         figures=Figures(report),
         tables=tables,
         table=lambda shown, painted=True: _table(shown, swatches if painted else None, bars),
-        sections=[_drawn(s, slugs, dashed) for s in sections],
+        sections=[section_drawings(s, slugs, dashed) for s in sections],
         legend=[(name, slugs[name]) for name in names if name in drawn],
         slugs=slugs,
         swatch=lambda name: Markup(swatches.of(name)),
@@ -90,7 +92,7 @@ def _table(shown: Table, swatches: Swatches | None, bars: Mapping[Path, float]) 
     return Markup(html(shown, swatches, bars))
 
 
-def _style(css: str, roles: Mapping[str, Colour], slugs: Mapping[str, str]) -> str:
+def style_sheet(css: str, roles: Mapping[str, Colour], slugs: Mapping[str, str]) -> str:
     """Return the style sheet with one variable per role for a light page and for a dark one."""
     light = "".join(f"--{slugs[r]}:{c.light};" for r, c in roles.items())
     dark = "".join(f"--{slugs[r]}:{c.dark};" for r, c in roles.items())
@@ -99,7 +101,7 @@ def _style(css: str, roles: Mapping[str, Colour], slugs: Mapping[str, str]) -> s
     return css.replace("/*light*/", light).replace("/*dark*/", dark) + uses + f"@media screen{{{hides}}}"
 
 
-def _drawn(section: Section, slugs: dict[str, str], dashed: Collection[str]) -> dict[str, Any]:
+def section_drawings(section: Section, slugs: dict[str, str], dashed: Collection[str]) -> dict[str, Any]:
     """Return a section with its panels as SVG, row by row."""
     from markupsafe import Markup
 

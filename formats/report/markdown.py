@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from . import tables
+from .json_report import fingerprint
 from .notes import notes_of, title_of
 from .render import SIGNS, code, escape, markdown
 
@@ -13,6 +14,7 @@ from .render import SIGNS, code, escape, markdown
 def render(report: Mapping[str, Any]) -> str:
     """Return the report as Markdown. Text from the log is escaped."""
     source, sensors = report["input"], tables.sensors(report)
+    known_by = code(fingerprint(source, 16).split()[1])
     details = [
         markdown(tables.configurations(report, main=False)) if report["truth"] else "",
         markdown(sensors) if sensors.rows else "",
@@ -29,7 +31,7 @@ def render(report: Mapping[str, Any]) -> str:
         _listing("Noise", {v["words"]: "" for v in report.get("consistency", {}).values()}),
         _listing("Notes", dict.fromkeys(notes_of(report), "")),
         _folded("All figures, sensors, and what was dropped", details),
-        f"Input {code(source['sha256'][:16])}, locfuse {escape(report['locfuse'])}. Deviation = estimate - truth.",
+        f"Input {known_by}, locfuse {escape(report['locfuse'])}. Deviation = estimate - truth.",
     ]
     return "\n\n".join(p for p in parts if p) + "\n"
 

@@ -1,18 +1,17 @@
-"""summary.json, .md, .csv: what several logs say together about each configuration."""
+"""summary.json and .md: what several logs say together about each configuration."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from statistics import fmean, median
 from typing import Any
 
-from .render import csv as csv_of
 from .render import escape, markdown
 from .table import Column, Table, of_values
 from .tables import CONFIGURATION, DURATION, MAIN, RMSE
 
-OVER_LOGS = ("mean", "median", "worst")  # of a figure over the logs
+OVER_LOGS = ("mean", "median", "p90", "worst")  # of a figure over the logs
 BRIEF = (
     RMSE.key,
     "heading_rmse_deg",
@@ -20,6 +19,7 @@ BRIEF = (
 )  # on a terminal; all of OVER_LOGS of the first, the mean of the others
 OF = Column("of", "of", kind="text")
 BEST_IN = Column("best_in", "best in")
+SOME_TIES = 3  # configurations named in one sentence
 NOT_ERRORS = ("duration_s", "distance_m", "truth_coverage")
 Reports = Mapping[str, Mapping[str, Any]]  # name of the log -> its report.json
 
@@ -61,7 +61,14 @@ def _best_mean(configurations: Mapping[str, Any], judged: int) -> str | None:
 def _log(report: Mapping[str, Any]) -> dict[str, Any]:
     first = next(iter(report["configurations"].values()))
     source = report["input"]
-    return {"name": source["name"], "sha256": source["sha256"], "duration_s": first["duration_s"]}
+    known = {key: source.get(key) for key in ("name", "sha256", "identity", "start")}
+    return {
+        **known,
+        "duration_s": first["duration_s"],
+        "figures": {
+            name: v[RMSE.key] for name, v in report["configurations"].items() if v.get(RMSE.key) is not None
+        },
+    }
 
 
 def _figures(name: str, reports: Reports) -> dict[str, dict[str, Any]]:
@@ -76,11 +83,26 @@ def _figures(name: str, reports: Reports) -> dict[str, dict[str, Any]]:
         found[key] = {
             "mean": fmean(values.values()),
             "median": median(values.values()),
+            "p90": quantile(sorted(far.values()), 0.9) if key != "anees" else _p90_anees(values, far),
             "worst": values[worst],
             "worst_log": worst,
             "logs": len(values),
         }
     return found
+
+
+def quantile(ordered: Sequence[float], share: float) -> float:
+    """Return the value below which this share of sorted values lies, between neighbours where it must."""
+    at = share * (len(ordered) - 1)
+    low = int(at)
+    high = min(low + 1, len(ordered) - 1)
+    return ordered[low] + (at - low) * (ordered[high] - ordered[low])
+
+
+def _p90_anees(values: Mapping[str, float], far: Mapping[str, float]) -> float:
+    """Return the ANEES that only a tenth of the logs is further from 1 than."""
+    order = sorted(values, key=lambda log: far[log])
+    return values[order[round(0.9 * (len(order) - 1))]]
 
 
 def is_figure(key: str, value: Any) -> bool:
@@ -123,7 +145,11 @@ def _best_in(values: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
 
 
 def _logs(summary: Mapping[str, Any]) -> Table:
-    columns = (Column("log", "log", kind="text"), DURATION, Column("best", "best", kind="text"))
+    columns = [Column("log", "log", kind="text"), DURATION, Column("best", "best", kind="text")]
+    if any(v.get("robot") for v in summary["logs"].values()):
+        columns.insert(1, Column("robot", "robot", kind="text"))
+    if any(v.get("reason") for v in summary["logs"].values()):
+        columns.append(Column("reason", "not judged", kind="text", missing=""))
     return of_values(columns, (({**v, "log": name}, ()) for name, v in summary["logs"].items()))
 
 
@@ -145,24 +171,37 @@ def render(summary: Mapping[str, Any]) -> str:
 def headline(summary: Mapping[str, Any]) -> str:
     """Return in one sentence which configuration is best."""
     best, judged = summary["best"], summary["judged"]
+    if not any(log.get("state", "done") == "done" for log in summary["logs"].values()):
+        return "No log could be compared."
     if best is None:
-        return "None of these logs has a truth: error figures do not exist."
+        return "None of these logs has a truth: error figures do not exist." + not_done(summary)
     found = summary["configurations"][best]
     mean = found["figures"][RMSE.key]["mean"]
     rivals = {n: c["best_in"] for n, c in summary["configurations"].items() if n != best and c["best_in"]}
     others = "".join(f", {n} in {k}" for n, k in rivals.items())
-    unjudged = len(summary["logs"]) - judged
+    unjudged = sum(log.get("state", "done") == "done" for log in summary["logs"].values()) - judged
     left = f" {unjudged} without truth." if unjudged else ""
     wins = f"the best in {found['best_in']} of {judged} logs{others}.{left}"
-    return f"Best is {best}: mean position rmse {mean:.4f} m; {wins}"
+    return f"Best is {best}: mean position rmse {mean:.4f} m; {wins}{_ties(summary)}{not_done(summary)}"
 
 
-def csv(reports: Reports) -> str:
-    """Return one row per log and configuration with every error figure in full precision."""
-    rows = [
-        ({**values, "log": log, "configuration": name}, ())
-        for log, r in reports.items()
-        for name, values in r["configurations"].items()
-    ]
-    keys = dict.fromkeys(k for values, _ in rows for k, v in values.items() if is_figure(k, v))
-    return csv_of(of_values([Column(key, key) for key in ("log", "configuration", *keys)], rows))
+def _ties(summary: Mapping[str, Any]) -> str:
+    """Say which configurations are as good as the best, as far as these logs can show."""
+    ties, of = summary.get("ties") or {}, summary.get("replicates") or {}
+    if not ties:
+        return ""
+    one = next(iter(ties.values()))["replicates"]
+    what = of.get("of", "logs") if one != 1 else of.get("of", "logs").removesuffix("s")
+    names = list(ties)[:SOME_TIES]
+    more = [f"{len(ties) - len(names)} more"] if len(ties) > len(names) else []
+    return f" A tie with {' and '.join([*names, *more])}: {one} {what} cannot tell them apart."
+
+
+def not_done(summary: Mapping[str, Any]) -> str:
+    """Say how many logs failed and how many were not run."""
+    states = [log.get("state", "done") for log in summary["logs"].values()]
+    return "".join(
+        f" {states.count(state)} {words}."
+        for state, words in (("failed", "failed"), ("not run", "were not run"))
+        if state in states
+    )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from .json_report import fingerprint
 from .render import csv as csv_of
 from .render import latex as latex_of
 from .render import latex_text
@@ -216,6 +217,6 @@ def latex(report: Report) -> str:
     """Return report.tex: the page's first table, for a paper."""
     source = report["input"]
     return (
-        f"% {latex_text(source['name'])}, sha256 {source['sha256'][:16]}, locfuse {report['locfuse']}\n"
+        f"% {latex_text(source['name'])}, {fingerprint(source, 16)}, locfuse {report['locfuse']}\n"
         f"% needs \\usepackage{{booktabs}} and \\usepackage{{textcomp}}\n{latex_of(configurations(report))}\n"
     )

@@ -6,17 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from . import images, series
+from . import images, series, style
 from .deferred import rrb
+from .events import EVENTS
 from .map_view import ROOT
-from .recorder import STEP, TIME, part
+from .recorder import DRIVE, STEP, TIME, part
 from .scene import Scene
 
 BACKGROUND = (20, 21, 26)
 MARGIN_SHARE = 0.06  # of the map's size, around it
 SCAN_RANGE_M = (1.5, 15.0)  # m shown around the robot at first: the least and the most
 MAX_RAW_VIEWS = 12  # topics with a view of their own: a viewer with hundreds is of no use
-TABS = ("Deviation", "Close-up", "NIS", "Innovation", "Gates", "Result", "Raw topics")
+TABS = ("Deviation", "Close-up", "NIS", "Innovation", "Gates", "Events", "Result", "Raw topics")
 
 
 def blueprint(scene: Scene, tab: str | None = None) -> Any:
@@ -26,18 +27,34 @@ def blueprint(scene: Scene, tab: str | None = None) -> Any:
         left if right is None else rrb.Horizontal(contents=[left, right], column_shares=[0.54, 0.46]),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=TIME),
+        rrb.TimePanel(state="collapsed", timeline=DRIVE),
         auto_views=False,
         auto_layout=False,
     )
 
 
 def _left(scene: Scene) -> Any:
-    """Return the map, with the panorama below where there are pictures."""
-    if scene.picture_rows is None:
-        return map_view(scene)
-    wide = rrb.Spatial2DView(name="Panorama", origin=f"/{images.PANORAMA}", background=BACKGROUND)
-    return rrb.Vertical(contents=[map_view(scene), wide], row_shares=[0.74, 0.26])
+    """Return the map with its legend, and the panorama below where there are pictures."""
+    rows = [(map_view(scene), 0.66)]
+    if len(list(style.legend_entries(scene))) > 1:
+        rows.append((legend_view(scene), 0.1))
+    if scene.picture_rows is not None:
+        wide = rrb.Spatial2DView(name="Panorama", origin=f"/{images.PANORAMA}", background=BACKGROUND)
+        rows.append((wide, 0.24))
+    if len(rows) == 1:
+        return rows[0][0]
+    return rrb.Vertical(contents=[view for view, _ in rows], row_shares=[share for _, share in rows])
+
+
+def legend_view(scene: Scene) -> Any:
+    """Return what the colours on the map mean, in one strip below it."""
+    low, high = style.legend_bounds(scene)
+    return rrb.Spatial2DView(
+        name="Legend",
+        origin=f"/{style.LEGEND}",
+        background=BACKGROUND,
+        visual_bounds=rrb.VisualBounds2D(x_range=(low[0], high[0]), y_range=(low[1], high[1])),
+    )
 
 
 def _right(scene: Scene, tab: str | None) -> Any | None:
@@ -82,7 +99,10 @@ def _until_now() -> Any:
     """Show everything up to the cursor: paths and walls grow."""
     edge = rrb.TimeRangeBoundary
     return rrb.VisibleTimeRanges(
-        [rrb.VisibleTimeRange(name, start=edge.infinite(), end=edge.cursor_relative()) for name in (TIME, STEP)]
+        [
+            rrb.VisibleTimeRange(name, start=edge.infinite(), end=edge.cursor_relative())
+            for name in (DRIVE, TIME, STEP)
+        ]
     )
 
 
@@ -135,6 +155,7 @@ def _reasons(scene: Scene, tab: str | None) -> Any | None:
         _nis(scene),
         _innovations(scene),
         _gates(scene),
+        rrb.TextLogView(name="Events", origin=f"/{EVENTS}") if scene.events else None,
         rrb.TextDocumentView(name="Result", origin="/result") if scene.table else None,
         _raw(scene),
     ]

@@ -19,7 +19,9 @@ from .recorder import Recorder, part
 from .scene import Rgb, Scene
 
 ROOT = "world"
-PATH_ORDER = 40.0  # above walls and scans; truth above the estimates, a thin line on broad ones
+PATH_ORDER = 40.0  # above walls and scans
+TRUTH_ORDER = 35.0  # below the estimates, a broad line under thin ones: neither hides the other
+TRUTH_WIDTH, PATH_WIDTH = 2.75, 1.25  # points on the screen
 MIN_BODY_SHARE = 0.02  # of the map: smaller robots would not be seen
 FLIP = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -32,7 +34,13 @@ def draw_map(to: Recorder, scene: Scene) -> None:
         colour = scene.colour(estimates.name)
         picks = extremes(estimates.pose[:, :2], scene.detail.curve)
         draw_path(
-            to, f"{root}/path", estimates.t[picks], estimates.pose[picks, :2], colour, 1.5, PATH_ORDER + order
+            to,
+            f"{root}/path",
+            estimates.t[picks],
+            estimates.pose[picks, :2],
+            colour,
+            PATH_WIDTH,
+            PATH_ORDER + order,
         )
         _draw_pose(to, root, estimates, evenly(len(estimates.t), scene.detail.curve), colour)
         width = 2.0 if estimates is scene.best else 1.0
@@ -43,7 +51,9 @@ def draw_map(to: Recorder, scene: Scene) -> None:
     _draw_landmarks(to, scene)
 
 
-def draw_path(to: Recorder, path: str, t: Array, xy: Array, colour: Rgb, width: float, order: float) -> None:
+def draw_path(
+    to: Recorder, path: str, t: Array, xy: Array, colour: style.Colour, width: float, order: float
+) -> None:
     """Send a growing path: one short strip per step (n - 1), so that nothing is sent twice."""
     to.static(path, style.lines(colour, width, order))
     to.send(path, t[1:], rr.LineStrips2D.columns(strips=steps(xy).astype(np.float32)))
@@ -120,7 +130,15 @@ def _draw_truth(to: Recorder, scene: Scene) -> None:
     if truth is None or len(truth.t) == 0:
         return
     picks = extremes(truth.xy, scene.detail.curve)
-    draw_path(to, f"{ROOT}/truth/path", truth.t[picks], truth.xy[picks], style.TRUTH, 0.75, PATH_ORDER + 100.0)
+    draw_path(
+        to,
+        f"{ROOT}/truth/path",
+        truth.t[picks],
+        truth.xy[picks],
+        style.faded(style.TRUTH, 150),
+        TRUTH_WIDTH,
+        TRUTH_ORDER,
+    )
     now = evenly(len(truth.t), scene.detail.curve)
     to.static(f"{ROOT}/truth/now", style.points(style.TRUTH, 4.0))
     to.send(f"{ROOT}/truth/now", truth.t[now], rr.Points2D.columns(positions=truth.xy[now]))

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rerun import RecordingStream
 
 
-TIME, STEP = "log time", "step"
+DRIVE, TIME, STEP = "drive", "log time", "step"  # s since the start, the log's own clock, instant
 PLAUSIBLE_DATE_NS = 10**17  # 1973: a smaller clock counts from the robot's start and is shown as a duration
 
 
@@ -48,7 +48,7 @@ class Fixed(NamedTuple):
 
 
 class Recorder:
-    """Notes columns on both timelines: the log's time, and the step (instant of the drive) in force then."""
+    """Notes columns on all timelines: seconds since the start, the log's time, the instant of the drive then."""
 
     def __init__(self, drive: Drive) -> None:
         self.rows: Counter[str] = Counter()  # entity -> rows noted, for reading back
@@ -88,7 +88,8 @@ class Recorder:
             if dated
             else rr.TimeColumn(TIME, duration=ns.astype("timedelta64[ns]"))
         )
-        return [when, rr.TimeColumn(STEP, sequence=self.step(t))]
+        since = rr.TimeColumn(DRIVE, duration=np.rint(t * 1e9).astype("timedelta64[ns]"))
+        return [since, when, rr.TimeColumn(STEP, sequence=self.step(t))]
 
 
 def part(name: str) -> str:

@@ -11,12 +11,14 @@ from typing import Any, NamedTuple
 
 from .blueprint import blueprint
 from .deferred import made, rr
+from .events import draw_events
 from .images import draw_pictures
 from .map_view import draw_map
 from .recorder import Recorder
 from .scene import Picture, Scene
 from .series import draw_series
 from .sights import draw_sights
+from .style import draw_legend
 
 APPLICATION = "locfuse"
 
@@ -38,6 +40,8 @@ def sketch(scene: Scene, tab: str | None = None) -> Sketch:
     draw_map(to, scene)
     draw_sights(to, scene)
     draw_series(to, scene)
+    draw_events(to, scene.events)
+    draw_legend(to, scene)
     if scene.table:
         to.static("result", rr.TextDocument(unfolded(scene.table), media_type=rr.MediaType.MARKDOWN))
     return Sketch(scene.name, application(scene), blueprint(scene, tab), to, scene.pictures, scene.picture_rows)

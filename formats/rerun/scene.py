@@ -11,7 +11,7 @@ import numpy as np
 
 from locfuse.formats.geometry import wall
 from locfuse.formats.thin import MAX_CURVE_POINTS, MAX_SCANS
-from locfuse.fusion.data import Array, Component, Drive, Estimates, Evaluation, Ints
+from locfuse.fusion.data import Array, Component, Drive, Estimates, Evaluation, Event, Ints
 
 Rgb = tuple[int, int, int]
 GREY: Rgb = (148, 151, 156)
@@ -86,6 +86,7 @@ class Scene:
     raw: Sequence[RawTopic] = ()
     detail: Detail = field(default_factory=Detail)
     palette: Mapping[str, Rgb] = field(default_factory=dict)  # by configuration
+    events: Sequence[Event] = ()  # what happened when, in order of time
     thinned: Mapping[str, Drive] = field(default_factory=dict)  # configurations that saw fewer readings
 
     def colour(self, configuration: str) -> Rgb:

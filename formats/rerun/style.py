@@ -1,13 +1,18 @@
-"""How lines and points look: archetypes that are sent once and hold at all times, and colours on a dark page."""
+"""How lines and points look on a dark page, and a legend of what each colour means.
+
+One colour means one thing: what was refused is red and nothing else is.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from locfuse.fusion.data import VERDICTS
 
 from .deferred import rr
-from .scene import Rgb
+from .recorder import Recorder, part
+from .scene import Rgb, Scene
 
 Colour = tuple[int, int, int] | tuple[int, int, int, int]
 
@@ -31,15 +36,15 @@ def points(colour: Colour, width: float) -> rr.Points2D:
 
 TRUTH: Rgb = (244, 245, 247)
 FIELDS: tuple[Rgb, ...] = ((240, 165, 40), (80, 165, 235), (215, 110, 190), (150, 120, 240), (60, 190, 190))
-LANDMARK: Rgb = (235, 70, 60)
-FIRST_WALL: Rgb = (135, 125, 110)
-WALL: Rgb = (215, 205, 185)
-SCAN: Rgb = (120, 170, 220)
-LIMIT: Rgb = (235, 90, 80)
+LANDMARK: Rgb = (255, 60, 230)
+FIRST_WALL: Rgb = (120, 80, 40)
+WALL: Rgb = (225, 205, 150)
+SCAN: Rgb = (110, 165, 200)
+LIMIT: Rgb = (255, 235, 60)
 LEVEL: Rgb = (205, 205, 210)
 
 MATCHED, REJECTED, NEW = "matched", "rejected", "new"
-GROUPS: dict[str, Rgb] = {MATCHED: (90, 220, 120), REJECTED: (240, 80, 70), NEW: (90, 160, 255)}
+GROUPS: dict[str, Rgb] = {MATCHED: (40, 185, 50), REJECTED: (240, 60, 50), NEW: (0, 225, 235)}
 GROUP_OF = tuple(MATCHED if v == "accepted" else NEW if v == "new" else REJECTED for v in VERDICTS)
 
 # states of one reading on the gate timeline, the worst last: a stretch that is drawn as one shows its worst
@@ -55,3 +60,40 @@ STATES: dict[str, Rgb] = {
 def faded(colour: Rgb, alpha: int) -> tuple[int, int, int, int]:
     """Return the colour with this opacity (0..255)."""
     return (*colour, alpha)
+
+
+LEGEND = "legend"
+COLUMNS, CELL = 7, 4.0  # words in a row, and their distance in heights of a row
+
+
+def legend_entries(scene: Scene) -> Iterator[tuple[str, Rgb]]:
+    """Yield (words, colour) of everything that the map shows, configurations first."""
+    for e in scene.estimates:
+        yield e.name, scene.colour(e.name)
+    if scene.drive.truth is not None:
+        yield "truth", TRUTH
+    if any(e.audits for e in scene.estimates):
+        yield "matched", GROUPS[MATCHED]
+        yield "refused", GROUPS[REJECTED]
+        yield "new", GROUPS[NEW]
+    if any(e.final_map for e in scene.estimates):
+        yield "wall", WALL
+        yield "wall at first sight", FIRST_WALL
+    if scene.scans is not None:
+        yield "scan", SCAN
+    if any(sight.landmark is not None for sight in scene.sights.values()):
+        yield "landmark", LANDMARK
+
+
+def legend_bounds(scene: Scene) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return the least and greatest corner of the strip."""
+    rows = -(-len(list(legend_entries(scene))) // COLUMNS)
+    return (-0.5 * CELL, -0.2), ((COLUMNS - 0.5) * CELL, rows - 0.1)
+
+
+def draw_legend(to: Recorder, scene: Scene) -> None:
+    """Send the words of each entry in its colour."""
+    for i, (words, colour) in enumerate(legend_entries(scene)):
+        row, column = divmod(i, COLUMNS)
+        words_at = rr.Points2D([[column * CELL, float(row)]], labels=[words], show_labels=True)
+        to.static(f"{LEGEND}/{part(words)}", words_at, points(colour, 3.0))

@@ -16,7 +16,7 @@ import numpy as np
 
 from locfuse.formats.caps import MAX_MAP_FILE
 from locfuse.formats.inputs import read_small
-from locfuse.formats.visible import writable
+from locfuse.formats.visible import visible, writable
 from locfuse.fusion.data import Array, LocfuseError, MapLine
 
 FORMAT, VERSION = "locfuse line map", 1
@@ -60,7 +60,7 @@ def decode(text: bytes | str, name: str) -> list[MapLine]:
         file = msgspec.json.decode(text, type=_File)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as problem:
         raise LocfuseError(
-            f"{name} is not a line map: {problem}. Write one with: locfuse run LOG --save-map FILE"
+            f"{name} is not a line map: {visible(str(problem))}. Write one with: locfuse run LOG --save-map FILE"
         ) from None
     if file.version != VERSION:
         raise LocfuseError(f"{name} is a line map of version {file.version}; this locfuse reads version {VERSION}")

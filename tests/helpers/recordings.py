@@ -64,7 +64,7 @@ def _entities(stream: Any) -> dict[str, Entity]:
             batch = chunk.to_record_batch()
             if chunk.is_static or "log time" not in batch.schema.names:
                 # a time to the nanosecond is no Python value without pandas
-                names = [n for n in batch.schema.names if "time" not in n]
+                names = [n for n in batch.schema.names if "time" not in n or n.endswith(":timeline")]
                 entity.static |= {n: batch.column(n).to_pylist() for n in names}
             else:
                 entity.parts.append(batch)

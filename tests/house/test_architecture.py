@@ -46,6 +46,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "log",
         "results figures",
         "report rerun",
+        "fleet",
     ),
     "sample_logs": (),
     "cli": (
@@ -53,6 +54,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "pipeline",
         "session",
         "jobs rerun inspect",
+        "fleet",
         "terminal",
         "commands",
         "main",

@@ -18,7 +18,7 @@ from locfuse.formats.caps import MAX_DEFINITION, MAX_DEFINITION_LINES
 from locfuse.formats.container.source import ChannelInfo
 from locfuse.formats.messages import kinds
 from locfuse.formats.messages.decode import make_decoder
-from locfuse.formats.messages.fields import FieldError, resolve
+from locfuse.formats.messages.fields import FieldError, paths, resolve
 from locfuse.formats.messages.json_messages import JsonDecoder, parse_jsonschema
 from locfuse.formats.messages.kinds import check_kind, expected, kind_of
 from locfuse.formats.messages.schema import SchemaError, parse
@@ -253,3 +253,11 @@ def test_a_type_that_is_mentioned_often_is_one_tree() -> None:
     message = parse("pkg/msg/Odd", "ros2msg", doubling(8).decode())
     inner: Any = message.fields["a"]
     assert inner.fields["a"] is inner.fields["b"]
+
+
+def test_a_key_that_holds_a_dot_is_no_field_as_no_path_leads_to_it() -> None:
+    number = {"type": "number"}
+    message = parse_jsonschema("A", json.dumps({"type": "object", "properties": {"a": number, "b.c": number}}))
+    assert paths(message) == ["a"]
+    for path in paths(message):
+        resolve(message, path)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import math
 import shutil
+from csv import DictReader
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +16,10 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from locfuse.cli.choose.grouping import logs_of, results_of
-from locfuse.cli.session.summary import Judged, summarised
+from locfuse.cli.pipeline.verdicts import credit_values
+from locfuse.cli.session.summary import summarised
+from locfuse.formats.fleet.entry import Entry, slim
+from locfuse.formats.fleet.rows import Rows, csv
 from locfuse.formats.report import changes as sides
 from locfuse.formats.report import summary as over
 from locfuse.formats.report.table import records
@@ -27,8 +32,15 @@ LIGHT = ("camera.enabled=false", "lrf.enabled=false", "path.legs=[{forward=1.5},
 
 def report(rmse: dict[str, float | None], anees: float = 1.0, sha: str = "00", **settings: Any) -> dict[str, Any]:
     """A report.json as far as summaries read it."""
-    rows = {
-        name: {"position_rmse_m": value, "anees": anees, "duration_s": 9.0, "align": "none", "smoothed": False}
+    rows: dict[str, dict[str, Any]] = {
+        name: {
+            "position_rmse_m": value,
+            "anees": anees,
+            "duration_s": 9.0,
+            "align": "none",
+            "smoothed": False,
+            "sensors": {},
+        }
         for name, value in rmse.items()
     }
     return {
@@ -91,12 +103,15 @@ def test_names_from_logs_do_not_become_markup() -> None:
 
 
 def test_the_table_for_machines_has_a_row_per_log_and_configuration() -> None:
-    lines = over.csv({"a": report({"odometry": 0.5, "all": 0.125}), "b": report({"all": None})}).splitlines()
-    assert lines == [
-        "log,configuration,position_rmse_m,anees",
-        "a,odometry,0.5,1.0",
-        "a,all,0.125,1.0",
-        "b,all,,1.0",
+    reports = {"a": report({"odometry": 0.5, "all": 0.125}), "b": report({"all": None})}
+    entries = [Entry(name, "r1", report=slim({"": r})) for name, r in reports.items()]
+    rows = list(DictReader(StringIO(csv(Rows([*entries, Entry("c", None, "failed", "a text, no log")])))))
+    wanted = ("log", "robot", "configuration", "position_rmse_m", "anees", "state", "reason")
+    assert [tuple(row[c] for c in wanted) for row in rows] == [
+        ("a", "r1", "odometry", "0.5", "1.0", "done", ""),
+        ("a", "r1", "all", "0.125", "1.0", "done", ""),
+        ("b", "r1", "all", "", "1.0", "done", ""),
+        ("c", "", "", "", "", "failed", "a text, no log"),
     ]
 
 
@@ -106,11 +121,12 @@ def sensor(ln: float) -> SensorCredit:
 
 
 def test_credit_over_logs_is_their_mean_with_an_interval_over_them() -> None:
-    judged = {}
+    entries = []
     for i, ln in enumerate((0.6, 0.7, 0.8)):
         one = Credit({"lrf": sensor(ln)}, ln, True, "moving-block bootstrap", 12.0, 3.0)
-        judged[str(i)] = Judged(report({"odometry": 0.5, "lrf": 0.2}), one)
-    found = summarised(judged)
+        found = {**report({"odometry": 0.5, "lrf": 0.2}), "credit": credit_values(one)}
+        entries.append(Entry(str(i), report=slim({"": found})))
+    found = summarised(entries)
     effect = found["credit"]["sensors"]["lrf"]["credit"]
     assert effect["ln"] == pytest.approx(0.7)
     half = 4.303 * 0.1 / math.sqrt(3)  # Student's t, 2 degrees of freedom
@@ -165,6 +181,7 @@ def test_several_logs_give_a_summary_and_a_folder_each(drives: list[Path], summa
         "summary.json",
         "summary.md",
         "summary.csv",
+        "fleet.parquet",
         *(d.stem for d in drives),
     }
     found = json.loads((summary / "summary.json").read_text())

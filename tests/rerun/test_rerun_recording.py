@@ -64,7 +64,30 @@ def test_times_are_the_logs_and_steps_are_instants(made: Made) -> None:
     assert drive.epoch_ns == 1_700_000_000_000_000_000
     columns = {name for e in made.entities.values() for part in e.parts for name in part.schema.names}
     timelines = {name for name in columns if ":" not in name}
-    assert timelines - {"rerun.controls.RowId"} == {"log time", "step"}
+    assert timelines - {"rerun.controls.RowId"} == {"drive", "log time", "step"}
+
+
+def test_the_viewer_opens_on_seconds_since_the_start(made: Made) -> None:
+    pose = made.entities["world/all/pose"]
+    seconds = [t.total_seconds() for t in pose.column("drive")]
+    np.testing.assert_allclose(seconds, made.loaded.drive.t, atol=1e-6)  # read back in microseconds
+    panel = made.layout["time_panel"].static
+    assert [value for name, value in panel.items() if name.endswith(":timeline")] == [[["drive"]]]
+
+
+def test_the_truth_lies_below_the_estimates(made: Made) -> None:
+    (truth,) = made.entities["world/truth/path"].static["LineStrips2D:draw_order"]
+    (lowest,) = made.entities["world/odometry/path"].static["LineStrips2D:draw_order"]
+    assert truth < lowest
+
+
+def test_the_legend_names_every_configuration_in_its_colour(made: Made) -> None:
+    names = {p.removeprefix("legend/") for p in made.entities if p.startswith("legend/")}
+    assert {name_of(n) for n in made.estimates} <= names
+    assert {"truth", "matched", "refused", "landmark"} <= names
+    for name in made.estimates:
+        sample = made.entities[f"legend/{name_of(name)}"].static["Points2D:colors"]
+        assert sample == made.entities[f"world/{name_of(name)}/path"].static["LineStrips2D:colors"]
 
 
 @pytest.mark.parametrize("configuration", ["odometry", "compass", "lrf", "camera", "all", "lrf@2Hz"])

@@ -11,6 +11,7 @@ from commands import locfuse
 from hostile import write
 
 from locfuse.formats.caps import MAX_DOTS, MAX_JOINTS, MAX_KEYS, MAX_ROBOT_TOML, MAX_TRANSFORMS
+from locfuse.formats.robot import line_map
 from locfuse.formats.robot.robot_toml import apply_sets, parse
 from locfuse.formats.robot.transforms import FIELDS, StaticTransforms, Transform, planar_mount, static_transforms
 from locfuse.formats.robot.urdf import wheel_geometry
@@ -100,3 +101,9 @@ def test_more_frames_than_the_cap_are_refused() -> None:
     names = [tuple(f"f{i}" for i in range(n))]
     with pytest.raises(LocfuseError, match="/tf_static: too many frames: 10 001, more than the cap of 10 000"):
         static_transforms([{**columns, FIELDS[0]: [("base",) * n], FIELDS[1]: names}])
+
+
+def test_a_line_map_with_a_line_break_in_a_key_is_refused_in_one_line() -> None:
+    with pytest.raises(LocfuseError, match="is not a line map") as refused:
+        line_map.decode('{"format": "locfuse line map", "versi\\non": 1, "lines": []}', "walls.json")
+    assert "\n" not in str(refused.value)

@@ -1,4 +1,4 @@
-"""`python -m locfuse.formats.rerun.send FILE.rrd URL`: hand a recording to a running viewer.
+"""`python -m locfuse.cli.rerun.send FILE.rrd URL`: hand a recording to a running viewer.
 
 A process of its own, because Rerun's connection cannot be told to give up (benchmarks: a port that accepts
 and never answers holds `flush(timeout_sec=10)` for 59 s); who runs it sets the limit.
@@ -11,7 +11,7 @@ import sys
 
 def main(path: str, url: str) -> None:
     """Send the recording and its blueprint under their own names."""
-    from .file import quiet_rust
+    from locfuse.formats.rerun.file import quiet_rust
 
     quiet_rust()
     import rerun as rr

@@ -1,0 +1,23 @@
+"""What the user chose for many logs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class FleetOptions:
+    """What is asked of many logs beyond a single one."""
+
+    jobs: int
+    max_failures: int | None
+    again: bool
+    each: tuple[Path, ...]
+    robot_from: str | None
+    sweep: tuple[str, ...]
+
+    @property
+    def asked(self) -> bool:
+        """Whether even a single log is treated as one of many."""
+        return bool(self.each or self.robot_from or self.sweep or self.again)

@@ -1,0 +1,59 @@
+"""Resuming: results that a job would only repeat are left as they are.
+
+They are there when every report.json has the key that this run would give it, all its files stand beside it, and
+no file of the log was changed after it was written.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from locfuse.cli.pipeline.key import asked_tables, key
+from locfuse.cli.pipeline.load import find_log
+from locfuse.formats.caps import MAX_REPORT
+from locfuse.formats.inputs import read_small
+from locfuse.formats.log.identity import files_of, identity_of
+from locfuse.fusion.data import LocfuseError
+
+from .job import Cell, Job
+
+REPORT = "report.json"
+OF_KIND = {"html": "report.html", "md": "report.md", "csv": "report.csv", "tex": "report.tex", "json": REPORT}
+
+
+def is_finished(job: Job) -> bool:
+    """Tell whether a job's results are there. Raises LocfuseError where its log or settings cannot be read."""
+    if job.again or job.export or job.figures is not None:  # exports are not looked for
+        return False
+    if not all((job.place(cell) / REPORT).is_file() for cell in job.cells):
+        return False
+    files = files_of(find_log(job.log))
+    content = identity_of(files)
+    changed = max(file.stat().st_mtime_ns for file in files)
+    return all(
+        _is_there(job, cell, changed, key(content, asked_tables(job.how, cell.sets), job.asked))
+        for cell in job.cells
+    )
+
+
+def _is_there(job: Job, cell: Cell, changed_ns: int, expected: str) -> bool:
+    folder = job.place(cell)
+    report = read_report(folder)
+    if report is None or report.get("key") != expected:
+        return False
+    if (folder / REPORT).stat().st_mtime_ns < changed_ns:
+        return False
+    names = [OF_KIND[kind] for kind in job.kinds if kind in OF_KIND]
+    names += [f"{name}.tum" for name in report["configurations"]] if "tum" in job.kinds else []
+    return all((folder / name).is_file() for name in names)
+
+
+def read_report(folder: Path) -> dict[str, Any] | None:
+    """Return the report of a folder, None where there is none or it is not a whole one."""
+    try:
+        report = json.loads(read_small(folder / REPORT, MAX_REPORT))
+        return report if isinstance(report["configurations"], dict) and isinstance(report["input"], dict) else None
+    except (LocfuseError, ValueError, KeyError, TypeError, RecursionError):
+        return None

@@ -1,0 +1,71 @@
+"""The words that name many logs: lists of them in a file, patterns, and folders with logs somewhere below."""
+
+from __future__ import annotations
+
+import glob
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from locfuse.formats.inputs import read_small
+from locfuse.formats.log.files import ENDINGS
+from locfuse.formats.whole_files import RESULTS
+from locfuse.fusion.data import LocfuseError, UsageError
+
+MAX_LIST_BYTES = 64 * 1024 * 1024  # of a list of logs: half a million paths
+
+
+def expanded(words: Sequence[str], each: Sequence[Path] = ()) -> list[str]:
+    """Return one word per log or part of a log: @FILE names those in its lines, a pattern all files that fit it.
+
+    Of the folders in `each` every log below is named; a rosbag2 folder is one. Raises UsageError for a pattern
+    that nothing fits and for a folder without logs, LocfuseError for a list that cannot be read.
+    """
+    found = [path for word in words for path in _expanded(word)]
+    for folder in each:
+        below = list(_below(folder))
+        if not below:
+            raise UsageError(f"--each {folder}: no log below it ({', '.join(ENDINGS)})")
+        found += below
+    return found
+
+
+def _expanded(word: str) -> list[str]:
+    if word.startswith("@") and not Path(word).exists():
+        return [path for line in _lines(Path(word[1:]).expanduser()) for path in _expanded(line)]
+    if not glob.has_magic(word) or Path(word).exists():
+        return [word]
+    fitting = sorted(glob.glob(word, recursive=True))  # noqa: PTH207 - of an absolute pattern too
+    if not fitting:
+        raise UsageError(f"{word}: nothing fits this pattern")
+    return fitting
+
+
+def _lines(file: Path) -> list[str]:
+    """Return the lines of a list that name something; # begins a comment line."""
+    try:
+        lines = read_small(file, MAX_LIST_BYTES).decode().splitlines()
+    except UnicodeDecodeError:
+        raise LocfuseError(f"@{file}: not a text in UTF-8; write one log on each line") from None
+    named = [line.strip() for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    if not named:
+        raise UsageError(f"@{file}: it names no log; write one on each line")
+    if nested := [line for line in named if line.startswith("@")]:
+        raise UsageError(f"@{file}: {nested[0]}: a list in a list is not read")
+    return named
+
+
+def _below(folder: Path) -> Iterator[str]:
+    """Yield every log below a folder in the order of paths; results of locfuse are none."""
+    for place, folders, names in os.walk(folder):
+        folders.sort()
+        if set(RESULTS) & set(names):  # what it exported lies there, and a folder for each log
+            folders.clear()
+            continue
+        if "metadata.yaml" in names:
+            yield place
+            folders.clear()
+            continue
+        for name in sorted(names):
+            if any(Path(name).match(ending) for ending in ENDINGS):
+                yield str(Path(place) / name)

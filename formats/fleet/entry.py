@@ -1,0 +1,86 @@
+"""One log of a fleet: what is kept of its report, or why it has none. Ten thousand of them fit into memory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+State = Literal["done", "failed", "not run"]
+COUNTS = ("accepted", "rejected", "absent", "nis")  # of a sensor in a configuration
+EFFECTS = ("credit", "alone", "leave_one_out")  # of a sensor on the position error
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One log."""
+
+    name: str
+    robot: str | None = None
+    state: State = "done"
+    reason: str = ""  # why it failed or was not run, in one line
+    report: Mapping[str, Any] = field(default_factory=dict)  # as `slim` leaves it; empty unless done
+    cells: tuple[str, ...] = ()  # of a sweep
+
+    @property
+    def losses(self) -> dict[str, int]:
+        """Bytes and messages of the file that could not be read."""
+        places = (self.report.get("input", {}).get("losses") or {}).values()
+        return {unit: sum(p[unit] for p in places) for unit in ("bytes", "messages")}
+
+
+def label(configuration: str, cell: str) -> str:
+    """Return the name of a configuration in one cell of a sweep."""
+    return f"{configuration} [{cell}]" if cell else configuration
+
+
+def slim(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Return what is kept of one log's reports by cell (one report under "" without a sweep).
+
+    Verdicts and effects are those of the first cell.
+    """
+    first = next(iter(reports.values()))
+    source = first["input"]
+    return {
+        "input": {key: source.get(key) for key in ("name", "size", "identity", "sha256", "start", "losses")},
+        "configurations": {
+            label(name, cell): {**_scalars(values), "configuration": name, "cell": cell, **_marks(report, values)}
+            for cell, report in reports.items()
+            for name, values in report["configurations"].items()
+        },
+        "sensors": {
+            label(name, cell): {s: [found[c] for c in COUNTS] for s, found in values["sensors"].items()}
+            for cell, report in reports.items()
+            for name, values in report["configurations"].items()
+        },
+        "verdicts": {sensor: v["verdict"] for sensor, v in (first.get("verdicts") or {}).items()},
+        "credit": _effects(first.get("credit")),
+    }
+
+
+def _marks(report: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    return {"slowed": bool(values.get("rates_hz")), "key": report.get("key")}
+
+
+def _scalars(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a cell of a table can hold."""
+    return {key: value for key, value in values.items() if not isinstance(value, Mapping | list)}
+
+
+def _effects(credit: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """Return each sensor's effects without intervals: those over logs come from the logs."""
+    if not credit:
+        return None
+    sensors = {
+        sensor: {
+            "verdict": "",
+            **{key: found[key] for key in ("share", "anees_without", "anees_with", "beside")},
+            **{name: _effect(found[name]) for name in EFFECTS},
+        }
+        for sensor, found in credit["sensors"].items()
+    }
+    return {"complete": credit["complete"], "total_factor": credit["total_factor"], "sensors": sensors}
+
+
+def _effect(effect: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    return None if effect is None else {"ln": effect["ln"], "expected": effect["expected"]}

@@ -1,0 +1,219 @@
+"""summary.html: one page over all logs of a fleet, which opens offline anywhere and links to each log's own page.
+
+What grows with the fleet is summed up (distributions, days) or cut after the worst rows, with the number left out:
+ten thousand logs give a page below 3 MB.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import PurePosixPath
+from statistics import median
+from typing import Any, Literal
+from urllib.parse import quote
+
+from locfuse.formats.figures import palette
+from locfuse.formats.figures.palette import Trace
+from locfuse.formats.figures.svg import slugs_of
+from locfuse.formats.report import summary as over
+from locfuse.formats.report.html import section_drawings, style_sheet
+from locfuse.formats.report.render import SIGNS, Swatches, html, html_text
+from locfuse.formats.report.table import Column, Table, of_values
+from locfuse.formats.report.tables import RMSE
+from locfuse.fusion.data import Colour
+
+from .entry import Entry
+from .figures import sections
+
+WORST_LOGS = 10
+MAX_ROWS = 200  # of robots, failures and losses on the page; all of them are in summary.csv
+TEXT: Literal["text"] = "text"
+
+
+def render(summary: Mapping[str, Any], entries: Sequence[Entry], sensors: Mapping[str, Colour]) -> str:
+    """Return the page. `sensors` are all sensors known to the product, with their colours."""
+    from jinja2 import Environment, StrictUndefined
+    from markupsafe import Markup
+
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    template = environment.from_string((files(__package__) / "fleet.html.j2").read_text(encoding="utf-8"))
+    css = (files("locfuse.formats.report") / "report.css").read_text(encoding="utf-8")
+    figures = sections(summary, entries)
+    traces = _traces(entries)
+    inks = palette.colours({**traces, **{s: Trace(s, (s,)) for s in sensors if s not in traces}}, sensors)
+    slugs = slugs_of(list(inks))
+    swatches = Swatches(slugs, {name for name, trace in traces.items() if trace.dashed})
+    shown = {mark.of for s in figures for p in s.panels for mark in p.marks}
+    page = template.render(
+        summary=summary,
+        headline=over.headline(summary),
+        replicates=_replicates(summary),
+        style=Markup(style_sheet(css, inks, slugs)),
+        table=lambda found, painted=False: Markup(html(found, swatches if painted else None)),
+        over=over,
+        sections=[section_drawings(s, slugs, swatches.dashed) for s in figures],
+        legend=[(name, slugs[name]) for name in summary["configurations"] if name in shown],
+        swatch=lambda name: Markup(swatches.of(name)),
+        worst=Markup(_worst(summary, entries)),
+        robots=_cut(robots(summary, entries)),
+        matrix=_cut(matrix(entries)),
+        failures=_cut(_failures(entries)),
+        losses=_cut(_losses(entries)),
+        signs=SIGNS,
+    )
+    return str(page).strip() + "\n"
+
+
+def _traces(entries: Sequence[Entry]) -> dict[str, Trace]:
+    """Return how each configuration is drawn, by its name; those of a sweep's cells are dashed."""
+    found: dict[str, Trace] = {}
+    for entry in entries:
+        for name, values in entry.report.get("configurations", {}).items():
+            of = tuple(entry.report["sensors"][name])
+            what_if = bool(values["slowed"] or values["cell"])
+            found.setdefault(name, Trace(values["configuration"], of, what_if, values["smoothed"]))
+    return found
+
+
+def _replicates(summary: Mapping[str, Any]) -> str:
+    """Say what the intervals rest on."""
+    of = summary["replicates"]
+    if of["of"] == "robots":
+        return (
+            f"{of['logs']} logs of {of['robots']} robots. Means are of each robot first, then over robots, with "
+            "Student's 95 % interval: logs of one robot share its wheels and mounts."
+        )
+    return (
+        f"{of['logs']} logs. Robots are not named (--robot-from), so each log counts as independent: intervals "
+        "are too narrow where several logs are of one robot."
+    )
+
+
+def _cut(table: Table) -> tuple[Table, int]:
+    """Return the first rows of a table and how many are left out."""
+    return Table(table.columns, table.rows[:MAX_ROWS], table.label), max(len(table.rows) - MAX_ROWS, 0)
+
+
+def _error(entry: Entry, configuration: str) -> float | None:
+    value = entry.report.get("configurations", {}).get(configuration, {}).get(RMSE.key)
+    return None if value is None else float(value)
+
+
+def _worst(summary: Mapping[str, Any], entries: Sequence[Entry]) -> str:
+    """Return the logs with the largest error of the best configuration, each with a link to its page."""
+    best = summary["best"]
+    known = [(e, error) for e in entries if best and (error := _error(e, best)) is not None]
+    rows = []
+    for entry, error in sorted(known, key=lambda pair: -pair[1])[:WORST_LOGS]:
+        values = entry.report["configurations"][best]
+        folder = PurePosixPath(entry.name, values["cell"].replace(" ", ","))
+        link = f'<a href="{quote(str(folder))}/report.html">{html_text(entry.name)}</a>'
+        cells = (
+            entry.robot or "–",
+            RMSE.form.format(error),
+            f"{values['duration_s']:.0f}",
+            _hurting(entry) or "–",
+        )
+        rows.append(f"<tr><th scope=row>{link}</th>{''.join(f'<td>{html_text(c)}</td>' for c in cells)}</tr>")
+    if not rows:
+        return ""
+    heads = ("log", "robot", f"position rmse of {best}, m", "duration, s", "hurting")
+    head = "".join(f"<th scope=col>{html_text(h)}</th>" for h in heads)
+    body = "\n".join(rows)
+    return f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def _hurting(entry: Entry) -> str:
+    return ", ".join(s for s, verdict in entry.report["verdicts"].items() if verdict == "hurts")
+
+
+def robots(summary: Mapping[str, Any], entries: Sequence[Entry]) -> Table:
+    """Return a row per robot, the worst first: its best configuration, and how the overall best does on it."""
+    best = summary["best"]
+    rows: list[dict[str, Any]] = []
+    for robot in dict.fromkeys(e.robot for e in entries if e.robot is not None):
+        own = [e for e in entries if e.robot == robot]
+        errors = sorted(x for e in own if best and (x := _error(e, best)) is not None)
+        rows.append(
+            {
+                "robot": robot,
+                "logs": len(own),
+                "failed": sum(e.state == "failed" for e in own),
+                "best": best_of(own),
+                "median": median(errors) if errors else None,
+                "p90": over.quantile(errors, 0.9) if errors else None,
+                "worst": errors[-1] if errors else None,
+            }
+        )
+    rows.sort(key=lambda row: -(row["median"] or 0.0))
+    of = f"{best}: " if best else ""
+    columns = (
+        Column("robot", "robot", kind=TEXT),
+        Column("logs", "logs"),
+        Column("failed", "failed"),
+        Column("best", "best on it", kind=TEXT),
+        Column("median", f"{of}median", "m", "{:.4f}"),
+        Column("p90", "p90", "m", "{:.4f}"),
+        Column("worst", "worst", "m", "{:.4f}"),
+    )
+    return of_values(columns, ((row, ()) for row in rows))
+
+
+def best_of(entries: Sequence[Entry]) -> str | None:
+    """Return the configuration with the smallest median error among those that every judged log has."""
+    judged = [e for e in entries if any(_error(e, c) is not None for c in e.report.get("configurations", {}))]
+    names = dict.fromkeys(c for e in judged for c in e.report["configurations"])
+    errors = {c: [x for e in judged if (x := _error(e, c)) is not None] for c in names}
+    everywhere = {c: median(found) for c, found in errors.items() if found and len(found) == len(judged)}
+    return min(everywhere, key=lambda c: everywhere[c]) if everywhere else None
+
+
+def matrix(entries: Sequence[Entry]) -> Table:
+    """Return robot x sensor: the verdicts of its logs, counted; robots on which a sensor hurts come first."""
+    sensors = list(dict.fromkeys(s for e in entries for s in e.report.get("verdicts", {})))
+    groups: dict[str, list[Entry]] = {}
+    for e in entries:
+        if e.report.get("verdicts"):
+            groups.setdefault(e.robot or "all logs", []).append(e)
+    rows = []
+    for robot, own in groups.items():
+        counts = {s: Counter(v for e in own if (v := e.report["verdicts"].get(s))) for s in sensors}
+        rows.append((-sum(c["hurts"] for c in counts.values()) / len(own), robot, counts))
+    rows.sort(key=lambda row: row[:2])
+    columns = (Column("robot", "robot", kind=TEXT), *(Column(f"of {s}", s, kind=TEXT) for s in sensors))
+    told = ({"robot": robot, **{f"of {s}": _counted(c) for s, c in counts.items()}} for _, robot, counts in rows)
+    return of_values(columns, ((row, ()) for row in told))
+
+
+def _counted(verdicts: Counter[str]) -> str | None:
+    """Return "▲ helps" where all logs agree, else every verdict with its number of logs."""
+    if len(verdicts) == 1:
+        verdict = next(iter(verdicts))
+        return f"{SIGNS.get(verdict, '●')} {verdict}"
+    return ", ".join(f"{SIGNS.get(v, '●')} {v} {n}" for v, n in verdicts.most_common()) or None
+
+
+def _failures(entries: Sequence[Entry]) -> Table:
+    columns = (
+        Column("log", "log", kind=TEXT),
+        Column("robot", "robot", kind=TEXT),
+        Column("state", "state", kind=TEXT),
+        Column("reason", "reason", kind="long"),
+    )
+    found = (e for e in entries if e.state != "done")
+    rows = ({"log": e.name, "robot": e.robot, "state": e.state, "reason": e.reason} for e in found)
+    return of_values(columns, ((row, ()) for row in rows))
+
+
+def _losses(entries: Sequence[Entry]) -> Table:
+    columns = (
+        Column("log", "log", kind=TEXT),
+        Column("bytes", "bytes"),
+        Column("messages", "messages"),
+        Column("reasons", "reasons", kind="long"),
+    )
+    found = (e for e in entries if e.report.get("input", {}).get("losses"))
+    rows = ({"log": e.name, **e.losses, "reasons": ", ".join(e.report["input"]["losses"])} for e in found)
+    return of_values(columns, ((row, ()) for row in rows))

@@ -1,0 +1,53 @@
+"""Faults that a log labels itself: texts on /faults, as `locfuse simulate` writes them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from locfuse.formats.visible import visible
+from locfuse.fusion.data import FAULT, Drive, Event
+
+from .log import Log
+
+TOPIC, MSGTYPE = "/faults", "std_msgs/msg/String"
+MAX_WORDS = 120  # characters of a label that are shown
+TIMES = ("event", "start", "end")
+
+
+def labels(log: Log, drive: Drive, order: str) -> list[Event]:
+    """Return the labelled faults of a log, clipped to the drive; none where it has no such topic."""
+    info = log.topics.get(TOPIC)
+    if info is None or info.msgtype != MSGTYPE:
+        return []
+    stream = log.stream(TOPIC, order=order)
+    texts = stream.columns("data")["data"]
+    assert isinstance(texts, list)
+    end = float(drive.t[-1])
+    t = ((stream.t_ns - drive.epoch_ns) * 1e-9).tolist()
+    begun: dict[str, float] = {}
+    found: list[Event] = []
+    for at, text in zip(t, texts, strict=True):
+        event, words = _read(str(text))
+        if event == "begin":
+            begun[words] = at
+        else:
+            found.append(
+                Event(max(begun.pop(words, 0.0 if event == "end" else at), 0.0), min(at, end), FAULT, words)
+            )
+    found += [Event(max(at, 0.0), end, FAULT, words) for words, at in begun.items()]  # no end: to the end
+    return sorted(e for e in found if e.start <= end and e.end >= 0.0)
+
+
+def _read(text: str) -> tuple[str, str]:
+    """Return (begin, end or "", words) of one label; a text that is not of the simulator speaks for itself."""
+    try:
+        table = msgspec.json.decode(text, type=dict[str, Any])
+    except msgspec.DecodeError:
+        return "", visible(text[:MAX_WORDS])
+    kind, sensor = table.get("kind", "fault"), table.get("sensor", "")
+    said = {k: v for k, v in table.items() if k not in (*TIMES, "kind", "sensor")}
+    more = [f"{key} {value}" for key, value in said.items() if isinstance(value, int | float | str)]
+    words = " ".join(str(part) for part in (sensor, kind, f"({', '.join(more)})" if more else "") if part)
+    return str(table.get("event", "")), visible(words[:MAX_WORDS])

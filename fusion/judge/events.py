@@ -1,0 +1,77 @@
+"""What happened when during a drive: rest, being lost, readings refused in a row, faults that the log labels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from locfuse.fusion.data import (
+    LOST,
+    REFUSED,
+    REST,
+    VERDICTS,
+    Array,
+    Audit,
+    Drive,
+    Estimates,
+    Event,
+    Measurements,
+)
+
+MIN_REST_S = 2.0
+REST_STEP_M, REST_STEP_RAD = 1e-4, 1e-4  # of one interval of the wheels: below, nothing turned
+MIN_REFUSED = 5  # readings in a row; fewer are outliers, and the gates show them
+TAKEN = tuple(VERDICTS.index(v) for v in ("accepted", "new"))
+
+
+def events_of_drive(drive: Drive) -> list[Event]:
+    """Return the stretches at rest."""
+    return [Event(a, b, REST, f"at rest for {b - a:.1f} s") for a, b in rests(drive)]
+
+
+def events_of_run(drive: Drive, e: Estimates) -> list[Event]:
+    """Return when a run was lost and when it refused a sensor for a while, in order of time.
+
+    Args:
+        drive: as the configuration saw it: its audits count the readings of this one.
+        e: the run, with its audits.
+    """
+    found = [Event(a, b, LOST, f"lost for {b - a:.1f} s", e.name) for a, b in e.lost]
+    for sensor, audit in e.audits.items():
+        found += _refusals(sensor, drive.measurements[sensor], drive.t[drive.instant[sensor]], audit, e.name)
+    return sorted(found)
+
+
+def rests(drive: Drive) -> Iterator[tuple[float, float]]:
+    """Yield (start, end) [s] of every stretch of MIN_REST_S and more in which no wheel turned."""
+    u = drive.motions.u
+    if len(u) != len(drive.t):
+        return  # a result read back from its files
+    still = (np.hypot(u[:, 0], u[:, 1]) < REST_STEP_M) & (np.abs(u[:, 2]) < REST_STEP_RAD)
+    still[0] = False  # before the first interval there is none
+    for first, last in stretches(still):
+        start, end = float(drive.t[first - 1]), float(drive.t[last])
+        if end - start >= MIN_REST_S:
+            yield start, end
+
+
+def stretches(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return (first, last) index of every run of true values in flags (n,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], np.asarray(flags, np.int8), [0]))))
+    return [(a, b - 1) for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)]
+
+
+def _refusals(sensor: str, m: Measurements, t: Array, audit: Audit, name: str) -> Iterator[Event]:
+    """Yield the stretches of MIN_REFUSED and more readings in a row of which nothing was taken."""
+    n = len(m.t)
+    owner = np.searchsorted(m.first, audit.row, side="right") - 1
+    taken = np.bincount(owner[np.isin(audit.verdict, TAKEN)], minlength=n) > 0
+    seen = np.flatnonzero(np.bincount(owner, minlength=n) > 0)  # an empty scan says nothing either way
+    for first, last in stretches(~taken[seen]):
+        if last - first + 1 < MIN_REFUSED:
+            continue
+        start, end = float(t[seen[first]]), float(t[seen[last]])
+        words = f"{sensor}: {last - first + 1} readings in a row refused, for {end - start:.1f} s"
+        yield Event(start, end, REFUSED, words, name)

@@ -158,6 +158,23 @@ class JointBelief:
         x, y, theta = self._x[self.frame : self.frame + 3].tolist()
         return x, y, theta
 
+    def know_frame(self, frame: Array, P: Array) -> None:
+        """Let the map frame be (3,) with covariance P (3, 3), by evidence that is none of this state's.
+
+        All else follows by what it has to do with the frame (Jeffrey's rule for Gaussians): with K = P_rG P_G^-1
+        it moves by K (frame - G), and its covariance changes by K (P - P_G) K'.
+        """
+        if self.frame is None:
+            raise ValueError("no local frame has begun")
+        n, at = self.n, self._frame_columns()
+        own = self._P[np.ix_(at, at)]
+        K = np.linalg.solve(own, self._P[at, :n]).T  # (n, 3), the unit matrix in the frame's own rows
+        step = frame - self._x[at]
+        step[2] = se2.wrap(float(step[2]))
+        self._x[:n] += K @ step
+        self._P[:n, :n] += K @ (P - own) @ K.T
+        self._P[np.ix_(at, at)] = 0.5 * (P + P.T)
+
     def with_frame(self) -> Together:
         """Return the pose and the map frame with their covariances."""
         first = self.frame or 0

@@ -10,7 +10,8 @@ looked for on the whole map until one place fits all that was seen since.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -22,7 +23,7 @@ from locfuse.fusion.ekf.belief_pose import Pose
 
 from .association import Association, associate
 from .line_map import AnyBelief, LineMap
-from .relocalise import find_pose, matched_share, seen_through
+from .relocalise import behind_walls, find_pose, matched_share
 from .scan import Scan
 from .scan_history import Trail, expected_share
 
@@ -34,6 +35,10 @@ MOVED, TURNED = 0.01, math.radians(0.5)  # since the last scan: at rest nothing 
 MAX_SLIP_RAD = math.radians(30.0)
 SLIP_SHARE = 0.6  # of the seen length that a slipped heading must explain, with two lines
 GAP = 1.0  # s without a scan after which walls need not continue
+AGREES = 0.25  # share that still matches: doors stand open in walls that are known as one, and nobody is lost
+WALLS_BEHIND = 3  # seen walls that must lie behind known ones: fewer are seen through a door
+VIEW, SCANS = math.radians(90.0), 5  # that walls must fill to contradict a map; scans before a jump that count
+CONTINUES = 0.4  # share of the seen length where scans from before a jump expect it: then there was none
 HARDLY = 0.2  # a slip turns everything: where more than this share still matches, there was none
 SLIP_XY, SLIP_THETA = 0.03, math.radians(1.5)  # m, rad: what is left to correct after a slip's heading was found
 CANDIDATES = 8
@@ -61,7 +66,8 @@ class Guard:
         self._carried: tuple[float, float, int] | None = None  # first and last slip of a series, how many
         self._trail = Trail()  # since it is lost
         self._well = (0.0, 0)  # when a scan last fitted well, and the number of the first line born after it
-        self._before: Seen | None = None  # the last scan
+        self._before: deque[Seen] = deque(maxlen=SCANS)  # the last scans
+        self._before_torn: list[Seen] = []  # the last ones before the walls jumped
         self._torn = False  # the walls jumped, and little has matched since
         self._last = (math.inf, math.inf, math.inf)
         self._now = 0.0
@@ -72,7 +78,9 @@ class Guard:
         """Return the association to use and whether the scan may correct the pose and teach the map."""
         dt, self._now = t - self._now, t
         moved = self._moved(belief)
-        last, self._before = self._before, (t, (belief.x, belief.y, belief.theta), scan)
+        now = (t, (belief.x, belief.y, belief.theta), scan)
+        before = list(self._before)
+        self._before.append(now)
         if self._lost_from is not None:
             _keep_open(belief, dt)
             return self._search(t, scan, found, lines, belief, gate)
@@ -87,13 +95,23 @@ class Guard:
             if slipped is not None:
                 self._since, self._torn = None, False
                 return slipped, not self._carried_off(t, lines, belief)
-        self._torn = self._torn or (share < HARDLY and last is not None and _jumped(last, self._before))
+        return found, self._believed(before, now, share, lines, belief)
+
+    def _believed(self, before: list[Seen], now: Seen, share: float, lines: LineMap, belief: AnyBelief) -> bool:
+        """Return whether a scan of which little is matched may correct and teach; after several it is lost."""
+        t, _, scan = now
+        if _view(scan) < VIEW:  # a doorway, clutter: too little to contradict anything
+            return not self._torn
         if self._torn:
-            return found, self._disagree(t, lines, belief)
-        if seen_through(scan, lines, lines.values(belief), belief.x, belief.y, belief.theta) < THROUGH:
+            self._torn = not _continues(self._before_torn, now)
+        elif share < HARDLY and _jumped(before, now):
+            self._torn, self._before_torn = True, before
+        if self._torn:
+            return self._disagree(t, lines, belief)
+        if share >= AGREES or not _sees_through(scan, lines, belief):
             self._since = None
-            return found, True
-        return found, self._disagree(t, lines, belief)
+            return True
+        return self._disagree(t, lines, belief)
 
     def _carried_off(self, t: float, lines: LineMap, belief: AnyBelief) -> bool:
         """Count a slip; a series of them is none: somebody carries the robot, and it is lost from the first on."""
@@ -123,9 +141,17 @@ class Guard:
         self._trail.forget()
         belief.place((belief.x, belief.y, belief.theta), LOST_XY**2, math.pi**2 / 3.0)
 
+    def turn_page(self) -> None:
+        """Go on in another map: what was seen before in this one's frame is void."""
+        self._before.clear()
+        self._since = self._carried = None
+        self._last = (math.inf, math.inf, math.inf)
+        self._torn = False
+
     def begin_anew(self, t: float, belief: AnyBelief) -> None:
         """Begin with a map that begins now, where the robot is in it is exactly known."""
-        self._before = self._since = self._place = self._carried = None
+        self._before.clear()
+        self._since = self._place = self._carried = None
         self._last = (math.inf, math.inf, math.inf)
         self._trail.forget()
         if self._lost_from is not None:
@@ -195,15 +221,40 @@ class Guard:
         return words
 
 
-def _jumped(last: Seen, now: Seen) -> bool:
-    """Return whether the walls of this scan do not continue those of the last one, a slip allowed for.
+def _jumped(before: Sequence[Seen], now: Seen) -> bool:
+    """Return whether the walls of this scan continue those of none of the scans before it, a slip allowed for.
 
-    A robot that explores sees new walls, but not only new ones, and not at once.
+    A robot that explores sees new walls, but not only new ones, and not at once. In clutter lines come and go from
+    scan to scan, but some scan of the last ones had them.
     """
-    (before, there, old), (t, here, scan) = last, now
-    if t - before > GAP or min(len(scan.z), len(old.z)) < 2:
+    recent = [one for one in before if now[0] - one[0] <= GAP]
+    if not recent or max(_view(one[2]) for one in recent) < VIEW:
         return False
-    return expected_share(scan, old, se2.between(np.array(there), np.array(here)), MAX_SLIP_RAD) < HARDLY
+    return not _continues(recent, now, HARDLY)
+
+
+def _view(scan: Scan) -> float:
+    """Return the angle that the walls of a scan fill, as seen from the robot [rad]."""
+    r = np.abs(scan.z[:, :1])
+    bearings = np.arctan2(scan.ends, np.maximum(r, 1e-6))
+    return float((bearings[:, 1] - bearings[:, 0]).sum())
+
+
+def _continues(before: Sequence[Seen], now: Seen, share: float = CONTINUES) -> bool:
+    """Return whether this scan shows walls where one of these scans and the wheels expect them."""
+    _, here, scan = now
+    steps = ((old, se2.between(np.array(there), np.array(here))) for _, there, old in before if len(old.z))
+    return any(expected_share(scan, old, step, MAX_SLIP_RAD) >= share for old, step in steps)
+
+
+def _sees_through(scan: Scan, lines: LineMap, belief: AnyBelief) -> bool:
+    """Return whether much of the scan, and several walls of it, lie behind known walls.
+
+    One wall may be seen through a door of a wall that is known as one; what was never seen contradicts nothing.
+    """
+    behind = behind_walls(scan, lines, lines.values(belief), (belief.x, belief.y, belief.theta))
+    length = scan.ends[:, 1] - scan.ends[:, 0]
+    return bool((behind * length).sum() >= THROUGH * length.sum() and (behind > 0.5).sum() >= WALLS_BEHIND)
 
 
 def _keep_open(belief: AnyBelief, dt: float) -> None:

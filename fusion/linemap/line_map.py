@@ -160,6 +160,18 @@ class LineMap:
             for j, (v, P) in enumerate(zip(self.values(belief), self.covariances(belief), strict=True))
         ]
 
+    def placed_at(self, frame: Array, P: Array) -> list[MapLine]:
+        """Return lines that are no states, of a local frame (3,) of covariance P (3, 3), in the map."""
+        x, y, theta = map(float, frame)
+        joint = np.zeros((5, 5))
+        joint[2:, 2:] = P
+        out = []
+        for j in range(len(self)):
+            joint[:2, :2] = self.P[j]
+            placed = _placed(self.value[j], self.anchor[j], (x, y, theta))
+            out.append(self._framed(j, placed, self.P[j], joint))
+        return out
+
     def _line(self, j: int, value: Array, P: Array, anchor: Array | None = None) -> MapLine:
         rho, beta = float(value[0]), float(value[1])
         c, s = math.cos(beta), math.sin(beta)

@@ -50,13 +50,24 @@ def matched_share(found: Association, scan: Scan) -> float:
 def seen_through(
     scan: Scan, lines: LineMap, values: Array, x: float, y: float, theta: float, both: bool = False
 ) -> float:
-    """Return the share of the seen wall length that lies behind known walls, from a supposed pose.
+    """Return the share of the seen wall length that lies behind known walls, from a supposed pose."""
+    if len(scan.z) == 0:
+        return 0.0
+    length = scan.ends[:, 1] - scan.ends[:, 0]
+    return float((behind_walls(scan, lines, values, (x, y, theta), both) * length).sum() / length.sum())
+
+
+def behind_walls(
+    scan: Scan, lines: LineMap, values: Array, pose: tuple[float, float, float], both: bool = False
+) -> Array:
+    """Return the share of every seen wall (k,) that lies behind known walls, from a supposed pose.
 
     `values` (J, 2) are rho and beta of the map's lines; `both`: walls block the sight from their unseen side too.
     """
+    x, y, theta = pose
     known = np.flatnonzero(lines.hits >= MIN_HITS)
     if len(known) == 0 or len(scan.z) == 0:
-        return 0.0
+        return np.zeros(len(scan.z))
     points = _points(scan)  # (k * SAMPLES, 2) base frame
     distance = np.hypot(points[:, 0], points[:, 1])
     bearing = np.arctan2(points[:, 1], points[:, 0]) + theta
@@ -71,9 +82,8 @@ def seen_through(
     facing = np.abs(d @ n.T) if both else d @ n.T
     blocks = (range_ > 0) & (range_ < distance[:, None] - BEHIND) & (facing > 0.1)
     blocks &= (along > lines.lo[known] + MARGIN) & (along < lines.hi[known] - MARGIN)
-    behind = blocks.any(axis=1).reshape(-1, SAMPLES).mean(axis=1)
-    length = scan.ends[:, 1] - scan.ends[:, 0]
-    return float((behind * length).sum() / length.sum())
+    behind: Array = blocks.any(axis=1).reshape(-1, SAMPLES).mean(axis=1)
+    return behind
 
 
 def _points(scan: Scan) -> Array:
@@ -94,11 +104,11 @@ def find_pose(scan: Scan, lines: LineMap, belief: AnyBelief, trail: Trail) -> tu
     known = known[np.argsort(-lines.hits[known], kind="stable")][:MAX_MAP_LINES]
     if len(scan.z) < LINES or len(known) < 2:
         return None
-    poses = _hypotheses(scan, lines, values, known)
+    poses = hypotheses(scan, lines, values, known)
     poses = poses[_heading_fits(poses[:, 2], belief)]
     if len(poses) == 0:
         return None
-    share, possible, count = _explained(poses, scan, lines, values, known)
+    share, possible, count = explained(poses, scan, lines, values, known)
     share = np.where((share >= EXPLAINED) & (count >= LINES), share, 0.0)
     best = int(np.argmax(share))
     if share[best] <= 0.0:
@@ -131,7 +141,7 @@ def _lasting(
         if not len(poses):
             break
         then = se2.compose(poses, step)
-        _, possible, _ = _explained(then, scan, lines, values, known, DRIFTED)
+        _, possible, _ = explained(then, scan, lines, values, known, DRIFTED)
         through = [seen_through(scan, lines, values, x, y, theta, both=True) for x, y, theta in then.tolist()]
         against += (possible < RIVAL * EXPLAINED) | (np.array(through) >= CONTRADICTS)
         poses, against = poses[against < OFTEN], against[against < OFTEN]
@@ -144,9 +154,9 @@ def _heading_fits(theta: Array, belief: AnyBelief) -> NDArray[np.bool_]:
     return np.asarray(np.abs(se2.wrap_all(theta - belief.theta)) <= slack)
 
 
-def _hypotheses(scan: Scan, lines: LineMap, values: Array, known: Ints) -> Array:
-    """Return poses (h, 3) from pairs of seen walls laid onto pairs of known walls at the same angle."""
-    longest = np.argsort(-(scan.ends[:, 1] - scan.ends[:, 0]), kind="stable")[:LONGEST]
+def hypotheses(scan: Scan, lines: LineMap, values: Array, known: Ints, most: int = LONGEST) -> Array:
+    """Return poses (h, 3) from pairs of the longest seen walls laid onto pairs of known ones at the same angle."""
+    longest = np.argsort(-(scan.ends[:, 1] - scan.ends[:, 0]), kind="stable")[:most]
     beta, n = values[known, 1], np.stack((np.cos(values[known, 1]), np.sin(values[known, 1])), axis=-1)
     rho = values[known, 0] + (lines.anchor[known] * n).sum(axis=1)
     found = [np.zeros((0, 3))]
@@ -170,7 +180,7 @@ def _distinct(poses: Array) -> Array:
     return poses[np.sort(np.unique(cells, axis=0, return_index=True)[1])]
 
 
-def _explained(
+def explained(
     poses: Array, scan: Scan, lines: LineMap, values: Array, known: Ints, slack: float = 1.0
 ) -> tuple[Array, Array, Ints]:
     """Return (h,) each: share of the seen length explained, the same were walls longer than known, and walls.

@@ -13,8 +13,8 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from locfuse.fusion.atlas.tracker import AtlasTracker
 from locfuse.fusion.data import Array, Colour, Component, Ints, Measurements, Stream
-from locfuse.fusion.linemap.tracker import LineTracker
 from locfuse.fusion.lines.extract import LineSettings
 from locfuse.fusion.lines.flatness import wall_floor
 from locfuse.fusion.lines.points import SCANS_PER_BLOCK, ScanPoints
@@ -109,9 +109,9 @@ class Lrf(Sensor):
         """Return where it sits on the base: x [m], y [m], yaw [rad]."""
         return settings.mount
 
-    def model(self, settings: LrfSettings) -> LineTracker:
+    def model(self, settings: LrfSettings) -> AtlasTracker:
         """Return the laser's side of a new run."""
-        return LineTracker(settings.map, settings.gate, settings.recover, Mount(self.name, settings))
+        return AtlasTracker(settings.map, settings.gate, settings.recover, Mount(self.name, settings))
 
 
 def unevenness(

@@ -30,6 +30,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "robot mount audit",
         "camera lines ekf",
         "wheels linemap",
+        "atlas",
         "truth sensors",
         "measure instants judge doctor",
         "fuse graph",

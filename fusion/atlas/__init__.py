@@ -1,0 +1,1 @@
+"""A building as many small line maps: each begins at an anchor, and a graph of anchors holds them together."""

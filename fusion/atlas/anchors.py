@@ -1,0 +1,144 @@
+"""The graph of anchors: where the small maps of a building lie, by what leads from one to another.
+
+Every edge says that anchor j, seen from anchor i, lies at z with information L (in the frame of anchor i):
+
+    e = (inverse(x_i) o x_j) - z,    cost = sum e' L e,    theta wrapped
+
+What absolute sensors (a compass, GPS) said of an anchor is an edge from nowhere: e = x_j - z. Gauss-Newton from
+the poses as they stand (Lu and Milios 1997; Grisetti et al., "A tutorial on graph-based SLAM", 2010); covariances
+are blocks of the inverse of its normal matrix.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array
+
+STEPS, ENOUGH = 20, 1e-9  # Gauss-Newton steps at most; m, rad: a step that changes no more is the last
+EXACT = 1e-12  # m^2, rad^2: variance of what is known exactly, so that it can be inverted
+NOWHERE = -1
+
+
+class Edge(NamedTuple):
+    """Anchor `to` seen from anchor `of`, or from the map where that is NOWHERE."""
+
+    of: int
+    to: int
+    z: Array  # (3,)
+    information: Array  # (3, 3)
+
+
+class Anchors:
+    """Poses of anchors in the map, (n, 3), and the edges between them."""
+
+    def __init__(self) -> None:
+        self.pose: Array = np.zeros((0, 3))
+        self.edges: list[Edge] = []
+        self._P: Array | None = None  # (3n, 3n), kept until an edge comes or goes
+
+    def __len__(self) -> int:
+        """Return the number of anchors."""
+        return len(self.pose)
+
+    def first(self, pose: Array, P: Array) -> int:
+        """Add an anchor that is known by itself, pose (3,) with covariance (3, 3); return its number."""
+        self.pose = np.vstack((self.pose, pose))
+        self.add(Edge(NOWHERE, len(self.pose) - 1, np.asarray(pose), inverted(P)))
+        return len(self.pose) - 1
+
+    def next(self, of: int, z: Array, P: Array) -> int:
+        """Add an anchor that is seen from another one at z (3,) with covariance (3, 3); return its number."""
+        self.pose = np.vstack((self.pose, se2.compose(self.pose[of], z)))
+        self.add(Edge(of, len(self.pose) - 1, np.asarray(z), inverted(P)))
+        return len(self.pose) - 1
+
+    def add(self, edge: Edge) -> None:
+        """Add what is known of two anchors."""
+        self.edges.append(edge)
+        self._P = None
+
+    def remove(self, edge: Edge) -> None:
+        """Take back an edge."""
+        self.edges = [e for e in self.edges if e is not edge]
+        self._P = None
+
+    def beside(self, node: int) -> set[int]:
+        """Return the anchors to which an edge leads from this one."""
+        edges = [e for e in self.edges if e.of != NOWHERE and node in (e.of, e.to)]
+        return {e.to if e.of == node else e.of for e in edges}
+
+    def covariance(self, nodes: tuple[int, ...]) -> Array:
+        """Return the joint covariance of some anchors, (3k, 3k), in the frame of the map."""
+        joint = np.asarray(np.linalg.inv(self._normal()[0]), np.float64) if self._P is None else self._P
+        self._P = joint
+        at = np.concatenate([np.arange(3 * k, 3 * k + 3) for k in nodes])
+        P: Array = joint[np.ix_(at, at)]
+        return P
+
+    def relative(self, of: int, to: int) -> tuple[Array, Array]:
+        """Return where anchor `to` is seen from anchor `of`, (3,), and its covariance (3, 3)."""
+        J = np.hstack(_derivatives(self.pose[of], self.pose[to]))
+        return se2.between(self.pose[of], self.pose[to]), J @ self.covariance((of, to)) @ J.T
+
+    def cost(self) -> float:
+        """Return the sum of e' L e over all edges."""
+        return float(sum(e @ edge.information @ e for edge in self.edges for e in (self.error(edge),)))
+
+    def error(self, edge: Edge) -> Array:
+        """Return by how much the poses contradict an edge, (3,)."""
+        to = self.pose[edge.to]
+        e = (to if edge.of == NOWHERE else se2.between(self.pose[edge.of], to)) - edge.z
+        e[2] = se2.wrap(float(e[2]))
+        return e
+
+    def solve(self) -> None:
+        """Move the anchors to where the edges are contradicted least."""
+        for _ in range(STEPS):
+            A, b = self._normal()
+            step = np.linalg.solve(A, b).reshape(-1, 3)
+            self.pose = self.pose + step
+            if np.abs(step).max() < ENOUGH:
+                break
+        self._P = None
+
+    def _normal(self) -> tuple[Array, Array]:
+        """Return the normal equations A dx = b, (3n, 3n) and (3n,)."""
+        n = 3 * len(self.pose)
+        A, b = np.zeros((n, n)), np.zeros(n)
+        for edge in self.edges:
+            L, e = edge.information, self.error(edge)
+            to = slice(3 * edge.to, 3 * edge.to + 3)
+            if edge.of == NOWHERE:
+                A[to, to] += L
+                b[to] -= L @ e
+                continue
+            of = slice(3 * edge.of, 3 * edge.of + 3)
+            J_of, J_to = _derivatives(self.pose[edge.of], self.pose[edge.to])
+            cross = J_of.T @ L @ J_to
+            A[of, of] += J_of.T @ L @ J_of
+            A[to, to] += J_to.T @ L @ J_to
+            A[of, to] += cross
+            A[to, of] += cross.T
+            b[of] -= J_of.T @ L @ e
+            b[to] -= J_to.T @ L @ e
+        return A, b
+
+
+def inverted(P: Array) -> Array:
+    """Return the information (3, 3) of a covariance that may be singular, as after an exact start."""
+    L = np.asarray(np.linalg.inv(0.5 * (P + P.T) + EXACT * np.eye(3)), np.float64)
+    return np.asarray(0.5 * (L + L.T), np.float64)
+
+
+def _derivatives(of: Array, to: Array) -> tuple[Array, Array]:
+    """Return d(inverse(of) o to) by `of` and by `to`, (3, 3) each."""
+    c, s = np.cos(of[2]), np.sin(of[2])
+    dx, dy = to[0] - of[0], to[1] - of[1]
+    J_to = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    J_of = -J_to
+    J_of[0, 2], J_of[1, 2] = -s * dx + c * dy, -c * dx - s * dy
+    return J_of, J_to

@@ -6,6 +6,7 @@ import math
 from functools import cache
 from statistics import NormalDist
 
+EXACT_DOF, STEPS = 300, 50
 MAD = 0.6745  # median absolute deviation of a normal distribution
 
 
@@ -13,8 +14,9 @@ MAD = 0.6745  # median absolute deviation of a normal distribution
 def chi_square(confidence: float, dof: int) -> float:
     """Return the `confidence` quantile of a chi-square distribution with `dof` degrees of freedom.
 
-    Exact: in closed form for one and two degrees of freedom, which are all that gates need; above by SciPy, which
-    is only then imported. A confidence of 1 or more accepts everything.
+    In closed form for one and two degrees of freedom; by Newton's method up to EXACT_DOF, to 1e-9; above that by
+    Wilson and Hilferty (1931), within 3e-4. (SciPy has it too, for 0.4 s and 25 MB of import in every comparison.)
+    A confidence of 1 or more accepts everything.
     """
     if confidence >= 1.0:
         return math.inf
@@ -24,9 +26,32 @@ def chi_square(confidence: float, dof: int) -> float:
         return NormalDist().inv_cdf(0.5 * (1.0 + confidence)) ** 2
     if dof == 2:
         return -2.0 * math.log1p(-confidence)
-    from scipy.special import gammaincinv
+    spread = 2.0 / (9.0 * dof)
+    x = float(dof * max(1.0 - spread + NormalDist().inv_cdf(confidence) * math.sqrt(spread), 0.01) ** 3)
+    return x if dof > EXACT_DOF else _polished(x, confidence, dof)
 
-    return 2.0 * float(gammaincinv(0.5 * dof, confidence))
+
+def _polished(x: float, confidence: float, dof: int) -> float:
+    """Return the quantile by Newton's method from a guess."""
+    half = 0.5 * dof
+    for _ in range(STEPS):
+        density = 0.5 * math.exp((half - 1.0) * math.log(0.5 * x) - 0.5 * x - math.lgamma(half))
+        step = (_upper_tail(x, dof) - (1.0 - confidence)) / density
+        x = max(x + step, 0.1 * x)
+        if abs(step) < 1e-12 * x:
+            break
+    return x
+
+
+def _upper_tail(x: float, dof: int) -> float:
+    """Return the probability of more than x (Abramowitz and Stegun 1964, 26.4.4 and 26.4.5)."""
+    half, odd = 0.5 * x, dof % 2
+    total = math.erfc(math.sqrt(half)) if odd else 0.0
+    term = math.exp(-half) * (math.sqrt(half) / math.gamma(1.5) if odd else 1.0)
+    for i in range(dof // 2):
+        total += term
+        term *= half / (i + (1.5 if odd else 1.0))
+    return total
 
 
 def mean_bounds(confidence: float, dof: float, count: float) -> tuple[float, float]:

@@ -83,7 +83,6 @@ def _quaternion(yaw: float, R: Array) -> list[float]:
 def pitched_imu(drive: Drive) -> None:
     """On end: its x axis points down; its driver's orientation is right, of its own axes."""
     imu(drive, PITCHED, orientation=True)
-    drive.tables["gyro"] = {"pitch_deg": 90.0}
     drive.drop(COMPASS)
     del drive.tables["compass"]
 

@@ -5,7 +5,6 @@ predict by the wheels  ->  every sensor due compares with the same prior  ->  co
 
 from __future__ import annotations
 
-import math
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
@@ -233,8 +232,8 @@ def _begin(
 
 
 def _start(start: StartSettings) -> tuple[tuple[float, float, float], Triangle]:
-    xy, theta = start.sigma_xy**2, math.radians(start.sigma_theta_deg) ** 2
-    return (start.x, start.y, math.radians(start.theta_deg)), (xy, 0.0, 0.0, xy, 0.0, theta)
+    xx, yy, tt = start.variances
+    return start.pose, (xx, 0.0, 0.0, yy, 0.0, tt)
 
 
 def _at_truth(

@@ -81,12 +81,26 @@ def cut(
     dropped: dict[str, dict[str, int]],
 ) -> Drive:
     """Cut wheel motion at the union of all instants, and at the truth's stamps beside it."""
+    truth = None
+    if truth_stream is not None:
+        truth, dropped["truth"] = read_truth(truth_stream, robot.truth, epoch_ns)
+    return _cut(wheels, epoch_ns, measurements, robot, absent, truth, dropped)
+
+
+def _cut(
+    wheels: Wheels,
+    epoch_ns: int,
+    measurements: dict[str, Measurements],
+    robot: Robot,
+    absent: dict[str, str],
+    truth: Truth | None,
+    dropped: dict[str, dict[str, int]],
+) -> Drive:
     t = instants(wheels.t, [m.t for m in measurements.values()])
     before = np.concatenate((t[:1], t[:-1]))
     estimate = robot.wheels.estimate
-    truth = truth_motions = truth_instant = None
-    if truth_stream is not None:
-        truth, dropped["truth"] = read_truth(truth_stream, robot.truth, epoch_ns)
+    truth_motions = truth_instant = None
+    if truth is not None:
         truth_instant, truth_motions = _to_truth(wheels, t, truth.t, estimate)
     return Drive(
         epoch_ns=epoch_ns,
@@ -162,22 +176,12 @@ def windowed(drive: Drive, robot: Robot, begin: float | None, end: float | None)
             f"--from {a:g} --to {b:g}: the drive lasts from 0 to {last:.1f} s, and nothing moves there"
         )
     measurements = {name: _inside(m, wheels) for name, m in drive.measurements.items()}
-    t = instants(wheels.t, [m.t for m in measurements.values()])
-    before = np.concatenate((t[:1], t[:-1]))
-    estimate = robot.wheels.estimate
     truth = _truth_between(drive.truth, wheels)
-    instant, motions = (None, None) if truth is None else _to_truth(wheels, t, truth.t, estimate)
     start, words = _start_at(float(wheels.t[0]), drive, robot)
     cut_out = replace(
-        drive,
-        t=t,
-        motions=wheels.between(before, t, estimate),
-        measurements=measurements,
-        instant={name: np.searchsorted(t, m.t) for name, m in measurements.items()},
-        truth=truth,
-        truth_motions=motions,
-        truth_instant=instant,
-        wheels=wheels,
+        _cut(wheels, drive.epoch_ns, measurements, robot, drive.absent, truth, drive.dropped),
+        repairs=drive.repairs,
+        fixes=drive.fixes,
         notes=(*drive.notes, f"only {wheels.t[0]:.1f} to {wheels.t[-1]:.1f} s of the drive are used{words}"),
     )
     return cut_out, replace(robot, start=start)
@@ -209,8 +213,7 @@ def _start_at(t: float, drive: Drive, robot: Robot) -> tuple[StartSettings, str]
         pose = np.array([x - c * px + s * py, y - s * px - c * py, theta])
         words = "; it starts there at the truth's pose"
     else:
-        begin = np.array([start.x, start.y, np.radians(start.theta_deg)])
-        pose = se2.compose(begin, drive.wheels.at(np.array(t))[2])
+        pose = se2.compose(np.array(start.pose), drive.wheels.at(np.array(t))[2])
         words = "; it starts there where the wheels alone lead from [start]: --align origin judges the shape"
     x, y, theta = (float(v) for v in pose)
     return msgspec.structs.replace(start, x=x, y=y, theta_deg=float(np.degrees(theta))), words

@@ -5,6 +5,7 @@ SI units, angles in degrees where the key ends in `_deg`. Sensor tables live wit
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
@@ -61,6 +62,16 @@ class StartSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     theta_deg: float = 0.0
     sigma_xy: Annotated[float, msgspec.Meta(ge=0.0, le=MAX_START_SIGMA_M)] = 0.0
     sigma_theta_deg: Annotated[float, msgspec.Meta(ge=0.0, le=MAX_START_SIGMA_DEG)] = 0.0
+
+    @property
+    def pose(self) -> tuple[float, float, float]:
+        """Where the drive begins: x, y [m], theta [rad]."""
+        return self.x, self.y, math.radians(self.theta_deg)
+
+    @property
+    def variances(self) -> tuple[float, float, float]:
+        """How well that is known: of x, y [m^2] and theta [rad^2]."""
+        return self.sigma_xy**2, self.sigma_xy**2, math.radians(self.sigma_theta_deg) ** 2
 
 
 class TruthSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

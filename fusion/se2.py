@@ -49,6 +49,15 @@ def between(a: Array, b: Array) -> Array:
     return compose(inverse(a), b)
 
 
+def between_jacobians(a: Array, b: Array) -> tuple[Array, Array]:
+    """Return the derivatives of between(a, b) by the numbers of a and of b (..., 3), (..., 3, 3) each."""
+    by_b = rotation(-a[..., 2])
+    by_a = -by_b
+    local = rotated(-a[..., 2], b[..., :2] - a[..., :2])
+    by_a[..., 0, 2], by_a[..., 1, 2] = local[..., 1], -local[..., 0]
+    return by_a, by_b
+
+
 def rotation(theta: Array) -> Array:
     """Return the rotations of (x, y, theta) by angles theta (...) [rad], (..., 3, 3)."""
     c, s = np.cos(theta), np.sin(theta)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +52,12 @@ class Loaded:
     tables: Mapping[str, Any] = field(default_factory=dict)  # robot.toml as merged, without mounts from /tf_static
     asked: Mapping[str, Any] | None = None  # what the user gave of them; None: the result has no key
     hash_all: bool = False  # whether every byte is to be hashed
-    labels: tuple[Event, ...] = ()  # faults that the log labels itself
+
+    @cached_property
+    def labels(self) -> tuple[Event, ...]:
+        """Faults that the log labels itself, read when a figure asks for them."""
+        return tuple(labels(self.log, self.drive, self.robot.order))
+
     window: tuple[float | None, float | None] = (
         None,
         None,
@@ -140,7 +146,7 @@ def measured(
     chosen = (f"wheels: {note}" for note in choice.notes)
     notes = (*preset, *chosen, *_clock_notes(streams), *_start_notes(robot, drive), *drive.notes, *lags)
     drive = replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes})
-    return Loaded(log, robot, choice, drive, tables, labels=tuple(labels(log, drive, robot.order)))
+    return Loaded(log, robot, choice, drive, tables)
 
 
 def _refuse_other_clock(log: Log, drive: Drive) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -122,15 +122,14 @@ def scene(compared: Compared, drawn: Drawn) -> Scene:
         nis={run: Stretches(*running) for run, running in drawn.nis.items()},
         nees_bounds=(chi_square(0.025, dof) / dof, chi_square(0.975, dof) / dof),
         components={sensor: REGISTRY[sensor].components for sensor in drive.measurements},
-        events=events(compared, drawn),
+        events=events(compared.loaded, () if drawn.best is None else (drawn.best,)),
         states=WHEEL_STATES | {name: shown for s in REGISTRY.values() for name, shown in s.states.items()},
     )
 
 
-def events(compared: Compared, drawn: Drawn) -> list[Event]:
-    """Return what happened when: in the drive, by the log's own labels, and in the run whose audit is drawn."""
-    loaded, best = compared.loaded, drawn.best
+def events(loaded: Loaded, runs: Iterable[Estimates]) -> list[Event]:
+    """Return what happened when: by the log's own labels, in the drive, and in some runs with audits."""
     found = [*loaded.labels, *events_of_drive(loaded.drive)]
-    if best is not None:
-        found += events_of_run(thinned(loaded.drive, best.rates) if best.rates else loaded.drive, best)
+    for e in runs:
+        found += events_of_run(thinned(loaded.drive, e.rates) if e.rates else loaded.drive, e)
     return sorted(found)

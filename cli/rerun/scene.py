@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from locfuse.cli.pipeline.load import Loaded
+from locfuse.cli.pipeline.outputs import events
 from locfuse.cli.session.result import Result
 from locfuse.formats.figures.palette import Trace, colours, traces_of
 from locfuse.formats.report import markdown
 from locfuse.formats.rerun.scene import Detail, Picture, RawTopic, Rgb, ScanPoints, Scene, Sight
 from locfuse.formats.visible import visible
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import Array, Column, Estimates, Evaluation, Event, Ragged
-from locfuse.fusion.judge.events import events_of_drive, events_of_run
+from locfuse.fusion.data import Array, Column, Estimates, Evaluation, Ragged
 from locfuse.fusion.measure import thinned
 from locfuse.fusion.robot import VIRTUAL_TRACK
 from locfuse.fusion.sensor import Sensor
@@ -79,14 +79,6 @@ def make_scene(
         palette=palette(traces_of(estimates)),
         thinned={e.name: thinned(loaded.drive, e.rates) for e in estimates if e.rates},
     )
-
-
-def events(loaded: Loaded, estimates: Sequence[Estimates]) -> list[Event]:
-    """Return what happened in the drive and in every configuration, in order of time."""
-    found = [*loaded.labels, *events_of_drive(loaded.drive)]
-    for e in estimates:
-        found += events_of_run(thinned(loaded.drive, e.rates) if e.rates else loaded.drive, e)
-    return sorted(found)
 
 
 def palette(traces: Mapping[str, Trace]) -> dict[str, Rgb]:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv as csv_format
 import io
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from locfuse.formats.no_pandas import without_pandas
+from locfuse.formats.report.render import csv_text
 
 from .entry import COUNTS, Entry
 
@@ -75,17 +74,7 @@ def _sensors(entry: Entry) -> list[Mapping[str, Any]]:
 
 def csv(rows: Rows) -> str:
     """Return the rows as CSV, every number in full precision, nothing where there is no value."""
-    out = io.StringIO()
-    writer = csv_format.writer(out, lineterminator="\n")
-    writer.writerow(rows.columns)
-    writer.writerows([_plain(row.get(column)) for column in rows.columns] for row in rows)
-    return out.getvalue()
-
-
-def _plain(value: Any) -> str:
-    if isinstance(value, float):
-        return repr(value) if math.isfinite(value) else ""
-    return "" if value is None else str(value)
+    return csv_text(rows.columns, ([row.get(column) for column in rows.columns] for row in rows))
 
 
 def parquet(rows: Rows) -> bytes | None:

@@ -9,7 +9,7 @@ import csv as csv_format
 import io
 import math
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from html import escape as _escaped
 from typing import Any, NamedTuple
 
@@ -145,10 +145,15 @@ def latex_text(words: str) -> str:
 
 def csv(table: Table) -> str:
     """Return the table with its keys as headings and every number in full precision; empty where there is none."""
+    return csv_text([c.key for c in table.columns], (row.values() for row in records(table)))
+
+
+def csv_text(heading: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
+    """Return rows of values as CSV, every number in full precision, nothing where there is no value."""
     out = io.StringIO()
     writer = csv_format.writer(out, lineterminator="\n")
-    writer.writerow([c.key for c in table.columns])
-    writer.writerows([_plain(value) for value in row.values()] for row in records(table))
+    writer.writerow(heading)
+    writer.writerows([_plain(value) for value in row] for row in rows)
     return out.getvalue()
 
 

@@ -81,7 +81,7 @@ class Anchors:
 
     def relative(self, of: int, to: int) -> tuple[Array, Array]:
         """Return where anchor `to` is seen from anchor `of`, (3,), and its covariance (3, 3)."""
-        J = np.hstack(_derivatives(self.pose[of], self.pose[to]))
+        J = np.hstack(se2.between_jacobians(self.pose[of], self.pose[to]))
         return se2.between(self.pose[of], self.pose[to]), J @ self.covariance((of, to)) @ J.T
 
     def cost(self) -> float:
@@ -117,7 +117,7 @@ class Anchors:
                 b[to] -= L @ e
                 continue
             of = slice(3 * edge.of, 3 * edge.of + 3)
-            J_of, J_to = _derivatives(self.pose[edge.of], self.pose[edge.to])
+            J_of, J_to = se2.between_jacobians(self.pose[edge.of], self.pose[edge.to])
             cross = J_of.T @ L @ J_to
             A[of, of] += J_of.T @ L @ J_of
             A[to, to] += J_to.T @ L @ J_to
@@ -132,13 +132,3 @@ def inverted(P: Array) -> Array:
     """Return the information (3, 3) of a covariance that may be singular, as after an exact start."""
     L = np.asarray(np.linalg.inv(0.5 * (P + P.T) + EXACT * np.eye(3)), np.float64)
     return np.asarray(0.5 * (L + L.T), np.float64)
-
-
-def _derivatives(of: Array, to: Array) -> tuple[Array, Array]:
-    """Return d(inverse(of) o to) by `of` and by `to`, (3, 3) each."""
-    c, s = np.cos(of[2]), np.sin(of[2])
-    dx, dy = to[0] - of[0], to[1] - of[1]
-    J_to = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    J_of = -J_to
-    J_of[0, 2], J_of[1, 2] = -s * dx + c * dy, -c * dx - s * dy
-    return J_of, J_to

@@ -82,12 +82,7 @@ class Edges:
 
     def jacobians(self, x: Array) -> tuple[Array, Array]:
         """Return the derivatives of e by pose i and by pose j, (m, 3, 3) each."""
-        apart = x[self.j, :2] - x[self.i, :2]
-        by_j = se2.rotation(-x[self.i, 2])
-        by_i = -by_j
-        local = se2.rotated(-x[self.i, 2], apart)
-        by_i[:, 0, 2], by_i[:, 1, 2] = local[:, 1], -local[:, 0]
-        return by_i, by_j
+        return se2.between_jacobians(x[self.i], x[self.j])
 
 
 @dataclass(frozen=True)

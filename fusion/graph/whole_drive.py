@@ -191,8 +191,6 @@ def clock_lag(drive: Drive) -> float:
 
 def start(robot: Robot, odometry: Odometry, first: int) -> Anchor:
     """Return what is known of the first key pose."""
-    s = robot.start
-    pose = np.array([s.x, s.y, np.radians(s.theta_deg)])
     u, C = odometry.between(np.array([0]), np.array([first]))
-    P = np.diag([s.sigma_xy**2, s.sigma_xy**2, np.radians(s.sigma_theta_deg) ** 2]) + START_FLOOR + C[0]
-    return Anchor(0, se2.compose(pose, u[0]), np.linalg.inv(P))
+    P = np.diag(robot.start.variances) + START_FLOOR + C[0]
+    return Anchor(0, se2.compose(np.array(robot.start.pose), u[0]), np.linalg.inv(P))

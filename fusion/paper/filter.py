@@ -6,7 +6,6 @@ What the print leaves open, and what is done here, stands in docs/paper.md.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -92,9 +91,8 @@ class PrintedFilter:
         self.dt_R = numbers.period * (
             robot.wheels.radius or 1.0
         )  # an odometry topic has no radius; it cancels out
-        start = robot.start
-        self.x = np.array([start.x, start.y, math.radians(start.theta_deg)])
-        self.P = np.diag([start.sigma_xy**2, start.sigma_xy**2, math.radians(start.sigma_theta_deg) ** 2])
+        self.x = np.array(robot.start.pose)
+        self.P = np.diag(robot.start.variances)
         self.used = tuple(s for s in drive.measurements if s in sensors)
         self.parts: dict[str, Rows] = {s: PARTS[s](robot, numbers) for s in PARTS if s in sensors or s in listen}
         self._newest = {s: newest(self.grid, drive.measurements[s].t) for s in self.parts}

@@ -8,17 +8,15 @@ from __future__ import annotations
 import glob
 import os
 import shutil
-import signal
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import FrameType
 
 from locfuse.fusion.data import LocfuseError, UsageError
 
+from .delayed_signals import interruptible, orderly_end
 from .inputs import DESTROYS, is_among, refuse_to_write
 from .visible import visible_lines
 
@@ -45,7 +43,7 @@ def write_results(folder: Path, files: Mapping[str, Content], overwrite: bool = 
     created = _prepare(folder, overwrite)
     names = sorted(files, key=lambda name: (name.endswith(".json"), name))
     try:
-        with _terminable(), sole_writer(folder):
+        with orderly_end(), sole_writer(folder):
             _remove_leftovers(folder.iterdir())
             _write_all(folder, {name: files[name] for name in names})
     except OSError as problem:
@@ -79,31 +77,33 @@ def may_replace(file: Path | None, overwrite: bool, given: Iterable[str | Path] 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
     """Give a temporary path beside `path` to write to; it takes the final name when the block ends well."""
-    temporary = temporary_for(path)
-    try:
-        with _terminable():
-            yield temporary
-            _sync(temporary)
-            temporary.replace(path)
-            _sync(path.parent)
-    except OSError as problem:
-        raise LocfuseError(f"cannot write {path}: {problem.strerror or problem}") from None
-    finally:
-        _remove(temporary)
+    with orderly_end():
+        temporary = temporary_for(path)
+        try:
+            with interruptible():
+                yield temporary
+                _sync(temporary)
+                temporary.replace(path)
+                _sync(path.parent)
+        except OSError as problem:
+            raise LocfuseError(f"cannot write {path}: {problem.strerror or problem}") from None
+        finally:
+            _remove(temporary)
 
 
 def _write_all(folder: Path, files: Mapping[str, Content]) -> None:
     temporary = {name: _temporary(folder / name) for name in files}
     try:
-        for name, content in files.items():
-            if callable(content):
-                content(temporary[name])
-            else:
-                temporary[name].write_bytes(_encoded(name, content) if isinstance(content, str) else content)
-            _sync(temporary[name])
-        for name in files:
-            temporary[name].replace(folder / name)
-        _sync(folder)
+        with interruptible():
+            for name, content in files.items():
+                if callable(content):
+                    content(temporary[name])
+                else:
+                    temporary[name].write_bytes(_encoded(name, content) if isinstance(content, str) else content)
+                _sync(temporary[name])
+            for name in files:
+                temporary[name].replace(folder / name)
+            _sync(folder)
     finally:
         for path in temporary.values():
             _remove(path)
@@ -167,7 +167,8 @@ def _locked(path: Path, patience_s: float) -> int | None:
                 raise LocfuseError(
                     f"{path.parent} is being written by process {who}: wait for it, or choose another -o"
                 ) from None
-            time.sleep(0.02)
+            with interruptible():
+                time.sleep(0.02)
         except OSError:  # a file system without locks
             os.close(handle)
             return None
@@ -240,24 +241,3 @@ def _sync(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-@contextmanager
-def _terminable() -> Iterator[None]:
-    """Turn SIGTERM into an exception while files are open, so that the temporary ones are removed."""
-    unhandled = (
-        threading.current_thread() is threading.main_thread()
-        and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
-    )
-    if not unhandled:
-        yield
-        return
-    signal.signal(signal.SIGTERM, _terminate)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
-
-
-def _terminate(number: int, frame: FrameType | None) -> None:
-    raise SystemExit(128 + number)

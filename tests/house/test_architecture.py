@@ -37,7 +37,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "smooth tune paper",
     ),
     "formats": (
-        "caps visible columns thin geometry no_pandas",
+        "caps visible columns thin geometry no_pandas delayed_signals",
         "inputs",
         "whole_files robot",
         "container",

@@ -1,13 +1,15 @@
 """Damage logs and robots at random and see that nothing breaks: python -m benchmarks.fuzz --cases 10000.
 
-Each case is a seed (benchmarks/fuzz_cases.py), run by forked workers under a memory limit and a time limit. A case
-that fails is saved: its log, its robot.toml, what went wrong; `--only SEED` runs one again. Exit 1 if any failed.
+Each case is a seed (benchmarks/fuzz_cases.py), run by forked workers under a memory limit and a limit of CPU time,
+which a busy machine does not stretch. A case that fails is saved: its log, its robot.toml, what went wrong;
+`--only SEED` runs one again. Exit 1 if any failed.
 """
 
 from __future__ import annotations
 
 import json
 import multiprocessing
+import os
 import resource
 import tempfile
 import time
@@ -23,6 +25,8 @@ from benchmarks.fuzz_logs import bases
 from locfuse.cli.terminal.numpy_warnings import silence_overflows
 
 FORK = multiprocessing.get_context("fork")
+SLEEP = 20  # x the limit of CPU time: as long may a case take by the clock, for one that waits uses no CPU
+TICK = os.sysconf("SC_CLK_TCK")  # clock ticks a second, in which /proc counts CPU time
 BATCH = 50  # cases per process: what leaks or is poisoned does not live long
 GIB = 1 << 30
 
@@ -32,11 +36,31 @@ class Worker:
 
     def __init__(self, shop: Workshop, seeds: list[int], folder: Path, memory: int) -> None:
         self.seeds = seeds
+        self.cpu = 0.0  # s used when the case at hand began
         self.answers, theirs = FORK.Pipe(duplex=False)
         self.process: BaseProcess = FORK.Process(target=_work, args=(shop, seeds, folder, memory, theirs))
         self.process.start()
         theirs.close()
-        self.since = time.monotonic()
+        self._start()
+
+    def _start(self) -> None:
+        """Begin to count the time of the next case."""
+        self.since, self.cpu = time.monotonic(), self._used()
+
+    def _used(self) -> float:
+        """Return the CPU time of the process and of what it has waited for (s)."""
+        try:
+            stat = Path(f"/proc/{self.process.pid}/stat").read_text()
+        except OSError:  # it has ended
+            return self.cpu
+        return sum(map(int, stat.rpartition(")")[2].split()[11:15])) / TICK
+
+    def overdue(self, seconds: float) -> str:
+        """Return how long the case at hand takes, "" within so many seconds of CPU."""
+        cpu, wall = self._used() - self.cpu, time.monotonic() - self.since
+        if cpu > seconds:
+            return f"no answer within {cpu:.0f} s of CPU"
+        return f"no answer within {wall:.0f} s, and only {cpu:.0f} s of CPU" if wall > SLEEP * seconds else ""
 
     def answer(self) -> str | None:
         """Return what is wrong with the case at hand, None where the process has ended without an answer."""
@@ -44,7 +68,7 @@ class Worker:
             wrong: str = self.answers.recv()
         except EOFError:
             return None
-        self.since = time.monotonic()
+        self._start()
         return wrong
 
     def end(self) -> int | None:
@@ -92,8 +116,8 @@ class Pool:
             for ready in wait(list(self.busy), timeout=1.0):
                 self._take(self.busy[ready][0])  # type: ignore[index]
             for worker, _ in list(self.busy.values()):
-                if time.monotonic() - worker.since > self.seconds:
-                    self.wrong[worker.seeds[0]] = f"no answer within {self.seconds:g} s"
+                if late := worker.overdue(self.seconds):
+                    self.wrong[worker.seeds[0]] = late
                     self._close(worker, worker.seeds[1:])
         return self.wrong
 
@@ -132,7 +156,7 @@ def save(case: Case, seed: int, wrong: str, folder: Path) -> None:
 @click.option("--only", type=int, help="Run the case of one seed.")
 @click.option("--jobs", default=2, show_default=True)
 @click.option("--memory", default=1.0, show_default=True, help="GiB of address space a case may take on top.")
-@click.option("--seconds", default=60.0, show_default=True, help="Time a case may take.")
+@click.option("--seconds", default=60.0, show_default=True, help="CPU time a case may take.")
 @click.option(
     "--keep",
     type=click.Path(file_okay=False, path_type=Path),

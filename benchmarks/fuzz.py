@@ -98,9 +98,9 @@ class Pool:
     """Some workers, each in a folder of its own; who dies or hangs is replaced and its case has failed."""
 
     def __init__(
-        self, shop: Workshop, seeds: list[int], folder: Path, jobs: int, memory: int, seconds: float
+        self, shop: Workshop, seeds: list[int], folder: Path, jobs: int, memory: int, seconds: float, keep: Path
     ) -> None:
-        self.shop, self.memory, self.seconds = shop, memory, seconds
+        self.shop, self.memory, self.seconds, self.keep = shop, memory, seconds, keep
         self.waiting = [seeds[i : i + BATCH] for i in range(0, len(seeds), BATCH)][::-1]
         self.free = [folder / str(i) for i in range(jobs)]
         self.busy: dict[Connection, tuple[Worker, Path]] = {}
@@ -117,7 +117,7 @@ class Pool:
                 self._take(self.busy[ready][0])  # type: ignore[index]
             for worker, _ in list(self.busy.values()):
                 if late := worker.overdue(self.seconds):
-                    self.wrong[worker.seeds[0]] = late
+                    self._note(worker.seeds[0], late)
                     self._close(worker, worker.seeds[1:])
         return self.wrong
 
@@ -128,9 +128,16 @@ class Pool:
             return
         seed, worker.seeds = worker.seeds[0], worker.seeds[1:]
         if answer is None:
-            self.wrong[seed] = f"the process died (exit code {self._close(worker, worker.seeds)})"
+            self._note(seed, f"the process died (exit code {self._close(worker, worker.seeds)})")
         elif answer:
-            self.wrong[seed] = answer
+            self._note(seed, answer)
+
+    def _note(self, seed: int, wrong: str) -> None:
+        """Save and say what failed, at once: a long run may be stopped at any time."""
+        self.wrong[seed] = wrong
+        case = self.shop.case(seed)
+        save(case, seed, wrong, self.keep)
+        click.echo(f"seed {seed}: {case.title}: {wrong.strip().splitlines()[-1][:300]}")
 
     def _close(self, worker: Worker, rest: list[int]) -> int | None:
         self.free.append(self.busy.pop(worker.answers)[1])
@@ -172,12 +179,8 @@ def main(cases: int, first: int, only: int | None, jobs: int, memory: float, sec
         shop = Workshop(bases())
         shop.learn(Path(temporary) / "healthy")
         began = time.monotonic()
-        wrong = Pool(shop, seeds, Path(temporary), jobs, int(memory * GIB), seconds).run()
+        wrong = Pool(shop, seeds, Path(temporary), jobs, int(memory * GIB), seconds, keep).run()
         kinds: Counter[str] = Counter(shop.case(seed).title.split(": ", 1)[1] for seed in wrong)
-        for seed, words in sorted(wrong.items()):
-            case = shop.case(seed)
-            save(case, seed, words, keep)
-            click.echo(f"seed {seed}: {case.title}: {words.strip().splitlines()[-1][:300]}")
         for kind, count in kinds.most_common():
             click.echo(f"{count} failed: {kind}")
     click.echo(f"{len(seeds)} cases, {len(wrong)} failed, {time.monotonic() - began:.0f} s")

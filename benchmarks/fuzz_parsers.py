@@ -8,6 +8,7 @@ saved; exit 1.
 
 from __future__ import annotations
 
+import atexit
 import random
 import resource
 import struct
@@ -16,6 +17,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache, lru_cache
 from pathlib import Path
 
 import click
@@ -76,11 +78,16 @@ def decoded(decoder: object, *messages: bytes) -> object:
     """Decode messages by every field; the number of rows must be that of the good messages."""
     length = np.array([len(m) for m in messages], np.int64)
     data = np.frombuffer(b"".join(messages), np.uint8)
-    fields = tuple(paths(decoder.message)[:40])  # type: ignore[attr-defined]
+    fields = all_fields(decoder)
     found = decoder.decode(data, np.cumsum(length) - length, length, fields)  # type: ignore[attr-defined]
     for path, column in found.columns.items():
         assert len(column) == int(found.good.sum()), path
     return found
+
+
+@lru_cache(2)
+def all_fields(decoder: object) -> tuple[str, ...]:
+    return tuple(paths(decoder.message)[:40])  # type: ignore[attr-defined]
 
 
 SCAN_TEXT = (
@@ -106,12 +113,22 @@ def robot(data: bytes) -> object:
     return make_robot(robot_toml.parse(data, "robot.toml"))
 
 
+@cache
+def scratch() -> Path:
+    """A folder in memory where it can be: a file for every input would cost more than reading it."""
+    shm = Path("/dev/shm")
+    folder = tempfile.TemporaryDirectory(dir=shm if shm.is_dir() else None)
+    atexit.register(folder.cleanup)
+    return Path(folder.name)
+
+
 def metadata(data: bytes) -> object:
-    with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "a.mcap").write_bytes(b"x")
-        (Path(folder) / "metadata.yaml").write_bytes(data)
-        files = log_files(Path(folder))
-    assert all(file.parent == Path(folder) for file in files)
+    folder = scratch() / "bag"
+    folder.mkdir(exist_ok=True)
+    (folder / "a.mcap").write_bytes(b"x")
+    (folder / "metadata.yaml").write_bytes(data)
+    files = log_files(folder)
+    assert all(file.parent == folder for file in files)
     return files
 
 
@@ -132,17 +149,16 @@ def file_of(ending: str) -> Callable[[bytes], object]:
     """A whole file: opened, and every topic decoded."""
 
     def run(data: bytes) -> object:
-        with tempfile.NamedTemporaryFile(suffix=ending) as file:
-            file.write(data)
-            file.flush()
-            log = open_log([Path(file.name)])
-            for topic, info in log.topics.items():
-                if info.problem is None:
-                    try:
-                        log.stream(topic).t_ns  # noqa: B018 - the property reads
-                    except LocfuseError:
-                        continue
-            return log.losses.lines()
+        file = scratch() / f"log{ending}"
+        file.write_bytes(data)
+        log = open_log([file])
+        for topic, info in log.topics.items():
+            if info.problem is None:
+                try:
+                    log.stream(topic).t_ns  # noqa: B018 - the property reads
+                except LocfuseError:
+                    continue
+        return log.losses.lines()
 
     return run
 
@@ -152,10 +168,9 @@ def bag_record(data: bytes) -> object:
 
 
 def journal(data: bytes) -> object:
-    with tempfile.NamedTemporaryFile() as file:
-        file.write(data)
-        file.flush()
-        return unused_tail(Path(file.name))
+    file = scratch() / "journal"
+    file.write_bytes(data)
+    return unused_tail(file)
 
 
 def bag_bytes() -> bytes:

@@ -28,6 +28,8 @@ from locfuse.formats.container import ros1_records
 from locfuse.formats.container.decompress import DamagedError
 from locfuse.formats.container.source import ChannelInfo
 from locfuse.formats.container.sqlite_journal import unused_tail
+from locfuse.formats.log import file_stream
+from locfuse.formats.log.file_stream import read_file
 from locfuse.formats.log.files import log_files
 from locfuse.formats.log.log import open_log
 from locfuse.formats.mcap import records as mcap_records
@@ -35,7 +37,7 @@ from locfuse.formats.mcap.chunk import scan
 from locfuse.formats.messages.decode import make_decoder
 from locfuse.formats.messages.fields import paths
 from locfuse.formats.messages.schema import SchemaError, parse, signature
-from locfuse.formats.robot import line_map, robot_toml
+from locfuse.formats.robot import landmark_map, line_map, robot_toml
 from locfuse.formats.robot.urdf import wheel_geometry
 from locfuse.fusion.data import LocfuseError
 
@@ -173,6 +175,34 @@ def journal(data: bytes) -> object:
     return unused_tail(file)
 
 
+def beside_the_log(ending: str) -> Callable[[bytes], object]:
+    """A trajectory or detections in a text file: whole times, and columns of one length."""
+
+    def run(data: bytes) -> object:
+        file = scratch() / f"beside{ending}"
+        file.write_bytes(data)
+        found = read_file(str(file))
+        columns = found.columns(*FIELDS_BESIDE[found.msgtype])
+        assert found.t_ns.dtype == np.int64
+        assert {len(column) for column in columns.values()} == {len(found.t_ns)}
+        return columns
+
+    return run
+
+
+FIELDS_BESIDE = {
+    file_stream.POSE: ("pose.pose.position.x", "pose.pose.orientation.w", "pose.covariance"),
+    file_stream.POINT: ("point.x", "point.y"),
+    file_stream.DETECTIONS: ("id", "range", "bearing"),
+}
+
+
+def landmarks(data: bytes) -> object:
+    file = scratch() / "landmarks.csv"
+    file.write_bytes(data)
+    return landmark_map.read(file)
+
+
 def bag_bytes() -> bytes:
     head = b"\x04\0\0\0op=\x07" + b"\x09\0\0\0conn=\0\0\0\0" + b"\x08\0\0\0topic=/a"
     body = b"\x10\0\0\0type=std_msgs/Int" + b"\x19\0\0\0message_definition=int8 a"
@@ -200,6 +230,10 @@ TOML_WORDS = (b"[", b"]", b"=", b".", b"'", b'"', b"{", b"}", b"nan", b"9" * 400
 XML_WORDS = (b"<joint", b"<parent link='a'/>", b"<child link='a'/>", b"&", b"<", b">", b"nan", b"1e999")
 YAML_WORDS = (b"- ", b"\n", b":", b"../", b"'", b"\0", b" ")
 BYTES = (b"\0", b"\xff", b"\xff\xff\xff\xff", b"\0\0\0\0\0\0\0\x80", struct.pack("<I", 1 << 30))
+CSV_WORDS = (
+    b",", b"\n", b"\r", b"\r\n", b'"', b" ", b"nan", b"1e400", b"-", b"_", b"0" * 5000, b"t,x,y\n", b"id,", b"#",
+    b"\xe2\x80\xae", b"1e-99999999999999999999",
+)  # fmt: skip
 JOURNAL = struct.pack(">8I", 0x377F0682, 3007000, 512, 0, 1, 2, 0, 0) + bytes(1072)
 OURS = (LocfuseError,)
 
@@ -235,6 +269,9 @@ TARGETS: dict[str, Target] = {
     "bag record": Target(bag_record, (bag_bytes(),), (*BYTES, b"op=\x02", b"conn=", b"time="), (DamagedError,)),
     "bag": Target(file_of(".bag"), (ros1_records.MAGIC + bag_bytes(),), (*BYTES, b"op=\x05"), OURS),
     "journal": Target(journal, (JOURNAL,), BYTES, ()),
+    "tum": Target(beside_the_log(".tum"), corpus("tum"), CSV_WORDS, OURS),
+    "csv": Target(beside_the_log(".csv"), corpus("csv"), CSV_WORDS, OURS),
+    "landmarks": Target(landmarks, corpus("landmarks"), CSV_WORDS, OURS),
     "line map": Target(wall_map, corpus("line_map"), JSON_WORDS, OURS),
 }
 

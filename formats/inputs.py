@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import os
 import stat
 from collections.abc import Iterable
@@ -81,6 +83,16 @@ def read_small(path: Path, cap: int) -> bytes:
             return file.read(cap)  # never more, should it grow
     except OSError as problem:
         raise LocfuseError(f"{path}: cannot be read: {problem.strerror or problem}") from None
+
+
+def csv_rows(path: Path, cap: int) -> list[tuple[int, list[str]]]:
+    """Return (line, values) of every line of a .csv that is not blank; a line may end in any of the three ways."""
+    text = read_small(path, cap).decode("utf-8", "replace").lstrip("\ufeff")
+    rows = csv.reader(io.StringIO(text, newline=""))
+    try:
+        return [(rows.line_num, row) for row in rows if any(word.strip() for word in row)]
+    except csv.Error as problem:
+        raise LocfuseError(f"{path}: line {rows.line_num}: no .csv: {problem}") from None
 
 
 def _of(found: os.stat_result) -> Identity:

@@ -7,7 +7,6 @@ which a busy machine does not stretch. A case that fails is saved: its log, its 
 
 from __future__ import annotations
 
-import json
 import multiprocessing
 import os
 import resource
@@ -17,10 +16,12 @@ from collections import Counter
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
+from typing import Any, Protocol
 
 import click
 
-from benchmarks.fuzz_cases import Case, Workshop, judge
+from benchmarks.fuzz_cases import Workshop
+from benchmarks.fuzz_directed import DirectedShop
 from benchmarks.fuzz_logs import bases
 from locfuse.cli.terminal.numpy_warnings import silence_overflows
 
@@ -31,10 +32,34 @@ BATCH = 50  # cases per process: what leaks or is poisoned does not live long
 GIB = 1 << 30
 
 
+class Case(Protocol):
+    """What a seed builds."""
+
+    @property
+    def title(self) -> str:
+        """The command and what was done to its input."""
+
+    def save(self, folder: Path) -> None:
+        """Keep the case to be looked at."""
+
+
+class Shop(Protocol):
+    """What builds the cases and judges them."""
+
+    def learn(self, folder: Path) -> None:
+        """Run what is healthy."""
+
+    def case(self, seed: int) -> Any:
+        """Return the case that belongs to a seed."""
+
+    def judge(self, case: Any, folder: Path) -> str:
+        """Return what is wrong with what came of a case, "" for nothing."""
+
+
 class Worker:
     """A forked process that works through some seeds, one answer per seed."""
 
-    def __init__(self, shop: Workshop, seeds: list[int], folder: Path, memory: int) -> None:
+    def __init__(self, shop: Shop, seeds: list[int], folder: Path, memory: int) -> None:
         self.seeds = seeds
         self.cpu = 0.0  # s used when the case at hand began
         self.answers, theirs = FORK.Pipe(duplex=False)
@@ -79,7 +104,7 @@ class Worker:
         return self.process.exitcode
 
 
-def _work(shop: Workshop, seeds: list[int], folder: Path, memory: int, answers: Connection) -> None:
+def _work(shop: Shop, seeds: list[int], folder: Path, memory: int, answers: Connection) -> None:
     with open("/proc/self/statm") as f:  # noqa: PTH123
         baseline = int(f.read().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (baseline + memory, baseline + memory))
@@ -87,7 +112,7 @@ def _work(shop: Workshop, seeds: list[int], folder: Path, memory: int, answers: 
     for seed in seeds:
         case = shop.case(seed)
         try:
-            wrong = judge(case, folder, shop.trajectories.get(case.title.split(":")[0]))
+            wrong = shop.judge(case, folder)
         except Exception as e:
             wrong = f"the oracle: {type(e).__name__}: {e}"
         answers.send(wrong)
@@ -98,7 +123,7 @@ class Pool:
     """Some workers, each in a folder of its own; who dies or hangs is replaced and its case has failed."""
 
     def __init__(
-        self, shop: Workshop, seeds: list[int], folder: Path, jobs: int, memory: int, seconds: float, keep: Path
+        self, shop: Shop, seeds: list[int], folder: Path, jobs: int, memory: int, seconds: float, keep: Path
     ) -> None:
         self.shop, self.memory, self.seconds, self.keep = shop, memory, seconds, keep
         self.waiting = [seeds[i : i + BATCH] for i in range(0, len(seeds), BATCH)][::-1]
@@ -135,8 +160,10 @@ class Pool:
     def _note(self, seed: int, wrong: str) -> None:
         """Save and say what failed, at once: a long run may be stopped at any time."""
         self.wrong[seed] = wrong
-        case = self.shop.case(seed)
-        save(case, seed, wrong, self.keep)
+        case: Case = self.shop.case(seed)
+        place = self.keep / str(seed)
+        case.save(place)
+        (place / "wrong.txt").write_text(wrong)
         click.echo(f"seed {seed}: {case.title}: {wrong.strip().splitlines()[-1][:300]}")
 
     def _close(self, worker: Worker, rest: list[int]) -> int | None:
@@ -146,21 +173,11 @@ class Pool:
         return worker.end()
 
 
-def save(case: Case, seed: int, wrong: str, folder: Path) -> None:
-    """Keep a failing case to be looked at."""
-    place = folder / str(seed)
-    place.mkdir(parents=True, exist_ok=True)
-    (place / f"log{case.suffix}").write_bytes(case.log)
-    if case.robot is not None:
-        (place / "robot.toml").write_bytes(case.robot)
-    facts = {"seed": seed, "case": case.title, "command": [case.command, *case.words], "wrong": wrong}
-    (place / "case.json").write_text(json.dumps(facts, indent=2))
-
-
 @click.command()
 @click.option("--cases", default=300, show_default=True)
 @click.option("--first", default=0, show_default=True, help="The first seed.")
 @click.option("--only", type=int, help="Run the case of one seed.")
+@click.option("--directed", is_flag=True, help="Build logs that lie (fuzz_directed.py) instead of damaging some.")
 @click.option("--jobs", default=2, show_default=True)
 @click.option("--memory", default=1.0, show_default=True, help="GiB of address space a case may take on top.")
 @click.option("--seconds", default=60.0, show_default=True, help="CPU time a case may take.")
@@ -171,12 +188,14 @@ def save(case: Case, seed: int, wrong: str, folder: Path) -> None:
     show_default=True,
     help="Where failing cases are saved.",
 )
-def main(cases: int, first: int, only: int | None, jobs: int, memory: float, seconds: float, keep: Path) -> None:
+def main(
+    cases: int, first: int, only: int | None, directed: bool, jobs: int, memory: float, seconds: float, keep: Path
+) -> None:
     """Run random cases and print what failed."""
     seeds = list(range(first, first + cases)) if only is None else [only]
     memory_first = Path("/dev/shm")  # results are synced to the disk, thousands of times
     with tempfile.TemporaryDirectory(dir=memory_first if memory_first.is_dir() else None) as temporary:
-        shop = Workshop(bases())
+        shop: Shop = DirectedShop() if directed else Workshop(bases())
         shop.learn(Path(temporary) / "healthy")
         began = time.monotonic()
         wrong = Pool(shop, seeds, Path(temporary), jobs, int(memory * GIB), seconds, keep).run()

@@ -56,11 +56,13 @@ def hold(reader: object, file: Identity) -> None:
 
 
 def refuse_to_write(path: Path) -> None:
-    """Raise LocfuseError where `path` is a file that is being read: to write it would destroy the input."""
+    """Raise LocfuseError where `path` is a file that is being read, or a device: to write it would destroy it."""
     try:
         found = path.stat()
     except OSError:
         return
+    if not stat.S_ISREG(found.st_mode):  # a new file takes its place: /dev/null would be a device no more
+        raise LocfuseError(f"{path}: not a regular file, so that no result can take its place; name a file")
     if (found.st_dev, found.st_ino) in _HELD.values():
         raise LocfuseError(f"{path}: {DESTROYS}")
 

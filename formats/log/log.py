@@ -267,19 +267,23 @@ class Log:
                         yield topic, dated(Raw(data, unpacked, decoder))
 
     def messages(self) -> Iterator[list[Recorded]]:
-        """Yield all messages as they lie in the files, whether or not they can be read, batch by batch."""
+        """Yield all messages as they lie in the files, whether or not they can be read, batch by batch.
+
+        Messages that were compressed one by one come in batches of their own: a file of 300 kB can hold gigabytes.
+        """
         for source in self._sources:
             for batch in source.batches(source.channels.keys()):
-                yield [
-                    Recorded(
-                        source.channels[ident],
-                        data,
-                        unpacked,
-                        source.published(data, unpacked) if data is batch.data else unpacked.log_time,
-                    )
-                    for ident, messages in batch.messages.items()
-                    for data, unpacked in unpack(batch.data, messages)
-                ]
+                together = []
+                for ident, messages in batch.messages.items():
+                    channel = source.channels[ident]
+                    for data, unpacked in unpack(batch.data, messages):
+                        if data is batch.data:
+                            published = source.published(data, unpacked)
+                            together.append(Recorded(channel, data, unpacked, published))
+                        else:
+                            yield [Recorded(channel, data, unpacked, unpacked.log_time)]
+                if together:
+                    yield together
 
     def raw(self, topic: str, fields: Sequence[str]) -> Iterator[Raw]:
         """Yield the messages of one topic, of which `fields` will be asked, batch by batch."""

@@ -82,7 +82,7 @@ def read_small(path: Path, cap: int) -> bytes:
         raise LocfuseError(names_its_cap(str(path), found.size, cap, "bytes"))
     try:
         with path.open("rb") as file:
-            return file.read(cap)  # never more, should it grow
+            return file.read(found.size)  # never more, should it grow; to ask for the cap would allocate it
     except OSError as problem:
         raise LocfuseError(f"{path}: cannot be read: {problem.strerror or problem}") from None
 

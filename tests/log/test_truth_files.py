@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from evo.tools import file_interface
 from numpy.typing import NDArray
 from wheel_bags import custom, log_of, stamps
 
+from locfuse.formats import inputs
 from locfuse.formats.log.file_stream import FileStream, read_file
 from locfuse.formats.log.log import open_log
 from locfuse.fusion.data import LocfuseError
@@ -221,5 +223,16 @@ def test_names_of_columns_do_nothing_but_stand_there(tmp_path: Path) -> None:
 
 def test_an_endless_heading_is_no_heading(tmp_path: Path) -> None:
     found = streamed(tmp_path / "a.csv", "t,x,y,theta\n1,1,1,inf\n2,1,1,0\n")
-    w = found.columns("pose.pose.orientation.w")["pose.pose.orientation.w"]
-    assert [math.isnan(float(one)) for one in w] == [True, False]
+    w = np.asarray(found.columns("pose.pose.orientation.w")["pose.pose.orientation.w"])
+    assert np.isnan(w).tolist() == [True, False]
+
+
+def test_a_small_file_takes_little_memory_however_much_may_be_read(tmp_path: Path) -> None:
+    small = tmp_path / "a.csv"
+    small.write_text("t,x,y\n1,2,3\n")
+    tracemalloc.start()
+    try:
+        assert inputs.read_small(small, 1 << 34) == b"t,x,y\n1,2,3\n"
+        assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    finally:
+        tracemalloc.stop()

@@ -102,7 +102,7 @@ def page(compared: Compared, drawn: Drawn, report: Mapping[str, Any]) -> str:
 
 def figure_files(compared: Compared, drawn: Drawn) -> dict[str, bytes]:
     """Return every figure as SVG and PDF by its file's name."""
-    from locfuse.formats.figures.for_paper import paper_figures
+    from locfuse.formats.drawing.for_paper import paper_figures
     from locfuse.formats.figures.palette import traces_of
     from locfuse.formats.figures.sections import sections
 

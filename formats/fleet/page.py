@@ -16,7 +16,7 @@ from urllib.parse import quote
 
 from locfuse.formats.figures import palette
 from locfuse.formats.figures.palette import Trace
-from locfuse.formats.figures.svg import slugs_of
+from locfuse.formats.drawing.svg import slugs_of
 from locfuse.formats.report import summary as over
 from locfuse.formats.report.html import TONES, section_drawings, style_sheet
 from locfuse.formats.report.render import SIGNS, Swatches, html, html_text

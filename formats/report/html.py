@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from locfuse.formats.figures import palette
 from locfuse.formats.figures.palette import Trace
 from locfuse.formats.figures.panels import Section
-from locfuse.formats.figures.svg import HEIGHT, WIDTH, slugs_of, svg
+from locfuse.formats.drawing.svg import HEIGHT, WIDTH, slugs_of, svg
 from locfuse.fusion.data import REFUSED, Colour
 
 from . import tables

@@ -13,8 +13,9 @@ import pytest
 import small_scene
 from numpy.typing import NDArray
 
-from locfuse.formats.figures import palette, svg, svg_path, ticks
-from locfuse.formats.figures.for_paper import paper_figures
+from locfuse.formats.drawing import svg, svg_path, ticks
+from locfuse.formats.figures import palette
+from locfuse.formats.drawing.for_paper import paper_figures
 from locfuse.formats.figures.panels import Band, Curve, Dots, Panel, Strokes
 from locfuse.formats.figures.sections import sections
 from locfuse.fusion.data import VERDICTS

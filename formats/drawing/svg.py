@@ -13,11 +13,11 @@ from html import escape
 
 import numpy as np
 
+from locfuse.formats.figures.palette import EVENTS
+from locfuse.formats.figures.panels import Band, Curve, Dots, Mark, Panel, Strokes, ranges
 from locfuse.fusion.data import REFUSED, Array, Event
 
 from . import ticks
-from .palette import EVENTS
-from .panels import Band, Curve, Dots, Mark, Panel, Strokes, ranges
 from .svg_path import band_path, curve_path, dots_path, free_path, strokes_path
 
 WIDTH, HEIGHT = 460, 216  # px of an ordinary panel; the page scales it

@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from locfuse.formats.figures import palette
+from locfuse.formats.figures.palette import Trace
+from locfuse.formats.figures.panels import Band, Curve, Dots, Mark, Panel, Section, Strokes, ranges
 from locfuse.formats.thin import extremes
 from locfuse.fusion.data import Colour
 
-from . import palette, ticks
-from .palette import Trace
-from .panels import Band, Curve, Dots, Mark, Panel, Section, Strokes, ranges
+from . import ticks
 
 INCHES = (3.5, 2.1)  # one column of a two-column paper
 SQUARE = (3.5, 3.0)

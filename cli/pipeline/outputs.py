@@ -122,9 +122,16 @@ def scene(compared: Compared, drawn: Drawn) -> Scene:
         nis={run: Stretches(*running) for run, running in drawn.nis.items()},
         nees_bounds=(chi_square(0.025, dof) / dof, chi_square(0.975, dof) / dof),
         components={sensor: REGISTRY[sensor].components for sensor in drive.measurements},
+        landmarks=_landmarks(compared.loaded),
         events=events(compared.loaded, () if drawn.best is None else (drawn.best,)),
         states=WHEEL_STATES | {name: shown for s in REGISTRY.values() for name, shown in s.states.items()},
     )
+
+
+def _landmarks(loaded: Loaded) -> list[tuple[float, float]]:
+    """Return the places [m, map] that the bearings of the log's sensors point at."""
+    found = (REGISTRY[s].landmark(loaded.robot.settings(s)) for s in loaded.drive.measurements)
+    return [place for place in found if place is not None]
 
 
 def events(loaded: Loaded, runs: Iterable[Estimates]) -> list[Event]:

@@ -112,7 +112,10 @@ def test_a_sensors_colour_does_not_depend_on_what_else_is_in_the_log() -> None:
     for look in (trace("lrf@2Hz", ("lrf",), slowed=True), trace("lrf", smoothed=True)):
         assert palette.colours({"x": look}, SENSORS)["x"] == alone
         assert look.dashed
-    assert trace("compass+lrf").dashed
+    assert trace("compass+lrf").look == "dash"
+    assert trace("lrf").look == ""
+    assert trace("all").look == "over"  # its gaps show the curve that it lies on
+    assert trace("all", ("lrf",)).look == ""  # the only sensor is no set
     assert not trace("all").dashed
     assert not trace("lrf").dashed
 
@@ -252,7 +255,7 @@ def test_a_report_has_its_figures_and_each_its_words() -> None:
     scene, _ = small_scene.long(0.2, 6)
     found = sections(scene)
     assert [s.name for s in found] == [
-        "trajectories", "deviation", "bands", "consistency", "innovations", "gates", "learnt",
+        "trajectories", "where", "deviation", "spread", "bands", "consistency", "innovations", "gates", "learnt",
     ]  # fmt: skip
     panels = [p for s in found for p in s.panels]
     assert len({p.name for p in panels}) == len(panels)

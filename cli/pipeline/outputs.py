@@ -16,6 +16,7 @@ from locfuse.fusion.wheels.states import WHEEL_STATES
 
 from . import results
 from .compare import Compared
+from .verdicts import credit_values
 
 if TYPE_CHECKING:
     from locfuse.formats.figures.scene import Scene
@@ -122,6 +123,7 @@ def scene(compared: Compared, drawn: Drawn) -> Scene:
         nis={run: Stretches(*running) for run, running in drawn.nis.items()},
         nees_bounds=(chi_square(0.025, dof) / dof, chi_square(0.975, dof) / dof),
         components={sensor: REGISTRY[sensor].components for sensor in drive.measurements},
+        credit=credit_values(compared.credit) if compared.credit else None,
         landmarks=_landmarks(compared.loaded),
         events=events(compared.loaded, () if drawn.best is None else (drawn.best,)),
         states=WHEEL_STATES | {name: shown for s in REGISTRY.values() for name, shown in s.states.items()},

@@ -51,7 +51,7 @@ OUT = Colour("#a3123a", "#e0566f")
 LANDMARK = Colour("#d615c0", "#ff4fe6")
 LEVELS = (  # of a figure along a path, small to large: lightness alone tells them apart, hue helps
     Colour("#16c3b4", "#044b94"),
-    Colour("#009edb", "#6c5ab6"),
+    Colour("#0091cd", "#6c5ab6"),
     Colour("#685fbc", "#bb6ab4"),
     Colour("#752870", "#fb906a"),
     Colour("#4e0308", "#fbdd67"),
@@ -72,12 +72,23 @@ ROLES = {  # what is drawn besides configurations
     "rest": Colour("#5f7f95", "#7f9fb5"),
     "repeated": Colour("#e4e7ec", "#2f353e"),
     **{f"level {i}": colour for i, colour in enumerate(LEVELS)},
+    "median": TRUTH,
     "start": TRUTH,
     "end": TRUTH,
     "time": TRUTH,
     "landmark": LANDMARK,
+    **dict.fromkeys(("alone", "leave_one_out", "credit"), TRUTH),  # effects of a sensor
 }
-SHAPES = {"start": "ring", "end": "square", "time": "dot", "landmark": "target", "gate": "cross"}  # of spots
+SHAPES = {  # of spots
+    "start": "ring",
+    "end": "square",
+    "time": "dot",
+    "landmark": "target",
+    "gate": "cross",
+    "alone": "ring",
+    "leave_one_out": "square",
+    "credit": "dot",
+}
 EVENTS = {FAULT: "fault", LOST: "lost", REFUSED: "gate", REST: "rest"}  # kind of event -> role
 
 

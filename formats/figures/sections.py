@@ -10,6 +10,7 @@ from .scene import Scene
 
 def sections(scene: Scene) -> list[Section]:
     """Return the figures of a report in reading order; a section that has nothing to show is left out."""
+    from .credit import credit
     from .deviation import bands, deviations, uncertainty
     from .filter import consistency, gates, innovations, learnt
     from .spread import spread
@@ -19,6 +20,7 @@ def sections(scene: Scene) -> list[Section]:
     found = [trajectories(scene), where(scene)]
     found += [deviations(scene), spread(scene), bands(scene)] if scene.has_truth else [uncertainty(scene)]
     found += [consistency(scene), innovations(scene), gates(scene), learnt(scene)]
+    found += [credit(scene)]
     return [_with_events(s, scene) for s in found if s.panels]
 
 

@@ -33,7 +33,7 @@ def spread(scene: Scene) -> Section:
         marks.append(Band(j.name, x, np.full_like(x, foot), top, solid=True))
         if len(error):
             middle = scale * float(np.median(error))
-            marks.append(Strokes("truth", np.array([[[middle, lane + 0.1], [middle, foot]]])))
+            marks.append(Strokes("median", np.array([[[middle, lane + 0.1], [middle, foot]]])))
     panel = Panel(
         name="spread",
         title="How large the position errors are",

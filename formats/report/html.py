@@ -21,6 +21,7 @@ from locfuse.formats.figures.panels import Section
 from locfuse.fusion.data import REFUSED, Colour
 
 from . import tables
+from .glossary import GLOSSARY
 from .json_report import fingerprint
 from .notes import notes_of, title_of
 from .render import SIGNS, Swatches, data, html
@@ -51,6 +52,7 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
     slugs = slugs_of(list(roles))
     swatches = Swatches(slugs, {**palette.SHAPES, **looks})
     drawn = {m.of for s in sections for p in s.panels for m in p.marks}
+    drawings = [section_drawings(s, slugs, looks) for s in sections]
     page = template.render(
         report=report,
         title=title_of(report),
@@ -61,7 +63,8 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
         figures=Figures(report),
         tables=tables,
         table=lambda shown, painted=True: _table(shown, swatches if painted else None, bars),
-        sections=[section_drawings(s, slugs, looks) for s in sections],
+        sections=[d for d in drawings if d["section"].name != "credit"],
+        credit=[d for d in drawings if d["section"].name == "credit"],
         legend=[(name, slugs[name]) for name in names if name in drawn],
         slugs=slugs,
         swatch=lambda name: Markup(swatches.of(name)),
@@ -70,6 +73,7 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
         strips=_strips(report),
         notes=notes_of(report),
         events=_shaded(sections),
+        glossary=GLOSSARY,
         roles=("truth", "bounds") if report["truth"] else ("bounds",),
     )
     return page.strip() + "\n"

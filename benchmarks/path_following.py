@@ -15,7 +15,7 @@ import click
 import numpy as np
 
 from locfuse.cli.jobs.simulate import localise
-from locfuse.formats.figures.for_paper import draw
+from locfuse.formats.drawing.for_paper import draw
 from locfuse.formats.figures.panels import Curve, Panel, Strokes
 from locfuse.formats.whole_files import write_results
 from locfuse.fusion.data import Array

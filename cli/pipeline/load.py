@@ -50,6 +50,7 @@ class Loaded:
     choice: Choice
     drive: Drive
     tables: Mapping[str, Any] = field(default_factory=dict)  # robot.toml as merged, without mounts from /tf_static
+    sources: Mapping[str, str] = field(default_factory=dict)  # "lrf.x" -> who set it, of keys that somebody set
     asked: Mapping[str, Any] | None = None  # what the user gave of them; None: the result has no key
     hash_all: bool = False  # whether every byte is to be hashed
 
@@ -96,7 +97,7 @@ def load(
     tables = merged_tables(log, how)
     choice = choose(log, make_robot(tables), named_by_hand(how.sets))
     found = measured(log, tables, choice, progress, only)
-    found = replace(found, asked=asked_tables(how), hash_all=how.hash_all)
+    found = replace(found, sources=_sources(log, how), asked=asked_tables(how), hash_all=how.hash_all)
     return _within(found, (how.begin, how.end))
 
 
@@ -196,19 +197,37 @@ def _leave_out(choice: Choice, only: Collection[str] | None, preset: str) -> Non
 
 def merged_tables(log: Log, how: LogOptions) -> dict[str, Any]:
     """Return robot.toml as tables: the preset's, then the log's attachment, --robot, and --set, key by key."""
-    layers: list[dict[str, Any]] = []
+    tables = robot_toml.merge(*_layers(log, how).values())
+    tables.setdefault("preset", "default")
+    return robot_toml.merge(filters.TABLES[tables["preset"]], tables)
+
+
+def _layers(log: Log, how: LogOptions) -> dict[str, dict[str, Any]]:
+    """Return the tables that somebody gave, by who did; what comes later wins."""
+    layers: dict[str, dict[str, Any]] = {}
     if ATTACHMENT in log.attachments:
-        layers.append(_checked(log.attachments[ATTACHMENT], f"{log.name}: attachment {ATTACHMENT}"))
+        layers["robot.toml in the log"] = _checked(
+            log.attachments[ATTACHMENT], f"{log.name}: attachment {ATTACHMENT}"
+        )
     if how.robot is not None:
-        layers.append(_checked(read_small(how.robot, MAX_ROBOT_TOML), str(how.robot)))
+        layers["--robot"] = _checked(read_small(how.robot, MAX_ROBOT_TOML), str(how.robot))
     sets = _set_tables(how.sets)
     if how.order:
         sets["order"] = how.order
     if how.preset:
         sets["preset"] = how.preset
-    tables = robot_toml.merge(*layers, sets)
-    tables.setdefault("preset", "default")
-    return robot_toml.merge(filters.TABLES[tables["preset"]], tables)
+    return {**layers, "--set": sets}
+
+
+def _sources(log: Log, how: LogOptions) -> dict[str, str]:
+    """Return who set each key, "lrf.x" -> "--robot"."""
+    return {key: who for who, tables in _layers(log, how).items() for key in _keys(tables)}
+
+
+def _keys(tables: Mapping[str, Any]) -> list[str]:
+    """Return "table.key" of every key in tables; keys above all tables by their own names."""
+    inside = ((t, list(v) if isinstance(v, Mapping) else [""]) for t, v in tables.items())
+    return [f"{table}.{key}".rstrip(".") for table, keys in inside for key in keys]
 
 
 def check_settings(how: LogOptions) -> None:
@@ -241,7 +260,8 @@ def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = sil
     unchanged = {s: m for s, m in loaded.drive.measurements.items() if wheels and (s in same or s not in tables)}
     found = measured(loaded.log, tables, deepcopy(loaded.choice), progress, known=unchanged)
     asked = None if loaded.asked is None else robot_toml.merge(loaded.asked, sets)
-    return _within(replace(found, asked=asked, hash_all=loaded.hash_all), loaded.window)
+    sources = {**loaded.sources, **dict.fromkeys(_keys(sets), "--set")}
+    return _within(replace(found, sources=sources, asked=asked, hash_all=loaded.hash_all), loaded.window)
 
 
 def _refuse_other_reading(loaded: Loaded, sets: Mapping[str, Any]) -> None:

@@ -9,7 +9,7 @@ import csv as csv_format
 import io
 import math
 import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from html import escape as _escaped
 from typing import Any, NamedTuple
 
@@ -37,12 +37,12 @@ class Swatches(NamedTuple):
     """Spots in the colours of configurations, sensors and roles."""
 
     slugs: Mapping[str, str]  # name -> class of its colour
-    dashed: Collection[str] = ()  # names whose curves are dashed
+    looks: Mapping[str, str] = {}  # name -> how its spot is drawn: "dash", "over", or the shape of a spot
 
     def of(self, name: str) -> str:
         """Return the spot of a name as HTML."""
-        dashed = " dashed" if name in self.dashed else ""
-        return f'<span class="swatch{dashed} {self.slugs.get(name, "")}"></span>'
+        classes = " ".join(c for c in ("swatch", self.looks.get(name, ""), self.slugs.get(name, "")) if c)
+        return f'<span class="{classes}"></span>'
 
 
 def markdown(table: Table) -> str:

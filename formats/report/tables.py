@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -76,6 +77,12 @@ CREDIT = (
     Column("low", "95 % from", form="{:.3g}"),
     Column("high", "to", form="{:.3g}"),
     Column("expected", "expected", form="{:.3g}"),
+)
+CHANGED = (
+    Column("key", "setting", kind="text"),
+    Column("value", "value", form="{:.6g}", kind="long", between=", "),
+    Column("unit", "unit", kind="text", missing=""),
+    Column("from", "set by", kind="text"),
 )
 INPUT = (
     Column("stream", "stream", kind="text"),
@@ -189,6 +196,22 @@ def streams(report: Report) -> Table:
     ]
     absent = [(Cell(sensor), Cell(), Cell(), Cell(why)) for sensor, why in report["absent"].items()]
     return Table(INPUT, (*rows, *absent), "What was read and what was dropped")
+
+
+def changed_settings(report: Report) -> Table:
+    """Return the settings that are not as they are by default, with unit and source."""
+    rows = (
+        ({**v, "key": key, "value": _number_or_text(v["value"])}, ("changed_settings", key))
+        for key, v in report["changed_settings"].items()
+    )
+    return of_values(CHANGED, rows, "Settings that were changed")
+
+
+def _number_or_text(value: Any) -> Any:
+    """Return a number or a list of numbers as it is, everything else as text."""
+    numbers = value if isinstance(value, list) else [value]
+    plain = all(isinstance(v, int | float) and not isinstance(v, bool) for v in numbers)
+    return value if plain and numbers else json.dumps(value).strip('"')
 
 
 def everything(report: Report) -> Table:

@@ -45,6 +45,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "mcap",
         "log",
         "results figures",
+        "drawing",
         "report rerun",
         "fleet",
     ),

@@ -14,6 +14,8 @@ from locfuse.fusion.data import Array, Ints
 MAX_OFF_LINE_PX = 0.1  # px: a point this near to the line between its neighbours is not seen
 MAX_PASSES = 8
 TOUCHING_PX = 2  # px: dots this near in one column look like a line
+CELL_PX = 0.4  # px: points of a path that follow each other within it look like one
+CROSS_PX = 2.5  # px: half the side of a cross
 MAX_COORDINATE_PX = 1e4  # px: beyond lies nothing that is drawn
 
 
@@ -24,8 +26,11 @@ def curve_path(x: Array, y: Array, pixels: int) -> str:
 
 
 def free_path(x: Array, y: Array) -> str:
-    """Return the path of a curve (n,) in px that goes anywhere: a trajectory."""
-    return _pieces(np.stack((x, y), axis=-1))
+    """Return the path of a curve (n,) in px that goes anywhere: a trajectory, one point per small cell."""
+    cells = np.floor(np.stack((x, y), axis=-1) / CELL_PX)
+    stays = (cells[1:-1] == cells[:-2]).all(axis=1) & np.isfinite(x[2:]) if len(x) > 2 else np.zeros(0, dtype=bool)
+    kept = np.concatenate(([True], ~stays, [True]))[: len(x)]
+    return _pieces(np.stack((x, y), axis=-1)[kept])
 
 
 def band_path(x: Array, low: Array, high: Array, pixels: int) -> str:
@@ -57,6 +62,23 @@ def dots_path(x: Array, y: Array) -> str:
 def strokes_path(ends: Array) -> str:
     """Return straight pieces (k, 2, 2) in px."""
     return "".join(_text(pair) for pair in ends if np.isfinite(pair).all())
+
+
+def spots_path(x: Array, y: Array, crossed: bool = False) -> str:
+    """Return one point per place, which its round or square cap makes a spot of fixed size; or a cross."""
+    good = np.isfinite(x) & np.isfinite(y)
+    tenths = np.rint(10.0 * np.clip(np.stack((x[good], y[good]), axis=-1), -MAX_COORDINATE_PX, MAX_COORDINATE_PX))
+    r = round(10 * CROSS_PX)
+    stroke = f"m{-r} {-r}l{2 * r} {2 * r}m0 {-2 * r}l{-2 * r} {2 * r}" if crossed else "h0"
+    return "".join(f"M{a} {b}{stroke}" for a, b in tenths.astype(np.int64).tolist())
+
+
+def places(x: Array, y: Array) -> str:
+    """Return points in whole px, each as the step from the one before: "x y dx dy ..."."""
+    limit = MAX_COORDINATE_PX
+    whole = np.rint(np.clip(np.stack((x, y), axis=-1), -limit, limit)).astype(np.int64)
+    steps = np.diff(whole, axis=0, prepend=np.zeros((1, 2), np.int64))
+    return " ".join(map(str, steps.ravel().tolist()))
 
 
 def straightened(points: Array) -> Array:

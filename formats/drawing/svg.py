@@ -7,18 +7,18 @@ page needs no second copy, and a phone can set the words larger (benchmarks: "re
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
 import numpy as np
 
+from locfuse.formats.figures.palette import EVENTS, SHAPES
+from locfuse.formats.figures.panels import TIME, Band, Curve, Dots, Mark, Panel, Spots, Strokes, Track, ranges
 from locfuse.fusion.data import REFUSED, Array, Event
 
 from . import ticks
-from .palette import EVENTS
-from .panels import Band, Curve, Dots, Mark, Panel, Strokes, ranges
-from .svg_path import band_path, curve_path, dots_path, free_path, strokes_path
+from .svg_path import band_path, curve_path, dots_path, free_path, places, spots_path, strokes_path
 
 WIDTH, HEIGHT = 460, 216  # px of an ordinary panel; the page scales it
 TOP, BOTTOM, RIGHT = 20, 34, 10
@@ -57,9 +57,13 @@ def svg(
     slugs: dict[str, str],
     width: int = WIDTH,
     height: int = HEIGHT,
-    dashed: Collection[str] = (),
+    looks: Mapping[str, str] | None = None,
 ) -> str:
-    """Return one panel. `ident` is unique in the page; `slugs` gives every role its CSS class."""
+    """Return one panel. `ident` is unique in the page; `slugs` gives every role its CSS class.
+
+    `looks` says of names how their lines are broken. The page's script reads both axes from `data-axes`: px and
+    values of their ends, whether logarithmic, and what they are (time, map, lanes, other).
+    """
     (x0, x1), (y0, y1) = ranges(panel)
     left = _left(panel, y0, y1)
     inner_width = width - left - RIGHT
@@ -67,21 +71,29 @@ def svg(
         x0, x1, y0, y1, height = _equal(x0, x1, y0, y1, inner_width, height)
     if panel.lanes:
         height = TOP + BOTTOM + 30 * len(panel.lanes)
-    x = Axis(x0, x1, left, width - RIGHT)
+    x = Axis(x0, x1, left, width - RIGHT, panel.x_log)
     y = Axis(y0, y1, height - BOTTOM, TOP, panel.log)
     parts = [
         f'<svg class="fig" id="{ident}" viewBox="0 0 {width} {height}" role="img"',
-        f' aria-labelledby="{ident}-t {ident}-d">',
+        f' aria-labelledby="{ident}-t {ident}-d" data-axes="{_axes(panel, x, y)}">',
         f'<title id="{ident}-t">{escape(panel.title)}</title><desc id="{ident}-d">{escape(panel.summary)}</desc>',
         f'<clipPath id="{ident}-c"><path d="M{left} {TOP}H{width - RIGHT}V{height - BOTTOM}H{left}z"/></clipPath>',
         _frame(panel, x, y),
-        f'<g clip-path="url(#{ident}-c)">',
+        f'<g clip-path="url(#{ident}-c)"><g>',
         *(_shade(event, x, y, slugs) for event in panel.events),
         '<g transform="scale(.1)">',
-        *(_mark(mark, x, y, slugs, dashed) for mark in panel.marks),
-        "</g></g></svg>",
+        *(_mark(mark, x, y, slugs, looks or {}) for mark in panel.marks),
+        *(_track(track, x, y, slugs) for track in panel.tracks),
+        "</g></g></g></svg>",
     ]
     return "".join(parts)
+
+
+def _axes(panel: Panel, x: Axis, y: Axis) -> str:
+    """Return what a script must know to turn px into values: both axes, and the kind of panel."""
+    kind = "map" if panel.equal else "lanes" if panel.lanes else "time" if panel.x_label == TIME else "other"
+    ends = (f"{a.low:.9g} {a.high:.9g} {a.start:.5g} {a.end:.5g} {int(a.log)}" for a in (x, y))
+    return f"{' '.join(ends)} {kind}"
 
 
 def _left(panel: Panel, y0: float, y1: float) -> float:
@@ -109,29 +121,42 @@ def _frame(panel: Panel, x: Axis, y: Axis) -> str:
     bottom, right = round(y.start), round(x.end)
     rows = [] if panel.lanes else y.ticks(max(3, round((y.start - y.end) / 34)))
     columns = x.ticks(max(3, round((x.end - x.start) / 60)))
-    grid = "".join(f"M{x.start:g} {p:.1f}H{right}" for p, _ in rows) + "".join(
-        f"M{p:.1f} {TOP}V{bottom}" for p, _ in columns
-    )
-    words = [f'<text class="e" x="{x.start - 5:g}" y="{p + 3.6:.1f}">{label}</text>' for p, label in rows]
-    words += [f'<text class="m" x="{p:.1f}" y="{bottom + 14}">{label}</text>' for p, label in columns]
+    across = "".join(f"M{x.start:g} {p:.1f}H{right}" for p, _ in rows)
+    up = "".join(f"M{p:.1f} {TOP}V{bottom}" for p, _ in columns)
+    beside = [f'<text class="e" x="{x.start - 5:g}" y="{p + 3.6:.1f}">{label}</text>' for p, label in rows]
+    below = [f'<text class="m" x="{p:.1f}" y="{bottom + 14}">{label}</text>' for p, label in columns]
     middles = y.px(np.arange(0.5, len(panel.lanes))).tolist()
-    words += [
+    words = [
         f'<text class="e" x="{x.start - 5:g}" y="{p + 3.6:.1f}">{escape(lane)}</text>'
         for p, lane in zip(middles, panel.lanes, strict=True)
     ]
     words.append(f'<text class="l" x="2" y="11">{escape(panel.y_label)}</text>')
     words.append(f'<text class="e l" x="{right}" y="{bottom + 29}">{escape(panel.x_label)}</text>')
-    return f'<path class="gridlines" d="{grid}"/>' + "".join(words)
+    ticked = (
+        f'<g class="{axis}"><path class="gridlines" d="{lines}"/>{"".join(labels)}</g>'
+        for axis, lines, labels in (("xt", up, below), ("yt", across, beside))
+    )
+    return "".join((*ticked, *words))
 
 
-def _mark(mark: Mark, x: Axis, y: Axis, slugs: dict[str, str], dashed: Collection[str]) -> str:
+def _mark(mark: Mark, x: Axis, y: Axis, slugs: dict[str, str], looks: Mapping[str, str]) -> str:
     pixels = max(16, round(x.end - x.start))
     draw: Callable[..., tuple[str, str]] = _DRAW[type(mark)]
     kind, d = draw(mark, x, y, pixels)
     if not d:
         return ""
-    look = " truth" if mark.of == "truth" else " dash" if isinstance(mark, Curve) and mark.of in dashed else ""
-    return f'<path class="{kind}{look} {slugs[mark.of]}" d="{d}"><title>{escape(mark.of)}</title></path>'
+    look = "truth" if mark.of == "truth" else looks.get(mark.of, "") if isinstance(mark, Curve) else ""
+    classes = " ".join(c for c in (kind, look, slugs[mark.of]) if c)
+    drawn = f'<path class="{classes}" d="{d}"><title>{escape(mark.of)}</title></path>'
+    hole = f'<path class="spot hole" d="{d}"/>' if kind in {"spot ring", "spot target"} else ""
+    return drawn + hole
+
+
+def _track(track: Track, x: Axis, y: Axis, slugs: dict[str, str]) -> str:
+    """Return a path without a drawing that knows its places at even times, for the cursor's spot."""
+    at = places(x.px(track.x), y.px(track.y))
+    name = f"<title>{escape(track.of)}</title>"
+    return f'<path class="here {slugs[track.of]}" data-at="{track.start:.9g} {track.end:.9g} {at}">{name}</path>'
 
 
 def _shade(event: Event, x: Axis, y: Axis, slugs: dict[str, str]) -> str:
@@ -146,7 +171,8 @@ def _shade(event: Event, x: Axis, y: Axis, slugs: dict[str, str]) -> str:
 def _curve(mark: Curve, x: Axis, y: Axis, pixels: int) -> tuple[str, str]:
     px, py = x.px(mark.x), y.px(mark.y)
     grows = len(px) < 2 or bool((np.diff(px) >= 0).all())
-    return "faint" if mark.faint else "curve", curve_path(px, py, pixels) if grows else free_path(px, py)
+    kind = "faint" if mark.faint else "curve wide" if mark.wide else "curve"
+    return kind, curve_path(px, py, pixels) if grows else free_path(px, py)
 
 
 def _band(mark: Band, x: Axis, y: Axis, pixels: int) -> tuple[str, str]:
@@ -163,7 +189,18 @@ def _strokes(mark: Strokes, x: Axis, y: Axis, pixels: int) -> tuple[str, str]:
     return "stroke", strokes_path(ends)
 
 
-_DRAW: dict[type, Callable[..., tuple[str, str]]] = {Curve: _curve, Band: _band, Dots: _dots, Strokes: _strokes}
+def _spots(mark: Spots, x: Axis, y: Axis, pixels: int) -> tuple[str, str]:
+    shape = SHAPES[mark.of]
+    return f"spot {shape}", spots_path(x.px(mark.x), y.px(mark.y), crossed=shape == "cross")
+
+
+_DRAW: dict[type, Callable[..., tuple[str, str]]] = {
+    Curve: _curve,
+    Band: _band,
+    Dots: _dots,
+    Strokes: _strokes,
+    Spots: _spots,
+}
 
 
 def slugs_of(names: Sequence[str]) -> dict[str, str]:

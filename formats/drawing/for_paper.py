@@ -6,18 +6,19 @@ Same input, same bytes: no date, ids from a fixed salt. Text stays text, so that
 from __future__ import annotations
 
 import io
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
 import numpy as np
 
+from locfuse.formats.figures import palette
+from locfuse.formats.figures.palette import Trace
+from locfuse.formats.figures.panels import Band, Curve, Dots, Mark, Panel, Section, Spots, Strokes, ranges
 from locfuse.formats.thin import extremes
 from locfuse.fusion.data import Colour
 
-from . import palette, ticks
-from .palette import Trace
-from .panels import Band, Curve, Dots, Mark, Panel, Section, Strokes, ranges
+from . import ticks
 
 INCHES = (3.5, 2.1)  # one column of a two-column paper
 SQUARE = (3.5, 3.0)
@@ -35,6 +36,16 @@ LEGEND: dict[str, Any] = {
     "borderpad": 0.1,
 }
 POINTS = 1600  # of a curve: more than 3.5 inches at 300 dpi can show
+TRUTH_DASH = (0, (1, 2))
+DASHES = {"dash": (0, (4, 2)), "over": (0, (7, 3))}
+WIDE_PT = 1.8
+SPOTS: dict[str, dict[str, Any]] = {
+    "dot": {"marker": "o", "ms": 1.6, "mew": 0},
+    "ring": {"marker": "o", "ms": 4.5, "mfc": "white", "mew": 0.9},
+    "square": {"marker": "s", "ms": 4.0, "mew": 0},
+    "target": {"marker": "*", "ms": 6.5, "mew": 0},
+    "cross": {"marker": "x", "ms": 2.6, "mew": 0.6},
+}
 STYLE: dict[Any, Any] = {
     "svg.hashsalt": "locfuse",
     "svg.fonttype": "none",
@@ -65,12 +76,12 @@ def paper_figures(
     names = list(dict.fromkeys(m.of for s in sections for p in s.panels for m in p.marks))
     every = {**{s: Trace(s, (s,)) for s in names if s in sensors}, **traces}
     inks = {**{n: c.light for n, c in palette.colours(every, sensors).items()}, **_light_roles()}
-    dashed = {name for name, trace in traces.items() if trace.dashed}
+    looks = palette.looks_of(traces)
     out: dict[str, bytes] = {}
     for section in sections:
         for panel in section.panels:
             name = file_name(panel.name)
-            out[f"{name}.svg"], out[f"{name}.pdf"] = draw(panel, inks, dashed)
+            out[f"{name}.svg"], out[f"{name}.pdf"] = draw(panel, inks, looks)
     return out
 
 
@@ -79,7 +90,7 @@ def file_name(panel: str) -> str:
     return "".join(c if c.isalnum() or c in "_-+@." else "_" for c in panel)
 
 
-def draw(panel: Panel, inks: dict[str, str], dashed: Collection[str] = ()) -> tuple[bytes, bytes]:
+def draw(panel: Panel, inks: dict[str, str], looks: Mapping[str, str] | None = None) -> tuple[bytes, bytes]:
     """Return one panel as (SVG, PDF)."""
     from matplotlib.backends.backend_pdf import FigureCanvasPdf
     from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -89,7 +100,7 @@ def draw(panel: Panel, inks: dict[str, str], dashed: Collection[str] = ()) -> tu
         figure = Figure(figsize=SQUARE if panel.equal else INCHES)
         axes = figure.add_axes(LANES if panel.lanes else AREA)
         for mark in panel.marks:
-            _mark(axes, mark, inks, dashed)
+            _mark(axes, panel, mark, inks, looks or {})
         _dress(axes, panel)
         svg, pdf = io.BytesIO(), io.BytesIO()
         to_svg: Any = FigureCanvasSVG(figure)
@@ -130,6 +141,8 @@ def _scales(axes: Any, panel: Panel, x: tuple[float, float], y: tuple[float, flo
     """Set limits and the page's own ticks."""
     if panel.log:
         axes.set_yscale("log")
+    if panel.x_log:
+        axes.set_xscale("log")
     axes.set_xlim(*x)
     axes.set_ylim(*y)
     if not panel.lanes:
@@ -138,10 +151,12 @@ def _scales(axes: Any, panel: Panel, x: tuple[float, float], y: tuple[float, flo
         axes.minorticks_off()
 
 
-def _mark(axes: Any, mark: Mark, inks: dict[str, str], dashed: Collection[str]) -> None:
-    ink, label = inks[mark.of], _label(axes, mark)
+def _mark(axes: Any, panel: Panel, mark: Mark, inks: dict[str, str], looks: Mapping[str, str]) -> None:
+    ink, label = inks[mark.of], _label(axes, panel, mark)
     if isinstance(mark, Curve):
-        _curve(axes, mark, ink, label, mark.of in dashed)
+        _curve(axes, mark, ink, label, DASHES.get(looks.get(mark.of, ""), "solid"))
+    elif isinstance(mark, Spots):
+        axes.plot(mark.x, mark.y, color=ink, ls="none", label=label, zorder=4, **SPOTS[palette.SHAPES[mark.of]])
     elif isinstance(mark, Band):
         kept = extremes(np.stack((mark.low, mark.high), axis=-1), POINTS)
         alpha = 1.0 if mark.solid else 0.18
@@ -153,15 +168,16 @@ def _mark(axes: Any, mark: Mark, inks: dict[str, str], dashed: Collection[str]) 
             axes.plot((a[0], b[0]), (a[1], b[1]), color=ink, lw=1.8, label=label if i == 0 else None)
 
 
-def _curve(axes: Any, mark: Curve, ink: str, label: str | None, dashed: bool) -> None:
-    dash = (0, (1, 2)) if mark.of == "truth" else (0, (4, 2)) if dashed else "solid"
+def _curve(axes: Any, mark: Curve, ink: str, label: str | None, broken: Any) -> None:
+    dash = TRUTH_DASH if mark.of == "truth" else broken
     grows = bool((np.diff(mark.x) >= 0).all())
     kept = extremes(mark.y, POINTS) if grows else np.arange(len(mark.x))
-    axes.plot(mark.x[kept], mark.y[kept], color=ink, ls=dash, label=label)
+    width = {"lw": WIDE_PT} if mark.wide else {}
+    axes.plot(mark.x[kept], mark.y[kept], color=ink, ls=dash, label=label, **width)
 
 
-def _label(axes: Any, mark: Mark) -> str | None:
+def _label(axes: Any, panel: Panel, mark: Mark) -> str | None:
     """Return the mark's name for the legend, once."""
     taken = set(axes.get_legend_handles_labels()[1])
-    name = "refused" if mark.of == "gate" else mark.of
+    name = panel.said.get(mark.of, "refused" if mark.of == "gate" else mark.of)
     return None if name in taken or name == "bounds" else name

@@ -138,7 +138,8 @@ def mcap_record(data: bytes) -> object:
     """The content of every kind of record."""
     for read in (
         mcap_records.schema, mcap_records.channel, mcap_records.chunk_header, mcap_records.chunk_index,
-        mcap_records.message_index, mcap_records.attachment, mcap_records.message_counts,
+        mcap_records.message_index, mcap_records.attachment, mcap_records.statistics,
+        mcap_records.attachment_index,
     ):  # fmt: skip
         try:
             read(data)

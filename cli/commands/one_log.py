@@ -77,6 +77,7 @@ def one(log: Sequence[str], wish: Wish) -> int:
     report, lost = result.report, result.losses(how.strict)
     show.result(report, files, wish.as_json)
     show.notes(report, lost, how.quiet)
+    show.transfer(session.log.transfer, how.quiet)
     sketch = sketched(rerun, result, show.say)
     del session, result  # Rerun's import takes as much memory as they do
     record(rerun, sketch, files[0].parent, show.say)

@@ -97,6 +97,7 @@ def run(
     lost = result.losses(how.strict)
     show.result(result.report, files, as_json)
     show.notes(result.report, lost, how.quiet)
+    show.transfer(session.log.transfer, how.quiet)
     sketch = sketched(rerun, result, show.say)
     del session, result  # Rerun's import takes as much memory as they do
     record(rerun, sketch, files[0].parent, show.say)

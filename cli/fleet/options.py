@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 
 @dataclass(frozen=True)
@@ -13,7 +12,7 @@ class FleetOptions:
     jobs: int
     max_failures: int | None
     again: bool
-    each: tuple[Path, ...]
+    each: tuple[str, ...]
     robot_from: str | None
     sweep: tuple[str, ...]
 

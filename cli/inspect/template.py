@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from locfuse.cli.pipeline.load import ATTACHMENT, make_robot, table_types
 from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.commented_toml import Section
+from locfuse.formats.url import Place
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.doctor.finding import Finding
 
@@ -38,7 +38,7 @@ class Draft(NamedTuple):
     guesses: list[str]  # "key=value: why" of choices that the log leaves open
 
 
-def draft(paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None] = lambda step: None) -> Draft:
+def draft(paths: Sequence[Place], how: LogOptions, progress: Callable[[str], None] = lambda step: None) -> Draft:
     """Look at a log until no fix changes anything, and write down what was found."""
     overview = inspect_log(paths, how, progress)
     given = _given(overview, how)

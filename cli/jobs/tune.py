@@ -12,6 +12,7 @@ from locfuse.cli.pipeline.configurations import refuse_beside_others
 from locfuse.cli.pipeline.load import Loaded, load
 from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.formats.robot import robot_toml
+from locfuse.formats.url import Place
 from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import Evaluation, Measurements, UsageError
 from locfuse.fusion.fuse import fuse
@@ -111,8 +112,8 @@ def sensor_names(words: str) -> tuple[str, ...]:
 
 
 def tune_logs(
-    logs: Sequence[Sequence[Path]],
-    held_out: Sequence[Sequence[Path]],
+    logs: Sequence[Sequence[Place]],
+    held_out: Sequence[Sequence[Place]],
     sensors: tuple[str, ...],
     drift: bool,
     how: LogOptions,

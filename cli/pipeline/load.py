@@ -21,6 +21,7 @@ from locfuse.formats.inputs import read_small
 from locfuse.formats.log.labels import labels
 from locfuse.formats.log.log import Log, open_log
 from locfuse.formats.robot import landmark_map, robot_toml
+from locfuse.formats.url import Place, Url, place
 from locfuse.fusion.data import Drive, Event, LocfuseError, Measurements, UsageError
 from locfuse.fusion.doctor.clocks import lag_notes
 from locfuse.fusion.measure import measure, windowed
@@ -29,7 +30,7 @@ from locfuse.fusion.robot import Robot, StartSettings, TruthSettings, WheelSetti
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream, merged
 
-from .key import asked_tables
+from .key import asked_tables, with_files
 from .memory import give_back
 from .settings import ORDERS, PRESETS, LogOptions, Progress, silent
 
@@ -65,13 +66,15 @@ class Loaded:
     )  # s: the part of the drive that is used; None: no bound
 
 
-def find_log(words: Sequence[str]) -> list[Path]:
-    """Return paths of the logs named on the command line; a file beats a sample log's name."""
+def find_log(words: Sequence[str]) -> list[Place]:
+    """Return where the logs named on the command line are; a file beats a sample log's name."""
     return [_find(word) for word in words]
 
 
-def _find(word: str) -> Path:
-    path = Path(word)
+def _find(word: str) -> Place:
+    path = place(word)
+    if isinstance(path, Url):
+        return path
     if path.exists():
         return path
     from locfuse import sample_logs
@@ -83,7 +86,7 @@ def _find(word: str) -> Path:
 
 
 def load(
-    paths: Sequence[Path],
+    paths: Sequence[Place],
     how: LogOptions,
     progress: Progress = silent,
     only: Collection[str] | None = None,
@@ -93,11 +96,12 @@ def load(
     Raises LocfuseError with one line on what is wrong.
     """
     progress("opening")
+    asked = asked_tables(how)  # before anything is read: what changes meanwhile has another key
     log = open_log(paths)
     tables = merged_tables(log, how)
     choice = choose(log, make_robot(tables), named_by_hand(how.sets))
     found = measured(log, tables, choice, progress, only)
-    found = replace(found, sources=_sources(log, how), asked=asked_tables(how), hash_all=how.hash_all)
+    found = replace(found, sources=_sources(log, how), asked=asked, hash_all=how.hash_all)
     return _within(found, (how.begin, how.end))
 
 
@@ -109,7 +113,7 @@ def _within(loaded: Loaded, window: tuple[float | None, float | None]) -> Loaded
     return replace(loaded, drive=drive, robot=robot, window=window)
 
 
-def load_to_fuse(paths: Sequence[Path], how: LogOptions, progress: Progress, read_again: bool = False) -> Loaded:
+def load_to_fuse(paths: Sequence[Place], how: LogOptions, progress: Progress, read_again: bool = False) -> Loaded:
     """Load a log whose columns are needed no more once it is measured, unless it is `read_again`."""
     loaded = load(paths, how, progress)
     if not read_again:
@@ -258,8 +262,8 @@ def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = sil
     same = {table for table in tables if tables[table] == loaded.tables.get(table)}
     wheels = "wheels" in same or "wheels" not in tables
     unchanged = {s: m for s, m in loaded.drive.measurements.items() if wheels and (s in same or s not in tables)}
+    asked = None if loaded.asked is None else with_files(robot_toml.merge(loaded.asked, sets))
     found = measured(loaded.log, tables, deepcopy(loaded.choice), progress, known=unchanged)
-    asked = None if loaded.asked is None else robot_toml.merge(loaded.asked, sets)
     sources = {**loaded.sources, **dict.fromkeys(_keys(sets), "--set")}
     return _within(replace(found, sources=sources, asked=asked, hash_all=loaded.hash_all), loaded.window)
 

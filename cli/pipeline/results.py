@@ -106,6 +106,7 @@ def source(loaded: Loaded) -> dict[str, Any]:
         "size": log.identity.size,
         "identity": log.identity.digest,
         "sha256": log.sha256 if loaded.hash_all or log.all_read else None,
+        **({"etag": ", ".join(log.etags)} if log.etags else {}),  # of a log that is elsewhere
         "start": _date(loaded.drive.epoch_ns),
         "topics": dict(loaded.choice.topics),
         "messages": {topic: info.count for topic, info in log.topics.items()},

@@ -24,11 +24,13 @@ TRUST_STRETCHES = (
 
 
 def verdicts(
-    credit: Credit | None, found: Sequence[Score], sets: Mapping[str, Sequence[str]]
+    credit: Credit | None, found: Sequence[Score], sets: Mapping[str, Sequence[str]], over: str = "drives"
 ) -> dict[str, dict[str, Any]]:
-    """Return for every sensor its verdict and why, in one or two sentences."""
+    """Return for every sensor its verdict and why in words; the credit is `over` drives or robots."""
     if credit is not None:
-        return {s: {"verdict": c.verdict, "words": _credit_words(c, credit)} for s, c in credit.sensors.items()}
+        return {
+            s: {"verdict": c.verdict, "words": _credit_words(c, credit, over)} for s, c in credit.sensors.items()
+        }
     return _predicted_verdicts(found, sets)
 
 
@@ -73,11 +75,11 @@ def _effect(effect: Effect | None) -> dict[str, Any] | None:
     }
 
 
-def _credit_words(c: SensorCredit, credit: Credit) -> str:
+def _credit_words(c: SensorCredit, credit: Credit, over: str) -> str:
     main = c.credit or c.alone or c.last
     if main is None:
         return "No two of these sets differ by it alone; --all-subsets runs all of them."
-    parts = [_main_words(c, main, len(credit.sensors) > 1, credit.logs)]
+    parts = [_main_words(c, main, len(credit.sensors) > 1, _few(credit.logs, over))]
     if c.verdict == "hurts" and c.anees is not None and c.anees[1] > MAX_ANEES:
         parts.insert(
             0,
@@ -89,7 +91,7 @@ def _credit_words(c: SensorCredit, credit: Credit) -> str:
     return " ".join(parts)
 
 
-def _main_words(c: SensorCredit, main: Effect, several: bool, logs: int) -> str:
+def _main_words(c: SensorCredit, main: Effect, several: bool, few: str) -> str:
     how = (
         "Over every order of adding the sensors, it makes"
         if c.credit is not None and several
@@ -108,12 +110,12 @@ def _main_words(c: SensorCredit, main: Effect, several: bool, logs: int) -> str:
     if main.low > 0.0 or main.high < 0.0:
         return f"{what}."
     if c.verdict == "helps":
-        return f"{what}. {_few(logs)} not prove that, but the filter's own covariances say the same."
-    return f"{what}. {_few(logs)} not prove that."
+        return f"{what}. {few} not prove that, but the filter's own covariances say the same."
+    return f"{what}. {few} not prove that."
 
 
-def _few(logs: int) -> str:
-    return "One drive does" if logs == 1 else f"{logs} drives do"
+def _few(samples: int, over: str) -> str:
+    return "One drive does" if samples == 1 else f"{samples} {over} do"
 
 
 def _last_words(last: Effect) -> str:

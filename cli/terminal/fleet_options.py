@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, TypeVar
 
 import click
@@ -12,7 +11,19 @@ import click
 from locfuse.cli.fleet.options import FleetOptions
 
 F = TypeVar("F", bound=Callable[..., Any])
-FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
+
+
+class Folder(click.Path):
+    """A folder on this machine, or one in a store: s3://bucket/day1/."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return it as a word."""
+        from locfuse.formats.url import is_url
+
+        return value if is_url(str(value)) else str(super().convert(value, param, ctx))
+
+
+FOLDER = Folder(exists=True, file_okay=False)
 OPTIONS = (
     click.option(
         "-j",
@@ -60,7 +71,7 @@ def fleet_options(command: F) -> F:
         jobs: int,
         max_failures: int | None,
         again: bool,
-        each: tuple[Path, ...],
+        each: tuple[str, ...],
         robot_from: str | None,
         sweep: tuple[str, ...],
         **kwargs: Any,

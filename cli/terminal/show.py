@@ -105,6 +105,12 @@ def notes(report: Mapping[str, Any], losses: Sequence[str], quiet: bool) -> None
         say(f"lost: {line}")
 
 
+def transfer(came: tuple[int, int] | None, quiet: bool) -> None:
+    """Print to stderr how much of a log that is elsewhere came over the network, of how many bytes."""
+    if came is not None and not quiet:
+        say(f"read {came[0] / 1e6:.1f} of {came[1] / 1e6:.1f} MB over the network")
+
+
 def verdicts(report: Mapping[str, Any]) -> None:
     """Print what each sensor bought, in words."""
     from rich.text import Text

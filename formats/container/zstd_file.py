@@ -9,6 +9,7 @@ from typing import BinaryIO
 
 import zstandard
 
+from locfuse.formats.url import Place
 from locfuse.formats.whole_files import scratch_prefix
 from locfuse.fusion.data import LocfuseError
 
@@ -22,23 +23,28 @@ MIN_CAP_BYTES = 1 << 30  # any file may unpack to a gigabyte,
 MAX_UNPACK_RATIO = 200  # a larger one to so many times its size (real bags: 2 to 20)
 
 
-def unpack_file(path: Path, losses: Losses) -> FileBytes:
+def unpack_file(data: FileBytes, losses: Losses) -> FileBytes:
     """Return the unpacked bytes; what a cut-off or damaged file still gives is kept and the rest counted."""
-    handle, name = tempfile.mkstemp(prefix=scratch_prefix())
-    temporary = Path(name)
+    return data.unpacked(lambda packed: _unpacked(packed, data.path, losses))
+
+
+def _unpacked(packed: Path, name: Place, losses: Losses) -> Path:
+    """Return a temporary file with what `packed` holds; messages call it `name`."""
+    handle, place = tempfile.mkstemp(prefix=scratch_prefix())
+    temporary = Path(place)
     try:
         with os.fdopen(handle, "wb") as plain:
-            _unpack(path, plain, losses)
+            _unpack(packed, name, plain, losses)
     except OSError as problem:
         temporary.unlink()
-        raise LocfuseError(f"{path}: cannot be unpacked to {temporary.parent}: {problem.strerror}") from None
+        raise LocfuseError(f"{name}: cannot be unpacked to {temporary.parent}: {problem.strerror}") from None
     except BaseException:
         temporary.unlink()
         raise
-    return FileBytes(path, losses, temporary)
+    return temporary
 
 
-def _unpack(path: Path, plain: BinaryIO, losses: Losses) -> None:
+def _unpack(path: Path, name: Place, plain: BinaryIO, losses: Losses) -> None:
     size = path.stat().st_size
     cap = max(MIN_CAP_BYTES, MAX_UNPACK_RATIO * size)
     total, complete = 0, True
@@ -50,14 +56,14 @@ def _unpack(path: Path, plain: BinaryIO, losses: Losses) -> None:
             while piece := reader.read(PIECE_BYTES):
                 total += len(piece)
                 if total > cap:
-                    raise LocfuseError(f"{path}: unpacks to more than {cap >> 20} MiB; try: zstd -d {path.name}")
+                    raise LocfuseError(f"{name}: unpacks to more than {cap >> 20} MiB; try: zstd -d {name.name}")
                 plain.write(piece)
         except zstandard.ZstdError:
             complete = False
     if not total:
-        raise LocfuseError(f"{path}: its compression is damaged from the beginning ({size} bytes)")
+        raise LocfuseError(f"{name}: its compression is damaged from the beginning ({size} bytes)")
     if not complete or total < declared:
-        losses.add(str(path), "the compression is damaged or cut off", 0, max(declared - total, 0))
+        losses.add(str(name), "the compression is damaged or cut off", 0, max(declared - total, 0))
 
 
 def _declared_size(head: bytes) -> int:

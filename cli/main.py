@@ -32,7 +32,9 @@ COMMANDS = {
     "tune": "Find the noise of wheels and sensors from logs, without truth.",
     "recover": "Copy everything readable of a damaged log into one clean MCAP.",
     "simulate": "Drive a scenario and record it as a log with known truth.",
+    "schema": "Print the JSON Schema of robot.toml or report.json, for editors and programs.",
 }
+ELSEWHERE = {"schema": "reference"}  # the room of a command that is not in `commands`
 INTERRUPTED, TERMINATED = 130, 143
 NO_ROOM = ("failed to map segment", "annot allocate memory")  # what the loader says when memory is short
 
@@ -48,7 +50,8 @@ class LazyGroup(click.Group):
         """Import and return one command."""
         if cmd_name not in COMMANDS:
             return None
-        module = importlib.import_module(f"locfuse.cli.commands.{cmd_name}")
+        room = ELSEWHERE.get(cmd_name, "commands")
+        module = importlib.import_module(f"locfuse.cli.{room}.{cmd_name}")
         command: click.Command = getattr(module, cmd_name)
         return command
 

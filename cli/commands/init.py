@@ -73,6 +73,10 @@ def _say(made: Draft, words: str, lost: list[str]) -> None:
 
     for line in lost:
         show.say(f"lost: {line}")
+    if made.robot:
+        show.say(
+            f"guessed: {made.robot}: its figures that the log does not tell are taken from locfuse's own files"
+        )
     for guess in made.guesses:
         show.say(f"guessed: {guess}")
     if (nothing := made.overview.choice.absent.get("wheels")) is not None:

@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-FOLDERS = ("fusion", "formats", "sample_logs", "cli")
+FOLDERS = ("fusion", "formats", "sample_logs", "robots", "cli")
 STANDARD = set(sys.stdlib_module_names)
 LAZY = {"rerun", "matplotlib", "scipy", "jinja2"}  # only inside the function that needs them
 
@@ -49,6 +49,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "fleet",
     ),
     "sample_logs": (),
+    "robots": (),
     "cli": (
         "choose",
         "pipeline",
@@ -64,7 +65,8 @@ FLOORS: dict[str, tuple[str, ...]] = {
 
 # what each top folder may import besides itself and the standard library
 OURS = {
-    "cli": {"fusion", "formats", "sample_logs"},
+    "cli": {"fusion", "formats", "sample_logs", "robots"},
+    "robots": set[str](),
     "fusion": set[str](),
     "formats": {"fusion.data", "fusion.streams"},
     "sample_logs": {"formats", "fusion.se2", "fusion.data"},

@@ -36,6 +36,7 @@ COMMANDS = {
 }
 ELSEWHERE = {"schema": "reference"}  # the room of a command that is not in `commands`
 INTERRUPTED, TERMINATED = 130, 143
+PACKAGES = {"cv2": "opencv-python-headless", "rerun": "rerun-sdk"}  # module -> package, where their names differ
 NO_ROOM = ("failed to map segment", "annot allocate memory")  # what the loader says when memory is short
 
 
@@ -134,7 +135,15 @@ def _expected(e: Exception) -> int:
         return _say(f"{what}:{where}{hint}" if where else f"{what}{hint}", 1)
     if isinstance(e, ImportError) and any(words in str(e) for words in NO_ROOM):
         return _say(f"out of memory: a library could not be loaded ({str(e).splitlines()[-1].strip()})", 1)
+    if isinstance(e, ModuleNotFoundError) and (package := _package_of(e)) is not None:
+        return _say(f"this needs {package}, which is not installed: python -m pip install {package}", 1)
     raise e
+
+
+def _package_of(e: ModuleNotFoundError) -> str | None:
+    """Return what to install for a module that is missing; None for one of ours, which is a bug."""
+    module = (e.name or "").partition(".")[0]
+    return None if module in {"", "locfuse"} else PACKAGES.get(module, module)
 
 
 def _say(text: str, code: int) -> int:

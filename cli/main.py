@@ -32,8 +32,11 @@ COMMANDS = {
     "tune": "Find the noise of wheels and sensors from logs, without truth.",
     "recover": "Copy everything readable of a damaged log into one clean MCAP.",
     "simulate": "Drive a scenario and record it as a log with known truth.",
+    "schema": "Print the JSON Schema of robot.toml or report.json, for editors and programs.",
 }
+ELSEWHERE = {"schema": "reference"}  # the room of a command that is not in `commands`
 INTERRUPTED, TERMINATED = 130, 143
+PACKAGES = {"cv2": "opencv-python-headless", "rerun": "rerun-sdk"}  # module -> package, where their names differ
 NO_ROOM = ("failed to map segment", "annot allocate memory")  # what the loader says when memory is short
 
 
@@ -48,7 +51,8 @@ class LazyGroup(click.Group):
         """Import and return one command."""
         if cmd_name not in COMMANDS:
             return None
-        module = importlib.import_module(f"locfuse.cli.commands.{cmd_name}")
+        room = ELSEWHERE.get(cmd_name, "commands")
+        module = importlib.import_module(f"locfuse.cli.{room}.{cmd_name}")
         command: click.Command = getattr(module, cmd_name)
         return command
 
@@ -131,7 +135,15 @@ def _expected(e: Exception) -> int:
         return _say(f"{what}:{where}{hint}" if where else f"{what}{hint}", 1)
     if isinstance(e, ImportError) and any(words in str(e) for words in NO_ROOM):
         return _say(f"out of memory: a library could not be loaded ({str(e).splitlines()[-1].strip()})", 1)
+    if isinstance(e, ModuleNotFoundError) and (package := _package_of(e)) is not None:
+        return _say(f"this needs {package}, which is not installed: python -m pip install {package}", 1)
     raise e
+
+
+def _package_of(e: ModuleNotFoundError) -> str | None:
+    """Return what to install for a module that is missing; None for one of ours, which is a bug."""
+    module = (e.name or "").partition(".")[0]
+    return None if module in {"", "locfuse"} else PACKAGES.get(module, module)
 
 
 def _say(text: str, code: int) -> int:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from locfuse.cli.inspect.template import Draft
 
 LOSS = 3
+SCHEMA = "robot.schema.json"  # beside robot.toml: a path that holds on every machine, and wherever both are moved
 
 
 @click.command()
@@ -40,7 +41,7 @@ def init(log: tuple[str, ...], how: LogOptions) -> int:
         made = draft(find_log(log), how, progress)
     words = printable(shlex.join(log))
     with reader_may_leave():
-        put(render(_head(made, words), made.sections, _foot(made)))
+        put(f"#:schema ./{SCHEMA}\n{render(_head(made, words), made.sections, _foot(made))}")
     lost = made.overview.log.losses.lines()
     if not how.quiet:
         _say(made, words, lost)
@@ -53,7 +54,8 @@ def _head(made: Draft, words: str) -> str:
         f"robot.toml of {name}, a starting point by locfuse init. Behind a #, nothing is in force.\n"
         f"\n"
         f"  locfuse info {words} --check --robot robot.toml\n"
-        f"  locfuse compare {words} --robot robot.toml"
+        f"  locfuse compare {words} --robot robot.toml\n"
+        f"  locfuse schema robot > {SCHEMA}   (then an editor completes and checks this file)"
     )
 
 
@@ -71,6 +73,10 @@ def _say(made: Draft, words: str, lost: list[str]) -> None:
 
     for line in lost:
         show.say(f"lost: {line}")
+    if made.robot:
+        show.say(
+            f"guessed: {made.robot}: its figures that the log does not tell are taken from locfuse's own files"
+        )
     for guess in made.guesses:
         show.say(f"guessed: {guess}")
     if (nothing := made.overview.choice.absent.get("wheels")) is not None:

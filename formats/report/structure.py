@@ -1,0 +1,148 @@
+"""The structure of report.json and run.json: the keys that programs may rely on, with type, unit and meaning.
+
+A report may hold more keys than these; `schema_version` grows when one of these changes its meaning. None where a
+figure does not exist. Lengths are in metres, times in seconds, angles in degrees where the key ends in `_deg`.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta, Struct
+
+Share = Annotated[float, Meta(ge=0.0)]
+Count = Annotated[int, Meta(ge=0)]
+Figure = float | None  # null where it does not exist: no truth, no reading, or nothing to divide by
+Interval = tuple[float, float]
+
+
+class MadeWith(Struct):
+    """Versions on which the last digits depend."""
+
+    python: str
+    machine: str  # kind of CPU
+    numpy: str | None
+    opencv: str | None
+
+
+class Refused(Struct):
+    """Readings of one stream that were not used."""
+
+    readings: Count
+    of: Count
+
+
+class Input(Struct):
+    """The log that was read."""
+
+    name: str
+    files: list[str]
+    size: Count  # bytes
+    identity: str  # what the content is known by, without reading all of it
+    sha256: str | None  # of all bytes; null where not all were read
+    start: str | None  # time of the first wheel reading, UTC, by the log's clock
+    topics: dict[str, Any]  # role -> topic, or topics
+    messages: dict[str, Count]  # topic -> messages
+    losses: dict[str, Any]  # reason -> what the file lost
+    refused: dict[str, Refused]  # stream -> readings not used
+    dropped: dict[str, dict[str, Count]]  # stream -> reason -> readings not used
+
+
+class SensorConsistency(Struct):
+    """Whether a sensor's noise matches what its innovations show."""
+
+    verdict: str
+    words: str  # the verdict as a sentence
+    scale: Figure = None  # observed standard deviation over the configured one
+    refused: Figure = None  # share of readings that the gate refused
+    cures: dict[str, Any] = {}  # setting -> suggested value
+
+
+class SensorResult(Struct):
+    """What became of one sensor's measurements in one configuration."""
+
+    accepted: Count
+    rejected: Count
+    absent: Count  # readings that gave no measurement
+    nis: Figure  # mean normalised innovation squared per degree of freedom: 1 is right
+    verdicts: dict[str, Count]  # verdict -> measurements
+    consistency: SensorConsistency | None = None
+
+
+class CovarianceConsistency(Struct):
+    """Whether the claimed covariance matches the error against truth."""
+
+    anees: Figure  # average normalised estimation error squared, per degree of freedom: 1 is right
+    bounds: Interval  # 95 % of such drives of a consistent filter lie between
+    states: dict[str, Figure]  # the same of x, y and theta alone
+    words: str
+
+
+class Result(Struct):
+    """The figures of one configuration, filtered or smoothed."""
+
+    configuration: str  # the set of sensors: "odometry", "compass+lrf", "all"
+    smoothed: bool
+    align: str  # how the estimate was laid on the truth before errors were taken: none, origin, se2
+    rates_hz: dict[str, float]  # sensor -> rate that it was thinned to
+    lost: list[Interval]  # s: when the filter said that it was lost
+    notes: list[str]
+    sensors: dict[str, SensorResult]
+    position_rmse_m: Figure
+    position_mean_m: Figure
+    position_median_m: Figure
+    position_max_m: Figure
+    final_position_error_m: Figure
+    x_rmse_m: Figure
+    y_rmse_m: Figure
+    along_rmse_m: Figure  # along the truth's heading
+    cross_rmse_m: Figure  # left of the truth's heading
+    heading_rmse_deg: Figure
+    heading_max_deg: Figure
+    drift_1m: Figure  # relative error over 1 m, as a share
+    drift_5m: Figure  # over 5 m
+    drift_10m: Figure  # over 10 m
+    anees: Figure  # average NEES per degree of freedom: 1 is right; null after alignment
+    truth_coverage: Figure  # share of the drive for which there is truth
+    duration_s: float  # of the log
+    distance_m: float  # by the estimate
+    consistency: CovarianceConsistency | None = None
+
+
+class Truth(Struct):
+    """The reference that errors are taken against."""
+
+    topic: str
+    stamps: Count
+    used: Count
+    heading: bool  # whether it has one
+    distance_m: Figure
+
+
+class Verdict(Struct):
+    """What a sensor is worth, in words."""
+
+    verdict: str  # helps, does nothing, hurts, cannot tell, contradicts
+    words: str
+
+
+class _Common(Struct):
+    schema_version: Literal[1]
+    locfuse: str  # version that wrote it
+    made_with: MadeWith
+    input: Input
+    configurations: dict[str, Result]  # name -> figures
+    truth: Truth | None
+    absent: dict[str, str]  # sensor -> why the log has none
+    notes: list[str]
+    settings: dict[str, Any]  # the effective robot.toml
+
+
+class Report(_Common):
+    """report.json of `locfuse compare`, run.json of `locfuse run`."""
+
+    verdicts: dict[str, Verdict] = {}  # sensor -> verdict; only of a comparison
+    credit: dict[str, Any] | None = None  # factors and intervals behind the verdicts
+    prediction: dict[str, Any] | None = None  # how well each configuration predicts sensors it leaves out
+    consistency: dict[str, SensorConsistency] = {}  # sensor -> verdict on its noise
+    key: str | None = None  # equal for equal input, settings, configurations and version

@@ -1,4 +1,4 @@
-"""Finished drives of `benchmarks.consistency`, kept in a file, so that a run that was stopped goes on where it was."""
+"""Finished drives of `benchmarks.consistency`, kept in a file: a run that was stopped goes on where it was."""
 
 from __future__ import annotations
 

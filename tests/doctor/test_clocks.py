@@ -86,7 +86,7 @@ def test_the_sigma_of_a_lag_is_as_large_as_its_error(late: float) -> None:
 
 
 def test_a_lag_is_said_from_four_of_its_own_sigmas_on() -> None:
-    """20 ms are said of a sensor that another one shows precisely, and of one that only slipping wheels show not."""
+    """20 ms are said where they are known to 4 ms, and not where to 6 ms."""
     said = Lag(0.02, 0.999, 0.98, sigma=0.004)
     assert worth_saying(said)
     assert not worth_saying(said._replace(sigma=0.006))

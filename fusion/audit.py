@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Sequence
 from typing import Any
 
@@ -37,6 +38,7 @@ class Record:
         self._instants: list[int] = []
         self._waiting: list[Innovation] = []  # until there are enough of them to be turned into columns at once
         self._columns: dict[str, NDArray[Any]] = {}
+        self._joint = array("d")  # flat: NIS of a reading as a whole, its degrees of freedom
 
     def add(self, k: int, seen: Sequence[Innovation]) -> None:
         """Note the innovations of one reading at instant k."""
@@ -44,6 +46,10 @@ class Record:
         self._instants += [k] * len(seen)
         if len(self._waiting) > MANY:
             self._write()
+
+    def add_joint(self, nis: float, dof: int) -> None:
+        """Note the squared Mahalanobis distance of all accepted rows of one reading together."""
+        self._joint.extend((nis, dof))
 
     def _write(self) -> None:
         if not self._waiting:
@@ -73,4 +79,5 @@ class Record:
         """Return the record as columns: views, since a copy would hold everything twice for a moment."""
         self._write()
         self._make_room(0, 1)
-        return Audit(**{name: column[: self._rows] for name, column in self._columns.items()})
+        joint = np.array(self._joint).reshape(-1, 2)
+        return Audit(**{name: column[: self._rows] for name, column in self._columns.items()}, joint=joint)

@@ -112,7 +112,7 @@ class Filter:
             if sensor in self._mapping and self.models[sensor].begins_map(measurements[sensor], i):
                 self._begin_frame()
         belief, in_map, models = self.belief, self._in_map, self.models
-        accepted: list[Innovation] = []
+        accepted: list[tuple[str, list[Innovation]]] = []  # of every reading
         heard: list[Innovation] = []
         for sensor, i in due:
             model = models[sensor]
@@ -121,17 +121,31 @@ class Filter:
                 seen = [inflated(innovation) for innovation in seen]
             self._records[sensor].add(k, seen)
             if sensor not in self._listens or not self._listens[sensor][i]:
-                accepted += [innovation for innovation in seen if innovation.verdict == 0]
+                accepted.append((sensor, [innovation for innovation in seen if innovation.verdict == 0]))
             elif models[sensor].teaches:
                 heard += [innovation for innovation in seen if innovation.verdict == 0]
         if heard and isinstance(belief, JointBelief):
             belief.listen(heard)
-        if accepted:
-            belief.correct(accepted)
+        self._correct(accepted)
         for sensor, i in due:
             model = models[sensor]
             model.learn(measurements[sensor], i, belief if model.local else in_map)
         self._record()
+
+    def _correct(self, accepted: Sequence[tuple[str, list[Innovation]]]) -> None:
+        """Correct once by all that was accepted, and note how well readings of several rows fit as a whole."""
+        belief, everything = self.belief, [innovation for _, seen in accepted for innovation in seen]
+        if not everything:
+            return
+        several = [(sensor, seen) for sensor, seen in accepted if len(seen) > 1]
+        if not several or not isinstance(belief, JointBelief):
+            belief.correct(everything)
+            return
+        alone = len(several[0][1]) == len(everything)
+        joint = [] if alone else [belief.joint_nis(seen) for _, seen in several]
+        belief.correct(everything)
+        for (sensor, seen), nis in zip(several, joint or [belief.nis], strict=True):
+            self._records[sensor].add_joint(nis, sum([len(s.y) for s in seen]))
 
     def _move(self, step: Step) -> None:
         """Predict, and let those models know that ask how far the wheels rolled."""

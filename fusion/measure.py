@@ -61,7 +61,9 @@ def measure(
     _drop_dependent(measurements, missing)
     drive = cut(wheels, epoch_ns, measurements, robot, missing, streams.get("truth"), drops)
     repairs = (*notes, *_gap_notes(wheels))
-    return replace(drive, notes=tuple(f"wheels: {note}" for note in repairs), repairs=repairs, fixes=fixes)
+    of_sensors = (f"{name}: {note}" for name, m in drive.measurements.items() for note in m.notes)
+    words = (*(f"wheels: {note}" for note in repairs), *of_sensors)
+    return replace(drive, notes=words, repairs=repairs, fixes=fixes)
 
 
 def _drop_dependent(measurements: dict[str, Measurements], missing: dict[str, str]) -> None:

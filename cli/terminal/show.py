@@ -74,7 +74,7 @@ def result(report: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> N
 def figures(report: Mapping[str, Any]) -> None:
     """Print the configurations and what became of each sensor's measurements."""
     table(tables.brief(report))
-    table(tables.sensors(report).without("verdicts"))
+    table(tables.sensors(report).without("verdicts").without("joint_nis"))
 
 
 def table(shown: Table) -> None:

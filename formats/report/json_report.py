@@ -133,6 +133,7 @@ def _sensor(figures: SensorFigures) -> dict[str, Any]:
         "rejected": figures.rejected,
         "absent": figures.absent,
         "nis": figures.nis,
+        "joint_nis": figures.joint_nis,
         "verdicts": figures.verdicts,
     }
 

@@ -47,6 +47,7 @@ SENSORS = (
     Column("configuration", "in", kind="text"),
     SENSOR,
     *COUNTS,
+    Column("joint_nis", "joint NIS / dof", form="{:.2f}", missing=""),
     Column("verdicts", "not accepted, by reason", kind="long", missing=""),
 )
 RANKING = (

@@ -7,6 +7,7 @@ the wheels contradict is held against those that they do not.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from functools import partial
 
@@ -147,10 +148,11 @@ def lag_notes(wheels: Wheels, measurements: Mapping[str, Measurements]) -> list[
 
 
 def in_words(lag: Lag) -> str:
-    """Return "runs 0.12 s behind the wheels' (correlation ...)"."""
+    """Return "runs 0.12 s (1 sigma: 0.005 s) behind the wheels' (correlation ...)"."""
+    sigma = f" (1 sigma: {lag.sigma:.3f} s)" if math.isfinite(lag.sigma) else ""
     whose = "the wheels'" if lag.against == "wheels" else f"the {lag.against}'s, which agrees with the wheels'"
     return (
-        f"runs {abs(lag.offset):.2f} s {side(lag.offset)} {whose} "
+        f"runs {abs(lag.offset):.2f} s{sigma} {side(lag.offset)} {whose} "
         f"(correlation {lag.without:.3f} as stamped, {lag.correlation:.3f} shifted)"
     )
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
@@ -110,7 +111,9 @@ class LineTracker(Model):
             return [Innovation.unpredicted(first + k, LOST, 2, self._gate) for k in range(last - first)]
         if self.mode == "grow":
             _refuse_a_lone_match(found)
-        return [self._innovation(found, k, first + k, scan) for k in range(last - first)]
+        return [
+            self._with_shared(self._innovation(found, k, first + k, scan), m, found) for k in range(last - first)
+        ]
 
     def _innovation(self, found: Association, k: int, row: int, scan: Scan) -> Innovation:
         p, verdict = found.match[k], 0
@@ -143,6 +146,16 @@ class LineTracker(Model):
             columns=columns,
             H_block=H_block,
         )
+
+    def _with_shared(self, seen: Innovation, m: Measurements, found: Association) -> Innovation:
+        """Return a match with the errors that its line shares with the others of its scan (lines.sweep)."""
+        if seen.verdict or "shared" not in m.extra or not (self.joint or self.mount is not None):
+            return seen
+        r, psi = m.extra["shared"][seen.row].tolist()
+        pair = found.pairs[found.match[seen.row - int(m.first[self._asked])]]
+        if math.cos(pair.psi - float(m.z[seen.row, 1])) < 0.0:  # read as (-r, psi + pi)
+            r = [-g for g in r]
+        return replace(seen, shared=(tuple(r), tuple(psi)))
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Let matched extents grow, and add what is new: all of the first scan, later only in `grow`."""

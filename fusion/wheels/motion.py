@@ -81,6 +81,12 @@ class Wheels:
         """Return the heading (...) [rad, not wrapped] by the wheels alone at times t (...) within the drive."""
         return np.interp(t, self.t, self.pose[:, 2])
 
+    def slips(self, t: Array) -> Array:
+        """Return the variances (..., k - 1, 2) [m^2] of what either wheel rolled between times t (..., k) [s]."""
+        way = np.concatenate((np.zeros((1, 2)), np.cumsum(np.abs(self.rolled), axis=0)))
+        rolled = np.stack([np.interp(t, self.t, column) for column in way.T], axis=-1)
+        return self.noise * np.diff(rolled, axis=-2)
+
     def between(self, t_from: Array, t_to: Array, parameters: bool = False) -> Motions:
         """Pre-integrate n intervals [t_from, t_to], (n,) s each, that do not overlap and are in order.
 

@@ -66,7 +66,7 @@ def draft(paths: Sequence[Place], how: LogOptions, progress: Callable[[str], Non
 
 
 def _with(
-    fixes: Mapping[str, tuple[str, str]], paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None]
+    fixes: Mapping[str, tuple[str, str]], paths: Sequence[Place], how: LogOptions, progress: Callable[[str], None]
 ) -> Overview:
     """Look at the log again, under these settings."""
     return inspect_log(paths, replace(how, sets=(*how.sets, *(fix for fix, _ in fixes.values()))), progress)

@@ -37,7 +37,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "smooth tune paper",
     ),
     "formats": (
-        "caps visible columns thin geometry no_pandas delayed_signals",
+        "caps visible nearest columns thin geometry no_pandas delayed_signals",
         "inputs",
         "whole_files robot",
         "container",
@@ -57,6 +57,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "jobs rerun inspect",
         "fleet",
         "terminal",
+        "comparison",
         "commands",
         "main",
         "__main__ facade",
@@ -74,7 +75,7 @@ OTHERS = {
     "fusion": {"numpy", "msgspec", "cv2", "scipy"},
     "sample_logs": {"numpy", "msgspec", "cv2", "tomli_w"},
 }
-TERMINAL = {"cli/commands", "cli/terminal", "cli/main.py"}  # only here: click, rich, print
+TERMINAL = {"cli/commands", "cli/comparison", "cli/terminal", "cli/main.py"}  # only here: click, rich, print
 CV2 = {"fusion/camera", "formats/results/preview.py", "fusion/doctor/preview.py"}
 ROOM_FILES = range(3, 13)
 ROOMS_OF_ANY_SIZE = {"cli/facade"}

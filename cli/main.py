@@ -31,6 +31,7 @@ COMMANDS = {
     "calibrate": "Find wheel noise, wheel geometry and magnetometer iron from logs.",
     "tune": "Find the noise of wheels and sensors from logs, without truth.",
     "recover": "Copy everything readable of a damaged log into one clean MCAP.",
+    "completion": "Print the script by which a shell completes commands, logs, sensors, keys and topics.",
     "simulate": "Drive a scenario and record it as a log with known truth.",
     "schema": "Print the JSON Schema of robot.toml or report.json, for editors and programs.",
 }
@@ -55,6 +56,18 @@ class LazyGroup(click.Group):
         module = importlib.import_module(f"locfuse.cli.{room}.{cmd_name}")
         command: click.Command = getattr(module, cmd_name)
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command that was typed; one that does not exist is an error that names the nearest."""
+        from locfuse.formats.nearest import nearest
+
+        if args and not args[0].startswith("-") and args[0] not in COMMANDS:
+            near = nearest(args[0], COMMANDS)
+            meant = f"did you mean {near}" if near else f"choose from {', '.join(COMMANDS)}"
+            ctx.fail(f"no command {args[0]!r}; {meant}")
+        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands without importing them."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from locfuse.cli.pipeline.settings import LogOptions
+from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.options import log_options
 from locfuse.cli.terminal.screen import put, reader_may_leave
 
@@ -19,7 +20,7 @@ PICTURES = "pictures"
 
 
 @click.command()
-@click.argument("log", nargs=-1, required=True)
+@click.argument("log", nargs=-1, required=True, shell_complete=completion.logs)
 @click.option("--check", is_flag=True, help="Exit with 3 if something was found that would spoil an estimate.")
 @click.option("--topics", is_flag=True, help="List the topics and nothing else: no message is read.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")

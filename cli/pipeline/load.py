@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Collection, Mapping, Sequence
 from copy import deepcopy
@@ -20,6 +21,7 @@ from locfuse.formats.caps import MAX_ROBOT_TOML
 from locfuse.formats.inputs import read_small
 from locfuse.formats.log.labels import labels
 from locfuse.formats.log.log import Log, open_log
+from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.robot import landmark_map, robot_toml
 from locfuse.formats.url import Place, Url, place
 from locfuse.fusion.data import Drive, Event, LocfuseError, Measurements, UsageError
@@ -35,6 +37,7 @@ from .memory import give_back
 from .settings import ORDERS, PRESETS, LogOptions, Progress, silent
 
 ATTACHMENT = "robot.toml"
+MAX_LISTED = 1000  # entries of a folder among which a mistyped name is looked for
 BASE_TABLES: dict[str, type[msgspec.Struct]] = {
     "wheels": WheelSettings,
     "start": StartSettings,
@@ -82,7 +85,16 @@ def _find(word: str) -> Place:
     samples = sample_logs.names()
     if word in samples:
         return sample_logs.path(word)
-    raise UsageError(f"no such log: {word}. Sample logs: {', '.join(samples)}")
+    near = did_you_mean(word, [*samples, *_beside(path)])
+    raise UsageError(f"no such log: {word}{f'; {near}' if near else '.'} Sample logs: {', '.join(samples)}")
+
+
+def _beside(path: Path) -> list[str]:
+    """Return what lies in the folder of a path that does not exist, as the path would name it."""
+    try:
+        return [str(path.parent / entry.name) for entry in itertools.islice(path.parent.iterdir(), MAX_LISTED)]
+    except OSError:
+        return []
 
 
 def load(

@@ -17,6 +17,7 @@ from . import text_table
 from .screen import put, reader_may_leave, screen
 from .screen import say as on_screen
 
+COLOURS = {"helps": "green", "hurts": "red", "contradicts": "red"}  # of verdicts; the others need none
 NO_TRUTH = "no truth in this log: the error figures do not exist; if a topic holds it: --set truth.topic=/TOPIC"
 
 
@@ -71,6 +72,26 @@ def result(report: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> N
         on_screen(f"{files[0].parent}: {', '.join(file.name for file in files)}")
 
 
+def end(files: Sequence[Path], as_json: bool, wanted: bool) -> None:
+    """Print as the last line where the report lies, and open it in the browser if that is `wanted`."""
+    report = next((file for file in files if file.name.endswith(".html")), None)
+    if report is not None and not as_json:
+        with reader_may_leave():
+            on_screen(f"report: {report}")
+    if wanted:
+        open_page(report)
+
+
+def open_page(page: Path | None) -> None:
+    """Show a page in the user's browser; say so where there is none."""
+    import webbrowser
+
+    if page is None:
+        say("--open: no page was written; add html to --write")
+    elif not webbrowser.open(page.resolve().as_uri()):
+        say(f"--open: no browser was found; open {page} yourself")
+
+
 def figures(report: Mapping[str, Any]) -> None:
     """Print the configurations and what became of each sensor's measurements."""
     table(tables.brief(report))
@@ -117,7 +138,8 @@ def verdicts(report: Mapping[str, Any]) -> None:
 
     console = screen()
     for sensor, verdict in report.get("verdicts", {}).items():
-        console.print(Text.assemble((f"{sensor} {verdict['verdict']}. ", "bold"), verdict["words"]))
+        colour = COLOURS.get(verdict["verdict"], "")
+        console.print(Text.assemble((f"{sensor} {verdict['verdict']}. ", f"bold {colour}"), verdict["words"]))
 
 
 def consistency(report: Mapping[str, Any]) -> None:

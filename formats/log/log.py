@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -18,6 +17,7 @@ from locfuse.formats.messages.fields import FieldError, resolve
 from locfuse.formats.messages.kinds import NUMBER as A_NUMBER
 from locfuse.formats.messages.kinds import check_kind, kind_of
 from locfuse.formats.messages.schema import SchemaError
+from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.robot import transforms
 from locfuse.formats.url import Place
 from locfuse.fusion.data import Ints, LocfuseError, UsageError
@@ -221,8 +221,7 @@ class Log:
 
     def _check(self, topic: str) -> None:
         if topic not in self.topics:
-            near = difflib.get_close_matches(topic, self.topics, 1)
-            hint = f"did you mean {near[0]}?" if near else f"it has {', '.join(self.topics) or 'no topics'}"
+            hint = did_you_mean(topic, self.topics) or f"it has {', '.join(self.topics) or 'no topics'}"
             raise LocfuseError(f"{self.name} has no topic {topic}; {hint}")
         if problem := self.topics[topic].problem:
             raise UnreadableTopicError.of(self.name, topic, problem)

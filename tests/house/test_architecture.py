@@ -37,7 +37,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "smooth tune paper",
     ),
     "formats": (
-        "caps visible columns thin geometry no_pandas delayed_signals url",
+        "caps visible nearest columns thin geometry no_pandas delayed_signals url",
         "inputs",
         "whole_files robot",
         "container",
@@ -58,6 +58,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "jobs rerun inspect",
         "fleet",
         "terminal",
+        "comparison",
         "commands reference",
         "main",
         "__main__ facade",
@@ -76,12 +77,13 @@ OTHERS = {
     "fusion": {"numpy", "msgspec", "cv2", "scipy"},
     "sample_logs": {"numpy", "msgspec", "cv2", "tomli_w"},
 }
-TERMINAL = {
+TERMINAL = {  # only here: click, rich, print
     "cli/commands",
+    "cli/comparison",
     "cli/terminal",
     "cli/reference/schema.py",
     "cli/main.py",
-}  # only here: click, rich, print
+}
 CV2 = {"fusion/camera", "formats/results/preview.py", "fusion/doctor/preview.py"}
 ROOM_FILES = range(3, 13)
 ROOMS_OF_ANY_SIZE = {"cli/facade"}

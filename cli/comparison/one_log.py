@@ -34,6 +34,7 @@ class Wish:
     rerun: RerunOptions
     fleet: FleetOptions
     estimate: tuple[str, ...] = ()
+    open: bool = False  # the page, in the browser
 
     def without_robot(self) -> LogOptions:
         """Return how a log is read but for --robot."""
@@ -81,6 +82,7 @@ def one(log: Sequence[str], wish: Wish) -> int:
     sketch = sketched(rerun, result, show.say)
     del session, result  # Rerun's import takes as much memory as they do
     record(rerun, sketch, files[0].parent, show.say)
+    show.end(files, wish.as_json, wish.open)
     failed = gates.failures(report)
     for line in failed:
         show.say(f"gate: {line}")

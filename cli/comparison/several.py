@@ -62,6 +62,7 @@ def several(words: Sequence[str], wish: Wish) -> int:
         show.say(f"{folder}: {_standing(found)}; the same command goes on with the rest")
         raise ended.by
     _print(summary, files, folder, wish)
+    show.end([folder / name for name in files], wish.as_json, wish.open)
     return _code(found, gates.of_fleet(summary), ended, wish.how.quiet)
 
 

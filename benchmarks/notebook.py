@@ -82,7 +82,7 @@ def without_figures(notebook: dict[str, Any]) -> list[Any]:
     """Return the cells with the bytes of their figures left out."""
     cells: list[Any] = json.loads(
         json.dumps(notebook["cells"]),
-        object_hook=lambda part: {k: "..." if k == "image/png" else v for k, v in part.items()},
+        object_hook=lambda part: {key: "..." if key == "image/png" else part[key] for key in part},
     )
     return cells
 

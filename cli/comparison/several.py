@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from locfuse.cli.fleet.gates import FleetGates
 from locfuse.cli.fleet.gather import Gathered, gather
 from locfuse.cli.fleet.job import Outcome
+from locfuse.cli.fleet.options import FleetOptions
 from locfuse.cli.fleet.plan import Plan, Wanted, plan
-from locfuse.cli.fleet.queue import NOT_RUN, Ended, Standing, run_all
+from locfuse.cli.fleet.queue import NOT_RUN, Ended, Executor, Standing, run_all
 from locfuse.cli.fleet.robots import PLACE, Robots
 from locfuse.cli.jobs import ci_gates
 from locfuse.cli.pipeline.key import Asked
@@ -104,13 +106,25 @@ def _mark(folder: Path, todo: Plan) -> None:
 
 
 def _run(todo: Plan, wish: Wish) -> Ended:
-    """Run the jobs on threads, each of which waits for a process."""
-    jobs = wish.fleet.jobs
-    with show.progress(wish.how.quiet) as progress, ThreadPoolExecutor(jobs) as threads:
+    """Run the jobs on this machine, or on a cluster."""
+    with show.progress(wish.how.quiet) as progress, _executor(wish.fleet) as (executor, slots):
         for outcome in todo.refused.values():
             _say_failed(outcome)
         watch = _watch(progress, wish.how.quiet)
-        return run_all(list(todo.jobs.values()), threads, jobs, wish.fleet.max_failures, watch)
+        return run_all(list(todo.jobs.values()), executor, slots, wish.fleet.max_failures, watch)
+
+
+@contextmanager
+def _executor(fleet: FleetOptions) -> Iterator[tuple[Executor, int]]:
+    """Yield what runs jobs, and how many at once: threads that each wait for a process, or workers elsewhere."""
+    if fleet.cluster is None:
+        with ThreadPoolExecutor(fleet.jobs) as threads:
+            yield threads, fleet.jobs
+        return
+    from locfuse.cli.fleet.cluster import cluster
+
+    with cluster(fleet.cluster) as workers:
+        yield workers, workers.slots
 
 
 def _watch(progress: show.Progress, quiet: bool) -> Callable[[Standing, Outcome | None], None]:

@@ -41,6 +41,7 @@ class Job(msgspec.Struct, frozen=True, kw_only=True):
     overwrite: bool = False
     cells: tuple[Cell, ...] = (Cell(),)
     again: bool = False  # run it even where its results are there
+    within: str | None = None  # the folder that paths are meant from; None: the current one
 
     @property
     def how(self) -> LogOptions:

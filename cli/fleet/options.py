@@ -15,8 +15,9 @@ class FleetOptions:
     each: tuple[str, ...]
     robot_from: str | None
     sweep: tuple[str, ...]
+    cluster: str | None = None
 
     @property
     def asked(self) -> bool:
         """Whether even a single log is treated as one of many."""
-        return bool(self.each or self.robot_from or self.sweep or self.again)
+        return bool(self.each or self.robot_from or self.sweep or self.again or self.cluster)

@@ -34,6 +34,11 @@ OPTIONS = (
         help="Of several logs, how many to run at once, each in a process of its own.",
     ),
     click.option(
+        "--cluster",
+        metavar="ADDRESS",
+        help="Run the jobs on the workers of a Dask scheduler, such as tcp://127.0.0.1:8786 (docs/fleet.md).",
+    ),
+    click.option(
         "--each",
         type=FOLDER,
         multiple=True,
@@ -74,9 +79,12 @@ def fleet_options(command: F) -> F:
         each: tuple[str, ...],
         robot_from: str | None,
         sweep: tuple[str, ...],
+        cluster: str | None,
         **kwargs: Any,
     ) -> Any:
-        fleet = FleetOptions(jobs, max_failures, again, each, robot_from, sweep)
+        if cluster is not None and jobs > 1:
+            raise click.UsageError("--jobs is for this machine; --cluster runs a job per thread of its workers")
+        fleet = FleetOptions(jobs, max_failures, again, each, robot_from, sweep, cluster)
         return command(*args, fleet=fleet, **kwargs)
 
     decorated: Any = wrapped

@@ -114,7 +114,7 @@ class LineTracker(Model):
         return [self._innovation(found, k, first + k, scan, shared) for k in range(last - first)]
 
     def _innovation(
-        self, found: Association, k: int, row: int, scan: Scan, shared: list[Any] | None
+        self, found: Association, k: int, row: int, scan: Scan, shared: list[Any] | None = None
     ) -> Innovation:
         p, verdict = found.match[k], 0
         if p < 0:

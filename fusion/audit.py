@@ -38,7 +38,7 @@ class Record:
         self._instants: list[int] = []
         self._waiting: list[Innovation] = []  # until there are enough of them to be turned into columns at once
         self._columns: dict[str, NDArray[Any]] = {}
-        self._joint = array("d")  # flat: NIS of a reading as a whole, its degrees of freedom
+        self.joint = array("d")  # flat: y' S^-1 y of all accepted rows of a reading together, its dof
 
     def add(self, k: int, seen: Sequence[Innovation]) -> None:
         """Note the innovations of one reading at instant k."""
@@ -46,10 +46,6 @@ class Record:
         self._instants += [k] * len(seen)
         if len(self._waiting) > MANY:
             self._write()
-
-    def add_joint(self, nis: float, dof: int) -> None:
-        """Note the squared Mahalanobis distance of all accepted rows of one reading together."""
-        self._joint.extend((nis, dof))
 
     def _write(self) -> None:
         if not self._waiting:
@@ -79,5 +75,5 @@ class Record:
         """Return the record as columns: views, since a copy would hold everything twice for a moment."""
         self._write()
         self._make_room(0, 1)
-        joint = np.array(self._joint).reshape(-1, 2)
+        joint = np.array(self.joint).reshape(-1, 2)
         return Audit(**{name: column[: self._rows] for name, column in self._columns.items()}, joint=joint)

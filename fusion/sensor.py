@@ -65,7 +65,7 @@ class Innovation(msgspec.Struct, frozen=True, gc=False):
     R: Matrix  # (d, d)
     columns: tuple[int, ...] = ()  # state columns of the sensor's block, and of the map frame
     H_block: Matrix = ()  # (d, len(columns))
-    shared: Matrix = ()  # (d, k) loadings on errors of unit variance that innovations of one reading share; in R
+    shared: Sequence[Sequence[float]] = ()  # (d, k) unit errors that innovations of one reading share; in R too
 
     @classmethod
     def of(

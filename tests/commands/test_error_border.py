@@ -106,7 +106,7 @@ def test_an_unknown_command_is_one_line_that_names_the_help() -> None:
 def test_a_signal_ends_the_work_with_its_line(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
     def interrupted(**_: object) -> int:
         os.kill(os.getpid(), number)
-        for _ in range(1000):  # its handler runs between two steps
+        for _step in range(1000):  # its handler runs between two steps
             pass
         raise AssertionError("the signal was lost")
 
@@ -130,8 +130,13 @@ def test_on_a_terminal_the_line_begins_behind_that_of_the_key(monkeypatch: pytes
 def test_an_ignored_interrupt_stays_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # as `nohup` leaves it
     try:
-        seen = []
-        monkeypatch.setattr(border.locfuse, "main", lambda **_: seen.append(signal.getsignal(signal.SIGINT)) or 0)
+        seen: list[object] = []
+
+        def asked(**_: object) -> int:
+            seen.append(signal.getsignal(signal.SIGINT))
+            return 0
+
+        monkeypatch.setattr(border.locfuse, "main", asked)
         assert locfuse("info", "x").exit_code == 0
         assert seen == [signal.SIG_IGN]
     finally:

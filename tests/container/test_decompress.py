@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bz2
 import random
+from collections.abc import Callable
 from pathlib import Path
 
 import lz4.frame
@@ -21,7 +22,7 @@ from locfuse.formats.container.zstd_file import unpack_file
 from locfuse.fusion.data import LocfuseError
 
 NOISE = random.Random(1).randbytes(300_000)  # several blocks of every codec
-PACK = {
+PACK: dict[str, Callable[[bytes], bytes]] = {
     "zstd": zstandard.compress,
     "lz4": lambda data: lz4.frame.compress(data, content_checksum=True),
     "bz2": bz2.compress,
@@ -55,9 +56,9 @@ def test_a_claim_beyond_the_cap_is_refused_before_a_byte_is_made() -> None:
 
 
 @pytest.mark.parametrize("read", [decompress, decompress_prefix])
-def test_an_unknown_codec_is_named(read: object) -> None:
+def test_an_unknown_codec_is_named(read: Callable[[bytes, str, int], bytes]) -> None:
     with pytest.raises(DamagedError, match=r"unknown compression 'brotli\\x1b"):
-        read(b"a", "brotli\x1b[2J" + "x" * 90, 1)  # type: ignore[operator]
+        read(b"a", "brotli\x1b[2J" + "x" * 90, 1)
 
 
 @pytest.mark.parametrize("codec", ["zstd", "lz4", "bz2"])

@@ -79,7 +79,7 @@ def test_of_a_cut_off_stream_the_true_beginning_is_kept(codec: str) -> None:
     assert decompress_prefix(packed, codec, 70_000) == NOISE[:70_000]
 
 
-def messages(*contents: bytes) -> tuple[np.ndarray, Messages]:  # type: ignore[type-arg]
+def messages(*contents: bytes) -> tuple[np.ndarray, Messages]:
     length = np.array([len(one) for one in contents], np.int64)
     times = np.arange(len(contents), dtype=np.int64)
     return np.frombuffer(b"".join(contents), np.uint8), Messages(np.cumsum(length) - length, length, times, times)

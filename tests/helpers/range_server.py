@@ -8,7 +8,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
-from urllib.parse import unquote
+from urllib.parse import parse_qs, unquote
+from xml.sax.saxutils import escape
 
 
 @dataclass
@@ -47,7 +48,11 @@ class Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         shelf = self.shelf
-        path = unquote(self.path.lstrip("/"))
+        path, _, query = self.path.lstrip("/").partition("?")
+        path = unquote(path)
+        if "list-type=2" in query:
+            self._list(path, parse_qs(query).get("prefix", [""])[0])
+            return
         if path not in shelf.files or path in shelf.refuse:
             self._head(shelf.refuse.get(path, 404), 0)
             return
@@ -63,6 +68,18 @@ class Handler(BaseHTTPRequestHandler):
             self._send(path, data[start:stop])
 
     do_HEAD = do_PUT = do_GET
+
+    def _list(self, bucket: str, prefix: str) -> None:
+        """Answer as S3 does (ListObjectsV2)."""
+        found = [path for path in sorted(self.shelf.files) if path.startswith(f"{bucket}/{prefix}")]
+        when = "2026-11-01T00:00:00.000Z"
+        entries = "".join(
+            f"<Contents><Key>{escape(key)}</Key><Size>1</Size><LastModified>{when}</LastModified></Contents>"
+            for key in (path.removeprefix(f"{bucket}/") for path in found)
+        )
+        body = f"<ListBucketResult><IsTruncated>false</IsTruncated>{entries}</ListBucketResult>".encode()
+        self._head(200, len(body))
+        self.wfile.write(body)
 
     def _head(self, status: int, length: int, path: str = "", content_range: str = "") -> None:
         self.send_response(status)

@@ -17,13 +17,14 @@ from range_server import Shelf, serving
 from rosbags.rosbag2 import Writer
 
 from benchmarks.make_log import main as make_log
+from locfuse.cli.fleet.words import expanded
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.log.log import Log, open_log
 from locfuse.formats.mcap.summary import read_summary
 from locfuse.formats.remote import objects
 from locfuse.formats.remote.remote_bytes import RemoteBytes
 from locfuse.formats.url import Url
-from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.data import LocfuseError, UsageError
 
 pytest.importorskip("obstore")
 WHAT_DIFFERS = ("identity", "sha256", "etag")  # of the input
@@ -241,6 +242,29 @@ def test_without_credentials_the_line_names_them(shelf: Shelf, monkeypatch: pyte
     shelf.refuse["latest/api/token"] = 403
     monkeypatch.setenv("AWS_METADATA_ENDPOINT", shelf.root)  # where a machine of the cloud would ask
     assert "set AWS_ACCESS_KEY_ID" in refused("s3://bucket/drive.mcap")
+
+
+def test_a_bucket_is_searched_by_patterns_by_folders_and_as_one_log(
+    logs: dict[str, Path], shelf: Shelf, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = {"AWS_ENDPOINT_URL": shelf.root, "AWS_ACCESS_KEY_ID": "a", "AWS_SECRET_ACCESS_KEY": "b"}
+    for name, value in {**settings, "AWS_REGION": "us-east-1"}.items():
+        monkeypatch.setenv(name, value)
+    objects.store.cache_clear()
+    for key in ("day1/a.mcap", "day1/b.mcap", "day1/deep/c.mcap", "day2/d.mcap", "day1/notes.txt"):
+        shelf.put(f"bucket/{key}", logs["none"].read_bytes())
+    day1 = ["s3://bucket/day1/a.mcap", "s3://bucket/day1/b.mcap"]
+    assert expanded(["s3://bucket/day1/*.mcap"]) == day1
+    assert expanded(["s3://bucket/day?/[bd].mcap"]) == [day1[1], "s3://bucket/day2/d.mcap"]
+    assert expanded(["s3://bucket/**/*.mcap"]) == expanded([], ["s3://bucket/"])
+    assert expanded([], ["s3://bucket/day1/"]) == [*day1, "s3://bucket/day1/deep/c.mcap"]
+    one = open_log([Url("s3://bucket/day1/")])
+    assert (one.name, [str(path) for path in one.paths]) == ("day1", day1)
+    with pytest.raises(UsageError, match="nothing fits"):
+        expanded(["s3://bucket/day3/*.mcap"])
+    with pytest.raises(LocfuseError, match="a web server has no list"):
+        expanded([], [f"{shelf.root}/bucket/"])
+    objects.store.cache_clear()
 
 
 def test_an_object_that_changes_while_it_is_read_ends_the_job(logs: dict[str, Path], shelf: Shelf) -> None:

@@ -1,4 +1,4 @@
-"""What the terminal does for who types: the nearest word, units, completion, the report's place, files with comments."""
+"""What the terminal does for who types: nearest words, units, completion, the report's place, comments kept."""
 
 from __future__ import annotations
 

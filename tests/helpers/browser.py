@@ -73,7 +73,7 @@ class Tab:
         self.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
 
     def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
-        held = {"button": "left", "buttons": 1, "clickCount": 1}
+        held: dict[str, Any] = {"button": "left", "buttons": 1, "clickCount": 1}
         self.mouse("mouseMoved", *start)
         self.mouse("mousePressed", *start, **held)
         self.mouse("mouseMoved", *end, button="left", buttons=1)

@@ -12,6 +12,7 @@ from commands import locfuse
 
 from locfuse.cli.jobs import paper, path_following
 from locfuse.cli.jobs.path_following import Driven
+from locfuse.cli.session.session import load
 from locfuse.formats.whole_files import write_results
 
 PATHS = ("rounded_rectangle", "rounded_rectangle_ekf", "rounded_triangle", "rounded_triangle_ekf")
@@ -25,7 +26,7 @@ def circle(radius: float) -> np.ndarray:
 @pytest.fixture(scope="module")
 def found() -> paper.Repeated:
     """Both comparisons for real; of the drives, which take a minute, made-up ones 20 cm beside their path."""
-    compared = {which: paper.load(paper.LOG, preset=p).compare() for which, p in paper.PRESETS.items()}
+    compared = {which: load(paper.LOG, preset=p).compare() for which, p in paper.PRESETS.items()}
     return paper.Repeated(compared, {name: Driven(name, 1, circle(1.7), circle(1.5)) for name in PATHS})
 
 

@@ -32,6 +32,7 @@ COMMANDS = {
     "tune": "Find the noise of wheels and sensors from logs, without truth.",
     "recover": "Copy everything readable of a damaged log into one clean MCAP.",
     "completion": "Print the script by which a shell completes commands, logs, sensors, keys and topics.",
+    "paper": "Repeat the paper's table and figures, with our filter and as printed, on one page.",
     "simulate": "Drive a scenario and record it as a log with known truth.",
     "schema": "Print the JSON Schema of robot.toml or report.json, for editors and programs.",
 }

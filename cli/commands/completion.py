@@ -18,4 +18,4 @@ def completion(shell: str) -> None:
     eval "$(locfuse completion zsh)"                                 # in ~/.zshrc
     locfuse completion fish > ~/.config/fish/completions/locfuse.fish
     """
-    put(script(shell))
+    put(script(shell, click.get_current_context().find_root().command))

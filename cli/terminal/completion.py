@@ -13,16 +13,14 @@ SHELLS = ("bash", "zsh", "fish")
 PAUSED = "_LOCFUSE_COMPLETE"  # the variable by which the shell asks
 
 
-def script(shell: str) -> str:
+def script(shell: str, program: click.Command) -> str:
     """Return the script that a shell sources once: `eval "$(locfuse completion bash)"`."""
     from click.shell_completion import get_completion_class
-
-    from locfuse.cli.main import locfuse
 
     found = get_completion_class(shell)
     if found is None:
         raise click.UsageError(f"no completion for {shell}; choose from {', '.join(SHELLS)}")
-    return found(locfuse, {}, "locfuse", PAUSED).source()
+    return found(program, {}, "locfuse", PAUSED).source()
 
 
 def logs(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:

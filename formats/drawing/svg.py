@@ -74,7 +74,8 @@ def svg(
     x = Axis(x0, x1, left, width - RIGHT, panel.x_log)
     y = Axis(y0, y1, height - BOTTOM, TOP, panel.log)
     parts = [
-        f'<svg class="fig" id="{ident}" viewBox="0 0 {width} {height}" role="img"',
+        f'<svg class="{"fig lanes" if panel.lanes else "fig"}" id="{ident}"',
+        f' viewBox="0 0 {width} {height}" role="img"',
         f' aria-labelledby="{ident}-t {ident}-d" data-axes="{_axes(panel, x, y)}">',
         f'<title id="{ident}-t">{escape(panel.title)}</title><desc id="{ident}-d">{escape(panel.summary)}</desc>',
         f'<clipPath id="{ident}-c"><path d="M{left} {TOP}H{width - RIGHT}V{height - BOTTOM}H{left}z"/></clipPath>',

@@ -13,6 +13,7 @@ from locfuse.fusion.data import Array, Ints
 
 MAX_OFF_LINE_PX = 0.1  # px: a point this near to the line between its neighbours is not seen
 MAX_PASSES = 8
+MAX_DOTS, COARSE_PX = 2500, 2  # so many dots of a panel lie on single px, more on every second
 TOUCHING_PX = 2  # px: dots this near in one column look like a line
 CELL_PX = 0.4  # px: points of a path that follow each other within it look like one
 CROSS_PX = 2.5  # px: half the side of a cross
@@ -52,6 +53,8 @@ def dots_path(x: Array, y: Array) -> str:
     cells = np.unique(np.rint(np.stack((x[good], y[good]), axis=-1)).astype(np.int64), axis=0)
     if len(cells) == 0:
         return ""
+    if len(cells) > MAX_DOTS:  # a dot is wider than two px
+        cells = np.unique(cells // COARSE_PX * COARSE_PX, axis=0)
     step = np.diff(cells, axis=0)
     starts = np.flatnonzero(np.concatenate(([True], (step[:, 0] > 0) | (step[:, 1] > TOUCHING_PX))))
     ends = np.append(starts[1:] - 1, len(cells) - 1)

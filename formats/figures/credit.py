@@ -47,7 +47,7 @@ def credit(scene: Scene) -> Section:
         keys=tuple(dict.fromkeys(m.of for m in marks if not isinstance(m, Strokes))),
         said=WORDS,
     )
-    return Section("credit", "Credit", "", (panel,), columns=1)
+    return Section("credit", "Credit", "", (panel,))
 
 
 def _effect(sensor: str, kind: str, y: float, found: Mapping[str, Any]) -> list[Mark]:

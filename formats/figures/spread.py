@@ -2,61 +2,69 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from locfuse.fusion.data import Array, Evaluation
+from locfuse.fusion.data import Array
 
 from .deviation import MIN_ERROR_M
 from .panels import Band, Mark, Panel, Section, Strokes
 from .scene import Scene, metres
 
+MIN_ERROR_DEG = 1e-3  # a smaller heading error is drawn there
 BINS_PER_DECADE = 12
 MAX_DECADES = 8
 TALLEST = 0.8  # of a lane: the fullest bin of all
 
 
 def spread(scene: Scene) -> Section:
-    """Return the histograms of the position errors on a common logarithmic axis, medians marked."""
+    """Return the histograms of position and heading errors, each on a common logarithmic axis, medians marked."""
     judged = [j for _, j in scene.shown() if len(j.t)]
-    errors = [_errors(j) for j in judged]
-    if not any(len(e) for e in errors):
-        return Section("spread", "", "", ())
-    scale, unit = metres(errors)
-    edges = _edges(np.concatenate(errors))
-    shares = [np.histogram(e, edges)[0] / max(1, len(e)) for e in errors]
-    tallest = max(float(s.max()) for s in shares)
+    position = {j.name: _sizes(np.hypot(*j.deviation.T), MIN_ERROR_M) for j in judged}
+    scale, unit = metres(list(position.values()))
+    heading = {j.name: _sizes(np.degrees(j.heading), MIN_ERROR_DEG) for j in judged if j.heading is not None}
+    panels = (_panel("position", position, scale, unit), _panel("heading", heading, 1.0, "°"))
+    text = "Share of the truth's stamps in bins of equal ratio. The upright line is the median."
+    return Section("spread", "How large the errors are", text, tuple(p for p in panels if p is not None))
+
+
+def _sizes(errors: Array, least: float) -> Array:
+    """Return the finite sizes (k,) of errors, none below what is drawn."""
+    found: Array = np.maximum(np.abs(errors[np.isfinite(errors)]), least)
+    return found
+
+
+def _panel(what: str, errors: Mapping[str, Array], scale: float, unit: str) -> Panel | None:
+    """Return the histograms of one kind of error below each other; None without any."""
+    if not any(len(e) for e in errors.values()):
+        return None
+    edges = _edges(np.concatenate(list(errors.values())))
+    shares = {name: np.histogram(e, edges)[0] / max(1, len(e)) for name, e in errors.items()}
+    tallest = max(float(s.max()) for s in shares.values())
+    x = scale * np.repeat(edges, 2)[1:-1]
     marks: list[Mark] = []
-    for lane, (j, error, share) in enumerate(zip(judged, errors, shares, strict=True)):
+    for lane, (name, share) in enumerate(shares.items()):
         foot = lane + 0.92
-        top = foot - TALLEST * np.repeat(share, 2) / tallest
-        x = scale * np.repeat(edges, 2)[1:-1]
-        marks.append(Band(j.name, x, np.full_like(x, foot), top, solid=True))
-        if len(error):
-            middle = scale * float(np.median(error))
+        marks.append(
+            Band(name, x, np.full_like(x, foot), foot - TALLEST * np.repeat(share, 2) / tallest, solid=True)
+        )
+        if len(errors[name]):
+            middle = scale * float(np.median(errors[name]))
             marks.append(Strokes("median", np.array([[[middle, lane + 0.1], [middle, foot]]])))
-    panel = Panel(
-        name="spread",
-        title="How large the position errors are",
-        y_label="",
-        x_label=f"position error, {unit}",
+    medians = ", ".join(f"{name} {scale * np.median(e):.3g} {unit}" for name, e in errors.items() if len(e))
+    return Panel(
+        name=f"spread_{what}",
+        title=f"How large the {what} errors are",
+        y_label=f"{what} error",
+        x_label=f"{what} error, {unit}",
         marks=tuple(marks),
-        summary="Histograms of the position errors: medians "
-        + ", ".join(f"{j.name} {np.median(e):.4f} m" for j, e in zip(judged, errors, strict=True) if len(e))
-        + ".",
+        summary=f"Histograms of the {what} errors: medians {medians}.",
         x_log=True,
         x_range=(scale * float(edges[0]), scale * float(edges[-1])),
-        y_range=(float(len(judged)), 0.0),
-        lanes=tuple(j.name for j in judged),
+        y_range=(float(len(errors)), 0.0),
+        lanes=tuple(errors),
     )
-    text = "Share of the truth's stamps in bins of equal ratio. The upright line is the median."
-    return Section("spread", "How large the errors are", text, (panel,), columns=1)
-
-
-def _errors(judged: Evaluation) -> Array:
-    """Return the finite position errors (k,) [m], none below what is drawn."""
-    error = np.hypot(*judged.deviation.T)
-    found: Array = np.maximum(error[np.isfinite(error)], MIN_ERROR_M)
-    return found
 
 
 def _edges(errors: Array) -> Array:

@@ -11,7 +11,7 @@ from .panels import Curve, Mark, Panel, Section, Spots, Strokes
 from .route import spots, step, timed_path, track
 from .scene import Scene
 
-MAX_POINTS = 4000  # of a path
+MAX_POINTS = 20_000  # of all paths together
 WALLS = ("walls of the first scan", "walls seen later")
 
 
@@ -25,11 +25,12 @@ def trajectories(scene: Scene) -> Section:
         new = [line for line in mapped.final_map if line.id not in first]
         marks += [Strokes(role, ends(lines)) for role, lines in zip(WALLS, (old, new), strict=True) if lines]
     paths = {e.name: timed_path(e, j) for e, j in scene.shown()}
-    marks += [_curve(name, xy) for name, (_, xy) in paths.items()]
+    most = MAX_POINTS // (len(paths) + 1)
+    marks += [_curve(name, xy, most) for name, (_, xy) in paths.items()]
     truth = scene.drive.truth
     if truth is not None:
         paths["truth"] = truth.t, truth.xy
-        marks.append(_curve("truth", truth.xy))
+        marks.append(_curve("truth", truth.xy, most))
     marks += [Spots("landmark", np.array([x]), np.array([y])) for x, y in scene.landmarks]
     led = paths["truth"] if truth is not None else paths[list(paths)[-1]]
     marks += spots(*led)
@@ -52,8 +53,8 @@ def trajectories(scene: Scene) -> Section:
     return Section("trajectories", "Trajectories", text, (panel,), columns=1)
 
 
-def _curve(name: str, xy: Array) -> Curve:
-    return Curve(name, *xy[evenly(len(xy), MAX_POINTS)].T)
+def _curve(name: str, xy: Array, most: int) -> Curve:
+    return Curve(name, *xy[evenly(len(xy), most)].T)
 
 
 def ends(lines: list[MapLine]) -> Array:

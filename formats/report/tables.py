@@ -102,7 +102,7 @@ def configurations(report: Report, main: bool = True) -> Table:
     """Return the error figures of every configuration that exist, the main ones or all; else how far it went."""
     rows = report["configurations"].values()
     found = [c for c in (MAIN if main else COLUMNS) if any(v.get(c.key) is not None for v in rows)]
-    label = "Figures of every configuration"
+    label = "Main figures of every configuration" if main else "All figures of every configuration"
     return of_values((CONFIGURATION, *(found or (DISTANCE, DURATION))), _configurations(report), label)
 
 

@@ -1,4 +1,4 @@
-"""What the terminal does for who types: the nearest word, units, completion, the report's place, files with comments."""
+"""What the terminal does for who types: nearest words, units, completion, the report's place, comments kept."""
 
 from __future__ import annotations
 
@@ -90,7 +90,12 @@ def test_the_last_line_says_where_the_report_is_and_open_shows_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shown: list[str] = []
-    monkeypatch.setattr("webbrowser.open", lambda address: shown.append(address) or True)
+
+    def show(address: str) -> bool:
+        shown.append(address)
+        return True
+
+    monkeypatch.setattr("webbrowser.open", show)
     words = ("compare", LOG, "--sensors", "compass", "--write", "html")
     done = locfuse(*words, "-o", tmp_path / "out", "--open")
     assert done.stdout.splitlines()[-1] == f"report: {tmp_path}/out/report.html"

@@ -78,7 +78,8 @@ def test_a_track_is_where_the_robot_was_at_even_times() -> None:
 
 def test_the_histogram_holds_every_stamp_and_the_line_is_the_median() -> None:
     scene, _ = small_scene.long(0.5, 3)
-    (panel,) = spread(scene).panels
+    panel, heading = spread(scene).panels
+    assert "°" in heading.x_label
     scale = 1000.0 if "mm" in panel.x_label else 1.0
     for lane, judged in enumerate(scene.evaluations):
         error = scale * np.hypot(*judged.deviation.T)

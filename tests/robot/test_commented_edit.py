@@ -62,5 +62,5 @@ def test_an_empty_file_is_filled() -> None:
     "text", ["wheels.radius = 0.05\n", "[wheels]\nradius = [\n 1,\n 2]\n", "wheels = {radius = 1}\n"]
 )
 def test_what_cannot_be_changed_line_by_line_is_refused_not_broken(text: str) -> None:
-    with pytest.raises(LocfuseError, match="line by line|not valid TOML"):
+    with pytest.raises(LocfuseError, match=r"line by line|not valid TOML"):
         updated(text, {"wheels": {"radius": 0.04}}, "x")

@@ -16,7 +16,7 @@ def straight(n: int, step: float) -> Odometry:
     pose = np.zeros((n + 1, 3))
     pose[:, 0] = step * np.arange(n + 1)
     one = np.diag([1e-6, 4e-6, 2.5e-5])
-    return Odometry(pose, np.arange(n + 1)[:, None, None] * one)
+    return Odometry(pose, np.arange(n + 1.0)[:, None, None] * one)
 
 
 def test_scans_between_exact_keys_take_out_a_slip_that_the_wheels_did_not_see() -> None:
@@ -94,7 +94,7 @@ def test_scans_of_a_robot_that_stands_still_are_left_out() -> None:
     pose: Array = np.zeros((n, 3))
     pose[60:, 0] = 0.1 * np.arange(40)
     odometry = Odometry(pose, np.zeros((n, 3, 3)))
-    t, instants = 0.2 * np.arange(n), np.arange(n)
+    t, instants = np.linspace(0.0, 19.8, n), np.arange(n)
     chosen = moving_scans(odometry, t, instants, np.array([0, 65, 99]))
     assert chosen.min() == 56, "one second before the robot sets out"
     assert 65 not in chosen

@@ -10,13 +10,15 @@ from __future__ import annotations
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Ints
+from locfuse.fusion.data import Array, Drive, Ints, Measurements
 
 from .bridge import Fixes, Spans
 from .keys import Clouds, clouds_of, merged
 from .match import Matches, Targets, match, sources_of
 from .odometry import Odometry, moved
 
+GAP_S = 0.09  # between two scans that are matched: more often says little new
+SCANS_AT_ONCE = 8192  # whose points are held before they are thinned
 REST_S = 1.0  # a robot at rest for so long before and after a scan is where it was: wheels' stamps may be late
 POINTS = 90  # of one scan that are matched
 PRIOR = np.diag([0.1**-2, 0.1**-2, np.radians(4.0) ** -2])  # holds a match where the walls say nothing
@@ -42,7 +44,7 @@ def scans_between(
         return ends
     k = instants[chosen]
     spans = Spans.of(odometry, odometry.at(k), k, keys)
-    targets, sources = Targets(both_ends(clouds, x)), sources_of(clouds_of(m, chosen), POINTS)
+    targets, sources = Targets(both_ends(clouds, x)), points_of(m, chosen)
     xi, information = np.zeros((len(k), 3)), np.zeros((len(k), 3, 3))
     fixes, asked = ends, np.arange(len(k))
     for _ in range(ROUNDS):
@@ -68,7 +70,23 @@ def moving_scans(odometry: Odometry, t: Array, instants: Ints, readings: Ints) -
     after = np.searchsorted(t, t[instants] + REST_S, side="right") - 1
     moved = (way[after] > way[before]) | (turned[after] > turned[before])
     moved[readings], moved[: readings[0]], moved[readings[-1] :] = False, False, False
-    return np.flatnonzero(moved)
+    chosen, last = [], -np.inf
+    for i in np.flatnonzero(moved).tolist():
+        if t[instants[i]] - last >= GAP_S:
+            chosen.append(i)
+            last = t[instants[i]]
+    return np.array(chosen, dtype=np.int64)
+
+
+def points_of(m: Measurements, chosen: Ints) -> Clouds:
+    """Return the points of these readings that are matched, read in parts so that few whole scans are held."""
+    cuts = np.arange(SCANS_AT_ONCE, len(chosen), SCANS_AT_ONCE)
+    parts = [sources_of(clouds_of(m, part), POINTS) for part in np.split(chosen, cuts)]
+    counts = np.concatenate([np.diff(part.first) for part in parts])
+    first = np.concatenate(([0], np.cumsum(counts)))
+    return Clouds(
+        first, np.concatenate([part.xy for part in parts]), np.concatenate([part.normal for part in parts])
+    )
 
 
 def both_ends(clouds: Clouds, x: Array) -> Clouds:

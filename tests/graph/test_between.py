@@ -1,11 +1,13 @@
 """Between two key poses the scans correct the wheels."""
 
 import numpy as np
+import pytest
 from ring_drive import ring_drive
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array
-from locfuse.fusion.graph.between import STEP, moving_scans, scans_between, smoothed
+from locfuse.fusion.graph import between
+from locfuse.fusion.graph.between import STEP, moving_scans, points_of, scans_between, smoothed
 from locfuse.fusion.graph.bridge import Fixes, Spans, bridged
 from locfuse.fusion.graph.keys import choose_keys, clouds_of
 from locfuse.fusion.graph.odometry import Odometry, odometry_of
@@ -35,11 +37,11 @@ def test_scans_between_exact_keys_take_out_a_slip_that_the_wheels_did_not_see() 
     slipped = Odometry(pose, odometry.C).loosened()
     clouds = clouds_of(drive.measurements["lrf"], readings)
     P = np.tile(np.diag([1e-6, 1e-6, 1e-8]), (len(keys), 1, 1))
-    between = slice(int(keys[20]), int(keys[61]))
+    span = slice(int(keys[20]), int(keys[61]))
 
     def heading(fixes: Fixes) -> float:
         at, _ = bridged(slipped, slipped, np.arange(len(drive.t)), keys, truth[keys], P, P[1:], fixes)
-        return float(np.degrees(np.sqrt((se2.wrap_all(at[between, 2] - truth[between, 2]) ** 2).mean())))
+        return float(np.degrees(np.sqrt((se2.wrap_all(at[span, 2] - truth[span, 2]) ** 2).mean())))
 
     by_wheels = heading(Fixes.of_keys(slipped, keys, truth[keys]))
     by_scans = heading(scans_between(slipped, drive, "lrf", readings, clouds, truth[keys]))
@@ -99,3 +101,23 @@ def test_scans_of_a_robot_that_stands_still_are_left_out() -> None:
     assert chosen.min() == 56, "one second before the robot sets out"
     assert 65 not in chosen
     assert 99 not in chosen
+
+
+def test_scans_read_in_parts_are_the_same_scans(monkeypatch: pytest.MonkeyPatch) -> None:
+    drive, _ = ring_drive(3)
+    m, chosen = drive.measurements["lrf"], np.arange(5, 60, 3)
+    whole = points_of(m, chosen)
+    monkeypatch.setattr(between, "SCANS_AT_ONCE", 4)
+    parts = points_of(m, chosen)
+    for one, other in zip(vars(whole).values(), vars(parts).values(), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_of_a_fast_laser_ten_scans_a_second_are_enough() -> None:
+    n = 401
+    pose: Array = np.zeros((n, 3))
+    pose[:, 0] = 0.01 * np.arange(n)
+    t = np.linspace(0.0, 10.0, n)  # 40 Hz
+    chosen = moving_scans(Odometry(pose, np.zeros((n, 3, 3))), t, np.arange(n), np.array([0, n - 1]))
+    assert np.diff(t[chosen]).min() >= 0.09
+    assert len(chosen) > 95

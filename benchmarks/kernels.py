@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from benchmarks import textbook_lines
 from locfuse.formats.log.log import open_log
-from locfuse.fusion.camera.detect import Detector
-from locfuse.fusion.camera.images import compressed
+from locfuse.fusion.camera.detect import Detector, detect
 from locfuse.fusion.ekf.belief_pose import PoseBelief
 from locfuse.fusion.lines.extract import extract_lines
 from locfuse.fusion.sensor import Innovation
@@ -140,7 +139,7 @@ def omni(path: Path) -> tuple[Work, Work]:
     detector = Detector()
 
     def ours() -> int:
-        return sum(1 for data in jpegs if detector.find(np.asarray(compressed(data, "jpeg"))) is not None)
+        return sum(1 for data in jpegs if not isinstance(detect((data, "jpeg"), detector), str))
 
     def theirs() -> int:
         return sum(1 for d in jpegs if cv2.imdecode(np.frombuffer(d, np.uint8), cv2.IMREAD_COLOR) is not None)

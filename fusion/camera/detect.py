@@ -18,12 +18,13 @@ import numpy as np
 from locfuse.fusion.data import Stream
 
 from . import panorama, radial
-from .images import decode, messages
+from .images import coarse_size, decode, messages
 from .optics import Optics
 from .panorama import Candidate, Picture, Red
 
 Chain = Literal["fast", "paper", "printed"]
 MAX_THREADS = 4  # at most: more only wait for the interpreter
+MIN_HALF_RADIUS_PX = 120.0  # px of the mirror in the whole picture; a smaller one is not looked at in half size
 
 
 class Detection(NamedTuple):
@@ -69,9 +70,26 @@ class Detector:
             found = panorama.candidates(picture, optics, self.red, printed=self.chain == "printed")
         return Detection((picture.shape[0], picture.shape[1]), optics, found)
 
+    def is_half_enough(self, shape: tuple[int, int]) -> bool:
+        """Return whether a picture (h, w) with coarse colour shows at half size all that it shows whole."""
+        return self.chain == "fast" and self.optics(shape).outer >= MIN_HALF_RADIUS_PX
+
+    def find_in_half(self, picture: Picture, shape: tuple[int, int]) -> Detection:
+        """Return the candidates, in pixels of the whole picture `shape` (h, w), of a picture at half its size."""
+        optics = self.optics(shape)
+        found = radial.candidates(self.coloured(picture), optics.halved(), self.red.halved())
+        return Detection(shape, optics, [candidate.doubled() for candidate in found])
+
 
 def detect(message: tuple[Any, ...], detector: Detector) -> Detection | str:
-    """Return what the picture of one message shows, or the reason why there is no picture."""
+    """Return what the picture of one message shows, or the reason why there is no picture.
+
+    A JPEG that keeps colour at half resolution is decoded at that: a third of the work, and nothing red is lost.
+    """
+    shape = coarse_size(message)
+    if shape is not None and detector.is_half_enough(shape):
+        picture = decode(message, half=True)
+        return picture if isinstance(picture, str) else detector.find_in_half(picture, shape)
     picture = decode(message)
     return picture if isinstance(picture, str) else detector.find(picture)
 

@@ -1,6 +1,6 @@
 """How large a JPEG or PNG says it is, read from its header: before anything is decoded.
 
-What is truncated is told here too: OpenCV 4 and 5 differ there, and libjpeg writes to stderr about it.
+What is truncated is found here too: OpenCV 4 and 5 differ there, and libjpeg writes to stderr about it.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ MIN_TAIL_BYTES = 8  # bytes: shorter than what follows a frame header
 FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # SOF markers: the frame's size follows
 BARE = frozenset({0x01, *range(0xD0, 0xD8)})  # markers without a length
 END = frozenset({0xD9, 0xDA})  # end of image, start of scan: the size should have come before
+COLOURS = 3  # components of a colour picture: Y, Cb, Cr
 
 
 def image_size(data: memoryview) -> tuple[int, int] | None:
@@ -20,16 +21,32 @@ def image_size(data: memoryview) -> tuple[int, int] | None:
     return _jpeg_size(data) if bytes(data[:2]) == JPEG else None
 
 
+def has_coarse_colour(data: memoryview) -> bool:
+    """Return whether a JPEG keeps its colour at half the brightness' resolution or less (4:2:0, 4:2:2)."""
+    at = _frame(data)
+    if at is None or len(data) < at + 10 + 3 * COLOURS or data[at + 9] != COLOURS:
+        return False
+    sampling = [data[at + 11 + 3 * k] for k in range(COLOURS)]  # horizontal in the high half of the byte
+    return all(sampling[0] >> 4 >= 2 * (other >> 4) > 0 for other in sampling[1:])
+
+
 def _jpeg_size(data: memoryview) -> tuple[int, int] | None:
-    """Walk the JPEG's segments to its frame header (ITU-T T.81, B.2.2)."""
+    at = _frame(data)
+    if at is None:
+        return None
+    # inside a scan 0xFF is always followed by 0; the end is nearly always the end
+    whole = EOI in bytes(data[-MIN_TAIL_BYTES:]) or EOI in bytes(data[at + 9 :])
+    height, width = (int.from_bytes(data[at + k : at + k + 2], "big") for k in (5, 7))
+    return (width, height) if whole else None
+
+
+def _frame(data: memoryview) -> int | None:
+    """Return where a JPEG's frame header begins: walk its segments (ITU-T T.81, B.2.2)."""
     at = 2
     while at + 9 <= len(data) and data[at] == 0xFF:
         marker = data[at + 1]
         if marker in FRAMES:
-            # inside a scan 0xFF is always followed by 0; the end is nearly always the end
-            whole = EOI in bytes(data[-MIN_TAIL_BYTES:]) or EOI in bytes(data[at + 9 :])
-            height, width = (int.from_bytes(data[at + k : at + k + 2], "big") for k in (5, 7))
-            return (width, height) if whole else None
+            return at
         if marker in END:
             return None
         if marker == 0xFF:  # fill byte

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from locfuse.fusion.data import Stream
 
 from .decoder_words import listened, tells_of_damage
-from .image_header import image_size
+from .image_header import has_coarse_colour, image_size
 from .opencv import MAX_PIXELS, cv2
 
 Picture = NDArray[np.uint8]
@@ -42,8 +42,8 @@ _ENCODINGS: dict[str, tuple[int, int | None]] = {
 }
 
 
-def compressed(data: Any, layout: str) -> Picture | str:
-    """Return the BGR picture of a sensor_msgs/CompressedImage, or why there is none.
+def compressed(data: Any, layout: str, half: bool = False) -> Picture | str:
+    """Return the BGR picture of a sensor_msgs/CompressedImage, or why there is none; at `half` its size.
 
     `layout` is the message's format: "jpeg", or image_transport's "bgr8; jpeg compressed bgr8", where
     "compressed rgb8" says that the file itself holds R and B swapped. Pixels stay where the sensor put
@@ -57,7 +57,7 @@ def compressed(data: Any, layout: str) -> Picture | str:
         return UNREADABLE
     if size[0] * size[1] > MAX_PIXELS:
         return TOO_LARGE
-    picture, words = listened(lambda: _decoded(data))
+    picture, words = listened(lambda: _decoded(data, half))
     if picture is None:
         return UNREADABLE
     if tells_of_damage(words):
@@ -68,8 +68,18 @@ def compressed(data: Any, layout: str) -> Picture | str:
     return np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR) if swapped else picture, np.uint8)
 
 
-def _decoded(data: Any) -> NDArray[Any] | None:
-    flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
+def coarse_size(message: tuple[Any, ...]) -> tuple[int, int] | None:
+    """Return (height, width) [px] of a message's picture if it is a JPEG with colour at half resolution."""
+    if len(message) != 2:
+        return None
+    data = memoryview(message[0]).cast("B")
+    size = image_size(data)
+    return (size[1], size[0]) if size is not None and has_coarse_colour(data) else None
+
+
+def _decoded(data: Any, half: bool) -> NDArray[Any] | None:
+    flags = cv2.IMREAD_REDUCED_COLOR_2 if half else cv2.IMREAD_ANYCOLOR
+    flags |= cv2.IMREAD_IGNORE_ORIENTATION
     try:
         return cast("NDArray[Any] | None", cv2.imdecode(np.frombuffer(data, np.uint8), flags))
     except cv2.error:
@@ -90,10 +100,10 @@ def raw(data: Any, width: int, height: int, encoding: str, step: int) -> Picture
     return pixels if conversion is None else np.asarray(cv2.cvtColor(pixels, conversion), np.uint8)
 
 
-def decode(message: tuple[Any, ...]) -> Picture | str:
-    """Return the picture of one message, given its `FIELDS` in order."""
+def decode(message: tuple[Any, ...], half: bool = False) -> Picture | str:
+    """Return the picture of one message, given its `FIELDS` in order; at `half` its size if it is compressed."""
     if len(message) == 2:
-        return compressed(*message)
+        return compressed(*message, half=half)
     data, width, height, encoding, step = message
     return raw(data, int(width), int(height), encoding, int(step))
 

@@ -25,6 +25,11 @@ class Optics(NamedTuple):
     zero: float = 0.0  # rad, bearing in the camera's frame that column 0 looks at
     clockwise: bool = False  # columns turn clockwise in the world, seen from above
 
+    def halved(self) -> Optics:
+        """Return the calibration of the same picture at half its size: two by two pixels become one."""
+        x, y = (self.x_c - 0.5) / 2.0, (self.y_c - 0.5) / 2.0
+        return self._replace(x_c=x, y_c=y, inner=self.inner / 2.0, outer=self.outer / 2.0)
+
     @property
     def rows(self) -> int:
         """Height of the panorama, px."""

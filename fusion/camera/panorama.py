@@ -36,6 +36,10 @@ class Red(NamedTuple):
     length: float = 12.0  # px along the radius
     slender: float = 1.5  # length over width
 
+    def halved(self) -> Red:
+        """Return what counts as red in the same picture at half its size."""
+        return self._replace(length=self.length / 2.0)
+
 
 class Candidate(NamedTuple):
     """A vertical red thing in a picture."""
@@ -46,6 +50,15 @@ class Candidate(NamedTuple):
     length: float  # px along the radius
     width: float  # rad
     radius: float  # px, middle of its length
+
+    def doubled(self) -> Candidate:
+        """Return the candidate of a picture at half size in pixels of the whole one.
+
+        Its edge is known within EDGE_PX of the whole picture: a JPEG with coarse colour holds no more in either.
+        """
+        length, radius = 2.0 * self.length, 2.0 * self.radius
+        known = variance(self.theta, radius, length, self.width)
+        return Candidate(self.theta, known, 4.0 * self.pixels, length, self.width, radius)
 
 
 def denoise(picture: Picture) -> Picture:

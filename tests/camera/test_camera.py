@@ -497,7 +497,7 @@ def test_bearings_of_the_clean_sample_logs_are_within_a_fifth_of_a_degree_of_the
     fast, paper = (sample_errors_deg(name, chain) for chain in ("fast", "paper"))
     assert np.sqrt(np.mean(fast**2)) < 0.2
     assert np.abs(fast).max() < 1.0  # no gross error
-    assert np.abs(fast - paper).max() < 0.15
+    assert np.abs(fast - paper).max() < 0.25  # the fast chain looks at half the size: the colour has no more
 
 
 def sample_errors_deg(name: str, chain: str) -> NDArray[np.float64]:

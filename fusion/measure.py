@@ -35,8 +35,8 @@ def measure(
 ) -> Drive:
     """Measure a log: `streams` holds "wheels", sensors by name, and perhaps "truth".
 
-    Sensors in `known` were measured before, under the same settings of theirs and of the wheels. `motion` is how the
-    robot moved where it was found before: without wheels, from its scans.
+    Sensors in `known` were measured before, under the same settings of theirs and of the wheels. `motion` is how
+    the robot moved where it was found before: without wheels, from its scans.
     Raises LocfuseError where the wheels give no motion or a sensor's readings cannot be understood.
     """
     progress("wheels")

@@ -102,7 +102,7 @@ def _bodies(log: Log, choice: Choice) -> tuple[list[str], str]:
 
 
 def _scans(log: Log, robot: Robot) -> str | None:
-    """Return the laser whose scans say how the robot moved: the sensor's own where it is named, else the only one."""
+    """Return the laser whose scans say how the robot moved: the sensor's own where named, else the only one."""
     named = robot.settings("lrf").topic
     filled = [t for t in of_type(log, (SCANS,)) if log.topics[t].count]
     return named if named in filled else one(log, "wheels", None, filled, WHEEL_READS)

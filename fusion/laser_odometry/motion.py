@@ -111,10 +111,9 @@ def _block(scans: Scans, rows: Ints, velocity: Velocity, way: _Way) -> tuple[Vel
         found, keys = _expected(velocity, scans.t[rows], way, rows)
         return found, keys
     targets, sources = Targets(clouds), sources_of(clouds)
-    velocities, fits = _followed(targets, sources, np.diff(scans.t[rows]), velocity)
     dt = np.diff(scans.t[rows])
+    velocities, spread, fits = _followed(targets, sources, dt, velocity)
     steps = np.stack([v.v for v in velocities]) * dt[:, None]
-    spread = np.stack([v.P for v in velocities]) * np.square(dt)[:, None, None]
     chain = _chained(se2.exp(steps))
     key = _keys(chain)
     _to_keys(targets, sources, chain, key, spread, way, rows)
@@ -127,24 +126,29 @@ def _expected(velocity: Velocity, t: Array, way: _Way, rows: Ints) -> tuple[Velo
     """Go on as before through scans (m,) that saw nothing."""
     for row, span in zip(rows[1:].tolist(), np.diff(t).tolist(), strict=True):
         velocity = velocity.after(span)
-        way.step[row], way.P[row], way.blind[row] = se2.exp(velocity.v * span), velocity.P * span * span, True
+        way.step[row], way.P[row] = se2.exp(velocity.v * span), velocity.spread(velocity, span)
+        way.blind[row] = True
     return velocity, len(rows) - 1
 
 
-def _followed(targets: Targets, sources: Clouds, dt: Array, known: Velocity) -> tuple[list[Velocity], Array]:
-    """Match every scan with the one before, from where the velocity leads; return it after each, and which match.
+def _followed(
+    targets: Targets, sources: Clouds, dt: Array, known: Velocity
+) -> tuple[list[Velocity], Array, Array]:
+    """Match every scan with the one before, from where the velocity leads.
 
-    One after the other: two scans of a corridor match nearly as well half a step too short, and only the velocity
-    so far says which it is.
+    Returns the n velocities found, the covariances (n, 3, 3) of the steps, and which pairs match (n,). One after
+    the other: two scans of a corridor match nearly as well half a step too short, and only the velocity so far
+    says which it is.
     """
-    found, fits = [], []
+    found, spread, fits = [], [], []
     for k, span in enumerate(dt.tolist()):
-        known = known.after(span)
-        pair = _neighbours(targets, sources, np.array([k]), known, span)
+        before = known.after(span)
+        pair = _neighbours(targets, sources, np.array([k]), before, span)
         fits.append(bool(_fits(pair)[0]))
-        known = known.corrected(span, se2.log(pair.pose)[0], _believed(pair)[0])
+        known = before.corrected(span, se2.log(pair.pose)[0], _believed(pair)[0])
         found.append(known)
-    return found, np.array(fits)
+        spread.append(known.spread(before, span))
+    return found, np.array(spread), np.array(fits)
 
 
 def _neighbours(targets: Targets, sources: Clouds, k: Ints, known: Velocity, dt: float) -> Matches:
@@ -198,7 +202,7 @@ def _chained(steps: Array) -> Array:
 
 
 def _keys(chain: Array) -> Ints:
-    """Return the key of each scan (m,): an earlier one that is neither far nor turned away; the first is its own."""
+    """Return the key of each scan (m,): an earlier one, neither far nor turned away; the first is its own."""
     key, at = np.zeros(len(chain), dtype=np.int64), 0
     for k, (x, y, theta) in enumerate(chain.tolist()):
         key[k] = at

@@ -1,4 +1,4 @@
-"""A log with a laser and nothing else: the motion comes from its scans, and where they say nothing that is said."""
+"""A log with a laser and nothing else: the motion comes from its scans, and P says where they say nothing."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from wheel_bags import stamps
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, ArrayStream, LocfuseError, Ragged
 from locfuse.fusion.laser_odometry.motion import read_laser, seen
+from locfuse.fusion.laser_odometry.velocity import FORGOTTEN_S, USUAL, Velocity, standing
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.lrf import LrfSettings, laser_of
 from locfuse.fusion.wheels.motion import Wheels
@@ -95,20 +96,38 @@ def test_where_the_laser_sits_is_taken_into_account() -> None:
     np.testing.assert_allclose(pose[-1], base[-1], atol=0.04)
 
 
-def test_along_a_corridor_the_robot_goes_on_as_fast_as_before_and_says_how_unsure_that_is() -> None:
+def test_along_a_corridor_p_says_that_nobody_knows_how_far_it_went() -> None:
     """Boxes show its speed at first; then it drives on where nothing but two walls is in sight."""
     boxes = np.array(box(-1.0, 0.5, 0.2, 1.0) + box(1.2, -1.0, 2.0, -0.6))
     t = np.arange(0.0, 24.0, PERIOD)
     truth = np.stack((0.8 * t - 5.0, 0 * t, 0 * t), axis=-1)
     wheels = moved(t, truth, np.concatenate((CORRIDOR, boxes))).wheels
     inside = t > 19.0
-    assert np.diff(wheels.pose[inside, 0]).min() > 0.1 * PERIOD, (
-        "it does not stand still: a speed is forgotten within half a minute"
-    )
     along, across = (np.sqrt(wheels.matched[inside[1:], i, i].mean()) for i in (0, 1))
     assert along > 4.0 * across
     end = wheels.between(t[[0]], t[[-1]])
     assert abs(wheels.pose[-1, 0] - 0.8 * t[-1]) < 3.0 * np.sqrt(end.Q[0, 0, 0])
+    assert np.abs(wheels.pose[:, 1]).max() < 0.1
+
+
+def test_a_velocity_goes_on_where_nothing_corrects_it_and_its_error_adds_up() -> None:
+    """Against the closed form of an exponentially correlated speed: 2 sigma^2 tau T for T many tau."""
+    known, dt, total = Velocity(np.array([0.4, 0.0, 0.0]), np.diag(USUAL)), 0.1, 0.0
+    after = known.after(1.0)
+    assert after.v[0] == pytest.approx(0.4 * np.exp(-1.0 / FORGOTTEN_S[0]))
+    for _ in range(1000):
+        before = known.after(dt)
+        known = before.corrected(dt, np.zeros(3), np.zeros((3, 3)))
+        total += known.spread(before, dt)[0, 0]
+    assert total == pytest.approx(2.0 * USUAL[0] * FORGOTTEN_S[0] * 100.0, rel=0.01)
+
+
+def test_a_velocity_that_every_pair_measures_errs_independently() -> None:
+    before = standing().after(0.1)
+    H = np.diag([1e6, 1e6, 1e6])
+    now = before.corrected(0.1, np.array([0.05, 0.0, 0.01]), H)
+    np.testing.assert_allclose(now.v * 0.1, [0.05, 0.0, 0.01], atol=1e-4)
+    np.testing.assert_allclose(now.spread(before, 0.1), np.linalg.inv(H), rtol=0.02, atol=1e-12)
 
 
 def test_information_along_parallel_walls_is_none_and_that_across_stays() -> None:

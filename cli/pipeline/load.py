@@ -24,13 +24,16 @@ from locfuse.formats.log.log import Log, open_log
 from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.robot import landmark_map, robot_toml
 from locfuse.formats.url import Place, Url, place
-from locfuse.fusion.data import Drive, Event, LocfuseError, Measurements, UsageError
+from locfuse.fusion.data import Drive, Event, LocfuseError, Measurements, Stream, UsageError
 from locfuse.fusion.doctor.clocks import lag_notes
 from locfuse.fusion.measure import measure, windowed
 from locfuse.fusion.paper import preset as filters
 from locfuse.fusion.robot import Robot, StartSettings, TruthSettings, WheelSettings
+from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream, merged
+from locfuse.fusion.wheels.odometry import SCANS
+from locfuse.fusion.wheels.read import WheelReading
 
 from .key import asked_tables, with_files
 from .memory import give_back
@@ -151,11 +154,14 @@ def measured(
     streams = _streams(log, choice, str(tables.get("order", "auto")))
     _refuse_lost_wheels(log, choice, streams)
     sensed = {s: parts(streams[s]) for s in REGISTRY if s in streams}
+    if by_scans := "wheels" in streams and streams["wheels"].msgtype == SCANS:
+        sensed.setdefault("lrf", parts(streams["wheels"]))  # where it sits matters, whether or not it is a sensor
     frames = [part.frame_id for s in sensed for part in sensed[s]]
     mounts = mount_tables(transforms_of(log, frames), sensed)
     robot = with_landmarks(make_robot(robot_toml.merge(mounts, shared_turns(tables, sensed), tables)))
     wanted = {role: s for role, s in streams.items() if role not in aside}
-    drive = measure(wanted, robot, choice.absent, progress, known)
+    motion = _motion_of_scans(streams["wheels"], robot, progress) if by_scans else None
+    drive = measure(wanted, robot, choice.absent, progress, known, motion)
     refuse_standing(log, choice, drive.wheels)
     _refuse_other_clock(log, drive)
     preset = (filters.NOTE,) if robot.preset == "paper" else ()
@@ -164,6 +170,15 @@ def measured(
     notes = (*preset, *chosen, *_clock_notes(streams), *_start_notes(robot, drive), *drive.notes, *lags)
     drive = replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes})
     return Loaded(log, robot, choice, drive, tables)
+
+
+def _motion_of_scans(stream: Stream, robot: Robot, progress: Progress) -> WheelReading:
+    """Return how the robot moved by its laser alone: it has no wheels that anybody recorded."""
+    from locfuse.fusion.laser_odometry.motion import read_laser  # SciPy comes with it
+
+    progress("matching scans")
+    lrf = robot.settings("lrf")
+    return read_laser(stream, laser_of(lrf), robot.wheels, lrf.time_offset)
 
 
 def _refuse_other_clock(log: Log, drive: Drive) -> None:

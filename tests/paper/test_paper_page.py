@@ -52,9 +52,8 @@ def test_the_table_sets_the_print_beside_our_filter(found: paper.Repeated, folde
     for which, comparison in found.compared.items():
         for name, figures in comparison.report["configurations"].items():
             assert rows[name][f"{which}_position_rmse_m"] == figures["position_rmse_m"]
-    assert (
-        rows["odometry"]["print_position_rmse_m"] == rows["odometry"]["ours_position_rmse_m"]
-    )  # one motion model
+    alone = rows["odometry"]  # a chord (eq. 3) for an arc makes no difference that is seen
+    assert alone["print_position_rmse_m"] == pytest.approx(alone["ours_position_rmse_m"], rel=1e-3)
     assert rows["all"]["print_position_rmse_m"] > 5 * rows["all"]["ours_position_rmse_m"]
     shown = re.findall(r'data-from="/table/4/ours_position_rmse_m">([\d.]+)', (folder / "paper.html").read_text())
     assert [float(v) for v in shown] == [pytest.approx(rows["all"]["ours_position_rmse_m"], abs=5e-4)]

@@ -131,6 +131,8 @@ def _expected(e: Exception) -> int:
         return _say(f"{what}:{where}{hint}" if where else f"{what}{hint}", 1)
     if isinstance(e, ImportError) and any(words in str(e) for words in NO_ROOM):
         return _say(f"out of memory: a library could not be loaded ({str(e).splitlines()[-1].strip()})", 1)
+    if isinstance(e, RuntimeError) and "can't start new thread" in str(e):
+        return _say("out of memory: a thread could not be started", 1)
     raise e
 
 

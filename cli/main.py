@@ -151,6 +151,8 @@ def _expected(e: Exception) -> int:
         return _say(f"out of memory: a library could not be loaded ({str(e).splitlines()[-1].strip()})", 1)
     if isinstance(e, ModuleNotFoundError) and (package := _package_of(e)) is not None:
         return _say(f"this needs {package}, which is not installed: python -m pip install {package}", 1)
+    if isinstance(e, RuntimeError) and "can't start new thread" in str(e):
+        return _say("out of memory: a thread could not be started", 1)
     raise e
 
 

@@ -266,6 +266,7 @@ class Drive:
         return LocfuseError(why, role=sensor, fixes=self.fixes.get(sensor, ()))
 
 
+MAX_MAGNITUDE = 1e12  # m: a light hour; what is farther away was never measured
 VERDICTS = ("accepted", "gate", "ambiguous", "unmatched", "new", "disturbed", "lost", "repeated")
 
 
@@ -375,6 +376,11 @@ class Estimates:
     def P(self) -> Array:
         """Covariance of the pose, (n, 3, 3), made anew each time: an hour's are too many to lie about."""
         return matrices(self.triangles)
+
+
+def plausible(values: Array) -> NDArray[np.bool_]:
+    """Return where values (any shape; m, rad or degrees) are numbers whose squares can be computed with."""
+    return np.abs(values) < MAX_MAGNITUDE  # so is no NaN
 
 
 def result_name(configuration: str, smoothed: bool) -> str:

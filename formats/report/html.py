@@ -172,6 +172,7 @@ def _strips(report: Mapping[str, Any]) -> dict[str, dict[str, float | str]]:
     if not credit:
         return {}
     effects = {s: (kind, v[kind]) for s, v in credit["sensors"].items() for kind in _kind(v)}
+    effects = {s: (kind, e) for s, (kind, e) in effects.items() if None not in (e["low"], e["high"], e["factor"])}
     ln = [math.log(max(e[k], 1e-6)) for _, e in effects.values() for k in ("low", "high", "factor")]
     low, high = max(-5.0, min([*ln, -0.2])), min(7.0, max([*ln, 0.2]))
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 from locfuse.formats.caps import MAX_MAP_FILE
 from locfuse.formats.inputs import csv_rows
-from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.data import MAX_MAGNITUDE, LocfuseError
 
 
 def read(path: Path) -> dict[str, tuple[float, float]]:
@@ -25,8 +24,10 @@ def read(path: Path) -> dict[str, tuple[float, float]]:
             ident, place = str(int(key)), (float(x), float(y))
         except (ValueError, IndexError):
             raise LocfuseError(f"{path}: line {number} is not id, x, y: {','.join(row)[:60]!r}") from None
-        if not all(map(math.isfinite, place)):
-            raise LocfuseError(f"{path}: line {number}: a landmark stands somewhere: x and y must be finite")
+        if not all(abs(one) < MAX_MAGNITUDE for one in place):
+            raise LocfuseError(
+                f"{path}: line {number}: a landmark stands somewhere: x and y must be finite"
+            )
         if ident in found:
             raise LocfuseError(f"{path}: id {ident} occurs twice (lines {lines[ident]} and {number})")
         found[ident], lines[ident] = place, number

@@ -51,6 +51,7 @@ def caused(by: BaseException) -> RuntimeError:
             1,
             "out of memory: a library could not be loaded (failed to map segment from shared object)",
         ),
+        (RuntimeError("can't start new thread"), 1, "out of memory: a thread could not be started"),
         (click.BadParameter("not a number."), 2, "Invalid value: not a number; see: locfuse --help"),
         (click.Abort(), 130, "interrupted; nothing was left half-written"),
         (KeyboardInterrupt(), 130, "interrupted; nothing was left half-written"),

@@ -14,12 +14,15 @@ from bags import Said, cdr, header
 from commands import locfuse
 from evo.core import metrics, sync
 from evo.tools import file_interface
+from hostile import sample
+from hostile import write as sample_write
 from numpy.typing import NDArray
 from wheel_bags import custom, log_of, stamps
 
 from locfuse.formats import inputs
 from locfuse.formats.log.file_stream import FileStream, read_file
 from locfuse.formats.log.log import open_log
+from locfuse.formats.report.html import _strips
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import TruthSettings
 from locfuse.fusion.truth import read_truth
@@ -236,3 +239,36 @@ def test_a_small_file_takes_little_memory_however_much_may_be_read(tmp_path: Pat
         assert tracemalloc.get_traced_memory()[1] < 1 << 20
     finally:
         tracemalloc.stop()
+
+
+def test_a_place_beyond_the_solar_system_was_never_measured(tmp_path: Path) -> None:
+    log = sample_write(tmp_path / "a.mcap", seconds=1.5)
+    begin = sample()[0][0].log_time
+    where = [1e300 if i % 2 else 1.0 for i in range(16)]
+    rows = [f"{(begin + i * 10**8) / 1e9:.3f},{x},1,0" for i, x in enumerate(where)]
+    truth = tmp_path / "t.csv"
+    truth.write_text("\n".join(("t,x,y,theta", *rows)))
+    done = locfuse("compare", log, "-o", tmp_path / "o", "--truth", truth)
+    assert done.exit_code == 0
+    report = json.loads((tmp_path / "o" / "report.json").read_text())
+    assert report["input"]["dropped"]["truth"] == {"not_finite": 8}
+    assert report["configurations"]["odometry"]["position_rmse_m"] < 1e3
+
+
+def test_a_landmark_beyond_the_solar_system_was_never_seen(tmp_path: Path) -> None:
+    log = sample_write(tmp_path / "a.mcap", seconds=1.5)
+    begin = sample()[0][0].log_time
+    (tmp_path / "m.csv").write_text("id,x,y\n1,3,0\n")
+    seen = [f"{(begin + i * 10**8) / 1e9:.3f},1,{2.0 if i < 8 else 1e300},0" for i in range(16)]
+    (tmp_path / "d.csv").write_text("\n".join(("t,id,range,bearing", *seen)))
+    files = (f"landmarks.map={tmp_path / 'm.csv'}", f"landmarks.file={tmp_path / 'd.csv'}")
+    done = locfuse("run", log, "-o", tmp_path / "o", "--set", files[0], "--set", files[1])
+    assert done.exit_code == 3, done.stderr  # half of the readings is a loss
+    assert "landmarks: 8 of 16 readings refused (8 not finite)" in done.stderr
+
+
+def test_an_effect_without_a_number_has_no_strip() -> None:
+    effect = {"low": 0.5, "high": 2.0, "factor": 1.0}
+    rest = {"credit": None, "leave_one_out": None}
+    sensors = {"a": {"alone": effect, **rest}, "b": {"alone": {**effect, "high": None}, **rest}}
+    assert set(_strips({"credit": {"sensors": sensors}})) == {"a"}

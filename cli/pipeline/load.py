@@ -21,13 +21,16 @@ from locfuse.formats.inputs import read_small
 from locfuse.formats.log.labels import labels
 from locfuse.formats.log.log import Log, open_log
 from locfuse.formats.robot import landmark_map, robot_toml
-from locfuse.fusion.data import Drive, Event, LocfuseError, Measurements, UsageError
+from locfuse.fusion.data import Drive, Event, LocfuseError, Measurements, Stream, UsageError
 from locfuse.fusion.doctor.clocks import lag_notes
 from locfuse.fusion.measure import measure, windowed
 from locfuse.fusion.paper import preset as filters
 from locfuse.fusion.robot import Robot, StartSettings, TruthSettings, WheelSettings
+from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream, merged
+from locfuse.fusion.wheels.odometry import SCANS
+from locfuse.fusion.wheels.read import WheelReading
 
 from .key import asked_tables
 from .memory import give_back
@@ -134,11 +137,14 @@ def measured(
     streams = _streams(log, choice, str(tables.get("order", "auto")))
     _refuse_lost_wheels(log, choice, streams)
     sensed = {s: parts(streams[s]) for s in REGISTRY if s in streams}
+    if by_scans := "wheels" in streams and streams["wheels"].msgtype == SCANS:
+        sensed.setdefault("lrf", parts(streams["wheels"]))  # where it sits matters, whether or not it is a sensor
     frames = [part.frame_id for s in sensed for part in sensed[s]]
     mounts = mount_tables(transforms_of(log, frames), sensed)
     robot = with_landmarks(make_robot(robot_toml.merge(mounts, shared_turns(tables, sensed), tables)))
     wanted = {role: s for role, s in streams.items() if role not in aside}
-    drive = measure(wanted, robot, choice.absent, progress, known)
+    motion = _motion_of_scans(streams["wheels"], robot, progress) if by_scans else None
+    drive = measure(wanted, robot, choice.absent, progress, known, motion)
     refuse_standing(log, choice, drive.wheels)
     _refuse_other_clock(log, drive)
     preset = (filters.NOTE,) if robot.preset == "paper" else ()
@@ -147,6 +153,15 @@ def measured(
     notes = (*preset, *chosen, *_clock_notes(streams), *_start_notes(robot, drive), *drive.notes, *lags)
     drive = replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes})
     return Loaded(log, robot, choice, drive, tables)
+
+
+def _motion_of_scans(stream: Stream, robot: Robot, progress: Progress) -> WheelReading:
+    """Return how the robot moved by its laser alone: it has no wheels that anybody recorded."""
+    from locfuse.fusion.laser_odometry.motion import read_laser  # SciPy comes with it
+
+    progress("matching scans")
+    lrf = robot.settings("lrf")
+    return read_laser(stream, laser_of(lrf), robot.wheels, lrf.time_offset)
 
 
 def _refuse_other_clock(log: Log, drive: Drive) -> None:
@@ -237,7 +252,10 @@ def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = sil
     _refuse_other_reading(loaded, sets)
     tables = robot_toml.merge(loaded.tables, sets)
     same = {table for table in tables if tables[table] == loaded.tables.get(table)}
-    wheels = "wheels" in same or "wheels" not in tables
+    moving = (
+        ("wheels",) if loaded.drive.wheels.matched is None else ("wheels", "lrf")
+    )  # what the motion comes from
+    wheels = all(table in same or table not in tables for table in moving)
     unchanged = {s: m for s, m in loaded.drive.measurements.items() if wheels and (s in same or s not in tables)}
     found = measured(loaded.log, tables, deepcopy(loaded.choice), progress, known=unchanged)
     asked = None if loaded.asked is None else robot_toml.merge(loaded.asked, sets)

@@ -34,7 +34,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "truth sensors",
         "measure instants judge doctor",
         "fuse graph",
-        "smooth tune paper",
+        "smooth tune paper laser_odometry",
     ),
     "formats": (
         "caps visible columns thin geometry no_pandas delayed_signals",

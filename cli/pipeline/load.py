@@ -287,7 +287,10 @@ def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = sil
     _refuse_other_reading(loaded, sets)
     tables = robot_toml.merge(loaded.tables, sets)
     same = {table for table in tables if tables[table] == loaded.tables.get(table)}
-    wheels = "wheels" in same or "wheels" not in tables
+    moving = (
+        ("wheels",) if loaded.drive.wheels.matched is None else ("wheels", "lrf")
+    )  # what the motion comes from
+    wheels = all(table in same or table not in tables for table in moving)
     unchanged = {s: m for s, m in loaded.drive.measurements.items() if wheels and (s in same or s not in tables)}
     asked = None if loaded.asked is None else with_files(robot_toml.merge(loaded.asked, sets))
     found = measured(loaded.log, tables, deepcopy(loaded.choice), progress, known=unchanged)

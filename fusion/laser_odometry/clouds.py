@@ -67,4 +67,5 @@ def read_scans(stream: Stream, laser: Laser, wheels: WheelMotion) -> Scans:
 def _thinned(points: Array, origin: Array) -> Array:
     """Return the points (k, 2) that are near enough to say something, evenly thinned."""
     near = points[np.hypot(*(points - origin).T) < MAX_RANGE_M]  # False for NaN: no return
-    return near[:: max(1, -(-len(near) // MAX_POINTS))]
+    thinned: Array = near[:: max(1, -(-len(near) // MAX_POINTS))]
+    return thinned

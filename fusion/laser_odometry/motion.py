@@ -22,7 +22,7 @@ from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.read import WheelReading
 
 from .clouds import Scans, Standing, read_scans
-from .velocity import Velocity, standing
+from .velocity import Velocity, inverse, standing
 
 SCANS_AT_ONCE = 400
 KEY_WAY_M, KEY_TURN_RAD, MAX_KEY_SCANS = 0.4, np.radians(20.0), 100  # a new key after as much
@@ -117,7 +117,7 @@ def _block(scans: Scans, rows: Ints, velocity: Velocity, way: _Way) -> tuple[Vel
     chain = _chained(se2.exp(steps))
     key = _keys(chain)
     _to_keys(targets, sources, chain, key, spread, way, rows)
-    way.blind[rows[1:]] = ~fits
+    way.blind[rows[1:]] = np.logical_not(fits)
     last = int(key[-1])
     return (velocities[last - 1] if last else velocities[-1]), (last or len(rows) - 1)
 
@@ -154,7 +154,7 @@ def _followed(
 def _neighbours(targets: Targets, sources: Clouds, k: Ints, known: Velocity, dt: float) -> Matches:
     """Match scan k + 1 with scan k (1,); where that fits badly, as if the robot had turned."""
     guess = se2.exp(known.v * dt)[None]
-    prior = np.linalg.inv(known.P * dt * dt + FLOOR)[None]
+    prior = inverse(known.P * dt * dt + FLOOR)[None]
     found = match(targets, k, sources, k + 1, guess, prior, REACH_M)
     if found.inliers[0] > GOOD_INLIERS and found.overlap[0] > MIN_OVERLAP:
         return found
@@ -164,7 +164,7 @@ def _neighbours(targets: Targets, sources: Clouds, k: Ints, known: Velocity, dt:
     turned = match(targets, again, sources, again + 1, guesses, np.broadcast_to(FIRST_PRIOR, (n, 3, 3)), REACH_M)
     score = turned.inliers * np.sqrt(turned.overlap)
     better = score.max() > found.inliers[0] * np.sqrt(found.overlap[0]) + TURN_GAIN
-    return turned.take(score.argmax()[None]) if better else found
+    return turned.take(np.array([int(score.argmax())])) if better else found
 
 
 def _fits(found: Matches) -> Array:
@@ -221,8 +221,8 @@ def _to_keys(
     guess = se2.between(chain[mine], chain[later])
     total = np.concatenate((np.zeros((1, 3, 3)), np.cumsum(_turned(spread, chain[:-1, 2]), axis=0)))
     P = _turned(total[later] - total[mine], -chain[mine, 2]) + FLOOR
-    found = match(targets, mine, sources, later, guess, np.linalg.inv(P), REACH_M / 2.0)
-    pose, C = _updated(guess, np.linalg.inv(P), found)
+    found = match(targets, mine, sources, later, guess, inverse(P), REACH_M / 2.0)
+    pose, C = _updated(guess, inverse(P), found)
     of_key = np.concatenate((np.zeros((1, 3)), pose))  # of each scan, seen from its key
     same = key[:-1] == mine  # the scan before has the same key
     start = np.where((same & (later - 1 != mine))[:, None], of_key[:-1], 0.0)
@@ -235,7 +235,7 @@ def _updated(guess: Array, prior: Array, found: Matches) -> tuple[Array, Array]:
     full = np.where(_fits(found)[:, None, None], seen(found.information), 0.0)
     off = se2_difference(found.pose, guess)
     step = np.linalg.solve(prior + full, (full @ off[:, :, None]))[:, :, 0]
-    return guess + step, np.asarray(np.linalg.inv(prior + TRUST * full))
+    return guess + step, inverse(prior + TRUST * full)
 
 
 def _shared(C: Array, key: Ints, start: Array) -> Array:

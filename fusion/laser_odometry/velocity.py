@@ -24,6 +24,11 @@ USUAL = np.array([0.5, 0.3, 1.0]) ** 2  # (m/s)^2, (m/s)^2, (rad/s)^2: of a robo
 FORGOTTEN_S = np.array([4.0, 4.0, 1.0])  # s after which a velocity says little: turns change fastest
 
 
+def inverse(P: Array) -> Array:
+    """Return the inverse of matrices (..., n, n)."""
+    return np.asarray(np.linalg.inv(P), np.float64)
+
+
 class Velocity(NamedTuple):
     """A velocity (3,) [m/s, m/s, rad/s] with its covariance (3, 3)."""
 
@@ -37,13 +42,13 @@ class Velocity(NamedTuple):
 
     def corrected(self, dt: float, twist: Array, information: Array) -> Velocity:
         """Return what a motion (3,) over dt [s] with this information (3, 3) leaves of it."""
-        prior = np.linalg.inv(self.P)
-        P = np.linalg.inv(prior + dt * dt * information)
+        prior = inverse(self.P)
+        P = inverse(prior + dt * dt * information)
         return Velocity(P @ (prior @ self.v + dt * (information @ twist)), 0.5 * (P + P.T))
 
     def spread(self, before: Velocity, dt: float) -> Array:
         """Return the covariance (3, 3) of a step of dt [s] at this velocity, which was expected to be `before`."""
-        A = self.P @ np.linalg.inv(before.P) * np.exp(-dt / FORGOTTEN_S)
+        A = self.P @ inverse(before.P) * np.exp(-dt / FORGOTTEN_S)
         M = np.linalg.solve(np.eye(3) - A, A @ self.P)
         values, vectors = np.linalg.eigh(dt * dt * (self.P + M + M.T))
         out: Array = (vectors * np.maximum(values, 0.0)) @ vectors.T

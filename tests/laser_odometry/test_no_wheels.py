@@ -14,6 +14,7 @@ from commands import locfuse
 from ring_drive import box, scan
 from wheel_bags import stamps
 
+import locfuse as locfuse_api
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, ArrayStream, LocfuseError, Ragged
 from locfuse.fusion.laser_odometry.motion import read_laser, seen
@@ -230,6 +231,21 @@ def test_one_sensor_alone_moves_as_in_a_comparison(tmp_path: Path) -> None:
     assert (one.exit_code, all_.exit_code) == (0, 0), one.stderr + all_.stderr
     a, b = (np.loadtxt(f)[-1] for f in (tmp_path / "one/trajectory.tum", tmp_path / "all/odometry.tum"))
     np.testing.assert_allclose(a, b, atol=1e-9)
+
+
+def test_another_clock_of_the_laser_moves_all_sensors_with_it(tmp_path: Path) -> None:
+    """The drive begins at the first scan: what was measured before must not keep the old beginning."""
+    session = locfuse_api.load(laser_bag(tmp_path / "laser.mcap"))
+    later = session.with_settings(["lrf.time_offset=0.5", "lrf.x=0.1"])
+    assert later.drive.epoch_ns - session.drive.epoch_ns == 500_000_000
+    np.testing.assert_allclose(later.drive.measurements["lrf"].t, session.drive.measurements["lrf"].t, atol=1e-6)
+
+
+def test_a_recording_for_rerun_holds_a_drive_without_wheels(tmp_path: Path) -> None:
+    log = laser_bag(tmp_path / "laser.mcap")
+    done = locfuse("run", log, "--sensors", "lrf", "-o", tmp_path / "out", "--rerun-save", tmp_path / "x.rrd")
+    assert done.exit_code == 0, done.stderr
+    assert (tmp_path / "x.rrd").stat().st_size > 10_000
 
 
 def test_a_real_log_of_a_laser_alone_is_used(tmp_path: Path) -> None:

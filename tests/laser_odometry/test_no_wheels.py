@@ -104,6 +104,7 @@ def test_along_a_corridor_p_says_that_nobody_knows_how_far_it_went() -> None:
     truth = np.stack((0.8 * t - 5.0, 0 * t, 0 * t), axis=-1)
     wheels = moved(t, truth, np.concatenate((CORRIDOR, boxes))).wheels
     inside = t > 19.0
+    assert wheels.matched is not None
     along, across = (np.sqrt(wheels.matched[inside[1:], i, i].mean()) for i in (0, 1))
     assert along > 4.0 * across
     end = wheels.between(t[[0]], t[[-1]])
@@ -166,7 +167,9 @@ def test_noise_scales_the_covariance() -> None:
     t, truth = circle(6.0)
     stream, laser = stream_of(t, truth, ROOM), laser_of(LrfSettings())
     once, four = (read_laser(stream, laser, WheelSettings(noise=n), 0.0).wheels for n in (4e-4, 16e-4))
-    np.testing.assert_allclose(four.matched, 4.0 * np.asarray(once.matched))
+    assert once.matched is not None
+    assert four.matched is not None
+    np.testing.assert_allclose(four.matched, 4.0 * once.matched)
 
 
 def test_a_laser_that_sees_nothing_is_refused_in_one_line() -> None:

@@ -38,7 +38,12 @@ COMMANDS = {
 }
 ELSEWHERE = {"schema": "reference"}  # the room of a command that is not in `commands`
 INTERRUPTED, TERMINATED = 130, 143
-PACKAGES = {"cv2": "opencv-python-headless", "rerun": "rerun-sdk"}  # module -> package, where their names differ
+PACKAGES = {  # module -> what to install, where their names differ
+    "cv2": "opencv-python-headless",
+    "distributed": "locfuse[cluster]",
+    "obstore": "locfuse[remote]",
+    "rerun": "rerun-sdk",
+}
 NO_ROOM = ("failed to map segment", "annot allocate memory")  # what the loader says when memory is short
 
 

@@ -21,6 +21,8 @@ FIELDS = ("angle_min", "angle_increment", "time_increment", "range_min", "range_
 class Standing:
     """The motion of a robot of which nothing is known yet: none."""
 
+    track = 1.0  # m, of wheels that never turn
+
     def relative(self, t_from: Array, t_to: Array) -> Array:
         """Return that no pose changes, (n, 3)."""
         return np.zeros((*np.shape(t_to), 3))
@@ -28,6 +30,10 @@ class Standing:
     def heading(self, t: Array) -> Array:
         """Return that nothing turns, (...)."""
         return np.zeros(np.shape(t))
+
+    def slips(self, t: Array) -> Array:
+        """Return that no wheel slips at times t (..., k), (..., k - 1, 2)."""
+        return np.zeros((*np.shape(t)[:-1], np.shape(t)[-1] - 1, 2))
 
 
 @dataclass(frozen=True)

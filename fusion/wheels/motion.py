@@ -90,9 +90,12 @@ class Wheels:
 
     def slips(self, t: Array) -> Array:
         """Return the variances (..., k - 1, 2) [m^2] of what either wheel rolled between times t (..., k) [s]."""
-        way = np.concatenate((np.zeros((1, 2)), np.cumsum(np.abs(self.rolled), axis=0)))
-        rolled = np.stack([np.interp(t, self.t, column) for column in way.T], axis=-1)
-        return self.noise * np.diff(rolled, axis=-2)
+        if self.matched is None:
+            steps = self.noise * np.abs(self.rolled)
+        else:  # of wheels that would leave the turn as uncertain as matching the scans does
+            steps = np.repeat(0.5 * self.track**2 * self.matched[:, 2, 2, None], 2, axis=1)
+        way = np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))
+        return np.diff(np.stack([np.interp(t, self.t, column) for column in way.T], axis=-1), axis=-2)
 
     def between(self, t_from: Array, t_to: Array, parameters: bool = False) -> Motions:
         """Pre-integrate n intervals [t_from, t_to], (n,) s each, that do not overlap and are in order.

@@ -16,6 +16,7 @@ from locfuse.formats.caps import MAX_CHUNK
 from locfuse.formats.container import compressed_messages, zstd_file
 from locfuse.formats.container.compressed_messages import unpack
 from locfuse.formats.container.decompress import DamagedError, decompress, decompress_prefix
+from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.container.source import Messages
 from locfuse.formats.container.zstd_file import unpack_file
@@ -121,7 +122,7 @@ def test_a_message_that_does_not_unpack_or_is_too_long_comes_out_empty(monkeypat
 def test_of_a_cut_off_file_what_is_missing_is_counted(tmp_path: Path) -> None:
     file, losses = tmp_path / "a.mcap.zstd", Losses()
     file.write_bytes(zstandard.compress(NOISE)[:200_000])
-    found = unpack_file(file, losses)
+    found = unpack_file(FileBytes(file, losses), losses)
     beginning = found.where.read_bytes()
     assert NOISE.startswith(beginning)
     assert beginning
@@ -129,7 +130,7 @@ def test_of_a_cut_off_file_what_is_missing_is_counted(tmp_path: Path) -> None:
 
 
 def plain(file: Path, losses: Losses) -> bytes:
-    unpacked_file = unpack_file(file, losses)  # its bytes go with it
+    unpacked_file = unpack_file(FileBytes(file, losses), losses)  # its bytes go with it
     return unpacked_file.where.read_bytes()
 
 
@@ -164,7 +165,7 @@ def test_a_file_that_is_damaged_from_the_beginning_says_so(tmp_path: Path) -> No
     file = tmp_path / "a.mcap.zstd"
     file.write_bytes(b"\x28\xb5\x2f\xfd" + b"\xff" * 40)
     with pytest.raises(LocfuseError, match="damaged from the beginning"):
-        unpack_file(file, Losses())
+        unpack_file(FileBytes(file, Losses()), Losses())
 
 
 def test_a_full_disk_of_temporary_files_is_one_line_and_leaves_nothing(
@@ -179,5 +180,5 @@ def test_a_full_disk_of_temporary_files_is_one_line_and_leaves_nothing(
 
     monkeypatch.setattr(zstd_file, "_unpack", full)
     with pytest.raises(LocfuseError, match=r"cannot be unpacked to .*: No space left on device"):
-        unpack_file(file, Losses())
+        unpack_file(FileBytes(file, Losses()), Losses())
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap.zstd"]

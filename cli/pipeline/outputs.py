@@ -43,7 +43,8 @@ def files(
     compared: Compared, drawn: Drawn, report: Mapping[str, Any], kinds: Collection[str]
 ) -> dict[str, Content]:
     """Return the content of every file of these kinds by its name; `drawn` is what .html shows of the audits."""
-    from locfuse.formats.report import json_report, markdown, tables
+    from locfuse.formats.report import json_report, markdown
+    from locfuse.formats.tables import tables
 
     out: dict[str, Content] = {"robot.toml": results.robot_file(compared.loaded.robot)}
     if "tum" in kinds:

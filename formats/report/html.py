@@ -18,14 +18,12 @@ from locfuse.formats.drawing.svg import HEIGHT, WIDTH, slugs_of, svg
 from locfuse.formats.figures import palette
 from locfuse.formats.figures.palette import Trace
 from locfuse.formats.figures.panels import Section
+from locfuse.formats.tables import tables
+from locfuse.formats.tables.glossary import GLOSSARY
+from locfuse.formats.tables.notes import fingerprint, notes_of, title_of
+from locfuse.formats.tables.render import SIGNS, Swatches, data, html
+from locfuse.formats.tables.table import Path, Piece, Table, written
 from locfuse.fusion.data import REFUSED, Colour
-
-from . import tables
-from .glossary import GLOSSARY
-from .json_report import fingerprint
-from .notes import notes_of, title_of
-from .render import SIGNS, Swatches, data, html
-from .table import Path, Piece, Table, written
 
 if TYPE_CHECKING:
     from markupsafe import Markup

@@ -46,6 +46,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "log",
         "results figures",
         "drawing",
+        "tables",
         "report rerun",
         "fleet",
     ),

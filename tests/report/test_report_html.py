@@ -19,7 +19,8 @@ from commands import locfuse
 
 from locfuse.formats.figures.sections import sections
 from locfuse.formats.report import html as report_html
-from locfuse.formats.report import markdown, tables
+from locfuse.formats.report import markdown
+from locfuse.formats.tables import tables
 from locfuse.fusion.sensors.registry import colours
 
 SENSORS = colours()

@@ -28,3 +28,10 @@ def _whose(words: str, names: Sequence[str]) -> str:
     """Put the configurations before what they found; a sensor's own words name it already."""
     names_them = ", ".join(names)
     return words if words.startswith(f"{names_them}: ") else f"{names_them}: {words}"
+
+
+def fingerprint(source: Mapping[str, Any], digits: int | None = None) -> str:
+    """Return the hash of the input's bytes, or where not all were read, what its content is known by."""
+    if source.get("sha256") is not None:
+        return f"sha256 {source['sha256'][:digits]}"
+    return f"identity {source['identity'][:digits]}"

@@ -11,10 +11,10 @@ import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Ints, Measurements
+from locfuse.fusion.scan_matching.clouds import Clouds, clouds_of, merged
+from locfuse.fusion.scan_matching.match import Matches, Targets, match, sources_of
 
 from .bridge import Fixes, Spans
-from .keys import Clouds, clouds_of, merged
-from .match import Matches, Targets, match, sources_of
 from .odometry import Odometry, moved
 
 GAP_S = 0.09  # between two scans that are matched: more often says little new

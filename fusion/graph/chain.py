@@ -6,9 +6,9 @@ import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.scan_matching.clouds import Clouds
+from locfuse.fusion.scan_matching.match import Matches, Targets, match
 
-from .keys import Clouds
-from .match import Matches, Targets, match
 from .odometry import Odometry, by_lever
 from .solve import Edges, Problem
 
@@ -22,9 +22,7 @@ MIN_INLIERS, MIN_OVERLAP, MAX_RMS_M = 0.6, 0.3, 0.05
 SLIPS_RAD = np.radians([-30.0, -24.0, -18.0, -12.0, -8.0, -4.0, 4.0, 8.0, 12.0, 18.0, 24.0, 30.0])
 SLIP_INLIERS, SLIP_GAIN = 0.75, 0.1  # where fewer points fit a slip is looked for; it must let so many more fit
 LOOSE = np.diag([0.1**-2, 0.1**-2, np.radians(8.0) ** -2])  # the wheels' prior while one is looked for
-INFLATION = (
-    0.3  # of the matches' information: neighbouring scans share errors that the matcher counts as their own
-)
+INFLATION = 0.3  # of the matches' information: errors that neighbouring scans share were counted as their own
 PLACES_AGAIN, MIN_WAY_M, MAX_AGAIN_M = 2, 5.0, 2.5  # earlier visits that a key is matched with again, how near
 
 

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.scan_matching.clouds import Clouds, thinned
+from locfuse.fusion.scan_matching.free_space import MIN_POINTS, Views
+from locfuse.fusion.scan_matching.match import Matches, Targets, match, sources_of
 
-from .keys import MIN_POINTS, Clouds, Views, thinned
-from .match import Matches, Targets, match, sources_of
 from .solve import Edges, Normal, Problem
 from .submaps import Peak, Submaps, correlate
 

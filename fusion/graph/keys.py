@@ -1,57 +1,17 @@
-"""Key poses: the scans that the graph is made of, as points with the direction of the surface at each.
+"""Key poses: the readings that the graph is made of.
 
-A key every half metre or 20 degrees; between two of them the wheels are good enough. A point's surface is the line
-through its neighbours among the beams, where they lie on one.
+A key every half metre or 20 degrees; between two of them the wheels are good enough.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 
-from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Ints, Measurements
+from locfuse.fusion.data import Ints
 
 from .odometry import Odometry
 
 KEY_WAY_M, KEY_TURN_RAD = 0.5, np.radians(20.0)
-MAX_BEAMS = 360  # of a scan that are matched: more cost time and say nothing new
-NEIGHBOURS = 3  # beams to either side that make a surface
-MIN_NEIGHBOURS, MAX_SPREAD_M = 3, 0.03  # how many, and how far off their line at most
-MAX_GAP_M, GAP_SPACINGS = 0.25, 5.0  # neighbours further apart are of different surfaces
-MAX_RANGE_M = 30.0
-CELL_M = 0.05  # of a cloud of many scans one point in each such square is kept
-# free space: a scan that looks through a wall which another one saw contradicts that the two are placed right
-BINS = 360
-MARGIN_M, MARGIN_SHARE = 0.3, 0.03  # a point must lie so much before what was seen behind it
-MIN_POINTS = 20  # in the field of view of the other scan: fewer decide nothing
-
-
-@dataclass(frozen=True)
-class Clouds:
-    """Points of n clouds one after another: cloud i owns the rows first[i]:first[i + 1]."""
-
-    first: Ints  # (n + 1,)
-    xy: Array  # (m, 2) [m], each cloud in its own frame
-    normal: Array  # (m, 2) unit vectors across the surface; NaN where there is none
-
-    def __len__(self) -> int:
-        """Return the number of clouds."""
-        return len(self.first) - 1
-
-    @property
-    def owner(self) -> Ints:
-        """Which cloud each point is of, (m,)."""
-        return np.repeat(np.arange(len(self)), np.diff(self.first))
-
-    def rows(self, clouds: Ints) -> tuple[Ints, Ints]:
-        """Return the rows of these clouds (p,), one after another, and the position in `clouds` of each."""
-        counts = np.diff(self.first)[clouds]
-        ends = np.cumsum(counts)
-        position = np.repeat(np.arange(len(clouds)), counts)
-        return np.arange(ends[-1] if len(ends) else 0) + (self.first[clouds] - ends + counts)[position], position
 
 
 def choose_keys(odometry: Odometry, instants: Ints) -> Ints:
@@ -63,104 +23,3 @@ def choose_keys(odometry: Odometry, instants: Ints) -> Ints:
             chosen.append(i)
             last_way, last_heading = s, theta
     return np.array(chosen, dtype=np.int64)
-
-
-def clouds_of(m: Measurements, readings: Ints) -> Clouds:
-    """Return the points and surfaces of these readings of a laser."""
-    if m.points is None:
-        return Clouds(np.zeros(len(readings) + 1, np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
-    origin = np.array(m.points.origin)
-    found = []
-    for points in m.points.read(readings):
-        near = points[np.hypot(*(points - origin).T) < MAX_RANGE_M]
-        found.append(near[:: max(1, -(-len(near) // MAX_BEAMS))])
-    first = np.concatenate(([0], np.cumsum([len(p) for p in found])))
-    xy = np.concatenate([np.zeros((0, 2)), *found])
-    owner = np.repeat(np.arange(len(found)), np.diff(first))
-    return Clouds(first, xy, normals(xy, owner, origin))
-
-
-def normals(xy: Array, owner: Ints, origin: Array) -> Array:
-    """Return the unit normals (m, 2) at points (m, 2) in the order of the beams, NaN where there is no line."""
-    m = len(xy)
-    if not m:
-        return np.zeros((0, 2))
-    step = np.hypot(*(np.diff(xy, axis=0)).T)
-    ranges = np.hypot(*(xy - origin).T)
-    usual = float(np.median(step / np.maximum(0.5 * (ranges[1:] + ranges[:-1]), 0.1))) if m > 1 else 0.0
-    joined = (step < np.maximum(MAX_GAP_M, GAP_SPACINGS * usual * ranges[1:])) & (owner[1:] == owner[:-1])
-    piece = np.concatenate(([0], np.cumsum(~joined)))
-    n, sums, squares = np.zeros(m), np.zeros((m, 2)), np.zeros((m, 3))
-    at = np.arange(m)
-    for shift in range(-NEIGHBOURS, NEIGHBOURS + 1):
-        j = np.clip(at + shift, 0, m - 1)
-        ours = (piece[j] == piece) & (j == at + shift)
-        d = np.where(ours[:, None], xy[j] - xy, 0.0)
-        n += ours
-        sums += d
-        squares += d[:, [0, 0, 1]] * d[:, [0, 1, 1]]
-    mean = sums / n[:, None]
-    xx, xyv, yy = (squares / n[:, None] - mean[:, [0, 0, 1]] * mean[:, [0, 1, 1]]).T
-    half, apart = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xyv)
-    along = 0.5 * np.arctan2(2.0 * xyv, xx - yy)
-    thin = np.maximum(half - apart, 0.0)
-    good = (n > MIN_NEIGHBOURS) & (thin < MAX_SPREAD_M**2) & (half + apart > 9.0 * thin)
-    normal = np.stack((-np.sin(along), np.cos(along)), axis=-1)
-    return np.where(good[:, None], normal, np.nan)
-
-
-def merged(clouds: Clouds, groups: list[Ints], poses: list[Array]) -> Clouds:
-    """Return one cloud for each group of clouds (k,), whose points are put at poses (k, 3) in its frame."""
-    xy, normal, counts = [np.zeros((0, 2))], [np.zeros((0, 2))], [0]
-    for group, pose in zip(groups, poses, strict=True):
-        rows, position = clouds.rows(group)
-        at = pose[position]
-        xy.append(se2.transform(at, clouds.xy[rows]))
-        normal.append(se2.rotated(at[:, 2], clouds.normal[rows]))
-        counts.append(len(rows))
-    return Clouds(np.cumsum(counts), np.concatenate(xy), np.concatenate(normal))
-
-
-@dataclass(frozen=True)
-class Views:
-    """How far every key looked into each direction."""
-
-    origin: Array  # (2,) the laser on the base
-    depth: Array  # (n, BINS) m; NaN where nothing returned
-
-    @classmethod
-    def of(cls, clouds: Clouds, origin: Array) -> Views:
-        """Return the views of scans; of the ranges in a direction and beside it the shortest counts."""
-        depth = np.full((len(clouds), BINS), np.inf)
-        bins, ranges = _polar(clouds.xy - origin)
-        np.minimum.at(depth, (clouds.owner, bins), ranges)
-        nearest = np.minimum.reduce([np.roll(depth, s, axis=1) for s in (-1, 0, 1)])
-        return cls(origin, np.where(np.isfinite(nearest), nearest, np.nan))
-
-    def contradicted(self, clouds: Clouds, i: Ints, j: Ints, pose: Array) -> tuple[Any, Any]:
-        """Count for pairs of keys (p,) the points of j that i looked through, and those that i could judge."""
-        rows, of = clouds.rows(j)
-        at = se2.transform(pose[of], clouds.xy[rows]) - self.origin
-        bins, ranges = _polar(at)
-        seen = self.depth[i[of], bins]
-        judged = np.isfinite(seen)
-        with np.errstate(invalid="ignore"):
-            through = ranges < seen * (1.0 - MARGIN_SHARE) - MARGIN_M
-        bad, all_judged = np.bincount(of, through, len(i)), np.bincount(of, judged, len(i))
-        return bad, all_judged
-
-
-def _polar(points: Array) -> tuple[Ints, Array]:
-    bins = np.floor((np.arctan2(points[:, 1], points[:, 0]) / (2.0 * np.pi) % 1.0) * BINS).astype(np.int64) % BINS
-    return bins, np.hypot(points[:, 0], points[:, 1])
-
-
-def thinned(clouds: Clouds) -> Clouds:
-    """Return of every cloud one point on a surface in each square of CELL_M: overlapping scans say the same."""
-    rows = np.flatnonzero(np.isfinite(clouds.normal[:, 0]))
-    square = np.floor(clouds.xy[rows] / CELL_M).astype(np.int64) + (1 << 20)
-    of = clouds.owner[rows]
-    _, some = np.unique((of << 42) + (square[:, 0] << 21) + square[:, 1], return_index=True)
-    keep = rows[np.sort(some)]
-    first = np.concatenate(([0], np.cumsum(np.bincount(clouds.owner[keep], minlength=len(clouds)))))
-    return Clouds(first, clouds.xy[keep], clouds.normal[keep])

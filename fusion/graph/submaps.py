@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
-
-from .keys import Clouds, merged
+from locfuse.fusion.scan_matching.clouds import Clouds, merged
 
 SPACING_M, HALF_LENGTH_M = 3.0, 3.0  # between two submaps, and how far one reaches along the way to either side
 CELL_M, TURN_RAD = 0.25, np.radians(3.0)

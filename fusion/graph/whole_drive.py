@@ -16,13 +16,15 @@ from locfuse.fusion.data import Array, Drive, Estimates, Ints, MapLine
 from locfuse.fusion.doctor.clocks import clock_lags
 from locfuse.fusion.doctor.lag import worth_saying
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.scan_matching.clouds import clouds_of
+from locfuse.fusion.scan_matching.free_space import Views
+from locfuse.fusion.scan_matching.match import Targets, sources_of
 
 from .between import scans_between
 from .bridge import Fixes, bridged
 from .chain import again, sequential, wheel_edges
 from .closures import GRADUATIONS, Loops, close
-from .keys import Views, choose_keys, clouds_of
-from .match import Targets, sources_of
+from .keys import choose_keys
 from .odometry import Odometry, odometry_of
 from .others import Others
 from .solve import Anchor, Edges, Normal, Problem

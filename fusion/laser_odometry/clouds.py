@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion.data import Array, Ints, Stream
-from locfuse.fusion.graph.keys import MAX_RANGE_M, Clouds, normals
 from locfuse.fusion.lines.points import SCANS_PER_BLOCK
 from locfuse.fusion.lines.scans import Laser, equal_scans, points_in_base
+from locfuse.fusion.scan_matching.clouds import MAX_RANGE_M, Clouds, normals
 from locfuse.fusion.sensor import WheelMotion
 
 MAX_POINTS = 240  # of a scan: neighbouring beams say nothing new

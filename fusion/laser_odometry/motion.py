@@ -14,10 +14,10 @@ import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, LocfuseError, Stream
-from locfuse.fusion.graph.keys import Clouds
-from locfuse.fusion.graph.match import Matches, Targets, match, se2_difference, sources_of
 from locfuse.fusion.lines.scans import Laser
 from locfuse.fusion.robot import VIRTUAL_TRACK, WheelSettings
+from locfuse.fusion.scan_matching.clouds import Clouds
+from locfuse.fusion.scan_matching.match import Matches, Targets, match, se2_difference, sources_of
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.read import WheelReading
 

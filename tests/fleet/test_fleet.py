@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 from commands import locfuse
+from counted_jobs import counted_jobs
 
 from benchmarks.fleet import killed, tables, write_logs
 from locfuse.cli.fleet import process
@@ -81,14 +82,7 @@ def test_all_logs_failing_is_an_error_and_all_by_a_wrong_word_is_misuse(logs: li
 def test_a_finished_log_is_not_run_again_until_something_changes(
     logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ran: list[str] = []
-    real = process._in_a_process
-
-    def counted(job: Job) -> Outcome:
-        ran.append(job.name)
-        return real(job)
-
-    monkeypatch.setattr(process, "_in_a_process", counted)
+    ran = counted_jobs(monkeypatch)
     own = [tmp_path / log.name for log in logs[:2]]
     for source, copy in zip(logs, own, strict=False):
         shutil.copy2(source, copy)

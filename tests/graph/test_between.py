@@ -9,8 +9,9 @@ from locfuse.fusion.data import Array
 from locfuse.fusion.graph import between
 from locfuse.fusion.graph.between import STEP, moving_scans, points_of, scans_between, smoothed
 from locfuse.fusion.graph.bridge import Fixes, Spans, bridged
-from locfuse.fusion.graph.keys import choose_keys, clouds_of
+from locfuse.fusion.graph.keys import choose_keys
 from locfuse.fusion.graph.odometry import Odometry, odometry_of
+from locfuse.fusion.scan_matching.clouds import clouds_of
 
 
 def straight(n: int, step: float) -> Odometry:

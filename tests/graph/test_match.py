@@ -8,9 +8,10 @@ from ring_drive import box, scan, walls
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array
-from locfuse.fusion.graph.keys import CELL_M, Clouds, Views, normals, thinned
-from locfuse.fusion.graph.match import Targets, match, sources_of
 from locfuse.fusion.graph.submaps import correlate
+from locfuse.fusion.scan_matching.clouds import CELL_M, Clouds, normals, thinned
+from locfuse.fusion.scan_matching.free_space import Views
+from locfuse.fusion.scan_matching.match import Targets, match, sources_of
 
 LOOSE = np.diag([1.0 / 0.3**2, 1.0 / 0.3**2, 1.0 / np.radians(10.0) ** 2])[None]
 

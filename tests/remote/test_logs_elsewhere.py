@@ -13,6 +13,7 @@ import pytest
 import zstandard
 from bags import STORE, cdr, header
 from commands import locfuse
+from counted_jobs import counted_jobs
 from range_server import Shelf, serving
 from rosbags.rosbag2 import Writer
 
@@ -300,17 +301,7 @@ def test_copies_leave_no_file_behind(
 def test_a_log_that_was_finished_is_not_run_again_until_its_tag_changes(
     logs: dict[str, Path], shelf: Shelf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from locfuse.cli.fleet import process
-    from locfuse.cli.fleet.job import Job, Outcome
-
-    ran: list[str] = []
-    real = process._in_a_process
-
-    def counted(job: Job) -> Outcome:
-        ran.append(job.name)
-        return real(job)
-
-    monkeypatch.setattr(process, "_in_a_process", counted)
+    ran = counted_jobs(monkeypatch)
     url = shelf.put("day/a.mcap", logs["none"].read_bytes())
     (tmp_path / "list.txt").write_text(url)
     words = (f"@{tmp_path / 'list.txt'}", "-o", tmp_path / "out", "--sensors", "odometry", "--write", "json", "-q")

@@ -18,7 +18,7 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
 
-from .keys import Clouds
+from .clouds import Clouds
 
 LAYER_M = 1e4  # between two clouds in the search
 RADII_M = (0.5, 0.4, 0.3, 0.2, 0.15, 0.15, 0.15)  # how far a point's partner may be, iteration by iteration

@@ -1,0 +1,51 @@
+"""Free space: a scan that looks through a wall which another one saw contradicts that the two are placed right."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array, Ints
+
+from .clouds import Clouds
+
+BINS = 360
+MARGIN_M, MARGIN_SHARE = 0.3, 0.03  # a point must lie so much before what was seen behind it
+MIN_POINTS = 20  # in the field of view of the other scan: fewer decide nothing
+
+
+@dataclass(frozen=True)
+class Views:
+    """How far every key looked into each direction."""
+
+    origin: Array  # (2,) the laser on the base
+    depth: Array  # (n, BINS) m; NaN where nothing returned
+
+    @classmethod
+    def of(cls, clouds: Clouds, origin: Array) -> Views:
+        """Return the views of scans; of the ranges in a direction and beside it the shortest counts."""
+        depth = np.full((len(clouds), BINS), np.inf)
+        bins, ranges = _polar(clouds.xy - origin)
+        np.minimum.at(depth, (clouds.owner, bins), ranges)
+        nearest = np.minimum.reduce([np.roll(depth, s, axis=1) for s in (-1, 0, 1)])
+        return cls(origin, np.where(np.isfinite(nearest), nearest, np.nan))
+
+    def contradicted(self, clouds: Clouds, i: Ints, j: Ints, pose: Array) -> tuple[Any, Any]:
+        """Count for pairs of keys (p,) the points of j that i looked through, and those that i could judge."""
+        rows, of = clouds.rows(j)
+        at = se2.transform(pose[of], clouds.xy[rows]) - self.origin
+        bins, ranges = _polar(at)
+        seen = self.depth[i[of], bins]
+        judged = np.isfinite(seen)
+        with np.errstate(invalid="ignore"):
+            through = ranges < seen * (1.0 - MARGIN_SHARE) - MARGIN_M
+        bad, all_judged = np.bincount(of, through, len(i)), np.bincount(of, judged, len(i))
+        return bad, all_judged
+
+
+def _polar(points: Array) -> tuple[Ints, Array]:
+    bins = np.floor((np.arctan2(points[:, 1], points[:, 0]) / (2.0 * np.pi) % 1.0) * BINS).astype(np.int64) % BINS
+    return bins, np.hypot(points[:, 0], points[:, 1])

@@ -17,7 +17,6 @@ from locfuse.fusion.data import LocfuseError
 
 from .screen import say
 
-
 LONGEST_UNIT = 24  # "[latitude, longitude]"
 
 

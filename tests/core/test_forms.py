@@ -81,7 +81,9 @@ def test_no_scan_makes_either_form_fail_or_differ(
         few = st.sampled_from([0.0, 0.0, 0.01, -0.02, 1e30, math.nan])
         offsets = np.resize(data.draw(st.lists(few, min_size=7, max_size=7)), (n, beams, 3))
     with np.errstate(all="ignore"):
-        agree(Scans(np.array(numbers, float).reshape(n, beams), angles, offsets, 0.0, math.inf), moving=moving)
+        agree(
+            Scans(np.array(numbers, np.float64).reshape(n, beams), angles, offsets, 0.0, math.inf), moving=moving
+        )
 
 
 @settings(deadline=None, max_examples=80)

@@ -75,7 +75,7 @@ def test_no_scan_makes_either_form_fail_or_differ(
 ) -> None:
     numbers = data.draw(st.lists(NUMBERS, min_size=n * beams, max_size=n * beams))
     step = data.draw(st.sampled_from([0.0, 1e-9, math.radians(0.5), 0.1]))
-    angles = np.arange(beams) * (2.0 * math.pi / max(beams, 1) if ring else step)
+    angles: Array = np.arange(beams, dtype=np.float64) * (2.0 * math.pi / max(beams, 1) if ring else step)
     offsets = None
     if moving:
         few = st.sampled_from([0.0, 0.0, 0.01, -0.02, 1e30, math.nan])

@@ -61,7 +61,7 @@ def info(log: tuple[str, ...], check: bool, as_json: bool, preview: Path | None,
 
 def _typed(log: tuple[str, ...], how: LogOptions) -> list[str]:
     """Return LOG and the options that describe it, as they were typed."""
-    robot = ["--robot", str(how.robot)] if how.robot is not None else []
+    robot = [word for file in how.robot_files for word in ("--robot", str(file))]
     return [*log, *robot, *(word for setting in how.sets for word in ("--set", setting))]
 
 

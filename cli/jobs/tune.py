@@ -145,7 +145,7 @@ def tune_logs(
 
 def write(path: Path, found: Tuning, how: LogOptions) -> None:
     """Write robot.toml: what the user gave, with the noise that was found."""
-    given = [] if how.robot is None else [robot_toml.parse(how.robot.read_bytes(), str(how.robot))]
+    given = [robot_toml.parse(file.read_bytes(), str(file)) for file in how.robot_files]
     tables = robot_toml.merge(*given, robot_toml.apply_sets(how.sets), found.tables())
     with whole_file(path) as temporary:
         temporary.write_text("# noise found by locfuse tune\n" + robot_toml.dump(tables), encoding="utf-8")

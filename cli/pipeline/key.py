@@ -41,9 +41,7 @@ class Asked:
 
 def asked_tables(how: LogOptions, more: Sequence[str] = ()) -> dict[str, Any]:
     """Return the settings that --robot, --set and `more` words of --set give, without what the log carries."""
-    layers = []
-    if how.robot is not None:
-        layers.append(robot_toml.parse(read_small(how.robot, MAX_ROBOT_TOML), str(how.robot)))
+    layers = [robot_toml.parse(read_small(file, MAX_ROBOT_TOML), str(file)) for file in how.robot_files]
     layers.append(robot_toml.apply_sets((*how.sets, *more)))
     given = {"order": how.order, "preset": how.preset, "from": how.begin, "to": how.end}
     return robot_toml.merge(*layers, {name: value for name, value in given.items() if value is not None})

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from locfuse.formats.report import json_report, tables
+from locfuse.formats.report.findings import findings_of, together
 from locfuse.formats.report.notes import notes_of
 from locfuse.formats.report.table import Table
 
@@ -65,9 +66,10 @@ def result(report: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> N
         if as_json:
             put(json_report.encode(report))
             return
+        headline(report)
         figures(report)
         verdicts(report)
-        consistency(report)
+        findings(report)
         on_screen(f"{files[0].parent}: {', '.join(file.name for file in files)}")
 
 
@@ -86,6 +88,8 @@ def table(shown: Table) -> None:
 
 def notes(report: Mapping[str, Any], losses: Sequence[str], quiet: bool) -> None:
     """Print to stderr what a reader of the figures must know: absent sensors, oddities, losses."""
+    for line in losses:
+        say(f"lost: {line}")  # the reason of exit code 3: said under --quiet too
     if quiet:
         return
     for sensor, why in report["absent"].items():
@@ -101,8 +105,6 @@ def notes(report: Mapping[str, Any], losses: Sequence[str], quiet: bool) -> None
         say(NO_TRUTH)
     if report.get("prediction"):
         say(f"note: {report['prediction']['trust']}")
-    for line in losses:
-        say(f"lost: {line}")
 
 
 def verdicts(report: Mapping[str, Any]) -> None:
@@ -114,11 +116,20 @@ def verdicts(report: Mapping[str, Any]) -> None:
         console.print(Text.assemble((f"{sensor} {verdict['verdict']}. ", "bold"), verdict["words"]))
 
 
-def consistency(report: Mapping[str, Any]) -> None:
-    """Print what is not as robot.toml says of the sensors' noise, and how to cure it."""
+def headline(report: Mapping[str, Any]) -> None:
+    """Print the answer first."""
     from rich.text import Text
 
-    console = screen()
-    for found in report.get("consistency", {}).values():
-        if found["verdict"] != "consistent":
-            console.print(Text.assemble(("Noise: ", "bold"), found["words"]))
+    if report.get("headline"):
+        screen().print(Text(report["headline"], "bold"))
+
+
+def findings(report: Mapping[str, Any]) -> None:
+    """Print what is wrong or can be better, with the fix that was tried."""
+    from rich.text import Text
+
+    console = screen(soft_wrap=True)
+    for line in findings_of(report):
+        console.print(Text(line))
+    if (all_fixes := together(report)) is not None:
+        console.print(Text(all_fixes, "bold"))

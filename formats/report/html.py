@@ -18,6 +18,7 @@ from locfuse.formats.figures.svg import HEIGHT, WIDTH, slugs_of, svg
 from locfuse.fusion.data import REFUSED, Colour
 
 from . import tables
+from .findings import findings_of, together
 from .json_report import fingerprint
 from .notes import notes_of, title_of
 from .render import SIGNS, Swatches, data, html
@@ -26,7 +27,7 @@ from .table import Path, Piece, Table, written
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-TONES = {"helps": "good", "hurts": "bad"}
+TONES = {"helps": "good", "seems to help": "good", "seems to hurt": "bad", "hurts": "bad"}
 SIZES = {1: (860, 500), 2: (WIDTH, HEIGHT), 3: (330, 190)}  # px of a panel by columns in its section
 STRIP = 200.0  # px, width of an effect strip
 
@@ -63,6 +64,8 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
         tones=TONES,
         strips=_strips(report),
         notes=notes_of(report),
+        findings=findings_of(report),
+        together=together(report),
         events=_shaded(sections),
         roles=("truth", "bounds") if report["truth"] else ("bounds",),
     )

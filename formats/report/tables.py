@@ -32,6 +32,7 @@ COLUMNS = (
 )
 ASIDE = ("position_median_m", "along_rmse_m", "cross_rmse_m", "drift_1m", "drift_10m")  # in the full table only
 MAIN = tuple(c for c in COLUMNS if c.key not in ASIDE)
+LOST = Column("lost_share", "lost", form="{:.0%}")
 DISTANCE = Column("distance_m", "distance", "m", "{:.2f}")
 DURATION = Column("duration_s", "duration", "s", "{:.1f}")
 TO_SMOOTHED = Column("to_smoothed_m", "rms to smoothed", "m", "{:.3f}")
@@ -94,6 +95,7 @@ def configurations(report: Report, main: bool = True) -> Table:
     """Return the error figures of every configuration that exist, the main ones or all; else how far it went."""
     rows = report["configurations"].values()
     found = [c for c in (MAIN if main else COLUMNS) if any(v.get(c.key) is not None for v in rows)]
+    found += [LOST] if any(v.get(LOST.key) for v in rows) else []
     label = "Figures of every configuration"
     return of_values((CONFIGURATION, *(found or (DISTANCE, DURATION))), _configurations(report), label)
 

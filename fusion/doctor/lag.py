@@ -59,6 +59,7 @@ class Lag(NamedTuple):
     correlation: float  # at that offset
     without: float  # correlation at no further offset
     against: str = "wheels"  # whose turning it was held against
+    sigma: float = math.inf  # s, standard deviation of the offset; inf where it is not known
 
 
 class _Turns(NamedTuple):
@@ -106,7 +107,7 @@ def find_lag(t: Array, heading: Array, reference: Reference) -> Lag | None:
     best = min((f for f in fits if f is not None), key=lambda f: f.sigma, default=None)
     offset = found if best is None else best.lag
     at, zero = turns.scores(reference.heading, np.array([offset, 0.0])).tolist()
-    return Lag(offset, at, zero)
+    return Lag(offset, at, zero, sigma=math.inf if best is None else best.sigma)
 
 
 def _turns(t: Array, heading: Array, window: float, span: tuple[float, float]) -> _Turns:

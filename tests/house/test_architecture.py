@@ -34,7 +34,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "truth sensors",
         "measure instants judge doctor",
         "fuse graph",
-        "smooth tune paper",
+        "smooth tune paper advice",
     ),
     "formats": (
         "caps visible columns thin geometry no_pandas delayed_signals",
@@ -52,6 +52,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
     "cli": (
         "choose",
         "pipeline",
+        "advice",
         "session",
         "jobs rerun inspect",
         "fleet",

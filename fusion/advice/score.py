@@ -1,0 +1,74 @@
+"""Does a fix help? One configuration's figures before and after, by truth, else by what it predicts."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+MAX_LOSS, MAX_LOSS_M = 0.02, 2e-4  # relative, m: by which no position error may grow
+MAX_LN_ANEES_LOSS = 0.1  # by which no |ln ANEES| may grow
+MIN_GAIN = 0.1  # relative gain of one figure: a tenth of the error, or of ANEES, or of a predicted sigma
+MIN_GAIN_M = 2e-4  # m: smaller gains of the position error are none, however large their share
+MAX_LOSS_NATS, MIN_GAIN_NATS = 0.02, 0.05  # nats per number; a sigma 10 % off costs about 0.01, 50 % about 0.1
+MAX_LOST_SHARE = 0.005  # of the drive: by which being lost may grow
+WEIGHT_OF_ANEES = 0.5  # of a factor on ANEES, against one on the position error
+
+
+class Score(NamedTuple):
+    """One configuration's figures under some settings."""
+
+    position: float | None = None  # m, position rmse against truth
+    anees: float | None = None
+    bounds: tuple[float, float] | None = None  # where a consistent filter's ANEES lies on such a drive
+    prediction: float | None = None  # nats per number of the sensors that only listened; without truth
+    lost: float = 0.0  # share of the drive
+
+
+def spoils(before: Score, after: Score) -> bool:
+    """Return whether any figure gets notably worse, or ceases to exist."""
+    if after.lost > before.lost + MAX_LOST_SHARE:
+        return True
+    if before.position is not None:
+        if after.position is None or after.position > before.position * (1.0 + MAX_LOSS) + MAX_LOSS_M:
+            return True
+        return _off(after) > _off(before) + MAX_LN_ANEES_LOSS
+    if before.prediction is not None:
+        return after.prediction is None or after.prediction < before.prediction - MAX_LOSS_NATS
+    return False
+
+
+def improves(before: Score, after: Score) -> bool:
+    """Return whether one figure gets notably better. An ANEES within its chance range has nothing to gain."""
+    if before.lost - after.lost > MAX_LOST_SHARE:
+        return True
+    if before.position is not None and after.position is not None:
+        less = before.position - after.position
+        if less > max(MIN_GAIN * before.position, MIN_GAIN_M):
+            return True
+        return _outside(before) and _off(before) - _off(after) > MIN_GAIN
+    if before.prediction is not None and after.prediction is not None:
+        return after.prediction - before.prediction > MIN_GAIN_NATS
+    return False
+
+
+def gain(before: Score, after: Score) -> float:
+    """Return how much a fix is worth: ln of the factor on the position error, and half of that on ANEES."""
+    if before.position is not None and after.position is not None:
+        less = math.log(max(before.position, MIN_GAIN_M) / max(after.position, MIN_GAIN_M))
+        surer = _off(before) - _off(after) if _outside(before) else 0.0
+        return less + WEIGHT_OF_ANEES * surer + before.lost - after.lost
+    if before.prediction is not None and after.prediction is not None:
+        return after.prediction - before.prediction + before.lost - after.lost
+    return 0.0
+
+
+def _off(score: Score) -> float:
+    """Return |ln ANEES|, 0 where there is none."""
+    return 0.0 if not score.anees else abs(math.log(score.anees))
+
+
+def _outside(score: Score) -> bool:
+    if score.anees is None:
+        return False
+    low, high = score.bounds or (1.0, 1.0)
+    return not low <= score.anees <= high

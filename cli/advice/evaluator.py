@@ -1,8 +1,8 @@
 """The evaluator: one log -> findings, each with the fix that was tried and what it did.
 
 `run`, `compare`, `tune`, `info --check`, the report and Rerun all show what this finds, and nothing else. It works
-in rounds: what looks wrong is tried, what helps is kept, and the log is judged again under it, so that no sensor is
-blamed for the fault of another.
+in rounds: what looks wrong is tried, what helps is kept, and the log is judged again under it, so that no sensor
+is blamed for the fault of another.
 """
 
 from __future__ import annotations

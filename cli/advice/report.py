@@ -17,7 +17,7 @@ def complete(report: dict[str, Any], advised: Advised | None, start_error_m: flo
 
     `start_error_m` is how far the truth starts from where the drive does, None where somebody stated the start.
     """
-    add_findings(report, advised or Advised())
+    add_findings(report, advised)
     add_validity(report, start_error_m)
     sets = {
         name: tuple(values["sensors"])

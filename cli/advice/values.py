@@ -15,8 +15,11 @@ from .evaluator import Advised
 FIXES_FILE = "fixes.toml"
 
 
-def add_findings(report: dict[str, Any], advised: Advised) -> None:
-    """Add `findings`, and `fixes`: what helps of them, together."""
+def add_findings(report: dict[str, Any], advised: Advised | None) -> None:
+    """Add `findings`, and `fixes`: what helps of them, together; null where the log was not evaluated."""
+    if advised is None:
+        report["findings"] = report["fixes"] = None
+        return
     by_role: dict[str, list[Advice]] = {}
     for advice in advised.advice:
         by_role.setdefault(advice.finding.role, []).append(advice)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -16,11 +17,16 @@ if TYPE_CHECKING:
 
 ODD = 3
 PICTURES = "pictures"
+TRIED = "tried by fusing"
 
 
 @click.command()
 @click.argument("log", nargs=-1, required=True)
-@click.option("--check", is_flag=True, help="Exit with 3 if something was found that would spoil an estimate.")
+@click.option(
+    "--check",
+    is_flag=True,
+    help="Also try the fixes by fusing again. Exit with 3 if something was found that would spoil an estimate.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @click.option(
     "--preview",
@@ -48,15 +54,30 @@ def info(log: tuple[str, ...], check: bool, as_json: bool, preview: Path | None,
     with show.progress(how.quiet) as progress:
         overview = inspect_log(find_log(log), how, progress)
         pictures = _preview(overview, preview) if preview is not None else []
+        tried = _tried(log, how, progress) if check and overview.loaded is not None else {}
     with reader_may_leave():
         if as_json:
-            put(json_report.encode(values.values(overview)))
+            put(json_report.encode({**values.values(overview), **({"tried": tried} if check else {})}))
         else:
             text = info_text.lines(overview, _typed(log, how), show.width())
             show.lines((*text, *pictures), (*info_text.TITLES, PICTURES))
+            if tried:
+                show.lines(("", TRIED), (TRIED,))
+                show.findings(tried)
     losses = {"lost", "refused"} if how.strict else {"lost"}
     lost = any(o.code in losses for o in overview.findings)
     return ODD if lost or (check and overview.severe) else 0
+
+
+def _tried(log: tuple[str, ...], how: LogOptions, progress: Callable[[str], None]) -> dict[str, Any]:
+    """Return what `compare` would find and suggest; {} where the log cannot be fused."""
+    from locfuse.cli.session.session import opened
+    from locfuse.fusion.data import LocfuseError
+
+    try:
+        return opened(log, how, progress).findings()
+    except LocfuseError:
+        return {}  # the findings of measuring say why
 
 
 def _typed(log: tuple[str, ...], how: LogOptions) -> list[str]:

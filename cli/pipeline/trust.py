@@ -60,6 +60,7 @@ def unless_sure_and_wrong(sensor: str, found: Consistency, using: Sequence[Hones
     times = math.sqrt(min(honest.anees for honest in wrong))
     words = (
         f"residuals are {1.0 / found.scale:.2g} times smaller than configured, yet position errors are "
-        f"{times:.1f} times what the covariance says: check mount, scale and clock; a smaller sigma would make this worse"
+        f"{times:.1f} times what the covariance says: check mount, scale and clock; a smaller sigma would make "
+        "this worse"
     )
     return replace(found, words=words, cures={})

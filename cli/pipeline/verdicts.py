@@ -172,7 +172,8 @@ def _predicted_verdicts(found: Sequence[Score], sets: Mapping[str, Sequence[str]
 def _predicted(mine: Sequence[Score], against: Sequence[str], sensors: int) -> dict[str, Any]:
     if against:
         lone = sensors > 2 and len(against) == sensors - 1
-        words = f"It contradicts {' and '.join(against)}: with one of them the other is predicted worse than by odometry."
+        rivals = " and ".join(against)
+        words = f"It contradicts {rivals}: with one of them the other is predicted worse than by odometry."
         words += (
             " All other sensors disagree with it."
             if lone

@@ -8,6 +8,7 @@ from typing import Any, cast, get_args
 
 from locfuse.cli.advice.evaluator import Advised, advise, looks_wrong
 from locfuse.cli.advice.report import complete
+from locfuse.cli.advice.values import add_findings
 from locfuse.cli.pipeline import maps
 from locfuse.cli.pipeline.compare import Compared, compare_log, report_of, report_of_run
 from locfuse.cli.pipeline.configurations import Configuration, Sensors, for_comparison, parse
@@ -186,6 +187,15 @@ class Session:
             compared,
             drawn,
         )
+
+    def findings(self) -> dict[str, Any]:
+        """Return what is wrong or can be better: {"findings": [...], "fixes": [...]}, each fix tried by fusing.
+
+        It is what the reports of `run` and `compare` hold under these keys, whichever configurations they show.
+        """
+        found: dict[str, Any] = {}
+        add_findings(found, advise(self.loaded, self.progress))
+        return found
 
     def _start_error(self) -> float | None:
         return start_error(self.robot, self.drive)

@@ -11,7 +11,7 @@ UNTRIED = "no setting was tried"
 
 def findings_of(report: Mapping[str, Any]) -> list[str]:
     """Return one line per finding; reports of earlier versions have none."""
-    return [sentence(f) for f in report.get("findings", ())]
+    return [sentence(f) for f in report.get("findings") or ()]
 
 
 def sentence(finding: Mapping[str, Any]) -> str:
@@ -30,7 +30,7 @@ def options(fixes: Sequence[str]) -> str:
 
 def together(report: Mapping[str, Any]) -> str | None:
     """Return all fixes as one line to type; None where there is at most one finding with a fix."""
-    fixed = [f for f in report.get("findings", ()) if f["fixes"]]
+    fixed = [f for f in report.get("findings") or () if f["fixes"]]
     return f"All of these together: {options(report['fixes'])}" if len(fixed) > 1 else None
 
 

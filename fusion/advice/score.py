@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 MAX_LOSS, MAX_LOSS_M = 0.02, 2e-4  # relative, m: by which no position error may grow
-MAX_LN_ANEES_LOSS = 0.1  # by which no |ln ANEES| may grow
+MAX_LN_ANEES_LOSS = 0.1  # by which no ln ANEES may leave its chance range further
 MIN_GAIN = 0.1  # relative gain of one figure: a tenth of the error, or of ANEES, or of a predicted sigma
 MIN_GAIN_M = 2e-4  # m: smaller gains of the position error are none, however large their share
 MAX_LOSS_NATS, MIN_GAIN_NATS = 0.02, 0.05  # nats per number; a sigma 10 % off costs about 0.01, 50 % about 0.1
@@ -31,7 +31,7 @@ def spoils(before: Score, after: Score) -> bool:
     if before.position is not None:
         if after.position is None or after.position > before.position * (1.0 + MAX_LOSS) + MAX_LOSS_M:
             return True
-        return _off(after) > _off(before) + MAX_LN_ANEES_LOSS
+        return _off(after) > _off(before) + MAX_LN_ANEES_LOSS + WEIGHT_OF_ANEES * max(0.0, _less(before, after))
     if before.prediction is not None:
         return after.prediction is None or after.prediction < before.prediction - MAX_LOSS_NATS
     return False
@@ -45,7 +45,7 @@ def improves(before: Score, after: Score) -> bool:
         less = before.position - after.position
         if less > max(MIN_GAIN * before.position, MIN_GAIN_M):
             return True
-        return _outside(before) and _off(before) - _off(after) > MIN_GAIN
+        return _off(before) - _off(after) > MIN_GAIN
     if before.prediction is not None and after.prediction is not None:
         return after.prediction - before.prediction > MIN_GAIN_NATS
     return False
@@ -54,21 +54,25 @@ def improves(before: Score, after: Score) -> bool:
 def gain(before: Score, after: Score) -> float:
     """Return how much a fix is worth: ln of the factor on the position error, and half of that on ANEES."""
     if before.position is not None and after.position is not None:
-        less = math.log(max(before.position, MIN_GAIN_M) / max(after.position, MIN_GAIN_M))
-        surer = _off(before) - _off(after) if _outside(before) else 0.0
-        return less + WEIGHT_OF_ANEES * surer + before.lost - after.lost
+        return _less(before, after) + WEIGHT_OF_ANEES * (_off(before) - _off(after)) + before.lost - after.lost
     if before.prediction is not None and after.prediction is not None:
         return after.prediction - before.prediction + before.lost - after.lost
     return 0.0
 
 
+def _less(before: Score, after: Score) -> float:
+    """Return ln of how many times smaller the position error gets."""
+    if before.position is None or after.position is None:
+        return 0.0
+    return math.log(max(before.position, MIN_GAIN_M) / max(after.position, MIN_GAIN_M))
+
+
 def _off(score: Score) -> float:
-    """Return |ln ANEES|, 0 where there is none."""
-    return 0.0 if not score.anees else abs(math.log(score.anees))
+    """Return how far ln ANEES lies outside its chance range, 0 inside it or where there is none.
 
-
-def _outside(score: Score) -> bool:
-    if score.anees is None:
-        return False
+    Inside, one drive cannot tell one ANEES from another: 0.73 before and 0.47 after are no loss.
+    """
+    if not score.anees:
+        return 0.0
     low, high = score.bounds or (1.0, 1.0)
-    return not low <= score.anees <= high
+    return max(0.0, math.log(score.anees / high), math.log(low / score.anees))

@@ -125,8 +125,7 @@ class Evidence:
                     (f"camera.clockwise={str(not self.loaded.robot.settings('camera').clockwise).lower()}",)
                 )
             if options:
-                message = verdict.words if verdict.verdict == "biased" else "bearings do not fit the drive"
-                finding = Finding(sensor, "offset", message)
+                finding = Finding(sensor, verdict.verdict, verdict.words)
                 found.append(Candidate(finding, tuple(options), self.judges(sensor)))
         return found
 

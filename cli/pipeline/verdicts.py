@@ -122,7 +122,14 @@ def times(ln: float) -> str:
 
 
 def interval(effect: Effect) -> str:
-    """Return the 95 % interval as two factors, each with its direction: "1.6 times larger to 12 times smaller"."""
+    """Return the 95 % interval as two factors, each with its direction: "1.6 times larger to 12 times smaller".
+
+    Where both have one direction it stands once: "14 to 562 times smaller".
+    """
+    if effect.low > 0.0:
+        return f"{short(math.exp(effect.low))} to {times(effect.high)}"
+    if effect.high < 0.0:
+        return f"{short(math.exp(-effect.high))} to {times(effect.low)}"
     return f"{times(effect.low)} to {times(effect.high)}"
 
 

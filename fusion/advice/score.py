@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 MAX_LOSS, MAX_LOSS_M = 0.02, 2e-4  # relative, m: by which no position error may grow
 MAX_LN_ANEES_LOSS = 0.1  # by which no ln ANEES may leave its chance range further
-MIN_GAIN = 0.1  # relative gain of one figure: a tenth of the error, or of ANEES, or of a predicted sigma
+MIN_GAIN = 0.1  # relative gain of the position error
+MIN_LN_ANEES_GAIN = 0.2  # by which ln ANEES must come nearer to its chance range
 MIN_GAIN_M = 2e-4  # m: smaller gains of the position error are none, however large their share
 MAX_LOSS_NATS, MIN_GAIN_NATS = 0.02, 0.05  # nats per number; a sigma 10 % off costs about 0.01, 50 % about 0.1
 MAX_LOST_SHARE = 0.005  # of the drive: by which being lost may grow
@@ -45,7 +46,7 @@ def improves(before: Score, after: Score) -> bool:
         less = before.position - after.position
         if less > max(MIN_GAIN * before.position, MIN_GAIN_M):
             return True
-        return _off(before) - _off(after) > MIN_GAIN
+        return _off(before) - _off(after) > MIN_LN_ANEES_GAIN
     if before.prediction is not None and after.prediction is not None:
         return after.prediction - before.prediction > MIN_GAIN_NATS
     return False

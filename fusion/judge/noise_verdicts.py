@@ -104,10 +104,10 @@ def by_scale(sensor: str, settings: Any, factor: float) -> NoiseVerdict:
     cures = {f"{sensor}.{k}": rounded(getattr(settings, k) * factor) for k in keys}
     verdict: Verdict = "understated" if factor > 1.0 else "overstated"
     first = keys[0]
-    unit = REGISTRY[sensor].components[0].sign
+    unit = _sign(REGISTRY[sensor].components[0].sign)
     words = (
-        f"noise is set too {'low' if factor > 1.0 else 'high'}: {getattr(settings, first):g} {unit} configured, "
-        f"{cures[f'{sensor}.{first}']:g} {unit} observed"
+        f"noise is set too {'low' if factor > 1.0 else 'high'}: {getattr(settings, first):g}{unit} configured, "
+        f"{cures[f'{sensor}.{first}']:g}{unit} observed"
     )
     return NoiseVerdict(verdict, words, factor, cures)
 
@@ -141,8 +141,8 @@ def correlated(sensor: str, settings: Any, sigma: float, repeats: float, period:
     if drift is not None and offset is not None:
         cures[f"{sensor}.{drift}"] = rounded(amount * math.sqrt(4.0 / memory))
     words = (
-        f"errors of {rounded(amount):g} {unit.replace('deg', '°')} last about {rounded(memory):g} s, but the "
-        "filter assumes independent readings"
+        f"errors of {rounded(amount):g}{_sign(unit.replace('deg', '°'))} last about {rounded(memory):g} s, but "
+        "the filter assumes independent readings"
     )
     return NoiseVerdict("correlated", words, math.sqrt(repeats), cures)
 
@@ -167,6 +167,11 @@ def by_share(sensor: str, share: float, lines: bool, rest: NoiseVerdict) -> Nois
     else:
         words = f"{share:.0%} of the readings are rejected as outliers; the others match the configured noise"
     return NoiseVerdict("outliers", words)
+
+
+def _sign(unit: str) -> str:
+    """Return a unit as it follows a number: "°", " m"."""
+    return unit if unit.startswith("°") else f" {unit}"
 
 
 def _human(value: float, sensor: str) -> tuple[float, str]:

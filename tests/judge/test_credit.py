@@ -142,7 +142,7 @@ def test_overconfidence_is_a_remark_of_its_own() -> None:
     compass = found.sensors["compass"]
     sure = replace(compass, verdict="hurts", anees=(1.1, 240.0))
     words = verdicts(replace(found, sensors={"compass": sure}), [], {})["compass"]["words"]
-    assert words.startswith("On average over all sensor combinations it makes the position error")
+    assert words.startswith("Alone it makes odometry's position error")
     assert words.endswith(
         "Overconfident: errors are 15 times what the filter claims with it, 1.05 times without it."
     )

@@ -24,15 +24,17 @@ from locfuse.cli.terminal.screen import reader_may_leave, say, settle_streams
 
 COMMANDS = {
     "run": "Run one configuration: trajectory, covariances, run.json.",
-    "compare": "Run all configurations in one pass and report what each sensor bought.",
-    "info": "Say what is in a log, what reads what, what is missing, and what is odd, with the cure.",
+    "compare": "Run all configurations in one pass and report what each sensor adds.",
+    "info": "Say what is in a log, what reads what, what is missing, and what looks wrong, with the fix.",
     "init": "Print a commented robot.toml for a log: what it tells, what is guessed, what to measure.",
     "view": "Look at a log, a result or a recording in Rerun.",
     "calibrate": "Find wheel noise, wheel geometry and magnetometer iron from logs.",
     "tune": "Find the noise of wheels and sensors from logs, without truth.",
     "recover": "Copy everything readable of a damaged log into one clean MCAP.",
+    "explain": "Say what a word of a report means: ANEES, NIS, drift ...",
     "simulate": "Drive a scenario and record it as a log with known truth.",
 }
+NEEDS_NO_LOG = {"explain"}
 INTERRUPTED, TERMINATED = 130, 143
 NO_ROOM = ("failed to map segment", "annot allocate memory")  # what the loader says when memory is short
 
@@ -48,7 +50,8 @@ class LazyGroup(click.Group):
         """Import and return one command."""
         if cmd_name not in COMMANDS:
             return None
-        module = importlib.import_module(f"locfuse.cli.commands.{cmd_name}")
+        room = "terminal" if cmd_name in NEEDS_NO_LOG else "commands"
+        module = importlib.import_module(f"locfuse.cli.{room}.{cmd_name}")
         command: click.Command = getattr(module, cmd_name)
         return command
 
@@ -61,7 +64,7 @@ class LazyGroup(click.Group):
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(package_name="locfuse")
 def locfuse() -> None:
-    """Say what each sensor buys a robot: EKF localization from MCAP logs, compared.
+    """Say what each sensor adds to a robot: EKF localization from MCAP logs, compared.
 
     \b
     Start with:  locfuse compare rounded_rectangle

@@ -1,4 +1,4 @@
-"""`locfuse info`: what is in a log, what reads what and why, what is missing, and every oddity with its cure."""
+"""`locfuse info`: what is in a log, what reads what and why, what is missing, and every finding with its fix."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ TRIED = "tried by fusing"
 )
 @log_options
 def info(log: tuple[str, ...], check: bool, as_json: bool, preview: Path | None, how: LogOptions) -> int:
-    """Say what is in LOG, which sensor reads which topic and why, what is missing, and what is odd.
+    """Say what is in LOG, which sensor reads which topic and why, what is missing, and what looks wrong.
 
-    Every oddity that a setting cures is printed with that setting.
+    A finding that a setting fixes is printed with that setting. --check tries them by fusing.
 
     \b
     locfuse info bag/

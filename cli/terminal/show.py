@@ -18,6 +18,7 @@ from . import text_table
 from .screen import put, reader_may_leave, screen
 from .screen import say as on_screen
 
+BELOW = " rmse, max, final: distance to the truth. ANEES: 1 is right, more is overconfident. See: locfuse explain"
 NO_TRUTH = "no truth in this log: the error figures do not exist; if a topic holds it: --set truth.topic=/TOPIC"
 
 
@@ -76,6 +77,8 @@ def result(report: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> N
 def figures(report: Mapping[str, Any]) -> None:
     """Print the configurations and what became of each sensor's measurements."""
     table(tables.brief(report))
+    if tables.has_figures(report):
+        lines([BELOW])
     table(tables.sensors(report).without("verdicts"))
 
 

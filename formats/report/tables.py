@@ -67,8 +67,8 @@ SCORES = (
 HONESTY = (
     CONFIGURATION,
     Column("anees", "ANEES", form="{:.2f}"),
-    Column("bounds", "honest range", form="{:.2f}"),
-    Column("words", "so it is", kind="long"),
+    Column("bounds", "consistent range", form="{:.2f}"),
+    Column("words", "result", kind="long"),
 )
 CREDIT = (
     SENSOR,
@@ -160,7 +160,7 @@ def against_smoothed(report: Report) -> Table:
 
 def consistency(report: Report) -> Table:
     """Return whether every configuration's covariance is as large as its error."""
-    return of_values(HONESTY, _configurations(report, "consistency"), "Honesty of every configuration")
+    return of_values(HONESTY, _configurations(report, "consistency"), "Consistency of every configuration")
 
 
 def credit(report: Report) -> Table:

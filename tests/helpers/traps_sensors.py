@@ -301,7 +301,7 @@ LASER_TRAPS = (
     Trap("a wrong publisher of /tf_static", wrong_publisher, "than its yaw of 90.0 deg", True, "lrf", blur=0.02),
     Trap("a laser late by 0.4 s", late_laser, "its motion runs 0.4", True, "lrf"),
     Trap("a laser on another clock", other_clock, "stamped 3600.0 s after the wheels", True, "lrf"),
-    Trap("a laser whose metre is short", short_metre, "its metre is 0.9", True, "lrf"),
+    Trap("a laser whose ranges are short", short_metre, "its ranges are 0.9", True, "lrf"),
     Trap("two lasers", two_lasers, "2 topics that fit", True, "lrf", True),
 )
 

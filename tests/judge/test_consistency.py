@@ -227,7 +227,7 @@ def test_honest_errors_lie_within_bounds_that_know_how_few_they_are() -> None:
     assert fast.independent > 300
     assert found.bounds[1] - found.bounds[0] > 3 * (fast.bounds[1] - fast.bounds[0])
     assert fast.bounds[0] < fast.anees < fast.bounds[1]
-    assert fast.words.startswith("honest")
+    assert fast.words.startswith("consistent")
 
 
 def test_over_confidence_is_said_with_its_factor_and_by_state() -> None:
@@ -237,7 +237,7 @@ def test_over_confidence_is_said_with_its_factor_and_by_state() -> None:
     assert found is not None
     assert found.states["x"] == pytest.approx(1.0, rel=0.2)
     assert found.states["y"] == pytest.approx(25.0, rel=0.2)
-    assert "over-confident: errors are about 3.6 times" in found.words
+    assert "overconfident: errors are about 3.6 times" in found.words
 
 
 # --- as a user meets it

@@ -2,6 +2,7 @@
 
     python -m benchmarks.consistency --drives 30
     python -m benchmarks.consistency --drives 10 --case "laser alone" --case "laser at 40 Hz"
+    python -m benchmarks.consistency --drives 30 --keep drives.jsonl   (goes on where it was stopped)
 
 Each row is a case of `consistency_cases`: the mean over drives with the worst in brackets, the same of version
 0.1, and the goal. `walls` is the smallest sigma of a map line's direction at the end, over the sigma of the
@@ -12,9 +13,10 @@ one only roughly: with a laser alone a drive has a single draw of the heading.
 
 from __future__ import annotations
 
-import functools
 import time
 from collections.abc import Iterable, Iterator, Mapping
+from functools import lru_cache, partial
+from pathlib import Path
 from typing import Any
 
 import click
@@ -34,13 +36,14 @@ from .accuracy import FIRST_SEED, streams_by_role
 from .consistency_before import BEFORE
 from .consistency_cases import ALONE, CASES, Case
 from .consistency_figures import Figures, Means, figures, means
+from .consistency_kept import Kept
 from .consistency_table import HEAD, row
 
 STARTS = (ALONE, *(c.name for c in CASES if c.name.startswith("laser, start")))
 RATES = (ALONE, "laser at 40 Hz")
 
 
-@functools.lru_cache(maxsize=32)
+@lru_cache(maxsize=32)
 def simulated(scenario: str, sets: tuple[str, ...], seed: int) -> tuple[dict[str, ArrayStream], dict[str, Any]]:
     """Return one drive as raw streams, and its robot.toml; cases in a row often share their drives."""
     topics, tables, _ = in_memory(load(scenario, sets), seed)
@@ -82,14 +85,18 @@ def invariants(found: Mapping[str, Means], seeds: Iterable[int]) -> Iterator[str
 @click.option("--case", "names", multiple=True, type=click.Choice([c.name for c in CASES]))
 @click.option("--seed", default=FIRST_SEED, show_default=True, help="Of the first drive.")
 @click.option("--record", is_flag=True, help="Print the figures as lines of consistency_before.py.")
-def main(drives: int, names: tuple[str, ...], seed: int, record: bool) -> None:
+@click.option("--keep", type=click.Path(path_type=Path), help="Finished drives: they are not driven again.")
+def main(drives: int, names: tuple[str, ...], seed: int, record: bool, keep: Path | None) -> None:
     """Print how accurate and how consistent the filter is in every case."""
     found: dict[str, Means] = {}
+    kept = Kept(keep)
     if not record:
         click.echo(HEAD)
     for case in (c for c in CASES if not names or c.name in names):
         begin = time.perf_counter()
-        found[case.name] = means([judged(case, s) for s in range(seed, seed + drives)])
+        found[case.name] = means(
+            [kept.figures(case.name, s, partial(judged, case, s)) for s in range(seed, seed + drives)]
+        )
         seconds = time.perf_counter() - begin
         click.echo(
             recorded(case, found[case.name]) if record else row(case, found, BEFORE.get(case.name), seconds)

@@ -3,7 +3,7 @@
 rows      10 000 simulated results: memory of the tables and the page, size of the page
 killed    a run that is killed at random times and started again, against one that is left alone
 jobs      wall time with two jobs over that with one
-overhead  CPU time per log over that of a bare `compare`
+overhead  CPU time per log over that of a bare `compare`, and that of the command itself
 opening   share of a log with raw images that is read to open it
 """
 
@@ -209,6 +209,33 @@ def jobs_command(count: int, minutes: float) -> None:
             f"{count} logs of {minutes:g} min on {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}: "
             f"--jobs 1 {one.wall:.1f} s, --jobs 2 {two.wall:.1f} s, ratio {two.wall / one.wall:.2f}; "
             f"CPU {one.cpu:.1f} s against {cpu:.1f} s of {count} bare compares: {one.cpu / cpu - 1.0:+.1%}"
+        )
+
+    _in_scratch(work)
+
+
+@main.command("overhead")
+@click.option("--logs", "count", default=10, show_default=True)
+@click.option("--log", default="rounded_triangle", show_default=True, help="The drive that every log is.")
+def overhead_command(count: int, log: str) -> None:
+    """CPU time of a fleet over that of as many bare compares; what the command itself takes, by a second run."""
+
+    def work(scratch: Path) -> str:
+        from locfuse import sample_logs
+
+        source = sample_logs.path(log) if log in sample_logs.names() else Path(log)
+        logs = [scratch / f"log_{i}x.mcap" for i in range(count)]
+        for place in logs:
+            shutil.copy(source, place)
+        words = ("--write", "json", "-q")
+        bare = [cost((*LOCFUSE, "compare", str(one), "-o", str(scratch / "bare"), *words)).cpu for one in logs]
+        fleet = (*LOCFUSE, "compare", *map(str, logs), "-o", str(scratch / "fleet"), *words)
+        first, second = cost(fleet).cpu, cost(fleet).cpu  # the second runs no job
+        of_job = (first - second) / count
+        mean = sum(bare) / count
+        return (
+            f"{count} logs, load {os.getloadavg()[0]:.1f}: CPU: a bare compare {mean:.2f} s, a job {of_job:.2f} s "
+            f"({of_job / mean - 1.0:+.1%}), the command {second:.2f} s; together {first / sum(bare) - 1.0:+.1%}"
         )
 
     _in_scratch(work)

@@ -43,6 +43,14 @@ class Case:
     words: tuple[str, ...] = ()  # more of the command line
     command: str = "run"
 
+    def save(self, folder: Path) -> None:
+        """Keep the case to be looked at."""
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / f"log{self.suffix}").write_bytes(self.log)
+        if self.robot is not None:
+            (folder / "robot.toml").write_bytes(self.robot)
+        (folder / "case.json").write_text(json.dumps({"words": [self.command, *self.words], "title": self.title}))
+
 
 @dataclass(frozen=True)
 class Done:
@@ -83,6 +91,10 @@ class Workshop:
             deeds += [self._other_robot] * 2
         case = rng.choice(deeds)(rng, case)
         return replace(case, command="compare" if rng.random() < 0.05 else "run")
+
+    def judge(self, case: Case, folder: Path) -> str:
+        """Run a case and return what is wrong with the outcome, "" for nothing."""
+        return judge(case, folder, self.trajectories.get(case.title.split(":")[0]))
 
     def _other_robot(self, rng: Random, case: Case) -> Case:
         text = damage.odd_toml(rng, self.robots[case.title])
@@ -224,17 +236,17 @@ def locfuse(*words: str) -> Done:
 def judge(case: Case, folder: Path, healthy: bytes | None) -> str:
     """Run a case and return what is wrong with the outcome, "" for nothing."""
     done = run(case, folder)
-    wrong = _of_words(done) or (_of_files(folder, done) if done.code in {0, 3} else "")
+    wrong = words_are_wrong(done) or (files_are_wrong(folder, done) if done.code in {0, 3} else "")
     if not wrong and done.code == 0 and case.visible and case.command == "run" and healthy is not None:
         same = (folder / "out" / "trajectory.csv").read_bytes() == healthy
         wrong = "" if same else "damage that checksums show changed the trajectory in silence"
     if not wrong and (command := {0: "info", 1: "init"}.get(len(case.log) % 8)):
-        wrong = _of_words(locfuse(command, str(folder / f"log{case.suffix}")))
+        wrong = words_are_wrong(locfuse(command, str(folder / f"log{case.suffix}")))
     return wrong
 
 
-def _of_words(done: Done) -> str:
-    """Hold exit code and stderr against the contract."""
+def words_are_wrong(done: Done, short: bool = True) -> str:
+    """Hold exit code and stderr against the contract; `short`: a refusal is one line, a loss has numbers."""
     text = done.err
     if done.code == 3 and "\n  file: " in done.out:  # info says what is lost among its results
         text += f"lost: {done.out}"
@@ -244,6 +256,10 @@ def _of_words(done: Done) -> str:
         return f"a warning of the runtime reaches the user: {text[-500:]}"
     if done.code not in {0, 1, 2, 3}:
         return f"exit {done.code}: {text[-500:]}"
+    if "out of memory" in text:
+        return "more memory than a case may take"
+    if not short:
+        return ""
     if done.code in {1, 2} and (text.count("\n") != 1 or not text.startswith("locfuse: ")):
         return f"exit {done.code} is not one line: {text[-500:]}"
     if done.code == 3 and not any(c.isdigit() for line in text.splitlines() if "lost" in line for c in line):
@@ -251,13 +267,14 @@ def _of_words(done: Done) -> str:
     return ""
 
 
-def _of_files(folder: Path, done: Done) -> str:
-    """Hold the results against: finite everywhere, P positive, a loss counted."""
+def files_are_wrong(folder: Path, done: Done, lost: bool | None = None) -> str:
+    """Hold the results against: finite everywhere, P positive, a loss counted where there must be one."""
+    lost = done.code == 3 if lost is None else lost
     report = next((folder / "out" / n for n in ("run.json", "report.json") if (folder / "out" / n).exists()), None)
     if report is None:
         return f"exit {done.code} without a result"
     found = json.loads(report.read_text(), parse_constant=_refuse)
-    if done.code == 3 and not (found["input"]["losses"] or found["input"]["dropped"]):
+    if lost and not (found["input"]["losses"] or found["input"]["dropped"]):
         return "exit 3, but nothing is counted as lost"
     for path in (folder / "out").glob("*.tum"):
         if not np.isfinite(np.loadtxt(path, ndmin=2)).all():

@@ -8,6 +8,7 @@ saved; exit 1.
 
 from __future__ import annotations
 
+import atexit
 import random
 import resource
 import struct
@@ -16,6 +17,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache, lru_cache
 from pathlib import Path
 
 import click
@@ -26,6 +28,8 @@ from locfuse.formats.container import ros1_records
 from locfuse.formats.container.decompress import DamagedError
 from locfuse.formats.container.source import ChannelInfo
 from locfuse.formats.container.sqlite_journal import unused_tail
+from locfuse.formats.log import file_stream
+from locfuse.formats.log.file_stream import read_file
 from locfuse.formats.log.files import log_files
 from locfuse.formats.log.log import open_log
 from locfuse.formats.mcap import records as mcap_records
@@ -33,7 +37,7 @@ from locfuse.formats.mcap.chunk import scan
 from locfuse.formats.messages.decode import make_decoder
 from locfuse.formats.messages.fields import paths
 from locfuse.formats.messages.schema import SchemaError, parse, signature
-from locfuse.formats.robot import line_map, robot_toml
+from locfuse.formats.robot import landmark_map, line_map, robot_toml
 from locfuse.formats.robot.urdf import wheel_geometry
 from locfuse.fusion.data import LocfuseError
 
@@ -76,11 +80,16 @@ def decoded(decoder: object, *messages: bytes) -> object:
     """Decode messages by every field; the number of rows must be that of the good messages."""
     length = np.array([len(m) for m in messages], np.int64)
     data = np.frombuffer(b"".join(messages), np.uint8)
-    fields = tuple(paths(decoder.message)[:40])  # type: ignore[attr-defined]
+    fields = all_fields(decoder)
     found = decoder.decode(data, np.cumsum(length) - length, length, fields)  # type: ignore[attr-defined]
     for path, column in found.columns.items():
         assert len(column) == int(found.good.sum()), path
     return found
+
+
+@lru_cache(2)
+def all_fields(decoder: object) -> tuple[str, ...]:
+    return tuple(paths(decoder.message)[:40])  # type: ignore[attr-defined]
 
 
 SCAN_TEXT = (
@@ -106,12 +115,22 @@ def robot(data: bytes) -> object:
     return make_robot(robot_toml.parse(data, "robot.toml"))
 
 
+@cache
+def scratch() -> Path:
+    """A folder in memory where it can be: a file for every input would cost more than reading it."""
+    shm = Path("/dev/shm")
+    folder = tempfile.TemporaryDirectory(dir=shm if shm.is_dir() else None)
+    atexit.register(folder.cleanup)
+    return Path(folder.name)
+
+
 def metadata(data: bytes) -> object:
-    with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "a.mcap").write_bytes(b"x")
-        (Path(folder) / "metadata.yaml").write_bytes(data)
-        files = log_files(Path(folder))
-    assert all(file.parent == Path(folder) for file in files)
+    folder = scratch() / "bag"
+    folder.mkdir(exist_ok=True)
+    (folder / "a.mcap").write_bytes(b"x")
+    (folder / "metadata.yaml").write_bytes(data)
+    files = log_files(folder)
+    assert all(file.parent == folder for file in files)
     return files
 
 
@@ -119,7 +138,8 @@ def mcap_record(data: bytes) -> object:
     """The content of every kind of record."""
     for read in (
         mcap_records.schema, mcap_records.channel, mcap_records.chunk_header, mcap_records.chunk_index,
-        mcap_records.message_index, mcap_records.attachment, mcap_records.message_counts,
+        mcap_records.message_index, mcap_records.attachment, mcap_records.statistics,
+        mcap_records.attachment_index,
     ):  # fmt: skip
         try:
             read(data)
@@ -132,17 +152,16 @@ def file_of(ending: str) -> Callable[[bytes], object]:
     """A whole file: opened, and every topic decoded."""
 
     def run(data: bytes) -> object:
-        with tempfile.NamedTemporaryFile(suffix=ending) as file:
-            file.write(data)
-            file.flush()
-            log = open_log([Path(file.name)])
-            for topic, info in log.topics.items():
-                if info.problem is None:
-                    try:
-                        log.stream(topic).t_ns  # noqa: B018 - the property reads
-                    except LocfuseError:
-                        continue
-            return log.losses.lines()
+        file = scratch() / f"log{ending}"
+        file.write_bytes(data)
+        log = open_log([file])
+        for topic, info in log.topics.items():
+            if info.problem is None:
+                try:
+                    log.stream(topic).t_ns  # noqa: B018 - the property reads
+                except LocfuseError:
+                    continue
+        return log.losses.lines()
 
     return run
 
@@ -152,10 +171,37 @@ def bag_record(data: bytes) -> object:
 
 
 def journal(data: bytes) -> object:
-    with tempfile.NamedTemporaryFile() as file:
-        file.write(data)
-        file.flush()
-        return unused_tail(Path(file.name))
+    file = scratch() / "journal"
+    file.write_bytes(data)
+    return unused_tail(file)
+
+
+def beside_the_log(ending: str) -> Callable[[bytes], object]:
+    """A trajectory or detections in a text file: whole times, and columns of one length."""
+
+    def run(data: bytes) -> object:
+        file = scratch() / f"beside{ending}"
+        file.write_bytes(data)
+        found = read_file(str(file))
+        columns = found.columns(*FIELDS_BESIDE[found.msgtype])
+        assert found.t_ns.dtype == np.int64
+        assert {len(column) for column in columns.values()} == {len(found.t_ns)}
+        return columns
+
+    return run
+
+
+FIELDS_BESIDE = {
+    file_stream.POSE: ("pose.pose.position.x", "pose.pose.orientation.w", "pose.covariance"),
+    file_stream.POINT: ("point.x", "point.y"),
+    file_stream.DETECTIONS: ("id", "range", "bearing"),
+}
+
+
+def landmarks(data: bytes) -> object:
+    file = scratch() / "landmarks.csv"
+    file.write_bytes(data)
+    return landmark_map.read(file)
 
 
 def bag_bytes() -> bytes:
@@ -185,6 +231,10 @@ TOML_WORDS = (b"[", b"]", b"=", b".", b"'", b'"', b"{", b"}", b"nan", b"9" * 400
 XML_WORDS = (b"<joint", b"<parent link='a'/>", b"<child link='a'/>", b"&", b"<", b">", b"nan", b"1e999")
 YAML_WORDS = (b"- ", b"\n", b":", b"../", b"'", b"\0", b" ")
 BYTES = (b"\0", b"\xff", b"\xff\xff\xff\xff", b"\0\0\0\0\0\0\0\x80", struct.pack("<I", 1 << 30))
+CSV_WORDS = (
+    b",", b"\n", b"\r", b"\r\n", b'"', b" ", b"nan", b"1e400", b"-", b"_", b"0" * 5000, b"t,x,y\n", b"id,", b"#",
+    b"\xe2\x80\xae", b"1e-99999999999999999999",
+)  # fmt: skip
 JOURNAL = struct.pack(">8I", 0x377F0682, 3007000, 512, 0, 1, 2, 0, 0) + bytes(1072)
 OURS = (LocfuseError,)
 
@@ -220,6 +270,9 @@ TARGETS: dict[str, Target] = {
     "bag record": Target(bag_record, (bag_bytes(),), (*BYTES, b"op=\x02", b"conn=", b"time="), (DamagedError,)),
     "bag": Target(file_of(".bag"), (ros1_records.MAGIC + bag_bytes(),), (*BYTES, b"op=\x05"), OURS),
     "journal": Target(journal, (JOURNAL,), BYTES, ()),
+    "tum": Target(beside_the_log(".tum"), corpus("tum"), CSV_WORDS, OURS),
+    "csv": Target(beside_the_log(".csv"), corpus("csv"), CSV_WORDS, OURS),
+    "landmarks": Target(landmarks, corpus("landmarks"), CSV_WORDS, OURS),
     "line map": Target(wall_map, corpus("line_map"), JSON_WORDS, OURS),
 }
 

@@ -32,10 +32,19 @@ COMMANDS = {
     "tune": "Find the noise of wheels and sensors from logs, without truth.",
     "recover": "Copy everything readable of a damaged log into one clean MCAP.",
     "explain": "Say what a word of a report means: ANEES, NIS, drift ...",
+    "completion": "Print the script by which a shell completes commands, logs, sensors, keys and topics.",
+    "paper": "Repeat the paper's table and figures, with our filter and as printed, on one page.",
     "simulate": "Drive a scenario and record it as a log with known truth.",
+    "schema": "Print the JSON Schema of robot.toml or report.json, for editors and programs.",
 }
-NEEDS_NO_LOG = {"explain"}
+ELSEWHERE = {"explain": "terminal", "schema": "reference"}  # the room of a command that is not in `commands`
 INTERRUPTED, TERMINATED = 130, 143
+PACKAGES = {  # module -> what to install, where their names differ
+    "cv2": "opencv-python-headless",
+    "distributed": "locfuse[cluster]",
+    "obstore": "locfuse[remote]",
+    "rerun": "rerun-sdk",
+}
 NO_ROOM = ("failed to map segment", "annot allocate memory")  # what the loader says when memory is short
 
 
@@ -50,10 +59,22 @@ class LazyGroup(click.Group):
         """Import and return one command."""
         if cmd_name not in COMMANDS:
             return None
-        room = "terminal" if cmd_name in NEEDS_NO_LOG else "commands"
+        room = ELSEWHERE.get(cmd_name, "commands")
         module = importlib.import_module(f"locfuse.cli.{room}.{cmd_name}")
         command: click.Command = getattr(module, cmd_name)
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command that was typed; one that does not exist is an error that names the nearest."""
+        from locfuse.formats.nearest import nearest
+
+        if args and not args[0].startswith("-") and args[0] not in COMMANDS:
+            near = nearest(args[0], COMMANDS)
+            meant = f"did you mean {near}" if near else f"choose from {', '.join(COMMANDS)}"
+            ctx.fail(f"no command {args[0]!r}; {meant}")
+        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands without importing them."""
@@ -134,7 +155,17 @@ def _expected(e: Exception) -> int:
         return _say(f"{what}:{where}{hint}" if where else f"{what}{hint}", 1)
     if isinstance(e, ImportError) and any(words in str(e) for words in NO_ROOM):
         return _say(f"out of memory: a library could not be loaded ({str(e).splitlines()[-1].strip()})", 1)
+    if isinstance(e, ModuleNotFoundError) and (package := _package_of(e)) is not None:
+        return _say(f"this needs {package}, which is not installed: python -m pip install {package}", 1)
+    if isinstance(e, RuntimeError) and "can't start new thread" in str(e):
+        return _say("out of memory: a thread could not be started", 1)
     raise e
+
+
+def _package_of(e: ModuleNotFoundError) -> str | None:
+    """Return what to install for a module that is missing; None for one of ours, which is a bug."""
+    module = (e.name or "").partition(".")[0]
+    return None if module in {"", "locfuse"} else PACKAGES.get(module, module)
 
 
 def _say(text: str, code: int) -> int:

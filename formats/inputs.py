@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import os
 import stat
 from collections.abc import Iterable
@@ -54,11 +56,13 @@ def hold(reader: object, file: Identity) -> None:
 
 
 def refuse_to_write(path: Path) -> None:
-    """Raise LocfuseError where `path` is a file that is being read: to write it would destroy the input."""
+    """Raise LocfuseError where `path` is a file that is being read, or a device: to write it would destroy it."""
     try:
         found = path.stat()
     except OSError:
         return
+    if not stat.S_ISREG(found.st_mode):  # a new file takes its place: /dev/null would be a device no more
+        raise LocfuseError(f"{path}: not a regular file, so that no result can take its place; name a file")
     if (found.st_dev, found.st_ino) in _HELD.values():
         raise LocfuseError(f"{path}: {DESTROYS}")
 
@@ -78,9 +82,19 @@ def read_small(path: Path, cap: int) -> bytes:
         raise LocfuseError(names_its_cap(str(path), found.size, cap, "bytes"))
     try:
         with path.open("rb") as file:
-            return file.read(cap)  # never more, should it grow
+            return file.read(found.size)  # never more, should it grow; to ask for the cap would allocate it
     except OSError as problem:
         raise LocfuseError(f"{path}: cannot be read: {problem.strerror or problem}") from None
+
+
+def csv_rows(path: Path, cap: int) -> list[tuple[int, list[str]]]:
+    """Return (line, values) of every line of a .csv that is not blank; a line may end in any of the three ways."""
+    text = read_small(path, cap).decode("utf-8", "replace").lstrip("\ufeff")
+    rows = csv.reader(io.StringIO(text, newline=""))
+    try:
+        return [(rows.line_num, row) for row in rows if any(word.strip() for word in row)]
+    except csv.Error as problem:
+        raise LocfuseError(f"{path}: line {rows.line_num}: no .csv: {problem}") from None
 
 
 def _of(found: os.stat_result) -> Identity:

@@ -72,6 +72,8 @@ def may_replace(file: Path | None, overwrite: bool, given: Iterable[str | Path] 
         raise UsageError(f"{file}: {DESTROYS}")
     if file is not None and file.exists() and not overwrite:
         raise UsageError(f"{file} exists: choose another name, or replace it with --overwrite")
+    if file is not None:
+        refuse_to_write(file)
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Sequence
 from typing import Any
 
@@ -37,6 +38,7 @@ class Record:
         self._instants: list[int] = []
         self._waiting: list[Innovation] = []  # until there are enough of them to be turned into columns at once
         self._columns: dict[str, NDArray[Any]] = {}
+        self.joint = array("d")  # flat: y' S^-1 y of all accepted rows of a reading together, its dof
 
     def add(self, k: int, seen: Sequence[Innovation]) -> None:
         """Note the innovations of one reading at instant k."""
@@ -73,4 +75,5 @@ class Record:
         """Return the record as columns: views, since a copy would hold everything twice for a moment."""
         self._write()
         self._make_room(0, 1)
-        return Audit(**{name: column[: self._rows] for name, column in self._columns.items()})
+        joint = np.array(self.joint).reshape(-1, 2)
+        return Audit(**{name: column[: self._rows] for name, column in self._columns.items()}, joint=joint)

@@ -160,6 +160,8 @@ class Measurements:
     Reading i holds the rows first[i]:first[i+1]; none means the reading gave no measurement ("absent").
     The covariance of row j is scale^2 * R_unit[j] + floor, so that tuning re-fuses without re-measuring.
     Where `extra` has a column "rest" (m,), this variance is in R_unit and yet not the sigma's to change.
+    Where it has a column "shared" (m, d, k), rows of one reading share k errors of unit variance: their covariance
+    is G_i G_j' beyond R, and G_i G_i' is in `R`.
     """
 
     t: Array  # (n,) s since Drive.epoch_ns, never decreasing, time_offset applied
@@ -171,6 +173,7 @@ class Measurements:
     extra: dict[str, Array] = field(default_factory=dict)  # more columns with m rows, e.g. segment ends
     dropped: dict[str, int] = field(default_factory=dict)  # readings refused, by reason
     points: Points | None = None  # of a laser: what else its n scans saw
+    notes: tuple[str, ...] = ()  # in words: what is unusual about what was seen
 
     @cached_property
     def R(self) -> Array:
@@ -179,7 +182,11 @@ class Measurements:
 
     def covariances(self, rows: slice | Ints) -> Array:
         """Return the covariances (k, d, d) of some rows: those of an hour need not be held all at once."""
-        return self.scale**2 * self.R_unit[rows] + self.floor
+        R: Array = self.scale**2 * self.R_unit[rows] + self.floor
+        if "shared" in self.extra:
+            G = self.extra["shared"][rows]
+            R += np.einsum("mik,mjk->mij", G, G)
+        return R
 
     @property
     def absent(self) -> int:
@@ -206,6 +213,7 @@ class Measurements:
             extra={k: v[rows] for k, v in self.extra.items()},
             dropped=self.dropped,
             points=None if self.points is None else self.points.take(readings),
+            notes=self.notes,
         )
 
 
@@ -258,6 +266,7 @@ class Drive:
         return LocfuseError(why, role=sensor, fixes=self.fixes.get(sensor, ()))
 
 
+MAX_MAGNITUDE = 1e12  # m: a light hour; what is farther away was never measured
 VERDICTS = ("accepted", "gate", "ambiguous", "unmatched", "new", "disturbed", "lost", "repeated")
 
 
@@ -273,6 +282,8 @@ class Audit:
     threshold: Array  # (k,) the gate
     y: Array  # (k, d) innovation; NaN where nothing was predicted
     sigma: Array  # (k, d) its predicted standard deviation
+    # (j, 2) of readings with several accepted rows: y' S^-1 y of all of them, and its degrees of freedom
+    joint: Array = field(default_factory=lambda: np.zeros((0, 2)))
 
 
 FAULT, LOST, REFUSED, REST = "fault", "lost", "refused", "rest"  # kinds of events
@@ -367,6 +378,12 @@ class Estimates:
         return matrices(self.triangles)
 
 
+def plausible(values: Array) -> NDArray[np.bool_]:
+    """Return where values (any shape; m, rad or degrees) are numbers whose squares can be computed with."""
+    small: NDArray[np.bool_] = np.abs(values) < MAX_MAGNITUDE  # so is no NaN
+    return small
+
+
 def result_name(configuration: str, smoothed: bool) -> str:
     """Return the name of a result in reports and of its files: "all", or "all-smoothed"."""
     return f"{configuration}-smoothed" if smoothed else configuration
@@ -391,6 +408,7 @@ class SensorFigures:
     absent: int  # readings that gave no measurement
     nis: float | None  # mean squared Mahalanobis distance of what was accepted, per degree of freedom
     verdicts: dict[str, int]  # count of every verdict that occurred
+    joint_nis: float | None = None  # as `nis`, of readings as a whole: of all lines of a scan at once
 
 
 @dataclass(frozen=True)

@@ -89,6 +89,7 @@ class Filter:
         self.belief: AnyBelief = _begin(
             robot, list(self.models.values()), beliefs, any(map(any, self._listens.values()))
         )
+        self._joint = isinstance(self.belief, JointBelief)
         self._in_map: AnyBelief | InMap = self.belief  # the belief as it is seen from the map
         self._rolling = [m for m in self.models.values() if type(m).rolled is not Model.rolled]
         self._mapping = [s for s in self._sensors if self.models[s].maps]
@@ -107,37 +108,51 @@ class Filter:
 
     def advance(self, k: int, step: Step, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
         """Take the belief to instant k and correct it by every reading (sensor, i) that is due there."""
-        self._move(step)
-        for sensor, i in due:
-            if sensor in self._mapping and self.models[sensor].begins_map(measurements[sensor], i):
-                self._begin_frame()
+        self._move(step, due, measurements)
         belief, in_map, models = self.belief, self._in_map, self.models
         accepted: list[Innovation] = []
         heard: list[Innovation] = []
+        several: list[tuple[str, list[Innovation]]] = []  # of one reading, where they are corrected together
         for sensor, i in due:
             model = models[sensor]
             seen = model.innovations(measurements[sensor], i, belief if model.local else in_map)
             if sensor in self._inflates:
                 seen = [inflated(innovation) for innovation in seen]
             self._records[sensor].add(k, seen)
+            taken = [innovation for innovation in seen if innovation.verdict == 0]
             if sensor not in self._listens or not self._listens[sensor][i]:
-                accepted += [innovation for innovation in seen if innovation.verdict == 0]
+                accepted += taken
+                if self._joint and taken[1:]:
+                    several.append((sensor, taken))
             elif models[sensor].teaches:
-                heard += [innovation for innovation in seen if innovation.verdict == 0]
+                heard += taken
         if heard and isinstance(belief, JointBelief):
             belief.listen(heard)
         if accepted:
-            belief.correct(accepted)
+            self._correct_whole(accepted, several) if several else belief.correct(accepted)
         for sensor, i in due:
             model = models[sensor]
             model.learn(measurements[sensor], i, belief if model.local else in_map)
         self._record()
 
-    def _move(self, step: Step) -> None:
-        """Predict, and let those models know that ask how far the wheels rolled."""
+    def _correct_whole(self, accepted: list[Innovation], several: list[tuple[str, list[Innovation]]]) -> None:
+        """Correct once by all that was accepted, and note how well readings of several rows fit as a whole."""
+        belief = self.belief
+        assert isinstance(belief, JointBelief)
+        alone = len(several[0][1]) == len(accepted)
+        joint = [] if alone else [belief.joint_nis(seen) for _, seen in several]
+        belief.correct(accepted)
+        for (sensor, _), nis in zip(several, joint or [belief.nis], strict=True):
+            self._records[sensor].joint.extend(nis)
+
+    def _move(self, step: Step, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
+        """Predict, tell models that ask how far the wheels rolled, and begin a frame where a map begins."""
         self.belief.predict(*step)
         for model in self._rolling:
             model.rolled(step.u)
+        for sensor, i in due:
+            if sensor in self._mapping and self.models[sensor].begins_map(measurements[sensor], i):
+                self._begin_frame()
 
     def pose(self) -> Pose:
         """Return the pose (x, y, theta) in the map [m, m, rad], theta not wrapped."""

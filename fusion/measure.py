@@ -15,7 +15,7 @@ import numpy as np
 
 from locfuse.fusion.sensors.registry import REGISTRY, unmet
 from locfuse.fusion.wheels.motion import Wheels
-from locfuse.fusion.wheels.read import read_wheels
+from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
 from . import se2
 from .data import Array, Drive, Ints, LocfuseError, Measurements, Motions, Stream, Truth
@@ -31,14 +31,16 @@ def measure(
     absent: Mapping[str, str] | None = None,
     progress: Callable[[str], None] = lambda role: None,
     known: Mapping[str, Measurements] | None = None,
+    motion: WheelReading | None = None,
 ) -> Drive:
     """Measure a log: `streams` holds "wheels", sensors by name, and perhaps "truth".
 
-    Sensors in `known` were measured before, under the same settings of theirs and of the wheels.
+    Sensors in `known` were measured before, under the same settings of theirs and of the wheels. `motion` is how
+    the robot moved where it was found before: without wheels, from its scans.
     Raises LocfuseError where the wheels give no motion or a sensor's readings cannot be understood.
     """
     progress("wheels")
-    wheels, epoch_ns, dropped, notes = read_wheels(streams["wheels"], robot.wheels)
+    wheels, epoch_ns, dropped, notes = motion or read_wheels(streams["wheels"], robot.wheels)
     drops = {"wheels": dropped}
     measurements: dict[str, Measurements] = {}
     missing = dict(absent or {})
@@ -61,7 +63,9 @@ def measure(
     _drop_dependent(measurements, missing)
     drive = cut(wheels, epoch_ns, measurements, robot, missing, streams.get("truth"), drops)
     repairs = (*notes, *_gap_notes(wheels))
-    return replace(drive, notes=tuple(f"wheels: {note}" for note in repairs), repairs=repairs, fixes=fixes)
+    of_sensors = (f"{name}: {note}" for name, m in drive.measurements.items() for note in m.notes)
+    words = (*(f"wheels: {note}" for note in repairs), *of_sensors)
+    return replace(drive, notes=words, repairs=repairs, fixes=fixes)
 
 
 def _drop_dependent(measurements: dict[str, Measurements], missing: dict[str, str]) -> None:

@@ -34,11 +34,18 @@ class SensorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 class WheelMotion(Protocol):
     """Relative motion of the robot by its wheels: all that `measure` may know of where the robot is."""
 
+    @property
+    def track(self) -> float:
+        """Distance between the wheels [m]."""
+
     def relative(self, t_from: Array, t_to: Array) -> Array:
         """Return the pose (n, 3) at t_to seen from the pose at t_from, both (n,) s since the drive's epoch."""
 
     def heading(self, t: Array) -> Array:
         """Return the heading (...) [rad, not wrapped] by the wheels alone at times t (...) within the drive."""
+
+    def slips(self, t: Array) -> Array:
+        """Return the variances (..., k - 1, 2) [m^2] of what either wheel rolled between times t (..., k) [s]."""
 
 
 class Innovation(msgspec.Struct, frozen=True, gc=False):
@@ -58,6 +65,7 @@ class Innovation(msgspec.Struct, frozen=True, gc=False):
     R: Matrix  # (d, d)
     columns: tuple[int, ...] = ()  # state columns of the sensor's block, and of the map frame
     H_block: Matrix = ()  # (d, len(columns))
+    shared: Sequence[Sequence[float]] = ()  # (d, k) unit errors that innovations of one reading share; in R too
 
     @classmethod
     def of(

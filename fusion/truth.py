@@ -12,7 +12,7 @@ from locfuse.fusion.wheels.jumps import limits, spikes
 from locfuse.fusion.wheels.odometry import POSE
 
 from . import se2
-from .data import Array, Column, LocfuseError, Ragged, Stream, Truth
+from .data import Array, Column, LocfuseError, Ragged, Stream, Truth, plausible
 from .geodesy import east_north
 from .robot import TruthSettings
 
@@ -48,7 +48,7 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
     """Return the truth in strictly increasing time, and what was dropped by reason."""
     dropped = dict(stream.dropped)
     values = _values(stream, settings, dropped)
-    finite = np.isfinite(values).all(axis=1)
+    finite = plausible(values).all(axis=1)
     if not finite.all():
         missing = int((~finite).sum()) - dropped.get("other_bodies", 0)
         dropped |= {"not_finite": missing} if missing else {}
@@ -114,7 +114,7 @@ def _of_body(topic: str, columns: dict[str, Column], body: str | None, dropped: 
 
 def _in_plane(where: Array, settings: TruthSettings) -> Array:
     """Return fixes (n, 2) latitude, longitude [deg] as x, y [m] of the map: east and north, turned by east_deg."""
-    finite = where[np.isfinite(where).all(axis=1)]
+    finite = where[plausible(where).all(axis=1)]
     origin = settings.origin or (tuple(finite[0].tolist()) if len(finite) else (0.0, 0.0))
     xy = east_north(where[:, 0], where[:, 1], (origin[0], origin[1]))
     c, s = math.cos(math.radians(settings.east_deg)), math.sin(math.radians(settings.east_deg))

@@ -13,6 +13,7 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensor import Sensor
 from locfuse.fusion.sensors.registry import REGISTRY, unmet
 from locfuse.fusion.truth import BODIES, TRUTH_READS, looks_like_truth
+from locfuse.fusion.wheels.odometry import SCANS
 
 from .topics import NAMED, ONLY, Choice, checked, of_type, one, several_fit, types
 from .wheel_topics import choose_wheels
@@ -82,7 +83,8 @@ def _names(settings: Any) -> tuple[str, ...]:
 def _candidates(log: Log, name: str, choice: Choice) -> list[str]:
     """Return the topics that a sensor could read and nobody but another sensor does, those with messages first."""
     sensor = REGISTRY[name]
-    taken = {*choice.of("truth"), *choice.of("wheels")}
+    wheels = [t for t in choice.of("wheels") if log.topics[t].msgtype != SCANS]  # without wheels: scans serve both
+    taken = {*choice.of("truth"), *wheels}
     found = [t for t in of_type(log, sensor.reads) if t not in taken]
     found = [t for t in found if _named_well(t, log.topics[t].msgtype, sensor)]
     found = [t for t in found if log.topics[t].count != 0] or found

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
+from locfuse.formats.url import Place, Url, is_url, place
 from locfuse.fusion.data import LocfuseError, UsageError
 
 PART = re.compile(r"(?P<name>.+)_(?P<number>\d+)\.(?:mcap(?:\.zstd)?|db3(?:\.zstd)?)")
@@ -17,6 +18,8 @@ RESULTS = ("report.json", "run.json")
 
 def result_file(word: str) -> Path | None:
     """Return the report of a finished result that a word names (its folder or the file itself), else None."""
+    if is_url(word):
+        return None
     path = Path(word)
     if path.name in RESULTS and path.is_file():
         return path
@@ -46,17 +49,23 @@ def logs_of(words: Sequence[str]) -> list[list[str]]:
     """
     groups: dict[object, list[str]] = {}
     for word in _once(words):
-        part = PART.fullmatch(Path(word).name)
-        key = (Path(word).resolve().parent, part["name"]) if part and Path(word).is_file() else word
+        part = PART.fullmatch(place(word).name)
+        key = (_folder(word), part["name"]) if part and (is_url(word) or Path(word).is_file()) else word
         groups.setdefault(key, []).append(word)
     return [log for parts in groups.values() for log in _split(parts)]
+
+
+def _folder(word: str) -> Place:
+    found = place(word)
+    return found.parent if isinstance(found, Url) else found.resolve().parent
 
 
 def _once(words: Sequence[str]) -> list[str]:
     """Leave out other paths to the same file, and a metadata.yaml beside files of its folder: `bag/*` names it."""
     first: dict[object, str] = {}
     for word in words:
-        first.setdefault(Path(word).resolve() if Path(word).exists() else word, word)
+        here = not is_url(word) and Path(word).exists()
+        first.setdefault(Path(word).resolve() if here else word, word)
     parts = {path.parent for path in first if isinstance(path, Path) and path.name != METADATA}
     return [w for p, w in first.items() if not (isinstance(p, Path) and p.name == METADATA and p.parent in parts)]
 
@@ -68,7 +77,7 @@ def _split(parts: list[str]) -> list[list[str]]:
     from locfuse.formats.log.log import open_log
 
     try:
-        spans = sorted(span for part in parts if (span := open_log([Path(part)]).time_span_ns) is not None)
+        spans = sorted(span for part in parts if (span := open_log([place(part)]).time_span_ns) is not None)
     except LocfuseError:  # the one that cannot be opened fails by itself
         return [[part] for part in parts]
     apart = all(b[0] > a[1] - OVERLAP_NS for a, b in pairwise(spans))

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from locfuse.formats.nearest import did_you_mean
 from locfuse.fusion.data import LocfuseError
 
 if TYPE_CHECKING:
@@ -74,7 +75,10 @@ def checked(log: Log, role: str, topic: str, reads: Iterable[str]) -> str:
     info = log.find(topic)
     if info is None:
         have = ", ".join(sorted(log.topics)[:12]) or "no topics"
-        raise LocfuseError(f"{log.name} has no topic {topic}; it has {have}.", role=role)
+        near = did_you_mean(topic, log.topics)
+        raise LocfuseError(
+            f"{log.name} has no topic {topic}; {f'{near} It' if near else 'it'} has {have}.", role=role
+        )
     if info.msgtype not in reads:
         raise LocfuseError(f"{topic} is {info.msgtype}; accepted: {types(reads)}", role=role)
     if info.problem is not None:

@@ -1,6 +1,7 @@
 """Which topics feed the wheels: angles, ticks or speeds of the wheels, else the body's motion as somebody says it.
 
-The body's motion is taken from, in this order: an odometry topic, an odometry that only /tf has, a measured twist.
+The body's motion is taken from, in this order: an odometry topic, an odometry that only /tf has, a measured twist,
+the scans of a laser.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, cast
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.truth import looks_like_truth
-from locfuse.fusion.wheels.odometry import ODOMETRY, POSE, SPEED, STEERED
+from locfuse.fusion.wheels.odometry import ODOMETRY, POSE, SCANS, SPEED, STEERED
 from locfuse.fusion.wheels.read import WHEEL_READS, counts_ticks
 from locfuse.fusion.wheels.sources import JOINTS, NUMBERS, SPEEDS, TICKS, joint_names
 
@@ -67,6 +68,8 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
         return
     bodies, why = _bodies(log, choice)
     topic_or_none = one(log, "wheels", None, bodies, WHEEL_READS)
+    if topic_or_none is None and not counters:
+        topic_or_none, why = _scans(log, robot), "no wheels and no odometry: its scans are matched with each other"
     if topic_or_none is None:
         if not counters:
             raise _nothing(log)
@@ -96,6 +99,13 @@ def _bodies(log: Log, choice: Choice) -> tuple[list[str], str]:
     if pairs := odometry_frames(log):
         return pairs, "the only odometry in /tf"
     return [t for t in filled(TWISTS) if not commanded(t)], ONLY
+
+
+def _scans(log: Log, robot: Robot) -> str | None:
+    """Return the laser whose scans say how the robot moved: the sensor's own where named, else the only one."""
+    named = robot.settings("lrf").topic
+    filled = [t for t in of_type(log, (SCANS,)) if log.topics[t].count]
+    return named if named in filled else one(log, "wheels", None, filled, WHEEL_READS)
 
 
 def odometry_frames(log: Log) -> list[str]:
@@ -216,7 +226,7 @@ def _nothing(log: Log) -> NoWheelsError:
     stand_in = [f"{t} holds {_what(t, asked)}: --set wheels.topic={t} takes it" for t in (asked + poses)[:1]]
     return NoWheelsError(
         f"{log.name} has no topic of type {types(kinds)}, no odometry in /tf, nor two std_msgs numbers named left "
-        "and right, so nothing says how the robot moved.",
+        "and right, and no laser, so nothing says how the robot moved.",
         role="wheels",
         hint=". ".join((f"It has {have}", *stand_in)),
     )

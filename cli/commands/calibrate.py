@@ -7,12 +7,13 @@ from pathlib import Path
 import click
 
 from locfuse.cli.pipeline.settings import LogOptions
+from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.findings import end, findings_options, print_findings
 from locfuse.cli.terminal.options import log_options
 
 
 @click.command()
-@click.argument("log", nargs=-1, required=True)
+@click.argument("log", nargs=-1, required=True, shell_complete=completion.logs)
 @findings_options("Write what was found as robot.toml, to be used with --robot.", "a table")
 @log_options
 def calibrate(log: tuple[str, ...], out: Path | None, overwrite: bool, as_json: bool, how: LogOptions) -> int:
@@ -40,7 +41,7 @@ def calibrate(log: tuple[str, ...], out: Path | None, overwrite: bool, as_json: 
         progress("calibrating")
         found = calibrate.calibrate_logs(loaded)
     if out is not None:
-        calibrate.write(out, found)
+        calibrate.write(out, found, how.robot, how.over)
     print_findings(found.values(), [(("setting", "found", "95 % interval", "was"), found.rows())], out, as_json)
     lost = [line for one in loaded for line in results.loss_lines(one, list(one.drive.measurements), how.strict)]
     return end(found.notes, lost, how.quiet)

@@ -7,7 +7,9 @@ from typing import Any
 
 import click
 
+from locfuse.cli.comparison.one_log import Wish, one
 from locfuse.cli.pipeline.settings import OF_COMPARISON as KINDS
+from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.fleet_options import fleet_options
 from locfuse.cli.terminal.options import (
     export_option,
@@ -19,13 +21,12 @@ from locfuse.cli.terminal.options import (
 )
 from locfuse.cli.terminal.rerun_options import rerun_options
 
-from .one_log import Wish, one
-
 
 @click.command()
-@click.argument("log", nargs=-1)
+@click.argument("log", nargs=-1, shell_complete=completion.logs)
 @click.option(
     "--sensors",
+    shell_complete=completion.sensors,
     multiple=True,
     help="A configuration to compare, e.g. --sensors odometry --sensors compass,lrf, or a what-if at a lower "
     "rate, --sensors lrf@2Hz. Repeatable.  [default: odometry, each sensor alone, all]",
@@ -76,6 +77,7 @@ from .one_log import Wish, one
     show_default=True,
     help="How much worse than the baseline is allowed: a share, a floor (1mm, 0.1deg), or both: 5%,1mm.",
 )
+@click.option("--open", is_flag=True, help="Open the report in the browser when it is written.")
 @fleet_options
 @log_options
 @preset_option
@@ -108,12 +110,12 @@ def compare(log: tuple[str, ...], **asked: Any) -> int:
         raise click.UsageError("Missing argument 'LOG...'.", click.get_current_context())
     finished = results_of(words)
     if finished is not None:
-        from .changes import changes
+        from locfuse.cli.comparison.changes import changes
 
         return changes(finished, wish)
     listed = any(word.startswith("@") for word in log) or wish.fleet.asked
     if not listed and (len(words) == 1 or len(logs_of(words)) == 1):
         return one(words, wish)
-    from .several import several
+    from locfuse.cli.comparison.several import several
 
     return several(words, wish)

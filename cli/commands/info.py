@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from locfuse.cli.pipeline.settings import LogOptions
+from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.options import log_options
 from locfuse.cli.terminal.screen import put, reader_may_leave
 
@@ -21,12 +22,13 @@ TRIED = "tried by fusing"
 
 
 @click.command()
-@click.argument("log", nargs=-1, required=True)
+@click.argument("log", nargs=-1, required=True, shell_complete=completion.logs)
 @click.option(
     "--check",
     is_flag=True,
     help="Also try the fixes by fusing again. Exit with 3 if something was found that would spoil an estimate.",
 )
+@click.option("--topics", is_flag=True, help="List the topics and nothing else: no message is read.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @click.option(
     "--preview",
@@ -35,7 +37,9 @@ TRIED = "tried by fusing"
     help="Write a few of the camera's pictures there, with what counts as red and what was found.",
 )
 @log_options
-def info(log: tuple[str, ...], check: bool, as_json: bool, preview: Path | None, how: LogOptions) -> int:
+def info(
+    log: tuple[str, ...], check: bool, topics: bool, as_json: bool, preview: Path | None, how: LogOptions
+) -> int:
     """Say what is in LOG, which sensor reads which topic and why, what is missing, and what looks wrong.
 
     A finding that a setting fixes is printed with that setting. --check tries them by fusing.
@@ -44,7 +48,10 @@ def info(log: tuple[str, ...], check: bool, as_json: bool, preview: Path | None,
     locfuse info bag/
     locfuse info bag/ --check --set wheels.radius=0.033 --set wheels.track=0.16
     locfuse info bag/ --preview pictures --set camera.outer=230
+    locfuse info --topics s3://bucket/drive.mcap
     """
+    if topics:
+        return _list_topics(log, as_json, how.quiet)
     from locfuse.cli.inspect import values
     from locfuse.cli.inspect.inspect_log import inspect_log
     from locfuse.cli.pipeline.load import find_log
@@ -64,6 +71,7 @@ def info(log: tuple[str, ...], check: bool, as_json: bool, preview: Path | None,
             if tried:
                 show.lines(("", TRIED), (TRIED,))
                 show.findings(tried)
+    show.transfer(overview.log.transfer, how.quiet)
     losses = {"lost", "refused"} if how.strict else {"lost"}
     lost = any(o.code in losses for o in overview.findings)
     return ODD if lost or (check and overview.severe) else 0
@@ -78,6 +86,24 @@ def _tried(log: tuple[str, ...], how: LogOptions, progress: Callable[[str], None
         return opened(log, how, progress).findings()
     except LocfuseError:
         return {}  # the findings of measuring say why
+
+
+def _list_topics(words: tuple[str, ...], as_json: bool, quiet: bool) -> int:
+    """Print what a log says of itself: of one that is elsewhere the summary alone is read."""
+    from locfuse.cli.inspect import values
+    from locfuse.cli.pipeline.load import find_log
+    from locfuse.cli.terminal import info_text, show
+    from locfuse.formats.log.log import open_log
+    from locfuse.formats.report import json_report
+
+    log = open_log(find_log(words))
+    with reader_may_leave():
+        if as_json:
+            put(json_report.encode({"topics": values.listed(log)}))
+        else:
+            show.lines(info_text.listed(values.listed(log), show.width()))
+    show.transfer(log.transfer, quiet)
+    return ODD if log.losses else 0
 
 
 def _typed(log: tuple[str, ...], how: LogOptions) -> list[str]:

@@ -3,48 +3,97 @@
 from __future__ import annotations
 
 import shlex
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from locfuse.cli.pipeline.settings import LogOptions
+from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.options import log_options
-from locfuse.cli.terminal.screen import put, reader_may_leave
+from locfuse.cli.terminal.screen import put, reader_may_leave, say
 
 if TYPE_CHECKING:
     from locfuse.cli.inspect.template import Draft
 
 LOSS = 3
+SCHEMA = "robot.schema.json"  # beside robot.toml: a path that holds on every machine, and wherever both are moved
+FILE = click.Path(path_type=Path, dir_okay=False)
 
 
 @click.command()
-@click.argument("log", nargs=-1, required=True)
+@click.argument("log", nargs=-1, required=True, shell_complete=completion.logs)
+@click.option("-o", "--out", type=FILE, help="Write it to this file.  [default: print it]")
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+@click.option(
+    "--update",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    metavar="ROBOT.TOML",
+    help="Add to this file what the log shows and the file does not say; its comments and values stay.",
+)
 @log_options
-def init(log: tuple[str, ...], how: LogOptions) -> int:
+def init(log: tuple[str, ...], out: Path | None, overwrite: bool, update: Path | None, how: LogOptions) -> int:
     """Print a robot.toml for LOG: a starting point with a comment on every line.
 
     What the log shows is set: topics, joints, mounts by /tf_static, wheels by /robot_description, clock lags.
     Guesses are marked as guesses. Lines starting with # are inactive: they say what to measure.
 
     \b
-    locfuse init bag/ > robot.toml
+    locfuse init bag/ -o robot.toml
+    locfuse init bag/ --update robot.toml
     locfuse init bag/ --set wheels.radius=0.033 --set wheels.track=0.16 > robot.toml
     locfuse compare bag/ --robot robot.toml
     """
     from locfuse.cli.inspect.template import draft
     from locfuse.cli.pipeline.load import find_log
     from locfuse.cli.terminal import show
-    from locfuse.formats.robot.commented_toml import printable, render
+    from locfuse.formats.robot.commented_toml import printable
+    from locfuse.formats.whole_files import may_replace, whole_file
 
+    if update is not None:
+        if out is not None or how.robot is not None:
+            raise click.UsageError("--update FILE reads and writes FILE: leave out -o and --robot")
+        how = replace(how, robot=update)
+    may_replace(out, overwrite, log)
     with show.progress(how.quiet) as progress:
         made = draft(find_log(log), how, progress)
     words = printable(shlex.join(log))
-    with reader_may_leave():
-        put(render(_head(made, words), made.sections, _foot(made)))
+    text = _fresh(made, words) if update is None else _updated(made, update)
+    if update is not None or out is not None:
+        place = update or out
+        assert place is not None
+        with whole_file(place) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+        say(f"{place}: use it with --robot {place}")
+    else:
+        with reader_may_leave():
+            put(text)
     lost = made.overview.log.losses.lines()
     if not how.quiet:
         _say(made, words, lost)
     return LOSS if lost else 0
+
+
+def _fresh(made: Draft, words: str) -> str:
+    """Return a whole robot.toml; its first line names the schema, where editors look for it."""
+    from locfuse.formats.robot.commented_toml import render
+
+    return f"#:schema ./{SCHEMA}\n{render(_head(made, words), made.sections, _foot(made))}"
+
+
+def _updated(made: Draft, file: Path) -> str:
+    """Return the text of a robot.toml with the keys that the log shows and it lacks."""
+    from locfuse.formats.robot import commented_edit, robot_toml
+
+    text = commented_edit.text_of(file)
+    there = robot_toml.parse(text, str(file))
+    changes: dict[str, Any] = {}
+    for section in (s for s in made.sections if s.name):
+        values = {line.key: line.value for line in section.lines if line.holds and line.value is not None}
+        new = {key: value for key, value in values.items() if key not in there.get(section.name, {})}
+        changes |= {section.name: new} if new else {}
+    return commented_edit.updated(text, changes, "locfuse init --update")
 
 
 def _head(made: Draft, words: str) -> str:
@@ -54,7 +103,8 @@ def _head(made: Draft, words: str) -> str:
         f"\n"
         f"  locfuse info {words} --check --robot robot.toml\n"
         f"  locfuse tune {words} --robot robot.toml -o tuned.toml\n"
-        f"  locfuse compare {words} --robot robot.toml --robot tuned.toml"
+        f"  locfuse compare {words} --robot robot.toml --robot tuned.toml\n"
+        f"  locfuse schema robot > {SCHEMA}   (then an editor completes and checks this file)"
     )
 
 
@@ -72,6 +122,10 @@ def _say(made: Draft, words: str, lost: list[str]) -> None:
 
     for line in lost:
         show.say(f"lost: {line}")
+    if made.robot:
+        show.say(
+            f"guessed: {made.robot}: its figures that the log does not tell are taken from locfuse's own files"
+        )
     for guess in made.guesses:
         show.say(f"guessed: {guess}")
     if (nothing := made.overview.choice.absent.get("wheels")) is not None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.screen import put, reader_may_leave, say
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ LOSS = 3
 
 
 @click.command()
-@click.argument("log", nargs=-1, required=True)
+@click.argument("log", nargs=-1, required=True, shell_complete=completion.logs)
 @click.option(
     "-o", "--out", required=True, type=click.Path(path_type=Path, dir_okay=False), help="MCAP file to write."
 )

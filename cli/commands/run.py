@@ -9,6 +9,7 @@ import click
 from locfuse.cli.pipeline.settings import OF_RUN as KINDS
 from locfuse.cli.pipeline.settings import LogOptions, MapOptions
 from locfuse.cli.rerun.record import RerunOptions, record, sketched
+from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.options import (
     chosen,
     export_option,
@@ -23,9 +24,10 @@ from locfuse.cli.terminal.rerun_options import rerun_options
 
 
 @click.command()
-@click.argument("log", nargs=-1, required=True)
+@click.argument("log", nargs=-1, required=True, shell_complete=completion.logs)
 @click.option(
     "--sensors",
+    shell_complete=completion.sensors,
     default="all",
     show_default=True,
     help="Comma-separated sensors, or: all, odometry.",
@@ -97,6 +99,7 @@ def run(
     lost = result.losses(how.strict)
     show.result(result.report, files, as_json)
     show.notes(result.report, lost, how.quiet)
+    show.transfer(session.log.transfer, how.quiet)
     sketch = sketched(rerun, result, show.say)
     del session, result  # Rerun's import takes as much memory as they do
     record(rerun, sketch, files[0].parent, show.say)

@@ -7,14 +7,16 @@ from pathlib import Path
 import click
 
 from locfuse.cli.pipeline.settings import LogOptions
+from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.findings import Table, end, findings_options, print_findings
 from locfuse.cli.terminal.options import log_options
 
 
 @click.command()
-@click.argument("log", nargs=-1, required=True)
+@click.argument("log", nargs=-1, required=True, shell_complete=completion.logs)
 @click.option(
     "--sensors",
+    shell_complete=completion.sensors,
     default="all",
     show_default=True,
     help="Comma-separated sensors to tune and to tune by, or: all.",

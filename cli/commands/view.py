@@ -12,6 +12,7 @@ import click
 
 from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.cli.rerun.record import RECORDING
+from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.options import log_options
 from locfuse.cli.terminal.rerun_options import address, detail_options
 from locfuse.cli.terminal.screen import say
@@ -34,8 +35,13 @@ class Wish:
 
 
 @click.command()
-@click.argument("what", nargs=-1, required=True, metavar="LOG|OUT|FILE.rrd")
-@click.option("--sensors", multiple=True, help="A configuration to show. Repeatable.  [default: those of compare]")
+@click.argument("what", nargs=-1, required=True, metavar="LOG|OUT|FILE.rrd", shell_complete=completion.logs)
+@click.option(
+    "--sensors",
+    multiple=True,
+    shell_complete=completion.sensors,
+    help="A configuration to show. Repeatable.  [default: those of compare]",
+)
 @click.option(
     "--save",
     type=click.Path(path_type=Path, dir_okay=False),

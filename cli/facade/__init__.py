@@ -13,8 +13,13 @@ line is `locfuse`, or `python -m locfuse`; docs/python.md sets the two side by s
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
+
+if sys.version_info < (3, 11):  # noqa: UP036  an old pip, or a copied folder, installs without asking
+    this = ".".join(map(str, sys.version_info[:2]))
+    raise ImportError(f"locfuse needs Python 3.11 or newer, this is {this}: python3.11 -m pip install locfuse")
 
 if TYPE_CHECKING:
     from locfuse.cli.jobs.simulate import simulate

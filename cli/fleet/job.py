@@ -31,6 +31,8 @@ class Job(msgspec.Struct, frozen=True, kw_only=True):
     sets: tuple[str, ...] = ()
     order: str | None = None
     preset: str | None = None
+    begin: float | None = None  # s since the first wheel reading: only what comes later is used
+    end: float | None = None  # s: only what comes earlier
     hash_all: bool = False
     asked: Asked
     kinds: tuple[str, ...]  # of output
@@ -39,13 +41,22 @@ class Job(msgspec.Struct, frozen=True, kw_only=True):
     overwrite: bool = False
     cells: tuple[Cell, ...] = (Cell(),)
     again: bool = False  # run it even where its results are there
+    within: str | None = None  # the folder that paths are meant from; None: the current one
 
     @property
     def how(self) -> LogOptions:
         """How its log is read."""
         robot = None if self.robot is None else Path(self.robot)
         return LogOptions(
-            robot, self.sets, self.order, strict=False, quiet=True, preset=self.preset, hash_all=self.hash_all
+            robot,
+            self.sets,
+            self.order,
+            strict=False,
+            quiet=True,
+            preset=self.preset,
+            begin=self.begin,
+            end=self.end,
+            hash_all=self.hash_all,
         )
 
     def place(self, cell: Cell) -> Path:

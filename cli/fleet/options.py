@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 
 @dataclass(frozen=True)
@@ -13,11 +12,12 @@ class FleetOptions:
     jobs: int
     max_failures: int | None
     again: bool
-    each: tuple[Path, ...]
+    each: tuple[str, ...]
     robot_from: str | None
     sweep: tuple[str, ...]
+    cluster: str | None = None
 
     @property
     def asked(self) -> bool:
         """Whether even a single log is treated as one of many."""
-        return bool(self.each or self.robot_from or self.sweep or self.again)
+        return bool(self.each or self.robot_from or self.sweep or self.again or self.cluster)

@@ -84,6 +84,8 @@ def _job(
         sets=how.sets,
         order=how.order,
         preset=how.preset,
+        begin=how.begin,
+        end=how.end,
         hash_all=how.hash_all,
         asked=wanted.asked,
         kinds=tuple(sorted(wanted.kinds)),

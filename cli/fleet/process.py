@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
 import threading
 from contextlib import suppress
+from importlib.metadata import version
 
 import msgspec
 
@@ -27,11 +29,28 @@ _STOPPED = threading.Event()
 
 def run(job: Job) -> Outcome:
     """Run a job and return what became of it; whatever happens to its process is a reason, never an exception."""
+    return already(job) or _started(job)
+
+
+def already(job: Job) -> Outcome | None:
+    """Return the outcome of a job that needs no process: its results are there, or its log cannot be opened."""
     try:
-        if is_finished(job):
-            return Outcome(job.name, "done", resumed=True)
+        return Outcome(job.name, "done", resumed=True) if is_finished(job) else None
     except LocfuseError as problem:
         return Outcome(job.name, "failed", " ".join(str(problem).split()), isinstance(problem, UsageError))
+
+
+def run_elsewhere(job: Job, folder: str, wanted: str) -> Outcome:
+    """Run a job on another machine: in `folder`, on disks that are shared, by locfuse of version `wanted`."""
+    machine = socket.gethostname()
+    if (ours := version("locfuse")) != wanted:
+        return Outcome(job.name, "failed", f"worker on {machine}: it has locfuse {ours}, wanted was {wanted}")
+    if not os.path.isdir(folder):  # noqa: PTH112 - as typed elsewhere
+        return Outcome(job.name, "failed", f"worker on {machine}: it does not see the folder {folder}")
+    return _started(msgspec.structs.replace(job, within=folder))
+
+
+def _started(job: Job) -> Outcome:
     try:
         return _in_a_process(job)
     except OSError as problem:
@@ -48,6 +67,7 @@ def _in_a_process(job: Job) -> Outcome:
             stdout=subprocess.PIPE,
             stderr=words,
             env=environment,
+            cwd=job.within,
             start_new_session=True,  # Ctrl-C is for the command, which ends its processes itself
         ) as process,
     ):

@@ -78,16 +78,16 @@ def run_all(
     found: dict[str, Outcome] = {}
     standing = Standing(len(jobs))
     waiting = iter(jobs)
-    running: set[Future[Outcome]] = set()
+    running: dict[Future[Outcome], Job] = {}
     process.may_run()
     try:
         while standing.left:
             if max_failures is not None and standing.failed > max_failures:
                 return Ended(found, f"more than {max_failures} logs failed (--max-failures)")
             _fill(running, waiting, executor, slots)
-            finished, running = wait(running, POLL_S, FIRST_COMPLETED)
+            finished, _ = wait(running, POLL_S, FIRST_COMPLETED)
             for future in finished:
-                _count(future.result(), found, standing, watch)
+                _count(_outcome(future, running.pop(future)), found, standing, watch)
             watch(standing, None)
     except Exception:
         raise
@@ -98,10 +98,20 @@ def run_all(
     return Ended(found)
 
 
-def _fill(running: set[Future[Outcome]], waiting: Any, executor: Executor, slots: int) -> None:
+def _outcome(future: Future[Outcome], job: Job) -> Outcome:
+    """Return what became of a job; an executor that could not even say so is a reason too."""
+    try:
+        return future.result()
+    except Exception as problem:
+        from .cluster import lost
+
+        return lost(job, problem)
+
+
+def _fill(running: dict[Future[Outcome], Job], waiting: Any, executor: Executor, slots: int) -> None:
     """Hand over jobs, few enough that none is far ahead of those that run."""
     while len(running) < AHEAD * slots and (job := next(waiting, None)) is not None:
-        running.add(executor.submit(process.run, job))
+        running[executor.submit(process.run, job)] = job
 
 
 def _count(
@@ -117,7 +127,7 @@ def _count(
     watch(standing, outcome)
 
 
-def _cancel(running: set[Future[Outcome]]) -> None:
+def _cancel(running: Mapping[Future[Outcome], Job]) -> None:
     """Take back what has not begun and end what runs."""
     for future in running:
         future.cancel()

@@ -33,7 +33,7 @@ def is_finished(job: Job) -> bool:
         return False
     files = files_of(find_log(job.log))
     content = identity_of(files)
-    changed = max(file.stat().st_mtime_ns for file in files)
+    changed = max((file.stat().st_mtime_ns for file in files if isinstance(file, Path)), default=0)
     return all(
         _is_there(job, cell, changed, key(content, asked_tables(job.how, cell.sets), job.asked))
         for cell in job.cells

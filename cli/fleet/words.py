@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import glob
 import os
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from locfuse.formats.inputs import read_small
 from locfuse.formats.log.files import ENDINGS
+from locfuse.formats.url import Url, is_url
 from locfuse.formats.whole_files import RESULTS
 from locfuse.fusion.data import LocfuseError, UsageError
 
 MAX_LIST_BYTES = 64 * 1024 * 1024  # of a list of logs: half a million paths
 
 
-def expanded(words: Sequence[str], each: Sequence[Path] = ()) -> list[str]:
+def expanded(words: Sequence[str], each: Sequence[str] = ()) -> list[str]:
     """Return one word per log or part of a log: @FILE names those in its lines, a pattern all files that fit it.
 
     Of the folders in `each` every log below is named; a rosbag2 folder is one. Raises UsageError for a pattern
@@ -23,7 +25,7 @@ def expanded(words: Sequence[str], each: Sequence[Path] = ()) -> list[str]:
     """
     found = [path for word in words for path in _expanded(word)]
     for folder in each:
-        below = list(_below(folder))
+        below = list(_objects(Url(folder)) if is_url(folder) else _below(Path(folder)))
         if not below:
             raise UsageError(f"--each {folder}: no log below it ({', '.join(ENDINGS)})")
         found += below
@@ -33,12 +35,42 @@ def expanded(words: Sequence[str], each: Sequence[Path] = ()) -> list[str]:
 def _expanded(word: str) -> list[str]:
     if word.startswith("@") and not Path(word).exists():
         return [path for line in _lines(Path(word[1:]).expanduser()) for path in _expanded(line)]
+    if is_url(word):
+        return _fitting(Url(word)) if glob.has_magic(word) else [word]
     if not glob.has_magic(word) or Path(word).exists():
         return [word]
     fitting = sorted(glob.glob(word, recursive=True))  # noqa: PTH207 - of an absolute pattern too
     if not fitting:
         raise UsageError(f"{word}: nothing fits this pattern")
     return fitting
+
+
+def _fitting(pattern: Url) -> list[str]:
+    """Return the objects that fit a pattern: ** is any number of folders, * and ? stay within one."""
+    from locfuse.formats.remote.objects import below
+
+    fixed = re.split(r"[*?\[]", pattern.key)[0].rpartition("/")[0]
+    wanted = re.compile(_regex(pattern.key))
+    found = below(pattern.at(f"{fixed}/" if fixed else ""))
+    if not (fitting := [str(one) for one in found if wanted.fullmatch(one.key)]):
+        raise UsageError(f"{pattern}: nothing fits this pattern")
+    return fitting
+
+
+def _regex(pattern: str) -> str:
+    """Return a pattern of the shell as a regular expression."""
+    whole = {"**/": "(?:.*/)?", "**": ".*", "*": "[^/]*", "?": "[^/]"}
+    parts = re.split(r"(\*\*/|\*\*|\*|\?|\[[^\]]*\])", pattern)
+    return "".join(p if p.startswith("[") else whole.get(p) or re.escape(p) for p in parts)
+
+
+def _objects(folder: Url) -> Iterator[str]:
+    """Yield every log below a folder of a store, by key; the parts of a recording one by one."""
+    from locfuse.formats.remote.objects import below
+
+    for found in below(folder):
+        if any(Path(found.name).match(ending) for ending in ENDINGS):
+            yield str(found)
 
 
 def _lines(file: Path) -> list[str]:

@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from locfuse.cli.choose.choose import choose_sensor, choose_truth
@@ -20,6 +19,7 @@ from locfuse.cli.pipeline.load import Loaded, make_robot, measured, merged_table
 from locfuse.formats.log.log import Log, open_log
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.transforms import StaticTransforms
+from locfuse.formats.url import Place
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.doctor.examine import examine
 from locfuse.fusion.doctor.finding import Finding, of_error
@@ -41,7 +41,7 @@ PHANTOMS = {"yaw", "range scale"}  # what walls that are none would say
 
 
 def inspect_log(
-    paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None] = lambda role: None
+    paths: Sequence[Place], how: LogOptions, progress: Callable[[str], None] = lambda role: None
 ) -> Overview:
     """Inspect a log. Raises LocfuseError only where it cannot be opened, or robot.toml cannot be read."""
     progress("opening")

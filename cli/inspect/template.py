@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from locfuse.cli.pipeline.load import ATTACHMENT, make_robot, table_types
 from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.commented_toml import Section
+from locfuse.formats.url import Place
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.doctor.finding import Finding
 
 from .inspect_log import inspect_log
+from .known_robots import open_figures, recognise
 from .overview import Overview
 from .template_tables import Facts, Known, found, lines
 
@@ -36,28 +37,39 @@ class Draft(NamedTuple):
     sections: list[Section]
     missing: list[str]  # keys without which nothing runs, or not their sensor
     guesses: list[str]  # "key=value: why" of choices that the log leaves open
+    robot: str = ""  # which known robot gave figures, in words
 
 
-def draft(paths: Sequence[Path], how: LogOptions, progress: Callable[[str], None] = lambda step: None) -> Draft:
+def draft(paths: Sequence[Place], how: LogOptions, progress: Callable[[str], None] = lambda step: None) -> Draft:
     """Look at a log until no fix changes anything, and write down what was found."""
     overview = inspect_log(paths, how, progress)
     given = _given(overview, how)
     fixes: dict[str, tuple[str, str]] = {}  # key -> "key=value", why
+    robot, shown = "", _fixes(filter(_certain, overview.findings))
+    if (known_robot := recognise(overview)) is not None:
+        fixes = open_figures(known_robot, overview, {*given, *shown, *found(overview)})
+        robot = f"this robot is a {known_robot.name} ({known_robot.sign})" if fixes else ""
+        overview = _with(fixes, paths, how, progress) if fixes else overview
     for _ in range(MAX_ROUNDS):
         new = {key: fix for key, fix in _fixes(filter(_certain, overview.findings)).items() if key not in given}
         if new.items() <= fixes.items():
             break
         fixes |= new
-        overview = inspect_log(
-            paths, replace(how, sets=(*how.sets, *(fix for fix, _ in fixes.values()))), progress
-        )
+        overview = _with(fixes, paths, how, progress)
     known = {**found(overview), **_read(fixes), **given}
     suggested = _read({key: fix for key, fix in _fixes(overview.findings).items() if key not in fixes})
     facts = Facts(overview, known, suggested)
     missing: list[str] = []
     sections = [Section(name, tuple(lines(facts, name, missing))) for name in ("", *table_types())]
     guesses = [f"{fix} ({why.removeprefix(GUESS)})" for fix, why in fixes.values() if why.startswith(GUESS)]
-    return Draft(overview, sections, missing, guesses)
+    return Draft(overview, sections, missing, guesses, robot)
+
+
+def _with(
+    fixes: Mapping[str, tuple[str, str]], paths: Sequence[Place], how: LogOptions, progress: Callable[[str], None]
+) -> Overview:
+    """Look at the log again, under these settings."""
+    return inspect_log(paths, replace(how, sets=(*how.sets, *(fix for fix, _ in fixes.values()))), progress)
 
 
 def _given(overview: Overview, how: LogOptions) -> Known:

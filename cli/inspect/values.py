@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from locfuse.cli.choose.topics import types
 from locfuse.fusion.doctor.finding import Finding
@@ -11,6 +11,23 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from .mounts import extrinsics
 from .overview import Overview
 
+if TYPE_CHECKING:
+    from locfuse.formats.log.log import Log
+
+
+def listed(log: Log) -> dict[str, dict[str, Any]]:
+    """Return type, messages and mean rate [Hz] of every topic without reading a message of it."""
+    span = log.time_span_ns
+    seconds = (span[1] - span[0]) * 1e-9 if span else 0.0
+    return {
+        name: {
+            "type": topic.msgtype,
+            "messages": topic.count,
+            "rate_hz": (topic.count - 1) / seconds if topic.count > 1 and seconds > 0.0 else None,
+        }
+        for name, topic in log.topics.items()
+    }
+
 
 def values(overview: Overview) -> dict[str, Any]:
     """Return everything as plain values."""
@@ -18,7 +35,7 @@ def values(overview: Overview) -> dict[str, Any]:
     return {
         "name": overview.log.name,
         "files": [p.name for p in overview.log.paths],
-        "bytes": sum(p.stat().st_size for p in overview.log.paths),
+        "bytes": overview.log.identity.size,
         "duration_s": (span[1] - span[0]) * 1e-9 if span else None,
         "start_ns": span[0] if span else None,
         "messages": sum(f.count for f in overview.facts if not f.derived),

@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from locfuse.cli.pipeline.compare import lost_share
-from locfuse.cli.pipeline.configurations import refuse_beside_others
+from locfuse.cli.pipeline.configurations import refuse_beside_others, unknown_sensor
 from locfuse.cli.pipeline.load import Loaded, load
 from locfuse.cli.pipeline.settings import LogOptions
-from locfuse.formats.robot import robot_toml
+from locfuse.formats.robot import commented_edit, robot_toml
+from locfuse.formats.url import Place
 from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.advice.score import MAX_LOSS_NATS, Score, spoils
-from locfuse.fusion.data import Evaluation, Measurements, UsageError
+from locfuse.fusion.data import Evaluation, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.consistency import Run, judge
 from locfuse.fusion.judge.evaluate import evaluate
@@ -109,13 +110,13 @@ def sensor_names(words: str) -> tuple[str, ...]:
     refuse_beside_others(words, names)
     for name in names:
         if name not in REGISTRY:
-            raise UsageError(f"--sensors: unknown sensor {name!r}; choose from {', '.join(REGISTRY)}, all")
+            raise unknown_sensor(name)
     return names
 
 
 def tune_logs(
-    logs: Sequence[Sequence[Path]],
-    held_out: Sequence[Sequence[Path]],
+    logs: Sequence[Sequence[Place]],
+    held_out: Sequence[Sequence[Place]],
     sensors: tuple[str, ...],
     drift: bool,
     how: LogOptions,
@@ -169,11 +170,12 @@ def _lost(e: Evaluation) -> float:
 
 
 def write(path: Path, found: Tuning, how: LogOptions) -> None:
-    """Write robot.toml: what the user gave, with the noise that was found."""
-    given = [robot_toml.parse(file.read_bytes(), str(file)) for file in how.robot_files]
-    tables = robot_toml.merge(*given, robot_toml.apply_sets(how.sets), found.tables())
+    """Write robot.toml: what the user gave, the first file's comments included, with the noise that was found."""
+    later = [robot_toml.parse(file.read_bytes(), str(file)) for file in how.over]
+    changes = robot_toml.merge(*later, robot_toml.apply_sets(how.sets), found.tables())
+    before = commented_edit.text_of(how.robot) or "# noise found by locfuse tune\n"
     with whole_file(path) as temporary:
-        temporary.write_text("# noise found by locfuse tune\n" + robot_toml.dump(tables), encoding="utf-8")
+        temporary.write_text(commented_edit.updated(before, changes, "locfuse tune"), encoding="utf-8")
 
 
 def _evaluated(trial: Trial) -> Evaluation:

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from locfuse.formats.nearest import did_you_mean
 from locfuse.fusion.data import Drive, Estimates, LocfuseError, UsageError
 from locfuse.fusion.fuse import configuration_name
 from locfuse.fusion.judge.credit import subsets
@@ -65,9 +66,7 @@ def parse(sensors: Sensors, drive: Drive) -> Configuration:
     for name in names:
         sensor, at, rate = name.partition("@")
         if sensor not in REGISTRY:
-            raise UsageError(
-                f"--sensors: unknown sensor {sensor!r}; choose from odometry, {', '.join(REGISTRY)}, all"
-            )
+            raise unknown_sensor(sensor)
         if sensor not in present:
             why = drive.absent.get(sensor, "no topic of its type in this log")
             raise LocfuseError(f"--sensors {name}: {why}", fixes=drive.fixes.get(sensor, ()))
@@ -88,6 +87,14 @@ def _check_needs(sensor: str, written: Mapping[str, str], words: str) -> None:
         if other not in written:
             enough = ",".join((other, *written.values()))
             raise UsageError(f"--sensors {words}: {sensor} is {why}; write --sensors {enough}")
+
+
+def unknown_sensor(name: str) -> UsageError:
+    """Return the error of a name that is no sensor's, with the one that was probably meant."""
+    known = ("odometry", *REGISTRY, "all")
+    near = did_you_mean(name, known)
+    choose = f"choose from {', '.join(known)}"
+    return UsageError(f"--sensors: unknown sensor {name!r}; {f'{near} Or ' if near else ''}{choose}")
 
 
 def refuse_beside_others(words: str, names: Sequence[str]) -> None:

@@ -6,14 +6,15 @@ It is known before a log is opened: settings that the log itself carries are par
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from locfuse.formats.caps import MAX_ROBOT_TOML
+from locfuse.formats.caps import MAX_ROBOT_TOML, MAX_TEXT_FILE
 from locfuse.formats.inputs import read_small
 from locfuse.formats.log.identity import Identity
 from locfuse.formats.report.json_report import SCHEMA_VERSION, made_with
@@ -21,6 +22,8 @@ from locfuse.formats.robot import robot_toml
 
 from .configurations import Sensors
 from .settings import LogOptions
+
+FILES = "files"  # beside the settings: the files that they name -> the hash of their content
 
 
 @dataclass(frozen=True)
@@ -40,11 +43,47 @@ class Asked:
 
 
 def asked_tables(how: LogOptions, more: Sequence[str] = ()) -> dict[str, Any]:
-    """Return the settings that --robot, --set and `more` words of --set give, without what the log carries."""
+    """Return the settings that --robot, --set and `more` words of --set give, without what the log carries.
+
+    The content of files that they name is among them, as a hash.
+    """
     layers = [robot_toml.parse(read_small(file, MAX_ROBOT_TOML), str(file)) for file in how.robot_files]
     layers.append(robot_toml.apply_sets((*how.sets, *more)))
     given = {"order": how.order, "preset": how.preset, "from": how.begin, "to": how.end}
-    return robot_toml.merge(*layers, {name: value for name, value in given.items() if value is not None})
+    given = {name: value for name, value in given.items() if value is not None}
+    return with_files(robot_toml.merge(*layers, given))
+
+
+def with_files(tables: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings with the hash of every text file that they name: a truth, detections, a map.
+
+    Take it before the files are read: one that changes in between then has another hash at the next run.
+    """
+    settings = {name: value for name, value in tables.items() if name != FILES}
+    found = {text: digest for text in _texts(settings) if (digest := _digest(text)) is not None}
+    return {**settings, FILES: found} if found else settings
+
+
+def _texts(value: Any) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping):
+        for inner in value.values():
+            yield from _texts(inner)
+    elif isinstance(value, list | tuple):
+        for inner in value:
+            yield from _texts(inner)
+
+
+def _digest(text: str) -> str | None:
+    """Return the hash of the file that a setting names, None for a setting that names none."""
+    try:
+        path = Path(text).expanduser()
+        if not path.is_file():
+            return None
+    except (OSError, ValueError, RuntimeError):  # too long, or a NUL in it: no path
+        return None
+    return hashlib.sha256(read_small(path, MAX_TEXT_FILE)).hexdigest()
 
 
 def key(content: Identity, tables: Mapping[str, Any], asked: Asked) -> str:

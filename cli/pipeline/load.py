@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Collection, Mapping, Sequence
 from copy import deepcopy
@@ -20,20 +21,26 @@ from locfuse.formats.caps import MAX_ROBOT_TOML
 from locfuse.formats.inputs import read_small
 from locfuse.formats.log.labels import labels
 from locfuse.formats.log.log import Log, open_log
+from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.robot import landmark_map, robot_toml
-from locfuse.fusion.data import Drive, Event, LocfuseError, Measurements, UsageError
+from locfuse.formats.url import Place, Url, place
+from locfuse.fusion.data import Drive, Event, LocfuseError, Measurements, Stream, UsageError
 from locfuse.fusion.measure import measure, windowed
 from locfuse.fusion.paper import preset as filters
 from locfuse.fusion.robot import Robot, StartSettings, TruthSettings, WheelSettings
+from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream, merged
+from locfuse.fusion.wheels.odometry import SCANS
+from locfuse.fusion.wheels.read import WheelReading
 
-from .key import asked_tables
+from .key import asked_tables, with_files
 from .memory import give_back
 from .settings import ORDERS, PRESETS, LogOptions, Progress, silent
 
 ATTACHMENT = "robot.toml"
 ONLY_FUSED = ("noise", "estimate", "sigma_scale", "sigma_track")  # keys of [wheels] that no measurement depends on
+MAX_LISTED = 1000  # entries of a folder among which a mistyped name is looked for
 BASE_TABLES: dict[str, type[msgspec.Struct]] = {
     "wheels": WheelSettings,
     "start": StartSettings,
@@ -50,6 +57,7 @@ class Loaded:
     choice: Choice
     drive: Drive
     tables: Mapping[str, Any] = field(default_factory=dict)  # robot.toml as merged, without mounts from /tf_static
+    sources: Mapping[str, str] = field(default_factory=dict)  # "lrf.x" -> who set it, of keys that somebody set
     asked: Mapping[str, Any] | None = None  # what the user gave of them; None: the result has no key
     hash_all: bool = False  # whether every byte is to be hashed
 
@@ -64,13 +72,15 @@ class Loaded:
     )  # s: the part of the drive that is used; None: no bound
 
 
-def find_log(words: Sequence[str]) -> list[Path]:
-    """Return paths of the logs named on the command line; a file beats a sample log's name."""
+def find_log(words: Sequence[str]) -> list[Place]:
+    """Return where the logs named on the command line are; a file beats a sample log's name."""
     return [_find(word) for word in words]
 
 
-def _find(word: str) -> Path:
-    path = Path(word)
+def _find(word: str) -> Place:
+    path = place(word)
+    if isinstance(path, Url):
+        return path
     if path.exists():
         return path
     from locfuse import sample_logs
@@ -78,11 +88,20 @@ def _find(word: str) -> Path:
     samples = sample_logs.names()
     if word in samples:
         return sample_logs.path(word)
-    raise UsageError(f"no such log: {word}. Sample logs: {', '.join(samples)}")
+    near = did_you_mean(word, [*samples, *_beside(path)])
+    raise UsageError(f"no such log: {word}{f'; {near}' if near else '.'} Sample logs: {', '.join(samples)}")
+
+
+def _beside(path: Path) -> list[str]:
+    """Return what lies in the folder of a path that does not exist, as the path would name it."""
+    try:
+        return [str(path.parent / entry.name) for entry in itertools.islice(path.parent.iterdir(), MAX_LISTED)]
+    except OSError:
+        return []
 
 
 def load(
-    paths: Sequence[Path],
+    paths: Sequence[Place],
     how: LogOptions,
     progress: Progress = silent,
     only: Collection[str] | None = None,
@@ -92,11 +111,12 @@ def load(
     Raises LocfuseError with one line on what is wrong.
     """
     progress("opening")
+    asked = asked_tables(how)  # before anything is read: what changes meanwhile has another key
     log = open_log(paths)
     tables = merged_tables(log, how)
     choice = choose(log, make_robot(tables), named_by_hand(how.sets))
     found = measured(log, tables, choice, progress, only)
-    found = replace(found, asked=asked_tables(how), hash_all=how.hash_all)
+    found = replace(found, sources=_sources(log, how), asked=asked, hash_all=how.hash_all)
     return _within(found, (how.begin, how.end))
 
 
@@ -108,7 +128,7 @@ def _within(loaded: Loaded, window: tuple[float | None, float | None]) -> Loaded
     return replace(loaded, drive=drive, robot=robot, window=window)
 
 
-def load_to_fuse(paths: Sequence[Path], how: LogOptions, progress: Progress, read_again: bool = False) -> Loaded:
+def load_to_fuse(paths: Sequence[Place], how: LogOptions, progress: Progress, read_again: bool = False) -> Loaded:
     """Load a log whose columns are needed no more once it is measured, unless it is `read_again`."""
     loaded = load(paths, how, progress)
     if not read_again:
@@ -134,11 +154,14 @@ def measured(
     streams = _streams(log, choice, str(tables.get("order", "auto")))
     _refuse_lost_wheels(log, choice, streams)
     sensed = {s: parts(streams[s]) for s in REGISTRY if s in streams}
+    if by_scans := "wheels" in streams and streams["wheels"].msgtype == SCANS:
+        sensed.setdefault("lrf", parts(streams["wheels"]))  # where it sits matters, whether or not it is a sensor
     frames = [part.frame_id for s in sensed for part in sensed[s]]
     mounts = mount_tables(transforms_of(log, frames), sensed)
     robot = with_landmarks(make_robot(robot_toml.merge(mounts, shared_turns(tables, sensed), tables)))
     wanted = {role: s for role, s in streams.items() if role not in aside}
-    drive = measure(wanted, robot, choice.absent, progress, known)
+    motion = _motion_of_scans(streams["wheels"], robot, progress) if by_scans else None
+    drive = measure(wanted, robot, choice.absent, progress, known, motion)
     refuse_standing(log, choice, drive.wheels)
     _refuse_other_clock(log, drive)
     preset = (filters.NOTE,) if robot.preset == "paper" else ()
@@ -146,6 +169,15 @@ def measured(
     notes = (*preset, *chosen, *_clock_notes(streams), *_start_notes(robot, drive), *drive.notes)
     drive = replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes})
     return Loaded(log, robot, choice, drive, tables)
+
+
+def _motion_of_scans(stream: Stream, robot: Robot, progress: Progress) -> WheelReading:
+    """Return how the robot moved by its laser alone: it has no wheels that anybody recorded."""
+    from locfuse.fusion.laser_odometry.motion import read_laser  # SciPy comes with it
+
+    progress("matching scans")
+    lrf = robot.settings("lrf")
+    return read_laser(stream, laser_of(lrf), robot.wheels, lrf.time_offset)
 
 
 def _refuse_other_clock(log: Log, drive: Drive) -> None:
@@ -195,18 +227,38 @@ def _leave_out(choice: Choice, only: Collection[str] | None, preset: str) -> Non
 
 def merged_tables(log: Log, how: LogOptions) -> dict[str, Any]:
     """Return robot.toml as tables: the preset's, then the log's attachment, --robot, and --set, key by key."""
-    layers: list[dict[str, Any]] = []
+    tables = robot_toml.merge(*_layers(log, how).values())
+    tables.setdefault("preset", "default")
+    return robot_toml.merge(filters.TABLES[tables["preset"]], tables)
+
+
+def _layers(log: Log, how: LogOptions) -> dict[str, dict[str, Any]]:
+    """Return the tables that somebody gave, by who did; what comes later wins."""
+    layers: dict[str, dict[str, Any]] = {}
     if ATTACHMENT in log.attachments:
-        layers.append(_checked(log.attachments[ATTACHMENT], f"{log.name}: attachment {ATTACHMENT}"))
-    layers += [_checked(read_small(file, MAX_ROBOT_TOML), str(file)) for file in how.robot_files]
+        layers["robot.toml in the log"] = _checked(
+            log.attachments[ATTACHMENT], f"{log.name}: attachment {ATTACHMENT}"
+        )
+    files = [_checked(read_small(file, MAX_ROBOT_TOML), str(file)) for file in how.robot_files]
+    if files:
+        layers["--robot"] = robot_toml.merge(*files)
     sets = _set_tables(how.sets)
     if how.order:
         sets["order"] = how.order
     if how.preset:
         sets["preset"] = how.preset
-    tables = robot_toml.merge(*layers, sets)
-    tables.setdefault("preset", "default")
-    return robot_toml.merge(filters.TABLES[tables["preset"]], tables)
+    return {**layers, "--set": sets}
+
+
+def _sources(log: Log, how: LogOptions) -> dict[str, str]:
+    """Return who set each key, "lrf.x" -> "--robot"."""
+    return {key: who for who, tables in _layers(log, how).items() for key in _keys(tables)}
+
+
+def _keys(tables: Mapping[str, Any]) -> list[str]:
+    """Return "table.key" of every key in tables; keys above all tables by their own names."""
+    inside = ((t, list(v) if isinstance(v, Mapping) else [""]) for t, v in tables.items())
+    return [f"{table}.{key}".rstrip(".") for table, keys in inside for key in keys]
 
 
 def check_settings(how: LogOptions) -> None:
@@ -235,11 +287,14 @@ def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = sil
     _refuse_other_reading(loaded, sets)
     tables = robot_toml.merge(loaded.tables, sets)
     same = {table for table in tables if _measured_by(tables, table) == _measured_by(loaded.tables, table)}
-    wheels = "wheels" in same or "wheels" not in tables
+    by_scans = loaded.drive.wheels.matched is not None
+    moving = ("wheels", "lrf") if by_scans else ("wheels",)  # what the motion comes from
+    wheels = all(table in same or table not in tables for table in moving)
     unchanged = {s: m for s, m in loaded.drive.measurements.items() if wheels and (s in same or s not in tables)}
+    asked = None if loaded.asked is None else with_files(robot_toml.merge(loaded.asked, sets))
     found = measured(loaded.log, tables, deepcopy(loaded.choice), progress, known=unchanged)
-    asked = None if loaded.asked is None else robot_toml.merge(loaded.asked, sets)
-    return _within(replace(found, asked=asked, hash_all=loaded.hash_all), loaded.window)
+    sources = {**loaded.sources, **dict.fromkeys(_keys(sets), "--set")}
+    return _within(replace(found, sources=sources, asked=asked, hash_all=loaded.hash_all), loaded.window)
 
 
 def _measured_by(tables: Mapping[str, Any], table: str) -> Any:

@@ -16,6 +16,7 @@ from locfuse.fusion.wheels.states import WHEEL_STATES
 
 from . import results
 from .compare import Compared
+from .verdicts import credit_values
 
 if TYPE_CHECKING:
     from locfuse.formats.figures.scene import Scene
@@ -42,7 +43,8 @@ def files(
     compared: Compared, drawn: Drawn, report: Mapping[str, Any], kinds: Collection[str]
 ) -> dict[str, Content]:
     """Return the content of every file of these kinds by its name; `drawn` is what .html shows of the audits."""
-    from locfuse.formats.report import json_report, markdown, tables
+    from locfuse.formats.report import json_report, markdown
+    from locfuse.formats.tables import tables
 
     out: dict[str, Content] = {"robot.toml": results.robot_file(compared.loaded.robot)}
     if "tum" in kinds:
@@ -102,7 +104,7 @@ def page(compared: Compared, drawn: Drawn, report: Mapping[str, Any]) -> str:
 
 def figure_files(compared: Compared, drawn: Drawn) -> dict[str, bytes]:
     """Return every figure as SVG and PDF by its file's name."""
-    from locfuse.formats.figures.for_paper import paper_figures
+    from locfuse.formats.drawing.for_paper import paper_figures
     from locfuse.formats.figures.palette import traces_of
     from locfuse.formats.figures.sections import sections
 
@@ -122,9 +124,17 @@ def scene(compared: Compared, drawn: Drawn) -> Scene:
         nis={run: Stretches(*running) for run, running in drawn.nis.items()},
         nees_bounds=(chi_square(0.025, dof) / dof, chi_square(0.975, dof) / dof),
         components={sensor: REGISTRY[sensor].components for sensor in drive.measurements},
+        credit=credit_values(compared.credit) if compared.credit else None,
+        landmarks=_landmarks(compared.loaded),
         events=events(compared.loaded, () if drawn.best is None else (drawn.best,)),
         states=WHEEL_STATES | {name: shown for s in REGISTRY.values() for name, shown in s.states.items()},
     )
+
+
+def _landmarks(loaded: Loaded) -> list[tuple[float, float]]:
+    """Return the places [m, map] that the bearings of the log's sensors point at."""
+    found = (REGISTRY[s].landmark(loaded.robot.settings(s)) for s in loaded.drive.measurements)
+    return [place for place in found if place is not None]
 
 
 def events(loaded: Loaded, runs: Iterable[Estimates]) -> list[Event]:

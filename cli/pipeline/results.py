@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -9,12 +10,15 @@ from typing import Any
 
 import msgspec
 
+from locfuse import sample_logs
+from locfuse.formats.log.log import Log
 from locfuse.formats.report import json_report
-from locfuse.formats.robot import robot_toml
+from locfuse.formats.robot import robot_toml, units
 from locfuse.fusion.data import Evaluation
 from locfuse.fusion.robot import Robot
 
-from .load import Loaded
+from .key import Asked
+from .load import Loaded, make_robot
 
 LOSS = 3
 REFUSED_SHARE = 0.01  # of a used sensor's readings: more is a loss
@@ -34,6 +38,50 @@ def settings_tables(robot: Robot) -> dict[str, Any]:
 def robot_file(robot: Robot) -> str:
     """Return the effective settings as robot.toml."""
     return robot_toml.dump(settings_tables(robot))
+
+
+def changed_settings(loaded: Loaded) -> dict[str, dict[str, Any]]:
+    """Return the settings that are not as they are by default: "lrf.x" -> value, unit, and who set it.
+
+    Those of sensors that the log lacks are left out. Found in the log are mounts (/tf_static) and the like.
+    """
+    plain = settings_tables(make_robot({}))
+    found: dict[str, dict[str, Any]] = {}
+    for table, values in settings_tables(loaded.robot).items():
+        if table in loaded.drive.absent:
+            continue
+        inside = values if isinstance(values, dict) else {"": values}
+        before = plain[table] if isinstance(values, dict) else {"": plain[table]}
+        for key, value in inside.items():
+            if key not in before or before[key] != value:
+                path = f"{table}.{key}".rstrip(".")
+                source = loaded.sources.get(path, "found in the log")
+                found[path] = {"value": value, "unit": units.of(table, key), "from": source}
+    return found
+
+
+def repeat(loaded: Loaded, asked: Asked) -> str:
+    """Return the command that gives this result again, from the folder of results with the log beside it.
+
+    All settings are in the folder's robot.toml. It holds no date, no path and no -o: equal for equal results,
+    whether they were asked for on the command line or in Python.
+    """
+    words = ["locfuse", "compare", *_log_words(loaded.log), "--robot", "robot.toml"]
+    words += [word for sensors in asked.sensors for word in ("--sensors", sensors)]
+    words += ["--all-subsets"] * asked.all_subsets + ["--smooth"] * asked.smooth
+    words += ["--align", asked.align] if asked.align != "none" else []
+    for option, bound in zip(("--from", "--to"), loaded.window, strict=True):
+        words += [] if bound is None else [option, f"{bound:g}"]
+    return shlex.join(words)
+
+
+def _log_words(log: Log) -> list[str]:
+    """Return how a command names a log that lies in the folder where it is run; a sample log by its name."""
+    if log.name in sample_logs.names() and log.paths[0] == sample_logs.path(log.name):
+        return [log.name]
+    names = [path.name for path in log.paths]
+    in_folder = len({p.parent for p in log.paths}) == 1 and log.paths[0].parent.name == log.name
+    return [f"{log.name}/"] if in_folder and log.name not in names else names
 
 
 def build(loaded: Loaded, evaluations: Sequence[Evaluation]) -> dict[str, Any]:
@@ -58,6 +106,7 @@ def source(loaded: Loaded) -> dict[str, Any]:
         "size": log.identity.size,
         "identity": log.identity.digest,
         "sha256": log.sha256 if loaded.hash_all or log.all_read else None,
+        **({"etag": ", ".join(log.etags)} if log.etags else {}),  # of a log that is elsewhere
         "start": _date(loaded.drive.epoch_ns),
         "topics": dict(loaded.choice.topics),
         "messages": {topic: info.count for topic, info in log.topics.items()},

@@ -99,12 +99,13 @@ def path_of(path: PathLike) -> Path:
 
 def words_of(log: PathLike | Sequence[PathLike]) -> list[str]:
     """Return one log, or the parts of one, as the words of a command line. Raises UsageError for none."""
+    from locfuse.formats.url import is_url
     from locfuse.fusion.data import UsageError
 
     parts = [log] if isinstance(log, str | os.PathLike) else list(log)
     if not parts:
         raise UsageError("which log? An empty list names none")
-    return [str(path_of(part)) for part in parts]
+    return [part if isinstance(part, str) and is_url(part) else str(path_of(part)) for part in parts]
 
 
 def one_of(word: str, known: Sequence[str], what: str) -> str:

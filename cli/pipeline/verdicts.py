@@ -24,11 +24,13 @@ TRUST_STRETCHES = (
 
 
 def verdicts(
-    credit: Credit | None, found: Sequence[Score], sets: Mapping[str, Sequence[str]]
+    credit: Credit | None, found: Sequence[Score], sets: Mapping[str, Sequence[str]], over: str = "drives"
 ) -> dict[str, dict[str, Any]]:
-    """Return for every sensor its verdict and why, in one or two sentences."""
+    """Return for every sensor its verdict and why in words; the credit is `over` drives or robots."""
     if credit is not None:
-        return {s: {"verdict": c.verdict, "words": _credit_words(c, credit)} for s, c in credit.sensors.items()}
+        return {
+            s: {"verdict": c.verdict, "words": _credit_words(c, credit, over)} for s, c in credit.sensors.items()
+        }
     return _predicted_verdicts(found, sets)
 
 
@@ -73,11 +75,11 @@ def _effect(effect: Effect | None) -> dict[str, Any] | None:
     }
 
 
-def _credit_words(c: SensorCredit, credit: Credit) -> str:
+def _credit_words(c: SensorCredit, credit: Credit, over: str) -> str:
     main = c.credit or c.alone or c.last
     if main is None:
         return "No two configurations differ by it alone. Run all subsets: --all-subsets"
-    parts = [_main_words(c, main, len(credit.sensors) > 1, credit.logs)]
+    parts = [_main_words(c, main, len(credit.sensors) > 1, _few(credit.logs, over))]
     if c.credit is not None and c.last is not None and len(credit.sensors) > 1:
         parts.append(_last_words(c.last))
     if c.anees is not None and overconfident(c.anees):
@@ -88,7 +90,7 @@ def _credit_words(c: SensorCredit, credit: Credit) -> str:
     return " ".join(parts)
 
 
-def _main_words(c: SensorCredit, main: Effect, several: bool, logs: int) -> str:
+def _main_words(c: SensorCredit, main: Effect, several: bool, few: str) -> str:
     """Return the effect in figures, its interval, and what would settle it."""
     if c.credit is not None and several:
         how = "On average over all sensor combinations it makes the position error"
@@ -102,10 +104,13 @@ def _main_words(c: SensorCredit, main: Effect, several: bool, logs: int) -> str:
         if abs(main.value) < MIN_EFFECT:
             return what
         return f"{what} The filter gives it almost no weight, so this change is probably chance." if sure else what
-    if sure:
-        return what
-    drives = "One drive does" if logs == 1 else f"{logs} drives do"
-    return f"{what} {drives} not settle it; longer or more drives would."
+    return what if sure else f"{what} {few}"
+
+
+def _few(samples: int, over: str) -> str:
+    """Return what would settle an effect whose interval includes none."""
+    settle = "One drive does" if samples == 1 else f"{samples} {over} do"
+    return f"{settle} not settle it; longer{' drives' if over != 'drives' else ''} or more {over} would."
 
 
 def _last_words(last: Effect) -> str:

@@ -62,6 +62,12 @@ def record(options: RerunOptions, sketch: Sketch | None, folder: Path, say: Say)
         _show(path, options, say)
 
 
+def _why(problem: Exception) -> str:
+    if isinstance(problem, ModuleNotFoundError):
+        return "Rerun is not installed (python -m pip install rerun-sdk)"
+    return f"{type(problem).__name__}: {problem}"
+
+
 @contextmanager
 def _at_worst_a_warning(say: Say, named: Path | None) -> Iterator[None]:
     """Let nothing fail the run: a Rerun of another version, or none, or broken. The results stand.
@@ -74,7 +80,7 @@ def _at_worst_a_warning(say: Say, named: Path | None) -> Iterator[None]:
         yield
     except Exception as problem:
         ours = isinstance(problem, LocfuseError)
-        words = str(problem) if ours else f"no recording was made: {type(problem).__name__}: {problem}"
+        words = str(problem) if ours else f"no recording was made: {_why(problem)}"
         if named is not None:
             raise LocfuseError(f"--rerun-save {named}: {words}. The other results are written") from None
         say(warning(words))

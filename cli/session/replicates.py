@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from statistics import fmean, stdev
 from typing import Any, NamedTuple
 
@@ -102,15 +103,20 @@ def _is_tie(ratio: Mean) -> bool:
     return ratio.low is not None and ratio.high is not None and ratio.low <= 0.0 <= ratio.high
 
 
-def credit_over(entries: Sequence[Entry]) -> Credit | None:
-    """Return what each sensor does to the error over all robots, or all logs of one; None for a single log."""
+def credit_over(entries: Sequence[Entry]) -> tuple[Credit, str] | None:
+    """Return what each sensor does to the error over all "robots" or, of one, over its "drives".
+
+    None for a single log.
+    """
     judged = [e for e in entries if e.state == "done" and e.report.get("credit")]
     if len(judged) < 2:
         return None
     groups = by_robot(judged)
+    over = "robots" if any(e.robot is not None for e in judged) else "drives"
     if len(groups) < 2:  # one robot: its logs tell about it, and of no other
-        groups = {e.name: [e] for e in judged}
-    return credit_over_logs([_of_robot([e.report["credit"] for e in group]) for group in groups.values()])
+        groups, over = {e.name: [e] for e in judged}, "drives"
+    credit = credit_over_logs([_of_robot([e.report["credit"] for e in group]) for group in groups.values()])
+    return replace(credit, method=f"Student's t over {over.replace('drives', 'logs')}"), over
 
 
 def _of_robot(found: Sequence[Mapping[str, Any]]) -> Credit:

@@ -56,7 +56,7 @@ class Result:
     @property
     def notes(self) -> list[str]:
         """What a reader of the figures must know, of the log and of what the configurations found in it."""
-        from locfuse.formats.report.notes import notes_of
+        from locfuse.formats.tables.notes import notes_of
 
         return notes_of(self.report)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypedDict, Unpack, overload
@@ -183,9 +182,9 @@ def summarised(entries: Sequence[Entry]) -> dict[str, Any]:
     add_ties(summary, entries)
     together = credit_over(entries)
     if together is not None:
-        together = replace(together, method=f"Student's t over {summary['replicates']['of']}")
-        summary["credit"] = credit_values(together)
-        summary["verdicts"] = verdicts(together, [], {})
+        credit, of = together
+        summary["credit"] = credit_values(credit)
+        summary["verdicts"] = verdicts(credit, [], {}, of)
     return json_report.plain(summary)
 
 

@@ -16,12 +16,12 @@ def explain(term: str | None) -> int:
     locfuse explain ANEES
     locfuse explain drift
     """
-    from locfuse.formats.report.terms import TERMS, explained, similar
+    from locfuse.formats.tables.glossary import GLOSSARY, explained, similar
     from locfuse.fusion.data import UsageError
 
     words = None if term is None else explained(term)
     if term is not None and words is None:
         raise UsageError(f"no such term: {term}. Known: {', '.join(similar(term))}")
     with reader_may_leave():
-        put(words + "\n" if words is not None else "".join(f"{name}: {text}\n" for name, text in TERMS.items()))
+        put(words + "\n" if words is not None else "".join(f"{name}: {text}\n" for name, text in GLOSSARY.items()))
     return 0

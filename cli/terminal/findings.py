@@ -33,7 +33,7 @@ def findings_options(what: str, tables: str) -> Callable[[Command], Command]:
 def print_findings(values: Any, tables: Iterable[Table], out: Path | None, as_json: bool) -> None:
     """Print what was found as JSON, or as tables and with how the file is used."""
     from locfuse.formats.report import json_report
-    from locfuse.formats.report.table import of_words, texts
+    from locfuse.formats.tables.table import of_words, texts
 
     from . import show
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, TypeVar
 
 import click
@@ -12,7 +11,19 @@ import click
 from locfuse.cli.fleet.options import FleetOptions
 
 F = TypeVar("F", bound=Callable[..., Any])
-FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
+
+
+class Folder(click.Path):
+    """A folder on this machine, or one in a store: s3://bucket/day1/."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return it as a word."""
+        from locfuse.formats.url import is_url
+
+        return value if is_url(str(value)) else str(super().convert(value, param, ctx))
+
+
+FOLDER = Folder(exists=True, file_okay=False)
 OPTIONS = (
     click.option(
         "-j",
@@ -21,6 +32,11 @@ OPTIONS = (
         default=1,
         show_default=True,
         help="Of several logs, how many to run at once, each in a process of its own.",
+    ),
+    click.option(
+        "--cluster",
+        metavar="ADDRESS",
+        help="Run the jobs on the workers of a Dask scheduler, such as tcp://127.0.0.1:8786 (docs/fleet.md).",
     ),
     click.option(
         "--each",
@@ -60,12 +76,15 @@ def fleet_options(command: F) -> F:
         jobs: int,
         max_failures: int | None,
         again: bool,
-        each: tuple[Path, ...],
+        each: tuple[str, ...],
         robot_from: str | None,
         sweep: tuple[str, ...],
+        cluster: str | None,
         **kwargs: Any,
     ) -> Any:
-        fleet = FleetOptions(jobs, max_failures, again, each, robot_from, sweep)
+        if cluster is not None and jobs > 1:
+            raise click.UsageError("--jobs is for this machine; --cluster runs a job per thread of its workers")
+        fleet = FleetOptions(jobs, max_failures, again, each, robot_from, sweep, cluster)
         return command(*args, fleet=fleet, **kwargs)
 
     decorated: Any = wrapped

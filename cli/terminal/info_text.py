@@ -11,7 +11,7 @@ from locfuse.cli.inspect.mounts import extrinsics
 from locfuse.cli.inspect.overview import Overview
 from locfuse.cli.inspect.topics import TopicFacts, clock_word
 from locfuse.cli.inspect.values import absent, configurations, wheels_missing
-from locfuse.formats.report.table import Cell, Column, Table
+from locfuse.formats.tables.table import Cell, Column, Table
 from locfuse.fusion.doctor.finding import Finding
 from locfuse.fusion.sensors.registry import REGISTRY
 
@@ -49,6 +49,15 @@ def lines(overview: Overview, typed: Sequence[str], width: int | None) -> Iterat
     yield from _section(NEXT, [f"  {command}" for command in _next(overview, typed)])
 
 
+def listed(topics: Mapping[str, Mapping[str, Any]], width: int | None) -> Sequence[str]:
+    """Return the table of the topics as a log lists them itself (values.listed)."""
+    rows = (
+        (name, found["type"].replace("/msg/", "/"), found["messages"], found["rate_hz"])
+        for name, found in topics.items()
+    )
+    return text_table.lines(Table(TOPICS[:4], tuple(tuple(map(Cell, row)) for row in rows)), width)
+
+
 def grouped(overview: Overview) -> dict[str, list[Finding]]:
     """Return the findings under what they mean for an estimate."""
     return {
@@ -69,7 +78,7 @@ def _headline(overview: Overview) -> str:
     seconds = f"{(span[1] - span[0]) * 1e-9:.1f} s" if span else "no messages"
     recorded = [f for f in overview.facts if not f.derived]
     count = sum(f.count for f in recorded)
-    size = sum(p.stat().st_size for p in overview.log.paths) / 1e6
+    size = overview.log.identity.size / 1e6
     files = f" in {len(overview.log.paths)} files" if len(overview.log.paths) > 1 else ""
     return f"{overview.log.name}: {seconds}, {count} messages on {len(recorded)} topics, {size:.1f} MB{files}"
 

@@ -14,6 +14,8 @@ from locfuse.cli.pipeline import settings
 from locfuse.cli.pipeline.exports import KINDS as EXPORTS
 from locfuse.cli.pipeline.settings import LogOptions, MapOptions
 
+from . import completion
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -106,6 +108,7 @@ def log_options(command: F) -> F:
                 "sets",
                 multiple=True,
                 metavar="TABLE.KEY=VALUE",
+                shell_complete=completion.settings,
                 help="Set one key of robot.toml, e.g. --set lrf.sigma_range=0.03. Repeatable.",
             ),
             click.option(

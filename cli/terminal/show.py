@@ -9,16 +9,18 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
-from locfuse.formats.report import json_report, tables
-from locfuse.formats.report.findings import findings_of, together
-from locfuse.formats.report.notes import notes_of
-from locfuse.formats.report.table import Table
+from locfuse.formats.report import json_report
+from locfuse.formats.tables import tables
+from locfuse.formats.tables.findings import findings_of, together
+from locfuse.formats.tables.notes import notes_of
+from locfuse.formats.tables.table import Table
 
 from . import text_table
 from .screen import put, reader_may_leave, screen
 from .screen import say as on_screen
 
 BELOW = " rmse, max, final: distance to the truth. ANEES: 1 is right, more is overconfident. See: locfuse explain"
+COLOURS = {"helps": "green", "hurts": "red"}  # of verdicts; the others need none
 NO_TRUTH = "no truth in this log: the error figures do not exist; if a topic holds it: --set truth.topic=/TOPIC"
 
 
@@ -74,12 +76,32 @@ def result(report: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> N
         on_screen(f"{files[0].parent}: {', '.join(file.name for file in files)}")
 
 
+def end(files: Sequence[Path], as_json: bool, wanted: bool) -> None:
+    """Print as the last line where the report lies, and open it in the browser if that is `wanted`."""
+    report = next((file for file in files if file.name.endswith(".html")), None)
+    if report is not None and not as_json:
+        with reader_may_leave():
+            on_screen(f"report: {report}")
+    if wanted:
+        open_page(report)
+
+
+def open_page(page: Path | None) -> None:
+    """Show a page in the user's browser; say so where there is none."""
+    import webbrowser
+
+    if page is None:
+        say("--open: no page was written; add html to --write")
+    elif not webbrowser.open(page.resolve().as_uri()):
+        say(f"--open: no browser was found; open {page} yourself")
+
+
 def figures(report: Mapping[str, Any]) -> None:
     """Print the configurations and what became of each sensor's measurements."""
     table(tables.brief(report))
     if tables.has_figures(report):
         lines([BELOW])
-    table(tables.sensors(report).without("verdicts"))
+    table(tables.sensors(report).without("verdicts").without("joint_nis"))
 
 
 def table(shown: Table) -> None:
@@ -110,13 +132,20 @@ def notes(report: Mapping[str, Any], losses: Sequence[str], quiet: bool) -> None
         say(f"note: {report['prediction']['trust']}")
 
 
+def transfer(came: tuple[int, int] | None, quiet: bool) -> None:
+    """Print to stderr how much of a log that is elsewhere came over the network, of how many bytes."""
+    if came is not None and not quiet:
+        say(f"read {came[0] / 1e6:.1f} of {came[1] / 1e6:.1f} MB over the network")
+
+
 def verdicts(report: Mapping[str, Any]) -> None:
     """Print what each sensor bought, in words."""
     from rich.text import Text
 
     console = screen()
     for sensor, verdict in report.get("verdicts", {}).items():
-        console.print(Text.assemble((f"{sensor} {verdict['verdict']}. ", "bold"), verdict["words"]))
+        colour = COLOURS.get(verdict["verdict"], "")
+        console.print(Text.assemble((f"{sensor} {verdict['verdict']}. ", f"bold {colour}"), verdict["words"]))
 
 
 def headline(report: Mapping[str, Any]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from locfuse.formats.report.table import Cell, Column, Table, text
+from locfuse.formats.tables.table import Cell, Column, Table, text
 from locfuse.formats.visible import visible
 
 MIN_CELL_WIDTH = 12  # characters of a text that is cut

@@ -48,10 +48,11 @@ def _unpacked(message: bytes) -> bytes:
     if int.from_bytes(message[:4], "little") != ZSTD_MAGIC:
         return message
     try:
+        declared = zstandard.frame_content_size(message)  # -1: the frame does not say
         plain = zstandard.ZstdDecompressor().stream_reader(message, read_across_frames=True).read(MAX_MESSAGE + 1)
     except zstandard.ZstdError:
         return b""
-    return plain if len(plain) <= MAX_MESSAGE else b""
+    return plain if declared <= len(plain) <= MAX_MESSAGE else b""  # a cut-off frame gives less
 
 
 def _portion(pieces: list[bytes], messages: Messages) -> tuple[Bytes, Messages]:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import weakref
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from locfuse.formats import inputs
+from locfuse.formats.url import Place
 from locfuse.fusion.data import LocfuseError
 
 from .losses import Losses
@@ -27,9 +28,11 @@ class FileBytes:
     """
 
     def __init__(self, path: Path, losses: Losses, unpacked: Path | None = None) -> None:
-        self.path = path  # what to call it
+        self.path: Place = path  # what to call it
         self.where = unpacked or path  # where the bytes are
         self.losses = losses
+        self.far = False  # whether every read is a request over the network
+        self._file = path
         self._given = inputs.identity(path)
         self._read = inputs.identity(self.where)
         self.size = self._read.size
@@ -53,6 +56,26 @@ class FileBytes:
             self._start, offset = at, 0
         return self._window[offset : offset + n]
 
+    def fetch(self, spans: Iterable[tuple[int, int]]) -> None:
+        """Have ranges (start, stop) at hand for the next reads; nothing to do for a file on this machine."""
+
+    @property
+    def state(self) -> tuple[int, str] | None:
+        """Size [bytes] and ETag of an object in a store; None for a file on this machine."""
+        return None
+
+    @property
+    def transfer(self) -> tuple[int, int] | None:
+        """Bytes that came over the network, and those that there are; None for a file on this machine."""
+        return None
+
+    def copy_here(self) -> None:
+        """Have all bytes on this machine, where they are already."""
+
+    def unpacked(self, unpack: Callable[[Path], Path]) -> FileBytes:
+        """Return the bytes of the temporary file that `unpack` makes of this one, under the same name."""
+        return FileBytes(self._file, self.losses, unpack(self._file))
+
     @property
     def read_bytes(self) -> int:
         """How many bytes were read; those that were read twice count once."""
@@ -65,7 +88,7 @@ class FileBytes:
     @property
     def all_read(self) -> bool:
         """Whether every byte was read."""
-        return self.where != self.path or self.read_bytes >= self.size  # to unpack it all of it was read
+        return self.where != self._file or self.read_bytes >= self.size  # to unpack it all of it was read
 
     def crc32(self, start: int, stop: int) -> int:
         """Return the checksum of the bytes from `start` up to `stop`."""
@@ -77,7 +100,7 @@ class FileBytes:
     def feed(self, take: Callable[[bytes], None]) -> None:
         """Give all bytes of the file as the user has it, packed or not, piece by piece."""
         try:
-            with self.path.open("rb") as file:
+            with self._file.open("rb") as file:
                 self._compare(inputs.identity_of_open(file.fileno()), self._given)
                 while piece := file.read(1 << 20):
                     take(piece)
@@ -86,7 +109,7 @@ class FileBytes:
 
     def still_the_same(self) -> None:
         """Raise LocfuseError where another file has taken the name; count one that was written to as a loss."""
-        self._compare(inputs.identity(self.path), self._given)
+        self._compare(inputs.identity(self._file), self._given)
 
     def _pread(self, n: int, at: int) -> bytes:
         try:

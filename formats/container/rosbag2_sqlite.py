@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_CHUNK, MAX_DATABASE_SECONDS, MAX_MESSAGE
+from locfuse.formats.url import Place
 from locfuse.fusion.data import Ints, LocfuseError
 
 from .file_bytes import FileBytes
@@ -45,7 +46,7 @@ class Leash:
     Python raises in the callback's first instruction, so the callback is a generator that waits inside a `try`.
     """
 
-    def __init__(self, path: Path, size: int) -> None:
+    def __init__(self, path: Place, size: int) -> None:
         self._path = path
         self._allowed = MAX_DATABASE_SECONDS + size / BYTES_PER_SECOND
         self._end = 0.0

@@ -1,1 +1,1 @@
-"""Figures of a report: panels as values, drawn as SVG for the page or by matplotlib for a paper."""
+"""Figures of a report as values: what each panel shows, in which role and colour."""

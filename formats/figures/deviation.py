@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from locfuse.fusion.data import Array, Evaluation
@@ -10,6 +12,8 @@ from .panels import TIME, Band, Curve, Mark, Panel, Section
 from .scene import Scene, metres
 
 SIGMAS = 3.0
+ENLARGE = 5.0  # times: where curves differ by more in size, the small ones are drawn once more
+NEAR = 2.5  # times the smallest rms: such curves are enlarged together
 MIN_ERROR_M = 1e-4  # m: a position error below is drawn there on logarithmic axes
 OVERLAYS = {  # title, and its figure in the report
     "deviation_x": ("Deviation in x", "x_rmse_m"),
@@ -30,6 +34,8 @@ def deviations(scene: Scene) -> Section:
         "deviation_cross": [j.along_cross[:, 1] for j in judged],
     }
     panels = [_overlay(judged, name, values, span) for name, values in columns.items()]
+    near = [_enlarged(p, [j.name for j in judged], columns[p.name]) for p in panels[:2]]
+    panels[2:2] = [p for p in near if p is not None]
     with_heading = [j for j in judged if j.heading is not None]
     if with_heading:
         panels.append(_heading(with_heading, span))
@@ -44,6 +50,31 @@ def _overlay(judged: list[Evaluation], name: str, columns: list[Array], span: tu
     marks = tuple(Curve(j.name, j.t, scale * c) for j, c in zip(judged, columns, strict=True))
     summary = f"{title} over time; " + _figures_words(judged, key, "m")
     return Panel(name, title, f"{title.lower()}, {unit}", TIME, marks, summary, x_range=span)
+
+
+def _enlarged(panel: Panel, names: list[str], columns: list[Array]) -> Panel | None:
+    """Return a panel once more on the scale of its smallest curves; None where all are of one size."""
+    rms = {
+        n: float(np.sqrt(np.nanmean(c**2))) for n, c in zip(names, columns, strict=True) if np.isfinite(c).any()
+    }
+    least = min(rms.values(), default=0.0)
+    if least <= 0.0 or max(rms.values()) < ENLARGE * least:
+        return None
+    small = [c for n, c in zip(names, columns, strict=True) if rms.get(n, np.inf) <= NEAR * least]
+    scale, unit = metres(small)
+    reach = 1.1 * scale * max(float(np.nanmax(np.abs(c))) for c in small)
+    return replace(
+        panel,
+        name=f"{panel.name}_enlarged",
+        title=f"{panel.title}, enlarged",
+        y_label=f"{panel.title.lower()}, enlarged, {unit}",
+        marks=tuple(
+            Curve(n, m.x, scale * c)
+            for n, m, c in zip(names, panel.marks, columns, strict=True)
+            if isinstance(m, Curve)
+        ),
+        y_range=(-reach, reach),
+    )
 
 
 def _heading(judged: list[Evaluation], span: tuple[float, float]) -> Panel:

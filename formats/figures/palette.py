@@ -27,6 +27,15 @@ class Trace(NamedTuple):
         some = len(self.sensors) > 1 and self.configuration != "all"
         return some or self.slowed or self.smoothed
 
+    @property
+    def look(self) -> str:
+        """How the line is broken: "" solid, "dash", or "over" for `all`, whose gaps show what it lies on.
+
+        `all` is drawn last and often lies on the laser's curve: both are seen.
+        """
+        over = self.configuration == "all" and len(self.sensors) > 1
+        return "dash" if self.dashed else "over" if over else ""
+
 
 ODOMETRY = Colour("#686a70", "#94979c")
 ALL = Colour("#8a0a55", "#bf2f80")
@@ -39,6 +48,14 @@ SETS = (  # of several sensors but not all: told apart by their dashes and names
     Colour("#4d7a1f", "#9fce62"),
 )
 OUT = Colour("#a3123a", "#e0566f")
+LANDMARK = Colour("#d615c0", "#ff4fe6")
+LEVELS = (  # of a figure along a path, small to large: lightness alone tells them apart, hue helps
+    Colour("#16c3b4", "#044b94"),
+    Colour("#0091cd", "#6c5ab6"),
+    Colour("#685fbc", "#bb6ab4"),
+    Colour("#752870", "#fb906a"),
+    Colour("#4e0308", "#fbdd67"),
+)
 ROLES = {  # what is drawn besides configurations
     **dict.fromkeys(VERDICTS, OUT),
     "truth": TRUTH,
@@ -54,6 +71,23 @@ ROLES = {  # what is drawn besides configurations
     "fault": Colour("#b86e00", "#e0a040"),
     "rest": Colour("#5f7f95", "#7f9fb5"),
     "repeated": Colour("#e4e7ec", "#2f353e"),
+    **{f"level {i}": colour for i, colour in enumerate(LEVELS)},
+    "median": TRUTH,
+    "start": TRUTH,
+    "end": TRUTH,
+    "time": TRUTH,
+    "landmark": LANDMARK,
+    **dict.fromkeys(("alone", "leave_one_out", "credit"), TRUTH),  # effects of a sensor
+}
+SHAPES = {  # of spots
+    "start": "ring",
+    "end": "square",
+    "time": "dot",
+    "landmark": "target",
+    "gate": "cross",
+    "alone": "ring",
+    "leave_one_out": "square",
+    "credit": "dot",
 }
 EVENTS = {FAULT: "fault", LOST: "lost", REFUSED: "gate", REST: "rest"}  # kind of event -> role
 
@@ -69,6 +103,11 @@ def traces_in(report: Mapping[str, Any]) -> dict[str, Trace]:
         name: Trace(v["configuration"], tuple(v["sensors"]), bool(v["rates_hz"]), v["smoothed"])
         for name, v in report["configurations"].items()
     }
+
+
+def looks_of(traces: Mapping[str, Trace]) -> dict[str, str]:
+    """Return how each result's line is broken ("dash", "over"), by its name; solid lines are left out."""
+    return {name: trace.look for name, trace in traces.items() if trace.look}
 
 
 def colours(traces: Mapping[str, Trace], sensors: Mapping[str, Colour]) -> dict[str, Colour]:

@@ -1,10 +1,12 @@
 """What a figure shows, as values: series with their roles, axes with their words. Two renderers draw them.
 
-`figure_svg` draws for the page (theme, phone, toggles), `figure_paper` for print (PDF, SVG by matplotlib).
+`drawing.svg` draws for the page (theme, phone, toggles, pointer), `drawing.for_paper` for print (PDF, SVG by
+matplotlib).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,6 +24,7 @@ class Curve:
     x: Array  # (n,)
     y: Array  # (n,)
     faint: bool = False
+    wide: bool = False  # where the colour is what is to be read
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,27 @@ class Strokes:
     ends: Array  # (k, 2, 2) both ends
 
 
-Mark = Curve | Band | Dots | Strokes
+@dataclass(frozen=True)
+class Spots:
+    """Places that keep their size when the panel is enlarged; `of` is a role of the palette that has a shape."""
+
+    of: str
+    x: Array  # (n,)
+    y: Array  # (n,)
+
+
+Mark = Curve | Band | Dots | Strokes | Spots
+
+
+@dataclass(frozen=True)
+class Track:
+    """Where something was at evenly spaced times, so that a cursor over time finds its place. It is not drawn."""
+
+    of: str
+    start: float  # s
+    end: float  # s
+    x: Array  # (n,)
+    y: Array  # (n,)
 
 
 @dataclass(frozen=True)
@@ -66,12 +89,15 @@ class Panel:
     marks: tuple[Mark, ...]
     summary: str = ""  # what it shows, for those who cannot see it
     log: bool = False  # logarithmic y
+    x_log: bool = False  # logarithmic x
     equal: bool = False  # one metre is as long in x as in y
     x_range: tuple[float, float] | None = None
     y_range: tuple[float, float] | None = None
     lanes: tuple[str, ...] = ()  # names of unit-high lanes on y, from the top
     keys: tuple[str, ...] = ()  # roles that need a legend of their own
     events: tuple[Event, ...] = ()  # what happened when, shaded behind the marks of a time axis
+    said: Mapping[str, str] = field(default_factory=dict)  # role -> its words in the legend, where not its name
+    tracks: tuple[Track, ...] = ()  # of a map: where each result was when
 
 
 @dataclass(frozen=True)
@@ -90,7 +116,8 @@ def ranges(panel: Panel) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the limits of x and y: as given, else what the marks need with a little air."""
     xs = [_x(m) for m in panel.marks]
     ys = [v for m in panel.marks for v in _y(m)]
-    x, y = panel.x_range or _span(xs, 0.0), panel.y_range or _span(ys, 0.04, panel.log)
+    x = panel.x_range or _span(xs, 0.0, panel.x_log)
+    y = panel.y_range or _span(ys, 0.04, panel.log)
     return _opened(*x), _opened(*y)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,6 +33,8 @@ class Scene:
     nees_bounds: tuple[float, float] = (0.0, 0.0)  # of a single value per degree of freedom, 95 %
     components: Mapping[str, Sequence[Component]] = field(default_factory=dict)  # of innovations, by sensor
     states: Mapping[str, Sequence[Component]] = field(default_factory=dict)  # beyond the pose, by block
+    credit: Mapping[str, Any] | None = None  # each sensor's effects on the error, as in report.json
+    landmarks: Sequence[tuple[float, float]] = ()  # m, map: what sensors' bearings point at
     events: Sequence[Event] = ()  # of the drive and of the configuration with most sensors
 
     @property

@@ -1,4 +1,4 @@
-"""Which figures a report has: trajectories, deviations, consistency, innovations, gates, what was learnt."""
+"""Which figures a report has, in reading order: from the map to what the filter learnt."""
 
 from __future__ import annotations
 
@@ -10,13 +10,17 @@ from .scene import Scene
 
 def sections(scene: Scene) -> list[Section]:
     """Return the figures of a report in reading order; a section that has nothing to show is left out."""
+    from .credit import credit
     from .deviation import bands, deviations, uncertainty
     from .filter import consistency, gates, innovations, learnt
+    from .spread import spread
     from .trajectories import trajectories
+    from .where import where
 
-    found = [trajectories(scene)]
-    found += [deviations(scene), bands(scene)] if scene.has_truth else [uncertainty(scene)]
+    found = [trajectories(scene), where(scene)]
+    found += [deviations(scene), spread(scene), bands(scene)] if scene.has_truth else [uncertainty(scene)]
     found += [consistency(scene), innovations(scene), gates(scene), learnt(scene)]
+    found += [credit(scene)]
     return [_with_events(s, scene) for s in found if s.panels]
 
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from locfuse.fusion.data import Array, Estimates, Evaluation, MapLine
+from locfuse.formats.thin import evenly
+from locfuse.fusion.data import Array, MapLine
 
-from .panels import Curve, Mark, Panel, Section, Strokes
+from .panels import Curve, Mark, Panel, Section, Spots, Strokes
+from .route import spots, step, timed_path, track
 from .scene import Scene
 
+MAX_POINTS = 20_000  # of all paths together
 WALLS = ("walls of the first scan", "walls seen later")
 
 
@@ -21,10 +24,17 @@ def trajectories(scene: Scene) -> Section:
         old = [line for line in mapped.final_map if line.id in first]
         new = [line for line in mapped.final_map if line.id not in first]
         marks += [Strokes(role, ends(lines)) for role, lines in zip(WALLS, (old, new), strict=True) if lines]
-    marks += [Curve(e.name, *path(e, j).T) for e, j in scene.shown()]
+    paths = {e.name: timed_path(e, j) for e, j in scene.shown()}
+    most = MAX_POINTS // (len(paths) + 1)
+    marks += [_curve(name, xy, most) for name, (_, xy) in paths.items()]
     truth = scene.drive.truth
     if truth is not None:
-        marks.append(Curve("truth", truth.xy[:, 0], truth.xy[:, 1]))
+        paths["truth"] = truth.t, truth.xy
+        marks.append(_curve("truth", truth.xy, most))
+    marks += [Spots("landmark", np.array([x]), np.array([y])) for x, y in scene.landmarks]
+    led = paths["truth"] if truth is not None else paths[list(paths)[-1]]
+    marks += spots(*led)
+    every = f"every {step(led[0]):.0f} seconds"
     names = ", ".join(e.name for e, _ in scene.shown())
     panel = Panel(
         name="trajectories",
@@ -35,15 +45,16 @@ def trajectories(scene: Scene) -> Section:
         summary=f"Paths of {names}{' and the truth' if truth else ''}, seen from above"
         + (f", and the walls of the map that {mapped.name} ended with." if mapped.final_map else "."),
         equal=True,
-        keys=tuple(m.of for m in marks if isinstance(m, Strokes)),
+        keys=tuple(m.of for m in marks if isinstance(m, Strokes | Spots)),
+        said={"time": every},
+        tracks=tuple(found for name, (t, xy) in paths.items() for found in track(name, t, xy)),
     )
     text = f"Walls are where “{mapped.name}” knew them at the end." if mapped.final_map else ""
     return Section("trajectories", "Trajectories", text, (panel,), columns=1)
 
 
-def path(estimates: Estimates, judged: Evaluation) -> Array:
-    """Return the path (n, 2): at every instant, or as aligned to the truth."""
-    return estimates.pose[:, :2] if judged.align == "none" else judged.estimate_xy
+def _curve(name: str, xy: Array, most: int) -> Curve:
+    return Curve(name, *xy[evenly(len(xy), most)].T)
 
 
 def ends(lines: list[MapLine]) -> Array:

@@ -14,14 +14,14 @@ from statistics import median
 from typing import Any, Literal
 from urllib.parse import quote
 
+from locfuse.formats.drawing.svg import slugs_of
 from locfuse.formats.figures import palette
 from locfuse.formats.figures.palette import Trace
-from locfuse.formats.figures.svg import slugs_of
 from locfuse.formats.report import summary as over
 from locfuse.formats.report.html import TONES, section_drawings, style_sheet
-from locfuse.formats.report.render import SIGNS, Swatches, html, html_text
-from locfuse.formats.report.table import Column, Table, of_values
-from locfuse.formats.report.tables import RMSE
+from locfuse.formats.tables.render import SIGNS, Swatches, html, html_text
+from locfuse.formats.tables.table import Column, Table, of_values
+from locfuse.formats.tables.tables import RMSE
 from locfuse.fusion.data import Colour
 
 from .entry import Entry
@@ -44,7 +44,7 @@ def render(summary: Mapping[str, Any], entries: Sequence[Entry], sensors: Mappin
     traces = _traces(entries)
     inks = palette.colours({**traces, **{s: Trace(s, (s,)) for s in sensors if s not in traces}}, sensors)
     slugs = slugs_of(list(inks))
-    swatches = Swatches(slugs, {name for name, trace in traces.items() if trace.dashed})
+    swatches = Swatches(slugs, palette.looks_of(traces))
     shown = {mark.of for s in figures for p in s.panels for mark in p.marks}
     page = template.render(
         summary=summary,
@@ -53,7 +53,7 @@ def render(summary: Mapping[str, Any], entries: Sequence[Entry], sensors: Mappin
         style=Markup(style_sheet(css, inks, slugs)),
         table=lambda found, painted=False: Markup(html(found, swatches if painted else None)),
         over=over,
-        sections=[section_drawings(s, slugs, swatches.dashed) for s in figures],
+        sections=[section_drawings(s, slugs, swatches.looks) for s in figures],
         legend=[(name, slugs[name]) for name in summary["configurations"] if name in shown],
         swatch=lambda name: Markup(swatches.of(name)),
         worst=Markup(_worst(summary, entries)),

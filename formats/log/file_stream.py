@@ -7,16 +7,17 @@ clock of the log, or whole nanoseconds.
 
 from __future__ import annotations
 
-import csv
-import io
 import itertools
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
 
 from locfuse.formats.caps import MAX_TEXT_FILE
-from locfuse.formats.inputs import read_small
+from locfuse.formats.inputs import csv_rows, read_small
+from locfuse.formats.visible import visible
 from locfuse.fusion.data import Array, Block, Column, Ints, LocfuseError
 
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -27,6 +28,8 @@ TIMES = ("t", "time", "timestamp", "stamp", "t_s", "time_s", "timestamp [ns]")
 HEADINGS = ("theta", "yaw", "heading", "theta_rad", "yaw_rad")
 PLANE = (0, 1, 5)  # where x, y and yaw stand in a pose covariance of ROS
 TRIANGLE = ("p_xx", "p_xy", "p_xt", "p_yy", "p_yt", "p_tt")
+MAX_IDENT = 2**53  # whole numbers below it are exact as floats
+END_OF_TIME = 2**62  # ns
 MIN_NS = 1e14  # a time beyond this is no number of seconds, but of nanoseconds
 
 
@@ -68,15 +71,15 @@ def is_file_topic(name: str) -> bool:
 def read_file(name: str) -> FileStream:
     """Return a text file as a stream. Raises LocfuseError naming the line that cannot be read."""
     path = Path(name).expanduser()
-    text = read_small(path, MAX_TEXT_FILE).decode("utf-8", "replace").lstrip("\ufeff")
-    made = _csv(path, text) if path.suffix.lower() == ".csv" else _tum(path, text)
+    made = _csv(path) if path.suffix.lower() == ".csv" else _tum(path)
     if not len(made.t_ns):
         raise LocfuseError(f"{path} holds no readings")
     return made
 
 
-def _tum(path: Path, text: str) -> FileStream:
+def _tum(path: Path) -> FileStream:
     """Read `t x y z qx qy qz qw` lines, perhaps with the 21 numbers of a covariance's upper triangle."""
+    text = read_small(path, MAX_TEXT_FILE).decode("utf-8", "replace").lstrip("\ufeff")
     times, rows = [], []
     unknown = text.startswith("# heading unknown")
     for number, line in enumerate(text.splitlines(), 1):
@@ -101,16 +104,16 @@ def _tum(path: Path, text: str) -> FileStream:
     return _poses(path, times, position, q, P)
 
 
-def _csv(path: Path, text: str) -> FileStream:
+def _csv(path: Path) -> FileStream:
     """Read a table whose first line names t and x, y (theta) of poses, or t and id, range, bearing."""
-    lines = [(i, row) for i, row in enumerate(csv.reader(io.StringIO(text)), 1) if any(w.strip() for w in row)]
+    lines = csv_rows(path, MAX_TEXT_FILE)
     if not lines:
         raise LocfuseError(f"{path} is empty")
     names = [word.strip().lstrip("#").strip().lower() for word in lines[0][1]]
     at = {name: i for i, name in enumerate(names)}
     time = next((name for name in TIMES if name in at), None)
     if time is None:
-        raise LocfuseError(f"{path}: its first line names no column t; it has {', '.join(names[:12])}")
+        raise LocfuseError(f"{path}: its first line names no column t; it has {_few(names)}")
     body = lines[1:]
     for number, row in body:
         if len(row) != len(names):
@@ -121,20 +124,26 @@ def _csv(path: Path, text: str) -> FileStream:
 
     times = [_ns(path, number, row[at[time]]) for number, row in body]
     if "id" in at and ("range" in at or "bearing" in at):
-        return _detections(path, times, at, column)
+        idents = [_ident(path, number, row[at["id"]]) for number, row in body]
+        return _detections(path, times, idents, at, column)
     if not {"x", "y"} <= at.keys():
         raise LocfuseError(
-            f"{path}: x and y of poses, or id, range and bearing of landmarks are read, not {names}"
+            f"{path}: x and y of poses, or id, range and bearing of landmarks are read, not {_few(names)}"
         )
     return _table_of_poses(path, times, at, column)
 
 
+def _few(names: Sequence[str]) -> str:
+    """Return some names of columns as one line."""
+    return ", ".join(visible(name[:40]) for name in names[:12])
+
+
 def _detections(
-    path: Path, times: Sequence[int], at: Mapping[str, int], column: Callable[[str], Array]
+    path: Path, times: Sequence[int], idents: Sequence[int], at: Mapping[str, int], column: Callable[[str], Array]
 ) -> FileStream:
     missing = np.full(len(times), np.nan)
     data: dict[str, Column] = {
-        "id": column("id").astype(np.int64),
+        "id": np.array(idents, np.int64),
         **{name: column(name) if name in at else missing for name in ("range", "bearing")},
     }
     return FileStream(path, DETECTIONS, np.array(times, np.int64), data)
@@ -153,6 +162,7 @@ def _table_of_poses(
     if heading is None:
         return _points(path, times, position)
     half = 0.5 * column(heading)
+    half[~np.isfinite(half)] = np.nan  # an infinite heading is none, and sin() would warn
     q = np.stack((np.zeros_like(half), np.zeros_like(half), np.sin(half), np.cos(half)), axis=-1)
     if not set(TRIANGLE) <= at.keys():
         return _poses(path, times, position, q, None)
@@ -176,21 +186,29 @@ def _poses(path: Path, times: Sequence[int], xy: Array, q: Array, P: Array | Non
 
 def _number(path: Path, line: int, word: str) -> float:
     try:
+        if "_" in word:  # Python's own way to group digits
+            raise ValueError
         return float(word)
     except ValueError:
         raise LocfuseError(f"{path}: line {line}: {word.strip()[:40]!r} is no number") from None
 
 
+def _ident(path: Path, line: int, word: str) -> int:
+    """Return the number of a landmark: a whole one."""
+    value = _number(path, line, word)
+    if not abs(value) < MAX_IDENT or value != round(value):
+        raise LocfuseError(f"{path}: line {line}: {word.strip()[:40]!r} is no id: whole numbers are read")
+    return round(value)
+
+
 def _ns(path: Path, line: int, word: str) -> int:
     """Return decimal seconds, or whole nanoseconds, as integer nanoseconds without rounding."""
     value = _number(path, line, word)
-    if not np.isfinite(value) or abs(value) >= 2**62:
+    try:
+        exact = Decimal(word.strip()) if math.isfinite(value) else Decimal(END_OF_TIME)
+        total = exact if abs(value) > MIN_NS else exact.scaleb(9)
+    except ArithmeticError:  # an exponent of many digits
+        total = Decimal(END_OF_TIME)
+    if abs(total) >= END_OF_TIME:
         raise LocfuseError(f"{path}: line {line}: {word.strip()[:40]!r} is no time")
-    if abs(value) > MIN_NS:
-        return round(value) if not word.strip().lstrip("+-").isdigit() else int(word)
-    text = word.strip().lower()
-    if "e" in text:
-        return round(value * 1e9)
-    whole, _, part = text.lstrip("+-").partition(".")
-    total = int(whole or 0) * 1_000_000_000 + int((part + "0" * 9)[:9])
-    return -total if text.startswith("-") else total
+    return int(total)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from fnmatch import fnmatch
 from itertools import takewhile
 from pathlib import Path
 
@@ -12,7 +13,9 @@ from locfuse.formats.container.losses import Losses
 from locfuse.formats.container.source import Source
 from locfuse.formats.container.zstd_file import ZSTD_MAGIC, unpack_file
 from locfuse.formats.inputs import read_small
+from locfuse.formats.mcap.records import MAGIC
 from locfuse.formats.mcap.source import McapSource
+from locfuse.formats.url import Place, Url
 from locfuse.formats.visible import writable
 from locfuse.fusion.data import LocfuseError, UsageError
 
@@ -38,8 +41,10 @@ RESULTS = ("run.json", "report.json")
 UNNAMED = "log"  # what to call "...mcap": its stem ".." would lead results out of their folder
 
 
-def log_files(path: Path) -> list[Path]:
+def log_files(path: Place) -> list[Place]:
     """Return the files of the log that `path` names: a file, a rosbag2 folder, or its metadata.yaml."""
+    if isinstance(path, Url):
+        return _objects(path)
     try:
         if not path.exists():
             raise UsageError(f"{path}: no such file or folder")
@@ -50,11 +55,23 @@ def log_files(path: Path) -> list[Path]:
         raise LocfuseError(f"{path}: cannot be read: {problem.strerror}") from None
 
 
-def _folder(folder: Path) -> list[Path]:
+def _objects(url: Url) -> list[Place]:
+    """Return the objects of the log at an address: itself, or of a folder those of the first ending there are."""
+    if not url.is_folder:
+        return [url]
+    from locfuse.formats.remote.objects import below
+
+    inside = [file for file in below(url) if file.parent.key.rstrip("/") == url.key.rstrip("/")]
+    for ending in ENDINGS:
+        if files := [file for file in inside if fnmatch(file.name, ending)]:
+            return list(files)
+    raise LocfuseError(f"{url}: no log in this folder (.mcap, .db3, .bag); all logs below it: --each {url}")
+
+
+def _folder(folder: Path) -> list[Place]:
     listed = [folder / name for name in _listed(folder / "metadata.yaml")]
-    files = [file for file in listed if file.is_file()] or _by_ending(folder)
-    if files:
-        return files
+    if files := [file for file in listed if file.is_file()] or _by_ending(folder):
+        return list(files)
     if any((folder / name).exists() for name in RESULTS):
         raise LocfuseError(f"{folder} is a locfuse result, not a log; see: locfuse view {folder}")
     raise LocfuseError(f"{folder}: no log in this folder (.mcap, .db3, .bag)")
@@ -81,20 +98,33 @@ def _listed(metadata: Path) -> list[str]:
     return [name for given in listed for name in (given, f"{given}.zstd")]  # some versions leave the .zstd out
 
 
-def log_name(paths: Sequence[Path]) -> str:
+def log_name(paths: Sequence[Place]) -> str:
     """Return what to call the log: the file without its ending, or the folder."""
     first = paths[0].parent if paths[0].name == "metadata.yaml" else paths[0]
-    name = first.resolve().name if first.is_dir() else Path(first.name.removesuffix(".zstd")).stem
+    folder = first.is_folder if isinstance(first, Url) else first.is_dir()
+    whole = first.name if isinstance(first, Url) else first.resolve().name
+    name = whole if folder else Path(first.name.removesuffix(".zstd")).stem
     return writable(name) if name.strip(".") else UNNAMED
 
 
-def open_source(file: Path, losses: Losses) -> Source:
+def open_bytes(file: Place, losses: Losses) -> FileBytes:
+    """Return the bytes of a file, here or elsewhere."""
+    if isinstance(file, Path):
+        return FileBytes(file, losses)
+    from locfuse.formats.remote.remote_bytes import RemoteBytes
+
+    return RemoteBytes(file, losses)
+
+
+def open_source(file: Place, losses: Losses) -> Source:
     """Open one file of a log by what its first bytes say it is."""
     try:
-        data = FileBytes(file, losses)
-        if data.read(0, len(ZSTD_MAGIC)) == ZSTD_MAGIC:
-            data = unpack_file(file, losses)
-        head = data.read(0, 64)
+        data = open_bytes(file, losses)
+        if data.far and data.read(data.size - len(MAGIC), len(MAGIC)) != MAGIC:
+            data.copy_here()  # no whole MCAP: nothing says where what lies in it
+        if not data.far and data.read(0, len(ZSTD_MAGIC)) == ZSTD_MAGIC:
+            data = unpack_file(data, losses)
+        head = b"" if data.far else data.read(0, 64)
         for magic, source in SOURCES.items():
             if head.startswith(magic):
                 return source(data, losses)

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.mcap.summary import summary_section
+from locfuse.formats.url import Place, Url
 
 from .files import log_files
 
@@ -29,21 +29,48 @@ class Identity(NamedTuple):
     digest: str  # hexadecimal
 
 
-def files_of(paths: Sequence[Path]) -> list[Path]:
+class Seen(NamedTuple):
+    """What one file is known by."""
+
+    kind: str  # of the content: "summary", "ends" or "etag"
+    size: int  # bytes of the file
+    content: bytes
+
+
+def files_of(paths: Sequence[Place]) -> list[Place]:
     """Return the files of a log in their order: by name, wherever they lie."""
     return sorted({file for path in paths for file in log_files(path)}, key=lambda file: (file.name, str(file)))
 
 
-def identity_of(files: Sequence[Path]) -> Identity:
+def identity_of(files: Sequence[Place]) -> Identity:
     """Return the identity of a log of these files. Raises LocfuseError where one cannot be read."""
+    return identity([seen_of(file) for file in files])
+
+
+def identity(seen: Sequence[Seen]) -> Identity:
+    """Return the identity of a log by what was seen of each of its files."""
     state, total = hashlib.sha256(), 0
-    for file in files:
-        data = FileBytes(file, Losses())
-        section = summary_section(data)
-        kind, content = ("ends", _ends(data)) if section is None else ("summary", section)
-        state.update(f"{kind} {data.size} {len(content)}\n".encode() + content)
-        total += data.size
+    for kind, size, content in seen:
+        state.update(f"{kind} {size} {len(content)}\n".encode() + content)
+        total += size
     return Identity(total, state.hexdigest())
+
+
+def seen_of(file: Place) -> Seen:
+    """Return what a file is known by."""
+    if isinstance(file, Url):
+        from locfuse.formats.remote.objects import Object
+
+        return seen_of_object(*Object(file).state)
+    data = FileBytes(file, Losses())
+    section = summary_section(data)
+    kind, content = ("ends", _ends(data)) if section is None else ("summary", section)
+    return Seen(kind, data.size, content)
+
+
+def seen_of_object(size: int, tag: str) -> Seen:
+    """Return what is known of an object in a store: its ETag changes with its content."""
+    return Seen("etag", size, tag.encode())
 
 
 def _ends(data: FileBytes) -> bytes:

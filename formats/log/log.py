@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
@@ -19,13 +17,15 @@ from locfuse.formats.messages.fields import FieldError, resolve
 from locfuse.formats.messages.kinds import NUMBER as A_NUMBER
 from locfuse.formats.messages.kinds import check_kind, kind_of
 from locfuse.formats.messages.schema import SchemaError
+from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.robot import transforms
+from locfuse.formats.url import Place
 from locfuse.fusion.data import Ints, LocfuseError, UsageError
 
 from . import clock as clocks
 from .file_stream import FileStream, is_file_topic, read_file
 from .files import log_name, open_source
-from .identity import Identity, files_of, identity_of
+from .identity import Identity, files_of, identity, identity_of, seen_of, seen_of_object
 from .stream import NUMBER, LogStream, NumberStream, field_of
 from .table import Raw, Table, dated, digest
 from .topics import Topic, UnreadableTopicError, by_topic
@@ -35,7 +35,7 @@ AnyStream = LogStream | TransformStream | FileStream | NumberStream
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 
-def open_log(paths: Sequence[Path]) -> Log:
+def open_log(paths: Sequence[Place]) -> Log:
     """Open one log made of the given files and folders; messages are merged by topic over all files."""
     files = files_of(paths)
     losses = Losses()
@@ -45,7 +45,7 @@ def open_log(paths: Sequence[Path]) -> Log:
 class Log:
     """A log of one or more files. Streams with light columns are read together, in one walk over the files."""
 
-    def __init__(self, paths: Sequence[Path], sources: Sequence[Source], name: str, losses: Losses) -> None:
+    def __init__(self, paths: Sequence[Place], sources: Sequence[Source], name: str, losses: Losses) -> None:
         self.paths = tuple(paths)
         self.name = name
         self._sources = tuple(sources)
@@ -75,7 +75,21 @@ class Log:
     @cached_property
     def identity(self) -> Identity:
         """What the content is known by without reading all of it."""
-        return identity_of(self.paths)
+        seen = [source.data.state for source in self._sources]
+        if all(state is None for state in seen):
+            return identity_of(self.paths)
+        return identity([seen_of_object(*s) if s else seen_of(p) for s, p in zip(seen, self.paths, strict=True)])
+
+    @property
+    def etags(self) -> list[str]:
+        """What stores know its files by; none of files on this machine."""
+        return [source.data.state[1] for source in self._sources if source.data.state is not None]
+
+    @property
+    def transfer(self) -> tuple[int, int] | None:
+        """Bytes that came over the network so far, and the size of the files there; None where all are here."""
+        found = [source.data.transfer for source in self._sources if source.data.transfer is not None]
+        return (sum(came for came, _ in found), sum(size for _, size in found)) if found else None
 
     @cached_property
     def attachments(self) -> dict[str, bytes]:
@@ -207,8 +221,7 @@ class Log:
 
     def _check(self, topic: str) -> None:
         if topic not in self.topics:
-            near = difflib.get_close_matches(topic, self.topics, 1)
-            hint = f"did you mean {near[0]}?" if near else f"it has {', '.join(self.topics) or 'no topics'}"
+            hint = did_you_mean(topic, self.topics) or f"it has {', '.join(self.topics) or 'no topics'}"
             raise LocfuseError(f"{self.name} has no topic {topic}; {hint}")
         if problem := self.topics[topic].problem:
             raise UnreadableTopicError.of(self.name, topic, problem)
@@ -267,19 +280,23 @@ class Log:
                         yield topic, dated(Raw(data, unpacked, decoder))
 
     def messages(self) -> Iterator[list[Recorded]]:
-        """Yield all messages as they lie in the files, whether or not they can be read, batch by batch."""
+        """Yield all messages as they lie in the files, whether or not they can be read, batch by batch.
+
+        Messages that were compressed one by one come in batches of their own: a file of 300 kB can hold gigabytes.
+        """
         for source in self._sources:
             for batch in source.batches(source.channels.keys()):
-                yield [
-                    Recorded(
-                        source.channels[ident],
-                        data,
-                        unpacked,
-                        source.published(data, unpacked) if data is batch.data else unpacked.log_time,
-                    )
-                    for ident, messages in batch.messages.items()
-                    for data, unpacked in unpack(batch.data, messages)
-                ]
+                together = []
+                for ident, messages in batch.messages.items():
+                    channel = source.channels[ident]
+                    for data, unpacked in unpack(batch.data, messages):
+                        if data is batch.data:
+                            published = source.published(data, unpacked)
+                            together.append(Recorded(channel, data, unpacked, published))
+                        else:
+                            yield [Recorded(channel, data, unpacked, unpacked.log_time)]
+                if together:
+                    yield together
 
     def raw(self, topic: str, fields: Sequence[str]) -> Iterator[Raw]:
         """Yield the messages of one topic, of which `fields` will be asked, batch by batch."""

@@ -109,7 +109,7 @@ def _gather(data: NDArray[np.uint8], offsets: Ints) -> dict[int, Messages]:
     return {int(ident): everything.take(channel == ident) for ident in np.unique(channel)}
 
 
-def _credible(
+def credible(
     data: NDArray[np.uint8], channel: Ints, log_time: NDArray[np.uint64], offsets: Ints
 ) -> NDArray[np.bool_]:
     """Tell which index entries (k,) point at a Message record of their channel and log time."""
@@ -140,7 +140,7 @@ def _flatten(index: Index) -> tuple[Ints, NDArray[np.uint64], Ints]:
 
 def _by_index(data: NDArray[np.uint8], index: Index, most: int) -> Records | None:
     channel, log_time, offsets = _flatten(index)
-    if not _credible(data, channel, log_time, offsets).all():
+    if not credible(data, channel, log_time, offsets).all():
         return None
     ends = offsets + RECORD.size + view(data, "<u8", offsets + 1).astype(np.int64)
     missed: list[int] = []
@@ -169,7 +169,7 @@ def _gaps(offsets: Ints, ends: Ints, size: int) -> Iterator[tuple[int, int]]:
 def _salvage(data: NDArray[np.uint8], scanned: Records, index: Index) -> Records:
     """Read a damaged chunk: what the index says and the bytes confirm, before and behind the damage."""
     channel, log_time, offsets = _flatten(index)
-    good = offsets[_credible(data, channel, log_time, offsets)]
+    good = offsets[credible(data, channel, log_time, offsets)]
     return Records(_gather(data, _followed(data, _disjoint(data, good))), scanned.definitions, scanned.end)
 
 

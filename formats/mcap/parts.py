@@ -16,6 +16,7 @@ class ChunkRef:
     index: dict[int, tuple[int, int]] = field(default_factory=dict)  # channel -> (file offset, content length)
     available: int = 0  # compressed bytes present: less than header.length where the file is cut off
     counts: dict[int, int] | None = None  # channel -> messages, once known
+    promised: bool = False  # whether only the summary says all this: its checksum is then not known yet
 
     @property
     def start(self) -> int:

@@ -57,7 +57,24 @@ class ChunkIndex(NamedTuple):
     offset: int
     length: int
     index_length: int
-    channels: frozenset[int]
+    indexes: dict[int, int]  # channel -> file offset of its message index
+    compression: str
+    packed: int  # bytes, compressed
+    plain: int  # bytes, uncompressed
+    first: int  # log time of the first message, ns
+    last: int
+
+    @property
+    def channels(self) -> frozenset[int]:
+        """The channels that have messages in it."""
+        return frozenset(self.indexes)
+
+
+class AttachmentIndex(NamedTuple):
+    """Where the summary says an attachment's record lies."""
+
+    offset: int
+    length: int
 
 
 def opcode_and_length(head: bytes) -> tuple[int, int]:
@@ -128,9 +145,16 @@ def chunk_header(data: bytes) -> ChunkHeader:
 def chunk_index(data: bytes) -> ChunkIndex:
     """Read a ChunkIndex record's content."""
     c = Cursor(data)
-    _, _, offset, length = c.integers("QQQQ")
-    channels = frozenset(c.map("Q"))
-    return ChunkIndex(offset, length, c.integer("Q"), channels)
+    first, last, offset, length = c.integers("QQQQ")
+    indexes = c.map("Q")
+    index_length, compression = c.integer("Q"), c.text()
+    packed, plain = c.integers("QQ")
+    return ChunkIndex(offset, length, index_length, indexes, compression, packed, plain, first, last)
+
+
+def attachment_index(data: bytes) -> AttachmentIndex:
+    """Read the front of an AttachmentIndex record's content."""
+    return AttachmentIndex(*Cursor(data).integers("QQ"))
 
 
 def message_index(data: bytes) -> tuple[int, NDArray[Any]]:
@@ -152,8 +176,17 @@ def attachment(data: bytes) -> tuple[str, bytes, int]:
     return name, c.take(c.integer("Q")), c.integer("I")
 
 
-def message_counts(data: bytes) -> dict[int, int]:
-    """Read a Statistics record's content: channel -> messages."""
+class Statistics(NamedTuple):
+    """How much a file holds."""
+
+    messages: int
+    attachments: int
+    chunks: int
+    counts: dict[int, int]  # channel -> messages
+
+
+def statistics(data: bytes) -> Statistics:
+    """Read a Statistics record's content."""
     c = Cursor(data)
-    c.integers("QHIIIIQQ")
-    return c.map("Q")
+    messages, _, _, attachments, _, chunks, _, _ = c.integers("QHIIIIQQ")
+    return Statistics(messages, attachments, chunks, c.map("Q"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property
 
@@ -21,8 +21,12 @@ from locfuse.fusion.data import Ints
 
 from . import records as rec
 from .chunk import Index, Records, counted, records
-from .parts import ChunkRef, LooseRun, Part
+from .parts import ChunkRef, LooseRun, Part, Survey
+from .promised import promised
+from .ranged import Wanted, fetched, own_header, wanted_of
 from .survey import survey
+
+MAX_SHARE = 0.5  # of a file that is elsewhere: where more is wanted all of it is copied at once
 
 Bytes = NDArray[np.uint8]
 
@@ -34,10 +38,18 @@ class McapSource:
         self.path = data.path
         self.losses = losses
         self.data = data
-        self._survey = survey(data, losses)
+        self._survey = self._surveyed()
         self._discover()
         self.channels = self._channels()
         self._compare_with_statistics()
+
+    def _surveyed(self) -> Survey:
+        """Walk over a file; believe the summary of one that is elsewhere, or copy it where that cannot be."""
+        if self.data.far:
+            if (found := promised(self.data)) is not None:
+                return found
+            self.data.copy_here()
+        return survey(self.data, self.losses)
 
     @cached_property
     def attachments(self) -> dict[str, bytes]:
@@ -59,7 +71,18 @@ class McapSource:
     @property
     def checked(self) -> bool:
         """Whether a changed value would be noticed: every chunk has a checksum, and nothing lies outside one."""
-        return all(isinstance(part, ChunkRef) and part.header.crc for part in self._survey.parts)
+        parts = self._survey.parts
+        chunks = [part for part in parts if isinstance(part, ChunkRef)]
+        self.data.fetch((chunk.offset, chunk.start) for chunk in chunks if chunk.promised)
+        with suppress(DamagedError):
+            return len(chunks) == len(parts) and all(self._confirmed(chunk) for chunk in chunks)
+        return False
+
+    def _confirmed(self, chunk: ChunkRef) -> bool:
+        """Read the header of a chunk where only the summary was; return whether it has a checksum."""
+        if chunk.promised:
+            chunk.header, chunk.promised = own_header(self.data, chunk), False
+        return bool(chunk.header.crc)
 
     @cached_property
     def time_span_ns(self) -> tuple[int, int] | None:
@@ -73,13 +96,36 @@ class McapSource:
 
     def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
         """Yield the messages of the wanted channels in file order."""
+        if self.data.far and (ranged := self._ranged(wanted)) is not None:
+            yield from ranged
+            return
         for part in self._survey.parts:
             if part.counts is not None and not part.counts.keys() & wanted:
                 continue
-            data, found = self._load(part)
-            messages = {ident: m for ident, m in found.messages.items() if ident in wanted}
-            if messages:
-                yield Batch(data, messages)
+            if (batch := self._batch(part, wanted)).messages:
+                yield batch
+
+    def _batch(self, part: Part, wanted: Collection[int]) -> Batch:
+        data, found = self._load(part)
+        return Batch(data, {ident: m for ident, m in found.messages.items() if ident in wanted})
+
+    def _ranged(self, wanted: Collection[int]) -> Iterator[Batch] | None:
+        """Return the batches by ranges of a file that is elsewhere; copy it where they are most of it anyway."""
+        chunks = [p for p in self._survey.parts if isinstance(p, ChunkRef) and (p.counts or {}).keys() & wanted]
+        parts = wanted_of(self.data, chunks, wanted)
+        if sum(part.n_bytes for part in parts) <= MAX_SHARE * self.data.size:
+            return self._by_ranges(parts, wanted)
+        self.data.copy_here()
+        self._survey = survey(self.data, self.losses)
+        self._discover()
+        self._compare_with_statistics()
+        return None
+
+    def _by_ranges(self, parts: Sequence[Wanted], wanted: Collection[int]) -> Iterator[Batch]:
+        for part in fetched(self.data, parts):
+            batch = self._batch(part.chunk, wanted) if part.whole else Batch(*part.messages(self.losses))
+            if batch.messages:
+                yield batch
 
     def _load(self, part: Part) -> tuple[Bytes, Records]:
         """Read one part; what is damaged is counted and left out."""
@@ -97,6 +143,8 @@ class McapSource:
     def _bytes(self, part: Part) -> Bytes:
         if part.size > MAX_CHUNK:
             raise DamagedError(f"a chunk is larger than {MAX_CHUNK >> 20} MiB")
+        if isinstance(part, ChunkRef):
+            self._confirmed(part)
         packed = self.data.read(part.start, part.size)
         if isinstance(part, LooseRun):
             return np.frombuffer(packed, np.uint8)

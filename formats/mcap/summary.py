@@ -20,7 +20,13 @@ class Summary:
     schemas: dict[int, rec.Schema] = field(default_factory=dict)
     channels: dict[int, rec.Channel] = field(default_factory=dict)
     chunks: dict[int, rec.ChunkIndex] = field(default_factory=dict)  # by file offset
-    counts: dict[int, int] | None = None  # channel -> messages
+    attachments: list[rec.AttachmentIndex] = field(default_factory=list)
+    statistics: rec.Statistics | None = None
+
+    @property
+    def counts(self) -> dict[int, int] | None:
+        """Channel -> messages; None where the writer counted none."""
+        return None if self.statistics is None else self.statistics.counts
 
 
 TAIL = rec.RECORD.size + rec.FOOTER_LENGTH + len(rec.MAGIC)  # bytes of footer and magic
@@ -83,5 +89,7 @@ def _parse(section: bytes, start: int) -> Summary:
             chunk = rec.chunk_index(content)
             summary.chunks[chunk.offset] = chunk
         elif opcode == rec.STATISTICS:
-            summary.counts = rec.message_counts(content)
+            summary.statistics = rec.statistics(content)
+        elif opcode == rec.ATTACHMENT_INDEX:
+            summary.attachments.append(rec.attachment_index(content))
     return summary

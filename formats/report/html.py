@@ -6,23 +6,25 @@ drift apart unseen; text from logs goes through the template's escaping.
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import math
-from collections.abc import Collection, Mapping, Sequence
+import re
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
+from locfuse.formats.drawing.svg import HEIGHT, WIDTH, slugs_of, svg
 from locfuse.formats.figures import palette
 from locfuse.formats.figures.palette import Trace
 from locfuse.formats.figures.panels import Section
-from locfuse.formats.figures.svg import HEIGHT, WIDTH, slugs_of, svg
+from locfuse.formats.tables import tables
+from locfuse.formats.tables.findings import findings_of, together
+from locfuse.formats.tables.glossary import GLOSSARY
+from locfuse.formats.tables.notes import fingerprint, notes_of, title_of
+from locfuse.formats.tables.render import SIGNS, Swatches, data, html
+from locfuse.formats.tables.table import Path, Piece, Table, written
 from locfuse.fusion.data import REFUSED, Colour
-
-from . import tables
-from .findings import findings_of, together
-from .json_report import fingerprint
-from .notes import notes_of, title_of
-from .render import SIGNS, Swatches, data, html
-from .table import Path, Piece, Table, written
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -39,24 +41,29 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
 
     folder = files(__package__)
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    script = compact((folder / "report.js").read_text(encoding="utf-8"))
     template = environment.from_string((folder / "report.html.j2").read_text(encoding="utf-8"))
     names, bars = list(report["configurations"]), _bars(report)
     traces = palette.traces_in(report)
-    dashed = {name for name, trace in traces.items() if trace.dashed}
+    looks = palette.looks_of(traces)
     inks = palette.colours({**traces, **{s: Trace(s, (s,)) for s in sensors if s not in names}}, sensors)
     roles = {**inks, **palette.ROLES}
     slugs = slugs_of(list(roles))
-    swatches = Swatches(slugs, dashed)
+    swatches = Swatches(slugs, {**palette.SHAPES, **looks})
     drawn = {m.of for s in sections for p in s.panels for m in p.marks}
+    drawings = [section_drawings(s, slugs, looks) for s in sections]
     page = template.render(
         report=report,
         title=title_of(report),
         fingerprint=fingerprint(report["input"]),
+        script=Markup(script),
+        script_hash=hash_of(script),
         style=Markup(style_sheet((folder / "report.css").read_text(encoding="utf-8"), roles, slugs)),
         figures=Figures(report),
         tables=tables,
         table=lambda shown, painted=True: _table(shown, swatches if painted else None, bars),
-        sections=[section_drawings(s, slugs, dashed) for s in sections],
+        sections=[d for d in drawings if d["section"].name != "credit"],
+        credit=[d for d in drawings if d["section"].name == "credit"],
         legend=[(name, slugs[name]) for name in names if name in drawn],
         slugs=slugs,
         swatch=lambda name: Markup(swatches.of(name)),
@@ -67,6 +74,7 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
         findings=findings_of(report),
         together=together(report),
         events=_shaded(sections),
+        glossary=GLOSSARY,
         roles=("truth", "bounds") if report["truth"] else ("bounds",),
     )
     return page.strip() + "\n"
@@ -111,18 +119,35 @@ def style_sheet(css: str, roles: Mapping[str, Colour], slugs: Mapping[str, str])
     return css.replace("/*light*/", light).replace("/*dark*/", dark) + uses + f"@media screen{{{hides}}}"
 
 
-def section_drawings(section: Section, slugs: dict[str, str], dashed: Collection[str]) -> dict[str, Any]:
+def compact(source: str) -> str:
+    """Return our script without comments, indents, line ends and spaces that no string holds."""
+    lines = (line.strip() for line in source.splitlines())
+    parts = re.split(r"""("[^"]*"|`[^`]*`)""", "".join(line for line in lines if not line.startswith("//")))
+    return "".join(p if i % 2 else re.sub(r" *([-=+*/<>?:,;{}()&|!]) *", r"\1", p) for i, p in enumerate(parts))
+
+
+def hash_of(script: str) -> str:
+    """Return what a Content-Security-Policy lets run: this script and no other, whatever a log's name holds."""
+    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+
+
+def section_drawings(section: Section, slugs: dict[str, str], looks: Mapping[str, str]) -> dict[str, Any]:
     """Return a section with its panels as SVG, row by row."""
     from markupsafe import Markup
 
     width, height = SIZES[section.columns]
     drawn = [
-        (p, Markup(svg(p, p_id(section, i), slugs, width, height, dashed))) for i, p in enumerate(section.panels)
+        (p, Markup(svg(p, p_id(section, i), slugs, width, height, looks))) for i, p in enumerate(section.panels)
     ]
     per_row = section.columns if section.rows else max(1, len(drawn))
     rows = [drawn[i : i + per_row] for i in range(0, len(drawn), per_row)]
-    keys = list(dict.fromkeys(k for p in section.panels for k in p.keys))
-    return {"section": section, "rows": rows, "keys": keys}
+    keys = {k: p.said.get(k, "refused" if k == "gate" else k) for p in section.panels for k in p.keys}
+    return {"section": section, "rows": rows, "keys": dict(sorted(keys.items(), key=_level_first))}
+
+
+def _level_first(key: tuple[str, str]) -> tuple[bool, str]:
+    """Order the keys of a legend: the colours of a scale in their order, before all else as it comes."""
+    return (not key[0].startswith("level "), key[0] if key[0].startswith("level ") else "")
 
 
 def p_id(section: Section, number: int) -> str:
@@ -148,6 +173,7 @@ def _strips(report: Mapping[str, Any]) -> dict[str, dict[str, float | str]]:
     if not credit:
         return {}
     effects = {s: (kind, v[kind]) for s, v in credit["sensors"].items() for kind in _kind(v)}
+    effects = {s: (kind, e) for s, (kind, e) in effects.items() if None not in (e["low"], e["high"], e["factor"])}
     ln = [math.log(max(e[k], 1e-6)) for _, e in effects.values() for k in ("low", "high", "factor")]
     low, high = max(-5.0, min([*ln, -0.2])), min(7.0, max([*ln, 0.2]))
 

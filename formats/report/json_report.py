@@ -55,13 +55,6 @@ def same_input(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool:
     return both is not None and bool(a[both] == b[both])
 
 
-def fingerprint(source: Mapping[str, Any], digits: int | None = None) -> str:
-    """Return the hash of the input's bytes, or where not all were read, what its content is known by."""
-    if source.get("sha256") is not None:
-        return f"sha256 {source['sha256'][:digits]}"
-    return f"identity {source['identity'][:digits]}"
-
-
 def made_with() -> dict[str, str | None]:
     """Return the versions on which the last digits depend: same bytes are promised for the same versions only."""
     found: dict[str, str | None] = {"python": platform.python_version(), "machine": platform.machine()}
@@ -139,6 +132,7 @@ def _sensor(figures: SensorFigures) -> dict[str, Any]:
         "rejected": figures.rejected,
         "absent": figures.absent,
         "nis": figures.nis,
+        "joint_nis": figures.joint_nis,
         "verdicts": figures.verdicts,
     }
 

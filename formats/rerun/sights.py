@@ -57,7 +57,7 @@ def some_readings(m: Measurements, t: Array, audit: Audit, e: Estimates, limit: 
     owner = np.searchsorted(m.first, audit.row, side="right") - 1
     at = np.searchsorted(readings, owner)
     keep = np.flatnonzero(readings[np.minimum(at, len(readings) - 1)] == owner)
-    rows = Audit(*(column[keep] for column in vars(audit).values()))
+    rows = Audit(*(column[keep] for name, column in vars(audit).items() if name != "joint"))
     return Seen(t[readings], at[keep], rows, e.pose[rows.instant])
 
 

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import math
 from pathlib import Path
 
 from locfuse.formats.caps import MAX_MAP_FILE
-from locfuse.formats.inputs import read_small
-from locfuse.fusion.data import LocfuseError
+from locfuse.formats.inputs import csv_rows
+from locfuse.fusion.data import MAX_MAGNITUDE, LocfuseError
 
 
 def read(path: Path) -> dict[str, tuple[float, float]]:
     """Return id -> x, y [m]. Raises LocfuseError naming the line that is wrong, and an id that occurs twice."""
-    text = read_small(path, MAX_MAP_FILE).decode("utf-8", "replace").lstrip("\ufeff")
-    rows = [(n, row) for n, row in enumerate(csv.reader(io.StringIO(text)), 1) if any(w.strip() for w in row)]
+    rows = csv_rows(path, MAX_MAP_FILE)
     names = [word.strip().lstrip("#").strip().lower() for word in rows[0][1]] if rows else []
     missing = [name for name in ("id", "x", "y") if name not in names]
     if missing:
@@ -28,7 +24,7 @@ def read(path: Path) -> dict[str, tuple[float, float]]:
             ident, place = str(int(key)), (float(x), float(y))
         except (ValueError, IndexError):
             raise LocfuseError(f"{path}: line {number} is not id, x, y: {','.join(row)[:60]!r}") from None
-        if not all(map(math.isfinite, place)):
+        if not all(abs(one) < MAX_MAGNITUDE for one in place):
             raise LocfuseError(f"{path}: line {number}: a landmark stands somewhere: x and y must be finite")
         if ident in found:
             raise LocfuseError(f"{path}: id {ident} occurs twice (lines {lines[ident]} and {number})")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import difflib
 import math
+import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -11,8 +11,11 @@ from typing import Any
 import msgspec
 
 from locfuse.formats.caps import MAX_DOTS, MAX_KEY_DEPTH, MAX_KEYS, MAX_ROBOT_TOML, names_its_cap
+from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.visible import escaped
 from locfuse.fusion.data import LocfuseError, UsageError
+
+from . import units
 
 FEW = 12  # keys are listed up to this many
 MAX_NUMBER = 1e20  # no robot's number is larger; a 64-bit counter's range is not
@@ -159,9 +162,8 @@ def _check_table(name: str, table: Any, kind: type[msgspec.Struct]) -> None:
 
 def _unknown(key: str, table: str, known: Sequence[str]) -> str:
     what = f"unknown key {table}.{key}" if table else f"unknown table or key {key}"
-    near = difflib.get_close_matches(key, known, 1)
-    hint = f"did you mean {near[0]}?" if near else ""
-    listed = f"known: {', '.join(known)}" if len(known) <= FEW or not near else ""
+    hint = did_you_mean(key, known)
+    listed = f"known: {', '.join(known)}" if len(known) <= FEW or not hint else ""
     return f"{what}; {' '.join(part for part in (hint, listed) if part)}"
 
 
@@ -177,7 +179,17 @@ def _mismatch(name: str, table: Any, problem: str) -> str:
             value = value[int(key)] if isinstance(value, list) else value[key]
         except (KeyError, ValueError, IndexError, TypeError):
             return f"{name}{path}: {_plain(reason)}"
-    return f"{name}{path} = {_shown(value)}: {_plain(reason)}"
+    return f"{name}{path} = {_shown(value)}: {_needed(name, path.split('[')[0].lstrip('.'), reason)}"
+
+
+def _needed(table: str, key: str, reason: str) -> str:
+    """Say "must be a number, in metres" of a value of the wrong kind; else what is wrong in msgspec's words."""
+    unit = units.in_words(table, key)
+    found = re.match(r"Expected `(int|float)(?: \| null)?`( [<>]=? [-\d.e+]+)?", reason)
+    if not found:
+        return _plain(reason)
+    kind = "a whole number" if found[1] == "int" else "a number"
+    return f"must be {kind}{found[2] or ''}{f', in {unit}' if unit else ''}"
 
 
 def _plain(reason: str) -> str:

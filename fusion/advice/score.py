@@ -6,13 +6,12 @@ import math
 from typing import NamedTuple
 
 MAX_LOSS, MAX_LOSS_M = 0.02, 2e-4  # relative, m: by which no position error may grow
-MAX_LN_ANEES_LOSS = 0.1  # by which no ln ANEES may leave its chance range further
+MAX_LN_ANEES_LOSS = 0.1  # by which ln ANEES may leave its chance range further where the error stays the same
 MIN_GAIN = 0.1  # relative gain of the position error
 MIN_LN_ANEES_GAIN = 0.2  # by which ln ANEES must come nearer to its chance range
 MIN_GAIN_M = 2e-4  # m: smaller gains of the position error are none, however large their share
 MAX_LOSS_NATS, MIN_GAIN_NATS = 0.02, 0.05  # nats per number; a sigma 10 % off costs about 0.01, 50 % about 0.1
 MAX_LOST_SHARE = 0.005  # of the drive: by which being lost may grow
-PRICE_OF_ANEES = 0.25  # relative loss of position allowed for a factor e on an ANEES outside its chance range
 WEIGHT_OF_ANEES = 0.5  # of a factor on ANEES, against one on the position error
 
 
@@ -31,10 +30,10 @@ def spoils(before: Score, after: Score) -> bool:
     if after.lost > before.lost + MAX_LOST_SHARE:
         return True
     if before.position is not None:
-        allowed = MAX_LOSS + PRICE_OF_ANEES * max(0.0, _off(before) - _off(after))
-        if after.position is None or after.position > before.position * (1.0 + allowed) + MAX_LOSS_M:
+        if after.position is None or after.position > before.position * (1.0 + MAX_LOSS) + MAX_LOSS_M:
             return True
-        return _off(after) > _off(before) + MAX_LN_ANEES_LOSS + WEIGHT_OF_ANEES * max(0.0, _less(before, after))
+        much_smaller = after.position < (1.0 - MIN_GAIN) * before.position
+        return not much_smaller and _off(after) > _off(before) + MAX_LN_ANEES_LOSS
     if before.prediction is not None:
         return after.prediction is None or after.prediction < before.prediction - MAX_LOSS_NATS
     return False

@@ -7,6 +7,7 @@ the wheels contradict is held against those that they do not.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from functools import partial
 
@@ -151,10 +152,11 @@ def _between(t: Array, heading: Array, at: Array) -> Array:
 
 
 def in_words(lag: Lag) -> str:
-    """Return "stamps look 0.12 s late against the wheels (correlation ...)"."""
+    """Return "stamps look 0.12 s late (1 sigma: 0.005 s) against the wheels (correlation ...)"."""
+    sigma = f" (1 sigma: {lag.sigma:.3f} s)" if math.isfinite(lag.sigma) else ""
     whose = "the wheels" if lag.against == "wheels" else f"the {lag.against}, which agrees with the wheels"
     return (
-        f"stamps look {abs(lag.offset):.2f} s {'late' if lag.offset < 0 else 'early'} against {whose} "
+        f"stamps look {abs(lag.offset):.2f} s {'late' if lag.offset < 0 else 'early'}{sigma} against {whose} "
         f"(correlation {lag.without:.3f} as stamped, {lag.correlation:.3f} shifted)"
     )
 

@@ -21,6 +21,7 @@ from .clocks import of_clocks
 from .compass import of_convention, tilted
 from .finding import Finding
 from .laser import laser_motion, of_laser
+from .pictures import of_handedness
 from .truth import metre, of_truth
 from .turning import Turning, aligned, of_track, of_turning, turnings
 
@@ -50,6 +51,7 @@ def examine(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[F
     found += [o for o in turning if o.role not in {t.role for t in tilts}]
     if wrong_wheels:
         return found  # nothing can be held against such wheels
+    found += of_handedness(drive, robot)
     scales = _scales(drive, robot, by_sensor, turning)
     truth = of_truth(drive, robot, not any(o.code == "wheel scale" for o in scales))
     return [*found, *scales, *of_clocks(drive, robot), *truth]
@@ -106,4 +108,6 @@ def _blind(name: str, m: Measurements) -> list[Finding]:
     if n >= MIN_READINGS and m.absent > MAX_EMPTY_SHARE * n:
         words = f"no {REGISTRY[name].sees} in {m.absent} of {n} readings: it is dead, or its settings do not fit"
         return [Finding(name, "blind", words, severe=REGISTRY[name].blind_spoils)]
-    return [] if n else [Finding(name, "blind", "no reading within the wheels' time", severe=True)]
+    if not n:
+        return [Finding(name, "blind", "no reading within the wheels' time", severe=True)]
+    return [Finding(name, "seen", note) for note in m.notes]

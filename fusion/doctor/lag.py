@@ -35,7 +35,8 @@ COARSE_STEP_S, FINE_STEP_S = (
     0.05,
     0.01,
 )  # s: correlations over a whole window are smooth, so the best is near the coarse best
-MIN_LAG_S = 0.04  # s
+MIN_LAG_S = 0.04  # s: a sensor that is less off serves others as a reference
+MIN_SAID_LAG_S, SAID_SIGMAS = 0.01, 4.0  # s, and in its own sigmas: a smaller lag is not reported
 MIN_RMS_TURN_RAD = math.radians(3.0)  # rms turn per window below which there is nothing to correlate
 MIN_CORRELATION = 0.8
 MIN_WINDOWS = 20  # windows
@@ -58,8 +59,8 @@ class Lag(NamedTuple):
     offset: float  # s to add to the sensor's stamps
     correlation: float  # at that offset
     without: float  # correlation at no further offset
+    sigma: float = math.inf  # s, standard deviation of the offset; infinite where only correlations tell it
     against: str = "wheels"  # whose turning it was held against
-    sigma: float = math.inf  # s, standard deviation of the offset; inf where it is not known
 
 
 class _Turns(NamedTuple):
@@ -107,7 +108,7 @@ def find_lag(t: Array, heading: Array, reference: Reference) -> Lag | None:
     best = min((f for f in fits if f is not None), key=lambda f: f.sigma, default=None)
     offset = found if best is None else best.lag
     at, zero = turns.scores(reference.heading, np.array([offset, 0.0])).tolist()
-    return Lag(offset, at, zero, sigma=math.inf if best is None else best.sigma)
+    return Lag(offset, at, zero, math.inf if best is None else best.sigma)
 
 
 def _turns(t: Array, heading: Array, window: float, span: tuple[float, float]) -> _Turns:
@@ -201,4 +202,5 @@ def _vertex(left: float, middle: float, right: float) -> float:
 
 def worth_saying(lag: Lag) -> bool:
     """Return whether a lag is large and clear enough to be reported."""
-    return abs(lag.offset) >= MIN_LAG_S and lag.correlation - lag.without > 0.1 * (1.0 - lag.without)
+    clear = lag.correlation - lag.without > 0.1 * (1.0 - lag.without)
+    return clear and abs(lag.offset) >= max(MIN_SAID_LAG_S, SAID_SIGMAS * lag.sigma)

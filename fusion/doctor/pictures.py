@@ -1,19 +1,32 @@
-"""Can a camera's pictures be used, and is something red in them? A few are looked at: decoding all takes long."""
+"""Can a camera's pictures be used, is something red in them, and which way round do their columns turn?
+
+A few pictures are looked at: decoding all takes long.
+"""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 
 import numpy as np
 
+from locfuse.fusion import se2
+from locfuse.fusion.camera.bearing import predict_bearing
 from locfuse.fusion.camera.images import Picture, decode, messages
-from locfuse.fusion.data import Stream
+from locfuse.fusion.data import Array, Drive, Stream
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.se2 import wrap, wrap_all
 from locfuse.fusion.sensors.camera import CameraSettings, detector
 
 from .finding import Finding
 
 SAMPLE_PICTURES = 24  # looked at
 MAX_BAD_SHARE = 0.5  # share of the pictures
+MIN_TURN_RAD, MAX_TURN_RAD = math.radians(4.0), math.radians(90.0)  # between two pictures that are compared
+MIN_WHOLE_TURN_RAD = math.pi  # what the robot must have turned in all
+MIRRORED_SHARE = 0.8  # of what it turned: the bearing went with it, not against it
+START_WAY_M, MIN_BEARINGS = 2.0, 3  # m that wheels alone carry the start's pose, and pictures on it
+MIN_ZERO_RAD = math.radians(5.0)
 PROBLEMS = {
     "no_colour": "are grey (mono): red needs colour",
     "unreadable": "cannot be decoded: truncated, or neither JPEG nor PNG",
@@ -58,3 +71,58 @@ def _red(pictures: list[Picture], settings: CameraSettings) -> list[Finding]:
         f"nothing red and upright in {n - shows} of {n} pictures: --preview shows what counts as red, and where"
     )
     return [Finding("camera", "blind", words, (), shows == 0)]
+
+
+def of_handedness(drive: Drive, robot: Robot) -> list[Finding]:
+    """Return that the columns turn the other way round: then the landmark goes with the robot's turns.
+
+    It must go against them, but for what the robot drives in the meantime. A known start gives the zero too.
+    """
+    settings = robot.settings("camera")
+    t, z = _alone(drive)
+    if settings.landmark is None or len(t) < 2:
+        return []
+    turn, change = np.diff(drive.wheels.heading(t)), wrap_all(np.diff(z))
+    clear = (np.abs(turn) > MIN_TURN_RAD) & (np.abs(turn) < MAX_TURN_RAD)
+    turn, change = turn[clear], change[clear]
+    whole = float(np.abs(turn).sum())
+    along = np.abs(wrap_all(change - turn)) < np.abs(wrap_all(change + turn))
+    share = float(np.abs(turn[along]).sum()) / max(whole, 1e-9)
+    if whole < MIN_WHOLE_TURN_RAD or share < MIRRORED_SHARE:
+        return []
+    words = (
+        f"the landmark turns with the robot, not against it, in {share:.0%} of {math.degrees(whole):.0f} degrees: "
+        "the columns of the picture turn the other way round"
+    )
+    fixes = [f"camera.clockwise={str(not settings.clockwise).lower()}"]
+    zero = _zero(drive, robot, t, wrap_all(2.0 * math.radians(settings.zero_deg) - z))
+    if zero is not None and abs(zero) > MIN_ZERO_RAD:
+        degrees = math.degrees(wrap(zero + math.radians(settings.zero_deg)))
+        fixes.append(f"camera.zero_deg={degrees:.0f}")
+    return [Finding("camera", "mirrored", words, tuple(fixes), True)]
+
+
+def _alone(drive: Drive) -> tuple[Array, Array]:
+    """Return times (n,) [s] and bearings (n,) [rad] of pictures that show one candidate for the landmark."""
+    m = drive.measurements.get("camera")
+    if m is None:
+        return np.zeros(0), np.zeros(0)
+    one = np.flatnonzero(np.diff(m.first) == 1)
+    return m.t[one], m.z[m.first[one], 0]
+
+
+def _zero(drive: Drive, robot: Robot, t: Array, z: Array) -> float | None:
+    """Return what bearings z (n,) at t (n,) lack to those expected on the first metres; None: nobody knows."""
+    settings, start = robot.settings("camera"), robot.start
+    way = np.hypot(*drive.wheels.at(t)[2][:, :2].T)
+    early = t[way < START_WAY_M]
+    if not robot.start_given or len(early) < MIN_BEARINGS:
+        return None
+    x, y, yaw = settings.mount
+    poses = se2.compose(np.array(start.pose), drive.wheels.at(early)[2])
+    seen = [predict_bearing(tuple(p), settings.landmark, (x, y), yaw) for p in poses.tolist()]
+    lacks = [s[0] - b for s, b in zip(seen, z[way < START_WAY_M].tolist(), strict=True) if s is not None]
+    if len(lacks) < MIN_BEARINGS:
+        return None
+    middle = math.atan2(float(np.sin(lacks).mean()), float(np.cos(lacks).mean()))
+    return middle + float(np.median(wrap_all(np.array(lacks) - middle)))

@@ -40,6 +40,7 @@ class JointBelief:
         self._clones: set[int] = set()  # columns that hold the heading of an earlier instant
         self.frame: int | None = None  # first column of the map frame; None: the local frame is the map
         self.lost = False  # the pose is wrong by metres: it must not teach the map frame
+        self.nis = (math.nan, 0)  # of the last correction, with all that it took in: y' S^-1 y, degrees of freedom
         for block in blocks:
             self.add(block)
 
@@ -340,6 +341,7 @@ class JointBelief:
         if not seen:
             return
         V, e = self._whitened(seen)
+        self.nis = float(e @ e), len(e)
         if self.frame is None:
             self._update(V, e, self._considered)
             return
@@ -359,6 +361,11 @@ class JointBelief:
         n = self.n
         self._x[:n] += e @ V  # eq. 11
         self._P[:n, :n] -= V.T @ V  # eq. 12
+
+    def joint_nis(self, seen: Sequence[Innovation]) -> tuple[float, int]:
+        """Return y' S^-1 y of several innovations, where S has all that their errors share, and its dof."""
+        e = self._whitened(seen)[1]
+        return float(e @ e), len(e)
 
     def _swing(self, dx: float, dy: float) -> None:
         """Let the uncertainty of the map frame's place follow its correction by (dx, dy) [m].

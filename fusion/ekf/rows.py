@@ -108,7 +108,19 @@ def stacked(seen: Sequence[Innovation]) -> tuple[Array, Ints, Array, Array]:
     H, R = np.zeros((len(y), len(columns))), np.zeros((len(y), len(y)))
     H.put(H_at, H_values)
     R.put(R_at, R_values)
+    shared = [s.shared for s in seen if s.shared]
+    if shared:
+        R += _between(seen, len(shared[0][0]), R_at)
     return np.array(y), columns, H, R
+
+
+def _between(seen: Sequence[Innovation], k: int, own: Ints) -> Array:
+    """Return the covariance (m, m) of k errors that innovations share; 0 at the places `own`, which hold R."""
+    none = ((0.0,) * k,)
+    G = np.array([g for s in seen for g in s.shared or none * len(s.y)])
+    between: Array = G @ G.T
+    between.put(own, 0.0)
+    return between
 
 
 @lru_cache(maxsize=1024)

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
 
-from .free_space import MIN_POINTS, Views
-from .keys import Clouds
+from .keys import MIN_POINTS, Clouds, Views, thinned
 from .match import Matches, Targets, match, sources_of
 from .solve import Edges, Normal, Problem
 from .submaps import Peak, Submaps, correlate
@@ -32,6 +31,7 @@ MAX_THROUGH = 0.05  # share of the points that look through walls
 MAX_CONDITION = 1e4
 MAX_CHI2 = 16.3  # of three numbers: 99.9 %
 DOUBT = 4.0  # the graph's covariance is taken for so much larger when a candidate is judged
+MOVED_M, MOVED_RAD = 0.05, np.radians(0.5)  # what was refused is asked again once the graph moved it so far
 NARROWER = 0.7  # of the last window: only then a search may find something new
 CLOSURE_WIDTH = 4.0  # sigmas
 KEPT = 0.3  # weight below which a closure is given up after the solve
@@ -48,6 +48,7 @@ class Loops:
     pair: set[tuple[int, int]] = field(default_factory=set)  # submaps that are closed
     undecided: dict[tuple[int, int], str] = field(default_factory=dict)  # submaps -> why not
     asked: dict[tuple[int, int], float] = field(default_factory=dict)  # submaps -> window of the last search [m]
+    refused: dict[tuple[int, int], Array] = field(default_factory=dict)  # submaps -> the place that did not fit
     searches: int = 0
 
 
@@ -76,7 +77,7 @@ def close(
     """Return the key poses with all loops closed, all edges, and the loops."""
     loops = Loops()
     x, normal = problem.solve(x, edges)
-    targets, sources = Targets(maps.clouds), sources_of(maps.clouds, 400)
+    targets, sources = Targets(thinned(maps.clouds)), sources_of(maps.clouds, 200)
     for wide in WIDE_M:
         before = set(loops.pair)
         found = candidates(x, normal, maps, way, loops)
@@ -139,6 +140,10 @@ def placed(found: Candidates, maps: Submaps, wide: float, loops: Loops) -> tuple
     start, ready = found.guess.copy(), narrow.copy()
     pairs = list(zip(found.a.tolist(), found.b.tolist(), strict=True))
     news = np.array([r < NARROWER * loops.asked.get(p, np.inf) for p, r in zip(pairs, reach, strict=True)], bool)
+    moved = np.array(
+        [_moved(loops.refused.get(p), guess) for p, guess in zip(pairs, found.guess, strict=True)], bool
+    )
+    ready &= moved
     asked = np.flatnonzero(~narrow & (reach < wide) & news)
     for c in asked[np.argsort(reach[asked], kind="stable")][:MAX_SEARCHES].tolist():
         peak = _searched(found, c, maps)
@@ -151,6 +156,14 @@ def placed(found: Candidates, maps: Submaps, wide: float, loops: Loops) -> tuple
             loops.undecided[pair] = "two places fit alike"
     at = np.flatnonzero(ready)
     return found.take(at), start[at]
+
+
+def _moved(refused: Array | None, guess: Array) -> bool:
+    """Return whether a place is another one than that which was refused: only then it is worth asking again."""
+    if refused is None:
+        return True
+    step = se2.between(refused, guess)
+    return bool(np.hypot(step[0], step[1]) > MOVED_M or abs(se2.wrap(float(step[2]))) > MOVED_RAD)
 
 
 def _searched(found: Candidates, c: int, maps: Submaps) -> Peak:
@@ -182,6 +195,8 @@ def judged(
     off[:, 2] = se2.wrap_all(off[:, 2])
     S = DOUBT * c.P + np.linalg.inv(found.information + 1e-3 * np.eye(3))
     fits &= np.einsum("ni,nij,nj->n", off, np.linalg.inv(S), off) < MAX_CHI2
+    for k in np.flatnonzero(~fits).tolist():
+        loops.refused[int(c.a[k]), int(c.b[k])] = c.guess[k]
     at = np.flatnonzero(fits)
     at = at[through_walls(c.take(at), found.pose[at], maps, clouds, views, x) < MAX_THROUGH]
     c, found = c.take(at), found.take(at)

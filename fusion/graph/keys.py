@@ -7,6 +7,7 @@ through its neighbours among the beams, where they lie on one.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,11 @@ NEIGHBOURS = 3  # beams to either side that make a surface
 MIN_NEIGHBOURS, MAX_SPREAD_M = 3, 0.03  # how many, and how far off their line at most
 MAX_GAP_M, GAP_SPACINGS = 0.25, 5.0  # neighbours further apart are of different surfaces
 MAX_RANGE_M = 30.0
+CELL_M = 0.05  # of a cloud of many scans one point in each such square is kept
+# free space: a scan that looks through a wall which another one saw contradicts that the two are placed right
+BINS = 360
+MARGIN_M, MARGIN_SHARE = 0.3, 0.03  # a point must lie so much before what was seen behind it
+MIN_POINTS = 20  # in the field of view of the other scan: fewer decide nothing
 
 
 @dataclass(frozen=True)
@@ -113,3 +119,48 @@ def merged(clouds: Clouds, groups: list[Ints], poses: list[Array]) -> Clouds:
         normal.append(se2.rotated(at[:, 2], clouds.normal[rows]))
         counts.append(len(rows))
     return Clouds(np.cumsum(counts), np.concatenate(xy), np.concatenate(normal))
+
+
+@dataclass(frozen=True)
+class Views:
+    """How far every key looked into each direction."""
+
+    origin: Array  # (2,) the laser on the base
+    depth: Array  # (n, BINS) m; NaN where nothing returned
+
+    @classmethod
+    def of(cls, clouds: Clouds, origin: Array) -> Views:
+        """Return the views of scans; of the ranges in a direction and beside it the shortest counts."""
+        depth = np.full((len(clouds), BINS), np.inf)
+        bins, ranges = _polar(clouds.xy - origin)
+        np.minimum.at(depth, (clouds.owner, bins), ranges)
+        nearest = np.minimum.reduce([np.roll(depth, s, axis=1) for s in (-1, 0, 1)])
+        return cls(origin, np.where(np.isfinite(nearest), nearest, np.nan))
+
+    def contradicted(self, clouds: Clouds, i: Ints, j: Ints, pose: Array) -> tuple[Any, Any]:
+        """Count for pairs of keys (p,) the points of j that i looked through, and those that i could judge."""
+        rows, of = clouds.rows(j)
+        at = se2.transform(pose[of], clouds.xy[rows]) - self.origin
+        bins, ranges = _polar(at)
+        seen = self.depth[i[of], bins]
+        judged = np.isfinite(seen)
+        with np.errstate(invalid="ignore"):
+            through = ranges < seen * (1.0 - MARGIN_SHARE) - MARGIN_M
+        bad, all_judged = np.bincount(of, through, len(i)), np.bincount(of, judged, len(i))
+        return bad, all_judged
+
+
+def _polar(points: Array) -> tuple[Ints, Array]:
+    bins = np.floor((np.arctan2(points[:, 1], points[:, 0]) / (2.0 * np.pi) % 1.0) * BINS).astype(np.int64) % BINS
+    return bins, np.hypot(points[:, 0], points[:, 1])
+
+
+def thinned(clouds: Clouds) -> Clouds:
+    """Return of every cloud one point on a surface in each square of CELL_M: overlapping scans say the same."""
+    rows = np.flatnonzero(np.isfinite(clouds.normal[:, 0]))
+    square = np.floor(clouds.xy[rows] / CELL_M).astype(np.int64) + (1 << 20)
+    of = clouds.owner[rows]
+    _, some = np.unique((of << 42) + (square[:, 0] << 21) + square[:, 1], return_index=True)
+    keep = rows[np.sort(some)]
+    first = np.concatenate(([0], np.cumsum(np.bincount(clouds.owner[keep], minlength=len(clouds)))))
+    return Clouds(first, clouds.xy[keep], clouds.normal[keep])

@@ -8,12 +8,16 @@ a lever arm.)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Ints, Motions
+
+# m^2, rad^2 per metre driven and per radian turned: slips, uneven floors. The wheels' own noise leaves directions
+# out, and a bridge that has to end where they cannot lead would swing wide.
+LEFT_OUT = np.array([2e-4, 2e-4, np.radians(0.5) ** 2])
 
 
 @dataclass(frozen=True)
@@ -22,10 +26,21 @@ class Odometry:
 
     pose: Array  # (n, 3) in the odometry's frame, theta not wrapped
     C: Array  # (n, 3, 3) covariance of xi since the first instant
+    left_out: Array | None = None  # (3,) what C holds beside the wheels' own noise, per metre and radian
 
     def way(self) -> Array:
         """Distance driven until each instant, (n,) [m]."""
         return np.append(0.0, np.cumsum(np.hypot(*np.diff(self.pose[:, :2], axis=0).T)))
+
+    def at(self, k: Ints) -> Odometry:
+        """Return the way at some of the instants, k (m,)."""
+        return Odometry(self.pose[k], self.C[k], self.left_out)
+
+    def loosened(self) -> Odometry:
+        """Return the same way with what the wheels' own noise leaves out."""
+        u = se2.between(self.pose[:-1], self.pose[1:])
+        more = np.cumsum(at_origin(self.pose[:-1], u, evenly(u, LEFT_OUT)), axis=0)
+        return replace(self, C=self.C + np.concatenate((np.zeros((1, 3, 3)), more)), left_out=LEFT_OUT)
 
     def between(self, a: Ints, b: Ints) -> tuple[Array, Array]:
         """Return the motions from instants a to b (m,), (m, 3), and the covariances of xi about the pose at a."""
@@ -36,7 +51,8 @@ class Odometry:
         """Return the way at stamps that lie a motion behind the instants k (m,)."""
         u = motions.u if wheels is None else motions.u + motions.J @ wheels
         pose = se2.compose(self.pose[k], u)
-        return Odometry(pose, self.C[k] + at_origin(self.pose[k], u, motions.Q))
+        Q = motions.Q if self.left_out is None else motions.Q + evenly(u, self.left_out)
+        return Odometry(pose, self.C[k] + at_origin(self.pose[k], u, Q), self.left_out)
 
 
 def odometry_of(drive: Drive, lag: float = 0.0, wheels: Array | None = None) -> Odometry:
@@ -59,6 +75,12 @@ def dead_reckoned(u: Array) -> Array:
     theta = np.cumsum(u[:, 2])
     step = se2.rotated(np.append(0.0, theta[:-1]), u[:, :2])
     return np.column_stack((np.cumsum(step, axis=0), theta))
+
+
+def evenly(u: Array, variances: Array) -> Array:
+    """Return covariances (n, 3, 3) of motions u (n, 3) that grow with way and turning, by variances (3,)."""
+    far = np.hypot(u[:, 0], u[:, 1]) + np.abs(u[:, 2])
+    return far[:, None, None] * np.diag(variances)
 
 
 def at_origin(start: Array, u: Array, Q: Array) -> Array:

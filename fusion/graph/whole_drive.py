@@ -17,11 +17,11 @@ from locfuse.fusion.doctor.clocks import clock_lags
 from locfuse.fusion.doctor.lag import worth_saying
 from locfuse.fusion.robot import Robot
 
-from .bridge import bridged
+from .between import scans_between
+from .bridge import Fixes, bridged
 from .chain import again, sequential, wheel_edges
 from .closures import GRADUATIONS, Loops, close
-from .free_space import Views
-from .keys import choose_keys, clouds_of
+from .keys import Views, choose_keys, clouds_of
 from .match import Targets, sources_of
 from .odometry import Odometry, odometry_of
 from .others import Others
@@ -41,10 +41,11 @@ class Graph:
     """The key poses of a drive, and what was found on the way to them."""
 
     drive: Drive
-    odometry: Odometry
+    odometry: Odometry  # with what the wheels' own noise leaves out
     keys: Ints  # (m,) instants
     readings: Ints  # (m,) of the laser
     x: Array  # (m, 3) key poses in the map
+    fixes: Fixes  # what the wheels miss between them
     normal: Normal  # the normal equations there
     loops: Loops
     maps: Submaps
@@ -74,7 +75,7 @@ class Graph:
         return pose, P
 
     def _between(self, stamps: Odometry, k: Ints) -> tuple[Array, Array]:
-        return bridged(self.odometry, stamps, k, self.keys, self.x, *self.spread)
+        return bridged(self.odometry, stamps, k, self.keys, self.x, *self.spread, self.fixes)
 
     @cached_property
     def spread(self) -> tuple[Array, Array]:
@@ -167,12 +168,15 @@ def whole_drive(drive: Drive, robot: Robot, sensors: Sequence[str], wheels: Arra
     if len(loops.edges):
         closed = Edges.joined(closed, again(targets, sources, x, way))
     x, normal = problem.solve(x, closed, GRADUATIONS if len(loops.edges) else (1.0,))
+    loosened = odometry.loosened()
+    fixes = scans_between(loosened, drive, LASER, readings, clouds, x)
     return Graph(
         drive=drive,
-        odometry=odometry,
+        odometry=loosened,
         keys=keys,
         readings=readings,
         x=x,
+        fixes=fixes,
         normal=normal,
         loops=loops,
         maps=maps,

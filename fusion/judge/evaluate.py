@@ -284,9 +284,9 @@ def _sensor_figures(audit: Audit, absent: int) -> SensorFigures:
     verdicts = {name: n for name, n in zip(VERDICTS, counts, strict=True) if n}
     accepted = verdicts.get("accepted", 0)
     refused = sum(verdicts.values()) - accepted - verdicts.get("new", 0) - verdicts.get("repeated", 0)
-    return SensorFigures(
-        accepted, refused, absent, _mean(audit.nis[audit.verdict == 0] / audit.y.shape[1]), verdicts
-    )
+    nis = _mean(audit.nis[audit.verdict == 0] / audit.y.shape[1])
+    joint, dof = audit.joint.sum(axis=0).tolist()
+    return SensorFigures(accepted, refused, absent, nis, verdicts, joint / dof if dof else None)
 
 
 def _length(xy: Array) -> float:

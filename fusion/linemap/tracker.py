@@ -110,9 +110,12 @@ class LineTracker(Model):
             return [Innovation.unpredicted(first + k, LOST, 2, self._gate) for k in range(last - first)]
         if self.mode == "grow":
             _refuse_a_lone_match(found)
-        return [self._innovation(found, k, first + k, scan) for k in range(last - first)]
+        shared = m.extra["shared"][first:last].tolist() if self.joint and "shared" in m.extra else None
+        return [self._innovation(found, k, first + k, scan, shared) for k in range(last - first)]
 
-    def _innovation(self, found: Association, k: int, row: int, scan: Scan) -> Innovation:
+    def _innovation(
+        self, found: Association, k: int, row: int, scan: Scan, shared: list[Any] | None = None
+    ) -> Innovation:
         p, verdict = found.match[k], 0
         if p < 0:
             p = found.best[k]
@@ -142,6 +145,7 @@ class LineTracker(Model):
             R=((r00, r01), (r01, r11)),
             columns=columns,
             H_block=H_block,
+            shared=_as_matched(shared[k], pair.psi - scan.z.item(k, 1)) if shared and not verdict else (),
         )
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
@@ -263,6 +267,12 @@ class LineTracker(Model):
         else:
             P = np.array(belief.spread(G[:, :3].tolist(), columns, G[:, 3:].tolist())) + noise
         self.map.append(anchor, value, P, column, (-half, half), self._scan)
+
+
+def _as_matched(shared: tuple[list[float], list[float]], turned: float) -> tuple[list[float], list[float]]:
+    """Return what (r, psi) share with other lines (lines.sweep); a line may be read as (-r, psi + pi)."""
+    r, psi = shared
+    return r if math.cos(turned) > 0.0 else [-g for g in r], psi
 
 
 def _refuse_a_lone_match(found: Association) -> None:

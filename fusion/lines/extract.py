@@ -20,6 +20,7 @@ from locfuse.fusion.se2 import wrap_all
 from .beams import LineSettings, Runs, Scans, cut_at_gaps
 from .corners import clear_beams
 from .fit import Fits, Mask, Rays, Seen, fitted, improved, residuals
+from .sweep import Motion, loadings, shares
 from .walls import Walls, find_walls
 
 __all__ = ["LineSettings", "Lines", "extract_lines", "to_base"]
@@ -43,6 +44,7 @@ class Lines:
     points: Ints  # (m,) beams in the fit
     chi2: Array  # (m,) residual chi2 per degree of freedom
     span: Ints  # (m, 2) first and last beam in the fit; first > last where the line crosses beam 0
+    sweep: Array  # (m, 2, 2, pieces) what (r, psi) owe to the robot's turn and move in every piece of the sweep
 
 
 def extract_lines(
@@ -52,10 +54,12 @@ def extract_lines(
     offsets: Array | None = None,
     range_min: float = 0.0,
     range_max: float = math.inf,
+    motion: Motion | None = None,
 ) -> Lines:
     """Return the straight walls in `ranges` (n, b) [m], seen along `angles` (b,) or (n, b) [rad].
 
     `offsets` (n, b, 3) is each beam's laser pose (x [m], y [m], theta [rad]) in the frame of its scan: deskewing.
+    `motion`, where the beams' errors of deskewing are wanted, is how they move with the base (sweep).
     NaN, Inf, and ranges outside [range_min, range_max) are no returns. Angles grow or fall steadily; scans of the
     whole circle may have walls across beam 0. The result of a scan does not depend on the scans beside it.
     """
@@ -71,7 +75,7 @@ def extract_lines(
             range_min,
             range_max,
         )
-        parts.append(_extract(scans, settings))
+        parts.append(_extract(scans, settings, motion))
     return _joined(parts)
 
 
@@ -93,19 +97,24 @@ def to_base(z: Array, R_unit: Array, ends: Array, x: float, y: float, yaw: float
     return z, R, np.sort((ends + u[:, None]) * flip[:, None], axis=1)
 
 
-def _extract(scans: Scans, settings: LineSettings) -> Lines:
+def _extract(scans: Scans, settings: LineSettings, motion: Motion | None) -> Lines:
     """Return the lines of one batch."""
     runs = cut_at_gaps(scans, settings.max_gap, settings.gap_spacings)
     walls = find_walls(runs, settings)
     rows, counts = walls.rows()
     rays = runs.beams.rays.take(rows)
-    fit, clear, enough = _fit(runs, walls, rays, counts, settings)
+    fit, clear, seen, enough = _fit(runs, walls, rays, counts, settings)
     head, tail, points = _first_and_last(clear, counts)
     ends = np.stack((head, tail), axis=1)
     two = np.full(len(ends), 2)
     feet = residuals(rays.take(ends.ravel()), two, fit.r, fit.psi, 0.0).q.reshape(-1, 2)
     good = np.flatnonzero(enough & _straight(fit, points, feet, settings))
     scan = runs.beams.scan[walls.head[good]]
+    sweep = np.zeros((len(counts), 2, 2, 0))
+    if motion is not None:
+        normal = np.stack((np.cos(fit.psi), np.sin(fit.psi)), axis=-1)
+        share = shares(scans.ranges.shape[1])[:, runs.beams.beam[rows]]
+        sweep = loadings(share, seen.q, seen.w, counts, normal, motion)
     return Lines(
         first=np.concatenate(([0], np.cumsum(np.bincount(scan, minlength=len(scans.ranges))))),
         z=np.stack((fit.r, wrap_all(fit.psi)), axis=1)[good],
@@ -114,11 +123,14 @@ def _extract(scans: Scans, settings: LineSettings) -> Lines:
         points=points[good],
         chi2=(fit.misfit / settings.sigma_range**2 / np.maximum(points - 2, 1))[good],
         span=runs.beams.beam[rows[ends[good]]],
+        sweep=sweep[good],
     )
 
 
-def _fit(runs: Runs, walls: Walls, rays: Rays, counts: Ints, settings: LineSettings) -> tuple[Fits, Mask, Mask]:
-    """Return the walls' fits, which beams are in them (k,), and which walls have enough beams (m,).
+def _fit(
+    runs: Runs, walls: Walls, rays: Rays, counts: Ints, settings: LineSettings
+) -> tuple[Fits, Mask, Seen, Mask]:
+    """Return the walls' fits, which beams are in them (k,), beside which lines, and which walls have enough (m,).
 
     Two Gauss-Newton steps. Corners leave before the first, strays before the second.
     """
@@ -133,7 +145,7 @@ def _fit(runs: Runs, walls: Walls, rays: Rays, counts: Ints, settings: LineSetti
     seen = residuals(rays, counts, r, psi, ratio)
     clear[_strays(seen, clear, counts, points - least, settings)] = False
     np.multiply(seen.w, clear, out=seen.w)
-    return fitted(seen, counts, r, psi), clear, enough
+    return fitted(seen, counts, r, psi), clear, seen, enough
 
 
 def _strays(seen: Seen, clear: Mask, counts: Ints, spare: Ints, settings: LineSettings) -> Ints:

@@ -22,17 +22,20 @@ MAX_SAME_TURN_RAD, MAX_SAME_OFFSET_M = (
     0.3,
 )  # rad, m: a line this near to where the wheels expect it is the same wall
 MIN_PAIRS = 150  # pairs of walls
-MIN_MISFIT_RATIO = 1.35  # median change over its noise from which walls are not flat; below it is chance
+MIN_MISFIT_RATIO = 1.2  # median change over its noise from which walls are not flat; below it is chance
 CHI_SQUARE_MEDIAN = 0.455  # of chi-square with one degree of freedom
 OFFSET_PER_ANGLE_M = 1.3  # m per rad: 8 mm with 0.35 degrees
 
 
-def wall_floor(t: Array, first: Ints, z: Array, variance: Array, wheels: WheelMotion) -> tuple[float, float]:
+def wall_floor(
+    t: Array, first: Ints, z: Array, variance: Array, wheels: WheelMotion, sweep: Array | None = None
+) -> tuple[float, float]:
     """Return the floors of r [m] and psi [rad] that the walls ask for, (0, 0) where they are flat or too few.
 
     z (m, 2) lines of scans at t (n,), owned by first (n + 1,); variance (m,) of psi by the fit [rad^2].
+    `sweep` (m, k): what psi owes to wheels that slip within a scan, which its lines share (lines.sweep) [rad].
     """
-    change, noise = _changes(t, first, z, variance, wheels)
+    change, noise = _changes(t, first, z, variance, wheels, np.zeros((len(z), 0)) if sweep is None else sweep)
     if len(change) < MIN_PAIRS or 1.4826 * float(np.median(np.abs(change) / np.sqrt(noise))) < MIN_MISFIT_RATIO:
         return 0.0, 0.0
     low, high = 0.0, math.radians(2.0)
@@ -54,11 +57,13 @@ def bend(uneven: Array) -> Array:
     return 2.0 * uneven / LAG_SCANS
 
 
-def _changes(t: Array, first: Ints, z: Array, variance: Array, wheels: WheelMotion) -> tuple[Array, Array]:
+def _changes(
+    t: Array, first: Ints, z: Array, variance: Array, wheels: WheelMotion, sweep: Array
+) -> tuple[Array, Array]:
     """Return how the angle between two walls changed over LAG_SCANS scans [rad], and its variance by the fits."""
     sure = variance < MAX_SIGMA_RAD**2
     first = np.concatenate(([0], np.cumsum(sure)))[first]  # from here on the sure lines only
-    z, variance = z[sure], variance[sure]
+    z, variance, sweep = z[sure], variance[sure], sweep[sure]
     several = np.diff(first) >= 2
     before = (
         np.flatnonzero(several[:-LAG_SCANS] & several[LAG_SCANS:]) if len(t) > LAG_SCANS else np.zeros(0, np.int64)
@@ -74,8 +79,10 @@ def _changes(t: Array, first: Ints, z: Array, variance: Array, wheels: WheelMoti
         turned, least, j = nearest(turn, cost)
         mutual = np.take_along_axis(cost.argmin(axis=1), j, 1) == np.arange(j.shape[1])
         scan, i = np.nonzero((least < 1.0) & mutual)
-        both = variance[a.row[scan, i]] + variance[b.row[scan, j[scan, i]]]
+        one, other = a.row[scan, i], b.row[scan, j[scan, i]]
+        both = variance[one] + variance[other]
+        slip = sum((np.diff(sweep[rows], axis=0) ** 2).sum(axis=1) for rows in (one, other))
         same_scan = np.diff(scan) == 0
         change.append(np.diff(turned[scan, i])[same_scan])
-        noise.append((both[1:] + both[:-1])[same_scan])
+        noise.append((both[1:] + both[:-1] + slip)[same_scan])
     return np.concatenate(change), np.concatenate(noise)

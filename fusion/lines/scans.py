@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -12,6 +13,7 @@ from locfuse.fusion.sensor import WheelMotion
 
 from .extract import Lines, LineSettings, extract_lines, to_base
 from .pairs import blocks, misfit, nearest, turn_of
+from .sweep import PIECES, in_base, motion_of, noise_of
 
 MAX_BEAMS = 100_000  # of one scan: no 2D laser has more
 BEAMS_AT_ONCE = 1 << 19  # lines are extracted from scans of at most so many beams together: memory is bounded
@@ -61,11 +63,18 @@ def too_many_beams(columns: dict[str, Any]) -> int:
 def lines_in_base(scans: dict[str, Any], stamps: Array, laser: Laser, wheels: WheelMotion) -> tuple[Lines, Array]:
     """Return the lines of k scans in the base frame, and the instants (k,) [s] at which they hold."""
     ranges, angles = returns(scans, laser)
-    t, offsets = deskew(scans["time_increment"].astype(np.float64), ranges.shape[1], stamps, laser, wheels)
-    lines = extract_lines(ranges, angles, laser.lines, offsets)
+    increment = scans["time_increment"].astype(np.float64)
+    t, offsets = deskew(increment, ranges.shape[1], stamps, laser, wheels)
+    motion = None if offsets is None else motion_of(laser.mount)
+    lines = extract_lines(ranges, angles, laser.lines, offsets, motion=motion)
     x, y, yaw = laser.mount.tolist()
     z, R_unit, ends = to_base(lines.z, lines.R_unit, lines.ends, x, y, yaw)
-    return Lines(lines.first, z, R_unit, ends, lines.points, lines.chi2, lines.span), t
+    sweep: Array = np.zeros((len(z), 2, 2 * PIECES), np.float32)
+    if offsets is not None:
+        scan = np.repeat(np.arange(len(t)), np.diff(lines.first))
+        by_base = in_base(lines.sweep, lines.z, laser.mount)
+        sweep = noise_of(by_base, scan, t, sweep_time(increment, ranges.shape[1]), wheels)
+    return replace(lines, z=z, R_unit=R_unit, ends=ends, sweep=sweep), t
 
 
 def points_in_base(scans: dict[str, Any], stamps: Array, laser: Laser, wheels: WheelMotion) -> tuple[Array, Array]:
@@ -100,7 +109,7 @@ def deskew(
     """
     if not laser.deskew or beams < 2 or not np.any(increment > 0.0):
         return stamps, None
-    duration = np.clip(increment, 0.0, 1.0 / beams) * (beams - 1)
+    duration = sweep_time(increment, beams)
     middle = stamps + 0.5 * duration
     at = stamps[:, None] + duration[:, None] * np.linspace(0.0, 1.0, KNOTS_PER_SCAN)
     base = wheels.relative(np.repeat(middle, KNOTS_PER_SCAN), at.ravel())
@@ -112,6 +121,11 @@ def deskew(
     return middle, (1.0 - f) * poses[:, low] + f * poses[:, low + 1]
 
 
+def sweep_time(increment: Array, beams: int) -> Array:
+    """Return from the first beam to the last, (n,) s: at most a second."""
+    return np.clip(increment, 0.0, 1.0 / beams) * (beams - 1)
+
+
 class Gathered:
     """The lines of a log, gathered block by block in the order of the file."""
 
@@ -119,6 +133,7 @@ class Gathered:
         self._at: list[Ints] = []
         self._counts: list[Ints] = []
         self._z, self._R_unit, self._ends = [np.empty((0, 2))], [np.empty((0, 2, 2))], [np.empty((0, 2))]
+        self._sweep: list[Array] = []
 
     def add(self, at: Ints, lines: Lines) -> None:
         """Add the lines of the readings `at` (k,); of each line what a measurement needs."""
@@ -127,9 +142,10 @@ class Gathered:
         self._z.append(lines.z)
         self._R_unit.append(lines.R_unit)
         self._ends.append(lines.ends)
+        self._sweep.append(lines.sweep)
 
-    def in_order(self, n: int) -> tuple[Ints, Array, Array, Array]:
-        """Return the lines of n readings in their order: first (n + 1,), z, R_unit, ends. Nothing stays here."""
+    def in_order(self, n: int) -> tuple[Ints, Array, Array, Array, Array]:
+        """Return the lines of n readings in order: first (n + 1,), z, R_unit, ends, sweep. Nothing stays here."""
         at, counts = (np.concatenate([np.empty(0, np.int64), *pieces]) for pieces in (self._at, self._counts))
         of_reading = np.zeros(n, dtype=np.int64)
         of_reading[at] = counts
@@ -137,8 +153,11 @@ class Gathered:
         rows = None
         if (np.diff(at) < 0).any():
             rows = np.repeat(first[at] - np.cumsum(counts) + counts, counts) + np.arange(first[-1])
-        z, R_unit, ends = (_joined(pieces, rows) for pieces in (self._z, self._R_unit, self._ends))
-        return first, z, R_unit, ends
+        self._sweep = self._sweep or [np.empty((0, 2, 2 * PIECES), np.float32)]
+        z, R_unit, ends, sweep = (
+            _joined(pieces, rows) for pieces in (self._z, self._R_unit, self._ends, self._sweep)
+        )
+        return first, z, R_unit, ends, sweep
 
 
 def _joined(pieces: list[Array], rows: Ints | None) -> Array:

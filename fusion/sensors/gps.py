@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import Array, Colour, Component, LocfuseError, Measurements, Ragged, Stream
+from locfuse.fusion.data import Array, Colour, Component, LocfuseError, Measurements, Ragged, Stream, plausible
 from locfuse.fusion.geodesy import east_north
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.sensor import Ask, Block, Innovation, Model, Sensor, SensorSettings, WheelMotion
@@ -109,7 +109,7 @@ class Gps(Sensor):
 
 def _usable(where: Array, status: Array | None, dropped: dict[str, int]) -> NDArray[np.bool_]:
     """Return which fixes (n,) are fixes; count the others."""
-    finite = np.isfinite(where).all(axis=1)
+    finite = plausible(where).all(axis=1)
     fixed = finite if status is None else finite & (np.asarray(status) >= 0)
     real: NDArray[np.bool_] = fixed & (np.abs(where[:, 0]) <= 90.0) & (where != 0.0).any(axis=1)
     for reason, n in (("not_finite", ~finite), ("no_fix", finite & ~fixed), ("nowhere", fixed & ~real)):

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion.chi_square import MAD, chi_square
-from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, Stream
+from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, Stream, plausible
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.se2 import wrap, wrap_all
 from locfuse.fusion.sensor import Ask, Belief, Bias, Block, Innovation, Model, Sensor, SensorSettings, WheelMotion
@@ -139,7 +139,7 @@ def _usable(
 
     Two detections of one id at one instant are two tags with one id, or a reflection: neither is used.
     """
-    finite = np.isfinite(z).all(axis=1) & (z[:, 0] > 0.0)
+    finite = plausible(z).all(axis=1) & (z[:, 0] > 0.0)
     known = np.isin(ids, list(places))
     pairs = np.stack((t_ns, ids), axis=-1)
     _, place, counts = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)

@@ -8,7 +8,7 @@ A fifth, `given`, localises in the map of an earlier run, whose covariance count
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -87,15 +87,20 @@ class Lrf(Sensor):
                 at = rows[group]
                 lines, t[at] = lines_in_base(scans, stamps[at], laser, wheels)
                 found.add(at, lines)
-        first, z, R_unit, ends = found.in_order(len(t))
-        uneven = unevenness(settings, t, first, z, R_unit, wheels)
+        first, z, R_unit, ends, sweep = found.in_order(len(t))
+        uneven = unevenness(settings, t, first, z, R_unit, sweep[:, 1], wheels)
         floor = np.maximum(uneven, np.square((settings.floor_range, math.radians(settings.floor_angle_deg))))
         extra = {"ends": ends}
+        if sweep.any():
+            extra["shared"] = sweep
         if uneven.any():
             extra["uneven"] = np.broadcast_to(uneven, z.shape)  # m^2, rad^2
         dropped = {**stream.dropped, **({"too_many_beams": giants} if giants else {})}
         points = ScanPoints(stream, self.reads[stream.msgtype], stamps, laser, wheels, np.arange(len(t)))
-        return Measurements(t, first, z, R_unit, settings.sigma_range, np.diag(floor), extra, dropped, points)
+        notes = tuple(_floor_notes(uneven, settings))
+        return Measurements(
+            t, first, z, R_unit, settings.sigma_range, np.diag(floor), extra, dropped, points, notes
+        )
 
     def heading(self, m: Measurements) -> tuple[Array, Array]:
         """Return times (n,) and headings (n,) [rad, unwrapped, up to a constant] by lines from scan to scan."""
@@ -114,13 +119,24 @@ class Lrf(Sensor):
         return AtlasTracker(settings.map, settings.gate, settings.recover, Mount(self.name, settings))
 
 
+def _floor_notes(uneven: Array, settings: LrfSettings) -> Iterator[str]:
+    """Say that the noise of lines was raised to what the walls of the log show."""
+    floor, (offset, angle) = (settings.floor_range, math.radians(settings.floor_angle_deg)), np.sqrt(uneven)
+    if offset > floor[0] or angle > floor[1]:
+        yield (
+            f"the walls are not flat: the noise floor of a line was raised to {1e3 * offset:.1f} mm and "
+            f"{math.degrees(angle):.2f}° (to keep {1e3 * floor[0]:g} mm and {settings.floor_angle_deg:g}°: "
+            "--set lrf.walls=flat)"
+        )
+
+
 def unevenness(
-    settings: LrfSettings, t: Array, first: Ints, z: Array, R_unit: Array, wheels: WheelMotion
+    settings: LrfSettings, t: Array, first: Ints, z: Array, R_unit: Array, sweep: Array, wheels: WheelMotion
 ) -> Array:
     """Return the variances (2,) of r [m^2] and psi [rad^2] that walls owe to not being flat; 0 where they are."""
     if settings.walls == "flat":
         return np.zeros(2)
-    return np.square(wall_floor(t, first, z, settings.sigma_range**2 * R_unit[:, 1, 1], wheels))
+    return np.square(wall_floor(t, first, z, settings.sigma_range**2 * R_unit[:, 1, 1], wheels, sweep))
 
 
 def laser_of(settings: LrfSettings) -> Laser:

@@ -174,7 +174,8 @@ class Taped(JointBelief):
 
     def _owned(self, s: Innovation, R: Array) -> tuple[int, Array]:
         index, of_its_sigma = self.owners[id(s)]
-        if len(R) == 2 and R[0, 1] * of_its_sigma[0, 1] < 0.0:
+        own = R - np.array(s.shared) @ np.array(s.shared).T if s.shared else R
+        if len(R) == 2 and own[0, 1] * of_its_sigma[0, 1] < 0.0:
             # the line was read as (-r, psi + pi)
             of_its_sigma = of_its_sigma * np.array(((1.0, -1.0), (-1.0, 1.0)))
         told = (np.diagonal(R) >= 0.999 * np.diagonal(of_its_sigma)).all()

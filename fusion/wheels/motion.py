@@ -34,6 +34,7 @@ class Wheels:
     track: float  # m
     noise: float  # m: variance per metre rolled
     silence: Array  # (n-1, 2) where the way between two readings is not known: variance of the place [m^2], rad/s
+    matched: Array | None = None  # (n-1, 3, 3) covariance of each twist, where scans say it and no wheel rolled
 
     @classmethod
     def from_wheels(cls, t: Array, left: Array, right: Array, track: float, noise: float) -> Wheels:
@@ -50,6 +51,11 @@ class Wheels:
         rolled = np.stack((twist[:, 0] - half, twist[:, 0] + half), axis=-1)
         return cls(t, twist, rolled, dead_reckoning(twist), track, noise, np.zeros_like(rolled))
 
+    @classmethod
+    def from_matches(cls, t: Array, twist: Array, P: Array, track: float, noise: float) -> Wheels:
+        """Build from body twists (n-1, 3) between the times t (n,), each with its covariance P (n-1, 3, 3)."""
+        return replace(cls.from_twists(t, twist, track, noise), matched=P)
+
     def window(self, begin: float, end: float) -> Wheels:
         """Return the readings between two times [s]; times and poses stay those of the whole drive."""
         first, last = np.searchsorted(self.t, [begin, end], side="left")
@@ -62,6 +68,7 @@ class Wheels:
             rolled=self.rolled[between],
             pose=self.pose[rows],
             silence=self.silence[between],
+            matched=None if self.matched is None else self.matched[between],
         )
 
     def at(self, t: Array) -> tuple[Ints, Array, Array]:
@@ -81,6 +88,15 @@ class Wheels:
         """Return the heading (...) [rad, not wrapped] by the wheels alone at times t (...) within the drive."""
         return np.interp(t, self.t, self.pose[:, 2])
 
+    def slips(self, t: Array) -> Array:
+        """Return the variances (..., k - 1, 2) [m^2] of what either wheel rolled between times t (..., k) [s]."""
+        if self.matched is None:
+            steps = self.noise * np.abs(self.rolled)
+        else:  # of wheels that would leave the turn as uncertain as matching the scans does
+            steps = np.repeat(0.5 * self.track**2 * self.matched[:, 2, 2, None], 2, axis=1)
+        way = np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))
+        return np.diff(np.stack([np.interp(t, self.t, column) for column in way.T], axis=-1), axis=-2)
+
     def between(self, t_from: Array, t_to: Array, parameters: bool = False) -> Motions:
         """Pre-integrate n intervals [t_from, t_to], (n,) s each, that do not overlap and are in order.
 
@@ -96,8 +112,11 @@ class Wheels:
         pieces = _Pieces.cut(self, t_from, t_to)
         u = se2.between(pieces.start, pieces.end)
         columns = pieces.jacobian(self.track)  # (m, 3, 2) left, right
-        variance = self.noise * np.abs(pieces.rolled)  # (m, 2)
-        Q = pieces.total((columns * variance[:, None]) @ columns.transpose(0, 2, 1) + pieces.unseen())
+        if self.matched is None:
+            variance = self.noise * np.abs(pieces.rolled)  # (m, 2)
+            Q = pieces.total((columns * variance[:, None]) @ columns.transpose(0, 2, 1) + pieces.unseen())
+        else:
+            Q = pieces.total(pieces.by_match(self.matched))
         J = np.zeros((len(u), 3, 0))
         if parameters:
             J = pieces.total(pieces.by_parameters(columns))
@@ -115,6 +134,7 @@ class _Pieces:
     b: Array  # (m, 3) at its end
     twist: Array  # (m, 3)
     rolled: Array  # (m, 2)
+    wheel: Ints  # (m,) the wheel interval
     share: Array  # (m,) of the wheel interval
     span: Array  # (m,) s
     silence: Array  # (m, 2) of the wheel interval
@@ -136,7 +156,7 @@ class _Pieces:
         twist = share[:, None] * wheels.twist[k]
         b = se2.compose(a, se2.exp(twist))
         rolled, span = share[:, None] * wheels.rolled[k], share * (wheels.t[k + 1] - wheels.t[k])
-        return cls(interval, len(t_from), a, b, twist, rolled, share, span, wheels.silence[k], start, end)
+        return cls(interval, len(t_from), a, b, twist, rolled, k, share, span, wheels.silence[k], start, end)
 
     def total(self, terms: Array) -> Array:
         """Sum terms (m, ...) over the pieces of each interval, (n, ...)."""
@@ -155,6 +175,14 @@ class _Pieces:
         out[:, 0, 0] = out[:, 1, 1] = self.share * self.silence[:, 0]
         turned = np.minimum(self.silence[:, 1] * self.span, np.pi)  # at most any way round
         out[:, 2, 2] = (1.0 - self.share) * turned**2 / 3.0
+        return out
+
+    def by_match(self, P: Array) -> Array:
+        """Covariance of each piece, (m, 3, 3), by that of the twists: its share, with the lever arm to the end."""
+        m = self.a[:, 2] + 0.5 * self.twist[:, 2]
+        J = se2.rotation(m)
+        J[:, :, 2] = self.turning()
+        out: Array = J @ (self.share[:, None, None] * P[self.wheel]) @ J.transpose(0, 2, 1)
         return out
 
     def jacobian(self, track: float) -> Array:

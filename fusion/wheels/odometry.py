@@ -51,8 +51,13 @@ STEERED: Mapping[str, tuple[str, str]] = {
     "ackermann_msgs/msg/AckermannDriveStamped": ("drive.speed", "drive.steering_angle"),
     "ackermann_msgs/msg/AckermannDrive": ("speed", "steering_angle"),
 }
+SCANS = "sensor_msgs/msg/LaserScan"  # matched with each other (fusion.laser_odometry): their fields are big
 BODY_READS: Mapping[str, tuple[str, ...]] = {
-    kind: (*POSE.get(kind, ()), *SPEED.get(kind, ()), *STEERED.get(kind, ())) for kind in (*POSE, *SPEED, *STEERED)
+    **{
+        kind: (*POSE.get(kind, ()), *SPEED.get(kind, ()), *STEERED.get(kind, ()))
+        for kind in (*POSE, *SPEED, *STEERED)
+    },
+    SCANS: (),
 }
 MIN_STEP_M = 1e-3  # m: steps below say nothing about a direction
 MAX_STEP_RATIO = 3.0  # |pose step| and |twist| dt within this factor speak of the same motion

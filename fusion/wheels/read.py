@@ -54,6 +54,8 @@ class WheelReading(NamedTuple):
 
 def read_wheels(stream: Stream, settings: WheelSettings) -> WheelReading:
     """Return the wheel motion. Raises LocfuseError where the readings give none or the geometry is not known."""
+    if stream.msgtype == odometry.SCANS:
+        raise LocfuseError(f"{stream.topic} holds scans, whose motion has to be matched first", role="wheels")
     if stream.msgtype in odometry.BODY_READS:
         return _from_body(stream, settings)
     radius, track = _geometry(settings, stream)

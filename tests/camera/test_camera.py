@@ -51,6 +51,11 @@ class NoWheels:
     def relative(self, t_from: NDArray[np.float64], t_to: NDArray[np.float64]) -> NDArray[np.float64]:
         raise AssertionError
 
+    track = 1.0
+
+    def slips(self, t: NDArray[np.float64]) -> NDArray[np.float64]:
+        raise AssertionError
+
     def heading(self, t: NDArray[np.float64]) -> NDArray[np.float64]:
         raise AssertionError
 

@@ -126,7 +126,7 @@ BAD = [
     (("compare", LOG, "--bogus"), 2, "see: locfuse compare --help"),
     (("compare", LOG, "--align", "left"), 2, "'left' is not one of"),
     (("run",), 2, "Missing argument 'LOG...'; see: locfuse run --help"),
-    (("frobnicate",), 2, "No such command"),
+    (("frobnicate",), 2, "no command 'frobnicate'; choose from run"),
 ]
 
 

@@ -53,6 +53,22 @@ def test_a_named_output_replaces_a_file_only_where_told_to(log: Path, option: st
     assert "--overwrite" in done.stderr
 
 
+@pytest.mark.parametrize(
+    "command", [("run", "--audit"), ("run", "--save-map"), ("recover", "-o"), ("view", "--save")]
+)
+def test_a_result_never_takes_the_place_of_a_device(log: Path, command: tuple[str, str]) -> None:
+    device = log.parent / "device"
+    os.mkfifo(device)
+    results = ["-o", log.parent / "o"] if command[0] == "run" else []
+    done = locfuse(command[0], log, *results, command[1], device, "--overwrite")
+    assert done.exit_code == 1
+    assert "not a regular file" in done.stderr
+    assert device.is_fifo()
+    assert not (log.parent / "o").exists()
+    with pytest.raises(LocfuseError, match="not a regular file"), whole_file(device):
+        pass
+
+
 def test_an_audit_replaces_a_file_where_told_to(log: Path) -> None:
     mine = log.parent / "mine"
     mine.write_text("mine")

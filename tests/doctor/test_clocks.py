@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Measurements
 from locfuse.fusion.doctor.clocks import clock_lags, in_words
-from locfuse.fusion.doctor.lag import worth_saying
+from locfuse.fusion.doctor.lag import Lag, worth_saying
 from locfuse.fusion.wheels.motion import Wheels
 
 Array = NDArray[np.float64]
@@ -70,4 +70,26 @@ def test_the_note_says_who_told() -> None:
     seen = {"compass": headings(true, 0, 20.0, 0.5), "gyro": headings(true, 1, 10.0, 0.05, late=0.12)}
     words = in_words(clock_lags(seen, wheels)["gyro"])
     assert words.startswith("stamps look 0.1")
-    assert "s late against the compass, which agrees with the wheels (correlation" in words
+    assert "s late (1 sigma: 0.00" in words
+    assert "s) against the compass, which agrees with the wheels (correlation" in words
+
+
+@pytest.mark.parametrize("late", [0.0, 0.02])
+def test_the_sigma_of_a_lag_is_as_large_as_its_error(late: float) -> None:
+    """Over seeds the error in sigmas has a mean square of about 1."""
+    errors = []
+    for seed in SEEDS:
+        wheels, true = turned(seed)
+        lag = clock_lags({"gyro": headings(true, seed, 10.0, 0.05, late)}, wheels)["gyro"]
+        errors.append((lag.offset + late) / lag.sigma)
+    assert 0.3 < np.mean(np.square(errors)) < 2.5
+
+
+def test_a_lag_is_said_from_four_of_its_own_sigmas_on() -> None:
+    """20 ms are said where they are known to 4 ms, and not where to 6 ms."""
+    said = Lag(0.02, 0.999, 0.98, sigma=0.004)
+    assert worth_saying(said)
+    assert not worth_saying(said._replace(sigma=0.006))
+    assert not worth_saying(said._replace(without=0.9989))
+    assert not worth_saying(Lag(0.13, 0.99, 0.9))
+    assert not worth_saying(Lag(0.005, 0.999, 0.98, sigma=0.0001))

@@ -33,7 +33,7 @@ def test_the_import_loads_nothing_heavy_and_a_name_loads_its_own() -> None:
 
 def test_what_types_see_is_what_there_is() -> None:
     tree = ast.parse(SOURCE.read_text(encoding="utf-8"))
-    (typed,) = (n for n in tree.body if isinstance(n, ast.If))
+    (typed,) = (n for n in tree.body if isinstance(n, ast.If) and ast.unparse(n.test) == "TYPE_CHECKING")
     names = {a.name for n in typed.body if isinstance(n, ast.ImportFrom) for a in n.names}
     assert {*names, "__version__"} == set(locfuse.__all__)
     assert locfuse.__all__ == sorted(locfuse.__all__)

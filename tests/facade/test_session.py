@@ -226,7 +226,9 @@ def test_progress_names_the_steps() -> None:
 
 
 def test_losses_are_those_of_the_command(tmp_path: Path) -> None:
-    data = locfuse.open_log(LOG).paths[0].read_bytes()
+    path = locfuse.open_log(LOG).paths[0]
+    assert isinstance(path, Path)
+    data = path.read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])
     sets = {"wheels.radius": 0.05, "wheels.track": 0.6}
     words = [w for k, v in sets.items() for w in ("--set", f"{k}={v}")]
@@ -257,6 +259,7 @@ def test_a_simulated_drive_is_the_commands_log_and_a_temporary_one_goes_with_its
     assert temporary.log.sha256 == kept.log.sha256
     (path,) = temporary.log.paths
     del temporary
+    assert isinstance(path, Path)
     assert not path.parent.exists()
     with pytest.raises(locfuse.LocfuseError, match="exists"):
         locfuse.simulate("straight_runs", tmp_path / "b.mcap", sets=sets)

@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 import re
 import xml.etree.ElementTree as ET
-from importlib.resources import files
 from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
 import small_scene
+from colour_vision import VISION, contrast, linear_rgb, oklab, page
 from numpy.typing import NDArray
 
-from locfuse.formats.figures import palette, svg, svg_path, ticks
-from locfuse.formats.figures.for_paper import paper_figures
+from locfuse.formats.drawing import svg, svg_path, ticks
+from locfuse.formats.drawing.for_paper import paper_figures
+from locfuse.formats.figures import palette
 from locfuse.formats.figures.panels import Band, Curve, Dots, Panel, Strokes
 from locfuse.formats.figures.sections import sections
 from locfuse.fusion.data import VERDICTS
@@ -22,63 +23,12 @@ from locfuse.fusion.sensors.registry import colours
 
 Array = NDArray[np.float64]
 SENSORS = colours()
-# Machado, Oliveira, Fernandes 2009: severity 1.0, on linear RGB
-VISION = {
-    "normal": np.eye(3),
-    "protanopia": np.array(
-        [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]]
-    ),
-    "deuteranopia": np.array(
-        [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.01182, 0.04294, 0.968881]]
-    ),
-    "tritanopia": np.array(
-        [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.3039]]
-    ),
-}
-TO_LMS = np.array(  # Ottosson 2020
-    [
-        [0.4122214708, 0.5363325363, 0.0514459929],
-        [0.2119034982, 0.6806995451, 0.1073969566],
-        [0.0883024619, 0.2817188376, 0.6299787005],
-    ]
-)
-TO_LAB = np.array(
-    [
-        [0.2104542553, 0.793617785, -0.0040720468],
-        [1.9779984951, -2.428592205, 0.4505937099],
-        [0.0259040371, 0.7827717662, -0.808675766],
-    ]
-)
 LOOKS: list[dict[str, object]] = [
     {},
     {"log": True, "y_range": (0.1, 20.0)},
     {"equal": True},
     {"lanes": ("a", "b"), "y_range": (2.0, 0.0)},
 ]
-
-
-def linear_rgb(colour: str) -> Array:
-    c = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255.0
-    return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
-
-
-def page(theme: str) -> str:
-    """The background that the report's style sheet gives a theme."""
-    light, dark, *_ = re.findall(r"--bg:#(\w+)", (files("locfuse.formats.report") / "report.css").read_text())
-    digits = {"light": light, "dark": dark}[theme]
-    return "#" + "".join(c * (6 // len(digits)) for c in digits)
-
-
-def oklab(rgb: Array) -> Array:
-    """Distances here are about what the eye tells apart."""
-    lab: Array = TO_LAB @ np.cbrt(TO_LMS @ np.clip(rgb, 0.0, 1.0))
-    return lab
-
-
-def contrast(a: str, b: str) -> float:
-    """WCAG 2.1."""
-    light, dark = sorted((float(np.dot([0.2126, 0.7152, 0.0722], linear_rgb(c))) for c in (a, b)), reverse=True)
-    return (light + 0.05) / (dark + 0.05)
 
 
 def trace(name: str, sensors: tuple[str, ...] | None = None, **how: bool) -> palette.Trace:
@@ -111,7 +61,10 @@ def test_a_sensors_colour_does_not_depend_on_what_else_is_in_the_log() -> None:
     for look in (trace("lrf@2Hz", ("lrf",), slowed=True), trace("lrf", smoothed=True)):
         assert palette.colours({"x": look}, SENSORS)["x"] == alone
         assert look.dashed
-    assert trace("compass+lrf").dashed
+    assert trace("compass+lrf").look == "dash"
+    assert trace("lrf").look == ""
+    assert trace("all").look == "over"  # its gaps show the curve that it lies on
+    assert trace("all", ("lrf",)).look == ""  # the only sensor is no set
     assert not trace("all").dashed
     assert not trace("lrf").dashed
 
@@ -251,7 +204,7 @@ def test_a_report_has_its_figures_and_each_its_words() -> None:
     scene, _ = small_scene.long(0.2, 6)
     found = sections(scene)
     assert [s.name for s in found] == [
-        "trajectories", "deviation", "bands", "consistency", "innovations", "gates", "learnt",
+        "trajectories", "where", "deviation", "spread", "bands", "consistency", "innovations", "gates", "learnt",
     ]  # fmt: skip
     panels = [p for s in found for p in s.panels]
     assert len({p.name for p in panels}) == len(panels)

@@ -22,7 +22,9 @@ from locfuse.cli.fleet import process
 from locfuse.cli.fleet.job import Job, Outcome
 from locfuse.cli.fleet.queue import Standing, duration, run_all
 from locfuse.cli.fleet.words import expanded
-from locfuse.cli.pipeline.key import Asked
+from locfuse.cli.pipeline.key import Asked, asked_tables
+from locfuse.cli.pipeline.settings import LogOptions
+from locfuse.formats.log.log import open_log
 from locfuse.formats.whole_files import RUN_LOCK, sole_writer
 from locfuse.fusion.data import UsageError
 
@@ -123,6 +125,42 @@ def test_a_setting_in_a_file_is_the_setting_on_the_command_line(
     monkeypatch.setattr(process, "_in_a_process", lambda job: pytest.fail(f"{job.name} was run again"))
     again = locfuse("compare", *logs[:2], "-o", out, *ONE, "--robot", tmp_path / "robot.toml")
     assert again.exit_code == 0, again.stderr
+
+
+@pytest.mark.parametrize("key", ["truth.topic", "landmarks.topic", "landmarks.map", "lrf.map"])
+def test_a_file_that_a_setting_names_is_part_of_the_key_by_its_content(key: str, tmp_path: Path) -> None:
+    file = tmp_path / "beside.csv"
+    how = LogOptions(None, (f'{key}="{file}"',), None, strict=False, quiet=True)
+    file.write_text("t,x,y\n0,0,0\n")
+    before = asked_tables(how)
+    os.utime(file, (1, 1))
+    assert asked_tables(how) == before
+    file.write_text("t,x,y\n0,0,1\n")
+    assert asked_tables(how) != before
+    assert asked_tables(how, (f"{key}=other",)) != asked_tables(how)  # a sweep's cell names another
+
+
+def test_another_truth_file_is_run_again_and_the_window_is_that_of_every_log(
+    logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    truth = tmp_path / "truth.csv"
+    first = int(open_log([logs[0]]).streams({"/ground_truth/pose": ()})["/ground_truth/pose"].t_ns[0])
+    words = ("-o", tmp_path / "out", *ONE, "--truth", truth, "--to", "2")
+
+    def run(y: float) -> list[float]:
+        truth.write_text("t,x,y\n" + "".join(f"{first + i * 100_000_000},0,{y}\n" for i in range(30)))
+        done = locfuse("compare", f"@{listed}", *words)
+        assert done.exit_code == 0, done.stderr
+        return [float(r["position_rmse_m"]) for r in rows(tmp_path / "out")]
+
+    listed = tmp_path / "logs.txt"
+    listed.write_text(str(logs[0]))
+    zero = run(0.0)
+    assert abs(run(5.0)[0] - zero[0]) > 0.1
+    report = json.loads((tmp_path / "out" / logs[0].stem / "report.json").read_text())
+    assert report["configurations"]["compass"]["duration_s"] <= 2.0
+    monkeypatch.setattr(process, "_in_a_process", lambda job: pytest.fail(f"{job.name} was run again"))
+    run(5.0)
 
 
 def test_a_run_that_is_killed_and_started_again_equals_one_that_is_left_alone(
@@ -247,8 +285,8 @@ def test_lists_patterns_and_folders_name_logs(logs: list[Path], tmp_path: Path) 
     (tmp_path / "result").mkdir()
     (tmp_path / "result" / "report.json").write_text("{}")
     shutil.copy(logs[0], tmp_path / "result" / "estimates.mcap")
-    assert expanded([], [root]) == [str(p) for p in logs]
-    assert expanded([], [tmp_path]) == [str(bag)]
+    assert expanded([], [str(root)]) == [str(p) for p in logs]
+    assert expanded([], [str(tmp_path)]) == [str(bag)]
     for words in (["*.nothing"], [f"@{tmp_path / 'robot.toml'}"]):
         with pytest.raises((UsageError, Exception), match=r"nothing fits|cannot be read"):
             expanded(words)

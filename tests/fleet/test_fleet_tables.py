@@ -101,6 +101,20 @@ def test_what_a_sensor_does_is_averaged_within_a_robot_first() -> None:
     assert (math.log(alone["low"]), math.log(alone["high"])) == pytest.approx((low, high), rel=1e-4)
 
 
+def test_what_is_not_proven_names_the_robots_or_of_one_robot_its_drives() -> None:
+    def words(robots: int) -> str:
+        entries = []
+        for i, ln in enumerate((1.5, -0.9, 1.6, 0.3)):
+            report = simulated_report(np.random.default_rng(0), 0, 0)
+            for sensor in report["credit"]["sensors"].values():
+                sensor["alone"] = {"ln": ln, "expected": 2.0}
+            entries.append(Entry(str(i), f"r{i % robots}", report=slim({"": report})))
+        return str(summarised(entries)["verdicts"]["lrf"]["words"])
+
+    assert "2 robots do not prove that" in words(2)
+    assert "4 drives do not prove that" in words(1)
+
+
 def fleet(scale: float = 1.0, count: int = 11) -> dict[str, Any]:
     return summarised([entry(str(i), None, {"all": scale * (0.01 + 0.001 * i)}) for i in range(count)])
 

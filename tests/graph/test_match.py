@@ -8,8 +8,7 @@ from ring_drive import box, scan, walls
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array
-from locfuse.fusion.graph.free_space import Views
-from locfuse.fusion.graph.keys import Clouds, normals
+from locfuse.fusion.graph.keys import CELL_M, Clouds, Views, normals, thinned
 from locfuse.fusion.graph.match import Targets, match, sources_of
 from locfuse.fusion.graph.submaps import correlate
 
@@ -85,3 +84,17 @@ def test_looking_through_a_wall_is_a_contradiction() -> None:
     assert right[0] / seen[0] < 0.02
     wrong, seen = views.contradicted(c, np.array([0]), np.array([1]), np.array([[0.5, 0.0, 1.5]]))
     assert wrong[0] / seen[0] > 0.1
+
+
+def test_a_cloud_of_many_scans_is_thinned_to_one_point_in_each_square() -> None:
+    one = np.column_stack((np.linspace(0.0, 2.0, 81), np.full(81, 1.01)))
+    both = clouds(np.vstack((one, one + 0.001)), one + np.array((0.0, 1.0)))
+    thin = thinned(both)
+    assert len(thin) == 2
+    for k in range(2):
+        kept = thin.xy[thin.first[k] : thin.first[k + 1]]
+        squares = np.floor(kept / CELL_M)
+        assert len(np.unique(squares, axis=0)) == len(kept)
+        own = both.xy[both.first[k] : both.first[k + 1]]
+        surfaces = own[np.isfinite(both.normal[both.first[k] : both.first[k + 1], 0])]
+        assert len(kept) == len(np.unique(np.floor(surfaces / CELL_M), axis=0)), "no square lost its only point"

@@ -10,7 +10,7 @@ from ring_drive import ring_drive, robot
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive
-from locfuse.fusion.graph.bridge import bridged
+from locfuse.fusion.graph.bridge import Fixes, bridged
 from locfuse.fusion.graph.odometry import odometry_of
 from locfuse.fusion.graph.whole_drive import Graph, whole_drive
 
@@ -84,7 +84,8 @@ def test_between_key_poses_the_way_leads_from_one_to_the_other() -> None:
     odometry = odometry_of(drive)
     keys = np.arange(0, len(drive.t), 25)
     P = np.tile(np.diag([1e-4, 1e-4, 1e-5]), (len(keys), 1, 1))
-    pose, out = bridged(odometry, odometry, np.arange(len(drive.t)), keys, truth[keys], P, 0.5 * P[1:])
+    fixes = Fixes.of_keys(odometry, keys, truth[keys])
+    pose, out = bridged(odometry, odometry, np.arange(len(drive.t)), keys, truth[keys], P, 0.5 * P[1:], fixes)
     np.testing.assert_allclose(pose[keys], truth[keys], atol=1e-6)
     np.testing.assert_allclose(out[keys[:-1]], P[:-1], atol=1e-7)
     assert worst(pose, truth) < 0.05
@@ -100,6 +101,7 @@ def test_turning_both_keys_turns_what_lies_between() -> None:
     P = np.tile(np.eye(3) * 1e-4, (len(keys), 1, 1))
     k = np.arange(len(drive.t))
     G = np.array([3.0, -1.0, 2.0])
-    plain, _ = bridged(odometry, odometry, k, keys, truth[keys], P, P[1:])
-    turned, _ = bridged(odometry, odometry, k, keys, se2.compose(G, truth[keys]), P, P[1:])
+    fixes = Fixes.of_keys(odometry, keys, truth[keys])
+    plain, _ = bridged(odometry, odometry, k, keys, truth[keys], P, P[1:], fixes)
+    turned, _ = bridged(odometry, odometry, k, keys, se2.compose(G, truth[keys]), P, P[1:], fixes)
     np.testing.assert_allclose(turned, se2.compose(G, plain), atol=1e-9)

@@ -239,5 +239,5 @@ def test_a_start_known_to_no_power_of_ten_is_one_line(tmp_path: Path, sensors: s
     words = ("--set", "start.sigma_theta_deg=1e17", "--sensors", sensors)
     done = locfuse("run", "rounded_rectangle", *words, "-o", tmp_path, "-q")
     assert done.exit_code == 2
-    assert done.stderr.startswith("locfuse: start.sigma_theta_deg = 1e+17: expected float <= 3600.0")
+    assert done.stderr.startswith("locfuse: start.sigma_theta_deg = 1e+17: must be a number <= 3600.0, in degrees")
     assert done.stderr.count("\n") == 1

@@ -19,7 +19,7 @@ from traps_camera import decoded, raw
 
 from locfuse import sample_logs
 from locfuse.cli.terminal import text_table
-from locfuse.formats.report.table import Column, of_words
+from locfuse.formats.tables.table import Column, of_words
 
 SAMPLES = ("rounded_rectangle", "rounded_triangle", "disturbed")
 GEOMETRY = ("--set", "wheels.radius=0.05", "--set", "wheels.track=0.4")

@@ -70,6 +70,11 @@ class Standing:
     def relative(self, t_from: Array, t_to: Array) -> Array:
         return np.zeros((len(t_from), 3))
 
+    track = 1.0
+
+    def slips(self, t: Array) -> Array:
+        return np.zeros((*t.shape[:-1], t.shape[-1] - 1, 2))
+
     def heading(self, t: Array) -> Array:
         return np.zeros_like(t)
 
@@ -95,7 +100,7 @@ def test_changes_between_walls_equal_those_found_one_by_one() -> None:
     rng = np.random.default_rng(4)
     first, z = lines(rng, 60)
     variance = rng.uniform(0.1, 1.2, len(z)) * flatness.MAX_SIGMA_RAD**2
-    change, noise = flatness._changes(np.arange(60.0), first, z, variance, Standing())
+    change, noise = flatness._changes(np.arange(60.0), first, z, variance, Standing(), np.zeros((len(z), 0)))
     expected: tuple[list[float], list[float]] = ([], [])
     for i in range(60 - flatness.LAG_SCANS):
         rows = []

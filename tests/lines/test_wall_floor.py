@@ -27,6 +27,11 @@ class Straight:
         ahead = np.asarray(t_to - t_from)
         return np.stack((0.1 * ahead, 0.0 * ahead, 0.0 * ahead), axis=-1)
 
+    track = 1.0
+
+    def slips(self, t: Array) -> Array:
+        return np.zeros((*t.shape[:-1], t.shape[-1] - 1, 2))
+
     def heading(self, t: Array) -> Array:
         return np.zeros_like(t)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,15 @@ from bags import Said, cdr, header
 from commands import locfuse
 from evo.core import metrics, sync
 from evo.tools import file_interface
+from hostile import sample
+from hostile import write as sample_write
 from numpy.typing import NDArray
 from wheel_bags import custom, log_of, stamps
 
+from locfuse.formats import inputs
+from locfuse.formats.log.file_stream import FileStream, read_file
 from locfuse.formats.log.log import open_log
+from locfuse.formats.report.html import _strips
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import TruthSettings
 from locfuse.fusion.truth import read_truth
@@ -159,3 +165,110 @@ def test_satellite_fixes_are_metres_east_and_north_turned_into_the_map(tmp_path:
     meridian = 6378137.0 * (1 - e2) / (1 - e2 * math.sin(math.radians(45.0)) ** 2) ** 1.5
     assert truth.theta is None
     np.testing.assert_allclose(truth.xy[1], [-meridian * math.pi / 10800, 0.0], rtol=2e-4, atol=0.01)
+
+
+def streamed(path: Path, text: str | bytes) -> FileStream:
+    path.write_bytes(text.encode() if isinstance(text, str) else text)
+    return read_file(str(path))
+
+
+@pytest.mark.parametrize(
+    ("word", "t_ns"),
+    [
+        ("1.5", 1_500_000_000),
+        (" -0.25", -250_000_000),
+        ("1700000000.123456789", 1_700_000_000_123_456_789),
+        ("1700000000123456789", 1_700_000_000_123_456_789),
+        ("1.7e9", 1_700_000_000_000_000_000),
+        ("1700000000.9999999999", 1_700_000_000_999_999_999),
+        ("0" * 5000 + "1", 1_000_000_000),  # more digits than int() takes
+        (".5", 500_000_000),
+    ],
+)
+def test_a_time_is_read_to_its_last_nanosecond(tmp_path: Path, word: str, t_ns: int) -> None:
+    assert streamed(tmp_path / "a.csv", f"t,x,y\n{word},1,2\n").t_ns.tolist() == [t_ns]
+    assert streamed(tmp_path / "a.tum", f"{word.strip()} 1 2 0 0 0 0 1\n").t_ns.tolist() == [t_ns]
+
+
+@pytest.mark.parametrize(
+    "word", ["nan", "inf", "1e400", "5e9", "5e18", "-5e18", "1_0.5", "1e-99999999999999999999", "", "now"]
+)
+def test_what_is_no_time_is_refused_with_its_line(tmp_path: Path, word: str) -> None:
+    with pytest.raises(LocfuseError, match=r"a\.csv: line 3: .* is no (time|number)$"):
+        streamed(tmp_path / "a.csv", f"t,x,y\n1,1,2\n{word},1,2\n")
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_a_table_with_any_ends_of_lines_is_the_same(tmp_path: Path, end: str) -> None:
+    found = streamed(tmp_path / "a.csv", end.join(("t,x,y", "1,2,3", "2,4,5", "")))
+    assert found.t_ns.tolist() == [10**9, 2 * 10**9]
+    assert found.columns("point.y")["point.y"].tolist() == [3.0, 5.0]  # type: ignore[union-attr]
+
+
+def test_a_table_of_one_endless_word_is_refused_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(LocfuseError, match=r"a\.csv: line 2: no \.csv: field larger than field limit"):
+        streamed(tmp_path / "a.csv", "t,x,y\n" + "1" * 200_000 + ",2,3\n")
+
+
+@pytest.mark.parametrize("word", ["1.5", "nan", "inf", "1e30", "9007199254740992"])
+def test_a_landmark_has_a_whole_number(tmp_path: Path, word: str) -> None:
+    table = "t,id,range,bearing\n1,7,2,0\n2,{},2,0\n"
+    assert streamed(tmp_path / "a.csv", table.format("8.0")).columns("id")["id"].tolist() == [7, 8]  # type: ignore[union-attr]
+    with pytest.raises(LocfuseError, match=r"a\.csv: line 3: .* is no id"):
+        streamed(tmp_path / "a.csv", table.format(word))
+
+
+def test_names_of_columns_do_nothing_but_stand_there(tmp_path: Path) -> None:
+    with pytest.raises(LocfuseError) as problem:
+        streamed(tmp_path / "a.csv", b"a\x1b[2J\xe2\x80\xa8b,\x85\n1,2\n")
+    assert str(problem.value).endswith(r"it has a\x1b[2j\u2028b, " + "\N{REPLACEMENT CHARACTER}")
+
+
+def test_an_endless_heading_is_no_heading(tmp_path: Path) -> None:
+    found = streamed(tmp_path / "a.csv", "t,x,y,theta\n1,1,1,inf\n2,1,1,0\n")
+    w = np.asarray(found.columns("pose.pose.orientation.w")["pose.pose.orientation.w"])
+    assert np.isnan(w).tolist() == [True, False]
+
+
+def test_a_small_file_takes_little_memory_however_much_may_be_read(tmp_path: Path) -> None:
+    small = tmp_path / "a.csv"
+    small.write_text("t,x,y\n1,2,3\n")
+    tracemalloc.start()
+    try:
+        assert inputs.read_small(small, 1 << 34) == b"t,x,y\n1,2,3\n"
+        assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_place_beyond_the_solar_system_was_never_measured(tmp_path: Path) -> None:
+    log = sample_write(tmp_path / "a.mcap", seconds=1.5)
+    begin = sample()[0][0].log_time
+    where = [1e300 if i % 2 else 1.0 for i in range(16)]
+    rows = [f"{(begin + i * 10**8) / 1e9:.3f},{x},1,0" for i, x in enumerate(where)]
+    truth = tmp_path / "t.csv"
+    truth.write_text("\n".join(("t,x,y,theta", *rows)))
+    done = locfuse("compare", log, "-o", tmp_path / "o", "--truth", truth)
+    assert done.exit_code == 0
+    report = json.loads((tmp_path / "o" / "report.json").read_text())
+    assert report["input"]["dropped"]["truth"] == {"not_finite": 8}
+    assert report["configurations"]["odometry"]["position_rmse_m"] < 1e3
+
+
+def test_a_landmark_beyond_the_solar_system_was_never_seen(tmp_path: Path) -> None:
+    log = sample_write(tmp_path / "a.mcap", seconds=1.5)
+    begin = sample()[0][0].log_time
+    (tmp_path / "m.csv").write_text("id,x,y\n1,3,0\n")
+    seen = [f"{(begin + i * 10**8) / 1e9:.3f},1,{2.0 if i < 8 else 1e300},0" for i in range(16)]
+    (tmp_path / "d.csv").write_text("\n".join(("t,id,range,bearing", *seen)))
+    files = (f"landmarks.map={tmp_path / 'm.csv'}", f"landmarks.file={tmp_path / 'd.csv'}")
+    done = locfuse("run", log, "-o", tmp_path / "o", "--set", files[0], "--set", files[1])
+    assert done.exit_code == 3, done.stderr  # half of the readings is a loss
+    assert "landmarks: 8 of 16 readings refused (8 not finite)" in done.stderr
+
+
+def test_an_effect_without_a_number_has_no_strip() -> None:
+    effect = {"low": 0.5, "high": 2.0, "factor": 1.0}
+    rest = {"credit": None, "leave_one_out": None}
+    sensors = {"a": {"alone": effect, **rest}, "b": {"alone": {**effect, "high": None}, **rest}}
+    assert set(_strips({"credit": {"sensors": sensors}})) == {"a"}

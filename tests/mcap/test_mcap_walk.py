@@ -199,6 +199,7 @@ def read_everything(log: Log) -> set[tuple[str, int, bytes]]:
             with suppress(LocfuseError):  # a damaged definition
                 assert (np.diff(log.stream(name).t_ns) >= 0).all()
     for path in log.paths:
+        assert isinstance(path, Path)
         found.update(payloads(path))
     return found
 

@@ -30,9 +30,9 @@ from locfuse.fusion.wheels.read import WHEEL_READS
 
 # every field that anything reads, by message type
 READS = {
-    **{kind: fields for sensor in REGISTRY.values() for kind, fields in sensor.reads.items()},
     **TRUTH_READS,
     **WHEEL_READS,
+    **{kind: fields for sensor in REGISTRY.values() for kind, fields in sensor.reads.items()},
     "tf2_msgs/msg/TFMessage": TF_FIELDS,
     "std_msgs/msg/String": ("data",),
 }

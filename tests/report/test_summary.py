@@ -22,7 +22,7 @@ from locfuse.formats.fleet.entry import Entry, slim
 from locfuse.formats.fleet.rows import Rows, csv
 from locfuse.formats.report import changes as sides
 from locfuse.formats.report import summary as over
-from locfuse.formats.report.table import records
+from locfuse.formats.tables.table import records
 from locfuse.fusion.data import UsageError
 from locfuse.fusion.judge.credit import Credit, SensorCredit
 from locfuse.fusion.judge.verdict import Effect

@@ -5,15 +5,15 @@ from __future__ import annotations
 import pytest
 from commands import locfuse
 
-from locfuse.formats.report.tables import COUNTS, MAIN
-from locfuse.formats.report.terms import TERMS
+from locfuse.formats.tables.glossary import GLOSSARY, explained
+from locfuse.formats.tables.tables import COUNTS, MAIN
 
 
 @pytest.mark.parametrize("heading", [(c.brief or c.heading).split("/")[0].strip() for c in (*MAIN, *COUNTS)])
 def test_every_column_of_the_terminals_tables_is_explained(heading: str) -> None:
     done = locfuse("explain", heading)
     assert done.exit_code == 0, done.stderr
-    assert done.stdout.strip() == TERMS[heading]
+    assert done.stdout.strip() == explained(heading)
 
 
 def test_an_unknown_term_names_the_nearest() -> None:
@@ -23,4 +23,4 @@ def test_an_unknown_term_names_the_nearest() -> None:
 
 
 def test_without_a_term_all_are_listed() -> None:
-    assert all(f"{term}: " in locfuse("explain").stdout for term in TERMS)
+    assert all(f"{term}: " in locfuse("explain").stdout for term in GLOSSARY)

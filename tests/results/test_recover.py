@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import zstandard
 from bags import drive, write
 from commands import locfuse
-from hostile import crashed_recording
+from hostile import Put, crashed_recording, sample
 from hostile import write as sample_write
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
@@ -110,3 +111,22 @@ def test_of_nothing_nothing_is_written(tmp_path: Path) -> None:
     assert done.exit_code == 1
     assert "not one message can be read" in done.stderr
     assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_messages_that_unpack_to_gigabytes_are_held_a_few_at_a_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("locfuse.formats.container.compressed_messages.BATCH_BYTES", 100_000)
+    plain = [bytes([i]) * 60_000 for i in range(20)]
+
+    def packed(put: Put) -> Put:
+        i = sample()[0].index(put)
+        return put._replace(topic="/packed", data=zstandard.compress(plain[i]))
+
+    log = sample_write(tmp_path / "a.mcap", packed, keep=lambda put: put in sample()[0][:20])
+    held = [sum(len(one.data) for one in batch) for batch in open_log([log]).messages()]
+    assert sum(held) == 20 * 60_000
+    assert max(held) <= 100_000 + 60_000
+    fixed = tmp_path / "fixed.mcap"
+    assert locfuse("recover", log, "-o", fixed).exit_code == 0
+    assert sorted(one[-1] for one in messages(fixed)) == plain

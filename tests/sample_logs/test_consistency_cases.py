@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +14,8 @@ from benchmarks import consistency
 from benchmarks.accuracy import streams_by_role
 from benchmarks.consistency_before import BEFORE
 from benchmarks.consistency_cases import CASES, LASER, MOVING, Case, Goal, vague
-from benchmarks.consistency_figures import Means, inside, means, without
+from benchmarks.consistency_figures import Figures, Means, inside, means, without
+from benchmarks.consistency_kept import Kept
 from benchmarks.consistency_table import HEAD, row
 from locfuse.cli.pipeline.load import make_robot
 from locfuse.formats.robot import robot_toml
@@ -92,3 +96,18 @@ def test_the_starts_alone_have_the_anees_of_what_the_simulator_draws() -> None:
         true = Simulation(load("rounded_rectangle", MOVING), seed).robot_tables["start"]
         off.append([(tables[k] - true[k]) / sigma for k, sigma in (("x", 0.05), ("y", 0.05), ("theta_deg", 2.0))])
     assert consistency.of_starts((1, 2, 3)) == pytest.approx(float(np.square(off).mean()), rel=1e-6)
+
+
+def test_a_run_that_was_stopped_goes_on_where_it_was(tmp_path: Path) -> None:
+    driven: list[int] = []
+
+    def judge(seed: int) -> Figures:
+        driven.append(seed)
+        return Figures(1.0 + seed, 5.0, 3.0, 0.99, math.nan)
+
+    for seeds in ((0, 1), (0, 1, 2)):
+        kept = Kept(tmp_path / "drives.jsonl")
+        found = [kept.figures("a", seed, partial(judge, seed)) for seed in seeds]
+    assert driven == [0, 1, 2]
+    assert [f.anees for f in found] == [1.0, 2.0, 3.0]
+    assert math.isnan(found[0].walls)

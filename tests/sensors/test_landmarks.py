@@ -118,7 +118,9 @@ def test_ids_without_an_entry_and_two_tags_of_one_id_are_counted_and_the_rest_is
         ("id,x\n6,1\n", "names no column y"),
         ("id,x,y\nsix,1,2\n", "line 2 is not id, x, y: 'six,1,2'"),
         ("id,x,y\n6,nan,2\n", "x and y must be finite"),
+        ("id,x,y\n6,1,2\n7,1e300,2\n", "line 3: a landmark stands somewhere: x and y must be finite"),
         ("id,x,y\n", "holds no landmarks"),
+        (f"id,x,y\n{'1' * 200_000},2,3\n", "line 2: no .csv: field larger than field limit"),
     ],
 )
 def test_a_map_that_is_none_is_refused_in_one_line(text: str, says: str, tmp_path: Path) -> None:

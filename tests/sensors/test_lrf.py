@@ -256,16 +256,17 @@ def test_lines_of_scans_that_lie_in_the_file_in_any_order_come_in_the_order_of_t
         for at in blocks:
             rows = np.concatenate([np.arange(first[i], first[i + 1]) for i in at])
             begin = np.concatenate(([0], np.cumsum(counts[at])))
-            whole = Lines(
-                begin, z[rows], R_unit[rows], z[rows] + 1.0, rows, line[rows], np.zeros((len(rows), 2), int)
-            )
+            span = np.zeros((len(rows), 2), int)
+            sweep = np.zeros((len(rows), 2, 12), np.float32) + rows[:, None, None]
+            whole = Lines(begin, z[rows], R_unit[rows], z[rows] + 1.0, rows, line[rows], span, sweep)
             gathered.add(np.array(at), whole)
     for found in (shuffled.in_order(4), straight.in_order(4)):
-        for column, expected in zip(found, (first, z, R_unit, z + 1.0), strict=True):
+        for column, expected in zip(found[:4], (first, z, R_unit, z + 1.0), strict=True):
             np.testing.assert_array_equal(column, expected)
 
 
 def test_a_log_without_scans_has_no_lines() -> None:
-    first, z, R_unit, ends = Gathered().in_order(0)
+    first, z, R_unit, ends, sweep = Gathered().in_order(0)
+    assert sweep.shape == (0, 2, 12)
     assert first.tolist() == [0]
     assert (z.shape, R_unit.shape, ends.shape) == ((0, 2), (0, 2, 2), (0, 2))

@@ -1,0 +1,592 @@
+"""Directed fuzzing: whole logs that lie, one or two deliberate ways at a time: benchmarks.fuzz --directed.
+
+Random damage seldom builds a definition whose fields are of another kind, a name that acts on a terminal, a stamp
+that is no time, or a text file of nonsense beside the log. Each case here takes a short drive, changes it in such
+ways (DEEDS), and gives it to some command. What must hold: what benchmarks/fuzz_cases.py holds random damage to;
+no character that acts on what shows it, on the terminal or in a file; every input as it was; nothing half written.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import random
+import shutil
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import numpy as np
+from mcap.records import Attachment, Channel, Schema
+from mcap.writer import CompressionType
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from benchmarks.fuzz_cases import Done, files_are_wrong, locfuse, words_are_wrong
+from benchmarks.fuzz_damage import INTERESTING, NUMBERS, VALUES
+from benchmarks.fuzz_logs import Spoken, contents, short_drive, written
+from benchmarks.fuzz_parsers import TARGETS, mutated
+from locfuse.formats.visible import UNSEEN
+from locfuse.formats.whole_files import TEMPORARY
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+ACTING = (
+    "\x1b]0;pwned\x07",
+    "a\x1b[2Jb",
+    "\u202e/gnp",
+    "a\nb\r",
+    "\x9b31m",
+    "\x00",
+    "\u2028",
+    "<script>&",
+    "|`*_$\\",
+)
+KINDS = (
+    "string", "float64", "float64[]", "string[]", "float64[3]", "bool", "uint8[]", "int64", "uint64", "int8",
+    "std_msgs/Header", "builtin_interfaces/Time", "std_msgs/Header[]", "wstring", "float32[<=2]", "byte",
+)  # fmt: skip
+FOREIGN = (
+    "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry", "sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/Range",
+    "geometry_msgs/msg/TwistStamped", "tf2_msgs/msg/TFMessage", "std_msgs/msg/String", "sensor_msgs/msg/Image",
+    "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/LaserScan", "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "sensor_msgs/msg/JointState", "sensor_msgs/msg/MagneticField", "geometry_msgs/msg/PointStamped",
+)  # fmt: skip
+SMALL_NUMBERS = [n for n in NUMBERS if not 1e38 < abs(n) < float("inf")]  # those that a float32 holds
+ROLES = (
+    "wheels.topic", "truth.topic", "lrf.topic", "compass.topic", "gyro.topic", "gps.topic", "camera.topic",
+    "sonar.topic", "landmarks.file", "landmarks.map",
+)  # fmt: skip
+KEYS = (
+    *ROLES, "wheels.radius", "wheels.track", "wheels.noise", "lrf.sigma_range", "lrf.map", "start.x", "lrf.x",
+    "compass.sigma_deg", "start.sigma_xy", "wheels.time_offset", "lrf.time_offset", "truth.sigma_xy", "gyro.bias",
+    "camera.model", "lrf.range_max", "lrf.yaw_deg", "wheels.joints", "truth.x", "compass.time_offset",
+)  # fmt: skip
+COMMANDS = (
+    ("info",), ("info",), ("info", "--json"), ("info", "--check"), ("init",), ("run",), ("run",),
+    ("run", "--smooth"), ("run", "--export", "mcap,log,kitti,tum,tum-cov,csv"), ("compare",),
+    ("compare", "--json"), ("compare", "--smooth"), ("compare", "--all-subsets"), ("recover",),
+    ("recover", "--json"), ("view",), ("calibrate",), ("twice",),
+)  # fmt: skip
+OPTIONS: tuple[tuple[str, ...], ...] = (
+    ("--order", "recorded"), ("--order", "stamp"), ("--strict",), ("--hash",), ("-q",), ("--preset", "paper"),
+    ("--from", "1"), ("--to", "1"), ("--from", "nan"), ("--to", "-1e300"), ("--from", "1e18"), ("--align", "se2"),
+    ("--align", "origin"),
+)  # fmt: skip
+KNOWN_OPTIONS = {"recover": 0, "info": 5, "init": 5, "view": 5, "calibrate": 5}  # how many of OPTIONS it takes
+
+
+@dataclass(frozen=True)
+class Directed:
+    """A log, the files beside it, and what is asked of them; `{here}` in a word stands for the folder."""
+
+    title: str
+    spoken: tuple[Spoken, ...]
+    robot: bytes
+    container: str = ".mcap"
+    beside: dict[str, bytes] = field(default_factory=dict)  # name -> content
+    words: tuple[str, ...] = ()
+    command: tuple[str, ...] = ("run",)
+    seed: int = 0
+    name: str = "log"  # of the log file, without its ending
+
+    def write(self, folder: Path) -> Path:
+        """Write everything into an empty folder and return the log."""
+        for name, content in self.beside.items():
+            (folder / name).write_bytes(content)
+        log = folder / f"{self.name}{self.container}"
+        log.write_bytes(_recorded(self, folder))
+        return log
+
+    def save(self, folder: Path) -> None:
+        """Keep the case to be looked at."""
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        self.write(folder)
+        (folder / "case.json").write_text(json.dumps({"words": [*self.command, *self.words], "title": self.title}))
+
+
+Deed = Callable[[Random, Directed], Directed]
+
+
+@dataclass
+class DirectedShop:
+    """The drive that the cases start from."""
+
+    spoken: tuple[Spoken, ...] = ()
+    robot: bytes = b""
+
+    def learn(self, folder: Path) -> None:
+        """Record the drive, and see that it is healthy."""
+        spoken, attachments = contents(short_drive())
+        self.spoken, self.robot = tuple(spoken), attachments[0].data
+        for command in ("run", "compare", "view"):  # loads every library before memory is limited
+            if wrong := self.judge(Directed("healthy", self.spoken, self.robot, command=(command,)), folder):
+                raise SystemExit(wrong)
+
+    def case(self, seed: int) -> Directed:
+        """Return the case that belongs to a seed."""
+        rng = random.Random(f"directed {seed}")
+        case = Directed("", self.spoken, self.robot, command=rng.choice(COMMANDS), seed=seed)
+        names = []
+        for deed in rng.sample(DEEDS, rng.choice((1, 1, 2, 3))):
+            case = deed(rng, case)
+            names.append(deed.__name__)
+        known = OPTIONS[: KNOWN_OPTIONS.get(case.command[0])]
+        if rng.random() < 0.3 and known:
+            case = replace(case, words=(*case.words, *rng.choice(known)))
+        return replace(case, title=f"{' '.join(case.command)}: {', '.join(names)}")
+
+    def judge(self, case: Directed, folder: Path) -> str:
+        """Run a case and return what is wrong with the outcome, "" for nothing."""
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        log = case.write(folder)
+        before = {path: path.read_bytes() for path in folder.iterdir()}
+        done = locfuse(*_line(case, log, folder))
+        several = case.command[0] == "twice"  # each log has its line, and those of --check name settings
+        wrong = (
+            words_are_wrong(done, short=not several and "--check" not in case.command)
+            or _acts(done, folder, before)
+            or _changed(folder, before)
+        )
+        if not wrong and case.command[0] == "run" and done.code in {0, 3}:
+            wrong = files_are_wrong(folder, done, lost=done.code == 3 and "--strict" not in case.words)
+        if not wrong and case.command[0] == "recover" and done.code in {0, 3}:
+            wrong = _unreadable(folder / "fixed.mcap")
+        return wrong
+
+
+def _line(case: Directed, log: Path, folder: Path) -> list[str]:
+    command, *options = case.command
+    out = {"recover": ["-o", str(folder / "fixed.mcap")], "view": ["--save", str(folder / "drive.rrd")]}
+    words = [word.replace("{here}", str(folder)).replace("{log}", str(log)) for word in case.words]
+    if command == "recover":
+        words = [word for word in words if word == "-q"]
+    if command == "twice":  # two logs, one process each
+        other = folder / f"other{case.container}"
+        other.write_bytes(log.read_bytes())
+        return ["compare", str(log), str(other), "-o", str(folder / "out"), *words]
+    results = ["-o", str(folder / "out")] if command in {"run", "compare"} else []
+    return [command, str(log), *options, *out.get(command, results), *words]
+
+
+def _acts(done: Done, folder: Path, before: dict[Path, bytes]) -> str:
+    """Return where a character acts on what shows it."""
+    texts = {"stdout": done.out, "stderr": done.err}
+    endings = {".md", ".html", ".json", ".toml", ".csv", ".tex", ".svg", ".tum", ".txt"}
+    for path in folder.rglob("*"):
+        if path.suffix in endings and path not in before and path.is_file():
+            texts[path.name] = path.read_text(encoding="utf-8", errors="surrogateescape")
+    for name, text in texts.items():
+        if found := UNSEEN.search(text.replace("\n", "")):
+            return (
+                f"{found[0]!r} acts in {name}: {text.replace(chr(10), '')[max(found.start() - 60, 0) :][:120]!r}"
+            )
+        if name.endswith((".html", ".svg")) and "<script>&" in text:
+            return f"text of the log is no text in {name}"
+    return ""
+
+
+def _changed(folder: Path, before: dict[Path, bytes]) -> str:
+    for path, content in before.items():
+        if not path.exists() or path.read_bytes() != content:
+            return f"the input {path.name} was changed"
+    left = [path.name for path in folder.rglob("*") if path.name.endswith((TEMPORARY, "-shm", "-journal"))]
+    return f"left behind: {left}" if left else ""
+
+
+def _unreadable(path: Path) -> str:
+    try:
+        contents(path.read_bytes())
+    except Exception as e:
+        return f"the recovered copy cannot be read by others: {type(e).__name__}: {e}"
+    return ""
+
+
+def _recorded(case: Directed, folder: Path) -> bytes:
+    """Return the log in its container."""
+    rng = random.Random(case.seed)
+    if case.container == ".db3":
+        return _database(case, rng, folder)
+    if case.container in TARGETS_OF_FILES:
+        return mutated(TARGETS[case.container[1:]], rng)
+    file = Attachment(0, 0, "robot.toml", "application/toml", case.robot)
+    compression = rng.choice(list(CompressionType))
+    return written(list(case.spoken), [file], chunk_size=4000, compression=compression)
+
+
+TARGETS_OF_FILES = (".bag",)
+
+
+def _database(case: Directed, rng: Random, folder: Path) -> bytes:
+    """Return the messages as a rosbag2 database, a journal beside it where the dice say so."""
+    import sqlite3
+
+    live = folder / "live.db3"
+    database = sqlite3.connect(live)
+    journalled = rng.random() < 0.5
+    database.execute(f"PRAGMA journal_mode={'wal' if journalled else 'delete'}")
+    database.executescript(
+        "CREATE TABLE topics(id INTEGER PRIMARY KEY,name TEXT,type TEXT,serialization_format TEXT,"
+        "offered_qos_profiles TEXT);"
+        "CREATE TABLE messages(id INTEGER PRIMARY KEY,topic_id INTEGER,timestamp INTEGER,data BLOB);"
+    )
+    topics: dict[tuple[str, str], int] = {}
+    for i, (schema, channel, message) in enumerate(case.spoken):
+        key = (channel.topic, schema.name if schema else "")
+        if key not in topics:
+            topics[key] = len(topics)
+            row = (topics[key], *(one.encode("utf-8", "surrogatepass").decode("utf-8", "replace") for one in key))
+            database.execute("INSERT INTO topics VALUES(?,?,?,'cdr','')", row)
+        odd = rng.random() < 0.01
+        stamp = rng.choice((None, -1, "now", 1.5, b"x", 2**63 - 1)) if odd else min(message.log_time, 2**63 - 1)
+        data = rng.choice((None, "text", 7, b"")) if rng.random() < 0.005 else message.data
+        database.execute("INSERT INTO messages(topic_id,timestamp,data) VALUES(?,?,?)", (topics[key], stamp, data))
+        if i % 20 == 0:
+            database.commit()
+    database.commit()
+    plain = bytearray(live.read_bytes())
+    journal = Path(f"{live}-wal")
+    if journalled and journal.exists():
+        tail = bytearray(journal.read_bytes())
+        for _ in range(rng.choice((0, 1, 3))):
+            tail[rng.randrange(len(tail))] ^= 1 << rng.randrange(8)
+        (folder / f"{case.name}.db3-wal").write_bytes(
+            tail[: rng.choice((len(tail), rng.randrange(len(tail) + 1)))]
+        )
+    database.close()
+    for path in folder.glob("live.db3*"):
+        path.unlink()
+    for _ in range(rng.choice((0, 0, 1, 4))):
+        plain[rng.randrange(len(plain))] ^= 1 << rng.randrange(8)
+    return bytes(plain)
+
+
+# --- deeds -------------------------------------------------------------------------------------------------------
+
+
+def _topics(case: Directed) -> list[str]:
+    return sorted({one.channel.topic for one in case.spoken})
+
+
+def _of(rng: Random, case: Directed) -> tuple[str, Schema]:
+    topic = rng.choice(_topics(case))
+    schema = next(one.schema for one in case.spoken if one.channel.topic == topic)
+    assert schema is not None
+    return topic, schema
+
+
+def _each(case: Directed, topic: str, change: Callable[[Spoken], Spoken]) -> Directed:
+    return replace(case, spoken=tuple(change(one) if one.channel.topic == topic else one for one in case.spoken))
+
+
+def another_kind(rng: Random, case: Directed) -> Directed:
+    """Let a field be of another kind, with messages as they were, or as the definition says."""
+    topic, schema = _of(rng, case)
+    lines = schema.data.decode().split("\n")
+    own = [i for i, line in enumerate(lines) if len(line.split()) == 2 and "=" not in line and "MSG" not in line]
+    if not own:
+        return case
+    i = rng.choice(own)
+    lines[i] = f"{rng.choice(KINDS)} {lines[i].split()[1]}"
+    text = "\n".join(lines)
+    new = replace(schema, data=text.encode())
+    alike = rng.random() < 0.6
+    seed = rng.random()
+
+    def change(one: Spoken) -> Spoken:
+        data = one.message.data
+        if (
+            alike
+            and (made := _made(schema.name, text, Random(f"{seed} {one.message.log_time}"), data)) is not None
+        ):
+            data = made
+        return Spoken(new, one.channel, replace(one.message, data=data))
+
+    return _each(case, topic, change)
+
+
+def _made(name: str, text: str, rng: Random, header: bytes) -> bytes | None:
+    """Return a message that follows its definition, beginning as another did; None where rosbags knows none."""
+    try:
+        store = get_typestore(Stores.EMPTY)
+        store.register(get_types_from_msg(text, name))
+        data = bytes(store.serialize_cdr(_value(store, name, rng), name))
+    except Exception:  # not a definition that anyone could have recorded with
+        return None
+    return data[:4] + header[4:12] + data[12:] if len(data) >= 12 else data
+
+
+def _value(store: Any, name: str, rng: Random) -> Any:
+    fields = store.get_msgdef(name).fields
+    return store.types[name](**{key: _part(store, desc, rng) for key, desc in fields})
+
+
+def _part(store: Any, desc: Any, rng: Random) -> Any:
+    kind, detail = desc[0].name, desc[1]
+    if kind == "NAME":
+        return _value(store, detail, rng)
+    if kind == "BASE":
+        return _text(rng) if detail[0] in {"string", "wstring"} else _number(rng, detail[0])
+    element, size = detail
+    count = size if kind == "ARRAY" else rng.choice((0, 1, 2, 3, 9, 61))
+    if element[0].name == "NAME":
+        return [_value(store, element[1], rng) for _ in range(count)]
+    if element[1][0] in {"string", "wstring"}:
+        return [_text(rng) for _ in range(count)]
+    dtype = {"byte": "uint8", "octet": "uint8", "char": "uint8"}.get(element[1][0], element[1][0])
+    return np.array([_number(rng, element[1][0]) for _ in range(count)]).astype(dtype)
+
+
+def _number(rng: Random, base: str) -> Any:
+    if base == "bool":
+        return rng.random() < 0.5
+    if base.startswith("float"):
+        value = rng.choice(NUMBERS) if rng.random() < 0.1 else rng.gauss(0.0, 2.0)
+        return float("inf") if base == "float32" and math.isfinite(value) and abs(value) > 1e38 else value
+    bits = int("".join(c for c in base if c.isdigit()) or 8)
+    value = rng.choice(INTERESTING) if rng.random() < 0.1 else rng.randrange(3)
+    value %= 2**bits
+    return value - 2**bits if base.startswith("int") and value >= 2 ** (bits - 1) else value
+
+
+def _text(rng: Random) -> str:
+    return rng.choice(
+        (*ACTING, "base_link", "odom", "laser", "left_wheel_joint", "right_wheel_joint", "", "x" * 300)
+    )
+
+
+def acting_names(rng: Random, case: Directed) -> Directed:
+    """Let a name of the log act on what shows it: topic, type, language, encoding, the log's own."""
+    topic, schema = _of(rng, case)
+    odd = rng.choice(ACTING)
+    deed = rng.randrange(5)
+    if deed == 4:
+        return replace(case, name=f"l{odd}g".replace("/", "").replace("\0", ""))
+
+    def change(one: Spoken) -> Spoken:
+        channel = replace(one.channel, topic=one.channel.topic + odd) if deed == 0 else one.channel
+        channel = replace(channel, message_encoding=odd) if deed == 1 else channel
+        other = (schema, schema, replace(schema, name=schema.name + odd), replace(schema, encoding=odd))[deed]
+        return Spoken(other, channel, one.message)
+
+    return _each(case, topic, change)
+
+
+def acting_values(rng: Random, case: Directed) -> Directed:
+    """Let texts in messages act: frames, joints, descriptions."""
+    topic, schema = _of(rng, case)
+    return _typed(rng, case, topic, schema, _odd_texts)
+
+
+def odd_numbers(rng: Random, case: Directed) -> Directed:
+    """Let numbers in messages be NaN, infinite, huge, or of another sign."""
+    topic, schema = _of(rng, case)
+    return _typed(rng, case, topic, schema, _odd_numbers)
+
+
+def _typed(
+    rng: Random, case: Directed, topic: str, schema: Schema, edit: Callable[[Random, Any], None]
+) -> Directed:
+    """Change messages by their fields, every one or a few of a topic."""
+    share, seed = rng.choice((1.0, 0.1)), rng.random()
+
+    def change(one: Spoken) -> Spoken:
+        if Random(f"{seed} {one.message.log_time}").random() > share:
+            return one
+        try:
+            message = STORE.deserialize_cdr(one.message.data, schema.name)
+            edit(Random(seed), message)
+            data = bytes(STORE.serialize_cdr(message, schema.name))
+        except Exception:  # another deed has changed the definition
+            return one
+        return one._replace(message=replace(one.message, data=data))
+
+    return _each(case, topic, change)
+
+
+def _odd_texts(rng: Random, message: Any) -> None:
+    for key, value in vars(message).items():
+        if isinstance(value, str):
+            setattr(message, key, rng.choice(ACTING))
+        elif isinstance(value, list) and value and isinstance(value[0], str):
+            value[rng.randrange(len(value))] = rng.choice(ACTING)
+        elif hasattr(value, "__dataclass_fields__"):
+            _odd_texts(rng, value)
+
+
+def _odd_numbers(rng: Random, message: Any) -> None:
+    names = [key for key in vars(message) if not key.startswith("__")]
+    for key in rng.sample(names, min(2, len(names))):
+        value = getattr(message, key)
+        if isinstance(value, float):
+            setattr(message, key, rng.choice(SMALL_NUMBERS))
+        elif isinstance(value, int) and key in {"sec", "nanosec"}:
+            setattr(message, key, rng.choice((0, -1, 2**31 - 1, -(2**31))) if key == "sec" else 2**32 - 1)
+        elif isinstance(value, np.ndarray) and value.size and value.dtype.kind == "f":
+            array = value.copy()
+            array[rng.randrange(value.size) :] = rng.choice(SMALL_NUMBERS)
+            setattr(message, key, array)
+        elif hasattr(value, "__dataclass_fields__"):
+            _odd_numbers(rng, value)
+
+
+def huge_counts(rng: Random, case: Directed) -> Directed:
+    """Let lengths of arrays and texts in a message be huge."""
+    topic, _ = _of(rng, case)
+    words = rng.sample(range(1, 20), 2)
+    count = rng.choice((2**32 - 1, 2**31, 2**30, 2**20, 70_000))
+
+    def change(one: Spoken) -> Spoken:
+        data = bytearray(one.message.data)
+        for word in words:
+            if 4 + 4 * word + 4 <= len(data):
+                struct.pack_into("<I", data, 4 + 4 * word, count)
+        return one._replace(message=replace(one.message, data=bytes(data)))
+
+    return _each(case, topic, change)
+
+
+def odd_stamps(rng: Random, case: Directed) -> Directed:
+    """Let stamps and recording times be absurd, equal, or backwards."""
+    topic, _ = _of(rng, case)
+    deed, value = rng.randrange(5), rng.choice(INTERESTING)
+    first = case.spoken[0].message
+
+    def change(one: Spoken) -> Spoken:
+        data, log_time = bytearray(one.message.data), one.message.log_time
+        if deed == 0 and len(data) >= 12:
+            struct.pack_into("<iI", data, 4, rng.choice((0, -1, 2**31 - 1)), value % 2**32)
+        elif deed == 1:
+            log_time = value % 2**64
+        elif deed == 2 and len(data) >= 12:
+            data[4:12] = first.data[4:12]
+            log_time = first.log_time
+        elif deed == 3:
+            log_time = 2 * first.log_time + 10**10 - log_time
+        elif deed == 4 and len(data) >= 12:
+            struct.pack_into("<I", data, 8, int.from_bytes(data[8:12], "little") // 10**8 * 10**8)
+        return one._replace(message=replace(one.message, data=bytes(data), log_time=log_time % 2**64))
+
+    return _each(case, topic, change)
+
+
+def foreign_topics(rng: Random, case: Directed) -> Directed:
+    """Add topics of types that the product reads, full of odd values."""
+    name = rng.choice(FOREIGN)
+    topic = rng.choice(("/extra", "/tf", "/tf_static", "/odom", "/robot_description", "/imu/data", "/scan"))
+    schema = Schema(0, STORE.generate_msgdef(name, ros_version=2)[0].encode(), "ros2msg", name)
+    channel = Channel(0, topic, "cdr", {}, 0)
+    extra = []
+    for one in case.spoken[:: rng.choice((1, 5, 40))]:
+        if name == "std_msgs/msg/String":
+            text = mutated(TARGETS["urdf"], rng).decode("utf-8", "replace")
+            data = bytes(STORE.serialize_cdr(STORE.types[name](data=text), name))
+        else:
+            try:
+                data = bytes(STORE.serialize_cdr(_value(STORE, name, rng), name))
+            except Exception:  # a value that its field cannot hold
+                continue
+            data = data[:4] + one.message.data[4:12] + data[12:]
+        extra.append(Spoken(schema, channel, replace(one.message, data=data)))
+    return replace(case, spoken=(*case.spoken, *extra))
+
+
+def odd_json(rng: Random, case: Directed) -> Directed:
+    """Add a topic in JSON whose schema or values are odd."""
+    text = mutated(TARGETS["jsonschema"], rng) if rng.random() < 0.5 else TARGETS["jsonschema"].corpus[-1]
+    kinds = ("foxglove.LocationFix", "foxglove.CompressedImage", "foxglove.LaserScan", "foxglove.PoseInFrame", "A")
+    schema = Schema(0, text, "jsonschema", rng.choice(kinds))
+    channel = Channel(0, "/json", "json", {}, 0)
+    extra = [
+        Spoken(schema, channel, replace(one.message, data=mutated(TARGETS["json"], rng)))
+        for one in case.spoken[::10]
+    ]
+    return replace(case, spoken=(*case.spoken, *extra))
+
+
+def odd_definition(rng: Random, case: Directed) -> Directed:
+    """Let a definition be nonsense."""
+    topic, schema = _of(rng, case)
+    language = rng.choice(("ros2msg", "ros2msg", "ros2idl"))
+    new = replace(schema, data=mutated(TARGETS[language], rng), encoding=language)
+    return _each(case, topic, lambda one: one._replace(schema=new))
+
+
+def odd_robot(rng: Random, case: Directed) -> Directed:
+    """Give a robot.toml of nonsense, in the log or beside it, or names in it that act."""
+    data = mutated(TARGETS["robot.toml"], rng)
+    if rng.random() < 0.4:
+        name = json.dumps(rng.choice(ACTING))
+        keys = ("lrf.topic", "compass.frame", "wheels.joints", "truth.topic", "camera.model", f"{name}.x", name)
+        key = rng.choice(keys)
+        table, _, last = key.rpartition(".")
+        data = b"\n".join((case.robot, f"{table}.{last} = {name}".lstrip(".").encode()))
+        data = f"{table + '.' if table else ''}{last} = {name}\n".encode() if rng.random() < 0.5 else data
+    if rng.random() < 0.5 or case.command[0] == "recover":
+        return replace(case, robot=data)
+    return replace(
+        case, beside={**case.beside, "robot.toml": data}, words=(*case.words, "--robot", "{here}/robot.toml")
+    )
+
+
+def odd_set(rng: Random, case: Directed) -> Directed:
+    """Set a key to an odd value."""
+    if case.command[0] == "recover":
+        return case
+    values = (*VALUES, *map(json.dumps, ACTING), '"/tf"', '"/scan"', '"/extra"', '"odom>base_link"', "0.1", "3")
+    return replace(case, words=(*case.words, "--set", f"{rng.choice(KEYS)}={rng.choice(values)}"))
+
+
+def files_beside(rng: Random, case: Directed) -> Directed:
+    """Give text files of nonsense: truth, landmarks, detections, a map, a baseline, an estimate."""
+    command = case.command[0]
+    csv, tum = mutated(TARGETS["csv"], rng), mutated(TARGETS["tum"], rng)
+    ways: list[tuple[tuple[str, ...], dict[str, bytes]]] = [
+        (("--truth", "{here}/t.csv"), {"t.csv": csv}),
+        (("--truth", "{here}/t.tum"), {"t.tum": tum}),
+        (
+            ("--set", "landmarks.file={here}/d.csv", "--set", "landmarks.map={here}/m.csv"),
+            {"d.csv": csv, "m.csv": mutated(TARGETS["landmarks"], rng)},
+        ),
+    ]
+    if command == "run":
+        ways.append((("--map", "{here}/map.json"), {"map.json": mutated(TARGETS["line map"], rng)}))
+    if command == "compare":
+        report = rng.choice(
+            (b"[" * 9999, b"{}", b"[]", b"null", b'{"configurations": {"all": []}, "input": []}', csv)
+        )
+        ways.append((("--baseline", "{here}/b.json"), {"b.json": report}))
+        ways.append((("--estimate", "mine={here}/t.csv"), {"t.csv": csv}))
+        ways.append((("--estimate", f"{rng.choice(ACTING[:-3])}=/ground_truth"), {}))
+    words, beside = rng.choice(ways)
+    if command == "recover":
+        return case
+    return replace(case, words=(*case.words, *words), beside={**case.beside, **beside})
+
+
+def outputs_onto_inputs(rng: Random, case: Directed) -> Directed:
+    """Name an input as an output."""
+    if case.command[0] not in {"run", "compare"}:
+        return case
+    ways = (
+        ["--rerun-save", "--figures"]
+        if case.command[0] == "compare"
+        else ["--audit", "--save-map", "--rerun-save"]
+    )
+    over = ("--overwrite",) if rng.random() < 0.5 else ()
+    return replace(case, words=(*case.words, rng.choice(ways), "{log}", *over))
+
+
+def another_container(rng: Random, case: Directed) -> Directed:
+    """Record as .db3 with odd rows and damage to its journal, or be a small .bag of nonsense."""
+    return replace(case, container=rng.choice((".db3", ".db3", ".bag")))
+
+
+DEEDS: list[Deed] = [
+    another_kind, another_kind, acting_names, acting_values, odd_numbers, odd_numbers, huge_counts, odd_stamps,
+    odd_stamps, foreign_topics, foreign_topics, odd_json, odd_definition, odd_robot, odd_set, files_beside,
+    files_beside, outputs_onto_inputs, another_container,
+]  # fmt: skip

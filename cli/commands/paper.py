@@ -1,0 +1,54 @@
+"""`locfuse paper`: the paper's table and figures, with our filter and with the equations as printed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from locfuse.cli.terminal.screen import put, reader_may_leave, say
+
+
+@click.command()
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("locfuse-out/paper"),
+    show_default=True,
+    help="Folder for the table, the figures and the page.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace files in a folder that holds something else.")
+@click.option("-j", "--jobs", type=click.IntRange(min=1), default=2, show_default=True, help="Drives at once.")
+@click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON instead of a table.")
+@click.option("--open", "shown", is_flag=True, help="Open the page in the browser when it is written.")
+@click.option("-q", "--quiet", is_flag=True, help="Print no progress.")
+def paper(out: Path, overwrite: bool, jobs: int, as_json: bool, shown: bool, quiet: bool) -> None:
+    """Repeat the paper's experiment: its table, figures 12, 13 and 14, in one folder and on one page.
+
+    Each figure comes as SVG and PDF, one column wide, once with our filter and once with the equations as printed.
+    Nothing is downloaded: logs and scenarios are shipped.
+
+    \b
+    locfuse paper -o paper
+    locfuse paper -o paper --open
+    """
+    from locfuse.cli.jobs import paper as job
+    from locfuse.cli.terminal import show
+    from locfuse.formats.report import json_report, paper_page
+    from locfuse.formats.whole_files import may_write, write_results
+
+    may_write(out, overwrite, ())
+    with show.progress(quiet) as progress:
+        found = job.repeat(progress, jobs)
+        progress("drawing figures")
+        files = job.files(found)
+    write_results(out, files, overwrite)
+    with reader_may_leave():
+        if as_json:
+            put(json_report.encode(json_report.plain(found.values())))
+        else:
+            show.table(paper_page.table(json_report.plain(found.values())))
+            show.lines(job.lines(found))
+            say(f"{out}: {', '.join(sorted(files))}")
+    show.end([out / name for name in files], as_json, shown)

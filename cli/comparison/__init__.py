@@ -1,0 +1,1 @@
+"""What `locfuse compare` does: with one log, with many, with finished results."""

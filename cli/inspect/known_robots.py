@@ -1,0 +1,108 @@
+"""Robots that `init` knows by what their logs hold, and which figures of theirs a log leaves open.
+
+A figure of a known robot is used only where nothing in the log and nobody says it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection
+from contextlib import suppress
+from typing import TYPE_CHECKING, NamedTuple, cast
+
+from locfuse import robots
+from locfuse.cli.choose.topics import of_type
+from locfuse.formats.robot.robot_toml import as_set
+from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.wheels.odometry import BODY_READS
+from locfuse.fusion.wheels.read import counts_ticks
+from locfuse.fusion.wheels.sources import JOINTS, NUMBERS, TICKS
+
+from .overview import Overview
+
+if TYPE_CHECKING:
+    from locfuse.formats.log.log import Log
+
+# Name -> what only its logs hold, any of: a package of message types, a word of a topic's name, a set of frames.
+SIGNS: dict[str, tuple[str | frozenset[str], ...]] = {
+    "turtlebot4": ("turtlebot4_msgs", frozenset({"rplidar_link", "shell_link"})),
+    "create3": ("irobot_create_msgs",),
+    "turtlebot3_waffle": (frozenset({"base_scan", "caster_back_left_link"}),),
+    "turtlebot3_burger": (frozenset({"base_scan", "caster_back_link"}), "turtlebot3_msgs"),
+    "duckiebot": ("duckietown_msgs",),
+    "jackal": ("jackal_msgs", "jackal", "j100"),
+    "husky": ("husky_msgs", "husky", "a200"),
+    "pioneer3dx": ("rosaria", "p2os", "p3dx"),
+    "mbot": ("mbot_interfaces", "mbot"),
+}
+UNSURE = {"turtlebot3_msgs": "; if it is a Waffle: wheels.track=0.287 and lrf.x=-0.064"}
+COUNTED = ("radius", "track", "ticks_per_revolution")  # an odometry needs none of them
+
+
+class Recognised(NamedTuple):
+    """A known robot."""
+
+    name: str
+    sign: str  # what in the log says so
+
+
+def recognise(overview: Overview) -> Recognised | None:
+    """Return the first known robot whose signs the log holds."""
+    packages = {topic.msgtype.partition("/")[0] for topic in overview.log.topics.values()}
+    words = {word for topic in overview.log.topics for word in re.split(r"[/_]", topic.lower())}
+    frames = {edge.child for edge in overview.transforms.edges}
+    for name, signs in SIGNS.items():
+        for sign in signs:
+            if isinstance(sign, frozenset):
+                if sign <= frames:
+                    return Recognised(name, f"frames {' and '.join(sorted(sign))}")
+            elif sign in packages:
+                return Recognised(name, f"messages of {sign}{UNSURE.get(sign, '')}")
+            elif sign in words:
+                return Recognised(name, f"topics named {sign}")
+    return None
+
+
+def open_figures(known: Recognised, overview: Overview, said: Collection[str]) -> dict[str, tuple[str, str]]:
+    """Return the figures of a known robot that this log needs and does not say: key -> ("key=value", words).
+
+    `said` are the keys that somebody or something says already.
+    """
+    found: dict[str, tuple[str, str]] = {}
+    for key, figure in robots.figures(known.name).items():
+        table, _, name = key.partition(".")
+        if key not in said and _needed(overview, table, name, figure.value, said):
+            found[key] = as_set(key, figure.value), f"by robots/{known.name}.toml, {figure.words}"
+    return found
+
+
+def _needed(overview: Overview, table: str, name: str, value: object, said: Collection[str]) -> bool:
+    if table in REGISTRY:  # a mount is taken as a whole
+        return bool(overview.choice.of(table)) and f"{table}.x" not in said
+    kind = _wheels_kind(overview)
+    if name in {"left", "right"}:
+        return kind == JOINTS and value in _joints(overview.log)
+    if name == "ticks_per_revolution":
+        return counts_ticks(kind) if kind else False
+    return bool(kind) or name not in COUNTED
+
+
+def _wheels_kind(overview: Overview) -> str:
+    """Return the message type of the wheels' turns; "" where an odometry is read, or nothing turns."""
+    topics = overview.choice.of("wheels")
+    if topics:
+        kind = overview.log.topics[topics[0]].msgtype
+        return "" if kind in BODY_READS else kind
+    kinds = (overview.log.topics[t].msgtype for t in of_type(overview.log, (JOINTS, *TICKS, *NUMBERS)))
+    return next(kinds, "")
+
+
+def _joints(log: Log) -> set[str]:
+    """Return the names on all topics of joints."""
+    names: set[str] = set()
+    for topic in of_type(log, (JOINTS,)):
+        with suppress(LocfuseError):  # a topic that cannot be read says so elsewhere
+            rows = cast("list[tuple[str, ...]]", log.stream(topic).columns("name")["name"])
+            names |= {joint for row in set(rows) for joint in row}
+    return names

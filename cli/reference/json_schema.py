@@ -1,0 +1,107 @@
+"""JSON Schemas of robot.toml and report.json, made from the types that read and describe them.
+
+Draft 7 (json-schema.org): the newest that TOML editors understand (taplo, Even Better TOML), which take a tuple of
+draft 2020-12 for one that may hold nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, get_args
+
+import msgspec
+
+from locfuse.cli.pipeline.load import table_types
+from locfuse.cli.pipeline.settings import ORDERS, PRESETS
+from locfuse.formats.report.structure import Report
+from locfuse.fusion.sensors.registry import REGISTRY
+
+from .field_words import field_words
+
+DRAFT = "http://json-schema.org/draft-07/schema#"
+REF = "#/$defs/{name}"
+OF_ORDER = "Which times to trust: header stamps, recording order, or whichever fits (auto)."
+OF_PRESET = "The filter: locfuse's own (default), or the paper's equations as printed (paper)."
+Schema = dict[str, Any]
+
+
+def robot_schema() -> Schema:
+    """Return the schema of robot.toml: every table and key, unknown ones refused."""
+    types = table_types()
+    refs, definitions = msgspec.json.schema_components(list(types.values()), ref_template=REF)
+    for name, kind in types.items():
+        _describe(definitions[kind.__name__], _table_words(name, kind))
+        _leave_out_null(definitions[kind.__name__])
+    top = {
+        "order": {"enum": list(ORDERS), "default": "auto", "description": OF_ORDER},
+        "preset": {"enum": list(PRESETS), "default": "default", "description": OF_PRESET},
+    }
+    return {
+        "$schema": DRAFT,
+        "title": "robot.toml",
+        "description": "A robot for locfuse. SI units; angles in degrees where the key ends in _deg.",
+        "type": "object",
+        "properties": {**top, **dict(zip(types, refs, strict=True))},
+        "additionalProperties": False,
+        "$defs": _in_draft_7(definitions),
+    }
+
+
+def report_schema() -> Schema:
+    """Return the schema of report.json and run.json: the keys that programs may rely on; more may follow."""
+    (ref,), definitions = msgspec.json.schema_components([Report], ref_template=REF)
+    for kind in _structs(Report):
+        _describe(definitions[kind.__name__], field_words(kind))
+    return {"$schema": DRAFT, "title": "report.json", **ref, "$defs": _in_draft_7(definitions)}
+
+
+def _table_words(name: str, kind: type[msgspec.Struct]) -> dict[str, str]:
+    """Return what each key of a table means: its unit and words, and how `init` says to measure it."""
+    asked = {key: ask.words for key, ask in REGISTRY[name].asks.items()} if name in REGISTRY else {}
+    return {**asked, **field_words(kind)}
+
+
+def _describe(definition: Schema, words: Mapping[str, str]) -> None:
+    for key, schema in definition.get("properties", {}).items():
+        if key in words:
+            schema["description"] = words[key]
+
+
+def _leave_out_null(definition: Schema) -> None:
+    """Take null out of a table's keys: TOML has no word for it, a key without a value is left out."""
+    for schema in definition["properties"].values():
+        kinds = [kind for kind in schema.pop("anyOf", []) if kind != {"type": "null"}]
+        if len(kinds) == 1:
+            schema.update(kinds[0])
+        elif kinds:
+            schema["anyOf"] = kinds
+        if schema.get("default", 0) is None:
+            del schema["default"]
+
+
+def _in_draft_7(schema: Any) -> Any:
+    """Return the same with tuples as draft 7 writes them."""
+    if isinstance(schema, list):
+        return [_in_draft_7(part) for part in schema]
+    if not isinstance(schema, dict):
+        return schema
+    parts = {key: _in_draft_7(part) for key, part in schema.items()}
+    if (items := parts.pop("prefixItems", None)) is not None:
+        same = all(item == items[0] for item in items)
+        parts |= {"items": items[0]} if same else {"items": items, "additionalItems": False}
+    return parts
+
+
+def _structs(kind: Any) -> Iterator[type[msgspec.Struct]]:
+    """Yield a struct and every struct among the types of its fields, each once."""
+    waiting, seen = [kind], set[Any]()
+    while waiting:
+        one = waiting.pop()
+        if isinstance(one, type) and issubclass(one, msgspec.Struct) and one not in seen:
+            seen.add(one)
+            yield one
+            waiting += [field.type for field in msgspec.structs.fields(one)]
+        waiting += get_args(one)
+
+
+SCHEMAS: dict[str, Callable[[], Schema]] = {"robot": robot_schema, "report": report_schema}

@@ -1,0 +1,74 @@
+"""What the shell offers at the press of Tab: sample logs, sensors, keys of robot.toml, topics of the log."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shlex
+
+import click
+from click.shell_completion import CompletionItem
+
+SHELLS = ("bash", "zsh", "fish")
+PAUSED = "_LOCFUSE_COMPLETE"  # the variable by which the shell asks
+
+
+def script(shell: str, program: click.Command) -> str:
+    """Return the script that a shell sources once: `eval "$(locfuse completion bash)"`."""
+    from click.shell_completion import get_completion_class
+
+    found = get_completion_class(shell)
+    if found is None:
+        raise click.UsageError(f"no completion for {shell}; choose from {', '.join(SHELLS)}")
+    return found(program, {}, "locfuse", PAUSED).source()
+
+
+def logs(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Offer sample logs by name, and files."""
+    from locfuse.sample_logs import names
+
+    samples = [CompletionItem(name, help="sample log") for name in names() if name.startswith(begun)]
+    return [*samples, CompletionItem(begun, type="file")]
+
+
+def sensors(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Offer sensors, also after a comma."""
+    from locfuse.fusion.sensors.registry import REGISTRY
+
+    before, comma, word = begun.rpartition(",")
+    known = REGISTRY if comma else ("odometry", "all", *REGISTRY)
+    taken = set(before.split(","))
+    return [CompletionItem(f"{before}{comma}{s}") for s in known if s.startswith(word) and s not in taken]
+
+
+def settings(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Offer keys of robot.toml with their units; after TABLE.topic= the topics of the log that was typed."""
+    from msgspec.structs import fields
+
+    from locfuse.cli.pipeline.load import table_types
+    from locfuse.formats.robot import units
+
+    key, equals, word = begun.partition("=")
+    if equals:
+        found = topics(context) if key.rpartition(".")[2].endswith("topic") else []
+        return [CompletionItem(f"{key}={topic}") for topic in found if topic.startswith(word)]
+    every = ((table, f.encode_name) for table, kind in table_types().items() for f in fields(kind))
+    return [
+        CompletionItem(f"{table}.{name}=", help=units.of(table, name))
+        for table, name in every
+        if f"{table}.{name}".startswith(begun)
+    ]
+
+
+def topics(context: click.Context) -> list[str]:
+    """Return the topics of the log on the command line; none where it cannot be opened."""
+    from locfuse.cli.pipeline.load import find_log
+    from locfuse.formats.log.log import open_log
+    from locfuse.fusion.data import LocfuseError
+
+    # an option without its value ends click's parsing before LOG is found: the shell's own words know it
+    typed = context.params.get("log") or shlex.split(os.environ.get("COMP_WORDS", ""))[2:]
+    for word in typed:
+        with contextlib.suppress(LocfuseError, OSError):
+            return sorted(open_log(find_log([word])).topics)
+    return []

@@ -1,0 +1,107 @@
+"""The paper's experiment on one page: the print and our filter side by side, and figures 12, 13, 14."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from typing import Any
+
+from locfuse.formats.drawing.svg import slugs_of
+from locfuse.formats.figures.palette import SHAPES
+from locfuse.formats.figures.panels import Panel, Section
+from locfuse.formats.tables.render import Swatches, html
+from locfuse.formats.tables.render import csv as csv_of
+from locfuse.formats.tables.render import latex as latex_of
+from locfuse.formats.tables.table import Column, Table, of_values
+from locfuse.formats.tables.tables import CONFIGURATION
+from locfuse.fusion.data import Colour
+
+from .html import compact, hash_of, section_drawings, style_sheet
+
+COLUMNS = (
+    CONFIGURATION,
+    Column("ours_position_rmse_m", "position rmse, ours", "m", "{:.3f}"),
+    Column("print_position_rmse_m", "as printed", "m", "{:.3f}"),
+    Column("ours_heading_rmse_deg", "heading rmse, ours", "°", "{:.2f}"),
+    Column("print_heading_rmse_deg", "as printed", "°", "{:.2f}"),
+    Column("ours_anees", "ANEES, ours", form="{:.3g}"),
+    Column("print_anees", "as printed", form="{:.3g}"),
+)
+DISTANCES = (
+    Column("figure", "figure", kind="text"),
+    Column("steered", "the robot was", kind="text"),
+    Column("rms", "rms distance from the path", "m", "{:.3f}"),
+    Column("largest", "largest", "m", "{:.3f}"),
+)
+FIGURES = {  # name -> title, columns
+    "fig12": ("Figure 12: trajectories under five configurations, our filter", 1),
+    "fig12_print": ("Figure 12 by the equations as printed", 1),
+    "fig13": ("Figure 13: deviation in X and Y, our filter", 2),
+    "fig13_print": ("Figure 13 by the equations as printed", 2),
+    "fig14a": ("Figure 14 a: a rounded rectangle, with and without the EKF in the loop", 1),
+    "fig14b": ("Figure 14 b: a rounded triangle, with and without the EKF in the loop", 1),
+}
+
+
+def table(values: Mapping[str, Any]) -> Table:
+    """Return the print and our filter side by side."""
+    rows = ((row, ("table", i)) for i, row in enumerate(values["table"]))
+    return of_values(COLUMNS, rows, "The print and our filter")
+
+
+def distances(values: Mapping[str, Any]) -> Table:
+    """Return how far from its path each robot of figure 14 was."""
+    rows = ((row, ("figure_14", i)) for i, row in enumerate(values["figure_14"]))
+    return of_values(DISTANCES, rows, "Distances from the path in figure 14")
+
+
+def latex(values: Mapping[str, Any]) -> str:
+    """Return the table for a paper."""
+    return f"% locfuse {values['locfuse']}; needs \\usepackage{{booktabs}} and \\usepackage{{textcomp}}\n" + (
+        latex_of(table(values)) + "\n"
+    )
+
+
+def csv(values: Mapping[str, Any]) -> str:
+    """Return the table with every figure in full precision."""
+    return csv_of(table(values))
+
+
+def render(
+    values: Mapping[str, Any],
+    figures: Mapping[str, Sequence[Panel]],
+    inks: Mapping[str, Colour],
+    looks: Mapping[str, str],
+) -> str:
+    """Return the page. `figures` are panels by the figure's name, `inks` the colours of all that they draw."""
+    from jinja2 import Environment, StrictUndefined
+    from markupsafe import Markup
+
+    folder = files(__package__)
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    template = environment.from_string((folder / "paper.html.j2").read_text(encoding="utf-8"))
+    script = compact((folder / "report.js").read_text(encoding="utf-8"))
+    slugs = slugs_of(list(inks))
+    swatches = Swatches(slugs, {**SHAPES, **looks})
+    page = template.render(
+        values=values,
+        style=Markup(style_sheet((folder / "report.css").read_text(encoding="utf-8"), inks, slugs)),
+        script=Markup(script),
+        script_hash=hash_of(script),
+        table=Markup(html(table(values), swatches)),
+        distances=Markup(html(distances(values))),
+        sections=[section_drawings(_section(name, figures[name]), slugs, looks) for name in FIGURES],
+        swatch=lambda name: Markup(swatches.of(name)),
+        keys=[_drawn(figures[name]) for name in FIGURES],
+    )
+    return page.strip() + "\n"
+
+
+def _section(name: str, panels: Sequence[Panel]) -> Section:
+    title, columns = FIGURES[name]
+    return Section(name, title, "", tuple(panels), columns=columns)
+
+
+def _drawn(panels: Sequence[Panel]) -> list[str]:
+    """Return the names of everything drawn, for a legend."""
+    return list(dict.fromkeys(mark.of for panel in panels for mark in panel.marks))

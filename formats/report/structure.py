@@ -1,0 +1,201 @@
+"""The structure of report.json and run.json: the keys that programs may rely on, with type, unit and meaning.
+
+A report may hold more keys than these; `schema_version` grows when one of these changes its meaning. None where a
+figure does not exist. Lengths are in metres, times in seconds, angles in degrees where the key ends in `_deg`.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta, Struct
+
+Share = Annotated[float, Meta(ge=0.0)]
+Count = Annotated[int, Meta(ge=0)]
+Figure = float | None  # null where it does not exist: no truth, no reading, or nothing to divide by
+Interval = tuple[float, float]
+
+
+class MadeWith(Struct):
+    """Versions on which the last digits depend."""
+
+    python: str
+    machine: str  # kind of CPU
+    numpy: str | None
+    opencv: str | None
+
+
+class Refused(Struct):
+    """Readings of one stream that were not used."""
+
+    readings: Count
+    of: Count
+
+
+class Input(Struct):
+    """The log that was read."""
+
+    name: str
+    files: list[str]
+    size: Count  # bytes
+    identity: str  # what the content is known by, without reading all of it
+    sha256: str | None  # of all bytes; null where not all were read
+    start: str | None  # time of the first wheel reading, UTC, by the log's clock
+    topics: dict[str, Any]  # role -> topic, or topics
+    messages: dict[str, Count]  # topic -> messages
+    losses: dict[str, Any]  # reason -> what the file lost
+    refused: dict[str, Refused]  # stream -> readings not used
+    dropped: dict[str, dict[str, Count]]  # stream -> reason -> readings not used
+
+
+class SensorConsistency(Struct):
+    """Whether a sensor's noise matches what its innovations show."""
+
+    verdict: str
+    words: str  # the verdict as a sentence
+    scale: Figure = None  # observed standard deviation over the configured one
+    refused: Figure = None  # share of readings that the gate refused
+
+
+class SensorResult(Struct):
+    """What became of one sensor's measurements in one configuration."""
+
+    accepted: Count
+    rejected: Count
+    absent: Count  # readings that gave no measurement
+    nis: Figure  # mean normalised innovation squared per degree of freedom: 1 is right
+    verdicts: dict[str, Count]  # verdict -> measurements
+    joint_nis: Figure = None  # of whole scans, with all that their lines share; null for other sensors
+    consistency: SensorConsistency | None = None
+
+
+class CovarianceConsistency(Struct):
+    """Whether the claimed covariance matches the error against truth."""
+
+    anees: Figure  # average normalised estimation error squared, per degree of freedom: 1 is right
+    bounds: Interval  # 95 % of such drives of a consistent filter lie between
+    states: dict[str, Figure]  # the same of x, y and theta alone
+    words: str
+
+
+class Result(Struct):
+    """The figures of one configuration, filtered or smoothed."""
+
+    configuration: str  # the set of sensors: "odometry", "compass+lrf", "all"
+    smoothed: bool
+    align: str  # how the estimate was laid on the truth before errors were taken: none, origin, se2
+    rates_hz: dict[str, float]  # sensor -> rate that it was thinned to
+    lost: list[Interval]  # s: when the filter said that it was lost
+    lost_share: Share  # of the drive
+    notes: list[str]
+    sensors: dict[str, SensorResult]
+    position_rmse_m: Figure
+    position_mean_m: Figure
+    position_median_m: Figure
+    position_max_m: Figure
+    final_position_error_m: Figure
+    x_rmse_m: Figure
+    y_rmse_m: Figure
+    along_rmse_m: Figure  # along the truth's heading
+    cross_rmse_m: Figure  # left of the truth's heading
+    heading_rmse_deg: Figure
+    heading_max_deg: Figure
+    drift_1m: Figure  # relative error over 1 m, as a share
+    drift_5m: Figure  # over 5 m
+    drift_10m: Figure  # over 10 m
+    anees: Figure  # average NEES per degree of freedom: 1 is right; null after alignment
+    truth_coverage: Figure  # share of the drive for which there is truth
+    duration_s: float  # of the log
+    distance_m: float  # by the estimate
+    consistency: CovarianceConsistency | None = None
+    void: Void | None = None  # why error figures are null that could be computed
+
+
+class Void(Struct):
+    """Figures of a configuration that look like results and are none."""
+
+    reason: str
+    figures: dict[str, Figure]  # what they would be, by key
+
+
+class Validity(Struct):
+    """Why figures are void, once for all configurations that it concerns."""
+
+    code: str  # lost: the filter was; start: the truth starts elsewhere
+    message: str
+    since_s: float
+    configurations: list[str]
+
+
+class Trial(Struct):
+    """One configuration's figures before or after a fix."""
+
+    position_rmse_m: Figure
+    anees: Figure
+    prediction_nats: Figure  # nats per number of sensors that only listened; only without truth
+    lost_share: Share  # of the drive
+
+
+class Tried(Struct):
+    """What a fix did when the log was fused again with it."""
+
+    configuration: str
+    before: Trial
+    after: Trial
+    until_s: Figure  # only the beginning was tried, up to here; null: all of the drive
+
+
+class ReportedFinding(Struct):
+    """What looks wrong with a log's settings, and the fix that was found to help."""
+
+    role: str  # the sensor, or wheels, truth, start
+    code: str
+    message: str
+    fixes: list[str]  # "table.key=value" each; empty: nothing helped
+    tried: Tried | None  # null: no fix was found
+    alternatives: list[list[str]]  # fixes that were tried and do not help
+
+
+class Truth(Struct):
+    """The reference that errors are taken against."""
+
+    topic: str
+    stamps: Count
+    used: Count
+    heading: bool  # whether it has one
+    distance_m: Figure
+
+
+class Verdict(Struct):
+    """What a sensor is worth, in words."""
+
+    verdict: str  # helps, seems to help, no effect seen, seems to hurt, hurts, no verdict
+    words: str
+
+
+class _Common(Struct):
+    schema_version: Literal[1]
+    locfuse: str  # version that wrote it
+    made_with: MadeWith
+    input: Input
+    configurations: dict[str, Result]  # name -> figures
+    truth: Truth | None
+    absent: dict[str, str]  # sensor -> why the log has none
+    notes: list[str]
+    settings: dict[str, Any]  # the effective robot.toml
+
+
+class Report(_Common):
+    """report.json of `locfuse compare`, run.json of `locfuse run`."""
+
+    headline: str | None = None  # the answer in one or two sentences
+    findings: list[ReportedFinding] | None = None  # null: the log was not evaluated
+    fixes: list[str] | None = None  # all fixes together, "table.key=value" each
+    validity: list[Validity] = []  # why figures are void
+    verdicts: dict[str, Verdict] = {}  # sensor -> verdict; only of a comparison
+    credit: dict[str, Any] | None = None  # factors and intervals behind the verdicts
+    prediction: dict[str, Any] | None = None  # how well each configuration predicts sensors it leaves out
+    consistency: dict[str, SensorConsistency] = {}  # sensor -> verdict on its noise
+    changed_settings: dict[str, dict[str, Any]] = {}  # "table.key" -> value, default and who set it
+    repeat: str | None = None  # the command that makes this report again
+    key: str | None = None  # equal for equal input, settings, configurations and version

@@ -1,0 +1,60 @@
+"""The unit of every number in robot.toml, for people: by the key's ending, else by what the key is."""
+
+from __future__ import annotations
+
+EXACT = {
+    "wheels.ticks_per_revolution": "ticks",
+    "wheels.rollover": "the counter's own unit",
+    "wheels.max_speed": "m/s",
+    "truth.max_speed": "m/s",
+    "truth.origin": "°",
+    "gps.origin": "°",
+    "compass.offset_drift_deg": "°/√s",
+    "compass.hard_iron": "the message's unit",
+    "camera.landmark": "m",
+    "camera.centre": "px",
+    "camera.inner": "px",
+    "camera.outer": "px",
+    "camera.width": "columns",
+    "camera.min_length": "px",
+    "camera.red_min": "grey levels",
+    "gyro.sigma_deg": "°/√s",
+    "gyro.bias_deg": "°/s",
+    "gyro.sigma_bias_deg": "°/s",
+    "gyro.bias_drift_deg": "°/s/√s",
+    "landmarks.map": "m",
+    "sonar.mounts": "m, m, °",
+}
+SECONDS = {"time_offset", "period"}
+METRES = {
+    "floor_range",
+    "min_length",
+    "noise",
+    "radius",
+    "range_max",
+    "range_offset",
+    "sigma",
+    "sigma_range",
+    "sigma_range_offset",
+    "sigma_x",
+    "sigma_xy",
+    "sigma_y",
+    "track",
+    "wheelbase",
+    "x",
+    "y",
+}
+WORDS = {"m": "metres", "°": "degrees", "s": "seconds", "px": "pixels", "m/s": "metres per second"}
+
+
+def of(table: str, key: str) -> str:
+    """Return the unit of a key's value, "" where it has none."""
+    if (path := f"{table}.{key}") in EXACT:
+        return EXACT[path]
+    return "°" if key.endswith("_deg") else "s" if key in SECONDS else "m" if key in METRES else ""
+
+
+def in_words(table: str, key: str) -> str:
+    """Return the unit as a word for a sentence: "metres"; "" where the value has none."""
+    unit = of(table, key)
+    return WORDS.get(unit, unit)

@@ -1,0 +1,189 @@
+"""A table as Markdown, HTML, LaTeX and CSV. Text from logs is escaped by each medium's rules.
+
+In all but CSV, which programs read, characters that act on what shows them are shown by their numbers.
+"""
+
+from __future__ import annotations
+
+import csv as csv_format
+import io
+import math
+import re
+from collections.abc import Iterable, Mapping
+from html import escape as _escaped
+from typing import Any, NamedTuple
+
+from locfuse.formats.visible import visible, visible_lines
+
+from .table import Cell, Column, Path, Piece, Table, pieces, records, text
+
+LATEX = {
+    "\\": r"\textbackslash{}",
+    "&": r"\&",
+    "%": r"\%",
+    "$": r"\$",
+    "#": r"\#",
+    "_": r"\_",
+    "{": r"\{",
+    "}": r"\}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "°": r"\textdegree{}",
+}
+SIGNS = {
+    "helps": "▲",
+    "seems to help": "△",
+    "no effect seen": "■",
+    "seems to hurt": "▽",
+    "hurts": "▼",
+    "does nothing": "■",  # up to 0.1
+}  # of a sensor's verdict
+
+
+class Swatches(NamedTuple):
+    """Spots in the colours of configurations, sensors and roles."""
+
+    slugs: Mapping[str, str]  # name -> class of its colour
+    looks: Mapping[str, str] = {}  # name -> how its spot is drawn: "dash", "over", or the shape of a spot
+
+    def of(self, name: str) -> str:
+        """Return the spot of a name as HTML."""
+        classes = " ".join(c for c in ("swatch", self.looks.get(name, ""), self.slugs.get(name, "")) if c)
+        return f'<span class="{classes}"></span>'
+
+
+def markdown(table: Table) -> str:
+    """Return the table as Markdown (GitHub's)."""
+    rule = "".join("--:|" if c.kind == "number" else "---|" for c in table.columns)
+    rows = [[escape(text(c, cell)) for c, cell in zip(table.columns, row, strict=True)] for row in table.rows]
+    heads, *lines = ["| " + " | ".join(row) + " |" for row in (map(_heading, table.columns), *rows)]
+    return "\n".join([heads, f"|{rule}", *lines])
+
+
+def _heading(column: Column) -> str:
+    return f"{column.heading}, {column.unit}" if column.unit else column.heading
+
+
+def html(table: Table, swatches: Swatches | None = None, bars: Mapping[Path, float] | None = None) -> str:
+    """Return the table as HTML, every number as <data> that names its place in report.json (RFC 6901).
+
+    `swatches` puts a spot of its colour before each name; `bars` the length [%] of a bar under a
+    cell by the cell's place.
+    """
+    classes = ("", *(_class(c, heading=True) for c in table.columns[1:]))
+    heads = "".join(
+        f'<th scope="col"{own}>{html_text(_heading(c))}</th>'
+        for own, c in zip(classes, table.columns, strict=True)
+    )
+    rows = "".join(_html_row(table.columns, row, swatches, bars or {}) for row in table.rows)
+    label = f' tabindex="0" role="region" aria-label="{html_text(table.label)}"' if table.label else ""
+    return (
+        f'<div class="scroll"{label}>\n<table>\n<thead><tr>{heads}</tr></thead>\n'
+        f"<tbody>\n{rows}</tbody>\n</table>\n</div>"
+    )
+
+
+def _html_row(
+    columns: tuple[Column, ...],
+    row: tuple[Cell, ...],
+    swatches: Swatches | None,
+    bars: Mapping[Path, float],
+) -> str:
+    name, slug = str(row[0].value), ""
+    head = html_text(name)
+    if swatches is not None:
+        slug = swatches.slugs.get(name, "")
+        head = f'<span class="name">{swatches.of(name)}{head}</span>'
+    cells = []
+    for column, cell in zip(columns[1:], row[1:], strict=True):
+        bar = f'<span class="bar {slug}" style="width:{bars[cell.at]:.1f}%"></span>' if cell.at in bars else ""
+        cells.append(f"<td{_class(column)}>{_html_cell(column, cell)}{bar}</td>")
+    return f'<tr><th scope="row">{head}</th>{"".join(cells)}</tr>\n'
+
+
+def _class(column: Column, heading: bool = False) -> str:
+    kind = "text" if heading and column.kind == "long" else column.kind
+    return {"number": "", "text": ' class="left"', "code": ' class="left"', "long": ' class="wrap"'}[kind]
+
+
+def _html_cell(column: Column, cell: Cell) -> str:
+    found = pieces(column, cell)
+    if not found:
+        missing = html_text(text(column, cell, "–"))
+        return f'<span class="none">{missing}</span>' if missing else ""
+    written = "".join(html_text(p.text) if p.value is None else data(p) for p in found)
+    return f"<code>{written}</code>" if column.kind == "code" else written
+
+
+def data(piece: Piece) -> str:
+    """Return a number as an element that says its full value and where it is from; text alone has no place."""
+    if not piece.at:
+        return html_text(piece.text)
+    value, place = html_text(repr(piece.value)), html_text(pointer(piece.at))
+    return f'<data value="{value}" data-from="{place}">{html_text(piece.text)}</data>'
+
+
+def pointer(path: Path) -> str:
+    """Return a path as a JSON pointer (RFC 6901)."""
+    return "".join("/" + str(key).replace("~", "~0").replace("/", "~1") for key in path)
+
+
+def html_text(words: str) -> str:
+    """Return a text in which HTML sees no markup, and a browser nothing that acts."""
+    return _escaped(visible_lines(words))
+
+
+def latex(table: Table) -> str:
+    """Return the table as a booktabs tabular."""
+    heads = [f"{c.heading} [{c.unit}]" if c.unit else c.heading for c in table.columns]
+    rows = [[text(c, cell, "--") for c, cell in zip(table.columns, row, strict=True)] for row in table.rows]
+    heads_line, *lines = [" & ".join(map(latex_text, row)) + r" \\" for row in (heads, *rows)]
+    sides = "".join("r" if c.kind == "number" else "l" for c in table.columns)
+    begin = rf"\begin{{tabular}}{{{sides}}}"
+    return "\n".join(
+        [begin, r"\toprule", heads_line, r"\midrule", *lines, r"\bottomrule", r"\end{tabular}"],
+    )
+
+
+def latex_text(words: str) -> str:
+    """Return a text in which LaTeX sees no command."""
+    return "".join(LATEX.get(character, character) for character in visible(_one_line(words)))
+
+
+def csv(table: Table) -> str:
+    """Return the table with its keys as headings and every number in full precision; empty where there is none."""
+    return csv_text([c.key for c in table.columns], (row.values() for row in records(table)))
+
+
+def csv_text(heading: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
+    """Return rows of values as CSV, every number in full precision, nothing where there is no value."""
+    out = io.StringIO()
+    writer = csv_format.writer(out, lineterminator="\n")
+    writer.writerow(heading)
+    writer.writerows([_plain(value) for value in row] for row in rows)
+    return out.getvalue()
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, float):
+        return repr(value) if math.isfinite(value) else ""
+    return "" if value is None else str(value)
+
+
+def escape(words: str) -> str:
+    """Escape what Markdown would read as markup: topic names and notes come from logs."""
+    for character in "\\`*_[]<>|":
+        words = words.replace(character, "\\" + character)
+    return visible(_one_line(words))
+
+
+def code(words: str) -> str:
+    """Return a code span, fenced so that no backtick of the text can end it."""
+    words = visible(_one_line(words)).replace("|", "\\|")
+    fence = "`" * (1 + max((len(run) for run in re.findall(r"`+", words)), default=0))
+    pad = " " if words.startswith("`") or words.endswith("`") else ""
+    return f"{fence}{pad}{words}{pad}{fence}"
+
+
+def _one_line(words: str) -> str:
+    return " ".join(words.split())

@@ -1,0 +1,139 @@
+"""A table of results: columns that say how their values are written, and rows of values; every medium shows it.
+
+A cell may say where its value lies in report.json, so that a page can name the source of every number.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple
+
+MIN_EXPONENT_FORM = 1e5
+Path = tuple[str | int, ...]
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column. Its unit stands in the heading; on a terminal, and where units differ by row, in each cell."""
+
+    key: str  # of its values in report.json, and of the column for programs
+    heading: str
+    unit: str = ""
+    form: str = "{}"  # str.format of a number: decimals, sign, "{:.2%}" for a share in per cent
+    kind: Literal["number", "text", "long", "code"] = "number"  # numbers stand at the right; long text is folded
+    between: str = " – "  # of the numbers of one cell: a range, unless it says otherwise
+    missing: str | None = None  # what a cell without a value says; None: the medium's dash
+    brief: str = ""  # the heading on a terminal
+    brief_form: str = ""  # a number on a terminal
+    shorter: Callable[[str], str] | None = None  # shorter words for the same, for a narrow screen
+    rank: int = 0  # on a screen that is too narrow the highest is left out first; 0 always stays
+
+    def with_unit(self, value: float | None, brief: bool = False) -> str:
+        """Return a number and its unit, in few decimals if brief; a dash where there is none."""
+        if value is None or not math.isfinite(value):
+            return "-"
+        space = "" if self.unit in {"", "°"} else " "
+        return written(value, (brief and self.brief_form) or self.form) + space + self.unit
+
+
+class Cell(NamedTuple):
+    """A text, a number, a range (low, high), counts by reason, or None; and where it lies in report.json."""
+
+    value: Any = None
+    at: Path = ()
+
+
+class Piece(NamedTuple):
+    """A part of a cell's text; a number keeps its value and place."""
+
+    text: str
+    value: float | None = None
+    at: Path = ()
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns, and a row of as many cells for each line."""
+
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    label: str = ""  # what it shows, for who cannot see it
+
+    def without(self, *keys: str) -> Table:
+        """Return the table less some columns."""
+        kept = [i for i, c in enumerate(self.columns) if c.key not in keys]
+        rows = tuple(tuple(row[i] for i in kept) for row in self.rows)
+        return replace(self, columns=tuple(self.columns[i] for i in kept), rows=rows)
+
+    def once(self) -> Table:
+        """Return the table with the first cell of a row empty where it repeats the row above."""
+        above = (None, *(row[0].value for row in self.rows))
+        rows = (
+            row if row[0].value != last else (Cell(""), *row[1:])
+            for last, row in zip(above, self.rows, strict=False)
+        )
+        return replace(self, rows=tuple(rows))
+
+
+def texts(*headings: str, left: int = 1) -> tuple[Column, ...]:
+    """Return columns of ready text: the first `left` of them stand at the left."""
+    return tuple(Column(h, h, kind="text" if i < left else "number") for i, h in enumerate(headings))
+
+
+def of_words(columns: tuple[Column, ...], rows: Iterable[Sequence[str | None]]) -> Table:
+    """Return a table of ready text."""
+    return Table(columns, tuple(tuple(Cell(text) for text in row) for row in rows))
+
+
+def of_values(columns: Sequence[Column], rows: Iterable[tuple[Mapping[str, Any], Path]], label: str = "") -> Table:
+    """Return a row of the columns' keys for every mapping, which lies at its path in report.json."""
+    return Table(
+        tuple(columns),
+        tuple(tuple(Cell(values.get(c.key), (*at, c.key)) for c in columns) for values, at in rows),
+        label,
+    )
+
+
+def pieces(column: Column, cell: Cell) -> list[Piece]:
+    """Return a cell's text in parts, each number by itself; nothing where there is no value."""
+    value, at = cell
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return []
+    if isinstance(value, Mapping):
+        counted = [(str(n), n, k, f" {k.replace('_', ' ')}") for k, n in value.items()]
+        return _joined([[Piece(said, n, _below(at, k)), Piece(what)] for said, n, k, what in counted], ", ")
+    if isinstance(value, list | tuple):
+        return _joined(
+            [[Piece(written(v, column.form), v, _below(at, i))] for i, v in enumerate(value)], column.between
+        )
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return [Piece(written(value, column.form), value, at)]
+    return [Piece(str(value))]
+
+
+def _below(at: Path, key: str | int) -> Path:
+    return (*at, key) if at else ()
+
+
+def _joined(parts: Sequence[Sequence[Piece]], separator: str) -> list[Piece]:
+    return [p for i, part in enumerate(parts) for p in ([Piece(separator), *part] if i else part)]
+
+
+def text(column: Column, cell: Cell, dash: str = "-") -> str:
+    """Return a cell as text without its unit."""
+    found = "".join(p.text for p in pieces(column, cell))
+    missing = dash if column.missing is None else column.missing
+    return found if found or cell.value == "" else missing
+
+
+def written(value: float, form: str) -> str:
+    """Format a figure; powers of ten where it is too large to be read (the ANEES of the printed filter)."""
+    return f"{value:.1e}" if isinstance(value, float) and abs(value) >= MIN_EXPONENT_FORM else form.format(value)
+
+
+def records(table: Table) -> list[dict[str, Any]]:
+    """Return the rows by their columns' keys, values as they are: for pandas, polars and other programs."""
+    keys = [c.key for c in table.columns]
+    return [dict(zip(keys, (cell.value for cell in row), strict=True)) for row in table.rows]

@@ -1,0 +1,248 @@
+"""The tables of a report, each built once for every medium: configurations, sensors, credit, prediction, input."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from .notes import fingerprint
+from .render import csv as csv_of
+from .render import latex as latex_of
+from .render import latex_text
+from .table import Cell, Column, Path, Table, of_values
+
+Report = Mapping[str, Any]
+Rows = Iterator[tuple[dict[str, Any], Path]]
+
+CONFIGURATION = Column("configuration", "configuration", kind="text")
+SENSOR = Column("sensor", "sensor", kind="text")
+RMSE = Column("position_rmse_m", "position rmse", "m", "{:.4f}", brief="rmse", brief_form="{:.3f}")
+COLUMNS = (
+    RMSE,
+    Column("position_median_m", "median", "m", "{:.4f}"),
+    Column("position_max_m", "max", "m", "{:.4f}", brief_form="{:.3f}", rank=2),
+    Column("final_position_error_m", "final", "m", "{:.4f}", brief_form="{:.3f}", rank=4),
+    Column("along_rmse_m", "along rmse", "m", "{:.4f}"),
+    Column("cross_rmse_m", "cross rmse", "m", "{:.4f}"),
+    Column("heading_rmse_deg", "heading rmse", "°", "{:.3f}", brief="heading", brief_form="{:.2f}", rank=1),
+    Column("drift_1m", "drift /1 m", form="{:.2%}"),
+    Column("drift_5m", "drift /5 m", form="{:.2%}", brief="drift/5 m", rank=3),
+    Column("drift_10m", "drift /10 m", form="{:.2%}"),
+    Column("anees", "ANEES", form="{:.2f}"),
+)
+ASIDE = ("position_median_m", "along_rmse_m", "cross_rmse_m", "drift_1m", "drift_10m")  # in the full table only
+MAIN = tuple(c for c in COLUMNS if c.key not in ASIDE)
+LOST = Column("lost_share", "lost", form="{:.0%}")
+DISTANCE = Column("distance_m", "distance", "m", "{:.2f}")
+DURATION = Column("duration_s", "duration", "s", "{:.1f}")
+TO_SMOOTHED = Column("to_smoothed_m", "rms to smoothed", "m", "{:.3f}")
+GAIN = Column("gain_nats", "predicts the rest", "nats", "{:+.2f}")
+COUNTS = (
+    Column("accepted", "accepted"),
+    Column("rejected", "rejected"),
+    Column("absent", "absent"),
+    Column("nis", "NIS / dof", form="{:.2f}", brief="NIS"),
+)
+SENSORS = (
+    Column("configuration", "in", kind="text"),
+    SENSOR,
+    *COUNTS,
+    Column("joint_nis", "joint NIS / dof", form="{:.2f}", missing=""),
+    Column("verdicts", "not accepted, by reason", kind="long", missing=""),
+)
+RANKING = (
+    CONFIGURATION,
+    Column("gain_nats", "better than odometry, nats per number", form="{:+.3f}", missing="leaves nothing out"),
+    Column("sensors", "on", kind="text"),
+)
+SCORES = (
+    CONFIGURATION,
+    Column("sensor", "predicts", kind="text"),
+    Column("numbers", "numbers"),
+    Column("score_nats", "score, nats", form="{:.3f}"),
+    Column("gain_nats", "against odometry", form="{:+.3f}"),
+    Column("low", "95 % from", form="{:+.3f}"),
+    Column("high", "to", form="{:+.3f}"),
+    Column("by", "left out in", kind="text"),
+)
+HONESTY = (
+    CONFIGURATION,
+    Column("anees", "ANEES", form="{:.2f}"),
+    Column("bounds", "consistent range", form="{:.2f}"),
+    Column("words", "result", kind="long"),
+)
+CREDIT = (
+    SENSOR,
+    Column("effect", "effect", kind="text"),
+    Column("factor", "factor", form="{:.3g}"),
+    Column("low", "95 % from", form="{:.3g}"),
+    Column("high", "to", form="{:.3g}"),
+    Column("expected", "expected", form="{:.3g}"),
+)
+CHANGED = (
+    Column("key", "setting", kind="text"),
+    Column("value", "value", form="{:.6g}", kind="long", between=", "),
+    Column("unit", "unit", kind="text", missing=""),
+    Column("from", "set by", kind="text"),
+)
+INPUT = (
+    Column("stream", "stream", kind="text"),
+    Column("topic", "topic", kind="code", missing="absent"),
+    Column("messages", "messages", missing=""),
+    Column("dropped", "dropped, and why", kind="long", missing="nothing"),
+)
+
+
+def has_figures(report: Report) -> bool:
+    """Return whether any configuration has an error figure."""
+    return any(v.get(c.key) is not None for c in COLUMNS for v in report["configurations"].values())
+
+
+def configurations(report: Report, main: bool = True) -> Table:
+    """Return the error figures of every configuration that exist, the main ones or all; else how far it went."""
+    rows = report["configurations"].values()
+    found = [c for c in (MAIN if main else COLUMNS) if any(v.get(c.key) is not None for v in rows)]
+    found += [LOST] if any(v.get(LOST.key) for v in rows) else []
+    label = "Main figures of every configuration" if main else "All figures of every configuration"
+    return of_values((CONFIGURATION, *(found or (DISTANCE, DURATION))), _configurations(report), label)
+
+
+def _configurations(report: Report, key: str | None = None) -> Rows:
+    """Yield every configuration's values, or what it has below a key, with its name."""
+    for name, values in report["configurations"].items():
+        own = values if key is None else values.get(key)
+        if own:
+            yield {**own, "configuration": name}, ("configurations", name, *([key] if key else []))
+
+
+def brief(report: Report) -> Table:
+    """Return the configurations for a terminal: without truth, what can be told all the same."""
+    if has_figures(report):
+        return configurations(report)
+    ranking = (report.get("prediction") or {}).get("ranking", ())
+    gains = {r["configuration"]: r["gain_nats"] for r in ranking}
+    columns = [CONFIGURATION, DISTANCE]
+    columns += [TO_SMOOTHED] if report.get("pseudo_reference") else []
+    columns += [GAIN] if ranking else []
+    rows = []
+    for values, at in _configurations(report):
+        to_smoothed = values.get("against_smoothed", {}).get("position_rmse_m")
+        rows.append(({**values, TO_SMOOTHED.key: to_smoothed, GAIN.key: gains.get(at[1])}, at))
+    return of_values(columns, rows)
+
+
+def sensors(report: Report) -> Table:
+    """Return what became of each sensor's measurements; a smoothed run's are those of its filter."""
+    rows = []
+    for name, values in report["configurations"].items():
+        for sensor, found in {} if values.get("smoothed") else values["sensors"].items():
+            refused = {k: v for k, v in found["verdicts"].items() if k != "accepted"}
+            own = {**found, "configuration": name, "sensor": sensor, "verdicts": refused}
+            rows.append((own, ("configurations", name, "sensors", sensor)))
+    return of_values(SENSORS, rows, "What became of each sensor's measurements")
+
+
+def ranking(report: Report) -> Table:
+    """Return the configurations in the order in which they predict what they leave out."""
+    found = enumerate(report["prediction"]["ranking"])
+    rows = (({**r, "sensors": ", ".join(r["sensors"])}, ("prediction", "ranking", i)) for i, r in found)
+    return of_values(RANKING, rows, "Ranked by prediction")
+
+
+def scores(report: Report) -> Table:
+    """Return how well each configuration predicts each sensor that it leaves out."""
+    where = {"stretches": "stretches", "sensors": "all of the drive"}
+    found = enumerate(report["prediction"]["scores"])
+    rows = (({**s, "by": where[s["by"]]}, ("prediction", "scores", i)) for i, s in found)
+    return of_values(SCORES, rows, "Predictions of each sensor")
+
+
+def against_smoothed(report: Report) -> Table:
+    """Return how far every configuration is from the smoothed estimate."""
+    first = next(iter(report["configurations"].values()))["against_smoothed"]
+    columns = [Column("configuration", f"against {report['pseudo_reference']['configuration']}", kind="text")]
+    columns += [Column(key, key.replace("_", " "), form="{:.4f}") for key in first]
+    return of_values(columns, _configurations(report, "against_smoothed"), "Against the smoothed estimate")
+
+
+def consistency(report: Report) -> Table:
+    """Return whether every configuration's covariance is as large as its error."""
+    return of_values(HONESTY, _configurations(report, "consistency"), "Consistency of every configuration")
+
+
+def credit(report: Report) -> Table:
+    """Return every sensor's effects on the position error."""
+    rows = []
+    for sensor, values in report["credit"]["sensors"].items():
+        beside = f"beside {' and '.join(values['beside'])}" if values["beside"] else "alone, against odometry"
+        effects = {"credit": "credit", "alone": beside, "leave_one_out": "last, beside all others"}
+        for kind, title in effects.items():
+            if values[kind]:
+                rows.append(
+                    ({**values[kind], "sensor": sensor, "effect": title}, ("credit", "sensors", sensor, kind))
+                )
+    return of_values(CREDIT, rows, "Credit of every sensor")
+
+
+def streams(report: Report) -> Table:
+    """Return what was read for each stream, what of it was dropped, and why sensors are absent."""
+    source = report["input"]
+    rows = [
+        (
+            Cell(role),
+            Cell(topic),
+            Cell(source["messages"].get(topic), ("input", "messages", topic)),
+            Cell(source["dropped"].get(role), ("input", "dropped", role)),
+        )
+        for role, topic in source["topics"].items()
+    ]
+    absent = [(Cell(sensor), Cell(), Cell(), Cell(why)) for sensor, why in report["absent"].items()]
+    return Table(INPUT, (*rows, *absent), "What was read and what was dropped")
+
+
+def changed_settings(report: Report) -> Table:
+    """Return the settings that are not as they are by default, with unit and source."""
+    rows = (
+        ({**v, "key": key, "value": _number_or_text(v["value"])}, ("changed_settings", key))
+        for key, v in report["changed_settings"].items()
+    )
+    return of_values(CHANGED, rows, "Settings that were changed")
+
+
+def _number_or_text(value: Any) -> Any:
+    """Return a number or a list of numbers as it is, everything else as text."""
+    numbers = value if isinstance(value, list) else [value]
+    plain = all(isinstance(v, int | float) and not isinstance(v, bool) for v in numbers)
+    return value if plain and numbers else json.dumps(value).strip('"')
+
+
+def everything(report: Report) -> Table:
+    """Return one row per configuration with every value of report.json and every sensor's counts.
+
+    Lists (notes, intervals of being lost) are no values: report.json has them.
+    """
+    runs = report["configurations"]
+    keys = dict.fromkeys(k for v in runs.values() for k, x in v.items() if not isinstance(x, Mapping | list))
+    keys.pop("configuration")  # the first column: there it is the row's name, such as all-smoothed
+    names = dict.fromkeys(sensor for v in runs.values() for sensor in v["sensors"])
+    counts = {f"{s}_{c.key}": (s, c.key) for s in names for c in COUNTS}
+    rows = []
+    for values, at in _configurations(report):
+        own = {flat: values["sensors"].get(s, {}).get(key) for flat, (s, key) in counts.items()}
+        rows.append(({**values, **own}, at))
+    return of_values([Column(key, key) for key in ("configuration", *keys, *counts)], rows)
+
+
+def csv(report: Report) -> str:
+    """Return report.csv: every value in full precision."""
+    return csv_of(everything(report))
+
+
+def latex(report: Report) -> str:
+    """Return report.tex: the page's first table, for a paper."""
+    source = report["input"]
+    return (
+        f"% {latex_text(source['name'])}, {fingerprint(source, 16)}, locfuse {report['locfuse']}\n"
+        f"% needs \\usepackage{{booktabs}} and \\usepackage{{textcomp}}\n{latex_of(configurations(report))}\n"
+    )

@@ -1,0 +1,97 @@
+"""Addresses of logs that are elsewhere: an object in a bucket, or a file on a web server."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import unquote
+
+from locfuse.fusion.data import UsageError
+
+SCHEMES = ("s3", "s3a", "gs", "az", "adl", "azure", "abfs", "abfss", "http", "https")
+ADDRESS = re.compile(r"(?P<scheme>[a-z][a-z0-9+.-]*)://(?P<place>[^/?#]*)(?P<key>.*)", re.DOTALL)
+WEB = ("http", "https")
+
+
+@dataclass(frozen=True, order=True)
+class Url:
+    """The address of one object; of a folder of objects where it ends in "/"."""
+
+    text: str
+
+    def __post_init__(self) -> None:
+        """Raise UsageError for an address that cannot be read, or that has a secret in it."""
+        if self.scheme not in SCHEMES:
+            raise UsageError(f"{self.scheme}://: unknown; logs are read from {', '.join(SCHEMES)}")
+        if "@" in self.host and self.scheme in WEB:
+            raise UsageError(f"{self.scheme}://...@{self.host.rpartition('@')[2]}: no passwords in addresses")
+        if self.scheme in WEB and re.search(r"[?#]", self.text):
+            raise UsageError(
+                f"{self.text.partition('?')[0]}: an address with ? or # is not read; give a plain one"
+            )
+        if not self.host:
+            raise UsageError(f"{self.text}: which bucket or server? Write it like s3://bucket/drive.mcap")
+
+    @property
+    def _parts(self) -> re.Match[str]:
+        found = ADDRESS.fullmatch(self.text)
+        assert found is not None
+        return found
+
+    @property
+    def scheme(self) -> str:
+        """Which kind of store: "s3", "https", ..."""
+        return self._parts["scheme"]
+
+    @property
+    def host(self) -> str:
+        """The bucket, or the server."""
+        return self._parts["place"]
+
+    @property
+    def root(self) -> str:
+        """The store itself: "s3://bucket"."""
+        return f"{self.scheme}://{self.host}"
+
+    @property
+    def key(self) -> str:
+        """The object's place in the store, without a leading "/"."""
+        key = self._parts["key"].lstrip("/")
+        return unquote(key) if self.scheme in WEB else key
+
+    @property
+    def name(self) -> str:
+        """The last part of the key."""
+        return self.key.rstrip("/").rpartition("/")[2]
+
+    @property
+    def parent(self) -> Url:
+        """The folder that it is in."""
+        return Url(self.text.rstrip("/").rpartition("/")[0] + "/")
+
+    @property
+    def is_folder(self) -> bool:
+        """Whether it names everything below it."""
+        return self.text.endswith("/") or not self.key
+
+    def at(self, key: str) -> Url:
+        """Return another object of the same store."""
+        return Url(f"{self.root}/{key}")
+
+    def __str__(self) -> str:
+        """Return it as it was given."""
+        return self.text
+
+
+Place = Path | Url  # where a file is: on this machine or elsewhere
+
+
+def is_url(word: str) -> bool:
+    """Tell whether a word of a command line is an address."""
+    return ADDRESS.fullmatch(word) is not None
+
+
+def place(word: str) -> Place:
+    """Return where a word points to. Raises UsageError for an address that cannot be read."""
+    return Url(word) if is_url(word) else Path(word)

@@ -1,0 +1,1 @@
+"""Laser odometry: the motion of a robot without wheels, by matching scans with scans."""

@@ -1,0 +1,77 @@
+"""The scans of a whole log as thinned points in the base frame, and the surfaces of some of them at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from locfuse.fusion.data import Array, Ints, Stream
+from locfuse.fusion.graph.keys import MAX_RANGE_M, Clouds, normals
+from locfuse.fusion.lines.points import SCANS_PER_BLOCK
+from locfuse.fusion.lines.scans import Laser, equal_scans, points_in_base
+from locfuse.fusion.sensor import WheelMotion
+
+MAX_POINTS = 240  # of a scan: neighbouring beams say nothing new
+FIELDS = ("angle_min", "angle_increment", "time_increment", "range_min", "range_max", "ranges")
+
+
+class Standing:
+    """The motion of a robot of which nothing is known yet: none."""
+
+    track = 1.0  # m, of wheels that never turn
+
+    def relative(self, t_from: Array, t_to: Array) -> Array:
+        """Return that no pose changes, (n, 3)."""
+        return np.zeros((*np.shape(t_to), 3))
+
+    def heading(self, t: Array) -> Array:
+        """Return that nothing turns, (...)."""
+        return np.zeros(np.shape(t))
+
+    def slips(self, t: Array) -> Array:
+        """Return that no wheel slips at times t (..., k), (..., k - 1, 2)."""
+        return np.zeros((*np.shape(t)[:-1], np.shape(t)[-1] - 1, 2))
+
+
+@dataclass(frozen=True)
+class Scans:
+    """All scans of a log, in time order: of each the points in the base frame, evenly thinned."""
+
+    t: Array  # (n,) s since the stream's first stamp: the instants to which they are deskewed
+    points: list[NDArray[np.float32]]  # n of (k, 2) [m], in the order of the beams: an hour of them fits in memory
+    origin: Array  # (2,) m, the laser on the base
+    skewed: bool  # whether any scan takes time
+
+    def clouds(self, rows: Ints) -> Clouds:
+        """Return the points and surfaces of some scans."""
+        found = [self.points[row].astype(np.float64) for row in rows.tolist()]
+        first = np.concatenate(([0], np.cumsum([len(p) for p in found])))
+        xy = np.concatenate([np.zeros((0, 2)), *found])
+        owner = np.repeat(np.arange(len(found)), np.diff(first))
+        return Clouds(first, xy, normals(xy, owner, self.origin))
+
+
+def read_scans(stream: Stream, laser: Laser, wheels: WheelMotion) -> Scans:
+    """Return the scans of a stream; `wheels` says how the robot moved while each was taken."""
+    stamps: Array = (stream.t_ns - stream.t_ns[0]) * np.float64(1e-9)
+    t = stamps.copy()
+    points: list[NDArray[np.float32]] = [np.zeros((0, 2), np.float32)] * len(t)
+    skewed = False
+    for rows, columns in stream.blocks(*FIELDS, rows=SCANS_PER_BLOCK):
+        skewed |= bool(np.any(cast("Array", columns["time_increment"]) > 0.0)) and laser.deskew
+        for group, scans in equal_scans(columns):
+            at = rows[group]
+            xy, t[at] = points_in_base(scans, stamps[at], laser, wheels)
+            for row, p in zip(at.tolist(), xy, strict=True):
+                points[row] = _thinned(p, laser.mount[:2]).astype(np.float32)
+    return Scans(t, points, laser.mount[:2], skewed)
+
+
+def _thinned(points: Array, origin: Array) -> Array:
+    """Return the points (k, 2) that are near enough to say something, evenly thinned."""
+    near = points[np.hypot(*(points - origin).T) < MAX_RANGE_M]  # False for NaN: no return
+    thinned: Array = near[:: max(1, -(-len(near) // MAX_POINTS))]
+    return thinned

@@ -1,0 +1,86 @@
+"""Noise of deskewing: while a scan sweeps, wheels slip, and the beams are put where the wheels say the robot was.
+
+Between the middle of the sweep and a beam either wheel errs by a random walk w of variance k |rolled| (the k of
+wheels.noise), so that the beam is turned about the base by (w_right - w_left) / L and moved ahead by their mean.
+Along a straight way that is 2 k |v| / L^2 [rad^2/s] for the time from the middle. All lines of a scan share these
+errors, so they are kept as loadings: a line (r, psi) errs by the sum over wheels and pieces of the sweep of G w,
+with w of unit variance, and lines i, j are correlated by G_i G_j'.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.sensor import WheelMotion
+
+PIECES = 6  # of a sweep, in each of which either wheel slips once: three before its middle and three after
+EDGES = np.linspace(-0.5, 0.5, PIECES + 1)  # of the pieces, in sweeps from its middle
+
+
+class Motion(NamedTuple):
+    """How beams of a scan move with the base: numbers of the laser's mount."""
+
+    lever: tuple[float, float]  # m, from the base to the laser, in the laser's axes
+    ahead: tuple[float, float]  # the base's forward direction in the laser's axes
+
+
+def motion_of(mount: Array) -> Motion:
+    """Return how the beams of a laser mounted at x [m], y [m], yaw [rad] move when the base does."""
+    x, y, yaw = mount.tolist()
+    c, s = np.cos(yaw), np.sin(yaw)
+    return Motion((c * x + s * y, c * y - s * x), (c, -s))
+
+
+def shares(beams: int) -> Array:
+    """Return which share of every piece's slip a beam has, (PIECES, beams): none of those beyond the middle."""
+    at = np.linspace(-0.5, 0.5, beams)
+    low, high = EDGES[:-1, None], EDGES[1:, None]
+    after = np.clip((at - low) * PIECES, 0.0, 1.0)
+    before = np.clip((high - at) * PIECES, 0.0, 1.0)
+    return np.where(low >= 0.0, after, before)
+
+
+def loadings(share: Array, q: Array, w: Array, counts: Ints, normal: Array, motion: Motion) -> Array:
+    """Return what (r, psi) of m lines owe to a turn [rad] and a move [m] of 1 in each piece, (m, 2, 2, PIECES).
+
+    A beam's end moves across its line by lever - q per radian and by n.ahead per metre; the fit passes that on.
+    `share` (PIECES, k), foot q [m] and weight w of the beams, one line after another; counts (m,); normal n
+    (m, 2); all in the laser's axes.
+    """
+    first = np.cumsum(counts) - counts
+    a, b, c = np.add.reduceat(np.stack((w, w * q, w * q * q)), first, axis=1)
+    weighted = w * share
+    sums = np.stack([np.add.reduceat(weighted * p, first, axis=1) for p in (1.0, q, q * q)])  # (3, PIECES, m)
+    across = normal[:, 1] * motion.lever[0] - normal[:, 0] * motion.lever[1]
+    along = normal @ np.array(motion.ahead)
+    turned = across * sums[:2] - sums[1:]  # (2, PIECES, m): sums of w e and w q e
+    moved = along * sums[:2]
+    e = np.stack((turned, moved))  # (2, 2, PIECES, m)
+    det = a * c - b * b
+    r, psi = (c * e[:, 0] - b * e[:, 1]) / det, (b * e[:, 0] - a * e[:, 1]) / det
+    return np.stack((r, psi)).transpose(3, 0, 1, 2)
+
+
+def noise_of(per_unit: Array, scan: Ints, middle: Array, duration: Array, wheels: WheelMotion) -> Array:
+    """Return the loadings G (m, 2, 2 PIECES) of lines on the slips of both wheels in every piece of the sweep.
+
+    `per_unit` (m, 2, 2, PIECES) by `loadings`; scan (m,) says whose the lines are; middle, duration (n,) [s].
+    """
+    slip = np.sqrt(wheels.slips(middle[:, None] + duration[:, None] * EDGES))[scan]  # (m, PIECES, 2) m
+    turn, move = per_unit[:, :, 0] / wheels.track, 0.5 * per_unit[:, :, 1]  # (m, 2, PIECES)
+    left, right = (move - turn) * slip[:, None, :, 0], (move + turn) * slip[:, None, :, 1]
+    G: Array = np.concatenate((left, right), axis=2).astype(np.float32)
+    return G
+
+
+def in_base(per_unit: Array, z: Array, mount: Array) -> Array:
+    """Return loadings (m, 2, 2, PIECES) of the laser's lines z (m, 2) as the base sees them (extract.to_base)."""
+    x, y, yaw = mount.tolist()
+    c, s = np.cos(z[:, 1] + yaw), np.sin(z[:, 1] + yaw)
+    out = per_unit.copy()
+    out[:, 0] += (y * c - x * s)[:, None, None] * per_unit[:, 1]
+    out[:, 0] *= np.where(z[:, 0] + x * c + y * s < 0.0, -1.0, 1.0)[:, None, None]
+    return out

@@ -1,0 +1,144 @@
+"""Jobs on the workers of a cluster: the same tables as on this machine, and every trouble is a row or one line."""
+
+from __future__ import annotations
+
+import socket
+import sys
+from collections.abc import Iterator
+from concurrent.futures import Future
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import pytest
+from commands import locfuse
+
+from benchmarks.fleet import tables, write_logs
+from locfuse.cli.fleet import cluster as clusters
+from locfuse.cli.fleet import process
+from locfuse.cli.fleet.job import Job, Outcome
+from locfuse.cli.fleet.queue import run_all
+from locfuse.cli.pipeline.key import Asked
+from locfuse.fusion.data import LocfuseError
+
+ONE = ("--sensors", "odometry", "--write", "json,csv", "-q")
+ASKED = Asked((), False, "none", False)
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("cluster")
+    made = write_logs(folder, 2, ("camera.enabled=false", "lrf.enabled=false", "path.legs=[{forward=0.5}]"))
+    bad = folder / "bad.mcap"
+    bad.write_text("no log at all")
+    return [*made, bad]
+
+
+@pytest.fixture
+def address() -> Iterator[str]:
+    """A scheduler and a worker in this process, on the loopback."""
+    distributed = pytest.importorskip("distributed")
+    options: dict[str, Any] = {"host": "127.0.0.1", "dashboard_address": None, "protocol": "tcp://"}
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=False, **options) as found:
+        yield found.scheduler_address
+
+
+def job(name: str, folder: Path) -> Job:
+    return Job(name=name, log=(name,), folder=str(folder), asked=ASKED, kinds=("json",))
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_tables_are_those_of_this_machine_and_what_is_finished_is_not_sent(
+    logs: list[Path], address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(logs[0].parent)
+    names = [log.name for log in logs]  # relative to the folder in which the command is typed
+    for out, words in (("here", ()), ("there", ("--cluster", address))):
+        done = locfuse("compare", *names, "-o", tmp_path / out, *ONE, *words)
+        assert done.exit_code == 3, done.stderr
+    assert tables(tmp_path / "here") == tables(tmp_path / "there")
+    monkeypatch.setattr(process, "run_elsewhere", None)
+    again = locfuse("compare", *names[:2], "-o", tmp_path / "there", *ONE, "--cluster", address)
+    assert again.exit_code == 0, again.stderr
+
+
+def test_a_worker_of_another_version_or_without_the_folder_is_a_row(tmp_path: Path) -> None:
+    found = process.run_elsewhere(job("a", tmp_path), str(tmp_path), "9.9")
+    assert found.state == "failed"
+    assert "wanted was 9.9" in found.reason
+    assert socket.gethostname() in found.reason
+    found = process.run_elsewhere(job("a", tmp_path), str(tmp_path / "gone"), version("locfuse"))
+    assert f"does not see the folder {tmp_path / 'gone'}" in found.reason
+
+
+class Workers:
+    """What a scheduler says of its workers."""
+
+    def __init__(self, found: dict[str, Any], none: bool = False) -> None:
+        self.found = found
+        self.none = none
+
+    def wait_for_workers(self, _n: int, timeout: float) -> None:
+        if self.none:
+            raise TimeoutError(f"none in {timeout} s")
+
+    def run(self, _function: Any, _package: str, on_error: str) -> dict[str, Any]:
+        assert on_error == "return"
+        return self.found
+
+
+@pytest.mark.parametrize(
+    ("workers", "said"),
+    [
+        (Workers({"tcp://10.0.0.2:1": ModuleNotFoundError("locfuse")}), "10.0.0.2:1 has no locfuse: pip install"),
+        (Workers({"tcp://10.0.0.2:1": "0.0.1"}), "has locfuse 0.0.1, this is"),
+        (Workers({}, none=True), "has no workers; start some with: dask worker tcp://10.0.0.1:1"),
+    ],
+)
+def test_workers_that_cannot_do_it_are_named_before_anything_is_sent(workers: Any, said: str) -> None:
+    with pytest.raises(LocfuseError, match=r".") as refused:
+        clusters._check_workers("tcp://10.0.0.1:1", workers)
+    assert said in str(refused.value)
+
+
+class Dying:
+    """An executor whose workers die, lose the connection, or cannot import."""
+
+    def __init__(self, *problems: BaseException) -> None:
+        self.problems = list(problems)
+
+    def submit(self, _fn: Any, _job: Job, /) -> Future[Outcome]:
+        future: Future[Outcome] = Future()
+        future.set_exception(self.problems.pop())
+        return future
+
+
+def test_what_the_cluster_fails_is_a_row(tmp_path: Path) -> None:
+    class KilledWorker(Exception):  # noqa: N818 - as the cluster calls it
+        pass
+
+    problems = (KilledWorker("x"), ModuleNotFoundError("No module named 'cv2'"), ValueError("odd\nthing"))
+    jobs = [job(str(i), tmp_path) for i in range(3)]
+    ended = run_all(jobs, Dying(*problems), 1, None, lambda standing, outcome: None)
+    reasons = " ".join(outcome.reason for outcome in ended.outcomes.values())
+    assert "every worker that ran it died" in reasons
+    assert "a worker cannot import what it needs: No module named 'cv2'" in reasons
+    assert "the cluster failed it: ValueError: odd thing" in reasons
+    assert {outcome.state for outcome in ended.outcomes.values()} == {"failed"}
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_no_scheduler_and_no_package_are_one_line(
+    logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ("compare", *logs, "-o", tmp_path / "out", *ONE, "--cluster")
+    assert locfuse(*words, "tcp://127.0.0.1:1", "--jobs", "2").exit_code == 2
+    with monkeypatch.context() as patched:
+        patched.setitem(sys.modules, "distributed", None)
+        assert "pip install 'locfuse[cluster]'" in locfuse(*words, "tcp://127.0.0.1:1").stderr
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(clusters, "PATIENCE_S", 0.3)
+    done = locfuse(*words, "tcp://127.0.0.1:1")
+    assert done.exit_code == 1
+    assert "no scheduler answers there" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1

@@ -1,0 +1,191 @@
+"""JSON messages as columns: held to the values that the json module reads."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from locfuse.formats.caps import MAX_DEPTH
+from locfuse.formats.messages import json_messages
+from locfuse.formats.messages.fields import paths
+from locfuse.formats.messages.json_messages import JsonDecoder, parse_jsonschema
+from locfuse.formats.messages.schema import Many, Record, Scalar, SchemaError, Text
+from locfuse.fusion.data import Ragged
+
+NUMBER = {"type": "number"}
+TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
+
+
+def record(**properties: Any) -> Record:
+    return parse_jsonschema("A", json.dumps({"type": "object", "properties": properties}))
+
+
+def decoded(tree: Record, *messages: Any) -> dict[str, Any]:
+    data = [message if isinstance(message, bytes) else json.dumps(message).encode() for message in messages]
+    ends = np.cumsum([len(one) for one in data], dtype=np.int64)
+    lengths = np.diff(ends, prepend=0)
+    found = JsonDecoder(tree).decode(
+        np.frombuffer(b"".join(data), np.uint8), ends - lengths, lengths, tuple(paths(tree))
+    )
+    assert found.good.sum() == len(data) - sum(found.bad.values())
+    return {name: rows(column) for name, column in found.columns.items()}
+
+
+def rows(column: Any) -> list[Any]:
+    if isinstance(column, Ragged):
+        return [column.values[a:b].tolist() for a, b in zip(column.first[:-1], column.first[1:], strict=True)]
+    return list(column.tolist()) if isinstance(column, np.ndarray) else list(column)
+
+
+@pytest.mark.parametrize(
+    ("schema", "node"),
+    [
+        (NUMBER, Scalar),
+        ({"type": "integer"}, Scalar),
+        ({"type": ["null", "number"]}, Scalar),
+        ({"type": "boolean"}, Scalar),
+        ({"type": "string"}, Text),
+        ({"type": "string", "contentEncoding": "base64"}, Many),
+        ({"type": "array", "items": {"type": "string"}}, Many),
+        (TIME, Record),
+        ({"type": "array"}, None),
+        ({"type": "array", "items": {"type": "null"}}, None),
+        ({"type": ["null"]}, None),
+        ({"type": "object"}, None),
+        ({"type": "object", "properties": []}, None),
+        ({}, None),
+        ("number", None),
+        (None, None),
+    ],
+)
+def test_a_schema_tells_what_kind_of_column_a_value_is(schema: Any, node: type | None) -> None:
+    found = record(a=schema, b=NUMBER).fields
+    assert "b" in found
+    assert ("a" in found) == (node is not None)
+    if node is not None:
+        assert isinstance(found["a"], node)
+
+
+def test_what_nests_deeper_than_the_cap_is_no_column() -> None:
+    schema: Any = NUMBER
+    for _ in range(MAX_DEPTH + 1):
+        schema = {"type": "array", "items": schema}
+    assert set(record(a=schema, b=NUMBER).fields) == {"b"}
+
+
+@pytest.mark.parametrize("text", ["", "{", "[" * 100_000, '{"type": "object"}', "[]", "3", '"\ud800"'])
+def test_a_schema_that_is_none_is_refused_in_one_line(text: str) -> None:
+    with pytest.raises(SchemaError, match="jsonschema definition of A") as error:
+        parse_jsonschema("A", text)
+    assert len(str(error.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("key", ["nsec", "nanosec", "nsecs"])
+def test_a_time_is_whole_nanoseconds_whatever_its_parts_are_called(key: str) -> None:
+    tree = record(at={"type": "object", "properties": {"sec": {"type": "integer"}, key: {"type": "integer"}}})
+    found = decoded(tree, {"at": {"sec": 1_700_000_000, key: 123_456_789}}, {"at": {"sec": 1}}, {"at": {key: 5}})
+    assert found["at"] == [1_700_000_000_123_456_789, 1_000_000_000, 5]
+
+
+@pytest.mark.parametrize(
+    "value",
+    [None, 5, [], "now", {"sec": 2**32}, {"sec": 10**400}, {"sec": None}, {"nsec": "x"}, {"sec": -(2**40)}],
+)
+def test_what_is_no_time_is_zero_which_the_clock_repairs(value: Any) -> None:
+    assert decoded(record(at=TIME), {"at": value})["at"] == [0]
+
+
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(st.characters(codec="utf-8"), max_size=5),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from("xy"), inner, max_size=2),
+    max_leaves=8,
+)
+TREE = record(
+    n=NUMBER,
+    t={"type": "string"},
+    ns={"type": "array", "items": NUMBER},
+    ts={"type": "array", "items": {"type": "string"}},
+    parts={
+        "type": "array",
+        "items": {"type": "object", "properties": {"x": NUMBER, "y": {"type": "string"}, "at": TIME}},
+    },
+)
+
+
+def number(value: Any) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError, OverflowError):
+        return math.nan
+
+
+def text(value: Any) -> str:
+    return value if isinstance(value, str) else ""
+
+
+def many(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else []
+
+
+def get(value: Any, key: str) -> Any:
+    return value.get(key) if isinstance(value, dict) else None
+
+
+MESSAGES = st.fixed_dictionaries(
+    {},
+    optional={
+        **dict.fromkeys(("n", "t", "ns", "ts"), VALUES),
+        "parts": st.none() | st.integers() | st.lists(VALUES.filter(lambda value: not isinstance(value, list))),
+    },
+)
+
+
+@given(st.lists(MESSAGES, max_size=3))
+def test_every_column_holds_what_the_json_module_reads(messages: list[dict[str, Any]]) -> None:
+    found = decoded(TREE, *messages)
+    read = [json.loads(json.dumps(one)) for one in messages]
+    expected = {
+        "n": [number(one.get("n")) for one in read],
+        "t": [text(one.get("t")) for one in read],
+        "ns": [[number(v) for v in many(one.get("ns"))] for one in read],
+        "ts": [tuple(text(v) for v in many(one.get("ts"))) for one in read],
+    }
+    for name, column in expected.items():
+        np.testing.assert_equal(found[name], column)
+    parts = [many(one.get("parts")) for one in read]
+    np.testing.assert_equal(found["parts.x"], [[number(get(part, "x")) for part in some] for some in parts])
+    assert found["parts.y"] == [tuple(text(get(part, "y")) for part in some) for some in parts]
+    assert [len(times) for times in found["parts.at"]] == [len(some) for some in parts]
+
+
+def test_half_a_letter_is_shown_by_its_number() -> None:
+    assert decoded(record(a={"type": "string"}), b'{"a": "\\ud800"}')["a"] == [r"\ud800"]
+
+
+@pytest.mark.parametrize("value", [None, 7, "\N{ROBOT FACE}", "a", [1], base64.b64encode(b"abc").decode()])
+def test_bytes_are_those_of_base64_or_none(value: Any) -> None:
+    picture = {"type": "string", "contentEncoding": "base64"}
+    assert decoded(record(a=picture), {"a": value})["a"] == [b"abc" if value == "YWJj" else b""]
+
+
+def test_a_flag_is_true_or_false() -> None:
+    assert decoded(record(a={"type": "boolean"}), {"a": True}, {"a": False}, {})["a"] == [True, False, False]
+
+
+@pytest.mark.parametrize("bad", [b"", b"[]", b"{", b"\xff", b"[" * 50_000, b'{"a": 1}' + b" " * 100])
+def test_what_is_no_object_or_too_long_is_no_row(bad: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(json_messages, "MAX_MESSAGE", 100)
+    assert decoded(record(a=NUMBER), bad, {"a": 2})["a"] == [2.0]
+
+
+def test_words_that_json_does_not_have_are_read_as_some_writers_put_them() -> None:
+    found = decoded(record(a=NUMBER, b={"type": "array", "items": NUMBER}), b'{"a": NaN, "b": [Infinity, -1]}')
+    assert math.isnan(found["a"][0])
+    assert found["b"] == [[math.inf, -1.0]]

@@ -196,6 +196,6 @@ class Report(_Common):
     credit: dict[str, Any] | None = None  # factors and intervals behind the verdicts
     prediction: dict[str, Any] | None = None  # how well each configuration predicts sensors it leaves out
     consistency: dict[str, SensorConsistency] = {}  # sensor -> verdict on its noise
-    changed_settings: dict[str, dict[str, Any]] = {}  # "table.key" -> value, default and who set it
+    changed_settings: dict[str, dict[str, Any]] = {}  # "table.key" -> value, unit, and who set it
     repeat: str | None = None  # the command that makes this report again
     key: str | None = None  # equal for equal input, settings, configurations and version

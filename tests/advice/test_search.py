@@ -82,13 +82,9 @@ BOUNDS = (0.5, 2.0)
         (Score(0.1, 40.0, BOUNDS), Score(0.1, 1.0, BOUNDS), False, True),
         (Score(0.1, 0.8, BOUNDS), Score(0.1, 1.0, BOUNDS), False, False),  # chance, both
         (Score(0.1, 1.0, BOUNDS), Score(0.1, 3.0, BOUNDS), True, False),
-        (
-            Score(0.1, 5.4, BOUNDS),
-            Score(0.12, 1.0, BOUNDS),
-            False,
-            True,
-        ),  # a fifth more error, and no longer wrong
-        (Score(0.1, 2.0, BOUNDS), Score(0.12, 1.0, BOUNDS), True, False),  # the same for nothing
+        (Score(0.1, 5.4, BOUNDS), Score(0.12, 1.0, BOUNDS), True, True),  # no ANEES is worth a larger error
+        (Score(0.1, 1.0, BOUNDS), Score(0.05, 3.0, BOUNDS), False, True),  # half the error
+        (Score(0.1, 1.0, BOUNDS), Score(0.091, 3.0, BOUNDS), True, False),  # less than a tenth
         (Score(0.1), Score(0.01, lost=0.2), True, True),  # lost is worse, whatever else
         (Score(0.1), Score(), True, False),
         (Score(prediction=1.0), Score(prediction=1.2), False, True),

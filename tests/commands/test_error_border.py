@@ -98,7 +98,7 @@ def test_no_words_show_the_help_and_name_every_command() -> None:
 def test_an_unknown_command_is_one_line_that_names_the_help() -> None:
     done = locfuse("runn")
     assert (done.exit_code, done.stdout) == (2, "")
-    assert done.stderr.startswith("locfuse: No such command 'runn'")
+    assert done.stderr.startswith("locfuse: no command 'runn'; did you mean run")
     assert done.stderr.endswith("see: locfuse --help\n")
     assert done.stderr.count("\n") == 1
 

@@ -249,7 +249,7 @@ def test_a_file_without_checksums_says_that_it_cannot_know(tmp_path: Path) -> No
 
 
 def test_a_log_without_wheels_says_what_would_be_wheels(tmp_path: Path) -> None:
-    said = [m for m in drive(50) if m.topic == "/scan"]
+    said = [m for m in drive(50) if m.topic == "/heading"]
     done = locfuse("info", write(tmp_path / "x.mcap", said), "--check")
     assert done.exit_code == 3
     (words,) = section(done, "would spoil an estimate")

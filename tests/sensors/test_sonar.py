@@ -170,8 +170,12 @@ SONARS = (
 
 @pytest.fixture(scope="module")
 def toured() -> tuple[Drive, Robot]:
+    return tour(2)
+
+
+def tour(seed: int) -> tuple[Drive, Robot]:
     scenario = scenarios.load("extras", SONARS)
-    streams, tables, _ = in_memory(scenario, 2)
+    streams, tables, _ = in_memory(scenario, seed)
     mounts = {f"/sonar/{s.name}": [s.x, s.y, s.yaw_deg] for s in scenario.sonar}
     robot = make_robot({**tables, "sonar": {"mounts": mounts, "sigma": 0.02}})
     roles = {
@@ -194,12 +198,15 @@ def test_echoes_fit_the_laser_map_of_a_simulated_tour(toured: tuple[Drive, Robot
 
 
 def test_sonars_hold_the_robot_where_the_laser_sees_it_seldom(toured: tuple[Drive, Robot]) -> None:
-    drive, robot = toured
-    rare = [parse(words, drive).fuse(drive, robot)[0] for words in ("lrf@0.1Hz", "lrf@0.1Hz,sonar")]
-    alone, helped = (evaluate(e, drive).figures["position_rmse_m"] for e in rare)
-    assert alone is not None
-    assert helped is not None
-    assert helped < 0.8 * alone
+    """In the median: with a scan in ten seconds an echo can be matched with a wrong wall."""
+    ratios = []
+    for drive, robot in (toured, *map(tour, (3, 4, 5))):
+        rare = [parse(words, drive).fuse(drive, robot)[0] for words in ("lrf@0.1Hz", "lrf@0.1Hz,sonar")]
+        alone, helped = (evaluate(e, drive).figures["position_rmse_m"] for e in rare)
+        assert alone is not None
+        assert helped is not None
+        ratios.append(helped / alone)
+    assert np.median(ratios) < 0.8
 
 
 def test_a_sonar_is_compared_beside_the_laser_and_never_alone(toured: tuple[Drive, Robot]) -> None:

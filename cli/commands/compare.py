@@ -86,7 +86,7 @@ from locfuse.cli.terminal.rerun_options import rerun_options
 @export_option
 @rerun_options
 def compare(log: tuple[str, ...], **asked: Any) -> int:
-    """Say what each sensor of LOG bought: all configurations in one pass, and a report.
+    """Say what each sensor of LOG adds: all configurations in one pass, and a report.
 
     LOG is an .mcap, the parts of a split one, a rosbag2 folder, or the name of a sample log. Several logs, also as
     @list.txt or "pattern*.mcap", give a summary over them (docs/fleet.md); folders of finished results are set

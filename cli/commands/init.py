@@ -36,8 +36,8 @@ FILE = click.Path(path_type=Path, dir_okay=False)
 def init(log: tuple[str, ...], out: Path | None, overwrite: bool, update: Path | None, how: LogOptions) -> int:
     """Print a robot.toml for LOG: a starting point with a comment on every line.
 
-    What the log shows is in force: topics, joints, mounts by /tf_static, wheels by /robot_description, clock lags.
-    Guesses are marked as guesses. What no log can tell is a line behind a # that says what to measure.
+    What the log shows is set: topics, joints, mounts by /tf_static, wheels by /robot_description, clock lags.
+    Guesses are marked as guesses. Lines starting with # are inactive: they say what to measure.
 
     \b
     locfuse init bag/ -o robot.toml
@@ -99,10 +99,11 @@ def _updated(made: Draft, file: Path) -> str:
 def _head(made: Draft, words: str) -> str:
     name = made.overview.log.name
     return (
-        f"robot.toml of {name}, a starting point by locfuse init. Behind a #, nothing is in force.\n"
+        f"robot.toml of {name}, a starting point by locfuse init. Lines starting with # are inactive.\n"
         f"\n"
         f"  locfuse info {words} --check --robot robot.toml\n"
-        f"  locfuse compare {words} --robot robot.toml\n"
+        f"  locfuse tune {words} --robot robot.toml -o tuned.toml\n"
+        f"  locfuse compare {words} --robot robot.toml --robot tuned.toml\n"
         f"  locfuse schema robot > {SCHEMA}   (then an editor completes and checks this file)"
     )
 
@@ -132,4 +133,4 @@ def _say(made: Draft, words: str, lost: list[str]) -> None:
     elif made.missing:
         show.say(f"to be filled in: {', '.join(made.missing)} (their lines say how to measure them)")
     else:
-        show.say(f"nothing is missing; try: locfuse compare {words} --robot robot.toml")
+        show.say(f"next: locfuse tune {words} --robot robot.toml -o tuned.toml")

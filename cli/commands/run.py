@@ -89,7 +89,7 @@ def run(
             session = session.with_map(maps.given)
         configuration = session.configuration(sensors)
         maps.check(configuration.sensors)
-        may_write(out or default_folder(session.log.name), overwrite, (how.robot, maps.given))
+        may_write(out or default_folder(session.log.name), overwrite, (*how.robot_files, maps.given))
         result = session.run(configuration, align=align, smooth=smooth)
         files = result.write(out, write=kinds, export=export, overwrite=overwrite)
         if maps.save is not None:

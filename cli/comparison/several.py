@@ -46,7 +46,7 @@ def several(words: Sequence[str], wish: Wish) -> int:
     wanted = _wanted(wish)
     gates = FleetGates.read(wish.fail_if, wish.baseline, wish.tolerance)
     folder = wish.out or default_folder()
-    may_write(folder, wish.overwrite, (wish.how.robot, wish.baseline))
+    may_write(folder, wish.overwrite, (*wish.how.robot_files, wish.baseline))
     todo = plan(words, wanted, folder)
     with sole_writer(folder, RUN_LOCK, patience_s=0.0):
         _mark(folder, todo)

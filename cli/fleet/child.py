@@ -69,6 +69,7 @@ def compare(job: Job) -> None:
             align=job.asked.align,
             smooth=job.asked.smooth,
             audits=False,
+            advice=False,  # a fleet is compared; a single log is advised on
         )
         folder = job.place(cell)
         found.write(folder, write=job.kinds, export=job.export, overwrite=job.overwrite or is_torn(folder))

@@ -44,7 +44,7 @@ def said(stdout: str, words: str) -> list[str]:
     """The finding with these words: its line, and the line with its cure where it has one."""
     lines = stdout.splitlines()  # in a pipe every finding is one line
     return [
-        line if not after.startswith("    cure: ") else f"{line}\n{after}"
+        line if not after.startswith("    fix: ") else f"{line}\n{after}"
         for line, after in zip(lines, [*lines[1:], ""], strict=True)
         if words in line
     ]

@@ -28,6 +28,7 @@ ODOMETRY, ALL = "odometry", "all"
 REFERENCE = {"wheels", "start", "truth"}  # roles whose settings move every configuration
 WHEEL_NOISE_FACTORS = (0.1, 0.3, 3.0, 10.0)
 MIN_LAG_S, MIN_LAG_SIGMAS = 0.005, 2.0  # s, standard deviations: a smaller lag against the truth is not tried
+MAX_NOISE_FACTOR = 4.0  # on a sigma, by the errors of its own run
 NOISE = {"understated", "overstated", "correlated"}
 
 
@@ -69,8 +70,11 @@ class Evidence:
     # ---- candidates, in the order of evidence ----
 
     def settings(self) -> list[Candidate]:
-        """Return what measuring and a run with more states say of clocks, mounts, scales and directions."""
-        seen = [f for f in self.doctor() if f.fixes]
+        """Return what measuring and a run with more states say of clocks, mounts, scales and directions.
+
+        A sensor that no run can use as it is (its readings are refused) has nothing to be judged by.
+        """
+        seen = [f for f in self.doctor() if f.fixes and self.judges(f.role)]
         known = {(f.role, f.code) for f in seen}
         offers = [f for f in (*self._late(), *self._probed()) if (f.role, f.code) not in known]
         return [Candidate(f, (f.fixes,), self.judges(f.role), offer=f in offers) for f in (*seen, *offers)]
@@ -133,10 +137,12 @@ class Evidence:
         """Return noise that does not fit, sensor by sensor, and that of the wheels."""
         found = []
         for sensor, verdict in self.consistency.items():
-            options = [*_noise_options(verdict), *self._by_anees(sensor)]
-            if options:
-                finding = Finding(sensor, verdict.verdict, verdict.words)
-                found.append(Candidate(finding, tuple(dict.fromkeys(options)), self.judges(sensor)))
+            seen, more = _noise_options(verdict), self._by_anees(sensor)
+            words = verdict.words if seen else self._errors_in_sigmas(sensor)
+            if seen or more:
+                finding = Finding(sensor, verdict.verdict, words)
+                options = tuple(dict.fromkeys((*seen, *more)))
+                found.append(Candidate(finding, options, self.judges(sensor), offer=not seen))
         if self.loaded.drive.truth is not None and self._doubtful(self._best(self.trial.configurations)):
             found.append(self._wheel_noise())
         return found
@@ -148,7 +154,15 @@ class Evidence:
             return []
         settings, keys = self.loaded.robot.settings(sensor), REGISTRY[sensor].noise_keys
         factor = honest.anees**0.5
+        if not 1.0 / MAX_NOISE_FACTOR <= factor <= MAX_NOISE_FACTOR:
+            return []  # that is no noise
         return [tuple(f"{sensor}.{k}={getattr(settings, k) * factor:.2g}" for k in keys)]
+
+    def _errors_in_sigmas(self, sensor: str) -> str:
+        """Return how much larger or smaller the errors of the sensor's own run are than it claims."""
+        honest = self.honesty.get(self._alone(sensor))
+        times = 1.0 if honest is None else honest.anees**0.5
+        return f"position errors with it are {times:.2g} times what the covariance claims"
 
     def _wheel_noise(self) -> Candidate:
         noise = self.loaded.robot.wheels.noise
@@ -170,6 +184,8 @@ class Evidence:
         if role in REFERENCE:
             return tuple(dict.fromkeys((ODOMETRY, self._best(self.trial.configurations), self._all())))
         using = [n for n, c in self.trial.configurations.items() if role in c.sensors]
+        if not using:
+            return ()
         return tuple(dict.fromkeys((self._best([n for n in using if n != self._all()] or using), self._all())))
 
     def _all(self) -> str:

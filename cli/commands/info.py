@@ -10,7 +10,7 @@ import click
 
 from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.cli.terminal import completion
-from locfuse.cli.terminal.options import log_options
+from locfuse.cli.terminal.options import advice_option, log_options
 from locfuse.cli.terminal.screen import put, reader_may_leave
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ TRIED = "tried by fusing"
     is_flag=True,
     help="Also try the fixes by fusing again. Exit with 3 if something was found that would spoil an estimate.",
 )
+@advice_option
 @click.option("--topics", is_flag=True, help="List the topics and nothing else: no message is read.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @click.option(
@@ -38,7 +39,7 @@ TRIED = "tried by fusing"
 )
 @log_options
 def info(
-    log: tuple[str, ...], check: bool, topics: bool, as_json: bool, preview: Path | None, how: LogOptions
+    log: tuple[str, ...], check: bool, advice: bool, topics: bool, as_json: bool, preview: Path | None, how: LogOptions
 ) -> int:
     """Say what is in LOG, which sensor reads which topic and why, what is missing, and what looks wrong.
 
@@ -61,7 +62,7 @@ def info(
     with show.progress(how.quiet) as progress:
         overview = inspect_log(find_log(log), how, progress)
         pictures = _preview(overview, preview) if preview is not None else []
-        tried = _tried(log, how, progress) if check and overview.loaded is not None else {}
+        tried = _tried(log, how, progress) if check and advice and overview.loaded is not None else {}
     with reader_may_leave():
         if as_json:
             put(json_report.encode({**values.values(overview), **({"tried": tried} if check else {})}))

@@ -34,6 +34,7 @@ class Wish:
     rerun: RerunOptions
     fleet: FleetOptions
     estimate: tuple[str, ...] = ()
+    advice: bool = True  # fixes are tried; of several logs never
     open: bool = False  # the page, in the browser
 
     def without_robot(self) -> LogOptions:
@@ -68,6 +69,7 @@ def one(log: Sequence[str], wish: Wish) -> int:
             all_subsets=wish.all_subsets,
             align=wish.align,
             smooth=wish.smooth,
+            advice=wish.advice,
             audits=rerun.wanted,
             estimates=sources,
         )

@@ -59,6 +59,12 @@ def smooth_option(command: F) -> F:
     return click.option("--smooth", is_flag=True, help=words)(command)
 
 
+def advice_option(command: F) -> F:
+    """Add --no-advice, which arrives as `advice`."""
+    words = "Try no fixes: report what the settings give as they are, without fusing again."
+    return click.option("--no-advice", "advice", flag_value=False, default=True, help=words)(command)
+
+
 class RobotFile(click.Path):
     """A robot.toml, or one for each robot of a fleet: those are looked for when the robots are known."""
 

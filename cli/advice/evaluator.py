@@ -80,7 +80,7 @@ def _compared(loaded: Loaded, trial: Trial) -> Compared:
 
 
 def _rounds(compared: Compared, trial: Trial) -> tuple[list[Advice], Fixes]:
-    """Try, keep, look again; geometry before offsets, offsets before noise."""
+    """Try, keep, look again; clocks before geometry, geometry before offsets, offsets before noise."""
     helped: list[Advice] = []
     without: dict[str, Advice] = {}
     kept: Fixes = ()
@@ -89,7 +89,7 @@ def _rounds(compared: Compared, trial: Trial) -> tuple[list[Advice], Fixes]:
         evidence = Evidence(compared, trial, kept)
         if not evidence.suspicious():
             break
-        found = _first_that_helps(evidence, kept, trial, done={a.finding.role for a in helped})
+        found = _first_that_helps(evidence, kept, trial, done={(a.finding.role, a.finding.code) for a in helped})
         without = {a.finding.role: a for a in found if not a.helps}
         new = [a for a in found if a.helps]
         if not new:
@@ -105,12 +105,17 @@ def _rounds(compared: Compared, trial: Trial) -> tuple[list[Advice], Fixes]:
     return [*helped, *(a for role, a in without.items() if role not in names)], kept
 
 
-def _first_that_helps(evidence: Evidence, kept: Fixes, trial: Trial, done: set[str]) -> list[Advice]:
+def _first_that_helps(evidence: Evidence, kept: Fixes, trial: Trial, done: set[tuple[str, str]]) -> list[Advice]:
     """Return the advice of the first stage of evidence in which anything helps; else all that has no fix."""
-    stages: Sequence[Callable[[], list[Candidate]]] = (evidence.settings, evidence.offsets, evidence.noise)
+    stages: Sequence[Callable[[], list[Candidate]]] = (
+        evidence.clocks,
+        evidence.geometry,
+        evidence.offsets,
+        evidence.noise,
+    )
     failed: list[Advice] = []
     for stage in stages:
-        candidates = [c for c in stage() if c.finding.role not in done or stage != evidence.settings]
+        candidates = [c for c in stage() if (c.finding.role, c.finding.code) not in done]
         found = search(candidates, kept, trial)
         if any(a.helps for a in found):
             return [*(a for a in failed if a.finding.severe), *found]

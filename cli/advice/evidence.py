@@ -6,7 +6,8 @@ and noise, since each of these looks like one.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cached_property
 
 from locfuse.cli.pipeline.compare import Compared
 from locfuse.cli.pipeline.load import Loaded
@@ -29,6 +30,7 @@ REFERENCE = {"wheels", "start", "truth"}  # roles whose settings move every conf
 WHEEL_NOISE_FACTORS = (0.1, 0.3, 3.0, 10.0)
 MIN_LAG_S, MIN_LAG_SIGMAS = 0.005, 2.0  # s, standard deviations: a smaller lag against the truth is not tried
 MAX_NOISE_FACTOR = 4.0  # on a sigma, by the errors of its own run
+CLOCK = "lag"  # what clocks' findings are called
 NOISE = {"understated", "overstated", "correlated"}
 
 
@@ -69,16 +71,22 @@ class Evidence:
 
     # ---- candidates, in the order of evidence ----
 
-    def settings(self) -> list[Candidate]:
-        """Return what measuring and a run with more states say of clocks, mounts, scales and directions.
+    def clocks(self) -> list[Candidate]:
+        """Return what measuring and the truth say of clocks: while one is wrong, the rest is not to be trusted."""
+        return self._candidates([f for f in self.doctor if f.code == CLOCK], list(self._late()))
 
-        A sensor that no run can use as it is (its readings are refused) has nothing to be judged by.
-        """
-        seen = [f for f in self.doctor() if f.fixes and self.judges(f.role)]
+    def geometry(self) -> list[Candidate]:
+        """Return what measuring and a run with more states say of mounts, scales and directions."""
+        return self._candidates([f for f in self.doctor if f.code != CLOCK], list(self._probed()))
+
+    def _candidates(self, seen: Sequence[Finding], offers: Sequence[Finding]) -> list[Candidate]:
+        """Return candidates; a sensor that no run can use as it is (its readings are refused) has no judge."""
         known = {(f.role, f.code) for f in seen}
-        offers = [f for f in (*self._late(), *self._probed()) if (f.role, f.code) not in known]
+        seen = [f for f in seen if f.fixes and self.judges(f.role)]
+        offers = [f for f in offers if (f.role, f.code) not in known]
         return [Candidate(f, (f.fixes,), self.judges(f.role), offer=f in offers) for f in (*seen, *offers)]
 
+    @cached_property
     def doctor(self) -> list[Finding]:
         """Return what the sensors say of each other (`fusion.doctor`)."""
         loaded = self.loaded

@@ -39,7 +39,13 @@ TRIED = "tried by fusing"
 )
 @log_options
 def info(
-    log: tuple[str, ...], check: bool, advice: bool, topics: bool, as_json: bool, preview: Path | None, how: LogOptions
+    log: tuple[str, ...],
+    check: bool,
+    advice: bool,
+    topics: bool,
+    as_json: bool,
+    preview: Path | None,
+    how: LogOptions,
 ) -> int:
     """Say what is in LOG, which sensor reads which topic and why, what is missing, and what looks wrong.
 

@@ -1,4 +1,4 @@
-"""Advice on the command line: what `info --check` tries, what --no-advice leaves out, why a command exits with 3."""
+"""Advice in commands: what `info --check` tries, what --no-advice leaves out, why a command exits with 3."""
 
 from __future__ import annotations
 

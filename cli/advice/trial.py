@@ -26,7 +26,7 @@ from locfuse.fusion.judge.predictive import listeners, log_density
 from locfuse.fusion.measure import windowed
 from locfuse.fusion.paper.preset import fuser
 
-MAX_INSTANTS = 6000  # of the drive: ten minutes of a 10 Hz laser
+MAX_INSTANTS = 2400  # of the drive: four minutes of a 10 Hz laser
 MAX_FUSIONS = 60  # runs of the filter that one log's advice may cost
 
 
@@ -110,7 +110,8 @@ class Trial:
             return None
         flags = listeners(drive, c.sensors)
         e = lean(fuser(loaded.robot.preset), drive, loaded.robot, c.sensors, c.name, flags)
-        return Score(prediction=mean_density(drive, e, flags), lost=lost_share(e.lost, drive))
+        # that it is lost with half of its readings taken away says nothing of a drive that has them all
+        return Score(prediction=mean_density(drive, e, flags))
 
 
 def score_of(e: Estimates, judged: Evaluation) -> Score:

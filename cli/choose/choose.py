@@ -50,11 +50,17 @@ def choose_sensor(log: Log, robot: Robot, name: str, insisted: bool, choice: Cho
         choice.absent[name] = f"{log.name} has no topic {gone[0]}, which robot.toml names"
         return
     candidates = _candidates(log, name, choice)
+    if sensor.asked_only and not named:
+        if candidates:
+            fixes = tuple(f"{name}.topic={topic}" for topic in candidates[:1])
+            choice.leave(name, f"{' or '.join(candidates)} may be one: {sensor.asked_only}. If not: {fixes[0]}", fixes)
+        return
     unset = sensor.missing(settings) if candidates or named else None
     if unset:
         choice.absent[name] = unset
         return
     if named:
+        _refuse_twice(named, sensor, choice)
         choice.take(name, [checked(log, name, topic, sensor.reads) for topic in named], NAMED)
     elif not candidates:
         if not sensor.extra:  # nobody expects what lies beside the paper's sensors
@@ -67,6 +73,14 @@ def choose_sensor(log: Log, robot: Robot, name: str, insisted: bool, choice: Cho
     empty = all(log.topics[t].count == 0 for t in choice.of(name))
     if name in choice.topics and empty:
         choice.absent[name] = f"{choice.topics.pop(name)} holds no messages"
+
+
+def _refuse_twice(named: Collection[str], sensor: Sensor, choice: Choice) -> None:
+    """Raise LocfuseError where a sensor that must be independent is to read the wheels' topic, or the truth's."""
+    for role, why in (("wheels", "what counts twice makes the filter overconfident"), ("truth", "it would judge itself")):
+        for topic in choice.of(role):
+            if sensor.asked_only and topic in named:
+                raise LocfuseError(f"{topic} is read as {role} already: {why}", role=sensor.name)
 
 
 def _names(settings: Any) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ from .schema import Many, Scalar, Text
 NUMBER, TRUTH, TEXT, TIME, BYTES = "a number", "true or false", "a text", "a time", "bytes"
 NUMBERS, TRUTHS, TEXTS, TIMES = "an array of numbers", "an array of true or false", "an array of texts", "times"
 NINE = "9 numbers"
+THIRTY_SIX = "36 numbers"
 
 STAMPS = ("header.stamp", "timestamp")  # they date the messages of any type
 # message types that something reads; the fields of every other type may be what their definition says
@@ -93,6 +94,8 @@ EXPECTED: Mapping[str, tuple[str, ...]] = {
     "velocity": (NUMBERS,),
     "format": (TEXT,),
     "encoding": (TEXT,),
+    "pose.covariance": (THIRTY_SIX,),
+    "twist.covariance": (THIRTY_SIX,),
     "orientation_covariance": (NINE,),
     "angular_velocity_covariance": (NINE,),
     "position_covariance": (NINE, NUMBERS),  # JSON arrays do not say their length

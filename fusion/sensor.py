@@ -271,7 +271,7 @@ class Sensor(ABC):
     """Measuring takes so long that `locfuse info` leaves it out."""
 
     asked_only: ClassVar[str] = ""
-    """Why it is used only where its topic is named: the topic may repeat what another sensor says. "": it is not."""
+    """Why it is used only where its topic is named: it may repeat what another sensor says. "": it is not."""
 
     extra: ClassVar[bool] = False
     """It lies beside the paper's sensors: where topics cannot be told apart it is absent, and the others run."""

@@ -5,7 +5,7 @@ Truth is never guessed by type: /odom and /amcl_pose are estimates, and an estim
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
 from locfuse.fusion.data import LocfuseError
@@ -51,9 +51,7 @@ def choose_sensor(log: Log, robot: Robot, name: str, insisted: bool, choice: Cho
         return
     candidates = _candidates(log, name, choice)
     if sensor.asked_only and not named:
-        if candidates:
-            fixes = tuple(f"{name}.topic={topic}" for topic in candidates[:1])
-            choice.leave(name, f"{' or '.join(candidates)} may be one: {sensor.asked_only}. If not: {fixes[0]}", fixes)
+        _offer(name, candidates, choice)
         return
     unset = sensor.missing(settings) if candidates or named else None
     if unset:
@@ -70,14 +68,29 @@ def choose_sensor(log: Log, robot: Robot, name: str, insisted: bool, choice: Cho
         return
     else:
         _by_type(log, name, candidates, choice)
-    empty = all(log.topics[t].count == 0 for t in choice.of(name))
-    if name in choice.topics and empty:
+    _leave_empty(log, name, choice)
+
+
+def _leave_empty(log: Log, name: str, choice: Choice) -> None:
+    """Take a sensor's topics away again where none of them holds a message."""
+    if name in choice.topics and all(log.topics[t].count == 0 for t in choice.of(name)):
         choice.absent[name] = f"{choice.topics.pop(name)} holds no messages"
+
+
+def _offer(name: str, candidates: Sequence[str], choice: Choice) -> None:
+    """Say that a sensor that is used only where it is asked for could read these topics."""
+    if candidates:
+        fixes = (f"{name}.topic={candidates[0]}",)
+        why = REGISTRY[name].asked_only
+        choice.leave(name, f"{' or '.join(candidates)} may be one: {why}. If not: {fixes[0]}", fixes)
 
 
 def _refuse_twice(named: Collection[str], sensor: Sensor, choice: Choice) -> None:
     """Raise LocfuseError where a sensor that must be independent is to read the wheels' topic, or the truth's."""
-    for role, why in (("wheels", "what counts twice makes the filter overconfident"), ("truth", "it would judge itself")):
+    for role, why in (
+        ("wheels", "what counts twice makes the filter overconfident"),
+        ("truth", "it would judge itself"),
+    ):
         for topic in choice.of(role):
             if sensor.asked_only and topic in named:
                 raise LocfuseError(f"{topic} is read as {role} already: {why}", role=sensor.name)

@@ -21,6 +21,7 @@ from .belief_arrays import POSE, JointBelief
 from .belief_pose import Pose, PoseBelief, Triangle
 from .equations import eq6_noise, eq7_A
 
+
 class Step(NamedTuple):
     """A motion undone: x[rows] = c + G x + noise of covariance D."""
 

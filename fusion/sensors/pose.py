@@ -6,13 +6,15 @@ Whose frame a pose is given in decides what it can say (`frame`):
 - "own": a frame of the source's own, which stands still in the map. Where it lies is found with the first pose.
 - "drift": a frame that drifts (REP 105, "odom"). Only the motion between two poses counts.
 
-For the last two the state keeps a pose of an earlier instant (a "clone", Roumeliotis and Burdick 2002): B, where the
-robot was at the source's pose z_B. With the motion by the source u = (-)z_B (+) z, the pose should now be
+For the last two the state keeps a pose of an earlier instant (a "clone", Roumeliotis and Burdick 2002): B, where
+the robot was at the source's pose z_B. The motion by the source u = (-)z_B (+) z should be the robot's own,
 
-    B (+) u = p + noise,    H = [1 | -d(B (+) u)/dB]
+    u = (-)B (+) p + noise
 
-In a drifting frame B is taken anew with every reading, as the gyro does with the heading; in an own frame it is the
-first pose, carried on by u, so that its error stays that of the first reading.
+seen from B. (Compared in the map as B (+) u = p, the levers of both sides differ by the innovation itself, which
+the filter takes for knowledge of the heading: ANEES 2.7 instead of 1.3.) In a drifting frame B is taken anew with
+every reading, as the gyro does with the heading; in an own frame it is the first pose, carried on by u, so that
+its error stays that of the first reading.
 """
 
 from __future__ import annotations
@@ -22,13 +24,26 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import Array, Colour, Component, LocfuseError, Measurements, Stream, plausible
+from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, Stream, plausible
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.se2 import wrap
-from locfuse.fusion.sensor import Ask, Belief, Block, Innovation, Matrix, Model, Sensor, SensorSettings, WheelMotion
+from locfuse.fusion.sensor import (
+    Ask,
+    Belief,
+    Block,
+    Innovation,
+    Matrix,
+    Model,
+    PoseRows,
+    Reversal,
+    Sensor,
+    SensorSettings,
+    WheelMotion,
+)
 from locfuse.fusion.wheels.odometry import ODOMETRY, POSE
 
 KEPT = "_pose_before"
@@ -36,6 +51,7 @@ FLOOR = (0.002, math.radians(0.05))  # m, rad: standard deviations that no estim
 MAX_SIGMA = (1e3, 1e3)  # m, rad: larger ones say that a number was not measured
 ARM_M = 0.15  # m: turning by one radian counts as this way
 STUCK_M = 0.5  # m by the wheels, beyond which a pose that never changes is none
+MIN_QUATERNION_SQUARE = 0.25  # a shorter quaternion is no orientation: drivers leave it zero
 MIN_READINGS = 20  # before a source is called stuck, or far from the start
 WITH_COVARIANCE = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped")
 PLANE = (0, 1, 5)  # where x, y and yaw stand in a covariance of ROS
@@ -60,8 +76,10 @@ class PoseSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_o
     yaw_deg: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse a source without noise."""
+        """Refuse a source without noise, and points in a frame whose direction nobody knows."""
         super().__post_init__()
+        if not self.heading and self.frame != "map":
+            raise ValueError('heading = false needs frame = "map": points do not tell how another frame is turned')
         for key in ("sigma_theta_deg", "sigma_drift", "sigma_drift_deg"):
             if getattr(self, key) <= 0.0:
                 raise ValueError(f"{key} = {getattr(self, key)}: no sensor is exact, it must be positive")
@@ -108,9 +126,11 @@ class PoseSensor(Sensor):
         dropped = dict(stream.dropped)
         keep = _usable(values, stream, settings, dropped)
         values, t = values[keep], (stream.t_ns[keep] - epoch_ns) * np.float64(1e-9) + settings.time_offset
-        z = np.column_stack((values[:, :2], se2.yaw(*values[:, 2:].T)))
+        theta = se2.yaw(*values[:, 2:].T) if settings.heading else np.zeros(len(values))
+        z = np.column_stack((values[:, :2], theta))
         _refuse_stuck(t, z, wheels, stream.topic)
-        R = plane_covariance(columns.get("pose.covariance"), keep, settings.covariance, _own(settings))
+        own = np.broadcast_to(_own(settings), (len(z), 3))
+        R, told = plane_covariance(columns.get("pose.covariance"), keep, settings.covariance, own)
         off = se2.inverse(np.array(self.mount(settings)))
         J = _by_pose(z, off)
         n = len(z)
@@ -121,7 +141,10 @@ class PoseSensor(Sensor):
             R_unit=J @ R @ J.transpose(0, 2, 1) * _in_a_row(t, settings.correlated) / settings.sigma**2,
             scale=settings.sigma,
             floor=np.diag([FLOOR[0] ** 2, FLOOR[0] ** 2, FLOOR[1] ** 2]),
-            extra={"drifts": np.full(n, float(_frame(settings, stream.msgtype) == "drift"))},
+            extra={
+                "drifts": np.full(n, float(_frame(settings, stream.msgtype) == "drift")),
+                "told": told.astype(np.float64),
+            },
             dropped=dropped,
         )
 
@@ -129,15 +152,13 @@ class PoseSensor(Sensor):
         """Return times (n,) and headings (n,) [rad, unwrapped] by the source."""
         return m.t, np.unwrap(m.z[:, 2])
 
-    def reversal(self, settings: PoseSettings, msgtype: str) -> Any:
+    def reversal(self, settings: PoseSettings, msgtype: str) -> Reversal:
         """Return why it turns the other way round: its z axis looks down, which no setting of ours turns."""
-        from locfuse.fusion.sensor import Reversal
-
         return Reversal("its z axis looks down (NED): it has to be turned before it is recorded")
 
     def says_noise(self, m: Measurements) -> bool:
         """Return whether the messages say how good their poses are: then `sigma` changes nothing."""
-        return bool(len(m.R_unit)) and not np.allclose(m.R_unit[:, 0, 0], m.R_unit[0, 0, 0])
+        return bool(m.extra["told"].any())
 
     def model(self, settings: PoseSettings) -> Model:
         """Return the source's side of a new run."""
@@ -157,11 +178,15 @@ def _own(settings: PoseSettings) -> Array:
     return np.array([settings.sigma, settings.sigma, turn]) ** 2
 
 
-def _usable(values: Array, stream: Stream, settings: PoseSettings, dropped: dict[str, int]) -> Array:
+def _usable(values: Array, stream: Stream, settings: PoseSettings, dropped: dict[str, int]) -> Ints:
     """Return the rows of messages that hold a pose at a time of its own; count the others."""
-    finite = plausible(values[:, :2]).all(axis=1) & (~np.isnan(values).any(axis=1) | (not settings.heading))
-    turned = (np.square(values[:, 2:]).sum(axis=1) > 0.25) | (not settings.heading)
+    finite = np.asarray(plausible(values[:, :2]).all(axis=1))
+    turned = np.ones(len(values), dtype=bool)
+    if settings.heading:
+        finite &= np.isfinite(values[:, 2:]).all(axis=1)
+        turned = np.square(np.where(finite[:, None], values[:, 2:], 0.0)).sum(axis=1) > MIN_QUATERNION_SQUARE
     later = np.diff(stream.t_ns, append=np.iinfo(np.int64).max) > 0
+    good: NDArray[np.bool_] = finite & turned & later
     for reason, out in (
         ("not_finite", ~finite),
         ("no_orientation", finite & ~turned),
@@ -169,35 +194,37 @@ def _usable(values: Array, stream: Stream, settings: PoseSettings, dropped: dict
     ):
         if out.any():
             dropped[reason] = dropped.get(reason, 0) + int(out.sum())
-    keep = np.flatnonzero(finite & turned & later)
-    if not len(keep):
+    if not good.any():
         why = ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in dropped.items()) or "no messages"
         raise LocfuseError(f"{stream.topic} has no usable pose in {len(values)} messages ({why})", role="pose")
-    return keep
+    return np.flatnonzero(good)
 
 
-def plane_covariance(column: Any, rows: Array, which: str, own: Array, axes: Sequence[int] = PLANE) -> Array:
-    """Return covariances (n, d, d) of some rows: the messages' own where they say one, else diag(own).
+def plane_covariance(
+    column: Any, rows: Ints, which: str, own: Array, axes: Sequence[int] = PLANE
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Return covariances (n, d, d) of some rows: the messages' own where they say one (n,), else diag(own (n, d)).
 
     `column` holds 6 x 6 matrices of x, y, z, roll, pitch, yaw, of which `axes` (d,) are wanted. A covariance of
     zeros, one that is not positive, and NaN say nothing. What is larger than MAX_SIGMA was not measured: it is cut
     there, and its correlations with it, so that no rounding makes the matrix indefinite.
     """
-    d = len(own)
-    P = np.broadcast_to(np.diag(own), (len(rows), d, d)).copy()
+    n, d = own.shape
+    P = own[:, :, None] * np.eye(d)
     if column is None or which == "sigma":
-        return P
+        return P, np.zeros(n, dtype=bool)
     full = np.asarray(column, np.float64).reshape(-1, 6, 6)[rows][:, axes][:, :, axes]
     diagonal = np.diagonal(full, axis1=1, axis2=2)
-    told = np.isfinite(full).all(axis=(1, 2)) & (diagonal > 0.0).all(axis=1)
+    told: NDArray[np.bool_] = np.isfinite(full).all(axis=(1, 2)) & (diagonal > 0.0).all(axis=1)
     limit = np.array(MAX_SIGMA)[[0, *([0] * (d - 2)), 1]] ** 2
     shrink = np.sqrt(np.minimum(1.0, limit / np.where(told[:, None], diagonal, 1.0)))
     scaled = np.where(told[:, None, None], full, np.eye(d)) * shrink[:, :, None] * shrink[:, None, :]
     scaled = 0.5 * (scaled + scaled.transpose(0, 2, 1))
-    told &= np.linalg.eigvalsh(scaled)[:, 0] > 0.0
+    told = told & (np.linalg.eigvalsh(scaled)[:, 0] > 0.0)
     P[told] = scaled[told]
-    P[:, d - 1, d - 1] = np.maximum(P[:, d - 1, d - 1], own[-1] if own[-1] >= MAX_SIGMA[1] ** 2 else 0.0)
-    return P
+    unused = own[:, -1] >= MAX_SIGMA[1] ** 2  # its heading does not count
+    P[unused, -1, :], P[unused, :, -1], P[unused, -1, -1] = 0.0, 0.0, own[unused, -1]
+    return P, told
 
 
 def _refuse_stuck(t: Array, z: Array, wheels: WheelMotion, topic: str) -> None:
@@ -248,19 +275,20 @@ class InMapModel(Model):
         """Say where nearly all poses are far from the robot: their frame is not the map."""
         if self._seen < MIN_READINGS or 2 * self._far < self._seen:
             return []
-        words = f"{self._far} of {self._seen} poses are beyond the gate: is [start] right, and is their frame the map?"
+        words = (
+            f"{self._far} of {self._seen} poses are beyond the gate: is [start] right, and is their frame the map?"
+        )
         return [f"{words} If not: pose.frame=own"]
 
 
 class KeptPoseModel(Model):
-    """B (+) u = p + noise, in the local frame: a source whose frame nobody knows never says where north is."""
+    """u = (-)B (+) p + noise, in the local frame: a source whose frame nobody knows never says where north is."""
 
     local = True
     maps = True
 
     def __init__(self, settings: PoseSettings) -> None:
-        self.settings = settings
-        self.threshold = chi_square(settings.gate, 3 if settings.heading else 2)
+        self.threshold = chi_square(settings.gate, 3)
         self.drift = settings.sigma_drift**2, math.radians(settings.sigma_drift_deg) ** 2  # per m
         self._last: Array | None = None  # the source's pose at B
         self._others_map = False
@@ -282,17 +310,20 @@ class KeptPoseModel(Model):
         if self._last is None:
             return []
         column, kept = belief.block(KEPT)
-        u = se2.between(self._last, m.z[i])
-        x, y, theta = se2.compose(np.array(kept), u).tolist()
-        e = (x - belief.x, y - belief.y, wrap(theta - belief.theta))
-        rx, ry = x - float(kept[0]), y - float(kept[1])
-        H_block = ((-1.0, 0.0, ry), (0.0, -1.0, -rx), (0.0, 0.0, -1.0))
-        R = self._drifted(u, m.floor) if m.extra["drifts"][i] else self._turned(m, i, float(kept[2]) - self._last[2])
-        columns = (column, column + 1, column + 2)
-        return [Innovation.of(i, e, IDENTITY, R, belief, self.threshold, columns=columns, H_block=H_block)]
+        u, at, pose = se2.between(self._last, m.z[i]), np.array(kept), np.array((belief.x, belief.y, belief.theta))
+        dx, dy, turn = (u - se2.between(at, pose)).tolist()
+        by_kept, by_pose = se2.between_jacobians(at, pose)
+        R = self._drifted(u, m.floor) if m.extra["drifts"][i] else self._turned(m, i, -float(self._last[2]))
+        H, H_block, columns = (
+            cast("PoseRows", _matrix(by_pose)),
+            _matrix(by_kept),
+            (column, column + 1, column + 2),
+        )
+        y = (dx, dy, wrap(turn))
+        return [Innovation.of(i, y, H, R, belief, self.threshold, columns=columns, H_block=H_block)]
 
     def _turned(self, m: Measurements, i: int, angle: float) -> Matrix:
-        """Return R of reading i in the local frame, in which the source's frame is turned by an angle [rad]."""
+        """Return R of reading i in a frame in which the source's frame is turned by an angle [rad]."""
         T = se2.rotation(np.array(angle))
         return _matrix(T @ m.R[i] @ T.T)
 
@@ -300,7 +331,7 @@ class KeptPoseModel(Model):
         """Return the covariance of what a drifting source misses on its way u (3,)."""
         way = math.hypot(u[0], u[1]) + ARM_M * abs(wrap(float(u[2])))
         xy = self.drift[0] * way + float(floor[0, 0])
-        turn = self.drift[1] * way + float(floor[2, 2]) if self.settings.heading else MAX_SIGMA[1] ** 2
+        turn = self.drift[1] * way + float(floor[2, 2])
         return ((xy, 0.0, 0.0), (0.0, xy, 0.0), (0.0, 0.0, turn))
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:

@@ -1,8 +1,8 @@
 """Speeds that somebody else measured (visual odometry, optical flow, radar, a second odometry).
 
-The state holds no speed: the wheels' motion is the filter's input. So speeds are summed up to how far the robot came
-between two readings, forward s and turn a, and compared with the pose kept from the reading before (a "clone",
-Roumeliotis and Burdick 2002). With d = (-)B (+) p, the pose seen from the kept one,
+The state holds no speed: the wheels' motion is the filter's input. So speeds are summed up to how far the robot
+came between two readings, forward s and turn a, and compared with the pose kept from the reading before (a
+"clone", Roumeliotis and Burdick 2002). With d = (-)B (+) p, the pose seen from the kept one,
 
     s sinc(a / 2) = d_x cos(d_theta / 2) + d_y sin(d_theta / 2) + noise,    a = d_theta + noise
 
@@ -19,7 +19,7 @@ import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import Array, Colour, Component, LocfuseError, Measurements, Stream, plausible
+from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, Stream, plausible
 from locfuse.fusion.se2 import wrap
 from locfuse.fusion.sensor import Ask, Block, Innovation, Model, Sensor, SensorSettings, WheelMotion
 from locfuse.fusion.streams import gap_limit
@@ -65,7 +65,8 @@ class Twist(Sensor):
         "sigma_turn_deg": Ask("degrees per s: where the messages say nothing"),
     }
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
-        kind: (*fields, "twist.covariance") if kind in WITH_COVARIANCE else fields for kind, fields in SPEED.items()
+        kind: (*fields, "twist.covariance") if kind in WITH_COVARIANCE else fields
+        for kind, fields in SPEED.items()
     }
 
     def measure(self, stream: Stream, settings: TwistSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
@@ -78,8 +79,9 @@ class Twist(Sensor):
         dropped = dict(stream.dropped)
         keep = _usable(speeds, stream, dropped)
         t = (stream.t_ns[keep] - epoch_ns) * np.float64(1e-9) + settings.time_offset
-        own = np.array([settings.sigma, math.radians(settings.sigma_turn_deg)]) ** 2
-        P = plane_covariance(columns.get("twist.covariance"), keep, settings.covariance, own, FORWARD_TURN)
+        sigmas = np.array([settings.sigma, math.radians(settings.sigma_turn_deg)])
+        own = np.broadcast_to(sigmas**2, (len(t), 2))
+        P, told = plane_covariance(columns.get("twist.covariance"), keep, settings.covariance, own, FORWARD_TURN)
         way, variance, piece = _summed(t, speeds[keep], np.diagonal(P, axis1=1, axis2=2))
         rows = _one_each(t, settings.period)
         n = len(rows)
@@ -96,6 +98,7 @@ class Twist(Sensor):
                 "piece": piece[rows].astype(np.float64),
                 "forward_variance": variance[rows, 0],
                 "turn_variance": variance[rows, 1],
+                "told": told[rows].astype(np.float64),
             },
             dropped=dropped,
         )
@@ -106,15 +109,14 @@ class Twist(Sensor):
 
     def says_noise(self, m: Measurements) -> bool:
         """Return whether the messages say how good their speeds are: then `sigma` changes nothing."""
-        spread = np.diff(m.extra["forward_variance"]) / np.maximum(np.diff(m.t), 1e-9)
-        return bool(len(spread) and float(np.ptp(spread)) > 0.5 * float(spread.mean()))
+        return bool(m.extra["told"].any())
 
     def model(self, settings: TwistSettings) -> Model:
         """Return the source's side of a new run."""
         return TwistModel(settings)
 
 
-def _usable(speeds: Array, stream: Stream, dropped: dict[str, int]) -> Array:
+def _usable(speeds: Array, stream: Stream, dropped: dict[str, int]) -> Ints:
     """Return the rows (k,) that hold speeds at a time of their own; count the others."""
     finite = plausible(speeds).all(axis=1)
     later = np.diff(stream.t_ns, append=np.iinfo(np.int64).max) > 0
@@ -125,12 +127,14 @@ def _usable(speeds: Array, stream: Stream, dropped: dict[str, int]) -> Array:
     if not len(keep):
         raise LocfuseError(f"{stream.topic} has no usable speed in {len(speeds)} messages", role="twist")
     if len(keep) > 2 and not speeds[keep].any():
-        raise LocfuseError(f"{stream.topic} says 0 in all {len(keep)} messages: nobody measures there", role="twist")
+        raise LocfuseError(
+            f"{stream.topic} says 0 in all {len(keep)} messages: nobody measures there", role="twist"
+        )
     return keep
 
 
 def _summed(t: Array, speeds: Array, variances: Array) -> tuple[Array, Array, Array]:
-    """Return way and turn (n, 2) since the first reading, their variance (n, 2), and how many gaps came before (n,).
+    """Return way and turn (n, 2) since the first reading, their variance (n, 2), and the gaps until then (n,).
 
     By trapezoids; the errors of two readings are independent.
     """
@@ -143,7 +147,7 @@ def _summed(t: Array, speeds: Array, variances: Array) -> tuple[Array, Array, Ar
     return ways, total, np.concatenate((np.zeros(1), np.cumsum(gap)))
 
 
-def _one_each(t: Array, period: float) -> Array:
+def _one_each(t: Array, period: float) -> Ints:
     """Return the last reading of every period."""
     cell = np.floor(t / period) if period > 0.0 else t
     return np.flatnonzero(np.append(np.diff(cell) > 0, True))
@@ -185,7 +189,7 @@ class TwistModel(Model):
 
 
 def _predicted(kept: Array, pose: Array) -> tuple[tuple[float, float], Any, Any]:
-    """Return chord [m] and turn [rad] from the kept pose to the pose, and their derivatives by pose and kept pose."""
+    """Return chord [m] and turn [rad] from the kept pose to the pose, and the derivatives by both."""
     d = se2.between(kept, pose)
     c, s = math.cos(0.5 * d[2]), math.sin(0.5 * d[2])
     by_d = np.array([[c, s, 0.5 * (d[1] * c - d[0] * s)], [0.0, 0.0, 1.0]])

@@ -82,7 +82,9 @@ def poses(truth: Stream) -> Stream:
     P[0, 1] = P[1, 0] = 5e-5
     fields_of = {f"pose.pose.position.{axis}": column for axis, column in data.items()}
     fields_of |= {f"pose.pose.orientation.{axis}": column for axis, column in turned.items()}
-    fields_of["pose.covariance"] = np.tile(P.reshape(36), (len(half), 1)) * (1.0 + np.arange(len(half)) % 2)[:, None]
+    fields_of["pose.covariance"] = (
+        np.tile(P.reshape(36), (len(half), 1)) * (1.0 + np.arange(len(half)) % 2)[:, None]
+    )
     return ArrayStream("/other/pose", "geometry_msgs/msg/PoseWithCovarianceStamped", truth.t_ns[::4], fields_of)
 
 

@@ -208,6 +208,10 @@ class Model:
         """Return the map after the first scan and the map at the end, for the report."""
         return [], []
 
+    def points(self, belief: Any) -> list[tuple[int, float, float]]:
+        """Return id and place x, y [m, map frame] of every landmark that the run placed."""
+        return []
+
     def lost_intervals(self) -> list[tuple[float, float]]:
         """Return when this sensor found the robot not to know where it was, (start, end) [s]."""
         return []

@@ -21,6 +21,14 @@ STAMPS = ("header.stamp", "timestamp")  # they date the messages of any type
 READ_TYPES = frozenset(
     (
         "ackermann_msgs/msg/AckermannDrive",
+        "apriltag_msgs/msg/AprilTagDetectionArray",
+        "aruco_msgs/msg/MarkerArray",
+        "aruco_opencv_msgs/msg/ArucoDetection",
+        "isaac_ros_apriltag_interfaces/msg/AprilTagDetectionArray",
+        "ros2_aruco_interfaces/msg/ArucoMarkers",
+        "sensor_msgs/msg/CameraInfo",
+        "vision_msgs/msg/Detection2DArray",
+        "vision_msgs/msg/Detection3DArray",
         "ackermann_msgs/msg/AckermannDriveStamped",
         "autoware_auto_vehicle_msgs/msg/VelocityReport",
         "autoware_vehicle_msgs/msg/VelocityReport",
@@ -90,6 +98,23 @@ EXPECTED: Mapping[str, tuple[str, ...]] = {
     "rigidbodies.rigid_body_name": (TEXTS,),
     **{f"rigidbodies.pose.position.{axis}": (NUMBERS,) for axis in XY},
     **{f"rigidbodies.pose.orientation.{axis}": (NUMBERS,) for axis in XYZW},
+    **{
+        f"{at}.{axis}": (NUMBERS,)
+        for at in (
+            "poses.position",
+            "markers.pose.position",
+            "markers.pose.pose.position",
+            "detections.pose.pose.pose.position",
+            "detections.bbox.center.position",
+            "detections.centre",
+        )
+        for axis in XYZ
+    },
+    "marker_ids": (NUMBERS,),
+    "markers.id": (NUMBERS,),
+    "markers.marker_id": (NUMBERS,),
+    "detections.id": (NUMBERS, TEXTS),
+    "k": (NINE,),
     "position": (NUMBERS,),
     "velocity": (NUMBERS,),
     "format": (TEXT,),

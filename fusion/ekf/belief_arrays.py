@@ -41,6 +41,7 @@ class JointBelief:
         self._motion_block: slice | None = None
         self._clones: set[int] = set()  # columns that hold the heading of an earlier instant
         self._kept: set[int] = set()  # first of three columns that hold the pose of an earlier instant
+        self._points: set[str] = set()  # blocks that were appended: a point [m] in the local frame each
         self.frame: int | None = None  # first column of the map frame; None: the local frame is the map
         self.lost = False  # the pose is wrong by metres: it must not teach the map frame
         self.nis = (math.nan, 0)  # of the last correction, with all that it took in: y' S^-1 y, degrees of freedom
@@ -134,6 +135,8 @@ class JointBelief:
             self.transform(np.array([2, column]), np.array([self.theta, self._x[column] - self.theta]), turned)
         for column in sorted(self._kept):
             self._keep_in_frame(column)
+        for name in sorted(self._points):
+            self._point_in_frame(self._slices[name].start)
         self._forget_pose(first)
 
     def _keep_in_frame(self, column: int) -> None:
@@ -143,6 +146,20 @@ class JointBelief:
         J = np.eye(6)
         J[3:, :3], J[3:, 3:] = se2.between_jacobians(pose, kept)
         self.transform(np.concatenate((POSE, at)), np.concatenate((pose, se2.between(pose, kept))), J)
+
+    def _point_in_frame(self, column: int) -> None:
+        """Let a point be seen from where the robot is now."""
+        pose, at = self._x[:3].copy(), np.arange(column, column + 2)
+        placed = np.append(self._x[at], 0.0)
+        by_pose, by_placed = se2.between_jacobians(pose, placed)
+        J = np.eye(5)
+        J[3:, :3], J[3:, 3:] = by_pose[:2], by_placed[:2, :2]
+        self.transform(np.concatenate((POSE, at)), np.append(pose, se2.between(pose, placed)[:2]), J)
+
+    def own_point(self, name: str, column: int) -> None:
+        """Let two appended states be a block: a point in the local frame, found by its name wherever it moves."""
+        self._slices[name] = slice(column, column + 2)
+        self._points.add(name)
 
     def _clone_pose(self) -> int:
         """Append a copy of the pose and return its first column."""
@@ -303,6 +320,9 @@ class JointBelief:
         self._P[m : self.n, :] = 0.0
         self._P[:, m : self.n] = 0.0
         self.n = m
+        for name in self._points:
+            start = self._slices[name].start - int((columns < self._slices[name].start).sum())
+            self._slices[name] = slice(start, start + 2)
 
     def consider(self, columns: Ints) -> None:
         """Make columns considered (Schmidt-Kalman): their covariance counts, their values stay."""

@@ -215,7 +215,7 @@ def plane_covariance(
         return P, np.zeros(n, dtype=bool)
     full = np.asarray(column, np.float64).reshape(-1, 6, 6)[rows][:, axes][:, :, axes]
     diagonal = np.diagonal(full, axis1=1, axis2=2)
-    told: NDArray[np.bool_] = np.isfinite(full).all(axis=(1, 2)) & (diagonal > 0.0).all(axis=1)
+    told = np.asarray(np.isfinite(full).all(axis=(1, 2)) & (diagonal > 0.0).all(axis=1))
     limit = np.array(MAX_SIGMA)[[0, *([0] * (d - 2)), 1]] ** 2
     shrink = np.sqrt(np.minimum(1.0, limit / np.where(told[:, None], diagonal, 1.0)))
     scaled = np.where(told[:, None, None], full, np.eye(d)) * shrink[:, :, None] * shrink[:, None, :]

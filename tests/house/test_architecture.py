@@ -28,7 +28,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "data se2 chi_square",
         "sensor streams geodesy",
         "robot mount audit",
-        "camera lines ekf scan_matching",
+        "camera lines ekf scan_matching landmarks",
         "wheels linemap",
         "atlas",
         "truth sensors",

@@ -37,7 +37,8 @@ TESTS: dict[str, tuple[str, ...]] = {
     "fusion/sensors/camera.py": ("tests/camera/test_camera.py",),
     "fusion/linemap/line_map.py": ("tests/linemap", "tests/sensors/test_lrf.py"),
     "fusion/linemap/association.py": ("tests/linemap", "tests/sensors/test_lrf.py"),
-    "fusion/lines/fit.py": ("tests/lines/test_line_fit.py",),
+    "fusion/core/fit.py": ("tests/core/test_fit.py", "tests/lines/test_lines.py"),
+    "fusion/core/pieces.py": ("tests/core/test_pieces.py", "tests/lines/test_lines.py"),
     "fusion/judge/evaluate.py": ("tests/judge/test_evaluate.py", "tests/judge/test_consistency.py"),
     "fusion/smooth.py": ("tests/fusion/test_smooth.py",),
 }

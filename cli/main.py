@@ -81,8 +81,28 @@ class LazyGroup(click.Group):
             formatter.write_dl(list(COMMANDS.items()))
 
 
+def _say_version(ctx: click.Context, _option: click.Parameter, asked: bool) -> None:
+    """Print the version, and say so where the core is not compiled: it is as right, and slower."""
+    if not asked or ctx.resilient_parsing:
+        return
+    from importlib.metadata import version
+
+    from locfuse.fusion.core.form import form
+
+    core = form()
+    click.echo(f"locfuse, version {version('locfuse')}" + ("" if core.functions else f" (core {core.words})"))
+    ctx.exit()
+
+
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
-@click.version_option(package_name="locfuse")
+@click.option(
+    "--version",
+    is_flag=True,
+    expose_value=False,
+    is_eager=True,
+    callback=_say_version,
+    help="Show the version and exit.",
+)
 def locfuse() -> None:
     """Say what each sensor buys a robot: EKF localization from MCAP logs, compared.
 

@@ -286,7 +286,7 @@ class Audit:
     joint: Array = field(default_factory=lambda: np.zeros((0, 2)))
 
 
-FAULT, LOST, REFUSED, REST = "fault", "lost", "refused", "rest"  # kinds of events
+FAULT, LOST, REFUSED, REST, LOOP = "fault", "lost", "refused", "rest", "loop closed"  # kinds of events
 
 
 class Event(NamedTuple):
@@ -294,7 +294,7 @@ class Event(NamedTuple):
 
     start: float
     end: float
-    kind: str  # FAULT, LOST, REFUSED or REST
+    kind: str  # FAULT, LOST, REFUSED, REST or LOOP
     words: str
     configuration: str = ""  # in which result; "" where it is of the drive itself
 
@@ -365,6 +365,8 @@ class Estimates:
     truth_P: Array | None = None  # (q, 3, 3)
     notes: tuple[str, ...] = ()  # slips, being lost and found again
     lost: tuple[tuple[float, float], ...] = ()  # s: when the filter did not know where it was
+    # (m, 2) s: when a place was seen before, and when it was recognised, in order of the second
+    loops: Array = field(default_factory=lambda: np.zeros((0, 2)))
     smoothed: bool = False  # by the whole drive, its end included; audits are the filter's
     rates: Mapping[str, float] = field(default_factory=dict)  # Hz, of sensors used at a lower rate than the log's
 

@@ -209,6 +209,7 @@ class Filter:
             lost=tuple(
                 (a, min(b, float(drive.t[-1]))) for m in self.models.values() for a, b in m.lost_intervals()
             ),
+            loops=np.array([pair for m in self.models.values() for pair in m.closed_loops()]).reshape(-1, 2),
         )
 
     def _notes(self) -> Iterator[str]:

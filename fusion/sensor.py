@@ -216,6 +216,10 @@ class Model:
         """Return when this sensor found the robot not to know where it was, (start, end) [s]."""
         return []
 
+    def closed_loops(self) -> list[tuple[float, float]]:
+        """Return when a place was seen before and when it was recognised, (then, now) [s]."""
+        return []
+
     def notes(self, belief: Any) -> list[str]:
         """Return in words what a reader of the results must know of this run, whose last belief is given."""
         return []

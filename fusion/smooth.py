@@ -77,6 +77,7 @@ def by_graph(filtered: Estimates, graph: Graph) -> Estimates:
         truth_P=truth_P,
         final_map=graph.walls(),
         lost=(),
+        loops=graph.seen_again(),
         notes=(*filtered.notes, *graph.notes()),
         smoothed=True,
     )

@@ -47,6 +47,7 @@ def init(
 ) -> int:
     """Print a robot.toml for LOG: a starting point with a comment on every line.
 
+    With -o or --update on a terminal it asks for the values that no log can tell, such as the wheels' radius.
     What the log shows is in force: topics, joints, mounts by /tf_static, wheels by /robot_description, clock lags.
     Guesses are marked as guesses. What no log can tell is a line behind a # that says what to measure.
 
@@ -68,17 +69,20 @@ def init(
             raise click.UsageError("--update FILE reads and writes FILE: leave out -o and --robot")
         how = replace(how, robot=update)
     may_replace(out, overwrite, log)
+    place = update or out
     with show.progress(how.quiet) as progress:
         said, notes = _translated(find_log(log), ekf)
         made = draft(find_log(log), how, progress, said)
+    if place is not None and made.missing and not how.quiet and (told := _asked(made)):
+        with show.progress(how.quiet) as progress:
+            made = draft(find_log(log), replace(how, sets=(*how.sets, *told)), progress, said)
     words = printable(shlex.join(log))
-    text = _fresh(made, words) if update is None else _updated(made, update)
-    if update is not None or out is not None:
-        place = update or out
-        assert place is not None
+    name = printable(shlex.quote(str(place or "robot.toml")))
+    text = _fresh(made, words, name) if update is None else _updated(made, update)
+    if place is not None:
         with whole_file(place) as temporary:
             temporary.write_text(text, encoding="utf-8")
-        say(f"{place}: use it with --robot {place}")
+        say(f"{place}: use it with --robot {name}")
     else:
         with reader_may_leave():
             put(text)
@@ -86,7 +90,7 @@ def init(
     for note in notes:
         say(f"{ekf}: {note}")
     if not how.quiet:
-        _say(made, words, lost)
+        _say(made, words, name, lost)
     return LOSS if lost else 0
 
 
@@ -101,11 +105,21 @@ def _translated(places: Sequence[Place], ekf: Path | None) -> tuple[dict[str, di
     return {ekf.name: found.tables}, found.notes
 
 
-def _fresh(made: Draft, words: str) -> str:
+def _asked(made: Draft) -> tuple[str, ...]:
+    """Return the missing values that the person at the terminal knows; nothing in a script."""
+    from locfuse.cli.terminal.questions import Question, answers, somebody_is_there
+
+    if not somebody_is_there():
+        return ()
+    words = {f"{section.name}.{line.key}": line.words for section in made.sections for line in section.lines}
+    return answers([Question(key, words.get(key, "")) for key in made.missing])
+
+
+def _fresh(made: Draft, words: str, name: str) -> str:
     """Return a whole robot.toml; its first line names the schema, where editors look for it."""
     from locfuse.formats.robot.commented_toml import render
 
-    return f"#:schema ./{SCHEMA}\n{render(_head(made, words), made.sections, _foot(made))}"
+    return f"#:schema ./{SCHEMA}\n{render(_head(made, words, name), made.sections, _foot(made))}"
 
 
 def _updated(made: Draft, file: Path) -> str:
@@ -122,13 +136,13 @@ def _updated(made: Draft, file: Path) -> str:
     return commented_edit.updated(text, changes, "locfuse init --update")
 
 
-def _head(made: Draft, words: str) -> str:
-    name = made.overview.log.name
+def _head(made: Draft, words: str, name: str) -> str:
     return (
-        f"robot.toml of {name}, a starting point by locfuse init. Behind a #, nothing is in force.\n"
+        f"robot.toml of {made.overview.log.name}, a starting point by locfuse init. "
+        f"Behind a #, nothing is in force.\n"
         f"\n"
-        f"  locfuse info {words} --check --robot robot.toml\n"
-        f"  locfuse compare {words} --robot robot.toml\n"
+        f"  locfuse info {words} --check --robot {name}\n"
+        f"  locfuse compare {words} --robot {name}\n"
         f"  locfuse schema robot > {SCHEMA}   (then an editor completes and checks this file)"
     )
 
@@ -142,7 +156,7 @@ def _foot(made: Draft) -> str:
     return "\n".join(([f"Not in this log: {', '.join(plain)}."] if plain else []) + odd)
 
 
-def _say(made: Draft, words: str, lost: list[str]) -> None:
+def _say(made: Draft, words: str, name: str, lost: list[str]) -> None:
     from locfuse.cli.terminal import show
 
     for line in lost:
@@ -158,4 +172,4 @@ def _say(made: Draft, words: str, lost: list[str]) -> None:
     elif made.missing:
         show.say(f"to be filled in: {', '.join(made.missing)} (their lines say how to measure them)")
     else:
-        show.say(f"nothing is missing; try: locfuse compare {words} --robot robot.toml")
+        show.say(f"nothing is missing; try: locfuse compare {words} --robot {name}")

@@ -22,6 +22,7 @@ from locfuse.cli.pipeline.key import Asked
 from locfuse.cli.pipeline.load import check_settings
 from locfuse.cli.pipeline.results import LOSS
 from locfuse.cli.pipeline.settings import OF_COMPARISON
+from locfuse.cli.rerun.recordings import FOLDER, Recording, catalog
 from locfuse.cli.session.summary import default_folder, of_each, summarised
 from locfuse.cli.terminal import show
 from locfuse.cli.terminal.options import chosen
@@ -43,9 +44,9 @@ MAX_LINES = 20  # about losses and gates on stderr; all of them are in the table
 def several(words: Sequence[str], wish: Wish) -> int:
     """Compare every log, write and print the summary; return the exit code."""
     _refuse_rerun(wish)
-    wanted = _wanted(wish)
-    gates = FleetGates.read(wish.fail_if, wish.baseline, wish.tolerance)
     folder = wish.out or default_folder()
+    wanted = _wanted(wish, folder)
+    gates = FleetGates.read(wish.fail_if, wish.baseline, wish.tolerance)
     may_write(folder, wish.overwrite, (wish.how.robot, wish.baseline))
     todo = plan(words, wanted, folder)
     with sole_writer(folder, RUN_LOCK, patience_s=0.0):
@@ -64,11 +65,12 @@ def several(words: Sequence[str], wish: Wish) -> int:
         show.say(f"{folder}: {_standing(found)}; the same command goes on with the rest")
         raise ended.by
     _print(summary, files, folder, wish)
+    _say_recordings(ended, wanted.recording)
     show.end([folder / name for name in files], wish.as_json, wish.open)
     return _code(found, gates.of_fleet(summary), ended, wish.how.quiet)
 
 
-def _wanted(wish: Wish) -> Wanted:
+def _wanted(wish: Wish, folder: Path) -> Wanted:
     """Return what is asked of every log, checked as far as it can be without one."""
     how, fleet = wish.how, wish.fleet
     if wish.estimate:
@@ -84,6 +86,7 @@ def _wanted(wish: Wish) -> Wanted:
         overwrite=wish.overwrite,
         again=fleet.again,
         robots=robots,
+        recording=_recording(wish, folder),
         sweep=fleet.sweep,
     )
     for cell in wanted.cells:
@@ -93,10 +96,10 @@ def _wanted(wish: Wish) -> Wanted:
 
 def _refuse_rerun(wish: Wish) -> None:
     rerun = wish.rerun
-    asked = {"--rerun": rerun.show, "--rerun-save": rerun.save, "--rerun-connect": rerun.connect}
+    asked = {"--rerun-save": rerun.save, "--rerun-connect": rerun.connect}
     for option, value in asked.items():
         if value:
-            raise UsageError(f"{option}: one log at a time; several were given")
+            raise UsageError(f"{option}: one log at a time; of several logs --rerun records each")
 
 
 def _mark(folder: Path, todo: Plan) -> None:
@@ -175,6 +178,18 @@ def _show_summary(summary: Mapping[str, Any]) -> None:
         show.table(over.brief(summary))
     screen().print(Text(over.headline(summary)))
     show.verdicts(summary)
+
+
+def _recording(wish: Wish, folder: Path) -> Recording | None:
+    rerun = wish.rerun
+    return Recording(str((folder / FOLDER).absolute()), rerun.images, rerun.full) if rerun.show else None
+
+
+def _say_recordings(ended: Ended, recording: Recording | None) -> None:
+    """Say what could not be recorded, and how to open all that was."""
+    _say_some([line for outcome in ended.outcomes.values() for line in outcome.warnings], "warnings")
+    if recording is not None and any(Path(recording.folder).glob("*.rrd")):
+        show.say(f"all drives in one viewer: {catalog(Path(recording.folder))}")
 
 
 def _code(found: Gathered, failed_gates: Sequence[str], ended: Ended, quiet: bool) -> int:

@@ -16,6 +16,7 @@ import msgspec
 from locfuse.cli.pipeline.load import find_log, load
 from locfuse.cli.pipeline.memory import collect_rarely, give_back
 from locfuse.cli.pipeline.settings import silent
+from locfuse.cli.rerun.recordings import write
 from locfuse.cli.session.session import Session
 from locfuse.fusion.data import LocfuseError, UsageError
 
@@ -43,7 +44,7 @@ def _end_with_parent() -> None:
 def outcome(job: Job) -> Outcome:
     """Run a job in this process and say what became of it, in one line where it failed."""
     try:
-        compare(job)
+        warnings = compare(job)
     except LocfuseError as problem:
         return Outcome(job.name, "failed", " ".join(str(problem).split()), isinstance(problem, UsageError))
     except OSError as problem:
@@ -51,16 +52,16 @@ def outcome(job: Job) -> Outcome:
         return Outcome(job.name, "failed", f"{problem.strerror or problem}:{where}" if where else str(problem))
     except MemoryError:
         return Outcome(job.name, "failed", "out of memory")
-    return Outcome(job.name, "done")
+    return Outcome(job.name, "done", warnings=warnings)
 
 
-def compare(job: Job) -> None:
-    """Measure the log of a job once and write the results of every cell."""
+def compare(job: Job) -> tuple[str, ...]:
+    """Measure the log of a job once and write the results of every cell; return what did not work beside them."""
     loaded = load(find_log(job.log), job.how)
-    if job.cells == (Cell(),):
+    if job.cells == (Cell(),) and job.recording is None:
         loaded.log.forget()
     give_back()
-    session = Session(loaded, silent)
+    session, warnings = Session(loaded, silent), []
     for cell in job.cells:
         changed = session.with_settings(cell.sets) if cell.sets else session
         found = changed.compare(
@@ -68,12 +69,15 @@ def compare(job: Job) -> None:
             all_subsets=job.asked.all_subsets,
             align=job.asked.align,
             smooth=job.asked.smooth,
-            audits=False,
+            audits=job.recording is not None,
         )
         folder = job.place(cell)
         found.write(folder, write=job.kinds, export=job.export, overwrite=job.overwrite or is_torn(folder))
         if job.figures is not None:
             found.write_figures(Path(job.figures) / cell.name.replace(" ", ","))
+        if job.recording is not None and (why := write(job.recording, job.recording_of(cell), found)):
+            warnings.append(why)
+    return tuple(warnings)
 
 
 if __name__ == "__main__":

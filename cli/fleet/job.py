@@ -9,6 +9,7 @@ import msgspec
 
 from locfuse.cli.pipeline.key import Asked
 from locfuse.cli.pipeline.settings import LogOptions
+from locfuse.cli.rerun.recordings import Recording
 
 State = Literal["done", "failed"]
 
@@ -40,6 +41,7 @@ class Job(msgspec.Struct, frozen=True, kw_only=True):
     figures: str | None = None  # folder
     overwrite: bool = False
     cells: tuple[Cell, ...] = (Cell(),)
+    recording: Recording | None = None
     again: bool = False  # run it even where its results are there
     within: str | None = None  # the folder that paths are meant from; None: the current one
 
@@ -59,6 +61,10 @@ class Job(msgspec.Struct, frozen=True, kw_only=True):
             hash_all=self.hash_all,
         )
 
+    def recording_of(self, cell: Cell) -> str:
+        """Return the name of a cell's recording."""
+        return f"{self.name},{cell.name.replace(' ', ',')}" if cell.name else self.name
+
     def place(self, cell: Cell) -> Path:
         """Return the folder of a cell's results."""
         return Path(self.folder) / cell.name.replace(" ", ",") if cell.name else Path(self.folder)
@@ -72,3 +78,4 @@ class Outcome(msgspec.Struct, frozen=True):
     reason: str = ""  # why it failed, in one line
     misused: bool = False  # it failed by what was asked for, not by the log
     resumed: bool = False  # its results were there already
+    warnings: tuple[str, ...] = ()  # what did not work beside its results

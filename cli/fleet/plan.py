@@ -10,6 +10,7 @@ from locfuse.cli.choose.grouping import logs_of
 from locfuse.cli.pipeline.key import Asked
 from locfuse.cli.pipeline.load import find_log
 from locfuse.cli.pipeline.settings import LogOptions
+from locfuse.cli.rerun.recordings import Recording
 from locfuse.cli.session import sweep
 from locfuse.formats.log.files import log_name
 from locfuse.formats.visible import writable
@@ -31,6 +32,7 @@ class Wanted:
     overwrite: bool
     again: bool
     robots: Robots
+    recording: Recording | None = None
     sweep: tuple[str, ...] = ()  # as typed: "lrf.sigma_range=0.01,0.03"
 
     @property
@@ -93,6 +95,7 @@ def _job(
         figures=None if wanted.figures is None else str(wanted.figures / name),
         overwrite=wanted.overwrite,
         cells=cells,
+        recording=wanted.recording,
         again=wanted.again,
     )
 

@@ -31,6 +31,8 @@ def is_finished(job: Job) -> bool:
         return False
     if not all((job.place(cell) / REPORT).is_file() for cell in job.cells):
         return False
+    if job.recording is not None and not all(_is_recorded(job, cell) for cell in job.cells):
+        return False
     files = files_of(find_log(job.log))
     content = identity_of(files)
     changed = max((file.stat().st_mtime_ns for file in files if isinstance(file, Path)), default=0)
@@ -50,6 +52,13 @@ def _is_there(job: Job, cell: Cell, changed_ns: int, expected: str) -> bool:
     names = [OF_KIND[kind] for kind in job.kinds if kind in OF_KIND]
     names += [f"{name}.tum" for name in report["configurations"]] if "tum" in job.kinds else []
     return all((folder / name).is_file() for name in names)
+
+
+def _is_recorded(job: Job, cell: Cell) -> bool:
+    """Tell whether the recording of a result is there, and not of an earlier one."""
+    assert job.recording is not None
+    file, report = job.recording.file(job.recording_of(cell)), job.place(cell) / REPORT
+    return file.is_file() and file.stat().st_mtime_ns >= report.stat().st_mtime_ns
 
 
 def is_torn(folder: Path) -> bool:

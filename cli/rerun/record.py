@@ -62,6 +62,15 @@ def record(options: RerunOptions, sketch: Sketch | None, folder: Path, say: Say)
         _show(path, options, say)
 
 
+def saved(path: Path, options: RerunOptions, result: Result, say: Say) -> None:
+    """Write the recording of a result to a file, show it nowhere; at worst say in one line why there is none.
+
+    A catalog lists it by the file's name.
+    """
+    if (drawn := sketched(options, result, say)) is not None:
+        _saved(path, drawn._replace(identity=path.stem), say, None)
+
+
 def _why(problem: Exception) -> str:
     if isinstance(problem, ModuleNotFoundError):
         return "Rerun is not installed (python -m pip install rerun-sdk)"

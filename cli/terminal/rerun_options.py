@@ -78,7 +78,10 @@ def rerun_options(command: F) -> F:
     for option in reversed(
         (
             click.option(
-                "--rerun", is_flag=True, help="Show the drive in Rerun: in a running viewer, else a new one."
+                "--rerun",
+                is_flag=True,
+                help="Show the drive in Rerun: in a running viewer, else a new one. Of several logs: record each, "
+                "and print the command that shows them all.",
             ),
             click.option(
                 "--rerun-save",

@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 
 from locfuse.formats.visible import escaped, writable
+from locfuse.fusion.core.form import form
 from locfuse.fusion.data import Drive, Evaluation, LocfuseError, SensorFigures, result_name
 
 SCHEMA_VERSION = 1  # of report.json and run.json; locfuse 0.1 wrote none
@@ -60,7 +61,7 @@ def made_with() -> dict[str, str | None]:
     found: dict[str, str | None] = {"python": platform.python_version(), "machine": platform.machine()}
     for name, distributions in LIBRARIES.items():
         found[name] = next((v for d in distributions if (v := _version(d)) is not None), None)
-    return found
+    return {**found, "core": form().words.partition(":")[0]}
 
 
 def _version(distribution: str) -> str | None:

@@ -17,12 +17,13 @@ Interval = tuple[float, float]
 
 
 class MadeWith(Struct):
-    """Versions on which the last digits depend."""
+    """Versions on which the last digits depend; and of the core, which form ran: they do not depend on that."""
 
     python: str
     machine: str  # kind of CPU
     numpy: str | None
     opencv: str | None
+    core: str | None = None  # compiled, or not compiled: as right, and slower
 
 
 class Refused(Struct):

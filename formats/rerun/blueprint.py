@@ -87,6 +87,7 @@ def _map_overrides(scene: Scene) -> dict[Any, list[Any]]:
     for e in scene.estimates:
         root = f"{ROOT}/{part(e.name)}"
         overrides[f"{root}/path"] = [until_now]
+        overrides[f"{root}/loops"] = [until_now]
         for walls in ("refined", "three_sigma"):
             overrides[f"{root}/walls/{walls}"] = [until_now]
         if e is not scene.best:
@@ -127,7 +128,8 @@ def scan_view(scene: Scene) -> Any:
     """Return the view from the robot: x ahead to the right, y to the left upwards."""
     root = f"{ROOT}/{part(scene.best.name)}"
     reach = _reach(scene)
-    contents = [f"+ /{root}/**", f"+ /{ROOT}/landmark/**", f"- /{root}/path/**", f"- /{root}/sigma/**"]
+    left_out = [f"- /{root}/{path}/**" for path in ("path", "sigma", "loops")]
+    contents = [f"+ /{root}/**", f"+ /{ROOT}/landmark/**", *left_out]
     overrides: dict[Any, list[Any]] = {f"{root}/walls/{w}": [_until_now()] for w in ("refined", "three_sigma")}
     return rrb.Spatial2DView(
         name="Scan",

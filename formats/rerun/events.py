@@ -1,4 +1,4 @@
-"""What happened when, as a log of texts beside the map: rest, lost, refused in a row, labelled faults."""
+"""What happened when, as texts beside the map: rest, lost, loops closed, refused in a row, labelled faults."""
 
 from __future__ import annotations
 

@@ -47,6 +47,7 @@ def draw_map(to: Recorder, scene: Scene) -> None:
         body = rr.LineStrips2D([_body(scene)])
         to.static(f"{root}/pose/body", body, style.lines(colour, width, PATH_ORDER + order))
         _draw_walls(to, f"{root}/walls", estimates)
+        _draw_loops(to, f"{root}/loops", estimates)
     _draw_truth(to, scene)
     _draw_landmarks(to, scene)
 
@@ -97,6 +98,15 @@ def _draw_walls(to: Recorder, root: str, e: Estimates) -> None:
     to.send(f"{root}/refined", t, ends)
     to.static(f"{root}/three_sigma", style.lines(style.faded(style.WALL, 110), 0.5))
     to.send(f"{root}/three_sigma", t, rr.LineStrips2D.columns(strips=[wall_band(x) for x in walls]))
+
+
+def _draw_loops(to: Recorder, path: str, e: Estimates) -> None:
+    """Send a line for every place that was recognised: from where the robot is to where it was then."""
+    if not len(e.loops):
+        return
+    at = np.minimum(np.searchsorted(e.t, e.loops), len(e.t) - 1)
+    to.static(path, style.lines(style.faded(style.LOOP, 120), 0.75, PATH_ORDER - 1.0))
+    to.send(path, e.loops[:, 1], rr.LineStrips2D.columns(strips=e.pose[at][:, :, :2].astype(np.float32)))
 
 
 def _first_scan(e: Estimates) -> float:

@@ -32,6 +32,7 @@ class Sketch(NamedTuple):
     noted: Recorder
     pictures: Iterable[Picture]  # read from the log as they are written: too big to be held
     picture_rows: int | None
+    identity: str | None = None  # in a catalog; None: a new one, so that two runs never mix in a viewer
 
 
 def sketch(scene: Scene, tab: str | None = None) -> Sketch:
@@ -54,7 +55,7 @@ def write_recording(path: Path, drawn: Sketch) -> Counter[str]:
     """
     import rerun
 
-    stream = rerun.RecordingStream(drawn.application)
+    stream = rerun.RecordingStream(drawn.application, recording_id=drawn.identity)
     stream.set_log_time_enabled(False)
     stream.set_log_tick_enabled(False)
     with _strict():

@@ -42,6 +42,7 @@ WALL: Rgb = (225, 205, 150)
 SCAN: Rgb = (110, 165, 200)
 LIMIT: Rgb = (255, 235, 60)
 LEVEL: Rgb = (205, 205, 210)
+LOOP: Rgb = (165, 255, 120)
 
 MATCHED, REJECTED, NEW = "matched", "rejected", "new"
 GROUPS: dict[str, Rgb] = {MATCHED: (40, 185, 50), REJECTED: (240, 60, 50), NEW: (0, 225, 235)}
@@ -80,6 +81,8 @@ def legend_entries(scene: Scene) -> Iterator[tuple[str, Rgb]]:
     if any(e.final_map for e in scene.estimates):
         yield "wall", WALL
         yield "wall at first sight", FIRST_WALL
+    if any(len(e.loops) for e in scene.estimates):
+        yield "loop closed", LOOP
     if scene.scans is not None:
         yield "scan", SCAN
     if any(sight.landmark is not None for sight in scene.sights.values()):

@@ -18,8 +18,9 @@ MANY_SIGHTS = 60  # of a map: more say nothing new
 
 
 class Sight(NamedTuple):
-    """A scan, and where in the map it was taken."""
+    """A scan, when, and where in the map it was taken."""
 
+    t: float  # s
     pose: Array  # (3,)
     scan: Scan
 
@@ -36,7 +37,7 @@ class Way:
         """Go on with a way that was left: what lies between is no way."""
         self._last = None
 
-    def note(self, pose: Array, scan: Scan) -> None:
+    def note(self, t: float, pose: Array, scan: Scan) -> None:
         """Keep a scan from a pose (3,) that is not the last one's."""
         if self._last is not None:
             self.length += math.hypot(*(pose[:2] - self._last[:2]))
@@ -47,7 +48,12 @@ class Way:
             step = se2.between(self.sights[-1].pose, pose)
             if math.hypot(step[0], step[1]) < STRIDE and abs(se2.wrap(float(step[2]))) < TURN:
                 return
-        self.sights.append(Sight(pose, scan))
+        self.sights.append(Sight(t, pose, scan))
+
+    def passed(self, place: Array) -> float:
+        """Return when the way came nearest to a place (2,) [m] of its map, in s."""
+        nearest = min(self.sights, key=lambda sight: math.hypot(*(sight.pose[:2] - place)))
+        return nearest.t
 
 
 class FrozenMap(NamedTuple):

@@ -61,7 +61,7 @@ class AtlasTracker(LineTracker):
             int, float
         ] = {}  # frozen map in which this one was seen -> m of way to look again
         self._bridge: tuple[Scan, Ints] | None = None  # what leads over to the next map, and how often it was seen
-        self.closed: list[float] = []  # s
+        self.closed: list[tuple[float, float]] = []  # s: when a place was seen before, and when it was recognised
 
     def begin(self, given: Any, belief: Any) -> None:
         """Enter a given map."""
@@ -98,7 +98,7 @@ class AtlasTracker(LineTracker):
         pose = np.array(belief.pose())
         if begins and len(self.map):
             self._enter(pose, belief)
-        self._way.note(pose, self._scan_of(m, first, last, belief))
+        self._way.note(float(m.t[i]), pose, self._scan_of(m, first, last, belief))
         if self._way.length - self._asked_at >= (ASK_AGAIN if self._asked_at else FIRST_ASK):
             self._asked_at = self._way.length
             self._look(float(m.t[i]), belief)
@@ -239,14 +239,14 @@ class AtlasTracker(LineTracker):
             same = math.hypot(step[0], step[1]) < AGREES_XY and abs(se2.wrap(float(step[2]))) < AGREES_THETA
             self._seen_in[k] = (found, looks + 1 if same else 1)
             if self._seen_in[k][1] >= AGREEING:
-                self._close(t, old.anchor, at, found, belief)
+                self._close(t, old, at, found, belief)
 
-    def _close(self, t: float, of: int, at: int, found: Closure, belief: JointBelief) -> None:
+    def _close(self, t: float, seen: FrozenMap, at: int, found: Closure, belief: JointBelief) -> None:
         """Add a closure to the graph, unless it contradicts the others, and let the pose follow."""
         if belief.frame is None:
             return
         self._take_in_absolutes(belief)
-        poses = self._anchors.pose.copy()
+        of, poses = seen.anchor, self._anchors.pose.copy()
         edge = Edge(of, at, found.pose, inverted(found.P))
         old = [e for e in self._loops if (e.of, e.to) == (of, at)]
         for e in old:
@@ -263,10 +263,15 @@ class AtlasTracker(LineTracker):
         self._ask_known_at[of] = 2.0 * self._way.length
         self._loops = [e for e in self._loops if all(e is not o for o in old)] + [edge]
         if not old:
-            self.closed.append(t)
+            here = se2.compose(found.pose, np.array(belief.pose()))
+            self.closed.append((seen.way.passed(here[:2]), t))
         belief.know_frame(self._anchors.pose[at], self._anchors.covariance((at,)))
 
     # ---- results ----
+
+    def closed_loops(self) -> list[tuple[float, float]]:
+        """Return when a place was seen before and when it was recognised, (then, now) [s]."""
+        return self.closed
 
     def lines(self, belief: Any) -> tuple[list[MapLine], list[MapLine]]:
         """Return the map after the first scan, and all maps as they lie now."""

@@ -84,6 +84,11 @@ class Graph:
         """Covariance of each key pose (m, 3, 3), and that with the next one (m - 1, 3, 3)."""
         return self.normal.chain(len(self.x))
 
+    def seen_again(self) -> Array:
+        """Return when places were seen before and when they were recognised, (m, 2) [s]."""
+        when = np.sort(self.drive.t[self.keys][np.column_stack((self.closures.i, self.closures.j))], axis=1)
+        return when[np.argsort(when[:, 1], kind="stable")]
+
     def walls(self) -> list[MapLine]:
         """Return the straightened map."""
         return straightened(self.drive.measurements[LASER], self.readings, self.x, self.spread[0])

@@ -1,4 +1,4 @@
-"""What happened when during a drive: rest, being lost, readings refused in a row, faults that the log labels."""
+"""What happened when in a drive: rest, lost, loops closed, readings refused in a row, labelled faults."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion.data import (
+    LOOP,
     LOST,
     REFUSED,
     REST,
@@ -22,6 +23,7 @@ from locfuse.fusion.data import (
 
 MIN_REST_S = 2.0
 REST_STEP_M, REST_STEP_RAD = 1e-4, 1e-4  # of one interval of the wheels: below, nothing turned
+SAME_LOOP_S = 5.0  # closer together, loops are told as one
 MIN_REFUSED = 5  # readings in a row; fewer are outliers, and the gates show them
 TAKEN = tuple(VERDICTS.index(v) for v in ("accepted", "new", "repeated"))
 
@@ -32,16 +34,28 @@ def events_of_drive(drive: Drive) -> list[Event]:
 
 
 def events_of_run(drive: Drive, e: Estimates) -> list[Event]:
-    """Return when a run was lost and when it refused a sensor for a while, in order of time.
+    """Return when a run was lost, closed a loop, and refused a sensor for a while, in order of time.
 
     Args:
         drive: as the configuration saw it: its audits count the readings of this one.
         e: the run, with its audits.
     """
     found = [Event(a, b, LOST, f"lost for {b - a:.1f} s", e.name) for a, b in e.lost]
+    found += _loops(e)
     for sensor, audit in e.audits.items():
         found += _refusals(sensor, drive.measurements[sensor], drive.t[drive.instant[sensor]], audit, e.name)
     return sorted(found)
+
+
+def _loops(e: Estimates) -> Iterator[Event]:
+    """Yield the times at which places were recognised; those that follow close upon each other are one event."""
+    if not len(e.loops):
+        return
+    then, now = e.loops.T
+    for some in np.split(np.arange(len(now)), np.flatnonzero(np.diff(now) > SAME_LOOP_S) + 1):
+        a, b = float(then[some].min()), float(then[some].max())
+        place = f"the place of {a:.0f} s" if b - a < 1.0 else f"places of {a:.0f} to {b:.0f} s"
+        yield Event(float(now[some[0]]), float(now[some[-1]]), LOOP, f"{place} recognised", e.name)
 
 
 def rests(drive: Drive) -> Iterator[tuple[float, float]]:

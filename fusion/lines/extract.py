@@ -5,32 +5,34 @@ two parts of a wall left and right of something that stands before it are two li
 than `bridge` and than either part, and both are statistically the same line. Joining across wider shadows
 sometimes succeeds and sometimes not as the robot moves, and what is one line here and two there cannot be matched
 with the map one to one. Beams that could belong to either of two walls meeting in a corner belong to none.
+The work per beam is done by `core.lines`; here stands what it is given and what comes back.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from collections.abc import Callable
+from dataclasses import astuple, dataclass, fields
+from types import ModuleType
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from locfuse.fusion.core import lines as interpreted
+from locfuse.fusion.core.form import form
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.se2 import wrap_all
 
-from .beams import LineSettings, Runs, Scans, cut_at_gaps
-from .corners import clear_beams
-from .fit import Fits, Mask, Rays, Seen, fitted, improved, residuals
-from .sweep import Motion, loadings, shares
-from .walls import Walls, find_walls
+from .settings import LineSettings
+from .sweep import PIECES, Motion, shares
 
 __all__ = ["LineSettings", "Lines", "extract_lines", "to_base"]
 
-# glibc hands blocks larger than the largest one freed so far back to the kernel at once, and every new one is then
-# zeroed page by page: a third of the time here. One large block, freed untouched, ends that for the process.
-_POOL = 2_000_000  # numbers
 PAPER_LASER = LineSettings()
-_BATCH = 256  # scans worked on at once: enough to hide NumPy's overhead per call, few enough for the cache,
-_BEAMS = 100_000  # unless they have more beams than this in all: working memory is some 500 bytes a beam
+MAX_RANGE_M = 1e6  # no laser sees farther: what a driver means by more is "nothing"
+_BATCH = 256  # scans worked on at once,
+_BEAMS = 100_000  # unless they have more beams than this in all: working memory is some 300 bytes a beam
+_COLUMNS = 11  # of a line, by core.lines
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,66 @@ class Lines:
     chi2: Array  # (m,) residual chi2 per degree of freedom
     span: Ints  # (m, 2) first and last beam in the fit; first > last where the line crosses beam 0
     sweep: Array  # (m, 2, 2, pieces) what (r, psi) owe to the robot's turn and move in every piece of the sweep
+
+
+class Scans(NamedTuple):
+    """Scans of one laser as it delivers them."""
+
+    ranges: Array  # (n, b) m; NaN, Inf and what lies outside [range_min, range_max) is no return
+    angles: Array  # (b,) or (n, b) rad, steadily growing or falling along the beams
+    offsets: Array | None  # (n, b, 3) each beam's laser pose in the scan's frame; None: all at its origin
+    range_min: float
+    range_max: float
+
+    def take(self, rows: slice) -> Scans:
+        """Return some of the scans."""
+        angles = self.angles if self.angles.ndim == 1 else self.angles[rows]
+        offsets = None if self.offsets is None else self.offsets[rows]
+        return self._replace(ranges=self.ranges[rows], angles=angles, offsets=offsets)
+
+    def spacing(self) -> Array:
+        """Return the angle between neighbouring beams [rad], (n,)."""
+        n, b = self.ranges.shape
+        if b < 2:
+            return np.zeros(n)
+        spread = np.abs(self.angles[..., -1] - self.angles[..., 0]) / (b - 1)
+        return np.broadcast_to(spread, (n,))
+
+    def rays(self) -> tuple[Array, Array, Array, Array]:
+        """Return every beam's direction (cos, sin) and origin x, y [m]: (n, b), or (b,) where all scans agree."""
+        angles = self.angles
+        if self.offsets is not None:
+            x, y, turn = self.offsets.transpose(2, 0, 1)
+            return np.cos(angles + turn), np.sin(angles + turn), x, y
+        if angles.ndim == 2 and len(angles) and (angles == angles[0]).all():
+            angles = angles[0]  # one sine per angle instead of one per beam
+        return np.cos(angles), np.sin(angles), np.zeros(angles.shape), np.zeros(angles.shape)
+
+
+class Room(NamedTuple):
+    """Arrays as a form of the core wants them: NumPy's where compiled, lists where interpreted: faster there."""
+
+    functions: Any  # of core.lines
+    floats: Callable[[int], Any]
+    wholes: Callable[[int], Any]
+    given: Callable[[Array], Any]  # a matrix, row by row
+    given_wholes: Callable[[Array], Any]
+
+    @classmethod
+    def of(cls, unit: ModuleType | None) -> Room:
+        """Return the room for the compiled unit, or for the source (None)."""
+        if unit is None:
+            return cls(interpreted, lambda n: [0.0] * n, lambda n: [0] * n, _listed, _listed)
+        return cls(unit, np.empty, lambda n: np.empty(n, np.intp), _flat, lambda a: _flat(a, np.intp))
+
+
+def _listed(values: Array) -> list[float]:
+    numbers: list[float] = values.ravel().tolist()
+    return numbers
+
+
+def _flat(values: Array, kind: type = np.float64) -> Array:
+    return np.ascontiguousarray(values, kind).ravel()
 
 
 def extract_lines(
@@ -63,19 +125,13 @@ def extract_lines(
     NaN, Inf, and ranges outside [range_min, range_max) are no returns. Angles grow or fall steadily; scans of the
     whole circle may have walls across beam 0. The result of a scan does not depend on the scans beside it.
     """
-    parts = []
-    np.empty(_POOL)
+    scans = Scans(ranges, angles, offsets, range_min, range_max)
     batch = min(_BATCH, max(_BEAMS // max(ranges.shape[1], 1), 1))
-    for i in range(0, max(len(ranges), 1), batch):
-        rows = slice(i, i + batch)
-        scans = Scans(
-            ranges[rows],
-            angles if angles.ndim == 1 else angles[rows],
-            None if offsets is None else offsets[rows],
-            range_min,
-            range_max,
-        )
-        parts.append(_extract(scans, settings, motion))
+    room = Room.of(form().functions)
+    parts = [
+        lines_of(scans.take(slice(i, i + batch)), settings, motion, room)
+        for i in range(0, max(len(ranges), 1), batch)
+    ]
     return _joined(parts)
 
 
@@ -97,89 +153,45 @@ def to_base(z: Array, R_unit: Array, ends: Array, x: float, y: float, yaw: float
     return z, R, np.sort((ends + u[:, None]) * flip[:, None], axis=1)
 
 
-def _extract(scans: Scans, settings: LineSettings, motion: Motion | None) -> Lines:
+def lines_of(scans: Scans, settings: LineSettings, motion: Motion | None, room: Room) -> Lines:
     """Return the lines of one batch."""
-    runs = cut_at_gaps(scans, settings.max_gap, settings.gap_spacings)
-    walls = find_walls(runs, settings)
-    rows, counts = walls.rows()
-    rays = runs.beams.rays.take(rows)
-    fit, clear, seen, enough = _fit(runs, walls, rays, counts, settings)
-    head, tail, points = _first_and_last(clear, counts)
-    ends = np.stack((head, tail), axis=1)
-    two = np.full(len(ends), 2)
-    feet = residuals(rays.take(ends.ravel()), two, fit.r, fit.psi, 0.0).q.reshape(-1, 2)
-    good = np.flatnonzero(enough & _straight(fit, points, feet, settings))
-    scan = runs.beams.scan[walls.head[good]]
-    sweep = np.zeros((len(counts), 2, 2, 0))
-    if motion is not None:
-        normal = np.stack((np.cos(fit.psi), np.sin(fit.psi)), axis=-1)
-        share = shares(scans.ranges.shape[1])[:, runs.beams.beam[rows]]
-        sweep = loadings(share, seen.q, seen.w, counts, normal, motion)
-    return Lines(
-        first=np.concatenate(([0], np.cumsum(np.bincount(scan, minlength=len(scans.ranges))))),
-        z=np.stack((fit.r, wrap_all(fit.psi)), axis=1)[good],
-        R_unit=fit.R_unit[good],
-        ends=np.sort(feet[good], axis=1),
-        points=points[good],
-        chi2=(fit.misfit / settings.sigma_range**2 / np.maximum(points - 2, 1))[good],
-        span=runs.beams.beam[rows[ends[good]]],
-        sweep=sweep[good],
+    n, beams = scans.ranges.shape
+    spacing, slips = scans.spacing(), 0 if motion is None else PIECES
+    numbers = np.array([*astuple(settings), *((0.0,) * 4 if motion is None else (*motion.lever, *motion.ahead))])
+    share = shares(beams) if slips else np.zeros(0)
+    most = n * (beams // 3)  # lines: none of fewer beams
+    counts, out, loads = room.wholes(n), room.floats(_COLUMNS * most), room.floats(4 * slips * most)
+    rays = scans.rays()
+    found = room.functions.extract(
+        room.floats,
+        room.wholes,
+        n,
+        beams,
+        room.given(scans.ranges),
+        *map(room.given, rays),
+        beams if rays[0].ndim == 2 else 0,
+        room.given(settings.gap_spacings * spacing),
+        room.given_wholes(spacing * (beams + 0.5) > 2.0 * math.pi),
+        max(scans.range_min, float(np.finfo(float).tiny)),
+        min(scans.range_max, MAX_RANGE_M),
+        room.given(numbers),
+        room.given(share),
+        slips,
+        counts,
+        out,
+        loads,
     )
-
-
-def _fit(
-    runs: Runs, walls: Walls, rays: Rays, counts: Ints, settings: LineSettings
-) -> tuple[Fits, Mask, Seen, Mask]:
-    """Return the walls' fits, which beams are in them (k,), beside which lines, and which walls have enough (m,).
-
-    Two Gauss-Newton steps. Corners leave before the first, strays before the second.
-    """
-    ratio, least = settings.sigma_angle / settings.sigma_range, max(settings.min_points, 3)
-    seen = residuals(rays, counts, walls.r, walls.psi, ratio)
-    clear = clear_beams(runs, walls, seen.q, counts, settings)
-    points = _first_and_last(clear, counts)[2]
-    enough = points >= least
-    clear |= np.repeat(~enough, counts)  # refused in the end; until then they need something to fit
-    np.multiply(seen.w, clear, out=seen.w)
-    r, psi = improved(seen, counts, walls.r, walls.psi)
-    seen = residuals(rays, counts, r, psi, ratio)
-    clear[_strays(seen, clear, counts, points - least, settings)] = False
-    np.multiply(seen.w, clear, out=seen.w)
-    return fitted(seen, counts, r, psi), clear, seen, enough
-
-
-def _strays(seen: Seen, clear: Mask, counts: Ints, spare: Ints, settings: LineSettings) -> Ints:
-    """Return the rows of beams that are not of their wall: a pole or a person's leg before it.
-
-    A few such beams are too few to be cut off as a piece of their own, and pull the whole line towards them. Walls
-    that have fewer beams to `spare` (m,) than strays keep them, and their misfit shows.
-    """
-    rows = np.flatnonzero((seen.e * seen.e * seen.w > (settings.stray_sigmas * settings.sigma_range) ** 2) & clear)
-    wall = np.searchsorted(np.cumsum(counts), rows, side="right")
-    return rows[(np.bincount(wall, minlength=len(counts)) <= spare)[wall]]
-
-
-def _straight(fit: Fits, points: Ints, feet: Array, settings: LineSettings) -> Mask:
-    """Return which fits are a straight wall, known well enough to be of use, (m,)."""
-    variance = settings.sigma_range**2
-    rough = fit.misfit > settings.max_chi2 * variance * np.maximum(points - 2, 1)
-    bow = np.abs(fit.curvature * (feet[:, 1] - feet[:, 0])) / 4.0  # height over length
-    curved = (fit.bend > settings.max_bend * variance) & (bow > settings.max_bow)
-    R = fit.R_unit * variance
-    swing = 0.5 * fit.r * R[:, 1, 1]  # turning about its middle by sigma(psi) moves the line's foot by this [m]
-    sigma_r = np.sqrt(R[:, 0, 0] - R[:, 0, 1] ** 2 / R[:, 1, 1])  # of r where psi is known
-    vague = (R[:, 1, 1] > settings.max_sigma_psi**2) | (swing > settings.max_swing * sigma_r)
-    return np.asarray((fit.r > 0.0) & ~rough & ~curved & ~vague)
-
-
-def _first_and_last(clear: Mask, counts: Ints) -> tuple[Ints, Ints, Ints]:
-    """Return the first and the last clear row of every wall and how many it has, each (m,)."""
-    hits, end = np.flatnonzero(clear), np.cumsum(counts)
-    if not len(hits):
-        return np.zeros_like(counts), np.zeros_like(counts), np.zeros_like(counts)
-    stop = np.searchsorted(hits, end)
-    begin = np.concatenate(([0], stop))[:-1]
-    return hits.take(begin, mode="clip"), hits.take(stop - 1, mode="clip"), stop - begin
+    lines = np.array(out[: _COLUMNS * found]).reshape(found, _COLUMNS)
+    return Lines(
+        first=np.concatenate(([0], np.cumsum(counts))).astype(np.int64),
+        z=lines[:, :2],
+        R_unit=lines[:, (2, 3, 3, 4)].reshape(found, 2, 2),
+        ends=lines[:, 5:7],
+        points=lines[:, 7].astype(np.int64),
+        chi2=lines[:, 8],
+        span=lines[:, 9:11].astype(np.int64),
+        sweep=np.array(loads[: 4 * slips * found]).reshape(found, 2, 2, slips),
+    )
 
 
 def _joined(parts: list[Lines]) -> Lines:

@@ -43,31 +43,11 @@ def shares(beams: int) -> Array:
     return np.where(low >= 0.0, after, before)
 
 
-def loadings(share: Array, q: Array, w: Array, counts: Ints, normal: Array, motion: Motion) -> Array:
-    """Return what (r, psi) of m lines owe to a turn [rad] and a move [m] of 1 in each piece, (m, 2, 2, PIECES).
-
-    A beam's end moves across its line by lever - q per radian and by n.ahead per metre; the fit passes that on.
-    `share` (PIECES, k), foot q [m] and weight w of the beams, one line after another; counts (m,); normal n
-    (m, 2); all in the laser's axes.
-    """
-    first = np.cumsum(counts) - counts
-    a, b, c = np.add.reduceat(np.stack((w, w * q, w * q * q)), first, axis=1)
-    weighted = w * share
-    sums = np.stack([np.add.reduceat(weighted * p, first, axis=1) for p in (1.0, q, q * q)])  # (3, PIECES, m)
-    across = normal[:, 1] * motion.lever[0] - normal[:, 0] * motion.lever[1]
-    along = normal @ np.array(motion.ahead)
-    turned = across * sums[:2] - sums[1:]  # (2, PIECES, m): sums of w e and w q e
-    moved = along * sums[:2]
-    e = np.stack((turned, moved))  # (2, 2, PIECES, m)
-    det = a * c - b * b
-    r, psi = (c * e[:, 0] - b * e[:, 1]) / det, (b * e[:, 0] - a * e[:, 1]) / det
-    return np.stack((r, psi)).transpose(3, 0, 1, 2)
-
-
 def noise_of(per_unit: Array, scan: Ints, middle: Array, duration: Array, wheels: WheelMotion) -> Array:
     """Return the loadings G (m, 2, 2 PIECES) of lines on the slips of both wheels in every piece of the sweep.
 
-    `per_unit` (m, 2, 2, PIECES) by `loadings`; scan (m,) says whose the lines are; middle, duration (n,) [s].
+    `per_unit` (m, 2, 2, PIECES) by `core.lines.loadings`; scan (m,) says whose the lines are;
+    middle, duration (n,) [s].
     """
     slip = np.sqrt(wheels.slips(middle[:, None] + duration[:, None] * EDGES))[scan]  # (m, PIECES, 2) m
     turn, move = per_unit[:, :, 0] / wheels.track, 0.5 * per_unit[:, :, 1]  # (m, 2, PIECES)

@@ -328,3 +328,22 @@ def test_what_cannot_be_done_is_refused_before_any_log_is_read(
     assert done.exit_code in {1, 2}
     assert said in done.stderr
     assert not (tmp_path / "out").exists() or not list((tmp_path / "out").glob("drive*"))
+
+
+def test_every_drive_of_a_fleet_is_recorded_and_one_command_serves_them_all(
+    logs: list[Path], tmp_path: Path
+) -> None:
+    from rerun.chunk import RrdReader
+
+    words = ("compare", *logs[:2], "-o", tmp_path / "out", "--rerun", *ONE)
+    done = locfuse(*words)
+    assert done.exit_code == 0, done.stderr
+    names = [log.stem for log in logs[:2]]
+    files = [tmp_path / "out" / "recordings" / f"{name}.rrd" for name in names]
+    assert [RrdReader(file).recordings()[0].recording_id for file in files] == names
+    assert f"rerun server --host 127.0.0.1 --port 51234 --dataset drives={files[0].parent}" in done.stderr
+    made = [file.stat().st_mtime_ns for file in files]
+    files[1].unlink()
+    assert locfuse(*words).exit_code == 0
+    assert files[0].stat().st_mtime_ns == made[0], "it was there"
+    assert files[1].is_file()

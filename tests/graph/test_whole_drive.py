@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from ring_drive import ring_drive, robot
+from ring_drive import WIDTH, ring_drive, robot
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive
@@ -35,6 +35,15 @@ def test_a_ring_driven_twice_is_closed_and_straight() -> None:
     assert len(graph.closures) >= 3
     assert "closed" in graph.notes()[0]
     assert (np.linalg.eigvalsh(P) > 0.0).all()
+
+
+def test_a_loop_joins_two_times_at_which_the_robot_was_at_one_place() -> None:
+    drive, truth, graph = solved()
+    then, now = np.searchsorted(drive.t, graph.seen_again()).T
+    assert len(now) == len(graph.closures)
+    assert (drive.t[now] - drive.t[then] > 10.0).all(), "that is no return"
+    assert np.hypot(*(truth[now] - truth[then])[:, :2].T).max() < WIDTH, "that is another corridor"
+    assert (np.diff(now) >= 0).all()
 
 
 def test_the_claimed_covariance_covers_the_error() -> None:

@@ -12,7 +12,7 @@ from small_drive import robot as small_robot
 from locfuse import sample_logs
 from locfuse.cli.pipeline.load import load
 from locfuse.cli.pipeline.settings import LogOptions
-from locfuse.fusion.data import FAULT, LOST, REFUSED, REST, VERDICTS, Drive
+from locfuse.fusion.data import FAULT, LOOP, LOST, REFUSED, REST, VERDICTS, Drive
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.events import MIN_REFUSED, events_of_drive, events_of_run
 
@@ -61,6 +61,16 @@ def test_being_lost_is_told_with_its_times() -> None:
     run = replace(fuse(drive, robot, []), lost=((1.0, 2.5),))
     (event,) = events_of_run(drive, run)
     assert (event.start, event.end, event.kind, event.configuration) == (1.0, 2.5, LOST, "odometry")
+
+
+def test_loops_that_follow_close_upon_each_other_are_told_as_one() -> None:
+    drive = small_drive(1, small_robot(), laps=0.5)
+    loops = np.array([(1.0, 40.0), (3.5, 42.0), (2.0, 60.0)])
+    run = replace(fuse(drive, small_robot(), []), loops=loops)
+    first, second = events_of_run(drive, run)
+    assert (first.start, first.end, first.kind) == (40.0, 42.0, LOOP)
+    assert first.words == "places of 1 to 4 s recognised"
+    assert (second.start, second.end, second.words) == (60.0, 60.0, "the place of 2 s recognised")
 
 
 def test_the_faults_that_a_log_labels_are_events_with_their_times() -> None:

@@ -8,14 +8,12 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-import textbook_lines
 from rooms import ARENA, box, pole, poses, ranges, scan, wall_lines
 
 from locfuse.fusion import se2
+from locfuse.fusion.core.form import form
 from locfuse.fusion.data import Array
 from locfuse.fusion.lines.extract import Lines, LineSettings, extract_lines, to_base
-from locfuse.fusion.lines.fit import misfit
-from locfuse.fusion.lines.split import merge, split
 
 HALF = np.radians(np.linspace(-90.0, 90.0, 361))
 CIRCLE = np.radians(np.arange(720) * 0.5 - 180.0)
@@ -108,40 +106,6 @@ def test_a_sharp_scanner_sees_every_plate_that_shows_a_side() -> None:
     assert seen == set(range(8)) - {6}  # plate 6 is seen edge-on from here
 
 
-# --- against the textbook
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_splitting_level_by_level_equals_the_recursion(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    d = noisy(rng, poses(rng, 12), HALF, NOISE["30mm_0.25deg"])
-    x, y = (d * np.cos(HALF)).ravel(), (d * np.sin(HALF)).ravel()
-    tolerance = rng.uniform(0.03, 0.12, len(x))
-    first = split(x, y, tolerance, np.arange(13) * 361)
-    points = np.stack((x, y), axis=1)
-    expected = [
-        s
-        for i in range(0, len(x), 361)
-        for s in textbook_lines.split(points[i : i + 361], tolerance[i : i + 361], i)
-    ]
-    assert first.tolist() == [*expected, len(x)]
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_merging_equals_best_pair_first(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    d = noisy(rng, poses(rng, 1), HALF, NOISE["30mm_0.25deg"])[0]
-    points, w = np.stack((d * np.cos(HALF), d * np.sin(HALF)), axis=1), rng.uniform(500.0, 1500.0, 361)
-    starts = np.array(textbook_lines.split(points, np.full(361, 0.08)))
-    x, y = points.T
-    moments = np.add.reduceat(w * np.stack((1 + 0 * x, x, y, x * x, x * y, y * y)), starts, axis=1)
-    groups = merge(moments, np.ones(len(starts) - 1, bool), 20.0)
-    assert starts[groups[:-1]].tolist() == textbook_lines.merge(points, w, starts.tolist(), 20.0)
-    assert misfit(moments)[0] == pytest.approx(
-        textbook_lines.misfit(points[: starts[1]], w[: starts[1]]), abs=1e-6
-    )
-
-
 @pytest.mark.parametrize("angles", [HALF, CIRCLE], ids=["half", "circle"])
 @pytest.mark.parametrize("deskewed", [False, True])
 def test_a_scan_has_the_same_lines_alone_and_in_any_batch(angles: Array, deskewed: bool) -> None:
@@ -164,17 +128,17 @@ def test_a_scan_has_the_same_lines_alone_and_in_any_batch(angles: Array, deskewe
     assert same_bytes(together, extract_lines(d, own, offsets=offsets))
 
 
+@pytest.mark.skipif(form().functions is None, reason="the core is not compiled")
 def test_python_does_no_work_per_scan() -> None:
-    """Calls, not seconds: four times the scans of a batch take hardly more calls into NumPy."""
-    rng = np.random.default_rng(15)
-    d = noisy(rng, poses(rng, 240), HALF, NOISE["30mm_0.25deg"])
+    """Calls, not seconds: a hundred scans of a batch take no more calls than one."""
+    d = noisy(np.random.default_rng(15), poses(np.random.default_rng(15), 100), HALF, NOISE["30mm_0.25deg"])
 
     def calls(scans: Array) -> int:
         count = 0
 
         def tally(_frame: object, event: str, _what: object) -> None:
             nonlocal count
-            count += event == "c_call"
+            count += event in {"call", "c_call"}
 
         sys.setprofile(tally)
         try:
@@ -183,8 +147,8 @@ def test_python_does_no_work_per_scan() -> None:
             sys.setprofile(None)
         return count
 
-    calls(d[:60])
-    assert calls(d) < 1.4 * calls(d[:60])
+    calls(d[:1])
+    assert calls(d) == calls(d[:1])
 
 
 # --- one wall or two

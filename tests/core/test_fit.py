@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from locfuse.fusion.core import fit as core
+from locfuse.fusion.core.pieces import misfit
+from locfuse.fusion.core.walls import perpendicular_fit
 from locfuse.fusion.data import Array
-from locfuse.fusion.lines.fit import Fits, Rays, fitted, improved, misfit, residuals, total_least_squares
 
 NOISE = {"30mm_0.25deg": (0.03, math.radians(0.25)), "5mm_0.1deg": (0.005, math.radians(0.1))}
 WALLS = {  # r [m], psi [rad], from where to where along the tangent [m]
@@ -19,7 +22,7 @@ WALLS = {  # r [m], psi [rad], from where to where along the tangent [m]
     "grazing": (0.6, 3.1, 1.5, 4.5),
     "short": (2.0, -3.1, 0.2, 0.9),
 }
-RUNS = 2000
+RUNS = 500
 Wall = tuple[float, float, float, float]
 
 
@@ -40,13 +43,52 @@ def moving(beams: int, side: float) -> tuple[Array, Array]:
     return 0.1 * t, side * t * t
 
 
+class Rays(NamedTuple):
+    """Beams of all lines, one line after another: range, direction, origin."""
+
+    d: Array
+    c: Array
+    s: Array
+    ox: Array
+    oy: Array
+
+    def take(self, rows: slice | Array) -> Rays:
+        return Rays(*(column[rows] for column in self))
+
+
+class Fits(NamedTuple):
+    """A value per line."""
+
+    r: Array
+    psi: Array
+    R_unit: Array
+    misfit: Array
+    bend: Array
+    curvature: Array
+
+
 def fit(rays: Rays, lines: int, r: float, psi: float, ratio: float, steps: int = 2) -> Fits:
-    """As `extract_lines` does it: Gauss-Newton steps from (r, psi), the last of them with the covariance."""
-    counts = np.full(lines, len(rays.d) // lines)
-    at = np.full(lines, r), np.full(lines, psi)
-    for _ in range(steps - 1):
-        at = improved(residuals(rays, counts, *at, ratio), counts, *at)
-    return fitted(residuals(rays, counts, *at, ratio), counts, *at)
+    """As `core.lines` does it: Gauss-Newton steps from (r, psi), the last of them with the covariance."""
+    n = len(rays.d) // lines
+    found = [one_line(rays.take(slice(n * i, n * i + n)), r, psi, ratio, steps) for i in range(lines)]
+    return Fits(*(np.array(column) for column in zip(*found, strict=True)))
+
+
+def one_line(
+    rays: Rays, r: float, psi: float, ratio: float, steps: int, used: list[int] | None = None
+) -> tuple[float, float, list[list[float]], float, float, float]:
+    d, c, s, ox, oy = (column.tolist() for column in rays)
+    rows = list(range(len(rays.d))) if used is None else used
+    n = len(rows)
+    e, q, w, sums = [0.0] * n, [0.0] * n, [0.0] * n, [0.0] * 9
+    for _ in range(steps):
+        core.residuals(d, c, s, ox, oy, rows, n, r, psi, ratio, e, q, w)
+        core.normal_equations(n, e, q, w, sums)
+        core.parabola(n, e, q, w, sums)
+        r, psi = r + core.step_r(sums), psi + core.step_psi(sums)
+    det = core.determinant(sums)
+    R_unit = [[sums[2] / det, sums[1] / det], [sums[1] / det, sums[0] / det]]
+    return r, psi, R_unit, core.misfit_of(sums), core.bend(sums), core.curvature(sums)
 
 
 def wrapped(angle: Array) -> Array:
@@ -62,8 +104,7 @@ def simulated(wall: Wall, noise: tuple[float, float], side: float | None) -> Ray
     real = nominal + rng.normal(0.0, noise[1], size)
     d = ranges(wall[0], wall[1], real, ox, oy) + rng.normal(0.0, noise[0], size)
     told = np.tile(nominal, RUNS)
-    origins = () if side is None else (np.tile(ox, RUNS), np.tile(oy, RUNS))
-    return Rays(d.ravel(), np.cos(told), np.sin(told), *origins)
+    return Rays(d.ravel(), np.cos(told), np.sin(told), np.tile(ox, RUNS), np.tile(oy, RUNS))
 
 
 @pytest.mark.parametrize("wall", WALLS.values(), ids=WALLS.keys())
@@ -72,8 +113,7 @@ def test_a_wall_without_noise_is_found_exactly(wall: Wall, side: float | None) -
     angle = directions(wall, 25)
     ox, oy = (np.zeros(25), np.zeros(25)) if side is None else moving(25, side)
     d = ranges(wall[0], wall[1], angle, ox, oy)
-    origins = () if side is None else (ox, oy)
-    found = fit(Rays(d, np.cos(angle), np.sin(angle), *origins), 1, wall[0] + 0.02, wall[1] - 0.01, 0.15, steps=6)
+    found = fit(Rays(d, np.cos(angle), np.sin(angle), ox, oy), 1, wall[0] + 0.02, wall[1] - 0.01, 0.15, steps=6)
     assert found.r[0] == pytest.approx(wall[0], abs=1e-12)
     assert wrapped(found.psi - wall[1])[0] == pytest.approx(0.0, abs=1e-12)
     assert found.misfit[0] == pytest.approx(0.0, abs=1e-20)
@@ -116,9 +156,8 @@ def test_residuals_have_the_size_their_sigmas_say(wall: Wall) -> None:
 def test_the_fit_equals_scipy_on_the_ranges(wall: Wall, side: float | None) -> None:
     noise = NOISE["30mm_0.25deg"]
     rays = simulated(wall, noise, side)
-    one = Rays(*(a[:60] for a in (rays.d, rays.c, rays.s, rays.ox, rays.oy) if a is not None))
-    angle = np.arctan2(one.s, one.c)
-    ox, oy = (np.zeros(60), np.zeros(60)) if one.ox is None or one.oy is None else (one.ox, one.oy)
+    one = rays.take(slice(60))
+    angle, ox, oy = np.arctan2(one.s, one.c), one.ox, one.oy
 
     def sigma(x: Array) -> Array:
         p = ranges(x[0], x[1], angle, ox, oy)
@@ -141,37 +180,36 @@ def test_the_fit_equals_scipy_on_the_ranges(wall: Wall, side: float | None) -> N
     assert np.abs([usual.r[0], usual.psi[0]] - x).tolist() <= (0.05 * sigmas).tolist()
 
 
-def test_lines_fitted_together_are_the_lines_fitted_alone() -> None:
-    noise = NOISE["30mm_0.25deg"]
-    wall = WALLS["off_centre"]
-    rays = simulated(wall, noise, 0.4)
-    together = fit(rays, RUNS, *wall[:2], noise[1] / noise[0])
-    for i in (0, 1, 7, RUNS - 1):
-        alone = fit(rays.take(np.arange(60 * i, 60 * (i + 1))), 1, *wall[:2], noise[1] / noise[0])
-        for name in ("r", "psi", "R_unit", "misfit", "bend"):
-            assert getattr(alone, name)[0].tobytes() == getattr(together, name)[i].tobytes()
-
-
-def test_rays_of_no_weight_do_not_count() -> None:
+def test_beams_that_are_left_out_do_not_count() -> None:
     noise, wall = NOISE["5mm_0.1deg"], WALLS["off_centre"]
-    rays = simulated(wall, noise, None).take(np.arange(60))
-    used = np.ones(60, bool)
-    used[[0, 5, 59]] = False
-    rays.d[~used] += 1.0
-    start = np.array([wall[0]]), np.array([wall[1]])
-    ratio = noise[1] / noise[0]
-    seen = residuals(rays, np.array([60]), *start, ratio)
-    masked = fitted(seen._replace(w=seen.w * used), np.array([60]), *start)
-    fewer = fitted(
-        residuals(rays.take(np.flatnonzero(used)), np.array([57]), *start, ratio), np.array([57]), *start
-    )
-    assert [masked.r[0], masked.psi[0]] == pytest.approx([fewer.r[0], fewer.psi[0]], abs=1e-12)
-    np.testing.assert_allclose(masked.R_unit, fewer.R_unit, rtol=1e-9)
+    rays = simulated(wall, noise, None).take(slice(60))
+    used = [i for i in range(60) if i not in {0, 5, 59}]
+    rays.d[[0, 5, 59]] += 1.0
+    left_out = one_line(rays, *wall[:2], noise[1] / noise[0], 1, used)
+    fewer = one_line(rays.take(np.array(used)), *wall[:2], noise[1] / noise[0], 1)
+    assert left_out == fewer
 
 
-def moments(points: Array, weights: Array) -> Array:
+def test_a_beam_along_the_wall_has_no_weight_and_all_beams_in_one_point_no_direction() -> None:
+    e, q, w, sums = [0.0] * 3, [0.0] * 3, [0.0] * 3, [0.0] * 9
+    core.residuals([1.0] * 3, [0.0] * 3, [1.0] * 3, [0.0] * 3, [0.0] * 3, [0, 1, 2], 3, 1.0, 0.0, 0.1, e, q, w)
+    assert max(w) < 1e-290
+    assert core.keep_clear([0, 1, 2], 3, e, q, w, -1e6, 1e6) == 0
+    core.residuals([1.0] * 3, [1.0] * 3, [0.0] * 3, [0.0] * 3, [0.0] * 3, [0, 1, 2], 3, 1.0, 0.0, 0.1, e, q, w)
+    core.normal_equations(3, e, q, w, sums)
+    assert core.singular(sums)
+
+
+def test_a_stray_leaves_unless_too_few_would_stay() -> None:
+    e, row = [0.0, 0.2, 0.0, 0.0], [0, 1, 2, 3]
+    assert core.leave_strays(row, 4, e, [0.0] * 4, [1.0] * 4, 0.01, 4) == 4
+    assert core.leave_strays(row, 4, e, [0.0] * 4, [1.0] * 4, 0.01, 3) == 3
+    assert row[:3] == [0, 2, 3]
+
+
+def moments(points: Array, weights: Array) -> list[float]:
     x, y = points.T
-    return np.array([(weights * p).sum() for p in (1.0 + 0 * x, x, y, x * x, x * y, y * y)])[:, None]
+    return [float((weights * p).sum()) for p in (1.0 + 0 * x, x, y, x * x, x * y, y * y)]
 
 
 @pytest.mark.parametrize("psi", [-math.pi, -2.0, -math.pi / 2, 0.0, 1e-9, 1.0, math.pi / 2, 3.0, math.pi])
@@ -180,20 +218,20 @@ def test_total_least_squares_equals_the_principal_axis(psi: float) -> None:
     n, t = np.array([math.cos(psi), math.sin(psi)]), np.array([-math.sin(psi), math.cos(psi)])
     points = 2.0 * n + rng.normal(0, 1, (40, 1)) * t + rng.normal(0, 0.05, (40, 1)) * n
     weights = rng.uniform(0.5, 2.0, 40)
-    r, angle, square = total_least_squares(moments(points, weights))
+    r, angle = [0.0], [0.0]
+    perpendicular_fit(moments(points, weights), 1, r, angle)
     mean = np.average(points, axis=0, weights=weights)
     values, vectors = np.linalg.eigh((weights[:, None] * (points - mean)).T @ (points - mean))
     normal = vectors[:, 0] * np.sign(vectors[:, 0] @ mean)
     assert [math.cos(angle[0]), math.sin(angle[0])] == pytest.approx(normal.tolist(), abs=1e-9)
     assert r[0] == pytest.approx(normal @ mean, abs=1e-9)
-    assert square[0] == pytest.approx(values[0], abs=1e-9)
-    assert misfit(moments(points, weights))[0] == square[0]
+    assert misfit(*moments(points, weights)) == pytest.approx(values[0], abs=1e-9)
 
 
 def test_a_bow_shows_as_bend() -> None:
     """An arc of radius 1.5 m: the parabola beside its chord has the coefficient 1 / (2 radius)."""
     angle = np.linspace(-0.2, 0.2, 60)
     d = 3.0 * np.cos(angle) - np.sqrt(1.5**2 - (3.0 * np.sin(angle)) ** 2)
-    found = fit(Rays(d, np.cos(angle), np.sin(angle)), 1, d.min(), 0.0, 0.1)
+    found = fit(Rays(d, np.cos(angle), np.sin(angle), 0 * d, 0 * d), 1, d.min(), 0.0, 0.1)
     assert abs(found.curvature[0]) == pytest.approx(1.0 / 3.0, rel=0.1)
     assert found.bend[0] > 0.9 * found.misfit[0]

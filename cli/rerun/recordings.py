@@ -1,0 +1,46 @@
+"""Rerun recordings of a fleet: one for every drive, side by side in one folder that Rerun's catalog serves."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from locfuse.formats.visible import writable
+
+from .record import RerunOptions, saved
+
+if TYPE_CHECKING:
+    from locfuse.cli.session.result import Result
+
+FOLDER = "recordings"  # in the fleet's results; the catalog reads no folders below it
+PORT = 51234  # Rerun's own default for a catalog
+
+
+class Recording(msgspec.Struct, frozen=True):
+    """What a job records of its drive, and where."""
+
+    folder: str
+    images: int | None = None  # every n-th picture; 0 none; None as many as stay light
+    full: bool = False
+
+    def file(self, name: str) -> Path:
+        """Return the file of a drive, or of a sweep's cell "drive,lrf.sigma_range=0.03"."""
+        return Path(self.folder) / f"{writable(name)}.rrd"
+
+
+def write(wanted: Recording, name: str, result: Result) -> str:
+    """Write the recording of a result that has its audits; return in one line why there is none, else ""."""
+    said: list[str] = []
+    file = wanted.file(name)
+    saved(file, RerunOptions(show=True, images=wanted.images, full=wanted.full), result, said.append)
+    return f"{name}: {said[0]}" if said else ""
+
+
+def catalog(folder: Path) -> str:
+    """Return the commands that show all recordings of a folder in one viewer; nothing listens off this machine."""
+    there = shlex.quote(str(folder))
+    serve = f"rerun server --host 127.0.0.1 --port {PORT} --dataset drives={there}"
+    return f"{serve}   and beside it: rerun rerun+http://127.0.0.1:{PORT}"

@@ -16,7 +16,7 @@ from locfuse.fusion.truth import BODIES, TRUTH_READS, looks_like_truth
 from locfuse.fusion.wheels.odometry import SCANS
 
 from .topics import NAMED, ONLY, Choice, checked, of_type, one, several_fit, types
-from .wheel_topics import choose_wheels
+from .wheel_topics import choose_wheels, commanded
 
 if TYPE_CHECKING:
     from locfuse.formats.log.log import Log
@@ -63,7 +63,7 @@ def choose_sensor(log: Log, robot: Robot, name: str, insisted: bool, choice: Cho
     elif not candidates:
         if not sensor.extra:  # nobody expects what lies beside the paper's sensors
             choice.absent[name] = f"no topic of type {types(sensor.reads)} in {log.name}"
-        if not all(kind.startswith("locfuse/") for kind in sensor.reads):  # a file that nobody named is not missed
+        if not hasattr(settings, "file"):  # a file that nobody named is not missed
             choice.foreign.add(name)
         return
     else:
@@ -79,10 +79,16 @@ def _leave_empty(log: Log, name: str, choice: Choice) -> None:
 
 def _offer(name: str, candidates: Sequence[str], choice: Choice) -> None:
     """Say that a sensor that is used only where it is asked for could read these topics."""
+    candidates = [t for t in candidates if not (commanded(t) or looks_like_truth(t) or _asked_for(t))]
     if candidates:
         fixes = (f"{name}.topic={candidates[0]}",)
         why = REGISTRY[name].asked_only
         choice.leave(name, f"{' or '.join(candidates)} may be one: {why}. If not: {fixes[0]}", fixes)
+
+
+def _asked_for(topic: str) -> bool:
+    """Return whether a topic's name says that its poses are wishes or guesses of a person."""
+    return any(word in topic.lower() for word in ("goal", "initial", "waypoint"))
 
 
 def _refuse_twice(named: Collection[str], sensor: Sensor, choice: Choice) -> None:

@@ -112,7 +112,7 @@ class Landmarks(Sensor):
     states: ClassVar[Mapping[str, tuple[Component, ...]]] = {OFFSET: (Component("range offset", "m"),)}
     colour = Colour("#8f2f5a", "#ff9db5")
     noise_keys = ("sigma_bearing_deg", "sigma_range")
-    bias = Bias("yaw_deg", 1.0)
+    bias = Bias("yaw_deg", -1.0)
     extra = True
     sees = "landmark"
     asks: ClassVar[Mapping[str, Ask]] = {

@@ -19,6 +19,7 @@ from wheel_bags import GEOMETRY, angles, joint_states, log_of
 from locfuse.formats.robot import landmark_map
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.landmarks.geometry import predict
+from locfuse.fusion.sensors.registry import REGISTRY
 
 Array = NDArray[np.float64]
 SIGMA_RANGE, SIGMA_BEARING, OFFSET = 0.05, math.radians(1.0), 0.08
@@ -169,3 +170,16 @@ def test_the_derivatives_hold_wherever_the_detector_sits() -> None:
         numeric = (np.array(ahead[0]) - np.array(behind[0])) / 2e-6
         np.testing.assert_allclose(np.array(found[1])[:, j], numeric, atol=1e-7)
     assert predict((1.4, 0.8, 0.0), place, (0.0, 0.0, 0.0)) is None
+
+
+def test_the_key_that_takes_out_a_constant_bearing_moves_against_it() -> None:
+    """A detector that looks 5 degrees further left than configured measures bearings 5 degrees too small."""
+    bias = REGISTRY["landmarks"].bias
+    assert bias is not None
+    place = (2.0, 1.0)
+    configured, true = (predict((0.0, 0.0, 0.0), place, (0.0, 0.0, math.radians(yaw))) for yaw in (0.0, 5.0))
+    assert configured is not None
+    assert true is not None
+    innovation = math.degrees(true[0][1] - configured[0][1])
+    assert bias.key == "yaw_deg"
+    assert bias.sign * innovation == pytest.approx(5.0)

@@ -237,6 +237,22 @@ def test_info_offers_it_and_init_writes_the_line(log: Path) -> None:
     assert f'# topic = "{SLAM}"' in table
 
 
+def test_wishes_and_commands_are_no_estimates(tmp_path: Path) -> None:
+    """What a person clicked or asked for was measured by nobody."""
+    drive = trap_logs.Drive()
+    at = drive.on(trap_logs.TRUTH)[0]
+    pose = {"pose.position.x": 1.0, "pose.position.y": 1.0, "pose.orientation.w": 1.0}
+    speed = {"twist.linear.x": 0.1, "twist.angular.z": 0.0}
+    drive.add(
+        [
+            RawMessage("/goal_pose", "geometry_msgs/msg/PoseStamped", at.log_ns, at.stamp_ns, "map", pose),
+            RawMessage("/cmd_vel", "geometry_msgs/msg/TwistStamped", at.log_ns, at.stamp_ns, "base_link", speed),
+        ]
+    )
+    told = locfuse("info", drive.record(tmp_path / "wishes.mcap")).stdout
+    assert "may be one" not in told
+
+
 def test_compare_uses_it_where_it_is_named(log: Path, tmp_path: Path) -> None:
     done = locfuse(
         "compare",

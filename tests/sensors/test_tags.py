@@ -163,9 +163,10 @@ def test_poses_of_tags_hold_the_robot(kind: str, make: Callable[..., bytes], tmp
 
 def test_pixels_of_tags_are_bearings_by_the_camera_info(tmp_path: Path) -> None:
     files = written(tmp_path, APRIL, april, camera_info())
-    found, _ = compared(files, "--set", "landmarks.sigma_bearing_deg=0.4")
+    found, _ = compared(files, "--set", "landmarks.sigma_bearing_deg=0.28")
     assert found["landmarks"]["position_rmse_m"] < 0.3 * found["odometry"]["position_rmse_m"]
-    assert 0.6 < found["landmarks"]["sensors"]["landmarks"]["nis"] < 1.6
+    # how noisy a bearing is depends on the tag's distance, which the robot is not told
+    assert 0.3 < found["landmarks"]["sensors"]["landmarks"]["nis"] < 2.0
     assert "innovation of bearing" in (tmp_path / "out/report.html").read_text()
 
 

@@ -360,6 +360,7 @@ class Estimates:
     block_sigmas: dict[str, Array] = field(default_factory=dict)  # their standard deviations, (n, k)
     first_map: Sequence[MapLine] = ()
     final_map: Sequence[MapLine] = ()
+    points: Sequence[tuple[int, float, float]] = ()  # id, x, y [m, map frame] of landmarks that the run placed
     truth_pose: Array | None = None  # (q, 3) predicted at the truth stamps, NaN before the drive
     truth_P: Array | None = None  # (q, 3, 3)
     notes: tuple[str, ...] = ()  # slips, being lost and found again

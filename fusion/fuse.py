@@ -202,6 +202,7 @@ class Filter:
             },
             first_map=[line for first, _ in maps for line in first],
             final_map=[line for _, final in maps for line in final],
+            points=[point for m in self.models.values() for point in m.points(self._seen_by(m))],
             truth_pose=truth_pose,
             truth_P=truth_P,
             notes=tuple(self._notes()),

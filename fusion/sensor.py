@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 import msgspec
+import numpy as np
 
 from .data import VERDICTS, Array, Colour, Component, MapLine, Measurements, Stream
 
@@ -82,7 +83,7 @@ class Innovation(msgspec.Struct, frozen=True, gc=False):
         landmark: int = -1,
         verdict: int | None = None,
     ) -> Innovation:
-        """Judge the innovation y (d,), d = 1 or 2, of measurement `row` against the gate `threshold`.
+        """Judge the innovation y (d,) of measurement `row` against the gate `threshold`.
 
         S = H P H' + R and NIS = y' S^-1 y (Bar-Shalom, Li and Kirubarajan 2001, 5.4.2). The verdict is
         "accepted" or "gate" by these, unless `verdict` (an index into VERDICTS) says something else.
@@ -92,8 +93,10 @@ class Innovation(msgspec.Struct, frozen=True, gc=False):
         if len(y) == 1:
             S = spread[0][0] + R[0][0]
             nis, sigma = y[0] * y[0] / S, (math.sqrt(S),)
-        else:
+        elif len(y) == 2:
             nis, sigma = _pair(y, spread, R)
+        else:
+            nis, sigma = _several(y, spread, R)
         if verdict is None:
             verdict = 0 if nis <= threshold else GATE
         return cls(row, verdict, landmark, nis, threshold, y, sigma, H, R, columns, H_block)
@@ -119,6 +122,12 @@ def _pair(y: tuple[float, ...], spread: Matrix, R: Matrix) -> tuple[float, tuple
     s00, s01, s11 = p00 + r00, p01 + r01, p11 + r11
     nis = (s11 * y0**2 - 2.0 * s01 * y0 * y1 + s00 * y1**2) / (s00 * s11 - s01**2)
     return nis, (math.sqrt(s00), math.sqrt(s11))
+
+
+def _several(y: tuple[float, ...], spread: Matrix, R: Matrix) -> tuple[float, tuple[float, ...]]:
+    """Return the same of any number of numbers, in arrays."""
+    S, e = np.array(spread) + np.array(R), np.array(y)
+    return float(e @ np.linalg.solve(S, e)), tuple(np.sqrt(np.diagonal(S)).tolist())
 
 
 class Block(NamedTuple):
@@ -199,6 +208,10 @@ class Model:
         """Return the map after the first scan and the map at the end, for the report."""
         return [], []
 
+    def points(self, belief: Any) -> list[tuple[int, float, float]]:
+        """Return id and place x, y [m, map frame] of every landmark that the run placed."""
+        return []
+
     def lost_intervals(self) -> list[tuple[float, float]]:
         """Return when this sensor found the robot not to know where it was, (start, end) [s]."""
         return []
@@ -264,6 +277,9 @@ class Sensor(ABC):
 
     costly: ClassVar[bool] = False
     """Measuring takes so long that `locfuse info` leaves it out."""
+
+    asked_only: ClassVar[str] = ""
+    """Why it is used only where its topic is named: it may repeat what another sensor says. "": it is not."""
 
     extra: ClassVar[bool] = False
     """It lies beside the paper's sensors: where topics cannot be told apart it is absent, and the others run."""

@@ -5,7 +5,7 @@ Truth is never guessed by type: /odom and /amcl_pose are estimates, and an estim
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
 from locfuse.fusion.data import LocfuseError
@@ -16,7 +16,7 @@ from locfuse.fusion.truth import BODIES, TRUTH_READS, looks_like_truth
 from locfuse.fusion.wheels.odometry import SCANS
 
 from .topics import NAMED, ONLY, Choice, checked, of_type, one, several_fit, types
-from .wheel_topics import choose_wheels
+from .wheel_topics import choose_wheels, commanded
 
 NO_TRUTH = "none"  # truth.topic: the log's truth is left out
 
@@ -52,23 +52,56 @@ def choose_sensor(log: Log, robot: Robot, name: str, insisted: bool, choice: Cho
         choice.absent[name] = f"{log.name} has no topic {gone[0]}, which robot.toml names"
         return
     candidates = _candidates(log, name, choice)
+    if sensor.asked_only and not named:
+        _offer(name, candidates, choice)
+        return
     unset = sensor.missing(settings) if candidates or named else None
     if unset:
         choice.absent[name] = unset
         return
     if named:
+        _refuse_twice(named, sensor, choice)
         choice.take(name, [checked(log, name, topic, sensor.reads) for topic in named], NAMED)
     elif not candidates:
         if not sensor.extra:  # nobody expects what lies beside the paper's sensors
             choice.absent[name] = f"no topic of type {types(sensor.reads)} in {log.name}"
-        if not all(kind.startswith("locfuse/") for kind in sensor.reads):  # a file that nobody named is not missed
+        if not hasattr(settings, "file"):  # a file that nobody named is not missed
             choice.foreign.add(name)
         return
     else:
         _by_type(log, name, candidates, choice)
-    empty = all(log.topics[t].count == 0 for t in choice.of(name))
-    if name in choice.topics and empty:
+    _leave_empty(log, name, choice)
+
+
+def _leave_empty(log: Log, name: str, choice: Choice) -> None:
+    """Take a sensor's topics away again where none of them holds a message."""
+    if name in choice.topics and all(log.topics[t].count == 0 for t in choice.of(name)):
         choice.absent[name] = f"{choice.topics.pop(name)} holds no messages"
+
+
+def _offer(name: str, candidates: Sequence[str], choice: Choice) -> None:
+    """Say that a sensor that is used only where it is asked for could read these topics."""
+    candidates = [t for t in candidates if not (commanded(t) or looks_like_truth(t) or _asked_for(t))]
+    if candidates:
+        fixes = (f"{name}.topic={candidates[0]}",)
+        why = REGISTRY[name].asked_only
+        choice.leave(name, f"{' or '.join(candidates)} may be one: {why}. If not: {fixes[0]}", fixes)
+
+
+def _asked_for(topic: str) -> bool:
+    """Return whether a topic's name says that its poses are wishes or guesses of a person."""
+    return any(word in topic.lower() for word in ("goal", "initial", "waypoint"))
+
+
+def _refuse_twice(named: Collection[str], sensor: Sensor, choice: Choice) -> None:
+    """Raise LocfuseError where a sensor that must be independent is to read the wheels' topic, or the truth's."""
+    for role, why in (
+        ("wheels", "what counts twice makes the filter overconfident"),
+        ("truth", "it would judge itself"),
+    ):
+        for topic in choice.of(role):
+            if sensor.asked_only and topic in named:
+                raise LocfuseError(f"{topic} is read as {role} already: {why}", role=sensor.name)
 
 
 def _names(settings: Any) -> tuple[str, ...]:

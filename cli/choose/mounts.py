@@ -7,14 +7,21 @@ from collections.abc import Iterable, Mapping, Sequence
 from itertools import permutations
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from locfuse.formats.robot.transforms import Mount, StaticTransforms, planar_mount
 from locfuse.fusion.data import Stream
+from locfuse.fusion.mount import rotation
 from locfuse.fusion.sensors.registry import REGISTRY
+
+from .topics import of_type
 
 if TYPE_CHECKING:
     from locfuse.formats.log.log import Log
 
 TURNS = ("roll_deg", "pitch_deg")
+MAX_TILT = 0.7  # of the z axis, along the vertical: more is a frame whose z axis is up, no optical one
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 BASE_FRAMES = ("base_link", "base_footprint", "base")
 
 
@@ -40,8 +47,38 @@ def mount_tables(transforms: StaticTransforms, streams: Mapping[str, Sequence[St
         if "mounts" in keys:
             tables[sensor] = {"mounts": {t: [m.x, m.y, math.degrees(m.yaw)] for t, m in mounts.items()}}
         elif parts[0].topic in mounts:
-            tables[sensor] = {k: v for k, v in _table(mounts[parts[0].topic]).items() if k in keys}
+            mount = mounts[parts[0].topic]
+            looks = _looks(mount) if "fx" in keys else {}
+            tables[sensor] = {k: v for k, v in (_table(mount) | looks).items() if k in keys}
     return tables
+
+
+def _looks(mount: Mount) -> dict[str, Any]:
+    """Return where an optical frame (REP 103: z ahead) looks; nothing of a frame whose z axis is up."""
+    ahead = rotation(*(math.degrees(angle) for angle in (mount.roll, mount.pitch, mount.yaw)))[:, 2]
+    if abs(ahead[2]) > MAX_TILT:
+        return {}
+    return {
+        "yaw_deg": math.degrees(math.atan2(ahead[1], ahead[0])),
+        "pitch_deg": math.degrees(math.asin(-ahead[2])) + 0.0,
+    }
+
+
+def optics_tables(log: Log, streams: Mapping[str, Sequence[Stream]], tables: Mapping[str, Any]) -> dict[str, Any]:
+    """Return focal length and middle of the picture [px] by the log's CameraInfo, of sensors that ask for them.
+
+    The CameraInfo is the one of the sensor's frame, else the only one.
+    """
+    infos = [t for t in of_type(log, (CAMERA_INFO,)) if log.topics[t].count]
+    found: dict[str, Any] = {}
+    for sensor, parts in streams.items():
+        wants = "fx" in REGISTRY[sensor].Settings.__struct_fields__ and "fx" not in tables.get(sensor, {})
+        same = [t for t in infos if log.stream(t).frame_id == parts[0].frame_id] if wants else []
+        for topic in same[:1] or (infos if wants and len(infos) == 1 else []):
+            matrix = np.asarray(log.stream(topic).columns("k")["k"], np.float64).reshape(-1, 9)
+            if len(matrix) and matrix[0, 0] > 0.0:
+                found[sensor] = {"fx": float(matrix[0, 0]), "cx": float(matrix[0, 2])}
+    return found
 
 
 def shared_turns(tables: Mapping[str, Any], streams: Mapping[str, Sequence[Stream]]) -> dict[str, Any]:

@@ -15,7 +15,10 @@ from locfuse.cli.terminal.options import log_options
 from locfuse.cli.terminal.screen import put, reader_may_leave, say
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from locfuse.cli.inspect.template import Draft
+    from locfuse.formats.url import Place
 
 LOSS = 3
 SCHEMA = "robot.schema.json"  # beside robot.toml: a path that holds on every machine, and wherever both are moved
@@ -32,8 +35,16 @@ FILE = click.Path(path_type=Path, dir_okay=False)
     metavar="ROBOT.TOML",
     help="Add to this file what the log shows and the file does not say; its comments and values stay.",
 )
+@click.option(
+    "--ekf",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    metavar="EKF.YAML",
+    help="Take topics and frames from this configuration of robot_localization; what does not map is said.",
+)
 @log_options
-def init(log: tuple[str, ...], out: Path | None, overwrite: bool, update: Path | None, how: LogOptions) -> int:
+def init(
+    log: tuple[str, ...], out: Path | None, overwrite: bool, update: Path | None, ekf: Path | None, how: LogOptions
+) -> int:
     """Print a robot.toml for LOG: a starting point with a comment on every line.
 
     With -o or --update on a terminal it asks for the values that no log can tell, such as the wheels' radius.
@@ -43,6 +54,7 @@ def init(log: tuple[str, ...], out: Path | None, overwrite: bool, update: Path |
     \b
     locfuse init bag/ -o robot.toml
     locfuse init bag/ --update robot.toml
+    locfuse init bag/ --ekf ekf.yaml -o robot.toml
     locfuse init bag/ --set wheels.radius=0.033 --set wheels.track=0.16 > robot.toml
     locfuse compare bag/ --robot robot.toml
     """
@@ -59,10 +71,11 @@ def init(log: tuple[str, ...], out: Path | None, overwrite: bool, update: Path |
     may_replace(out, overwrite, log)
     place = update or out
     with show.progress(how.quiet) as progress:
-        made = draft(find_log(log), how, progress)
+        said, notes = _translated(find_log(log), ekf)
+        made = draft(find_log(log), how, progress, said)
     if place is not None and made.missing and not how.quiet and (told := _asked(made)):
         with show.progress(how.quiet) as progress:
-            made = draft(find_log(log), replace(how, sets=(*how.sets, *told)), progress)
+            made = draft(find_log(log), replace(how, sets=(*how.sets, *told)), progress, said)
     words = printable(shlex.join(log))
     name = printable(shlex.quote(str(place or "robot.toml")))
     text = _fresh(made, words, name) if update is None else _updated(made, update)
@@ -74,9 +87,22 @@ def init(log: tuple[str, ...], out: Path | None, overwrite: bool, update: Path |
         with reader_may_leave():
             put(text)
     lost = made.overview.log.losses.lines()
+    for note in notes:
+        say(f"{ekf}: {note}")
     if not how.quiet:
         _say(made, words, name, lost)
     return LOSS if lost else 0
+
+
+def _translated(places: Sequence[Place], ekf: Path | None) -> tuple[dict[str, dict[str, Any]], tuple[str, ...]]:
+    """Return the tables that an ekf.yaml gives for a log, by the file's name, and what does not map."""
+    if ekf is None:
+        return {}, ()
+    from locfuse.formats.log.log import open_log
+    from locfuse.formats.robot import robot_localization
+
+    found = robot_localization.read(ekf, list(open_log(places).topics))
+    return {ekf.name: found.tables}, found.notes
 
 
 def _asked(made: Draft) -> tuple[str, ...]:

@@ -40,10 +40,20 @@ class Draft(NamedTuple):
     robot: str = ""  # which known robot gave figures, in words
 
 
-def draft(paths: Sequence[Place], how: LogOptions, progress: Callable[[str], None] = lambda step: None) -> Draft:
-    """Look at a log until no fix changes anything, and write down what was found."""
+def draft(
+    paths: Sequence[Place],
+    how: LogOptions,
+    progress: Callable[[str], None] = lambda step: None,
+    said: Mapping[str, Mapping[str, Any]] | None = None,
+) -> Draft:
+    """Look at a log until no fix changes anything, and write down what was found.
+
+    `said` are tables that another program's configuration gives, by the name of its file.
+    """
+    words = [word for tables in (said or {}).values() for word in _as_sets(tables)]
+    typed, how = how, replace(how, sets=(*words, *how.sets))
     overview = inspect_log(paths, how, progress)
-    given = _given(overview, how)
+    given = _given(overview, typed, said or {})
     fixes: dict[str, tuple[str, str]] = {}  # key -> "key=value", why
     robot, shown = "", _fixes(filter(_certain, overview.findings))
     if (known_robot := recognise(overview)) is not None:
@@ -72,14 +82,26 @@ def _with(
     return inspect_log(paths, replace(how, sets=(*how.sets, *(fix for fix, _ in fixes.values()))), progress)
 
 
-def _given(overview: Overview, how: LogOptions) -> Known:
-    """Return what somebody said already: the log's attachment, --robot, --set."""
+def _as_sets(tables: Mapping[str, Any]) -> list[str]:
+    """Return tables as the words of --set."""
+    return [f"{key}={_toml(value)}" for key, value in _flat(tables).items()]
+
+
+def _toml(value: Any) -> str:
+    return (
+        str(value).lower() if isinstance(value, bool) else repr(value) if isinstance(value, float) else str(value)
+    )
+
+
+def _given(overview: Overview, how: LogOptions, said: Mapping[str, Mapping[str, Any]]) -> Known:
+    """Return what somebody said already: the log's attachment, --robot, another program's file, --set."""
     layers: list[tuple[str, Mapping[str, Any]]] = []
     if ATTACHMENT in overview.log.attachments:
         layers.append(
             ("the log's own robot.toml", robot_toml.parse(overview.log.attachments[ATTACHMENT], ATTACHMENT))
         )
     layers += [(file.name, robot_toml.parse(file.read_bytes(), file.name)) for file in how.robot_files]
+    layers += said.items()
     layers.append(("--set", robot_toml.apply_sets(how.sets)))
     merged = _flat(overview.tables)
     return {key: (merged[key], f"by {who}") for who, tables in layers for key in _flat(tables)}

@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 
 from locfuse.cli.choose.choose import choose
-from locfuse.cli.choose.mounts import mount_tables, shared_turns, transforms_of
+from locfuse.cli.choose.mounts import mount_tables, optics_tables, shared_turns, transforms_of
 from locfuse.cli.choose.standing import refuse_standing
 from locfuse.cli.choose.topics import Choice
 from locfuse.formats.caps import MAX_ROBOT_TOML
@@ -157,7 +157,7 @@ def measured(
     if by_scans := "wheels" in streams and streams["wheels"].msgtype == SCANS:
         sensed.setdefault("lrf", parts(streams["wheels"]))  # where it sits matters, whether or not it is a sensor
     frames = [part.frame_id for s in sensed for part in sensed[s]]
-    mounts = mount_tables(transforms_of(log, frames), sensed)
+    mounts = robot_toml.merge(mount_tables(transforms_of(log, frames), sensed), optics_tables(log, sensed, tables))
     robot = with_landmarks(make_robot(robot_toml.merge(mounts, shared_turns(tables, sensed), tables)))
     wanted = {role: s for role, s in streams.items() if role not in aside}
     motion = _motion_of_scans(streams["wheels"], robot, progress) if by_scans else None
@@ -197,7 +197,7 @@ def _refuse_other_clock(log: Log, drive: Drive) -> None:
 def with_landmarks(robot: Robot) -> Robot:
     """Return the robot with its landmarks' map read from the file that the settings name."""
     settings = robot.settings("landmarks")
-    if not isinstance(settings.map, str):
+    if not isinstance(settings.map, str) or settings.grows:
         return robot
     path = Path(settings.map).expanduser()
     if not path.is_file():

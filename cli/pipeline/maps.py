@@ -1,4 +1,4 @@
-"""A line map leaves one run and is given to another: --save-map and --map."""
+"""A map leaves one run and is given to another: --save-map and --map; landmarks as a .csv."""
 
 from __future__ import annotations
 
@@ -34,3 +34,12 @@ def keep(estimates: Estimates, file: Path, made_from: str) -> None:
 
     with whole_file(file) as path:
         path.write_text(line_map.encode(estimates.final_map, made_from))
+
+
+def keep_landmarks(estimates: Estimates, file: Path) -> None:
+    """Write the landmarks that a run placed, as the .csv that `landmarks.map` reads."""
+    from locfuse.formats.robot import landmark_map
+    from locfuse.formats.whole_files import whole_file
+
+    with whole_file(file) as path:
+        path.write_text(landmark_map.encode(estimates.points))

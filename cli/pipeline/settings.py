@@ -57,6 +57,13 @@ class MapOptions:
         from locfuse.fusion.data import UsageError
 
         asked = "--map" if self.given is not None else "--save-map" if self.save is not None else None
+        if (
+            asked == "--save-map"
+            and "landmarks" in sensors
+            and self.save is not None
+            and self.save.suffix == ".csv"
+        ):
+            return
         if asked and "lrf" not in sensors:
             raise UsageError(f"{asked}: only the laser has a map; add lrf to --sensors")
 

@@ -148,7 +148,17 @@ class Run(Result):
             path.write_text(audit_csv(self.drive, self.filtered))
 
     def save_map(self, file: PathLike) -> None:
-        """Write the line map of this run, with covariances, as JSON: `session.with_map` reads it."""
+        """Write the line map of this run, with covariances, as JSON: `session.with_map` reads it.
+
+        A .csv gets the landmarks that the run placed (`landmarks.map = "grow"`), for `landmarks.map`.
+        """
+        if path_of(file).suffix == ".csv":
+            if not self.filtered.points:
+                raise UsageError(
+                    "save_map: this run placed no landmarks; --set landmarks.map=grow makes a map of them"
+                )
+            maps.keep_landmarks(self.filtered, path_of(file))
+            return
         if "lrf" not in self.filtered.sensors:
             raise UsageError(
                 "save_map: only the laser has a map, and this run did not use it; add lrf to its sensors"

@@ -217,7 +217,9 @@ def map_options(command: F) -> F:
     decorated: Any = wrapped
     file = click.Path(path_type=Path, dir_okay=False)
     for option in (
-        click.option("--save-map", type=file, help="Write the line map of this run, with covariances, as JSON."),
+        click.option(
+            "--save-map", type=file, help="Write the line map of this run as JSON, its landmarks as .csv."
+        ),
         click.option(
             "--map",
             "given_map",

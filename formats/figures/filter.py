@@ -76,7 +76,8 @@ def innovations(scene: Scene) -> Section:
     best = scene.best
     panels = []
     for sensor, audit in best.audits.items():
-        for i, component in enumerate(scene.components.get(sensor, ())):
+        said = scene.components.get(sensor, ())[: audit.y.shape[1]]  # bearings without ranges are fewer numbers
+        for i, component in enumerate(said):
             if len(audit.y) and np.isfinite(audit.y[:, i]).any():
                 panels.append(_innovation(best, sensor, audit, i, component))
     text = (

@@ -14,12 +14,21 @@ from .schema import Many, Scalar, Text
 NUMBER, TRUTH, TEXT, TIME, BYTES = "a number", "true or false", "a text", "a time", "bytes"
 NUMBERS, TRUTHS, TEXTS, TIMES = "an array of numbers", "an array of true or false", "an array of texts", "times"
 NINE = "9 numbers"
+THIRTY_SIX = "36 numbers"
 
 STAMPS = ("header.stamp", "timestamp")  # they date the messages of any type
 # message types that something reads; the fields of every other type may be what their definition says
 READ_TYPES = frozenset(
     (
         "ackermann_msgs/msg/AckermannDrive",
+        "apriltag_msgs/msg/AprilTagDetectionArray",
+        "aruco_msgs/msg/MarkerArray",
+        "aruco_opencv_msgs/msg/ArucoDetection",
+        "isaac_ros_apriltag_interfaces/msg/AprilTagDetectionArray",
+        "ros2_aruco_interfaces/msg/ArucoMarkers",
+        "sensor_msgs/msg/CameraInfo",
+        "vision_msgs/msg/Detection2DArray",
+        "vision_msgs/msg/Detection3DArray",
         "ackermann_msgs/msg/AckermannDriveStamped",
         "autoware_auto_vehicle_msgs/msg/VelocityReport",
         "autoware_vehicle_msgs/msg/VelocityReport",
@@ -89,10 +98,29 @@ EXPECTED: Mapping[str, tuple[str, ...]] = {
     "rigidbodies.rigid_body_name": (TEXTS,),
     **{f"rigidbodies.pose.position.{axis}": (NUMBERS,) for axis in XY},
     **{f"rigidbodies.pose.orientation.{axis}": (NUMBERS,) for axis in XYZW},
+    **{
+        f"{at}.{axis}": (NUMBERS,)
+        for at in (
+            "poses.position",
+            "markers.pose.position",
+            "markers.pose.pose.position",
+            "detections.pose.pose.pose.position",
+            "detections.bbox.center.position",
+            "detections.centre",
+        )
+        for axis in XYZ
+    },
+    "marker_ids": (NUMBERS,),
+    "markers.id": (NUMBERS,),
+    "markers.marker_id": (NUMBERS,),
+    "detections.id": (NUMBERS, TEXTS),
+    "k": (NINE,),
     "position": (NUMBERS,),
     "velocity": (NUMBERS,),
     "format": (TEXT,),
     "encoding": (TEXT,),
+    "pose.covariance": (THIRTY_SIX,),
+    "twist.covariance": (THIRTY_SIX,),
     "orientation_covariance": (NINE,),
     "angular_velocity_covariance": (NINE,),
     "position_covariance": (NINE, NUMBERS),  # JSON arrays do not say their length

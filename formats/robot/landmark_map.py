@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from locfuse.formats.caps import MAX_MAP_FILE
@@ -32,3 +33,8 @@ def read(path: Path) -> dict[str, tuple[float, float]]:
     if not found:
         raise LocfuseError(f"{path} holds no landmarks")
     return found
+
+
+def encode(points: Iterable[tuple[int, float, float]]) -> str:
+    """Return landmarks (id, x, y [m, map frame]) as such a file."""
+    return "id,x,y\n" + "".join(f"{ident},{x!r},{y!r}\n" for ident, x, y in points)

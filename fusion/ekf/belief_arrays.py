@@ -19,6 +19,8 @@ from .equations import eq10_12
 from .map_frame import Together, by_frame
 from .rows import sparse_row, stacked
 
+POSE = np.arange(3)
+
 
 class JointBelief:
     """Pose, sensor-owned blocks, map frame and map lines in one state vector (n,) with one covariance (n, n).
@@ -38,6 +40,8 @@ class JointBelief:
         self._considered: Ints = np.zeros(0, dtype=np.int64)  # columns that count but are never updated
         self._motion_block: slice | None = None
         self._clones: set[int] = set()  # columns that hold the heading of an earlier instant
+        self._kept: set[int] = set()  # first of three columns that hold the pose of an earlier instant
+        self._points: set[str] = set()  # blocks that were appended: a point [m] in the local frame each
         self.frame: int | None = None  # first column of the map frame; None: the local frame is the map
         self.lost = False  # the pose is wrong by metres: it must not teach the map frame
         self.nis = (math.nan, 0)  # of the last correction, with all that it took in: y' S^-1 y, degrees of freedom
@@ -129,7 +133,33 @@ class JointBelief:
         for column in sorted(self._clones):  # kept headings become local; a transform, not a new clone: the noise
             turned = np.array([[1.0, 0.0], [-1.0, 1.0]])  # between a kept heading and now stays
             self.transform(np.array([2, column]), np.array([self.theta, self._x[column] - self.theta]), turned)
+        for column in sorted(self._kept):
+            self._keep_in_frame(column)
+        for name in sorted(self._points):
+            self._point_in_frame(self._slices[name].start)
         self._forget_pose(first)
+
+    def _keep_in_frame(self, column: int) -> None:
+        """Let a kept pose be seen from where the robot is now."""
+        pose, at = self._x[:3].copy(), np.arange(column, column + 3)
+        kept = self._x[at].copy()
+        J = np.eye(6)
+        J[3:, :3], J[3:, 3:] = se2.between_jacobians(pose, kept)
+        self.transform(np.concatenate((POSE, at)), np.concatenate((pose, se2.between(pose, kept))), J)
+
+    def _point_in_frame(self, column: int) -> None:
+        """Let a point be seen from where the robot is now."""
+        pose, at = self._x[:3].copy(), np.arange(column, column + 2)
+        placed = np.append(self._x[at], 0.0)
+        by_pose, by_placed = se2.between_jacobians(pose, placed)
+        J = np.eye(5)
+        J[3:, :3], J[3:, 3:] = by_pose[:2], by_placed[:2, :2]
+        self.transform(np.concatenate((POSE, at)), np.append(pose, se2.between(pose, placed)[:2]), J)
+
+    def own_point(self, name: str, column: int) -> None:
+        """Let two appended states be a block: a point in the local frame, found by its name wherever it moves."""
+        self._slices[name] = slice(column, column + 2)
+        self._points.add(name)
 
     def _clone_pose(self) -> int:
         """Append a copy of the pose and return its first column."""
@@ -226,13 +256,28 @@ class JointBelief:
         P[column, column] = P[2, 2]
         self._clones.add(column)
 
-    def _behind(self) -> dict[int, float]:
-        return {column: float(self._x[2] - self._x[column]) for column in self._clones}
+    def clone_pose(self, column: int, behind: Array | None = None) -> None:
+        """Let three states be the pose as it is now, or the pose `behind` (3,) as it is seen from there."""
+        n, P, at = self.n, self._P, slice(column, column + 3)
+        pose = self._x[:3].copy()
+        self._x[at] = pose if behind is None else se2.compose(pose, behind)
+        J = np.eye(3) if behind is None else by_frame(pose[None], behind[None])[0]
+        P[at, :n] = J @ P[:3, :n]
+        P[:n, at] = P[at, :n].T
+        P[at, at] = J @ P[:3, :3] @ J.T
+        self._kept.add(column)
 
-    def _carry(self, behind: dict[int, float]) -> None:
-        """Move kept headings along with a pose that was found wrong: nothing has turned."""
-        for column, turn in behind.items():
+    def _behind(self) -> tuple[dict[int, float], dict[int, Array]]:
+        turns = {column: float(self._x[2] - self._x[column]) for column in self._clones}
+        return turns, {c: se2.between(self._x[:3], self._x[c : c + 3]) for c in self._kept}
+
+    def _carry(self, behind: tuple[dict[int, float], dict[int, Array]]) -> None:
+        """Move kept headings and poses along with a pose that was found wrong: nothing has moved."""
+        turns, poses = behind
+        for column, turn in turns.items():
             self.clone_heading(column, turn)
+        for column, pose in poses.items():
+            self.clone_pose(column, pose)
 
     def transform(self, columns: Ints, values: Array, G: Array) -> None:
         """Replace states (k,) by functions of themselves: their values (k,) and derivative G (k, k)."""
@@ -275,6 +320,9 @@ class JointBelief:
         self._P[m : self.n, :] = 0.0
         self._P[:, m : self.n] = 0.0
         self.n = m
+        for name in self._points:
+            start = self._slices[name].start - int((columns < self._slices[name].start).sum())
+            self._slices[name] = slice(start, start + 2)
 
     def consider(self, columns: Ints) -> None:
         """Make columns considered (Schmidt-Kalman): their covariance counts, their values stay."""

@@ -16,7 +16,7 @@ from locfuse.fusion.sensor import Block, Innovation
 
 from .belief_pose import Pose, PoseBelief, Rows, Triangle, too_far_apart
 from .map_frame import Together
-from .rows import Row, pose_rows, whitened
+from .rows import Row, pose_rows, whitened, whitened_with_blocks
 
 MAX_BLOCK_STATES = 6  # states beside the pose; with more of them arrays are faster
 Beside = tuple[tuple[int, float], ...]  # (which state, derivative of a row by it)
@@ -205,6 +205,8 @@ def _scalar_rows(seen: Sequence[Innovation]) -> list[tuple[Row, Beside]]:
         if s.columns and len(s.y) == 1:
             a, b, c = s.H[0]
             out.append(((s.y[0], a, b, c, s.R[0][0]), _beside(s.columns, s.H_block[0])))
+        elif s.columns and len(s.y) > 2:
+            out += [(row, _beside(s.columns, g)) for row, g in whitened_with_blocks(s)]
         elif s.columns:
             rows, (g, *more) = whitened(s), s.H_block
             out.append((rows[0], _beside(s.columns, g)))

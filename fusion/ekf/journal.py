@@ -17,11 +17,9 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.sensor import Block
 
-from .belief_arrays import JointBelief
+from .belief_arrays import POSE, JointBelief
 from .belief_pose import Pose, PoseBelief, Triangle
 from .equations import eq6_noise, eq7_A
-
-POSE = np.arange(3)
 
 
 class Step(NamedTuple):
@@ -167,6 +165,14 @@ class NotedJoint(JointBelief):
         c, G[:, others], D = self._given_others(np.array([column]))
         self.events.append(Step(np.array([column]), c, G, D, instant=False))
         super().clone_heading(column, behind)
+
+    def clone_pose(self, column: int, behind: Array | None = None) -> None:
+        """Clone as ever, and note what the others say of the pose that is given up."""
+        at = np.arange(column, column + 3)
+        G = np.zeros((3, self.n))
+        c, G[:, np.setdiff1d(np.arange(self.n), at)], D = self._given_others(at)
+        self.events.append(Step(at, c, G, D, instant=False))
+        super().clone_pose(column, behind)
 
     def transform(self, columns: Ints, values: Array, G: Array) -> None:
         """Transform as ever, and note the way back."""

@@ -24,11 +24,22 @@ def whitened(seen: Innovation) -> list[Row]:
     if len(y) == 1:
         a, b, c = H[0]
         return [(y[0], a, b, c, R[0][0])]
+    if len(y) > 2:
+        return [row for row, _ in whitened_with_blocks(seen)]
     (r00, r01), (_, r11) = R
     (y0, y1), (h0, h1) = y, H
     k = r01 / r00
     a, b, c = h0
     return [(y0, a, b, c, r00), (y1 - k * y0, h1[0] - k * a, h1[1] - k * b, h1[2] - k * c, r11 - k * r01)]
+
+
+def whitened_with_blocks(seen: Innovation) -> list[tuple[Row, list[float]]]:
+    """Return rows of unit variance, each with its derivatives by the block's columns: L^-1 of R = L L' on all."""
+    d = len(seen.y)
+    own = np.array(seen.H_block) if seen.columns else np.zeros((d, 0))
+    L = np.linalg.cholesky(np.array(seen.R))
+    rows = np.linalg.solve(L, np.column_stack((seen.y, seen.H, own))).tolist()
+    return [((y, a, b, c, 1.0), more) for y, a, b, c, *more in rows]
 
 
 def pose_rows(seen: Sequence[Innovation]) -> list[Row]:
@@ -48,6 +59,9 @@ def pose_rows(seen: Sequence[Innovation]) -> list[Row]:
         if len(y) == 1:
             a, b, c = H[0]
             rows.append((y[0], a, b, c, R[0][0]))
+            continue
+        if len(y) > 2:
+            rows += whitened(innovation)
             continue
         (a, b, none), (no_x, no_y, c) = H
         (r00, r01), (_, r11) = R

@@ -15,6 +15,7 @@ import numpy as np
 
 from locfuse.fusion.data import Drive, Estimates
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.registry import REGISTRY
 
 from .innovations import Heard, Own, heard, own, usual_period
 from .noise_verdicts import (
@@ -27,6 +28,7 @@ from .noise_verdicts import (
     by_witness,
     contradicting,
     disagrees,
+    of_messages,
 )
 
 MAX_REFERENCE_NIS_RATIO = (
@@ -97,6 +99,11 @@ class Court:
 
     def finding(self, sensor: str) -> NoiseVerdict:
         """Return the verdict on a sensor and its words."""
+        found = self._finding(sensor)
+        m = next(r.drive.measurements[sensor] for r in self.runs if sensor in r.estimates.sensors)
+        return of_messages(sensor, found) if REGISTRY[sensor].says_noise(m) else found
+
+    def _finding(self, sensor: str) -> NoiseVerdict:
         settings = self.robot.settings(sensor)
         if sensor in self.blamed:
             return biased(sensor, settings, self.blamed[sensor].bias or 0.0)

@@ -112,6 +112,20 @@ def by_scale(sensor: str, settings: Any, factor: float) -> NoiseVerdict:
     return NoiseVerdict(verdict, words, factor, cures)
 
 
+def of_messages(sensor: str, found: NoiseVerdict) -> NoiseVerdict:
+    """Return a verdict on readings that came with their own covariance: no sigma of ours would change them."""
+    if found.scale is None or found.verdict not in {"understated", "overstated", "correlated"}:
+        return found
+    times = f"{rounded(max(found.scale, 1.0 / found.scale)):g} times"
+    if found.verdict == "correlated":
+        words = f"{sensor} errors last longer than one reading, while its messages claim each to be independent"
+    elif found.verdict == "understated":
+        words = f"{sensor}: its messages claim errors about {times} smaller than they are"
+    else:
+        words = f"{sensor}: its messages claim errors about {times} larger than they are"
+    return NoiseVerdict(found.verdict, words, found.scale)
+
+
 def biased(sensor: str, settings: Any, bias: float) -> NoiseVerdict:
     """Complain about a mean that is off; `bias` is measured minus predicted [rad or m]."""
     amount, unit = _human(bias, sensor)

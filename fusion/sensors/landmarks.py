@@ -1,47 +1,68 @@
-"""Landmarks with ids: range and bearing to points of a known map (tags, barcodes, reflectors).
+"""Landmarks with ids: range and bearing to points (tags, barcodes, reflectors), their map known or to be made.
 
 With the detector at s = p + R(theta) m on the robot and the landmark l, d = l - s, a detection is
 
     range = |d| + offset + noise,    bearing = atan2(d_y, d_x) - theta - yaw + noise
 
 (Thrun, Burgard and Fox 2005, 6.6.2). A detector's range is often off by a constant (the tag's face, the lens): the
-offset is a state unless it is given. Every detection also says where its landmark stands; ids whose detections
-place them elsewhere than the map does are named, and two that stand in each other's place are called swapped.
+offset is a state unless it is given. Some detectors say the bearing only. Every detection also says where its
+landmark stands; ids whose detections place them elsewhere than the map does are named, and two that stand in each
+other's place are called swapped.
+
+Where no map is known (`map = "grow"`) the landmarks' places are states in the local frame, each appended where its
+first detection says that it is (Thrun, Burgard and Fox 2005, 10.3: EKF SLAM with known correspondences).
 """
 
 from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Mapping
-from typing import Any, ClassVar, cast
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.fusion.chi_square import MAD, chi_square
-from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, Stream, plausible
+from locfuse.fusion.chi_square import chi_square
+from locfuse.fusion.data import (
+    VERDICTS,
+    Array,
+    Colour,
+    Component,
+    Ints,
+    LocfuseError,
+    Measurements,
+    Stream,
+    plausible,
+)
+from locfuse.fusion.landmarks.geometry import Point, detector_at, predict
+from locfuse.fusion.landmarks.messages import PIXELS, READS, Looks, Sighted, sighted
+from locfuse.fusion.landmarks.places import MIN_DETECTIONS, wrong_places
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.se2 import wrap, wrap_all
 from locfuse.fusion.sensor import Ask, Belief, Bias, Block, Innovation, Model, Sensor, SensorSettings, WheelMotion
 
-Point = tuple[float, float]
-DETECTIONS = "locfuse/msg/Detections"
+GROW = "grow"
 OFFSET = "range_offset"
+NEW = VERDICTS.index("new")
+MIN_SEEN = 3  # detections of a landmark of which a run made the place
 MAX_SIGMA_M = 0.3  # m of the robot's position: beyond it a detection does not tell where its landmark stands
-MIN_DETECTIONS = 8  # of one landmark before its place is judged
-WRONG_SIGMAS = 3.0  # of one detection's place: the median of many is much better known than that
-TOUCHING_M = 1e-3  # m: nearer than this a bearing has no direction
 
 
 class LandmarksSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """[landmarks]."""
 
     file: str | None = None  # .csv beside the log: t, id, range [m], bearing [rad]
-    map: str | dict[str, Point] | None = None  # .csv with id, x, y [m, map frame], or { "6" = [x, y] }
+    map: str | dict[str, Point] | None = None  # .csv of id, x, y [m], or { "6" = [x, y] }; "grow": it is made
+    ignore: tuple[int, ...] = ()  # ids that are no landmarks, such as other robots
     x: float = 0.0  # m, detector on the base
     y: float = 0.0
     yaw_deg: float = 0.0
+    pitch_deg: float = 0.0  # degrees that a camera looks down
+    fx: float | None = (
+        None  # px, focal length of a camera whose tags come in pixels; None: of the log's CameraInfo
+    )
+    cx: float | None = None  # px, middle of its picture
     sigma_range: float = 0.1  # m
     sigma_bearing_deg: float = 1.5
     range_offset: float | None = None  # m that ranges are too long; None: estimated
@@ -55,14 +76,24 @@ class LandmarksSettings(SensorSettings, frozen=True, forbid_unknown_fields=True,
                 raise ValueError(f"{key} = {getattr(self, key)}: no sensor is exact, it must be positive")
 
     @property
+    def grows(self) -> bool:
+        """Whether the places of the landmarks are states."""
+        return self.map == GROW
+
+    @property
     def places(self) -> dict[int, Point]:
         """The map: id -> x, y [m]. Raises LocfuseError without one, or for an id that is no number."""
+        if self.grows:
+            return {}
         if not isinstance(self.map, dict):
             raise LocfuseError(MISSING, role="landmarks")
         return {_id(key): place for key, place in self.map.items()}
 
 
-MISSING = "landmarks.map is not set: a .csv with columns id, x, y; --set landmarks.map=landmarks.csv"
+MISSING = (
+    "landmarks.map is not set: a .csv with columns id, x, y (--set landmarks.map=landmarks.csv), "
+    "or grow, where nobody knows the places"
+)
 
 
 def _id(key: str) -> int:
@@ -77,11 +108,11 @@ class Landmarks(Sensor):
 
     name = "landmarks"
     Settings = LandmarksSettings
-    components = (Component("range", "m"), Component("bearing", "deg", math.degrees(1.0)))
+    components = (Component("bearing", "deg", math.degrees(1.0)), Component("range", "m"))
     states: ClassVar[Mapping[str, tuple[Component, ...]]] = {OFFSET: (Component("range offset", "m"),)}
     colour = Colour("#8f2f5a", "#ff9db5")
-    noise_keys = ("sigma_range", "sigma_bearing_deg")
-    bias = Bias("range_offset", 1.0, estimated=True)
+    noise_keys = ("sigma_bearing_deg", "sigma_range")
+    bias = Bias("yaw_deg", -1.0)
     extra = True
     sees = "landmark"
     asks: ClassVar[Mapping[str, Ask]] = {
@@ -92,7 +123,11 @@ class Landmarks(Sensor):
         "sigma_range": Ask("m: noise of one range"),
         "sigma_bearing_deg": Ask("degrees: noise of one bearing"),
     }
-    reads: ClassVar[Mapping[str, tuple[str, ...]]] = {DETECTIONS: ("id", "range", "bearing")}
+    reads: ClassVar[Mapping[str, tuple[str, ...]]] = READS
+
+    def concerns(self, key: str, msgtype: str) -> bool:
+        """Return whether a key means anything to messages of this type."""
+        return msgtype not in PIXELS or key not in {"sigma_range", "range_offset", "sigma_range_offset"}
 
     def missing(self, settings: LandmarksSettings) -> str | None:
         """Return why nothing can be compared: no map says where the landmarks stand."""
@@ -105,48 +140,61 @@ class Landmarks(Sensor):
     def measure(
         self, stream: Stream, settings: LandmarksSettings, wheels: WheelMotion, epoch_ns: int
     ) -> Measurements:
-        """Turn detections into z (m, 2) range [m], bearing [rad]; those of one instant are one reading."""
-        columns = cast("dict[str, Array]", stream.columns(*self.reads[stream.msgtype]))
-        ids: Ints = np.asarray(columns["id"]).astype(np.int64)
-        z = np.stack([np.asarray(columns[name], np.float64) for name in ("range", "bearing")], axis=-1)
+        """Turn detections into z (m, 2) bearing [rad] and range [m], or (m, 1); one instant is one reading."""
+        seen = sighted(stream, Looks(settings.fx, settings.cx, math.radians(settings.pitch_deg)))
+        if settings.grows and seen.ranges is None:
+            raise LocfuseError(
+                f"{stream.topic} says bearings only: landmarks.map=grow needs ranges", role="landmarks"
+            )
+        places = None if settings.grows else settings.places
         dropped = dict(stream.dropped)
-        keep = _usable(stream.t_ns, ids, z, settings.places, dropped)
-        if len(ids) and not keep.any():
-            raise LocfuseError(_nothing(stream.topic, ids, settings.places), role="landmarks")
-        t_ns, ids, z = stream.t_ns[keep], ids[keep], z[keep]
-        instants, first = np.unique(t_ns, return_index=True)
-        sigma, turn = settings.sigma_range, math.radians(settings.sigma_bearing_deg)
+        keep = _usable(seen, places, settings.ignore, dropped)
+        if len(seen.ids) and not keep.any():
+            raise LocfuseError(_nothing(stream.topic, seen.ids, places), role="landmarks")
+        ids, parts = seen.ids[keep], [wrap_all(seen.bearings[keep])]
+        turn = math.radians(settings.sigma_bearing_deg)
+        sigmas = np.array([turn, settings.sigma_range])
+        if seen.ranges is not None:
+            parts.append(seen.ranges[keep])
+        d = len(parts)
+        instants, first = np.unique(seen.t_ns[keep], return_index=True)
         return Measurements(
             t=(instants - epoch_ns) * np.float64(1e-9) + settings.time_offset,
             first=np.append(first, len(ids)).astype(np.int64),
-            z=np.stack((z[:, 0], wrap_all(z[:, 1])), axis=-1),
-            R_unit=np.broadcast_to(np.diag([1.0, (turn / sigma) ** 2]), (len(ids), 2, 2)).copy(),
-            scale=sigma,
-            floor=np.zeros((2, 2)),
+            z=np.stack(parts, axis=-1),
+            R_unit=np.broadcast_to(np.diag((sigmas[:d] / turn) ** 2), (len(ids), d, d)).copy(),
+            scale=turn,
+            floor=np.zeros((d, d)),
             extra={"id": ids.astype(np.float64)},
             dropped=dropped,
         )
 
     def model(self, settings: LandmarksSettings) -> Model:
         """Return the landmarks' side of a new run."""
-        return LandmarksModel(settings)
+        return GrowingModel(settings) if settings.grows else LandmarksModel(settings)
 
 
 def _usable(
-    t_ns: Ints, ids: Ints, z: Array, places: Mapping[int, Point], dropped: dict[str, int]
+    seen: Sighted, places: Mapping[int, Point] | None, ignored: Sequence[int], dropped: dict[str, int]
 ) -> NDArray[np.bool_]:
     """Return which detections (n,) are numbers, of the map, and the only one of their id; count the others.
 
     Two detections of one id at one instant are two tags with one id, or a reflection: neither is used.
     """
-    finite = plausible(z).all(axis=1) & (z[:, 0] > 0.0)
-    known = np.isin(ids, list(places))
-    pairs = np.stack((t_ns, ids), axis=-1)
+    finite = plausible(seen.bearings)
+    if seen.ranges is not None:
+        finite = finite & plausible(seen.ranges) & (seen.ranges > 0.0)
+    unwanted = np.isin(seen.ids, ignored)
+    numbered = (seen.ids >= 0) & ~unwanted
+    known = numbered if places is None else numbered & np.isin(seen.ids, list(places))
+    pairs = np.stack((seen.t_ns, seen.ids), axis=-1)
     _, place, counts = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
-    twice = counts[place.reshape(-1)] > 1
+    twice = counts[place.reshape(-1)] > 1 if len(pairs) else np.zeros(0, dtype=bool)
     for reason, out in (
         ("not_finite", ~finite),
-        ("not_in_map", finite & ~known),
+        ("no_id", finite & (seen.ids < 0)),
+        ("ignored", finite & unwanted),
+        ("not_in_map", finite & numbered & ~known),
         ("same_id", finite & known & twice),
     ):
         if out.any():
@@ -154,8 +202,11 @@ def _usable(
     return np.asarray(finite & known & ~twice)
 
 
-def _nothing(topic: str, ids: Ints, places: Mapping[int, Point]) -> str:
-    seen, have = (", ".join(map(str, sorted(values)[:8])) for values in (set(ids.tolist()), places))
+def _nothing(topic: str, ids: Ints, places: Mapping[int, Point] | None) -> str:
+    seen = ", ".join(map(str, sorted(set(ids.tolist()))[:8]))
+    if places is None:
+        return f"{topic} detects no landmark with an id of its own: it sees ids {seen}"
+    have = ", ".join(map(str, sorted(places)[:8]))
     return f"{topic} detects no landmark of the map: it sees ids {seen}; the map has {have or 'none'}"
 
 
@@ -167,10 +218,10 @@ class LandmarksModel(Model):
     def __init__(self, settings: LandmarksSettings) -> None:
         self.places = settings.places
         self.mount = settings.x, settings.y, math.radians(settings.yaw_deg)
-        self.threshold = chi_square(settings.gate, 2)
+        self.thresholds = [0.0, *(chi_square(settings.gate, d) for d in (1, 2))]  # by how many numbers are said
         self.given = settings.range_offset
         self.prior = settings.sigma_range_offset
-        self.sigmas = settings.sigma_range, math.radians(settings.sigma_bearing_deg)
+        self.sigmas = math.radians(settings.sigma_bearing_deg), settings.sigma_range
         self._seen_at: dict[int, list[tuple[float, float, float]]] = defaultdict(list)  # id -> x, y, sigma [m]
 
     def blocks(self) -> list[Block]:
@@ -181,32 +232,65 @@ class LandmarksModel(Model):
 
     def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
         """Compare the detections of one instant with the belief."""
-        offset, columns, H_block = self._offset(belief)
         found = []
         for row in range(int(m.first[i]), int(m.first[i + 1])):
-            landmark, (z0, z1) = int(m.extra["id"][row]), m.z[row].tolist()
-            predicted = predict((belief.x, belief.y, belief.theta), self.places[landmark], self.mount)
-            if predicted is None:
-                continue
-            (distance, bearing), H = predicted
-            bend = belief.spread(((H[1][0], H[1][1], 0.0),))[0][0]
-            (r0, _), (_, r1) = m.R[row].tolist()
-            # a bearing is not linear in the position: second-order variance (sigma_position / distance)^4
-            R = ((r0, 0.0), (0.0, r1 + bend * bend))
-            y = (z0 - distance - offset, wrap(z1 - bearing))
-            self._note_place(landmark, z0 - offset, z1, belief)
-            found.append(
-                Innovation.of(
-                    row, y, H, R, belief, self.threshold, columns=columns, H_block=H_block, landmark=landmark
-                )
-            )
+            landmark, z = int(m.extra["id"][row]), m.z[row].tolist()
+            seen = self._compared(m, row, landmark, z, self.places[landmark], (), belief)
+            if seen is not None:
+                found.append(seen)
+                if len(z) > 1:
+                    self._note_place(landmark, z[1] - self._offset(belief)[0], z[0], belief)
         return found
 
-    def _offset(self, belief: Belief) -> tuple[float, tuple[int, ...], tuple[tuple[float, ...], ...]]:
+    def _compared(
+        self,
+        m: Measurements,
+        row: int,
+        landmark: int,
+        z: list[float],
+        place: Point,
+        at: tuple[int, ...],
+        belief: Belief,
+    ) -> Innovation | None:
+        """Compare one detection with a place, whose state columns are `at` where it is a state."""
+        predicted = predict((belief.x, belief.y, belief.theta), place, self.mount)
+        if predicted is None:
+            return None
+        (distance, bearing), (by_range, by_bearing) = predicted
+        # a bearing is not linear in the position: second-order variance (sigma_position / distance)^4
+        bend = belief.spread(((by_bearing[0], by_bearing[1], 0.0),))[0][0]
+        own = m.R[row].tolist()
+        own[0][0] += bend * bend
+        y, H = [wrap(z[0] - bearing)], [by_bearing]
+        beside = (
+            [[-v for v in by_bearing[:2]]] if at else [[]]
+        )  # a place moves it as the robot does, the other way
+        columns: tuple[int, ...] = at
+        if len(z) > 1:
+            offset, of_offset = self._offset(belief)
+            y.append(z[1] - distance - offset)
+            H.append(by_range)
+            beside.append([-v for v in by_range[:2]] if at else [])
+            columns += of_offset
+            beside = [[*part, *(float(k) for _ in of_offset)] for k, part in enumerate(beside)]
+        return Innovation.of(
+            row,
+            tuple(y),
+            tuple(H),
+            tuple(map(tuple, own)),
+            belief,
+            self.thresholds[len(y)],
+            columns=columns,
+            H_block=tuple(map(tuple, beside)) if columns else (),
+            landmark=landmark,
+        )
+
+    def _offset(self, belief: Belief) -> tuple[float, tuple[int, ...]]:
+        """Return by how much ranges are too long [m], and the state column of that where it is a state."""
         if self.given is not None:
-            return self.given, (), ()
+            return self.given, ()
         column, now = belief.block(OFFSET)
-        return float(now[0]), (column,), ((1.0,), (0.0,))
+        return float(now[0]), (column,)
 
     def _note_place(self, landmark: int, distance: float, bearing: float, belief: Belief) -> None:
         """Keep where a detection places its landmark, where the robot's own place is known."""
@@ -216,7 +300,7 @@ class LandmarksModel(Model):
             return
         x, y = detector_at((belief.x, belief.y, belief.theta), self.mount)
         direction = belief.theta + self.mount[2] + bearing
-        own = math.hypot(sigma, self.sigmas[0], distance * self.sigmas[1])
+        own = math.hypot(sigma, self.sigmas[1], distance * self.sigmas[0])
         place = x + distance * math.cos(direction), y + distance * math.sin(direction)
         self._seen_at[landmark].append((*place, own))
 
@@ -225,60 +309,87 @@ class LandmarksModel(Model):
         return wrong_places(self.places, {key: np.array(rows) for key, rows in self._seen_at.items()})
 
 
-def detector_at(pose: tuple[float, float, float], mount: tuple[float, float, float]) -> Point:
-    """Return where the detector is in the map, of a robot at a pose x, y [m], theta [rad]."""
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    return pose[0] + c * mount[0] - s * mount[1], pose[1] + s * mount[0] + c * mount[1]
+class GrowingModel(LandmarksModel):
+    """The same with places that are states, in the local frame: no known place is seen, nor north."""
+
+    joint = True
+    settled = False
+    local = True
+    maps = True
+
+    def __init__(self, settings: LandmarksSettings) -> None:
+        super().__init__(settings)
+        self._known: dict[int, int] = {}  # id -> detections
+        self._refused: dict[int, int] = defaultdict(int)
+        self._others_map = False
+
+    def meet(self, others: Mapping[str, Model]) -> None:
+        """Leave it to a laser to begin the local frame, where there is one."""
+        self._others_map = any(other.maps and not isinstance(other, GrowingModel) for other in others.values())
+
+    def begins_map(self, m: Measurements, i: int) -> bool:
+        """Return whether these are the first detections, with which the local frame begins."""
+        return not self._known and not self._others_map and bool(m.first[i] < m.first[i + 1])
+
+    def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
+        """Compare the detections of one instant with the belief; those of new landmarks are none yet."""
+        found = []
+        for row in range(int(m.first[i]), int(m.first[i + 1])):
+            landmark = int(m.extra["id"][row])
+            if landmark not in self._known:
+                found.append(Innovation.unpredicted(row, NEW, m.z.shape[1], self.thresholds[2]))
+                continue
+            column, place = belief.block(_name(landmark))
+            at = (float(place[0]), float(place[1]))
+            seen = self._compared(m, row, landmark, m.z[row].tolist(), at, (column, column + 1), belief)
+            if seen is not None:
+                found.append(seen)
+                self._refused[landmark] += int(seen.verdict != 0)
+        return found
+
+    def learn(self, m: Measurements, i: int, belief: Any) -> None:
+        """Append the landmarks that were seen for the first time, where they were seen."""
+        for row in range(int(m.first[i]), int(m.first[i + 1])):
+            landmark = int(m.extra["id"][row])
+            if landmark not in self._known:
+                self._append(landmark, m.z[row].tolist(), m.R[row], belief)
+            self._known[landmark] = self._known.get(landmark, 0) + 1
+
+    def _append(self, landmark: int, z: list[float], R: Array, belief: Any) -> None:
+        """Append the place l = s + r (cos, sin)(theta + yaw + bearing), r less the ranges' offset."""
+        offset, of_offset = self._offset(belief)
+        x, y = detector_at((belief.x, belief.y, belief.theta), self.mount)
+        r, angle = z[1] - offset, belief.theta + self.mount[2] + z[0]
+        c, s = math.cos(angle), math.sin(angle)
+        by_turn = [[belief.y - y - r * s], [x - belief.x + r * c]]  # of the pose: detector and ray turn together
+        G = np.hstack((np.eye(2), by_turn, *([[[-c], [-s]]] if of_offset else [])))
+        J = np.array([[-r * s, c], [r * c, s]])
+        column = belief.augment(np.array([x + r * c, y + r * s]), G, J @ R @ J.T, of_offset)
+        belief.own_point(_name(landmark), column)
+
+    def points(self, belief: Any) -> list[tuple[int, float, float]]:
+        """Return id and place [m, map frame] of every landmark, as the run ended."""
+        G = belief.frame_pose() or (0.0, 0.0, 0.0)
+        c, s = math.cos(G[2]), math.sin(G[2])
+        found = []
+        for landmark in sorted(self._known):
+            _, (x, y) = belief.block(_name(landmark))
+            found.append((landmark, float(G[0] + c * x - s * y), float(G[1] + s * x + c * y)))
+        return found
+
+    def notes(self, belief: Any) -> list[str]:
+        """Say how many landmarks the map has, and which were seen too rarely to be in it for sure."""
+        rare = [landmark for landmark, n in sorted(self._known.items()) if n < MIN_SEEN]
+        words = f"a map of {len(self._known)} landmarks was made"
+        rarely = f"; seen less than {MIN_SEEN} times: {', '.join(map(str, rare))}" if rare else ""
+        moving = [k for k, n in sorted(self._known.items()) if n >= MIN_DETECTIONS and 2 * self._refused[k] > n]
+        if not moving:
+            return [words + rarely]
+        ids = ", ".join(map(str, moving))
+        stand = f"ids {ids} do not stand still" if len(moving) > 1 else f"id {ids} does not stand still"
+        fix = f"leave out with landmarks.ignore=[{ids}]"
+        return [words + rarely, f"{stand}, or several tags share it: {fix}"]
 
 
-def predict(
-    pose: tuple[float, float, float], place: Point, mount: tuple[float, float, float]
-) -> tuple[Point, tuple[tuple[float, float, float], tuple[float, float, float]]] | None:
-    """Return (range [m], bearing [rad]) of a landmark, and their derivatives by the robot's x, y, theta."""
-    x, y = detector_at(pose, mount)
-    dx, dy = place[0] - x, place[1] - y
-    r = math.hypot(dx, dy)
-    if r < TOUCHING_M:
-        return None
-    # the detector moves by (ax, ay) per radian that the robot turns
-    ax, ay = pose[1] - y, x - pose[0]
-    q = r * r
-    by_range = (-dx / r, -dy / r, -(dx * ax + dy * ay) / r)
-    by_bearing = (dy / q, -dx / q, (dy * ax - dx * ay) / q - 1.0)
-    return (r, math.atan2(dy, dx) - pose[2] - mount[2]), (by_range, by_bearing)
-
-
-def wrong_places(places: Mapping[int, Point], seen_at: Mapping[int, Array]) -> list[str]:
-    """Return in words which landmarks stand elsewhere than in the map, by where detections (n, 3) place them.
-
-    A row is x, y and its standard deviation [m]. A landmark is wrong where the median lies further from its entry
-    than WRONG_SIGMAS of one detection, and two such are swapped where each lies that near the other's entry.
-    """
-    median = {key: np.median(rows, axis=0) for key, rows in seen_at.items() if len(rows) >= MIN_DETECTIONS}
-    reach = {key: WRONG_SIGMAS * max(float(v[2]), _scatter(seen_at[key])) for key, v in median.items()}
-
-    def away(key: int, entry: int) -> float:
-        return math.hypot(median[key][0] - places[entry][0], median[key][1] - places[entry][1])
-
-    wrong = sorted(key for key in median if away(key, key) > reach[key])
-    if len(wrong) > 2 and 2 * len(wrong) > len(median):
-        return [f"{len(wrong)} of {len(median)} landmarks are seen elsewhere than in the map: is [start] right?"]
-    words, paired = [], set[int]()
-    for a in wrong:
-        for b in wrong:
-            if a < b and away(a, b) < reach[a] and away(b, a) < reach[b]:
-                words.append(f"ids {a} and {b} look swapped in the map: each is seen where the other should stand")
-                paired |= {a, b}
-    for key in wrong:
-        if key not in paired:
-            x, y, _ = median[key]
-            words.append(
-                f"id {key} is seen at ({x:.2f}, {y:.2f}) m, {away(key, key):.2f} m from its place in the map "
-                f"({len(seen_at[key])} detections)"
-            )
-    return words
-
-
-def _scatter(rows: Array) -> float:
-    """Return the robust standard deviation per axis of places (n, 3) [m]."""
-    return float(np.median(np.abs(rows[:, :2] - np.median(rows[:, :2], axis=0)), axis=0).max()) / MAD
+def _name(landmark: int) -> str:
+    return f"_landmark_{landmark}"

@@ -13,7 +13,9 @@ from .gps import Gps
 from .gyro import Gyro
 from .landmarks import Landmarks
 from .lrf import Lrf
+from .pose import PoseSensor
 from .sonar import Sonar
+from .twist import Twist
 
 REGISTRY: dict[str, Sensor] = {
     sensor.name: sensor
@@ -25,6 +27,8 @@ REGISTRY: dict[str, Sensor] = {
         Gps(),
         Gyro(),
         Landmarks(),
+        PoseSensor(),
+        Twist(),
     )
 }
 

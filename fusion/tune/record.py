@@ -18,6 +18,7 @@ from locfuse.fusion.data import Array, Drive, Ints, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.belief_pose import Pose, Triangle
 from locfuse.fusion.ekf.journal import in_map
+from locfuse.fusion.ekf.map_frame import by_frame
 from locfuse.fusion.ekf.rows import stacked
 from locfuse.fusion.fuse import Filter
 from locfuse.fusion.instants import due_readings, steps_of
@@ -235,6 +236,16 @@ class Taped(JointBelief):
         super().clone_heading(column, behind)
         T = np.eye(self.n)
         T[column] = T[2]
+        self._note(T)
+
+    def clone_pose(self, column: int, behind: Array | None = None) -> None:
+        """Clone as ever."""
+        pose = self.state[:3].copy()
+        super().clone_pose(column, behind)
+        T = np.eye(self.n)
+        T[column : column + 3] = 0.0
+        J = np.eye(3) if behind is None else by_frame(pose[None], behind[None])[0]
+        T[column : column + 3, :3] = J
         self._note(T)
 
     def transform(self, columns: Ints, values: Array, G: Array) -> None:

@@ -41,6 +41,8 @@ def streams() -> tuple[dict[str, Stream], dict[str, dict[str, Any]]]:
     for role in ("sonar", "gps"):  # robot.toml need not name them
         found[role] = merged([s for s in topics.values() if s.msgtype in REGISTRY[role].reads])
     found["gyro"] = imu(found["truth"])
+    found["pose"] = poses(found["truth"])
+    found["twist"] = speeds(found["truth"])
     found["landmarks"] = detections(found["truth"])
     tables["landmarks"] = {
         "map": {str(key): list(place) for key, place in LANDMARKS.items()},
@@ -66,6 +68,36 @@ def detections(truth: Stream) -> Stream:
     t_ns, ids, ranges, bearings = (np.array(column) for column in zip(*rows, strict=True))
     data: dict[str, Any] = {"id": ids.astype(np.int64), "range": ranges, "bearing": bearings}
     return ArrayStream("detections.csv", "locfuse/msg/Detections", t_ns.astype(np.int64), data)
+
+
+def poses(truth: Stream) -> Stream:
+    """The true poses in a frame of their own, turned by 0.7 rad: every fourth, with a covariance."""
+    fields = ("position.x", "position.y", "orientation.x", "orientation.y", "orientation.z", "orientation.w")
+    columns = cast("dict[str, Any]", truth.columns(*(f"pose.{field}" for field in fields)))
+    x, y, _, _, z, w = (column[::4] for column in columns.values())
+    c, s, half = np.cos(0.7), np.sin(0.7), np.arctan2(z, w) + 0.35
+    data = {"x": c * x - s * y + 3.0, "y": s * x + c * y - 2.0}
+    turned = {"x": 0.0 * half, "y": 0.0 * half, "z": np.sin(half), "w": np.cos(half)}
+    P = np.diag([4e-4, 1e-4, 0.0, 0.0, 0.0, 1e-4])
+    P[0, 1] = P[1, 0] = 5e-5
+    fields_of = {f"pose.pose.position.{axis}": column for axis, column in data.items()}
+    fields_of |= {f"pose.pose.orientation.{axis}": column for axis, column in turned.items()}
+    fields_of["pose.covariance"] = (
+        np.tile(P.reshape(36), (len(half), 1)) * (1.0 + np.arange(len(half)) % 2)[:, None]
+    )
+    return ArrayStream("/other/pose", "geometry_msgs/msg/PoseWithCovarianceStamped", truth.t_ns[::4], fields_of)
+
+
+def speeds(truth: Stream) -> Stream:
+    """What speeds the true poses have, between neighbours."""
+    columns = cast("dict[str, Any]", truth.columns("pose.position.x", "pose.position.y"))
+    turn = cast("dict[str, Any]", truth.columns("pose.orientation.z", "pose.orientation.w"))
+    theta = np.unwrap(2.0 * np.arctan2(turn["pose.orientation.z"], turn["pose.orientation.w"]))
+    t = truth.t_ns * 1e-9
+    vx, vy = (np.gradient(columns[f"pose.position.{axis}"], t) for axis in "xy")
+    forward = np.cos(theta) * vx + np.sin(theta) * vy
+    data = {"twist.linear.x": forward, "twist.angular.z": np.gradient(theta, t)}
+    return ArrayStream("/flow/twist", "geometry_msgs/msg/TwistStamped", truth.t_ns, data)
 
 
 def imu(truth: Stream) -> Stream:

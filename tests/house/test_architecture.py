@@ -29,7 +29,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "sensor streams geodesy",
         "robot mount audit",
         "core",
-        "camera lines ekf scan_matching",
+        "camera lines ekf scan_matching landmarks",
         "wheels linemap",
         "atlas",
         "truth sensors",

@@ -11,26 +11,18 @@ import numpy as np
 import pytest
 from bags import T0
 from commands import locfuse
+from landmark_drive import MAP, path_of
 from numpy.typing import NDArray
 from textbook import wrap
-from wheel_bags import GEOMETRY, RADIUS, TRACK, angles, joint_states, log_of
+from wheel_bags import GEOMETRY, angles, joint_states, log_of
 
 from locfuse.formats.robot import landmark_map
 from locfuse.fusion.data import LocfuseError
-from locfuse.fusion.sensors.landmarks import predict
+from locfuse.fusion.landmarks.geometry import predict
+from locfuse.fusion.sensors.registry import REGISTRY
 
 Array = NDArray[np.float64]
-MAP = {6: (2.0, 1.5), 7: (-1.0, 2.0), 8: (1.0, -2.0), 9: (3.0, -1.0), 12: (-2.0, -1.0)}
 SIGMA_RANGE, SIGMA_BEARING, OFFSET = 0.05, math.radians(1.0), 0.08
-
-
-def path_of(t: Array, angle: Array) -> Array:
-    """Poses (n, 3) of dead reckoning along chords: the truth of these logs."""
-    ds, turn = np.diff(angle, axis=0).mean(axis=1) * RADIUS, np.diff(angle, axis=0) @ [-1, 1] * RADIUS / TRACK
-    theta = np.concatenate(([0.0], np.cumsum(turn)))
-    middle = theta[:-1] + turn / 2
-    steps = np.stack((ds * np.cos(middle), ds * np.sin(middle)), axis=-1)
-    return np.column_stack((np.vstack(([0.0, 0.0], np.cumsum(steps, axis=0))), theta))
 
 
 def written(folder: Path, drift: float = 0.0, more: str = "", seed: int = 1, **changed: Any) -> tuple[Path, ...]:
@@ -178,3 +170,16 @@ def test_the_derivatives_hold_wherever_the_detector_sits() -> None:
         numeric = (np.array(ahead[0]) - np.array(behind[0])) / 2e-6
         np.testing.assert_allclose(np.array(found[1])[:, j], numeric, atol=1e-7)
     assert predict((1.4, 0.8, 0.0), place, (0.0, 0.0, 0.0)) is None
+
+
+def test_the_key_that_takes_out_a_constant_bearing_moves_against_it() -> None:
+    """A detector that looks 5 degrees further left than configured measures bearings 5 degrees too small."""
+    bias = REGISTRY["landmarks"].bias
+    assert bias is not None
+    place = (2.0, 1.0)
+    configured, true = (predict((0.0, 0.0, 0.0), place, (0.0, 0.0, math.radians(yaw))) for yaw in (0.0, 5.0))
+    assert configured is not None
+    assert true is not None
+    innovation = math.degrees(true[0][1] - configured[0][1])
+    assert bias.key == "yaw_deg"
+    assert bias.sign * innovation == pytest.approx(5.0)

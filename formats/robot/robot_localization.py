@@ -1,0 +1,244 @@
+"""An ekf.yaml of robot_localization as tables of robot.toml, and in words what of it means nothing here.
+
+Its inputs are odom0, twist0, pose0, imu0 ..., each with 15 switches: x, y, z, roll, pitch, yaw, their six speeds,
+and three accelerations (robot_localization, state_estimation_nodes). Here the motion comes from the wheels and is
+no state, so the first odometry becomes the wheels, and every other input a sensor.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from locfuse.formats.caps import MAX_ROBOT_TOML
+from locfuse.formats.inputs import read_small
+from locfuse.formats.nearest import did_you_mean
+from locfuse.formats.visible import visible
+from locfuse.fusion.data import LocfuseError
+
+X, Y, YAW, SPEED, TURN, ACCELERATION = 0, 1, 5, 6, 11, 12  # places of the switches
+SWITCHES = 15
+INPUT = re.compile(r"(odom|twist|pose|imu)(\d+)")
+OF_INPUT = re.compile(r"((?:odom|twist|pose|imu)\d+)_(.+)")
+USED_OF_INPUT = ("config", "differential", "relative")
+IDLE_OF_INPUT = (
+    "queue_size",
+    "nodelay",
+    "remove_gravitational_acceleration",
+    "use_sim_time",
+)
+UNUSED_OF_INPUT = (
+    "rejection_threshold",
+    "pose_rejection_threshold",
+    "twist_rejection_threshold",
+    "linear_acceleration_rejection_threshold",
+    "pose_use_child_frame",
+)
+USED = ("initial_state", "two_d_mode", "world_frame", "map_frame", "odom_frame", "base_link_frame")
+IDLE = (  # of a node that runs live; a log has its own time
+    "frequency",
+    "sensor_timeout",
+    "transform_time_offset",
+    "transform_timeout",
+    "print_diagnostics",
+    "debug",
+    "debug_out_file",
+    "publish_tf",
+    "publish_acceleration",
+    "permit_corrected_publication",
+    "predict_to_current_time",
+    "reset_on_time_jump",
+    "use_sim_time",
+    "qos_overrides",
+    "disabled_at_startup",
+    "tf_prefix",
+    "base_link_frame_output",
+    "smooth_lagged_data",
+    "history_length",
+)
+UNUSED = {
+    "use_control": "commanded speeds are no measurement",
+    "stamped_control": "commanded speeds are no measurement",
+    "control_config": "commanded speeds are no measurement",
+    "control_timeout": "commanded speeds are no measurement",
+    "acceleration_limits": "there are no accelerations in the state",
+    "deceleration_limits": "there are no accelerations in the state",
+    "acceleration_gains": "there are no accelerations in the state",
+    "deceleration_gains": "there are no accelerations in the state",
+    "process_noise_covariance": "noise grows with the way: wheels.noise (locfuse calibrate and tune find it)",
+    "dynamic_process_noise_covariance": "noise grows with the way: wheels.noise",
+    "initial_estimate_covariance": "start.sigma_xy and start.sigma_theta_deg say how well the start is known",
+    "gravitational_acceleration": "accelerations are not used",
+    "alpha": "this filter is no unscented one",
+    "kappa": "this filter is no unscented one",
+    "beta": "this filter is no unscented one",
+}
+
+
+class Translated(NamedTuple):
+    """What an ekf.yaml says in our words."""
+
+    tables: dict[str, dict[str, Any]]
+    notes: tuple[str, ...]  # what does not map, one line each
+
+
+class Source(NamedTuple):
+    """One input."""
+
+    name: str  # "odom0"
+    kind: str  # "odom"
+    topic: str
+    switches: tuple[bool, ...]
+    differential: bool
+    relative: bool
+
+
+def read(path: Path, topics: Sequence[str]) -> Translated:
+    """Translate a file for a log with these topics. Raises LocfuseError where it is no ekf.yaml."""
+    parameters, notes = _parameters(path)
+    sources = [source for source in _sources(path, parameters) if source is not None]
+    if not sources:
+        raise LocfuseError(f"{path} names no input (odom0, twist0, pose0, imu0): is it of robot_localization?")
+    notes += _words(parameters)
+    tables: dict[str, dict[str, Any]] = _start(path, parameters)
+    for source in sources:
+        topic = _in_log(source.topic, topics)
+        if topic is None:
+            notes.append(f"{source.name}: this log has no topic {visible(source.topic)}")
+            continue
+        notes += _placed(source._replace(topic=topic), tables)
+    return Translated(tables, tuple(notes))
+
+
+def _parameters(path: Path) -> tuple[dict[str, Any], list[str]]:
+    """Return the parameters of the first filter in a file; what else is in there as notes."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    data = read_small(path, MAX_ROBOT_TOML)
+    try:
+        found = YAML(typ="safe", pure=True).load(data)
+    except (YAMLError, ValueError, RecursionError) as problem:
+        line = visible(" ".join(str(problem).split())[:160])
+        raise LocfuseError(f"{path} is no YAML: {line}") from None
+    nodes = _nodes(found, "", 0)
+    if not nodes:
+        raise LocfuseError(f"{path} names no input (odom0, twist0, pose0, imu0): is it of robot_localization?")
+    name, parameters = nodes[0]
+    others = [visible(other) for other, _ in nodes[1:]]
+    return parameters, [f"{', '.join(others)}: only {visible(name)} is read"] if others else []
+
+
+def _nodes(value: Any, name: str, depth: int) -> list[tuple[str, dict[str, Any]]]:
+    """Return the mappings that name inputs, with the names of their nodes."""
+    if not isinstance(value, Mapping) or depth > 4:
+        return []
+    if any(INPUT.fullmatch(str(key)) for key in value):
+        return [(name or "the node", {str(key): part for key, part in value.items()})]
+    parts = ((str(key) if key != "ros__parameters" else name, part) for key, part in value.items())
+    return [node for key, part in parts for node in _nodes(part, key, depth + 1)]
+
+
+def _sources(path: Path, parameters: Mapping[str, Any]) -> list[Source | None]:
+    return [_source(path, name, parameters) for name in sorted(parameters) if INPUT.fullmatch(name)]
+
+
+def _source(path: Path, name: str, parameters: Mapping[str, Any]) -> Source | None:
+    """Return one input; None where it has no topic."""
+    topic, switches = parameters[name], parameters.get(f"{name}_config")
+    if not isinstance(topic, str) or not topic:
+        return None
+    if (
+        not isinstance(switches, list)
+        or len(switches) != SWITCHES
+        or not all(isinstance(s, bool) for s in switches)
+    ):
+        raise LocfuseError(f"{path}: {name}_config is not {SWITCHES} times true or false")
+    differential, relative = (parameters.get(f"{name}_{key}") is True for key in ("differential", "relative"))
+    return Source(name, name.rstrip("0123456789"), topic, tuple(switches), differential, relative)
+
+
+def _in_log(topic: str, topics: Sequence[str]) -> str | None:
+    """Return a topic as the log has it: relative names have no slash, and a namespace may stand before them."""
+    bare = topic.strip("/")
+    near = [t for t in topics if t.strip("/") == bare] or [t for t in topics if t.endswith(f"/{bare}")]
+    return near[0] if len(near) == 1 else None
+
+
+def _placed(source: Source, tables: dict[str, dict[str, Any]]) -> list[str]:
+    """Give an input its place among the tables; return in words what of it finds none."""
+    if source.kind == "imu":
+        return _imu(source, tables)
+    on = source.switches
+    posed, moves = on[X] or on[Y] or on[YAW], on[SPEED] or on[TURN]
+    if source.kind == "odom" and "wheels" not in tables and (posed or moves):
+        tables["wheels"] = {"topic": source.topic}
+        return []
+    if source.kind == "twist" and "wheels" not in tables and moves:
+        tables["wheels"] = {"topic": source.topic}
+        return []
+    table = "pose" if posed else "twist" if moves else ""
+    if not table:
+        return [f"{source.name}: of its switches none is of the plane"]
+    if table in tables:
+        return [f"{source.name}: [{table}] reads one topic, {tables[table]['topic']}"]
+    tables[table] = {"topic": source.topic}
+    if table == "twist":
+        return []
+    if not on[YAW]:
+        tables["pose"] |= {"frame": "map", "heading": False}
+        return [f"{source.name}: without yaw its frame must be the map (pose.frame); if it is not, leave it out"]
+    tables["pose"]["frame"] = "drift" if source.differential else "own"
+    return []
+
+
+def _imu(source: Source, tables: dict[str, dict[str, Any]]) -> list[str]:
+    """Let an IMU be compass and gyro, as its switches say."""
+    on, notes = source.switches, []
+    for table, switch in (("compass", YAW), ("gyro", TURN)):
+        if on[switch] and table not in tables:
+            tables[table] = {"topic": source.topic}
+        elif on[switch]:
+            notes.append(f"{source.name}: [{table}] reads one topic, {tables[table]['topic']}")
+    if any(on[ACCELERATION:]):
+        notes.append(f"{source.name}: accelerations are not used")
+    return notes
+
+
+def _start(path: Path, parameters: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    state = parameters.get("initial_state")
+    if state is None:
+        return {}
+    if not isinstance(state, list) or len(state) != SWITCHES or not all(_finite(value) for value in state):
+        raise LocfuseError(f"{path}: initial_state is not {SWITCHES} numbers")
+    if not any(state[place] for place in (X, Y, YAW)):
+        return {}
+    start = {"x": float(state[X]), "y": float(state[Y]), "theta_deg": math.degrees(state[YAW])}
+    return {"start": start}
+
+
+def _finite(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _words(parameters: Mapping[str, Any]) -> list[str]:
+    """Say what has no meaning here, and which keys nobody knows."""
+    notes = []
+    if parameters.get("two_d_mode") is False:
+        notes.append("two_d_mode: false: only the plane is estimated here")
+    known_of_input = (*USED_OF_INPUT, *IDLE_OF_INPUT, *UNUSED_OF_INPUT)
+    for key in parameters:
+        of_input = OF_INPUT.fullmatch(key)
+        if of_input is None and (key in USED or key in IDLE or INPUT.fullmatch(key)):
+            continue
+        if key in UNUSED:
+            notes.append(f"{key}: {UNUSED[key]}")
+        elif of_input is not None and of_input[2] in UNUSED_OF_INPUT:
+            notes.append(f"{key}: gates are confidences here (the key gate of the sensor's table)")
+        elif of_input is None or of_input[2] not in known_of_input:
+            known = [f"{of_input[1]}_{k}" for k in known_of_input] if of_input else [*USED, *IDLE, *UNUSED]
+            notes.append(f"{visible(key[:60])}: unknown key; {did_you_mean(key, known) or 'nothing is like it'}")
+    return notes

@@ -1,0 +1,116 @@
+"""What detectors of tags and barcodes publish, as one table: message, id, range, bearing.
+
+Detectors that look through a camera give positions in its optical frame (REP 103: x right, y down, z ahead), or
+only where a tag's centre is in the picture. A camera that looks down by the angle p sees a point (x, y, z) ahead
+by z cos p - y sin p, and left by -x.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from locfuse.fusion.data import Array, Ints, LocfuseError, Ragged, Stream
+
+DETECTIONS = "locfuse/msg/Detections"  # a file beside the log
+LAST_NUMBER = re.compile(r"\d+(?=\D*$)")
+NO_ID = -1
+
+
+class Fields(NamedTuple):
+    """Where a message type says ids and places."""
+
+    ids: str
+    x: str
+    y: str = ""  # "": in pixels, x only
+    z: str = ""
+
+
+def _at(ids: str, position: str) -> Fields:
+    return Fields(ids, *(f"{position}.{axis}" for axis in "xyz"))
+
+
+# Message type -> its fields. Not apriltag_ros of ROS 1: there every detection holds a list of ids.
+POSES: Mapping[str, Fields] = {
+    "ros2_aruco_interfaces/msg/ArucoMarkers": _at("marker_ids", "poses.position"),
+    "aruco_msgs/msg/MarkerArray": _at("markers.id", "markers.pose.pose.position"),
+    "aruco_opencv_msgs/msg/ArucoDetection": _at("markers.marker_id", "markers.pose.position"),
+    "isaac_ros_apriltag_interfaces/msg/AprilTagDetectionArray": _at(
+        "detections.id", "detections.pose.pose.pose.position"
+    ),
+    "vision_msgs/msg/Detection3DArray": _at("detections.id", "detections.bbox.center.position"),
+}
+PIXELS: Mapping[str, Fields] = {
+    "apriltag_msgs/msg/AprilTagDetectionArray": Fields("detections.id", "detections.centre.x"),
+    "vision_msgs/msg/Detection2DArray": Fields("detections.id", "detections.bbox.center.position.x"),
+}
+FIELDS: Mapping[str, Fields] = {**POSES, **PIXELS}
+READS: Mapping[str, tuple[str, ...]] = {
+    DETECTIONS: ("id", "range", "bearing"),
+    **{kind: tuple(field for field in fields if field) for kind, fields in FIELDS.items()},
+}
+
+
+class Looks(NamedTuple):
+    """How the camera looks: its focal length and the middle of its picture [px], and how far down [rad]."""
+
+    fx: float | None
+    cx: float | None
+    down: float
+
+
+class Sighted(NamedTuple):
+    """Detections, those of one message next to each other."""
+
+    t_ns: Ints  # (m,)
+    ids: Ints  # (m,) NO_ID: none that is a number
+    ranges: Array | None  # (m,) m; None: the detector says bearings only
+    bearings: Array  # (m,) rad, counter-clockwise
+
+
+def sighted(stream: Stream, looks: Looks) -> Sighted:
+    """Return what a topic or file detects. Raises LocfuseError where pixels come without a focal length."""
+    if stream.msgtype == DETECTIONS:
+        columns = cast("dict[str, Array]", stream.columns(*READS[DETECTIONS]))
+        ranges: Array = np.asarray(columns["range"], np.float64)
+        ids = np.asarray(columns["id"]).astype(np.int64)
+        told = None if len(ranges) and np.isnan(ranges).all() else ranges
+        return Sighted(stream.t_ns, ids, told, np.asarray(columns["bearing"], np.float64))
+    kind = stream.msgtype
+    fields = FIELDS[kind]
+    raw = stream.columns(*READS[kind])
+    row, ids = _ids(raw[fields.ids])
+    x = _values(raw[fields.x], len(ids), stream.topic)
+    if kind in PIXELS:
+        if looks.fx is None or looks.cx is None:
+            raise LocfuseError(
+                f"{stream.topic} says where tags are in the picture, and no CameraInfo says how the camera looks.",
+                role="landmarks",
+                hint="Give its matrix: --set landmarks.fx=<px> --set landmarks.cx=<px>",
+            )
+        return Sighted(stream.t_ns[row], ids, None, np.arctan2(looks.cx - x, looks.fx))
+    y, z = (_values(raw[name], len(ids), stream.topic) for name in (fields.y, fields.z))
+    ahead = z * np.cos(looks.down) - y * np.sin(looks.down)
+    return Sighted(stream.t_ns[row], ids, np.hypot(x, ahead), np.arctan2(-x, ahead))
+
+
+def _ids(column: Any) -> tuple[Ints, Ints]:
+    """Return the message of each detection and its id; of a text like "tag36h11:5" the last number is the id."""
+    if isinstance(column, Ragged):
+        rows = np.repeat(np.arange(len(column)), column.lengths)
+        return rows, np.asarray(column.values[column.first[0] : column.first[-1]]).astype(np.int64)
+    texts = [(row, text) for row, names in enumerate(column) for text in names]
+    found = [LAST_NUMBER.search(text) for _, text in texts]
+    ids = [int(match.group()) % 2**62 if match else NO_ID for match in found]
+    return np.array([row for row, _ in texts], np.int64), np.array(ids, np.int64)
+
+
+def _values(column: Any, n: int, topic: str) -> Array:
+    """Return numbers (n,), one of each detection."""
+    values = np.asarray(column.values[column.first[0] : column.first[-1]], np.float64)
+    if len(values) != n:
+        raise LocfuseError(f"{topic} has {n} ids and {len(values)} places: no way to tell which is whose")
+    return values

@@ -1,0 +1,303 @@
+"""Somebody else's poses and speeds, in the map, in a frame of their own, or drifting: consistent by truth."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import loop_drive
+import numpy as np
+import pytest
+import trap_logs
+from commands import locfuse
+from loop_drive import ns, quaternion
+from numpy.typing import NDArray
+
+from locfuse.cli.pipeline.load import make_robot
+from locfuse.fusion import se2
+from locfuse.fusion.data import ArrayStream, Column, Drive
+from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.evaluate import evaluate
+from locfuse.fusion.measure import measure
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensor import Block
+from locfuse.fusion.sensors.pose import plane_covariance
+from locfuse.fusion.smooth import fuse_and_smooth
+from locfuse.sample_logs.messages import RawMessage
+
+Array = NDArray[np.float64]
+SIGMA, SIGMA_THETA = 0.04, math.radians(1.5)
+FRAME = np.array([4.0, -3.0, 2.0])  # where a frame of its own lies in the map
+WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+
+
+def posed(t: Array, pose: Array, rng: np.random.Generator, told: bool = True) -> ArrayStream:
+    """Poses (n, 3) with white noise, and the covariance of that noise; zeros where nothing is told."""
+    noisy = pose + rng.normal(size=pose.shape) * (SIGMA, SIGMA, SIGMA_THETA)
+    P = np.diag([SIGMA**2, SIGMA**2, 0.0, 0.0, 0.0, SIGMA_THETA**2]) * told
+    data: dict[str, Column] = {
+        "pose.pose.position.x": noisy[:, 0],
+        "pose.pose.position.y": noisy[:, 1],
+        **quaternion("pose.pose.orientation", noisy[:, 2]),
+        "pose.covariance": np.tile(P.reshape(36), (len(t), 1)),
+    }
+    return ArrayStream("/slam/pose", WITH_COVARIANCE, ns(t), data)
+
+
+def drifting(t: Array, pose: Array, rng: np.random.Generator) -> ArrayStream:
+    """A visual odometry: the true motions with the noise per way that `sigma_drift` tells by default."""
+    u = se2.between(pose[:-1], pose[1:])
+    way = np.hypot(u[:, 0], u[:, 1]) + 0.15 * np.abs(u[:, 2])
+    u += rng.normal(size=u.shape) * np.sqrt(way)[:, None] * (0.02, 0.02, math.radians(1.0))
+    at = [np.zeros(3)]
+    for one in u:
+        at.append(se2.compose(at[-1], one))
+    z, zero = np.array(at), np.zeros(len(t))
+    data: dict[str, Column] = {
+        "pose.pose.position.x": z[:, 0],
+        "pose.pose.position.y": z[:, 1],
+        **quaternion("pose.pose.orientation", z[:, 2]),
+        "pose.covariance": np.zeros((len(t), 36)),
+        "twist.twist.linear.x": zero,
+        "twist.twist.angular.z": zero,
+    }
+    return ArrayStream("/vo/odom", "nav_msgs/msg/Odometry", ns(t), data)
+
+
+def measured(seed: int, kind: str, tables: dict[str, Any] | None = None) -> tuple[Drive, Robot]:
+    """A drive of two minutes with one more source: five times a second."""
+    rng = np.random.default_rng(seed)
+    t, pose = loop_drive.path()
+    some = slice(3, None, 2)
+    inside = se2.between(np.broadcast_to(FRAME, pose.shape), pose)
+    streams = {"wheels": loop_drive.wheels(t, pose, rng), "truth": loop_drive.truth(t[::5], pose[::5])}
+    if kind == "map":
+        streams["pose"] = posed(t[some], pose[some], rng)
+    elif kind == "own":
+        streams["pose"] = posed(t[some], inside[some], rng)
+    elif kind == "drift":
+        streams["pose"] = drifting(t[some], pose[some], rng)
+    else:
+        streams["twist"] = speeds(t, pose, rng)
+    table = {} if kind in {"drift", "twist"} else {"frame": kind}
+    robot = make_robot({**loop_drive.TABLES, "pose": table, **(tables or {})})
+    return measure(streams, robot), robot
+
+
+def speeds(t: Array, pose: Array, rng: np.random.Generator) -> ArrayStream:
+    """True speeds with the noise that [twist] tells by default, less its scale's."""
+    forward = np.hypot(*np.gradient(pose[:, :2], t, axis=0).T) + 0.05 * rng.normal(size=len(t))
+    turning = np.gradient(pose[:, 2], t) + math.radians(2.0) * rng.normal(size=len(t))
+    data: dict[str, Column] = {"twist.linear.x": forward, "twist.angular.z": turning}
+    return ArrayStream("/flow/twist", "geometry_msgs/msg/TwistStamped", ns(t), data)
+
+
+def figures(drive: Drive, robot: Robot, sensors: tuple[str, ...]) -> dict[str, Any]:
+    return dict(evaluate(fuse(drive, robot, sensors), drive).figures)
+
+
+DRIVES = 5
+
+
+@pytest.mark.parametrize(
+    ("kind", "left", "anees"),
+    [
+        ("map", 0.15, (0.8, 1.3)),
+        ("own", 0.5, (0.6, 1.5)),
+        ("drift", 0.9, (0.6, 1.6)),
+        ("twist", 0.9, (0.5, 1.5)),
+    ],
+)
+def test_it_improves_the_wheels_and_is_consistent(kind: str, left: float, anees: tuple[float, float]) -> None:
+    """Where the errors of a drive hang together (all but "map"), the mean of a few drives scatters more."""
+    sensor = "twist" if kind == "twist" else "pose"
+    drives = [measured(seed, kind) for seed in range(DRIVES)]
+    found = [figures(*drive, (sensor,)) for drive in drives]
+    alone = [figures(*drive, ()) for drive in drives]
+    rmse, before = (math.sqrt(np.mean([f["position_rmse_m"] ** 2 for f in fs])) for fs in (found, alone))
+    assert rmse < left * before
+    assert anees[0] < np.mean([f["anees"] for f in found]) < anees[1]
+
+
+@pytest.mark.parametrize("kind", ["own", "drift", "twist"])
+def test_smoothing_knows_what_became_of_the_kept_pose(kind: str) -> None:
+    """The last smoothed pose is the filtered one, and P never grows by the future."""
+    drive, robot = measured(1, kind)
+    filtered, smoothed = fuse_and_smooth(drive, robot, ("twist" if kind == "twist" else "pose",))
+    np.testing.assert_allclose(smoothed.pose[-1], filtered.pose[-1], atol=1e-9)
+    # but for levers that differ: both are linearised about poses of their own
+    assert (smoothed.triangles[:, (0, 3, 5)] <= 1.01 * filtered.triangles[:, (0, 3, 5)] + 1e-9).all()
+
+
+def test_a_kept_pose_stays_where_it_is_when_the_local_frame_begins_anew() -> None:
+    """The laser begins its map after the first pose: seen from the robot nothing has moved."""
+    belief = JointBelief(
+        (1.0, 2.0, 0.5),
+        (0.04, 0.0, 0.0, 0.02, 0.0, 0.01),
+        [Block("b", np.zeros(3), np.zeros((3, 3)), np.zeros(3))],
+    )
+    belief.clone_pose(3)
+    belief.predict((0.7, 0.1, 0.3), (0.01, 0.0, 0.0, 0.02, 0.0, 0.003))
+    seen, spread = se2.between(belief.state[3:6], belief.state[:3]), relative_covariance(belief)
+    belief.begin_frame()
+    np.testing.assert_allclose(se2.between(belief.state[3:6], belief.state[:3]), seen, atol=1e-12)
+    np.testing.assert_allclose(relative_covariance(belief), spread, atol=1e-12)
+    belief.place((5.0, 5.0, 2.0), 0.1, 0.1)
+    np.testing.assert_allclose(se2.between(belief.state[3:6], belief.state[:3]), seen, atol=1e-12)
+    np.testing.assert_allclose(relative_covariance(belief), 0.0, atol=1e-12)
+
+
+def relative_covariance(belief: JointBelief) -> Array:
+    J = np.hstack(se2.between_jacobians(belief.state[3:6], belief.state[:3]))
+    at = [3, 4, 5, 0, 1, 2]
+    return np.asarray(J @ belief.covariance[np.ix_(at, at)] @ J.T)
+
+
+# ---- covariances ----
+
+
+def column(*diagonals: tuple[float, float, float]) -> Array:
+    P = np.zeros((len(diagonals), 6, 6))
+    for k, (x, y, turn) in enumerate(diagonals):
+        P[k, (0, 1, 5), (0, 1, 5)] = x, y, turn
+    return P.reshape(-1, 36)
+
+
+def test_a_covariance_that_says_nothing_is_replaced_and_a_huge_one_is_cut() -> None:
+    own = np.broadcast_to(np.array([0.01, 0.01, 0.001]), (4, 3))
+    said = column((0.0, 0.0, 0.0), (0.04, 0.09, 0.01), (math.nan, 1.0, 1.0), (1e9, 0.01, 1e9))
+    P, told = plane_covariance(said, np.arange(4), "message", own)
+    assert told.tolist() == [False, True, False, True]
+    np.testing.assert_allclose(P[0], np.diag(own[0]))
+    np.testing.assert_allclose(P[1], np.diag([0.04, 0.09, 0.01]))
+    np.testing.assert_allclose(P[3], np.diag([1e6, 0.01, 1e6]))
+    assert not plane_covariance(said, np.arange(4), "sigma", own)[1].any()
+
+
+def test_a_covariance_that_is_not_positive_is_replaced() -> None:
+    P = np.diag([1.0, 1.0, 0.0, 0.0, 0.0, 1.0])
+    P[0, 1] = P[1, 0] = 2.0
+    own = np.full((1, 3), 0.5)
+    found, told = plane_covariance(P.reshape(1, 36), np.arange(1), "message", own)
+    assert not told[0]
+    np.testing.assert_allclose(found[0], 0.5 * np.eye(3))
+
+
+def test_readings_that_share_an_error_count_as_one() -> None:
+    (drive, _), (other, _) = (measured(2, "map", {"pose": {"frame": "map", "correlated": c}}) for c in (0.0, 1.0))
+    ratio = other.measurements["pose"].R_unit / np.where(
+        drive.measurements["pose"].R_unit == 0.0, 1.0, drive.measurements["pose"].R_unit
+    )
+    assert ratio[:, 0, 0] == pytest.approx(5.0, rel=1e-6)  # five in a second
+
+
+def test_only_x_and_y_count_where_the_heading_is_none() -> None:
+    drive, robot = measured(2, "map", {"pose": {"frame": "map", "heading": False}})
+    e = fuse(drive, robot, ("pose",))
+    assert np.nanmax(np.abs(e.audits["pose"].y[:, 2] / e.audits["pose"].sigma[:, 2])) < 0.01
+    assert figures(drive, robot, ("pose",))["position_rmse_m"] < 0.2
+
+
+# ---- a user's log ----
+
+SLAM = "/slam/pose"
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log with the poses of a SLAM: the truth in another frame, with centimetres of noise."""
+    drive, rng = trap_logs.Drive(), np.random.default_rng(4)
+    poses = []
+    for m in drive.on(trap_logs.TRUTH)[::5]:
+        z, w = m.fields["pose.orientation.z"], m.fields["pose.orientation.w"]
+        at = np.array([m.fields["pose.position.x"], m.fields["pose.position.y"], 2.0 * math.atan2(z, w)])
+        x, y, theta = se2.between(FRAME, at) + rng.normal(size=3) * (0.01, 0.01, 0.005)
+        fields = {
+            "pose.pose.position.x": x,
+            "pose.pose.position.y": y,
+            "pose.covariance": column((1e-4, 1e-4, 2.5e-5))[0],
+        }
+        fields |= {
+            "pose.pose.orientation.z": math.sin(0.5 * theta),
+            "pose.pose.orientation.w": math.cos(0.5 * theta),
+        }
+        poses.append(RawMessage(SLAM, WITH_COVARIANCE, m.log_ns, m.stamp_ns, "slam_map", fields))
+    drive.add(poses)
+    return drive.record(tmp_path_factory.mktemp("pose") / "slam.mcap")
+
+
+def test_info_offers_it_and_init_writes_the_line(log: Path) -> None:
+    """An estimate is never taken unasked: it may repeat what wheels and laser say."""
+    told = locfuse("info", log)
+    assert f"not yet  pose: {SLAM} may be one" in told.stdout
+    table = locfuse("init", log).stdout.partition("[pose]")[2].partition("\n[")[0]
+    assert f'# topic = "{SLAM}"' in table
+
+
+def test_wishes_and_commands_are_no_estimates(tmp_path: Path) -> None:
+    """What a person clicked or asked for was measured by nobody."""
+    drive = trap_logs.Drive()
+    at = drive.on(trap_logs.TRUTH)[0]
+    pose = {"pose.position.x": 1.0, "pose.position.y": 1.0, "pose.orientation.w": 1.0}
+    speed = {"twist.linear.x": 0.1, "twist.angular.z": 0.0}
+    drive.add(
+        [
+            RawMessage("/goal_pose", "geometry_msgs/msg/PoseStamped", at.log_ns, at.stamp_ns, "map", pose),
+            RawMessage("/cmd_vel", "geometry_msgs/msg/TwistStamped", at.log_ns, at.stamp_ns, "base_link", speed),
+        ]
+    )
+    told = locfuse("info", drive.record(tmp_path / "wishes.mcap")).stdout
+    assert "may be one" not in told
+
+
+def test_compare_uses_it_where_it_is_named(log: Path, tmp_path: Path) -> None:
+    done = locfuse(
+        "compare",
+        log,
+        "--set",
+        f"pose.topic={SLAM}",
+        "-o",
+        tmp_path / "out",
+        "--sensors",
+        "pose",
+        "--sensors",
+        "odometry",
+    )
+    assert done.exit_code == 0, done.stderr
+    report = json.loads((tmp_path / "out/report.json").read_text())["configurations"]
+    assert report["pose"]["sensors"]["pose"]["rejected"] == 0
+    assert report["pose"]["position_rmse_m"] < report["odometry"]["position_rmse_m"]
+
+
+def test_a_frame_that_is_not_the_map_is_named(log: Path, tmp_path: Path) -> None:
+    sets = ("--set", f"pose.topic={SLAM}", "--set", "pose.frame=map")
+    done = locfuse("run", log, *sets, "--sensors", "pose", "-o", tmp_path / "out")
+    assert "pose.frame=own" in done.stderr + done.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ((f"pose.topic={trap_logs.TRUTH}",), f"{trap_logs.TRUTH} is read as truth already: it would judge itself"),
+        (("pose.topic=/scan",), "/scan is sensor_msgs/msg/LaserScan; accepted: nav_msgs/Odometry"),
+        ((f"pose.topic={SLAM}", "pose.sigma=0"), "sigma = 0.0: no sensor is exact"),
+    ],
+)
+def test_what_cannot_be_is_one_line(log: Path, words: tuple[str, ...], said: str) -> None:
+    done = locfuse("run", log, *(w for word in words for w in ("--set", word)))
+    assert done.exit_code in {1, 2}
+    assert said in " ".join(done.stderr.split())
+
+
+def test_a_source_that_never_changes_is_refused() -> None:
+    t, pose = loop_drive.path(20.0)
+    rng = np.random.default_rng(0)
+    robot = make_robot(loop_drive.TABLES)
+    stuck = posed(t, np.zeros_like(pose), rng)
+    still = {name: np.zeros_like(np.asarray(c)) for name, c in stuck.data.items()}
+    still["pose.pose.orientation.w"] = np.ones(len(t))
+    streams = {"wheels": loop_drive.wheels(t, pose, rng), "pose": ArrayStream(SLAM, WITH_COVARIANCE, ns(t), still)}
+    assert "says the same pose in all 200 messages" in measure(streams, robot).absent["pose"]

@@ -7,6 +7,7 @@ and noise, since each of these looks like one.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 
 from locfuse.cli.pipeline.compare import Compared
@@ -84,7 +85,7 @@ class Evidence:
         known = {(f.role, f.code) for f in seen}
         seen = [f for f in seen if f.fixes and self.judges(f.role)]
         offers = [f for f in offers if (f.role, f.code) not in known]
-        return [Candidate(f, (f.fixes,), self.judges(f.role), offer=f in offers) for f in (*seen, *offers)]
+        return [self._candidate(f, (f.fixes,), f in offers) for f in (*seen, *offers)]
 
     @cached_property
     def doctor(self) -> list[Finding]:
@@ -125,7 +126,7 @@ class Evidence:
     def offsets(self) -> list[Candidate]:
         """Return constant errors: offsets that were estimated or are configured wrongly, a mirrored camera."""
         found = [
-            Candidate(f, (f.fixes,), self.judges(f.role), offer=True)
+            self._candidate(f, (f.fixes,), True)
             for e in self.compared.estimates
             if e.name == self._all() and not e.smoothed and self.loaded.drive.truth is not None
             for f in of_offsets(self.loaded.robot, e)
@@ -138,7 +139,7 @@ class Evidence:
                 )
             if options:
                 finding = Finding(sensor, verdict.verdict, verdict.words)
-                found.append(Candidate(finding, tuple(options), self.judges(sensor)))
+                found.append(self._candidate(finding, tuple(options)))
         return found
 
     def noise(self) -> list[Candidate]:
@@ -150,7 +151,7 @@ class Evidence:
             if seen or more:
                 finding = Finding(sensor, verdict.verdict, words)
                 options = tuple(dict.fromkeys((*seen, *more)))
-                found.append(Candidate(finding, options, self.judges(sensor), offer=not seen))
+                found.append(self._candidate(finding, options, not seen))
         if self.loaded.drive.truth is not None and self._doubtful(self._best(self.trial.configurations)):
             found.append(self._wheel_noise())
         return found
@@ -176,8 +177,9 @@ class Evidence:
         noise = self.loaded.robot.wheels.noise
         finding = Finding("wheels", "noise", f"wheels.noise = {noise:g} m does not fit this drive")
         options = tuple((f"wheels.noise={noise * factor:.2g}",) for factor in WHEEL_NOISE_FACTORS)
-        judges = [n for n in self.judges("wheels") if n != ODOMETRY]  # its one random walk tells no noise
-        return Candidate(finding, options, tuple(judges), offer=True)
+        found = self._candidate(finding, options, True)
+        # odometry's one random walk tells no noise
+        return replace(found, judges=tuple(n for n in found.judges if n != ODOMETRY))
 
     # ---- configurations that judge ----
 
@@ -187,14 +189,28 @@ class Evidence:
         lost = any(e.lost for e in self.compared.estimates if e.name == name)
         return honest is None or lost or not honest.bounds[0] <= honest.anees <= honest.bounds[1]
 
+    def _candidate(self, finding: Finding, alternatives: tuple[Fixes, ...], offer: bool = False) -> Candidate:
+        judges = self.judges(finding.role)
+        kept = {self._all(), self._best(self._using(finding.role))}
+        return Candidate(finding, alternatives, judges, tuple(n for n in judges if n not in kept), offer)
+
+    def _using(self, role: str) -> list[str]:
+        """Return the configurations that depend on a role."""
+        known = self.trial.configurations
+        return list(known) if role in REFERENCE else [n for n, c in known.items() if role in c.sensors]
+
     def judges(self, role: str) -> tuple[str, ...]:
-        """Return the configurations by which a role's fix is judged: the best that uses it, and all sensors."""
+        """Return the configurations by which a role's fix is judged.
+
+        The best that uses it and all sensors, which are kept; the best but for all, in which the gain shows.
+        """
         if role in REFERENCE:
             return tuple(dict.fromkeys((ODOMETRY, self._best(self.trial.configurations), self._all())))
-        using = [n for n, c in self.trial.configurations.items() if role in c.sensors]
+        using = self._using(role)
         if not using:
             return ()
-        return tuple(dict.fromkeys((self._best([n for n in using if n != self._all()] or using), self._all())))
+        fewer = [n for n in using if n != self._all()] or using
+        return tuple(dict.fromkeys((self._best(fewer), self._best(using), self._all())))
 
     def _all(self) -> str:
         return max(self.trial.configurations, key=lambda n: len(self.trial.configurations[n].sensors))

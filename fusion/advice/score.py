@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 MAX_LOSS, MAX_LOSS_M = 0.02, 2e-4  # relative, m: by which no position error may grow
+MAX_CHANCE_LOSS = 0.15  # relative, where ANEES comes back to its chance range in exchange
 MAX_LN_ANEES_LOSS = 0.1  # by which ln ANEES may leave its chance range further where the error stays the same
 MIN_GAIN = 0.1  # relative gain of the position error
 MIN_LN_ANEES_GAIN = 0.2  # by which ln ANEES must come nearer to its chance range
@@ -37,6 +38,19 @@ def spoils(before: Score, after: Score) -> bool:
     if before.prediction is not None:
         return after.prediction is None or after.prediction < before.prediction - MAX_LOSS_NATS
     return False
+
+
+def spoils_alone(before: Score, after: Score) -> bool:
+    """Return whether a configuration that nobody would keep gets notably worse; a better covariance weighs more.
+
+    One drive's error moves by a few percent with every other way of weighing the same readings, by chance.
+    """
+    if not spoils(before, after):
+        return False
+    if before.position is None or after.position is None or after.lost > before.lost + MAX_LOST_SHARE:
+        return True
+    repaired = _off(before) - _off(after) > MIN_LN_ANEES_GAIN
+    return not repaired or after.position > before.position * (1.0 + MAX_CHANCE_LOSS) + MAX_LOSS_M
 
 
 def improves(before: Score, after: Score) -> bool:

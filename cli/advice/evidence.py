@@ -6,6 +6,7 @@ and noise, since each of these looks like one.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -30,9 +31,14 @@ ODOMETRY, ALL = "odometry", "all"
 REFERENCE = {"wheels", "start", "truth"}  # roles whose settings move every configuration
 WHEEL_NOISE_FACTORS = (0.1, 0.3, 3.0, 10.0)
 MIN_LAG_S, MIN_LAG_SIGMAS = 0.005, 2.0  # s, standard deviations: a smaller lag against the truth is not tried
+MIN_SURE_LAG_SIGMAS = 3.0  # standard deviations, of a sensor that looks right otherwise
+CAMERA_LAGS_S = (-0.2, -0.1, 0.1, 0.2)  # s
 MAX_NOISE_FACTOR = 4.0  # on a sigma, by the errors of its own run
 CLOCK = "lag"  # what clocks' findings are called
 NOISE = {"understated", "overstated", "correlated"}
+
+
+Offer = tuple[Finding, tuple[Fixes, ...]]  # no observation, only settings that may help
 
 
 class Evidence:
@@ -61,7 +67,9 @@ class Evidence:
 
     def _lags(self) -> bool:
         drive = self.loaded.drive
-        return any(worth_saying(lag) for lag in clock_lags(drive.measurements, drive.wheels).values())
+        return bool(self._late_by_truth) or any(
+            worth_saying(lag) for lag in clock_lags(drive.measurements, drive.wheels).values()
+        )
 
     def _worse_than_odometry(self) -> bool:
         errors = {e.name: e.figures.get("position_rmse_m") for e in self.compared.evaluations}
@@ -74,18 +82,21 @@ class Evidence:
 
     def clocks(self) -> list[Candidate]:
         """Return what measuring and the truth say of clocks: while one is wrong, the rest is not to be trusted."""
-        return self._candidates([f for f in self.doctor if f.code == CLOCK], list(self._late()))
+        offers = [*self._late_by_truth, *self._late_pictures()]
+        return self._candidates([f for f in self.doctor if f.code == CLOCK], offers)
 
     def geometry(self) -> list[Candidate]:
         """Return what measuring and a run with more states say of mounts, scales and directions."""
-        return self._candidates([f for f in self.doctor if f.code != CLOCK], list(self._probed()))
+        offers = [(f, (f.fixes,)) for f in self._probed()]
+        return self._candidates([f for f in self.doctor if f.code != CLOCK], offers)
 
-    def _candidates(self, seen: Sequence[Finding], offers: Sequence[Finding]) -> list[Candidate]:
+    def _candidates(self, seen: Sequence[Finding], offers: Sequence[Offer]) -> list[Candidate]:
         """Return candidates; a sensor that no run can use as it is (its readings are refused) has no judge."""
         known = {(f.role, f.code) for f in seen}
-        seen = [f for f in seen if f.fixes and self.judges(f.role)]
-        offers = [f for f in offers if (f.role, f.code) not in known]
-        return [self._candidate(f, (f.fixes,), f in offers) for f in (*seen, *offers)]
+        return [
+            *(self._candidate(f, (f.fixes,)) for f in seen if f.fixes and self.judges(f.role)),
+            *(self._candidate(f, tries, True) for f, tries in offers if (f.role, f.code) not in known),
+        ]
 
     @cached_property
     def doctor(self) -> list[Finding]:
@@ -99,24 +110,37 @@ class Evidence:
         }
         return examine(loaded.drive, loaded.robot, streams)
 
-    def _late(self) -> Iterator[Finding]:
-        """Yield clock lags against the truth's headings, of sensors whose own run is inconsistent."""
+    @cached_property
+    def _late_by_truth(self) -> list[Offer]:
+        """Return clock lags against the truth's headings; small ones only of sensors that look wrong anyway."""
+        found = []
         for sensor, lag in lags_by_truth(self.loaded.drive).items():
-            if abs(lag.offset) < max(MIN_LAG_S, MIN_LAG_SIGMAS * lag.sigma) or not self._doubtful(
-                self._alone(sensor)
-            ):
+            sigmas = MIN_LAG_SIGMAS if self._complained(sensor) else MIN_SURE_LAG_SIGMAS
+            if not math.isfinite(lag.sigma) or abs(lag.offset) < max(MIN_LAG_S, sigmas * lag.sigma):
                 continue
-            offset = self.loaded.robot.settings(sensor).time_offset + lag.offset
             late = "late" if lag.offset < 0.0 else "early"
-            message = f"stamps look {abs(lag.offset):.3f} s {late} against the truth"
-            yield Finding(sensor, "lag", message, (f"{sensor}.time_offset={offset:.3f}",))
+            message = f"stamps look {abs(lag.offset):.3f} s {late} against the truth (1 sigma {lag.sigma:.3f} s)"
+            near = (lag.offset + step * lag.sigma for step in (0.0, -1.0, 1.0))
+            found.append((Finding(sensor, CLOCK, message), self._offsets_in_time(sensor, near)))
+        return found
+
+    def _late_pictures(self) -> Iterator[Offer]:
+        """Yield clocks to be tried of a camera that contradicts the rest: a bearing knows no turning of its own."""
+        verdict = self.consistency.get("camera")
+        if verdict is not None and verdict.verdict not in {"consistent", "unclear", "overstated"}:
+            message = f"{verdict.words}; its clock explains that"
+            yield Finding("camera", CLOCK, message), self._offsets_in_time("camera", CAMERA_LAGS_S)
+
+    def _offsets_in_time(self, sensor: str, steps: Iterable[float]) -> tuple[Fixes, ...]:
+        now = float(self.loaded.robot.settings(sensor).time_offset)
+        return tuple((f"{sensor}.time_offset={now + step + 0.0:.3f}",) for step in steps)
 
     def _probed(self) -> Iterator[Finding]:
         """Yield mounts and the track as a run with `all` sensors estimates them, one sensor at a time."""
         drive, robot = self.loaded.drive, self.loaded.robot
         for sensor in drive.measurements:
             probe = probe_of(robot, sensor)
-            if not probe or not REGISTRY[sensor].placed or not self._doubtful(self._alone(sensor)):
+            if not probe or not REGISTRY[sensor].placed or not self._complained(sensor):
                 continue
             probed = self.trial.under((*self.fixes, *probe))
             run = None if probed is None else self.trial.fused(probed, self._alone(sensor))
@@ -182,6 +206,12 @@ class Evidence:
         return replace(found, judges=tuple(n for n in found.judges if n != ODOMETRY))
 
     # ---- configurations that judge ----
+
+    def _complained(self, sensor: str) -> bool:
+        """Return whether a sensor's own run is inconsistent, or its residuals are unusual."""
+        verdict = self.consistency.get(sensor)
+        fine = verdict is None or verdict.verdict in {"consistent", "unclear"}
+        return not fine or self._doubtful(self._alone(sensor))
 
     def _doubtful(self, name: str) -> bool:
         """Return whether a configuration is inconsistent by truth; without truth any may be, once one looks so."""

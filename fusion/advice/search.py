@@ -92,7 +92,8 @@ def _best(candidate: Candidate, kept: Fixes, trial: Try) -> Advice:
         if any(improves(*pair) for pair in pairs.values()):
             before = {name: pair[0] for name, pair in pairs.items()}
             after = {name: pair[1] for name, pair in pairs.items()}
-            options.append(Advice(candidate.finding, fixes, before, after, candidate.alternatives))
+            advice = Advice(candidate.finding, fixes, before, after, candidate.alternatives)
+            options += [advice] if worth(advice) > 0.0 else []
     return max(options, key=lambda a: (a.helps, worth(a)))
 
 

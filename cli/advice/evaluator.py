@@ -20,6 +20,7 @@ from .evidence import Evidence
 from .trial import Trial, shortened
 
 MAX_ROUNDS = 4
+REFINED = ("lag", "mount", "way")  # findings that are measured again, better, once others are fixed
 MIN_DURATION_S = 5.0  # s: a shorter drive judges no setting
 
 
@@ -115,7 +116,9 @@ def _first_that_helps(evidence: Evidence, kept: Fixes, trial: Trial, done: set[t
     )
     failed: list[Advice] = []
     for stage in stages:
-        candidates = [c for c in stage() if (c.finding.role, c.finding.code) not in done]
+        candidates = [
+            c for c in stage() if c.finding.code in REFINED or (c.finding.role, c.finding.code) not in done
+        ]
         found = search(candidates, kept, trial)
         if any(a.helps for a in found):
             return [*(a for a in failed if a.finding.severe), *found]

@@ -14,11 +14,11 @@ from functools import cached_property
 from locfuse.cli.pipeline.compare import Compared
 from locfuse.cli.pipeline.load import Loaded
 from locfuse.cli.pipeline.trust import sensors_consistency
-from locfuse.fusion.advice.probes import of_offsets, of_probe, probe_of
+from locfuse.fusion.advice.probes import of_offsets, of_probe, of_scale, probe_of
 from locfuse.fusion.advice.search import Candidate, Fixes
 from locfuse.fusion.doctor.clocks import clock_lags, lags_by_truth
 from locfuse.fusion.doctor.examine import examine
-from locfuse.fusion.doctor.finding import Finding
+from locfuse.fusion.doctor.finding import Finding, Least
 from locfuse.fusion.doctor.lag import worth_saying
 from locfuse.fusion.judge.consistency import Consistency
 from locfuse.fusion.judge.covariance import honesty
@@ -27,11 +27,12 @@ from locfuse.fusion.streams import merged
 
 from .trial import Trial
 
-ODOMETRY, ALL = "odometry", "all"
+ODOMETRY, LASER = "odometry", "lrf"
 REFERENCE = {"wheels", "start", "truth"}  # roles whose settings move every configuration
 WHEEL_NOISE_FACTORS = (0.1, 0.3, 3.0, 10.0)
 MIN_LAG_S, MIN_LAG_SIGMAS = 0.005, 2.0  # s, standard deviations: a smaller lag against the truth is not tried
 MIN_SURE_LAG_SIGMAS = 3.0  # standard deviations, of a sensor that looks right otherwise
+WORTH_TRYING = Least(0.005, 2.0)  # what is worth saying untried is larger
 CAMERA_LAGS_S = (-0.2, -0.1, 0.1, 0.2)  # s
 MAX_NOISE_FACTOR = 4.0  # on a sigma, by the errors of its own run
 CLOCK = "lag"  # what clocks' findings are called
@@ -46,12 +47,9 @@ class Evidence:
 
     def __init__(self, compared: Compared, trial: Trial, fixes: Fixes) -> None:
         self.compared, self.trial, self.fixes = compared, trial, fixes
-        self.consistency = {
-            s: found
-            for name, by_sensor in sensors_consistency(compared.runs, compared.loaded.robot).items()
-            for s, found in by_sensor.items()
-        }
         self.honesty = {e.name: honesty(e) for e in compared.evaluations if not e.smoothed}
+        by_run = sensors_consistency(compared.runs, compared.loaded.robot, self.honesty)
+        self.consistency = {s: found for by_sensor in by_run.values() for s, found in by_sensor.items()}
 
     @property
     def loaded(self) -> Loaded:
@@ -87,14 +85,14 @@ class Evidence:
 
     def geometry(self) -> list[Candidate]:
         """Return what measuring and a run with more states say of mounts, scales and directions."""
-        offers = [(f, (f.fixes,)) for f in self._probed()]
+        offers = [(f, (f.fixes,)) for f in (*self._probed(), *self._scaled())]
         return self._candidates([f for f in self.doctor if f.code != CLOCK], offers)
 
     def _candidates(self, seen: Sequence[Finding], offers: Sequence[Offer]) -> list[Candidate]:
         """Return candidates; a sensor that no run can use as it is (its readings are refused) has no judge."""
         known = {(f.role, f.code) for f in seen}
         return [
-            *(self._candidate(f, (f.fixes,)) for f in seen if f.fixes and self.judges(f.role)),
+            *(self._candidate(f, (f.fixes,), not f.severe) for f in seen if f.fixes and self.judges(f.role)),
             *(self._candidate(f, tries, True) for f, tries in offers if (f.role, f.code) not in known),
         ]
 
@@ -108,7 +106,7 @@ class Evidence:
             role: merged([loaded.log.stream(topic, loaded.robot.order) for topic in loaded.choice.of(role)])
             for role in loaded.choice.topics
         }
-        return examine(loaded.drive, loaded.robot, streams)
+        return examine(loaded.drive, loaded.robot, streams, WORTH_TRYING)
 
     @cached_property
     def _late_by_truth(self) -> list[Offer]:
@@ -125,7 +123,7 @@ class Evidence:
         return found
 
     def _late_pictures(self) -> Iterator[Offer]:
-        """Yield clocks to be tried of a camera that contradicts the rest: a bearing knows no turning of its own."""
+        """Yield clocks to be tried of a camera that contradicts the rest: bearings know no turning."""
         verdict = self.consistency.get("camera")
         if verdict is not None and verdict.verdict not in {"consistent", "unclear", "overstated"}:
             message = f"{verdict.words}; its clock explains that"
@@ -146,6 +144,12 @@ class Evidence:
             run = None if probed is None else self.trial.fused(probed, self._alone(sensor))
             if run is not None and not run.lost:
                 yield from of_probe(robot, sensor, run)
+
+    def _scaled(self) -> Iterator[Finding]:
+        """Yield the laser's range scale by the size of its own run, once no clock or mount is wrong."""
+        for e in self.compared.estimates:
+            if e.sensors == (LASER,) and not e.smoothed and not e.lost and self._complained(LASER):
+                yield from of_scale(self.loaded.robot, e, self.loaded.drive)
 
     def offsets(self) -> list[Candidate]:
         """Return constant errors: offsets that were estimated or are configured wrongly, a mirrored camera."""

@@ -113,6 +113,8 @@ class Evidence:
         """Return clock lags against the truth's headings; small ones only of sensors that look wrong anyway."""
         found = []
         for sensor, lag in lags_by_truth(self.loaded.drive).items():
+            if not self._using(sensor):
+                continue
             sigmas = MIN_LAG_SIGMAS if self._complained(sensor) else MIN_SURE_LAG_SIGMAS
             if not math.isfinite(lag.sigma) or abs(lag.offset) < max(MIN_LAG_S, sigmas * lag.sigma):
                 continue
@@ -136,7 +138,7 @@ class Evidence:
     def _probed(self) -> Iterator[Finding]:
         """Yield mounts and the track as a run with `all` sensors estimates them, one sensor at a time."""
         drive, robot = self.loaded.drive, self.loaded.robot
-        for sensor in drive.measurements:
+        for sensor in filter(self._using, drive.measurements):
             probe = probe_of(robot, sensor)
             if not probe or not REGISTRY[sensor].placed or not self._complained(sensor):
                 continue

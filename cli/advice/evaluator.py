@@ -20,6 +20,7 @@ from .evidence import Evidence
 from .trial import Trial, shortened
 
 MAX_ROUNDS = 4
+REFINED = ("lag", "mount", "way")  # findings that are measured again, better, once others are fixed
 MIN_DURATION_S = 5.0  # s: a shorter drive judges no setting
 
 
@@ -115,7 +116,7 @@ def _first_that_helps(evidence: Evidence, kept: Fixes, trial: Trial, done: set[t
     )
     failed: list[Advice] = []
     for stage in stages:
-        candidates = [c for c in stage() if (c.finding.role, c.finding.code) not in done]
+        candidates = [c for c in stage() if _key(c) not in done or c.finding.code in REFINED]
         found = search(candidates, kept, trial)
         if any(a.helps for a in found):
             return [*(a for a in failed if a.finding.severe), *found]
@@ -123,6 +124,10 @@ def _first_that_helps(evidence: Evidence, kept: Fixes, trial: Trial, done: set[t
         if any(a.finding.severe for a in found):
             break  # while this is open, nothing is said of offsets and noise
     return _one_each(failed)
+
+
+def _key(c: Candidate) -> tuple[str, str]:
+    return c.finding.role, c.finding.code
 
 
 def _one_each(found: Sequence[Advice]) -> list[Advice]:

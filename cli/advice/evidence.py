@@ -6,17 +6,19 @@ and noise, since each of these looks like one.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 
 from locfuse.cli.pipeline.compare import Compared
 from locfuse.cli.pipeline.load import Loaded
 from locfuse.cli.pipeline.trust import sensors_consistency
-from locfuse.fusion.advice.probes import of_offsets, of_probe, probe_of
+from locfuse.fusion.advice.probes import of_offsets, of_probe, of_scale, probe_of
 from locfuse.fusion.advice.search import Candidate, Fixes
 from locfuse.fusion.doctor.clocks import clock_lags, lags_by_truth
 from locfuse.fusion.doctor.examine import examine
-from locfuse.fusion.doctor.finding import Finding
+from locfuse.fusion.doctor.finding import Finding, Least
 from locfuse.fusion.doctor.lag import worth_saying
 from locfuse.fusion.judge.consistency import Consistency
 from locfuse.fusion.judge.covariance import honesty
@@ -25,13 +27,19 @@ from locfuse.fusion.streams import merged
 
 from .trial import Trial
 
-ODOMETRY, ALL = "odometry", "all"
+ODOMETRY, LASER = "odometry", "lrf"
 REFERENCE = {"wheels", "start", "truth"}  # roles whose settings move every configuration
 WHEEL_NOISE_FACTORS = (0.1, 0.3, 3.0, 10.0)
 MIN_LAG_S, MIN_LAG_SIGMAS = 0.005, 2.0  # s, standard deviations: a smaller lag against the truth is not tried
+MIN_SURE_LAG_SIGMAS = 3.0  # standard deviations, of a sensor that looks right otherwise
+WORTH_TRYING = Least(0.005, 2.0)  # what is worth saying untried is larger
+CAMERA_LAGS_S = (-0.2, -0.1, 0.1, 0.2)  # s
 MAX_NOISE_FACTOR = 4.0  # on a sigma, by the errors of its own run
 CLOCK = "lag"  # what clocks' findings are called
 NOISE = {"understated", "overstated", "correlated"}
+
+
+Offer = tuple[Finding, tuple[Fixes, ...]]  # no observation, only settings that may help
 
 
 class Evidence:
@@ -39,12 +47,9 @@ class Evidence:
 
     def __init__(self, compared: Compared, trial: Trial, fixes: Fixes) -> None:
         self.compared, self.trial, self.fixes = compared, trial, fixes
-        self.consistency = {
-            s: found
-            for name, by_sensor in sensors_consistency(compared.runs, compared.loaded.robot).items()
-            for s, found in by_sensor.items()
-        }
         self.honesty = {e.name: honesty(e) for e in compared.evaluations if not e.smoothed}
+        by_run = sensors_consistency(compared.runs, compared.loaded.robot, self.honesty)
+        self.consistency = {s: found for by_sensor in by_run.values() for s, found in by_sensor.items()}
 
     @property
     def loaded(self) -> Loaded:
@@ -60,7 +65,9 @@ class Evidence:
 
     def _lags(self) -> bool:
         drive = self.loaded.drive
-        return any(worth_saying(lag) for lag in clock_lags(drive.measurements, drive.wheels).values())
+        return bool(self._late_by_truth) or any(
+            worth_saying(lag) for lag in clock_lags(drive.measurements, drive.wheels).values()
+        )
 
     def _worse_than_odometry(self) -> bool:
         errors = {e.name: e.figures.get("position_rmse_m") for e in self.compared.evaluations}
@@ -73,18 +80,21 @@ class Evidence:
 
     def clocks(self) -> list[Candidate]:
         """Return what measuring and the truth say of clocks: while one is wrong, the rest is not to be trusted."""
-        return self._candidates([f for f in self.doctor if f.code == CLOCK], list(self._late()))
+        offers = [*self._late_by_truth, *self._late_pictures()]
+        return self._candidates([f for f in self.doctor if f.code == CLOCK], offers)
 
     def geometry(self) -> list[Candidate]:
         """Return what measuring and a run with more states say of mounts, scales and directions."""
-        return self._candidates([f for f in self.doctor if f.code != CLOCK], list(self._probed()))
+        offers = [(f, (f.fixes,)) for f in (*self._probed(), *self._scaled())]
+        return self._candidates([f for f in self.doctor if f.code != CLOCK], offers)
 
-    def _candidates(self, seen: Sequence[Finding], offers: Sequence[Finding]) -> list[Candidate]:
+    def _candidates(self, seen: Sequence[Finding], offers: Sequence[Offer]) -> list[Candidate]:
         """Return candidates; a sensor that no run can use as it is (its readings are refused) has no judge."""
         known = {(f.role, f.code) for f in seen}
-        seen = [f for f in seen if f.fixes and self.judges(f.role)]
-        offers = [f for f in offers if (f.role, f.code) not in known]
-        return [Candidate(f, (f.fixes,), self.judges(f.role), offer=f in offers) for f in (*seen, *offers)]
+        return [
+            *(self._candidate(f, (f.fixes,), not f.severe) for f in seen if f.fixes and self.judges(f.role)),
+            *(self._candidate(f, tries, True) for f, tries in offers if (f.role, f.code) not in known),
+        ]
 
     @cached_property
     def doctor(self) -> list[Finding]:
@@ -96,36 +106,57 @@ class Evidence:
             role: merged([loaded.log.stream(topic, loaded.robot.order) for topic in loaded.choice.of(role)])
             for role in loaded.choice.topics
         }
-        return examine(loaded.drive, loaded.robot, streams)
+        return examine(loaded.drive, loaded.robot, streams, WORTH_TRYING)
 
-    def _late(self) -> Iterator[Finding]:
-        """Yield clock lags against the truth's headings, of sensors whose own run is inconsistent."""
+    @cached_property
+    def _late_by_truth(self) -> list[Offer]:
+        """Return clock lags against the truth's headings; small ones only of sensors that look wrong anyway."""
+        found = []
         for sensor, lag in lags_by_truth(self.loaded.drive).items():
-            if abs(lag.offset) < max(MIN_LAG_S, MIN_LAG_SIGMAS * lag.sigma) or not self._doubtful(
-                self._alone(sensor)
-            ):
+            if not self._using(sensor):
                 continue
-            offset = self.loaded.robot.settings(sensor).time_offset + lag.offset
+            sigmas = MIN_LAG_SIGMAS if self._complained(sensor) else MIN_SURE_LAG_SIGMAS
+            if not math.isfinite(lag.sigma) or abs(lag.offset) < max(MIN_LAG_S, sigmas * lag.sigma):
+                continue
             late = "late" if lag.offset < 0.0 else "early"
-            message = f"stamps look {abs(lag.offset):.3f} s {late} against the truth"
-            yield Finding(sensor, "lag", message, (f"{sensor}.time_offset={offset:.3f}",))
+            message = f"stamps look {abs(lag.offset):.3f} s {late} against the truth (1 sigma {lag.sigma:.3f} s)"
+            near = (lag.offset + step * lag.sigma for step in (0.0, -1.0, 1.0))
+            found.append((Finding(sensor, CLOCK, message), self._offsets_in_time(sensor, near)))
+        return found
+
+    def _late_pictures(self) -> Iterator[Offer]:
+        """Yield clocks to be tried of a camera that contradicts the rest: bearings know no turning."""
+        verdict = self.consistency.get("camera")
+        if verdict is not None and verdict.verdict not in {"consistent", "unclear", "overstated"}:
+            message = f"{verdict.words}; its clock explains that"
+            yield Finding("camera", CLOCK, message), self._offsets_in_time("camera", CAMERA_LAGS_S)
+
+    def _offsets_in_time(self, sensor: str, steps: Iterable[float]) -> tuple[Fixes, ...]:
+        now = float(self.loaded.robot.settings(sensor).time_offset)
+        return tuple((f"{sensor}.time_offset={now + step + 0.0:.3f}",) for step in steps)
 
     def _probed(self) -> Iterator[Finding]:
         """Yield mounts and the track as a run with `all` sensors estimates them, one sensor at a time."""
         drive, robot = self.loaded.drive, self.loaded.robot
-        for sensor in drive.measurements:
+        for sensor in filter(self._using, drive.measurements):
             probe = probe_of(robot, sensor)
-            if not probe or not REGISTRY[sensor].placed or not self._doubtful(self._alone(sensor)):
+            if not probe or not REGISTRY[sensor].placed or not self._complained(sensor):
                 continue
             probed = self.trial.under((*self.fixes, *probe))
             run = None if probed is None else self.trial.fused(probed, self._alone(sensor))
             if run is not None and not run.lost:
                 yield from of_probe(robot, sensor, run)
 
+    def _scaled(self) -> Iterator[Finding]:
+        """Yield the laser's range scale by the size of its own run, once no clock or mount is wrong."""
+        for e in self.compared.estimates:
+            if e.sensors == (LASER,) and not e.smoothed and not e.lost and self._complained(LASER):
+                yield from of_scale(self.loaded.robot, e, self.loaded.drive)
+
     def offsets(self) -> list[Candidate]:
         """Return constant errors: offsets that were estimated or are configured wrongly, a mirrored camera."""
         found = [
-            Candidate(f, (f.fixes,), self.judges(f.role), offer=True)
+            self._candidate(f, (f.fixes,), True)
             for e in self.compared.estimates
             if e.name == self._all() and not e.smoothed and self.loaded.drive.truth is not None
             for f in of_offsets(self.loaded.robot, e)
@@ -138,7 +169,7 @@ class Evidence:
                 )
             if options:
                 finding = Finding(sensor, verdict.verdict, verdict.words)
-                found.append(Candidate(finding, tuple(options), self.judges(sensor)))
+                found.append(self._candidate(finding, tuple(options)))
         return found
 
     def noise(self) -> list[Candidate]:
@@ -150,7 +181,7 @@ class Evidence:
             if seen or more:
                 finding = Finding(sensor, verdict.verdict, words)
                 options = tuple(dict.fromkeys((*seen, *more)))
-                found.append(Candidate(finding, options, self.judges(sensor), offer=not seen))
+                found.append(self._candidate(finding, options, not seen))
         if self.loaded.drive.truth is not None and self._doubtful(self._best(self.trial.configurations)):
             found.append(self._wheel_noise())
         return found
@@ -176,10 +207,17 @@ class Evidence:
         noise = self.loaded.robot.wheels.noise
         finding = Finding("wheels", "noise", f"wheels.noise = {noise:g} m does not fit this drive")
         options = tuple((f"wheels.noise={noise * factor:.2g}",) for factor in WHEEL_NOISE_FACTORS)
-        judges = [n for n in self.judges("wheels") if n != ODOMETRY]  # its one random walk tells no noise
-        return Candidate(finding, options, tuple(judges), offer=True)
+        found = self._candidate(finding, options, True)
+        # odometry's one random walk tells no noise
+        return replace(found, judges=tuple(n for n in found.judges if n != ODOMETRY))
 
     # ---- configurations that judge ----
+
+    def _complained(self, sensor: str) -> bool:
+        """Return whether a sensor's own run is inconsistent, or its residuals are unusual."""
+        verdict = self.consistency.get(sensor)
+        fine = verdict is None or verdict.verdict in {"consistent", "unclear"}
+        return not fine or self._doubtful(self._alone(sensor))
 
     def _doubtful(self, name: str) -> bool:
         """Return whether a configuration is inconsistent by truth; without truth any may be, once one looks so."""
@@ -187,14 +225,28 @@ class Evidence:
         lost = any(e.lost for e in self.compared.estimates if e.name == name)
         return honest is None or lost or not honest.bounds[0] <= honest.anees <= honest.bounds[1]
 
+    def _candidate(self, finding: Finding, alternatives: tuple[Fixes, ...], offer: bool = False) -> Candidate:
+        judges = self.judges(finding.role)
+        kept = {self._all(), self._best(self._using(finding.role))}
+        return Candidate(finding, alternatives, judges, tuple(n for n in judges if n not in kept), offer)
+
+    def _using(self, role: str) -> list[str]:
+        """Return the configurations that depend on a role."""
+        known = self.trial.configurations
+        return list(known) if role in REFERENCE else [n for n, c in known.items() if role in c.sensors]
+
     def judges(self, role: str) -> tuple[str, ...]:
-        """Return the configurations by which a role's fix is judged: the best that uses it, and all sensors."""
+        """Return the configurations by which a role's fix is judged.
+
+        The best that uses it and all sensors, which are kept; the best but for all, in which the gain shows.
+        """
         if role in REFERENCE:
             return tuple(dict.fromkeys((ODOMETRY, self._best(self.trial.configurations), self._all())))
-        using = [n for n, c in self.trial.configurations.items() if role in c.sensors]
+        using = self._using(role)
         if not using:
             return ()
-        return tuple(dict.fromkeys((self._best([n for n in using if n != self._all()] or using), self._all())))
+        fewer = [n for n in using if n != self._all()] or using
+        return tuple(dict.fromkeys((self._best(fewer), self._best(using), self._all())))
 
     def _all(self) -> str:
         return max(self.trial.configurations, key=lambda n: len(self.trial.configurations[n].sensors))

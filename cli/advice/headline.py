@@ -17,11 +17,16 @@ HELPS, HURTS = ("helps", "seems to help"), ("hurts", "seems to hurt")
 def headline(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> str:
     """Return one sentence or two; `sets` are the sensors of every configuration that the report may name."""
     errors = {n: e for n in sets if (e := report["configurations"][n].get("position_rmse_m")) is not None}
-    void = report.get("validity") or []
-    if void:
-        return f"No verdict on this log: {void[0]['message']}."
+    void = [v["message"] for v in report.get("validity") or () if v["void"]]
+    if void and not any(sets[name] for name in errors):
+        return f"No verdict on this log: {void[0]}."
     if not errors:
         return _without_truth(report)
+    return " ".join((_by_errors(report, sets, errors), *(f"Not counted is {line}." for line in void)))
+
+
+def _by_errors(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], errors: Mapping[str, float]) -> str:
+    """Return which sensors to keep by the position errors of the configurations that have one."""
     if len(errors) == 1:
         ((name, error),) = errors.items()
         return f"{_with(sets[name])}: position error {length(error)}."

@@ -18,7 +18,7 @@ def complete(report: dict[str, Any], advised: Advised | None, start_error_m: flo
     `start_error_m` is how far the truth starts from where the drive does, None where somebody stated the start.
     """
     add_findings(report, advised)
-    add_validity(report, start_error_m)
+    add_validity(report, advised, start_error_m)
     sets = {
         name: tuple(values["sensors"])
         for name, values in report["configurations"].items()

@@ -1,22 +1,27 @@
-"""Validity: figures that would look like a result and are none, and why.
+"""Validity: figures that would look like a result and are none, or doubtful ones, and why.
 
 A robot that was lost for a notable share of the drive has no accuracy, and a truth that starts somewhere else
 judges the start and nothing more. Such a figure is null in report.json, "-" in tables, fails a gate, and is named.
+While a clock, a scale or a direction is surely wrong, or the truth jumps, figures exist and are called doubtful.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
+from locfuse.formats.tables.findings import options
 from locfuse.fusion.judge.evaluate import ERROR_KEYS
+
+from .evaluator import Advised
 
 MAX_LOST_SHARE = 0.1  # of the drive for which a filter may be lost before its figures mean nothing
 MAX_START_ERROR_M = 0.5  # m between the first pose of the truth and the start, where nobody states a start
+EVERY = ("wheels", "truth")  # roles that every configuration depends on
 JUDGED = (*ERROR_KEYS, "anees")
 
 
-def add_validity(report: dict[str, Any], start_error_m: float | None) -> None:
-    """Add `validity`, and take void figures out of their configurations; these stay readable under `void`."""
+def add_validity(report: dict[str, Any], advised: Advised | None, start_error_m: float | None) -> None:
+    """Add `validity`; take void figures out of their configurations: these stay readable under `void`."""
     found = []
     for name, values in report["configurations"].items():
         reason = _lost(values) or _elsewhere(start_error_m, values)
@@ -27,7 +32,22 @@ def add_validity(report: dict[str, Any], start_error_m: float | None) -> None:
         values["void"] = {"reason": message, "figures": known}
         values.update(dict.fromkeys(known))
         found.append({"configuration": name, "code": code, "message": message, "since_s": _since(values, code)})
-    report["validity"] = _once(found)
+    report["validity"] = [*_once(found), *_doubts(report, advised)]
+
+
+def _doubts(report: dict[str, Any], advised: Advised | None) -> list[dict[str, Any]]:
+    """Return what is surely wrong with the settings; what obeying changes stands in the findings."""
+    doubts = []
+    for advice in advised.advice if advised is not None else ():
+        found = advice.finding
+        using = [n for n, v in report["configurations"].items() if found.role in {*EVERY, *v["sensors"]}]
+        if found.severe and using and found.code != "start":
+            fixes = advice.fixes or found.fixes
+            how = f"; {'tried' if advice.fixes else 'no help'}: {options(fixes)}" if fixes else ""
+            message = f"{found.role}: {found.brief}{how}"
+            entry = {"code": found.code, "message": message, "since_s": 0.0, "configurations": using}
+            doubts.append({**entry, "void": False})
+    return doubts
 
 
 def _lost(values: dict[str, Any]) -> tuple[str, str] | None:
@@ -59,10 +79,12 @@ def _once(found: list[dict[str, Any]]) -> list[dict[str, Any]]:
     by_message: dict[str, dict[str, Any]] = {}
     for entry in found:
         name = entry.pop("configuration")
-        by_message.setdefault(entry["message"], {**entry, "configurations": []})["configurations"].append(name)
+        by_message.setdefault(entry["message"], {**entry, "configurations": [], "void": True})[
+            "configurations"
+        ].append(name)
     return list(by_message.values())
 
 
 def reasons(report: dict[str, Any]) -> list[str]:
     """Return why figures are void, one line each: such a command exits with 3."""
-    return [v["message"] for v in report.get("validity", ())]
+    return [v["message"] for v in report.get("validity", ()) if v["void"]]

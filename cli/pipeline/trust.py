@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -21,9 +21,12 @@ def evidence(drive: Drive, estimates: Estimates, robot: Robot) -> list[Run]:
     return [] if estimates.smoothed or robot.preset == "paper" else [Run.of(drive, estimates)]
 
 
-def sensors_consistency(runs: Sequence[Run], robot: Robot) -> dict[str, dict[str, Consistency]]:
+def sensors_consistency(
+    runs: Sequence[Run], robot: Robot, by_truth: Mapping[str, Honesty | None]
+) -> dict[str, dict[str, Consistency]]:
     """Return what all runs say of every sensor's noise: configuration -> sensor -> Consistency; {} for no runs."""
-    return judge(runs, robot) if runs else {}
+    overconfident = {name for name, h in by_truth.items() if h is not None and h.anees > h.bounds[1]}
+    return judge(runs, robot, overconfident) if runs else {}
 
 
 def add_consistency(
@@ -37,7 +40,7 @@ def add_consistency(
     if not runs:
         return
     verdicts: dict[str, dict[str, Any]] = {}
-    court = judge(runs, robot)
+    court = sensors_consistency(runs, robot, by_truth)
     for name, sensors in court.items():
         for sensor, verdict in sensors.items():
             using = [by_truth.get(n) for n, used in court.items() if sensor in used]

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 from locfuse.formats.report import json_report
 from locfuse.formats.tables import tables
-from locfuse.formats.tables.findings import findings_of, together
+from locfuse.formats.tables.findings import banner_of, findings_of, together
 from locfuse.formats.tables.notes import notes_of
 from locfuse.formats.tables.table import Table
 
@@ -149,11 +149,13 @@ def verdicts(report: Mapping[str, Any]) -> None:
 
 
 def headline(report: Mapping[str, Any]) -> None:
-    """Print the answer first."""
+    """Print the answer first, then which figures are not to be trusted."""
     from rich.text import Text
 
     if report.get("headline"):
         screen().print(Text(report["headline"], "bold"))
+    for line in banner_of(report):
+        screen(soft_wrap=True).print(Text(line, "yellow"))
 
 
 def findings(report: Mapping[str, Any]) -> None:

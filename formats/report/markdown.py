@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from locfuse.formats.tables import tables
-from locfuse.formats.tables.findings import findings_of, together
+from locfuse.formats.tables.findings import banner_of, findings_of, together
 from locfuse.formats.tables.notes import fingerprint, notes_of, title_of
 from locfuse.formats.tables.render import SIGNS, code, escape, markdown
 
@@ -25,6 +25,7 @@ def render(report: Mapping[str, Any]) -> str:
     parts = [
         f"# locfuse: {escape(title_of(report))}",
         escape(report.get("headline", "")),
+        "\n".join(f"- {escape(line)}" for line in banner_of(report)),
         _verdicts(report),
         markdown(tables.configurations(report)),
         _truth_line(report),

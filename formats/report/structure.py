@@ -120,12 +120,13 @@ class Void(Struct):
 
 
 class Validity(Struct):
-    """Why figures are void, once for all configurations that it concerns."""
+    """Why figures are void or doubtful, once for all configurations that it concerns."""
 
-    code: str  # lost: the filter was; start: the truth starts elsewhere
+    code: str  # lost: the filter was; start: the truth starts elsewhere; else the code of a finding
     message: str
     since_s: float
     configurations: list[str]
+    void: bool = True  # false: figures exist, but a setting is wrong that spoils them
 
 
 class Trial(Struct):
@@ -192,7 +193,7 @@ class Report(_Common):
     headline: str | None = None  # the answer in one or two sentences
     findings: list[ReportedFinding] | None = None  # null: the log was not evaluated
     fixes: list[str] | None = None  # all fixes together, "table.key=value" each
-    validity: list[Validity] = []  # why figures are void
+    validity: list[Validity] = []  # why figures are void or doubtful
     verdicts: dict[str, Verdict] = {}  # sensor -> verdict; only of a comparison
     credit: dict[str, Any] | None = None  # factors and intervals behind the verdicts
     prediction: dict[str, Any] | None = None  # how well each configuration predicts sensors it leaves out

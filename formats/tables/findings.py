@@ -9,6 +9,12 @@ from typing import Any
 UNTRIED = "no setting was tried"
 
 
+def banner_of(report: Mapping[str, Any]) -> list[str]:
+    """Return what must be known before any figure: which are void, and which are doubtful and why."""
+    found = report.get("validity") or ()
+    return [f"{'Void' if v.get('void', True) else 'Doubtful'}: {v['message']}." for v in found]
+
+
 def findings_of(report: Mapping[str, Any]) -> list[str]:
     """Return one line per finding; reports of earlier versions have none."""
     return [sentence(f) for f in report.get("findings") or ()]

@@ -6,7 +6,9 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from locfuse.fusion.data import Estimates
+import numpy as np
+
+from locfuse.fusion.data import Drive, Estimates
 from locfuse.fusion.doctor.finding import Finding
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -15,6 +17,7 @@ from locfuse.fusion.wheels.states import WHEELS, derivative, geometry
 MIN_SIGMAS = 4.0  # standard deviations by which an estimate must differ from what is configured
 MIN_MOUNT_M, MIN_MOUNT_DEG, MIN_TRACK = 0.004, 0.2, 0.005  # m, degrees, relative: smaller errors are left alone
 # prior standard deviations of the states of a probe: wide enough for a rough measurement with a ruler
+MIN_SCALE, MIN_TRUTH = 0.002, 50  # relative; readings of the truth
 PROBE_XY_M, PROBE_YAW_DEG = 0.05, 4.0
 MOUNT_KEYS = {"x": ("x", 1.0), "y": ("y", 1.0), "yaw": ("yaw_deg", math.degrees(1.0))}
 
@@ -62,6 +65,27 @@ def _track(robot: Robot, e: Estimates) -> Iterator[Finding]:
         track = robot.wheels.track * (1.0 + float(found[2]))
         words = f"the track by the drive itself is {track:.4g} m, configured {robot.wheels.track:g} m"
         yield Finding("wheels", "track", words, (f"wheels.track={track:.4g}",))
+
+
+def of_scale(robot: Robot, e: Estimates, drive: Drive) -> Iterator[Finding]:
+    """Yield the laser's range scale by the size of its own run beside the truth's.
+
+    The least squares of a similarity (Umeyama, PAMI 1991), in complex numbers: walls fix the size of what the
+    laser drives along, so that its metre is the map's.
+    """
+    if drive.truth is None or e.truth_pose is None:
+        return
+    found = np.isfinite(e.truth_pose[:, 0]) & np.isfinite(drive.truth.xy[:, 0])
+    if found.sum() < MIN_TRUTH:
+        return
+    own, truth = (xy[found] @ np.array([1.0, 1.0j]) for xy in (e.truth_pose[:, :2], drive.truth.xy))
+    own, truth = own - own.mean(), truth - truth.mean()
+    scale = abs(np.vdot(own, truth)) / float(np.vdot(own, own).real)
+    if abs(scale - 1.0) < MIN_SCALE:
+        return
+    words = f"its trajectory is {1.0 / scale:.4f} times as large as the truth's"
+    value = float(robot.settings("lrf").range_scale) * scale
+    yield Finding("lrf", "way", words, (f"lrf.range_scale={value:.4g}",))
 
 
 def of_offsets(robot: Robot, e: Estimates) -> Iterator[Finding]:

@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 MAX_LOSS, MAX_LOSS_M = 0.02, 2e-4  # relative, m: by which no position error may grow
+MAX_CHANCE_LOSS = 0.15  # relative, of the position error of a configuration that nobody would keep
 MAX_LN_ANEES_LOSS = 0.1  # by which ln ANEES may leave its chance range further where the error stays the same
 MIN_GAIN = 0.1  # relative gain of the position error
 MIN_LN_ANEES_GAIN = 0.2  # by which ln ANEES must come nearer to its chance range
@@ -25,18 +26,27 @@ class Score(NamedTuple):
     lost: float = 0.0  # share of the drive
 
 
-def spoils(before: Score, after: Score) -> bool:
-    """Return whether any figure gets notably worse, or ceases to exist."""
+def spoils(before: Score, after: Score, allowed: float = MAX_LOSS) -> bool:
+    """Return whether any figure gets notably worse, or ceases to exist; `allowed` is of the position error."""
     if after.lost > before.lost + MAX_LOST_SHARE:
         return True
     if before.position is not None:
-        if after.position is None or after.position > before.position * (1.0 + MAX_LOSS) + MAX_LOSS_M:
+        if after.position is None or after.position > before.position * (1.0 + allowed) + MAX_LOSS_M:
             return True
         much_smaller = after.position < (1.0 - MIN_GAIN) * before.position
         return not much_smaller and _off(after) > _off(before) + MAX_LN_ANEES_LOSS
     if before.prediction is not None:
         return after.prediction is None or after.prediction < before.prediction - MAX_LOSS_NATS
     return False
+
+
+def spoils_alone(before: Score, after: Score) -> bool:
+    """Return whether a configuration that nobody would keep gets notably worse.
+
+    One drive's error moves by many percent with every other way of weighing the same readings, by chance: such a
+    configuration may not hinder what helps the better ones.
+    """
+    return spoils(before, after, MAX_CHANCE_LOSS)
 
 
 def improves(before: Score, after: Score) -> bool:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from locfuse.fusion.doctor.finding import Finding
 
-from .score import Score, gain, improves, spoils
+from .score import Score, gain, improves, spoils, spoils_alone
 
 Fixes = tuple[str, ...]  # "table.key=value"
 Scores = Mapping[str, Score]  # by configuration
@@ -26,6 +26,7 @@ class Candidate:
     finding: Finding
     alternatives: tuple[Fixes, ...]
     judges: tuple[str, ...]
+    minor: tuple[str, ...] = ()  # of these, by which a gain shows and a little more error is no harm
     offer: bool = False  # no observation, only a setting that may help: silent where it does not
 
 
@@ -91,7 +92,8 @@ def _best(candidate: Candidate, kept: Fixes, trial: Try) -> Advice:
         if any(improves(*pair) for pair in pairs.values()):
             before = {name: pair[0] for name, pair in pairs.items()}
             after = {name: pair[1] for name, pair in pairs.items()}
-            options.append(Advice(candidate.finding, fixes, before, after, candidate.alternatives))
+            advice = Advice(candidate.finding, fixes, before, after, candidate.alternatives)
+            options += [advice] if worth(advice) > 0.0 else []
     return max(options, key=lambda a: (a.helps, worth(a)))
 
 
@@ -100,7 +102,8 @@ def _pairs(candidate: Candidate, kept: Fixes, fixes: Fixes, trial: Try) -> dict[
     pairs = {}
     for name in candidate.judges:
         before, after = trial(kept, (name,)), trial(together(kept, fixes), (name,))
-        if name not in before or name not in after or spoils(before[name], after[name]):
+        harm = spoils_alone if name in candidate.minor else spoils
+        if name not in before or name not in after or harm(before[name], after[name]):
             return {}
         pairs[name] = before[name], after[name]
     return pairs

@@ -19,7 +19,7 @@ from locfuse.fusion.wheels.repairs import times
 
 from .clocks import of_clocks
 from .compass import of_convention, tilted
-from .finding import Finding
+from .finding import Finding, Least
 from .laser import laser_motion, of_laser
 from .truth import metre, of_truth
 from .turning import Turning, aligned, of_track, of_turning, turnings
@@ -36,8 +36,14 @@ REFUSALS = {
 REPAIRED = {"spike", "other_joints"}
 
 
-def examine(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[Finding]:
-    """Return everything odd about a measured drive; `streams` are the raw readings by role."""
+def examine(
+    drive: Drive, robot: Robot, streams: Mapping[str, Stream], least: Least | None = None
+) -> list[Finding]:
+    """Return everything odd about a measured drive; `streams` are the raw readings by role.
+
+    `least` is the smallest error of a scale or of the track that is named, for somebody who will try the fix;
+    None: what is worth saying by itself.
+    """
     found = [Finding("wheels", "repaired", repair) for repair in drive.repairs]
     found += _refused(drive)
     found += _gaps("wheels", drive.wheels.t)
@@ -54,23 +60,29 @@ def examine(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[F
         from .pictures import of_handedness  # here: a log without pictures needs no OpenCV
 
         found += of_handedness(drive, robot)
-    scales = _scales(drive, robot, by_sensor, turning)
+    scales = _scales(drive, robot, by_sensor, turning, least)
     truth = of_truth(drive, robot, not any(o.code == "wheel scale" for o in scales))
     return [*found, *scales, *of_clocks(drive, robot), *truth]
 
 
 def _scales(
-    drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning], turning: Sequence[Finding]
+    drive: Drive,
+    robot: Robot,
+    by_sensor: Mapping[str, Turning],
+    turning: Sequence[Finding],
+    least: Least | None,
 ) -> list[Finding]:
     """Return what is odd about metres and the track; each fix is told in the metre that the others will leave."""
+    named = {} if least is None else {"least": least}
     motion, lrf = None, drive.measurements.get("lrf")
     if lrf is not None and len(lrf.t) > 20 and not any(o.role == "lrf" for o in turning):
         motion = laser_motion(lrf, aligned(lrf, by_sensor.get("lrf")), drive, robot)
-    factor, scaled = metre(drive, robot)
-    track = of_track(robot.wheels, by_sensor, motion, factor) if robot.wheels.radius is not None else []
+    factor, scaled = metre(drive, robot, **named)
+    by_wheels = robot.wheels.radius is not None
+    track = of_track(robot.wheels, by_sensor, motion, factor, **named) if by_wheels else []
     if track:
         scaled = [replace(o, fixes=o.fixes[:1]) for o in scaled]
-    return [*scaled, *track, *of_laser(motion, robot, factor)]
+    return [*scaled, *track, *of_laser(motion, robot, factor, **named)]
 
 
 def _refused(drive: Drive) -> list[Finding]:

@@ -3,8 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from locfuse.fusion.data import LocfuseError
+
+
+class Least(NamedTuple):
+    """From which size on an error is named."""
+
+    error: float  # relative
+    sigmas: float  # standard errors that it must exceed besides
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Ints, Measurements
 from locfuse.fusion.robot import Robot
 
-from .finding import Finding
+from .finding import Finding, Least
 
 PAIR_DISTANCE_M, PAIR_TURN_RAD = 0.3, 0.35  # m, rad between the two places, whichever comes first
 MAX_PAIR_TIME_S = 4.0  # s at most between them
@@ -32,6 +32,7 @@ MIN_WALLS = 60  # walls seen twice
 MAX_ITERATIONS = 3  # times at most
 STRETCHES = 8  # stretches of the drive whose estimates must agree
 MIN_SCALE_ERROR, MIN_YAW_ERROR_RAD, MIN_SIGMAS = 0.03, math.radians(4.0), 3.0
+WORTH_SAYING = Least(MIN_SCALE_ERROR, MIN_SIGMAS)
 SEVERE_SCALE_ERROR, SEVERE_YAW_ERROR_RAD = 0.05, math.radians(8.0)
 MIN_CORRELATION = 0.9  # correlation of both turns: less, and what the wheels tell is noise
 MIN_TURN_SQUARES_RAD2 = 0.5  # rad^2, all turns squared and added: what wobbles along a straight tells no track
@@ -85,10 +86,13 @@ def _turned(m: Measurements, yaw: float, mount: Array) -> Measurements:
     return replace(m, z=np.stack((own + np.cos(psi) * mount[0] + np.sin(psi) * mount[1], psi), axis=-1))
 
 
-def of_laser(motion: Motion | None, robot: Robot, metre: float = 1.0) -> list[Finding]:
+def of_laser(
+    motion: Motion | None, robot: Robot, metre: float = 1.0, least: Least = WORTH_SAYING
+) -> list[Finding]:
     """Return what is odd about range scale and yaw.
 
-    `metre` is by how much another fix will scale the wheels' metre: the laser's follows.
+    `metre` is by how much another fix will scale the wheels' metre: the laser's follows. A scale that is off by
+    less than `least` is not named.
     """
     if motion is None:
         return []
@@ -109,7 +113,7 @@ def of_laser(motion: Motion | None, robot: Robot, metre: float = 1.0) -> list[Fi
             )
         ]
     scale = motion.scale * metre
-    if abs(scale - 1.0) < MIN_SCALE_ERROR + MIN_SIGMAS * motion.scale_sigma:
+    if abs(scale - 1.0) < least.error + least.sigmas * motion.scale_sigma:
         return []
     whose = "wheels" if metre == 1.0 else "truth"
     words = (

@@ -13,13 +13,14 @@ from locfuse.fusion.streams import gap_limit
 from locfuse.fusion.wheels.jumps import Mask, spikes
 from locfuse.fusion.wheels.repairs import times
 
-from .finding import Finding
+from .finding import Finding, Least
 from .start import of_start
 
 WINDOW_S = 1.0  # s over which ways are compared
 STRETCHES = 8  # stretches of the drive whose estimates must agree
 MIN_WAY_M = 0.1  # m per window
 MIN_SCALE_ERROR, SEVERE_SCALE_ERROR = 0.03, 0.05  # relative errors of the wheels' metre
+WORTH_SAYING = Least(MIN_SCALE_ERROR, 3.0)
 JUMP_FACTOR, MIN_JUMP_M = 3.0, 0.3  # a step is a jump if it is this many times the wheels', and this much [m] more
 MIN_POINT_ERROR_M = 0.05  # m, of the tracked point
 MIN_TURN_RAD = math.radians(60.0)
@@ -94,13 +95,13 @@ def wheels_metre(drive: Drive) -> tuple[float, float] | None:
     return float(np.median(ratio)), 1.25 * float(np.std(parts, ddof=1)) / math.sqrt(STRETCHES)
 
 
-def metre(drive: Drive, robot: Robot) -> tuple[float, list[Finding]]:
-    """Return the factor by which a fix scales the wheels' metre, and that fix."""
+def metre(drive: Drive, robot: Robot, least: Least = WORTH_SAYING) -> tuple[float, list[Finding]]:
+    """Return the factor by which a fix scales the wheels' metre, and that fix, if it is off by `least` or more."""
     found = wheels_metre(drive)
     if found is None or robot.wheels.radius is None:
         return 1.0, []
     factor, sigma = found
-    if abs(factor - 1.0) < MIN_SCALE_ERROR + 3.0 * sigma:
+    if abs(factor - 1.0) < least.error + least.sigmas * sigma:
         return 1.0, []
     words = f"they measure {1.0 / factor:.3f} times the distances of the truth (1 sigma {sigma:.3f})"
     radius = robot.wheels.radius * factor

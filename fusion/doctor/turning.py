@@ -19,7 +19,7 @@ from locfuse.fusion.streams import MergedStream
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.odometry import BODY_READS
 
-from .finding import Finding
+from .finding import Finding, Least
 from .laser import Motion
 
 WINDOW_S = 1.0  # s
@@ -29,6 +29,7 @@ MIN_EXPLAINED_SHARE = 0.8  # share of a sensor's turning that the wheels must ex
 MAX_WHEEL_CORRELATION = 0.98  # correlation of both wheels from which they cannot be told apart
 MIN_TRACK_ERROR, MIN_SIGMAS = 0.04, 4.0  # relative error of the track worth saying; standard errors
 SEVERE_TRACK_ERROR = 0.06
+WORTH_SAYING = Least(MIN_TRACK_ERROR, MIN_SIGMAS)
 MIN_ROLL_SPREAD_M = 1e-3  # m per window
 MAX_READINGS = 3000
 
@@ -181,11 +182,16 @@ def _toml(value: str | float | bool) -> str:
 
 
 def of_track(
-    settings: WheelSettings, by_sensor: Mapping[str, Turning], motion: Motion | None, metre: float = 1.0
+    settings: WheelSettings,
+    by_sensor: Mapping[str, Turning],
+    motion: Motion | None,
+    metre: float = 1.0,
+    least: Least = WORTH_SAYING,
 ) -> list[Finding]:
     """Hold the track against the laser's walls, else against the compass; a gyro's scale is not known any better.
 
-    `metre` is by how much another fix will scale the wheels' metre: the track follows.
+    `metre` is by how much another fix will scale the wheels' metre: the track follows. A track that is off by less
+    than `least` is not named.
     """
     configured = settings.track
     found = _observed_track(configured or 0.0, by_sensor, motion)
@@ -193,7 +199,7 @@ def of_track(
         return []
     track, sigma, by = metre * found[0], metre * found[1], found[2]
     off = track / (metre * configured) - 1.0
-    if abs(off) < MIN_TRACK_ERROR + MIN_SIGMAS * sigma / track:
+    if abs(off) < least.error + least.sigmas * sigma / track:
         return []
     words = (
         f"the track is {configured:g} m, but the turning of {by} says {track:.3f} m (1 sigma {sigma:.3f}); "

@@ -7,7 +7,7 @@ understated judges nobody else.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -65,9 +65,14 @@ class Run(NamedTuple):
         return cls(drive, replace(estimates, audits={}), found)
 
 
-def judge(runs: Sequence[Run], robot: Robot) -> dict[str, dict[str, Consistency]]:
-    """Return the consistency of every sensor in every configuration: configuration -> sensor -> Consistency."""
-    court = Court([r for r in runs if not r.estimates.smoothed], robot)
+def judge(
+    runs: Sequence[Run], robot: Robot, overconfident: Collection[str] = ()
+) -> dict[str, dict[str, Consistency]]:
+    """Return the consistency of every sensor in every configuration: configuration -> sensor -> Consistency.
+
+    `overconfident` are configurations that truth shows to be so: their covariance is no evidence against a sensor.
+    """
+    court = Court([r for r in runs if not r.estimates.smoothed], robot, overconfident)
     findings = {s: court.finding(s) for s in court.sensors}
     return {
         r.estimates.name: {s: court.in_run(r, s, findings[s]) for s in r.estimates.sensors} for r in court.runs
@@ -77,8 +82,8 @@ def judge(runs: Sequence[Run], robot: Robot) -> dict[str, dict[str, Consistency]
 class Court:
     """The evidence of all runs."""
 
-    def __init__(self, runs: Sequence[Run], robot: Robot) -> None:
-        self.robot, self.runs = robot, runs
+    def __init__(self, runs: Sequence[Run], robot: Robot, overconfident: Collection[str] = ()) -> None:
+        self.robot, self.runs, self.overconfident = robot, runs, overconfident
         self.sensors = sorted({s for r in runs for s in r.estimates.sensors})
         self.own: dict[tuple[str, str], Own | None] = {
             (r.estimates.name, s): found for r in runs for s, found in r.own.items()
@@ -139,7 +144,9 @@ class Court:
         found = []
         for run in self.runs:
             used = set(run.estimates.sensors)
-            if used and not used & {sensor, *self.blamed} and self._healthy(run):
+            if not used or used & {sensor, *self.blamed} or run.estimates.name in self.overconfident:
+                continue
+            if self._healthy(run):
                 evidence = self._hear(run, sensor)
                 if evidence is not None and evidence.readings >= MIN_READINGS:
                     found.append((run, evidence))

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from commands import locfuse
 from trap_logs import Drive
-from traps_sensors import elsewhere, pitched_imu, upside_down
+from traps_sensors import elsewhere, pitched_imu, short_metre, upside_down
 
 
 @pytest.fixture(scope="module")
@@ -55,3 +55,19 @@ def test_quiet_commands_that_exit_with_3_say_why_on_one_line(command: str, tmp_p
     assert done.exit_code == 3
     (line,) = done.stderr.splitlines()
     assert line.startswith("lost: the truth starts 3.26 m from where the drive starts")
+
+
+def test_a_laser_whose_ranges_are_short_gets_its_scale_and_is_called_doubtful_before(tmp_path: Path) -> None:
+    """Its ranges are 0.9 times the distances: what puts them right is 1 / 0.9."""
+    drive = Drive()
+    short_metre(drive)
+    words = ("-o", tmp_path / "out", "--write", "json,md,html")
+    done = locfuse("compare", drive.record(tmp_path / "log.mcap"), *words)
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    fixes = dict(fix.split("=") for fix in report["fixes"])
+    assert float(fixes["lrf.range_scale"]) == pytest.approx(1.0 / 0.9, abs=0.01)
+    doubts = [v for v in report["validity"] if not v["void"]]
+    assert any(v["message"].startswith("lrf: ") and "lrf.range_scale" in v["message"] for v in doubts)
+    for text in (done.stdout, (tmp_path / "out" / "report.md").read_text()):
+        assert text.index("Doubtful: lrf") < text.index("rmse")
+    assert "Doubtful: <span" in (tmp_path / "out" / "report.html").read_text()

@@ -99,3 +99,28 @@ def test_half_the_error_is_worth_as_much_as_a_quarter_of_the_anees_outside_its_r
     less = gain(Score(0.2, 1.0, BOUNDS), Score(0.1, 1.0, BOUNDS))
     surer = gain(Score(0.1, 32.0, BOUNDS), Score(0.1, 8.0, BOUNDS))
     assert less == pytest.approx(surer)
+
+
+class Uneven(Trials):
+    """The same, of a configuration that gains by a fix and one that loses by it: "all" and "compass"."""
+
+    def __init__(self, loss: float) -> None:
+        super().__init__({})
+        self.loss = loss
+
+    def __call__(self, fixes: Fixes, names: Sequence[str]) -> Scores:
+        errors = {"all": 0.006, "compass": 0.030} if not fixes else {"all": 0.004, "compass": 0.030 * self.loss}
+        return {name: Score(errors[name]) for name in names}
+
+
+@pytest.mark.parametrize(("loss", "minor", "helps"), [(1.1, True, True), (1.1, False, False), (1.3, True, False)])
+def test_what_nobody_would_keep_may_lose_what_chance_does_and_no_more(
+    loss: float, minor: bool, helps: bool
+) -> None:
+    candidate = Candidate(
+        Finding("compass", "lag", "late"),
+        (("compass.time_offset=-0.05",),),
+        ("compass", "all"),
+        ("compass",) if minor else (),
+    )
+    assert [a.helps for a in search([candidate], (), Uneven(loss))] == [helps]

@@ -27,7 +27,7 @@ from locfuse.cli.pipeline.load import make_robot
 from locfuse.formats.container import ros1_records
 from locfuse.formats.container.decompress import DamagedError
 from locfuse.formats.container.source import ChannelInfo
-from locfuse.formats.container.sqlite_journal import unused_tail
+from locfuse.formats.container.sqlite_journal import journal_of
 from locfuse.formats.log import file_stream
 from locfuse.formats.log.file_stream import read_file
 from locfuse.formats.log.files import log_files
@@ -173,7 +173,7 @@ def bag_record(data: bytes) -> object:
 def journal(data: bytes) -> object:
     file = scratch() / "journal"
     file.write_bytes(data)
-    return unused_tail(file)
+    return journal_of(file)
 
 
 def beside_the_log(ending: str) -> Callable[[bytes], object]:

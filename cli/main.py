@@ -24,19 +24,20 @@ from locfuse.cli.terminal.screen import reader_may_leave, say, settle_streams
 
 COMMANDS = {
     "run": "Run one configuration: trajectory, covariances, run.json.",
-    "compare": "Run all configurations in one pass and report what each sensor bought.",
-    "info": "Say what is in a log, what reads what, what is missing, and what is odd, with the cure.",
+    "compare": "Run all configurations in one pass and report what each sensor adds.",
+    "info": "Say what is in a log, what reads what, what is missing, and what looks wrong, with the fix.",
     "init": "Print a commented robot.toml for a log: what it tells, what is guessed, what to measure.",
     "view": "Look at a log, a result or a recording in Rerun.",
     "calibrate": "Find wheel noise, wheel geometry and magnetometer iron from logs.",
     "tune": "Find the noise of wheels and sensors from logs, without truth.",
     "recover": "Copy everything readable of a damaged log into one clean MCAP.",
+    "explain": "Say what a word of a report means: ANEES, NIS, drift ...",
     "completion": "Print the script by which a shell completes commands, logs, sensors, keys and topics.",
     "paper": "Repeat the paper's table and figures, with our filter and as printed, on one page.",
     "simulate": "Drive a scenario and record it as a log with known truth.",
     "schema": "Print the JSON Schema of robot.toml or report.json, for editors and programs.",
 }
-ELSEWHERE = {"schema": "reference"}  # the room of a command that is not in `commands`
+ELSEWHERE = {"explain": "terminal", "schema": "reference"}  # the room of a command that is not in `commands`
 INTERRUPTED, TERMINATED = 130, 143
 PACKAGES = {  # module -> what to install, where their names differ
     "cv2": "opencv-python-headless",
@@ -104,7 +105,7 @@ def _say_version(ctx: click.Context, _option: click.Parameter, asked: bool) -> N
     help="Show the version and exit.",
 )
 def locfuse() -> None:
-    """Say what each sensor buys a robot: EKF localization from MCAP logs, compared.
+    """Say what each sensor adds to a robot: EKF localization from MCAP logs, compared.
 
     \b
     Start with:  locfuse compare rounded_rectangle

@@ -18,6 +18,8 @@ from locfuse.fusion.wheels.odometry import SCANS
 from .topics import NAMED, ONLY, Choice, checked, of_type, one, several_fit, types
 from .wheel_topics import choose_wheels, commanded
 
+NO_TRUTH = "none"  # truth.topic: the log's truth is left out
+
 if TYPE_CHECKING:
     from locfuse.formats.log.log import Log
 
@@ -148,6 +150,8 @@ def _named_well(topic: str, msgtype: str, sensor: Sensor) -> bool:
 def choose_truth(log: Log, robot: Robot, insisted: bool, choice: Choice) -> None:
     """Take the truth's topic: by its name only."""
     named = robot.truth.topic
+    if named == NO_TRUTH:
+        return
     if named is not None and log.find(named) is None and not insisted:
         return
     candidates = [t for t in of_type(log, TRUTH_READS) if looks_like_truth(t) or log.topics[t].msgtype == BODIES]

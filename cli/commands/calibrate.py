@@ -41,7 +41,7 @@ def calibrate(log: tuple[str, ...], out: Path | None, overwrite: bool, as_json: 
         progress("calibrating")
         found = calibrate.calibrate_logs(loaded)
     if out is not None:
-        calibrate.write(out, found, how.robot)
+        calibrate.write(out, found, how.robot, how.over)
     print_findings(found.values(), [(("setting", "found", "95 % interval", "was"), found.rows())], out, as_json)
     lost = [line for one in loaded for line in results.loss_lines(one, list(one.drive.measurements), how.strict)]
     return end(found.notes, lost, how.quiet)

@@ -12,6 +12,7 @@ from locfuse.cli.pipeline.settings import OF_COMPARISON as KINDS
 from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.fleet_options import fleet_options
 from locfuse.cli.terminal.options import (
+    advice_option,
     export_option,
     log_options,
     out_options,
@@ -51,6 +52,7 @@ from locfuse.cli.terminal.rerun_options import rerun_options
     help="Move each estimate onto the truth before judging it.",
 )
 @smooth_option
+@advice_option
 @click.option(
     "--figures",
     type=click.Path(path_type=Path, file_okay=False),
@@ -86,7 +88,7 @@ from locfuse.cli.terminal.rerun_options import rerun_options
 @export_option
 @rerun_options
 def compare(log: tuple[str, ...], **asked: Any) -> int:
-    """Say what each sensor of LOG bought: all configurations in one pass, and a report.
+    """Say what each sensor of LOG adds: all configurations in one pass, and a report.
 
     LOG is an .mcap, the parts of a split one, a rosbag2 folder, or the name of a sample log. Several logs, also as
     @list.txt or "pattern*.mcap", give a summary over them (docs/fleet.md); folders of finished results are set

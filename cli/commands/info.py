@@ -1,15 +1,16 @@
-"""`locfuse info`: what is in a log, what reads what and why, what is missing, and every oddity with its cure."""
+"""`locfuse info`: what is in a log, what reads what and why, what is missing, and every finding with its fix."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.cli.terminal import completion
-from locfuse.cli.terminal.options import log_options
+from locfuse.cli.terminal.options import advice_option, log_options
 from locfuse.cli.terminal.screen import put, reader_may_leave
 
 if TYPE_CHECKING:
@@ -17,11 +18,17 @@ if TYPE_CHECKING:
 
 ODD = 3
 PICTURES = "pictures"
+TRIED = "tried by fusing"
 
 
 @click.command()
 @click.argument("log", nargs=-1, required=True, shell_complete=completion.logs)
-@click.option("--check", is_flag=True, help="Exit with 3 if something was found that would spoil an estimate.")
+@click.option(
+    "--check",
+    is_flag=True,
+    help="Also try the fixes by fusing again. Exit with 3 if something was found that would spoil an estimate.",
+)
+@advice_option
 @click.option("--topics", is_flag=True, help="List the topics and nothing else: no message is read.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @click.option(
@@ -32,11 +39,17 @@ PICTURES = "pictures"
 )
 @log_options
 def info(
-    log: tuple[str, ...], check: bool, topics: bool, as_json: bool, preview: Path | None, how: LogOptions
+    log: tuple[str, ...],
+    check: bool,
+    advice: bool,
+    topics: bool,
+    as_json: bool,
+    preview: Path | None,
+    how: LogOptions,
 ) -> int:
-    """Say what is in LOG, which sensor reads which topic and why, what is missing, and what is odd.
+    """Say what is in LOG, which sensor reads which topic and why, what is missing, and what looks wrong.
 
-    Every oddity that a setting cures is printed with that setting.
+    A finding that a setting fixes is printed with that setting. --check tries them by fusing.
 
     \b
     locfuse info bag/
@@ -55,16 +68,31 @@ def info(
     with show.progress(how.quiet) as progress:
         overview = inspect_log(find_log(log), how, progress)
         pictures = _preview(overview, preview) if preview is not None else []
+        tried = _tried(log, how, progress) if check and advice and overview.loaded is not None else {}
     with reader_may_leave():
         if as_json:
-            put(json_report.encode(values.values(overview)))
+            put(json_report.encode({**values.values(overview), **({"tried": tried} if check else {})}))
         else:
             text = info_text.lines(overview, _typed(log, how), show.width())
             show.lines((*text, *pictures), (*info_text.TITLES, PICTURES))
+            if tried:
+                show.lines(("", TRIED), (TRIED,))
+                show.findings(tried)
     show.transfer(overview.log.transfer, how.quiet)
     losses = {"lost", "refused"} if how.strict else {"lost"}
     lost = any(o.code in losses for o in overview.findings)
     return ODD if lost or (check and overview.severe) else 0
+
+
+def _tried(log: tuple[str, ...], how: LogOptions, progress: Callable[[str], None]) -> dict[str, Any]:
+    """Return what `compare` would find and suggest; {} where the log cannot be fused."""
+    from locfuse.cli.session.session import opened
+    from locfuse.fusion.data import LocfuseError
+
+    try:
+        return opened(log, how, progress).findings()
+    except LocfuseError:
+        return {}  # the findings of measuring say why
 
 
 def _list_topics(words: tuple[str, ...], as_json: bool, quiet: bool) -> int:
@@ -87,7 +115,7 @@ def _list_topics(words: tuple[str, ...], as_json: bool, quiet: bool) -> int:
 
 def _typed(log: tuple[str, ...], how: LogOptions) -> list[str]:
     """Return LOG and the options that describe it, as they were typed."""
-    robot = ["--robot", str(how.robot)] if how.robot is not None else []
+    robot = [word for file in how.robot_files for word in ("--robot", str(file))]
     return [*log, *robot, *(word for setting in how.sets for word in ("--set", setting))]
 
 

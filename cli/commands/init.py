@@ -48,8 +48,8 @@ def init(
     """Print a robot.toml for LOG: a starting point with a comment on every line.
 
     With -o or --update on a terminal it asks for the values that no log can tell, such as the wheels' radius.
-    What the log shows is in force: topics, joints, mounts by /tf_static, wheels by /robot_description, clock lags.
-    Guesses are marked as guesses. What no log can tell is a line behind a # that says what to measure.
+    What the log shows is set: topics, joints, mounts by /tf_static, wheels by /robot_description, clock lags.
+    Guesses are marked as guesses. Lines starting with # are inactive: they say what to measure.
 
     \b
     locfuse init bag/ -o robot.toml
@@ -139,10 +139,11 @@ def _updated(made: Draft, file: Path) -> str:
 def _head(made: Draft, words: str, name: str) -> str:
     return (
         f"robot.toml of {made.overview.log.name}, a starting point by locfuse init. "
-        f"Behind a #, nothing is in force.\n"
+        f"Lines starting with # are inactive.\n"
         f"\n"
         f"  locfuse info {words} --check --robot {name}\n"
-        f"  locfuse compare {words} --robot {name}\n"
+        f"  locfuse tune {words} --robot {name} -o tuned.toml\n"
+        f"  locfuse compare {words} --robot {name} --robot tuned.toml\n"
         f"  locfuse schema robot > {SCHEMA}   (then an editor completes and checks this file)"
     )
 
@@ -172,4 +173,4 @@ def _say(made: Draft, words: str, name: str, lost: list[str]) -> None:
     elif made.missing:
         show.say(f"to be filled in: {', '.join(made.missing)} (their lines say how to measure them)")
     else:
-        show.say(f"nothing is missing; try: locfuse compare {words} --robot {name}")
+        show.say(f"next: locfuse tune {words} --robot {name} -o tuned.toml")

@@ -11,6 +11,7 @@ from locfuse.cli.pipeline.settings import LogOptions, MapOptions
 from locfuse.cli.rerun.record import RerunOptions, record, sketched
 from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.options import (
+    advice_option,
     chosen,
     export_option,
     log_options,
@@ -40,6 +41,7 @@ from locfuse.cli.terminal.rerun_options import rerun_options
     help="Move the estimate onto the truth before judging it.",
 )
 @smooth_option
+@advice_option
 @click.option(
     "--audit",
     type=click.Path(path_type=Path, dir_okay=False),
@@ -57,6 +59,7 @@ def run(
     sensors: str,
     align: str,
     smooth: bool,
+    advice: bool,
     audit: Path | None,
     how: LogOptions,
     out: Path | None,
@@ -89,8 +92,8 @@ def run(
             session = session.with_map(maps.given)
         configuration = session.configuration(sensors)
         maps.check(configuration.sensors)
-        may_write(out or default_folder(session.log.name), overwrite, (how.robot, maps.given))
-        result = session.run(configuration, align=align, smooth=smooth)
+        may_write(out or default_folder(session.log.name), overwrite, (*how.robot_files, maps.given))
+        result = session.run(configuration, align=align, smooth=smooth, advice=advice)
         files = result.write(out, write=kinds, export=export, overwrite=overwrite)
         if maps.save is not None:
             result.save_map(maps.save)

@@ -34,15 +34,16 @@ class Wish:
     rerun: RerunOptions
     fleet: FleetOptions
     estimate: tuple[str, ...] = ()
+    advice: bool = True  # fixes are tried; of several logs never
     open: bool = False  # the page, in the browser
 
     def without_robot(self) -> LogOptions:
         """Return how a log is read but for --robot."""
-        return replace(self.how, robot=None)
+        return replace(self.how, robot=None, over=())
 
     def with_sets(self, sets: Sequence[str]) -> LogOptions:
         """Return how a log is read with more words of --set, and nothing from files."""
-        return replace(self.how, robot=None, sets=(*self.how.sets, *sets))
+        return replace(self.how, robot=None, over=(), sets=(*self.how.sets, *sets))
 
 
 def one(log: Sequence[str], wish: Wish) -> int:
@@ -62,12 +63,13 @@ def one(log: Sequence[str], wish: Wish) -> int:
     with show.progress(how.quiet) as progress:
         session = opened(log, how, progress, read_again=rerun.wanted)
         gates.refuse_another_log(session.log)
-        may_write(wish.out or default_folder(session.log.name), wish.overwrite, (how.robot, wish.baseline))
+        may_write(wish.out or default_folder(session.log.name), wish.overwrite, (*how.robot_files, wish.baseline))
         result = session.compare(
             wish.sensors or None,
             all_subsets=wish.all_subsets,
             align=wish.align,
             smooth=wish.smooth,
+            advice=wish.advice,
             audits=rerun.wanted,
             estimates=sources,
         )

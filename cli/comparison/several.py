@@ -47,7 +47,7 @@ def several(words: Sequence[str], wish: Wish) -> int:
     folder = wish.out or default_folder()
     wanted = _wanted(wish, folder)
     gates = FleetGates.read(wish.fail_if, wish.baseline, wish.tolerance)
-    may_write(folder, wish.overwrite, (wish.how.robot, wish.baseline))
+    may_write(folder, wish.overwrite, (*wish.how.robot_files, wish.baseline))
     todo = plan(words, wanted, folder)
     with sole_writer(folder, RUN_LOCK, patience_s=0.0):
         _mark(folder, todo)

@@ -70,6 +70,7 @@ def compare(job: Job) -> tuple[str, ...]:
             align=job.asked.align,
             smooth=job.asked.smooth,
             audits=job.recording is not None,
+            advice=False,  # a fleet is compared; a single log is advised on
         )
         folder = job.place(cell)
         found.write(folder, write=job.kinds, export=job.export, overwrite=job.overwrite or is_torn(folder))

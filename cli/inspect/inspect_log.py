@@ -134,7 +134,7 @@ def _measure(overview: Overview, progress: Callable[[str], None]) -> None:
     except LocfuseError as e:
         overview.findings += _not_measured(overview, e)
         return
-    progress("looking for oddities")
+    progress("looking for findings")
     overview.loaded, overview.robot = loaded, loaded.robot
     streams = {
         role: merged([overview.log.stream(topic, loaded.robot.order) for topic in overview.choice.of(role)])

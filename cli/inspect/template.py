@@ -100,8 +100,7 @@ def _given(overview: Overview, how: LogOptions, said: Mapping[str, Mapping[str, 
         layers.append(
             ("the log's own robot.toml", robot_toml.parse(overview.log.attachments[ATTACHMENT], ATTACHMENT))
         )
-    if how.robot is not None:
-        layers.append((how.robot.name, robot_toml.parse(how.robot.read_bytes(), how.robot.name)))
+    layers += [(file.name, robot_toml.parse(file.read_bytes(), file.name)) for file in how.robot_files]
     layers += said.items()
     layers.append(("--set", robot_toml.apply_sets(how.sets)))
     merged = _flat(overview.tables)

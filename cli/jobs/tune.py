@@ -8,12 +8,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from locfuse.cli.pipeline.compare import lost_share
 from locfuse.cli.pipeline.configurations import refuse_beside_others, unknown_sensor
 from locfuse.cli.pipeline.load import Loaded, load
 from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.formats.robot import commented_edit, robot_toml
 from locfuse.formats.url import Place
 from locfuse.formats.whole_files import whole_file
+from locfuse.fusion.advice.score import MAX_LOSS_NATS, Score, spoils
 from locfuse.fusion.data import Evaluation, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.consistency import Run, judge
@@ -45,6 +47,7 @@ class Tuning:
     judged: Sequence[Judged]
     loaded: Sequence[Loaded]
     notes: tuple[str, ...]
+    refused: bool = False  # a log gets worse or is lost under the noise that was found
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -52,9 +55,9 @@ class Tuning:
         return tuple(dict.fromkeys(s for j in self.judged for s in j.after.sensors))
 
     def tables(self) -> dict[str, dict[str, float]]:
-        """Return what was found as robot.toml tables; what the logs cannot tell is left out."""
+        """Return what was found as robot.toml tables; what the logs do not show, or spoils one, is left out."""
         tables: dict[str, dict[str, float]] = {}
-        for row in self.tuned.rows:
+        for row in () if self.refused else self.tuned.rows:
             table, _, key = row.key.partition(".")
             if row.identifiable or row.after != row.before:
                 tables.setdefault(table, {})[key] = float(f"{row.after:.4g}")
@@ -141,12 +144,35 @@ def tune_logs(
         Judged(before.name, _evaluated(before), _evaluated(after))
         for before, after in zip(tuned.told, tuned.trials, strict=True)
     ]
-    return Tuning(tuned, judged, loaded, (*_notes(tuned), *not_white(tuned.trials)))
+    worse = [line for j in judged if (line := spoiled(j)) is not None]
+    if tuned.held_out is not None and tuned.held_out[1] < tuned.held_out[0] - MAX_LOSS_NATS:
+        worse.append("what was held out is less likely under the noise that was found: it is not used")
+    return Tuning(tuned, judged, loaded, (*worse, *_notes(tuned), *not_white(tuned.trials)), bool(worse))
+
+
+def spoiled(j: Judged) -> str | None:
+    """Say that a log gets worse under the noise that was found: such noise is not written."""
+    before, after = (Score(e.figures.get("position_rmse_m"), lost=_lost(e)) for e in (j.before, j.after))
+    if not spoils(before, after):
+        return None
+    if after.lost > before.lost:
+        what = f"is lost for {after.lost:.0%} of the drive, before for {before.lost:.0%}"
+    else:
+        what = f"has a position error of {after.position:.4f} m, before {before.position:.4f} m"
+    return (
+        f"{j.name} {what}: the noise that was found is not used. Something else is set wrong; see: "
+        f"locfuse info {j.name} --check"
+    )
+
+
+def _lost(e: Evaluation) -> float:
+    return lost_share(e.lost, e.figures.get("duration_s") or 0.0)
 
 
 def write(path: Path, found: Tuning, how: LogOptions) -> None:
-    """Write robot.toml: what the user gave, comments included, with the noise that was found."""
-    changes = robot_toml.merge(robot_toml.apply_sets(how.sets), found.tables())
+    """Write robot.toml: what the user gave, the first file's comments included, with the noise that was found."""
+    later = [robot_toml.parse(file.read_bytes(), str(file)) for file in how.over]
+    changes = robot_toml.merge(*later, robot_toml.apply_sets(how.sets), found.tables())
     before = commented_edit.text_of(how.robot) or "# noise found by locfuse tune\n"
     with whole_file(path) as temporary:
         temporary.write_text(commented_edit.updated(before, changes, "locfuse tune"), encoding="utf-8")
@@ -173,7 +199,7 @@ def not_white(trials: Sequence[Trial]) -> list[str]:
         runs = [Run.of(trial.drive, fuse(trial.drive, trial.robot, chosen)) for chosen in together]
         found = judge(runs, trial.robot)
         worded = {s: verdict for verdicts in found.values() for s, verdict in verdicts.items()}
-        notes += [f"{trial.name}: {v.words}" for v in worded.values() if v.verdict == "correlated"]
+        notes += [f"{trial.name}: {s}: {v.words}" for s, v in worded.items() if v.verdict == "correlated"]
     return notes
 
 

@@ -34,7 +34,14 @@ PSEUDO = (
     "there is no truth in this log. The smoothed estimate has seen the whole drive and serves as a "
     "pseudo-reference: it shows what only the future corrects, and shares every error of its own sensors and map"
 )
+PLAIN_FRAME = "none"  # no alignment: the covariance can be judged
 Watch = Callable[[Estimates, Evaluation], None]
+
+
+def lost_share(lost: Sequence[tuple[float, float]], duration: float | Drive) -> float:
+    """Return the share of a drive, or of so many seconds, for which a run was lost."""
+    seconds = float(duration.t[-1] - duration.t[0]) if isinstance(duration, Drive) else duration
+    return min(1.0, sum(b - a for a, b in lost) / seconds) if seconds > 0.0 else 0.0
 
 
 @dataclass(frozen=True)

@@ -47,9 +47,7 @@ def asked_tables(how: LogOptions, more: Sequence[str] = ()) -> dict[str, Any]:
 
     The content of files that they name is among them, as a hash.
     """
-    layers = []
-    if how.robot is not None:
-        layers.append(robot_toml.parse(read_small(how.robot, MAX_ROBOT_TOML), str(how.robot)))
+    layers = [robot_toml.parse(read_small(file, MAX_ROBOT_TOML), str(file)) for file in how.robot_files]
     layers.append(robot_toml.apply_sets((*how.sets, *more)))
     given = {"order": how.order, "preset": how.preset, "from": how.begin, "to": how.end}
     given = {name: value for name, value in given.items() if value is not None}

@@ -25,7 +25,6 @@ from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.robot import landmark_map, robot_toml
 from locfuse.formats.url import Place, Url, place
 from locfuse.fusion.data import Drive, Event, LocfuseError, Measurements, Stream, UsageError
-from locfuse.fusion.doctor.clocks import lag_notes
 from locfuse.fusion.measure import measure, windowed
 from locfuse.fusion.paper import preset as filters
 from locfuse.fusion.robot import Robot, StartSettings, TruthSettings, WheelSettings
@@ -40,6 +39,7 @@ from .memory import give_back
 from .settings import ORDERS, PRESETS, LogOptions, Progress, silent
 
 ATTACHMENT = "robot.toml"
+ONLY_FUSED = ("noise", "estimate", "sigma_scale", "sigma_track")  # keys of [wheels] that no measurement depends on
 MAX_LISTED = 1000  # entries of a folder among which a mistyped name is looked for
 BASE_TABLES: dict[str, type[msgspec.Struct]] = {
     "wheels": WheelSettings,
@@ -165,9 +165,8 @@ def measured(
     refuse_standing(log, choice, drive.wheels)
     _refuse_other_clock(log, drive)
     preset = (filters.NOTE,) if robot.preset == "paper" else ()
-    lags = lag_notes(drive.wheels, drive.measurements)
     chosen = (f"wheels: {note}" for note in choice.notes)
-    notes = (*preset, *chosen, *_clock_notes(streams), *_start_notes(robot, drive), *drive.notes, *lags)
+    notes = (*preset, *chosen, *_clock_notes(streams), *_start_notes(robot, drive), *drive.notes)
     drive = replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes})
     return Loaded(log, robot, choice, drive, tables)
 
@@ -240,8 +239,9 @@ def _layers(log: Log, how: LogOptions) -> dict[str, dict[str, Any]]:
         layers["robot.toml in the log"] = _checked(
             log.attachments[ATTACHMENT], f"{log.name}: attachment {ATTACHMENT}"
         )
-    if how.robot is not None:
-        layers["--robot"] = _checked(read_small(how.robot, MAX_ROBOT_TOML), str(how.robot))
+    files = [_checked(read_small(file, MAX_ROBOT_TOML), str(file)) for file in how.robot_files]
+    if files:
+        layers["--robot"] = robot_toml.merge(*files)
     sets = _set_tables(how.sets)
     if how.order:
         sets["order"] = how.order
@@ -264,8 +264,8 @@ def _keys(tables: Mapping[str, Any]) -> list[str]:
 def check_settings(how: LogOptions) -> None:
     """Raise LocfuseError for settings that fit no log at all: known before the first of many is opened."""
     _set_tables(how.sets)
-    if how.robot is not None:
-        _checked(read_small(how.robot, MAX_ROBOT_TOML), str(how.robot))
+    for file in how.robot_files:
+        _checked(read_small(file, MAX_ROBOT_TOML), str(file))
 
 
 def _set_tables(words: Sequence[str]) -> dict[str, Any]:
@@ -286,16 +286,23 @@ def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = sil
     sets = _set_tables(words)
     _refuse_other_reading(loaded, sets)
     tables = robot_toml.merge(loaded.tables, sets)
-    same = {table for table in tables if tables[table] == loaded.tables.get(table)}
-    moving = (
-        ("wheels",) if loaded.drive.wheels.matched is None else ("wheels", "lrf")
-    )  # what the motion comes from
+    same = {table for table in tables if _measured_by(tables, table) == _measured_by(loaded.tables, table)}
+    by_scans = loaded.drive.wheels.matched is not None
+    moving = ("wheels", "lrf") if by_scans else ("wheels",)  # what the motion comes from
     wheels = all(table in same or table not in tables for table in moving)
     unchanged = {s: m for s, m in loaded.drive.measurements.items() if wheels and (s in same or s not in tables)}
     asked = None if loaded.asked is None else with_files(robot_toml.merge(loaded.asked, sets))
     found = measured(loaded.log, tables, deepcopy(loaded.choice), progress, known=unchanged)
     sources = {**loaded.sources, **dict.fromkeys(_keys(sets), "--set")}
     return _within(replace(found, sources=sources, asked=asked, hash_all=loaded.hash_all), loaded.window)
+
+
+def _measured_by(tables: Mapping[str, Any], table: str) -> Any:
+    """Return the keys of a table that measuring depends on: the wheels' noise and states only matter in fusing."""
+    keys = tables.get(table)
+    if table != "wheels" or not isinstance(keys, Mapping):
+        return keys
+    return {key: value for key, value in keys.items() if key not in ONLY_FUSED}
 
 
 def _refuse_other_reading(loaded: Loaded, sets: Mapping[str, Any]) -> None:
@@ -389,14 +396,21 @@ def parts(stream: Any) -> tuple[Any, ...]:
     return stream.parts if isinstance(stream, MergedStream) else (stream,)
 
 
+def start_error(robot: Robot, drive: Drive) -> float | None:
+    """Return how far [m] the truth starts from where the drive does; None without truth or with a stated start."""
+    truth = drive.truth
+    if truth is None or robot.start_given or not len(truth.t):
+        return None
+    x, y = truth.xy[0]
+    return math.hypot(x - robot.start.x, y - robot.start.y)
+
+
 def _start_notes(robot: Robot, drive: Drive) -> list[str]:
     """Warn where truth starts elsewhere than the drive and nobody said where the drive starts."""
-    truth = drive.truth
-    if truth is None or robot.start_given:
+    error = start_error(robot, drive)
+    if error is None or error < 0.05 or drive.truth is None:
         return []
-    x, y = truth.xy[0]
-    if math.hypot(x - robot.start.x, y - robot.start.y) < 0.05:
-        return []
+    x, y = drive.truth.xy[0]
     return [
         f"truth starts at ({x:.2f}, {y:.2f}) m but the drive at ({robot.start.x:g}, {robot.start.y:g}): "
         "set [start], or judge the shape only with --align origin"

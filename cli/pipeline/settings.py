@@ -37,6 +37,12 @@ class LogOptions:
     begin: float | None = None  # s since the first wheel reading: only what comes later is used
     end: float | None = None  # s: only what comes earlier
     hash_all: bool = False  # hash every byte of the log for the report
+    over: tuple[Path, ...] = ()  # more robot.toml files, merged over `robot`, later ones over earlier ones
+
+    @property
+    def robot_files(self) -> tuple[Path, ...]:
+        """Every robot.toml in the order in which they are merged."""
+        return () if self.robot is None else (self.robot, *self.over)
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,11 @@ def evidence(drive: Drive, estimates: Estimates, robot: Robot) -> list[Run]:
     return [] if estimates.smoothed or robot.preset == "paper" else [Run.of(drive, estimates)]
 
 
+def sensors_consistency(runs: Sequence[Run], robot: Robot) -> dict[str, dict[str, Consistency]]:
+    """Return what all runs say of every sensor's noise: configuration -> sensor -> Consistency; {} for no runs."""
+    return judge(runs, robot) if runs else {}
+
+
 def add_consistency(
     report: dict[str, Any], runs: Sequence[Run], evaluations: Sequence[Evaluation], robot: Robot
 ) -> None:
@@ -38,7 +43,8 @@ def add_consistency(
             using = [by_truth.get(n) for n, used in court.items() if sensor in used]
             found = unless_sure_and_wrong(sensor, verdict, using)
             values = rows[name]["sensors"][sensor]["consistency"] = asdict(found)
-            verdicts[sensor] = {key: values[key] for key in ("verdict", "words", "cures")}
+            del values["cures"]  # what nobody tried is no advice: `findings` has what was
+            verdicts[sensor] = {key: values[key] for key in ("verdict", "words")}
     report["consistency"] = verdicts
 
 
@@ -53,8 +59,8 @@ def unless_sure_and_wrong(sensor: str, found: Consistency, using: Sequence[Hones
         return found
     times = math.sqrt(min(honest.anees for honest in wrong))
     words = (
-        f"{sensor} repeats itself {1.0 / found.scale:.2g} times better than told, yet errors are {times:.1f} "
-        "times what the covariance says: something else is set wrong (a mount, a scale, a clock), and less noise "
-        "would make that worse"
+        f"residuals are {1.0 / found.scale:.2g} times smaller than configured, yet position errors are "
+        f"{times:.1f} times what the covariance says: check mount, scale and clock; a smaller sigma would make "
+        "this worse"
     )
     return replace(found, words=words, cures={})

@@ -8,18 +8,18 @@ from typing import Any
 
 from locfuse.fusion.judge.credit import Credit, SensorCredit
 from locfuse.fusion.judge.predictive import MIN_GAIN_NATS, Score, contradictions, ranking
-from locfuse.fusion.judge.verdict import MAX_ANEES, MIN_EFFECT, Effect
+from locfuse.fusion.judge.verdict import MIN_EFFECT, Effect, overconfident
 
 TRUST_SENSORS = (
-    "There is no truth in this log, so configurations are ranked by how well each predicts the sensors that it "
-    "leaves out (innovation score, nats per number against odometry). Trust it to find a sensor that contradicts "
-    "the others or adds nothing; do not read metres from it. It cannot see an error that all sensors share, nor "
-    "walls taken for others, and a configuration that leaves no sensor out has no place."
+    "There is no truth in this log. Configurations are ranked by how well each predicts the sensors that it "
+    "leaves out (innovation score, nats per number, compared with odometry). This finds a sensor that contradicts "
+    "the others or adds nothing. It gives no error in metres. It cannot see an error that all sensors share, nor "
+    "walls matched to the wrong lines. A configuration that uses every sensor has no rank."
 )
 TRUST_STRETCHES = (
     "There is no truth in this log and only one sensor besides the wheels, so nothing independent can judge it. "
     "Instead it was switched off every other five seconds and its readings there were predicted. That shows "
-    "whether it agrees with itself, which a biased sensor does too: trust it little."
+    "whether it agrees with itself, which a biased sensor does too."
 )
 
 
@@ -78,51 +78,46 @@ def _effect(effect: Effect | None) -> dict[str, Any] | None:
 def _credit_words(c: SensorCredit, credit: Credit, over: str) -> str:
     main = c.credit or c.alone or c.last
     if main is None:
-        return "No two of these sets differ by it alone; --all-subsets runs all of them."
+        return "No two configurations differ by it alone. Run all subsets: --all-subsets"
     parts = [_main_words(c, main, len(credit.sensors) > 1, _few(credit.logs, over))]
-    if c.verdict == "hurts" and c.anees is not None and c.anees[1] > MAX_ANEES:
-        parts.insert(
-            0,
-            f"It makes the filter sure and wrong: ANEES {short(c.anees[1])} with it, {short(c.anees[0])} without "
-            "(1 is right).",
-        )
     if c.credit is not None and c.last is not None and len(credit.sensors) > 1:
         parts.append(_last_words(c.last))
+    if c.anees is not None and overconfident(c.anees):
+        parts.append(
+            f"Overconfident: errors are {short(c.anees[1] ** 0.5)} times what the filter claims with it, "
+            f"{short(c.anees[0] ** 0.5)} times without it."
+        )
     return " ".join(parts)
 
 
 def _main_words(c: SensorCredit, main: Effect, several: bool, few: str) -> str:
-    how = (
-        "Over every order of adding the sensors, it makes"
-        if c.credit is not None and several
-        else f"Beside {' and '.join(c.beside)} it makes"
-        if c.beside
-        else "Alone it makes"
-    )
-    whose = f"{'+'.join(c.beside)}'s" if c.beside else "odometry's"
-    what = f"{how} {whose} position error {times(main.value)} ({interval(main)})"
+    """Return the effect in figures, its interval, and what would settle it."""
     if c.credit is not None and several:
-        what = what.replace(whose, "the")
-    if c.verdict == "does nothing":
-        if main.low > 0.0 or main.high < 0.0:
-            return f"{what}. The filter takes next to nothing from it, so chance is the likelier reason."
-        return f"{what}: no more than chance."
-    if main.low > 0.0 or main.high < 0.0:
-        return f"{what}."
-    if c.verdict == "helps":
-        return f"{what}. {few} not prove that, but the filter's own covariances say the same."
-    return f"{what}. {few} not prove that."
+        how = "On average over all sensor combinations it makes the position error"
+    elif c.beside:
+        how = f"Beside {' and '.join(c.beside)} it makes the position error"
+    else:
+        how = "Alone it makes odometry's position error"
+    what = f"{how} {times(main.value)} (95 % interval: {interval(main)})."
+    sure = main.low > 0.0 or main.high < 0.0
+    if c.verdict == "no effect seen":
+        if abs(main.value) < MIN_EFFECT:
+            return what
+        return f"{what} The filter gives it almost no weight, so this change is probably chance." if sure else what
+    return what if sure else f"{what} {few}"
 
 
 def _few(samples: int, over: str) -> str:
-    return "One drive does" if samples == 1 else f"{samples} {over} do"
+    """Return what would settle an effect whose interval includes none."""
+    settle = "One drive does" if samples == 1 else f"{samples} {over} do"
+    return f"{settle} not settle it; longer{' drives' if over != 'drives' else ''} or more {over} would."
 
 
 def _last_words(last: Effect) -> str:
     if abs(last.value) < MIN_EFFECT:
         return "Beside all others it changes nothing."
     if last.low <= 0.0 <= last.high:
-        return "Beside all others it changes no more than chance."
+        return "Beside all others no effect is seen."
     return f"Beside all others it makes the error {times(last.value)} ({interval(last)})."
 
 
@@ -132,10 +127,15 @@ def times(ln: float) -> str:
 
 
 def interval(effect: Effect) -> str:
-    """Return the 95 % interval in words that fit the effect's own direction."""
-    if effect.value >= 0.0:
-        return f"95 %: {short(math.exp(effect.low))} to {short(math.exp(effect.high))}"
-    return f"95 %: {short(math.exp(-effect.high))} to {short(math.exp(-effect.low))}"
+    """Return the 95 % interval as two factors, each with its direction: "1.6 times larger to 12 times smaller".
+
+    Where both have one direction it stands once: "14 to 562 times smaller".
+    """
+    if effect.low > 0.0:
+        return f"{short(math.exp(effect.low))} to {times(effect.high)}"
+    if effect.high < 0.0:
+        return f"{short(math.exp(-effect.high))} to {times(effect.low)}"
+    return f"{times(effect.low)} to {times(effect.high)}"
 
 
 def short(value: float) -> str:
@@ -184,30 +184,44 @@ def _predicted_verdicts(found: Sequence[Score], sets: Mapping[str, Sequence[str]
 def _predicted(mine: Sequence[Score], against: Sequence[str], sensors: int) -> dict[str, Any]:
     if against:
         lone = sensors > 2 and len(against) == sensors - 1
-        words = (
-            f"It and {' and '.join(against)} contradict each other: one predicts the other worse than odometry."
+        rivals = " and ".join(against)
+        words = f"It contradicts {rivals}: with one of them the other is predicted worse than by odometry."
+        words += (
+            " All other sensors disagree with it."
+            if lone
+            else " One of them is wrong; without truth it is open which."
         )
-        words += " All others are against it." if lone else " One is wrong; without truth nobody can say which."
-        return {"verdict": "hurts" if lone else "contradicts", "words": words}
+        return {"verdict": "hurts" if lone else "no verdict", "words": words}
     if not mine:
-        return {"verdict": "cannot tell", "words": "Nothing in this log can check it."}
+        return {"verdict": "no verdict", "words": "No other sensor in this log can check it."}
     gain = sum(s.gain for s in mine) / len(mine)
     if mine[0].stretches:
         return _by_itself(mine[0])
     on = " and ".join(s.sensor for s in mine)
-    better = f"{abs(gain):.2f} nats per number {'better' if gain >= 0 else 'worse'} than odometry does"
-    sure = all(s.low > 0.0 for s in mine) and gain > MIN_GAIN_NATS
-    return {"verdict": "helps" if sure else "does nothing", "words": f"With it, {on} can be predicted {better}."}
+    better = f"{abs(gain):.2f} nats per number {'better' if gain >= 0 else 'worse'} than by odometry"
+    return {"verdict": _grade(mine, gain), "words": f"With it, {on} can be predicted {better}."}
+
+
+def _grade(mine: Sequence[Score], gain: float) -> str:
+    if abs(gain) <= MIN_GAIN_NATS:
+        return "no effect seen"
+    if gain > 0.0:
+        return "helps" if all(s.low > 0.0 for s in mine) else "seems to help"
+    return "hurts" if all(s.high < 0.0 for s in mine) else "seems to hurt"
 
 
 def _by_itself(score: Score) -> dict[str, Any]:
     """Judge the only sensor of a log by its own readings: that can show a fault, never that it is right."""
-    words = f"It predicts its own readings five seconds ahead {abs(score.gain):.2f} nats per number "
+    words = (
+        "The log has no reference and no second sensor. Self-check: its readings five seconds ahead are predicted "
+    )
     if score.high < 0.0:
-        words += "worse than odometry does. Its clock, mount or settings are probably wrong."
+        words += (
+            f"{abs(score.gain):.2f} nats per number worse than by odometry. Check its clock, mount and settings."
+        )
         return {"verdict": "hurts", "words": words}
     if score.low > 0.0:
-        words += "better than odometry does: it agrees with itself, which a biased sensor does too."
+        words += f"{score.gain:.2f} nats per number better than by odometry. A biased sensor can do that too."
     else:
-        words += "off odometry's, no more than chance."
-    return {"verdict": "cannot tell", "words": words}
+        words += "no better than by odometry."
+    return {"verdict": "no verdict", "words": words}

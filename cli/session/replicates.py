@@ -140,7 +140,7 @@ def _of_sensor(found: Sequence[Mapping[str, Any]]) -> SensorCredit:
     pairs = [(f["anees_without"], f["anees_with"]) for f in found if f["anees_with"] is not None]
     anees = (fmean(p[0] for p in pairs), fmean(p[1] for p in pairs)) if pairs else None
     share = None if None in shares else fmean(shares)
-    return SensorCredit("cannot tell", credit, alone, last, share, anees, tuple(found[0]["beside"]))
+    return SensorCredit("no verdict", credit, alone, last, share, anees, tuple(found[0]["beside"]))
 
 
 def _mean(effects: Sequence[Mapping[str, Any] | None]) -> Effect | None:

@@ -8,6 +8,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from locfuse.cli.advice.validity import reasons
+from locfuse.cli.advice.values import fixes_file
 from locfuse.cli.pipeline import exports, maps, outputs, results
 from locfuse.cli.pipeline.compare import Compared
 from locfuse.cli.pipeline.load import Loaded
@@ -73,9 +75,10 @@ class Result:
     def losses(self, strict: bool = False) -> list[str]:
         """Return in words what was lost: bytes of the file, or more than 1 % of a used sensor's readings.
 
-        The command exits with 3 where there is any. `strict` counts every single reading.
+        Void figures are among them. The command exits with 3 where there is any. `strict` counts every single
+        reading.
         """
-        return results.loss_lines(self.loaded, self._used(), strict)
+        return [*results.loss_lines(self.loaded, self._used(), strict), *reasons(self.report)]
 
     def _used(self) -> list[str]:
         return sorted({s for e in self.estimates.values() for s in e.sensors})
@@ -129,6 +132,7 @@ class Run(Result):
         kinds = chosen(write, OF_RUN)
         named = {"smoothed" if e.smoothed else "trajectory": e for e in self.estimates.values()}
         files = outputs.files_of_run(self.loaded, named, self.report, kinds)
+        files |= fixes_file(self.report)
         files |= exports.files(chosen(export, list(exports.KINDS), EXPORT), self.loaded, named)
         return self._written(folder, files, overwrite)
 
@@ -195,6 +199,7 @@ class Comparison(Result):
         """
         kinds = chosen(write, OF_COMPARISON)
         files = outputs.files(self.compared, self.drawn, self.report, kinds)
+        files |= fixes_file(self.report)
         files |= exports.files(chosen(export, list(exports.KINDS), EXPORT), self.loaded, self.estimates)
         return self._written(folder, files, overwrite)
 

@@ -6,11 +6,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast, get_args
 
+from locfuse.cli.advice.evaluator import Advised, advise, looks_wrong
+from locfuse.cli.advice.report import complete
+from locfuse.cli.advice.values import add_findings
 from locfuse.cli.pipeline import maps
-from locfuse.cli.pipeline.compare import compare_log, report_of, report_of_run
+from locfuse.cli.pipeline.compare import Compared, compare_log, report_of, report_of_run
 from locfuse.cli.pipeline.configurations import Configuration, Sensors, for_comparison, parse
 from locfuse.cli.pipeline.key import Asked
-from locfuse.cli.pipeline.load import Loaded, find_log, load_to_fuse, with_settings
+from locfuse.cli.pipeline.load import Loaded, find_log, load_to_fuse, start_error, with_settings
 from locfuse.cli.pipeline.memory import lean
 from locfuse.cli.pipeline.outputs import Drawn
 from locfuse.cli.pipeline.settings import (
@@ -25,10 +28,11 @@ from locfuse.cli.pipeline.settings import (
     silent,
     words_of,
 )
+from locfuse.cli.pipeline.trust import evidence
 from locfuse.formats.log.log import Log
 from locfuse.formats.robot.robot_toml import as_set
 from locfuse.formats.visible import visible
-from locfuse.fusion.data import Drive
+from locfuse.fusion.data import Drive, Estimates, Evaluation
 from locfuse.fusion.judge.evaluate import Align, evaluate
 from locfuse.fusion.robot import Robot
 
@@ -100,13 +104,21 @@ class Session:
         """What was chosen, repaired or found unusual while reading, in words."""
         return self.drive.notes
 
-    def run(self, sensors: Sensors | Configuration = "all", *, align: str = "none", smooth: bool = False) -> Run:
+    def run(
+        self,
+        sensors: Sensors | Configuration = "all",
+        *,
+        align: str = "none",
+        smooth: bool = False,
+        advice: bool = True,
+    ) -> Run:
         """Estimate the trajectory with one set of sensors, as `locfuse run` does.
 
         Args:
             sensors: "all", "odometry", "compass,lrf", ["compass", "lrf"], or "lrf@2Hz" for a lower rate.
             align: "none", "origin" or "se2": how to move the estimate onto the truth before judging it.
             smooth: also smooth: what the whole drive, its end included, says of every instant.
+            advice: where something looks wrong, evaluate the log as `compare` does and try fixes.
 
         Raises:
             LocfuseError: an unknown sensor, or one that this log lacks.
@@ -117,6 +129,11 @@ class Session:
         estimates = lean(used.fuse, self.drive, self.robot, smooth)
         evaluations = [evaluate(e, used.drive(self.drive), cast("Align", align)) for e in estimates]
         report = report_of_run(self.loaded, used, estimates, evaluations)
+        complete(
+            report,
+            self._advice_on_run(used, estimates[0], evaluations[0], align) if advice else None,
+            self._start_error(),
+        )
         self.progress("writing")
         return Run(
             self.loaded,
@@ -134,6 +151,7 @@ class Session:
         smooth: bool = False,
         audits: bool = True,
         estimates: Mapping[str, str] | None = None,
+        advice: bool = True,
     ) -> Comparison:
         """Run several configurations and say what each sensor is worth, as `locfuse compare` does.
 
@@ -145,6 +163,7 @@ class Session:
             smooth: also smooth every configuration that has sensors: "all-smoothed".
             audits: keep every measurement's innovation and verdict, `estimates["lrf"].audits["lrf"]`. They are
                 most of what a result holds; False frees them as soon as the figures have what they show.
+            advice: where something looks wrong, try fixes by fusing again, and report what they did.
             estimates: other people's estimates as rows of their own, {"amcl": "/amcl_pose", "slam": "slam.tum"}.
 
         Raises:
@@ -156,6 +175,9 @@ class Session:
         drawn = Drawn()
         compared = compare_log(self.loaded, wanted, align, self.progress, smooth, [drawn.take], audits, foreign)
         report = report_of(compared, None if foreign else Asked.of(words, all_subsets, align, smooth))
+        complete(
+            report, advise(self.loaded, self.progress, align, compared) if advice else None, self._start_error()
+        )
         self.progress("writing")
         return Comparison(
             self.loaded,
@@ -165,6 +187,24 @@ class Session:
             compared,
             drawn,
         )
+
+    def findings(self) -> dict[str, Any]:
+        """Return what is wrong or can be better: {"findings": [...], "fixes": [...]}, each fix tried by fusing.
+
+        It is what the reports of `run` and `compare` hold under these keys, whichever configurations they show.
+        """
+        found: dict[str, Any] = {}
+        add_findings(found, advise(self.loaded, self.progress))
+        return found
+
+    def _start_error(self) -> float | None:
+        return start_error(self.robot, self.drive)
+
+    def _advice_on_run(self, c: Configuration, e: Estimates, judged: Evaluation, align: str) -> Advised:
+        """Evaluate the log if this one run of it gives reason to."""
+        runs = evidence(c.drive(self.drive), e, self.robot)
+        one = Compared(self.loaded, [c], [e], [judged], runs, credit=None, scores=[])
+        return advise(self.loaded, self.progress, align) if looks_wrong(self.loaded, one) else Advised()
 
     def configuration(self, sensors: Sensors) -> Configuration:
         """Return the configuration that words name. Raises LocfuseError for a sensor that this log lacks."""
@@ -194,7 +234,13 @@ class Session:
         audits are not kept. Raises UsageError as `with_settings` does, and for more than 1000 cells.
         """
         found = cells({key: [as_set(key, value) for value in values] for key, values in keys.items()})
-        asked: Any = {"all_subsets": all_subsets, "align": align, "smooth": smooth, "audits": False}
+        asked: Any = {
+            "all_subsets": all_subsets,
+            "align": align,
+            "smooth": smooth,
+            "audits": False,
+            "advice": False,
+        }
         results = {cell: self.with_settings(sets).compare(sensors, **asked) for cell, sets in found.items()}
         return Named("cell", results)
 

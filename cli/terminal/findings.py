@@ -51,7 +51,6 @@ def end(notes: Iterable[str], lost: Sequence[str], quiet: bool) -> int:
     """Say what else there is to know on stderr; return the exit code."""
     from locfuse.cli.pipeline.results import LOSS
 
-    if not quiet:
-        for line in (*(f"note: {n}" for n in notes), *(f"lost: {n}" for n in lost)):
-            say(line, err=True)
+    for line in (*(() if quiet else (f"note: {n}" for n in notes)), *(f"lost: {n}" for n in lost)):
+        say(line, err=True)  # the reason of exit code 3 is said under --quiet too
     return LOSS if lost else 0

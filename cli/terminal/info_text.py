@@ -173,7 +173,7 @@ def _briefly(words: str, role: str, overview: Overview) -> str:
 
 def _finding(f: Finding, width: int | None) -> list[str]:
     body = _wrapped(f"  {f.role}: ", f.brief if f.fixes else f.sentence, width, "    ")
-    return [*body, *_options("    cure: ", f.fixes, width)] if f.fixes else body
+    return [*body, *_options("    fix: ", f.fixes, width)] if f.fixes else body
 
 
 def _options(head: str, fixes: Sequence[str], width: int | None) -> list[str]:

@@ -59,6 +59,12 @@ def smooth_option(command: F) -> F:
     return click.option("--smooth", is_flag=True, help=words)(command)
 
 
+def advice_option(command: F) -> F:
+    """Add --no-advice, which arrives as `advice`."""
+    words = "Try no fixes: report what the settings give as they are, without fusing again."
+    return click.option("--no-advice", "advice", flag_value=False, default=True, help=words)(command)
+
+
 class RobotFile(click.Path):
     """A robot.toml, or one for each robot of a fleet: those are looked for when the robots are known."""
 
@@ -74,7 +80,7 @@ def log_options(command: F) -> F:
     @functools.wraps(command)
     def wrapped(
         *args: Any,
-        robot: Path | None,
+        robot: tuple[Path, ...],
         sets: tuple[str, ...],
         order: str | None,
         strict: bool,
@@ -87,7 +93,9 @@ def log_options(command: F) -> F:
             from locfuse.formats.robot.robot_toml import as_set
 
             sets = (*sets, as_set("truth.topic", str(truth)))
-        how = LogOptions(robot, sets, order, strict, quiet, hash_all=hash_all)
+        how = LogOptions(
+            robot[0] if robot else None, sets, order, strict, quiet, hash_all=hash_all, over=robot[1:]
+        )
         return command(*args, how=how, **kwargs)
 
     decorated: Any = wrapped
@@ -95,9 +103,11 @@ def log_options(command: F) -> F:
         (
             click.option(
                 "--robot",
+                multiple=True,
                 type=RobotFile(path_type=Path, exists=True, dir_okay=False),
-                help="robot.toml that describes the robot; merged over the one in the log. Of many logs "
-                "(--robot-from): 'robots/{robot}.toml'.",
+                help="robot.toml that describes the robot; merged over the one in the log. Repeatable: later "
+                "files win, e.g. --robot robot.toml --robot fixes.toml. Of many logs (--robot-from): "
+                "'robots/{robot}.toml'.",
             ),
             click.option(
                 "--set",

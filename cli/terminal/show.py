@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 from locfuse.formats.report import json_report
 from locfuse.formats.tables import tables
+from locfuse.formats.tables.findings import findings_of, together
 from locfuse.formats.tables.notes import notes_of
 from locfuse.formats.tables.table import Table
 
@@ -18,7 +19,8 @@ from . import text_table
 from .screen import put, reader_may_leave, screen
 from .screen import say as on_screen
 
-COLOURS = {"helps": "green", "hurts": "red", "contradicts": "red"}  # of verdicts; the others need none
+BELOW = " rmse, max, final: distance to the truth. ANEES: 1 is right, more is overconfident. See: locfuse explain"
+COLOURS = {"helps": "green", "hurts": "red"}  # of verdicts; the others need none
 NO_TRUTH = "no truth in this log: the error figures do not exist; if a topic holds it: --set truth.topic=/TOPIC"
 
 
@@ -67,9 +69,10 @@ def result(report: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> N
         if as_json:
             put(json_report.encode(report))
             return
+        headline(report)
         figures(report)
         verdicts(report)
-        consistency(report)
+        findings(report)
         on_screen(f"{files[0].parent}: {', '.join(file.name for file in files)}")
 
 
@@ -96,6 +99,8 @@ def open_page(page: Path | None) -> None:
 def figures(report: Mapping[str, Any]) -> None:
     """Print the configurations and what became of each sensor's measurements."""
     table(tables.brief(report))
+    if tables.has_figures(report):
+        lines([BELOW])
     table(tables.sensors(report).without("verdicts").without("joint_nis"))
 
 
@@ -108,6 +113,8 @@ def table(shown: Table) -> None:
 
 def notes(report: Mapping[str, Any], losses: Sequence[str], quiet: bool) -> None:
     """Print to stderr what a reader of the figures must know: absent sensors, oddities, losses."""
+    for line in losses:
+        say(f"lost: {line}")  # the reason of exit code 3: said under --quiet too
     if quiet:
         return
     for sensor, why in report["absent"].items():
@@ -123,8 +130,6 @@ def notes(report: Mapping[str, Any], losses: Sequence[str], quiet: bool) -> None
         say(NO_TRUTH)
     if report.get("prediction"):
         say(f"note: {report['prediction']['trust']}")
-    for line in losses:
-        say(f"lost: {line}")
 
 
 def transfer(came: tuple[int, int] | None, quiet: bool) -> None:
@@ -143,11 +148,20 @@ def verdicts(report: Mapping[str, Any]) -> None:
         console.print(Text.assemble((f"{sensor} {verdict['verdict']}. ", f"bold {colour}"), verdict["words"]))
 
 
-def consistency(report: Mapping[str, Any]) -> None:
-    """Print what is not as robot.toml says of the sensors' noise, and how to cure it."""
+def headline(report: Mapping[str, Any]) -> None:
+    """Print the answer first."""
     from rich.text import Text
 
-    console = screen()
-    for found in report.get("consistency", {}).values():
-        if found["verdict"] != "consistent":
-            console.print(Text.assemble(("Noise: ", "bold"), found["words"]))
+    if report.get("headline"):
+        screen().print(Text(report["headline"], "bold"))
+
+
+def findings(report: Mapping[str, Any]) -> None:
+    """Print what is wrong or can be better, with the fix that was tried."""
+    from rich.text import Text
+
+    console = screen(soft_wrap=True)
+    for line in findings_of(report):
+        console.print(Text(line))
+    if (all_fixes := together(report)) is not None:
+        console.print(Text(all_fixes, "bold"))

@@ -24,7 +24,7 @@ from .file_bytes import FileBytes
 from .known_types import MAX_SAMPLE, definition
 from .losses import Losses
 from .source import Batch, ChannelInfo, Messages, message_type
-from .sqlite_journal import unused_tail
+from .sqlite_journal import journal_of
 
 ERRORS = (sqlite3.Error, UnicodeDecodeError, ValueError, MemoryError)  # of a damaged database
 BATCH_BYTES = 1 << 20
@@ -103,7 +103,7 @@ class SqliteSource:
         self.losses = losses
         self.data = data
         self._leash = Leash(self.path, data.size)
-        self._count_unused_journal()
+        self._journal_is_used = self._count_unused_journal()
         try:
             with closing(self._connect()) as database, self._leash.step():
                 self._refuse_programs(database)
@@ -112,14 +112,18 @@ class SqliteSource:
         except ERRORS as problem:
             raise LocfuseError(f"{self.path}: not a readable rosbag2 database: {problem}") from None
 
-    def _count_unused_journal(self) -> None:
-        """Count what sqlite leaves out of the journal of a crashed recording, and calls normal."""
+    def _count_unused_journal(self) -> bool:
+        """Count what sqlite leaves out of the journal of a crashed recording; return whether it uses any of it."""
         journal = self._journal
         try:
-            if journal.exists() and journal.stat().st_size and (tail := unused_tail(journal)) is not None:
-                self.losses.add(str(self.path), tail.reason, tail.offset, tail.bytes)
+            if not journal.exists() or not journal.stat().st_size:
+                return False
+            used, tail = journal_of(journal)
         except OSError:
-            pass  # then sqlite cannot read it either, and that is counted
+            return True  # then sqlite cannot read it either, and that is counted
+        if tail is not None:
+            self.losses.add(str(self.path), tail.reason, tail.offset, tail.bytes)
+        return used
 
     @property
     def _journal(self) -> Path:
@@ -155,6 +159,8 @@ class SqliteSource:
         if journal.exists() and journal.stat().st_size:
             # where no recorder has the file open, without locks: nothing is then written beside the user's bag
             alone = not Path(f"{where}-shm").exists()
+            if alone and not self._journal_is_used:  # sqlite would delete it, read-only or not: to it, it is empty
+                return self._open(where, "&immutable=1")
             for options in ("&vfs=unix-none", "") if alone else ("", "&vfs=unix-none"):
                 try:
                     database = self._open(where, options)

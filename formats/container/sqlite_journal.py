@@ -35,6 +35,13 @@ class Tail(NamedTuple):
     bytes: int
 
 
+class Journal(NamedTuple):
+    """What sqlite makes of a journal."""
+
+    used: bool  # whether it holds a commit that sqlite reads
+    tail: Tail | None  # what sqlite leaves out although it was written
+
+
 class _Frame(NamedTuple):
     salts: Pair
     commits: bool
@@ -42,14 +49,14 @@ class _Frame(NamedTuple):
     checksum: Pair  # the running checksum as written
 
 
-def unused_tail(path: Path) -> Tail | None:
-    """Return what sqlite leaves out of a journal although it was written; None where it uses all of it."""
+def journal_of(path: Path) -> Journal:
+    """Return whether sqlite uses a journal, and what it leaves out."""
     size = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(HEADER.size)
         summed = _header(head)
         if summed is None:
-            return Tail(DAMAGED, 0, size)
+            return Journal(used=False, tail=Tail(DAMAGED, 0, size))
         page, salts = HEADER.unpack(head)[2], HEADER.unpack(head)[4:6]
         weights = _Weights(8 + page)
         at = used = last = HEADER.size
@@ -66,7 +73,8 @@ def unused_tail(path: Path) -> Tail | None:
         file.seek(at)
         if file.read(FRAME.size)[8:16] == struct.pack(">2I", *salts):  # cut off inside a frame
             whole, last = False, size
-    return Tail(UNFINISHED if whole else DAMAGED, used, last - used) if last > used else None
+    tail = Tail(UNFINISHED if whole else DAMAGED, used, last - used) if last > used else None
+    return Journal(used > HEADER.size, tail)
 
 
 def _header(head: bytes) -> Pair | None:

@@ -116,7 +116,7 @@ def bands(scene: Scene) -> Section:
         names.append(judged.name)
     text = (
         "Each configuration on its own scale. The band is the 3 sigma that the filter claims: "
-        "a curve that leaves it is an estimate that was sure and wrong."
+        "a curve that leaves it is an overconfident estimate."
     )
     return Section("bands", "Deviation and claimed 3 sigma", text, tuple(panels), columns, tuple(names))
 

@@ -19,6 +19,7 @@ from locfuse.formats.figures import palette
 from locfuse.formats.figures.palette import Trace
 from locfuse.formats.figures.panels import Section
 from locfuse.formats.tables import tables
+from locfuse.formats.tables.findings import findings_of, together
 from locfuse.formats.tables.glossary import GLOSSARY
 from locfuse.formats.tables.notes import fingerprint, notes_of, title_of
 from locfuse.formats.tables.render import SIGNS, Swatches, data, html
@@ -28,7 +29,7 @@ from locfuse.fusion.data import REFUSED, Colour
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-TONES = {"helps": "good", "hurts": "bad"}
+TONES = {"helps": "good", "seems to help": "good", "seems to hurt": "bad", "hurts": "bad"}
 SIZES = {1: (860, 500), 2: (WIDTH, HEIGHT), 3: (330, 190)}  # px of a panel by columns in its section
 STRIP = 200.0  # px, width of an effect strip
 
@@ -70,6 +71,8 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
         tones=TONES,
         strips=_strips(report),
         notes=notes_of(report),
+        findings=findings_of(report),
+        together=together(report),
         events=_shaded(sections),
         glossary=GLOSSARY,
         roles=("truth", "bounds") if report["truth"] else ("bounds",),

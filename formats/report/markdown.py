@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from locfuse.formats.tables import tables
+from locfuse.formats.tables.findings import findings_of, together
 from locfuse.formats.tables.notes import fingerprint, notes_of, title_of
 from locfuse.formats.tables.render import SIGNS, code, escape, markdown
 
@@ -23,11 +24,12 @@ def render(report: Mapping[str, Any]) -> str:
     ]
     parts = [
         f"# locfuse: {escape(title_of(report))}",
+        escape(report.get("headline", "")),
         _verdicts(report),
         markdown(tables.configurations(report)),
         _truth_line(report),
         _prediction(report),
-        _listing("Noise", {v["words"]: "" for v in report.get("consistency", {}).values()}),
+        _findings(report),
         _listing("Notes", dict.fromkeys(notes_of(report), "")),
         _folded("All figures, sensors, and what was dropped", details),
         f"Input {known_by}, locfuse {escape(report['locfuse'])}. Deviation = estimate - truth.",
@@ -40,6 +42,12 @@ def _verdicts(report: Mapping[str, Any]) -> str:
         f"- {SIGNS.get(v['verdict'], '●')} **{escape(sensor)} {v['verdict']}.** {escape(v['words'])}"
         for sensor, v in report.get("verdicts", {}).items()
     )
+
+
+def _findings(report: Mapping[str, Any]) -> str:
+    found = _listing("Findings", dict.fromkeys(findings_of(report), ""))
+    line = together(report)
+    return found if line is None else f"{found}\n\n{escape(line)}"
 
 
 def _truth_line(report: Mapping[str, Any]) -> str:

@@ -56,7 +56,6 @@ class SensorConsistency(Struct):
     words: str  # the verdict as a sentence
     scale: Figure = None  # observed standard deviation over the configured one
     refused: Figure = None  # share of readings that the gate refused
-    cures: dict[str, Any] = {}  # setting -> suggested value
 
 
 class SensorResult(Struct):
@@ -67,6 +66,7 @@ class SensorResult(Struct):
     absent: Count  # readings that gave no measurement
     nis: Figure  # mean normalised innovation squared per degree of freedom: 1 is right
     verdicts: dict[str, Count]  # verdict -> measurements
+    joint_nis: Figure = None  # of whole scans, with all that their lines share; null for other sensors
     consistency: SensorConsistency | None = None
 
 
@@ -87,6 +87,7 @@ class Result(Struct):
     align: str  # how the estimate was laid on the truth before errors were taken: none, origin, se2
     rates_hz: dict[str, float]  # sensor -> rate that it was thinned to
     lost: list[Interval]  # s: when the filter said that it was lost
+    lost_share: Share  # of the drive
     notes: list[str]
     sensors: dict[str, SensorResult]
     position_rmse_m: Figure
@@ -108,6 +109,52 @@ class Result(Struct):
     duration_s: float  # of the log
     distance_m: float  # by the estimate
     consistency: CovarianceConsistency | None = None
+    void: Void | None = None  # why error figures are null that could be computed
+
+
+class Void(Struct):
+    """Figures of a configuration that look like results and are none."""
+
+    reason: str
+    figures: dict[str, Figure]  # what they would be, by key
+
+
+class Validity(Struct):
+    """Why figures are void, once for all configurations that it concerns."""
+
+    code: str  # lost: the filter was; start: the truth starts elsewhere
+    message: str
+    since_s: float
+    configurations: list[str]
+
+
+class Trial(Struct):
+    """One configuration's figures before or after a fix."""
+
+    position_rmse_m: Figure
+    anees: Figure
+    prediction_nats: Figure  # nats per number of sensors that only listened; only without truth
+    lost_share: Share  # of the drive
+
+
+class Tried(Struct):
+    """What a fix did when the log was fused again with it."""
+
+    configuration: str
+    before: Trial
+    after: Trial
+    until_s: Figure  # only the beginning was tried, up to here; null: all of the drive
+
+
+class ReportedFinding(Struct):
+    """What looks wrong with a log's settings, and the fix that was found to help."""
+
+    role: str  # the sensor, or wheels, truth, start
+    code: str
+    message: str
+    fixes: list[str]  # "table.key=value" each; empty: nothing helped
+    tried: Tried | None  # null: no fix was found
+    alternatives: list[list[str]]  # fixes that were tried and do not help
 
 
 class Truth(Struct):
@@ -123,7 +170,7 @@ class Truth(Struct):
 class Verdict(Struct):
     """What a sensor is worth, in words."""
 
-    verdict: str  # helps, does nothing, hurts, cannot tell, contradicts
+    verdict: str  # helps, seems to help, no effect seen, seems to hurt, hurts, no verdict
     words: str
 
 
@@ -142,8 +189,14 @@ class _Common(Struct):
 class Report(_Common):
     """report.json of `locfuse compare`, run.json of `locfuse run`."""
 
+    headline: str | None = None  # the answer in one or two sentences
+    findings: list[ReportedFinding] | None = None  # null: the log was not evaluated
+    fixes: list[str] | None = None  # all fixes together, "table.key=value" each
+    validity: list[Validity] = []  # why figures are void
     verdicts: dict[str, Verdict] = {}  # sensor -> verdict; only of a comparison
     credit: dict[str, Any] | None = None  # factors and intervals behind the verdicts
     prediction: dict[str, Any] | None = None  # how well each configuration predicts sensors it leaves out
     consistency: dict[str, SensorConsistency] = {}  # sensor -> verdict on its noise
+    changed_settings: dict[str, dict[str, Any]] = {}  # "table.key" -> value, unit, and who set it
+    repeat: str | None = None  # the command that makes this report again
     key: str | None = None  # equal for equal input, settings, configurations and version

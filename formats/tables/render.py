@@ -30,7 +30,14 @@ LATEX = {
     "^": r"\textasciicircum{}",
     "°": r"\textdegree{}",
 }
-SIGNS = {"helps": "▲", "does nothing": "■", "hurts": "▼"}  # of a sensor's verdict
+SIGNS = {
+    "helps": "▲",
+    "seems to help": "△",
+    "no effect seen": "■",
+    "seems to hurt": "▽",
+    "hurts": "▼",
+    "does nothing": "■",  # up to 0.1
+}  # of a sensor's verdict
 
 
 class Swatches(NamedTuple):

@@ -33,6 +33,7 @@ COLUMNS = (
 )
 ASIDE = ("position_median_m", "along_rmse_m", "cross_rmse_m", "drift_1m", "drift_10m")  # in the full table only
 MAIN = tuple(c for c in COLUMNS if c.key not in ASIDE)
+LOST = Column("lost_share", "lost", form="{:.0%}")
 DISTANCE = Column("distance_m", "distance", "m", "{:.2f}")
 DURATION = Column("duration_s", "duration", "s", "{:.1f}")
 TO_SMOOTHED = Column("to_smoothed_m", "rms to smoothed", "m", "{:.3f}")
@@ -68,8 +69,8 @@ SCORES = (
 HONESTY = (
     CONFIGURATION,
     Column("anees", "ANEES", form="{:.2f}"),
-    Column("bounds", "honest range", form="{:.2f}"),
-    Column("words", "so it is", kind="long"),
+    Column("bounds", "consistent range", form="{:.2f}"),
+    Column("words", "result", kind="long"),
 )
 CREDIT = (
     SENSOR,
@@ -102,6 +103,7 @@ def configurations(report: Report, main: bool = True) -> Table:
     """Return the error figures of every configuration that exist, the main ones or all; else how far it went."""
     rows = report["configurations"].values()
     found = [c for c in (MAIN if main else COLUMNS) if any(v.get(c.key) is not None for v in rows)]
+    found += [LOST] if any(v.get(LOST.key) for v in rows) else []
     label = "Main figures of every configuration" if main else "All figures of every configuration"
     return of_values((CONFIGURATION, *(found or (DISTANCE, DURATION))), _configurations(report), label)
 
@@ -166,7 +168,7 @@ def against_smoothed(report: Report) -> Table:
 
 def consistency(report: Report) -> Table:
     """Return whether every configuration's covariance is as large as its error."""
-    return of_values(HONESTY, _configurations(report, "consistency"), "Honesty of every configuration")
+    return of_values(HONESTY, _configurations(report, "consistency"), "Consistency of every configuration")
 
 
 def credit(report: Report) -> Table:

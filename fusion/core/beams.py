@@ -31,12 +31,13 @@ def gather(ranges, cos, sin, x0, y0, scan, column, beams, begin, low, high, d, u
 def gap(dx, dy, d, before, growth, max_gap):
     """Return the squared distance of two neighbouring end points in units of what one wall allows.
 
-    That is `max_gap` [m], or `growth` times the larger range: beam spacings grow with the range and, on a wall
+    That is `max_gap` [m] > 0, or `growth` times the larger range: beam spacings grow with the range and, on a wall
     seen flat, with the angle of incidence.
     """
-    limit = growth * max(d, before)
-    limit = max(limit, max_gap)
-    return (dx * dx + dy * dy) / max(limit * limit, 1e-300)
+    limit = growth * (d if d > before else before)
+    if limit < max_gap:
+        limit = max_gap
+    return (dx * dx + dy * dy) / (limit * limit)
 
 
 def ring_start(d, x, y, k, growth, max_gap):

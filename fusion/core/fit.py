@@ -27,7 +27,7 @@ def residuals(d, ux, uy, ox, oy, row, n, r, psi, ratio, e, q, w):
 
     Times n.u, the range residual d - p is the distance e = (d - p) n.u, and its derivative by (r, psi) is (-1, q),
     q the foot of the *predicted* point: taking the measured one instead is the bias of perpendicular fits.
-    w = s_d^2 / var(e), with ratio = s_phi / s_d [1/m].
+    w = s_d^2 / var(e), with ratio = s_phi / s_d > 0 [1/m].
     """
     nx, ny = cos(psi), sin(psi)
     for k in range(n):
@@ -35,9 +35,10 @@ def residuals(d, ux, uy, ox, oy, row, n, r, psi, ratio, e, q, w):
         along, across = nx * ux[i] + ny * uy[i], nx * uy[i] - ny * ux[i]
         reach = r - (nx * ox[i] + ny * oy[i])
         e[k] = d[i] * along - reach
-        foot = reach / along * across if along != 0.0 else HUGE  # also what 1 rad moves the end off the wall
+        square = along * along
+        foot = reach / along * across if square > 0.0 else HUGE  # also what 1 rad moves the end off the wall
         turn = foot * ratio
-        w[k] = 1.0 / max(turn * turn + along * along, 1e-300)
+        w[k] = 1.0 / (turn * turn + square)
         q[k] = foot + (nx * oy[i] - ny * ox[i])
 
 
@@ -129,7 +130,7 @@ def foot_of(ux, uy, ox, oy, i, r, psi):
     nx, ny = cos(psi), sin(psi)
     along, across = nx * ux[i] + ny * uy[i], nx * uy[i] - ny * ux[i]
     reach = r - (nx * ox[i] + ny * oy[i])
-    return (reach / along * across if along != 0.0 else HUGE) + (nx * oy[i] - ny * ox[i])
+    return (reach / along * across if along * along > 0.0 else HUGE) + (nx * oy[i] - ny * ox[i])
 
 
 def stiffness(sums):

@@ -13,7 +13,14 @@ from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
 
-SOURCES = ("beams", "pieces", "walls", "fit", "lines")  # compiled as one unit: a file uses those before it
+SOURCES = (
+    "beams",
+    "pieces",
+    "walls",
+    "fit",
+    "lines",
+    "pairs",
+)  # compiled as one unit: a file uses those before it
 COMPILED = "compiled"  # the extension's name, beside the sources
 VARIABLE = "LOCFUSE_CORE"
 OUTDATED = "locfuse's compiled core is older than its source, which is interpreted now: install again"

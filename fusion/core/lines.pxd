@@ -1,6 +1,6 @@
 cimport cython
 
-cdef double MAX_TURN
+cdef double MAX_TURN, MIN_RATIO
 
 @cython.locals(
     d=double[::1], ux=double[::1], uy=double[::1], ox=double[::1], oy=double[::1], x=double[::1], y=double[::1],

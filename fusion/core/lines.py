@@ -28,6 +28,7 @@ from .pieces import merge, moments, split, tolerances
 from .walls import close_ring, corner_limits, link_parts, long_enough, perpendicular_fit
 
 MAX_TURN = 1e3  # rad: beyond it the steps went astray
+MIN_RATIO = 1e-100  # 1/m, of sigma_angle over sigma_range
 
 
 def extract(
@@ -45,7 +46,7 @@ def extract(
     (lines, 2, 2, slips): what r and psi owe to a turn and a move of 1 in each piece.
     """
     sigma_range, sigma_angle, min_points, min_length = settings[0], settings[1], settings[2], settings[3]
-    max_gap, bridge, split_sigmas, split_floor = settings[4], settings[6], settings[7], settings[8]
+    max_gap, bridge, split_sigmas, split_floor = max(settings[4], 1e-100), settings[6], settings[7], settings[8]
     flatness, merge_chi2, grazing, corner_sigmas = settings[9], settings[10], tan(settings[11]), settings[13]
     d, ux, uy, ox, oy = floats(beams), floats(beams), floats(beams), floats(beams), floats(beams)
     x, y, tolerance = floats(beams), floats(beams), floats(beams)
@@ -124,7 +125,7 @@ def fit(d, ux, uy, ox, oy, row, n, begin, end, e, q, w, sums, r, psi, settings, 
     Two Gauss-Newton steps. What lies outside the feet [begin, end] [m] leaves before the first, strays before the
     second.
     """
-    ratio, least = settings[1] / settings[0], max(settings[2], 3.0)
+    ratio, least = max(settings[1] / settings[0], MIN_RATIO), max(settings[2], 3.0)
     stray = settings[12] * settings[12] * settings[0] * settings[0]
     residuals(d, ux, uy, ox, oy, row, n, r, psi, ratio, e, q, w)
     n = keep_clear(row, n, e, q, w, begin, end)

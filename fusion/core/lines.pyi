@@ -3,6 +3,7 @@ from collections.abc import Callable
 from .arrays import Floats, Wholes
 
 MAX_TURN: float
+MIN_RATIO: float
 
 def extract(
     floats: Callable[[int], Floats],

@@ -12,9 +12,11 @@ NONE = 1e300  # the cost of joining what must not be joined
 
 def tolerances(d, k, sigma_range, sigma_angle, sigmas, floor, tolerance):
     """Write how far a return at range d [m] may lie off a straight piece [m], whatever the piece's direction."""
+    least = max(floor, 1e-100)
     for i in range(k):
         across = sigma_angle * d[i]
-        tolerance[i] = max(sigmas * sqrt(across * across + sigma_range * sigma_range), floor, 1e-300)
+        noise = sigmas * sqrt(across * across + sigma_range * sigma_range)
+        tolerance[i] = noise if noise > least else least
 
 
 def farthest(x, y, tolerance, begin, end):
@@ -22,6 +24,8 @@ def farthest(x, y, tolerance, begin, end):
 
     -1 where every point lies within its tolerance [m]. The earliest of equals.
     """
+    if end - begin < 3:
+        return -1
     dx, dy = x[end - 1] - x[begin], y[end - 1] - y[begin]
     length = sqrt(dx * dx + dy * dy)
     if length == 0.0:  # one point, or a loop that closes exactly: any direction will do
@@ -64,6 +68,7 @@ def split(x, y, tolerance, runs, run_first, todo, first, linked):
 
 def moments(d, ux, uy, x, y, first, pieces, sigma_range, sigma_angle, flatness, m):
     """Write every piece's moments m (pieces, 6), its points weighted by 1/variance across the piece's chord."""
+    unevenness = max(flatness * flatness, 1e-100)
     for p in range(pieces):
         begin, end = first[p], first[p + 1]
         dx, dy = x[end - 1] - x[begin], y[end - 1] - y[begin]
@@ -75,7 +80,7 @@ def moments(d, ux, uy, x, y, first, pieces, sigma_range, sigma_angle, flatness, 
         for i in range(begin, end):
             along = (nx * ux[i] + ny * uy[i]) * sigma_range
             across = (nx * uy[i] - ny * ux[i]) * d[i] * sigma_angle
-            weight = 1.0 / max(along * along + across * across + flatness * flatness, 1e-300)
+            weight = 1.0 / (along * along + across * across + unevenness)
             wx, wy = weight * x[i], weight * y[i]
             w += weight
             sx += wx

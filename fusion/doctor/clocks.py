@@ -45,14 +45,28 @@ def of_clocks(drive: Drive, robot: Robot) -> list[Finding]:
 def _stream(name: str, lag: Lag, robot: Robot) -> Finding:
     settings = robot.truth if name == "truth" else robot.settings(name)
     offset = settings.time_offset + lag.offset
-    fix = f"{name}.time_offset={offset:.2f}"
-    return Finding(name, "lag", f"its motion {in_words(lag)}", (fix,), abs(lag.offset) > SEVERE_LAG_S)
+    fix = f"{name}.time_offset={offset + 0.0:.2f}"
+    return Finding(name, "lag", in_words(lag), (fix,), abs(lag.offset) > SEVERE_LAG_S)
 
 
 def _wheels(offset: float, names: list[str], robot: Robot) -> Finding:
     words = f"{' and '.join(names)} run {abs(offset):.2f} s {side(offset)} them alike: the wheels' clock is off"
     fix = f"wheels.time_offset={robot.wheels.time_offset - offset:.2f}"
     return Finding("wheels", "lag", words, (fix,), abs(offset) > SEVERE_LAG_S)
+
+
+def lags_by_truth(drive: Drive) -> dict[str, Lag]:
+    """Return how far each sensor's clock is from the truth's, by the truth's headings: these never slip."""
+    truth = drive.truth
+    if truth is None or truth.theta is None or len(truth.t) < MIN_READINGS:
+        return {}
+    span = (float(truth.t[0]), float(truth.t[-1]))
+    by_truth = Reference(partial(_between, truth.t, np.unwrap(truth.theta)), span, drive.wheels.heading)
+    turned = {
+        name: heading for name, m in drive.measurements.items() if (heading := _heading(name, m)) is not None
+    }
+    found = {name: find_lag(*heading, by_truth) for name, heading in turned.items()}
+    return {name: lag._replace(against="truth") for name, lag in found.items() if lag is not None}
 
 
 def off_by(lag: Lag) -> bool:
@@ -137,22 +151,12 @@ def _between(t: Array, heading: Array, at: Array) -> Array:
     return np.interp(at, t, heading)
 
 
-def lag_notes(wheels: Wheels, measurements: Mapping[str, Measurements]) -> list[str]:
-    """Say in words where a sensor's own turning runs behind or ahead of the wheels' by a constant time."""
-    return [
-        f"{name}: its turning {in_words(lag)}. If its clock is off, "
-        f"--set {name}.time_offset={lag.offset:.2f} cures it"
-        for name, lag in clock_lags(measurements, wheels).items()
-        if worth_saying(lag)
-    ]
-
-
 def in_words(lag: Lag) -> str:
-    """Return "runs 0.12 s (1 sigma: 0.005 s) behind the wheels' (correlation ...)"."""
+    """Return "stamps look 0.12 s late (1 sigma: 0.005 s) against the wheels (correlation ...)"."""
     sigma = f" (1 sigma: {lag.sigma:.3f} s)" if math.isfinite(lag.sigma) else ""
-    whose = "the wheels'" if lag.against == "wheels" else f"the {lag.against}'s, which agrees with the wheels'"
+    whose = "the wheels" if lag.against == "wheels" else f"the {lag.against}, which agrees with the wheels"
     return (
-        f"runs {abs(lag.offset):.2f} s{sigma} {side(lag.offset)} {whose} "
+        f"stamps look {abs(lag.offset):.2f} s {'late' if lag.offset < 0 else 'early'}{sigma} against {whose} "
         f"(correlation {lag.without:.3f} as stamped, {lag.correlation:.3f} shifted)"
     )
 

@@ -21,7 +21,6 @@ from .clocks import of_clocks
 from .compass import of_convention, tilted
 from .finding import Finding
 from .laser import laser_motion, of_laser
-from .pictures import of_handedness
 from .truth import metre, of_truth
 from .turning import Turning, aligned, of_track, of_turning, turnings
 
@@ -51,7 +50,10 @@ def examine(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[F
     found += [o for o in turning if o.role not in {t.role for t in tilts}]
     if wrong_wheels:
         return found  # nothing can be held against such wheels
-    found += of_handedness(drive, robot)
+    if "camera" in drive.measurements:
+        from .pictures import of_handedness  # here: a log without pictures needs no OpenCV
+
+        found += of_handedness(drive, robot)
     scales = _scales(drive, robot, by_sensor, turning)
     truth = of_truth(drive, robot, not any(o.code == "wheel scale" for o in scales))
     return [*found, *scales, *of_clocks(drive, robot), *truth]

@@ -111,9 +111,11 @@ def of_laser(motion: Motion | None, robot: Robot, metre: float = 1.0) -> list[Fi
     scale = motion.scale * metre
     if abs(scale - 1.0) < MIN_SCALE_ERROR + MIN_SIGMAS * motion.scale_sigma:
         return []
-    whose = "wheels'" if metre == 1.0 else "truth's"
-    words = f"its metre is {1.0 / scale:.3f} of the {whose} (1 sigma {motion.scale_sigma:.3f})"
-    words += ": scale it if the wheels are right, or wheels.radius if it is" if metre == 1.0 else ""
+    whose = "wheels" if metre == 1.0 else "truth"
+    words = (
+        f"its ranges are {1.0 / scale:.3f} times the distances of the {whose} (1 sigma {motion.scale_sigma:.3f})"
+    )
+    words += ": set range_scale if the wheels are right, wheels.radius if the laser is" if metre == 1.0 else ""
     fix = f"lrf.range_scale={settings.range_scale * scale:.4g}"
     return [Finding("lrf", "range scale", words, (fix,), abs(scale - 1.0) > SEVERE_SCALE_ERROR)]
 

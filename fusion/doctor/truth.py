@@ -102,7 +102,7 @@ def metre(drive: Drive, robot: Robot) -> tuple[float, list[Finding]]:
     factor, sigma = found
     if abs(factor - 1.0) < MIN_SCALE_ERROR + 3.0 * sigma:
         return 1.0, []
-    words = f"their metre is {1.0 / factor:.3f} of the truth's (1 sigma {sigma:.3f})"
+    words = f"they measure {1.0 / factor:.3f} times the distances of the truth (1 sigma {sigma:.3f})"
     radius = robot.wheels.radius * factor
     fixes = [f"wheels.radius={radius:.4g}"]
     if robot.wheels.track is not None:  # what turns right must go on turning right

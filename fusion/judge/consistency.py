@@ -131,8 +131,8 @@ class Court:
                 if s != sensor and o is not None and o.scale > MAX_REFERENCE_NIS_RATIO
             }
         )
-        why = f"{' and '.join(sick)} must be set right first" if sick else "too few measurements"
-        return NoiseVerdict("unclear", f"{sensor} cannot be judged: {why}")
+        why = f"the noise of {' and '.join(sick)} must be set first" if sick else "too few measurements"
+        return NoiseVerdict("unclear", f"noise cannot be judged: {why}")
 
     def witnesses(self, sensor: str) -> list[tuple[Run, Heard]]:
         """Return healthy runs without the sensor and without a blamed one, the surest first."""

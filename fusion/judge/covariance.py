@@ -50,7 +50,7 @@ def honesty(judged: Evaluation) -> Honesty | None:
 def _words(anees: float, bounds: tuple[float, float]) -> str:
     low, high = bounds
     if anees > high:
-        return f"over-confident: errors are about {math.sqrt(anees):.1f} times what the covariance says"
+        return f"overconfident: errors are about {math.sqrt(anees):.1f} times what the covariance says"
     if anees < low:
-        return f"too modest: errors are about {math.sqrt(anees):.1f} times what the covariance says"
-    return "honest"
+        return f"underconfident: errors are about {math.sqrt(anees):.1f} times what the covariance says"
+    return "consistent"

@@ -99,15 +99,16 @@ def _on_sigma(o: Own, floor: Sequence[float]) -> float:
 def by_scale(sensor: str, settings: Any, factor: float) -> NoiseVerdict:
     """Complain about a sigma that is off by more than MAX_SIGMA_FACTOR."""
     if MIN_SIGMA_FACTOR <= factor <= MAX_SIGMA_FACTOR:
-        return NoiseVerdict("consistent", f"{sensor} noise is about as told", factor)
+        return NoiseVerdict("consistent", f"{sensor} noise matches the configured noise", factor)
     keys = REGISTRY[sensor].noise_keys
     cures = {f"{sensor}.{k}": rounded(getattr(settings, k) * factor) for k in keys}
     verdict: Verdict = "understated" if factor > 1.0 else "overstated"
-    times = f"{rounded(max(factor, 1.0 / factor)):g} times {'larger' if factor > 1.0 else 'smaller'}"
-    first, *others = keys
-    words = f"{sensor} noise is {verdict}: {first} should be about {times} ({cures[f'{sensor}.{first}']:g})"
-    if others:
-        words += ", and so " + ", ".join(f"{k} ({cures[f'{sensor}.{k}']:g})" for k in others)
+    first = keys[0]
+    unit = _sign(REGISTRY[sensor].components[0].sign)
+    words = (
+        f"noise is set too {'low' if factor > 1.0 else 'high'}: {getattr(settings, first):g}{unit} configured, "
+        f"{cures[f'{sensor}.{first}']:g}{unit} observed"
+    )
     return NoiseVerdict(verdict, words, factor, cures)
 
 
@@ -128,21 +129,18 @@ def of_messages(sensor: str, found: NoiseVerdict) -> NoiseVerdict:
 def biased(sensor: str, settings: Any, bias: float) -> NoiseVerdict:
     """Complain about a mean that is off; `bias` is measured minus predicted [rad or m]."""
     amount, unit = _human(bias, sensor)
-    words = f"{sensor} disagrees with what the other sensors say by {amount:+.2g} {unit} on average"
+    words = f"differs from the other sensors by {amount:+.2g} {unit} on average"
     fix = REGISTRY[sensor].bias
     if fix is None:
         return NoiseVerdict("biased", words)
     value = (getattr(settings, fix.key) or 0.0) + fix.sign * amount
     value = _turned(value) if unit == "deg" else rounded(value)
-    words += f": set {sensor}.{fix.key}={value:g}"
-    if getattr(settings, fix.key) is not None and fix.estimated:
-        words += f", or leave {fix.key} out and let it be estimated"
     return NoiseVerdict("biased", words, None, {f"{sensor}.{fix.key}": value})
 
 
 def contradicting(sensor: str, others: Sequence[str]) -> NoiseVerdict:
     """Complain about sensors of which nobody can say which is wrong."""
-    words = f"{sensor} and {' and '.join(others)} contradict each other; nothing else here can say which is wrong"
+    words = f"{sensor} and {' and '.join(others)} contradict each other; no other sensor can tell which is wrong"
     return NoiseVerdict("contradicts", words)
 
 
@@ -153,16 +151,12 @@ def correlated(sensor: str, settings: Any, sigma: float, repeats: float, period:
     key = REGISTRY[sensor].noise_keys[0]
     value = rounded(amount * math.sqrt(repeats))
     cures = {f"{sensor}.{key}": value}
-    parts = [f"{key} about {value:g}", f"fewer readings (--sensors {sensor}@{rounded(1.0 / memory):g}Hz)"]
     drift, offset = REGISTRY[sensor].drift_key, REGISTRY[sensor].bias
     if drift is not None and offset is not None:
-        cures[f"{sensor}.{drift}"] = q = rounded(amount * math.sqrt(4.0 / memory))
-        given = getattr(settings, offset.key) is not None
-        parts.insert(0, f"{'an estimated offset with ' if given else ''}{drift} about {q:g}")
-    errors = f"{rounded(amount):g} {unit} that last {rounded(memory):g} s"
+        cures[f"{sensor}.{drift}"] = rounded(amount * math.sqrt(4.0 / memory))
     words = (
-        f"{sensor} errors are correlated in time: {errors}, while the filter takes every reading for news. "
-        f"Cures: {', or '.join(parts)}"
+        f"errors of {rounded(amount):g}{_sign(unit.replace('deg', '°'))} last about {rounded(memory):g} s, but "
+        "the filter assumes independent readings"
     )
     return NoiseVerdict("correlated", words, math.sqrt(repeats), cures)
 
@@ -170,10 +164,8 @@ def correlated(sensor: str, settings: Any, sigma: float, repeats: float, period:
 def wanders(sensor: str, o: Own) -> NoiseVerdict:
     """Complain about innovations that repeat without being small: what is predicted wanders off."""
     words = (
-        f"{sensor} innovations repeat from reading to reading ({o.whiteness[0]:.0%}, NIS {o.nis:.1f}): the "
-        "motion is less certain than wheels.noise says, or its errors are systematic (wheels.track, "
-        f"{sensor}.time_offset, its mount, a metre that differs): see the notes, locfuse calibrate, then "
-        "locfuse tune"
+        f"successive residuals are similar ({o.whiteness[0]:.0%}). Usual causes, in this order: wheels.track, "
+        f"{sensor}.time_offset, the mount, the range scale, wheels.noise"
     )
     return NoiseVerdict("correlated", words)
 
@@ -184,11 +176,16 @@ def by_share(sensor: str, share: float, lines: bool, rest: NoiseVerdict) -> Nois
         return rest
     if lines:
         words = (
-            f"{share:.0%} of its lines do not fit the map: people, or a wrong time_offset, mount or range scale"
+            f"{share:.0%} of the lines do not fit the map: people, or a wrong time_offset, mount or range scale"
         )
     else:
-        words = f"{share:.0%} of what it says is refused as outliers or disturbances; the rest is as told"
-    return NoiseVerdict("outliers", f"{sensor}: {words}")
+        words = f"{share:.0%} of the readings are rejected as outliers; the others match the configured noise"
+    return NoiseVerdict("outliers", words)
+
+
+def _sign(unit: str) -> str:
+    """Return a unit as it follows a number: "°", " m"."""
+    return unit if unit.startswith("°") else f" {unit}"
 
 
 def _human(value: float, sensor: str) -> tuple[float, str]:

@@ -1,18 +1,17 @@
-"""The verdict on a sensor: helps, does nothing, hurts. What one drive cannot tell from chance is nothing."""
+"""The verdict on a sensor in grades: helps, seems to help, no effect seen, seems to hurt, hurts, or no verdict."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Literal
 
-Verdict = Literal["helps", "does nothing", "hurts", "cannot tell"]
+Verdict = Literal["helps", "seems to help", "no effect seen", "seems to hurt", "hurts", "no verdict"]
 
-MIN_EFFECT = 0.02  # an effect below 2 % is none, however sure
-MIN_EXPECTED_EFFECT = 0.15  # what filter and truth must both say where one drive cannot settle it
+MIN_EFFECT = 0.02  # an effect below 2 % is none, however certain
+MIN_EXPECTED_EFFECT = 0.15  # an effect whose interval includes none is only seen from 15 % on
 MIN_HARM_LAST = 0.10  # a set that is surely 10 % better without the sensor is hurt by it
-LN_2 = math.log(2.0)
-MAX_ANEES, MAX_ANEES_RATIO = 10.0, 5.0  # confidently wrong: ANEES above this, and this many times the one before
+MAX_ANEES, MAX_ANEES_RATIO = 10.0, 5.0  # overconfident: ANEES above this, and this many times the one before
+MAX_CONSISTENT_ANEES = 3.0  # a run with more is inconsistent, and its covariance is no evidence
 
 
 @dataclass(frozen=True)
@@ -28,25 +27,30 @@ class Effect:
 def verdict(
     shapley: Effect | None, alone: Effect | None, last: Effect | None, anees: tuple[float, float] | None
 ) -> Verdict:
-    """Return one of three words, a fourth where nothing was compared. What chance may have made is nothing.
+    """Return the grade of a sensor; "no verdict" where nothing was compared.
 
-    Hurts: the error surely grows, or the set is surely better off without the sensor, or the sensor turns an
-    honest estimate into a confidently wrong one and does not surely halve the error. Helps: the error surely
-    shrinks, or it shrinks and the filter's own covariances say that it should.
+    Helps or hurts: the interval of the effect excludes none (or the set is surely better off without the sensor).
+    Seems to: the effect is large and its interval includes none. The filter's own covariance has a veto where it
+    is consistent (ANEES): a sensor from which it takes nothing changed the error by chance. Being overconfident is
+    no reason to be called harmful: `overconfident` says it beside the grade.
     """
     main = shapley or alone or last
     if main is None:
-        return "cannot tell"
+        return "no verdict"
     if _surely(main, -1.0) or (last is not None and last.high < -MIN_HARM_LAST):
         return "hurts"
-    overconfident = anees is not None and anees[1] > max(MAX_ANEES, MAX_ANEES_RATIO * anees[0])
-    if _surely(main, 1.0) and (not overconfident or main.low > LN_2):
+    if _surely(main, 1.0):
         return "helps"
-    if overconfident:
-        return "hurts"
-    if main.value > MIN_EXPECTED_EFFECT and main.expected is not None and main.expected > MIN_EXPECTED_EFFECT:
-        return "helps"
-    return "does nothing"
+    consistent = anees is None or anees[1] <= MAX_CONSISTENT_ANEES
+    vetoed = consistent and main.expected is not None and abs(main.expected) < MIN_EXPECTED_EFFECT
+    if abs(main.value) <= MIN_EXPECTED_EFFECT or vetoed:
+        return "no effect seen"
+    return "seems to help" if main.value > 0.0 else "seems to hurt"
+
+
+def overconfident(anees: tuple[float, float] | None) -> bool:
+    """Return whether adding a sensor, ANEES (without, with), makes the filter claim far more than it knows."""
+    return anees is not None and anees[1] > max(MAX_ANEES, MAX_ANEES_RATIO * anees[0])
 
 
 def _surely(effect: Effect, sign: float) -> bool:

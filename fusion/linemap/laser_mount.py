@@ -16,12 +16,10 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.data import Array
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.lines.extract import to_base
 from locfuse.fusion.mount import Mount
-
-from .line_map import Prediction
 
 
 class Seat(NamedTuple):
@@ -48,21 +46,3 @@ def seated(z: Array, R: Array, ends: Array, mount: Mount, belief: JointBelief) -
     moved = se2.compose(np.array(now), se2.inverse(np.array(mount.told)))
     lines = to_base(z, R, ends, *moved.tolist())
     return *lines, Seat(now[0], now[1], mount.columns(belief), mount.free)
-
-
-def mount_spread(seat: Seat, psi: Array, lines: Prediction, columns: Ints, belief: JointBelief) -> Array:
-    """Return what the mount adds to the innovations' covariance of k lines, measured at psi (k,) and predicted.
-
-    (k, 2, 2). The lines' states lie at `columns` (k,), which are -1 where the map is none of the filter's.
-    """
-    P, at = belief.covariance, np.array(seat.columns)
-    H = seat.derivative(psi)
-    x, y, theta = P[:3, at]
-    c, s, u = lines.cos[:, None], lines.sin[:, None], lines.u[:, None]
-    shared = np.stack((-c * x - s * y, np.broadcast_to(-theta, (len(c), len(at)))), axis=1)  # H_pose P, (k, 2, f)
-    if len(columns) and columns[0] >= 0:
-        rho, beta = P[columns[:, None], at], P[columns[:, None] + 1, at]
-        shared += np.stack((rho + u * beta, beta), axis=1)
-    cross = shared @ H.transpose(0, 2, 1)
-    out: Array = H @ P[np.ix_(at, at)] @ H.transpose(0, 2, 1) + cross + cross.transpose(0, 2, 1)
-    return out

@@ -9,18 +9,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from math import cos, sin
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 
 from locfuse.fusion import se2
+from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Ints, MapLine
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.belief_pose import Pose, PoseBelief
 
+from .laser_mount import Seat
+
 AnyBelief = PoseBelief | JointBelief
+WALL = 13  # columns of a line for core.pairs, before those of the mount
 
 
 class Prediction(NamedTuple):
@@ -32,19 +34,6 @@ class Prediction(NamedTuple):
     sin: Array  # (k,) of beta
     u: Array  # (k,) dr/dbeta
     spread: Array  # (k, 2, 2) H P H', and the map's covariance where the map is not a state
-
-
-class PlainLine(msgspec.Struct, frozen=True, gc=False):
-    """One line in plain floats."""
-
-    rho: float
-    beta: float
-    cos: float
-    sin: float
-    x: float  # m, anchor
-    y: float
-    P: tuple[float, float, float]  # covariance of (rho, beta): 00, 01, 11
-    column: int  # -1: frozen
 
 
 @dataclass
@@ -62,7 +51,7 @@ class LineMap:
     seen: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # number of the scan that last matched
     born: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     next_id: int = 0
-    _frozen: list[PlainLine] | None = None  # lines that are no states, kept until the map's size changes
+    _frozen: Any = None  # rows for core.pairs of lines that are no states, kept until the map's size changes
 
     def __len__(self) -> int:
         """Return the number of lines."""
@@ -82,25 +71,33 @@ class LineMap:
         P: Array = belief.covariance[at[:, :, None], at[:, None, :]]
         return P
 
-    def plain(self, belief: AnyBelief) -> list[PlainLine]:
-        """Return every line in plain floats."""
-        if self._frozen is None and len(self) and self.column[0] < 0:
-            self._frozen = [
-                PlainLine(rho, beta, cos(beta), sin(beta), x, y, (m00, m01, m11), -1)
-                for (rho, beta), ((m00, m01), (_, m11)), (x, y) in zip(
-                    self.value.tolist(), self.P.tolist(), self.anchor.tolist(), strict=True
-                )
-            ]
-        if self._frozen is not None or not isinstance(belief, JointBelief):
-            return self._frozen or []
-        x, P = belief.state.tolist(), belief.covariance
-        own, beside = P.diagonal().tolist(), P.diagonal(1).tolist()
-        columns = self.column.tolist()
-        betas = [x[c + 1] for c in columns]
-        return [
-            PlainLine(x[c], beta, cos(beta), sin(beta), ax, ay, (own[c], beside[c], own[c + 1]), c)
-            for c, beta, (ax, ay) in zip(columns, betas, self.anchor.tolist(), strict=True)
-        ]
+    def columns(self) -> list[int]:
+        """Return every line's first column in the state, -1: frozen."""
+        columns: list[int] = self.column.tolist()
+        return columns
+
+    def walls(self, belief: AnyBelief, seat: Seat | None, room: Room) -> tuple[Any, int, bool]:
+        """Return the lines as `core.pairs` wants them, how many columns each has, and whether they are states."""
+        free = () if seat is None else seat.columns
+        width, states = WALL + 2 * len(free), len(self) > 0 and bool(self.column[0] >= 0)
+        if isinstance(belief, JointBelief) and states:
+            return room.given(self._walls(belief, np.array(free, np.int64))), width, True
+        if self._frozen is None or self._frozen[:2] != (room, width):
+            rows = np.zeros((len(self), width))
+            rows[:, :2], rows[:, 2:4], rows[:, 4:7] = self.value, self.anchor, self.P.reshape(-1, 4)[:, (0, 1, 3)]
+            self._frozen = room, width, room.given(rows)
+        return self._frozen[2], width, False
+
+    def _walls(self, belief: JointBelief, free: Ints) -> Array:
+        x, P, rho, beta = belief.state, belief.covariance, self.column, self.column + 1
+        rows = np.empty((len(self), WALL + 2 * len(free)))
+        rows[:, 0], rows[:, 1], rows[:, 2:4] = x[rho], x[beta], self.anchor
+        rows[:, 4], rows[:, 5], rows[:, 6] = P[rho, rho], P[rho, beta], P[beta, beta]
+        rows[:, 7:13:2], rows[:, 8:13:2] = P[:3, rho].T, P[:3, beta].T
+        if len(free):
+            rows[:, WALL : WALL + len(free)] = P[rho[:, None], free]
+            rows[:, WALL + len(free) :] = P[beta[:, None], free]
+        return rows
 
     def append(
         self, anchor: Array, value: Array, P: Array, column: int, ends: tuple[float, float], scan: int

@@ -11,15 +11,13 @@ The work per beam is done by `core.lines`; here stands what it is given and what
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import astuple, dataclass, fields
-from types import ModuleType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from locfuse.fusion.core import lines as interpreted
-from locfuse.fusion.core.form import form
+from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.se2 import wrap_all
 
@@ -83,32 +81,6 @@ class Scans(NamedTuple):
         return np.cos(angles), np.sin(angles), np.zeros(angles.shape), np.zeros(angles.shape)
 
 
-class Room(NamedTuple):
-    """Arrays as a form of the core wants them: NumPy's where compiled, lists where interpreted: faster there."""
-
-    functions: Any  # of core.lines
-    floats: Callable[[int], Any]
-    wholes: Callable[[int], Any]
-    given: Callable[[Array], Any]  # a matrix, row by row
-    given_wholes: Callable[[Array], Any]
-
-    @classmethod
-    def of(cls, unit: ModuleType | None) -> Room:
-        """Return the room for the compiled unit, or for the source (None)."""
-        if unit is None:
-            return cls(interpreted, lambda n: [0.0] * n, lambda n: [0] * n, _listed, _listed)
-        return cls(unit, np.empty, lambda n: np.empty(n, np.intp), _flat, lambda a: _flat(a, np.intp))
-
-
-def _listed(values: Array) -> list[float]:
-    numbers: list[float] = values.ravel().tolist()
-    return numbers
-
-
-def _flat(values: Array, kind: type = np.float64) -> Array:
-    return np.ascontiguousarray(values, kind).ravel()
-
-
 def extract_lines(
     ranges: Array,
     angles: Array,
@@ -127,7 +99,7 @@ def extract_lines(
     """
     scans = Scans(ranges, angles, offsets, range_min, range_max)
     batch = min(_BATCH, max(_BEAMS // max(ranges.shape[1], 1), 1))
-    room = Room.of(form().functions)
+    room = Room.here(interpreted)
     parts = [
         lines_of(scans.take(slice(i, i + batch)), settings, motion, room)
         for i in range(0, max(len(ranges), 1), batch)

@@ -15,7 +15,7 @@ from hostile import crashed_recording, sample
 
 from locfuse.formats.container import rosbag2_sqlite, sqlite_journal
 from locfuse.formats.container.rosbag2_sqlite import Leash
-from locfuse.formats.container.sqlite_journal import HEADER, unused_tail
+from locfuse.formats.container.sqlite_journal import HEADER, journal_of
 from locfuse.formats.log.log import open_log
 from locfuse.fusion.data import LocfuseError
 
@@ -90,10 +90,26 @@ def test_no_damage_of_a_journal_loses_messages_in_silence(recording: Path) -> No
         else:
             data[at : at + 64] = rng.randbytes(len(data[at : at + 64]))
         wal.write_bytes(data)
-        n, losses = count(recording)
+        try:
+            n, losses = count(recording)
+        finally:
+            assert wal.read_bytes() == data
         if at % FRAME == HEADER.size and trial % 3 == 0:
             continue  # cut between two frames: nobody can see what is missing
         assert n == 600 or losses, (trial, at)
+
+
+@pytest.mark.parametrize("at", [0, 5, 18, 25, HEADER.size + 9, HEADER.size + 100])
+def test_a_journal_that_sqlite_takes_for_empty_stays_as_it_is(recording: Path, at: int) -> None:
+    """sqlite, closing a database, deletes a journal without one good frame, even where it may only read."""
+    wal = Path(f"{recording}-wal")
+    data = bytearray(wal.read_bytes())
+    data[at] ^= 1
+    wal.write_bytes(data)
+    assert not journal_of(wal).used
+    assert locfuse("info", recording).exit_code in {1, 3}
+    assert wal.read_bytes() == data
+    assert sorted(p.name for p in recording.parent.iterdir()) == ["bag.db3", "bag.db3-wal"]
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
@@ -103,12 +119,12 @@ def test_the_end_that_is_used_is_the_one_that_sqlite_uses(recording: Path, share
     data = bytearray(wal.read_bytes())
     data[HEADER.size + int(share * len(data) / FRAME) * FRAME + 100] ^= 4
     wal.write_bytes(data)
-    tail = unused_tail(wal)
+    tail = journal_of(wal).tail
     assert tail is not None
     cut = recording.with_name("cut.db3")
     cut.write_bytes(recording.read_bytes())
     Path(f"{cut}-wal").write_bytes(data[: tail.offset])
-    assert unused_tail(Path(f"{cut}-wal")) is None
+    assert journal_of(Path(f"{cut}-wal")).tail is None
     assert 0 < messages_by_sqlite(recording) == messages_by_sqlite(cut) < 600
 
 
@@ -134,7 +150,7 @@ def test_frames_of_an_older_journal_are_no_loss(tmp_path: Path) -> None:
         writer.commit()
         for ending in ("", "-wal"):
             (tmp_path / f"b.db3{ending}").write_bytes(Path(f"{live}{ending}").read_bytes())
-    assert unused_tail(tmp_path / "b.db3-wal") is None
+    assert journal_of(tmp_path / "b.db3-wal").tail is None
     assert count(tmp_path / "b.db3") == (51, [])
 
 

@@ -21,8 +21,10 @@ from hypothesis import strategies as st
 from rooms import ARENA, poses, scan
 
 from locfuse.fusion.core import form as forms
+from locfuse.fusion.core import lines as interpreted
+from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array
-from locfuse.fusion.lines.extract import Lines, LineSettings, Room, Scans, lines_of
+from locfuse.fusion.lines.extract import Lines, LineSettings, Scans, lines_of
 from locfuse.fusion.lines.sweep import motion_of
 
 CORE = Path(__file__).parents[2] / "fusion" / "core"
@@ -37,9 +39,9 @@ NUMBERS = st.one_of(
 def agree(scans: Scans, how: LineSettings | None = None, moving: bool = False) -> Lines:
     """Return the lines, after both forms gave the same bytes."""
     asked = how or LineSettings(), MOUNT if moving else None
-    found = lines_of(scans, *asked, Room.of(None))
+    found = lines_of(scans, *asked, Room.of(interpreted, None))
     if UNIT is not None:
-        other = lines_of(scans, *asked, Room.of(UNIT))
+        other = lines_of(scans, *asked, Room.of(interpreted, UNIT))
         for f in fields(Lines):
             a, b = getattr(found, f.name), getattr(other, f.name)
             assert (a.dtype, a.shape, a.tobytes()) == (b.dtype, b.shape, b.tobytes()), f.name
@@ -175,9 +177,12 @@ def test_functions_types_and_stubs_name_the_same_arguments(name: str) -> None:
 
 
 def test_a_file_of_the_core_uses_those_before_it_only() -> None:
+    names: list[str] = []
     for i, name in enumerate(forms.SOURCES):
         tree = ast.parse((CORE / f"{name}.py").read_text(encoding="utf-8"))
         used = {n.module for n in tree.body if isinstance(n, ast.ImportFrom)}
         assert used <= {"math", *forms.SOURCES[:i]}
-    written = {path.stem for path in CORE.glob("*.py")} - {"__init__", "form"}
+        names += [n.name for n in tree.body if isinstance(n, ast.FunctionDef)]
+    assert len(names) == len(set(names)), "the files become one: a name may stand once"
+    written = {path.stem for path in CORE.glob("*.py")} - {"__init__", "form", "room"}
     assert written == set(forms.SOURCES)

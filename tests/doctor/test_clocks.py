@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from locfuse.fusion.data import Measurements
-from locfuse.fusion.doctor.clocks import clock_lags, lag_notes
+from locfuse.fusion.doctor.clocks import clock_lags, in_words
 from locfuse.fusion.doctor.lag import Lag, worth_saying
 from locfuse.fusion.wheels.motion import Wheels
 
@@ -68,10 +68,10 @@ def test_a_sensor_that_knows_less_than_the_wheels_is_not_asked() -> None:
 def test_the_note_says_who_told() -> None:
     wheels, true = turned(0)
     seen = {"compass": headings(true, 0, 20.0, 0.5), "gyro": headings(true, 1, 10.0, 0.05, late=0.12)}
-    (note,) = lag_notes(wheels, seen)
-    assert "s (1 sigma: 0.00" in note
-    assert "s) behind the compass's, which agrees with the wheels' (correlation" in note
-    assert "--set gyro.time_offset=-0.1" in note
+    words = in_words(clock_lags(seen, wheels)["gyro"])
+    assert words.startswith("stamps look 0.1")
+    assert "s late (1 sigma: 0.00" in words
+    assert "s) against the compass, which agrees with the wheels (correlation" in words
 
 
 @pytest.mark.parametrize("late", [0.0, 0.02])

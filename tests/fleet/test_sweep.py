@@ -1,4 +1,4 @@
-"""A sweep: the log is measured once, and a cell is what --set would have given, bit for bit."""
+"""A sweep: the log is measured once, and a cell is what --set --no-advice would have given, bit for bit."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_a_cell_is_what_set_gives_and_only_what_changed_is_measured_again(
     log: Path, key: str, value: float, again: set[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     session = locfuse.load(log)
-    direct = locfuse.load(log, sets={key: value}).compare()
+    direct = locfuse.load(log, sets={key: value}).compare(advice=False)
     measured: set[str] = set()
     for name, sensor in REGISTRY.items():
         real = sensor.measure
@@ -58,7 +58,7 @@ def test_a_cell_is_what_set_gives_and_only_what_changed_is_measured_again(
             return _real(*args, **kwargs)  # type: ignore[operator]
 
         monkeypatch.setattr(sensor, "measure", counted)
-    found = session.with_settings({key: value}).compare()
+    found = session.with_settings({key: value}).compare(advice=False)
     assert measured == again
     assert found.report == direct.report
     assert found.report["key"] is not None
@@ -71,7 +71,7 @@ def test_the_command_writes_a_folder_for_each_cell(log: Path, tmp_path: Path) ->
     assert done.exit_code == 0, done.stderr
     folder = out / "drive" / "lrf.sigma_range=0.05,compass.sigma_deg=2"
     sets = ("--set", "lrf.sigma_range=0.05", "--set", "compass.sigma_deg=2")
-    assert command("compare", log, *sets, "-o", tmp_path / "one", "--write", "json").exit_code == 0
+    assert command("compare", log, *sets, "--no-advice", "-o", tmp_path / "one", "--write", "json").exit_code == 0
     assert (folder / "report.json").read_bytes() == (tmp_path / "one" / "report.json").read_bytes()
     header, *lines = (out / "summary.csv").read_text().splitlines()
     assert "lrf.sigma_range,compass.sigma_deg" in header

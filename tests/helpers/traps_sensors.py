@@ -157,7 +157,7 @@ COMPASS_TRAPS = (
     Trap("an IMU without orientation", imu_without_yaw, None, False, "compass"),
     Trap("a gyro upside-down", upside_down_gyro, "turns -0.9", True, "gyro", True),
     Trap("a gyro in degrees", gyro_in_degrees, "times as far as the wheels", True, "gyro", True),
-    Trap("a compass late by 0.3 s", late_compass, "its motion runs 0.3", True, "compass"),
+    Trap("a compass late by 0.3 s", late_compass, "stamps look 0.3", True, "compass"),
 )
 
 
@@ -299,9 +299,9 @@ LASER_TRAPS = (
     Trap("yawed, said by /tf_static", only_tf_knows_the_yaw, "yaw 90° by /tf_static", False, "lrf"),
     Trap("two publishers of /tf_static", two_publishers, "contradict; the last one counts", False, "lrf"),
     Trap("a wrong publisher of /tf_static", wrong_publisher, "than its yaw of 90.0 deg", True, "lrf", blur=0.02),
-    Trap("a laser late by 0.4 s", late_laser, "its motion runs 0.4", True, "lrf"),
+    Trap("a laser late by 0.4 s", late_laser, "stamps look 0.4", True, "lrf"),
     Trap("a laser on another clock", other_clock, "stamped 3600.0 s after the wheels", True, "lrf"),
-    Trap("a laser whose metre is short", short_metre, "its metre is 0.9", True, "lrf"),
+    Trap("a laser whose ranges are short", short_metre, "its ranges are 0.9", True, "lrf"),
     Trap("two lasers", two_lasers, "2 topics that fit", True, "lrf", True),
 )
 
@@ -364,7 +364,7 @@ def blind_spots(drive: Drive) -> None:
 TRUTH_TRAPS = (
     Trap("a tracked marker off the axle", marker, "it swings as the body point", spoils=True),
     Trap("gaps in the truth", blind_spots, "silent twice, at most 2.1 s; errors there do not exist"),
-    Trap("a truth on a clock of its own", lambda d: late(d, TRUTH, 0.5), "its motion runs 0.5", spoils=True),
+    Trap("a truth on a clock of its own", lambda d: late(d, TRUTH, 0.5), "stamps look 0.5", spoils=True),
     Trap("jumps of metres in the truth", jumps, "by more than the wheels rolled", spoils=True),
     Trap("a start that nobody told", elsewhere, "m and 20 deg from where the drive starts", spoils=True),
     Trap("a start told by points only", points_only, "from where the drive starts", spoils=True),

@@ -209,7 +209,7 @@ WHEEL_TRAPS = (
     Trap("left and right swapped", swapped, "left and right are swapped", spoils=True),
     Trap("joints of other names", other_names, "which joints are the wheels'", spoils=True, refused=True),
     Trap("a wrong track", wrong_track, "the track is 0.54 m, but the turning of", spoils=True),
-    Trap("a wrong radius", wrong_radius, "their metre is", spoils=True),
+    Trap("a wrong radius", wrong_radius, "they measure", spoils=True),
     Trap("geometry that only /odom knows", no_geometry, "/odom was made with these", spoils=True, refused=True),
     Trap(
         "geometry that /robot_description knows", described, "/robot_description tells", spoils=True, refused=True

@@ -35,7 +35,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "truth sensors",
         "measure instants judge doctor",
         "fuse graph",
-        "smooth tune paper laser_odometry",
+        "smooth tune paper advice laser_odometry",
     ),
     "formats": (
         "caps visible nearest columns thin geometry no_pandas delayed_signals url",
@@ -56,6 +56,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
     "cli": (
         "choose",
         "pipeline",
+        "advice",
         "session",
         "jobs rerun inspect",
         "fleet",

@@ -22,6 +22,7 @@ from locfuse.fusion.judge.verdict import Effect, verdict
 
 Array = NDArray[np.float64]
 SENSORS = ("compass", "lrf")
+HELP = {"helps", "seems to help"}  # one short drive seldom proves it
 
 
 def ar1(rng: np.random.Generator, q: int, phi: float, sigma: float = 1.0) -> Array:
@@ -125,28 +126,31 @@ def test_many_independent_pairs_give_pitmans_and_morgans_interval() -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_a_sensor_whose_noise_carries_nothing_does_nothing(seed: int) -> None:
     found = credit_of(seed, noise_deg=180.0, sigma_deg=180.0)
-    assert found.sensors["compass"].verdict == "does nothing"
-    assert found.sensors["lrf"].verdict == "helps"
+    assert found.sensors["compass"].verdict == "no effect seen"
+    assert found.sensors["lrf"].verdict in HELP
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_compass_with_a_constant_bias_that_claims_to_be_good_hurts(seed: int) -> None:
     found = credit_of(seed, noise_deg=0.5, bias_deg=5.0, sigma_deg=1.0, offset_deg=0.0)
     assert found.sensors["compass"].verdict == "hurts"
-    assert found.sensors["lrf"].verdict == "helps"
+    assert found.sensors["lrf"].verdict in HELP
 
 
-def test_the_words_for_a_sensor_that_hurts_begin_with_why() -> None:
+def test_overconfidence_is_a_remark_of_its_own() -> None:
     found = credit_of(0, noise_deg=0.5, bias_deg=5.0, sigma_deg=1.0, offset_deg=0.0)
     compass = found.sensors["compass"]
     sure = replace(compass, verdict="hurts", anees=(1.1, 240.0))
     words = verdicts(replace(found, sensors={"compass": sure}), [], {})["compass"]["words"]
-    assert words.startswith("It makes the filter sure and wrong: ANEES 240 with it, 1.10 without")
+    assert words.startswith("Alone it makes odometry's position error")
+    assert words.endswith(
+        "Overconfident: errors are 15 times what the filter claims with it, 1.05 times without it."
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_good_sensors_help(seed: int) -> None:
-    assert {c.verdict for c in credit_of(seed).sensors.values()} == {"helps"}
+    assert {c.verdict for c in credit_of(seed).sensors.values()} <= HELP
 
 
 def test_without_every_subset_only_the_effect_alone_is_known() -> None:
@@ -164,13 +168,17 @@ def test_without_every_subset_only_the_effect_alone_is_known() -> None:
 @pytest.mark.parametrize(
     ("sets", "beside", "words"),
     [
-        ((("lrf",), ("compass", "lrf")), {"compass": ("lrf",), "lrf": None}, "Beside lrf it makes lrf's"),
+        (
+            (("lrf",), ("compass", "lrf")),
+            {"compass": ("lrf",), "lrf": None},
+            "Beside lrf it makes the position error",
+        ),
         (
             ((), ("compass",), ("compass", "lrf")),
             {"compass": (), "lrf": ("compass",)},
             "Alone it makes odometry's",
         ),
-        (((), ("compass", "lrf")), {"compass": None, "lrf": None}, "No two of these sets differ"),
+        (((), ("compass", "lrf")), {"compass": None, "lrf": None}, "No two configurations differ by it alone"),
         (((), ("compass",)), {"compass": ()}, "Alone it makes odometry's"),
     ],
 )
@@ -185,7 +193,7 @@ def test_a_sensor_is_judged_by_sets_that_differ_by_it_alone_and_not_at_all_where
     assert list(found.sensors) == list(beside)
     for sensor, others in beside.items():
         if others is None:
-            assert found.sensors[sensor].verdict == "cannot tell"
+            assert found.sensors[sensor].verdict == "no verdict"
             continue
         effect = found.sensors[sensor].alone
         before, after = (judged[frozenset(s)].figures["position_rmse_m"] for s in (others, (*others, sensor)))
@@ -220,13 +228,15 @@ def test_over_several_logs_the_interval_is_students() -> None:
     ("value", "low", "high", "expected", "anees", "word"),
     [
         (0.7, 0.3, 1.1, 0.8, None, "helps"),
-        (0.7, -0.3, 1.7, 0.8, None, "helps"),  # not sure, but the filter's covariances say the same
-        (0.7, -0.3, 1.7, 0.0, None, "does nothing"),  # not sure, and nobody else says so
-        (0.01, 0.005, 0.015, 0.5, None, "does nothing"),  # sure, and too small to matter
-        (0.3, 0.1, 0.5, 0.05, None, "does nothing"),  # surprising: the filter took next to nothing from it
+        (0.7, -0.3, 1.7, 0.8, None, "seems to help"),  # not sure, but the filter's covariance says the same
+        (-0.7, -1.7, 0.3, 0.8, None, "seems to hurt"),
+        (0.7, -0.3, 1.7, 0.0, (1.0, 103.0), "seems to help"),  # an inconsistent covariance has no veto
+        (0.7, -0.3, 1.7, 0.0, None, "no effect seen"),  # not sure, and nobody else says so
+        (0.01, 0.005, 0.015, 0.5, None, "no effect seen"),  # sure, and too small to matter
+        (0.3, 0.1, 0.5, 0.05, None, "no effect seen"),  # surprising: the filter took next to nothing from it
         (0.3, 0.2, 0.4, 0.05, None, "helps"),  # surprising, and beyond doubt
         (-0.7, -1.1, -0.3, 0.8, None, "hurts"),
-        (0.2, -0.5, 0.9, 2.0, (1.0, 200.0), "hurts"),  # no sure gain, and confidently wrong
+        (0.4, 0.2, 0.9, 2.0, (1.0, 200.0), "helps"),  # overconfident is a remark of its own, no harm
         (3.0, 2.0, 4.0, 3.0, (1.0, 26.0), "helps"),  # the paper's frozen map: overconfident, but far better
     ],
 )

@@ -1,4 +1,4 @@
-"""Candidate pairs by a loop and by arrays are the same pairs."""
+"""Candidate pairs are those that written-out matrices give, and the core's two forms give the same."""
 
 from __future__ import annotations
 
@@ -6,12 +6,17 @@ import math
 
 import numpy as np
 import pytest
-from msgspec.structs import astuple
 
+from locfuse.fusion import se2
+from locfuse.fusion.core import pairs as interpreted
+from locfuse.fusion.core.form import form
+from locfuse.fusion.core.room import Room
+from locfuse.fusion.data import Array
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.belief_pose import PoseBelief
+from locfuse.fusion.linemap.laser_mount import Seat
 from locfuse.fusion.linemap.line_map import AnyBelief, LineMap
-from locfuse.fusion.linemap.pairing import FEW, pairs_in_arrays, pairs_in_floats
+from locfuse.fusion.linemap.pairing import MAX_PAIR_ANGLE_RAD, MAX_PAIR_OFFSET_M, Pair, candidate_pairs
 from locfuse.fusion.linemap.scan import Scan
 
 UPPER = (0.01, 0.001, 0.0005, 0.02, -0.0004, 0.001)
@@ -30,7 +35,7 @@ def scene(seed: int, states: bool) -> tuple[Scan, LineMap, AnyBelief]:
     P0 = (xx, xy, xt, yy, yt, tt)
     belief: AnyBelief = JointBelief(pose, P0, []) if states else PoseBelief(pose, P0)
     lines = LineMap()
-    for _ in range(int(rng.integers(1, FEW))):
+    for _ in range(int(rng.integers(1, 32))):
         value = np.array([rng.normal() * 0.02, rng.choice([0.0, 0.5, 1.0, 1.5]) * math.pi + rng.normal() * 0.1])
         anchor, half = rng.normal(size=2) * 2.0, rng.uniform(0.2, 3.0)
         P, column = covariance(rng), -1
@@ -44,17 +49,123 @@ def scene(seed: int, states: bool) -> tuple[Scan, LineMap, AnyBelief]:
     return Scan(z, np.array([covariance(rng) for _ in range(k)]), ends), lines, belief
 
 
+def by_matrices(
+    scan: Scan, lines: LineMap, belief: AnyBelief, limit: float
+) -> dict[tuple[int, int], dict[str, Array]]:
+    """Every pair with H written out over the whole state, and R: maths of the field, no short cut."""
+    state = belief.state if isinstance(belief, JointBelief) else np.array(belief.pose())
+    P = belief.covariance if isinstance(belief, JointBelief) else belief.matrix()
+    (x, y, theta), n = belief.pose(), len(state)
+    found = {}
+    for j in range(len(lines)):
+        at = int(lines.column[j])
+        rho, beta = lines.value[j] if at < 0 else state[at : at + 2]
+        c, s, (dx, dy) = math.cos(beta), math.sin(beta), (x, y) - lines.anchor[j]
+        r, psi, u = rho - dx * c - dy * s, beta - theta, dx * s - dy * c
+        for i, (own, noise) in enumerate(zip(scan.z, scan.R, strict=True)):
+            forward = abs(se2.wrap(own[1] - psi)) <= 0.5 * math.pi
+            flip = np.diag((1.0 if forward else -1.0, 1.0))
+            turn = se2.wrap(own[1] - psi - (0.0 if forward else math.pi))
+            offset = flip[0, 0] * own[0] - r
+            H = np.zeros((2, n))
+            H[0, :2], H[1, 2] = (-c, -s), -1.0
+            R = flip @ noise @ flip
+            line = np.array([[1.0, u], [0.0, 1.0]])
+            if at >= 0:
+                H[:, at : at + 2] = line
+            else:
+                R = R + line @ lines.P[j] @ line.T
+            S_flat = R
+            if scan.seat is not None:
+                H[:, list(scan.seat.columns)] = scan.seat.derivative(np.array([psi + turn]))[0]
+            S = H @ P @ H.T + S_flat
+            e = np.array([offset, turn])
+            d2 = float(e @ np.linalg.solve(S, e))
+            angle, far = (
+                MAX_PAIR_ANGLE_RAD + 6.0 * math.sqrt(P[2, 2]),
+                MAX_PAIR_OFFSET_M + 6.0 * math.sqrt(P[0, 0] + P[1, 1]),
+            )
+            near = abs(turn) < angle and abs(offset) < far
+            if near and d2 <= limit and r > -3.0 * math.sqrt(S[0, 0]):
+                found[i, j] = {"y": e, "R": R, "S": S, "d2": np.array(d2), "score": d2 + np.log(np.linalg.det(S))}
+    return found
+
+
+def seated(scan: Scan, belief: JointBelief, free: tuple[int, ...]) -> Scan:
+    """The same scan of a laser whose mount is partly unknown, and correlated with all else."""
+    rng = np.random.default_rng(len(free))
+    G = 0.3 * rng.normal(size=(len(free), 3))
+    first = belief.augment(
+        np.zeros(len(free)),
+        G,
+        covariance(rng, 0.03)[: len(free), : len(free)] if len(free) < 3 else 1e-3 * np.eye(3),
+    )
+    return Scan(scan.z, scan.R, scan.ends, Seat(0.2, -0.3, tuple(range(first, first + len(free))), free))
+
+
+def in_both_forms(scan: Scan, lines: LineMap, belief: AnyBelief, limit: float) -> list[Pair]:
+    found = candidate_pairs(scan, lines, belief, limit, Room.of(interpreted, None))
+    if form().functions is not None:
+        assert candidate_pairs(scan, lines, belief, limit) == found
+    return found
+
+
+@pytest.mark.parametrize("free", [(), (2,), (0, 1), (1, 2), (0, 1, 2)])
 @pytest.mark.parametrize("states", [False, True])
 @pytest.mark.parametrize("limit", [60.0, math.inf])
-def test_pairs_by_a_loop_equal_pairs_by_arrays(states: bool, limit: float) -> None:
+def test_pairs_are_those_that_matrices_give(states: bool, limit: float, free: tuple[int, ...]) -> None:
     count = flipped = 0
-    for seed in range(150):
+    for seed in range(30):
         scan, lines, belief = scene(seed, states)
-        floats, arrays = (find(scan, lines, belief, limit) for find in (pairs_in_floats, pairs_in_arrays))
-        assert [(p.line, p.which) for p in floats] == [(p.line, p.which) for p in arrays]
-        for a, b in zip(floats, arrays, strict=True):
-            np.testing.assert_allclose(np.hstack(astuple(a)), np.hstack(astuple(b)), rtol=1e-11, atol=1e-11)
-            flipped += np.sign(a.R[1]) != np.sign(scan.R[a.line, 0, 1])
-        count += len(floats)
-    assert count > 300
-    assert flipped > 30
+        if free and isinstance(belief, JointBelief):
+            scan = seated(scan, belief, free)
+        found = in_both_forms(scan, lines, belief, limit)
+        expected = by_matrices(scan, lines, belief, limit)
+        assert [(p.line, p.which) for p in found] == sorted(expected)
+        for pair in found:
+            known = expected[pair.line, pair.which]
+            np.testing.assert_allclose(pair.y, known["y"], atol=1e-11)
+            for name in ("R", "S"):
+                np.testing.assert_allclose(
+                    getattr(pair, name), known[name][[0, 0, 1], [0, 1, 1]], rtol=1e-9, atol=1e-11
+                )
+            assert pair.d2 == pytest.approx(known["d2"], rel=1e-7, abs=1e-9)
+            assert pair.score == pytest.approx(known["score"], rel=1e-7, abs=1e-7)
+            flipped += np.sign(pair.R[1]) != np.sign(scan.R[pair.line, 0, 1])
+        count += len(found)
+    assert count > 60
+    assert flipped > 6
+
+
+def test_ends_lie_along_the_map_line_and_overlap_where_the_segments_do() -> None:
+    lines = LineMap()
+    lines.append(np.array([2.0, 1.0]), np.zeros(2), np.eye(2) * 1e-4, -1, (-1.0, 1.0), 0)  # x = 2, y from 0 to 2
+    belief = PoseBelief((0.0, 0.5, 0.0), UPPER)
+    scan = Scan(np.array([[2.0, 0.0]]), np.array([np.eye(2) * 1e-4]), np.array([[-1.5, 1.0]]))  # y from -1 to 1.5
+    (pair,) = in_both_forms(scan, lines, belief, 60.0)
+    assert (pair.lo, pair.hi, pair.overlap) == pytest.approx((-2.0, 0.5, 1.5))
+    behind = PoseBelief((4.0, 0.5, math.pi), UPPER)  # sees the other face
+    assert in_both_forms(scan, lines, behind, math.inf) == []
+
+
+@pytest.mark.parametrize("pose", [(math.nan, 0.0, 0.0), (0.0, 0.0, math.inf), (1e200, 0.0, 0.0), (0.0, 0.0, 1e30)])
+def test_a_pose_that_is_none_has_no_pairs(pose: tuple[float, float, float]) -> None:
+    scan, lines, _ = scene(1, states=False)
+    assert in_both_forms(scan, lines, PoseBelief(pose, UPPER), 60.0) == []
+
+
+@pytest.mark.parametrize(("lines", "walls"), [(0, 5), (3, 0), (40, 2000)])
+def test_maps_of_none_and_of_two_thousand_lines_give_the_same_in_both_forms(lines: int, walls: int) -> None:
+    rng = np.random.default_rng(0)
+    known = LineMap()
+    for _ in range(min(walls, 50)):
+        known.append(
+            rng.normal(size=2) * 3.0, np.array([0.0, rng.uniform(-3, 3)]), covariance(rng), -1, (-1.0, 1.0), 0
+        )
+    many = np.resize(np.arange(len(known)), walls)
+    for name in ("ids", "anchor", "lo", "hi", "hits", "column", "value", "P", "seen", "born"):
+        setattr(known, name, getattr(known, name)[many])
+    z = np.stack((rng.uniform(0.0, 4.0, lines), rng.uniform(-3.0, 3.0, lines)), axis=-1)
+    scan = Scan(z, np.tile(np.eye(2) * 1e-3, (lines, 1, 1)), np.tile((-1.0, 1.0), (lines, 1)))
+    found = in_both_forms(scan, known, PoseBelief((0.0, 0.0, 0.0), UPPER), 60.0)
+    assert bool(found) == (lines * walls > 100)

@@ -21,6 +21,8 @@ from locfuse.formats.figures.sections import sections
 from locfuse.formats.report import html as report_html
 from locfuse.formats.report import markdown
 from locfuse.formats.tables import tables
+from locfuse.formats.tables.findings import findings_of
+from locfuse.formats.tables.glossary import GLOSSARY
 from locfuse.fusion.sensors.registry import colours
 
 SENSORS = colours()
@@ -139,7 +141,12 @@ def test_every_figure_on_the_page_is_the_one_in_report_json(page: Page, report: 
 
 
 def test_no_other_number_is_on_the_page(page: Page, report: dict[str, Any]) -> None:
-    known = sorted({" ".join(s.split()) for s in strings(report) if re.search(r"\d", s)}, key=len, reverse=True)
+    texts = {
+        *strings(report),
+        *findings_of(report),
+        *GLOSSARY.values(),
+    }
+    known = sorted({" ".join(s.split()) for s in texts if re.search(r"\d", s)}, key=len, reverse=True)
     for words in page.words:
         rest = words
         for text in known:

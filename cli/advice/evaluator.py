@@ -1,0 +1,133 @@
+"""The evaluator: one log -> findings, each with the fix that was tried and what it did.
+
+`run`, `compare`, `tune`, `info --check`, the report and Rerun all show what this finds, and nothing else. It works
+in rounds: what looks wrong is tried, what helps is kept, and the log is judged again under it, so that no sensor
+is blamed for the fault of another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from locfuse.cli.pipeline.compare import Compared, compare_log
+from locfuse.cli.pipeline.configurations import Configuration, for_comparison
+from locfuse.cli.pipeline.load import Loaded
+from locfuse.cli.pipeline.settings import Progress, silent
+from locfuse.fusion.advice.search import Advice, Candidate, Fixes, search, together
+
+from .evidence import Evidence
+from .trial import Trial, shortened
+
+MAX_ROUNDS = 4
+MIN_DURATION_S = 5.0  # s: a shorter drive judges no setting
+
+
+@dataclass(frozen=True)
+class Advised:
+    """What a log's evaluation found."""
+
+    advice: tuple[Advice, ...] = ()  # what helps first, in the order in which it was found to help
+    until: float | None = None  # s: only the beginning of the drive was tried; None: all of it
+    fusions: int = 0  # runs of the filter that it cost
+
+    @property
+    def fixes(self) -> Fixes:
+        """Everything that helps, together."""
+        kept: Fixes = ()
+        for advice in self.advice:
+            kept = together(kept, advice.fixes)
+        return kept
+
+
+def standard(loaded: Loaded) -> list[Configuration]:
+    """Return the configurations by which every command judges a log, whichever it shows."""
+    return for_comparison([], loaded.drive)
+
+
+def advise(loaded: Loaded, progress: Progress, align: str = "none", known: Compared | None = None) -> Advised:
+    """Evaluate a log. `known` is a comparison of it under the same settings, which need not be made again."""
+    if loaded.robot.lines or loaded.robot.preset != "default" or not loaded.drive.measurements:
+        return Advised()
+    if float(loaded.drive.t[-1]) - float(loaded.drive.t[0]) < MIN_DURATION_S:
+        return Advised()
+    tried = shortened(loaded)
+    trial = Trial(tried, {c.name: c for c in standard(tried)}, align, progress)
+    usable = known is not None and tried is loaded and _covers(known, trial)
+    first = known if usable and known is not None else _compared(tried, trial)
+    found, kept = _rounds(first, trial)
+    until = None if tried is loaded else float(tried.drive.t[-1])
+    return Advised(tuple(found), until, trial.fusions) if found or kept else Advised()
+
+
+def looks_wrong(loaded: Loaded, one: Compared) -> bool:
+    """Return whether a single configuration's run gives reason to evaluate the log."""
+    if loaded.robot.lines or loaded.robot.preset != "default":
+        return False
+    trial = Trial(loaded, {c.name: c for c in one.configurations}, "none", silent)
+    return Evidence(one, trial, ()).suspicious()
+
+
+def _covers(known: Compared, trial: Trial) -> bool:
+    names = {c.name for c in known.configurations}
+    return set(trial.configurations) <= names
+
+
+def _compared(loaded: Loaded, trial: Trial) -> Compared:
+    configurations = list(trial.configurations.values())
+    trial.fusions += len(configurations)
+    return compare_log(loaded, configurations, trial.align, trial.progress)
+
+
+def _rounds(compared: Compared, trial: Trial) -> tuple[list[Advice], Fixes]:
+    """Try, keep, look again; clocks before geometry, geometry before offsets, offsets before noise."""
+    helped: list[Advice] = []
+    without: dict[str, Advice] = {}
+    kept: Fixes = ()
+    for _ in range(MAX_ROUNDS):
+        trial.seed(kept, compared)
+        evidence = Evidence(compared, trial, kept)
+        if not evidence.suspicious():
+            break
+        found = _first_that_helps(evidence, kept, trial, done={(a.finding.role, a.finding.code) for a in helped})
+        without = {a.finding.role: a for a in found if not a.helps}
+        new = [a for a in found if a.helps]
+        if not new:
+            break
+        helped += new
+        for advice in new:
+            kept = together(kept, advice.fixes)
+        loaded = trial.under(kept)
+        if loaded is None:
+            break
+        compared = _compared(loaded, trial)
+    names = {a.finding.role for a in helped}
+    return [*helped, *(a for role, a in without.items() if role not in names)], kept
+
+
+def _first_that_helps(evidence: Evidence, kept: Fixes, trial: Trial, done: set[tuple[str, str]]) -> list[Advice]:
+    """Return the advice of the first stage of evidence in which anything helps; else all that has no fix."""
+    stages: Sequence[Callable[[], list[Candidate]]] = (
+        evidence.clocks,
+        evidence.geometry,
+        evidence.offsets,
+        evidence.noise,
+    )
+    failed: list[Advice] = []
+    for stage in stages:
+        candidates = [c for c in stage() if (c.finding.role, c.finding.code) not in done]
+        found = search(candidates, kept, trial)
+        if any(a.helps for a in found):
+            return [*(a for a in failed if a.finding.severe), *found]
+        failed += found
+        if any(a.finding.severe for a in found):
+            break  # while this is open, nothing is said of offsets and noise
+    return _one_each(failed)
+
+
+def _one_each(found: Sequence[Advice]) -> list[Advice]:
+    """Return the first of every role: a sensor is told one thing at a time."""
+    first: dict[str, Advice] = {}
+    for advice in found:
+        first.setdefault(advice.finding.role, advice)
+    return list(first.values())

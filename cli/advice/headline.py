@@ -1,0 +1,70 @@
+"""The first line of every report: which sensors should I keep?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from locfuse.formats.tables.findings import length
+from locfuse.fusion.sensors.registry import REGISTRY
+
+NAMES = {"lrf": "laser", "gps": "GPS", "imu": "IMU"}
+TIE, TIE_M = 0.10, 5e-4  # relative, m: errors that differ by less are equal
+ODOMETRY = "odometry"
+HELPS, HURTS = ("helps", "seems to help"), ("hurts", "seems to hurt")
+
+
+def headline(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> str:
+    """Return one sentence or two; `sets` are the sensors of every configuration that the report may name."""
+    errors = {n: e for n in sets if (e := report["configurations"][n].get("position_rmse_m")) is not None}
+    void = report.get("validity") or []
+    if void:
+        return f"No verdict on this log: {void[0]['message']}."
+    if not errors:
+        return _without_truth(report)
+    if len(errors) == 1:
+        ((name, error),) = errors.items()
+        return f"{_with(sets[name])}: position error {length(error)}."
+    least = min(errors.values())
+    ties = [n for n, e in errors.items() if e <= least * (1.0 + TIE) + TIE_M]
+    best = min(ties, key=lambda n: len(sets[n]))
+    every = max(sets, key=lambda n: len(sets[n]))
+    if not sets[best]:
+        return f"No sensor improves on odometry: {length(errors[best])}."
+    first = f"Keep {_names(sets[best])}: {length(errors[best])}."
+    others = [s for s in sets[every] if s not in sets[best]]
+    if not others or every not in errors:
+        base = errors.get(ODOMETRY)
+        return first if base is None or others else f"{first} Odometry alone: {length(base)}."
+    beside = "it" if len(sets[best]) == 1 else "them"
+    if every in ties:
+        adds = "adds" if len(others) == 1 else "add"
+        return f"{first} {_names(others).capitalize()} {adds} nothing measurable beside {beside}."
+    bad = [s for s in others if report.get("verdicts", {}).get(s, {}).get("verdict") in HURTS] or others
+    one = "" if len(bad) == 1 else "one of "
+    return f"{first} With all sensors it is {length(errors[every])}: {one}{_names(bad)} hurts."
+
+
+def _without_truth(report: Mapping[str, Any]) -> str:
+    """Return what prediction tells of the sensors, which is no error in metres."""
+    verdicts = report.get("verdicts", {})
+    good = [s for s, v in verdicts.items() if v["verdict"] in HELPS]
+    bad = [s for s, v in verdicts.items() if v["verdict"] in HURTS]
+    parts = []
+    if good:
+        parts.append(f"{_names(good)} {'helps' if len(good) == 1 else 'help'} to predict the other sensors")
+    if bad:
+        parts.append(f"{_names(bad)} {'contradicts' if len(bad) == 1 else 'contradict'} them")
+    if not parts:
+        return "No truth in this log, so no error is known; nothing else here can say which sensors to keep."
+    return f"No truth in this log, so no error is known: {', and '.join(parts)}."
+
+
+def _with(sensors: Sequence[str]) -> str:
+    return f"With {_names(sensors)}" if sensors else "Odometry alone"
+
+
+def _names(sensors: Sequence[str]) -> str:
+    """Return "the laser, the compass and the camera"."""
+    words = [f"the {NAMES.get(s, s)}" for s in REGISTRY if s in sensors]
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

@@ -1,0 +1,68 @@
+"""Validity: figures that would look like a result and are none, and why.
+
+A robot that was lost for a notable share of the drive has no accuracy, and a truth that starts somewhere else
+judges the start and nothing more. Such a figure is null in report.json, "-" in tables, fails a gate, and is named.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from locfuse.fusion.judge.evaluate import ERROR_KEYS
+
+MAX_LOST_SHARE = 0.1  # of the drive for which a filter may be lost before its figures mean nothing
+MAX_START_ERROR_M = 0.5  # m between the first pose of the truth and the start, where nobody states a start
+JUDGED = (*ERROR_KEYS, "anees")
+
+
+def add_validity(report: dict[str, Any], start_error_m: float | None) -> None:
+    """Add `validity`, and take void figures out of their configurations; these stay readable under `void`."""
+    found = []
+    for name, values in report["configurations"].items():
+        reason = _lost(values) or _elsewhere(start_error_m, values)
+        if reason is None:
+            continue
+        code, message = reason
+        known = {key: values[key] for key in JUDGED if values.get(key) is not None}
+        values["void"] = {"reason": message, "figures": known}
+        values.update(dict.fromkeys(known))
+        found.append({"configuration": name, "code": code, "message": message, "since_s": _since(values, code)})
+    report["validity"] = _once(found)
+
+
+def _lost(values: dict[str, Any]) -> tuple[str, str] | None:
+    share = values.get("lost_share") or 0.0
+    if share <= MAX_LOST_SHARE:
+        return None
+    return "lost", f"{_name(values)}: lost for {share:.0%} of the drive, first at {values['lost'][0][0]:.1f} s"
+
+
+def _elsewhere(error_m: float | None, values: dict[str, Any]) -> tuple[str, str] | None:
+    if error_m is None or error_m < MAX_START_ERROR_M or values.get("align") != "none":
+        return None
+    return "start", (
+        f"the truth starts {error_m:.2f} m from where the drive starts; set [start] (locfuse info shows it), or "
+        "judge the shape with --align origin"
+    )
+
+
+def _since(values: dict[str, Any], code: str) -> float:
+    return float(values["lost"][0][0]) if code == "lost" else 0.0
+
+
+def _name(values: dict[str, Any]) -> str:
+    return f"{values['configuration']}{'-smoothed' if values.get('smoothed') else ''}"
+
+
+def _once(found: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return one entry for each message, with all configurations that it concerns."""
+    by_message: dict[str, dict[str, Any]] = {}
+    for entry in found:
+        name = entry.pop("configuration")
+        by_message.setdefault(entry["message"], {**entry, "configurations": []})["configurations"].append(name)
+    return list(by_message.values())
+
+
+def reasons(report: dict[str, Any]) -> list[str]:
+    """Return why figures are void, one line each: such a command exits with 3."""
+    return [v["message"] for v in report.get("validity", ())]

@@ -1,0 +1,80 @@
+"""Findings and headline as plain values of report.json, and the fixes as a robot.toml of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from locfuse.formats.robot import robot_toml
+from locfuse.fusion.advice.score import Score
+from locfuse.fusion.advice.search import Advice, together
+
+from .evaluator import Advised
+
+FIXES_FILE = "fixes.toml"
+
+
+def add_findings(report: dict[str, Any], advised: Advised | None) -> None:
+    """Add `findings`, and `fixes`: what helps of them, together; null where the log was not evaluated."""
+    if advised is None:
+        report["findings"] = report["fixes"] = None
+        return
+    by_role: dict[str, list[Advice]] = {}
+    for advice in advised.advice:
+        by_role.setdefault(advice.finding.role, []).append(advice)
+    report["findings"] = [_finding(_joined(found), advised.until) for found in by_role.values()]
+    report["fixes"] = list(advised.fixes)
+
+
+def fixes_file(report: Mapping[str, Any]) -> dict[str, str]:
+    """Return fixes.toml by its name, nothing where no fix helps: --robot robot.toml --robot fixes.toml."""
+    fixes = report.get("fixes")
+    if not fixes:
+        return {}
+    head = (
+        "# fixes that locfuse tried and found to help; later files win:\n"
+        f"#   --robot robot.toml --robot {FIXES_FILE}\n"
+    )
+    return {FIXES_FILE: head + robot_toml.dump(robot_toml.apply_sets(fixes))}
+
+
+def _joined(found: Sequence[Advice]) -> Advice:
+    """Return what was found of one sensor, step by step, as one finding with one fix."""
+    first, *later = found
+    for advice in later:
+        message = f"{first.finding.brief}; then {advice.finding.brief}"
+        before = {**(advice.before or {}), **(first.before or {})}
+        after = {**(first.after or {}), **(advice.after or {})}
+        fixes = together(first.fixes, advice.fixes)
+        finding = replace(first.finding, message=message, hint="", source="")
+        first = replace(first, finding=finding, fixes=fixes, before=before, after=after)
+    return first
+
+
+def _finding(advice: Advice, until: float | None) -> dict[str, Any]:
+    name, tried = advice.shown_by, None
+    if name is not None and advice.before is not None and advice.after is not None:
+        tried = {
+            "configuration": name,
+            "before": _score(advice.before[name]),
+            "after": _score(advice.after[name]),
+            "until_s": until,
+        }
+    return {
+        "role": advice.finding.role,
+        "code": advice.finding.code,
+        "message": advice.finding.brief,
+        "fixes": list(advice.fixes),
+        "tried": tried,
+        "alternatives": [list(fixes) for fixes in advice.tried],
+    }
+
+
+def _score(score: Score) -> dict[str, float | None]:
+    return {
+        "position_rmse_m": score.position,
+        "anees": score.anees,
+        "prediction_nats": score.prediction,
+        "lost_share": score.lost,
+    }

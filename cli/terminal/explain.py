@@ -1,0 +1,27 @@
+"""`locfuse explain`: what a word of a report means."""
+
+from __future__ import annotations
+
+import click
+
+from .screen import put, reader_may_leave
+
+
+@click.command()
+@click.argument("term", required=False)
+def explain(term: str | None) -> int:
+    """Say what TERM of a report means; without TERM, list the terms.
+
+    \b
+    locfuse explain ANEES
+    locfuse explain drift
+    """
+    from locfuse.formats.tables.glossary import GLOSSARY, explained, similar
+    from locfuse.fusion.data import UsageError
+
+    words = None if term is None else explained(term)
+    if term is not None and words is None:
+        raise UsageError(f"no such term: {term}. Known: {', '.join(similar(term))}")
+    with reader_may_leave():
+        put(words + "\n" if words is not None else "".join(f"{name}: {text}\n" for name, text in GLOSSARY.items()))
+    return 0

@@ -1,0 +1,56 @@
+"""Findings in words: what was found, the fix that was tried, what it did. The same sentence in every medium."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+UNTRIED = "no setting was tried"
+
+
+def findings_of(report: Mapping[str, Any]) -> list[str]:
+    """Return one line per finding; reports of earlier versions have none."""
+    return [sentence(f) for f in report.get("findings") or ()]
+
+
+def sentence(finding: Mapping[str, Any]) -> str:
+    """Return "compass: ... Fix (tried with all: error 0.110 -> 0.004 m): --set ..."."""
+    head = f"{finding['role']}: {finding['message'].rstrip('. ')}."
+    if not finding["fixes"]:
+        tried = ", ".join(" ".join(fixes) for fixes in finding.get("alternatives", ()))
+        return f"{head} No fix was found{f' (tried {tried}: none helps)' if tried else ''}."
+    return f"{head} Fix (tried with {_effect(finding['tried'])}): {options(finding['fixes'])}"
+
+
+def options(fixes: Sequence[str]) -> str:
+    """Return settings as they are typed."""
+    return " ".join(f"--set {shlex.quote(fix)}" for fix in fixes)
+
+
+def together(report: Mapping[str, Any]) -> str | None:
+    """Return all fixes as one line to type; None where there is at most one finding with a fix."""
+    fixed = [f for f in report.get("findings") or () if f["fixes"]]
+    return f"All of these together: {options(report['fixes'])}" if len(fixed) > 1 else None
+
+
+def _effect(tried: Mapping[str, Any]) -> str:
+    before, after = tried["before"], tried["after"]
+    parts = []
+    if before["lost_share"] != after["lost_share"]:
+        parts.append(f"lost {before['lost_share']:.0%} -> {after['lost_share']:.0%} of the drive")
+    if before["position_rmse_m"] is not None:
+        parts.append(f"error {length(before['position_rmse_m'])} -> {length(after['position_rmse_m'])}")
+    if before["anees"] and after["anees"]:
+        parts.append(f"ANEES {before['anees']:.2g} -> {after['anees']:.2g}")
+    if before["prediction_nats"] is not None:
+        parts.append(f"prediction {after['prediction_nats'] - before['prediction_nats']:+.2f} nats per number")
+    until = f", first {tried['until_s']:.0f} s" if tried.get("until_s") else ""
+    return f"{tried['configuration']}{until}: {', '.join(parts)}"
+
+
+def length(metres: float) -> str:
+    """Return a length as people say it: "4 mm", "0.11 m", "12 m"."""
+    if metres < 0.0995:
+        return f"{1000.0 * metres:.2g} mm" if metres < 0.00995 else f"{1000.0 * metres:.0f} mm"
+    return f"{metres:.2f} m" if metres < 9.95 else f"{metres:.0f} m"

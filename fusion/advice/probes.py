@@ -1,0 +1,82 @@
+"""Fixes that a run itself estimates: a mount, the track, an offset that were states, once they are known well."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from locfuse.fusion.data import Estimates
+from locfuse.fusion.doctor.finding import Finding
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.wheels.states import WHEELS, derivative, geometry
+
+MIN_SIGMAS = 4.0  # standard deviations by which an estimate must differ from what is configured
+MIN_MOUNT_M, MIN_MOUNT_DEG, MIN_TRACK = 0.004, 0.2, 0.005  # m, degrees, relative: smaller errors are left alone
+# prior standard deviations of the states of a probe: wide enough for a rough measurement with a ruler
+PROBE_XY_M, PROBE_YAW_DEG = 0.05, 4.0
+MOUNT_KEYS = {"x": ("x", 1.0), "y": ("y", 1.0), "yaw": ("yaw_deg", math.degrees(1.0))}
+
+
+def probe_of(robot: Robot, sensor: str) -> tuple[str, ...]:
+    """Return the settings that make a sensor's mount and the track states, () where it has no mount."""
+    settings = robot.settings(sensor)
+    if not hasattr(settings, "sigma_yaw_deg") or settings.sigma_x or settings.sigma_yaw_deg:
+        return ()
+    mount = (
+        f"{sensor}.sigma_x={PROBE_XY_M}",
+        f"{sensor}.sigma_y={PROBE_XY_M}",
+        f"{sensor}.sigma_yaw_deg={PROBE_YAW_DEG}",
+    )
+    track = () if robot.wheels.estimate or robot.wheels.track is None else ("wheels.estimate=true",)
+    return (*mount, *track)
+
+
+def of_probe(robot: Robot, sensor: str, e: Estimates) -> Iterator[Finding]:
+    """Yield the mount and the track that a probe's run estimates, where they differ from what is configured."""
+    fixes, words = [], []
+    for part, (key, scale) in MOUNT_KEYS.items():
+        name = f"{sensor}_{part}"
+        if name not in e.blocks:
+            continue
+        value, sigma = scale * float(e.blocks[name][-1, 0]), scale * float(e.block_sigmas[name][-1, 0])
+        configured = float(getattr(robot.settings(sensor), key))
+        least = MIN_MOUNT_DEG if key == "yaw_deg" else MIN_MOUNT_M
+        if abs(value - configured) > max(MIN_SIGMAS * sigma, least):
+            fixes.append(f"{sensor}.{key}={value:.4g}")
+            unit = "°" if key == "yaw_deg" else " m"
+            words.append(f"{part} is {value:.4g}{unit} (± {sigma:.1g}), configured {configured:g}{unit}")
+    if fixes:
+        yield Finding(sensor, "mount", f"mount by the drive itself: {', '.join(words)}", tuple(fixes))
+    yield from _track(robot, e)
+
+
+def _track(robot: Robot, e: Estimates) -> Iterator[Finding]:
+    if WHEELS not in e.blocks or robot.wheels.track is None or robot.wheels.estimate:
+        return
+    x = e.blocks[WHEELS][-1]
+    found, G = geometry(x), derivative(x)
+    sigma = float(math.sqrt(max(float((G[2] ** 2 * e.block_sigmas[WHEELS][-1] ** 2).sum()), 0.0)))
+    if abs(found[2]) > max(MIN_SIGMAS * sigma, MIN_TRACK):
+        track = robot.wheels.track * (1.0 + float(found[2]))
+        words = f"the track by the drive itself is {track:.4g} m, configured {robot.wheels.track:g} m"
+        yield Finding("wheels", "track", words, (f"wheels.track={track:.4g}",))
+
+
+def of_offsets(robot: Robot, e: Estimates) -> Iterator[Finding]:
+    """Yield the offsets that a run estimated as states: known beforehand, they help from the first second on."""
+    for sensor in e.sensors:
+        bias: Any = REGISTRY[sensor].bias
+        name = f"{sensor}_offset"
+        if bias is None or not bias.estimated or getattr(robot.settings(sensor), bias.key) is not None:
+            continue
+        if name not in e.blocks or REGISTRY[sensor].drift_key is None:
+            continue
+        if float(getattr(robot.settings(sensor), REGISTRY[sensor].drift_key or "")) > 0.0:
+            continue  # an offset that drifts has no one value
+        scale = REGISTRY[sensor].components[0].scale
+        value, sigma = scale * float(e.blocks[name][-1, 0]), scale * float(e.block_sigmas[name][-1, 0])
+        value = (value + 180.0) % 360.0 - 180.0
+        words = f"its offset is estimated anew on every drive; this one found {value:.2f}° (± {sigma:.1g})"
+        yield Finding(sensor, "offset", words, (f"{sensor}.{bias.key}={value:.2f}",))

@@ -1,0 +1,80 @@
+"""Does a fix help? One configuration's figures before and after, by truth, else by what it predicts."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+MAX_LOSS, MAX_LOSS_M = 0.02, 2e-4  # relative, m: by which no position error may grow
+MAX_LN_ANEES_LOSS = 0.1  # by which ln ANEES may leave its chance range further where the error stays the same
+MIN_GAIN = 0.1  # relative gain of the position error
+MIN_LN_ANEES_GAIN = 0.2  # by which ln ANEES must come nearer to its chance range
+MIN_GAIN_M = 2e-4  # m: smaller gains of the position error are none, however large their share
+MAX_LOSS_NATS, MIN_GAIN_NATS = 0.02, 0.05  # nats per number; a sigma 10 % off costs about 0.01, 50 % about 0.1
+MAX_LOST_SHARE = 0.005  # of the drive: by which being lost may grow
+WEIGHT_OF_ANEES = 0.5  # of a factor on ANEES, against one on the position error
+
+
+class Score(NamedTuple):
+    """One configuration's figures under some settings."""
+
+    position: float | None = None  # m, position rmse against truth
+    anees: float | None = None
+    bounds: tuple[float, float] | None = None  # where a consistent filter's ANEES lies on such a drive
+    prediction: float | None = None  # nats per number of the sensors that only listened; without truth
+    lost: float = 0.0  # share of the drive
+
+
+def spoils(before: Score, after: Score) -> bool:
+    """Return whether any figure gets notably worse, or ceases to exist."""
+    if after.lost > before.lost + MAX_LOST_SHARE:
+        return True
+    if before.position is not None:
+        if after.position is None or after.position > before.position * (1.0 + MAX_LOSS) + MAX_LOSS_M:
+            return True
+        much_smaller = after.position < (1.0 - MIN_GAIN) * before.position
+        return not much_smaller and _off(after) > _off(before) + MAX_LN_ANEES_LOSS
+    if before.prediction is not None:
+        return after.prediction is None or after.prediction < before.prediction - MAX_LOSS_NATS
+    return False
+
+
+def improves(before: Score, after: Score) -> bool:
+    """Return whether one figure gets notably better. An ANEES within its chance range has nothing to gain."""
+    if before.lost - after.lost > MAX_LOST_SHARE:
+        return True
+    if before.position is not None and after.position is not None:
+        less = before.position - after.position
+        if less > max(MIN_GAIN * before.position, MIN_GAIN_M):
+            return True
+        return _off(before) - _off(after) > MIN_LN_ANEES_GAIN
+    if before.prediction is not None and after.prediction is not None:
+        return after.prediction - before.prediction > MIN_GAIN_NATS
+    return False
+
+
+def gain(before: Score, after: Score) -> float:
+    """Return how much a fix is worth: ln of the factor on the position error, and half of that on ANEES."""
+    if before.position is not None and after.position is not None:
+        return _less(before, after) + WEIGHT_OF_ANEES * (_off(before) - _off(after)) + before.lost - after.lost
+    if before.prediction is not None and after.prediction is not None:
+        return after.prediction - before.prediction + before.lost - after.lost
+    return 0.0
+
+
+def _less(before: Score, after: Score) -> float:
+    """Return ln of how many times smaller the position error gets."""
+    if before.position is None or after.position is None:
+        return 0.0
+    return math.log(max(before.position, MIN_GAIN_M) / max(after.position, MIN_GAIN_M))
+
+
+def _off(score: Score) -> float:
+    """Return how far ln ANEES lies outside its chance range, 0 inside it or where there is none.
+
+    Inside, one drive cannot tell one ANEES from another: 0.73 before and 0.47 after are no loss.
+    """
+    if not score.anees:
+        return 0.0
+    low, high = score.bounds or (1.0, 1.0)
+    return max(0.0, math.log(score.anees / high), math.log(low / score.anees))

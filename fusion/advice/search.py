@@ -1,0 +1,106 @@
+"""Trying fixes: which of them help, which help together, and which is worth most.
+
+Fixes are tried one after the other on top of those that were kept, the most valuable first. What helped alone
+and no longer helps beside a better one is dropped: a late laser makes the compass look wrong, until the laser's
+clock is set. A fix is kept if no configuration gets worse by it and one gets better (`score`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from locfuse.fusion.doctor.finding import Finding
+
+from .score import Score, gain, improves, spoils
+
+Fixes = tuple[str, ...]  # "table.key=value"
+Scores = Mapping[str, Score]  # by configuration
+Try = Callable[[Fixes, Sequence[str]], Scores]  # settings, configurations -> their scores
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A finding, the ways to fix it, and the configurations by which they are judged."""
+
+    finding: Finding
+    alternatives: tuple[Fixes, ...]
+    judges: tuple[str, ...]
+    offer: bool = False  # no observation, only a setting that may help: silent where it does not
+
+
+@dataclass(frozen=True)
+class Advice:
+    """A finding with the fix that was tried, and what it did; no fixes where none of them helps."""
+
+    finding: Finding
+    fixes: Fixes = ()
+    before: Mapping[str, Score] | None = None
+    after: Mapping[str, Score] | None = None
+    tried: tuple[Fixes, ...] = ()  # every alternative that was tried
+
+    @property
+    def helps(self) -> bool:
+        """Whether the fix was tried and found to help."""
+        return bool(self.fixes)
+
+    @property
+    def shown_by(self) -> str | None:
+        """The configuration that gains most by the fix."""
+        if not self.before or not self.after:
+            return None
+        before, after = self.before, self.after
+        return max((name for name in before if name in after), key=lambda name: gain(before[name], after[name]))
+
+
+def together(one: Fixes, other: Fixes) -> Fixes:
+    """Return both, the other's value where both set a key."""
+    keys = {fix.partition("=")[0]: fix for fix in (*one, *other)}
+    return tuple(keys.values())
+
+
+def search(candidates: Sequence[Candidate], kept: Fixes, trial: Try) -> list[Advice]:
+    """Return advice on every candidate, what helps first and in the order in which it was found to help."""
+    left = list(candidates)
+    found: list[Advice] = []
+    while left:
+        tried = [(c, _best(c, kept, trial)) for c in left]
+        helpful = [(c, advice) for c, advice in tried if advice.helps]
+        if not helpful:
+            return [*found, *(advice for c, advice in tried if not c.offer)]
+        best, advice = max(helpful, key=lambda pair: worth(pair[1]))
+        found.append(advice)
+        kept = together(kept, advice.fixes)
+        # what did not help is tried again only beside what did: a second fault may have hidden it
+        left = [c for c in left if c is not best and c.finding.role != best.finding.role]
+    return found
+
+
+def worth(advice: Advice) -> float:
+    """Return the sum of the gains of all configurations that judged it."""
+    if advice.before is None or advice.after is None:
+        return 0.0
+    return sum(gain(advice.before[name], advice.after[name]) for name in advice.before)
+
+
+def _best(candidate: Candidate, kept: Fixes, trial: Try) -> Advice:
+    """Return the alternative that gains most of those that help."""
+    options = [Advice(candidate.finding, tried=candidate.alternatives)]
+    for fixes in candidate.alternatives:
+        pairs = _pairs(candidate, kept, fixes, trial)
+        if any(improves(*pair) for pair in pairs.values()):
+            before = {name: pair[0] for name, pair in pairs.items()}
+            after = {name: pair[1] for name, pair in pairs.items()}
+            options.append(Advice(candidate.finding, fixes, before, after, candidate.alternatives))
+    return max(options, key=lambda a: (a.helps, worth(a)))
+
+
+def _pairs(candidate: Candidate, kept: Fixes, fixes: Fixes, trial: Try) -> dict[str, tuple[Score, Score]]:
+    """Return every judge's score before and after; {} as soon as one gets worse, since each is a run."""
+    pairs = {}
+    for name in candidate.judges:
+        before, after = trial(kept, (name,)), trial(together(kept, fixes), (name,))
+        if name not in before or name not in after or spoils(before[name], after[name]):
+            return {}
+        pairs[name] = before[name], after[name]
+    return pairs

@@ -1,0 +1,60 @@
+from .arrays import Floats
+
+WALL: int
+PAIR: int
+FACE_SIGMAS: float
+MAX_ANGLE: float
+NOWHERE: float
+
+def predict(walls: Floats, width: int, places: int, pose: Floats, seen: Floats) -> None: ...
+def pairs(
+    rows: Floats,
+    lines: int,
+    walls: Floats,
+    width: int,
+    low: Floats,
+    high: Floats,
+    places: int,
+    states: bool,
+    pose: Floats,
+    P: Floats,
+    mount: Floats,
+    free: int,
+    max_turn: float,
+    max_offset: float,
+    limit: float,
+    seen: Floats,
+    out: Floats,
+) -> int: ...
+def spread(
+    rows: Floats,
+    i: int,
+    walls: Floats,
+    width: int,
+    j: int,
+    states: bool,
+    pose: Floats,
+    P: Floats,
+    mount: Floats,
+    free: int,
+    side: float,
+    seen: Floats,
+    out: Floats,
+    at: int,
+) -> None: ...
+def seat(walls: Floats, w: int, mount: Floats, free: int, out: Floats, at: int) -> None: ...
+def lever(mount: Floats, a: int, psi: float) -> float: ...
+def fits(distance: float, limit: float, out: Floats, at: int) -> bool: ...
+def extent(
+    rows: Floats,
+    i: int,
+    walls: Floats,
+    width: int,
+    j: int,
+    pose: Floats,
+    side: float,
+    low: Floats,
+    high: Floats,
+    out: Floats,
+    at: int,
+) -> None: ...

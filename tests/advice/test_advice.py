@@ -1,0 +1,62 @@
+"""Advice on whole logs: what is wrong is named, obeying helps, and what was obeyed is not advised again."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from commands import locfuse
+
+FAULTS = ("compass.offset_deg=-60", "lrf.time_offset=0.1")
+LOG = "rounded_rectangle"
+
+
+def options(*sets: str) -> tuple[str, ...]:
+    return tuple(word for one in sets for word in ("--set", one))
+
+
+@pytest.fixture(scope="module")
+def faulty(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("faulty") / "out"
+    done = locfuse("compare", LOG, *options(*FAULTS), "-o", out, "--write", "json,md", "-q")
+    assert done.exit_code == 0, done.stderr
+    return out
+
+
+def report(folder: Path, name: str = "report.json") -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((folder / name).read_text())
+    return found
+
+
+def test_two_faults_are_named_with_their_values(faulty: Path) -> None:
+    fixes = dict(fix.split("=") for fix in report(faulty)["fixes"])
+    assert float(fixes["lrf.time_offset"]) == pytest.approx(0.0, abs=0.015)
+    assert float(fixes["compass.offset_deg"]) == pytest.approx(-65.0, abs=1.0)
+    assert {f["role"] for f in report(faulty)["findings"] if f["fixes"]} == {"lrf", "compass"}
+    for finding in report(faulty)["findings"]:
+        if finding["fixes"]:
+            tried = finding["tried"]
+            assert tried["after"]["position_rmse_m"] < 0.9 * tried["before"]["position_rmse_m"]
+
+
+def test_obeying_helps_and_is_not_advised_again(faulty: Path, tmp_path: Path) -> None:
+    files = ("--robot", faulty / "robot.toml", "--robot", faulty / "fixes.toml")
+    done = locfuse("compare", LOG, *files, "-o", tmp_path / "out", "--write", "json", "-q")
+    assert done.exit_code == 0, done.stderr
+    before, after = (report(f)["configurations"]["all"]["position_rmse_m"] for f in (faulty, tmp_path / "out"))
+    assert after < 0.5 * before
+    assert not report(tmp_path / "out")["fixes"]
+
+
+def test_run_gives_the_same_findings_as_compare(faulty: Path, tmp_path: Path) -> None:
+    done = locfuse("run", LOG, *options(*FAULTS), "-o", tmp_path / "out", "--write", "json", "-q")
+    assert done.exit_code == 0, done.stderr
+    assert report(tmp_path / "out", "run.json")["findings"] == report(faulty)["findings"]
+
+
+def test_the_report_begins_with_the_answer(faulty: Path) -> None:
+    headline = report(faulty)["headline"]
+    assert headline.startswith("Keep the ")
+    assert headline in (faulty / "report.md").read_text()

@@ -1,0 +1,101 @@
+"""Which fixes are offered: held to scores written by hand, as if they were those of runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import pytest
+
+from locfuse.fusion.advice.score import Score, gain, improves, spoils
+from locfuse.fusion.advice.search import Advice, Candidate, Fixes, Scores, search, together
+from locfuse.fusion.doctor.finding import Finding
+
+LATE = Candidate(Finding("lrf", "lag", "late"), (("lrf.time_offset=-0.1",),), ("lrf", "all"))
+BIASED = Candidate(Finding("compass", "offset", "biased"), (("compass.offset_deg=5",),), ("compass", "all"))
+NOISY = Candidate(
+    Finding("camera", "noise", "noisy"), (("camera.sigma_deg=1",), ("camera.sigma_deg=2",)), ("camera", "all")
+)
+
+
+class Trials:
+    """Position errors [m] by settings, and which settings were asked for."""
+
+    def __init__(self, errors: Mapping[frozenset[str], float]) -> None:
+        self.errors, self.asked = errors, list[Fixes]()
+
+    def __call__(self, fixes: Fixes, names: Sequence[str]) -> Scores:
+        self.asked.append(fixes)
+        error = self.errors.get(frozenset(fixes))
+        return {} if error is None else {name: Score(error) for name in names}
+
+
+def keys(*fixes: str) -> frozenset[str]:
+    return frozenset(fixes)
+
+
+LAG, OFFSET = "lrf.time_offset=-0.1", "compass.offset_deg=5"
+
+
+def helpful(found: Sequence[Advice]) -> list[Fixes]:
+    return [a.fixes for a in found if a.helps]
+
+
+def test_what_helps_alone_and_not_beside_a_better_fix_is_no_longer_offered() -> None:
+    trial = Trials({keys(): 0.1, keys(LAG): 0.01, keys(OFFSET): 0.05, keys(LAG, OFFSET): 0.02})
+    assert helpful(search([BIASED, LATE], (), trial)) == [(LAG,)]
+
+
+def test_fixes_that_combine_are_tried_together_the_most_valuable_first() -> None:
+    trial = Trials({keys(): 0.1, keys(LAG): 0.05, keys(OFFSET): 0.08, keys(LAG, OFFSET): 0.01})
+    found = search([BIASED, LATE], (), trial)
+    assert helpful(found) == [(LAG,), (OFFSET,)]
+    assert found[1].before is not None
+    assert found[1].before["all"].position == 0.05  # on top of the first
+
+
+def test_a_finding_that_no_fix_helps_against_is_kept_without_one_and_an_offer_is_not() -> None:
+    trial = Trials({keys(): 0.1, keys(LAG): 0.1})
+    assert [(a.finding.role, a.fixes) for a in search([LATE], (), trial)] == [("lrf", ())]
+    offer = Candidate(LATE.finding, LATE.alternatives, LATE.judges, offer=True)
+    assert search([offer], (), trial) == []
+
+
+def test_of_several_alternatives_the_best_is_offered_and_one_that_cannot_be_applied_is_not() -> None:
+    trial = Trials({keys(): 0.1, keys("camera.sigma_deg=2"): 0.05})
+    assert helpful(search([NOISY], (), trial)) == [("camera.sigma_deg=2",)]
+
+
+def test_a_later_value_of_the_same_key_wins() -> None:
+    assert together(("a.b=1", "c.d=2"), ("a.b=3",)) == ("a.b=3", "c.d=2")
+
+
+BOUNDS = (0.5, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "worse", "better"),
+    [
+        (Score(0.100), Score(0.089), False, True),
+        (Score(0.100), Score(0.095), False, False),  # less than a tenth
+        (Score(0.100), Score(0.103), True, False),
+        (Score(0.0010), Score(0.00119), False, False),  # 0.2 mm are nothing
+        (Score(0.1, 40.0, BOUNDS), Score(0.1, 1.0, BOUNDS), False, True),
+        (Score(0.1, 0.8, BOUNDS), Score(0.1, 1.0, BOUNDS), False, False),  # chance, both
+        (Score(0.1, 1.0, BOUNDS), Score(0.1, 3.0, BOUNDS), True, False),
+        (Score(0.1, 5.4, BOUNDS), Score(0.12, 1.0, BOUNDS), True, True),  # no ANEES is worth a larger error
+        (Score(0.1, 1.0, BOUNDS), Score(0.05, 3.0, BOUNDS), False, True),  # half the error
+        (Score(0.1, 1.0, BOUNDS), Score(0.091, 3.0, BOUNDS), True, False),  # less than a tenth
+        (Score(0.1), Score(0.01, lost=0.2), True, True),  # lost is worse, whatever else
+        (Score(0.1), Score(), True, False),
+        (Score(prediction=1.0), Score(prediction=1.2), False, True),
+        (Score(prediction=1.0), Score(prediction=0.9), True, False),
+    ],
+)
+def test_what_counts_as_worse_and_as_better(before: Score, after: Score, worse: bool, better: bool) -> None:
+    assert (spoils(before, after), improves(before, after)) == (worse, better)
+
+
+def test_half_the_error_is_worth_as_much_as_a_quarter_of_the_anees_outside_its_range() -> None:
+    less = gain(Score(0.2, 1.0, BOUNDS), Score(0.1, 1.0, BOUNDS))
+    surer = gain(Score(0.1, 32.0, BOUNDS), Score(0.1, 8.0, BOUNDS))
+    assert less == pytest.approx(surer)

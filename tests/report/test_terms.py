@@ -1,0 +1,26 @@
+"""Every word of a table has an explanation that a user can ask for."""
+
+from __future__ import annotations
+
+import pytest
+from commands import locfuse
+
+from locfuse.formats.tables.glossary import GLOSSARY, explained
+from locfuse.formats.tables.tables import COUNTS, MAIN
+
+
+@pytest.mark.parametrize("heading", [(c.brief or c.heading).split("/")[0].strip() for c in (*MAIN, *COUNTS)])
+def test_every_column_of_the_terminals_tables_is_explained(heading: str) -> None:
+    done = locfuse("explain", heading)
+    assert done.exit_code == 0, done.stderr
+    assert done.stdout.strip() == explained(heading)
+
+
+def test_an_unknown_term_names_the_nearest() -> None:
+    done = locfuse("explain", "ANESE")
+    assert done.exit_code == 2
+    assert "ANEES" in done.stderr
+
+
+def test_without_a_term_all_are_listed() -> None:
+    assert all(f"{term}: " in locfuse("explain").stdout for term in GLOSSARY)

@@ -23,9 +23,7 @@ ASK_MOUNT = (
     "How well they are known: sigma_x, sigma_y, sigma_yaw_deg (of a laser 0.01 m and 0.5 degrees unless set)"
 )
 SIGMA_M, SIGMA_DEG = 0.01, 0.5  # m, degrees: of a mount, wherever it comes from
-SAID_SIGMAS = (
-    3.0  # its own: a mount found further away than this, and than it is configured to be known, is reported
-)
+SAID_SIGMAS = 3.0  # its own: a mount found further off than this, and than it is known to be, is reported
 
 
 class MountedSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -34,10 +32,10 @@ class MountedSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, k
     x: float = 0.0  # m, sensor on the base
     y: float = 0.0
     yaw_deg: float = 0.0
-    # m, standard deviation of x; above 0 it is a state, 0 is exact; None: SIGMA_M if the drive can tell it, else 0
-    sigma_x: float | None = None
+    # standard deviations: above 0 a state, 0 exact; None: SIGMA_M and SIGMA_DEG if the drive can tell it, else 0
+    sigma_x: float | None = None  # m; 0 is exact. A laser that builds its map: 0.01 unless set
     sigma_y: float | None = None
-    sigma_yaw_deg: float | None = None
+    sigma_yaw_deg: float | None = None  # degrees; 0 is exact. A laser that builds its map: 0.5 unless set
 
     @property
     def mount(self) -> tuple[float, float, float]:

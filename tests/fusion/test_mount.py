@@ -16,7 +16,7 @@ from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.linemap.association import associate
-from locfuse.fusion.linemap.laser_mount import seated
+from locfuse.fusion.linemap.laser_mount import Seat, seated
 from locfuse.fusion.linemap.scan import Scan
 from locfuse.fusion.linemap.tracker import LineTracker
 from locfuse.fusion.mount import Mount
@@ -133,6 +133,13 @@ def test_a_bearing_depends_on_the_cameras_mount_as_finite_differences_say() -> N
 
     row = bearing_by_mount(pose, landmark, (mount[0], mount[1]))
     np.testing.assert_allclose([row], numeric_jacobian(h, mount), atol=1e-8)
+
+
+def test_the_rows_of_one_line_are_those_of_many() -> None:
+    psi = np.array([-2.0, 0.3, 1.4])
+    for free in ((0, 1, 2), (1,), (0, 2)):
+        seat = Seat(0.2, -0.1, (3, 4, 5)[: len(free)], free)
+        np.testing.assert_allclose([seat.rows(one) for one in psi.tolist()], seat.derivative(psi), rtol=1e-15)
 
 
 def test_only_what_is_uncertain_is_a_state() -> None:

@@ -176,8 +176,7 @@ def test_a_laser_that_sits_elsewhere_makes_the_filter_overconfident_only_where_i
 
 def test_the_mount_of_a_laser_is_known_to_a_centimetre_and_half_a_degree_unless_configured() -> None:
     tells = Mount("lrf", LrfSettings(sigma_y=0.0, sigma_yaw_deg=2.0), tells=True)
-    assert [(block.name, math.sqrt(block.P[0, 0])) for block in tells.blocks()] == [
-        ("lrf_x", pytest.approx(0.01)),
-        ("lrf_yaw", pytest.approx(math.radians(2.0))),
-    ]
+    assert {block.name: math.sqrt(block.P[0, 0]) for block in tells.blocks()} == pytest.approx(
+        {"lrf_x": 0.01, "lrf_yaw": math.radians(2.0)}
+    )
     assert Mount("lrf", LrfSettings(), tells=False).blocks() == []

@@ -81,7 +81,7 @@ def drive(task: Task) -> dict[str, dict[str, Any]]:
     measured = None
     for mode in task.modes:
         sets = robot_toml.apply_sets((f"lrf.map={mode}", *task.robot_sets))
-        robot = make_robot(robot_toml.merge(tables, sets))
+        robot = make_robot(robot_toml.layered(tables, sets))
         measured = measured or measure(streams_by_role(topics, tables), robot)
         for sensors in task.configurations:
             if set(sensors) <= set(measured.measurements):

@@ -53,7 +53,7 @@ def simulated(scenario: str, sets: tuple[str, ...], seed: int) -> tuple[dict[str
 def judged(case: Case, seed: int) -> Figures:
     """Simulate one drive, fuse it and judge it."""
     topics, tables = simulated(case.scenario, case.sets, seed)
-    tables = robot_toml.merge(tables, robot_toml.apply_sets(case.given))
+    tables = robot_toml.layered(tables, robot_toml.apply_sets(case.given))
     robot = make_robot(tables)
     drive = measure(streams_by_role(topics, tables), robot)
     run = fuse_and_smooth(drive, robot, case.sensors)[1] if case.smooth else fuse(drive, robot, case.sensors)

@@ -101,7 +101,7 @@ def clock_case(seed: int) -> Clock:
     if lag is None or alone is None:
         return Clock(math.inf, math.inf, math.inf)
     cure = {"lrf": {"time_offset": lag.offset}}
-    robot = make_robot(robot_toml.merge(raw["tables"], cure))
+    robot = make_robot(robot_toml.layered(raw["tables"], cure))
     cured = judged(measure(streams_by_role(raw["topics"], raw["tables"]), robot), robot, ALL)
     clean, plain, _ = simulated(seed, "")
     return Clock(lag.offset + OFFSET, alone.offset + OFFSET, rmse(cured) / rmse(judged(clean, plain, ALL)))

@@ -36,9 +36,8 @@ def told(tables: dict[str, Any], seed: int, mode: str, how: str) -> Robot:
     off = np.random.default_rng(seed).normal(size=3) * np.array(list(PRIOR.values()))
     if how != "exact":
         keys |= {k: float(tables["lrf"].get(k, 0.0) + d) for k, d in zip(("x", "y", "yaw_deg"), off, strict=True)}
-    if how == "stated":
-        keys |= PRIOR
-    return make_robot(robot_toml.merge(tables, {"lrf": keys}))
+    keys |= PRIOR if how == "stated" else dict.fromkeys(PRIOR, 0.0)
+    return make_robot(robot_toml.layered(tables, {"lrf": keys}))
 
 
 def drive(seed: int, modes: tuple[str, ...]) -> dict[str, dict[str, Any]]:

@@ -110,7 +110,7 @@ def drive_of(
     topics: dict[str, Any], tables: dict[str, Any], case: Case, seed: int
 ) -> tuple[Drive, dict[str, Consistency]]:
     """Measure and judge one drive under one case: the drive, and the verdict on every sensor."""
-    robot = make_robot(robot_toml.merge(tables, robot_toml.apply_sets(case.sets)))
+    robot = make_robot(robot_toml.layered(tables, robot_toml.apply_sets(case.sets)))
     roles = ("wheels", "truth", *REGISTRY)
     streams = {r: topics[tables[r]["topic"]] for r in roles if r in tables}
     drive = measure(cast("dict[str, Stream]", streams), robot)

@@ -51,7 +51,7 @@ def one_drive(
     begin = time.process_time()
     topics, tables, outcome = in_memory(load(scenario, ("compass.enabled=false", *sets)), seed)
     simulated = time.process_time() - begin
-    robot = make_robot(robot_toml.merge(tables, robot_toml.apply_sets(robot_sets)))
+    robot = make_robot(robot_toml.layered(tables, robot_toml.apply_sets(robot_sets)))
     drive = measure(streams_by_role(topics, tables), robot)
     facts = {"seed": seed, "way_m": outcome.way, "duration_s": outcome.duration, "simulation_cpu_s": simulated}
     for kind in ("causal", "smoothed") if smooth else ("causal",):

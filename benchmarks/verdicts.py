@@ -48,7 +48,7 @@ def drive(seed: int, name: str, camera: bool) -> dict[str, str]:
     case = CASES[name]
     off = () if camera else ("camera.enabled=false",)
     topics, tables, _ = in_memory(load("rounded_rectangle", (*case.scenario, *off)), seed)
-    robot = make_robot(robot_toml.merge(tables, robot_toml.apply_sets(case.robot)))
+    robot = make_robot(robot_toml.layered(tables, robot_toml.apply_sets(case.robot)))
     measured = measure(streams_by_role(topics, tables), robot)
     sensors = list(measured.measurements)
     judged = {frozenset(s): evaluate(fuse(measured, robot, s), measured) for s in subsets(sensors)}

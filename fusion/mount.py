@@ -1,7 +1,9 @@
 """Where a sensor sits on the base, and how it is turned: known exactly, or as states that the drive improves.
 
-A laser that is turned by a degree more than told turns the whole map with it. No innovation shows that at once,
-and a filter that takes the mount for certain is confidently wrong. What is not known exactly is a state.
+A laser that is turned by a degree more than configured turns the whole map with it. No innovation shows that at
+once, and a filter that takes the mount for certain is confidently wrong. What is not known exactly is a state.
+Nobody measures a mount better than to 1 cm and half a degree, so this counts unless something else is configured,
+where the drive can tell the mount: a laser by the lines of its own map.
 """
 
 from __future__ import annotations
@@ -10,6 +12,7 @@ import math
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 
 from .data import Array, Component
 from .sensor import Belief, Block, SensorSettings
@@ -17,8 +20,10 @@ from .sensor import Belief, Block, SensorSettings
 Row = tuple[float, ...]
 ASK_MOUNT = (
     "not in this log (no /tf_static says it). Measure from the middle between the wheels: forward, left, turned. "
-    "How well they are known: sigma_x, sigma_y, sigma_yaw_deg; above 0 the drive improves them"
+    "How well they are known: sigma_x, sigma_y, sigma_yaw_deg (of a laser 0.01 m and 0.5 degrees unless set)"
 )
+SIGMA_M, SIGMA_DEG = 0.01, 0.5  # m, degrees: of a mount, wherever it comes from
+SAID_SIGMAS = 3.0  # its own: a mount found further off than this, and than it is known to be, is reported
 
 
 class MountedSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -27,9 +32,10 @@ class MountedSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, k
     x: float = 0.0  # m, sensor on the base
     y: float = 0.0
     yaw_deg: float = 0.0
-    sigma_x: float = 0.0  # m, standard deviation of x; above 0 it is a state
-    sigma_y: float = 0.0
-    sigma_yaw_deg: float = 0.0
+    # standard deviations: above 0 a state, 0 exact; None: SIGMA_M and SIGMA_DEG if the drive can tell it, else 0
+    sigma_x: float | None = None  # m; 0 is exact. A laser that builds its map: 0.01 unless set
+    sigma_y: float | None = None
+    sigma_yaw_deg: float | None = None  # degrees; 0 is exact. A laser that builds its map: 0.5 unless set
 
     @property
     def mount(self) -> tuple[float, float, float]:
@@ -40,16 +46,31 @@ class MountedSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, k
         """Raise ValueError where a standard deviation is negative."""
         super().__post_init__()
         for key in ("sigma_x", "sigma_y", "sigma_yaw_deg"):
-            if not 0.0 <= getattr(self, key) < math.inf:
+            if not 0.0 <= (getattr(self, key) or 0.0) < math.inf:
                 raise ValueError(f"{key} = {getattr(self, key)} must be 0 (known exactly) or above")
+
+    def sigmas(self, tells: bool) -> tuple[float, float, float]:
+        """Return the standard deviations of x, y [m] and yaw [rad]; `tells`: the drive can tell the mount."""
+        place, turn = (SIGMA_M, SIGMA_DEG) if tells else (0.0, 0.0)
+        x, y = (place if sigma is None else sigma for sigma in (self.sigma_x, self.sigma_y))
+        return x, y, math.radians(turn if self.sigma_yaw_deg is None else self.sigma_yaw_deg)
+
+
+def exact(settings: SensorSettings) -> SensorSettings:
+    """Return the settings with the mount, where there is one, known exactly."""
+    if not isinstance(settings, MountedSettings):
+        return settings
+    return replace(settings, sigma_x=0.0, sigma_y=0.0, sigma_yaw_deg=0.0)
 
 
 class Mount:
     """x [m], y [m], yaw [rad] of one sensor on the base; those that are uncertain are blocks of one state each."""
 
-    def __init__(self, sensor: str, settings: MountedSettings) -> None:
+    def __init__(self, sensor: str, settings: MountedSettings, tells: bool = False) -> None:
+        """`tells`: the drive can tell the mount, so that it is a state unless configured as exact."""
+        self.sensor = sensor
         self.told = settings.mount
-        sigmas = (settings.sigma_x, settings.sigma_y, math.radians(settings.sigma_yaw_deg))
+        sigmas = settings.sigmas(tells)
         self.free = tuple(i for i in range(3) if sigmas[i] > 0.0)  # which of x, y, yaw are states
         self._names = {i: f"{sensor}_{('x', 'y', 'yaw')[i]}" for i in self.free}
         self._variances = {i: sigmas[i] ** 2 for i in self.free}
@@ -71,14 +92,20 @@ class Mount:
         return tuple(belief.block(name)[0] for name in self._names.values())
 
     def words(self, belief: Any) -> list[str]:
-        """Say what the drive made of what was uncertain."""
-        parts = []
+        """Say where the drive found the mount, if that is not where it is configured to be."""
+        parts, sets = [], []
         for i, name in self._names.items():
             column, value = belief.block(name)
-            sigma = math.sqrt(max(float(belief.covariance[column, column]), 0.0))
-            key, times = (("x", 1.0), ("y", 1.0), ("yaw_deg", math.degrees(1.0)))[i]
-            parts.append(f"{key} {times * float(value[0]):.4g} (1 sigma: {times * sigma:.2g})")
-        return [f"found its mount at {', '.join(parts)}"] if parts else []
+            found, sigma = float(value[0]), math.sqrt(max(float(belief.covariance[column, column]), 0.0))
+            if abs(found - self.told[i]) <= max(SAID_SIGMAS * sigma, math.sqrt(self._variances[i])):
+                continue
+            key, unit, times = (("x", " m", 1.0), ("y", " m", 1.0), ("yaw_deg", "°", math.degrees(1.0)))[i]
+            shown = f"{times * found:.4g}"
+            parts.append(
+                f"{key} {shown}{unit} (1 sigma: {times * sigma:.2g}), configured {times * self.told[i]:.4g}"
+            )
+            sets.append(f"--set {self.sensor}.{key}={shown}")
+        return [f"its mount was found elsewhere: {'; '.join(parts)}. Fix: {' '.join(sets)}"] if parts else []
 
     def rows(self, by_mount: tuple[Row, ...]) -> tuple[Row, ...]:
         """Return the columns of a derivative by (x, y, yaw), (d, 3), that belong to states."""

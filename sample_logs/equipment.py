@@ -18,6 +18,8 @@ from .scenario import Lrf, Scenario
 from .sensors import JOINTS, Encoders, GroundTruth, Laser, Magnetometer, Sensor
 from .world import Scene
 
+EXACT_MOUNT = ("sigma_x", "sigma_y", "sigma_yaw_deg")  # a simulated laser sits exactly where robot.toml says
+
 
 def sensors(scenario: Scenario, scene: Scene, robot: Robot, streams: Streams) -> list[Sensor]:
     """Return the sensors of the scenario, each with its own source of chance."""
@@ -111,7 +113,7 @@ def _start_table(scenario: Scenario, start: Pose) -> dict[str, Any]:
 def _lrf_table(scenario: Scenario) -> dict[str, Any]:
     lrf = scenario.lrf
     keys = ("x", "y", "yaw_deg", "sigma_range", "sigma_angle_deg")
-    return {"topic": Laser.topic, **{key: getattr(lrf, key) for key in keys}}
+    return {"topic": Laser.topic, **{key: getattr(lrf, key) for key in keys}, **dict.fromkeys(EXACT_MOUNT, 0.0)}
 
 
 def _camera_table(scenario: Scenario) -> dict[str, Any]:

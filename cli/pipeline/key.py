@@ -51,7 +51,7 @@ def asked_tables(how: LogOptions, more: Sequence[str] = ()) -> dict[str, Any]:
     layers.append(robot_toml.apply_sets((*how.sets, *more)))
     given = {"order": how.order, "preset": how.preset, "from": how.begin, "to": how.end}
     given = {name: value for name, value in given.items() if value is not None}
-    return with_files(robot_toml.merge(*layers, given))
+    return with_files(robot_toml.layered(*layers, given))
 
 
 def with_files(tables: Mapping[str, Any]) -> dict[str, Any]:

@@ -227,7 +227,7 @@ def _leave_out(choice: Choice, only: Collection[str] | None, preset: str) -> Non
 
 def merged_tables(log: Log, how: LogOptions) -> dict[str, Any]:
     """Return robot.toml as tables: the preset's, then the log's attachment, --robot, and --set, key by key."""
-    tables = robot_toml.merge(*_layers(log, how).values())
+    tables = robot_toml.layered(*_layers(log, how).values())
     tables.setdefault("preset", "default")
     return robot_toml.merge(filters.TABLES[tables["preset"]], tables)
 
@@ -285,13 +285,13 @@ def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = sil
     """
     sets = _set_tables(words)
     _refuse_other_reading(loaded, sets)
-    tables = robot_toml.merge(loaded.tables, sets)
+    tables = robot_toml.layered(loaded.tables, sets)
     same = {table for table in tables if _measured_by(tables, table) == _measured_by(loaded.tables, table)}
     by_scans = loaded.drive.wheels.matched is not None
     moving = ("wheels", "lrf") if by_scans else ("wheels",)  # what the motion comes from
     wheels = all(table in same or table not in tables for table in moving)
     unchanged = {s: m for s, m in loaded.drive.measurements.items() if wheels and (s in same or s not in tables)}
-    asked = None if loaded.asked is None else with_files(robot_toml.merge(loaded.asked, sets))
+    asked = None if loaded.asked is None else with_files(robot_toml.layered(loaded.asked, sets))
     found = measured(loaded.log, tables, deepcopy(loaded.choice), progress, known=unchanged)
     sources = {**loaded.sources, **dict.fromkeys(_keys(sets), "--set")}
     return _within(replace(found, sources=sources, asked=asked, hash_all=loaded.hash_all), loaded.window)

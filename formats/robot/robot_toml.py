@@ -18,6 +18,7 @@ from locfuse.fusion.data import LocfuseError, UsageError
 from . import units
 
 FEW = 12  # keys are listed up to this many
+MOUNT_KEYS = ("x", "y", "yaw_deg")  # of a sensor on the base; each has a sigma_<key>
 MAX_NUMBER = 1e20  # no robot's number is larger; a 64-bit counter's range is not
 Tables = dict[str, Any]
 
@@ -57,6 +58,28 @@ def merge(*tables: Mapping[str, Any]) -> Tables:
             both = isinstance(before, Mapping) and isinstance(value, Mapping)
             merged[key] = merge(before, value) if both and before is not None else value
     return merged
+
+
+def layered(*tables: Mapping[str, Any]) -> Tables:
+    """Merge what several places say of one robot; what comes later wins.
+
+    `sigma_x = 0` says that the x beside it is exact. Where a later place gives another x, and no sigma, that is
+    not said of it: the sigma goes. The same holds of y and yaw_deg.
+    """
+    merged: Tables = {}
+    for layer in tables:
+        kept = {name: _without_void(table, layer.get(name)) for name, table in merged.items()}
+        merged = merge(kept, layer)
+    return merged
+
+
+def _without_void(before: Any, above: Any) -> Any:
+    """Return a table without the sigmas of 0 that were said of another value than the one above it."""
+    if not (isinstance(before, Mapping) and isinstance(above, Mapping)):
+        return before
+    moved = (key for key in MOUNT_KEYS if key in above and above[key] != before.get(key, 0.0))
+    void = {f"sigma_{key}" for key in moved if before.get(f"sigma_{key}") == 0}
+    return {key: value for key, value in before.items() if key not in void}
 
 
 def apply_sets(sets: Sequence[str]) -> Tables:

@@ -11,6 +11,7 @@ goes with their error in distance: y came out wrong by k / (2 dtheta), 8 mm.) De
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +39,12 @@ class Seat(NamedTuple):
         out[:, 1, 2] = -1.0
         chosen: Array = out[:, :, list(self.free)]
         return chosen
+
+    def rows(self, psi: float) -> tuple[list[float], list[float]]:
+        """Return the same of one line, as plain numbers: scans of a few lines cost no arrays."""
+        c, s = math.cos(psi), math.sin(psi)
+        r, turn = (-c, -s, self.x * s - self.y * c), (0.0, 0.0, -1.0)
+        return [r[i] for i in self.free], [turn[i] for i in self.free]
 
 
 def seated(z: Array, R: Array, ends: Array, mount: Mount, belief: JointBelief) -> tuple[Array, Array, Array, Seat]:

@@ -130,7 +130,7 @@ class LineTracker(Model):
         if self.joint:
             columns, H_block = (pair.column, pair.column + 1), ((1.0, u), (0.0, 1.0))
         if scan.seat is not None:
-            by_mount = scan.seat.derivative(np.array([pair.psi]))[0].tolist()
+            by_mount = scan.seat.rows(pair.psi)
             columns += scan.seat.columns
             H_block = tuple((*h, *m) for h, m in zip(H_block or ((), ()), by_mount, strict=True))
         return Innovation(

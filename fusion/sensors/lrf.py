@@ -22,6 +22,7 @@ from locfuse.fusion.lines.scans import Gathered, Laser, equal_scans, lines_in_ba
 from locfuse.fusion.mount import ASK_MOUNT, Mount, MountedSettings, mount_states
 from locfuse.fusion.sensor import Ask, Reversal, Sensor, WheelMotion
 
+TELL_MOUNT = ("refine", "grow")  # maps whose lines are states: with them a drive tells where its laser sits
 MapMode = Literal["first-scan", "consider", "refine", "grow", "given"]
 
 
@@ -116,7 +117,12 @@ class Lrf(Sensor):
 
     def model(self, settings: LrfSettings) -> AtlasTracker:
         """Return the laser's side of a new run."""
-        return AtlasTracker(settings.map, settings.gate, settings.recover, Mount(self.name, settings))
+        return AtlasTracker(
+            settings.map,
+            settings.gate,
+            settings.recover,
+            Mount(self.name, settings, tells=settings.map in TELL_MOUNT),
+        )
 
 
 def _floor_notes(uneven: Array, settings: LrfSettings) -> Iterator[str]:

@@ -8,7 +8,7 @@ were made from does not have to be told apart from what is measured later.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -22,6 +22,7 @@ from locfuse.fusion.ekf.map_frame import by_frame
 from locfuse.fusion.ekf.rows import stacked
 from locfuse.fusion.fuse import Filter
 from locfuse.fusion.instants import due_readings, steps_of
+from locfuse.fusion.mount import exact
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensor import Block, Innovation, Model
 
@@ -87,8 +88,12 @@ class Tape:
 
 
 def record(drive: Drive, robot: Robot, sensors: Sequence[str]) -> Tape:
-    """Run the filter with these sensors and return its tape."""
+    """Run the filter with these sensors and return its tape.
+
+    Mounts are taken as configured: where one is a state it turns the R of lines, and what of R is sigma's is lost.
+    """
     made: list[Taped] = []
+    robot = replace(robot, sensors={name: exact(settings) for name, settings in robot.sensors.items()})
 
     def joint(pose: Pose, P: Triangle, blocks: Sequence[Block] = ()) -> Any:
         made.append(Taped(pose, P, blocks))

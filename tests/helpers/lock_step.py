@@ -34,7 +34,7 @@ def simulated(
 ) -> tuple[Drive, Robot]:
     """A drive, and the robot that its user would describe with `robot_sets` on top."""
     topics, tables, _ = in_memory(load(scenario, (*LOCK_STEP, *sets)), seed)
-    robot = make_robot(robot_toml.merge(tables, robot_toml.apply_sets(robot_sets)))
+    robot = make_robot(robot_toml.layered(tables, robot_toml.apply_sets(robot_sets)))
     roles = ("wheels", "truth", *REGISTRY)
     streams = {r: topics[tables[r]["topic"]] for r in roles if r in tables}
     return measure(cast("dict[str, Stream]", streams), robot), robot

@@ -162,6 +162,7 @@ class World:
                 "yaw_deg": math.degrees(yaw),
                 "sigma_range": max(self.sigma_range, 1e-3),
                 "sigma_angle_deg": 0.05,
+                **dict.fromkeys(("sigma_x", "sigma_y", "sigma_yaw_deg"), 0.0),  # it sits exactly there
             },
             "compass": {"sigma_deg": max(math.degrees(self.compass_sigma), 0.1)},
         }

@@ -74,9 +74,13 @@ def test_the_lag_of_the_scans_is_reported_and_its_cure_silences_it(tmp_path: Pat
     assert "lrf.time_offset=" not in done.stdout
 
 
+# where the wheels are states too, the mount must be known: on a small floor it takes part of their error
+EXACT = [word for key in ("x", "y", "yaw_deg") for word in ("--set", f"lrf.sigma_{key}=0")]
+
+
 def found_track(tmp_path: Path, robot: Path, start: float, sets: Sequence[str]) -> tuple[float, list[str]]:
     """The track that the filter finds from one that it is told, and all that is said of the wheels."""
-    words = ("--robot", robot, *sets, "--set", f"wheels.track={start}", "--set", "wheels.estimate=true")
+    words = ("--robot", robot, *sets, *EXACT, "--set", f"wheels.track={start}", "--set", "wheels.estimate=true")
     done = locfuse("run", LOG, "--sensors", "lrf", *words, "-o", tmp_path / f"{start}", "--overwrite")
     assert done.exit_code == 0, done.stderr
     notes = [line for line in done.stderr.splitlines() if "wheels:" in line]

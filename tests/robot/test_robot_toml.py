@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from locfuse.formats.robot.robot_toml import apply_sets, convert, dump, merge, parse
+from locfuse.formats.robot.robot_toml import apply_sets, convert, dump, layered, merge, parse
 from locfuse.fusion.data import LocfuseError, UsageError
 
 
@@ -147,3 +147,14 @@ def test_keys_without_a_value_are_left_out_of_a_dump() -> None:
 def test_a_dump_refuses_what_it_could_not_read_back() -> None:
     with pytest.raises(LocfuseError, match=r"wheels\.radius = nan"):
         dump({"wheels": {"radius": float("nan")}})
+
+
+def test_a_sigma_of_zero_is_said_of_the_mount_beside_it_and_of_no_other() -> None:
+    log = {"lrf": {"x": 0.2, "sigma_x": 0.0, "yaw_deg": 0.0, "sigma_yaw_deg": 0.0, "y": 0.1, "sigma_y": 0.03}}
+    moved = layered(log, {"lrf": {"x": 0.23, "y": 0.0, "yaw_deg": 0.0}})["lrf"]
+    assert "sigma_x" not in moved  # the place where the log has it is exact; this one is another
+    assert moved["sigma_yaw_deg"] == 0.0  # the same place
+    assert moved["sigma_y"] == 0.03  # says how well people measure, not that one value is exact
+    assert layered(log, {"lrf": {"x": 0.23, "sigma_x": 0.0}})["lrf"]["sigma_x"] == 0.0
+    assert layered({"lrf": {"sigma_x": 0.0}}, {"lrf": {"x": 0.1}})["lrf"] == {"x": 0.1}
+    assert layered(log, {}, {"lrf": {"topic": "/scan"}})["lrf"] == {**log["lrf"], "topic": "/scan"}

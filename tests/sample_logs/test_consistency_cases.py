@@ -46,7 +46,7 @@ def test_every_case_has_a_name_of_its_own_and_figures_of_0_1() -> None:
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_a_case_names_settings_that_exist(case: Case) -> None:
     tables = Simulation(load(case.scenario, case.sets), 1).robot_tables
-    robot = make_robot(robot_toml.merge(tables, robot_toml.apply_sets(case.given)))
+    robot = make_robot(robot_toml.layered(tables, robot_toml.apply_sets(case.given)))
     assert all(robot.settings(sensor).topic for sensor in case.sensors)
     assert case.goal.aligned_as is None or case.goal.aligned_as[0] in {c.name for c in CASES}
 

@@ -155,7 +155,8 @@ class Run(Result):
         if path_of(file).suffix == ".csv":
             if not self.filtered.points:
                 raise UsageError(
-                    "save_map: this run placed no landmarks; --set landmarks.map=grow makes a map of them"
+                    "save_map: this run placed no landmarks",
+                    hint="--set landmarks.map=grow makes a map of them",
                 )
             maps.keep_landmarks(self.filtered, path_of(file))
             return

@@ -42,7 +42,7 @@ WALL: Rgb = (225, 205, 150)
 SCAN: Rgb = (110, 165, 200)
 LIMIT: Rgb = (255, 235, 60)
 LEVEL: Rgb = (205, 205, 210)
-LOOP: Rgb = (165, 255, 120)
+LOOP: Rgb = (225, 195, 255)
 
 MATCHED, REJECTED, NEW = "matched", "rejected", "new"
 GROUPS: dict[str, Rgb] = {MATCHED: (40, 185, 50), REJECTED: (240, 60, 50), NEW: (0, 225, 235)}

@@ -23,6 +23,13 @@ EXACT = {
     "gyro.sigma_bias_deg": "°/s",
     "gyro.bias_drift_deg": "°/s/√s",
     "landmarks.map": "m",
+    "landmarks.fx": "px",
+    "landmarks.cx": "px",
+    "pose.correlated": "s",
+    "pose.sigma_drift": "m/√m",
+    "pose.sigma_drift_deg": "°/√m",
+    "twist.sigma": "m/s",
+    "twist.sigma_turn_deg": "°/s",
     "sonar.mounts": "m, m, °",
 }
 SECONDS = {"time_offset", "period"}

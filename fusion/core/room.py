@@ -33,6 +33,10 @@ class Room(NamedTuple):
             return cls(source, _list, lambda n: [0] * n, _listed, _listed, _chained, lambda a, n: a[:n])
         return cls(unit, np.empty, _wholes, _array, _whole_array, _row, lambda a, n: a[:n].tolist())
 
+    def __deepcopy__(self, memo: object) -> Room:
+        """Return the same: whoever copies a belief wants no second core."""
+        return self
+
     @classmethod
     def here(cls, source: ModuleType) -> Room:
         """Return the room for the form that runs in this process."""

@@ -91,7 +91,7 @@ class PoseSensor(Sensor):
     name = "pose"
     Settings = PoseSettings
     components = (Component("x", "m"), Component("y", "m"), Component("heading", "deg", math.degrees(1.0)))
-    colour = Colour("#1f6f8b", "#8fd0ff")
+    colour = Colour("#1f6f8b", "#7b6bff")
     noise_keys = ("sigma", "sigma_theta_deg")
     extra = True
     asked_only = "an estimate may repeat what wheels and laser say, and count it twice"

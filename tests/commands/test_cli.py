@@ -190,7 +190,8 @@ def test_json_on_stdout_is_the_report(tmp_path: Path) -> None:
 def test_write_chooses_the_outputs(tmp_path: Path) -> None:
     done = locfuse("compare", LOG, "--sensors", "odometry", "--write", "json", "-o", tmp_path / "out")
     assert done.exit_code == 0
-    assert {p.name for p in (tmp_path / "out").iterdir()} - {"timing.json"} == {"report.json", "robot.toml"}
+    written = {p.name for p in (tmp_path / "out").iterdir()}
+    assert written - {"timing.json", "fixes.toml"} == {"report.json", "robot.toml"}
 
 
 def test_the_written_robot_reproduces_the_run(compared: Path, tmp_path: Path) -> None:

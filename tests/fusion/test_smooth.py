@@ -361,8 +361,8 @@ def test_the_last_instant_is_not_changed() -> None:
 
 def test_every_way_to_change_a_belief_is_noted_or_needs_no_note() -> None:
     """A new method of JointBelief that moves P must be thought about in the journal."""
-    known = {"predict", "augment", "remove", "shift", "place", "clone_heading", "transform", "loosen"}
-    known |= {"begin_frame"}
+    known = {"predict", "augment", "remove", "shift", "place", "clone_heading", "clone_pose", "transform"}
+    known |= {"begin_frame", "loosen", "own_point"}
     known |= {"correct", "know_frame", "listen"}  # knowledge only
     known |= {"consider", "add", "drive_with"}  # before the first motion
     reading = {"x", "y", "theta", "pose", "triangle", "state", "covariance", "matrix", "block", "variances", "has"}

@@ -37,6 +37,7 @@ def test_nothing_on_the_map_shares_a_colour_with_anything_else() -> None:
         "wall": style.WALL,
         "wall at first sight": style.FIRST_WALL,
         "scan": style.SCAN,
+        "loop closed": style.LOOP,
         **style.GROUPS,
     }
     labs = {name: lab(rgb) for name, rgb in {**sensors, **runs, **things}.items()}

@@ -20,6 +20,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.lines.extract import to_base
+from locfuse.fusion.lines.sweep import in_base
 from locfuse.fusion.mount import Mount
 
 
@@ -50,6 +51,19 @@ class Seat(NamedTuple):
 def seated(z: Array, R: Array, ends: Array, mount: Mount, belief: JointBelief) -> tuple[Array, Array, Array, Seat]:
     """Return lines (z, R, ends), put into the base by the mount as told, as the estimated mount puts them."""
     now = mount.now(belief)
-    moved = se2.compose(np.array(now), se2.inverse(np.array(mount.told)))
-    lines = to_base(z, R, ends, *moved.tolist())
+    lines = to_base(z, R, ends, *_moved(mount, belief).tolist())
     return *lines, Seat(now[0], now[1], mount.columns(belief), mount.free)
+
+
+def seated_shares(shared: Array, z: Array, mount: Mount, belief: JointBelief) -> Array:
+    """Return what lines z (k, 2), put into the base by the mount as told, share (k, 2, s), moved as `seated` does.
+
+    Left as it was it would be more than there is of R, and R of the scan no covariance.
+    """
+    return in_base(shared[:, :, None].astype(np.float64), z, _moved(mount, belief))[:, :, 0]
+
+
+def _moved(mount: Mount, belief: JointBelief) -> Array:
+    """Return what leads from the base by the mount as told to the base by the estimated one, (3,)."""
+    moved: Array = se2.compose(np.array(mount.now(belief)), se2.inverse(np.array(mount.told)))
+    return moved

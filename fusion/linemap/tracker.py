@@ -18,7 +18,7 @@ from locfuse.fusion.sensor import Block, Innovation, Model
 
 from .association import Association, associate
 from .guard import Guard
-from .laser_mount import seated
+from .laser_mount import seated, seated_shares
 from .line_map import AnyBelief, LineMap, about_middle
 from .pairing import Pair
 from .scan import Scan, Scans
@@ -110,8 +110,15 @@ class LineTracker(Model):
             return [Innovation.unpredicted(first + k, LOST, 2, self._gate) for k in range(last - first)]
         if self.mode == "grow":
             _refuse_a_lone_match(found)
-        shared = m.extra["shared"][first:last].tolist() if self.joint and "shared" in m.extra else None
+        shared = self._shared(m.extra["shared"][first:last], belief) if self.joint and "shared" in m.extra else None
         return [self._innovation(found, k, first + k, scan, shared) for k in range(last - first)]
+
+    def _shared(self, shared: Array, belief: Any) -> list[Any]:
+        """Return what the lines of the scan share (k, 2, s), put into the base as they are."""
+        if self.mount is not None and self._raw is not None:
+            shared = seated_shares(shared, self._raw.z, self.mount, belief)
+        found: list[Any] = shared.tolist()
+        return found
 
     def _innovation(
         self, found: Association, k: int, row: int, scan: Scan, shared: list[Any] | None = None

@@ -16,7 +16,7 @@ from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.linemap.association import associate
-from locfuse.fusion.linemap.laser_mount import Seat, seated
+from locfuse.fusion.linemap.laser_mount import Seat, seated, seated_shares
 from locfuse.fusion.linemap.scan import Scan
 from locfuse.fusion.linemap.tracker import LineTracker
 from locfuse.fusion.mount import Mount
@@ -94,6 +94,25 @@ def test_an_innovation_depends_on_pose_line_and_mount_as_finite_differences_say(
     S = H @ belief.covariance[np.ix_(columns, columns)] @ H.T + np.array(seen.R)
     np.testing.assert_allclose(seen.sigma, np.sqrt(np.diag(S)), rtol=1e-9)
     assert seen.nis == pytest.approx(np.array(seen.y) @ np.linalg.solve(S, seen.y), rel=1e-9)
+
+
+def test_what_lines_share_moves_with_them_and_stays_a_part_of_their_covariance() -> None:
+    mount = laser(0, 1, 2)
+    belief = JointBelief((0.0, 0.0, 0.0), (0.0,) * 6, mount.blocks())
+    belief.state[3:] = np.array(TOLD) + (0.03, -0.05, 0.2)
+    rng = np.random.default_rng(3)
+    z = np.array([(2.0, 0.3), (1.5, -2.0), (0.02, 1.2)])  # the last wall is passed: it is read from its other side
+    shared = rng.normal(size=(3, 2, 12)).astype(np.float32) * 0.01
+    own = np.tile(np.diag([1e-4, 4e-5]), (3, 1, 1))
+    G = shared.astype(np.float64)
+    _, R, _, _ = seated(z, own + G @ G.transpose(0, 2, 1), np.zeros((3, 2)), mount, belief)
+    _, R_own, _, _ = seated(z, own, np.zeros((3, 2)), mount, belief)
+    moved = seated_shares(shared, z, mount, belief)
+    np.testing.assert_allclose(R - R_own, moved @ moved.transpose(0, 2, 1), atol=1e-12)
+    joint = np.concatenate(moved) @ np.concatenate(moved).T  # of the scan, as the filter puts it together
+    for k, block in enumerate(R):
+        joint[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = block
+    assert np.linalg.eigvalsh(joint)[0] > 0.0
 
 
 @pytest.mark.parametrize(("pose", "line", "anchor"), PLACES[::2])

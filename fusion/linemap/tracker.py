@@ -110,11 +110,14 @@ class LineTracker(Model):
             return [Innovation.unpredicted(first + k, LOST, 2, self._gate) for k in range(last - first)]
         if self.mode == "grow":
             _refuse_a_lone_match(found)
-        shared = self._shared(m.extra["shared"][first:last], belief) if self.joint and "shared" in m.extra else None
+        shared = self._shared(m, first, last, belief)
         return [self._innovation(found, k, first + k, scan, shared) for k in range(last - first)]
 
-    def _shared(self, shared: Array, belief: Any) -> list[Any]:
-        """Return what the lines of the scan share (k, 2, s), put into the base as they are."""
+    def _shared(self, m: Measurements, first: int, last: int, belief: Any) -> list[Any] | None:
+        """Return what rows first:last share (k, 2, s), put into the base as they are; None: nothing."""
+        if not self.joint or "shared" not in m.extra:
+            return None
+        shared = m.extra["shared"][first:last]
         if self.mount is not None and self._raw is not None:
             shared = seated_shares(shared, self._raw.z, self.mount, belief)
         found: list[Any] = shared.tolist()

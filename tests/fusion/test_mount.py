@@ -99,10 +99,10 @@ def test_an_innovation_depends_on_pose_line_and_mount_as_finite_differences_say(
 def test_what_lines_share_moves_with_them_and_stays_a_part_of_their_covariance() -> None:
     mount = laser(0, 1, 2)
     belief = JointBelief((0.0, 0.0, 0.0), (0.0,) * 6, mount.blocks())
-    belief.state[3:] = np.array(TOLD) + (0.03, -0.05, 0.2)
+    belief.state[3:] = np.add(TOLD, (0.03, -0.05, 0.2))
     rng = np.random.default_rng(3)
     z = np.array([(2.0, 0.3), (1.5, -2.0), (0.02, 1.2)])  # the last wall is passed: it is read from its other side
-    shared = rng.normal(size=(3, 2, 12)).astype(np.float32) * 0.01
+    shared: Any = (0.01 * rng.normal(size=(3, 2, 12))).astype(np.float32)
     own = np.tile(np.diag([1e-4, 4e-5]), (3, 1, 1))
     G = shared.astype(np.float64)
     _, R, _, _ = seated(z, own + G @ G.transpose(0, 2, 1), np.zeros((3, 2)), mount, belief)

@@ -32,7 +32,8 @@ def direction_of_scans(drive: Drive) -> float:
     t, heading = m.t[within], wheels.heading(m.t[within])
     driven = np.append(0.0, np.cumsum(np.hypot(*wheels.relative(t[:-1], t[1:])[:, :2].T)))
     ends = np.searchsorted(driven, driven + WAY_M)
-    pairs = [(a, b) for a, b in enumerate(ends.tolist()) if b < len(t) and np.ptp(heading[a : b + 1]) < STRAIGHT_RAD]
+    there = [(a, b) for a, b in enumerate(ends.tolist()) if b < len(t)]
+    pairs = [(a, b) for a, b in there if np.ptp(heading[a : b + 1]) < STRAIGHT_RAD]
     i, j = np.array(pairs)[:: max(1, len(pairs) // MOST)].T
     used = np.union1d(i, j)
     clouds = clouds_of(m, within[used])

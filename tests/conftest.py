@@ -3,9 +3,17 @@
 import os
 import signal
 
+import hypothesis
+
 # A shell may export its width; what is tested is what a pipe gets.
 os.environ.pop("COLUMNS", None)
 
 # A runner that was started in the background ignores Ctrl-C, and so would every program it starts.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# A loaded machine is slow: that says nothing of what is tested.
+hypothesis.settings.register_profile(
+    "untimed", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
+)
+hypothesis.settings.load_profile("untimed")

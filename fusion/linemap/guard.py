@@ -90,7 +90,7 @@ class Guard:
         if share >= MIN_MATCHED_SHARE:
             self._since, self._torn = None, False
             return found, True
-        if moved and share < HARDLY and _may_slip(before, now):
+        if moved and share < HARDLY:
             slipped = _after_slip(scan, lines, belief, gate)
             if slipped is not None:
                 self._since, self._torn = None, False
@@ -233,21 +233,6 @@ def _jumped(before: Sequence[Seen], now: Seen) -> bool:
     return not _continues(recent, now, HARDLY)
 
 
-def _may_slip(before: Sequence[Seen], now: Seen) -> bool:
-    """Return whether the last scans say that the robot turned otherwise than its wheels.
-
-    Turned, they show what this one shows, and as the wheels turned they do not. Two short walls of a narrow view
-    fit somewhere on the map, turned enough: there all of the last scans must say so. In a wide one it is enough
-    that some do, since a slip may last for several scans.
-    """
-    recent = [one for one in before if now[0] - one[0] <= GAP and len(one[2].z)]
-    wide = _view(now[2]) >= VIEW
-    if not recent:
-        return wide
-    straight, turned = ([_continues([one], now, slip=slip) for one in recent] for slip in (0.0, MAX_SLIP_RAD))
-    return any(turned) and not all(straight) if wide else all(turned) and not any(straight)
-
-
 def _view(scan: Scan) -> float:
     """Return the angle that the walls of a scan fill, as seen from the robot [rad]."""
     r = np.abs(scan.z[:, :1])
@@ -255,14 +240,11 @@ def _view(scan: Scan) -> float:
     return float((bearings[:, 1] - bearings[:, 0]).sum())
 
 
-def _continues(before: Sequence[Seen], now: Seen, share: float = CONTINUES, slip: float = MAX_SLIP_RAD) -> bool:
-    """Return whether this scan shows walls where one of these scans expects them.
-
-    By the wheels, which may have turned otherwise by up to `slip` [rad].
-    """
+def _continues(before: Sequence[Seen], now: Seen, share: float = CONTINUES) -> bool:
+    """Return whether this scan shows walls where one of these scans and the wheels expect them."""
     _, here, scan = now
     steps = ((old, se2.between(np.array(there), np.array(here))) for _, there, old in before if len(old.z))
-    return any(expected_share(scan, old, step, slip) >= share for old, step in steps)
+    return any(expected_share(scan, old, step, MAX_SLIP_RAD) >= share for old, step in steps)
 
 
 def _sees_through(scan: Scan, lines: LineMap, belief: AnyBelief) -> bool:

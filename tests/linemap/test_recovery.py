@@ -13,7 +13,6 @@ from worlds import PLATES, ROOM, World
 from locfuse.fusion.data import Estimates, Evaluation
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.linemap.guard import _may_slip
 from locfuse.fusion.linemap.scan import Scan
 from locfuse.fusion.linemap.scan_history import Trail, expected_share
 from locfuse.fusion.measure import measure
@@ -140,33 +139,3 @@ def test_a_slip_of_a_wheel_is_found_and_turned_back() -> None:
     after = figures.t > 8.2
     assert np.hypot(*figures.deviation[after].T).max() < 0.05
     assert found.notes == ("lrf: 1 wheel slip recovered by the lines of the map",)
-
-
-def scan_of(*walls: tuple[float, float, float]) -> Scan:
-    """Walls at r [m] and psi [deg], each filling an angle [deg] symmetric about its foot."""
-    z = np.array([(r, math.radians(psi)) for r, psi, _ in walls])
-    half = np.array([r * math.tan(math.radians(angle) / 2.0) for r, _, angle in walls])
-    return Scan(z, np.tile(np.eye(2) * 1e-4, (len(z), 1, 1)), np.stack((-half, half), axis=-1))
-
-
-def turned(scan: Scan, degrees: float) -> Scan:
-    return Scan(scan.z - (0.0, math.radians(degrees)), scan.R, scan.ends)
-
-
-NARROW, WIDE = ((2.0, 10.0, 20.0), (3.0, -30.0, 15.0)), ((2.0, 10.0, 60.0), (3.0, -80.0, 60.0))
-
-
-@pytest.mark.parametrize(("walls", "some_suffice"), [(NARROW, False), (WIDE, True)])
-def test_a_slip_needs_scans_that_the_wheels_do_not_continue(
-    walls: tuple[tuple[float, float, float], ...], some_suffice: bool
-) -> None:
-    """The robot stands; of a view of 35 degrees all scans of the last second must say that it turned."""
-    here = (0.0, 0.0, 0.0)
-    now, slipped = (1.0, here, scan_of(*walls)), turned(scan_of(*walls), 12.0)
-    same = [(t, here, scan_of(*walls)) for t in (0.7, 0.8, 0.9)]
-    assert not _may_slip(same, now)  # the map may be wrong, the heading is not
-    assert _may_slip([(t, here, slipped) for t in (0.7, 0.8, 0.9)], now)
-    assert _may_slip([(0.7, here, slipped), *same[1:]], now) == some_suffice
-    clutter = scan_of((0.7, 160.0, 20.0), (1.1, 100.0, 15.0))
-    assert not _may_slip([(t, here, clutter) for t in (0.7, 0.8, 0.9)], now)  # no turn explains it
-    assert _may_slip([], now) == some_suffice  # after a silence the map alone may tell, from a wide view

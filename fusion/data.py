@@ -442,3 +442,9 @@ class Evaluation:
     def name(self) -> str:
         """The name of the estimates that were judged."""
         return result_name(self.configuration, self.smoothed)
+
+    @property
+    def lost_share(self) -> float:
+        """The share of the drive for which the filter said that it was lost."""
+        duration = self.figures.get("duration_s") or 0.0
+        return min(1.0, sum(b - a for a, b in self.lost) / duration) if duration > 0.0 else 0.0

@@ -14,6 +14,8 @@ from commands import locfuse as command
 from rewrite_log import rewritten
 
 import locfuse
+from locfuse.fusion.instants import BLOCK
+from locfuse.fusion.progress import heard_by
 
 LOG = "rounded_rectangle"
 WORDS = ("odometry", "lrf", "compass,lrf@2Hz")
@@ -221,8 +223,32 @@ def test_a_log_opens_without_being_measured() -> None:
 def test_progress_names_the_steps() -> None:
     steps: list[str] = []
     locfuse.load(LOG, progress=steps.append).run("odometry")
-    assert steps[0] == "opening"
+    assert steps[:4] == ["opening", "reading", "measuring the wheels", "measuring compass"]
     assert "fusing" in steps
+
+
+def test_reading_and_fusing_say_which_share_of_the_log_is_done() -> None:
+    heard: dict[str, list[float | None]] = {}
+    doing: list[str] = []
+
+    def begin(step: str) -> None:
+        doing.append(step)
+        heard[step] = []
+
+    def hear(share: float | None) -> None:
+        heard[doing[-1]].append(share)
+
+    with heard_by(hear):
+        session = locfuse.load(LOG, progress=begin)
+        session.run("all")
+    for step in ("reading", "measuring camera", "fusing"):
+        assert heard[step][-1] is None, "the loop has ended: what comes next is unknown"
+        shares = [share for share in heard[step][: heard[step].index(None)] if share is not None]
+        assert min(np.diff(shares)) > -0.05, "a chunk's topics come one after the other"
+        assert 0.0 <= shares[0] < 0.2
+        assert 0.8 < shares[-1] <= 1.0
+    fused = [k / len(session.drive.t) for k in range(0, len(session.drive.t), BLOCK)]
+    assert heard["fusing"][:-1] == pytest.approx(fused, abs=0.05), "instants are spread over the drive evenly"
 
 
 def test_losses_are_those_of_the_command(tmp_path: Path) -> None:

@@ -20,6 +20,12 @@ def gap_limit(t: Array) -> float:
     return max(GAP, GAP_PERIODS * float(np.median(np.diff(t)))) if len(t) > 1 else GAP
 
 
+def count_dropped(dropped: dict[str, int], reason: str, n: int) -> None:
+    """Count n readings that are not used; a reason that never occurs is not listed."""
+    if n:
+        dropped[reason] = dropped.get(reason, 0) + n
+
+
 @dataclass(frozen=True)
 class MergedStream:
     """Streams of numbers as one Stream, in time order; `source` says which of the parts a row came from."""

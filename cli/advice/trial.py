@@ -12,7 +12,7 @@ from typing import cast
 
 import numpy as np
 
-from locfuse.cli.pipeline.compare import PLAIN_FRAME, Compared, lost_share
+from locfuse.cli.pipeline.compare import PLAIN_FRAME, Compared
 from locfuse.cli.pipeline.configurations import Configuration
 from locfuse.cli.pipeline.load import Loaded, with_settings
 from locfuse.cli.pipeline.memory import lean
@@ -73,9 +73,9 @@ class Trial:
         """Take scores from a comparison under these settings, which need not be fused again."""
         if compared.loaded.drive.truth is None:
             return  # what only listens is not among its runs
-        for e, judged in zip(compared.estimates, compared.evaluations, strict=True):
-            if e.name in self.configurations:
-                self._scores[fixes, e.name] = score_of(e, judged)
+        for judged in compared.evaluations:
+            if judged.name in self.configurations:
+                self._scores[fixes, judged.name] = score_of(judged)
 
     def under(self, fixes: Fixes) -> Loaded | None:
         """Return the log under more settings; None where they fit neither the log nor each other."""
@@ -100,7 +100,7 @@ class Trial:
         if loaded.drive.truth is None:
             return self._predicted(loaded, c)
         e = self.fused(loaded, c.name)
-        return None if e is None else score_of(e, evaluate(e, loaded.drive, cast("Align", self.align)))
+        return None if e is None else score_of(evaluate(e, loaded.drive, cast("Align", self.align)))
 
     def _predicted(self, loaded: Loaded, c: Configuration) -> Score | None:
         """Score a configuration by what it predicts of the sensors that only listen."""
@@ -114,14 +114,14 @@ class Trial:
         return Score(prediction=mean_density(drive, e, flags))
 
 
-def score_of(e: Estimates, judged: Evaluation) -> Score:
+def score_of(judged: Evaluation) -> Score:
     """Return a configuration's figures against truth."""
     found = honesty(judged) if judged.align == PLAIN_FRAME else None
     return Score(
         judged.figures.get("position_rmse_m"),
         judged.figures.get("anees"),
         None if found is None else found.bounds,
-        lost=lost_share(e.lost, judged.figures.get("duration_s") or 0.0),
+        lost=judged.lost_share,
     )
 
 

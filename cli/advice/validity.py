@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 from locfuse.formats.tables.findings import options
+from locfuse.fusion.data import result_name
 from locfuse.fusion.judge.evaluate import ERROR_KEYS
 
 from .evaluator import Advised
@@ -54,7 +55,8 @@ def _lost(values: dict[str, Any]) -> tuple[str, str] | None:
     share = values.get("lost_share") or 0.0
     if share <= MAX_LOST_SHARE:
         return None
-    return "lost", f"{_name(values)}: lost for {share:.0%} of the drive, first at {values['lost'][0][0]:.1f} s"
+    name = result_name(values["configuration"], bool(values.get("smoothed")))
+    return "lost", f"{name}: lost for {share:.0%} of the drive, first at {values['lost'][0][0]:.1f} s"
 
 
 def _elsewhere(error_m: float | None, values: dict[str, Any]) -> tuple[str, str] | None:
@@ -68,10 +70,6 @@ def _elsewhere(error_m: float | None, values: dict[str, Any]) -> tuple[str, str]
 
 def _since(values: dict[str, Any], code: str) -> float:
     return float(values["lost"][0][0]) if code == "lost" else 0.0
-
-
-def _name(values: dict[str, Any]) -> str:
-    return f"{values['configuration']}{'-smoothed' if values.get('smoothed') else ''}"
 
 
 def _once(found: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from locfuse.cli.pipeline.compare import lost_share
 from locfuse.cli.pipeline.configurations import refuse_beside_others, unknown_sensor
 from locfuse.cli.pipeline.load import Loaded, load
 from locfuse.cli.pipeline.settings import LogOptions
@@ -152,7 +151,7 @@ def tune_logs(
 
 def spoiled(j: Judged) -> str | None:
     """Say that a log gets worse under the noise that was found: such noise is not written."""
-    before, after = (Score(e.figures.get("position_rmse_m"), lost=_lost(e)) for e in (j.before, j.after))
+    before, after = (Score(e.figures.get("position_rmse_m"), lost=e.lost_share) for e in (j.before, j.after))
     if not spoils(before, after):
         return None
     if after.lost > before.lost:
@@ -163,10 +162,6 @@ def spoiled(j: Judged) -> str | None:
         f"{j.name} {what}: the noise that was found is not used. Something else is set wrong; see: "
         f"locfuse info {j.name} --check"
     )
-
-
-def _lost(e: Evaluation) -> float:
-    return lost_share(e.lost, e.figures.get("duration_s") or 0.0)
 
 
 def write(path: Path, found: Tuning, how: LogOptions) -> None:

@@ -38,12 +38,6 @@ PLAIN_FRAME = "none"  # no alignment: the covariance can be judged
 Watch = Callable[[Estimates, Evaluation], None]
 
 
-def lost_share(lost: Sequence[tuple[float, float]], duration: float | Drive) -> float:
-    """Return the share of a drive, or of so many seconds, for which a run was lost."""
-    seconds = float(duration.t[-1] - duration.t[0]) if isinstance(duration, Drive) else duration
-    return min(1.0, sum(b - a for a, b in lost) / seconds) if seconds > 0.0 else 0.0
-
-
 @dataclass(frozen=True)
 class Compared:
     """What one `compare` found out about one log."""

@@ -37,14 +37,16 @@ class RerunOptions:
 
 def sketched(options: RerunOptions, result: Result, say: Say) -> Sketch | None:
     """Return the recording of a result in values, None where none is wanted or none can be made."""
-    if not options.wanted:
-        return None
-    with _at_worst_a_warning(say, options.save):
+    return _drawn(result, options.images, options.full, say, options.save) if options.wanted else None
+
+
+def _drawn(result: Result, images: int | None, full: bool, say: Say, named: Path | None = None) -> Sketch | None:
+    with _at_worst_a_warning(say, named):
         from locfuse.formats.rerun.recording import sketch
 
         from .scene import scene_of_result
 
-        return sketch(scene_of_result(result, options.images, options.full))
+        return sketch(scene_of_result(result, images, full))
     return None
 
 
@@ -62,12 +64,12 @@ def record(options: RerunOptions, sketch: Sketch | None, folder: Path, say: Say)
         _show(path, options, say)
 
 
-def saved(path: Path, options: RerunOptions, result: Result, say: Say) -> None:
+def saved(path: Path, result: Result, images: int | None, full: bool, say: Say) -> None:
     """Write the recording of a result to a file, show it nowhere; at worst say in one line why there is none.
 
     A catalog lists it by the file's name.
     """
-    if (drawn := sketched(options, result, say)) is not None:
+    if (drawn := _drawn(result, images, full, say)) is not None:
         _saved(path, drawn._replace(identity=path.stem), say, None)
 
 

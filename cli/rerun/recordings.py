@@ -10,7 +10,7 @@ import msgspec
 
 from locfuse.formats.visible import writable
 
-from .record import RerunOptions, saved
+from .record import saved
 
 if TYPE_CHECKING:
     from locfuse.cli.session.result import Result
@@ -34,8 +34,7 @@ class Recording(msgspec.Struct, frozen=True):
 def write(wanted: Recording, name: str, result: Result) -> str:
     """Write the recording of a result that has its audits; return in one line why there is none, else ""."""
     said: list[str] = []
-    file = wanted.file(name)
-    saved(file, RerunOptions(show=True, images=wanted.images, full=wanted.full), result, said.append)
+    saved(wanted.file(name), result, wanted.images, wanted.full, said.append)
     return f"{name}: {said[0]}" if said else ""
 
 

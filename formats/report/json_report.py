@@ -116,15 +116,10 @@ def _configuration(evaluation: Evaluation) -> dict[str, Any]:
         "smoothed": evaluation.smoothed,
         "rates_hz": dict(evaluation.rates),
         "lost": [list(interval) for interval in evaluation.lost],
-        "lost_share": _lost_share(evaluation),
+        "lost_share": evaluation.lost_share,
         "notes": list(evaluation.notes),
         "sensors": {name: _sensor(s) for name, s in evaluation.sensors.items()},
     }
-
-
-def _lost_share(evaluation: Evaluation) -> float:
-    duration = evaluation.figures.get("duration_s") or 0.0
-    return min(1.0, sum(b - a for a, b in evaluation.lost) / duration) if duration > 0.0 else 0.0
 
 
 def _sensor(figures: SensorFigures) -> dict[str, Any]:

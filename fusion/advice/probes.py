@@ -16,8 +16,8 @@ from locfuse.fusion.wheels.states import WHEELS, derivative, geometry
 
 MIN_SIGMAS = 4.0  # standard deviations by which an estimate must differ from what is configured
 MIN_MOUNT_M, MIN_MOUNT_DEG, MIN_TRACK = 0.004, 0.2, 0.005  # m, degrees, relative: smaller errors are left alone
-# prior standard deviations of the states of a probe: wide enough for a rough measurement with a ruler
 MIN_SCALE, MIN_TRUTH = 0.002, 50  # relative; readings of the truth
+# prior standard deviations of the states of a probe: wide enough for a rough measurement with a ruler
 PROBE_XY_M, PROBE_YAW_DEG = 0.05, 4.0
 MOUNT_KEYS = {"x": ("x", 1.0), "y": ("y", 1.0), "yaw": ("yaw_deg", math.degrees(1.0))}
 

@@ -28,6 +28,7 @@ from locfuse.fusion.sensor import (
     SensorSettings,
     WheelMotion,
 )
+from locfuse.fusion.streams import count_dropped
 
 Convention = Literal["enu_rad", "enu_deg", "compass_rad", "compass_deg"]
 OFFSET = "compass_offset"
@@ -117,8 +118,7 @@ class Compass(Sensor):
         good = np.isfinite(heading)
         _refuse_stuck(t[good], heading[good], wheels, stream.topic)
         dropped = dict(stream.dropped)
-        if not good.all():
-            dropped["not_finite"] = dropped.get("not_finite", 0) + int((~good).sum())
+        count_dropped(dropped, "not_finite", int((~good).sum()))
         n, sigma = int(good.sum()), math.radians(settings.sigma_deg)
         strength = _relative(strength[good])
         explained = FIELD_SIGMAS * max(sigma, _white(strength))

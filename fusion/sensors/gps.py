@@ -23,6 +23,7 @@ from locfuse.fusion.data import Array, Colour, Component, LocfuseError, Measurem
 from locfuse.fusion.geodesy import east_north
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.sensor import Ask, Block, Innovation, Model, Sensor, SensorSettings, WheelMotion
+from locfuse.fusion.streams import count_dropped
 
 FRAME = "_gps_frame"
 WIDE = 100.0  # m: how far the first fix may be from where the robot was
@@ -113,8 +114,7 @@ def _usable(where: Array, status: Array | None, dropped: dict[str, int]) -> NDAr
     fixed = finite if status is None else finite & (np.asarray(status) >= 0)
     real: NDArray[np.bool_] = fixed & (np.abs(where[:, 0]) <= 90.0) & (where != 0.0).any(axis=1)
     for reason, n in (("not_finite", ~finite), ("no_fix", finite & ~fixed), ("nowhere", fixed & ~real)):
-        if n.any():
-            dropped[reason] = dropped.get(reason, 0) + int(n.sum())
+        count_dropped(dropped, reason, int(n.sum()))
     return real
 
 

@@ -28,7 +28,7 @@ from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Ints, LocfuseError, Measurements, Stream
 from locfuse.fusion.mount import rotation
 from locfuse.fusion.sensor import Block, Innovation, Model, Sensor, SensorSettings, WheelMotion
-from locfuse.fusion.streams import gap_limit
+from locfuse.fusion.streams import count_dropped, gap_limit
 
 MAX_REST_ROLLED_M, MAX_REST_TURNED_RAD = 0.001, math.radians(0.1)  # over a whole rest: encoders tremble by a tick
 WILD_SIGMAS = 4.0  # prior sigmas by which a bias at rest is none: somebody turned the robot by hand
@@ -105,8 +105,7 @@ class Gyro(Sensor):
         t: Array = (stream.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset
         good = np.isfinite(rate)
         dropped = dict(stream.dropped)
-        if not good.all():
-            dropped["not_finite"] = dropped.get("not_finite", 0) + int((~good).sum())
+        count_dropped(dropped, "not_finite", int((~good).sum()))
         t, rate = t[good], rate[good]
         angle, piece = _summed(t, rate)
         keep = _one_each(t, settings.period)

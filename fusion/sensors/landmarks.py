@@ -41,6 +41,7 @@ from locfuse.fusion.landmarks.places import MIN_DETECTIONS, wrong_places
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.se2 import wrap, wrap_all
 from locfuse.fusion.sensor import Ask, Belief, Bias, Block, Innovation, Model, Sensor, SensorSettings, WheelMotion
+from locfuse.fusion.streams import count_dropped
 
 GROW = "grow"
 OFFSET = "range_offset"
@@ -197,8 +198,7 @@ def _usable(
         ("not_in_map", finite & numbered & ~known),
         ("same_id", finite & known & twice),
     ):
-        if out.any():
-            dropped[reason] = dropped.get(reason, 0) + int(out.sum())
+        count_dropped(dropped, reason, int(out.sum()))
     return np.asarray(finite & known & ~twice)
 
 

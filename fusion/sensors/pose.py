@@ -44,6 +44,7 @@ from locfuse.fusion.sensor import (
     SensorSettings,
     WheelMotion,
 )
+from locfuse.fusion.streams import count_dropped
 from locfuse.fusion.wheels.odometry import ODOMETRY, POSE
 
 KEPT = "_pose_before"
@@ -192,8 +193,7 @@ def _usable(values: Array, stream: Stream, settings: PoseSettings, dropped: dict
         ("no_orientation", finite & ~turned),
         ("repeat", finite & turned & ~later),
     ):
-        if out.any():
-            dropped[reason] = dropped.get(reason, 0) + int(out.sum())
+        count_dropped(dropped, reason, int(out.sum()))
     if not good.any():
         why = ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in dropped.items()) or "no messages"
         raise LocfuseError(f"{stream.topic} has no usable pose in {len(values)} messages ({why})", role="pose")

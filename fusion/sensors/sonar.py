@@ -23,7 +23,7 @@ from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Ints, Measur
 from locfuse.fusion.linemap.sonar_echo import Cone, Echo, nearest_echo
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.sensor import GATE, Ask, Innovation, Model, Sensor, SensorSettings, WheelMotion
-from locfuse.fusion.streams import MergedStream
+from locfuse.fusion.streams import MergedStream, count_dropped
 
 UNMATCHED = VERDICTS.index("unmatched")
 Mount = tuple[float, float, float]
@@ -66,8 +66,7 @@ class Sonar(Sensor):
         t: Array = (stream.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset
         known = ~np.isnan(distance)
         dropped = dict(stream.dropped)
-        if not known.all():
-            dropped["not_finite"] = dropped.get("not_finite", 0) + int((~known).sum())
+        count_dropped(dropped, "not_finite", int((~known).sum()))
         # at either end of the range nothing was measured (REP 117 says inf, old drivers say max_range)
         echo = (distance > columns["min_range"]) & (distance < columns["max_range"]) & np.isfinite(distance)
         rows = np.flatnonzero(known & echo)

@@ -22,7 +22,7 @@ from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, Stream, plausible
 from locfuse.fusion.se2 import wrap
 from locfuse.fusion.sensor import Ask, Block, Innovation, Model, Sensor, SensorSettings, WheelMotion
-from locfuse.fusion.streams import gap_limit
+from locfuse.fusion.streams import count_dropped, gap_limit
 from locfuse.fusion.wheels.odometry import SPEED
 
 from .pose import plane_covariance
@@ -121,8 +121,7 @@ def _usable(speeds: Array, stream: Stream, dropped: dict[str, int]) -> Ints:
     finite = plausible(speeds).all(axis=1)
     later = np.diff(stream.t_ns, append=np.iinfo(np.int64).max) > 0
     for reason, out in (("not_finite", ~finite), ("repeat", finite & ~later)):
-        if out.any():
-            dropped[reason] = dropped.get(reason, 0) + int(out.sum())
+        count_dropped(dropped, reason, int(out.sum()))
     keep = np.flatnonzero(finite & later)
     if not len(keep):
         raise LocfuseError(f"{stream.topic} has no usable speed in {len(speeds)} messages", role="twist")

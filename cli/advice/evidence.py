@@ -99,8 +99,8 @@ class Evidence:
     @cached_property
     def doctor(self) -> list[Finding]:
         """Return what the sensors say of each other (`fusion.doctor`)."""
-        loaded = self.loaded
-        if any(loaded.window) or loaded.robot.preset != "default":
+        loaded = self.trial.whole_under(self.fixes)
+        if loaded is None or any(loaded.window) or loaded.robot.preset != "default":
             return []  # the doctor looks at whole drives
         streams = {
             role: merged([loaded.log.stream(topic, loaded.robot.order) for topic in loaded.choice.of(role)])

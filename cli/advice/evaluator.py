@@ -14,7 +14,7 @@ from locfuse.cli.pipeline.compare import Compared, Heard, Watch, compare_log
 from locfuse.cli.pipeline.configurations import Configuration, for_comparison
 from locfuse.cli.pipeline.load import Loaded
 from locfuse.cli.pipeline.settings import Progress, silent
-from locfuse.fusion.advice.search import Advice, Candidate, Fixes, search, together
+from locfuse.fusion.advice.search import Advice, Candidate, Fixes, search, together, total
 from locfuse.fusion.data import Estimates
 
 from .beginning import Beginning
@@ -22,7 +22,9 @@ from .evidence import Evidence
 from .trial import Trial
 
 MAX_ROUNDS = 4
-REFINED = ("lag", "mount", "way")  # findings that are measured again, better, once others are fixed
+# findings that are measured again, better, once others are fixed
+REFINED = ("lag", "mount", "way", "understated", "overstated")
+CLEAR = 1.0  # worth of fixes beyond which nothing of a later stage is likely to explain the same
 MIN_DURATION_S = 5.0  # s: a shorter drive judges no setting
 
 
@@ -137,14 +139,19 @@ def _first_that_helps(evidence: Evidence, kept: Fixes, trial: Trial, done: set[t
         evidence.noise,
     )
     failed: list[Advice] = []
+    best: list[Advice] = []
     for stage in stages:
         candidates = [c for c in stage() if _key(c) not in done or c.finding.code in REFINED]
         found = search(candidates, kept, trial)
-        if any(a.helps for a in found):
-            return [*(a for a in failed if a.finding.severe), *found]
-        failed += found
+        best = max(best, found, key=total)
+        observed = {_key(c) for c in candidates if not c.offer}
+        if total(best) > CLEAR or any(a.helps and (a.finding.role, a.finding.code) in observed for a in found):
+            break
+        failed += (a for a in found if not a.helps)
         if any(a.finding.severe for a in found):
             break  # while this is open, nothing is said of offsets and noise
+    if any(a.helps for a in best):
+        return [*(a for a in failed if a.finding.severe and not a.helps), *best]
     return _one_each(failed)
 
 

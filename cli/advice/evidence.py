@@ -130,6 +130,8 @@ class Evidence:
     def _late_by_truth(self, lags: Mapping[str, Lag]) -> Iterator[Offer]:
         """Yield lags against the truth's headings; small ones only of sensors that look wrong anyway."""
         for sensor, lag in lags.items():
+            if not self._using(sensor):
+                continue  # no run takes its readings as they are
             sigmas = MIN_LAG_SIGMAS if self._complained(sensor) else MIN_SURE_LAG_SIGMAS
             if abs(lag.offset) >= max(MIN_LAG_S, sigmas * lag.sigma):
                 yield from self._shifted(sensor, lag, "the truth")

@@ -83,7 +83,7 @@ def _figures(report: Mapping[str, Any]) -> str:
 
 def _best(report: Mapping[str, Any]) -> str:
     """Return the configuration with the smallest error, without truth the last, which uses most sensors."""
-    rows = report["configurations"]
+    rows: Mapping[str, Any] = report["configurations"]
     known = {n: v["position_rmse_m"] for n, v in rows.items() if v["position_rmse_m"] is not None}
     return min(known, key=lambda n: known[n]) if known else list(rows)[-1]
 

@@ -35,7 +35,7 @@ def measure(
 ) -> Drive:
     """Measure a log: `streams` holds "wheels", sensors by name, and perhaps "truth".
 
-    Sensors in `known` were measured before, under the same settings of theirs and of the wheels. `motion` is how
+    Sensors in `known` were measured before, under the same settings, and those of the wheels. `motion` is how
     the robot moved where it was found before: without wheels, from its scans.
     Raises LocfuseError where the wheels give no motion or a sensor's readings cannot be understood.
     """

@@ -124,7 +124,7 @@ def table(shown: Table) -> None:
 
 
 def notes(report: Mapping[str, Any], losses: Sequence[str], quiet: bool) -> None:
-    """Print to stderr what a reader of the figures must know: absent sensors, oddities, losses."""
+    """Print to stderr what a reader of the figures must know: absent sensors, findings, losses."""
     for line in losses:
         say(f"lost: {line}")  # the reason of exit code 3: said under --quiet too
     if quiet:

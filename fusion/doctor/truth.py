@@ -29,7 +29,7 @@ MIN_TURN_RAD = math.radians(60.0)
 
 
 def of_truth(drive: Drive, robot: Robot, same_metre: bool = True) -> list[Finding]:
-    """Return what is odd about the truth; by wheels of another metre no body point is told."""
+    """Check the ground truth. The tracked body point is estimated only if the wheel scale is plausible."""
     truth = drive.truth
     if truth is None or len(truth.t) < 5:
         return []

@@ -5,15 +5,17 @@
 Each seed is one lap of the paper's robot with settings that are right but for one or two. `compare`'s findings are
 taken at their word: all their fixes are set, and the position error is compared with that before and with that of
 the right settings. Every case runs with and without truth in the log; without it the error is known to this
-benchmark only. Finished cases stand in the file of -o and are not run again.
+benchmark only. Finished cases stand in the file of -o and are not run again; `--write` puts the table into
+docs/advice.md. Delete the file when the code changes: all rows of a table are of one state of it.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import re
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +26,7 @@ from locfuse.cli.session.session import Session, load
 from locfuse.sample_logs.load import load as scenario_of
 from locfuse.sample_logs.record import on_truth, write_log
 
+PAGE = Path(__file__).parent.parent / "docs" / "advice.md"
 FIRST_SEED = 3000
 SCENARIO = (
     "truth.rate=20",
@@ -235,6 +238,45 @@ def table(rows: Sequence[Mapping[str, Any]], chosen: Sequence[Case]) -> list[str
     return lines
 
 
+def goals(rows: Sequence[Mapping[str, Any]], chosen: Sequence[Case]) -> list[str]:
+    """Return what the table comes to, with truth and without."""
+    lines = ["| all cases | with truth | without |", "|---|--:|--:|"]
+    faulty = {c.name: c for c in chosen if c.faults and c.roles}
+    sides = [[r for r in rows if r["truth"] == truth and r["case"] in faulty] for truth in (True, False)]
+    every = [[r for r in rows if r["truth"] == truth] for truth in (True, False)]
+
+    def row(name: str, cells: Sequence[str]) -> None:
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+
+    gaps = [[r for r in side if r["closed"] is not None] for side in sides]
+    row("the right key is offered, where the fault costs anything", [_share(g, "named") for g in gaps])
+    others = [sum(bool(set(r["accused"]) - faulty[r["case"]].roles) for r in side) for side in sides]
+    row("somebody else gets a fix too", [f"{n} of {len(s)}" for n, s in zip(others, sides, strict=True)])
+    row("an error grows", [f"{sum(bool(r['worse']) for r in side)} of {len(side)}" for side in every])
+    row("of the gap to the right settings is closed", [_mean(r["closed"] for r in g) for g in gaps])
+    return lines
+
+
+def _share(rows: Sequence[Mapping[str, Any]], key: str) -> str:
+    return f"{sum(bool(r[key]) for r in rows)} of {len(rows)}"
+
+
+def _mean(shares: Iterable[float]) -> str:
+    """Return the mean share; more than all of it counts as all."""
+    values = [min(share, 1.0) for share in shares]
+    return f"{sum(values) / len(values):.0%}" if values else "no gap"
+
+
+def put(page: Path, name: str, lines: Sequence[str]) -> None:
+    """Put lines into a page, between <!-- name --> and <!-- end -->."""
+    block = re.compile(rf"<!-- {name} -->\n.*?<!-- end -->", re.DOTALL)
+    text = page.read_text(encoding="utf-8")
+    if not block.search(text):
+        raise click.ClickException(f"{page} has no place for {name}")
+    whole = "\n".join((f"<!-- {name} -->", *lines, "<!-- end -->"))
+    page.write_text(block.sub(lambda _: whole, text), encoding="utf-8")
+
+
 @click.command()
 @click.option("--seeds", default=8, show_default=True)
 @click.option("--case", "words", multiple=True, help="Only cases whose name holds this word. Repeatable.")
@@ -242,7 +284,8 @@ def table(rows: Sequence[Mapping[str, Any]], chosen: Sequence[Case]) -> list[str
     "--truth", "which", type=click.Choice(["both", "with", "without"]), default="both", show_default=True
 )
 @click.option("-o", "out", type=click.Path(path_type=Path), default=Path("advice.jsonl"), show_default=True)
-def main(seeds: int, words: tuple[str, ...], which: str, out: Path) -> None:
+@click.option("--write", is_flag=True, help="Put the table into docs/advice.md.")
+def main(seeds: int, words: tuple[str, ...], which: str, out: Path, write: bool) -> None:
     """Print a table; cases that stand in the file of -o are not run again."""
     chosen = [c for c in cases() if not words or any(word in c.name for word in words)]
     truths = {"both": (True, False), "with": (True,), "without": (False,)}[which]
@@ -253,8 +296,11 @@ def main(seeds: int, words: tuple[str, ...], which: str, out: Path) -> None:
         click.echo(
             f"{row['seed']} {row['case']}: {' '.join(row['fixes']) or '-'} {closed} {row['worse']}", err=True
         )
-    for line in table(rows, chosen):
+    lines = [*goals(rows, chosen), "", *table(rows, chosen)]
+    for line in lines:
         click.echo(line)
+    if write:
+        put(PAGE, "drives", lines)
 
 
 if __name__ == "__main__":

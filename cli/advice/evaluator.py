@@ -10,17 +10,21 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from locfuse.cli.pipeline.compare import Compared, compare_log
+from locfuse.cli.pipeline.compare import Compared, Heard, Watch, compare_log
 from locfuse.cli.pipeline.configurations import Configuration, for_comparison
 from locfuse.cli.pipeline.load import Loaded
 from locfuse.cli.pipeline.settings import Progress, silent
-from locfuse.fusion.advice.search import Advice, Candidate, Fixes, search, together
+from locfuse.fusion.advice.search import Advice, Candidate, Fixes, search, together, total
+from locfuse.fusion.data import Estimates
 
+from .beginning import Beginning
 from .evidence import Evidence
-from .trial import Trial, shortened
+from .trial import Trial
 
 MAX_ROUNDS = 4
-REFINED = ("lag", "mount", "way")  # findings that are measured again, better, once others are fixed
+# findings that are measured again, better, once others are fixed
+REFINED = ("lag", "mount", "way", "understated", "overstated")
+CLEAR = 1.0  # worth of fixes beyond which nothing of a later stage is likely to explain the same
 MIN_DURATION_S = 5.0  # s: a shorter drive judges no setting
 
 
@@ -46,19 +50,40 @@ def standard(loaded: Loaded) -> list[Configuration]:
     return for_comparison([], loaded.drive)
 
 
-def advise(loaded: Loaded, progress: Progress, align: str = "none", known: Compared | None = None) -> Advised:
-    """Evaluate a log. `known` is a comparison of it under the same settings, which need not be made again."""
+class Evaluator:
+    """The evaluation of one log. Where a comparison of it is made anyway, it watches: see `takes` and `hears`."""
+
+    def __init__(self, loaded: Loaded, progress: Progress, align: str = "none") -> None:
+        self.trial = Trial(loaded, {c.name: c for c in standard(loaded)}, align, progress)
+        self._watch = Beginning(self.trial)
+        self._may_judge = _may_judge(loaded)
+
+    @property
+    def takes(self) -> list[Watch]:
+        """What a comparison's finished runs are to be given to."""
+        return [self._watch.take] if self._may_judge else []
+
+    @property
+    def hears(self) -> list[Heard]:
+        """What runs that other sensors listen to are to be given to."""
+        return [self._watch.hear] if self._may_judge else []
+
+    def advised(self) -> Advised:
+        """Return what is found, by what was watched; by a comparison of its own if that was not all it needs."""
+        if not self._may_judge:
+            return Advised()
+        trial = self.trial
+        first = self._watch.compared() or _compared((), trial.loaded, trial)
+        found, kept = _rounds(first, trial)
+        until = None if trial.loaded is trial.whole else float(trial.loaded.drive.t[-1])
+        return Advised(tuple(found), until, trial.fusions) if found or kept else Advised()
+
+
+def _may_judge(loaded: Loaded) -> bool:
+    """Return whether a log can be evaluated: with a given map, and by the print's filter, nothing is tried."""
     if loaded.robot.lines or loaded.robot.preset != "default" or not loaded.drive.measurements:
-        return Advised()
-    if float(loaded.drive.t[-1]) - float(loaded.drive.t[0]) < MIN_DURATION_S:
-        return Advised()
-    tried = shortened(loaded)
-    trial = Trial(tried, {c.name: c for c in standard(tried)}, align, progress)
-    usable = known is not None and tried is loaded and _covers(known, trial)
-    first = known if usable and known is not None else _compared(tried, trial)
-    found, kept = _rounds(first, trial)
-    until = None if tried is loaded else float(tried.drive.t[-1])
-    return Advised(tuple(found), until, trial.fusions) if found or kept else Advised()
+        return False
+    return float(loaded.drive.t[-1]) - float(loaded.drive.t[0]) >= MIN_DURATION_S
 
 
 def looks_wrong(loaded: Loaded, one: Compared) -> bool:
@@ -69,15 +94,14 @@ def looks_wrong(loaded: Loaded, one: Compared) -> bool:
     return Evidence(one, trial, ()).suspicious()
 
 
-def _covers(known: Compared, trial: Trial) -> bool:
-    names = {c.name for c in known.configurations}
-    return set(trial.configurations) <= names
-
-
-def _compared(loaded: Loaded, trial: Trial) -> Compared:
+def _compared(fixes: Fixes, loaded: Loaded, trial: Trial) -> Compared:
     configurations = list(trial.configurations.values())
     trial.fusions += len(configurations)
-    return compare_log(loaded, configurations, trial.align, trial.progress)
+
+    def hear(e: Estimates) -> None:
+        trial.heard(fixes, loaded, e)
+
+    return compare_log(loaded, configurations, trial.align, trial.progress, heard=[hear])
 
 
 def _rounds(compared: Compared, trial: Trial) -> tuple[list[Advice], Fixes]:
@@ -101,7 +125,7 @@ def _rounds(compared: Compared, trial: Trial) -> tuple[list[Advice], Fixes]:
         loaded = trial.under(kept)
         if loaded is None:
             break
-        compared = _compared(loaded, trial)
+        compared = _compared(kept, loaded, trial)
     names = {a.finding.role for a in helped}
     return [*helped, *(a for role, a in without.items() if role not in names)], kept
 
@@ -115,14 +139,19 @@ def _first_that_helps(evidence: Evidence, kept: Fixes, trial: Trial, done: set[t
         evidence.noise,
     )
     failed: list[Advice] = []
+    best: list[Advice] = []
     for stage in stages:
         candidates = [c for c in stage() if _key(c) not in done or c.finding.code in REFINED]
         found = search(candidates, kept, trial)
-        if any(a.helps for a in found):
-            return [*(a for a in failed if a.finding.severe), *found]
-        failed += found
+        best = max(best, found, key=total)
+        observed = {_key(c) for c in candidates if not c.offer}
+        if total(best) > CLEAR or any(a.helps and (a.finding.role, a.finding.code) in observed for a in found):
+            break
+        failed += (a for a in found if not a.helps)
         if any(a.finding.severe for a in found):
             break  # while this is open, nothing is said of offsets and noise
+    if any(a.helps for a in best):
+        return [*(a for a in failed if a.finding.severe and not a.helps), *best]
     return _one_each(failed)
 
 

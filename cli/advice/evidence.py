@@ -11,15 +11,18 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 
+import numpy as np
+
 from locfuse.cli.pipeline.compare import Compared
 from locfuse.cli.pipeline.load import Loaded
 from locfuse.cli.pipeline.trust import sensors_consistency
 from locfuse.fusion.advice.probes import of_offsets, of_probe, of_scale, probe_of
 from locfuse.fusion.advice.search import Candidate, Fixes
+from locfuse.fusion.data import Estimates, Truth
 from locfuse.fusion.doctor.clocks import clock_lags, lags_by_truth
-from locfuse.fusion.doctor.examine import examine
+from locfuse.fusion.doctor.examine import examine, scales
 from locfuse.fusion.doctor.finding import Finding, Least
-from locfuse.fusion.doctor.lag import worth_saying
+from locfuse.fusion.doctor.lag import Lag, worth_saying
 from locfuse.fusion.judge.consistency import Consistency
 from locfuse.fusion.judge.covariance import honesty
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -33,6 +36,9 @@ WHEEL_NOISE_FACTORS = (0.1, 0.3, 3.0, 10.0)
 MIN_LAG_S, MIN_LAG_SIGMAS = 0.005, 2.0  # s, standard deviations: a smaller lag against the truth is not tried
 MIN_SURE_LAG_SIGMAS = 3.0  # standard deviations, of a sensor that looks right otherwise
 WORTH_TRYING = Least(0.005, 2.0)  # what is worth saying untried is larger
+SUSPICIOUS = Least(0.005, 2.5)  # what is reason enough to fuse again where nothing else looks wrong
+MIN_SUSPICIOUS_LAG_S, MIN_SUSPICIOUS_SIGMAS = 0.01, 2.5  # s, standard deviations: the same of clocks
+TOO_LOW = 2.0  # a sigma that is set too low refuses the large residuals, so the observed one is a lower bound
 CAMERA_LAGS_S = (-0.2, -0.1, 0.1, 0.2)  # s
 MAX_NOISE_FACTOR = 4.0  # on a sigma, by the errors of its own run
 CLOCK = "lag"  # what clocks' findings are called
@@ -61,13 +67,16 @@ class Evidence:
         noise = any(f.verdict not in {"consistent", "unclear"} for f in self.consistency.values())
         overconfident = any(h is not None and h.anees > h.bounds[1] for h in self.honesty.values())
         lost = any(e.lost for e in self.compared.estimates)
-        return noise or overconfident or lost or self._lags() or self._worse_than_odometry()
+        seen = noise or overconfident or lost or self._lags() or self._worse_than_odometry()
+        return seen or bool(scales(self.loaded.drive, self.loaded.robot, SUSPICIOUS))
 
     def _lags(self) -> bool:
+        return bool(self._late) or any(worth_saying(lag) for lag in self._by_wheels.values())
+
+    @cached_property
+    def _by_wheels(self) -> dict[str, Lag]:
         drive = self.loaded.drive
-        return bool(self._late_by_truth) or any(
-            worth_saying(lag) for lag in clock_lags(drive.measurements, drive.wheels).values()
-        )
+        return clock_lags(drive.measurements, drive.wheels)
 
     def _worse_than_odometry(self) -> bool:
         errors = {e.name: e.figures.get("position_rmse_m") for e in self.compared.evaluations}
@@ -80,7 +89,7 @@ class Evidence:
 
     def clocks(self) -> list[Candidate]:
         """Return what measuring and the truth say of clocks: while one is wrong, the rest is not to be trusted."""
-        offers = [*self._late_by_truth, *self._late_pictures()]
+        offers = [*self._late, *self._late_pictures()]
         return self._candidates([f for f in self.doctor if f.code == CLOCK], offers)
 
     def geometry(self) -> list[Candidate]:
@@ -99,8 +108,8 @@ class Evidence:
     @cached_property
     def doctor(self) -> list[Finding]:
         """Return what the sensors say of each other (`fusion.doctor`)."""
-        loaded = self.loaded
-        if any(loaded.window) or loaded.robot.preset != "default":
+        loaded = self.trial.whole_under(self.fixes)
+        if loaded is None or any(loaded.window) or loaded.robot.preset != "default":
             return []  # the doctor looks at whole drives
         streams = {
             role: merged([loaded.log.stream(topic, loaded.robot.order) for topic in loaded.choice.of(role)])
@@ -109,20 +118,59 @@ class Evidence:
         return examine(loaded.drive, loaded.robot, streams, WORTH_TRYING)
 
     @cached_property
-    def _late_by_truth(self) -> list[Offer]:
-        """Return clock lags against the truth's headings; small ones only of sensors that look wrong anyway."""
-        found = []
-        for sensor, lag in lags_by_truth(self.loaded.drive).items():
+    def _late(self) -> list[Offer]:
+        """Return clock lags against the truth, without it against other runs and the wheels."""
+        drive = self.loaded.drive
+        if drive.truth is not None and drive.truth.theta is not None:
+            return list(self._late_by_truth(lags_by_truth(drive, drive.truth)))
+        by_runs = list(self._late_by_runs())
+        named = {finding.role for finding, _ in by_runs}
+        return [*by_runs, *(offer for offer in self._late_by_wheels() if offer[0].role not in named)]
+
+    def _late_by_truth(self, lags: Mapping[str, Lag]) -> Iterator[Offer]:
+        """Yield lags against the truth's headings; small ones only of sensors that look wrong anyway."""
+        for sensor, lag in lags.items():
             if not self._using(sensor):
-                continue
+                continue  # no run takes its readings as they are
             sigmas = MIN_LAG_SIGMAS if self._complained(sensor) else MIN_SURE_LAG_SIGMAS
-            if not math.isfinite(lag.sigma) or abs(lag.offset) < max(MIN_LAG_S, sigmas * lag.sigma):
+            if abs(lag.offset) >= max(MIN_LAG_S, sigmas * lag.sigma):
+                yield from self._shifted(sensor, lag, "the truth")
+
+    def _late_by_runs(self) -> Iterator[Offer]:
+        """Yield lags of sensors that look wrong against the run of another one that does not."""
+        for sensor in self.loaded.drive.measurements:
+            run = self._reference(sensor) if self._complained_itself(sensor) else None
+            if run is None:
                 continue
-            late = "late" if lag.offset < 0.0 else "early"
-            message = f"stamps look {abs(lag.offset):.3f} s {late} against the truth (1 sigma {lag.sigma:.3f} s)"
-            near = (lag.offset + step * lag.sigma for step in (0.0, -1.0, 1.0))
-            found.append((Finding(sensor, CLOCK, message), self._offsets_in_time(sensor, near)))
-        return found
+            truth = Truth("", run.t, run.pose[:, :2], run.pose[:, 2])
+            lag = lags_by_truth(self.loaded.drive, truth).get(sensor)
+            if lag is not None and abs(lag.offset) >= max(MIN_LAG_S, MIN_LAG_SIGMAS * lag.sigma):
+                yield from self._shifted(sensor, lag, f"the headings of {run.name}")
+
+    def _late_by_wheels(self) -> Iterator[Offer]:
+        """Yield lags against the wheels that are too small to be said untried."""
+        for sensor, lag in self._by_wheels.items():
+            if abs(lag.offset) >= max(MIN_SUSPICIOUS_LAG_S, MIN_SUSPICIOUS_SIGMAS * lag.sigma):
+                yield from self._shifted(sensor, lag, "the wheels")
+
+    def _shifted(self, sensor: str, lag: Lag, against: str) -> Iterator[Offer]:
+        """Yield a lag with the offsets to be tried: the lag itself, and one standard deviation to either side."""
+        if not math.isfinite(lag.sigma) or not self._using(sensor):
+            return
+        late = "late" if lag.offset < 0.0 else "early"
+        message = f"stamps look {abs(lag.offset):.3f} s {late} against {against} (1 sigma {lag.sigma:.3f} s)"
+        near = (lag.offset + step * lag.sigma for step in (0.0, -1.0, 1.0))
+        yield Finding(sensor, CLOCK, message), self._offsets_in_time(sensor, near)
+
+    def _reference(self, sensor: str) -> Estimates | None:
+        """Return the run of one other sensor, which nothing contradicts, that knows its heading best."""
+        fine = {s for s in self.loaded.drive.measurements if s != sensor and not self._complained_itself(s)}
+        runs = [
+            e
+            for e in self.compared.estimates
+            if len(e.sensors) == 1 and e.sensors[0] in fine and not e.smoothed and not e.lost
+        ]
+        return min(runs, key=lambda e: float(np.median(e.triangles[:, 5])), default=None)
 
     def _late_pictures(self) -> Iterator[Offer]:
         """Yield clocks to be tried of a camera that contradicts the rest: bearings know no turning."""
@@ -176,7 +224,7 @@ class Evidence:
         """Return noise that does not fit, sensor by sensor, and that of the wheels."""
         found = []
         for sensor, verdict in self.consistency.items():
-            seen, more = _noise_options(verdict), self._by_anees(sensor)
+            seen, more = [*_noise_options(verdict), *_above(verdict)], self._by_anees(sensor)
             words = verdict.words if seen else self._errors_in_sigmas(sensor)
             if seen or more:
                 finding = Finding(sensor, verdict.verdict, words)
@@ -215,9 +263,12 @@ class Evidence:
 
     def _complained(self, sensor: str) -> bool:
         """Return whether a sensor's own run is inconsistent, or its residuals are unusual."""
+        return self._complained_itself(sensor) or self._doubtful(self._alone(sensor))
+
+    def _complained_itself(self, sensor: str) -> bool:
+        """Return whether a sensor's own residuals are unusual, whatever truth says of its run."""
         verdict = self.consistency.get(sensor)
-        fine = verdict is None or verdict.verdict in {"consistent", "unclear"}
-        return not fine or self._doubtful(self._alone(sensor))
+        return verdict is not None and verdict.verdict not in {"consistent", "unclear"}
 
     def _doubtful(self, name: str) -> bool:
         """Return whether a configuration is inconsistent by truth; without truth any may be, once one looks so."""
@@ -272,6 +323,13 @@ def _noise_options(verdict: Consistency) -> list[Fixes]:
     if verdict.verdict == "correlated":
         return [(f"{key}={value:g}",) for key, value in verdict.cures.items()]
     return [_set(verdict.cures)]
+
+
+def _above(verdict: Consistency) -> list[Fixes]:
+    """Return a sigma above the observed one, where the configured one was too low."""
+    if verdict.verdict != "understated" or not verdict.cures:
+        return []
+    return [_set({key: float(f"{TOO_LOW * value:.2g}") for key, value in verdict.cures.items()})]
 
 
 def _set(cures: Mapping[str, float]) -> Fixes:

@@ -10,8 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import cast
 
-import numpy as np
-
 from locfuse.cli.pipeline.compare import PLAIN_FRAME, Compared
 from locfuse.cli.pipeline.configurations import Configuration
 from locfuse.cli.pipeline.load import Loaded, with_settings
@@ -22,7 +20,7 @@ from locfuse.fusion.advice.search import Fixes
 from locfuse.fusion.data import Drive, Estimates, Evaluation, LocfuseError
 from locfuse.fusion.judge.covariance import honesty
 from locfuse.fusion.judge.evaluate import Align, evaluate
-from locfuse.fusion.judge.predictive import listeners, log_density
+from locfuse.fusion.judge.predictive import listeners, mean_density
 from locfuse.fusion.measure import windowed
 from locfuse.fusion.paper.preset import fuser
 
@@ -30,28 +28,26 @@ MAX_INSTANTS = 2400  # of the drive: four minutes of a 10 Hz laser
 MAX_FUSIONS = 60  # runs of the filter that one log's advice may cost
 
 
-def shortened(loaded: Loaded) -> Loaded:
-    """Return the log, or its beginning where all of it would take too long to fuse many times."""
-    t = loaded.drive.t
-    if len(t) <= MAX_INSTANTS:
-        return loaded
-    begin = loaded.window[0]
-    end = float(t[MAX_INSTANTS])
-    drive, robot = windowed(loaded.drive, loaded.robot, None, end)
-    return replace(loaded, drive=drive, robot=robot, window=(begin, end))
-
-
 @dataclass
 class Trial:
     """Fuses one log under other settings as often as advice needs it, and remembers every score."""
 
-    loaded: Loaded
+    whole: Loaded
     configurations: Mapping[str, Configuration]
     align: str
     progress: Progress
     fusions: int = 0
+    loaded: Loaded = field(init=False)  # what is tried of the log: all of it, or its beginning
+    _end: float | None = field(init=False)  # s, of what is tried; None: of the drive
+    _whole: dict[Fixes, Loaded | None] = field(default_factory=dict)
     _logs: dict[Fixes, Loaded | None] = field(default_factory=dict)
     _scores: dict[tuple[Fixes, str], Score] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Cut the log where all of it would take too long to fuse many times."""
+        t = self.whole.drive.t
+        self._end = None if len(t) <= MAX_INSTANTS else float(t[MAX_INSTANTS])
+        self.loaded = self._shortened(self.whole)
 
     def __call__(self, fixes: Fixes, names: Sequence[str]) -> dict[str, Score]:
         """Return the scores of these configurations under more settings; {} where these cannot be applied."""
@@ -72,21 +68,41 @@ class Trial:
     def seed(self, fixes: Fixes, compared: Compared) -> None:
         """Take scores from a comparison under these settings, which need not be fused again."""
         if compared.loaded.drive.truth is None:
-            return  # what only listens is not among its runs
+            return  # those come by `heard`
         for judged in compared.evaluations:
             if judged.name in self.configurations:
                 self._scores[fixes, judged.name] = score_of(judged)
+
+    def heard(self, fixes: Fixes, loaded: Loaded, e: Estimates) -> None:
+        """Take the score of a run that other sensors listened to, which need not be fused again."""
+        if e.name in self.configurations:
+            self._scores[fixes, e.name] = predicted(loaded.drive, e)
 
     def under(self, fixes: Fixes) -> Loaded | None:
         """Return the log under more settings; None where they fit neither the log nor each other."""
         if not fixes:
             return self.loaded
         if fixes not in self._logs:
-            try:
-                self._logs[fixes] = with_settings(self.loaded, fixes)
-            except LocfuseError:
-                self._logs[fixes] = None
+            whole = self.whole_under(fixes)
+            self._logs[fixes] = None if whole is None else self._shortened(whole)
         return self._logs[fixes]
+
+    def whole_under(self, fixes: Fixes) -> Loaded | None:
+        """Return the whole log under more settings, also where only its beginning is tried."""
+        if not fixes:
+            return self.whole
+        if fixes not in self._whole:
+            try:
+                self._whole[fixes] = with_settings(self.whole, fixes)
+            except LocfuseError:
+                self._whole[fixes] = None
+        return self._whole[fixes]
+
+    def _shortened(self, loaded: Loaded) -> Loaded:
+        if self._end is None:
+            return loaded
+        drive, robot = windowed(loaded.drive, loaded.robot, None, self._end)
+        return replace(loaded, drive=drive, robot=robot, window=(loaded.window[0], self._end))
 
     def fused(self, loaded: Loaded, name: str) -> Estimates | None:
         """Return one configuration's run, None where the log lacks a sensor under these settings."""
@@ -110,8 +126,15 @@ class Trial:
             return None
         flags = listeners(drive, c.sensors)
         e = lean(fuser(loaded.robot.preset), drive, loaded.robot, c.sensors, c.name, flags)
-        # that it is lost with half of its readings taken away says nothing of a drive that has them all
-        return Score(prediction=mean_density(drive, e, flags))
+        return predicted(drive, e)
+
+
+def predicted(drive: Drive, e: Estimates) -> Score:
+    """Return what a run predicts of the sensors that only listened to it.
+
+    That it is lost with half of its readings taken away says nothing of a drive that has them all.
+    """
+    return Score(prediction=mean_density(drive, e, listeners(drive, e.sensors)))
 
 
 def score_of(judged: Evaluation) -> Score:
@@ -123,15 +146,3 @@ def score_of(judged: Evaluation) -> Score:
         None if found is None else found.bounds,
         lost=judged.lost_share,
     )
-
-
-def mean_density(drive: Drive, e: Estimates, flags: Mapping[str, np.ndarray]) -> float | None:
-    """Return the mean log density of what only listened, sensor by sensor [nats per number]; None for nothing."""
-    means = []
-    for sensor in (s for s in e.audits if s in flags):
-        m = drive.measurements[sensor]
-        density = log_density(e.audits[sensor], m.z)
-        rows = np.repeat(flags[sensor], np.diff(m.first)) & np.isfinite(density)
-        if rows.any():
-            means.append(float(density[rows].mean()))
-    return float(np.mean(means)) if means else None

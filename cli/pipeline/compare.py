@@ -36,6 +36,7 @@ PSEUDO = (
 )
 PLAIN_FRAME = "none"  # no alignment: the covariance can be judged
 Watch = Callable[[Estimates, Evaluation], None]
+Heard = Callable[[Estimates], None]
 
 
 @dataclass(frozen=True)
@@ -68,13 +69,14 @@ def compare_log(
     watch: Sequence[Watch] = (),
     audits: bool = False,
     foreign: Sequence[Estimates] = (),
+    heard: Sequence[Heard] = (),
 ) -> Compared:
     """Run and judge every configuration; smoothed ones come after all others.
 
     `foreign` are other people's estimates, judged beside ours.
 
     Audits are most of what a run holds. Unless `audits` are kept they end as soon as it is judged: who draws them
-    takes what is drawn then (`watch`).
+    takes what is drawn then (`watch`). So it is with the runs that other sensors only listen to (`heard`).
     """
     one_of(align, get_args(Align), "align")
     drive, robot = loaded.drive, loaded.robot
@@ -91,7 +93,7 @@ def compare_log(
     }
     present = [s for s in REGISTRY if s in drive.measurements]
     found = credit(plain, present) if drive.truth is not None else None
-    predicted = [] if found is not None else predict(drive, robot, configurations, progress)
+    predicted = [] if found is not None else predict(drive, robot, configurations, progress, heard)
     every = [*filtered, *smoothed, *(_judged_foreign(e, drive, align) for e in foreign)]
     return Compared(
         loaded=loaded,
@@ -154,7 +156,11 @@ def refuse_smoothing(robot: Robot, configurations: Sequence[Configuration]) -> N
 
 
 def predict(
-    drive: Drive, robot: Robot, configurations: Sequence[Configuration], progress: Progress
+    drive: Drive,
+    robot: Robot,
+    configurations: Sequence[Configuration],
+    progress: Progress,
+    heard: Sequence[Heard] = (),
 ) -> list[Score]:
     """Return how well each configuration predicts the sensors that only listen to it."""
     if not drive.measurements:
@@ -164,7 +170,11 @@ def predict(
     def tried() -> Iterator[Estimates]:
         for sensors, name in sets:
             progress(f"trying how {name} predicts the rest")
-            yield lean(fuser(robot.preset), drive, robot, sensors, name, listeners(drive, sensors))
+            e = lean(fuser(robot.preset), drive, robot, sensors, name, listeners(drive, sensors))
+            for take in heard:
+                take(e)
+            yield e
+            del e
 
     return scores(drive, tried())
 

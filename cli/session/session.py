@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast, get_args
 
-from locfuse.cli.advice.evaluator import Advised, advise, looks_wrong
+from locfuse.cli.advice.evaluator import Advised, Evaluator, looks_wrong
 from locfuse.cli.advice.report import complete
 from locfuse.cli.advice.values import add_findings
 from locfuse.cli.pipeline import maps
@@ -173,11 +173,12 @@ class Session:
         wanted = for_comparison(words, self.drive, all_subsets)
         foreign = foreign_estimates(self.loaded, named_sources(estimates or {}), [c.name for c in wanted])
         drawn = Drawn()
-        compared = compare_log(self.loaded, wanted, align, self.progress, smooth, [drawn.take], audits, foreign)
+        evaluator = Evaluator(self.loaded, self.progress, align) if advice else None
+        takes, hears = ([], []) if evaluator is None else (evaluator.takes, evaluator.hears)
+        watch = [drawn.take, *takes]
+        compared = compare_log(self.loaded, wanted, align, self.progress, smooth, watch, audits, foreign, hears)
         report = report_of(compared, None if foreign else Asked.of(words, all_subsets, align, smooth))
-        complete(
-            report, advise(self.loaded, self.progress, align, compared) if advice else None, self._start_error()
-        )
+        complete(report, None if evaluator is None else evaluator.advised(), self._start_error())
         self.progress("writing")
         return Comparison(
             self.loaded,
@@ -194,7 +195,7 @@ class Session:
         It is what the reports of `run` and `compare` hold under these keys, whichever configurations they show.
         """
         found: dict[str, Any] = {}
-        add_findings(found, advise(self.loaded, self.progress))
+        add_findings(found, Evaluator(self.loaded, self.progress).advised())
         return found
 
     def _start_error(self) -> float | None:
@@ -204,7 +205,9 @@ class Session:
         """Evaluate the log if this one run of it gives reason to."""
         runs = evidence(c.drive(self.drive), e, self.robot)
         one = Compared(self.loaded, [c], [e], [judged], runs, credit=None, scores=[])
-        return advise(self.loaded, self.progress, align) if looks_wrong(self.loaded, one) else Advised()
+        if not looks_wrong(self.loaded, one):
+            return Advised()
+        return Evaluator(self.loaded, self.progress, align).advised()
 
     def configuration(self, sensors: Sensors) -> Configuration:
         """Return the configuration that words name. Raises LocfuseError for a sensor that this log lacks."""

@@ -11,6 +11,7 @@ import numpy as np
 from locfuse.fusion.data import Drive, Estimates
 from locfuse.fusion.doctor.finding import Finding
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.se2 import wrap
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.states import WHEELS, derivative, geometry
 
@@ -101,6 +102,6 @@ def of_offsets(robot: Robot, e: Estimates) -> Iterator[Finding]:
             continue  # an offset that drifts has no one value
         scale = REGISTRY[sensor].components[0].scale
         value, sigma = scale * float(e.blocks[name][-1, 0]), scale * float(e.block_sigmas[name][-1, 0])
-        value = (value + 180.0) % 360.0 - 180.0
+        value = math.degrees(wrap(math.radians(value)))
         words = f"its offset is estimated anew on every drive; this one found {value:.2f}° (± {sigma:.1g})"
         yield Finding(sensor, "offset", words, (f"{sensor}.{bias.key}={value:.2f}",))

@@ -84,6 +84,11 @@ def worth(advice: Advice) -> float:
     return sum(gain(advice.before[name], advice.after[name]) for name in advice.before)
 
 
+def total(found: Sequence[Advice]) -> float:
+    """Return what all fixes that help are worth together."""
+    return sum(worth(advice) for advice in found if advice.helps)
+
+
 def _best(candidate: Candidate, kept: Fixes, trial: Try) -> Advice:
     """Return the alternative that gains most of those that help."""
     options = [Advice(candidate.finding, tried=candidate.alternatives)]

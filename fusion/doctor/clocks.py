@@ -55,9 +55,11 @@ def _wheels(offset: float, names: list[str], robot: Robot) -> Finding:
     return Finding("wheels", "lag", words, (fix,), abs(offset) > SEVERE_LAG_S)
 
 
-def lags_by_truth(drive: Drive) -> dict[str, Lag]:
-    """Return how far each sensor's clock is from the truth's, by the truth's headings: these never slip."""
-    truth = drive.truth
+def lags_by_truth(drive: Drive, truth: Truth | None) -> dict[str, Lag]:
+    """Return how far each sensor's clock is from the truth's, by the truth's headings: these never slip.
+
+    In place of the truth there may be a run that knows its heading better than the wheels do.
+    """
     if truth is None or truth.theta is None or len(truth.t) < MIN_READINGS:
         return {}
     span = (float(truth.t[0]), float(truth.t[-1]))

@@ -65,6 +65,11 @@ def examine(
     return [*found, *scales, *of_clocks(drive, robot), *truth]
 
 
+def scales(drive: Drive, robot: Robot, least: Least) -> list[Finding]:
+    """Return what looks wrong about distances and the track: the part of `examine` that reads nothing again."""
+    return _scales(drive, robot, turnings(drive), (), least)
+
+
 def _scales(
     drive: Drive,
     robot: Robot,

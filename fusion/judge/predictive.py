@@ -90,15 +90,15 @@ def scores(drive: Drive, tried: Iterable[Estimates]) -> list[Score]:
     """
     runs = iter(tried)
     base = next(runs)
-    found = _scores(drive, base, base)
+    found = scores_of(drive, base, base)
     while (e := next(runs, None)) is not None:
-        found += _scores(drive, e, base)
+        found += scores_of(drive, e, base)
         del e
     return found
 
 
-def _scores(drive: Drive, e: Estimates, base: Estimates) -> list[Score]:
-    """Return one configuration's scores, compared with those of odometry."""
+def scores_of(drive: Drive, e: Estimates, base: Estimates) -> list[Score]:
+    """Return the scores of one configuration's run, compared with those of odometry's, `base`."""
     found = []
     flags = listeners(drive, e.sensors)
     for sensor in (s for s in e.audits if s in flags):
@@ -114,6 +114,18 @@ def _scores(drive: Drive, e: Estimates, base: Estimates) -> list[Score]:
             mean = float(mine[rows].mean())
             found.append(Score(e.name, sensor, len(rows), mean, float(gain.mean()), low, high, own))
     return found
+
+
+def mean_density(drive: Drive, e: Estimates, flags: Mapping[str, NDArray[np.bool_]]) -> float | None:
+    """Return the mean log density of what only listened, sensor by sensor [nats per number]; None for nothing."""
+    means = []
+    for sensor in (s for s in e.audits if s in flags):
+        m = drive.measurements[sensor]
+        density = log_density(e.audits[sensor], m.z)
+        rows = np.repeat(flags[sensor], np.diff(m.first)) & np.isfinite(density)
+        if rows.any():
+            means.append(float(density[rows].mean()))
+    return float(np.mean(means)) if means else None
 
 
 def ranking(found: Sequence[Score], configurations: Sequence[str]) -> list[Ranked]:

@@ -94,7 +94,7 @@ class Filter:
         self._rolling = [m for m in self.models.values() if type(m).rolled is not Model.rolled]
         mapping = [s for s in self._sensors if self.models[s].maps]
         self._leads = [s for s in mapping if self.models[s].leads]
-        self._may_begin = self._leads or mapping  # who may begin a frame: a leader whenever it likes, else the first
+        self._may_begin = self._leads or mapping  # frames: a leader whenever it likes, else the first of all
         for model in self.models.values():
             model.begin(robot.lines, self.belief)
         for s, model in self.models.items():

@@ -193,7 +193,7 @@ def with_two_maps(late: str) -> tuple[Drive, Robot]:
 
 
 def tagged(t: Array, pose: Array, rng: np.random.Generator) -> ArrayStream:
-    """Range and bearing to four tags, all in sight all the time, with the noise that [landmarks] tells by default."""
+    """Range and bearing to four tags, always in sight, with the noise that [landmarks] tells by default."""
     seen = np.array([(4.0, 6.0), (-2.0, 3.0), (6.0, -4.0), (0.0, -5.0)])
     d = seen[None] - pose[:, None, :2]
     noise = rng.normal(size=d.shape) * (0.1, math.radians(1.5))

@@ -14,6 +14,7 @@ from locfuse.cli.terminal.fleet_options import fleet_options
 from locfuse.cli.terminal.options import (
     advice_option,
     export_option,
+    jitter_option,
     log_options,
     out_options,
     preset_option,
@@ -53,6 +54,7 @@ from locfuse.cli.terminal.rerun_options import rerun_options
 )
 @smooth_option
 @advice_option
+@jitter_option
 @click.option(
     "--figures",
     type=click.Path(path_type=Path, file_okay=False),

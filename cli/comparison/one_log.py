@@ -34,6 +34,7 @@ class Wish:
     rerun: RerunOptions
     fleet: FleetOptions
     estimate: tuple[str, ...] = ()
+    jitter: int = 0  # runs
     advice: bool = True  # fixes are tried; of several logs never
     open: bool = False  # the page, in the browser
 
@@ -70,6 +71,7 @@ def one(log: Sequence[str], wish: Wish) -> int:
             align=wish.align,
             smooth=wish.smooth,
             advice=wish.advice,
+            jitter=wish.jitter,
             audits=rerun.wanted,
             estimates=sources,
         )

@@ -37,6 +37,7 @@ from locfuse.fusion.judge.evaluate import Align, evaluate
 from locfuse.fusion.robot import Robot
 
 from .foreign import foreign_estimates, named_sources
+from .jitter import add_jitter, check_runs, jitter_runs
 from .named import Named
 from .result import Comparison, Run
 from .sweep import cells
@@ -111,6 +112,7 @@ class Session:
         align: str = "none",
         smooth: bool = False,
         advice: bool = True,
+        jitter: int = 0,
     ) -> Run:
         """Estimate the trajectory with one set of sensors, as `locfuse run` does.
 
@@ -119,16 +121,21 @@ class Session:
             align: "none", "origin" or "se2": how to move the estimate onto the truth before judging it.
             smooth: also smooth: what the whole drive, its end included, says of every instant.
             advice: where something looks wrong, evaluate the log as `compare` does and try fixes.
+            jitter: fuse as many times more with stamps moved by 1 us and 1 % of the readings dropped; the report
+                then has the range of every figure under `configurations.<name>.jitter`.
 
         Raises:
             LocfuseError: an unknown sensor, or one that this log lacks.
         """
         one_of(align, get_args(Align), "align")
+        runs = check_runs(jitter)
         used = sensors if isinstance(sensors, Configuration) else self.configuration(sensors)
         self.progress("fusing")
         estimates = lean(used.fuse, self.drive, self.robot, smooth)
         evaluations = [evaluate(e, used.drive(self.drive), cast("Align", align)) for e in estimates]
         report = report_of_run(self.loaded, used, estimates, evaluations)
+        if runs:
+            self._jitter(report, [used], align, smooth, estimates, runs)
         complete(
             report,
             self._advice_on_run(used, estimates[0], evaluations[0], align) if advice else None,
@@ -152,6 +159,7 @@ class Session:
         audits: bool = True,
         estimates: Mapping[str, str] | None = None,
         advice: bool = True,
+        jitter: int = 0,
     ) -> Comparison:
         """Run several configurations and say what each sensor is worth, as `locfuse compare` does.
 
@@ -164,17 +172,22 @@ class Session:
             audits: keep every measurement's innovation and verdict, `estimates["lrf"].audits["lrf"]`. They are
                 most of what a result holds; False frees them as soon as the figures have what they show.
             advice: where something looks wrong, try fixes by fusing again, and report what they did.
+            jitter: fuse as many times more with stamps moved by 1 us and 1 % of the readings dropped; the report
+                then has the range of every figure, and a verdict that changes becomes "no effect seen".
             estimates: other people's estimates as rows of their own, {"amcl": "/amcl_pose", "slam": "slam.tum"}.
 
         Raises:
             LocfuseError: an unknown sensor, or one that this log lacks.
         """
+        runs = check_runs(jitter)
         words = () if sensors is None else (sensors,) if isinstance(sensors, str) else tuple(sensors)
         wanted = for_comparison(words, self.drive, all_subsets)
         foreign = foreign_estimates(self.loaded, named_sources(estimates or {}), [c.name for c in wanted])
         drawn = Drawn()
         compared = compare_log(self.loaded, wanted, align, self.progress, smooth, [drawn.take], audits, foreign)
-        report = report_of(compared, None if foreign else Asked.of(words, all_subsets, align, smooth))
+        report = report_of(compared, None if foreign else Asked.of(words, all_subsets, align, smooth, runs))
+        if runs:
+            self._jitter(report, wanted, align, smooth, compared.estimates, runs)
         complete(
             report, advise(self.loaded, self.progress, align, compared) if advice else None, self._start_error()
         )
@@ -196,6 +209,21 @@ class Session:
         found: dict[str, Any] = {}
         add_findings(found, advise(self.loaded, self.progress))
         return found
+
+    def _jitter(
+        self,
+        report: dict[str, Any],
+        configurations: Sequence[Configuration],
+        align: str,
+        smooth: bool,
+        estimates: Sequence[Estimates],
+        runs: int,
+    ) -> None:
+        """Add what other drives that differ by next to nothing give to a report."""
+        plain = {e.name: e for e in estimates}
+        add_jitter(
+            report, list(jitter_runs(self.loaded, configurations, align, smooth, plain, runs, self.progress))
+        )
 
     def _start_error(self) -> float | None:
         return start_error(self.robot, self.drive)

@@ -65,6 +65,15 @@ def advice_option(command: F) -> F:
     return click.option("--no-advice", "advice", flag_value=False, default=True, help=words)(command)
 
 
+def jitter_option(command: F) -> F:
+    """Add --jitter."""
+    words = (
+        "Also fuse N times with stamps moved by 1 µs and 1 % of the readings dropped: the range of every "
+        "figure is reported, and a verdict that changes becomes: no effect seen."
+    )
+    return click.option("--jitter", type=int, default=0, metavar="N", help=words)(command)
+
+
 class RobotFile(click.Path):
     """A robot.toml, or one for each robot of a fleet: those are looked for when the robots are known."""
 

@@ -34,7 +34,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "atlas",
         "truth sensors",
         "measure instants judge doctor",
-        "fuse graph",
+        "fuse graph jitter",
         "smooth tune paper advice laser_odometry",
     ),
     "formats": (

@@ -14,6 +14,7 @@ from locfuse.cli.terminal.fleet_options import fleet_options
 from locfuse.cli.terminal.options import (
     advice_option,
     export_option,
+    given_map_option,
     jitter_option,
     log_options,
     out_options,
@@ -87,6 +88,7 @@ from locfuse.cli.terminal.rerun_options import rerun_options
 @preset_option
 @window_options
 @out_options(KINDS)
+@given_map_option
 @export_option
 @rerun_options
 def compare(log: tuple[str, ...], **asked: Any) -> int:

@@ -75,7 +75,8 @@ def load(
 
 def opened(log: Sequence[str], how: LogOptions, progress: Progress, read_again: bool = False) -> Session:
     """Return the session of a log as a command line names it; `read_again`: its columns are needed once more."""
-    return Session(load_to_fuse(find_log(log), how, progress, read_again), progress)
+    loaded = load_to_fuse(find_log(log), how, progress, read_again)
+    return Session(maps.give_topic(loaded), progress)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -185,7 +186,10 @@ class Session:
         foreign = foreign_estimates(self.loaded, named_sources(estimates or {}), [c.name for c in wanted])
         drawn = Drawn()
         compared = compare_log(self.loaded, wanted, align, self.progress, smooth, [drawn.take], audits, foreign)
-        report = report_of(compared, None if foreign else Asked.of(words, all_subsets, align, smooth, runs))
+        report = report_of(
+            compared,
+            None if foreign or self.loaded.asked is None else Asked.of(words, all_subsets, align, smooth, runs),
+        )
         if runs:
             self._jitter(report, wanted, align, smooth, compared.estimates, runs)
         complete(
@@ -273,7 +277,11 @@ class Session:
         return Named("cell", results)
 
     def with_map(self, file: PathLike) -> Session:
-        """Return the same drive with a laser that localises in the line map of a file, which stays as it is."""
+        """Return the same drive with a laser that localises in the map of a file, which stays as it is.
+
+        A line map that `Run.save_map` wrote, or the .yaml of a map as an image (ROS's map_server): there the start
+        is looked for unless `[start]` says it. Raises LocfuseError where the map is of another building.
+        """
         return replace(self, loaded=maps.give(self.loaded, path_of(file)))
 
     def __repr__(self) -> str:

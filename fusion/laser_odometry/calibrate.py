@@ -33,7 +33,10 @@ NAMES = ("scale", "difference", "track", "x", "y", "yaw", "delay")
 # of numerical derivatives; that by the delay is long, so that it is of the motion and not of the wheels' noise
 STEPS = np.array([1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 0.15])
 PRIOR = np.array([0.1, 0.1, 0.3, 0.5, 0.5, 1.0, 0.5])  # 1 sigma: relative (3), m (2), rad, s; wide, to say nothing
-BY_WAY = [0, 3, 4, 5]  # what only ways tell of: scale and mount
+BY_WAY, BY_TURN = (
+    [0, 3, 4, 5],
+    [2, 3, 4],
+)  # what only ways tell of: scale and mount; what only turns do: track, x, y
 UNTOLD = 0.3  # share of the prior's sigma that is left where a drive does not tell
 WAY_M, TURN_RAD, SPAN_S = (
     0.4,
@@ -49,7 +52,7 @@ MATCH_SCALES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)  # of the matches' covariance, w
 # 1 sigma that no drive goes below: matches repeat errors of about 1 cm per radian of turn, and of 0.4 % of the way
 REPEATED = np.array([0.004, 0.002, 0.004, 0.015, 0.015, 0.005, 0.005])
 FLOOR = np.diag([0.001**2, 0.001**2, np.radians(0.02) ** 2])  # m^2, rad^2: no match is better
-ROUNDS, SETTLED = 20, 1e-3  # Gauss-Newton steps at most; sigmas of a step that is none
+ROUNDS, SETTLED = 10, 1e-2  # Gauss-Newton steps at most; sigmas of a step that is none
 MAX_SCALE = 0.6  # of a wheel: one that is further off is another unit
 
 
@@ -155,14 +158,16 @@ def calibrate(motions: Sequence[Motion]) -> LaserCalibration:
     first = first_guess(every)
     _refuse_another_unit(first)
     p, _, _ = _fitted(every, first, first)
-    inside = [_inside(one, p, *_noise([one], p)) for one in every]
+    inside = [_inside(one, p) for one in every]
     used = [one.take(keep) for one, keep in zip(every, inside, strict=True)]
     p, spread, scale = _fitted(used, p, first)
     sigmas = np.hypot(np.sqrt(np.diagonal(spread)), REPEATED)
     if _on_the_spot(_moved(used, float(p[6]))):  # a mount turned about the axle looks the same
         sigmas[BY_WAY] = np.inf
-    _refuse_another_unit(np.where(sigmas < UNTOLD * PRIOR, p, 0.0))
     s = np.concatenate([one.s for one in used])
+    if _straight(s):  # what looks like turns is the noise of wheels and matches
+        sigmas[BY_TURN] = np.inf
+    _refuse_another_unit(np.where(sigmas < UNTOLD * PRIOR, p, 0.0))
     return LaserCalibration(
         parameters=p,
         sigmas=np.where(sigmas < UNTOLD * PRIOR, sigmas, np.nan),
@@ -226,7 +231,7 @@ def first_guess(every: Sequence[Intervals]) -> Array:
     way = np.linalg.eigh(B.T @ B - (A.T @ B).T @ solved)[1][:, 0]  # cos and sin of the yaw, up to their sign
     b, x, y = -solved @ way
     way, x, y = (way, x, y) if b > 0.0 else (-way, -x, -y)
-    tells = turns > MIN_TURN_RATIO and np.abs(s[:, 2]).mean() > MOVED_RAD
+    tells = turns > MIN_TURN_RATIO and not _straight(s)
     track = abs(float(b)) / turns - 1.0 if tells else 0.0
     return np.array([abs(float(b)) - 1.0, 0.0, track, x, y, np.arctan2(way[1], way[0]), delay])
 
@@ -238,7 +243,12 @@ def _moved(every: Sequence[Intervals], delay: float) -> Array:
 
 def _on_the_spot(u: Array) -> bool:
     """Return whether the robot hardly went anywhere in its motions (n, 3)."""
-    return float(np.hypot(u[:, 0], u[:, 1]).mean()) < MOVED_M
+    return bool(np.hypot(u[:, 0], u[:, 1]).mean() < MOVED_M)
+
+
+def _straight(s: Array) -> bool:
+    """Return whether the laser hardly turned in its motions (n, 3)."""
+    return bool(np.abs(s[:, 2]).mean() < MOVED_RAD)
 
 
 def _turn_mismatch(every: Sequence[Intervals], s: Array, delay: float) -> float:
@@ -260,20 +270,25 @@ def _cut(t: Array, pose: Array) -> tuple[Array, Array]:
     return np.array(cuts[:-1], np.int64), np.array(cuts[1:], np.int64)
 
 
-def _residuals(every: Sequence[Intervals], p: Array, match: float) -> Residuals:
-    """Return the linear problem about p: errors, derivatives, covariances; a matches' scale."""
+def _residuals(every: Sequence[Intervals], p: Array) -> Residuals:
+    """Return the linear problem about p: errors, derivatives, covariances."""
     return Residuals(
         np.concatenate([one.errors(p) for one in every]),
         np.concatenate([one.derivative(p) for one in every]),
         np.concatenate([one.wheel_noise(p) for one in every]),
-        np.concatenate([match * one.T + FLOOR for one in every]),
+        np.concatenate([one.T for one in every]),
         PRIOR,
     )
 
 
-def _noise(every: Sequence[Intervals], p: Array) -> tuple[float, float]:
+def _scaled(residuals: Residuals, match: float) -> Residuals:
+    """Return the problem with the matches' covariance scaled."""
+    return replace(residuals, T=match * residuals.T + FLOOR)
+
+
+def _noise(residuals: Residuals) -> tuple[float, float]:
     """Return the likeliest scale of the matches' covariance and wheel noise [m]."""
-    tried = [(_residuals(every, p, match).best(), match) for match in MATCH_SCALES]
+    tried = [(_scaled(residuals, match).best(), match) for match in MATCH_SCALES]
     (noise, _), match = max(tried, key=lambda one: one[0][1])
     return match, noise
 
@@ -283,20 +298,21 @@ def _fitted(every: Sequence[Intervals], p: Array, guess: Array) -> tuple[Array, 
 
     The prior holds what nothing tells of at the guess.
     """
-    for _ in range(ROUNDS):
-        match, noise = _noise(every, p)
-        residuals = _residuals(every, p, match)
-        step, spread = residuals.parameters(noise)
-        step = step - spread @ ((p - guess) / PRIOR**2)
-        p = p + step
-        if (np.abs(step) < SETTLED * np.sqrt(np.diagonal(spread))).all():
-            break
+    for _ in range(2):  # the noise is known once the parameters nearly are
+        match, noise = _noise(_residuals(every, p))
+        for _ in range(ROUNDS):
+            step, spread = _scaled(_residuals(every, p), match).parameters(noise)
+            step = step - spread @ ((p - guess) / PRIOR**2)
+            p = p + step
+            if (np.abs(step) < SETTLED * np.sqrt(np.diagonal(spread))).all():
+                break
     return p, spread, noise
 
 
-def _inside(one: Intervals, p: Array, match: float, noise: float) -> NDArray[np.bool_]:
+def _inside(one: Intervals, p: Array) -> NDArray[np.bool_]:
     """Return which intervals are believable where the median one is (n,): no slip, no wrong match."""
-    residuals = _residuals([one], p, match)
-    squares = residuals.squares(noise, np.zeros(7))
+    residuals = _residuals([one], p)
+    match, noise = _noise(residuals)
+    squares = _scaled(residuals, match).squares(noise, np.zeros(7))
     squares = squares / (float(np.median(squares)) / CHI_SQUARE_MEDIANS[3])
     return np.asarray(squares <= chi_square(OUTLIER_CONFIDENCE, 3))

@@ -97,8 +97,9 @@ def seaweed(folder: Path) -> Iterator[str]:
     master, volume, filer, s3 = free_ports(4)
     where = ("-ip=127.0.0.1", "-ip.bind=127.0.0.1", f"-dir={folder}", f"-s3.config={folder / 's3.json'}")
     ports = (f"-master.port={master}", f"-volume.port={volume}", f"-filer.port={filer}", f"-s3.port={s3}")
-    quiet = ("-s3.port.iceberg=0", "-s3.port.lance=0", "-master.telemetry=false", "-volume.max=0")
-    with running(weed, "server", *where, "-filer", "-s3", *ports, *quiet, folder=folder, name="weed"):
+    quiet = ("-s3.port.iceberg=0", "-s3.port.lance=0", "-master.telemetry=false")
+    small = ("-volume.max=0", "-master.volumeSizeLimitMB=256")  # as many volumes as the disk has room for
+    with running(weed, "server", *where, "-filer", "-s3", *ports, *quiet, *small, folder=folder, name="weed"):
         _until_it_answers(s3)
         yield f"http://127.0.0.1:{s3}"
 

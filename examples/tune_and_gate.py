@@ -41,7 +41,7 @@ def main() -> int:
 
 def figures(log: str, sensors: str, robot: Path | None) -> dict[str, float]:
     """Return the figures of one configuration on a log with truth."""
-    run = locfuse.load(log, robot=robot).run(sensors)
+    run = locfuse.load(log, robot=robot).run(sensors, advice=False)
     (judged,) = run.evaluations.values()
     return {name: value for name, value in judged.figures.items() if value is not None}
 

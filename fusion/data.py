@@ -140,7 +140,7 @@ class ArrayStream:
 
 
 class Points(Protocol):
-    """What a laser saw as points, read anew from the log on request: an hour of it is too big to be held."""
+    """What a laser saw as points, read from the log again on request: an hour of points is too big for memory."""
 
     @property
     def origin(self) -> tuple[float, float]:
@@ -377,7 +377,7 @@ class Estimates:
 
     @property
     def P(self) -> Array:
-        """Covariance of the pose, (n, 3, 3), made anew each time: an hour's are too many to lie about."""
+        """Covariance of the pose, (n, 3, 3), computed on each access to save memory."""
         return matrices(self.triangles)
 
 

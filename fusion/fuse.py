@@ -23,10 +23,11 @@ from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
 from .audit import MANY, Record
 from .data import Array, Drive, Estimates, Measurements, matrices
 from .ekf import belief_blocks
-from .instants import BLOCK, Due, Step, due_readings, steps_of
+from .instants import Due, Step, due_readings, steps_of
 from .robot import Robot, StartSettings
 from .sensor import Block, Innovation, Model
 
+AT_ONCE = 4096  # stamps of the truth: what is needed on the way is many times larger than the result
 AnyBelief = PoseBelief | JointBelief
 # what makes the belief at the start: of the pose alone, or with blocks; None: whatever fits, the fastest first
 Beliefs = tuple[Callable[[Pose, Triangle], PoseBelief], Callable[[Pose, Triangle, Sequence[Block]], JointBelief]]
@@ -264,7 +265,7 @@ def _at_truth(
         return None, None
     n, motions = len(drive.truth_instant), drive.truth_motions
     out, spread = np.empty((n, 3)), np.empty((n, 3, 3))
-    for at in (slice(a, a + BLOCK) for a in range(0, n, BLOCK)):  # what is needed on the way is many times larger
+    for at in (slice(a, a + AT_ONCE) for a in range(0, n, AT_ONCE)):
         k = np.maximum(drive.truth_instant[at], 0)
         u = motions.u[at]
         if wheels is not None:

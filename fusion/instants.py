@@ -15,8 +15,9 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.motion import Wheels
 
 from .data import Array, Drive, Motions
+from .progress import say_done
 
-BLOCK = 4096  # instants
+BLOCK = 256  # instants
 TRIANGLE = [0, 1, 2, 4, 5, 8]  # of a flat 3 x 3: xx, xy, xt, yy, yt, tt
 Due = tuple[str, int]  # sensor, reading
 
@@ -30,25 +31,25 @@ class Step(NamedTuple):
     J: Array | None  # (3, p) its derivative by the wheel parameters
 
 
-def steps(motions: Motions, dt: Array) -> Iterator[Step]:
-    """Yield the motions that take dt (n,) [s]."""
-    n = len(dt)
-    for a in range(0, n, BLOCK):
-        at = slice(a, a + BLOCK)
-        u, Q = motions.u[at].tolist(), motions.Q[at].reshape(-1, 9)[:, TRIANGLE].tolist()
-        J = list(motions.J[at]) if motions.J.shape[2] else [None] * len(u)
-        yield from map(Step, u, Q, dt[at].tolist(), J)
-
-
 def steps_of(drive: Drive) -> Iterator[Step]:
-    """Yield the motions of a whole drive."""
-    return steps(drive.motions, np.diff(drive.t, prepend=drive.t[:1]))
+    """Yield the motions of a whole drive, and say meanwhile how much of its time is done."""
+    dt = np.diff(drive.t, prepend=drive.t[:1])
+    for a in range(0, len(dt), BLOCK):
+        say_done(float(drive.t[a] / drive.t[-1]) if a else 0.0)
+        yield from _block(drive.motions, dt, slice(a, a + BLOCK))
+    say_done(None)
+
+
+def _block(motions: Motions, dt: Array, at: slice) -> Iterator[Step]:
+    u, Q = motions.u[at].tolist(), motions.Q[at].reshape(-1, 9)[:, TRIANGLE].tolist()
+    J = list(motions.J[at]) if motions.J.shape[2] else [None] * len(u)
+    yield from map(Step, u, Q, dt[at].tolist(), J)
 
 
 def step_between(wheels: Wheels, t_from: float, t_to: float, parameters: bool = False) -> Step:
     """Return the one motion from t_from to t_to [s]."""
     motions = wheels.between(np.array([t_from]), np.array([t_to]), parameters)
-    return next(steps(motions, np.array([t_to - t_from])))
+    return next(_block(motions, np.array([t_to - t_from]), slice(None)))
 
 
 def due_readings(drive: Drive, sensors: Sequence[str]) -> Iterator[list[Due]]:

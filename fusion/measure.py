@@ -35,11 +35,11 @@ def measure(
 ) -> Drive:
     """Measure a log: `streams` holds "wheels", sensors by name, and perhaps "truth".
 
-    Sensors in `known` were measured before, under the same settings of theirs and of the wheels. `motion` is how
+    Sensors in `known` were measured before, under the same settings, and those of the wheels. `motion` is how
     the robot moved where it was found before: without wheels, from its scans.
     Raises LocfuseError where the wheels give no motion or a sensor's readings cannot be understood.
     """
-    progress("wheels")
+    progress("measuring the wheels")
     wheels, epoch_ns, dropped, notes = motion or read_wheels(streams["wheels"], robot.wheels)
     drops = {"wheels": dropped}
     measurements: dict[str, Measurements] = {}
@@ -50,7 +50,7 @@ def measure(
             measurements[name] = known[name]
             drops[name] = dict(known[name].dropped)
         elif name in streams:
-            progress(name)
+            progress(f"measuring {name}")
             try:
                 found = sensor.measure(streams[name], robot.settings(name), wheels, epoch_ns)
             except LocfuseError as e:

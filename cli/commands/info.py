@@ -16,7 +16,7 @@ from locfuse.cli.terminal.screen import put, reader_may_leave
 if TYPE_CHECKING:
     from locfuse.cli.inspect.overview import Overview
 
-ODD = 3
+SOMETHING_LOST = 3
 PICTURES = "pictures"
 TRIED = "tried by fusing"
 
@@ -81,7 +81,7 @@ def info(
     show.transfer(overview.log.transfer, how.quiet)
     losses = {"lost", "refused"} if how.strict else {"lost"}
     lost = any(o.code in losses for o in overview.findings)
-    return ODD if lost or (check and overview.severe) else 0
+    return SOMETHING_LOST if lost or (check and overview.severe) else 0
 
 
 def _tried(log: tuple[str, ...], how: LogOptions, progress: Callable[[str], None]) -> dict[str, Any]:
@@ -110,7 +110,7 @@ def _list_topics(words: tuple[str, ...], as_json: bool, quiet: bool) -> int:
         else:
             show.lines(info_text.listed(values.listed(log), show.width()))
     show.transfer(log.transfer, quiet)
-    return ODD if log.losses else 0
+    return SOMETHING_LOST if log.losses else 0
 
 
 def _typed(log: tuple[str, ...], how: LogOptions) -> list[str]:

@@ -1,4 +1,4 @@
-"""`locfuse init`: a commented robot.toml for a log, to be corrected and gone on with."""
+"""`locfuse init`: a commented robot.toml for a log, as a first version to correct."""
 
 from __future__ import annotations
 
@@ -153,8 +153,8 @@ def _foot(made: Draft) -> str:
     written = {section.name for section in made.sections if section.lines}
     absent = {name: why for name, why in made.overview.choice.absent.items() if name not in written - {"wheels"}}
     plain = [name for name in absent if name in made.overview.choice.foreign]
-    odd = [f"{name}: {why}" for name, why in absent.items() if name not in plain]
-    return "\n".join(([f"Not in this log: {', '.join(plain)}."] if plain else []) + odd)
+    others = [f"{name}: {why}" for name, why in absent.items() if name not in plain]
+    return "\n".join(([f"Not in this log: {', '.join(plain)}."] if plain else []) + others)
 
 
 def _say(made: Draft, words: str, name: str, lost: list[str]) -> None:

@@ -1,4 +1,4 @@
-"""Robots that `init` knows by what their logs hold, and which figures of theirs a log leaves open.
+"""Robots that `init` knows by what their logs hold, and which of their figures a log does not tell.
 
 A figure of a known robot is used only where nothing in the log and nobody says it.
 """

@@ -33,7 +33,7 @@ GUESSED_CODES = {"choice", "unusable", "truth?"}  # nothing was measured: the fi
 class Draft(NamedTuple):
     """The tables of a robot.toml, and what is missing."""
 
-    overview: Overview  # with all fixes that are in force
+    overview: Overview  # with all active fixes
     sections: list[Section]
     missing: list[str]  # keys without which nothing runs, or not their sensor
     guesses: list[str]  # "key=value: why" of choices that the log leaves open

@@ -1,4 +1,4 @@
-"""One table of a robot.toml after the other: what is known is in force, what is not says how to find it."""
+"""One table of a robot.toml after the other: what is known is active, the rest says how to find it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Facts(NamedTuple):
     """What the lines are made of."""
 
     overview: Overview
-    known: Known  # in force
+    known: Known  # active lines
     suggested: Known  # fixes that only the robot's owner can judge
 
     def kind(self, role: str) -> str:
@@ -126,7 +126,7 @@ def _unknown(table: str, key: str, default: Any, missing: list[str]) -> Iterator
 
 
 def _suggested(facts: Facts, table: str) -> Known:
-    """Return fixes that are not in force, and the topics of a sensor that could not choose between several."""
+    """Return fixes that are inactive lines, and the topics of a sensor that could not choose between several."""
     here = {key: suggestion for key, suggestion in facts.suggested.items() if key.startswith(f"{table}.")}
     why = facts.overview.choice.absent.get(table, "")
     for fix in facts.overview.choice.fixes.get(table, ()):

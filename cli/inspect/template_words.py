@@ -32,7 +32,7 @@ ASKS = {
         "sigma_theta_deg": Ask("degrees: how exact its heading is"),
     },
 }
-# Conventions that are in force unless somebody says otherwise, and that no log states.
+# Conventions that hold unless the user sets others; no log states them.
 GUESSES = {"wheels": {"mirrored": "guess: both counters rise while the robot drives forward"}}
 
 

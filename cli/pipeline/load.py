@@ -152,6 +152,7 @@ def measured(
     Sensors that are `known` are not measured again: their settings, and those of the wheels, must be the same.
     """
     _leave_out(choice, only, tables["preset"])
+    progress("reading")
     streams = _streams(log, choice, str(tables.get("order", "auto")))
     _refuse_lost_wheels(log, choice, streams)
     sensed = {s: parts(streams[s]) for s in REGISTRY if s in streams}

@@ -40,25 +40,25 @@ def add_consistency(
     if not runs:
         return
     verdicts: dict[str, dict[str, Any]] = {}
-    court = sensors_consistency(runs, robot, by_truth)
-    for name, sensors in court.items():
+    judged = sensors_consistency(runs, robot, by_truth)
+    for name, sensors in judged.items():
         for sensor, verdict in sensors.items():
-            using = [by_truth.get(n) for n, used in court.items() if sensor in used]
-            found = unless_sure_and_wrong(sensor, verdict, using)
+            using = [by_truth.get(n) for n, used in judged.items() if sensor in used]
+            found = unless_overconfident(sensor, verdict, using)
             values = rows[name]["sensors"][sensor]["consistency"] = asdict(found)
             del values["cures"]  # what nobody tried is no advice: `findings` has what was
             verdicts[sensor] = {key: values[key] for key in ("verdict", "words")}
     report["consistency"] = verdicts
 
 
-def unless_sure_and_wrong(sensor: str, found: Consistency, using: Sequence[Honesty | None]) -> Consistency:
-    """Take back the advice to trust a sensor more where truth shows every run that uses it too sure already.
+def unless_overconfident(sensor: str, found: Consistency, using: Sequence[Honesty | None]) -> Consistency:
+    """Take back the advice to trust a sensor more where by truth every run with it is overconfident.
 
-    Its readings repeat well and are wrong together: a mount, a scale or a clock, which no noise figure cures.
+    Its readings repeat well and are wrong together: a mount, a scale or a clock, which no noise figure fixes.
     """
     wrong = [honest for honest in using if honest is not None]
-    sure = bool(wrong) and all(honest.anees > honest.bounds[1] for honest in wrong)
-    if found.verdict != "overstated" or found.scale is None or not sure:
+    overconfident = bool(wrong) and all(honest.anees > honest.bounds[1] for honest in wrong)
+    if found.verdict != "overstated" or found.scale is None or not overconfident:
         return found
     times = math.sqrt(min(honest.anees for honest in wrong))
     words = (

@@ -30,6 +30,7 @@ from .scans import MAX_BEAMS, scan_points
 
 MAX_PICTURES = 600  # kept by default
 MAX_ARRAY_COLUMNS = 8  # of a numeric array that is drawn as curves: a scan's ranges are not
+SHADE = 0.65  # of the light of a colour, for the smoothed result
 NIS_LOW, NIS_HIGH = 0.025, 0.975  # between them lie 95 % of consistent NIS
 
 
@@ -82,12 +83,17 @@ def make_scene(
 
 
 def palette(traces: Mapping[str, Trace]) -> dict[str, Rgb]:
-    """Return the colours that results have in the report, on its dark page."""
-    return {name: _rgb(c.dark) for name, c in colours(traces, sensor_colours()).items()}
+    """Return the colours that results have in the report, on its dark page.
+
+    The report dashes what is smoothed. The viewer has no dashes: there it is the same colour, darker.
+    """
+    found = colours(traces, sensor_colours())
+    return {name: _rgb(found[name].dark, SHADE if trace.smoothed else 1.0) for name, trace in traces.items()}
 
 
-def _rgb(web: str) -> Rgb:
-    red, green, blue = bytes.fromhex(web.removeprefix("#"))
+def _rgb(web: str, light: float) -> Rgb:
+    """Return a colour with this share of its light."""
+    red, green, blue = (round(light * c) for c in bytes.fromhex(web.removeprefix("#")))
     return red, green, blue
 
 

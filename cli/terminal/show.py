@@ -14,6 +14,7 @@ from locfuse.formats.tables import tables
 from locfuse.formats.tables.findings import banner_of, findings_of, together
 from locfuse.formats.tables.notes import notes_of
 from locfuse.formats.tables.table import Table
+from locfuse.fusion.progress import heard_by
 
 from . import text_table
 from .screen import put, reader_may_leave, screen
@@ -38,14 +39,25 @@ def say(line: str) -> None:
 
 @contextmanager
 def progress(quiet: bool) -> Iterator[Progress]:
-    """Show the current step on a terminal; nothing where stderr is a file or --quiet was given."""
+    """Show on a terminal what is being done and how far it is; nothing where stderr is a file or with --quiet."""
     if quiet or not sys.stderr.isatty():
         yield lambda what: None
         return
 
     own = os.fdopen(os.dup(sys.stderr.fileno()), "w", encoding=sys.stderr.encoding, errors="backslashreplace")
     with own, screen(file=own).status("opening", spinner="dots") as status:
-        yield lambda what: status.update(what)  # noqa: PLW0108 - its type differs from Progress
+        step = "opening"
+
+        def begin(what: str) -> None:
+            nonlocal step
+            step = what
+            status.update(what)
+
+        def done(share: float | None) -> None:
+            status.update(step if share is None else f"{step}: {share:.0%}")
+
+        with heard_by(done):
+            yield begin
 
 
 def width() -> int | None:
@@ -113,7 +125,7 @@ def table(shown: Table) -> None:
 
 
 def notes(report: Mapping[str, Any], losses: Sequence[str], quiet: bool) -> None:
-    """Print to stderr what a reader of the figures must know: absent sensors, oddities, losses."""
+    """Print to stderr what a reader of the figures must know: absent sensors, findings, losses."""
     for line in losses:
         say(f"lost: {line}")  # the reason of exit code 3: said under --quiet too
     if quiet:

@@ -61,7 +61,7 @@ class Leash:
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_CHUNK)
 
     def begin(self) -> None:
-        """Start the clock anew."""
+        """Restart the clock."""
         self._end = time.thread_time() + self._allowed
 
     @contextmanager

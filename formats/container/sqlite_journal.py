@@ -1,4 +1,4 @@
-"""The journal (-wal) of a sqlite database: what of it sqlite uses, and what it leaves out without a word.
+"""The journal (-wal) of a sqlite database: what sqlite uses of it, and what sqlite ignores silently.
 
 A recorder that dies leaves its last messages in the journal. sqlite reads it up to the last commit before the
 first frame whose checksum is wrong, and calls that normal. The frames behind that place bear the salts of the

@@ -75,7 +75,7 @@ def _unpack(path: Path, name: Place, plain: BinaryIO, losses: Losses) -> None:
 def _ends_whole(packed: BinaryIO, size: int) -> bool:
     """Tell whether the last frame ends where the file does, by the lengths of its blocks.
 
-    A frame need not say its size, and of one that is cut off the library gives what there is without a word.
+    A frame need not say its size, and of a cut-off frame the library returns what there is without an error.
     Format: RFC 8878, section 3.1.
     """
     at = 0

@@ -116,7 +116,7 @@ def _coloured(route: Route, edges: Array) -> list[Curve]:
 
 
 def _extend(found: list[Array], stretch: Array) -> None:
-    """Go on with a curve where it ended, else begin it anew after a break."""
+    """Continue a curve where it ended, else begin a new one after a break."""
     if found and (found[-1][-1] == stretch[0]).all():
         found.append(stretch[1:])
     else:

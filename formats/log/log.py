@@ -12,7 +12,7 @@ import numpy as np
 from locfuse.formats.caps import MAX_TOPICS, names_its_cap
 from locfuse.formats.container.compressed_messages import unpack
 from locfuse.formats.container.losses import Losses
-from locfuse.formats.container.source import Recorded, Source
+from locfuse.formats.container.source import Messages, Recorded, Source
 from locfuse.formats.messages.fields import FieldError, resolve
 from locfuse.formats.messages.kinds import NUMBER as A_NUMBER
 from locfuse.formats.messages.kinds import check_kind, kind_of
@@ -21,6 +21,7 @@ from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.robot import transforms
 from locfuse.formats.url import Place
 from locfuse.fusion.data import Ints, LocfuseError, UsageError
+from locfuse.fusion.progress import say_done
 
 from . import clock as clocks
 from .file_stream import FileStream, is_file_topic, read_file
@@ -267,6 +268,7 @@ class Log:
 
     def _walk(self, topics: Collection[str]) -> Iterator[tuple[str, Raw]]:
         """Yield the messages of several topics, batch by batch over all files."""
+        span = self.time_span_ns
         for source in self._sources:
             wanted = {
                 ident: (topic, decoder)
@@ -276,8 +278,10 @@ class Log:
             for batch in source.batches(wanted.keys()):
                 for ident, messages in batch.messages.items():
                     topic, decoder = wanted[ident]
+                    _say_read(messages, span)
                     for data, unpacked in unpack(batch.data, messages):
                         yield topic, dated(Raw(data, unpacked, decoder))
+        say_done(None)
 
     def messages(self) -> Iterator[list[Recorded]]:
         """Yield all messages as they lie in the files, whether or not they can be read, batch by batch.
@@ -317,3 +321,9 @@ class Log:
 
 def _is_static_tf(name: str, topic: Topic) -> bool:
     return name.rpartition("/")[2] == "tf_static" and topic.msgtype in TF_TYPES and not topic.problem
+
+
+def _say_read(messages: Messages, span: tuple[int, int] | None) -> None:
+    """Say by log time how far the reading has come."""
+    if span is not None and span[0] < span[1] and len(messages.log_time):
+        say_done(min(1.0, max(0.0, (int(messages.log_time[0]) - span[0]) / (span[1] - span[0]))))

@@ -93,7 +93,7 @@ class LogStream:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Oddities of the stream's times in words."""
+        """What is unusual about the stream's times, in words."""
         return self._clock.notes
 
     @property
@@ -224,7 +224,7 @@ class NumberStream:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Oddities of the stream's times in words."""
+        """What is unusual about the stream's times, in words."""
         return self._source.notes
 
     @property

@@ -150,7 +150,7 @@ class TransformStream:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Oddities of the stream's times in words."""
+        """What is unusual about the stream's times, in words."""
         return self._main.clock.notes
 
     @property

@@ -84,9 +84,9 @@ class McapSource:
             chunk.header, chunk.promised = own_header(self.data, chunk), False
         return bool(chunk.header.crc)
 
-    @cached_property
+    @property
     def time_span_ns(self) -> tuple[int, int] | None:
-        """First and last log time, None without messages."""
+        """First and last log time of what is known to hold messages by now, None without any."""
         spans = [part.span for part in self._survey.parts if part.counts and any(part.counts.values())]
         return (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
 

@@ -2,7 +2,7 @@
 
 Messages are grouped by layout: the first of a group is walked (`layout.read_layout`), the length words that its
 layout depends on are compared for all the others in one go, and each wanted field is then one gather out of the
-chunk. A message that differs founds a group of its own, so what is odd is slow, never wrong.
+chunk. A message that differs founds a group of its own, so unusual messages are slow, never wrong.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""TOML for people to read and to go on writing: every line with its words, those not in force behind a #."""
+"""TOML for people to read and edit: every line has a comment, inactive lines start with #."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Section(NamedTuple):
 
 
 def render(head: str, sections: Sequence[Section], foot: str = "") -> str:
-    """Return the text. A table none of whose lines is in force is itself behind a #."""
+    """Return the text. A table without an active line is itself commented out."""
     parts = [comment(head), *("\n".join(_section(section)) for section in sections if section.lines)]
     return "\n\n".join([*parts, comment(foot)] if foot else parts) + "\n"
 

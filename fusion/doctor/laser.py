@@ -89,7 +89,7 @@ def _turned(m: Measurements, yaw: float, mount: Array) -> Measurements:
 def of_laser(
     motion: Motion | None, robot: Robot, metre: float = 1.0, least: Least = WORTH_SAYING
 ) -> list[Finding]:
-    """Return what is odd about range scale and yaw.
+    """Check range scale and yaw.
 
     `metre` is by how much another fix will scale the wheels' metre: the laser's follows. A scale that is off by
     less than `least` is not named.

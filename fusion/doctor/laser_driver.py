@@ -17,7 +17,7 @@ SEVERE_RANGE_MAX_SHARE = 0.05  # share from which they would be taken for walls
 
 
 def driver(stream: Stream, settings: LrfSettings) -> list[Finding]:
-    """Return what is odd about the first scans of a stream."""
+    """Return what is unusual about the first scans of a stream."""
     parts = [columns for _, columns in _first(stream)]
     if not parts:
         return []

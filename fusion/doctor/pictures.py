@@ -38,7 +38,7 @@ PROBLEMS = {
 
 
 def of_pictures(stream: Stream, settings: CameraSettings) -> list[Finding]:
-    """Return what is odd about some pictures of a stream, evenly spread."""
+    """Return what is unusual about some pictures of a stream, evenly spread."""
     wanted = set(range(0, len(stream.t_ns), max(1, len(stream.t_ns) // SAMPLE_PICTURES)))
     decoded = [decode(message) for block in messages(stream) for row, message in block if row in wanted]
     found, total = [], len(decoded)

@@ -10,6 +10,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Truth
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import gap_limit
+from locfuse.fusion.wheels.calibrate import truth_sigma
 from locfuse.fusion.wheels.jumps import Mask, spikes
 from locfuse.fusion.wheels.repairs import times
 
@@ -23,18 +24,20 @@ MIN_SCALE_ERROR, SEVERE_SCALE_ERROR = 0.03, 0.05  # relative errors of the wheel
 WORTH_SAYING = Least(MIN_SCALE_ERROR, 3.0)
 JUMP_FACTOR, MIN_JUMP_M = 3.0, 0.3  # a step is a jump if it is this many times the wheels', and this much [m] more
 MIN_POINT_ERROR_M = 0.05  # m, of the tracked point
+MIN_NOISE_M, MIN_NOISE_RAD = 0.001, math.radians(0.1)  # of a truth's poses; what is smaller changes no figure
 MIN_TURN_RAD = math.radians(60.0)
 
 
 def of_truth(drive: Drive, robot: Robot, same_metre: bool = True) -> list[Finding]:
-    """Return what is odd about the truth; by wheels of another metre no body point is told."""
+    """Check the ground truth. The tracked body point is estimated only if the wheel scale is plausible."""
     truth = drive.truth
     if truth is None or len(truth.t) < 5:
         return []
     jumps = _jumps(truth, drive)
     point = _point(truth, drive) if same_metre else []
     # where a jump or another point is told, what it tells of the start is not the start
-    return [*jumps, *_gaps(truth), *point, *([] if jumps or point else of_start(truth, drive, robot))]
+    start = [] if jumps or point else of_start(truth, drive, robot)
+    return [*jumps, *_gaps(truth), *_noise(truth, drive), *point, *start]
 
 
 def _gaps(truth: Truth) -> list[Finding]:
@@ -44,6 +47,16 @@ def _gaps(truth: Truth) -> list[Finding]:
         return []
     words = f"silent {times(int(long.sum()))}, at most {float(dt.max()):.1f} s; errors there do not exist"
     return [Finding("truth", "gap", words)]
+
+
+def _noise(truth: Truth, drive: Drive) -> list[Finding]:
+    """The truth's scatter while the robot stands: unless it is told, ANEES takes it for an error of the filter."""
+    seen = truth_sigma(truth, drive.wheels)
+    if truth.sigma or truth.sigma_theta or (seen.xy < MIN_NOISE_M and seen.theta < MIN_NOISE_RAD):
+        return []
+    words = f"its own noise is {1e3 * seen.xy:.1f} mm and {math.degrees(seen.theta):.2f} deg (1 sigma, at rest)"
+    fixes = (f"truth.sigma={seen.xy:.2g}", f"truth.sigma_theta_deg={math.degrees(seen.theta):.2g}")
+    return [Finding("truth", "noise", words, fixes, True)]
 
 
 def _jumps(truth: Truth, drive: Drive) -> list[Finding]:

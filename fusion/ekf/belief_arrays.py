@@ -236,7 +236,7 @@ class JointBelief:
         self._P[(0, 1, 2), (0, 1, 2)] += (xy, xy, theta)
 
     def place(self, pose: Pose, xy: float, theta: float) -> None:
-        """Set the pose with variances xy [m^2] and theta [rad^2]: the robot was carried off, or found again."""
+        """Set the pose with variances xy [m^2] and theta [rad^2]: the robot was kidnapped, or found again."""
         behind = self._behind()
         self._place(pose, xy, theta)
         self._carry(behind)

@@ -191,7 +191,7 @@ class FewBlocks(PoseBelief):
             row[3 + b] += dx * row[3 + t]
 
     def place(self, pose: Pose, xy: float, theta: float) -> None:
-        """Set the pose with variances xy [m^2] and theta [rad^2]: the robot was carried off, or found again."""
+        """Set the pose with variances xy [m^2] and theta [rad^2]: the robot was kidnapped, or found again."""
         super().place(pose, xy, theta)
         for row in self._rows:
             row[:3] = 0.0, 0.0, 0.0

@@ -127,7 +127,7 @@ class PoseBelief:
         self.P = (xx + xy, xy_, xt, yy + xy, yt, tt + theta)
 
     def place(self, pose: Pose, xy: float, theta: float) -> None:
-        """Set the pose with variances xy [m^2] and theta [rad^2]: the robot was carried off, or found again."""
+        """Set the pose with variances xy [m^2] and theta [rad^2]: the robot was kidnapped, or found again."""
         self.x, self.y, self.theta = pose
         self.P = (xy, 0.0, 0.0, xy, 0.0, theta)
 

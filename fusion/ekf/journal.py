@@ -57,7 +57,7 @@ class Swung(NamedTuple):
 
 
 class FrameMoved(NamedTuple):
-    """From here on the map frame is another one: that of a map that began anew."""
+    """From here on the map frame is another one: that of a new map."""
 
 
 Event = Step | Birth | Drop | Swung | FrameMoved

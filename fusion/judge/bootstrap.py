@@ -18,7 +18,7 @@ from locfuse.fusion.data import Array
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000
-CHANCE_DRAWS = 20_000  # of luck: its tails are thin
+CHANCE_DRAWS = 20_000  # of an effect of chance: its tails are thin
 MAX_BLOCKS = 200  # longer blocks do no harm, shorter ones cost memory
 MIN_MSE_M2 = 1e-18  # m^2: a mean squared error below is taken as this
 
@@ -128,7 +128,7 @@ def _correlation(deviation: Array, samples: Array) -> Array:
     return lowered
 
 
-def luck(move: float, n: float, seed: int = 1) -> tuple[float, float]:
+def by_chance(move: float, n: float, seed: int = 1) -> tuple[float, float]:
     """Return the interval of ln(error before / after) when n >= 1 Gaussian moves are added to n equal errors.
 
     `move` is a move's standard deviation over an error's. |e + d|^2 = (sqrt(n) e + d_1)^2 + d_2^2 + ... + d_n^2.

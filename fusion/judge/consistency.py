@@ -25,7 +25,7 @@ from .noise_verdicts import (
     Verdict,
     biased,
     by_itself,
-    by_witness,
+    by_reference_run,
     contradicting,
     disagrees,
     of_messages,
@@ -33,7 +33,7 @@ from .noise_verdicts import (
 
 MAX_REFERENCE_NIS_RATIO = (
     MAX_SIGMA_FACTOR**2
-)  # a run with a sensor whose variance is understated by more is no witness
+)  # a run with a sensor whose variance is understated by more is no reference
 MIN_READINGS = 20  # readings
 
 
@@ -72,14 +72,15 @@ def judge(
 
     `overconfident` are configurations that truth shows to be so: their covariance is no evidence against a sensor.
     """
-    court = Court([r for r in runs if not r.estimates.smoothed], robot, overconfident)
-    findings = {s: court.finding(s) for s in court.sensors}
+    evidence = Evidence([r for r in runs if not r.estimates.smoothed], robot, overconfident)
+    findings = {s: evidence.finding(s) for s in evidence.sensors}
     return {
-        r.estimates.name: {s: court.in_run(r, s, findings[s]) for s in r.estimates.sensors} for r in court.runs
+        r.estimates.name: {s: evidence.in_run(r, s, findings[s]) for s in r.estimates.sensors}
+        for r in evidence.runs
     }
 
 
-class Court:
+class Evidence:
     """The evidence of all runs."""
 
     def __init__(self, runs: Sequence[Run], robot: Robot, overconfident: Collection[str] = ()) -> None:
@@ -89,9 +90,9 @@ class Court:
             (r.estimates.name, s): found for r in runs for s, found in r.own.items()
         }
         self._heard: dict[tuple[str, str], Heard | None] = {}
-        self.blamed: dict[str, Heard] = {}
+        self.flagged: dict[str, Heard] = {}
         self.contradict: set[str] = set()
-        self._blame()
+        self._flag()
 
     def in_run(self, run: Run, sensor: str, found: NoiseVerdict) -> Consistency:
         """Return the run's own figures with the verdict that all runs reach."""
@@ -110,12 +111,12 @@ class Court:
 
     def _finding(self, sensor: str) -> NoiseVerdict:
         settings = self.robot.settings(sensor)
-        if sensor in self.blamed:
-            return biased(sensor, settings, self.blamed[sensor].bias or 0.0)
+        if sensor in self.flagged:
+            return biased(sensor, settings, self.flagged[sensor].bias or 0.0)
         if sensor in self.contradict:
             return contradicting(sensor, sorted(self.contradict - {sensor}))
-        for _, evidence in self.witnesses(sensor)[:1]:
-            found = by_witness(sensor, settings, evidence)
+        for _, evidence in self.reference_runs(sensor)[:1]:
+            found = by_reference_run(sensor, settings, evidence)
             if found is not None:
                 return found
         run = self._purest(sensor)
@@ -129,22 +130,26 @@ class Court:
         return by_itself(sensor, settings, mine, np.diagonal(m.floor).tolist(), period)
 
     def _unclear(self, sensor: str) -> NoiseVerdict:
-        sick = sorted(
+        inconsistent = sorted(
             {
                 s
                 for (_, s), o in self.own.items()
                 if s != sensor and o is not None and o.scale > MAX_REFERENCE_NIS_RATIO
             }
         )
-        why = f"the noise of {' and '.join(sick)} must be set first" if sick else "too few measurements"
+        why = (
+            f"the noise of {' and '.join(inconsistent)} must be set first"
+            if inconsistent
+            else "too few measurements"
+        )
         return NoiseVerdict("unclear", f"noise cannot be judged: {why}")
 
-    def witnesses(self, sensor: str) -> list[tuple[Run, Heard]]:
-        """Return healthy runs without the sensor and without a blamed one, the surest first."""
+    def reference_runs(self, sensor: str) -> list[tuple[Run, Heard]]:
+        """Return consistent runs that use neither the sensor nor a flagged one, the most certain first."""
         found = []
         for run in self.runs:
             used = set(run.estimates.sensors)
-            if not used or used & {sensor, *self.blamed} or run.estimates.name in self.overconfident:
+            if not used or used & {sensor, *self.flagged} or run.estimates.name in self.overconfident:
                 continue
             if self._healthy(run):
                 evidence = self._hear(run, sensor)
@@ -177,20 +182,20 @@ class Court:
         scales = {s: o.scale for s in run.estimates.sensors if (o := self.own[run.estimates.name, s])}
         return max(scales, key=lambda s: scales[s]) if scales else ""
 
-    def _blame(self) -> None:
+    def _flag(self) -> None:
         """Find the sensors whose mean is off, the surest evidence first."""
-        surest = {s: found[0][1] for s in self.sensors if (found := self.witnesses(s))}
+        surest = {s: found[0][1] for s in self.sensors if (found := self.reference_runs(s))}
         for s in sorted(surest, key=lambda s: surest[s].reference):
-            found = self.witnesses(s)
+            found = self.reference_runs(s)
             if not found or not disagrees(found[0][1]):
                 continue
             run, evidence = found[0]
             rivals = [x for x in run.estimates.sensors if x in surest]
-            others = {x: [w for r, w in self.witnesses(x) if s not in r.estimates.sensors] for x in rivals}
+            others = {x: [w for r, w in self.reference_runs(x) if s not in r.estimates.sensors] for x in rivals}
             if any(disagrees(w) for found_x in others.values() for w in found_x[:1]):
-                continue  # the witness is contradicted by others, and its turn comes
+                continue  # this reference is contradicted by others, and its turn comes
             if rivals and not any(others.values()):
                 self.contradict |= {s, *rivals}
             else:
-                self.blamed[s] = evidence
-        self.contradict -= self.blamed.keys()
+                self.flagged[s] = evidence
+        self.contradict -= self.flagged.keys()

@@ -19,7 +19,7 @@ import numpy as np
 from locfuse.fusion.data import Array, Evaluation
 from locfuse.fusion.sensors.registry import needed
 
-from .bootstrap import CONFIDENCE, Errors, luck, student_t
+from .bootstrap import CONFIDENCE, Errors, by_chance, student_t
 from .verdict import MAX_ANEES, MIN_EFFECT, Effect, Verdict, verdict
 
 Subset = frozenset[str]
@@ -160,7 +160,7 @@ class _Book:
             return 0.0, 0.0
         moved = math.sqrt(abs(math.exp(2.0 * self.expected[i]) - math.exp(2.0 * self.expected[j])))
         error = math.exp(float(self.errors.ln_rmse[i]))
-        return luck(moved / error, max(1.0, 0.5 * float(self.errors.samples[[i, j]].min())))
+        return by_chance(moved / error, max(1.0, 0.5 * float(self.errors.samples[[i, j]].min())))
 
     def sensor(self, sensor: str, sensors: Sequence[str]) -> SensorCredit:
         every = frozenset(sensors)

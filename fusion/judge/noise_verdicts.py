@@ -41,7 +41,7 @@ def disagrees(h: Heard) -> bool:
     return h.bias is not None and abs(h.bias) > max(MIN_SIGMAS * h.sure, MIN_BIAS_SIGMAS * math.sqrt(h.white))
 
 
-def by_witness(sensor: str, settings: Any, h: Heard) -> NoiseVerdict | None:
+def by_reference_run(sensor: str, settings: Any, h: Heard) -> NoiseVerdict | None:
     """Judge a sensor by a run that does not use it; None where that run is too vague."""
     noise = min(h.white, max(h.spread - h.reference, 0.5 * h.white))
     if (

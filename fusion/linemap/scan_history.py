@@ -47,7 +47,7 @@ class Trail:
         self._seen.append((pose, scan))
 
     def forget(self) -> None:
-        """Begin anew."""
+        """Forget all scans and start again."""
         self._seen.clear()
 
     def back_from(self, pose: Array) -> Iterator[tuple[Array, Scan]]:

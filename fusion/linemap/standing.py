@@ -1,6 +1,6 @@
 """Scans of a robot that stands still: what repeats in every scan is not independent, and counts only a few times.
 
-A line's error has a part that every scan draws anew and a part that stays while the robot stays: a wall is no
+A line's error has a part that is new in every scan and a part that stays while the robot stays: a wall is no
 plane, and the range error of a beam depends on its angle, the surface and the temperature. The second never
 averages out, and no data sheet says how large it is. So of n scans at rest only the 1st, 2nd, 4th, 8th ... enter
 the filter: ten of a minute at 10 Hz, sixteen of an hour. Each is the mean of the scans since the one before, with

@@ -1,4 +1,4 @@
-"""The points of chosen scans, read anew from the log: only smoothing a building needs them, and only some."""
+"""Points of chosen scans, read from the log again: only smoothing a building needs them, and only some."""
 
 from __future__ import annotations
 

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from locfuse.fusion.audit import Record
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, upper_triangles
 from locfuse.fusion.fuse import configuration_name
+from locfuse.fusion.instants import BLOCK
+from locfuse.fusion.progress import say_done
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensor import Innovation
 from locfuse.fusion.wheels.motion import Wheels
@@ -50,7 +52,10 @@ def fuse_as_printed(
             )
     run = PrintedFilter(drive, robot, sensors, listen, numbers)
     for k in range(len(run.grid)):
+        if k % BLOCK == 0:
+            say_done(k / len(run.grid))
         run.step(k)
+    say_done(None)
     return run.estimates(name or configuration_name(sensors, drive))
 
 

@@ -26,7 +26,10 @@ from .likelihood import MAX_SIGMA_LOG, Problem, at_most, best, identify
 from .noise import DRIFT, WHEELS, Figures, drift_key, drifting
 from .record import record
 
-MAX_ROUNDS, MIN_LOG_CHANGE = 6, 0.03  # of deciding anew what is accepted; change of a logarithm that ends them
+MAX_ROUNDS, MIN_LOG_CHANGE = (
+    6,
+    0.03,
+)  # rounds; a smaller change of a logarithm ends them
 START_LOG_FACTORS = (0.0, math.log(6.0), -math.log(6.0))
 PREVIEW_S = 30.0  # s of driving that tell the starts apart
 MAX_TRIES = 8  # to bring noise near enough for measurements to be accepted for what they are
@@ -167,7 +170,7 @@ class Bench:
         return ends
 
     def move(self, steps: dict[str, float]) -> None:
-        """Change logarithms; measure anew what was measured with a sigma that proves wrong."""
+        """Change logarithms; measure again where the sigma used so far was wrong."""
         for name, step in steps.items():
             self.figures.factors[name] = self.figures.factors.get(name, 0.0) + step
         for s in self.figures.sensors:
@@ -272,7 +275,7 @@ def rescaled(m: Measurements, factor: float) -> Measurements:
 
 
 def with_measurements(drive: Drive, sensor: str, m: Measurements) -> Drive:
-    """Return the drive with a sensor measured anew at the same instants."""
+    """Return the drive with a sensor measured again at the same instants."""
     instant = {**drive.instant, sensor: np.searchsorted(drive.t, m.t)}
     return replace(drive, measurements={**drive.measurements, sensor: m}, instant=instant)
 

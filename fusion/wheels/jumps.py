@@ -1,4 +1,4 @@
-"""Steps that no wheel can make: readings that leave and return (spikes), and values that start anew (resets)."""
+"""Steps that no wheel can make: readings that leave and return (spikes), and values that restart (resets)."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Restarts(NamedTuple):
 def restarted(t: Array, steps: Array, jumps: Mask) -> Restarts:
     """Replace jumping steps (n-1, k) by what the steps around them went on average per second.
 
-    A counter that starts anew says nothing of the motion between its last old and its first new value.
+    A counter that restarts says nothing about the motion between its last old and its first new value.
     """
     out = steps.copy()
     dt = np.diff(t)

@@ -58,7 +58,7 @@ def test_the_printed_filter_is_not_smoothed(tmp_path: Path) -> None:
 
 def test_without_truth_the_smoothed_drive_is_a_labelled_pseudo_reference(tmp_path: Path) -> None:
     log = rewritten(tmp_path / "untrue.mcap", seed=None, without="/ground_truth/pose")
-    words = ("--sensors", "odometry", "--sensors", "lrf", "--smooth")
+    words = ("--sensors", "odometry", "--sensors", "lrf", "--smooth", "--no-advice")
     done = locfuse("compare", log, *words, "-o", tmp_path / "out")
     assert done.exit_code == 0, done.stderr
     report = json.loads((tmp_path / "out" / "report.json").read_text())

@@ -22,12 +22,19 @@ def ours(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One run of ours, with its trajectory as .tum and .csv."""
     out = tmp_path_factory.mktemp("ours")
     assert locfuse("run", SAMPLE, "--sensors", "compass", "-o", out, "--overwrite").exit_code == 0
-    assert locfuse("compare", SAMPLE, "--sensors", "compass", "-o", out / "c", "--write", "tum").exit_code == 0
+    assert (
+        locfuse(
+            "compare", SAMPLE, "--sensors", "compass", "-o", out / "c", "--write", "tum", "--no-advice"
+        ).exit_code
+        == 0
+    )
     return out
 
 
 def compared(out: Path, *words: Any) -> tuple[dict[str, Any], str]:
-    done = locfuse("compare", SAMPLE, "--sensors", "compass", "-o", out, "--write", "json,tum,html", *words)
+    done = locfuse(
+        "compare", SAMPLE, "--sensors", "compass", "-o", out, "--write", "json,tum,html", "--no-advice", *words
+    )
     assert done.exit_code == 0, done.stderr
     found: dict[str, Any] = json.loads((out / "report.json").read_text())["configurations"]
     return found, done.stderr

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from small_drive import START, TRACK, drive, path, robot
 
+import locfuse
 from locfuse.formats.robot.urdf import wheel_geometry
 from locfuse.fusion import se2
 from locfuse.fusion.data import Drive, LocfuseError, Truth, UsageError
@@ -192,6 +193,22 @@ def test_a_body_point_is_told_before_the_start_that_depends_on_it() -> None:
 def test_a_healthy_truth_is_not_mentioned() -> None:
     for seed in range(19, 24):
         assert of_truth(drive(seed, robot()), robot()) == []
+
+
+def test_the_noise_of_a_truth_is_measured_at_rest_unless_it_is_told() -> None:
+    session = locfuse.load("rounded_triangle", between=(None, 20.0))
+    truth, rng = truth_of(session.drive), np.random.default_rng(25)
+    assert truth.theta is not None
+    noisy = replace(
+        truth,
+        xy=truth.xy + rng.normal(0.0, 0.006, truth.xy.shape),
+        theta=truth.theta + rng.normal(0.0, math.radians(0.4), len(truth.t)),
+    )
+    (found,) = of_truth(replace(session.drive, truth=noisy), session.robot)
+    assert found.code == "noise"
+    assert told([found]) == pytest.approx({"truth.sigma": 0.006, "truth.sigma_theta_deg": 0.4}, rel=0.15)
+    known = replace(noisy, sigma=0.006, sigma_theta=math.radians(0.4))
+    assert of_truth(replace(session.drive, truth=known), session.robot) == []
 
 
 # smaller instruments

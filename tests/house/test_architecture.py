@@ -25,7 +25,7 @@ LAZY = {"rerun", "matplotlib", "scipy", "jinja2"}  # only inside the function th
 # Floors, lowest first. A name is a room, or a file at the root of a top folder.
 FLOORS: dict[str, tuple[str, ...]] = {
     "fusion": (
-        "data se2 chi_square",
+        "data se2 chi_square progress",
         "sensor streams geodesy",
         "robot mount audit",
         "core",
@@ -73,7 +73,7 @@ OURS = {
     "cli": {"fusion", "formats", "sample_logs", "robots"},
     "robots": set[str](),
     "fusion": set[str](),
-    "formats": {"fusion.data", "fusion.streams", "fusion.core.form"},
+    "formats": {"fusion.data", "fusion.streams", "fusion.core.form", "fusion.progress"},
     "sample_logs": {"formats", "fusion.se2", "fusion.data"},
 }
 OTHERS = {

@@ -42,7 +42,7 @@ def turned(pose: Any) -> list[float]:
 
 def final(log: Any, folder: Path, *words: Any) -> tuple[list[float], dict[str, Any]]:
     """Run and return the last pose and run.json."""
-    done = locfuse("run", log, "-o", folder, *words)
+    done = locfuse("run", log, "--no-advice", "-o", folder, *words)
     assert done.exit_code in {0, 3}, done.stderr
     last = (folder / "trajectory.csv").read_text().splitlines()[-1].split(",")
     report: dict[str, Any] = json.loads((folder / "run.json").read_text())

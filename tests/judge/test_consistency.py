@@ -14,7 +14,7 @@ import small_drive
 from commands import locfuse
 from small_drive import Array
 
-from locfuse.cli.pipeline.trust import unless_sure_and_wrong
+from locfuse.cli.pipeline.trust import unless_overconfident
 from locfuse.fusion.data import Audit, Drive, Evaluation, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.consistency import Consistency, Run, judge
@@ -281,7 +281,7 @@ def test_a_sensor_is_not_to_be_trusted_more_where_every_run_with_it_is_sure_and_
     anees: tuple[float, ...], kept: bool
 ) -> None:
     found = Consistency("overstated", "lrf noise is overstated", scale=0.1, cures={"lrf.sigma_range": 0.002})
-    judged = unless_sure_and_wrong("lrf", found, [Honesty(a, (0.5, 1.5)) for a in anees])
+    judged = unless_overconfident("lrf", found, [Honesty(a, (0.5, 1.5)) for a in anees])
     assert (judged == found) == kept
     if not kept:
         assert judged.words.startswith(

@@ -15,7 +15,7 @@ from scipy import stats
 
 from locfuse.cli.pipeline.verdicts import verdicts
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.judge.bootstrap import Errors, block_means, effective_samples, luck, student_t
+from locfuse.fusion.judge.bootstrap import Errors, block_means, by_chance, effective_samples, student_t
 from locfuse.fusion.judge.credit import Credit, credit, credit_over_logs, shapley_steps, subsets
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.judge.verdict import Effect, verdict
@@ -110,7 +110,7 @@ def test_luck_is_what_adding_random_moves_does(move: float, n: int) -> None:
     after = np.ones(n) + move * rng.normal(size=(40_000, n))
     effect = -0.5 * np.log((after**2).mean(axis=1))
     expected = np.percentile(effect, (2.5, 97.5))
-    np.testing.assert_allclose(luck(move, float(n)), expected, rtol=0.15)
+    np.testing.assert_allclose(by_chance(move, float(n)), expected, rtol=0.15)
 
 
 def test_many_independent_pairs_give_pitmans_and_morgans_interval() -> None:

@@ -7,7 +7,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.cli.rerun.scene import palette as shades
 from locfuse.formats.figures import palette
+from locfuse.formats.figures.palette import Trace
 from locfuse.formats.rerun import style
 from locfuse.fusion.sensors.registry import colours
 
@@ -43,6 +45,15 @@ def test_nothing_on_the_map_shares_a_colour_with_anything_else() -> None:
     labs = {name: lab(rgb) for name, rgb in {**sensors, **runs, **things}.items()}
     near = [(a, b) for a, b in combinations(labs, 2) if np.linalg.norm(labs[a] - labs[b]) < APART]
     assert near == []
+
+
+def test_a_smoothed_result_has_a_shade_of_its_own() -> None:
+    for sensors in (("lrf",), ("compass", "lrf", "camera")):
+        name = "lrf" if len(sensors) == 1 else "all"
+        drawn = shades({name: Trace(name, sensors), f"{name}-smoothed": Trace(name, sensors, smoothed=True)})
+        plain, smoothed = (lab(rgb) for rgb in drawn.values())
+        assert np.linalg.norm(plain - smoothed) > 20.0
+        assert smoothed[0] < plain[0], "darker"
 
 
 def test_red_is_what_was_refused_and_nothing_else() -> None:

@@ -93,7 +93,9 @@ class Filter:
         self._joint = isinstance(self.belief, JointBelief)
         self._in_map: AnyBelief | InMap = self.belief  # the belief as it is seen from the map
         self._rolling = [m for m in self.models.values() if type(m).rolled is not Model.rolled]
-        self._mapping = [s for s in self._sensors if self.models[s].maps]
+        mapping = [s for s in self._sensors if self.models[s].maps]
+        self._leads = [s for s in mapping if self.models[s].leads]
+        self._may_begin = self._leads or mapping  # frames: a leader whenever it likes, else the first of all
         for model in self.models.values():
             model.begin(robot.lines, self.belief)
         for s, model in self.models.items():
@@ -152,8 +154,9 @@ class Filter:
         for model in self._rolling:
             model.rolled(step.u)
         for sensor, i in due:
-            if sensor in self._mapping and self.models[sensor].begins_map(measurements[sensor], i):
+            if sensor in self._may_begin and self.models[sensor].begins_map(measurements[sensor], i):
                 self._begin_frame()
+                self._may_begin = self._leads
 
     def pose(self) -> Pose:
         """Return the pose (x, y, theta) in the map [m, m, rad], theta not wrapped."""

@@ -121,6 +121,14 @@ def _cut(
     )
 
 
+def recut(drive: Drive, robot: Robot, measurements: dict[str, Measurements]) -> Drive:
+    """Return the drive with other measurements of the same sensors, cut at their instants."""
+    found = _cut(
+        drive.wheels, drive.epoch_ns, measurements, robot, dict(drive.absent), drive.truth, dict(drive.dropped)
+    )
+    return replace(found, notes=drive.notes, repairs=drive.repairs, fixes=drive.fixes)
+
+
 def _gap_notes(wheels: Wheels) -> list[str]:
     """Say where the counters tell how far the wheels rolled, and not which way the robot took."""
     silent = np.flatnonzero(wheels.silence[:, 1] > 0.0)

@@ -178,6 +178,7 @@ class Model:
     settled: bool = False  # whether its states are only drifted and corrected: never added, cloned or transformed
     local: bool = False  # whether it observes the pose in the run's local frame, as lines of its own map do
     maps: bool = False  # whether it may make a map of its own, with which a local frame begins
+    leads: bool = False  # whether its maps begin one after another: where it is used, no other begins a frame
     teaches: bool = True  # whether states that it names are its own: what only listens teaches nobody else
 
     def blocks(self) -> list[Block]:
@@ -194,7 +195,7 @@ class Model:
         """Take in the wheels' motion (x [m], y [m], theta [rad]) since the instant before, seen from there."""
 
     def begins_map(self, m: Measurements, i: int) -> bool:
-        """Return whether reading i is the first of a map of its own: the local frame begins at its instant."""
+        """Return whether reading i is the first of a map of its own: the local frame may begin at its instant."""
         return False
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:

@@ -1,4 +1,4 @@
-"""`locfuse calibrate`: noise and geometry of the wheels, iron around the compass, from logs."""
+"""`locfuse calibrate`: noise and geometry of the wheels, the laser's mount, iron around the compass, from logs."""
 
 from __future__ import annotations
 
@@ -11,16 +11,19 @@ from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.findings import end, findings_options, print_findings
 from locfuse.cli.terminal.options import log_options
 
+USED = ("compass", "lrf")  # sensors
+
 
 @click.command()
 @click.argument("log", nargs=-1, required=True, shell_complete=completion.logs)
 @findings_options("Write what was found as robot.toml, to be used with --robot.", "a table")
 @log_options
 def calibrate(log: tuple[str, ...], out: Path | None, overwrite: bool, as_json: bool, how: LogOptions) -> int:
-    """Find wheel noise, wheel geometry and magnetometer iron from LOGs of one robot.
+    """Find wheel noise, wheel geometry, laser mount and magnetometer iron from LOGs of one robot.
 
     From straight runs and turns on the spot with truth: the noise per metre (and the paper's delta), wheel radius,
-    ratio and track. From any log in which the robot turns once, without truth: hard and soft iron.
+    ratio and track. Without truth, from any drive with wheels and a laser: radius, ratio, track, where the laser
+    sits and how late it is. From any log in which the robot turns once, without truth: hard and soft iron.
 
     \b
     locfuse simulate straight_runs -o straight.mcap
@@ -37,9 +40,9 @@ def calibrate(log: tuple[str, ...], out: Path | None, overwrite: bool, as_json: 
 
     may_replace(out, overwrite, log)
     with show.progress(how.quiet) as progress:
-        loaded = [load(find_log(parts), how, progress, only=("compass",)) for parts in logs_of(log)]
+        loaded = [load(find_log(parts), how, progress, only=USED, aside=("lrf",)) for parts in logs_of(log)]
         progress("calibrating")
-        found = calibrate.calibrate_logs(loaded)
+        found = calibrate.calibrate_logs(loaded, progress)
     if out is not None:
         calibrate.write(out, found, how.robot, how.over)
     print_findings(found.values(), [(("setting", "found", "95 % interval", "was"), found.rows())], out, as_json)

@@ -14,6 +14,8 @@ from locfuse.cli.terminal.fleet_options import fleet_options
 from locfuse.cli.terminal.options import (
     advice_option,
     export_option,
+    given_map_option,
+    jitter_option,
     log_options,
     out_options,
     preset_option,
@@ -53,6 +55,7 @@ from locfuse.cli.terminal.rerun_options import rerun_options
 )
 @smooth_option
 @advice_option
+@jitter_option
 @click.option(
     "--figures",
     type=click.Path(path_type=Path, file_okay=False),
@@ -85,6 +88,7 @@ from locfuse.cli.terminal.rerun_options import rerun_options
 @preset_option
 @window_options
 @out_options(KINDS)
+@given_map_option
 @export_option
 @rerun_options
 def compare(log: tuple[str, ...], **asked: Any) -> int:

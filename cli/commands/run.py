@@ -14,6 +14,7 @@ from locfuse.cli.terminal.options import (
     advice_option,
     chosen,
     export_option,
+    jitter_option,
     log_options,
     map_options,
     out_options,
@@ -42,6 +43,7 @@ from locfuse.cli.terminal.rerun_options import rerun_options
 )
 @smooth_option
 @advice_option
+@jitter_option
 @click.option(
     "--audit",
     type=click.Path(path_type=Path, dir_okay=False),
@@ -60,6 +62,7 @@ def run(
     align: str,
     smooth: bool,
     advice: bool,
+    jitter: int,
     audit: Path | None,
     how: LogOptions,
     out: Path | None,
@@ -93,7 +96,7 @@ def run(
         configuration = session.configuration(sensors)
         maps.check(configuration.sensors)
         may_write(out or default_folder(session.log.name), overwrite, (*how.robot_files, maps.given))
-        result = session.run(configuration, align=align, smooth=smooth, advice=advice)
+        result = session.run(configuration, align=align, smooth=smooth, advice=advice, jitter=jitter)
         files = result.write(out, write=kinds, export=export, overwrite=overwrite)
         if maps.save is not None:
             result.save_map(maps.save)

@@ -34,6 +34,8 @@ class Wish:
     rerun: RerunOptions
     fleet: FleetOptions
     estimate: tuple[str, ...] = ()
+    given_map: Path | None = None
+    jitter: int = 0  # runs
     advice: bool = True  # fixes are tried; of several logs never
     open: bool = False  # the page, in the browser
 
@@ -63,13 +65,17 @@ def one(log: Sequence[str], wish: Wish) -> int:
     with show.progress(how.quiet) as progress:
         session = opened(log, how, progress, read_again=rerun.wanted)
         gates.refuse_another_log(session.log)
-        may_write(wish.out or default_folder(session.log.name), wish.overwrite, (*how.robot_files, wish.baseline))
+        if wish.given_map is not None:
+            session = session.with_map(wish.given_map)
+        inputs = (*how.robot_files, wish.baseline, wish.given_map)
+        may_write(wish.out or default_folder(session.log.name), wish.overwrite, inputs)
         result = session.compare(
             wish.sensors or None,
             all_subsets=wish.all_subsets,
             align=wish.align,
             smooth=wish.smooth,
             advice=wish.advice,
+            jitter=wish.jitter,
             audits=rerun.wanted,
             estimates=sources,
         )

@@ -75,6 +75,10 @@ def _wanted(wish: Wish, folder: Path) -> Wanted:
     how, fleet = wish.how, wish.fleet
     if wish.estimate:
         raise UsageError(f"--estimate {wish.estimate[0]}: it is of one drive: compare one log at a time")
+    if wish.given_map is not None:
+        raise UsageError(f"--map {wish.given_map}: it is of one drive: compare one log at a time")
+    if wish.jitter:
+        raise UsageError(f"--jitter {wish.jitter}: several logs say by themselves what is chance; give one log")
     robots = Robots.of(fleet.robot_from, how.robot)
     check_settings(how if how.robot is None or PLACE not in str(how.robot) else wish.without_robot())
     wanted = Wanted(

@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 
 from locfuse.cli.pipeline.load import Loaded
+from locfuse.cli.pipeline.settings import Progress, silent
 from locfuse.formats.robot import commented_edit, robot_toml
 from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import Array, LocfuseError
@@ -20,9 +21,10 @@ from locfuse.fusion.sensors.iron import Iron, fit_iron
 from locfuse.fusion.wheels.calibrate import PAPER_PERIOD_S, WheelCalibration, calibrate_wheels
 from locfuse.fusion.wheels.likelihood import Figure
 
+from .calibrate_laser import SIGMAS_95, ByLaser, by_laser
+
 FIELD = "sensor_msgs/msg/MagneticField"
 ODOMETRY = "nav_msgs/msg/Odometry"
-SIGMAS_95 = 1.96  # standard deviations of a 95 % interval
 MIN_LN_RATIO = 3.0  # ln of a likelihood ratio that is worth saying (20 to 1)
 
 
@@ -32,15 +34,16 @@ class Calibration:
 
     settings: WheelSettings  # as they were
     wheels: WheelCalibration | None
+    laser: ByLaser | None  # where no truth tells of the wheels
     iron: Iron | None
     notes: tuple[str, ...]
 
     def geometry(self) -> dict[str, Figure]:
         """Return radius, ratio and track with their intervals, those that the logs can tell."""
-        old, found = self.settings, self.wheels
+        old, found = self.settings, self.wheels or self.laser
         if found is None or old.radius is None or old.track is None:
             return {}
-        mean, difference, track = found.parameters.tolist()
+        mean, difference, track = found.parameters[:3].tolist()
         left, right = mean - 0.5 * difference, mean + 0.5 * difference
         share_left, share_right = (s * (1.0 + p) for s, p in zip(old.shares, (left, right), strict=True))
         values = {
@@ -49,7 +52,7 @@ class Calibration:
             "track": old.track * (1.0 + track),
         }
         spread = dict(
-            zip(values, (SIGMAS_95 * found.sigmas * np.array(list(values.values()))).tolist(), strict=True)
+            zip(values, (SIGMAS_95 * found.sigmas[:3] * np.array(list(values.values()))).tolist(), strict=True)
         )
         return {
             key: Figure(value, value - spread[key], value + spread[key])
@@ -66,7 +69,11 @@ class Calibration:
         tables: dict[str, dict[str, Any]] = {}
         if self.wheels is not None:
             tables["wheels"] = {"noise": _short(self.wheels.k.value)}
-            tables["wheels"] |= {key: _short(f.value) for key, f in self.geometry().items() if self.moved(key, f)}
+        geometry = {key: _short(f.value) for key, f in self.geometry().items() if self.moved(key, f)}
+        if geometry:
+            tables.setdefault("wheels", {}).update(geometry)
+        if self.laser is not None and (mount := self.laser.table()):
+            tables["lrf"] = {key: _short(value) for key, value in mount.items()}
         if self.iron is not None:
             tables["compass"] = {
                 "hard_iron": [_short(v) for v in self.iron.hard.tolist()],
@@ -78,6 +85,7 @@ class Calibration:
         """Return everything as plain values: SI units, null for what could not be found."""
         return {
             "wheels": None if self.wheels is None else self._wheel_values(self.wheels),
+            "laser": None if self.laser is None else self._laser_values(self.laser),
             "compass": None if self.iron is None else _iron_values(self.iron),
             "robot": self.tables(),
             "notes": list(self.notes),
@@ -96,36 +104,52 @@ class Calibration:
             "outliers": found.outliers,
         }
 
+    def _laser_values(self, found: ByLaser) -> dict[str, Any]:
+        figures = {**self.geometry(), **found.mount()}
+        return {
+            **{name: {"value": f.value, "low": f.low, "high": f.high} for name, f in figures.items()},
+            "pieces": found.fit.intervals,
+            "way_m": found.fit.way_m,
+            "turned_deg": math.degrees(found.fit.turned_rad),
+            "outliers": found.fit.outliers,
+        }
+
     def rows(self) -> list[tuple[str, str, str, str]]:
         """Return (setting, value, interval, what it was) for people."""
         rows: list[tuple[str, str, str, str]] = []
         if self.wheels is not None:
             rows.append(_row("wheels.noise [m]", self.wheels.k, self.settings.noise))
-            for key, figure in self.geometry().items():
-                unit = "" if key == "ratio" else " [m]"
-                rows.append(_row(f"wheels.{key}{unit}", figure, getattr(self.settings, key)))
+        for key, figure in self.geometry().items():
+            unit = "" if key == "ratio" else " [m]"
+            rows.append(_row(f"wheels.{key}{unit}", figure, getattr(self.settings, key)))
+        if self.laser is not None:
+            rows += [_row(f"lrf.{key}{unit}", figure, was) for key, figure, unit, was in self.laser.mount_rows()]
+        if self.wheels is not None:
             rows.append(_row(f"paper's delta ({PAPER_PERIOD_S:g} s)", self.wheels.delta, None))
         if self.iron is not None:
             rows += _iron_rows(self.iron)
         return rows
 
 
-def calibrate_logs(loaded: Sequence[Loaded]) -> Calibration:
+def calibrate_logs(loaded: Sequence[Loaded], progress: Progress = silent) -> Calibration:
     """Calibrate what the logs of one robot allow. Raises LocfuseError where they allow nothing."""
     settings = _one_robot(loaded)
     notes: list[str] = []
     wheels = _try(lambda: _wheels(loaded), notes)
+    laser = None if wheels is not None else _try(lambda: by_laser(loaded, settings, progress), notes)
     iron = _try(lambda: fit_iron(fields(loaded)), notes)
-    if wheels is None and iron is None:
+    if wheels is None and laser is None and iron is None:
         raise LocfuseError("; ".join(notes))
     if wheels is not None:
         notes += _wheel_notes(wheels, settings)
+    if laser is not None:
+        notes += laser.notes(settings)
     if iron is not None:
         notes.append(
             f"compass: iron bends the raw headings by {iron.error_before_deg:.1f} degrees (rms over a turn); the "
             f"field scatters by {math.degrees(iron.scatter):.2f} degrees about the fit"
         )
-    found = Calibration(settings, wheels, iron, tuple(notes))
+    found = Calibration(settings, wheels, laser, iron, tuple(notes))
     return dataclasses.replace(found, notes=(*notes, *_left_as_set(found)))
 
 

@@ -34,12 +34,13 @@ class Asked:
     all_subsets: bool
     align: str
     smooth: bool
+    jitter: int = 0  # runs
 
     @classmethod
-    def of(cls, sensors: Iterable[Sensors], all_subsets: bool, align: str, smooth: bool) -> Asked:
+    def of(cls, sensors: Iterable[Sensors], all_subsets: bool, align: str, smooth: bool, jitter: int = 0) -> Asked:
         """Return it with every configuration as one word."""
         words = tuple(s if isinstance(s, str) else ",".join(s) for s in sensors)
-        return cls(words, all_subsets, align, smooth)
+        return cls(words, all_subsets, align, smooth, jitter)
 
 
 def asked_tables(how: LogOptions, more: Sequence[str] = ()) -> dict[str, Any]:

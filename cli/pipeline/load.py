@@ -105,8 +105,9 @@ def load(
     how: LogOptions,
     progress: Progress = silent,
     only: Collection[str] | None = None,
+    aside: Collection[str] = (),
 ) -> Loaded:
-    """Open, describe, choose topics, and measure all sensors, or `only` some.
+    """Open, describe, choose topics, and measure all sensors, or `only` some; those `aside` are chosen only.
 
     Raises LocfuseError with one line on what is wrong.
     """
@@ -115,7 +116,7 @@ def load(
     log = open_log(paths)
     tables = merged_tables(log, how)
     choice = choose(log, make_robot(tables), named_by_hand(how.sets))
-    found = measured(log, tables, choice, progress, only)
+    found = measured(log, tables, choice, progress, only, aside)
     found = replace(found, sources=_sources(log, how), asked=asked, hash_all=how.hash_all)
     return _within(found, (how.begin, how.end))
 
@@ -167,7 +168,7 @@ def measured(
     _refuse_other_clock(log, drive)
     preset = (filters.NOTE,) if robot.preset == "paper" else ()
     chosen = (f"wheels: {note}" for note in choice.notes)
-    notes = (*preset, *chosen, *_clock_notes(streams), *_start_notes(robot, drive), *drive.notes)
+    notes = (*preset, *chosen, *_clock_notes(streams), *start_notes(robot, drive), *drive.notes)
     drive = replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes})
     return Loaded(log, robot, choice, drive, tables)
 
@@ -406,7 +407,7 @@ def start_error(robot: Robot, drive: Drive) -> float | None:
     return math.hypot(x - robot.start.x, y - robot.start.y)
 
 
-def _start_notes(robot: Robot, drive: Drive) -> list[str]:
+def start_notes(robot: Robot, drive: Drive) -> list[str]:
     """Warn where truth starts elsewhere than the drive and nobody said where the drive starts."""
     error = start_error(robot, drive)
     if error is None or error < 0.05 or drive.truth is None:

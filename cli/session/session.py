@@ -37,6 +37,7 @@ from locfuse.fusion.judge.evaluate import Align, evaluate
 from locfuse.fusion.robot import Robot
 
 from .foreign import foreign_estimates, named_sources
+from .jitter import add_jitter, check_runs, jitter_runs
 from .named import Named
 from .result import Comparison, Run
 from .sweep import cells
@@ -74,7 +75,8 @@ def load(
 
 def opened(log: Sequence[str], how: LogOptions, progress: Progress, read_again: bool = False) -> Session:
     """Return the session of a log as a command line names it; `read_again`: its columns are needed once more."""
-    return Session(load_to_fuse(find_log(log), how, progress, read_again), progress)
+    loaded = load_to_fuse(find_log(log), how, progress, read_again)
+    return Session(maps.give_topic(loaded), progress)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -111,6 +113,7 @@ class Session:
         align: str = "none",
         smooth: bool = False,
         advice: bool = True,
+        jitter: int = 0,
     ) -> Run:
         """Estimate the trajectory with one set of sensors, as `locfuse run` does.
 
@@ -119,16 +122,21 @@ class Session:
             align: "none", "origin" or "se2": how to move the estimate onto the truth before judging it.
             smooth: also smooth: what the whole drive, its end included, says of every instant.
             advice: where something looks wrong, evaluate the log as `compare` does and try fixes.
+            jitter: fuse as many times more with stamps moved by 1 us and 1 % of the readings dropped; the report
+                then has the range of every figure under `configurations.<name>.jitter`.
 
         Raises:
             LocfuseError: an unknown sensor, or one that this log lacks.
         """
         one_of(align, get_args(Align), "align")
+        runs = check_runs(jitter)
         used = sensors if isinstance(sensors, Configuration) else self.configuration(sensors)
         self.progress("fusing")
         estimates = lean(used.fuse, self.drive, self.robot, smooth)
         evaluations = [evaluate(e, used.drive(self.drive), cast("Align", align)) for e in estimates]
         report = report_of_run(self.loaded, used, estimates, evaluations)
+        if runs:
+            self._jitter(report, [used], align, smooth, estimates, runs)
         complete(
             report,
             self._advice_on_run(used, estimates[0], evaluations[0], align) if advice else None,
@@ -152,6 +160,7 @@ class Session:
         audits: bool = True,
         estimates: Mapping[str, str] | None = None,
         advice: bool = True,
+        jitter: int = 0,
     ) -> Comparison:
         """Run several configurations and say what each sensor is worth, as `locfuse compare` does.
 
@@ -164,11 +173,14 @@ class Session:
             audits: keep every measurement's innovation and verdict, `estimates["lrf"].audits["lrf"]`. They are
                 most of what a result holds; False frees them as soon as the figures have what they show.
             advice: where something looks wrong, try fixes by fusing again, and report what they did.
+            jitter: fuse as many times more with stamps moved by 1 us and 1 % of the readings dropped; the report
+                then has the range of every figure, and a verdict that changes becomes "no effect seen".
             estimates: other people's estimates as rows of their own, {"amcl": "/amcl_pose", "slam": "slam.tum"}.
 
         Raises:
             LocfuseError: an unknown sensor, or one that this log lacks.
         """
+        runs = check_runs(jitter)
         words = () if sensors is None else (sensors,) if isinstance(sensors, str) else tuple(sensors)
         wanted = for_comparison(words, self.drive, all_subsets)
         foreign = foreign_estimates(self.loaded, named_sources(estimates or {}), [c.name for c in wanted])
@@ -177,7 +189,12 @@ class Session:
         takes, hears = ([], []) if evaluator is None else (evaluator.takes, evaluator.hears)
         watch = [drawn.take, *takes]
         compared = compare_log(self.loaded, wanted, align, self.progress, smooth, watch, audits, foreign, hears)
-        report = report_of(compared, None if foreign else Asked.of(words, all_subsets, align, smooth))
+        report = report_of(
+            compared,
+            None if foreign or self.loaded.asked is None else Asked.of(words, all_subsets, align, smooth, runs),
+        )
+        if runs:
+            self._jitter(report, wanted, align, smooth, compared.estimates, runs)
         complete(report, None if evaluator is None else evaluator.advised(), self._start_error())
         self.progress("writing")
         return Comparison(
@@ -197,6 +214,21 @@ class Session:
         found: dict[str, Any] = {}
         add_findings(found, Evaluator(self.loaded, self.progress).advised())
         return found
+
+    def _jitter(
+        self,
+        report: dict[str, Any],
+        configurations: Sequence[Configuration],
+        align: str,
+        smooth: bool,
+        estimates: Sequence[Estimates],
+        runs: int,
+    ) -> None:
+        """Add what other drives that differ by next to nothing give to a report."""
+        plain = {e.name: e for e in estimates}
+        add_jitter(
+            report, list(jitter_runs(self.loaded, configurations, align, smooth, plain, runs, self.progress))
+        )
 
     def _start_error(self) -> float | None:
         return start_error(self.robot, self.drive)
@@ -248,7 +280,11 @@ class Session:
         return Named("cell", results)
 
     def with_map(self, file: PathLike) -> Session:
-        """Return the same drive with a laser that localises in the line map of a file, which stays as it is."""
+        """Return the same drive with a laser that localises in the map of a file, which stays as it is.
+
+        A line map that `Run.save_map` wrote, or the .yaml of a map as an image (ROS's map_server): there the start
+        is looked for unless `[start]` says it. Raises LocfuseError where the map is of another building.
+        """
         return replace(self, loaded=maps.give(self.loaded, path_of(file)))
 
     def __repr__(self) -> str:

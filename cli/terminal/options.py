@@ -65,6 +65,15 @@ def advice_option(command: F) -> F:
     return click.option("--no-advice", "advice", flag_value=False, default=True, help=words)(command)
 
 
+def jitter_option(command: F) -> F:
+    """Add --jitter."""
+    words = (
+        "Also fuse N times with stamps moved by 1 µs and 1 % of the readings dropped: the range of every "
+        "figure is reported, and a verdict that changes becomes: no effect seen."
+    )
+    return click.option("--jitter", type=int, default=0, metavar="N", help=words)(command)
+
+
 class RobotFile(click.Path):
     """A robot.toml, or one for each robot of a fleet: those are looked for when the robots are known."""
 
@@ -214,18 +223,17 @@ def map_options(command: F) -> F:
     def wrapped(*args: Any, given_map: Path | None, save_map: Path | None, **kwargs: Any) -> Any:
         return command(*args, maps=MapOptions(given_map, save_map), **kwargs)
 
-    decorated: Any = wrapped
-    file = click.Path(path_type=Path, dir_okay=False)
-    for option in (
-        click.option(
-            "--save-map", type=file, help="Write the line map of this run as JSON, its landmarks as .csv."
-        ),
-        click.option(
-            "--map",
-            "given_map",
-            type=click.Path(path_type=Path, dir_okay=False, exists=True),
-            help="Localise in this line map, which --save-map wrote; it is not changed.",
-        ),
-    ):
-        decorated = option(decorated)
-    return decorated  # type: ignore[no-any-return]
+    words = "Write the line map of this run as JSON, its landmarks as .csv."
+    save = click.option("--save-map", type=click.Path(path_type=Path, dir_okay=False), help=words)
+    return given_map_option(save(wrapped))  # type: ignore[return-value]
+
+
+def given_map_option(command: F) -> F:
+    """Add --map, which arrives as `given_map`."""
+    return click.option(
+        "--map",
+        "given_map",
+        type=click.Path(path_type=Path, dir_okay=False, exists=True),
+        help="Localise in this map: the JSON of --save-map, or the .yaml of an image (map_server), in which the "
+        "start is looked for. It is not changed.",
+    )(command)

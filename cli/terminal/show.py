@@ -113,6 +113,7 @@ def figures(report: Mapping[str, Any]) -> None:
     table(tables.brief(report))
     if tables.has_figures(report):
         lines([BELOW])
+    table(tables.jitter(report))
     table(tables.sensors(report).without("verdicts").without("joint_nis"))
 
 
@@ -138,6 +139,8 @@ def notes(report: Mapping[str, Any], losses: Sequence[str], quiet: bool) -> None
         say(f"dropped: {stream}: {counted}")
     if "pseudo_reference" in report:
         say(f"note: {report['pseudo_reference']['words']}")
+    if report.get("jitter"):
+        say(f"note: {report['jitter']['words']}")
     if report["truth"] is None:
         say(NO_TRUTH)
     if report.get("prediction"):

@@ -30,6 +30,7 @@ def render(report: Mapping[str, Any]) -> str:
         markdown(tables.configurations(report)),
         _truth_line(report),
         _prediction(report),
+        _jitter(report),
         _findings(report),
         _listing("Notes", dict.fromkeys(notes_of(report), "")),
         _folded("All figures, sensors, and what was dropped", details),
@@ -66,6 +67,11 @@ def _prediction(report: Mapping[str, Any]) -> str:
     if not prediction:
         return ""
     return f"{escape(prediction['trust'])}\n\n{markdown(tables.ranking(report))}"
+
+
+def _jitter(report: Mapping[str, Any]) -> str:
+    found = report.get("jitter")
+    return f"{escape(found['words'])}\n\n{markdown(tables.jitter(report))}" if found else ""
 
 
 def _folded(title: str, parts: Sequence[str]) -> str:

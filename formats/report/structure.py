@@ -109,6 +109,7 @@ class Result(Struct):
     duration_s: float  # of the log
     distance_m: float  # by the estimate
     consistency: CovarianceConsistency | None = None
+    jitter: dict[str, Any] | None = None  # figure -> least and most over runs on jittered drives; path_moved_m
     void: Void | None = None  # why error figures are null that could be computed
 
 
@@ -168,6 +169,13 @@ class Truth(Struct):
     distance_m: Figure
 
 
+class Jitter(Struct):
+    """Runs on drives that differ by next to nothing: how much of a figure is chance."""
+
+    runs: Count
+    words: str
+
+
 class Verdict(Struct):
     """What a sensor is worth, in words."""
 
@@ -200,4 +208,5 @@ class Report(_Common):
     consistency: dict[str, SensorConsistency] = {}  # sensor -> verdict on its noise
     changed_settings: dict[str, dict[str, Any]] = {}  # "table.key" -> value, unit, and who set it
     repeat: str | None = None  # the command that makes this report again
+    jitter: Jitter | None = None  # null: not asked for
     key: str | None = None  # equal for equal input, settings, configurations and version

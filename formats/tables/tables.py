@@ -72,6 +72,13 @@ HONESTY = (
     Column("bounds", "consistent range", form="{:.2f}"),
     Column("words", "result", kind="long"),
 )
+JITTER = (
+    Column("configuration", "under jitter", kind="text"),
+    RMSE,
+    Column("heading_rmse_deg", "heading rmse", "°", "{:.3f}"),
+    Column("anees", "ANEES", form="{:.2f}"),
+    Column("path_moved_m", "path moved at most", "m", "{:.4f}"),
+)
 CREDIT = (
     SENSOR,
     Column("effect", "effect", kind="text"),
@@ -169,6 +176,13 @@ def against_smoothed(report: Report) -> Table:
 def consistency(report: Report) -> Table:
     """Return whether every configuration's covariance is as large as its error."""
     return of_values(HONESTY, _configurations(report, "consistency"), "Consistency of every configuration")
+
+
+def jitter(report: Report) -> Table:
+    """Return between what the main figures of every configuration lie on drives that differ by next to nothing."""
+    found = [v["jitter"] for v in report["configurations"].values() if v.get("jitter")]
+    columns = [JITTER[0], *(c for c in JITTER[1:] if any(c.key in values for values in found))]
+    return of_values(columns, _configurations(report, "jitter"), "Ranges of the main figures under jitter")
 
 
 def credit(report: Report) -> Table:

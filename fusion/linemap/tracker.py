@@ -38,6 +38,7 @@ class LineTracker(Model):
     """Association, extents and growth of the line map; `mode` is how the map enters the filter."""
 
     local = True
+    leads = True
 
     def __init__(self, mode: str, gate: float, recover: bool = True, mount: Mount | None = None) -> None:
         self.mode = mode

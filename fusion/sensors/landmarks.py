@@ -321,15 +321,10 @@ class GrowingModel(LandmarksModel):
         super().__init__(settings)
         self._known: dict[int, int] = {}  # id -> detections
         self._refused: dict[int, int] = defaultdict(int)
-        self._others_map = False
-
-    def meet(self, others: Mapping[str, Model]) -> None:
-        """Leave it to a laser to begin the local frame, where there is one."""
-        self._others_map = any(other.maps and not isinstance(other, GrowingModel) for other in others.values())
 
     def begins_map(self, m: Measurements, i: int) -> bool:
-        """Return whether these are the first detections, with which the local frame begins."""
-        return not self._known and not self._others_map and bool(m.first[i] < m.first[i + 1])
+        """Return whether these are the first detections, with which a local frame can begin."""
+        return not self._known and bool(m.first[i] < m.first[i + 1])
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
         """Compare the detections of one instant with the belief; those of new landmarks are none yet."""

@@ -42,6 +42,7 @@ class LrfSettings(MountedSettings, frozen=True, forbid_unknown_fields=True, kw_o
     floor_angle_deg: float = 0.05
     walls: Literal["found", "flat"] = "found"  # found: the floors rise to what the walls of the log show
     map: MapMode = "grow"
+    map_topic: str | None = None  # nav_msgs/OccupancyGrid of the log, in which it localises (map = given)
     recover: bool = True  # from slips and being carried away
 
 

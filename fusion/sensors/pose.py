@@ -291,19 +291,14 @@ class KeptPoseModel(Model):
         self.threshold = chi_square(settings.gate, 3)
         self.drift = settings.sigma_drift**2, math.radians(settings.sigma_drift_deg) ** 2  # per m
         self._last: Array | None = None  # the source's pose at B
-        self._others_map = False
 
     def blocks(self) -> list[Block]:
         """Return the kept pose."""
         return [Block(KEPT, np.zeros(3), np.zeros((3, 3)), np.zeros(3))]
 
-    def meet(self, others: Mapping[str, Model]) -> None:
-        """Leave it to a laser to begin the local frame, where there is one."""
-        self._others_map = any(other.maps and not isinstance(other, KeptPoseModel) for other in others.values())
-
     def begins_map(self, m: Measurements, i: int) -> bool:
-        """Return whether this is the first pose, with which the local frame begins."""
-        return self._last is None and not self._others_map
+        """Return whether this is the first pose, with which a local frame can begin."""
+        return self._last is None
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
         """Compare the motion since the kept pose with the belief; the first reading only begins."""

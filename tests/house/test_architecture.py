@@ -31,10 +31,10 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "core",
         "camera lines ekf scan_matching landmarks",
         "wheels linemap",
-        "atlas",
+        "atlas given_map",
         "truth sensors",
         "measure instants judge doctor",
-        "fuse graph",
+        "fuse graph jitter",
         "smooth tune paper advice laser_odometry",
     ),
     "formats": (
@@ -87,7 +87,7 @@ TERMINAL = {  # only here: click, rich, print
     "cli/reference/schema.py",
     "cli/main.py",
 }
-CV2 = {"fusion/camera", "formats/results/preview.py", "fusion/doctor/preview.py"}
+CV2 = {"fusion/camera", "formats/results/preview.py", "formats/robot/map_image.py", "fusion/doctor/preview.py"}
 ROOM_FILES = range(3, 13)
 ROOMS_OF_ANY_SIZE = {"cli/facade"}
 

@@ -19,8 +19,10 @@ from locfuse.cli.pipeline.load import make_robot
 from locfuse.fusion import se2
 from locfuse.fusion.data import ArrayStream, Column, Drive
 from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.ekf.belief_pose import PoseBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
+from locfuse.fusion.landmarks.messages import DETECTIONS
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensor import Block
@@ -30,6 +32,7 @@ from locfuse.sample_logs.messages import RawMessage
 
 Array = NDArray[np.float64]
 SIGMA, SIGMA_THETA = 0.04, math.radians(1.5)
+START_SIGMA_DEG = 2.0
 FRAME = np.array([4.0, -3.0, 2.0])  # where a frame of its own lies in the map
 WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
@@ -148,6 +151,59 @@ def test_a_kept_pose_stays_where_it_is_when_the_local_frame_begins_anew() -> Non
     belief.place((5.0, 5.0, 2.0), 0.1, 0.1)
     np.testing.assert_allclose(se2.between(belief.state[3:6], belief.state[:3]), seen, atol=1e-12)
     np.testing.assert_allclose(relative_covariance(belief), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("later", ["pose", "landmarks"])
+def test_one_of_two_maps_begins_the_local_frame_whichever_is_first(later: str) -> None:
+    """Without a laser neither waits for the other: the first one begins the frame, where the robot is then."""
+    drive, robot = with_two_maps(late=later)
+    first = "landmarks" if later == "pose" else "pose"
+    began: list[np.float64] = []
+
+    class Watched(JointBelief):
+        def begin_frame(self) -> None:
+            began.append(drive.t[np.searchsorted(drive.t, drive.measurements[first].t[0])])
+            super().begin_frame()
+
+    fused = fuse(drive, robot, ("landmarks", "pose"), beliefs=(PoseBelief, Watched))
+    assert began == [drive.measurements[first].t[0]]
+    alone = figures(drive, robot, ())
+    assert evaluate(fused, drive).figures["position_rmse_m"] < 0.3 * alone["position_rmse_m"]
+    north = math.radians(START_SIGMA_DEG)
+    assert fused.P[-1, 2, 2] > 0.999 * north**2  # neither has seen north
+
+
+def with_two_maps(late: str) -> tuple[Drive, Robot]:
+    """A drive past four tags whose places nobody knows, with poses in a frame of their own; `late` starts late."""
+    rng = np.random.default_rng(0)
+    t, pose = loop_drive.path()
+    begins = {"pose": 3, "landmarks": 3, late: 25}
+    posing, tagging = slice(begins["pose"], None, 2), slice(begins["landmarks"], None, 5)
+    inside = se2.between(np.broadcast_to(FRAME, pose.shape), pose)
+    streams = {
+        "wheels": loop_drive.wheels(t, pose, rng),
+        "truth": loop_drive.truth(t[::5], pose[::5]),
+        "pose": posed(t[posing], inside[posing], rng),
+        "landmarks": tagged(t[tagging], pose[tagging], rng),
+    }
+    tables = {"pose": {"frame": "own"}, "landmarks": {"map": "grow", "sigma_range": 0.1, "range_offset": 0.0}}
+    start = {**loop_drive.TABLES["start"], "sigma_xy": 0.1, "sigma_theta_deg": START_SIGMA_DEG}
+    robot = make_robot({**loop_drive.TABLES, **tables, "start": start})
+    return measure(streams, robot), robot
+
+
+def tagged(t: Array, pose: Array, rng: np.random.Generator) -> ArrayStream:
+    """Range and bearing to four tags, always in sight, with the noise that [landmarks] tells by default."""
+    seen = np.array([(4.0, 6.0), (-2.0, 3.0), (6.0, -4.0), (0.0, -5.0)])
+    d = seen[None] - pose[:, None, :2]
+    noise = rng.normal(size=d.shape) * (0.1, math.radians(1.5))
+    bearing = np.arctan2(d[..., 1], d[..., 0]) - pose[:, 2:] + noise[..., 1]
+    data: dict[str, Column] = {
+        "id": np.tile(np.arange(4.0), len(t)),
+        "range": (np.hypot(d[..., 0], d[..., 1]) + noise[..., 0]).ravel(),
+        "bearing": bearing.ravel(),
+    }
+    return ArrayStream("tags.csv", DETECTIONS, np.repeat(ns(t), 4), data)
 
 
 def relative_covariance(belief: JointBelief) -> Array:

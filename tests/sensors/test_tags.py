@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 CAMERA = np.array([0.1, -0.05, math.radians(30.0)])  # on the base; turned, so that a forgotten mount shows
 FX, CX = 400.0, 320.0
 FRAME = "camera_optical"
-PIXEL, METRE = 1.0, 0.03  # noise
+METRE, BEARING = 0.03, math.radians(0.25)  # noise of places, and of what is seen in pixels
 ARUCO, APRIL = "ros2_aruco_interfaces/msg/ArucoMarkers", "apriltag_msgs/msg/AprilTagDetectionArray"
 ISAAC, VISION = "isaac_ros_apriltag_interfaces/msg/AprilTagDetectionArray", "vision_msgs/msg/Detection3DArray"
 POINT2 = "float64 x\nfloat64 y\n"
@@ -55,11 +55,12 @@ def aruco(stamp: dict[str, Any], seen: list[tuple[int, Array]]) -> bytes:
 
 
 def april(stamp: dict[str, Any], seen: list[tuple[int, Array]]) -> bytes:
-    """The centre in the picture: x grows to the right."""
-    noise = np.random.default_rng(int(stamp["stamp"]["nanosec"])).normal(size=len(seen)) * PIXEL
+    """The centre in the picture: x grows to the right. The noise is that of a bearing, the same all over it."""
+    rng = np.random.default_rng([int(stamp["stamp"]["sec"]), int(stamp["stamp"]["nanosec"])])
+    bearings = np.array([math.atan2(p[0], p[2]) for _, p in seen]) + BEARING * rng.normal(size=len(seen))
     tags = [
-        {"id": k, "centre": {"x": CX + FX * p[0] / p[2] + float(e), "y": 240.0}}
-        for (k, p), e in zip(seen, noise, strict=True)
+        {"id": k, "centre": {"x": CX + FX * math.tan(b), "y": 240.0}}
+        for (k, _), b in zip(seen, bearings.tolist(), strict=True)
     ]
     return cdr(APRIL, header=stamp, detections=tags)
 
@@ -106,11 +107,13 @@ def camera_info() -> Said:
     return Said("/camera_info", kind, cdr(kind, header=header(T0, FRAME), k=k), T0)
 
 
-def written(folder: Path, kind: str, make: Callable[..., bytes], *more: Said) -> tuple[Path, Path, Path]:
-    """A drive whose wheels slip by 5 % of every turn, past tags; the log, the map and the truth."""
+def written(
+    folder: Path, kind: str, make: Callable[..., bytes], *more: Said, slips: float = 0.05, noise: float = METRE
+) -> tuple[Path, Path, Path]:
+    """A drive whose wheels slip by a share of every turn, past tags; the log, the map and the truth."""
     t, angle = angles(60.0)
     true = path_of(t, angle)
-    slip = 0.05 * (angle[:, 1] - angle[:, 0]) / 2
+    slip = slips * (angle[:, 1] - angle[:, 0]) / 2
     said = [mount(), *more, *joint_states(t, angle + np.stack((-slip, slip), axis=-1))]
     rng = np.random.default_rng(1)
     for i in range(5, len(t), 10):
@@ -119,7 +122,7 @@ def written(folder: Path, kind: str, make: Callable[..., bytes], *more: Said) ->
         for key, place in MAP.items():
             x, y, _ = se2.between(eye, np.array([*place, 0.0]))
             if x > 0.3 and abs(y) < 1.2 * x:
-                seen.append((key, np.array([-y, -0.2, x]) + METRE * rng.standard_normal(3)))
+                seen.append((key, np.array([-y, -0.2, x]) + noise * rng.standard_normal(3)))
         ns = T0 + round(t[i] * S)
         said.append(Said("/tags", kind, make(header(ns, FRAME), seen), ns + 2_000_000))
     log = log_of(folder / "x.mcap", said)
@@ -162,12 +165,20 @@ def test_poses_of_tags_hold_the_robot(kind: str, make: Callable[..., bytes], tmp
 
 
 def test_pixels_of_tags_are_bearings_by_the_camera_info(tmp_path: Path) -> None:
-    files = written(tmp_path, APRIL, april, camera_info())
-    found, _ = compared(files, "--set", "landmarks.sigma_bearing_deg=0.28")
+    files = written(tmp_path, APRIL, april, camera_info(), noise=0.0)
+    found, _ = compared(files, "--set", f"landmarks.sigma_bearing_deg={math.degrees(BEARING)}")
     assert found["landmarks"]["position_rmse_m"] < 0.3 * found["odometry"]["position_rmse_m"]
-    # how noisy a bearing is depends on the tag's distance, which the robot is not told
-    assert 0.3 < found["landmarks"]["sensors"]["landmarks"]["nis"] < 2.0
     assert "innovation of bearing" in (tmp_path / "out/report.html").read_text()
+
+
+def test_the_noise_of_pixels_is_that_of_their_bearings(tmp_path: Path) -> None:
+    """Wheels that are exact, and bearings with the noise that is configured: NIS is 1 within its own scatter."""
+    exact = ("--set", "wheels.noise=1e-7", "--set", "start.sigma_xy=0.05", "--set", "start.sigma_theta_deg=2")
+    files = written(tmp_path, APRIL, april, camera_info(), slips=0.0, noise=0.0)
+    found, _ = compared(files, "--set", f"landmarks.sigma_bearing_deg={math.degrees(BEARING)}", *exact)
+    seen = found["landmarks"]["sensors"]["landmarks"]
+    assert seen["accepted"] > 300
+    assert abs(seen["nis"] - 1.0) < 3.0 * math.sqrt(2.0 / seen["accepted"])
 
 
 def test_pixels_without_a_camera_info_are_one_line_with_the_keys(tmp_path: Path) -> None:

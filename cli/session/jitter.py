@@ -1,0 +1,118 @@
+"""`--jitter N`: every configuration fused N times more, each time on a drive that differs by next to nothing.
+
+The spread of a figure over these runs is what chance decides in it. A verdict that does not keep its direction in
+all of them is no verdict: no effect is seen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from locfuse.cli.pipeline.compare import Compared, compare_log
+from locfuse.cli.pipeline.configurations import Configuration
+from locfuse.cli.pipeline.load import Loaded
+from locfuse.cli.pipeline.settings import Progress
+from locfuse.cli.pipeline.verdicts import verdicts
+from locfuse.fusion.data import Estimates, UsageError
+from locfuse.fusion.jitter import DROPPED_SHARE, MOVED_S, jittered
+
+MAX_RUNS = 1000
+DIRECTIONS = {"helps": 1, "seems to help": 1, "hurts": -1, "seems to hurt": -1}
+NO_EFFECT = "no effect seen"
+WORDS = (
+    f"The drive was fused {{runs}} times more with stamps moved by up to {1e6 * MOVED_S:g} µs and "
+    f"{DROPPED_SHARE:.0%} of the readings dropped. Differences between configurations that are smaller than these "
+    "ranges mean nothing."
+)
+
+
+def check_runs(runs: int) -> int:
+    """Return how many runs are asked for, 0 for none. Raises UsageError for a number that cannot be one."""
+    if not 0 <= runs <= MAX_RUNS:
+        raise UsageError(f"--jitter {runs}: give a number of runs from 1 to {MAX_RUNS}")
+    return runs
+
+
+@dataclass(frozen=True)
+class Jittered:
+    """What one run on a jittered drive gave."""
+
+    figures: Mapping[str, Mapping[str, float | None]]  # result -> figure -> value
+    away: Mapping[str, float]  # result -> how far its path is from the one of the drive as it is, at most [m]
+    verdicts: Mapping[str, str]  # sensor -> verdict
+
+
+def jitter_runs(
+    loaded: Loaded,
+    configurations: Sequence[Configuration],
+    align: str,
+    smooth: bool,
+    plain: Mapping[str, Estimates],
+    runs: int,
+    progress: Progress,
+) -> Iterator[Jittered]:
+    """Fuse and judge every configuration on `runs` jittered drives; `plain` are the drive's own, by name."""
+    for seed in range(runs):
+        progress(f"jitter {seed + 1} of {runs}")
+        other = replace(loaded, drive=jittered(loaded.drive, loaded.robot, seed))
+        found = compare_log(other, configurations, align, lambda step: None, smooth)
+        yield Jittered(
+            {e.name: e.figures for e in found.evaluations},
+            {e.name: _away(plain[e.name], e) for e in found.estimates},
+            _verdicts(found),
+        )
+
+
+def _verdicts(found: Compared) -> dict[str, str]:
+    sets = {c.name: c.sensors for c in found.configurations if not c.rates}
+    return {s: v["verdict"] for s, v in verdicts(found.credit, found.scores, sets).items()}
+
+
+def _away(plain: Estimates, other: Estimates) -> float:
+    """Return the largest distance [m] of two paths at the times of the first."""
+    x, y = (np.interp(plain.t, other.t, other.pose[:, k]) - plain.pose[:, k] for k in (0, 1))
+    return float(np.hypot(x, y).max())
+
+
+def add_jitter(report: dict[str, Any], found: Sequence[Jittered]) -> None:
+    """Add the range of every figure over all runs and the drive's own, and take back verdicts that flip."""
+    if not found:
+        return
+    report["jitter"] = {"runs": len(found), "words": WORDS.format(runs=len(found))}
+    for name, values in report["configurations"].items():
+        if name in found[0].figures:
+            values["jitter"] = _ranges(values, [run.figures[name] for run in found])
+            values["jitter"]["path_moved_m"] = max(run.away[name] for run in found)
+    for sensor, own in report.get("verdicts", {}).items():
+        seen = Counter(run.verdicts[sensor] for run in found if sensor in run.verdicts)
+        report["verdicts"][sensor] = _unless_it_flips(own, seen)
+
+
+def _ranges(own: Mapping[str, Any], runs: Sequence[Mapping[str, float | None]]) -> dict[str, Any]:
+    """Return [least, most] of every figure that exists in all runs."""
+    out = {}
+    for key in runs[0]:
+        values = [own.get(key), *(run.get(key) for run in runs)]
+        numbers = [v for v in values if v is not None and math.isfinite(v)]
+        if len(numbers) == len(values):
+            out[key] = [min(numbers), max(numbers)]
+    return out
+
+
+def _unless_it_flips(verdict: Mapping[str, Any], seen: Counter[str]) -> dict[str, Any]:
+    """Return a verdict as it is where all runs have its direction, else that no effect is seen, and why."""
+    directions = {DIRECTIONS.get(word, 0) for word in (verdict["verdict"], *seen)}
+    if len(directions) == 1:
+        return dict(verdict)
+    counted = ", ".join(f"{word} {n}" for word, n in sorted(seen.items(), key=lambda pair: (-pair[1], pair[0])))
+    own = "" if verdict["verdict"] == NO_EFFECT else f"As recorded: {verdict['verdict']}. "
+    return {
+        "verdict": NO_EFFECT,
+        "words": f"The verdict is chance: it changes under jitter ({counted}). {own}{verdict['words']}",
+    }

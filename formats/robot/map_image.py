@@ -1,0 +1,149 @@
+"""A map as an image and a YAML file beside it, as ROS's map_server reads and writes them.
+
+A pixel's darkness p says how surely a cell is a wall: above `occupied_thresh` it is one, below `free_thresh` it is
+free, between unknown. The image's last row is the southernmost.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from locfuse.formats.caps import MAX_MAP_CELLS, MAX_MAP_FILE, MAX_ROBOT_TOML, names_its_cap
+from locfuse.formats.inputs import read_small
+from locfuse.formats.visible import visible
+from locfuse.fusion.data import MAX_MAGNITUDE, Array, LocfuseError
+
+SUFFIXES = (".yaml", ".yml")
+PICTURES = (".pgm", ".png")
+OCCUPIED, FREE = 0.65, 0.25  # thresholds of map_server where the file gives none
+UNKNOWN_GREY = 205  # what map_saver writes for unknown cells, whatever the thresholds beside it say
+MAX_CELL_M = 10.0
+UNKNOWN_CELL = -1  # of an OccupancyGrid, whose other cells are 0 to 100
+
+
+class MapImage(NamedTuple):
+    """Cells (rows, columns), the first row the southernmost: walls, free ones; the others are unknown."""
+
+    occupied: NDArray[np.bool_]
+    free: NDArray[np.bool_]
+    cell: float  # m
+    origin: Array  # (3,) x, y [m], yaw [rad] of the lower left corner
+
+
+def read(path: Path) -> MapImage:
+    """Read map.yaml and its image. Raises LocfuseError with one line on what is missing or cannot be."""
+    keys = _keys(path)
+    image = _text(keys, "image", path)
+    file = Path(image) if Path(image).is_absolute() else path.parent / image
+    dark = _darkness(file)
+    if _number(keys, "negate", path, 0.0):
+        dark = 1.0 - dark
+    occupied = dark > _number(keys, "occupied_thresh", path, OCCUPIED)
+    free = dark < _number(keys, "free_thresh", path, FREE)
+    cell = _number(keys, "resolution", path)
+    if not 0.0 < cell <= MAX_CELL_M:
+        raise LocfuseError(f"{path}: resolution {cell:g} m: the side of a cell must be above 0 and at most 10 m")
+    return checked(MapImage(occupied[::-1], free[::-1], cell, _origin(keys, path)), str(path))
+
+
+def of_message(data: Any, width: int, height: int, cell: float, origin: Array, name: str) -> MapImage:
+    """Return a nav_msgs/OccupancyGrid: cells 0 to 100 from the lower left, -1 unknown."""
+    cells = np.asarray(data).astype(np.int64)
+    if width < 1 or height < 1 or len(cells) != width * height:
+        raise LocfuseError(f"{name}: {len(cells)} cells are no map of {width} x {height}")
+    if not (0.0 < cell <= MAX_CELL_M and np.isfinite(origin).all()):
+        raise LocfuseError(f"{name}: a map with cells of {cell:g} m at {origin.tolist()} lies nowhere")
+    grid = cells.reshape(height, width)
+    known = grid != UNKNOWN_CELL
+    return checked(MapImage(known & (grid > 100 * OCCUPIED), known & (grid < 100 * FREE), cell, origin), name)
+
+
+def checked(found: MapImage, name: str) -> MapImage:
+    """Return a map in which something can be seen from somewhere. Raises LocfuseError."""
+    for cells, what in ((found.occupied, "wall"), (found.free, "free cell")):
+        if not cells.any():
+            raise LocfuseError(f"{name} has no {what}: nothing can be localised in it (negate, thresholds)")
+    return found
+
+
+def _keys(path: Path) -> dict[str, Any]:
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    try:
+        keys = YAML(typ="safe", pure=True).load(read_small(path, MAX_ROBOT_TOML).decode())
+    except (YAMLError, UnicodeDecodeError, ValueError, RecursionError) as problem:
+        said = visible(" ".join(str(problem).split()))
+        raise LocfuseError(f"{path} is no YAML of a map: {said[:120]}") from None
+    if not isinstance(keys, dict):
+        raise LocfuseError(f"{path} is no YAML of a map: it must say image, resolution and origin")
+    return keys
+
+
+def _text(keys: dict[str, Any], key: str, path: Path) -> str:
+    value = keys.get(key)
+    if not isinstance(value, str) or not value or "\0" in value:
+        raise LocfuseError(f"{path} says no {key}: a map.yaml names image, resolution and origin")
+    return value
+
+
+def _number(keys: dict[str, Any], key: str, path: Path, usual: float | None = None) -> float:
+    value = keys.get(key, usual)
+    if isinstance(value, bool | int | float) and math.isfinite(value):
+        return float(value)
+    raise LocfuseError(f"{path}: {key} is {visible(repr(value))[:60]}, not a number")
+
+
+def _origin(keys: dict[str, Any], path: Path) -> Array:
+    value = keys.get("origin")
+    numbers = value if isinstance(value, list) and len(value) == 3 else []
+    if not numbers or not all(isinstance(v, int | float) and abs(v) < MAX_MAGNITUDE for v in numbers):
+        raise LocfuseError(f"{path}: origin is {visible(repr(value))[:60]}, not [x, y, yaw] in m, m, rad")
+    return np.array(numbers, np.float64)
+
+
+def _darkness(file: Path) -> Array:
+    """Return how dark each pixel is, (rows, columns) 0 to 1; transparent ones are half: unknown."""
+    import cv2
+
+    data = read_small(file, MAX_MAP_FILE)
+    size = _size(data)
+    if size is None:
+        raise LocfuseError(f"{file} is no PGM or PNG: maps are read as these")
+    if size[0] * size[1] > MAX_MAP_CELLS:
+        raise LocfuseError(names_its_cap(f"{file}", size[0] * size[1], MAX_MAP_CELLS, "cells"))
+    try:
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        pixels = None
+    if pixels is None or pixels.size == 0:
+        raise LocfuseError(f"{file} cannot be decoded: it is cut off or damaged")
+    light = pixels.astype(np.float64) / (255.0 if pixels.dtype == np.uint8 else 65535.0)
+    if light.ndim == 2:
+        unknown = (pixels == UNKNOWN_GREY) & (pixels.dtype == np.uint8)
+        return np.where(unknown, 0.5, 1.0 - light)
+    dark = 1.0 - light[:, :, :3].mean(axis=2)
+    return np.asarray(np.where(light[:, :, 3] < 0.5, 0.5, dark) if light.shape[2] == 4 else dark)
+
+
+def _size(data: bytes) -> tuple[int, int] | None:
+    """Return width and height by the header of a PGM or PNG, before anything is decoded; None: neither."""
+    if data.startswith(b"\x89PNG\r\n\x1a\n") and len(data) >= 24:
+        width, height = struct.unpack(">II", data[16:24])
+        return int(width), int(height)
+    if data[:2] not in {b"P2", b"P5"}:
+        return None
+    words: list[bytes] = []
+    for line in data[2:4096].split(b"\n"):
+        words += line.partition(b"#")[0].split()
+        if len(words) >= 2:
+            break
+    if len(words) < 2 or not all(word.isdigit() and len(word) < 10 for word in words[:2]):
+        return None
+    return int(words[0]), int(words[1])

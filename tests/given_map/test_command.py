@@ -1,0 +1,175 @@
+"""`--map map.yaml` and `lrf.map_topic`: a log is localised in a floor plan, from a start that nobody says."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bags import T0, S, Said, cdr, header, write
+from commands import locfuse
+from ring_drive import box, scan
+from wheel_bags import GEOMETRY, joint_states
+
+from locfuse.fusion import se2
+from locfuse.sample_logs import load
+from locfuse.sample_logs.building_scene import scene_of
+from locfuse.sample_logs.floor_plan import FREE, OCCUPIED, FloorPlan, floor_plan
+from locfuse.sample_logs.floor_plan import write as write_plan
+
+LOG = "rounded_rectangle"
+UNKNOWN_START = ("--set", "start.sigma_xy=5")
+
+
+@cache
+def plan() -> FloorPlan:
+    return floor_plan(scene_of(load.load(LOG), 0).obstacles(0.25), (2.0, 2.0), 0.043)
+
+
+@pytest.fixture
+def given(tmp_path: Path) -> Path:
+    write_plan(plan(), tmp_path / "arena")
+    return tmp_path / "arena.yaml"
+
+
+def judged(given: Path, *words: Any) -> tuple[dict[str, Any], str]:
+    out = given.parent / "out"
+    done = locfuse("compare", LOG, "--map", given, "--sensors", "lrf", *words, "-o", out, "--write", "json")
+    assert done.exit_code == 0, done.stderr
+    report: dict[str, Any] = json.loads((out / "report.json").read_text())
+    return report, done.stderr
+
+
+def test_a_log_is_localised_in_a_floor_plan_from_anywhere(given: Path) -> None:
+    report, stderr = judged(given, *UNKNOWN_START)
+    figures = report["configurations"]["lrf"]
+    assert figures["position_rmse_m"] < 0.05
+    assert figures["heading_rmse_deg"] < 1.0
+    assert figures["anees"] < 2.0
+    assert "looked for in all of the map" in " ".join(stderr.split())
+    assert "truth starts at" not in stderr
+    assert (report["repeat"], report["key"]) == (None, None)  # robot.toml does not hold the map
+
+
+def test_a_start_that_is_known_is_not_looked_for(given: Path) -> None:
+    report, stderr = judged(given)
+    assert report["configurations"]["lrf"]["position_rmse_m"] < 0.05
+    assert "looked for" not in stderr
+
+
+def test_a_map_of_another_building_is_one_line(given: Path) -> None:
+    cells = np.full((400, 500), FREE, np.uint8)
+    for x0, y0, x1, y1 in box(10, 10, 490, 390) + box(100, 60, 180, 90) + box(300, 200, 330, 390):
+        cells[min(y0, y1) : max(y0, y1) + 1, min(x0, x1) : max(x0, x1) + 1] = OCCUPIED
+    write_plan(FloorPlan(cells, 0.05, (0.0, 0.0)), given.with_suffix(""))
+    done = locfuse("run", LOG, "--map", given, "--sensors", "lrf", *UNKNOWN_START)
+    assert done.exit_code == 1
+    assert "Is it a map of this building?" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_the_image_itself_is_refused_with_what_to_name(given: Path) -> None:
+    done = locfuse("run", LOG, "--map", given.with_suffix(".pgm"))
+    assert done.exit_code == 2
+    assert "name the .yaml beside the image" in done.stderr
+
+
+def test_several_logs_have_no_map_in_common(given: Path) -> None:
+    done = locfuse("compare", LOG, "disturbed", "--map", given)
+    assert done.exit_code == 2
+    assert "compare one log at a time" in done.stderr
+
+
+# --- a map as a topic ------------------------------------------------------------------------------------
+
+ROOM = np.array(box(-2.0, -2.5, 4.5, 3.5) + box(1.0, 2.6, 2.2, 3.5) + box(-2.0, -2.5, -1.2, -1.0))
+MAP = "nav_msgs/msg/OccupancyGrid"
+PERIOD, BEAMS = 0.2, 120
+
+
+def drive() -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    """Times, wheel angles (n, 2) and true poses (n, 3): a curve through the room."""
+    t = np.arange(0.0, 20.0, PERIOD)
+    speed = np.stack((4.0 + 0.8 * np.sin(t / 3.0), 5.6 + 0.0 * t), axis=-1)
+    angle = np.concatenate((np.zeros((1, 2)), np.cumsum(speed[:-1] * PERIOD, axis=0)))
+    sides = np.diff(angle, axis=0) * 0.05
+    twist = np.stack((sides.mean(axis=1), 0.0 * sides[:, 0], (sides[:, 1] - sides[:, 0]) / 0.3), axis=-1)
+    pose = [np.zeros(3)]
+    for one in se2.exp(twist):
+        pose.append(se2.compose(pose[-1], one))
+    return t, angle, np.array(pose)
+
+
+def with_map(folder: Path, cells: int | None = None) -> Path:
+    """A log whose map is turned and moved against the odometry: begins at (3.0, 1.0) m, 30 degrees in it."""
+    t, angle, pose = drive()
+    rng = np.random.default_rng(0)
+    said = list(joint_states(t, angle))
+    for s, at in zip(t.tolist(), pose, strict=True):
+        points = scan(at, ROOM, rng)
+        ranges = np.full(BEAMS, np.inf)
+        beam = np.round((np.arctan2(points[:, 1], points[:, 0]) + np.pi) * BEAMS / (2.0 * np.pi)).astype(int)
+        ranges[beam % BEAMS] = np.hypot(*points.T)
+        ns = T0 + round(s * S)
+        body = cdr(
+            "sensor_msgs/msg/LaserScan",
+            header=header(ns, "base_link"),
+            angle_min=-np.pi,
+            angle_increment=2.0 * np.pi / BEAMS,
+            range_min=0.05,
+            range_max=12.0,
+            ranges=ranges.astype(np.float32),
+        )
+        said.append(Said("/scan", "sensor_msgs/msg/LaserScan", body, ns + 1_000_000))
+    grid = np.zeros((140, 150), np.int8)
+    low = np.array([-2.5, -3.0])
+    for x0, y0, x1, y1 in ROOM.tolist():
+        i, j = np.floor((np.linspace((x0, y0), (x1, y1), 400) - low) / 0.05).astype(int).T
+        grid[j, i] = 100
+    origin = se2.compose(np.array([3.0, 1.0, np.radians(30.0)]), np.array([*low, 0.0]))
+    info = {
+        "resolution": 0.05,
+        "width": 150,
+        "height": 140 if cells is None else cells,
+        "origin": {
+            "position": {"x": float(origin[0]), "y": float(origin[1])},
+            "orientation": {"z": float(np.sin(origin[2] / 2)), "w": float(np.cos(origin[2] / 2))},
+        },
+    }
+    body = cdr(MAP, header=header(T0, "map"), info=info, data=grid.ravel())
+    said.append(Said("/map", MAP, body, T0))
+    return write(folder / "x.mcap", said)
+
+
+def test_the_map_may_be_a_topic_of_the_log(tmp_path: Path) -> None:
+    log = with_map(tmp_path)
+    done = locfuse("run", log, *GEOMETRY, "--set", "lrf.map_topic=/map", "-o", tmp_path / "out", "--write", "tum")
+    assert done.exit_code == 0, done.stderr
+    assert "the drive begins in /map at x" in done.stderr
+    path = np.loadtxt(tmp_path / "out/trajectory.tum")
+    _, _, pose = drive()
+    true = se2.compose(np.array([3.0, 1.0, np.radians(30.0)]), pose[-1])
+    assert np.hypot(*(path[-1, 1:3] - true[:2])) < 0.05
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("lrf.map_topic=/scan",), "lrf.map_topic: /scan is sensor_msgs/msg/LaserScan; it takes"),
+        (("lrf.map_topic=/gone",), "lrf.map_topic: /gone is not there"),
+    ],
+)
+def test_a_topic_that_is_no_map_is_one_line(tmp_path: Path, words: tuple[str, ...], said: str) -> None:
+    sets = [word for one in words for word in ("--set", one)]
+    done = locfuse("run", with_map(tmp_path), *GEOMETRY, *sets)
+    assert done.exit_code == 1
+    assert said in " ".join(done.stderr.split())
+
+
+def test_a_grid_whose_cells_are_not_all_there_is_one_line(tmp_path: Path) -> None:
+    done = locfuse("run", with_map(tmp_path, cells=7), *GEOMETRY, "--set", "lrf.map_topic=/map")
+    assert done.exit_code == 1
+    assert "are no map of 150 x 7" in " ".join(done.stderr.split())

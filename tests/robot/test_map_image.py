@@ -1,0 +1,107 @@
+"""Maps of map_server: PGM and PNG with their YAML, and what in one line is refused."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from locfuse.formats.robot import map_image
+from locfuse.fusion.data import LocfuseError
+
+YAML = "image: map.pgm\nresolution: 0.1\norigin: [-1.0, 2.0, 0.5]\n"
+
+
+def drawn(dtype: type = np.uint8) -> NDArray[np.uint8]:
+    """Three rows of four pixels: wall in the upper left, unknown in the lower right, free else."""
+    top = 255 if dtype is np.uint8 else 65535
+    image: NDArray[np.uint8] = np.full((3, 4), top, dtype)
+    image[0, 0], image[2, 3] = 0, round(0.5 * top)
+    return image
+
+
+def written(folder: Path, text: str = YAML, data: bytes | None = None, name: str = "map.pgm") -> Path:
+    pixels = b"P5\n# by hand\n4 3\n255\n" + drawn().tobytes()
+    (folder / name).write_bytes(pixels if data is None else data)
+    (folder / "map.yaml").write_text(text)
+    return folder / "map.yaml"
+
+
+def test_the_last_row_is_the_southernmost(tmp_path: Path) -> None:
+    found = map_image.read(written(tmp_path))
+    assert np.argwhere(found.occupied).tolist() == [[2, 0]]
+    assert np.argwhere(~found.occupied & ~found.free).tolist() == [[0, 3]]
+    assert (found.cell, found.origin.tolist()) == (0.1, [-1.0, 2.0, 0.5])
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_a_png_of_any_depth_says_the_same(tmp_path: Path, dtype: type) -> None:
+    png = cv2.imencode(".png", drawn(dtype))[1].tobytes()
+    found = map_image.read(written(tmp_path, YAML.replace("pgm", "png"), png, "map.png"))
+    plain = map_image.read(written(tmp_path))
+    np.testing.assert_array_equal(found.occupied, plain.occupied)
+    np.testing.assert_array_equal(found.free, plain.free)
+
+
+def test_what_is_transparent_is_unknown(tmp_path: Path) -> None:
+    pixels = np.dstack([drawn()] * 3 + [np.full((3, 4), 255, np.uint8)])
+    pixels[1, 1, 3] = 0
+    png = cv2.imencode(".png", pixels)[1].tobytes()
+    found = map_image.read(written(tmp_path, YAML.replace("pgm", "png"), png, "map.png"))
+    assert not found.free[1, 1]
+    assert not found.occupied[1, 1]
+
+
+def test_the_grey_of_map_saver_is_unknown_whatever_the_threshold(tmp_path: Path) -> None:
+    image = drawn()
+    image[1, 1] = 205
+    data = b"P5\n4 3\n255\n" + image.tobytes()
+    found = map_image.read(written(tmp_path, YAML + "free_thresh: 0.25\n", data))
+    assert not found.free[1, 1]
+
+
+def test_a_negative_is_turned_round(tmp_path: Path) -> None:
+    data = b"P5\n4 3\n255\n" + (255 - drawn()).tobytes()
+    found = map_image.read(written(tmp_path, YAML + "negate: 1\n", data))
+    assert np.argwhere(found.occupied).tolist() == [[2, 0]]
+
+
+def test_an_occupancy_grid_lies_from_the_lower_left() -> None:
+    cells = [0, 0, 100, -1]
+    found = map_image.of_message(cells, 2, 2, 0.05, np.zeros(3), "/map")
+    assert np.argwhere(found.occupied).tolist() == [[1, 0]]
+    assert found.free[0].all()
+    assert not found.free[1].any()
+
+
+@pytest.mark.parametrize(
+    ("text", "data", "said"),
+    [
+        ("image: [", None, "is no YAML of a map"),
+        ("- 1\n- 2\n", None, "must say image, resolution and origin"),
+        ("resolution: 0.1\norigin: [0, 0, 0]\n", None, "says no image"),
+        (YAML.replace("0.1", "soon"), None, "resolution is 'soon', not a number"),
+        (YAML.replace("0.1", "-1"), None, "resolution -1 m"),
+        (YAML.replace("[-1.0, 2.0, 0.5]", "[1]"), None, r"origin is \[1\], not"),
+        (YAML.replace("map.pgm", "gone.pgm"), None, "gone.pgm"),
+        (YAML, b"GIF89a", "is no PGM or PNG"),
+        (YAML, b"P5\n4 3\n255\n", "cannot be decoded"),
+        (YAML, b"P5\n100000 100000\n255\n", "more than the cap of"),
+        (YAML, b"P5\n4 3\n255\n" + bytes(12), "has no free cell"),
+        (YAML, b"P5\n4 3\n255\n" + b"\xff" * 12, "has no wall"),
+    ],
+)
+def test_what_is_no_map_is_refused_in_one_line(tmp_path: Path, text: str, data: bytes | None, said: str) -> None:
+    with pytest.raises(LocfuseError, match=said) as problem:
+        map_image.read(written(tmp_path, text, data))
+    assert "\n" not in str(problem.value)
+
+
+@pytest.mark.parametrize(("width", "cell", "said"), [(3, 0.05, "no map of 3 x 2"), (2, math.nan, "lies nowhere")])
+def test_a_grid_that_cannot_be_is_refused(width: int, cell: float, said: str) -> None:
+    with pytest.raises(LocfuseError, match=said):
+        map_image.of_message([0, 0, 100, 0], width, 2, cell, np.zeros(3), "/map")

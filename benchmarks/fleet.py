@@ -187,7 +187,7 @@ def jobs_command(count: int, minutes: float) -> None:
             logs.append(scratch / f"log_{seed}x.mcap")
             make = (sys.executable, "-m", "benchmarks.make_log", str(logs[-1]), "--minutes", str(minutes))
             subprocess.run((*make, "--seed", str(seed)), check=True, capture_output=True)
-        words = ("--write", "json", "-q")
+        words = ("--write", "json", "-q", "--no-advice")  # of several logs none is evaluated
         one, two = (
             cost(
                 (
@@ -227,7 +227,7 @@ def overhead_command(count: int, log: str) -> None:
         logs = [scratch / f"log_{i}x.mcap" for i in range(count)]
         for place in logs:
             shutil.copy(source, place)
-        words = ("--write", "json", "-q")
+        words = ("--write", "json", "-q", "--no-advice")  # of several logs none is evaluated
         bare = [cost((*LOCFUSE, "compare", str(one), "-o", str(scratch / "bare"), *words)).cpu for one in logs]
         fleet = (*LOCFUSE, "compare", *map(str, logs), "-o", str(scratch / "fleet"), *words)
         first, second = cost(fleet).cpu, cost(fleet).cpu  # the second runs no job

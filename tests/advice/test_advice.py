@@ -10,6 +10,8 @@ import pytest
 from commands import locfuse
 from rewrite_log import rewritten
 
+from locfuse.cli.session.session import load
+
 FAULTS = ("compass.offset_deg=-60", "lrf.time_offset=0.1")
 PICTURES = "/omni/image/compressed"
 
@@ -67,3 +69,11 @@ def test_the_report_begins_with_the_answer(faulty: Path) -> None:
     headline = report(faulty)["headline"]
     assert headline.startswith("Keep the ")
     assert headline in (faulty / "report.md").read_text()
+
+
+def test_a_track_too_little_off_to_be_reported_untried_is_found_without_truth(log: Path) -> None:
+    """By 3 %: no residual complains, only the laser turns less than the wheels."""
+    found = load(log, sets=("truth.topic=none", "wheels.track=0.618")).findings()
+    ((key, value),) = (fix.split("=") for fix in found["fixes"])
+    assert key == "wheels.track"
+    assert float(value) == pytest.approx(0.6, abs=0.01)

@@ -64,7 +64,7 @@ def test_the_same_input_twice_gives_the_same_bytes(compared: Path, tmp_path: Pat
 
 @pytest.mark.parametrize("sensors", ["odometry", "compass", "lrf", "all"])
 def test_run_equals_compares_configuration(compared: Path, tmp_path: Path, sensors: str) -> None:
-    done = locfuse("run", LOG, "--sensors", sensors, "-o", tmp_path / "out")
+    done = locfuse("run", LOG, "--sensors", sensors, "--no-advice", "-o", tmp_path / "out")
     assert done.exit_code == 0, done.stderr
     a, b = np.loadtxt(tmp_path / "out" / "trajectory.tum"), np.loadtxt(compared / f"{sensors}.tum")
     np.testing.assert_allclose(a, b, atol=1e-9)
@@ -78,7 +78,7 @@ def test_run_equals_compares_configuration(compared: Path, tmp_path: Path, senso
 
 def test_messages_at_other_positions_in_the_file_give_identical_numbers(compared: Path, tmp_path: Path) -> None:
     log = rewritten(tmp_path / "shuffled.mcap", seed=3)
-    done = locfuse("compare", log, "-o", tmp_path / "out")
+    done = locfuse("compare", log, "--no-advice", "-o", tmp_path / "out")
     assert done.exit_code == 0, done.stderr
     assert report_of(tmp_path / "out")["configurations"] == report_of(compared)["configurations"]
     for name in ("odometry.tum", "all.tum", "truth.tum"):
@@ -88,7 +88,7 @@ def test_messages_at_other_positions_in_the_file_give_identical_numbers(compared
 def test_without_truth_the_other_rows_are_the_same_bytes(compared: Path, tmp_path: Path) -> None:
     topic = report_of(compared)["truth"]["topic"]
     log = rewritten(tmp_path / "untrue.mcap", seed=None, without=topic)
-    done = locfuse("compare", log, "-o", tmp_path / "out")
+    done = locfuse("compare", log, "--no-advice", "-o", tmp_path / "out")
     assert done.exit_code == 0, done.stderr
     assert "--set truth.topic=" in done.stderr
     ranking = report_of(tmp_path / "out")["prediction"]["ranking"]

@@ -67,7 +67,18 @@ def test_without_a_truth_it_starts_where_the_wheels_lead(tmp_path: Path) -> None
 
 
 def test_the_commands_take_it_and_refuse_what_holds_nothing(tmp_path: Path) -> None:
-    words = ("compare", SAMPLE, "--sensors", "odometry", "-o", tmp_path / "o", "--write", "json", "--overwrite")
+    words = (
+        "compare",
+        SAMPLE,
+        "--no-advice",
+        "--sensors",
+        "odometry",
+        "-o",
+        tmp_path / "o",
+        "--write",
+        "json",
+        "--overwrite",
+    )
     done = locfuse(*words, "--from", 10, "--to", 25)
     assert done.exit_code == 0
     report = json.loads((tmp_path / "o" / "report.json").read_text())

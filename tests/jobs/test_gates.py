@@ -175,7 +175,18 @@ def test_a_baseline_that_is_no_report_is_one_line(tmp_path: Path, text: str) -> 
 
 def test_the_command_exits_with_4_and_one_line_per_gate_and_writes_its_results(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    words = ("compare", "rounded_rectangle", "--sensors", "odometry", "--write", "json", "-o", out, "-q")
+    words = (
+        "compare",
+        "rounded_rectangle",
+        "--no-advice",
+        "--sensors",
+        "odometry",
+        "--write",
+        "json",
+        "-o",
+        out,
+        "-q",
+    )
     assert locfuse(*words, "--fail-if", "odometry.position_rmse_m > 100").exit_code == 0
     done = locfuse(*words, "--fail-if", "odometry.position_rmse_m > 0", "--fail-if", "all.anees > 1")
     assert done.exit_code == 4
@@ -188,7 +199,18 @@ def test_gates_hold_although_the_reader_of_the_table_has_left(tmp_path: Path, ho
     """As with `| head -1`, whose pipe closes early; here it is closed from the start."""
     read, write = os.pipe()
     os.close(read)
-    words = ("compare", "rounded_rectangle", "--sensors", "odometry", "--write", "json", "-q", "-o", str(tmp_path))
+    words = (
+        "compare",
+        "rounded_rectangle",
+        "--no-advice",
+        "--sensors",
+        "odometry",
+        "--write",
+        "json",
+        "-q",
+        "-o",
+        str(tmp_path),
+    )
     gate = ("--fail-if", "odometry.position_rmse_m > 0")
     command = [sys.executable, "-m", "locfuse.cli", *words, *gate, *how]
     done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, check=False, timeout=60)
@@ -205,7 +227,17 @@ def test_gates_hold_although_the_reader_of_stdout_and_stderr_has_left(
     """As with `2>&1 | head -1`: the notes and the gate's own line have no reader either."""
     read, write = os.pipe()
     os.close(read)
-    words = ("compare", "rounded_rectangle", "--sensors", "odometry", "--write", "json", "-o", str(tmp_path))
+    words = (
+        "compare",
+        "rounded_rectangle",
+        "--no-advice",
+        "--sensors",
+        "odometry",
+        "--write",
+        "json",
+        "-o",
+        str(tmp_path),
+    )
     gate = ("--fail-if", "odometry.position_rmse_m > 0")
     command = [sys.executable, "-m", "locfuse.cli", *words, *gate, *how]
     done = subprocess.run(command, stdout=write, stderr=write, check=False, timeout=60)
@@ -216,11 +248,11 @@ def test_gates_hold_although_the_reader_of_stdout_and_stderr_has_left(
 
 def test_a_baseline_of_another_log_is_refused_before_anything_is_fused(tmp_path: Path) -> None:
     words = ("--sensors", "odometry", "--write", "json", "-o")
-    assert locfuse("compare", "rounded_rectangle", *words, tmp_path / "a").exit_code == 0
+    assert locfuse("compare", "rounded_rectangle", "--no-advice", *words, tmp_path / "a").exit_code == 0
     baseline = ("--baseline", tmp_path / "a" / "report.json", "--tolerance", "900%")
-    same = locfuse("compare", "rounded_rectangle", *words, tmp_path / "b", *baseline)
+    same = locfuse("compare", "rounded_rectangle", "--no-advice", *words, tmp_path / "b", *baseline)
     assert (same.exit_code, "baseline" in same.stderr) == (0, False)
-    other = locfuse("compare", "rounded_triangle", *words, tmp_path / "c", *baseline)
+    other = locfuse("compare", "rounded_triangle", "--no-advice", *words, tmp_path / "c", *baseline)
     assert other.exit_code == 1
     assert "is of rounded_rectangle, and this is rounded_triangle" in other.stderr
     assert "locfuse compare rounded_triangle -o DIR" in other.stderr
@@ -273,7 +305,7 @@ def test_all_and_odometry_stand_alone(tmp_path: Path, command: str, words: str, 
 
 def test_the_command_compares_with_a_baseline(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    words = ("compare", "rounded_rectangle", "--sensors", "odometry", "--write", "json", "-q", "-o")
+    words = ("compare", "rounded_rectangle", "--no-advice", "--sensors", "odometry", "--write", "json", "-q", "-o")
     assert locfuse(*words, out).exit_code == 0
     assert locfuse(*words, tmp_path / "b", "--baseline", out / "report.json", "--tolerance", "0%").exit_code == 0
     report = json.loads((out / "report.json").read_text())
@@ -296,7 +328,7 @@ def test_the_command_compares_with_a_baseline(tmp_path: Path) -> None:
     ],
 )
 def test_mistakes_are_found_before_anything_is_written(tmp_path: Path, words: tuple[str, ...], code: int) -> None:
-    done = locfuse("compare", "rounded_rectangle", "-o", tmp_path / "out", *words)
+    done = locfuse("compare", "rounded_rectangle", "--no-advice", "-o", tmp_path / "out", *words)
     assert done.exit_code == code
     assert not (tmp_path / "out").exists()
 
@@ -304,7 +336,7 @@ def test_mistakes_are_found_before_anything_is_written(tmp_path: Path, words: tu
 def test_a_what_if_keeps_its_name(tmp_path: Path) -> None:
     out = tmp_path / "out"
     words = ("--sensors", "compass,lrf@2Hz", "--sensors", "compass@1Hz", "--write", "json,tum")
-    assert locfuse("compare", "rounded_rectangle", "-o", out, *words).exit_code == 0
+    assert locfuse("compare", "rounded_rectangle", "--no-advice", "-o", out, *words).exit_code == 0
     report = json.loads((out / "report.json").read_text())
     assert list(report["configurations"]) == ["compass+lrf@2Hz", "compass@1Hz"]
     counts = report["configurations"]["compass@1Hz"]["sensors"]["compass"]

@@ -33,7 +33,7 @@ WHEELS = ("--sensors", "odometry", "--write", "json,tum,csv")
 
 
 def error(log: Any, out: Path, *words: Any) -> float:
-    done = locfuse("compare", log, "-o", out, "--overwrite", *WHEELS, *words)
+    done = locfuse("compare", log, "--no-advice", "-o", out, "--overwrite", *WHEELS, *words)
     assert done.exit_code == 0, done.stderr
     figures: dict[str, Any] = json.loads((out / "report.json").read_text())["configurations"]["odometry"]
     return float(figures["position_rmse_m"])
@@ -76,7 +76,7 @@ def test_a_csv_of_poses_says_the_same_as_the_tum_file(tmp_path: Path) -> None:
 def test_a_file_that_is_none_is_refused_in_one_line(text: str, says: str, tmp_path: Path) -> None:
     path = tmp_path / "truth.csv"
     path.write_text(text)
-    done = locfuse("compare", SAMPLE, "-o", tmp_path / "out", "--truth", path)
+    done = locfuse("compare", SAMPLE, "--no-advice", "-o", tmp_path / "out", "--truth", path)
     assert done.exit_code == 1
     (line,) = done.stderr.splitlines()
     assert says in line
@@ -88,7 +88,7 @@ def test_a_tum_of_another_clock_is_refused_and_the_offset_that_it_names_fits(tmp
     zero = float(rows[0][0])
     path = tmp_path / "gt.tum"
     path.write_text("".join(f"{float(r[0]) - zero:.9f} {' '.join(r[1:])}\n" for r in rows))
-    done = locfuse("compare", SAMPLE, "-o", tmp_path / "out", "--truth", path)
+    done = locfuse("compare", SAMPLE, "--no-advice", "-o", tmp_path / "out", "--truth", path)
     assert done.exit_code == 1
     offset = done.stderr.split("--set ")[1].strip()
     assert error(SAMPLE, tmp_path / "shifted", "--truth", path, "--set", offset) == pytest.approx(own, rel=0.01)
@@ -248,7 +248,7 @@ def test_a_place_beyond_the_solar_system_was_never_measured(tmp_path: Path) -> N
     rows = [f"{(begin + i * 10**8) / 1e9:.3f},{x},1,0" for i, x in enumerate(where)]
     truth = tmp_path / "t.csv"
     truth.write_text("\n".join(("t,x,y,theta", *rows)))
-    done = locfuse("compare", log, "-o", tmp_path / "o", "--truth", truth)
+    done = locfuse("compare", log, "--no-advice", "-o", tmp_path / "o", "--truth", truth)
     assert done.exit_code == 0
     report = json.loads((tmp_path / "o" / "report.json").read_text())
     assert report["input"]["dropped"]["truth"] == {"not_finite": 8}

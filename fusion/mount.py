@@ -68,7 +68,6 @@ class Mount:
 
     def __init__(self, sensor: str, settings: MountedSettings, tells: bool = False) -> None:
         """`tells`: the drive can tell the mount, so that it is a state unless configured as exact."""
-        self.sensor = sensor
         self.told = settings.mount
         sigmas = settings.sigmas(tells)
         self.free = tuple(i for i in range(3) if sigmas[i] > 0.0)  # which of x, y, yaw are states
@@ -93,7 +92,7 @@ class Mount:
 
     def words(self, belief: Any) -> list[str]:
         """Say where the drive found the mount, if that is not where it is configured to be."""
-        parts, sets = [], []
+        parts = []
         for i, name in self._names.items():
             column, value = belief.block(name)
             found, sigma = float(value[0]), math.sqrt(max(float(belief.covariance[column, column]), 0.0))
@@ -104,8 +103,7 @@ class Mount:
             parts.append(
                 f"{key} {shown}{unit} (1 sigma: {times * sigma:.2g}), configured {times * self.told[i]:.4g}"
             )
-            sets.append(f"--set {self.sensor}.{key}={shown}")
-        return [f"its mount was found elsewhere: {'; '.join(parts)}. Fix: {' '.join(sets)}"] if parts else []
+        return [f"its mount was found elsewhere: {'; '.join(parts)}"] if parts else []
 
     def rows(self, by_mount: tuple[Row, ...]) -> tuple[Row, ...]:
         """Return the columns of a derivative by (x, y, yaw), (d, 3), that belong to states."""

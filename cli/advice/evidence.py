@@ -16,7 +16,7 @@ import numpy as np
 from locfuse.cli.pipeline.compare import Compared
 from locfuse.cli.pipeline.load import Loaded
 from locfuse.cli.pipeline.trust import sensors_consistency
-from locfuse.fusion.advice.probes import of_offsets, of_probe, of_scale, probe_of
+from locfuse.fusion.advice.probes import of_mount, of_offsets, of_probe, of_scale, probe_of
 from locfuse.fusion.advice.search import Candidate, Fixes
 from locfuse.fusion.data import Estimates, Truth
 from locfuse.fusion.doctor.clocks import clock_lags, lags_by_truth
@@ -67,7 +67,14 @@ class Evidence:
         noise = any(f.verdict not in {"consistent", "unclear"} for f in self.consistency.values())
         overconfident = any(h is not None and h.anees > h.bounds[1] for h in self.honesty.values())
         lost = any(e.lost for e in self.compared.estimates)
-        seen = noise or overconfident or lost or self._lags() or self._worse_than_odometry()
+        seen = (
+            noise
+            or overconfident
+            or lost
+            or self._lags()
+            or self._worse_than_odometry()
+            or bool(self._mounts_found)
+        )
         return seen or bool(scales(self.loaded.drive, self.loaded.robot, SUSPICIOUS))
 
     def _lags(self) -> bool:
@@ -94,7 +101,10 @@ class Evidence:
 
     def geometry(self) -> list[Candidate]:
         """Return what measuring and a run with more states say of mounts, scales and directions."""
-        offers = [(f, (f.fixes,)) for f in (*self._probed(), *self._scaled())]
+        probed = [*self._probed(), *self._scaled()]
+        named = {(f.role, f.code) for f in probed}
+        found = [*probed, *(f for f in self._mounts_found if (f.role, f.code) not in named)]
+        offers = [(f, (f.fixes,)) for f in found]
         return self._candidates([f for f in self.doctor if f.code != CLOCK], offers)
 
     def _candidates(self, seen: Sequence[Finding], offers: Sequence[Offer]) -> list[Candidate]:
@@ -194,6 +204,16 @@ class Evidence:
             run = None if probed is None else self.trial.fused(probed, self._alone(sensor))
             if run is not None and not run.lost:
                 yield from of_probe(robot, sensor, run)
+
+    @cached_property
+    def _mounts_found(self) -> list[Finding]:
+        """Mounts that are states already, where the run of their sensor alone finds them elsewhere."""
+        return [
+            finding
+            for e in self.compared.estimates
+            if len(e.sensors) == 1 and not e.smoothed and not e.lost
+            for finding in of_mount(self.loaded.robot, e.sensors[0], e)
+        ]
 
     def _scaled(self) -> Iterator[Finding]:
         """Yield the laser's range scale by the size of its own run, once no clock or mount is wrong."""

@@ -39,6 +39,12 @@ def probe_of(robot: Robot, sensor: str) -> tuple[str, ...]:
 
 def of_probe(robot: Robot, sensor: str, e: Estimates) -> Iterator[Finding]:
     """Yield the mount and the track that a probe's run estimates, where they differ from what is configured."""
+    yield from of_mount(robot, sensor, e)
+    yield from _track(robot, e)
+
+
+def of_mount(robot: Robot, sensor: str, e: Estimates) -> Iterator[Finding]:
+    """Yield the mount that a run estimates as a state, where it differs from what is configured."""
     fixes, words = [], []
     for part, (key, scale) in MOUNT_KEYS.items():
         name = f"{sensor}_{part}"
@@ -53,7 +59,6 @@ def of_probe(robot: Robot, sensor: str, e: Estimates) -> Iterator[Finding]:
             words.append(f"{part} is {value:.4g}{unit} (± {sigma:.1g}), configured {configured:g}{unit}")
     if fixes:
         yield Finding(sensor, "mount", f"mount by the drive itself: {', '.join(words)}", tuple(fixes))
-    yield from _track(robot, e)
 
 
 def _track(robot: Robot, e: Estimates) -> Iterator[Finding]:

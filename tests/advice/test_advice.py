@@ -77,3 +77,10 @@ def test_a_track_too_little_off_to_be_reported_untried_is_found_without_truth(lo
     ((key, value),) = (fix.split("=") for fix in found["fixes"])
     assert key == "wheels.track"
     assert float(value) == pytest.approx(0.6, abs=0.01)
+
+
+def test_a_mount_that_the_filter_estimates_is_offered_with_the_value_that_it_finds(log: Path) -> None:
+    """Three centimetres aside, where one was thought likely: it is found, but only in the course of the drive."""
+    found = load(log, sets=("lrf.y=0.03",)).findings()
+    values = dict(fix.split("=") for fix in found["fixes"])
+    assert float(values["lrf.y"]) == pytest.approx(0.0, abs=0.015)

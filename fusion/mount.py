@@ -99,9 +99,9 @@ class Mount:
             if abs(found - self.told[i]) <= max(SAID_SIGMAS * sigma, math.sqrt(self._variances[i])):
                 continue
             key, unit, times = (("x", " m", 1.0), ("y", " m", 1.0), ("yaw_deg", "°", math.degrees(1.0)))[i]
-            shown = f"{times * found:.4g}"
             parts.append(
-                f"{key} {shown}{unit} (1 sigma: {times * sigma:.2g}), configured {times * self.told[i]:.4g}"
+                f"{key} {times * found:.4g}{unit} (1 sigma: {times * sigma:.2g}), "
+                f"configured {times * self.told[i]:.4g}"
             )
         return [f"its mount was found elsewhere: {'; '.join(parts)}"] if parts else []
 

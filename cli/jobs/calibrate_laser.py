@@ -17,7 +17,6 @@ from locfuse.fusion.laser_odometry.motion import read_laser
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.lrf import LrfSettings, laser_of
 from locfuse.fusion.wheels.likelihood import Figure
-from locfuse.fusion.wheels.odometry import SCANS
 
 SIGMAS_95 = 1.96  # standard deviations of a 95 % interval
 KEYS = {"x": " [m]", "y": " [m]", "yaw_deg": " [deg]", "time_offset": " [s]"}
@@ -111,12 +110,7 @@ def by_laser(loaded: Sequence[Loaded], settings: WheelSettings, progress: Progre
 
 
 def _has_both(one: Loaded) -> bool:
-    by_scans = one.log.topics[one.choice.topics["wheels"]].msgtype == SCANS if _is_topic(one) else False
-    return "lrf" in one.choice.topics and not by_scans
-
-
-def _is_topic(one: Loaded) -> bool:
-    return one.choice.topics.get("wheels") in one.log.topics
+    return "lrf" in one.choice.topics and one.drive.wheels.matched is None  # else the motion is the laser's own
 
 
 def _motion(one: Loaded) -> Motion:

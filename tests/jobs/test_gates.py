@@ -23,6 +23,8 @@ from locfuse.cli.jobs.ci_gates import (
 from locfuse.formats.log.identity import Identity
 from locfuse.fusion.data import LocfuseError, UsageError
 
+# the cheapest comparison that has a figure for a gate
+ODOMETRY = ("compare", "rounded_rectangle", "--no-advice", "--sensors", "odometry", "--write", "json")
 REPORT: dict[str, Any] = {
     "truth": {"topic": "/gt"},
     "configurations": {
@@ -175,18 +177,7 @@ def test_a_baseline_that_is_no_report_is_one_line(tmp_path: Path, text: str) -> 
 
 def test_the_command_exits_with_4_and_one_line_per_gate_and_writes_its_results(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    words = (
-        "compare",
-        "rounded_rectangle",
-        "--no-advice",
-        "--sensors",
-        "odometry",
-        "--write",
-        "json",
-        "-o",
-        out,
-        "-q",
-    )
+    words = (*ODOMETRY, "-o", out, "-q")
     assert locfuse(*words, "--fail-if", "odometry.position_rmse_m > 100").exit_code == 0
     done = locfuse(*words, "--fail-if", "odometry.position_rmse_m > 0", "--fail-if", "all.anees > 1")
     assert done.exit_code == 4
@@ -199,18 +190,7 @@ def test_gates_hold_although_the_reader_of_the_table_has_left(tmp_path: Path, ho
     """As with `| head -1`, whose pipe closes early; here it is closed from the start."""
     read, write = os.pipe()
     os.close(read)
-    words = (
-        "compare",
-        "rounded_rectangle",
-        "--no-advice",
-        "--sensors",
-        "odometry",
-        "--write",
-        "json",
-        "-q",
-        "-o",
-        str(tmp_path),
-    )
+    words = (*ODOMETRY, "-q", "-o", str(tmp_path))
     gate = ("--fail-if", "odometry.position_rmse_m > 0")
     command = [sys.executable, "-m", "locfuse.cli", *words, *gate, *how]
     done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, check=False, timeout=60)
@@ -227,17 +207,7 @@ def test_gates_hold_although_the_reader_of_stdout_and_stderr_has_left(
     """As with `2>&1 | head -1`: the notes and the gate's own line have no reader either."""
     read, write = os.pipe()
     os.close(read)
-    words = (
-        "compare",
-        "rounded_rectangle",
-        "--no-advice",
-        "--sensors",
-        "odometry",
-        "--write",
-        "json",
-        "-o",
-        str(tmp_path),
-    )
+    words = (*ODOMETRY, "-o", str(tmp_path))
     gate = ("--fail-if", "odometry.position_rmse_m > 0")
     command = [sys.executable, "-m", "locfuse.cli", *words, *gate, *how]
     done = subprocess.run(command, stdout=write, stderr=write, check=False, timeout=60)
@@ -305,7 +275,7 @@ def test_all_and_odometry_stand_alone(tmp_path: Path, command: str, words: str, 
 
 def test_the_command_compares_with_a_baseline(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    words = ("compare", "rounded_rectangle", "--no-advice", "--sensors", "odometry", "--write", "json", "-q", "-o")
+    words = (*ODOMETRY, "-q", "-o")
     assert locfuse(*words, out).exit_code == 0
     assert locfuse(*words, tmp_path / "b", "--baseline", out / "report.json", "--tolerance", "0%").exit_code == 0
     report = json.loads((out / "report.json").read_text())

@@ -23,7 +23,7 @@ from .trial import Trial
 
 MAX_ROUNDS = 4
 # findings that are measured again, better, once others are fixed
-REFINED = ("lag", "mount", "way", "understated", "overstated")
+REFINED = ("lag", "mount", "way", "understated")
 CLEAR = 1.0  # worth of fixes beyond which nothing of a later stage is likely to explain the same
 MIN_DURATION_S = 5.0  # s: a shorter drive judges no setting
 

@@ -15,7 +15,7 @@ from locfuse.fusion.data import Array, Drive, Measurements, Stream
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import gap_limit
-from locfuse.fusion.wheels.repairs import times
+from locfuse.fusion.wheels.repairs import gaps_of
 
 from .clocks import of_clocks
 from .compass import of_convention, tilted
@@ -110,7 +110,7 @@ def _gaps(name: str, t: Array) -> list[Finding]:
     longest = max(end - start for start, end in found)
     where = ", ".join(f"{start:.1f}-{end:.1f} s" for start, end in found[:3])
     more = " ..." if len(found) > 3 else ""
-    return [Finding(name, "gap", f"silent {times(len(found))}, at most {longest:.1f} s ({where}{more})")]
+    return [Finding(name, "gap", f"{gaps_of(len(found), longest)} ({where}{more})")]
 
 
 def gaps(t: Array) -> list[tuple[float, float]]:

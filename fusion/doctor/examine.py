@@ -21,6 +21,7 @@ from .clocks import of_clocks
 from .compass import of_convention, tilted
 from .finding import Finding, Least
 from .laser import laser_motion, of_laser
+from .laser_driver import of_scatter
 from .truth import metre, of_truth
 from .turning import Turning, aligned, of_track, of_turning, turnings
 
@@ -48,6 +49,8 @@ def examine(
     found += _refused(drive)
     found += _gaps("wheels", drive.wheels.t)
     found += [o for name, m in drive.measurements.items() for o in (*_gaps(name, m.t), *_blind(name, m))]
+    if "lrf" in drive.measurements:
+        found += of_scatter(streams["lrf"], robot.settings("lrf"))
     by_sensor = turnings(drive)
     turning = of_turning(drive, robot, by_sensor, streams)
     wrong_wheels = any(o.role == "wheels" and o.severe for o in turning)

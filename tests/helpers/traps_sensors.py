@@ -298,9 +298,7 @@ LASER_TRAPS = (
     Trap("a yawed laser", nobody_knows_the_yaw, "not of 0 deg as", True, "lrf", blur=0.02),
     Trap("yawed, said by /tf_static", only_tf_knows_the_yaw, "yaw 90° by /tf_static", False, "lrf"),
     Trap("two publishers of /tf_static", two_publishers, "contradict; the last one counts", False, "lrf"),
-    Trap(
-        "a wrong publisher of /tf_static", wrong_publisher, "not of 90 deg as", True, "lrf", blur=0.02
-    ),
+    Trap("a wrong publisher of /tf_static", wrong_publisher, "not of 90 deg as", True, "lrf", blur=0.02),
     Trap("a laser late by 0.4 s", late_laser, "stamps look 0.4", True, "lrf"),
     Trap("a laser on another clock", other_clock, "stamped 3600.0 s after the wheels", True, "lrf"),
     Trap("a laser whose ranges are short", short_metre, "its ranges are 0.9", True, "lrf"),

@@ -212,7 +212,7 @@ def _notes(tuned: Tuned) -> list[str]:
 
 def lasting_errors(trials: Sequence[Trial]) -> dict[tuple[str, str], str]:
     """Return the words on sensors whose errors last, by log and sensor: no sigma describes such errors."""
-    lasting = {}
+    lasting: dict[tuple[str, str], str] = {}
     for trial in trials:
         sensors = list(trial.drive.measurements)
         together = dict.fromkeys((tuple(sensors), *((*needed(s), s) for s in sensors)))

@@ -11,10 +11,11 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from locfuse.cli.choose.body_topics import NoWheelsError
 from locfuse.cli.choose.choose import choose_sensor, choose_truth
 from locfuse.cli.choose.mounts import mount_tables, shared_turns, transforms_of
 from locfuse.cli.choose.topics import Choice
-from locfuse.cli.choose.wheel_topics import NoWheelsError, choose_wheels
+from locfuse.cli.choose.wheel_topics import choose_wheels
 from locfuse.cli.pipeline.load import Loaded, make_robot, measured, merged_tables, named_by_hand
 from locfuse.formats.log.log import Log, open_log
 from locfuse.formats.robot import robot_toml

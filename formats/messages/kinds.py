@@ -36,6 +36,7 @@ READ_TYPES = frozenset(
         "foxglove.CompressedImage",
         "foxglove.LocationFix",
         "geometry_msgs/msg/PointStamped",
+        "geometry_msgs/msg/Pose2D",
         "geometry_msgs/msg/PoseStamped",
         "geometry_msgs/msg/PoseWithCovarianceStamped",
         "geometry_msgs/msg/TransformStamped",
@@ -44,6 +45,7 @@ READ_TYPES = frozenset(
         "geometry_msgs/msg/TwistWithCovarianceStamped",
         "irobot_create_msgs/msg/WheelTicks",
         "irobot_create_msgs/msg/WheelVels",
+        "kobuki_msgs/msg/SensorState",
         "locfuse/msg/Detections",
         "mocap4r2_msgs/msg/RigidBodies",
         "nav_msgs/msg/Odometry",
@@ -66,6 +68,7 @@ READ_TYPES = frozenset(
         "tf/msg/tfMessage",
         "tf2_msgs/msg/TFMessage",
         "turtlebot3_msgs/msg/SensorState",
+        "turtlesim/msg/Pose",
     )
 )
 XY, XYZ, XYZW = ("x", "y"), ("x", "y", "z"), ("x", "y", "z", "w")
@@ -83,6 +86,7 @@ ONE_NUMBER = frozenset(
         *(f"{at}angular.z" for at in ("", "twist.", "twist.twist.")),
         *(f"{at}{part}" for at in ("", "drive.") for part in ("speed", "steering_angle")),
         "longitudinal_velocity", "heading_rate", "velocity_left", "velocity_right",
+        "x", "y", "theta", "linear_velocity", "angular_velocity",
         "angle_min", "angle_increment", "time_increment", "range_min", "range_max",
         "width", "height", "step",
         "field_of_view", "min_range", "max_range", "range",

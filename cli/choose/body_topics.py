@@ -1,8 +1,8 @@
 """Which topics say how the body moved, where no wheels with known geometry do.
 
-In this order: an odometry topic, an odometry that only /tf has, a measured twist, the scans of a laser. Where a
-log has none of these, what stands in is taken and said: poses that another program estimated, then speeds that were
-only commanded.
+In this order: an odometry topic, an odometry that only /tf has, a measured twist. Where a log has none of these,
+nor wheels that count, what stands in is taken and said: the scans of a laser, poses that another program estimated,
+speeds that were only commanded.
 """
 
 from __future__ import annotations
@@ -69,19 +69,19 @@ class Body(NamedTuple):
 def choose_body(log: Log, robot: Robot, choice: Choice, stand_in: bool = True) -> Body | None:
     """Return the topic that says how the body moved, None where no topic does. Raises LocfuseError for several.
 
-    `stand_in`: whether poses that were estimated and speeds that were commanded will do.
+    `stand_in`: whether scans, poses that were estimated, and speeds that were commanded will do.
     """
     topics, why = _measured(log, robot, choice)
     topic = one(log, "wheels", None, topics, WHEEL_READS)
     if topic is not None:
         return Body(topic, why)
-    if (topic := _scans(log, robot)) is not None:
-        return Body(topic, "no wheels and no odometry: its scans are matched with each other")
     return _stand_in(log, robot, choice) if stand_in else None
 
 
 def _stand_in(log: Log, robot: Robot, choice: Choice) -> Body | None:
-    """Return the topic that stands in for a measured motion: poses, then commands, then a steering angle alone."""
+    """Return what stands in for a measured motion: scans, then poses, then commands, then a steering angle alone."""
+    if (scans := _scans(log, robot)) is not None:
+        return Body(scans, "no wheels and no odometry: its scans are matched with each other")
     for topics, note in (
         (_poses(log, choice), ESTIMATED),
         (_twists(log, robot, choice, asked=True), ONLY_COMMANDED),
@@ -146,7 +146,7 @@ def odometry_frames(log: Log) -> list[str]:
 
 
 def moving_frames(log: Log, parents: Sequence[str]) -> list[str]:
-    """Return pairs of frames in /tf, as topics, that move in one of these frames; if there is a base, only its own."""
+    """Return pairs of frames in /tf, as topics, that move in one of these; only a base's where there is one."""
     found: dict[str, bool] = {}
     for topic in log.transform_topics:
         for (parent, child), edge in log.frames(topic).items():

@@ -57,7 +57,8 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
     if counters and not unknown:
         choice.take("wheels", counters, kind)
         return
-    body = choose_body(log, robot, choice, stand_in=not (counters and _turn(log, counters, robot)))
+    wheeled = bool(counters) and _turn(log, counters, robot)
+    body = choose_body(log, robot, choice, stand_in=not wheeled)
     if body is None:
         if not counters:
             raise nothing_moves(log)
@@ -66,10 +67,15 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
     choice.take("wheels", [body.topic], body.why)
     if body.note:
         choice.notes.append(body.note)
-    if counters:
+    if wheeled:
         choice.notes.append(
             f"{body.topic} is used, since {' and '.join(counters)} gives wheel angles and no {unknown} "
             f"{'are' if ' and ' in unknown else 'is'} set"
+        )
+    elif counters:
+        choice.notes.append(
+            f"{body.topic} is used, since no joint of {counters[0]} is named like a wheel; wheels.left and "
+            "wheels.right name them"
         )
 
 

@@ -336,20 +336,12 @@ def test_init_asks_for_the_wheelbase_of_a_steering_angle(tmp_path: Path) -> None
     assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-5)
 
 
-def test_joints_without_geometry_leave_the_motion_to_the_laser(tmp_path: Path) -> None:
+def test_an_arm_is_no_wheel_and_hides_none(tmp_path: Path) -> None:
     t, angle = angles()
-    scan = "sensor_msgs/msg/LaserScan"
-    beams = np.arange(180) * math.radians(2.0)
-    with np.errstate(divide="ignore"):
-        room = np.minimum(3.0 / np.abs(np.cos(beams)), 2.0 / np.abs(np.sin(beams)))
-    said = [
-        Said("/scan", scan, cdr(scan, header=header(ns, "laser"), angle_increment=math.radians(2.0),
-                                angle_max=float(beams[-1]), range_min=0.1, range_max=20.0, ranges=room), ns)
-        for ns in stamps(t[::10])
-    ]  # fmt: skip
-    _, report = final(log_of(tmp_path / "x.mcap", joint_states(t, angle), said))
-    words = "/scan is used, since /joint_states gives wheel angles and no wheels.radius and wheels.track are set"
-    assert words in notes_of(report)
+    log = log_of(tmp_path / "x.mcap", joint_states(t, angle, ("shoulder", "elbow")), twists(T, "/cmd_vel"))
+    pose, report = final(log)
+    assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-9)
+    assert "/cmd_vel holds commanded speeds" in notes_of(report)
 
 
 def test_of_several_odometries_those_made_of_more_come_last(tmp_path: Path) -> None:

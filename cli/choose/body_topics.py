@@ -79,7 +79,7 @@ def choose_body(log: Log, robot: Robot, choice: Choice, stand_in: bool = True) -
 
 
 def _stand_in(log: Log, robot: Robot, choice: Choice) -> Body | None:
-    """Return what stands in for a measured motion: scans, then poses, then commands, then a steering angle alone."""
+    """Return what stands in for a measured motion: scans, else poses, else commands, else a steering angle."""
     if (scans := _scans(log, robot)) is not None:
         return Body(scans, "no wheels and no odometry: its scans are matched with each other")
     for topics, note in (

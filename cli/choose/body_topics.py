@@ -1,8 +1,8 @@
 """Which topics say how the body moved, where no wheels with known geometry do.
 
 In this order: an odometry topic, an odometry that only /tf has, a measured twist. Where a log has none of these,
-nor wheels that count, what stands in is taken and said: the scans of a laser, poses that another program estimated,
-speeds that were only commanded.
+nor wheels that count, what stands in is taken and said: the scans of a laser, else poses that another program
+estimated, else speeds that were only commanded.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.truth import looks_like_truth
-from locfuse.fusion.wheels.odometry import ODOMETRY, POSE, SCANS, SPEED, STEERED, TRANSFORM, commanded
+from locfuse.fusion.wheels.odometry import ODOMETRY, PLANAR, POSE, SCANS, SPEED, STEERED, TRANSFORM, commanded
 from locfuse.fusion.wheels.read import WHEEL_READS
 from locfuse.fusion.wheels.sources import JOINTS, TICKS
 
@@ -23,8 +23,8 @@ from .topics import ONLY, Choice, of_type, one, types
 if TYPE_CHECKING:
     from locfuse.formats.log.log import Log
 
-TWISTS = tuple(kind for kind in SPEED if kind not in POSE)
-POSES = tuple(kind for kind in POSE if kind not in (ODOMETRY, TRANSFORM))
+TWISTS = tuple(kind for kind in SPEED if kind not in (*POSE, *PLANAR))
+POSES = tuple(kind for kind in (*POSE, *PLANAR) if kind not in (ODOMETRY, TRANSFORM))
 ODOMETRY_FRAMES = ("odom", "odometry")  # last word of the frame in which an odometry says its pose
 FIXED_FRAMES = (
     *ODOMETRY_FRAMES,

@@ -16,6 +16,7 @@ from locfuse.fusion.truth import BODIES, TRUTH_READS, looks_like_truth
 from locfuse.fusion.wheels.odometry import SCANS, commanded
 
 from .body_topics import asked_for
+from .presented_topics import offer_presented
 from .topics import NAMED, ONLY, Choice, checked, of_type, one, several_fit, types
 from .wheel_topics import choose_wheels
 
@@ -32,6 +33,7 @@ def choose(log: Log, robot: Robot, insisted: Collection[str] = ()) -> Choice:
     (`insisted`) may not.
     """
     choice = Choice()
+    offer_presented(log)
     choose_truth(log, robot, "truth" in insisted, choice)
     choose_wheels(log, robot, choice)
     for name in REGISTRY:

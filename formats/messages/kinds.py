@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from .fields import FieldError, Part
-from .schema import Many, Scalar, Text
+from .schema import Counts, Many, Scalar, Text
 
 NUMBER, TRUTH, TEXT, TIME, BYTES = "a number", "true or false", "a text", "a time", "bytes"
 NUMBERS, TRUTHS, TEXTS, TIMES = "an array of numbers", "an array of true or false", "an array of texts", "times"
@@ -32,6 +32,7 @@ READ_TYPES = frozenset(
         "ackermann_msgs/msg/AckermannDriveStamped",
         "autoware_auto_vehicle_msgs/msg/VelocityReport",
         "autoware_vehicle_msgs/msg/VelocityReport",
+        "control_msgs/msg/DynamicJointState",
         "duckietown_msgs/msg/WheelEncoderStamped",
         "foxglove.CompressedImage",
         "foxglove.LocationFix",
@@ -55,7 +56,9 @@ READ_TYPES = frozenset(
         "sensor_msgs/msg/JointState",
         "sensor_msgs/msg/LaserScan",
         "sensor_msgs/msg/MagneticField",
+        "sensor_msgs/msg/MultiEchoLaserScan",
         "sensor_msgs/msg/NavSatFix",
+        "sensor_msgs/msg/PointCloud2",
         "sensor_msgs/msg/Range",
         "std_msgs/msg/Float32",
         "std_msgs/msg/Float64",
@@ -118,6 +121,15 @@ EXPECTED: Mapping[str, tuple[str, ...]] = {
     "markers.id": (NUMBERS,),
     "markers.marker_id": (NUMBERS,),
     "detections.id": (NUMBERS, TEXTS),
+    "joint_names": (TEXTS,),
+    "interface_values.interface_names": (TEXTS,),
+    "interface_values.values": (NUMBERS,),
+    "interface_values.values.length": (NUMBERS,),
+    "ranges.echoes": (NUMBERS,),
+    "ranges.echoes.length": (NUMBERS,),
+    "fields.name": (TEXTS,),
+    "fields.offset": (NUMBERS,),
+    "fields.datatype": (NUMBERS,),
     "k": (NINE,),
     "position": (NUMBERS,),
     "velocity": (NUMBERS,),
@@ -134,6 +146,9 @@ OF_TYPE: Mapping[tuple[str, str], tuple[str, ...]] = {
     **{(f"std_msgs/msg/{name}", "data"): (NUMBER,) for name in (*WHOLE_NUMBERS, "Float32", "Float64")},
     ("duckietown_msgs/msg/WheelEncoderStamped", "data"): (NUMBER,),
     **{("locfuse/msg/Detections", name): (NUMBER,) for name in ("id", "range", "bearing")},
+    **{("sensor_msgs/msg/PointCloud2", name): (NUMBER,) for name in ("point_step", "row_step")},
+    ("sensor_msgs/msg/PointCloud2", "is_bigendian"): (TRUTH,),
+    ("sensor_msgs/msg/PointCloud2", "data"): (BYTES,),
     ("std_msgs/msg/String", "data"): (TEXT,),
     ("sensor_msgs/msg/CompressedImage", "data"): (BYTES,),
     ("sensor_msgs/msg/Image", "data"): (BYTES,),
@@ -149,10 +164,12 @@ def kind_of(parts: Sequence[Part]) -> str:
     if len(parts) == 2:
         return TIMES if first.inside else TIME
     node, many = first.node, first.inside
+    if isinstance(node, Counts):
+        return NUMBERS
     if isinstance(node, Many):
-        if isinstance(node.element, Scalar) and node.element.dtype == "u1" and node.count is None:
+        if isinstance(node.element, Scalar) and node.element.dtype == "u1" and node.count is None and not many:
             return BYTES
-        if isinstance(node.element, Scalar) and node.element.dtype != "?" and node.count is not None:
+        if isinstance(node.element, Scalar) and node.element.dtype != "?" and node.count is not None and not many:
             return f"{node.count} numbers"
         node, many = node.element, True
     if isinstance(node, Text):

@@ -32,12 +32,15 @@ def _pose(prefix: str, position: str = "position", orientation: str = "orientati
 
 
 TURTLESIM = "turtlesim/msg/Pose"
-# Message type -> fields of its pose: x, y and a quaternion (6), or x, y and the heading [rad] (3).
+# Message type -> fields of its pose: x, y and a quaternion (6).
 POSE: Mapping[str, tuple[str, ...]] = {
     ODOMETRY: _pose("pose.pose"),
     TRANSFORM: _pose("transform", "translation", "rotation"),
     "geometry_msgs/msg/PoseStamped": _pose("pose"),
     "geometry_msgs/msg/PoseWithCovarianceStamped": _pose("pose.pose"),
+}
+# Message type -> fields of x, y [m] and the heading [rad].
+PLANAR: Mapping[str, tuple[str, str, str]] = {
     "geometry_msgs/msg/Pose2D": ("x", "y", "theta"),
     TURTLESIM: ("x", "y", "theta"),
 }
@@ -59,8 +62,8 @@ STEERED: Mapping[str, tuple[str, str]] = {
 SCANS = "sensor_msgs/msg/LaserScan"  # matched with each other (fusion.laser_odometry): their fields are big
 BODY_READS: Mapping[str, tuple[str, ...]] = {
     **{
-        kind: (*POSE.get(kind, ()), *SPEED.get(kind, ()), *STEERED.get(kind, ()))
-        for kind in (*POSE, *SPEED, *STEERED)
+        kind: tuple(field for fields in (POSE, PLANAR, SPEED, STEERED) for field in fields.get(kind, ()))
+        for kind in (*POSE, *PLANAR, *SPEED, *STEERED)
     },
     SCANS: (),
 }
@@ -91,8 +94,10 @@ def pose_and_speed(stream: Stream, settings: WheelSettings) -> Array:
     columns = cast("dict[str, Array]", stream.columns(*BODY_READS[kind]))
     values = np.zeros((len(stream.t_ns), 5))
     if kind in POSE:
-        x, y, *turned = (columns[name].astype(np.float64) for name in POSE[kind])
-        values[:, :3] = np.stack((x, y, se2.yaw(*turned) if len(turned) == 4 else turned[0]), axis=-1)
+        x, y, *q = (columns[name].astype(np.float64) for name in POSE[kind])
+        values[:, :3] = np.stack((x, y, se2.yaw(*q)), axis=-1)
+    if kind in PLANAR:
+        values[:, :3] = np.stack([columns[name] for name in PLANAR[kind]], axis=-1)
     if kind in SPEED:
         values[:, 3:] = np.stack([columns[name] for name in SPEED[kind]], axis=-1)
     if kind in STEERED:

@@ -32,7 +32,8 @@ class Fields(NamedTuple):
 
 
 def _at(ids: str, position: str, bundled: str = "") -> Fields:
-    return Fields(ids, *(f"{position}.{axis}" for axis in "xyz"), bundled=bundled)
+    x, y, z = (f"{position}.{axis}" for axis in "xyz")
+    return Fields(ids, x, y, z, bundled)
 
 
 BUNDLES = _at("detections.id", "detections.pose.pose.pose.position", "detections.id.length")

@@ -12,25 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.ekf.belief_blocks import FewBlocks
-from locfuse.fusion.ekf.belief_pose import Pose, PoseBelief, Triangle
 from locfuse.fusion.ekf.equations import predicted
-from locfuse.fusion.ekf.map_frame import InMap
+from locfuse.fusion.ekf.map_frame import InMap, Pose, Triangle
 from locfuse.fusion.ekf.robust import inflated
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
 
 from .audit import MANY, Record
 from .data import Array, Drive, Estimates, Measurements, matrices
-from .ekf import belief_blocks
 from .instants import Due, Step, due_readings, steps_of
 from .robot import Robot, StartSettings
 from .sensor import Block, Innovation, Model
 
 AT_ONCE = 4096  # stamps of the truth: what is needed on the way is many times larger than the result
-AnyBelief = PoseBelief | JointBelief
-# what makes the belief at the start: of the pose alone, or with blocks; None: whatever fits, the fastest first
-Beliefs = tuple[Callable[[Pose, Triangle], PoseBelief], Callable[[Pose, Triangle, Sequence[Block]], JointBelief]]
+MakeBelief = Callable[[Pose, Triangle, Sequence[Block]], JointBelief]  # at the start
 
 
 def fuse(
@@ -39,19 +34,19 @@ def fuse(
     sensors: Sequence[str],
     name: str | None = None,
     listen: Mapping[str, NDArray[np.bool_]] | None = None,
-    beliefs: Beliefs | None = None,
+    make: MakeBelief = JointBelief,
 ) -> Estimates:
     """Run the filter with these sensors. Raises LocfuseError where the drive lacks one of them.
 
     Readings that `listen` marks (sensor -> one flag per reading) are compared with the belief and audited, and
     teach their sensor what is its own (a map, an offset), but never move the pose: how well they are predicted
-    is a judgement without truth. `beliefs` may keep a journal of what happens (smooth, tape).
+    is a judgement without truth. The belief that `make` makes may keep a journal of what happens (smooth, tape).
     """
     listen = listen or {}
     for sensor in (*sensors, *listen):
         if sensor not in drive.measurements:
             raise drive.lacks(sensor)
-    run = Filter(robot, sensors, listen, beliefs, {s: len(m.z) for s, m in drive.measurements.items()})
+    run = Filter(robot, sensors, listen, make, {s: len(m.z) for s, m in drive.measurements.items()})
     for k, (step, due) in enumerate(zip(steps_of(drive), due_readings(drive, (*sensors, *listen)), strict=True)):
         run.advance(k, step, due, drive.measurements)
     return run.estimates(drive, name or configuration_name(sensors, drive))
@@ -76,7 +71,7 @@ class Filter:
         robot: Robot,
         sensors: Sequence[str],
         listen: Mapping[str, NDArray[np.bool_]] | None = None,
-        beliefs: Beliefs | None = None,
+        make: MakeBelief = JointBelief,
         rows: Mapping[str, int] | None = None,
     ) -> None:
         """`rows`: how many measurements of each sensor will come, where that is known."""
@@ -87,11 +82,10 @@ class Filter:
         self.models: dict[str, Model] = {
             s: REGISTRY[s].model(robot.settings(s)) for s in REGISTRY if s in sensors or s in self._listens
         }
-        self.belief: AnyBelief = _begin(
-            robot, list(self.models.values()), beliefs, any(map(any, self._listens.values()))
-        )
-        self._joint = isinstance(self.belief, JointBelief)
-        self._in_map: AnyBelief | InMap = self.belief  # the belief as it is seen from the map
+        self.belief = _begin(robot, list(self.models.values()), make)
+        # what one reading says hangs together by these states: how well it fits as a whole is noted
+        self._joint = any(model.joint for model in self.models.values())
+        self._in_map: JointBelief | InMap = self.belief  # the belief as it is seen from the map
         self._rolling = [m for m in self.models.values() if type(m).rolled is not Model.rolled]
         mapping = [s for s in self._sensors if self.models[s].maps]
         self._leads = [s for s in mapping if self.models[s].leads]
@@ -129,7 +123,7 @@ class Filter:
                     several.append((sensor, taken))
             elif models[sensor].teaches:
                 heard += taken
-        if heard and isinstance(belief, JointBelief):
+        if heard:
             belief.listen(heard)
         if accepted:
             self._correct_whole(accepted, several) if several else belief.correct(accepted)
@@ -141,7 +135,6 @@ class Filter:
     def _correct_whole(self, accepted: list[Innovation], several: list[tuple[str, list[Innovation]]]) -> None:
         """Correct once by all that was accepted, and note how well readings of several rows fit as a whole."""
         belief = self.belief
-        assert isinstance(belief, JointBelief)
         alone = len(several[0][1]) == len(accepted)
         joint = [] if alone else [belief.joint_nis(seen) for _, seen in several]
         belief.correct(accepted)
@@ -162,19 +155,14 @@ class Filter:
         """Return the pose (x, y, theta) in the map [m, m, rad], theta not wrapped."""
         return self._in_map.pose()
 
-    def _seen_by(self, model: Model) -> AnyBelief | InMap:
+    def _seen_by(self, model: Model) -> JointBelief | InMap:
         return self.belief if model.local else self._in_map
 
     def _begin_frame(self) -> None:
         """Let a map of a sensor's own begin in a local frame (fusion.ekf.map_frame)."""
-        belief = self.belief
-        if not isinstance(belief, (FewBlocks, JointBelief)):
-            if not any(belief.triangle()):
-                return  # the pose is known exactly: so is the frame
-            belief = FewBlocks(belief.pose(), belief.triangle(), ())
-        belief.begin_frame()
-        self.belief = belief
-        self._in_map = belief if belief.frame is None else InMap(belief)
+        self.belief.begin_frame()
+        if self.belief.frame is not None:
+            self._in_map = InMap(self.belief)
 
     def _record(self) -> None:
         belief = self._in_map
@@ -219,7 +207,7 @@ class Filter:
     def _notes(self) -> Iterator[str]:
         """Say what this run found: its wheels, and what every sensor has to say."""
         belief = self.belief
-        if WHEELS in self._blocks and isinstance(belief, JointBelief):
+        if WHEELS in self._blocks:
             column, x = belief.block(WHEELS)
             P = belief.covariance[column : column + len(x), column : column + len(x)]
             metric = {s: REGISTRY[s].scale_key for s in self._sensors if REGISTRY[s].measures_metres}
@@ -228,27 +216,13 @@ class Filter:
             yield from (f"{name}: {words}" for words in model.notes(self._seen_by(model)))
 
 
-def _begin(
-    robot: Robot, models: Sequence[Model], beliefs: Beliefs | None, listens: bool
-) -> PoseBelief | JointBelief:
-    """Return the belief at the start: plain floats unless somebody owns a block of the state, or few are owned."""
-    pose, P = _start(robot.start)
+def _begin(robot: Robot, models: Sequence[Model], make: MakeBelief) -> JointBelief:
+    """Return the belief at the start."""
     blocks = [block for model in models for block in model.blocks()]
-    if robot.wheels.estimate:
-        blocks.append(wheel_block(robot.wheels))
-    make_pose, make_joint = beliefs or (PoseBelief, JointBelief)
-    if not blocks and not any(model.joint for model in models):
-        return make_pose(pose, P)
-    simple = beliefs is None and not listens and not robot.wheels.estimate
-    if (
-        simple
-        and all(model.settled for model in models)
-        and sum(len(b.x) for b in blocks) <= belief_blocks.MAX_BLOCK_STATES
-    ):
-        return FewBlocks(pose, P, blocks)
-    belief = make_joint(pose, P, blocks)
-    if robot.wheels.estimate:
-        belief.drive_with(WHEELS)
+    if not robot.wheels.estimate:
+        return make(*_start(robot.start), blocks)
+    belief = make(*_start(robot.start), [*blocks, wheel_block(robot.wheels)])
+    belief.drive_with(WHEELS)
     return belief
 
 

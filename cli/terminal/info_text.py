@@ -29,7 +29,7 @@ TOPICS = (
     Column("type", "type", kind="text", shorter=lambda kind: kind.rpartition("/")[2]),
     Column("messages", "messages"),
     Column("rate_hz", "Hz", form="{:.1f}", missing=""),
-    Column("longest_gap_s", "silent", "s", "{:.1f}", missing="", rank=1),
+    Column("longest_gap_s", "gap", "s", "{:.1f}", missing="", rank=1),
     Column("clock", "clock", kind="text", rank=2),
     Column("frame", "frame", kind="text", rank=3),
     Column("roles", "read by", kind="text"),

@@ -373,10 +373,12 @@ class JointBelief:
         if len(H) == 1:
             row, P = sparse_row(H[0], columns, H_block), self._P
             return ((max(sum([g * h * P.item(i, j) for i, g in row for j, h in row]), 0.0),),)  # but for rounding
-        where = [0, 1, 2, *columns]
-        rows = np.array([(*h, *b) for h, b in zip(H, H_block, strict=True)] if H_block else H)
-        S = rows @ self._P[np.ix_(where, where)] @ rows.T
-        return tuple(map(tuple, S.tolist()))
+        d, at = len(H), np.array((0, 1, 2, *columns))
+        rows = np.array([(*h, *b) for h, b in zip(H, H_block, strict=True)] if H_block else H, np.float64)
+        S = np.zeros((d, d))
+        self._room.on_arrays.projected(self._P, self.n, at, len(at), rows, S, d, np.empty((d, self.n)))
+        lower = S.tolist()
+        return tuple([tuple([lower[max(i, j)][min(i, j)] for j in range(d)]) for i in range(d)])
 
     def correct(self, seen: Sequence[Innovation]) -> None:
         """Paper eq. 10-12 with everything one instant saw stacked; considered columns keep their values."""

@@ -101,7 +101,10 @@ class Filter:
         fixed = [b.name for m in self.models.values() for b in m.blocks() if not b.name.startswith("_")]
         if robot.wheels.estimate:
             fixed.append(WHEELS)
-        self._blocks: dict[str, tuple[array[float], array[float]]] = {n: (array("d"), array("d")) for n in fixed}
+        blocks = [(name, *self.belief.block(name)) for name in fixed]  # their columns stay
+        self._block_columns = np.array([c + i for _, c, values in blocks for i in range(len(values))], np.intp)
+        self._block_names = [(name, len(values)) for name, _, values in blocks]
+        self._values, self._variances = array("d"), array("d")  # of these columns, flat
 
     def advance(self, k: int, step: Step, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
         """Take the belief to instant k and correct it by every reading (sensor, i) that is due there."""
@@ -118,8 +121,10 @@ class Filter:
             self._records[sensor].add(k, seen)
             taken = [innovation for innovation in seen if innovation.verdict == 0]
             if sensor not in self._listens or not self._listens[sensor][i]:
-                accepted += taken
-                if self._joint and taken[1:]:
+                whole = self._joint and len(taken) > 1
+                at = 0 if whole and not several else len(accepted)
+                accepted[at:at] = taken
+                if whole:
                     several.append((sensor, taken))
             elif models[sensor].teaches:
                 heard += taken
@@ -133,13 +138,16 @@ class Filter:
         self._record()
 
     def _correct_whole(self, accepted: list[Innovation], several: list[tuple[str, list[Innovation]]]) -> None:
-        """Correct once by all that was accepted, and note how well readings of several rows fit as a whole."""
-        belief = self.belief
-        alone = len(several[0][1]) == len(accepted)
-        joint = [] if alone else [belief.joint_nis(seen) for _, seen in several]
-        belief.correct(accepted)
-        for (sensor, _), nis in zip(several, joint or [belief.nis], strict=True):
-            self._records[sensor].joint.extend(nis)
+        """Correct once by all that was accepted, and note how well readings of several rows fit as a whole.
+
+        The first of these stands first in the equation: whitened, its rows are what they would be alone.
+        """
+        (sensor, first), *others = several
+        joint = [(name, self.belief.joint_nis(seen)) for name, seen in others]
+        self.belief.correct(accepted)
+        joint.insert(0, (sensor, self.belief.nis_of_first(sum([len(s.y) for s in first]))))
+        for name, nis in joint:
+            self._records[name].joint.extend(nis)
 
     def _move(self, step: Step, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
         """Predict, tell models that ask how far the wheels rolled, and begin a frame where a map begins."""
@@ -169,16 +177,24 @@ class Filter:
         pose, triangle = belief.located()
         self._poses.extend(pose)
         self._triangles.extend(triangle)
-        for name, (values, variances) in self._blocks.items():
-            values.extend(belief.block(name)[1])
-            variances.extend(belief.variances(name))
+        if len(self._block_columns):
+            x, P = self.belief.arrays
+            self._values.extend(x[self._block_columns].tolist())
+            self._variances.extend(P[self._block_columns, self._block_columns].tolist())
+
+    def _by_block(self, flat: array[float]) -> dict[str, Array]:
+        """Return one column per number of every block, (instants, numbers)."""
+        whole = np.array(flat).reshape(-1, max(len(self._block_columns), 1))
+        ends = np.cumsum([n for _, n in self._block_names], dtype=np.int64).tolist()
+        named = zip(self._block_names, ends, strict=True)
+        return {name: np.ascontiguousarray(whole[:, end - n : end]) for (name, n), end in named}
 
     def estimates(self, drive: Drive, name: str) -> Estimates:
         """Return everything recorded, with predictions at the truth's stamps beside it."""
         n = len(self._poses) // 3
         pose = np.frombuffer(self._poses).reshape(n, 3)
         triangles = np.frombuffer(self._triangles).reshape(n, 6)
-        blocks = {name: np.array(v).reshape(n, -1) for name, (v, _) in self._blocks.items()}
+        blocks, variances = self._by_block(self._values), self._by_block(self._variances)
         maps = [m.lines(self._seen_by(m)) for m in self.models.values()]
         truth_pose, truth_P = _at_truth(drive, pose, triangles, blocks.get(WHEELS))
         return Estimates(
@@ -189,9 +205,7 @@ class Filter:
             triangles=triangles,
             audits={s: record.audit() for s, record in self._records.items()},
             blocks=blocks,
-            block_sigmas={
-                name: np.sqrt(np.maximum(np.array(v).reshape(n, -1), 0.0)) for name, (_, v) in self._blocks.items()
-            },
+            block_sigmas={name: np.sqrt(np.maximum(v, 0.0)) for name, v in variances.items()},
             first_map=[line for first, _ in maps for line in first],
             final_map=[line for _, final in maps for line in final],
             points=[point for m in self.models.values() for point in m.points(self._seen_by(m))],
@@ -207,7 +221,7 @@ class Filter:
     def _notes(self) -> Iterator[str]:
         """Say what this run found: its wheels, and what every sensor has to say."""
         belief = self.belief
-        if WHEELS in self._blocks:
+        if self._wheels.estimate:
             column, x = belief.block(WHEELS)
             P = belief.covariance[column : column + len(x), column : column + len(x)]
             metric = {s: REGISTRY[s].scale_key for s in self._sensors if REGISTRY[s].measures_metres}

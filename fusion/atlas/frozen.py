@@ -45,8 +45,8 @@ class Way:
         if len(self.sights) >= MANY_SIGHTS:
             return
         if self.sights:
-            step = se2.between(self.sights[-1].pose, pose)
-            if math.hypot(step[0], step[1]) < STRIDE and abs(se2.wrap(float(step[2]))) < TURN:
+            x, y, turn = (pose - self.sights[-1].pose).tolist()
+            if math.hypot(x, y) < STRIDE and abs(se2.wrap(turn)) < TURN:
                 return
         self.sights.append(Sight(t, pose, scan))
 

@@ -4,7 +4,7 @@ x (n,) begins with the pose (x, y, theta); P (n, n) is its covariance, of which 
 have room for more states than there are.
 """
 
-from math import cos, sin, sqrt
+from math import cos, exp, sin, sqrt
 
 
 def move(x, P, n, ux, uy, turn, qxx, qxy, qxt, qyy, qyt, qtt):
@@ -12,7 +12,9 @@ def move(x, P, n, ux, uy, turn, qxx, qxy, qxt, qyy, qyt, qtt):
 
     Row x of A is (1, 0, -dy), row y is (0, 1, dx): rows and columns of x and y take that much of theta's.
     """
-    c, s = cos(x[2]), sin(x[2])
+    c = s = x[2] - x[2]  # NaN where there is no heading
+    if c == 0.0:
+        c, s = cos(x[2]), sin(x[2])
     dx, dy = c * ux - s * uy, s * ux + c * uy  # eq. 5
     x[0] += dx
     x[1] += dy
@@ -128,6 +130,52 @@ def take_in(x, P, n, at, states, H, R, y, m, V, kept, some):
     elif greatest > 0.0:
         correct(x, P, n, V, y, m)
     return greatest
+
+
+def locate(x, P, first, out):
+    """Write pose and covariance triangle (9,), seen from the map where its frame G begins at column `first` >= 0.
+
+    p = G o q has the covariance J_q P J_q' + J_q C J_G' + J_G C' J_q' + J_G P_G J_G' + bent r r', C = cov(q, G),
+    with the derivatives of map_frame.
+    """
+    if first < 0:
+        out[0], out[1], out[2] = x[0], x[1], x[2]
+        out[3], out[4], out[5], out[6], out[7], out[8] = P[0, 0], P[0, 1], P[0, 2], P[1, 1], P[1, 2], P[2, 2]
+        return
+    a, b, t = first, first + 1, first + 2
+    c = s = x[t] - x[t]
+    if c == 0.0:
+        c, s = cos(x[t]), sin(x[t])
+    rx, ry = c * x[0] - s * x[1], s * x[0] + c * x[1]
+    out[0], out[1], out[2] = x[a] + rx, x[b] + ry, x[t] + x[2]
+    cc, cs, ss, e = c * c, c * s, s * s, bent(P[t, t])
+    # J_q C, then times J_G': the columns of x and y take -ry and rx times the column of Th
+    at, bt, tt = c * P[0, t] - s * P[1, t], s * P[0, t] + c * P[1, t], P[2, t]
+    ax, ay = c * P[0, a] - s * P[1, a] - ry * at, c * P[0, b] - s * P[1, b] + rx * at
+    bx, by = s * P[0, a] + c * P[1, a] - ry * bt, s * P[0, b] + c * P[1, b] + rx * bt
+    tx, ty = P[2, a] - ry * tt, P[2, b] + rx * tt
+    gxt, gyt, gtt = P[a, t], P[b, t], P[t, t]
+    out[3] = cc * P[0, 0] - 2.0 * cs * P[0, 1] + ss * P[1, 1] + 2.0 * ax
+    out[3] += P[a, a] - 2.0 * ry * gxt + ry * ry * gtt + e * rx * rx
+    out[4] = cs * (P[0, 0] - P[1, 1]) + (cc - ss) * P[0, 1] + ay + bx
+    out[4] += P[a, b] + rx * gxt - ry * gyt - rx * ry * gtt + e * rx * ry
+    out[5] = c * P[0, 2] - s * P[1, 2] + at + tx + gxt - ry * gtt
+    out[6] = ss * P[0, 0] + 2.0 * cs * P[0, 1] + cc * P[1, 1] + 2.0 * by
+    out[6] += P[b, b] + 2.0 * rx * gyt + rx * rx * gtt + e * ry * ry
+    out[7] = s * P[0, 2] + c * P[1, 2] + bt + ty + gyt + rx * gtt
+    out[8] = P[2, 2] + 2.0 * tt + gtt
+
+
+def bent(tt):
+    """Return by how much a heading of variance tt [rad^2] spreads a lever r along r itself, per r^2.
+
+    To first order a heading moves the end of a lever across it only. With a Gaussian angle a the end is at cos(a)
+    along the lever: E (cos a - 1)^2 = 1 - 2 exp(-tt / 2) + (1 + exp(-2 tt)) / 2. That is 3/4 tt^2 for small
+    tt, and nothing at half a degree.
+    """
+    if tt > 1e-3:
+        return 1.0 - 2.0 * exp(-0.5 * tt) + 0.5 * (1.0 + exp(-2.0 * tt))
+    return 0.75 * tt * tt
 
 
 def swing(P, n, first, dx, dy):

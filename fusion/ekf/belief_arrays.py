@@ -52,7 +52,7 @@ class JointBelief:
         self._points: set[str] = set()  # blocks that were appended: a point [m] in the local frame each
         self.frame: int | None = None  # first column of the map frame; None: the local frame is the map
         self.lost = False  # the pose is wrong by metres: it must not teach the map frame
-        self.nis = (math.nan, 0)  # of the last correction, with all that it took in: y' S^-1 y, degrees of freedom
+        self._whitened = np.zeros(0)  # of the last correction: innovations whose covariance is the unit matrix
         for block in blocks:
             self.add(block)
 
@@ -81,21 +81,27 @@ class JointBelief:
         """The joint covariance, a view (n, n)."""
         return self._P[: self.n, : self.n]
 
+    @property
+    def arrays(self) -> tuple[Array, Array]:
+        """State and covariance with the room they have for more states, for the core."""
+        return self._x, self._P
+
     def pose(self) -> Pose:
         """Return (x, y, theta)."""
         x, y, theta = self._x[:3].tolist()
         return x, y, theta
 
-    def located(self) -> tuple[Pose, Triangle]:
-        """Return the pose and its covariance's upper triangle."""
-        (xx, xy, xt), (_, yy, yt), (_, _, tt) = self._P[:3, :3].tolist()
-        x, y, theta = self._x[:3].tolist()
+    def located(self, in_map: bool = False) -> tuple[Pose, Triangle]:
+        """Return the pose, local or that in the map, and its covariance's upper triangle."""
+        out = np.empty(9)
+        first = -1 if self.frame is None or not in_map else self.frame
+        self._room.on_arrays.locate(self._x, self._P, first, out)
+        x, y, theta, xx, xy, xt, yy, yt, tt = out.tolist()
         return (x, y, theta), (xx, xy, xt, yy, yt, tt)
 
     def triangle(self) -> Triangle:
         """Return the pose covariance's upper triangle."""
-        (xx, xy, xt), (_, yy, yt), (_, _, tt) = self._P[:3, :3].tolist()
-        return xx, xy, xt, yy, yt, tt
+        return self.located()[1]
 
     def matrix(self) -> Array:
         """Return the pose covariance, (3, 3)."""
@@ -403,14 +409,18 @@ class JointBelief:
             chosen[kept] = 1
         given = self._given(*equation)
         positive(self._room.on_arrays.take_in(self._x, *given, chosen, len(kept) > 0))
-        e = equation[0]
-        self.nis = float(e @ e), len(e)
+        self._whitened = equation[0]
 
     def _given(self, y: Array, columns: Ints, H: Array, R: Array) -> tuple[Any, ...]:
         """Return P and an equation as the core wants them; e is written over y, V has rows of zeros behind it."""
         m = len(y)
         V = np.zeros((-(-m // AT_ONCE) * AT_ONCE, self.n))
         return self._P, self.n, columns, len(columns), H, R, y, m, V
+
+    def nis_of_first(self, m: int) -> tuple[float, int]:
+        """Return y' S^-1 y of the first m numbers of the last correction as a whole, and its dof."""
+        e = self._whitened[:m]
+        return float(e @ e), len(e)
 
     def joint_nis(self, seen: Sequence[Innovation]) -> tuple[float, int]:
         """Return y' S^-1 y of several innovations, where S has all that their errors share, and its dof."""

@@ -80,23 +80,14 @@ class LineMap:
         free = () if seat is None else seat.columns
         width, states = WALL + 2 * len(free), len(self) > 0 and bool(self.column[0] >= 0)
         if states:
-            return room.given(self._walls(belief, np.array(free, np.int64))), width, True
+            rows, at = np.empty((len(self), width)), np.array(free, np.intp)
+            room.on_arrays.gather_walls(*belief.arrays, self.column, self.anchor, len(self), at, len(at), rows)
+            return room.given(rows), width, True
         if self._frozen is None or self._frozen[:2] != (room, width):
             rows = np.zeros((len(self), width))
             rows[:, :2], rows[:, 2:4], rows[:, 4:7] = self.value, self.anchor, self.P.reshape(-1, 4)[:, (0, 1, 3)]
             self._frozen = room, width, room.given(rows)
         return self._frozen[2], width, False
-
-    def _walls(self, belief: JointBelief, free: Ints) -> Array:
-        x, P, rho, beta = belief.state, belief.covariance, self.column, self.column + 1
-        rows = np.empty((len(self), WALL + 2 * len(free)))
-        rows[:, 0], rows[:, 1], rows[:, 2:4] = x[rho], x[beta], self.anchor
-        rows[:, 4], rows[:, 5], rows[:, 6] = P[rho, rho], P[rho, beta], P[beta, beta]
-        rows[:, 7:13:2], rows[:, 8:13:2] = P[:3, rho].T, P[:3, beta].T
-        if len(free):
-            rows[:, WALL : WALL + len(free)] = P[rho[:, None], free]
-            rows[:, WALL + len(free) :] = P[beta[:, None], free]
-        return rows
 
     def append(
         self, anchor: Array, value: Array, P: Array, column: int, ends: tuple[float, float], scan: int

@@ -66,7 +66,7 @@ def candidate_pairs(
         states,
         room.flat([pose]),
         room.flat([triangle]),
-        room.given(_mount(scan.seat, belief)),
+        room.given(_mount(scan.seat, belief, room)),
         0 if scan.seat is None else len(scan.seat.free),
         angle_slack,
         offset_slack,
@@ -85,12 +85,14 @@ def _pair(of: list[float], columns: list[int]) -> Pair:
     return Pair(int(i), which, columns[which], (offset, turn), R, S, d2, score, lo, hi, overlap, c, s, u, psi)
 
 
-def _mount(seat: Seat | None, belief: JointBelief) -> Array:
+def _mount(seat: Seat | None, belief: JointBelief, room: Room) -> Array:
     """Return the laser's mount as core.pairs wants it: place, which of x, y, yaw are free, their covariances."""
     if seat is None:
         return np.zeros(2)
-    P, at = belief.covariance, np.array(seat.columns)
-    return np.concatenate(((seat.x, seat.y), seat.free, P[:3, at].ravel(), P[np.ix_(at, at)].ravel()))
+    at, free = np.array(seat.columns, np.intp), len(seat.free)
+    mount = np.array((seat.x, seat.y, *seat.free, *(0.0,) * (free * (3 + free))))
+    room.on_arrays.gather_mount(belief.arrays[1], at, free, mount)
+    return mount
 
 
 def _slack(xy: float, tt: float) -> tuple[float, float]:

@@ -160,15 +160,16 @@ def hypotheses(scan: Scan, lines: LineMap, values: Array, known: Ints, most: int
     longest = np.argsort(-(scan.ends[:, 1] - scan.ends[:, 0]), kind="stable")[:most]
     beta, n = values[known, 1], np.stack((np.cos(values[known, 1]), np.sin(values[known, 1])), axis=-1)
     rho = values[known, 0] + (lines.anchor[known] * n).sum(axis=1)
+    cosine, sine = n @ n.T, np.outer(n[:, 0], n[:, 1]) - np.outer(n[:, 1], n[:, 0])  # of beta[k] - beta[j]
     found = [np.zeros((0, 3))]
     for a, b in combinations(longest.tolist(), 2):
         between = float(se2.wrap_all(scan.z[b, 1] - scan.z[a, 1]))
         if abs(math.sin(between)) < math.sin(SKEW):
             continue
-        j, k = np.nonzero(np.abs(se2.wrap_all(beta[None, :] - beta[:, None] - between)) < SAME_ANGLE)
+        j, k = np.nonzero(math.cos(between) * cosine + math.sin(between) * sine > math.cos(SAME_ANGLE))
         slack = 0.5 * se2.wrap_all(beta[k] - beta[j] - between)
         theta = se2.wrap_all(beta[j] - scan.z[a, 1] + slack)
-        det = n[j, 0] * n[k, 1] - n[j, 1] * n[k, 0]
+        det = sine[j, k]
         p, q = rho[j] - scan.z[a, 0], rho[k] - scan.z[b, 0]
         x, y = (p * n[k, 1] - q * n[j, 1]) / det, (n[j, 0] * q - n[k, 0] * p) / det
         found.append(np.stack((x, y, theta), axis=-1))

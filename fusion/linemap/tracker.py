@@ -137,12 +137,13 @@ class LineTracker(Model):
         c, s, u, (r00, r01, r11) = pair.cos, pair.sin, pair.u, pair.R
         columns: tuple[int, ...] = ()
         H_block: tuple[tuple[float, ...], ...] = ()
-        if self.joint:
-            columns, H_block = (pair.column, pair.column + 1), ((1.0, u), (0.0, 1.0))
+        by_mount: tuple[Sequence[float], Sequence[float]] = ((), ())
         if scan.seat is not None:
-            by_mount = scan.seat.rows(pair.psi)
-            columns += scan.seat.columns
-            H_block = tuple((*h, *m) for h, m in zip(H_block or ((), ()), by_mount, strict=True))
+            columns, by_mount = scan.seat.columns, scan.seat.rows(pair.psi)
+            H_block = tuple(by_mount[0]), tuple(by_mount[1])
+        if self.joint:
+            columns = (pair.column, pair.column + 1, *columns)
+            H_block = (1.0, u, *by_mount[0]), (0.0, 1.0, *by_mount[1])
         return Innovation(
             row=row,
             verdict=verdict,

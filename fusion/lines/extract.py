@@ -31,6 +31,7 @@ MAX_RANGE_M = 1e6  # no laser sees farther: what a driver means by more is "noth
 _BATCH = 256  # scans worked on at once,
 _BEAMS = 100_000  # unless they have more beams than this in all: working memory is some 300 bytes a beam
 _COLUMNS = 11  # of a line, by core.lines
+_OF_R = np.array((2, 3, 3, 4))
 LINE = 7  # columns of a line in a table, by core.mounts and core.pairs
 
 
@@ -117,7 +118,7 @@ def rows_of(z: Array, R: Array, ends: Array) -> Array:
 
 def of_rows(rows: Array) -> tuple[Array, Array, Array]:
     """Return (z, R, ends) of such a table."""
-    return rows[:, :2], rows[:, (2, 3, 3, 4)].reshape(-1, 2, 2), rows[:, 5:]
+    return rows[:, :2], rows.take(_OF_R, axis=1).reshape(-1, 2, 2), rows[:, 5:]
 
 
 def rows_in_base(rows: Array, x: float, y: float, yaw: float, room: Room | None = None) -> Array:

@@ -78,8 +78,9 @@ def test_a_correction_is_the_same_in_both_forms_and_that_of_the_textbook(
     np.testing.assert_allclose(belief.state, x + K @ y, atol=1e-9)
     np.testing.assert_allclose(belief.covariance, J @ P @ J.T + K @ R @ K.T, atol=1e-9)
     if not kept:
-        assert belief.nis[0] == pytest.approx(float(y @ np.linalg.solve(S, y)), rel=1e-9)
-        assert belief.nis[1] == 2 * count
+        for m in (1, 2 * count):  # the first alone, and all
+            expected = float(y[:m] @ np.linalg.solve(S[:m, :m], y[:m]))
+            assert belief.nis_of_first(m) == (pytest.approx(expected, rel=1e-9), m)
 
 
 @settings(deadline=None, max_examples=150)
@@ -96,12 +97,14 @@ def test_no_numbers_make_either_form_fail_or_differ(data: st.DataObject, states:
         x, P, H, R, y = numbers(n), numbers(n, n), numbers(m, n), numbers(m, m), numbers(m)
         V, kept = np.zeros((-(-m // 4) * 4, n)), np.arange(n, dtype=np.intp) % 2
         at, core = np.arange(n, dtype=np.intp), room.on_arrays
-        if math.isfinite(x[2]):
-            core.move(x, P, n, *numbers(3).tolist(), *numbers(6).tolist())
+        core.move(x, P, n, *numbers(3).tolist(), *numbers(6).tolist())
         args = (at, n, H, R, y, m, V, kept, some)
         greatest = core.take_in(x, P, n, *args)
         core.swing(P, n, n - 3, 0.1, -0.2)
-        return [np.float64(greatest).tobytes(), *(a.tobytes() for a in (x, P, y, V))]
+        where = np.empty((2, 9))
+        core.locate(x, P, n - 3, where[0])
+        core.locate(x, P, -1, where[1])
+        return [np.float64(greatest).tobytes(), *(a.tobytes() for a in (x, P, y, V, where))]
 
     found = run(SOURCE)
     if unit is not None:

@@ -73,6 +73,7 @@ def test_both_forms_of_the_core_agree_on_a_drive_with_a_frame() -> None:
     np.testing.assert_array_equal(source.state, belief.state)
     np.testing.assert_array_equal(source.covariance, belief.covariance)
     np.testing.assert_array_equal(belief.covariance, belief.covariance.T)
+    assert source.located(in_map=True) == belief.located(in_map=True) != belief.located()
 
 
 LANDMARK, LEVER = np.array([3.0, 1.0]), np.array([0.2, -0.1])

@@ -21,6 +21,7 @@ from .screen import put, reader_may_leave, screen
 from .screen import say as on_screen
 
 BELOW = " rmse, max, final: distance to the truth. ANEES: 1 is right, more is overconfident. See: locfuse explain"
+BELOW_SENSORS = " NIS: 1 is right, more: its noise is set too low. absent: readings without a measurement"
 COLOURS = {"helps": "green", "hurts": "red"}  # of verdicts; the others need none
 NO_TRUTH = "no truth in this log: the error figures do not exist; if a topic holds it: --set truth.topic=/TOPIC"
 
@@ -114,7 +115,10 @@ def figures(report: Mapping[str, Any]) -> None:
     if tables.has_figures(report):
         lines([BELOW])
     table(tables.jitter(report))
-    table(tables.sensors(report).without("verdicts").without("joint_nis"))
+    of_sensors = tables.sensors(report).without("verdicts").without("joint_nis")
+    table(of_sensors)
+    if of_sensors.rows:
+        lines([BELOW_SENSORS])
 
 
 def table(shown: Table) -> None:

@@ -12,10 +12,11 @@ import pytest
 from textbook import move, numeric_jacobian
 
 from locfuse.fusion.core import filter as interpreted
+from locfuse.fusion.core.filter import bent
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.journal import Journal
-from locfuse.fusion.ekf.map_frame import InMap, Triangle, bent, in_map_P
+from locfuse.fusion.ekf.map_frame import InMap, Triangle, in_map_P
 from locfuse.fusion.sensor import Block, Innovation
 from locfuse.fusion.smooth import Backward
 

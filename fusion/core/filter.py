@@ -147,7 +147,7 @@ def locate(x, P, first, out):
     if c == 0.0:
         c, s = cos(x[t]), sin(x[t])
     rx, ry = c * x[0] - s * x[1], s * x[0] + c * x[1]
-    out[0], out[1], out[2] = x[a] + rx, x[b] + ry, x[t] + x[2]
+    out[0], out[1], out[2] = x[a] + c * x[0] - s * x[1], x[b] + s * x[0] + c * x[1], x[t] + x[2]
     cc, cs, ss, e = c * c, c * s, s * s, bent(P[t, t])
     # J_q C, then times J_G': the columns of x and y take -ry and rx times the column of Th
     at, bt, tt = c * P[0, t] - s * P[1, t], s * P[0, t] + c * P[1, t], P[2, t]

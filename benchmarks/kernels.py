@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from benchmarks import textbook_lines
 from locfuse.formats.log.log import open_log
 from locfuse.fusion.camera.detect import Detector, detect
-from locfuse.fusion.ekf.belief_pose import PoseBelief
+from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.lines.extract import extract_lines
 from locfuse.fusion.sensor import Innovation
 
@@ -43,7 +43,7 @@ def filters(lines: bool) -> tuple[Work, Work]:
 
 def our_filter(z: Array) -> int:
     """Predict and correct with the product's filter."""
-    belief = PoseBelief((0.0, 0.0, 0.0), (0.01, 0.0, 0.0, 0.01, 0.0, 0.01))
+    belief = JointBelief((0.0, 0.0, 0.0), (0.01, 0.0, 0.0, 0.01, 0.0, 0.01))
     alone = z.shape[1] == 1
     H_lines = [((-c, -s, 0.0), (0.0, 0.0, -1.0)) for _, _, c, s in WALLS]
     r, R = SIGMA**2, ((SIGMA**2, 0.0), (0.0, SIGMA**2))

@@ -25,8 +25,6 @@ ROOT = Path(__file__).parents[1]
 # file of the core -> the tests that must know what is right there
 TESTS: dict[str, tuple[str, ...]] = {
     "fusion/se2.py": ("tests/fusion/test_se2.py",),
-    "fusion/ekf/belief_pose.py": ("tests/ekf", "tests/fusion/test_fuse.py"),
-    "fusion/ekf/belief_blocks.py": ("tests/ekf", "tests/sensors/test_compass.py", "tests/sensors/test_gps.py"),
     "fusion/ekf/belief_arrays.py": ("tests/ekf", "tests/fusion/test_fuse.py"),
     "fusion/ekf/rows.py": ("tests/ekf", "tests/fusion/test_fuse.py"),
     "fusion/wheels/motion.py": ("tests/wheels/test_motion.py", "tests/wheels/test_wheel_states.py"),

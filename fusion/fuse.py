@@ -12,25 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.ekf.belief_blocks import FewBlocks
-from locfuse.fusion.ekf.belief_pose import Pose, PoseBelief, Triangle
 from locfuse.fusion.ekf.equations import predicted
-from locfuse.fusion.ekf.map_frame import InMap
+from locfuse.fusion.ekf.map_frame import InMap, Pose, Triangle
 from locfuse.fusion.ekf.robust import inflated
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
 
 from .audit import MANY, Record
 from .data import Array, Drive, Estimates, Measurements, matrices
-from .ekf import belief_blocks
 from .instants import Due, Step, due_readings, steps_of
 from .robot import Robot, StartSettings
 from .sensor import Block, Innovation, Model
 
 AT_ONCE = 4096  # stamps of the truth: what is needed on the way is many times larger than the result
-AnyBelief = PoseBelief | JointBelief
-# what makes the belief at the start: of the pose alone, or with blocks; None: whatever fits, the fastest first
-Beliefs = tuple[Callable[[Pose, Triangle], PoseBelief], Callable[[Pose, Triangle, Sequence[Block]], JointBelief]]
+MakeBelief = Callable[[Pose, Triangle, Sequence[Block]], JointBelief]  # at the start
 
 
 def fuse(
@@ -39,19 +34,19 @@ def fuse(
     sensors: Sequence[str],
     name: str | None = None,
     listen: Mapping[str, NDArray[np.bool_]] | None = None,
-    beliefs: Beliefs | None = None,
+    make: MakeBelief = JointBelief,
 ) -> Estimates:
     """Run the filter with these sensors. Raises LocfuseError where the drive lacks one of them.
 
     Readings that `listen` marks (sensor -> one flag per reading) are compared with the belief and audited, and
     teach their sensor what is its own (a map, an offset), but never move the pose: how well they are predicted
-    is a judgement without truth. `beliefs` may keep a journal of what happens (smooth, tape).
+    is a judgement without truth. The belief that `make` makes may keep a journal of what happens (smooth, tape).
     """
     listen = listen or {}
     for sensor in (*sensors, *listen):
         if sensor not in drive.measurements:
             raise drive.lacks(sensor)
-    run = Filter(robot, sensors, listen, beliefs, {s: len(m.z) for s, m in drive.measurements.items()})
+    run = Filter(robot, sensors, listen, make, {s: len(m.z) for s, m in drive.measurements.items()})
     for k, (step, due) in enumerate(zip(steps_of(drive), due_readings(drive, (*sensors, *listen)), strict=True)):
         run.advance(k, step, due, drive.measurements)
     return run.estimates(drive, name or configuration_name(sensors, drive))
@@ -76,7 +71,7 @@ class Filter:
         robot: Robot,
         sensors: Sequence[str],
         listen: Mapping[str, NDArray[np.bool_]] | None = None,
-        beliefs: Beliefs | None = None,
+        make: MakeBelief = JointBelief,
         rows: Mapping[str, int] | None = None,
     ) -> None:
         """`rows`: how many measurements of each sensor will come, where that is known."""
@@ -87,11 +82,10 @@ class Filter:
         self.models: dict[str, Model] = {
             s: REGISTRY[s].model(robot.settings(s)) for s in REGISTRY if s in sensors or s in self._listens
         }
-        self.belief: AnyBelief = _begin(
-            robot, list(self.models.values()), beliefs, any(map(any, self._listens.values()))
-        )
-        self._joint = isinstance(self.belief, JointBelief)
-        self._in_map: AnyBelief | InMap = self.belief  # the belief as it is seen from the map
+        self.belief = _begin(robot, list(self.models.values()), make)
+        # what one reading says hangs together by these states: how well it fits as a whole is noted
+        self._joint = any(model.joint for model in self.models.values())
+        self._in_map: JointBelief | InMap = self.belief  # the belief as it is seen from the map
         self._rolling = [m for m in self.models.values() if type(m).rolled is not Model.rolled]
         mapping = [s for s in self._sensors if self.models[s].maps]
         self._leads = [s for s in mapping if self.models[s].leads]
@@ -107,7 +101,10 @@ class Filter:
         fixed = [b.name for m in self.models.values() for b in m.blocks() if not b.name.startswith("_")]
         if robot.wheels.estimate:
             fixed.append(WHEELS)
-        self._blocks: dict[str, tuple[array[float], array[float]]] = {n: (array("d"), array("d")) for n in fixed}
+        blocks = [(name, *self.belief.block(name)) for name in fixed]  # their columns stay
+        self._block_columns = np.array([c + i for _, c, values in blocks for i in range(len(values))], np.intp)
+        self._block_names = [(name, len(values)) for name, _, values in blocks]
+        self._values, self._variances = array("d"), array("d")  # of these columns, flat
 
     def advance(self, k: int, step: Step, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
         """Take the belief to instant k and correct it by every reading (sensor, i) that is due there."""
@@ -124,12 +121,14 @@ class Filter:
             self._records[sensor].add(k, seen)
             taken = [innovation for innovation in seen if innovation.verdict == 0]
             if sensor not in self._listens or not self._listens[sensor][i]:
-                accepted += taken
-                if self._joint and taken[1:]:
+                whole = self._joint and len(taken) > 1
+                at = 0 if whole and not several else len(accepted)
+                accepted[at:at] = taken
+                if whole:
                     several.append((sensor, taken))
             elif models[sensor].teaches:
                 heard += taken
-        if heard and isinstance(belief, JointBelief):
+        if heard:
             belief.listen(heard)
         if accepted:
             self._correct_whole(accepted, several) if several else belief.correct(accepted)
@@ -139,14 +138,16 @@ class Filter:
         self._record()
 
     def _correct_whole(self, accepted: list[Innovation], several: list[tuple[str, list[Innovation]]]) -> None:
-        """Correct once by all that was accepted, and note how well readings of several rows fit as a whole."""
-        belief = self.belief
-        assert isinstance(belief, JointBelief)
-        alone = len(several[0][1]) == len(accepted)
-        joint = [] if alone else [belief.joint_nis(seen) for _, seen in several]
-        belief.correct(accepted)
-        for (sensor, _), nis in zip(several, joint or [belief.nis], strict=True):
-            self._records[sensor].joint.extend(nis)
+        """Correct once by all that was accepted, and note how well readings of several rows fit as a whole.
+
+        The first of these stands first in the equation: whitened, its rows are what they would be alone.
+        """
+        (sensor, first), *others = several
+        joint = [(name, self.belief.joint_nis(seen)) for name, seen in others]
+        self.belief.correct(accepted)
+        joint.insert(0, (sensor, self.belief.nis_of_first(sum([len(s.y) for s in first]))))
+        for name, nis in joint:
+            self._records[name].joint.extend(nis)
 
     def _move(self, step: Step, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
         """Predict, tell models that ask how far the wheels rolled, and begin a frame where a map begins."""
@@ -162,35 +163,38 @@ class Filter:
         """Return the pose (x, y, theta) in the map [m, m, rad], theta not wrapped."""
         return self._in_map.pose()
 
-    def _seen_by(self, model: Model) -> AnyBelief | InMap:
+    def _seen_by(self, model: Model) -> JointBelief | InMap:
         return self.belief if model.local else self._in_map
 
     def _begin_frame(self) -> None:
         """Let a map of a sensor's own begin in a local frame (fusion.ekf.map_frame)."""
-        belief = self.belief
-        if not isinstance(belief, (FewBlocks, JointBelief)):
-            if not any(belief.triangle()):
-                return  # the pose is known exactly: so is the frame
-            belief = FewBlocks(belief.pose(), belief.triangle(), ())
-        belief.begin_frame()
-        self.belief = belief
-        self._in_map = belief if belief.frame is None else InMap(belief)
+        self.belief.begin_frame()
+        if self.belief.frame is not None:
+            self._in_map = InMap(self.belief)
 
     def _record(self) -> None:
         belief = self._in_map
         pose, triangle = belief.located()
         self._poses.extend(pose)
         self._triangles.extend(triangle)
-        for name, (values, variances) in self._blocks.items():
-            values.extend(belief.block(name)[1])
-            variances.extend(belief.variances(name))
+        if len(self._block_columns):
+            x, P = self.belief.arrays
+            self._values.extend(x[self._block_columns].tolist())
+            self._variances.extend(P[self._block_columns, self._block_columns].tolist())
+
+    def _by_block(self, flat: array[float]) -> dict[str, Array]:
+        """Return one column per number of every block, (instants, numbers)."""
+        whole = np.array(flat).reshape(-1, max(len(self._block_columns), 1))
+        ends = np.cumsum([n for _, n in self._block_names], dtype=np.int64).tolist()
+        named = zip(self._block_names, ends, strict=True)
+        return {name: np.ascontiguousarray(whole[:, end - n : end]) for (name, n), end in named}
 
     def estimates(self, drive: Drive, name: str) -> Estimates:
         """Return everything recorded, with predictions at the truth's stamps beside it."""
         n = len(self._poses) // 3
         pose = np.frombuffer(self._poses).reshape(n, 3)
         triangles = np.frombuffer(self._triangles).reshape(n, 6)
-        blocks = {name: np.array(v).reshape(n, -1) for name, (v, _) in self._blocks.items()}
+        blocks, variances = self._by_block(self._values), self._by_block(self._variances)
         maps = [m.lines(self._seen_by(m)) for m in self.models.values()]
         truth_pose, truth_P = _at_truth(drive, pose, triangles, blocks.get(WHEELS))
         return Estimates(
@@ -201,9 +205,7 @@ class Filter:
             triangles=triangles,
             audits={s: record.audit() for s, record in self._records.items()},
             blocks=blocks,
-            block_sigmas={
-                name: np.sqrt(np.maximum(np.array(v).reshape(n, -1), 0.0)) for name, (_, v) in self._blocks.items()
-            },
+            block_sigmas={name: np.sqrt(np.maximum(v, 0.0)) for name, v in variances.items()},
             first_map=[line for first, _ in maps for line in first],
             final_map=[line for _, final in maps for line in final],
             points=[point for m in self.models.values() for point in m.points(self._seen_by(m))],
@@ -219,7 +221,7 @@ class Filter:
     def _notes(self) -> Iterator[str]:
         """Say what this run found: its wheels, and what every sensor has to say."""
         belief = self.belief
-        if WHEELS in self._blocks and isinstance(belief, JointBelief):
+        if self._wheels.estimate:
             column, x = belief.block(WHEELS)
             P = belief.covariance[column : column + len(x), column : column + len(x)]
             metric = {s: REGISTRY[s].scale_key for s in self._sensors if REGISTRY[s].measures_metres}
@@ -228,27 +230,13 @@ class Filter:
             yield from (f"{name}: {words}" for words in model.notes(self._seen_by(model)))
 
 
-def _begin(
-    robot: Robot, models: Sequence[Model], beliefs: Beliefs | None, listens: bool
-) -> PoseBelief | JointBelief:
-    """Return the belief at the start: plain floats unless somebody owns a block of the state, or few are owned."""
-    pose, P = _start(robot.start)
+def _begin(robot: Robot, models: Sequence[Model], make: MakeBelief) -> JointBelief:
+    """Return the belief at the start."""
     blocks = [block for model in models for block in model.blocks()]
-    if robot.wheels.estimate:
-        blocks.append(wheel_block(robot.wheels))
-    make_pose, make_joint = beliefs or (PoseBelief, JointBelief)
-    if not blocks and not any(model.joint for model in models):
-        return make_pose(pose, P)
-    simple = beliefs is None and not listens and not robot.wheels.estimate
-    if (
-        simple
-        and all(model.settled for model in models)
-        and sum(len(b.x) for b in blocks) <= belief_blocks.MAX_BLOCK_STATES
-    ):
-        return FewBlocks(pose, P, blocks)
-    belief = make_joint(pose, P, blocks)
-    if robot.wheels.estimate:
-        belief.drive_with(WHEELS)
+    if not robot.wheels.estimate:
+        return make(*_start(robot.start), blocks)
+    belief = make(*_start(robot.start), [*blocks, wheel_block(robot.wheels)])
+    belief.drive_with(WHEELS)
     return belief
 
 

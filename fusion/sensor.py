@@ -175,7 +175,6 @@ class Model:
     """One sensor inside one run of the filter; holds what it has learnt (a map), never the pose."""
 
     joint: bool = False  # whether it adds states while driving, beyond its blocks
-    settled: bool = False  # whether its states are only drifted and corrected: never added, cloned or transformed
     local: bool = False  # whether it observes the pose in the run's local frame, as lines of its own map do
     maps: bool = False  # whether it may make a map of its own, with which a local frame begins
     leads: bool = False  # whether its maps begin one after another: where it is used, no other begins a frame

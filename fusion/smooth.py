@@ -15,7 +15,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.equations import eq5_x, eq6_noise, eq7_A
 from locfuse.fusion.ekf.journal import Birth, Drop, FrameMoved, Journal, Step, Swung
 from locfuse.fusion.ekf.map_frame import in_map_P
@@ -54,7 +53,7 @@ def fuse_and_smooth(
     """Run the filter and the smoother: (filtered, smoothed). Raises UsageError where the gain is not optimal."""
     check_optimal(robot, sensors)
     journal = Journal()
-    filtered = fuse(drive, robot, sensors, name, beliefs=(journal.pose, journal.joint))
+    filtered = fuse(drive, robot, sensors, name, make=journal.belief_of)
     wheels = filtered.blocks.get(WHEELS)
     graph = whole_drive(drive, robot, sensors, None if wheels is None else wheels[-1])
     if graph is None:
@@ -129,8 +128,7 @@ class Backward:
         self.blocks = {name: np.empty_like(v) for name, v in filtered.blocks.items()}
         self.block_sigmas = {name: np.empty_like(v) for name, v in filtered.blocks.items()}
         belief = journal.belief
-        joint = isinstance(belief, JointBelief)
-        self._columns = {b: belief.block(b)[0] for b in self.blocks} if joint and belief is not None else {}
+        self._columns = {b: belief.block(b)[0] for b in self.blocks} if belief is not None else {}
         self._frame = None if belief is None else belief.frame
         self._x, self._S = journal.final()
         self._found = self._x[self._of_frame].copy()  # G by the whole drive: it does not move

@@ -10,7 +10,7 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.linemap.line_map import AnyBelief, LineMap
+from locfuse.fusion.linemap.line_map import LineMap
 from locfuse.fusion.linemap.scan import Scan
 
 STRIDE, TURN = 0.75, math.radians(45.0)  # m, rad between two scans that are kept
@@ -45,8 +45,8 @@ class Way:
         if len(self.sights) >= MANY_SIGHTS:
             return
         if self.sights:
-            step = se2.between(self.sights[-1].pose, pose)
-            if math.hypot(step[0], step[1]) < STRIDE and abs(se2.wrap(float(step[2]))) < TURN:
+            x, y, turn = (pose - self.sights[-1].pose).tolist()
+            if math.hypot(x, y) < STRIDE and abs(se2.wrap(turn)) < TURN:
                 return
         self.sights.append(Sight(t, pose, scan))
 
@@ -67,7 +67,7 @@ class FrozenMap(NamedTuple):
     joint: Array  # (2J, 2J) covariance of rho and beta of all lines, line by line
 
 
-def frozen(lines: LineMap, belief: AnyBelief) -> LineMap:
+def frozen(lines: LineMap, belief: JointBelief) -> LineMap:
     """Return a copy of the lines whose values and covariances are their own."""
     n = len(lines)
     return LineMap(

@@ -19,7 +19,9 @@ SOURCES = (
     "walls",
     "fit",
     "lines",
+    "mounts",
     "pairs",
+    "filter",
 )  # compiled as one unit: a file uses those before it
 COMPILED = "compiled"  # the extension's name, beside the sources
 VARIABLE = "LOCFUSE_CORE"

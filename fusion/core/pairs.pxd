@@ -1,6 +1,10 @@
 cdef Py_ssize_t WALL, PAIR
 cdef double FACE_SIGMAS, MAX_ANGLE, NOWHERE
 
+cpdef void gather_walls(
+    double[::1] x, double[:, ::1] P, Py_ssize_t[::1] columns, double[:, ::1] anchors, Py_ssize_t places,
+    Py_ssize_t[::1] at, Py_ssize_t free, double[:, ::1] walls)
+cpdef void gather_mount(double[:, ::1] P, Py_ssize_t[::1] at, Py_ssize_t free, double[::1] mount)
 cdef void predict(double[::1] walls, Py_ssize_t width, Py_ssize_t places, double[::1] pose, double[::1] seen)
 cpdef Py_ssize_t pairs(
     double[::1] rows, Py_ssize_t lines, double[::1] walls, Py_ssize_t width, double[::1] low, double[::1] high,

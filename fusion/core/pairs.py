@@ -21,6 +21,31 @@ MAX_ANGLE = 1e9  # rad: beyond it no angle is one
 NOWHERE = 1e300  # m
 
 
+def gather_walls(x, P, columns, anchors, places, at, free, walls):
+    """Write the lines that are states from `columns` (places,) on, about their anchors (places, 2), as `walls`.
+
+    `at` (free,) are the columns of the mount's free states.
+    """
+    for j in range(places):
+        rho = columns[j]
+        beta = rho + 1
+        walls[j, 0], walls[j, 1], walls[j, 2], walls[j, 3] = x[rho], x[beta], anchors[j, 0], anchors[j, 1]
+        walls[j, 4], walls[j, 5], walls[j, 6] = P[rho, rho], P[rho, beta], P[beta, beta]
+        for i in range(3):
+            walls[j, 7 + 2 * i], walls[j, 8 + 2 * i] = P[i, rho], P[i, beta]
+        for i in range(free):
+            walls[j, WALL + i], walls[j, WALL + free + i] = P[rho, at[i]], P[beta, at[i]]
+
+
+def gather_mount(P, at, free, mount):
+    """Write the covariances of x, y, theta with the mount's free states, and their own, as `pairs` wants them."""
+    for i in range(free):
+        for j in range(3):
+            mount[2 + free + free * j + i] = P[j, at[i]]
+        for j in range(free):
+            mount[2 + 4 * free + free * i + j] = P[at[i], at[j]]
+
+
 def predict(walls, width, places, pose, seen):
     """Write what the robot should see of the map lines, seen (places, 4): r, psi, and cos, sin of beta."""
     for j in range(places):

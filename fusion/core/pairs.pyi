@@ -1,4 +1,4 @@
-from .arrays import Floats
+from .arrays import Floats, Matrix, Wholes
 
 WALL: int
 PAIR: int
@@ -6,6 +6,10 @@ FACE_SIGMAS: float
 MAX_ANGLE: float
 NOWHERE: float
 
+def gather_walls(
+    x: Floats, P: Matrix, columns: Wholes, anchors: Matrix, places: int, at: Wholes, free: int, walls: Matrix
+) -> None: ...
+def gather_mount(P: Matrix, at: Wholes, free: int, mount: Floats) -> None: ...
 def predict(walls: Floats, width: int, places: int, pose: Floats, seen: Floats) -> None: ...
 def pairs(
     rows: Floats,

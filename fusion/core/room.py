@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from itertools import chain
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -25,13 +25,15 @@ class Room(NamedTuple):
     given_wholes: Callable[[Array], Any]
     flat: Callable[[Sequence[Sequence[float]]], Any]  # rows of plain floats
     listed: Callable[[Any, int], list[float]]  # the first numbers of what the core wrote
+    on_arrays: Any  # functions that work on arrays as they lie in memory, in either form
 
     @classmethod
     def of(cls, source: ModuleType, unit: ModuleType | None) -> Room:
         """Return the room for the compiled unit, or for the source (None)."""
         if unit is None:
-            return cls(source, _list, lambda n: [0] * n, _listed, _listed, _chained, lambda a, n: a[:n])
-        return cls(unit, np.empty, _wholes, _array, _whole_array, _row, lambda a, n: a[:n].tolist())
+            of_lists = _list, lambda n: [0] * n, _listed, _listed, _chained, lambda a, n: a[:n]
+            return cls(source, *of_lists, OnViews(source))
+        return cls(unit, np.empty, _wholes, _array, _whole_array, _row, lambda a, n: a[:n].tolist(), unit)
 
     def __deepcopy__(self, memo: object) -> Room:
         """Return the same: whoever copies a belief wants no second core."""
@@ -46,6 +48,22 @@ class Room(NamedTuple):
 @cache
 def _here(source: ModuleType) -> Room:
     return Room.of(source, form().functions)
+
+
+class OnViews:
+    """Interpreted functions on the memory of NumPy's arrays, whose own numbers are ten times slower."""
+
+    def __init__(self, source: ModuleType) -> None:
+        self._source = source
+
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        """Return a function of the source that takes arrays."""
+        function = getattr(self._source, name)
+        return lambda *given: function(*[_viewed(a) for a in given])
+
+
+def _viewed(value: Any) -> Any:
+    return memoryview(cast("Any", value)) if isinstance(value, np.ndarray) else value
 
 
 def _list(n: int) -> list[float]:

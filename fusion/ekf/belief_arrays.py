@@ -1,25 +1,31 @@
-"""The extended Kalman filter with states beside the pose, in arrays: map lines, offsets, mounts, wheel parameters.
+"""The extended Kalman filter: a pose, and any states beside it (map lines, offsets, mounts, wheel parameters).
 
-The equations are the paper's (5, 6, 10-12) for the joint state; Schmidt's for what is considered, not estimated.
+The equations are the paper's (5, 6, 10-12) for the joint state, Schmidt's for what is considered, not estimated;
+they stand in `core.filter`. P stays symmetric by construction, and a textbook filter agrees to 1e-9
+(tests/ekf/test_ekf.py).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.core import filter as interpreted
+from locfuse.fusion.core.room import Room
+from locfuse.fusion.data import Array, Ints, LocfuseError
 from locfuse.fusion.sensor import Block, Innovation, Matrix, PoseRows
 
-from .belief_pose import Pose, Rows, Triangle, too_far_apart
-from .equations import eq10_12
-from .map_frame import Together, by_frame
+from .map_frame import Pose, Together, Triangle, by_frame
 from .rows import sparse_row, stacked
 
+Rows = Sequence[Sequence[float]]
 POSE = np.arange(3)
+NONE_KEPT = np.zeros(1, np.intp)
+AT_ONCE = 4  # rows of a correction that core.filter takes together
 
 
 class JointBelief:
@@ -28,8 +34,10 @@ class JointBelief:
     Where a local frame has begun (map_frame), x, y, theta, pose(), matrix() and the lines are local; InMap is not.
     """
 
-    def __init__(self, pose: Pose, P: Triangle, blocks: Sequence[Block]) -> None:
+    def __init__(self, pose: Pose, P: Triangle, blocks: Sequence[Block] = (), room: Room | None = None) -> None:
+        """`room`, where it is not this process' own form of the core: for tests."""
         xx, xy, xt, yy, yt, tt = P
+        self._room = room or Room.here(interpreted)
         self.n = 3
         self._x = np.zeros(16)
         self._P = np.zeros((16, 16))
@@ -44,7 +52,7 @@ class JointBelief:
         self._points: set[str] = set()  # blocks that were appended: a point [m] in the local frame each
         self.frame: int | None = None  # first column of the map frame; None: the local frame is the map
         self.lost = False  # the pose is wrong by metres: it must not teach the map frame
-        self.nis = (math.nan, 0)  # of the last correction, with all that it took in: y' S^-1 y, degrees of freedom
+        self._whitened = np.zeros(0)  # of the last correction: innovations whose covariance is the unit matrix
         for block in blocks:
             self.add(block)
 
@@ -73,21 +81,27 @@ class JointBelief:
         """The joint covariance, a view (n, n)."""
         return self._P[: self.n, : self.n]
 
+    @property
+    def arrays(self) -> tuple[Array, Array]:
+        """State and covariance with the room they have for more states, for the core."""
+        return self._x, self._P
+
     def pose(self) -> Pose:
         """Return (x, y, theta)."""
         x, y, theta = self._x[:3].tolist()
         return x, y, theta
 
-    def located(self) -> tuple[Pose, Triangle]:
-        """Return the pose and its covariance's upper triangle."""
-        (xx, xy, xt), (_, yy, yt), (_, _, tt) = self._P[:3, :3].tolist()
-        x, y, theta = self._x[:3].tolist()
+    def located(self, in_map: bool = False) -> tuple[Pose, Triangle]:
+        """Return the pose, local or that in the map, and its covariance's upper triangle."""
+        out = np.empty(9)
+        first = -1 if self.frame is None or not in_map else self.frame
+        self._room.on_arrays.locate(self._x, self._P, first, out)
+        x, y, theta, xx, xy, xt, yy, yt, tt = out.tolist()
         return (x, y, theta), (xx, xy, xt, yy, yt, tt)
 
     def triangle(self) -> Triangle:
         """Return the pose covariance's upper triangle."""
-        (xx, xy, xt), (_, yy, yt), (_, _, tt) = self._P[:3, :3].tolist()
-        return xx, xy, xt, yy, yt, tt
+        return self.located()[1]
 
     def matrix(self) -> Array:
         """Return the pose covariance, (3, 3)."""
@@ -338,31 +352,17 @@ class JointBelief:
         return slice(n, n + k)
 
     def predict(self, u: Sequence[float], Q: Sequence[float], dt: float = 0.0, J: Array | None = None) -> None:
-        """Paper eq. 5, 6 for pose and blocks: blocks drift by their random walk over dt [s]."""
-        n, P, x = self.n, self._P, self._x
+        """Paper eq. 5, 6: move by the relative pose u = (x, y, theta) whose covariance triangle is Q.
+
+        Blocks drift by their random walk over dt [s]; J is the derivative of u by the wheel parameters.
+        """
+        P = self._P
         if self._motion_block is not None and J is not None:
-            u = (u + J @ x[self._motion_block]).tolist()
-        theta = float(x[2])
-        c, s = math.cos(theta), math.sin(theta)
-        dx, dy = c * u[0] - s * u[1], s * u[0] + c * u[1]  # eq. 5
-        x[0] += dx
-        x[1] += dy
-        x[2] += u[2]
-        # eq. 6, A P A' with A of eq. 7: rows x and y, then their columns: the rows again, but for the pose's own
-        row = P[2, :n]
-        P[0, :n] -= dy * row
-        P[1, :n] += dx * row
-        (xx, xy, xt), (_, yy, yt), (_, _, tt) = P[:3, :3].tolist()
-        P[:n, :2] = P[:2, :n].T
-        qxx, qxy, qxt, qyy, qyt, qtt = Q
-        cs = c * s
-        xy += dx * xt + cs * (qxx - qyy) + (c * c - s * s) * qxy
-        xx += c * c * qxx - 2.0 * cs * qxy + s * s * qyy - dy * xt
-        yy += s * s * qxx + 2.0 * cs * qxy + c * c * qyy + dx * yt
-        xt, yt = xt + c * qxt - s * qyt, yt + s * qxt + c * qyt
-        P[:3, :3] = ((xx, xy, xt), (xy, yy, yt), (xt, yt, tt + qtt))
+            u = (u + J @ self._x[self._motion_block]).tolist()
+            theta = float(self._x[2])
+        self._room.on_arrays.move(self._x, P, self.n, *u, *Q)
         if self._motion_block is not None and J is not None:
-            self._spread_parameters(c, s, J)
+            self._spread_parameters(math.cos(theta), math.sin(theta), J)
         for columns, drift in self._drift:
             P[columns, columns] += drift * dt
 
@@ -379,40 +379,54 @@ class JointBelief:
         if len(H) == 1:
             row, P = sparse_row(H[0], columns, H_block), self._P
             return ((max(sum([g * h * P.item(i, j) for i, g in row for j, h in row]), 0.0),),)  # but for rounding
-        where = [0, 1, 2, *columns]
-        rows = np.array([(*h, *b) for h, b in zip(H, H_block, strict=True)] if H_block else H)
-        S = rows @ self._P[np.ix_(where, where)] @ rows.T
-        return tuple(map(tuple, S.tolist()))
+        d, at = len(H), np.array((0, 1, 2, *columns))
+        rows = np.array([(*h, *b) for h, b in zip(H, H_block, strict=True)] if H_block else H, np.float64)
+        S = np.zeros((d, d))
+        self._room.on_arrays.projected(self._P, self.n, at, len(at), rows, S, d, np.empty((d, self.n)))
+        lower = S.tolist()
+        return tuple([tuple([lower[max(i, j)][min(i, j)] for j in range(d)]) for i in range(d)])
 
     def correct(self, seen: Sequence[Innovation]) -> None:
         """Paper eq. 10-12 with everything one instant saw stacked; considered columns keep their values."""
         if not seen:
             return
-        V, e = self._whitened(seen)
-        self.nis = float(e @ e), len(e)
+        kept = self._considered  # and while lost the map frame: a wrong lever must not teach it
         if self.frame is None:
-            self._update(V, e, self._considered)
+            self._take_in(seen, kept)
             return
         at = slice(self.frame, self.frame + 2)
         before = self._x[at].tolist()
-        kept = self._considered  # and while lost the map frame: a wrong lever must not teach it
-        kept = np.union1d(kept, self._frame_columns()) if self.lost else kept
-        self._update(V, e, kept)
+        self._take_in(seen, np.union1d(kept, self._frame_columns()) if self.lost else kept)
         after = self._x[at].tolist()
         if after != before:
             self._swing(after[0] - before[0], after[1] - before[1])
 
-    def _update(self, V: Array, e: Array, kept: Ints) -> None:
+    def _take_in(self, seen: Sequence[Innovation], kept: Ints) -> None:
+        equation = stacked(seen)
+        chosen = NONE_KEPT
         if len(kept):
-            self._schmidt(V, e, kept)
-            return
-        n = self.n
-        self._x[:n] += e @ V  # eq. 11
-        self._P[:n, :n] -= V.T @ V  # eq. 12
+            chosen = np.zeros(self.n, np.intp)
+            chosen[kept] = 1
+        given = self._given(*equation)
+        positive(self._room.on_arrays.take_in(self._x, *given, chosen, len(kept) > 0))
+        self._whitened = equation[0]
+
+    def _given(self, y: Array, columns: Ints, H: Array, R: Array) -> tuple[Any, ...]:
+        """Return P and an equation as the core wants them; e is written over y, V has rows of zeros behind it."""
+        m = len(y)
+        V = np.zeros((-(-m // AT_ONCE) * AT_ONCE, self.n))
+        return self._P, self.n, columns, len(columns), H, R, y, m, V
+
+    def nis_of_first(self, m: int) -> tuple[float, int]:
+        """Return y' S^-1 y of the first m numbers of the last correction as a whole, and its dof."""
+        e = self._whitened[:m]
+        return float(e @ e), len(e)
 
     def joint_nis(self, seen: Sequence[Innovation]) -> tuple[float, int]:
         """Return y' S^-1 y of several innovations, where S has all that their errors share, and its dof."""
-        e = self._whitened(seen)[1]
+        equation = stacked(seen)
+        positive(self._room.on_arrays.whiten(*self._given(*equation)))
+        e = equation[0]
         return float(e @ e), len(e)
 
     def _swing(self, dx: float, dy: float) -> None:
@@ -421,13 +435,7 @@ class JointBelief:
         A turn of the map about a point of it is what nobody has observed yet, and the frame's place is where that
         turn takes it: with the place moves the direction in which it takes it, rows x, y += (-dy, dx) row Th.
         """
-        n, P, first = self.n, self._P, self.frame or 0
-        x, y, turn = first, first + 1, first + 2
-        P[x, :n] -= dy * P[turn, :n]
-        P[y, :n] += dx * P[turn, :n]
-        P[:n, x] -= dy * P[:n, turn]
-        P[:n, y] += dx * P[:n, turn]
-        P[y, x] = P[x, y]
+        self._room.on_arrays.swing(self._P, self.n, self.frame or 0, dx, dy)
 
     def listen(self, seen: Sequence[Innovation]) -> None:
         """Let innovations teach only the block columns that they name; the pose and all else is considered."""
@@ -435,42 +443,18 @@ class JointBelief:
         named = np.setdiff1d(named, self._frame_columns())
         if len(named):
             kept = np.setdiff1d(np.arange(self.n), named)
-            self._schmidt(*self._whitened(seen), np.union1d(kept, self._considered))
+            self._take_in(seen, np.union1d(kept, self._considered))
 
-    def _whitened(self, seen: Sequence[Innovation]) -> tuple[Array, Array]:
-        """Return V (m, n) and e (m,): with S = L L' the update is x + e V, P - V'V, symmetric by construction."""
-        if len(seen) == 1 and len(seen[0].y) == 1:
-            return self._whitened_number(seen[0])
-        y, columns, H, R = stacked(seen)
-        n, P = self.n, self._P
-        PH = P[:n, columns] @ H.T  # H has entries for the pose and the blocks in question only
-        S = H @ PH[columns] + R
-        try:
-            V, e, _ = eq10_12(PH, S, y)
-        except np.linalg.LinAlgError:
-            raise too_far_apart(float(S.diagonal().max())) from None
-        return V, e
 
-    def _whitened_number(self, seen: Innovation) -> tuple[Array, Array]:
-        """Return V (1, n) and e (1,) of a single number: eq. 10-12 without a factorisation."""
-        row = sparse_row(seen.H[0], seen.columns, seen.H_block)
-        V = np.zeros(self.n)
-        for i, h in row:
-            V += h * self._P[i, : self.n]
-        S = sum([h * V.item(i) for i, h in row]) + seen.R[0][0]
-        if not S > 0.0:
-            raise too_far_apart(S)
-        root = math.sqrt(S)
-        V /= root
-        return V[None], np.array((seen.y[0] / root,))
+def positive(greatest: float) -> None:
+    """Raise LocfuseError where the innovations' covariance, of this greatest variance, came out as none."""
+    if not greatest > 0.0:
+        raise too_far_apart(-greatest)
 
-    def _schmidt(self, V: Array, e: Array, kept: Ints) -> None:
-        """Schmidt's update: rows and columns of the `kept` states change only against updated ones."""
-        n, P = self.n, self._P
-        moved = np.setdiff1d(np.arange(n), kept)
-        U = V[:, moved]
-        self._x[moved] += e @ U
-        across = P[np.ix_(moved, kept)] - U.T @ V[:, kept]  # with few states moved: n, not n^2
-        P[np.ix_(moved, moved)] -= U.T @ U
-        P[np.ix_(moved, kept)] = across
-        P[np.ix_(kept, moved)] = across.T
+
+def too_far_apart(S: float) -> LocfuseError:
+    """Return what to raise where an innovation's variance S came out as none: rounding ate it."""
+    return LocfuseError(
+        f"the filter's variances span too many powers of ten to be computed with (innovations of up to {S:.0e}): "
+        "are the sigmas and floors of robot.toml meant so?"
+    )

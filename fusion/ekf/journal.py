@@ -18,8 +18,8 @@ from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.sensor import Block
 
 from .belief_arrays import POSE, JointBelief
-from .belief_pose import Pose, PoseBelief, Triangle
 from .equations import eq6_noise, eq7_A
+from .map_frame import Pose, Triangle
 
 
 class Step(NamedTuple):
@@ -64,62 +64,24 @@ Event = Step | Birth | Drop | Swung | FrameMoved
 
 
 class Journal:
-    """What the smoother must know of one run of the filter; `pose` and `joint` make beliefs that write it."""
+    """What the smoother must know of one run of the filter; `belief_of` makes the belief that writes it."""
 
     def __init__(self) -> None:
         self.events: list[Event] = []
         self.starts: list[Pose] = []  # of every motion: the local pose at the end of the instant before
-        self.belief: PoseBelief | JointBelief | None = None
+        self.belief: JointBelief | None = None
 
-    def pose(self, pose: Pose, P: Triangle) -> PoseBelief:
-        """Return a belief of the pose alone."""
-        self.belief = belief = NotedPose(pose, P)
-        belief.events, belief.starts = self.events, self.starts
-        return belief
-
-    def joint(self, pose: Pose, P: Triangle, blocks: Sequence[Block]) -> JointBelief:
-        """Return a belief with blocks."""
+    def belief_of(self, pose: Pose, P: Triangle, blocks: Sequence[Block] = ()) -> JointBelief:
+        """Return a belief that writes this journal."""
         self.belief = belief = NotedJoint(pose, P, blocks)
         belief.events, belief.starts = self.events, self.starts
         return belief
 
     def final(self) -> tuple[Array, Array]:
         """Return copies of the last state (n,) and covariance (n, n)."""
-        belief = self.belief
-        if isinstance(belief, JointBelief):
-            return belief.state.copy(), belief.covariance.copy()
-        if belief is None:
+        if self.belief is None:
             raise ValueError("no filter has written this journal")
-        return np.array((belief.x, belief.y, belief.theta)), belief.matrix()
-
-
-class NotedPose(PoseBelief):
-    """A pose belief that notes its predictions."""
-
-    events: list[Event]
-    starts: list[Pose]
-
-    def predict(self, u: Sequence[float], Q: Sequence[float], dt: float = 0.0, J: Array | None = None) -> None:
-        """Predict as ever, and note how to go back."""
-        self.starts.append(self.pose())
-        x, P = np.array((self.x, self.y, self.theta)), self.matrix()
-        super().predict(u, Q)
-        after = np.array((self.x, self.y, self.theta))
-        self.events.append(undone(x, P, after, self.matrix(), POSE, in_map(Q, float(x[2]))))
-
-    def shift(self, turn: float, xy: float, theta: float) -> None:
-        """Shift as ever, and note how to go back."""
-        x, P = np.array((self.x, self.y, self.theta)), self.matrix()
-        super().shift(turn, xy, theta)
-        after = np.array((self.x, self.y, self.theta))
-        step = undone(x, P, after, self.matrix(), POSE, np.diag((xy, xy, theta)))
-        self.events.append(step._replace(instant=False))
-
-    def place(self, pose: Pose, xy: float, theta: float) -> None:
-        """Place as ever, and note what was."""
-        x = np.array((self.x, self.y, self.theta))
-        self.events.append(Step(POSE, x, np.zeros((3, 3)), self.matrix(), instant=False))
-        super().place(pose, xy, theta)
+        return self.belief.state.copy(), self.belief.covariance.copy()
 
 
 class NotedJoint(JointBelief):

@@ -15,12 +15,13 @@ Huang, Mourikis, Roumeliotis 2010; docs/trust.md). Compare robocentric maps (Cas
 
 from __future__ import annotations
 
-from math import cos, exp, sin
+from math import cos, sin
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from locfuse.fusion import se2
+from locfuse.fusion.core.filter import bent
 from locfuse.fusion.data import Array
 from locfuse.fusion.sensor import Matrix, PoseRows
 
@@ -53,6 +54,9 @@ class Framed(Protocol):
 
     def with_frame(self) -> Together:
         """Return q and G with their covariances."""
+
+    def located(self, in_map: bool = False) -> tuple[Pose, Triangle]:
+        """Return the pose, local or that in the map, and its covariance's upper triangle."""
 
     def block(self, name: str) -> tuple[int, Any]:
         """Return (first state column, values) of a block."""
@@ -95,17 +99,15 @@ class InMap:
 
     def pose(self) -> Pose:
         """Return the pose in the map, G o q."""
-        together = self._belief.with_frame()
-        return composed(together.G, together.q)
+        return self.located()[0]
 
     def triangle(self) -> Triangle:
         """Return the upper triangle of the covariance of the pose in the map."""
-        return in_map_triangle(self._belief.with_frame())
+        return self.located()[1]
 
     def located(self) -> tuple[Pose, Triangle]:
         """Return the pose in the map and its covariance's triangle."""
-        together = self._belief.with_frame()
-        return composed(together.G, together.q), in_map_triangle(together)
+        return self._belief.located(in_map=True)
 
     def matrix(self) -> Array:
         """Return the covariance of the pose in the map, (3, 3)."""
@@ -138,54 +140,8 @@ class InMap:
         return self._belief.spread(by_q, columns, H_block), by_q, columns, H_block
 
 
-def composed(G: Pose, q: Pose) -> Pose:
-    """Return G o q; theta is not wrapped."""
-    c, s = cos(G[2]), sin(G[2])
-    return G[0] + c * q[0] - s * q[1], G[1] + s * q[0] + c * q[1], G[2] + q[2]
-
-
-def bent(tt: float) -> float:
-    """Return by how much a heading of variance tt [rad^2] spreads a lever r along r itself, per r^2.
-
-    To first order a heading moves the end of a lever across it only. With a Gaussian angle a the end is at cos(a)
-    along the lever: E (cos a - 1)^2 = 1 - 2 exp(-tt / 2) + (1 + exp(-2 tt)) / 2. That is 3/4 tt^2 for small
-    tt, and nothing at half a degree.
-    """
-    return 1.0 - 2.0 * exp(-0.5 * tt) + 0.5 * (1.0 + exp(-2.0 * tt)) if tt > 1e-3 else 0.75 * tt * tt
-
-
-def in_map_triangle(together: Together) -> Triangle:
-    """Return the triangle of J_q P J_q' + J_q C J_G' + J_G C' J_q' + J_G P_G J_G' + bent r r', C = cov(q, G).
-
-    Plain floats: once for every instant of a drive (benchmarks: "one configuration, growing map").
-    """
-    q, G, P, across, own = together
-    c, s = cos(G[2]), sin(G[2])
-    rx, ry = c * q[0] - s * q[1], s * q[0] + c * q[1]
-    xx, xy, xt, yy, yt, tt = P
-    cc, cs, ss = c * c, c * s, s * s
-    (gxx, gxy, gxt), (_, gyy, gyt), (_, _, gtt) = own
-    (ax, ay, at), (bx, by, bt), (tx, ty, tth) = across
-    # J_q C, then times J_G': the columns of x and y take -ry and rx times the column of Th
-    (ax, ay, at), (bx, by, bt) = (
-        (c * ax - s * bx, c * ay - s * by, c * at - s * bt),
-        (s * ax + c * bx, s * ay + c * by, s * at + c * bt),
-    )
-    ax, ay, bx, by = ax - ry * at, ay + rx * at, bx - ry * bt, by + rx * bt
-    tx, ty = tx - ry * tth, ty + rx * tth
-    e = bent(gtt)
-    return (
-        cc * xx - 2.0 * cs * xy + ss * yy + 2.0 * ax + gxx - 2.0 * ry * gxt + ry * ry * gtt + e * rx * rx,
-        cs * (xx - yy) + (cc - ss) * xy + ay + bx + gxy + rx * gxt - ry * gyt - rx * ry * gtt + e * rx * ry,
-        c * xt - s * yt + at + tx + gxt - ry * gtt,
-        ss * xx + 2.0 * cs * xy + cc * yy + 2.0 * by + gyy + 2.0 * rx * gyt + rx * rx * gtt + e * ry * ry,
-        s * xt + c * yt + bt + ty + gyt + rx * gtt,
-        tt + 2.0 * tth + gtt,
-    )
-
-
 def in_map_P(G: Array, q: Array, P: Array) -> Array:
-    """Return covariances (n, 3, 3) of G o q from those of (q, G), (n, 6, 6): the equations above in NumPy."""
+    """Return covariances (n, 3, 3) of G o q from those of (q, G), (n, 6, 6): `core.filter.locate` in NumPy."""
     J = np.concatenate((se2.rotation(G[:, 2]), by_frame(G, q)), axis=2)
     r = se2.rotated(G[:, 2], q[:, :2])
     out: Array = J @ P @ J.transpose(0, 2, 1)

@@ -11,7 +11,9 @@ from operator import attrgetter
 
 import msgspec
 
-from .line_map import AnyBelief, LineMap
+from locfuse.fusion.ekf.belief_arrays import JointBelief
+
+from .line_map import LineMap
 from .pairing import Pair, candidate_pairs
 from .scan import Scan
 
@@ -29,13 +31,13 @@ class Association(msgspec.Struct, frozen=True, gc=False):
     near: list[bool]  # (k,) something is too near to call the line new
 
 
-def associate(scan: Scan, lines: LineMap, belief: AnyBelief, gate: float) -> Association:
+def associate(scan: Scan, lines: LineMap, belief: JointBelief, gate: float) -> Association:
     """Associate measured lines with map lines at a chi-square threshold `gate` (2 degrees of freedom)."""
     pairs = sorted(candidate_pairs(scan, lines, belief, max(gate, ZONE)), key=attrgetter("score"))
     k = len(scan.z)
     match, best = [-1] * k, [-1] * k
     ambiguous, near = [False] * k, [False] * k
-    rivals = [0.3 * min(row[6] - row[5], 0.5) for row in scan.rows()]
+    rivals = [0.3 * min(length, 0.5) for length in scan.lengths()]
     for p, pair in enumerate(pairs):
         i = pair.line
         if pair.overlap > 0.0 and pair.d2 <= ZONE:

@@ -19,10 +19,10 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.ekf.belief_pose import Pose
+from locfuse.fusion.ekf.map_frame import Pose
 
 from .association import Association, associate
-from .line_map import AnyBelief, LineMap
+from .line_map import LineMap
 from .relocalise import behind_walls, find_pose, matched_share
 from .scan import Scan
 from .scan_history import Trail, expected_share
@@ -73,7 +73,7 @@ class Guard:
         self._now = 0.0
 
     def watch(
-        self, t: float, scan: Scan, found: Association, lines: LineMap, belief: AnyBelief, gate: float
+        self, t: float, scan: Scan, found: Association, lines: LineMap, belief: JointBelief, gate: float
     ) -> tuple[Association, bool]:
         """Return the association to use and whether the scan may correct the pose and teach the map."""
         dt, self._now = t - self._now, t
@@ -97,7 +97,7 @@ class Guard:
                 return slipped, not self._carried_off(t, lines, belief)
         return found, self._believed(before, now, share, lines, belief)
 
-    def _believed(self, before: list[Seen], now: Seen, share: float, lines: LineMap, belief: AnyBelief) -> bool:
+    def _believed(self, before: list[Seen], now: Seen, share: float, lines: LineMap, belief: JointBelief) -> bool:
         """Return whether a scan of which little is matched may correct and teach; after several it is lost."""
         t, _, scan = now
         if _view(scan) < VIEW:  # a doorway, clutter: too little to contradict anything
@@ -113,7 +113,7 @@ class Guard:
             return True
         return self._disagree(t, lines, belief)
 
-    def _carried_off(self, t: float, lines: LineMap, belief: AnyBelief) -> bool:
+    def _carried_off(self, t: float, lines: LineMap, belief: JointBelief) -> bool:
         """Count a slip; a series of them is none: somebody carries the robot, and it is lost from the first on."""
         self._slips += 1
         first, last, count = self._carried or (t, t, 0)
@@ -127,17 +127,16 @@ class Guard:
         self._lose(first, lines, belief)
         return True
 
-    def _lose(self, since: float, lines: LineMap, belief: AnyBelief) -> None:
+    def _lose(self, since: float, lines: LineMap, belief: JointBelief) -> None:
         """Mark the robot as lost from the last scan that fitted well; what was learnt after it is forgotten."""
         well, born = self._well
         self._lost_from = max(min(since, well), since - LOOK_BACK)
         if self._intervals and self._lost_from <= self._intervals[-1][1]:  # what was found was no place
             self._lost_from = min(self._lost_from, self._intervals.pop()[0])
         gone = np.flatnonzero(lines.ids >= born)
-        if isinstance(belief, JointBelief):
-            belief.lost = True
-            if len(gone) < len(lines):
-                belief.remove(lines.drop(gone))
+        belief.lost = True
+        if len(gone) < len(lines):
+            belief.remove(lines.drop(gone))
         self._trail.forget()
         belief.place((belief.x, belief.y, belief.theta), LOST_XY**2, math.pi**2 / 3.0)
 
@@ -148,7 +147,7 @@ class Guard:
         self._last = (math.inf, math.inf, math.inf)
         self._torn = False
 
-    def begin_anew(self, t: float, belief: AnyBelief) -> None:
+    def begin_anew(self, t: float, belief: JointBelief) -> None:
         """Begin with a map that begins now, where the robot is in it is exactly known."""
         self._before.clear()
         self._since = self._place = self._carried = None
@@ -157,7 +156,7 @@ class Guard:
         if self._lost_from is not None:
             self._found(t, belief)
 
-    def _found(self, t: float, belief: AnyBelief) -> None:
+    def _found(self, t: float, belief: JointBelief) -> None:
         if self._lost_from is not None:
             self._intervals.append((self._lost_from, t))
         self._lost_from = self._since = self._place = None
@@ -165,7 +164,7 @@ class Guard:
         if isinstance(belief, JointBelief):
             belief.lost = False
 
-    def _disagree(self, t: float, lines: LineMap, belief: AnyBelief) -> bool:
+    def _disagree(self, t: float, lines: LineMap, belief: JointBelief) -> bool:
         if self._since is None:
             self._since, self._scans = t, 0
         self._scans += 1
@@ -174,7 +173,7 @@ class Guard:
         return False
 
     def _search(
-        self, t: float, scan: Scan, found: Association, lines: LineMap, belief: AnyBelief, gate: float
+        self, t: float, scan: Scan, found: Association, lines: LineMap, belief: JointBelief, gate: float
     ) -> tuple[Association, bool]:
         pose = find_pose(scan, lines, belief, self._trail)
         self._trail.note(np.array([belief.x, belief.y, belief.theta]), scan)
@@ -184,7 +183,7 @@ class Guard:
         self._found(t, belief)
         return associate(scan, lines, belief, gate), True
 
-    def _confirmed(self, pose: Pose, belief: AnyBelief) -> bool:
+    def _confirmed(self, pose: Pose, belief: JointBelief) -> bool:
         """Return whether CONFIRMED scans in a row put the robot where the wheels took it from the last place.
 
         One scan of a few walls fits somewhere by chance; several, from places a robot drove between, hardly do.
@@ -199,7 +198,7 @@ class Guard:
         self._place = (here, pose, 1)
         return False
 
-    def _moved(self, belief: AnyBelief) -> bool:
+    def _moved(self, belief: JointBelief) -> bool:
         x, y, theta = self._last
         self._last = (belief.x, belief.y, belief.theta)
         return math.hypot(belief.x - x, belief.y - y) > MOVED or abs(belief.theta - theta) > TURNED
@@ -247,7 +246,7 @@ def _continues(before: Sequence[Seen], now: Seen, share: float = CONTINUES) -> b
     return any(expected_share(scan, old, step, MAX_SLIP_RAD) >= share for old, step in steps)
 
 
-def _sees_through(scan: Scan, lines: LineMap, belief: AnyBelief) -> bool:
+def _sees_through(scan: Scan, lines: LineMap, belief: JointBelief) -> bool:
     """Return whether much of the scan, and several walls of it, lie behind known walls.
 
     One wall may be seen through a door of a wall that is known as one; what was never seen contradicts nothing.
@@ -257,14 +256,14 @@ def _sees_through(scan: Scan, lines: LineMap, belief: AnyBelief) -> bool:
     return bool((behind * length).sum() >= THROUGH * length.sum() and (behind > 0.5).sum() >= WALLS_BEHIND)
 
 
-def _keep_open(belief: AnyBelief, dt: float) -> None:
+def _keep_open(belief: JointBelief, dt: float) -> None:
     """Let what is known of a lost pose fade: its wheels may hang in the air; a compass keeps it up to date."""
     theta = float(belief.matrix()[2, 2])
     fades = min(CARRY_TURN**2 * dt, max(math.pi**2 / 3.0 - theta, 0.0))
     belief.shift(0.0, CARRY**2 * dt, fades)
 
 
-def _after_slip(scan: Scan, lines: LineMap, belief: AnyBelief, gate: float) -> Association | None:
+def _after_slip(scan: Scan, lines: LineMap, belief: JointBelief, gate: float) -> Association | None:
     """Turn the belief by the heading change that makes most of the scan match; None, and no change, without one.
 
     Every heading is tried on the belief itself and the whole map: what is accepted here is what will be matched.
@@ -284,7 +283,7 @@ def _after_slip(scan: Scan, lines: LineMap, belief: AnyBelief, gate: float) -> A
 
 
 @contextmanager
-def tried(belief: AnyBelief, turn: float, xy: float, theta: float) -> Iterator[None]:
+def tried(belief: JointBelief, turn: float, xy: float, theta: float) -> Iterator[None]:
     """Shift the belief for as long as the block lasts."""
     belief.shift(turn, xy, theta)
     try:
@@ -293,7 +292,7 @@ def tried(belief: AnyBelief, turn: float, xy: float, theta: float) -> Iterator[N
         belief.shift(-turn, -xy, -theta)
 
 
-def _turns(scan: Scan, lines: LineMap, recent: Ints, belief: AnyBelief) -> list[float]:
+def _turns(scan: Scan, lines: LineMap, recent: Ints, belief: JointBelief) -> list[float]:
     """Return the distinct heading changes that lay a seen line onto a recent one, the most supported first."""
     beta = lines.values(belief)[recent, 1]
     turns = se2.wrap_all(beta[None, :] - belief.theta - scan.z[:, 1, None])

@@ -16,10 +16,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from locfuse.fusion import se2
 from locfuse.fusion.data import Array
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.lines.extract import to_base
+from locfuse.fusion.ekf.map_frame import Pose
+from locfuse.fusion.lines.extract import of_rows, rows_in_base
 from locfuse.fusion.lines.sweep import in_base
 from locfuse.fusion.mount import Mount
 
@@ -48,11 +48,14 @@ class Seat(NamedTuple):
         return [r[i] for i in self.free], [turn[i] for i in self.free]
 
 
-def seated(z: Array, R: Array, ends: Array, mount: Mount, belief: JointBelief) -> tuple[Array, Array, Array, Seat]:
-    """Return lines (z, R, ends), put into the base by the mount as told, as the estimated mount puts them."""
+def seated(rows: Array, mount: Mount, belief: JointBelief) -> tuple[Array, Array, Array, Seat, Array]:
+    """Return lines (k, 7), put into the base by the mount as told, as the estimated mount puts them.
+
+    As z, R, ends, seat and the table again.
+    """
     now = mount.now(belief)
-    lines = to_base(z, R, ends, *_moved(mount, belief).tolist())
-    return *lines, Seat(now[0], now[1], mount.columns(belief), mount.free)
+    table = rows_in_base(rows, *_moved(mount, now))
+    return *of_rows(table), Seat(now[0], now[1], mount.columns(belief), mount.free), table
 
 
 def seated_shares(shared: Array, z: Array, mount: Mount, belief: JointBelief) -> Array:
@@ -60,10 +63,12 @@ def seated_shares(shared: Array, z: Array, mount: Mount, belief: JointBelief) ->
 
     Left as it was it would be more than there is of R, and R of the scan no covariance.
     """
-    return in_base(shared[:, :, None].astype(np.float64), z, _moved(mount, belief))[:, :, 0]
+    return in_base(shared[:, :, None].astype(np.float64), z, np.array(_moved(mount, mount.now(belief))))[:, :, 0]
 
 
-def _moved(mount: Mount, belief: JointBelief) -> Array:
-    """Return what leads from the base by the mount as told to the base by the estimated one, (3,)."""
-    moved: Array = se2.compose(np.array(mount.now(belief)), se2.inverse(np.array(mount.told)))
-    return moved
+def _moved(mount: Mount, now: Pose) -> Pose:
+    """Return what leads from the base by the mount as told to the base by the one that is estimated now."""
+    (x, y, yaw), (told_x, told_y, told_yaw) = now, mount.told
+    turn = yaw - told_yaw
+    c, s = math.cos(turn), math.sin(turn)
+    return x - c * told_x + s * told_y, y - s * told_x - c * told_y, turn

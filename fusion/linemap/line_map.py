@@ -17,11 +17,10 @@ from locfuse.fusion import se2
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Ints, MapLine
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.ekf.belief_pose import Pose, PoseBelief
+from locfuse.fusion.ekf.map_frame import Pose
 
 from .laser_mount import Seat
 
-AnyBelief = PoseBelief | JointBelief
 WALL = 13  # columns of a line for core.pairs, before those of the mount
 
 
@@ -57,15 +56,15 @@ class LineMap:
         """Return the number of lines."""
         return len(self.ids)
 
-    def values(self, belief: AnyBelief) -> Array:
+    def values(self, belief: JointBelief) -> Array:
         """Return (rho, beta) of every line, (J, 2)."""
-        if isinstance(belief, PoseBelief) or len(self) == 0 or self.column[0] < 0:
+        if len(self) == 0 or self.column[0] < 0:
             return self.value
         return np.stack((belief.state[self.column], belief.state[self.column + 1]), axis=-1)
 
-    def covariances(self, belief: AnyBelief) -> Array:
+    def covariances(self, belief: JointBelief) -> Array:
         """Return the covariance of (rho, beta) of every line, (J, 2, 2)."""
-        if isinstance(belief, PoseBelief) or len(self) == 0 or self.column[0] < 0:
+        if len(self) == 0 or self.column[0] < 0:
             return self.P
         at = np.stack((self.column, self.column + 1), axis=-1)
         P: Array = belief.covariance[at[:, :, None], at[:, None, :]]
@@ -76,28 +75,19 @@ class LineMap:
         columns: list[int] = self.column.tolist()
         return columns
 
-    def walls(self, belief: AnyBelief, seat: Seat | None, room: Room) -> tuple[Any, int, bool]:
+    def walls(self, belief: JointBelief, seat: Seat | None, room: Room) -> tuple[Any, int, bool]:
         """Return the lines as `core.pairs` wants them, how many columns each has, and whether they are states."""
         free = () if seat is None else seat.columns
         width, states = WALL + 2 * len(free), len(self) > 0 and bool(self.column[0] >= 0)
-        if isinstance(belief, JointBelief) and states:
-            return room.given(self._walls(belief, np.array(free, np.int64))), width, True
+        if states:
+            rows, at = np.empty((len(self), width)), np.array(free, np.intp)
+            room.on_arrays.gather_walls(*belief.arrays, self.column, self.anchor, len(self), at, len(at), rows)
+            return room.given(rows), width, True
         if self._frozen is None or self._frozen[:2] != (room, width):
             rows = np.zeros((len(self), width))
             rows[:, :2], rows[:, 2:4], rows[:, 4:7] = self.value, self.anchor, self.P.reshape(-1, 4)[:, (0, 1, 3)]
             self._frozen = room, width, room.given(rows)
         return self._frozen[2], width, False
-
-    def _walls(self, belief: JointBelief, free: Ints) -> Array:
-        x, P, rho, beta = belief.state, belief.covariance, self.column, self.column + 1
-        rows = np.empty((len(self), WALL + 2 * len(free)))
-        rows[:, 0], rows[:, 1], rows[:, 2:4] = x[rho], x[beta], self.anchor
-        rows[:, 4], rows[:, 5], rows[:, 6] = P[rho, rho], P[rho, beta], P[beta, beta]
-        rows[:, 7:13:2], rows[:, 8:13:2] = P[:3, rho].T, P[:3, beta].T
-        if len(free):
-            rows[:, WALL : WALL + len(free)] = P[rho[:, None], free]
-            rows[:, WALL + len(free) :] = P[beta[:, None], free]
-        return rows
 
     def append(
         self, anchor: Array, value: Array, P: Array, column: int, ends: tuple[float, float], scan: int
@@ -124,7 +114,7 @@ class LineMap:
         self.column = self.column - np.searchsorted(freed, self.column)
         return freed
 
-    def predict(self, which: Ints, values: Array, belief: AnyBelief) -> Prediction:
+    def predict(self, which: Ints, values: Array, belief: JointBelief) -> Prediction:
         """Predict (r, psi) of lines `which` (k,) and their innovation covariance without R."""
         beta = values[which, 1]
         c, s = np.cos(beta), np.sin(beta)
@@ -134,7 +124,7 @@ class LineMap:
         columns = self.column[which]
         P = belief.matrix()
         spread = _pose_spread(P, c, s)
-        if isinstance(belief, PoseBelief) or len(columns) == 0 or columns[0] < 0:
+        if len(columns) == 0 or columns[0] < 0:
             spread += line_spread(self.P[which], u)
         else:
             spread += line_spread(self.covariances_of(which, belief), u)
@@ -147,7 +137,7 @@ class LineMap:
         P: Array = belief.covariance[at[:, :, None], at[:, None, :]]
         return P
 
-    def lines(self, belief: AnyBelief) -> list[MapLine]:
+    def lines(self, belief: JointBelief) -> list[MapLine]:
         """Return the map about the map's origin: values in the paper's form, for people and files."""
         frame = belief.frame_pose()
         return [
@@ -184,11 +174,11 @@ class LineMap:
         J = line_by_frame(line, placed.anchor, placed.frame)
         return replace(line, P_free=J @ joint @ J.T)
 
-    def _joint_with_frame(self, j: int, P: Array, belief: AnyBelief) -> Array:
+    def _joint_with_frame(self, j: int, P: Array, belief: JointBelief) -> Array:
         """Return the covariance of (rho, beta) of line j and the map frame, (5, 5)."""
         out = np.zeros((5, 5))
         out[:2, :2], out[2:, 2:] = P, belief.with_frame().own
-        if isinstance(belief, JointBelief) and belief.frame is not None and self.column[j] >= 0:
+        if belief.frame is not None and self.column[j] >= 0:
             own, frame = self.column[j] + np.arange(2), belief.frame + np.arange(3)
             out[:2, 2:] = belief.covariance[np.ix_(own, frame)]
             out[2:, :2] = out[:2, 2:].T

@@ -14,7 +14,7 @@ from locfuse.fusion.data import Array
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 
 from .laser_mount import Seat
-from .line_map import AnyBelief, LineMap
+from .line_map import LineMap
 from .scan import Scan
 
 MAX_PAIR_ANGLE_RAD = math.radians(25.0)  # pairs further apart are not looked at
@@ -44,7 +44,7 @@ class Pair(msgspec.Struct, frozen=True, gc=False):
 
 
 def candidate_pairs(
-    scan: Scan, lines: LineMap, belief: AnyBelief, limit: float, room: Room | None = None
+    scan: Scan, lines: LineMap, belief: JointBelief, limit: float, room: Room | None = None
 ) -> list[Pair]:
     """Return the pairs on the right face whose squared distance is at most `limit`, measured line by line.
 
@@ -56,7 +56,7 @@ def candidate_pairs(
     angle_slack, offset_slack = _slack(triangle[0] + triangle[3], triangle[5])
     out = room.floats(_COLUMNS * len(rows) * places)
     found = room.functions.pairs(
-        room.flat(rows),
+        room.given(rows),
         len(rows),
         walls,
         width,
@@ -66,7 +66,7 @@ def candidate_pairs(
         states,
         room.flat([pose]),
         room.flat([triangle]),
-        room.given(_mount(scan.seat, belief)),
+        room.given(_mount(scan.seat, belief, room)),
         0 if scan.seat is None else len(scan.seat.free),
         angle_slack,
         offset_slack,
@@ -85,12 +85,14 @@ def _pair(of: list[float], columns: list[int]) -> Pair:
     return Pair(int(i), which, columns[which], (offset, turn), R, S, d2, score, lo, hi, overlap, c, s, u, psi)
 
 
-def _mount(seat: Seat | None, belief: AnyBelief) -> Array:
+def _mount(seat: Seat | None, belief: JointBelief, room: Room) -> Array:
     """Return the laser's mount as core.pairs wants it: place, which of x, y, yaw are free, their covariances."""
-    if seat is None or not isinstance(belief, JointBelief):
+    if seat is None:
         return np.zeros(2)
-    P, at = belief.covariance, np.array(seat.columns)
-    return np.concatenate(((seat.x, seat.y), seat.free, P[:3, at].ravel(), P[np.ix_(at, at)].ravel()))
+    at, free = np.array(seat.columns, np.intp), len(seat.free)
+    mount = np.array((seat.x, seat.y, *seat.free, *(0.0,) * (free * (3 + free))))
+    room.on_arrays.gather_mount(belief.arrays[1], at, free, mount)
+    return mount
 
 
 def _slack(xy: float, tt: float) -> tuple[float, float]:

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.ekf.belief_arrays import JointBelief
 
 from .association import Association
-from .line_map import AnyBelief, LineMap
+from .line_map import LineMap
 from .scan import Scan
 from .scan_history import Trail
 
@@ -42,7 +43,7 @@ OFTEN, CONTRADICTS = 3, 0.35  # scans of the trail that make a pose none; share 
 
 def matched_share(found: Association, scan: Scan) -> float:
     """Return the share of a scan's line length that was matched."""
-    length = [row[6] - row[5] for row in scan.rows()]
+    length = scan.lengths()
     total = sum(length)
     return sum([one for one, p in zip(length, found.match, strict=True) if p >= 0]) / total if total > 0 else 1.0
 
@@ -94,7 +95,7 @@ def _points(scan: Scan) -> Array:
     return np.stack((r * c - along * s, r * s + along * c), axis=-1).reshape(-1, 2)
 
 
-def find_pose(scan: Scan, lines: LineMap, belief: AnyBelief, trail: Trail) -> tuple[float, float, float] | None:
+def find_pose(scan: Scan, lines: LineMap, belief: JointBelief, trail: Trail) -> tuple[float, float, float] | None:
     """Return the only pose (x, y, theta) that explains the scan, None where there is none or several.
 
     Another one counts as a rival unless scans of the trail contradict it.
@@ -148,7 +149,7 @@ def _lasting(
     return poses
 
 
-def _heading_fits(theta: Array, belief: AnyBelief) -> NDArray[np.bool_]:
+def _heading_fits(theta: Array, belief: JointBelief) -> NDArray[np.bool_]:
     """Return which headings the belief allows: a compass may have kept it while the place was lost."""
     slack = HEADING_SIGMAS * math.sqrt(max(float(belief.matrix()[2, 2]), 0.0)) + HEADING_SLACK
     return np.asarray(np.abs(se2.wrap_all(theta - belief.theta)) <= slack)
@@ -159,15 +160,16 @@ def hypotheses(scan: Scan, lines: LineMap, values: Array, known: Ints, most: int
     longest = np.argsort(-(scan.ends[:, 1] - scan.ends[:, 0]), kind="stable")[:most]
     beta, n = values[known, 1], np.stack((np.cos(values[known, 1]), np.sin(values[known, 1])), axis=-1)
     rho = values[known, 0] + (lines.anchor[known] * n).sum(axis=1)
+    cosine, sine = n @ n.T, np.outer(n[:, 0], n[:, 1]) - np.outer(n[:, 1], n[:, 0])  # of beta[k] - beta[j]
     found = [np.zeros((0, 3))]
     for a, b in combinations(longest.tolist(), 2):
         between = float(se2.wrap_all(scan.z[b, 1] - scan.z[a, 1]))
         if abs(math.sin(between)) < math.sin(SKEW):
             continue
-        j, k = np.nonzero(np.abs(se2.wrap_all(beta[None, :] - beta[:, None] - between)) < SAME_ANGLE)
+        j, k = np.nonzero(math.cos(between) * cosine + math.sin(between) * sine > math.cos(SAME_ANGLE))
         slack = 0.5 * se2.wrap_all(beta[k] - beta[j] - between)
         theta = se2.wrap_all(beta[j] - scan.z[a, 1] + slack)
-        det = n[j, 0] * n[k, 1] - n[j, 1] * n[k, 0]
+        det = sine[j, k]
         p, q = rho[j] - scan.z[a, 0], rho[k] - scan.z[b, 0]
         x, y = (p * n[k, 1] - q * n[j, 1]) / det, (n[j, 0] * q - n[k, 0] * p) / det
         found.append(np.stack((x, y, theta), axis=-1))

@@ -1,4 +1,4 @@
-"""The measured lines of one scan: arrays, and plain floats where a loop reads them."""
+"""The measured lines of one scan."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import msgspec
 import numpy as np
 
 from locfuse.fusion.data import Array, Measurements
+from locfuse.fusion.lines.extract import LINE, rows_of
 
 from .laser_mount import Seat
 
-BLOCK = 4096  # lines that become plain floats at a time: an hour of them would be a hundred megabytes
-Floats = list[list[float]]  # (k, 7) r, psi, R as 00, 01, 11, and both ends
+BLOCK = 4096  # lines that become one table at a time: an hour of them need not be there at once
 
 
 class Scan(msgspec.Struct, frozen=True, gc=False):
@@ -20,17 +20,16 @@ class Scan(msgspec.Struct, frozen=True, gc=False):
     R: Array  # (k, 2, 2)
     ends: Array  # (k, 2) along the tangent (-sin psi, cos psi)
     seat: Seat | None = None  # where the laser's mount is uncertain
-    floats: Floats | None = None  # the same as plain floats, where somebody has them
+    table: Array | None = None  # the same as one table, where somebody has it
 
-    def rows(self) -> Floats:
-        """Return the lines as plain floats (k, 7)."""
-        return floats_of(self.z, self.R, self.ends) if self.floats is None else self.floats
+    def rows(self) -> Array:
+        """Return the lines as one table (k, 7): r, psi, R as 00, 01, 11, and both ends."""
+        return rows_of(self.z, self.R, self.ends) if self.table is None else self.table
 
-
-def floats_of(z: Array, R: Array, ends: Array) -> Floats:
-    """Return lines as plain floats (k, 7)."""
-    rows: Floats = np.column_stack((z, R[:, 0, 0], R[:, 0, 1], R[:, 1, 1], ends)).tolist()
-    return rows
+    def lengths(self) -> list[float]:
+        """Return how long they are [m]."""
+        lengths: list[float] = (self.ends[:, 1] - self.ends[:, 0]).tolist()
+        return lengths
 
 
 class Scans:
@@ -40,7 +39,7 @@ class Scans:
         self._of: Measurements | None = None
         self._begin = self._end = 0
         self._R: Array = np.zeros((0, 2, 2))
-        self._floats: Floats = []
+        self._rows: Array = np.zeros((0, LINE))
 
     def read(self, m: Measurements, first: int, last: int) -> Scan:
         """Return rows first:last as one scan."""
@@ -48,6 +47,6 @@ class Scans:
             self._of, self._begin, self._end = m, first, max(last, min(first + BLOCK, len(m.z)))
             at = slice(self._begin, self._end)
             self._R = m.covariances(at)
-            self._floats = floats_of(m.z[at], self._R, m.extra["ends"][at])
+            self._rows = rows_of(m.z[at], self._R, m.extra["ends"][at])
         at, held = slice(first, last), slice(first - self._begin, last - self._begin)
-        return Scan(m.z[at], self._R[held], m.extra["ends"][at], None, self._floats[held])
+        return Scan(m.z[at], self._R[held], m.extra["ends"][at], None, self._rows[held])

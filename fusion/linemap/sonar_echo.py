@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion.data import Array
+from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.se2 import wrap_all
 
-from .line_map import AnyBelief, LineMap
+from .line_map import LineMap
 
 CLEAR = 3.0  # standard deviations by which something may stand nearer before it is the one to answer
 OVERHANG = 0.05  # m: a wall may go on this far beyond what was seen of it
@@ -37,7 +38,7 @@ class Echo(NamedTuple):
     map_variance: float  # m^2, of a wall that is not a state
 
 
-def nearest_echo(lines: LineMap, belief: AnyBelief, cone: Cone, sigma: float) -> Echo | None:
+def nearest_echo(lines: LineMap, belief: JointBelief, cone: Cone, sigma: float) -> Echo | None:
     """Return the nearest wall that stands square to the cone, None where there is none or something is nearer."""
     values = lines.values(belief)
     lx, ly = _turned(belief.theta, cone.x, cone.y)

@@ -19,7 +19,7 @@ from locfuse.fusion.sensor import Block, Innovation, Model
 from .association import Association, associate
 from .guard import Guard
 from .laser_mount import seated, seated_shares
-from .line_map import AnyBelief, LineMap, about_middle
+from .line_map import LineMap, about_middle
 from .pairing import Pair
 from .scan import Scan, Scans
 from .standing import Standing
@@ -46,7 +46,6 @@ class LineTracker(Model):
         self.map = LineMap()
         self.joint = mode != "first-scan"
         self.maps = mode != "given"
-        self.settled = not self.joint and self.mount is None
         # only a map that holds what was seen since can say that something is wrong
         self.guard = Guard() if recover and mode in ("grow", "given") else None
         self._first_map: list[MapLine] = []
@@ -138,12 +137,13 @@ class LineTracker(Model):
         c, s, u, (r00, r01, r11) = pair.cos, pair.sin, pair.u, pair.R
         columns: tuple[int, ...] = ()
         H_block: tuple[tuple[float, ...], ...] = ()
-        if self.joint:
-            columns, H_block = (pair.column, pair.column + 1), ((1.0, u), (0.0, 1.0))
+        by_mount: tuple[Sequence[float], Sequence[float]] = ((), ())
         if scan.seat is not None:
-            by_mount = scan.seat.rows(pair.psi)
-            columns += scan.seat.columns
-            H_block = tuple((*h, *m) for h, m in zip(H_block or ((), ()), by_mount, strict=True))
+            columns, by_mount = scan.seat.columns, scan.seat.rows(pair.psi)
+            H_block = tuple(by_mount[0]), tuple(by_mount[1])
+        if self.joint:
+            columns = (pair.column, pair.column + 1, *columns)
+            H_block = (1.0, u, *by_mount[0]), (0.0, 1.0, *by_mount[1])
         return Innovation(
             row=row,
             verdict=verdict,
@@ -179,7 +179,7 @@ class LineTracker(Model):
         for p in found.match:
             if p >= 0:
                 self._extend(found.pairs[p])
-        if self.joint and isinstance(belief, JointBelief):
+        if self.joint:
             self._revise(m, first, last, found, belief)
             self._keep_floor(m, belief)
 
@@ -230,7 +230,7 @@ class LineTracker(Model):
         scan = self._raw if self._raw is not None else self._scans.read(m, first, last)
         if self.mount is None:
             return scan
-        return Scan(*seated(scan.z, scan.R, scan.ends, self.mount, belief))
+        return Scan(*seated(scan.rows(), self.mount, belief))
 
     def lines(self, belief: Any) -> tuple[list[MapLine], list[MapLine]]:
         """Return the map after the first scan and the map now."""
@@ -252,7 +252,7 @@ class LineTracker(Model):
         lines.hits[j] += 1
         lines.seen[j] = self._scan
 
-    def _add(self, scan: Scan, k: int, belief: AnyBelief) -> None:
+    def _add(self, scan: Scan, k: int, belief: JointBelief) -> None:
         """New line from (r, psi), the inverse of LineMap.predict; its anchor is the middle of the segment."""
         r, psi = map(float, scan.z[k])
         beta = se2.wrap(psi + belief.theta)
@@ -271,7 +271,7 @@ class LineTracker(Model):
             columns = scan.seat.columns
             G = np.hstack((G, -G_z @ scan.seat.derivative(scan.z[k : k + 1, 1])[0]))
         column, P = -1, np.zeros((2, 2))
-        if self.joint and isinstance(belief, JointBelief):
+        if self.joint:
             column = belief.augment(value, G, noise, columns)
             if self.mode == "consider":
                 belief.consider(np.array([column, column + 1]))

@@ -17,9 +17,9 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion.core import lines as interpreted
+from locfuse.fusion.core import mounts
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Ints
-from locfuse.fusion.se2 import wrap_all
 
 from .settings import LineSettings
 from .sweep import PIECES, Motion, shares
@@ -31,6 +31,8 @@ MAX_RANGE_M = 1e6  # no laser sees farther: what a driver means by more is "noth
 _BATCH = 256  # scans worked on at once,
 _BEAMS = 100_000  # unless they have more beams than this in all: working memory is some 300 bytes a beam
 _COLUMNS = 11  # of a line, by core.lines
+_OF_R = np.array((2, 3, 3, 4))
+LINE = 7  # columns of a line in a table, by core.mounts and core.pairs
 
 
 @dataclass(frozen=True)
@@ -107,22 +109,35 @@ def extract_lines(
     return _joined(parts)
 
 
+def rows_of(z: Array, R: Array, ends: Array) -> Array:
+    """Return lines as one table (k, 7): r, psi, R as 00, 01, 11, and both ends."""
+    rows = np.empty((len(z), LINE))
+    rows[:, :2], rows[:, 2:5], rows[:, 5:] = z, R.reshape(-1, 4)[:, (0, 1, 3)], ends
+    return rows
+
+
+def of_rows(rows: Array) -> tuple[Array, Array, Array]:
+    """Return (z, R, ends) of such a table."""
+    return rows[:, :2], rows.take(_OF_R, axis=1).reshape(-1, 2, 2), rows[:, 5:]
+
+
+def rows_in_base(rows: Array, x: float, y: float, yaw: float, room: Room | None = None) -> Array:
+    """Return lines as one table (k, 7) in the base frame, seen by a laser at (x [m], y [m], yaw [rad]) on it.
+
+    `room`, where it is not this process' own form of the core: for tests.
+    """
+    room, out = room or Room.here(mounts), np.empty((len(rows), LINE))
+    if len(rows):
+        room.on_arrays.into_base(rows, len(rows), x, y, yaw, out)
+    return out
+
+
 def to_base(z: Array, R_unit: Array, ends: Array, x: float, y: float, yaw: float) -> tuple[Array, Array, Array]:
     """Return (z, R_unit, ends) in the base frame, of lines seen by a laser at (x [m], y [m], yaw [rad]) on it.
 
-    Exact: r_b = r + l.n(psi_b), psi_b = psi + yaw, Jacobian [[1, u], [0, 1]] with u = l.t(psi_b), t the tangent
-    (-sin, cos). Where r_b < 0 the base stands beyond the line: (r, psi), the ends, and the sign of the r-psi
-    covariance turn over. For rows scaled by sigma_range^2 plus a floor, the floor is the base frame's.
+    By `core.mounts`. For rows scaled by sigma_range^2 plus a floor, the floor is the base frame's.
     """
-    psi = z[:, 1] + yaw
-    c, s = np.cos(psi), np.sin(psi)
-    r, u = z[:, 0] + x * c + y * s, y * c - x * s
-    flip = np.where(r < 0, -1.0, 1.0)
-    rr, rp, pp = R_unit[:, 0, 0], R_unit[:, 0, 1], R_unit[:, 1, 1]
-    cross = (rp + u * pp) * flip
-    R = np.stack((rr + u * (2.0 * rp + u * pp), cross, cross, pp), axis=-1).reshape(-1, 2, 2)
-    z = np.stack((r * flip, wrap_all(np.where(r < 0, psi + np.pi, psi))), axis=-1)
-    return z, R, np.sort((ends + u[:, None]) * flip[:, None], axis=1)
+    return of_rows(rows_in_base(rows_of(z, R_unit, ends), x, y, yaw))
 
 
 def lines_of(scans: Scans, settings: LineSettings, motion: Motion | None, room: Room) -> Lines:

@@ -210,8 +210,6 @@ def _collect(
 class BearingModel(Model):
     """z = wrap(atan2(dy, dx) - theta - yaw) + noise, (dx, dy) from the camera to the landmark."""
 
-    settled = True
-
     def __init__(self, settings: CameraSettings, landmark: Point) -> None:
         self.landmark = landmark
         self.mount = Mount("camera", settings)
@@ -269,8 +267,6 @@ class OrientationModel(Model):
 
     The start is the belief at the first picture. The largest candidate is the landmark.
     """
-
-    settled = True
 
     def __init__(self, settings: CameraSettings, landmark: Point) -> None:
         self.landmark = landmark

@@ -158,8 +158,6 @@ class Compass(Sensor):
 class CompassModel(Model):
     """z = theta + offset + noise; H = [0 0 1 | 1]."""
 
-    settled = True
-
     def __init__(self, settings: CompassSettings) -> None:
         self.settings = settings
         self.given = settings.offset_deg is not None

@@ -213,8 +213,6 @@ def _nothing(topic: str, ids: Ints, places: Mapping[int, Point] | None) -> str:
 class LandmarksModel(Model):
     """range = |d| + offset, bearing = atan2(d) - theta - yaw; d from the detector to the landmark, in the map."""
 
-    settled = True
-
     def __init__(self, settings: LandmarksSettings) -> None:
         self.places = settings.places
         self.mount = settings.x, settings.y, math.radians(settings.yaw_deg)
@@ -313,7 +311,6 @@ class GrowingModel(LandmarksModel):
     """The same with places that are states, in the local frame: no known place is seen, nor north."""
 
     joint = True
-    settled = False
     local = True
     maps = True
 

@@ -257,8 +257,6 @@ def _in_a_row(t: Array, correlated: float) -> float:
 class InMapModel(Model):
     """z = p + noise, both in the map."""
 
-    settled = True
-
     def __init__(self, settings: PoseSettings) -> None:
         self.threshold = chi_square(settings.gate, 3 if settings.heading else 2)
         self._seen = self._far = 0

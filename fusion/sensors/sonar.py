@@ -108,7 +108,6 @@ class SonarModel(Model):
 
     teaches = False
     local = True
-    settled = True
 
     def __init__(self, settings: SonarSettings) -> None:
         self.threshold = chi_square(settings.gate, 1)

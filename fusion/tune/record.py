@@ -16,9 +16,8 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Ints, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.ekf.belief_pose import Pose, Triangle
 from locfuse.fusion.ekf.journal import in_map
-from locfuse.fusion.ekf.map_frame import by_frame
+from locfuse.fusion.ekf.map_frame import Pose, Triangle, by_frame
 from locfuse.fusion.ekf.rows import stacked
 from locfuse.fusion.fuse import Filter
 from locfuse.fusion.instants import due_readings, steps_of
@@ -99,7 +98,7 @@ def record(drive: Drive, robot: Robot, sensors: Sequence[str]) -> Tape:
         made.append(Taped(pose, P, blocks))
         return made[0]
 
-    run = Filter(robot, sensors, beliefs=(cast("Any", joint), joint))
+    run = Filter(robot, sensors, make=joint)
     belief = made[0]
     names = tuple(run.models)
     tape = belief.begin_tape(names, drive.t)

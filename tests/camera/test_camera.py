@@ -26,7 +26,7 @@ from locfuse.fusion.camera.image_header import image_size
 from locfuse.fusion.camera.images import FIELDS
 from locfuse.fusion.data import VERDICTS, ArrayStream, LocfuseError, Measurements
 from locfuse.fusion.doctor.preview import preview
-from locfuse.fusion.ekf.belief_pose import PoseBelief
+from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.se2 import wrap, wrap_all
 from locfuse.fusion.sensors.camera import Camera, CameraSettings
 
@@ -322,8 +322,8 @@ def readings(*pictures: tuple[float, ...], sigma: float = 0.005) -> Measurements
     return Measurements(np.arange(len(pictures)) * np.float64(0.1), first, z, ones, sigma, np.zeros((1, 1)))
 
 
-def belief(x: float, y: float, theta: float, sigma_xy: float = 0.02, sigma_theta: float = 0.02) -> PoseBelief:
-    return PoseBelief((x, y, theta), (sigma_xy**2, 0.0, 0.0, sigma_xy**2, 0.0, sigma_theta**2))
+def belief(x: float, y: float, theta: float, sigma_xy: float = 0.02, sigma_theta: float = 0.02) -> JointBelief:
+    return JointBelief((x, y, theta), (sigma_xy**2, 0.0, 0.0, sigma_xy**2, 0.0, sigma_theta**2))
 
 
 def verdicts(*bearings: float, **kwargs: Any) -> dict[float, str]:

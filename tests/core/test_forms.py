@@ -170,7 +170,7 @@ def test_functions_types_and_stubs_name_the_same_arguments(name: str) -> None:
 
     text = (CORE / name).with_suffix(".pxd").read_text(encoding="utf-8")
     types = {
-        function: [word.split()[-1] for word in given.split(",")]
+        function: [word.split()[-1] for word in re.split(r",(?![^\[]*\])", given)]
         for function, given in re.findall(r"^cp?def \w+ (\w+)\(([^)]*)\)", text, re.MULTILINE)
     }
     assert arguments(".py") == arguments(".pyi") == types

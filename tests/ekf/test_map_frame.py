@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from textbook import move, numeric_jacobian
 
+from locfuse.fusion.core import filter as interpreted
+from locfuse.fusion.core.filter import bent
+from locfuse.fusion.core.room import Room
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.ekf.belief_blocks import FewBlocks
-from locfuse.fusion.ekf.belief_pose import Triangle
 from locfuse.fusion.ekf.journal import Journal
-from locfuse.fusion.ekf.map_frame import InMap, bent, in_map_P
+from locfuse.fusion.ekf.map_frame import InMap, Triangle, in_map_P
 from locfuse.fusion.sensor import Block, Innovation
 from locfuse.fusion.smooth import Backward
 
@@ -54,9 +55,8 @@ def test_a_lever_spreads_along_itself_as_samples_do(tt: float) -> None:
     assert bent(tt) == pytest.approx(float((weight * (np.cos(angle) - 1) ** 2).sum() / weight.sum()), rel=2e-3)
 
 
-@pytest.mark.parametrize("make", [FewBlocks, JointBelief])
-def test_the_pose_in_the_map_has_the_covariance_of_finite_differences(make: Callable[..., Any]) -> None:
-    belief = driven(make(START, P0, [OFFSET]))
+def test_the_pose_in_the_map_has_the_covariance_of_finite_differences() -> None:
+    belief = driven(JointBelief(START, P0, [OFFSET]))
     at = [0, 1, 2, belief.frame, belief.frame + 1, belief.frame + 2]
     x, P = np.asarray(belief.state)[at], np.asarray(belief.covariance)[np.ix_(at, at)]
     J = numeric_jacobian(lambda v: move(v[3:], v[:3]), x)
@@ -68,11 +68,13 @@ def test_the_pose_in_the_map_has_the_covariance_of_finite_differences(make: Call
     np.testing.assert_allclose(in_map_P(x[None, 3:], x[None, :3], P[None])[0], InMap(belief).matrix(), atol=1e-14)
 
 
-def test_floats_and_arrays_agree_on_a_drive_with_a_frame() -> None:
-    few, joint = driven(FewBlocks(START, P0, [OFFSET])), driven(JointBelief(START, P0, [OFFSET]))
-    np.testing.assert_allclose(few.state, joint.state, atol=1e-13)
-    np.testing.assert_allclose(few.covariance, joint.covariance, atol=1e-14)
-    np.testing.assert_allclose(joint.covariance, joint.covariance.T, atol=0)
+def test_both_forms_of_the_core_agree_on_a_drive_with_a_frame() -> None:
+    belief = driven(JointBelief(START, P0, [OFFSET]))
+    source = driven(JointBelief(START, P0, [OFFSET], Room.of(interpreted, None)))
+    np.testing.assert_array_equal(source.state, belief.state)
+    np.testing.assert_array_equal(source.covariance, belief.covariance)
+    np.testing.assert_array_equal(belief.covariance, belief.covariance.T)
+    assert source.located(in_map=True) == belief.located(in_map=True) != belief.located()
 
 
 LANDMARK, LEVER = np.array([3.0, 1.0]), np.array([0.2, -0.1])
@@ -135,9 +137,8 @@ def test_a_frame_begins_without_a_change_in_the_map() -> None:
     np.testing.assert_allclose(InMap(belief).pose(), pose, atol=1e-14)
 
 
-@pytest.mark.parametrize("make", [FewBlocks, JointBelief])
-def test_a_start_that_is_known_exactly_needs_no_frame(make: Callable[..., Any]) -> None:
-    belief = make(START, (0.0,) * 6, [])
+def test_a_start_that_is_known_exactly_needs_no_frame() -> None:
+    belief = JointBelief(START, (0.0,) * 6)
     belief.begin_frame()
     assert belief.frame is None
     assert belief.pose() == START
@@ -233,7 +234,7 @@ def see_x(k: int, belief: JointBelief, batch: Batch) -> None:
 def test_smoothing_through_the_beginning_of_a_frame_is_batch_least_squares(rest: bool) -> None:
     """A linear case, since the heading is known. Also where the robot stands still once the frame has begun."""
     journal, batch = Journal(), Batch()
-    belief = journal.joint((0.0, 0.0, HEADING), triangle_of(OF_START), [])
+    belief = journal.belief_of((0.0, 0.0, HEADING), triangle_of(OF_START), [])
     rho: int | None = None
     batch.joined(0, np.zeros(2), OF_START)
     belief.predict((0.0, 0.0, 0.0), (0.0,) * 6)

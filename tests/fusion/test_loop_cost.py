@@ -35,7 +35,7 @@ def test_odometry_costs_a_few_calls_per_instant() -> None:
     assert count / instants < 16
 
 
-@pytest.mark.parametrize(("mode", "most"), [("first-scan", 76), ("grow", 128)])
+@pytest.mark.parametrize(("mode", "most"), [("first-scan", 78), ("grow", 104)])
 def test_a_line_costs_a_few_dozen_calls(mode: str, most: float) -> None:
     """Instants and compass readings included, and the map frame: the robot moves before its first scan."""
     count, _, lines = calls(World(settings={"lrf": {"map": mode}}), ["compass", "lrf"])

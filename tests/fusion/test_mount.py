@@ -19,6 +19,7 @@ from locfuse.fusion.linemap.association import associate
 from locfuse.fusion.linemap.laser_mount import Seat, seated, seated_shares
 from locfuse.fusion.linemap.scan import Scan
 from locfuse.fusion.linemap.tracker import LineTracker
+from locfuse.fusion.lines.extract import rows_of
 from locfuse.fusion.mount import Mount
 from locfuse.fusion.sensors.camera import BearingModel, CameraSettings
 from locfuse.fusion.sensors.lrf import LrfSettings
@@ -74,7 +75,7 @@ def test_an_innovation_depends_on_pose_line_and_mount_as_finite_differences_say(
     seen_by_laser = by_laser(line_from(pose, line, anchor), now) + np.array([0.003, 0.002])
     R = np.array([[1e-3, 2e-4], [2e-4, 4e-4]])
     told = in_base(seen_by_laser, TOLD)  # as the front end puts it there
-    scan = Scan(*seated(told[None], R[None], np.array([[-100.0, 100.0]]), mount, belief))
+    scan = Scan(*seated(rows_of(told[None], R[None], np.array([[-100.0, 100.0]])), mount, belief))
     found = associate(scan, model.map, belief, math.inf)
     seen = model._innovation(found, 0, 0, scan)
 
@@ -105,8 +106,8 @@ def test_what_lines_share_moves_with_them_and_stays_a_part_of_their_covariance()
     shared: Any = (0.01 * rng.normal(size=(3, 2, 12))).astype(np.float32)
     own = np.tile(np.diag([1e-4, 4e-5]), (3, 1, 1))
     G = shared.astype(np.float64)
-    _, R, _, _ = seated(z, own + G @ G.transpose(0, 2, 1), np.zeros((3, 2)), mount, belief)
-    _, R_own, _, _ = seated(z, own, np.zeros((3, 2)), mount, belief)
+    _, R, *_ = seated(rows_of(z, own + G @ G.transpose(0, 2, 1), np.zeros((3, 2))), mount, belief)
+    _, R_own, *_ = seated(rows_of(z, own, np.zeros((3, 2))), mount, belief)
     moved = seated_shares(shared, z, mount, belief)
     np.testing.assert_allclose(R - R_own, moved @ moved.transpose(0, 2, 1), atol=1e-12)
     joint = np.concatenate(moved) @ np.concatenate(moved).T  # of the scan, as the filter puts it together
@@ -127,7 +128,7 @@ def test_a_new_line_goes_with_the_mount_that_it_was_seen_by(
     model = LineTracker("grow", 0.9999, mount=mount)
     z = line_from(pose, line, anchor)
     C = np.array([[1e-3, 2e-4], [2e-4, 5e-4]])
-    model._add(Scan(*seated(z[None], C[None], np.array([[-0.5, 1.5]]), mount, belief)), 0, belief)
+    model._add(Scan(*seated(rows_of(z[None], C[None], np.array([[-0.5, 1.5]])), mount, belief)), 0, belief)
     seen_by_laser = by_laser(z, TOLD)
     middle = model.map.anchor[0]
 

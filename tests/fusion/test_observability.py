@@ -143,10 +143,10 @@ def test_a_wall_in_the_map_has_the_covariance_of_finite_differences() -> None:
     for j, line in enumerate(lines.lines(belief)):
         anchor = lines.anchor[j]
         at = [int(lines.column[j]), int(lines.column[j]) + 1, *frame]
-        x, h = belief.state[at], 1e-6  # type: ignore[union-attr]
+        x, h = belief.state[at], 1e-6
         J = np.stack([(in_map(x + d) - in_map(x - d)) / (2 * h) for d in h * np.eye(5)], axis=1)
         np.testing.assert_allclose(in_map(x)[0], line.rho, atol=1e-12)
-        P = belief.covariance[np.ix_(at, at)]  # type: ignore[union-attr]
+        P = belief.covariance[np.ix_(at, at)]
         np.testing.assert_allclose(line.P_map, J @ P @ J.T, atol=1e-9)
 
 

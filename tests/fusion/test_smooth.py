@@ -17,7 +17,6 @@ from worlds import World
 
 from locfuse.fusion.data import Array, Drive, Estimates, Measurements, Motions, Stream, UsageError
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.ekf.belief_pose import PoseBelief
 from locfuse.fusion.ekf.journal import Journal
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
@@ -114,7 +113,7 @@ def remembered(drive: Drive, robot: Robot, sensors: Sequence[str]) -> tuple[Arra
         made.append(Remembering(*args))
         return made[0]
 
-    fuse(drive, robot, sensors, beliefs=(PoseBelief, joint))
+    fuse(drive, robot, sensors, make=joint)
     belief, poses, covariances = made[0], [], []
     for column, local in zip([*belief.clones, 0], [*belief.local, belief.frame is not None], strict=True):
         at = list(range(column, column + 3))
@@ -176,7 +175,7 @@ def test_lines_that_are_dropped_on_the_way_still_count_for_what_was_before() -> 
     journal = Journal()
     block = [Block("offset", np.zeros(1), np.eye(1), np.array([0.01]))]
     start = ((0.0, 0.0, 0.0), (0.01, 0.0, 0.0, 0.01, 0.0, 0.001))
-    noted, oracle = journal.joint(*start, block), Remembering(*start, block)
+    noted, oracle = journal.belief_of(*start, block), Remembering(*start, block)
     oracle_lines: list[int] = []
     lines: list[int] = []
     poses = 12
@@ -366,7 +365,7 @@ def test_every_way_to_change_a_belief_is_noted_or_needs_no_note() -> None:
     known |= {"correct", "know_frame", "listen"}  # knowledge only
     known |= {"consider", "add", "drive_with"}  # before the first motion
     reading = {"x", "y", "theta", "pose", "triangle", "state", "covariance", "matrix", "block", "variances", "has"}
-    reading |= {"spread", "observed", "frame_pose", "with_frame", "located", "joint_nis"}
+    reading |= {"spread", "observed", "frame_pose", "with_frame", "located", "joint_nis", "nis_of_first", "arrays"}
     public = {name for name in vars(JointBelief) if not name.startswith("_")}
     assert public <= known | reading, public - known - reading
 

@@ -13,9 +13,8 @@ from locfuse.fusion.core.form import form
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.ekf.belief_pose import PoseBelief
 from locfuse.fusion.linemap.laser_mount import Seat
-from locfuse.fusion.linemap.line_map import AnyBelief, LineMap
+from locfuse.fusion.linemap.line_map import LineMap
 from locfuse.fusion.linemap.pairing import MAX_PAIR_ANGLE_RAD, MAX_PAIR_OFFSET_M, Pair, candidate_pairs
 from locfuse.fusion.linemap.scan import Scan
 
@@ -27,19 +26,19 @@ def covariance(rng: np.random.Generator, size: float = 0.02) -> np.ndarray:
     return np.asarray(L @ L.T)
 
 
-def scene(seed: int, states: bool) -> tuple[Scan, LineMap, AnyBelief]:
+def scene(seed: int, states: bool) -> tuple[Scan, LineMap, JointBelief]:
     """A robot among lines at a few angles, some near and on either side, and a scan that sees some of them."""
     rng = np.random.default_rng(seed)
     pose = (float(rng.normal()), float(rng.normal()), float(rng.uniform(-9.0, 9.0)))
     xx, xy, xt, yy, yt, tt = (np.array(UPPER) * 10 ** rng.uniform(-4, 2)).tolist()
     P0 = (xx, xy, xt, yy, yt, tt)
-    belief: AnyBelief = JointBelief(pose, P0, []) if states else PoseBelief(pose, P0)
+    belief = JointBelief(pose, P0)
     lines = LineMap()
     for _ in range(int(rng.integers(1, 32))):
         value = np.array([rng.normal() * 0.02, rng.choice([0.0, 0.5, 1.0, 1.5]) * math.pi + rng.normal() * 0.1])
         anchor, half = rng.normal(size=2) * 2.0, rng.uniform(0.2, 3.0)
         P, column = covariance(rng), -1
-        if isinstance(belief, JointBelief):
+        if states:
             column = belief.augment(value, rng.normal(size=(2, 3)), P)
         lines.append(anchor, value, P, column, (-half, half), 0)
     k = int(rng.integers(1, 9))
@@ -50,11 +49,10 @@ def scene(seed: int, states: bool) -> tuple[Scan, LineMap, AnyBelief]:
 
 
 def by_matrices(
-    scan: Scan, lines: LineMap, belief: AnyBelief, limit: float
+    scan: Scan, lines: LineMap, belief: JointBelief, limit: float
 ) -> dict[tuple[int, int], dict[str, Array]]:
     """Every pair with H written out over the whole state, and R: maths of the field, no short cut."""
-    state = belief.state if isinstance(belief, JointBelief) else np.array(belief.pose())
-    P = belief.covariance if isinstance(belief, JointBelief) else belief.matrix()
+    state, P = belief.state, belief.covariance
     (x, y, theta), n = belief.pose(), len(state)
     found = {}
     for j in range(len(lines)):
@@ -103,7 +101,7 @@ def seated(scan: Scan, belief: JointBelief, free: tuple[int, ...]) -> Scan:
     return Scan(scan.z, scan.R, scan.ends, Seat(0.2, -0.3, tuple(range(first, first + len(free))), free))
 
 
-def in_both_forms(scan: Scan, lines: LineMap, belief: AnyBelief, limit: float) -> list[Pair]:
+def in_both_forms(scan: Scan, lines: LineMap, belief: JointBelief, limit: float) -> list[Pair]:
     found = candidate_pairs(scan, lines, belief, limit, Room.of(interpreted, None))
     if form().functions is not None:
         assert candidate_pairs(scan, lines, belief, limit) == found
@@ -117,7 +115,7 @@ def test_pairs_are_those_that_matrices_give(states: bool, limit: float, free: tu
     count = flipped = 0
     for seed in range(30):
         scan, lines, belief = scene(seed, states)
-        if free and isinstance(belief, JointBelief):
+        if free:
             scan = seated(scan, belief, free)
         found = in_both_forms(scan, lines, belief, limit)
         expected = by_matrices(scan, lines, belief, limit)
@@ -140,18 +138,18 @@ def test_pairs_are_those_that_matrices_give(states: bool, limit: float, free: tu
 def test_ends_lie_along_the_map_line_and_overlap_where_the_segments_do() -> None:
     lines = LineMap()
     lines.append(np.array([2.0, 1.0]), np.zeros(2), np.eye(2) * 1e-4, -1, (-1.0, 1.0), 0)  # x = 2, y from 0 to 2
-    belief = PoseBelief((0.0, 0.5, 0.0), UPPER)
+    belief = JointBelief((0.0, 0.5, 0.0), UPPER)
     scan = Scan(np.array([[2.0, 0.0]]), np.array([np.eye(2) * 1e-4]), np.array([[-1.5, 1.0]]))  # y from -1 to 1.5
     (pair,) = in_both_forms(scan, lines, belief, 60.0)
     assert (pair.lo, pair.hi, pair.overlap) == pytest.approx((-2.0, 0.5, 1.5))
-    behind = PoseBelief((4.0, 0.5, math.pi), UPPER)  # sees the other face
+    behind = JointBelief((4.0, 0.5, math.pi), UPPER)  # sees the other face
     assert in_both_forms(scan, lines, behind, math.inf) == []
 
 
 @pytest.mark.parametrize("pose", [(math.nan, 0.0, 0.0), (0.0, 0.0, math.inf), (1e200, 0.0, 0.0), (0.0, 0.0, 1e30)])
 def test_a_pose_that_is_none_has_no_pairs(pose: tuple[float, float, float]) -> None:
     scan, lines, _ = scene(1, states=False)
-    assert in_both_forms(scan, lines, PoseBelief(pose, UPPER), 60.0) == []
+    assert in_both_forms(scan, lines, JointBelief(pose, UPPER), 60.0) == []
 
 
 @pytest.mark.parametrize(("lines", "walls"), [(0, 5), (3, 0), (40, 2000)])
@@ -167,5 +165,5 @@ def test_maps_of_none_and_of_two_thousand_lines_give_the_same_in_both_forms(line
         setattr(known, name, getattr(known, name)[many])
     z = np.stack((rng.uniform(0.0, 4.0, lines), rng.uniform(-3.0, 3.0, lines)), axis=-1)
     scan = Scan(z, np.tile(np.eye(2) * 1e-3, (lines, 1, 1)), np.tile((-1.0, 1.0), (lines, 1)))
-    found = in_both_forms(scan, known, PoseBelief((0.0, 0.0, 0.0), UPPER), 60.0)
+    found = in_both_forms(scan, known, JointBelief((0.0, 0.0, 0.0), UPPER), 60.0)
     assert bool(found) == (lines * walls > 100)

@@ -143,7 +143,7 @@ def test_a_scan_that_slipped_as_a_whole_is_likelier_than_its_lines_one_by_one() 
     assert both[0] < 0.75 * apart[0]
     assert both[1] == apart[1] == 4
     belief.correct([heading_of(1.7, 0, alike), heading_of(1.7, 1, alike)])
-    assert belief.nis == pytest.approx(both)
+    assert belief.nis_of_first(4) == pytest.approx(both)
 
 
 def walls_of_slipping_scans(sweep: float, seed: int) -> tuple[float, float]:

@@ -10,7 +10,7 @@ import pytest
 from worlds import World, stream
 
 from locfuse.fusion.data import VERDICTS, ArrayStream, LocfuseError, Measurements
-from locfuse.fusion.ekf.belief_pose import PoseBelief
+from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure
 from locfuse.fusion.sensors.compass import Compass, CompassModel, CompassSettings
@@ -92,7 +92,7 @@ def test_the_innovation_wraps_and_its_jacobian_is_one(theta: float) -> None:
                 "/heading", "std_msgs/msg/Float64", T, {"data": np.full(5, math.remainder(theta + 0.2, math.tau))}
             )
         )
-        belief = PoseBelief((0.0, 0.0, theta + d), (0, 0, 0, 0, 0, 0.01))
+        belief = JointBelief((0.0, 0.0, theta + d), (0, 0, 0, 0, 0, 0.01))
         y.append(CompassModel(settings).innovations(m, 0, belief)[0].y[0])
     assert y[0] == pytest.approx(0.2 - math.radians(10), abs=1e-5)
     assert (y[1] - y[0]) / (2 * h) == pytest.approx(-1.0, abs=1e-6)  # y = z - h(x), H = +1

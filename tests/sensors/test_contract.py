@@ -286,7 +286,7 @@ def walked(
     """Run the filter; yield what one sensor makes of some readings, with copies of its model and the belief."""
     drive, _ = six_sensors.drive()
     m = drive.measurements[of]
-    run = Filter(robot, sensors, beliefs=(_no_pose_alone, JointBelief))
+    run = Filter(robot, sensors)
     at_pi = np.argsort(np.abs(true_heading(m.t) - math.pi))[:2]
     wanted = {1, 2, *at_pi.tolist(), *np.linspace(3, len(m.t) - 1, 30).astype(int).tolist()}
     if of == "camera":
@@ -297,13 +297,8 @@ def walked(
         ahead.predict(*step)
         for i in mine:
             model = deepcopy(run.models[of])
-            assert isinstance(ahead, JointBelief)
             yield deepcopy(model).innovations(m, i, ahead), model, m, i, ahead
         run.advance(k, step, due, drive.measurements)
-
-
-def _no_pose_alone(pose: Any, P: Any) -> Any:
-    return JointBelief(pose, P, [])
 
 
 def check(seen: list[Innovation], model: Model, m: Measurements, i: int, belief: JointBelief) -> int:

@@ -217,13 +217,10 @@ def test_innovations_agree_with_finite_differences_in_every_phase() -> None:
         own = np.array([0.4, -0.7, 2.0, -3.0])
 
         def seen(values: Array, model: Any = model, belief: Any = belief, m: Any = m) -> Any:
-            if hasattr(belief, "state"):
-                belief.state[: len(values)] = values
-            else:
-                belief.x, belief.y, belief.theta = values.tolist()
+            belief.state[: len(values)] = values
             return model.innovations(m, 5, belief)[0]
 
-        at = np.concatenate((x, own)) if hasattr(belief, "state") else x
+        at = np.concatenate((x, own)) if belief.n > 3 else x
         one = seen(at)
         H = np.hstack((np.array(one.H), np.array(one.H_block))) if one.columns else np.array(one.H)
         for k in range(len(at)):

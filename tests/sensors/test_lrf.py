@@ -12,7 +12,6 @@ from worlds import ROOM, World
 
 from locfuse.fusion.data import MapLine
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.ekf.belief_pose import PoseBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.linemap.association import associate
@@ -68,7 +67,7 @@ def test_a_line_and_its_flipped_twin_give_the_same_innovation() -> None:
     """(r, psi) and (-r, psi + pi) are one line: nothing may jump when the robot crosses a wall's extension."""
     lines = LineMap()
     lines.append(np.array([3.0, 0.0]), np.array([0.0, 0.0]), np.zeros((2, 2)), -1, (0.0, 4.0), 0)
-    belief = PoseBelief((3.005, -1.0, 0.1), (1e-4, 0, 0, 1e-4, 0, 1e-4))  # just beyond the wall's own line
+    belief = JointBelief((3.005, -1.0, 0.1), (1e-4, 0, 0, 1e-4, 0, 1e-4))  # just beyond the wall's own line
     R = np.array([[1e-3, 2e-4], [2e-4, 1e-3]])
     for z, cross in (((-0.004, -0.1), 1.0), ((0.004, -0.1 + math.pi), -1.0)):
         noise = R * np.array([[1, cross], [cross, 1]])
@@ -100,7 +99,7 @@ def test_a_new_line_enters_with_the_covariance_of_its_making(pose: tuple[float, 
 
 
 def test_map_lines_are_reported_about_the_origin() -> None:
-    belief = PoseBelief((0.0, 0.0, 0.0), (0.0,) * 6)
+    belief = JointBelief((0.0, 0.0, 0.0), (0.0,) * 6)
     lines = LineMap()
     P = np.array([[1e-4, 2e-5], [2e-5, 1e-5]])
     lines.append(np.array([3.0, 4.0]), np.array([0.1, 0.5]), P, -1, (-1.0, 2.0), 0)
@@ -167,8 +166,8 @@ def test_two_walls_that_explain_a_line_equally_well_are_ambiguous() -> None:
     lines = LineMap()
     for offset in (3.0, 3.2):
         lines.append(np.array([offset, 0.0]), np.array([0.0, 0.0]), np.diag([1e-5, 1e-6]), -1, (-2.0, 2.0), 0)
-    lost = PoseBelief((0.0, 0.0, 0.0), (0.04, 0.0, 0.0, 0.04, 0.0, 1e-4))  # 0.2 m: cannot tell
-    sure = PoseBelief((0.0, 0.0, 0.0), (1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4))
+    lost = JointBelief((0.0, 0.0, 0.0), (0.04, 0.0, 0.0, 0.04, 0.0, 1e-4))  # 0.2 m: cannot tell
+    sure = JointBelief((0.0, 0.0, 0.0), (1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4))
     scan = Scan(np.array([[3.1, 0.0]]), np.diag([1e-4, 1e-5])[None], np.array([[-1.0, 1.0]]))
     found = associate(scan, lines, lost, 13.8)
     assert found.ambiguous == [True]
@@ -181,7 +180,7 @@ def test_two_walls_that_explain_a_line_equally_well_are_ambiguous() -> None:
 def test_a_wall_is_not_matched_from_its_other_face() -> None:
     lines = LineMap()
     lines.append(np.array([3.0, 0.0]), np.array([0.0, 0.0]), np.zeros((2, 2)), -1, (-2.0, 2.0), 0)
-    beyond = PoseBelief((5.0, 0.0, 0.0), (1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4))
+    beyond = JointBelief((5.0, 0.0, 0.0), (1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4))
     scan = Scan(np.array([[2.0, math.pi]]), np.diag([1e-4, 1e-5])[None], np.array([[-1.0, 1.0]]))
     assert associate(scan, lines, beyond, 13.8).match == [-1]
 

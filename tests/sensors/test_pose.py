@@ -19,7 +19,6 @@ from locfuse.cli.pipeline.load import make_robot
 from locfuse.fusion import se2
 from locfuse.fusion.data import ArrayStream, Column, Drive
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.ekf.belief_pose import PoseBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.landmarks.messages import DETECTIONS
@@ -165,7 +164,7 @@ def test_one_of_two_maps_begins_the_local_frame_whichever_is_first(later: str) -
             began.append(drive.t[np.searchsorted(drive.t, drive.measurements[first].t[0])])
             super().begin_frame()
 
-    fused = fuse(drive, robot, ("landmarks", "pose"), beliefs=(PoseBelief, Watched))
+    fused = fuse(drive, robot, ("landmarks", "pose"), make=Watched)
     assert began == [drive.measurements[first].t[0]]
     alone = figures(drive, robot, ())
     assert evaluate(fused, drive).figures["position_rmse_m"] < 0.3 * alone["position_rmse_m"]

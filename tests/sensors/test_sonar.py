@@ -13,7 +13,6 @@ from locfuse.cli.pipeline.configurations import for_comparison, parse
 from locfuse.cli.pipeline.load import make_robot
 from locfuse.fusion.data import ArrayStream, Drive, UsageError
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.ekf.belief_pose import PoseBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.linemap.line_map import LineMap
@@ -60,8 +59,8 @@ def cast(segments: list[Segment], at: Array, half: float) -> float:
     return nearest
 
 
-def belief_at(pose: tuple[float, float, float], sigma: float = 1e-3) -> PoseBelief:
-    return PoseBelief(pose, (sigma**2, 0.0, 0.0, sigma**2, 0.0, sigma**2))
+def belief_at(pose: tuple[float, float, float], sigma: float = 1e-3) -> JointBelief:
+    return JointBelief(pose, (sigma**2, 0.0, 0.0, sigma**2, 0.0, sigma**2))
 
 
 def test_an_echo_is_the_nearest_thing_that_rays_meet_or_none() -> None:

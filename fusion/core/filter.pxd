@@ -1,0 +1,21 @@
+cpdef void move(
+    double[::1] x, double[:, ::1] P, Py_ssize_t n, double ux, double uy, double turn, double qxx, double qxy,
+    double qxt, double qyy, double qyt, double qtt)
+cpdef double whiten(
+    double[:, ::1] P, Py_ssize_t n, Py_ssize_t[::1] at, Py_ssize_t states, double[:, ::1] H, double[:, ::1] S,
+    double[::1] y, Py_ssize_t m, double[:, ::1] V)
+cpdef double projected(
+    double[:, ::1] P, Py_ssize_t n, Py_ssize_t[::1] at, Py_ssize_t states, double[:, ::1] H, double[:, ::1] S,
+    Py_ssize_t m, double[:, ::1] V)
+cdef bint factor(double[:, ::1] S, Py_ssize_t m)
+cdef void correct(
+    double[::1] x, double[:, ::1] P, Py_ssize_t n, double[:, ::1] V, double[::1] e, Py_ssize_t m)
+cdef void consider(
+    double[::1] x, double[:, ::1] P, Py_ssize_t n, double[:, ::1] V, double[::1] e, Py_ssize_t m,
+    Py_ssize_t[::1] kept)
+cpdef double take_in(
+    double[::1] x, double[:, ::1] P, Py_ssize_t n, Py_ssize_t[::1] at, Py_ssize_t states, double[:, ::1] H,
+    double[:, ::1] R, double[::1] y, Py_ssize_t m, double[:, ::1] V, Py_ssize_t[::1] kept, bint some)
+cpdef void locate(double[::1] x, double[:, ::1] P, Py_ssize_t first, double[::1] out)
+cpdef double bent(double tt)
+cpdef void swing(double[:, ::1] P, Py_ssize_t n, Py_ssize_t first, double dx, double dy)

@@ -1,13 +1,17 @@
-"""What a report says of trust: every sensor's noise without truth, every covariance where there is truth."""
+"""What a report says of trust: every sensor's noise without truth, every covariance where there is truth, and what
+took the place of truth.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
+from locfuse.formats.tables.findings import length
 from locfuse.fusion.data import Drive, Estimates, Evaluation
+from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.consistency import Consistency, Run, judge
 from locfuse.fusion.judge.covariance import Honesty, honesty
 from locfuse.fusion.robot import Robot
@@ -67,3 +71,29 @@ def unless_overconfident(sensor: str, found: Consistency, using: Sequence[Honest
         "this worse"
     )
     return replace(found, words=words, cures={})
+
+
+REFERENCE = (
+    "Errors are measured against a reference, not truth: the whole drive solved forward and backward with the wheels"
+    "{sensors} (1 sigma {sigma}). It shares the wheels with every configuration. A configuration with a sensor that "
+    "is in the reference is judged by one without that sensor where that one is exact enough; else its error shows "
+    "only what the rest of the drive corrects."
+)
+
+
+def reference_values(whole: Reference, quarrels: Sequence[tuple[str, str]]) -> dict[str, Any]:
+    """Return the reference of all sensors as plain values, with what it is in words."""
+    sensors = "".join(f", {s}" for s in whole.sensors[:-1]) + f" and {whole.sensors[-1]}"
+    words = REFERENCE.format(sensors=sensors, sigma=length(whole.sigma))
+    words += "".join(f" {a} and {b} contradict each other, so it is doubtful." for a, b in quarrels)
+    return {"sensors": list(whole.sensors), "left_out": [], "sigma_m": whole.sigma, "words": words}
+
+
+def judge_values(reference: Reference, used: Collection[str]) -> dict[str, Any]:
+    """Return what judged a result that used these sensors; `shared` are those that are in both."""
+    return {
+        "sensors": list(reference.sensors),
+        "left_out": list(reference.left_out),
+        "sigma_m": reference.sigma,
+        "shared": [s for s in reference.sensors if s in used],
+    }

@@ -1,0 +1,108 @@
+"""References of a drive without truth: its whole-drive solution, and those that leave one sensor out.
+
+drive, robot -> which sets of sensors to solve -> the whole drive with each (fusion.smooth) -> what judges what
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+from .data import Drive, Estimates, Evaluation, UsageError
+from .judge.against import Reference
+from .judge.evaluate import Align
+from .robot import Robot
+from .sensors.registry import REGISTRY, needed
+from .smooth import check_optimal, fuse_and_smooth
+
+Subset = frozenset[str]
+Solve = Callable[[tuple[str, ...]], Estimates]
+
+
+def refuse(drive: Drive, robot: Robot) -> None:
+    """Raise UsageError where this log can have no reference."""
+    if drive.truth is not None:
+        raise UsageError(
+            f"--reference: this log has a truth, {drive.truth.topic}; leave --reference out, or judge without the "
+            "truth: --set truth.topic=none"
+        )
+    check_optimal(robot, _present(drive))
+    if not _locates(_present(drive)):
+        raise UsageError(
+            "--reference: no sensor of this log says where the robot is, so its whole-drive solution judges nobody"
+        )
+
+
+def possible(drive: Drive, robot: Robot) -> bool:
+    """Return whether this log can have a reference."""
+    try:
+        refuse(drive, robot)
+    except UsageError:
+        return False
+    return True
+
+
+def sets(drive: Drive) -> list[tuple[str, ...]]:
+    """Return the sets of sensors to solve: all, then all but each one (and what needs it), without repeats.
+
+    A set in which nothing says where the robot is, is none: a wrong wheel radius would judge the sensors.
+    """
+    present = _present(drive)
+    found = [present, *(_without(s, present) for s in present)]
+    return list(dict.fromkeys(s for s in found if _locates(s)))
+
+
+@dataclass(frozen=True)
+class References:
+    """The references of one drive."""
+
+    solved: Mapping[Subset, Reference]
+    present: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls, drive: Drive, robot: Robot, known: Mapping[Subset, Estimates], solving: Solve | None = None
+    ) -> References | None:
+        """Return the references of a drive; None where its whole-drive solution is lost on the way.
+
+        `known` are smoothed estimates that were made anyway, by their sensors; `solving` makes the others.
+        """
+        present = _present(drive)
+        make = solving or (lambda sensors: fuse_and_smooth(drive, robot, sensors)[1])
+        solved: dict[Subset, Reference] = {}
+        for sensors in sets(drive):
+            subset = frozenset(sensors)
+            e = known.get(subset) or make(sensors)
+            if not e.lost:
+                solved[subset] = Reference.of(e, drive, tuple(s for s in present if s not in subset))
+        return cls(solved, present) if frozenset(present) in solved else None
+
+    @property
+    def whole(self) -> Reference:
+        """The reference of all sensors."""
+        return self.solved[frozenset(self.present)]
+
+    def without(self, sensor: str) -> Reference | None:
+        """Return the reference that a sensor has no part in; None where there is none."""
+        return self.solved.get(frozenset(_without(sensor, self.present)))
+
+    def judged(self, judged: Evaluation, e: Estimates, align: Align) -> tuple[Evaluation, Reference]:
+        """Return an evaluation against a reference, and which: one that shares no sensor if it is exact enough."""
+        others = [r for r in self.solved.values() if e.sensors and not set(r.sensors) & set(e.sensors)]
+        for reference in sorted(others, key=lambda r: r.sigma):
+            found = reference.judge(judged, e, align)
+            if reference.can_judge(found.figures["position_rmse_m"]):
+                return found, reference
+        return self.whole.judge(judged, e, align), self.whole
+
+
+def _present(drive: Drive) -> tuple[str, ...]:
+    return tuple(s for s in REGISTRY if s in drive.measurements)
+
+
+def _without(sensor: str, present: Sequence[str]) -> tuple[str, ...]:
+    return tuple(s for s in present if s != sensor and sensor not in needed(s))
+
+
+def _locates(sensors: Collection[str]) -> bool:
+    return any(REGISTRY[s].locates for s in sensors)

@@ -5,8 +5,8 @@ drive, robot -> which sets of sensors to solve -> the whole drive with each (fus
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from .data import Drive, Estimates, Evaluation, UsageError
 from .judge.against import Reference
@@ -16,7 +16,6 @@ from .sensors.registry import REGISTRY, needed
 from .smooth import check_optimal, fuse_and_smooth
 
 Subset = frozenset[str]
-Solve = Callable[[tuple[str, ...]], Estimates]
 
 
 def refuse(drive: Drive, robot: Robot) -> None:
@@ -58,24 +57,34 @@ class References:
 
     solved: Mapping[Subset, Reference]
     present: tuple[str, ...]
+    contradict: Sequence[tuple[str, str]] = ()  # sensors of which one must be wrong, and nobody knows which
 
     @classmethod
     def of(
-        cls, drive: Drive, robot: Robot, known: Mapping[Subset, Estimates], solving: Solve | None = None
+        cls,
+        drive: Drive,
+        robot: Robot,
+        known: Mapping[Subset, Estimates],
+        noise: Mapping[str, float],
+        contradict: Sequence[tuple[str, str]] = (),
     ) -> References | None:
         """Return the references of a drive; None where its whole-drive solution is lost on the way.
 
-        `known` are smoothed estimates that were made anyway, by their sensors; `solving` makes the others.
+        `known` are smoothed estimates that were made anyway, by their sensors. `noise`: by how much the sigma of a
+        sensor is too small, as its residuals show; references are solved with the larger one, else they would be
+        as wrong and as sure as the estimates that they judge.
         """
         present = _present(drive)
-        make = solving or (lambda sensors: fuse_and_smooth(drive, robot, sensors)[1])
+        larger = {s: factor for s, factor in noise.items() if factor > 1.0}
+        honest = _noisier(drive, larger)
         solved: dict[Subset, Reference] = {}
         for sensors in sets(drive):
             subset = frozenset(sensors)
-            e = known.get(subset) or make(sensors)
+            found = known.get(subset) if subset.isdisjoint(larger) else None
+            e = found or fuse_and_smooth(honest, robot, sensors)[1]
             if not e.lost:
                 solved[subset] = Reference.of(e, drive, tuple(s for s in present if s not in subset))
-        return cls(solved, present) if frozenset(present) in solved else None
+        return cls(solved, present, contradict) if frozenset(present) in solved else None
 
     @property
     def whole(self) -> Reference:
@@ -86,14 +95,29 @@ class References:
         """Return the reference that a sensor has no part in; None where there is none."""
         return self.solved.get(frozenset(_without(sensor, self.present)))
 
+    def quarrel(self, reference: Reference, judged: Collection[str]) -> tuple[str, str] | None:
+        """Return two sensors that contradict each other where one judges, with the other or against it."""
+        known = {*reference.sensors, *judged}
+        return next((pair for pair in self.contradict if set(pair) <= known), None)
+
     def judged(self, judged: Evaluation, e: Estimates, align: Align) -> tuple[Evaluation, Reference]:
         """Return an evaluation against a reference, and which: one that shares no sensor if it is exact enough."""
-        others = [r for r in self.solved.values() if e.sensors and not set(r.sensors) & set(e.sensors)]
+        others = [
+            r
+            for r in self.solved.values()
+            if e.sensors and not set(r.sensors) & set(e.sensors) and self.quarrel(r, e.sensors) is None
+        ]
         for reference in sorted(others, key=lambda r: r.sigma):
             found = reference.judge(judged, e, align)
             if reference.can_judge(found.figures["position_rmse_m"]):
                 return found, reference
         return self.whole.judge(judged, e, align), self.whole
+
+
+def _noisier(drive: Drive, factors: Mapping[str, float]) -> Drive:
+    """Return a drive whose sensors have sigmas larger by these factors."""
+    scaled = {s: replace(m, scale=m.scale * factors.get(s, 1.0)) for s, m in drive.measurements.items()}
+    return replace(drive, measurements=scaled) if factors else drive
 
 
 def _present(drive: Drive) -> tuple[str, ...]:

@@ -53,7 +53,7 @@ def _by_errors(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], err
 
 
 def _by_reference(report: Mapping[str, Any], errors: Mapping[str, float]) -> str:
-    """Return what a reference tells of odometry and the sensors: it is no truth, so it says what to keep of none."""
+    """Return what a reference tells of odometry and of sensors; it is no truth, so it keeps or drops none."""
     verdicts = report.get("verdicts", {})
     words = {which: [s for s, v in verdicts.items() if v["verdict"] in which] for which in (HELPS, HURTS)}
     parts = [f"odometry alone is off by {length(errors[ODOMETRY])}"] if ODOMETRY in errors else []
@@ -62,7 +62,7 @@ def _by_reference(report: Mapping[str, Any], errors: Mapping[str, float]) -> str
             parts.append(f"{_names(words[which])} {one if len(words[which]) == 1 else several}")
     if not any(words.values()):
         parts.append("of the sensors nothing is sure")
-    return f"Measured against a reference, not truth: {', '.join(parts)}."
+    return f"Measured against a reference, not truth: {'; '.join(parts)}."
 
 
 def _without_truth(report: Mapping[str, Any]) -> str:

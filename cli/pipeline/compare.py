@@ -27,7 +27,7 @@ from .key import Asked, key
 from .load import Loaded
 from .memory import lean
 from .settings import Progress, one_of
-from .trust import add_consistency, evidence, judge_values, reference_values
+from .trust import add_consistency, evidence, judge_values, noise_factors, reference_values
 from .verdicts import ByReference, by_reference, credit_values, prediction_values, verdicts
 
 if TYPE_CHECKING:
@@ -112,7 +112,12 @@ def compare_log(
     predicted = [] if found is not None else predict(drive, robot, configurations, progress, heard)
     every = [*filtered, *smoothed, *(_judged_foreign(e, drive, align) for e in foreign)]
     progress("solving the whole drive" if reference else "judging")
-    references = lean(_references, drive, robot, solved) if reference else None
+    runs = [run for j in filtered for run in j.evidence]
+    references = (
+        lean(_references, drive, robot, solved, noise_factors(runs, robot), quarrels(configurations, predicted))
+        if reference
+        else None
+    )
     referenced = None if references is None else _referenced(references, every, filtered, align)
     return Compared(
         loaded=loaded,
@@ -132,10 +137,22 @@ def _solved_sets(drive: Drive) -> set[frozenset[str]]:
     return {frozenset(sensors) for sensors in sets(drive)}
 
 
-def _references(drive: Drive, robot: Robot, solved: Mapping[frozenset[str], Estimates]) -> References | None:
+def _references(
+    drive: Drive,
+    robot: Robot,
+    solved: Mapping[frozenset[str], Estimates],
+    noise: Mapping[str, float],
+    contradict: Sequence[tuple[str, str]],
+) -> References | None:
     from locfuse.fusion.reference import References
 
-    return References.of(drive, robot, solved)
+    return References.of(drive, robot, solved, noise, contradict)
+
+
+def quarrels(configurations: Sequence[Configuration], found: Sequence[Score]) -> list[tuple[str, str]]:
+    """Return pairs of sensors that contradict each other, as prediction shows."""
+    alone = {c.sensors[0]: c.name for c in configurations if len(c.sensors) == 1 and not c.rates}
+    return contradictions(found, alone)
 
 
 def _referenced(
@@ -273,14 +290,14 @@ def add_reference(report: dict[str, Any], compared: Compared) -> None:
         values["reference"] = None if found is None else judge_values(found.judges[name], values["sensors"])
     if found is None:
         return
-    alone = {c.name: c.sensors[0] for c in compared.configurations if len(c.sensors) == 1 and not c.rates}
-    quarrels = contradictions(compared.scores, {sensor: name for name, sensor in alone.items()})
-    report["reference"] = reference_values(found.references.whole, quarrels)
-    for sensor in found.references.present:
-        own = report["verdicts"].get(sensor)
-        reference, effect = found.references.without(sensor), found.effects.get(sensor)
+    references = found.references
+    report["reference"] = reference_values(references.whole, references.contradict)
+    for sensor in references.present:
+        own, effect = report["verdicts"].get(sensor), found.effects.get(sensor)
+        reference = references.without(sensor)
+        quarrel = None if reference is None else references.quarrel(reference, (sensor,))
         if own is not None or effect is not None:
-            report["verdicts"][sensor] = by_reference(own, reference, effect, quarrels)
+            report["verdicts"][sensor] = by_reference(own, reference, effect, quarrel)
 
 
 def report_of_run(

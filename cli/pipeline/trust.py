@@ -1,6 +1,4 @@
-"""What a report says of trust: every sensor's noise without truth, every covariance where there is truth, and what
-took the place of truth.
-"""
+"""What a report says of trust: every sensor's noise without truth, every covariance with truth, any reference."""
 
 from __future__ import annotations
 
@@ -74,11 +72,18 @@ def unless_overconfident(sensor: str, found: Consistency, using: Sequence[Honest
 
 
 REFERENCE = (
-    "Errors are measured against a reference, not truth: the whole drive solved forward and backward with the wheels"
-    "{sensors} (1 sigma {sigma}). It shares the wheels with every configuration. A configuration with a sensor that "
-    "is in the reference is judged by one without that sensor where that one is exact enough; else its error shows "
-    "only what the rest of the drive corrects."
+    "Errors are against a reference, not truth: the whole drive solved forward and backward with the "
+    "wheels{sensors} (1 sigma {sigma}), or without the sensor that is judged. A * marks a result whose own "
+    "sensors are in its reference: its error shows only what the rest of the drive corrects. An error of the "
+    "wheels that no sensor corrects is not seen."
 )
+TOO_SMALL = {"understated", "correlated"}  # verdicts on a sigma
+
+
+def noise_factors(runs: Sequence[Run], robot: Robot) -> dict[str, float]:
+    """Return by how much the sigma of each sensor is too small, as its residuals show: 1 where it is not."""
+    found = {s: c for sensors in sensors_consistency(runs, robot, {}).values() for s, c in sensors.items()}
+    return {s: max(1.0, c.scale) for s, c in found.items() if c.verdict in TOO_SMALL and c.scale is not None}
 
 
 def reference_values(whole: Reference, quarrels: Sequence[tuple[str, str]]) -> dict[str, Any]:

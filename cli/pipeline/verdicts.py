@@ -217,7 +217,7 @@ def by_reference(
     own: Mapping[str, Any] | None,
     reference: Reference | None,
     found: ByReference | None,
-    quarrels: Sequence[tuple[str, str]],
+    quarrel: tuple[str, str] | None,
 ) -> dict[str, Any]:
     """Return a sensor's verdict without truth: by a reference without it if that can judge, else its `own`."""
     own = own or {"verdict": "no verdict", "words": ""}
@@ -227,8 +227,8 @@ def by_reference(
     if found is None:
         return dict(own)
     name = f"a reference without it ({' and '.join(reference.sensors)}, 1 sigma {length(reference.sigma)})"
-    if quarrel := next((pair for pair in quarrels if set(pair) <= set(reference.sensors)), None):
-        words = f"{name.capitalize()} cannot judge it: {' and '.join(quarrel)} in it contradict each other."
+    if quarrel is not None:
+        words = f"{name.capitalize()} cannot judge it: {' and '.join(quarrel)} contradict each other."
         return {**own, "words": f"{own['words']} {words}".strip()}
     if found.effect is None:
         errors = f"{length(found.before)} without it and {length(found.after)} with it"
@@ -256,9 +256,7 @@ def _grade(mine: Sequence[Score], gain: float) -> str:
 
 def _by_itself(score: Score) -> dict[str, Any]:
     """Judge the only sensor of a log by its own readings: that can show a fault, never that it is right."""
-    words = (
-        "The log has no reference and no second sensor. Self-check: its readings five seconds ahead are predicted "
-    )
+    words = "The log has no truth and no second sensor. Self-check: its readings five seconds ahead are predicted "
     if score.high < 0.0:
         words += (
             f"{abs(score.gain):.2f} nats per number worse than by odometry. Check its clock, mount and settings."

@@ -216,7 +216,7 @@ class Session:
         )
 
     def _refers(self, wanted: bool | None, smooth: bool, jitter: int) -> bool:
-        """Return whether a reference takes the place of truth. Raises UsageError where one is asked for in vain."""
+        """Return whether a reference takes truth's place. Raises UsageError where one is asked for in vain."""
         if wanted and jitter:
             raise UsageError(f"--reference --jitter {jitter}: of a jittered drive there is no reference; use one")
         short = smooth or len(self.drive.t) <= MAX_REFERENCE_INSTANTS

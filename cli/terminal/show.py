@@ -21,7 +21,10 @@ from .screen import put, reader_may_leave, screen
 from .screen import say as on_screen
 
 BELOW = " rmse, max, final: distance to the truth. ANEES: 1 is right, more is overconfident. See: locfuse explain"
-BELOW_REFERENCE = " rmse, max, final: distance to a reference, not to truth. See: locfuse explain reference"
+BELOW_REFERENCE = (
+    " rmse, max, final: distance to a reference, not to truth. *: which has the configuration's own sensors. "
+    "See: locfuse explain reference"
+)
 COLOURS = {"helps": "green", "hurts": "red"}  # of verdicts; the others need none
 NO_TRUTH = "no truth in this log: the error figures do not exist; if a topic holds it: --set truth.topic=/TOPIC"
 OR_REFERENCE = ", or measure against the solution of the whole drive: --reference"

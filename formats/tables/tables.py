@@ -128,11 +128,11 @@ def _configurations(report: Report, key: str | None = None) -> Rows:
 
 
 def _judged_by(reference: Mapping[str, Any] | None) -> str | None:
-    """Return which reference judged a result: "compass+lrf", or "compass+lrf (has lrf)" where it shares one."""
+    """Return which reference judged a result: "compass+lrf", "all", or "all *" where it shares sensors."""
     if reference is None:
         return None
-    sensors = "+".join(reference["sensors"])
-    return f"{sensors} (has {', '.join(reference['shared'])})" if reference["shared"] else sensors
+    every = not reference["left_out"] and len(reference["sensors"]) > 1
+    return f"{'all' if every else '+'.join(reference['sensors'])}{' *' if reference['shared'] else ''}"
 
 
 def brief(report: Report) -> Table:

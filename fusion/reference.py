@@ -88,16 +88,29 @@ class References:
 
     @property
     def whole(self) -> Reference:
-        """The reference of all sensors."""
-        return self.solved[frozenset(self.present)]
+        """The reference of all sensors but one that contradicts all others."""
+        every = frozenset(self.present)
+        return self.solved.get(every - {self.outlier}) or self.solved[every]
+
+    @property
+    def outlier(self) -> str | None:
+        """The one sensor that contradicts all others, none of which contradict each other; None for none."""
+        for sensor in self.present:
+            others = {o for pair in self.contradict if sensor in pair for o in pair if o != sensor}
+            if len(others) > 1 and others == {*self.present} - {sensor} and len(self.contradict) == len(others):
+                return sensor
+        return None
 
     def without(self, sensor: str) -> Reference | None:
         """Return the reference that a sensor has no part in; None where there is none."""
         return self.solved.get(frozenset(_without(sensor, self.present)))
 
     def quarrel(self, reference: Reference, judged: Collection[str]) -> tuple[str, str] | None:
-        """Return two sensors that contradict each other where one judges, with the other or against it."""
-        known = {*reference.sensors, *judged}
+        """Return two sensors that contradict each other where one judges, with the other or against it.
+
+        All others together may judge the one that contradicts them all.
+        """
+        known = {*reference.sensors, *(s for s in judged if s != self.outlier)}
         return next((pair for pair in self.contradict if set(pair) <= known), None)
 
     def judged(self, judged: Evaluation, e: Estimates, align: Align) -> tuple[Evaluation, Reference]:

@@ -287,7 +287,9 @@ def add_reference(report: dict[str, Any], compared: Compared) -> None:
     found = compared.reference
     report["reference"] = None
     for name, values in report["configurations"].items():
-        values["reference"] = None if found is None else judge_values(found.judges[name], values["sensors"])
+        values["reference"] = (
+            None if found is None else judge_values(found.judges[name], found.references.whole, values["sensors"])
+        )
     if found is None:
         return
     references = found.references

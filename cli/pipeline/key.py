@@ -35,7 +35,7 @@ class Asked:
     align: str
     smooth: bool
     jitter: int = 0  # runs
-    reference: bool | None = None  # None: where the drive is short enough
+    reference: bool = False  # one takes the place of truth
 
     @classmethod
     def of(
@@ -45,7 +45,7 @@ class Asked:
         align: str,
         smooth: bool,
         jitter: int = 0,
-        reference: bool | None = None,
+        reference: bool = False,
     ) -> Asked:
         """Return it with every configuration as one word."""
         words = tuple(s if isinstance(s, str) else ",".join(s) for s in sensors)

@@ -74,8 +74,9 @@ def unless_overconfident(sensor: str, found: Consistency, using: Sequence[Honest
 REFERENCE = (
     "Errors are against a reference, not truth: the whole drive solved forward and backward with the "
     "wheels{sensors} (1 sigma {sigma}), or without the sensor that is judged. A * marks a result whose own "
-    "sensors are in its reference: its error shows only what the rest of the drive corrects. An error of the "
-    "wheels that no sensor corrects is not seen."
+    "sensors are in its reference: its error shows only what the rest of the drive corrects. A ? marks a "
+    "reference that is further from the one of all sensors than both claim: one of the two is wrong. An error of "
+    "the wheels that no sensor corrects is not seen."
 )
 TOO_SMALL = {"understated", "correlated"}  # verdicts on a sigma
 
@@ -90,15 +91,23 @@ def reference_values(whole: Reference, quarrels: Sequence[tuple[str, str]]) -> d
     """Return the reference of all sensors as plain values, with what it is in words."""
     sensors = "".join(f", {s}" for s in whole.sensors[:-1]) + f" and {whole.sensors[-1]}"
     words = REFERENCE.format(sensors=sensors, sigma=length(whole.sigma))
-    words += "".join(f" {a} and {b} contradict each other, so it is doubtful." for a, b in quarrels)
-    return {"sensors": list(whole.sensors), "left_out": [], "sigma_m": whole.sigma, "words": words}
+    words += "".join(f" {s} contradicts all others and is left out." for s in whole.left_out)
+    doubtful = [pair for pair in quarrels if set(pair) <= set(whole.sensors)]
+    words += "".join(f" {a} and {b} contradict each other, so it is doubtful." for a, b in doubtful)
+    return {
+        "sensors": list(whole.sensors),
+        "left_out": list(whole.left_out),
+        "sigma_m": whole.sigma,
+        "words": words,
+    }
 
 
-def judge_values(reference: Reference, used: Collection[str]) -> dict[str, Any]:
+def judge_values(reference: Reference, whole: Reference, used: Collection[str]) -> dict[str, Any]:
     """Return what judged a result that used these sensors; `shared` are those that are in both."""
     return {
         "sensors": list(reference.sensors),
         "left_out": list(reference.left_out),
         "sigma_m": reference.sigma,
         "shared": [s for s in reference.sensors if s in used],
+        "agrees": reference.agrees(whole),
     }

@@ -200,7 +200,7 @@ class Session:
             compared,
             None
             if foreign or self.loaded.asked is None
-            else Asked.of(words, all_subsets, align, smooth, runs, reference),
+            else Asked.of(words, all_subsets, align, smooth, runs, refer),
         )
         if runs:
             self._jitter(report, wanted, align, smooth, compared.estimates, runs)

@@ -22,8 +22,8 @@ from .screen import say as on_screen
 
 BELOW = " rmse, max, final: distance to the truth. ANEES: 1 is right, more is overconfident. See: locfuse explain"
 BELOW_REFERENCE = (
-    " rmse, max, final: distance to a reference, not to truth. *: which has the configuration's own sensors. "
-    "See: locfuse explain reference"
+    " rmse, max, final: distance to a reference, not to truth; * it has the configuration's own sensors, "
+    "? it may be wrong. See: locfuse explain reference"
 )
 COLOURS = {"helps": "green", "hurts": "red"}  # of verdicts; the others need none
 NO_TRUTH = "no truth in this log: the error figures do not exist; if a topic holds it: --set truth.topic=/TOPIC"

@@ -86,6 +86,7 @@ class Reference(Struct):
     left_out: list[str]  # sensors of the log that it was solved without
     sigma_m: float  # median over the drive of its claimed standard deviation, sqrt(P_xx + P_yy)
     shared: list[str] = []  # sensors that it shares with the result that it judged
+    agrees: bool = True  # with the reference of all sensors, as near as both claim
     words: str = ""  # what it is, as a sentence
 
 

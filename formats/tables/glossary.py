@@ -15,7 +15,9 @@ GLOSSARY: Mapping[str, str] = {
     "reference": (
         "In a log without truth, the solution of the whole drive by all its sensors, forward and backward, in the "
         "place of truth. It shares the wheels with every estimate, so it is no truth. A sensor is judged by one "
-        "that was solved without it, where that one's sigma is at most a third of the error. docs/trust.md"
+        "that was solved without it, where that one's sigma is at most a third of the error. *: its own sensors "
+        "are in the reference, so the error is larger than shown. ?: the reference disagrees with the one of all "
+        "sensors. docs/report.md"
     ),
     "rmse": (
         "Root mean square error: the usual distance between estimate and truth, in metres. Large errors count "

@@ -128,11 +128,12 @@ def _configurations(report: Report, key: str | None = None) -> Rows:
 
 
 def _judged_by(reference: Mapping[str, Any] | None) -> str | None:
-    """Return which reference judged a result: "compass+lrf", "all", or "all *" where it shares sensors."""
+    """Return which reference judged a result: "all", "all *" where it shares sensors, "camera ?" in doubt."""
     if reference is None:
         return None
     every = not reference["left_out"] and len(reference["sensors"]) > 1
-    return f"{'all' if every else '+'.join(reference['sensors'])}{' *' if reference['shared'] else ''}"
+    mark = " *" if reference["shared"] else "" if reference["agrees"] else " ?"
+    return f"{'all' if every else '+'.join(reference['sensors'])}{mark}"
 
 
 def brief(report: Report) -> Table:

@@ -19,6 +19,7 @@ from .verdict import Effect
 
 TOPIC = "reference"
 MAX_SIGMA_SHARE = 1.0 / 3.0  # of the error that a reference judges: it then changes that error by 6 % at most
+MAX_APART_SIGMAS = 3.0  # of two references: further apart, one of them is wrong
 MIN_ERROR_SHARE = 1e-3  # of an error, below which nothing is said of it
 
 
@@ -46,6 +47,13 @@ class Reference:
     def can_judge(self, error: float | None) -> bool:
         """Return whether it is exact enough to judge an error [m]."""
         return error is not None and self.sigma <= MAX_SIGMA_SHARE * error
+
+    def agrees(self, other: Reference) -> bool:
+        """Return whether two references of one drive are as near to each other as both claim."""
+        assert self.drive.truth is not None
+        assert other.drive.truth is not None
+        apart = np.hypot(*(self.drive.truth.xy - other.drive.truth.xy).T)
+        return float(np.sqrt((apart**2).mean())) <= MAX_APART_SIGMAS * math.hypot(self.sigma, other.sigma)
 
     def judge(self, judged: Evaluation, e: Estimates, align: Align = "none") -> Evaluation:
         """Return an evaluation without truth with its deviations from the reference.

@@ -98,7 +98,7 @@ def test_it_can_be_left_out_and_is_refused_where_there_is_truth(tmp_path: Path) 
     found = report(tmp_path / "out")
     assert found["reference"] is None
     assert found["configurations"]["odometry"]["position_rmse_m"] is None
-    assert found["repeat"].endswith("--no-reference")
+    assert "--no-reference" in found["repeat"]
     assert "or measure against the solution of the whole drive: --reference" in done.stderr
     done = locfuse(*words, "--reference", "-o", tmp_path / "truth")
     assert done.exit_code == 2

@@ -96,6 +96,16 @@ def test_sensors_that_contradict_each_other_do_not_judge_each_other() -> None:
     assert reference.left_out == ()
 
 
+def test_the_one_that_contradicts_all_others_is_judged_by_them_and_judges_nobody() -> None:
+    found = replace(references(), contradict=[("camera", "compass"), ("compass", "lrf")])
+    assert found.outlier == "compass"
+    assert found.whole.left_out == ("compass",)
+    for sensor, judge in [("compass", ("lrf", "camera")), ("camera", ("lrf", "camera"))]:
+        e = fuse(session().drive, session().robot, (sensor,))
+        _, reference = found.judged(evaluate(e, session().drive), e, "none")
+        assert reference.sensors == judge
+
+
 def test_a_reference_is_solved_with_the_noise_that_residuals_show() -> None:
     robot: Robot = session().robot
     drive = only("compass", "camera")

@@ -70,6 +70,13 @@ def test_it_judges_errors_of_three_sigmas_and_more(error: float | None, able: bo
     assert reference().can_judge(error) is able
 
 
+@pytest.mark.parametrize(("shift", "agree"), [(0.0, True), (0.1, True), (0.13, False)])
+def test_two_references_agree_up_to_three_of_their_sigmas_apart(shift: float, agree: bool) -> None:
+    """Of 28 mm each, 40 mm together."""
+    other = Reference.of(of_poses(path() + np.array([shift, 0.0, 0.0])), drive())
+    assert reference().agrees(other) is agree
+
+
 @pytest.mark.parametrize("shares", [False, True])
 def test_the_widened_interval_has_the_true_ratio_whether_or_not_errors_are_shared(shares: bool) -> None:
     """Errors drawn anew: of an estimate of its own, or one whose error the reference halves and so shares."""

@@ -194,7 +194,7 @@ def other_channel(rng: Random, spoken: list[Spoken]) -> list[Spoken]:
             out[i] = Spoken(other.schema, channel, message)
         elif schema is not None:
             own = random.Random(seed)
-            text = damage.odd_text(own, schema.data.decode()).encode()
+            text = damage.odd_text(own, schema.data.decode("utf-8", "replace")).encode()
             names = ("sensor_msgs/msg/LaserScan", "", "a/b/c/d", "sensor_msgs/LaserScan", schema.name)
             new = replace(schema, data=text) if deed == 3 else replace(schema, name=own.choice(names))
             out[i] = Spoken(new, channel, message)
@@ -248,8 +248,7 @@ def judge(case: Case, folder: Path, healthy: bytes | None) -> str:
 def words_are_wrong(done: Done, short: bool = True) -> str:
     """Hold exit code and stderr against the contract; `short`: a refusal is one line, a loss has numbers."""
     text = done.err
-    if done.code == 3 and "\n  file: " in done.out:  # info says what is lost among its results
-        text += f"lost: {done.out}"
+    losses = text + _lost_by_info(done.out)
     if "Traceback" in text:
         return text[text.index("Traceback") :][-3000:]
     if "Warning:" in text:
@@ -262,9 +261,19 @@ def words_are_wrong(done: Done, short: bool = True) -> str:
         return ""
     if done.code in {1, 2} and (text.count("\n") != 1 or not text.startswith("locfuse: ")):
         return f"exit {done.code} is not one line: {text[-500:]}"
-    if done.code == 3 and not any(c.isdigit() for line in text.splitlines() if "lost" in line for c in line):
+    if done.code == 3 and not any(c.isdigit() for line in losses.splitlines() if "lost" in line for c in line):
         return f"exit 3 without numbers: {text[-500:]}"
     return ""
+
+
+def _lost_by_info(out: str) -> str:
+    """Return what `info` says is lost or refused: it says so among its results, as text or as JSON."""
+    if out.startswith("{"):
+        found = json.loads(out).get("findings", [])
+        lines = [f["message"] for f in found if f["code"] in {"lost", "refused"}]
+    else:
+        lines = [line for line in out.splitlines() if "  file: " in line or "not used: " in line]
+    return "".join(f"\nlost: {line}" for line in lines)
 
 
 def files_are_wrong(folder: Path, done: Done, lost: bool | None = None) -> str:
@@ -274,7 +283,8 @@ def files_are_wrong(folder: Path, done: Done, lost: bool | None = None) -> str:
     if report is None:
         return f"exit {done.code} without a result"
     found = json.loads(report.read_text(), parse_constant=_refuse)
-    if lost and not (found["input"]["losses"] or found["input"]["dropped"]):
+    void = any("void" in one for one in found["configurations"].values())
+    if lost and not (found["input"]["losses"] or found["input"]["dropped"] or void):
         return "exit 3, but nothing is counted as lost"
     for path in (folder / "out").glob("*.tum"):
         if not np.isfinite(np.loadtxt(path, ndmin=2)).all():

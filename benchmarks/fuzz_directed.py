@@ -285,7 +285,7 @@ def _each(case: Directed, topic: str, change: Callable[[Spoken], Spoken]) -> Dir
 def another_kind(rng: Random, case: Directed) -> Directed:
     """Let a field be of another kind, with messages as they were, or as the definition says."""
     topic, schema = _of(rng, case)
-    lines = schema.data.decode().split("\n")
+    lines = schema.data.decode("utf-8", "replace").split("\n")  # an earlier deed may have damaged it
     own = [i for i, line in enumerate(lines) if len(line.split()) == 2 and "=" not in line and "MSG" not in line]
     if not own:
         return case

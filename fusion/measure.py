@@ -16,6 +16,7 @@ import numpy as np
 from locfuse.fusion.sensors.registry import REGISTRY, unmet
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
+from locfuse.fusion.wheels.repairs import gaps_of
 
 from . import se2
 from .data import Array, Drive, Ints, LocfuseError, Measurements, Motions, Stream, Truth
@@ -135,9 +136,9 @@ def _gap_notes(wheels: Wheels) -> list[str]:
     if not len(silent):
         return []
     longest = silent[np.argmax(np.diff(wheels.t)[silent])]
-    when = f"{wheels.t[longest]:.1f}-{wheels.t[longest + 1]:.1f} s"
-    times = "once" if len(silent) == 1 else f"{len(silent)} times, longest"
-    return [f"silent {times} ({when}): which way the robot took there is not known, and P grows by that"]
+    begin, end = wheels.t[longest], wheels.t[longest + 1]
+    gaps = f"{gaps_of(len(silent), end - begin)} ({begin:.1f}-{end:.1f} s)"
+    return [f"{gaps}: the path in between is unknown, so the covariance grows there"]
 
 
 def instants(wheel_t: Array, sensor_t: list[Array]) -> Array:

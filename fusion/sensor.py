@@ -120,7 +120,7 @@ def _pair(y: tuple[float, ...], spread: Matrix, R: Matrix) -> tuple[float, tuple
     (p00, p01), (_, p11) = spread
     (r00, r01), (_, r11) = R
     s00, s01, s11 = p00 + r00, p01 + r01, p11 + r11
-    nis = (s11 * y0**2 - 2.0 * s01 * y0 * y1 + s00 * y1**2) / (s00 * s11 - s01**2)
+    nis = (s11 * y0 * y0 - 2.0 * s01 * y0 * y1 + s00 * y1 * y1) / (s00 * s11 - s01 * s01)
     return nis, (math.sqrt(s00), math.sqrt(s11))
 
 

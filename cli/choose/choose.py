@@ -13,10 +13,12 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensor import Sensor
 from locfuse.fusion.sensors.registry import REGISTRY, unmet
 from locfuse.fusion.truth import BODIES, TRUTH_READS, looks_like_truth
-from locfuse.fusion.wheels.odometry import SCANS
+from locfuse.fusion.wheels.odometry import SCANS, commanded
 
+from .body_topics import asked_for
+from .presented_topics import offer_presented
 from .topics import NAMED, ONLY, Choice, checked, of_type, one, several_fit, types
-from .wheel_topics import choose_wheels, commanded
+from .wheel_topics import choose_wheels
 
 NO_TRUTH = "none"  # truth.topic: the log's truth is left out
 
@@ -31,6 +33,7 @@ def choose(log: Log, robot: Robot, insisted: Collection[str] = ()) -> Choice:
     (`insisted`) may not.
     """
     choice = Choice()
+    offer_presented(log)
     choose_truth(log, robot, "truth" in insisted, choice)
     choose_wheels(log, robot, choice)
     for name in REGISTRY:
@@ -81,16 +84,11 @@ def _leave_empty(log: Log, name: str, choice: Choice) -> None:
 
 def _offer(name: str, candidates: Sequence[str], choice: Choice) -> None:
     """Say that a sensor that is used only where it is asked for could read these topics."""
-    candidates = [t for t in candidates if not (commanded(t) or looks_like_truth(t) or _asked_for(t))]
+    candidates = [t for t in candidates if not (commanded(t) or looks_like_truth(t) or asked_for(t))]
     if candidates:
         fixes = (f"{name}.topic={candidates[0]}",)
         why = REGISTRY[name].asked_only
         choice.leave(name, f"{' or '.join(candidates)} may be one: {why}. If not: {fixes[0]}", fixes)
-
-
-def _asked_for(topic: str) -> bool:
-    """Return whether a topic's name says that its poses are wishes or guesses of a person."""
-    return any(word in topic.lower() for word in ("goal", "initial", "waypoint"))
 
 
 def _refuse_twice(named: Collection[str], sensor: Sensor, choice: Choice) -> None:

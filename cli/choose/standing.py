@@ -12,11 +12,10 @@ from locfuse.fusion.geodesy import east_north
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.truth import looks_like_truth
 from locfuse.fusion.wheels.motion import Wheels
-from locfuse.fusion.wheels.odometry import SPEED
+from locfuse.fusion.wheels.odometry import SPEED, commanded
 from locfuse.fusion.wheels.read import read_wheels
 
 from .topics import Choice, of_type
-from .wheel_topics import commanded
 
 if TYPE_CHECKING:
     from locfuse.formats.log.log import Log

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from locfuse.formats.messages.presented import PRESENTED, presented_name
 from locfuse.formats.nearest import did_you_mean
 from locfuse.fusion.data import LocfuseError
 
@@ -79,6 +80,9 @@ def checked(log: Log, role: str, topic: str, reads: Iterable[str]) -> str:
         raise LocfuseError(
             f"{log.name} has no topic {topic}; {f'{near} It' if near else 'it'} has {have}.", role=role
         )
+    other = presented_name(topic, info.msgtype)
+    if other is not None and PRESENTED[info.msgtype].msgtype in reads:
+        return checked(log, role, other, reads)
     if info.msgtype not in reads:
         raise LocfuseError(f"{topic} is {info.msgtype}; accepted: {types(reads)}", role=role)
     if info.problem is not None:

@@ -1,8 +1,4 @@
-"""Which topics feed the wheels: angles, ticks or speeds of the wheels, else the body's motion as somebody says it.
-
-The body's motion is taken from, in this order: an odometry topic, an odometry that only /tf has, a measured twist,
-the scans of a laser.
-"""
+"""Which topics feed the wheels: angles, ticks or speeds of the wheels, else what says how the body moved."""
 
 from __future__ import annotations
 
@@ -12,13 +8,11 @@ from typing import TYPE_CHECKING, cast
 
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.truth import looks_like_truth
-from locfuse.fusion.wheels.odometry import ODOMETRY, POSE, SCANS, SPEED, STEERED
 from locfuse.fusion.wheels.read import WHEEL_READS, counts_ticks
 from locfuse.fusion.wheels.sources import JOINTS, NUMBERS, SPEEDS, TICKS, joint_names
 
-from .mounts import BASE_FRAMES
-from .topics import NAMED, ONLY, Choice, checked, of_type, one, several_fit, types
+from .body_topics import choose_body, nothing_moves
+from .topics import NAMED, ONLY, Choice, checked, of_type, several_fit
 
 if TYPE_CHECKING:
     from locfuse.formats.log.log import Log
@@ -38,9 +32,6 @@ COMMAND_WORDS = (
     "setpoint",
     "rpm",
 )
-COMMANDED = ("cmd", "command", "target", "setpoint", "teleop", "joy")  # what the body was asked to do
-TWISTS = tuple(kind for kind in (*SPEED, *STEERED) if kind not in POSE)
-ODOMETRY_FRAMES = ("odom", "odometry")  # last word of the frame in which an odometry says its pose
 
 
 def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
@@ -66,67 +57,31 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
     if counters and not unknown:
         choice.take("wheels", counters, kind)
         return
-    bodies, why = _bodies(log, choice)
-    topic_or_none = one(log, "wheels", None, bodies, WHEEL_READS)
-    if topic_or_none is None and not counters:
-        topic_or_none, why = _scans(log, robot), "no wheels and no odometry: its scans are matched with each other"
-    if topic_or_none is None:
+    wheeled = bool(counters) and _turn(log, counters, robot)
+    body = choose_body(log, robot, choice, stand_in=not wheeled)
+    if body is None:
         if not counters:
-            raise _nothing(log)
+            raise nothing_moves(log)
         choice.take("wheels", counters, kind)
         return
-    choice.take("wheels", [topic_or_none], why)
-    if counters:
+    choice.take("wheels", [body.topic], body.why)
+    if body.note:
+        choice.notes.append(body.note)
+    if wheeled:
         choice.notes.append(
-            f"{topic_or_none} is used, since {' and '.join(counters)} gives wheel angles and no {unknown} "
+            f"{body.topic} is used, since {' and '.join(counters)} gives wheel angles and no {unknown} "
             f"{'are' if ' and ' in unknown else 'is'} set"
+        )
+    elif counters:
+        choice.notes.append(
+            f"{body.topic} is used, since no joint of {counters[0]} is named like a wheel; wheels.left and "
+            "wheels.right name them"
         )
 
 
-def _bodies(log: Log, choice: Choice) -> tuple[list[str], str]:
-    """Return topics that say how the body moved, those of the best kind, and why."""
-    taken = {topic for role in choice.topics for topic in choice.of(role)}
-
-    def filled(kinds: Sequence[str]) -> list[str]:
-        return [
-            t
-            for t in of_type(log, kinds)
-            if log.topics[t].count and t not in taken and ":" not in t and not looks_like_truth(t)
-        ]
-
-    if odometry := filled((ODOMETRY,)):
-        return odometry, ONLY
-    if pairs := odometry_frames(log):
-        return pairs, "the only odometry in /tf"
-    return [t for t in filled(TWISTS) if not commanded(t)], ONLY
-
-
-def _scans(log: Log, robot: Robot) -> str | None:
-    """Return the laser whose scans say how the robot moved: the sensor's own where named, else the only one."""
-    named = robot.settings("lrf").topic
-    filled = [t for t in of_type(log, (SCANS,)) if log.topics[t].count]
-    return named if named in filled else one(log, "wheels", None, filled, WHEEL_READS)
-
-
-def odometry_frames(log: Log) -> list[str]:
-    """Return the pairs of frames in /tf that are an odometry, as topics: a base that moves in a frame odom."""
-    found: dict[str, bool] = {}
-    for topic in log.transform_topics:
-        for (parent, child), edge in log.frames(topic).items():
-            if edge.moves and _last_word(parent) in ODOMETRY_FRAMES:
-                found[f"{topic}:{parent}:{child}"] = _last_word(child) in BASE_FRAMES
-    based = [name for name, base in found.items() if base]
-    names = based or list(found)
-    return [name for name in names if log.find(name) is not None]
-
-
-def _last_word(frame: str) -> str:
-    return frame.rpartition("/")[2].lower()
-
-
-def commanded(topic: str) -> bool:
-    """Return whether a topic's name says that its speeds were asked for, not measured."""
-    return any(word in topic.lower() for word in COMMANDED)
+def _turn(log: Log, counters: Sequence[str], robot: Robot) -> bool:
+    """Return whether what counts does count wheels: joints may be an arm's."""
+    return log.topics[counters[0]].msgtype != JOINTS or _has_wheels(log, counters[0], robot)
 
 
 def _unknown(log: Log, robot: Robot, counters: Sequence[str]) -> str:
@@ -211,26 +166,3 @@ def other_side(topic: str) -> str | None:
         if word.lower() in OTHER_SIDE:
             return "".join([*words[:i], OTHER_SIDE[word.lower()], *words[i + 1 :]])
     return None
-
-
-class NoWheelsError(LocfuseError):
-    """No topic gives the wheels' motion; the hint lists the topics that there are."""
-
-
-def _nothing(log: Log) -> NoWheelsError:
-    """Return the error that says what is read, and what of this log could stand in."""
-    kinds = (JOINTS, *TICKS, ODOMETRY)
-    have = ", ".join(sorted(log.topics)[:12]) or "no topics"
-    asked = [t for t in of_type(log, TWISTS) if log.topics[t].count]
-    poses = [t for t in of_type(log, POSE) if log.topics[t].count]
-    stand_in = [f"{t} holds {_what(t, asked)}: --set wheels.topic={t} takes it" for t in (asked + poses)[:1]]
-    return NoWheelsError(
-        f"{log.name} has no topic of type {types(kinds)}, no odometry in /tf, nor two std_msgs numbers named left "
-        "and right, and no laser, so nothing says how the robot moved.",
-        role="wheels",
-        hint=". ".join((f"It has {have}", *stand_in)),
-    )
-
-
-def _what(topic: str, asked: Sequence[str]) -> str:
-    return "the commanded motion" if topic in asked else "poses, whose increments can stand in"

@@ -12,6 +12,7 @@ from locfuse.cli.terminal.findings import end, findings_options, print_findings
 from locfuse.cli.terminal.options import log_options
 
 USED = ("compass", "lrf")  # sensors
+BELOW = " 95 % interval: where the value lies by these logs. was: as configured."
 
 
 @click.command()
@@ -45,6 +46,7 @@ def calibrate(log: tuple[str, ...], out: Path | None, overwrite: bool, as_json: 
         found = calibrate.calibrate_logs(loaded, progress)
     if out is not None:
         calibrate.write(out, found, how.robot, how.over)
-    print_findings(found.values(), [(("setting", "found", "95 % interval", "was"), found.rows())], out, as_json)
+    titles = ("setting", "found", "95 % interval", "was")
+    print_findings(found.values(), [(titles, found.rows(), BELOW)], out, as_json)
     lost = [line for one in loaded for line in results.loss_lines(one, list(one.drive.measurements), how.strict)]
     return end(found.notes, lost, how.quiet)

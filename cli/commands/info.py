@@ -26,7 +26,7 @@ TRIED = "tried by fusing"
 @click.option(
     "--check",
     is_flag=True,
-    help="Also try the fixes by fusing again. Exit with 3 if something was found that would spoil an estimate.",
+    help="Also try the fixes by fusing again. Exit with 3 if something would spoil an estimate, or a run is lost.",
 )
 @advice_option
 @click.option("--topics", is_flag=True, help="List the topics and nothing else: no message is read.")
@@ -59,6 +59,7 @@ def info(
     """
     if topics:
         return _list_topics(log, as_json, how.quiet)
+    from locfuse.cli.advice.validity import reasons
     from locfuse.cli.inspect import values
     from locfuse.cli.inspect.inspect_log import inspect_log
     from locfuse.cli.pipeline.load import find_log
@@ -77,11 +78,12 @@ def info(
             show.lines((*text, *pictures), (*info_text.TITLES, PICTURES))
             if tried:
                 show.lines(("", TRIED), (TRIED,))
+                show.headline(tried)
                 show.findings(tried)
     show.transfer(overview.log.transfer, how.quiet)
     losses = {"lost", "refused"} if how.strict else {"lost"}
     lost = any(o.code in losses for o in overview.findings)
-    return SOMETHING_LOST if lost or (check and overview.severe) else 0
+    return SOMETHING_LOST if lost or (check and (overview.severe or reasons(tried))) else 0
 
 
 def _tried(log: tuple[str, ...], how: LogOptions, progress: Callable[[str], None]) -> dict[str, Any]:

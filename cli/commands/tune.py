@@ -11,6 +11,9 @@ from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.findings import Table, end, findings_options, print_findings
 from locfuse.cli.terminal.options import log_options
 
+BELOW_NOISE = " before: as configured. 95 % interval: where the value lies by these logs."
+BELOW_JUDGED = " ln likelihood: more is better; by 0.69: readings are twice as likely. NIS: 1 is right."
+
 
 @click.command()
 @click.argument("log", nargs=-1, required=True, shell_complete=completion.logs)
@@ -63,8 +66,8 @@ def tune(
     if out is not None:
         tune.write(out, found, how)
     tables: list[Table] = [
-        (("noise", "before", "after", "95 % interval"), found.rows()),
-        (("judged by", "before", "after"), found.judgements()),
+        (("noise", "before", "after", "95 % interval"), found.rows(), BELOW_NOISE),
+        (("judged by", "before", "after"), found.judgements(), BELOW_JUDGED),
     ]
     print_findings(found.values(), tables, out, as_json)
     lost = [line for one in found.loaded for line in results.loss_lines(one, found.sensors, how.strict)]

@@ -11,10 +11,12 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from locfuse.cli.choose.body_topics import NoWheelsError
 from locfuse.cli.choose.choose import choose_sensor, choose_truth
 from locfuse.cli.choose.mounts import mount_tables, shared_turns, transforms_of
+from locfuse.cli.choose.presented_topics import offer_presented
 from locfuse.cli.choose.topics import Choice
-from locfuse.cli.choose.wheel_topics import NoWheelsError, choose_wheels
+from locfuse.cli.choose.wheel_topics import choose_wheels
 from locfuse.cli.pipeline.load import Loaded, make_robot, measured, merged_tables, named_by_hand
 from locfuse.formats.log.log import Log, open_log
 from locfuse.formats.robot import robot_toml
@@ -71,6 +73,7 @@ def inspect_log(
 def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) -> Choice:
     """Choose every role by itself: what cannot be chosen becomes a finding."""
     choice = Choice()
+    offer_presented(log)
     steps: dict[str, Callable[[], None]] = {
         "truth": partial(choose_truth, log, robot, "truth" in insisted, choice),
         "wheels": partial(choose_wheels, log, robot, choice),

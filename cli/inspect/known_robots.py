@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 SIGNS: dict[str, tuple[str | frozenset[str], ...]] = {
     "turtlebot4": ("turtlebot4_msgs", frozenset({"rplidar_link", "shell_link"})),
     "create3": ("irobot_create_msgs",),
+    "turtlebot2": ("kobuki_msgs", "kobuki"),
     "turtlebot3_waffle": (frozenset({"base_scan", "caster_back_left_link"}),),
     "turtlebot3_burger": (frozenset({"base_scan", "caster_back_link"}), "turtlebot3_msgs"),
     "duckiebot": ("duckietown_msgs",),

@@ -22,6 +22,7 @@ from .template_tables import Facts, Known, found, lines
 MAX_ROUNDS = 4  # a fix may bring out what could not be seen before
 MEASURED_CODES = {
     "lag",
+    "noise",
     "range scale",
     "track",
     "yaw",

@@ -12,7 +12,7 @@ from locfuse.cli.choose.topics import of_type
 from locfuse.cli.pipeline.load import table_types
 from locfuse.formats.robot.commented_toml import Line
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.wheels.odometry import BODY_READS
+from locfuse.fusion.wheels.odometry import BODY_READS, STEERED
 from locfuse.fusion.wheels.read import counts_ticks
 from locfuse.fusion.wheels.sources import JOINTS
 
@@ -141,6 +141,8 @@ def _concerns(facts: Facts, table: str, key: str) -> bool:
     kind = facts.kind(table)
     if table == "wheels" and key in OF_COUNTERS:
         return kind not in BODY_READS and bool(kind) and (key != "ticks_per_revolution" or counts_ticks(kind))
+    if table == "wheels" and key == "wheelbase":
+        return kind in STEERED
     if table not in REGISTRY:
         return True
     if key in MOUNTED:

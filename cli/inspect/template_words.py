@@ -17,6 +17,7 @@ ASKS = {
             "m: not in this log. Between the middles of both tyres; `locfuse calibrate` refines it",
             needed=True,
         ),
+        "wheelbase": Ask("m: not in this log. Between the front and the rear axle", needed=True),
         "ticks_per_revolution": Ask("not in this log. Turn a wheel ten times by hand: ticks / 10", needed=True),
         "noise": Ask("m: variance per metre that a wheel rolls; `locfuse calibrate` finds it"),
     },

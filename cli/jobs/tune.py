@@ -121,7 +121,11 @@ def tune_logs(
     how: LogOptions,
     progress: Callable[[str], None],
 ) -> Tuning:
-    """Measure the logs, tune, and judge every log before and after."""
+    """Measure the logs, tune, and judge every log before and after.
+
+    Where what was found spoils a log, and a sensor's errors last while the likelihood takes every reading for
+    independent, the sigma of that sensor is left as it was, and the others are tuned once more.
+    """
     paths = [*logs, *held_out]
     loaded = [load(p, how, progress, only=sensors) for p in paths]
     trials = []
@@ -137,16 +141,37 @@ def tune_logs(
         again = load(paths[i], replace(how, sets=(*how.sets, *sets)), only=(sensor,))
         return again.drive.measurements[sensor]
 
-    tuned = tune(trials, sensors, drift, remeasure, progress)
-    progress("judging the logs")
-    judged = [
+    def tuned_by(names: Sequence[str]) -> tuple[Tuned, list[Judged], list[str]]:
+        tuned = tune(trials, names, drift, remeasure, progress)
+        progress("judging the logs")
+        return tuned, (judged := _judged(tuned)), _worse(tuned, judged)
+
+    tuned, judged, worse = tuned_by(sensors)
+    lasting = lasting_errors(tuned.trials)
+    notes = [f"{name}: {sensor}: {words}" for (name, sensor), words in lasting.items()]
+    left = {sensor for _, sensor in lasting}
+    others = [s for s in sensors if s not in left and any(s in t.drive.measurements for t in trials)]
+    if worse and left and others:
+        progress(f"again, with the sigma of {' and '.join(sorted(left))} left as it was")
+        tuned, judged, worse = tuned_by(others)
+        notes = [f"{note}. It is left out, and its sigma left as it was" for note in notes]
+    return Tuning(tuned, judged, loaded, (*worse, *_notes(tuned), *notes), bool(worse))
+
+
+def _judged(tuned: Tuned) -> list[Judged]:
+    """Evaluate every log before and after."""
+    return [
         Judged(before.name, _evaluated(before), _evaluated(after))
         for before, after in zip(tuned.told, tuned.trials, strict=True)
     ]
+
+
+def _worse(tuned: Tuned, judged: Sequence[Judged]) -> list[str]:
+    """Say what the noise that was found spoils."""
     worse = [line for j in judged if (line := spoiled(j)) is not None]
     if tuned.held_out is not None and tuned.held_out[1] < tuned.held_out[0] - MAX_LOSS_NATS:
         worse.append("what was held out is less likely under the noise that was found: it is not used")
-    return Tuning(tuned, judged, loaded, (*worse, *_notes(tuned), *not_white(tuned.trials)), bool(worse))
+    return worse
 
 
 def spoiled(j: Judged) -> str | None:
@@ -185,17 +210,17 @@ def _notes(tuned: Tuned) -> list[str]:
     return [*tuned.flags, *again]
 
 
-def not_white(trials: Sequence[Trial]) -> list[str]:
-    """Say which sensors' errors last: no sigma describes them, and alone such a sensor is believed too much."""
-    notes = []
+def lasting_errors(trials: Sequence[Trial]) -> dict[tuple[str, str], str]:
+    """Return the words on sensors whose errors last, by log and sensor: no sigma describes such errors."""
+    lasting: dict[tuple[str, str], str] = {}
     for trial in trials:
         sensors = list(trial.drive.measurements)
         together = dict.fromkeys((tuple(sensors), *((*needed(s), s) for s in sensors)))
         runs = [Run.of(trial.drive, fuse(trial.drive, trial.robot, chosen)) for chosen in together]
         found = judge(runs, trial.robot)
         worded = {s: verdict for verdicts in found.values() for s, verdict in verdicts.items()}
-        notes += [f"{trial.name}: {s}: {v.words}" for s, v in worded.items() if v.verdict == "correlated"]
-    return notes
+        lasting |= {(trial.name, s): v.words for s, v in worded.items() if v.verdict == "correlated"}
+    return lasting
 
 
 def _found(row: Row) -> tuple[str, str]:

@@ -93,6 +93,8 @@ def _credit_words(c: SensorCredit, credit: Credit, over: str) -> str:
     parts = [_main_words(c, main, len(credit.sensors) > 1, _few(credit.logs, over))]
     if c.credit is not None and c.last is not None and len(credit.sensors) > 1:
         parts.append(_last_words(c.last))
+    if _judged_by_last(c, main):
+        parts.reverse()  # what the grade rests on comes first
     if c.anees is not None and overconfident(c.anees):
         parts.append(
             f"Overconfident: errors are {short(c.anees[1] ** 0.5)} times what the filter claims with it, "
@@ -115,7 +117,12 @@ def _main_words(c: SensorCredit, main: Effect, several: bool, few: str) -> str:
         if abs(main.value) < MIN_EFFECT:
             return what
         return f"{what} The filter gives it almost no weight, so this change is probably chance." if sure else what
-    return what if sure else f"{what} {few}"
+    return what if sure or _judged_by_last(c, main) else f"{what} {few}"
+
+
+def _judged_by_last(c: SensorCredit, main: Effect) -> bool:
+    """Return whether a sensor is said to hurt because the others are better off without it."""
+    return c.verdict == "hurts" and main is not c.last and main.high >= 0.0
 
 
 def _few(samples: int, over: str) -> str:

@@ -8,7 +8,6 @@ from typing import Any, cast, get_args
 
 from locfuse.cli.advice.evaluator import Advised, Evaluator, looks_wrong
 from locfuse.cli.advice.report import complete
-from locfuse.cli.advice.values import add_findings
 from locfuse.cli.pipeline import maps
 from locfuse.cli.pipeline.compare import Compared, compare_log, report_of, report_of_run
 from locfuse.cli.pipeline.configurations import Configuration, Sensors, for_comparison, parse
@@ -78,6 +77,9 @@ def opened(log: Sequence[str], how: LogOptions, progress: Progress, read_again: 
     """Return the session of a log as a command line names it; `read_again`: its columns are needed once more."""
     loaded = load_to_fuse(find_log(log), how, progress, read_again)
     return Session(maps.give_topic(loaded), progress)
+
+
+ADVISED = ("headline", "validity", "findings", "fixes")  # of a report: what to keep, what is void, what to set
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -229,13 +231,12 @@ class Session:
         return possible(self.drive, self.robot)
 
     def findings(self) -> dict[str, Any]:
-        """Return what is wrong or can be better: {"findings": [...], "fixes": [...]}, each fix tried by fusing.
+        """Return what is wrong or can be better: {"headline", "validity", "findings", "fixes"}, each fix tried.
 
-        It is what the reports of `run` and `compare` hold under these keys, whichever configurations they show.
+        It is what the report of `compare` holds under these keys, and the reports of `run` as far as they show it.
         """
-        found: dict[str, Any] = {}
-        add_findings(found, Evaluator(self.loaded, self.progress).advised())
-        return found
+        report = self.compare(audits=False).report
+        return {key: report[key] for key in ADVISED}
 
     def _jitter(
         self,

@@ -11,7 +11,7 @@ import click
 from .screen import put, reader_may_leave, say
 
 Command = TypeVar("Command", bound=Callable[..., Any])
-Table = tuple[Sequence[str], Iterable[Sequence[str]]]  # titles, rows
+Table = tuple[Sequence[str], Iterable[Sequence[str]], str]  # titles, rows, the line below that explains them
 
 
 def findings_options(what: str, tables: str) -> Callable[[Command], Command]:
@@ -41,8 +41,11 @@ def print_findings(values: Any, tables: Iterable[Table], out: Path | None, as_js
         if as_json:
             put(json_report.encode(values))
             return
-        for titles, rows in tables:
-            show.table(of_words(texts(*titles), rows))
+        for titles, rows, below in tables:
+            shown = of_words(texts(*titles), rows)
+            show.table(shown)
+            if shown.rows and below:
+                show.lines([below])
         if out is not None:
             say(f"{out}: use it with --robot {out}")
 

@@ -29,11 +29,13 @@ TOPICS = (
     Column("type", "type", kind="text", shorter=lambda kind: kind.rpartition("/")[2]),
     Column("messages", "messages"),
     Column("rate_hz", "Hz", form="{:.1f}", missing=""),
-    Column("longest_gap_s", "silent", "s", "{:.1f}", missing="", rank=1),
+    Column("longest_gap_s", "gap", "s", "{:.1f}", missing="", rank=1),
     Column("clock", "clock", kind="text", rank=2),
     Column("frame", "frame", kind="text", rank=3),
     Column("roles", "read by", kind="text"),
 )
+BELOW = "clock: how long after its stamp a message was recorded."
+BELOW_GAP = " gap: the longest time without a message."
 MAX_UNREADABLE_LISTED = 6  # unreadable topics, each with its reason
 
 
@@ -92,6 +94,9 @@ def _topics(overview: Overview, width: int | None) -> Iterator[str]:
     full = [f for f in overview.facts if f.count and f.problem is None]
     full.sort(key=lambda f: f.topic not in role)
     yield from (line.rstrip() for line in text_table.lines(_table(full, role), width))
+    if full:
+        gap = BELOW_GAP if any(_silence(f) is not None for f in full) else ""
+        yield from _wrapped("", f"{BELOW}{gap}", width, "")
     if empty := [f.topic for f in overview.facts if not f.count]:
         yield from _wrapped("empty: ", ", ".join(empty), width, "  ")
     unreadable = [f for f in overview.facts if f.problem is not None and f.count]

@@ -25,6 +25,7 @@ BELOW_REFERENCE = (
     " rmse, max, final: distance to a reference, not to truth; * it has the configuration's own sensors, "
     "? it may be wrong. See: locfuse explain reference"
 )
+BELOW_SENSORS = " NIS: 1 is right, more: its noise is set too low. absent: readings without a measurement"
 COLOURS = {"helps": "green", "hurts": "red"}  # of verdicts; the others need none
 NO_TRUTH = "no truth in this log: the error figures do not exist; if a topic holds it: --set truth.topic=/TOPIC"
 OR_REFERENCE = ", or measure against the solution of the whole drive: --reference"
@@ -119,7 +120,10 @@ def figures(report: Mapping[str, Any]) -> None:
     if tables.has_figures(report):
         lines([BELOW_REFERENCE if report.get("reference") else BELOW])
     table(tables.jitter(report))
-    table(tables.sensors(report).without("verdicts").without("joint_nis"))
+    of_sensors = tables.sensors(report).without("verdicts").without("joint_nis")
+    table(of_sensors)
+    if of_sensors.rows:
+        lines([BELOW_SENSORS])
 
 
 def table(shown: Table) -> None:

@@ -6,20 +6,38 @@ from typing import Any
 
 ALIGNMENT = 4  # bytes: a message may be padded at its end
 HEADER = "std_msgs/Header header\n"
+DIVIDER = "=" * 80
+ACKERMANN = (
+    f"{DIVIDER}\nMSG: ackermann_msgs/AckermannDrive\nfloat32 steering_angle\nfloat32 steering_angle_velocity\n"
+    "float32 speed\nfloat32 acceleration\nfloat32 jerk\n"
+)
+INTERFACES = f"{DIVIDER}\nMSG: control_msgs/InterfaceValue\nstring[] interface_names\nfloat64[] values\n"
 ROBOTS = {
+    "control_msgs/msg/DynamicJointState": (
+        HEADER + "string[] joint_names\ncontrol_msgs/InterfaceValue[] interface_values\n" + INTERFACES
+    ),
     "irobot_create_msgs/msg/WheelTicks": HEADER + "int32 ticks_left\nint32 ticks_right\n",
     "irobot_create_msgs/msg/WheelVels": HEADER + "float32 velocity_left\nfloat32 velocity_right\n",
     "duckietown_msgs/msg/WheelEncoderStamped": HEADER + "int32 data\nuint16 resolution\nuint8 type\n",
     "irobot_create_msgs/msg/SlipStatus": HEADER + "bool is_slipping\n",
     "irobot_create_msgs/msg/KidnapStatus": HEADER + "bool is_kidnapped\n",
+    "ackermann_msgs/msg/AckermannDriveStamped": HEADER + "ackermann_msgs/AckermannDrive drive\n" + ACKERMANN,
+    "kobuki_msgs/msg/SensorState": (
+        HEADER + "uint16 time_stamp\nuint8 bumper\nuint8 wheel_drop\nuint8 cliff\nuint16 left_encoder\n"
+        "uint16 right_encoder\nint8 left_pwm\nint8 right_pwm\nuint8 buttons\nuint8 charger\nuint8 battery\n"
+        "uint16[] bottom\nuint8[] current\nuint8 over_current\nuint16 digital_input\nuint16[] analog_input\n"
+    ),
+    "turtlesim/msg/Pose": (
+        "float32 x\nfloat32 y\nfloat32 theta\nfloat32 linear_velocity\nfloat32 angular_velocity\n"
+    ),
     "turtlebot3_msgs/msg/SensorState": (
         HEADER + "uint8 bumper\nfloat32 cliff\nfloat32 sonar\nfloat32 illumination\nuint8 led\nuint8 button\n"
         "bool torque\nint32 left_encoder\nint32 right_encoder\nfloat32 battery\n"
     ),
 }
 PARTS = (
-    f"{'=' * 80}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
-    f"{'=' * 80}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+    f"{DIVIDER}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+    f"{DIVIDER}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
 )
 
 

@@ -16,6 +16,7 @@ from locfuse.formats.container.source import Messages, Recorded, Source
 from locfuse.formats.messages.fields import FieldError, resolve
 from locfuse.formats.messages.kinds import NUMBER as A_NUMBER
 from locfuse.formats.messages.kinds import check_kind, kind_of
+from locfuse.formats.messages.presented import PRESENTED, presented_name
 from locfuse.formats.messages.schema import SchemaError
 from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.robot import transforms
@@ -27,12 +28,12 @@ from . import clock as clocks
 from .file_stream import FileStream, is_file_topic, read_file
 from .files import log_name, open_source
 from .identity import Identity, files_of, identity, identity_of, seen_of, seen_of_object
-from .stream import NUMBER, LogStream, NumberStream, field_of
+from .stream import NUMBER, LogStream, NumberStream, PresentedStream, field_of
 from .table import Raw, Table, dated, digest
 from .topics import Topic, UnreadableTopicError, by_topic
 from .transform_stream import TF_FIELDS, TRANSFORM, Edge, TransformStream, edges_of, loop_in, pair_of
 
-AnyStream = LogStream | TransformStream | FileStream | NumberStream
+AnyStream = LogStream | TransformStream | FileStream | NumberStream | PresentedStream
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 
@@ -116,7 +117,8 @@ class Log:
         """Return a topic's stream; nothing is read before its rows are asked for.
 
         "/tf:odom:base_link" is the frame base_link in the frame odom as /tf says (TransformStamped),
-        "/status:yaw.value" a number of any message, and the name of a .tum or .csv file is that file.
+        "/status:yaw.value" a number of any message, "/points:scan" a cloud's level slice as a LaserScan, and the
+        name of a .tum or .csv file is that file.
         """
         if order not in clocks.ORDERS:
             raise UsageError(f"order = {order!r} is unknown; it is one of {', '.join(clocks.ORDERS)}")
@@ -129,6 +131,8 @@ class Log:
         if topic in self._files:
             return self._files[topic]
         number, pair = field_of(topic), pair_of(topic)
+        if (source := self._presents(topic)) is not None:
+            return PresentedStream(topic, LogStream(self, source, self.topics[source].msgtype, order))
         if topic not in self._channels and topic in self.topics and number is not None:
             return NumberStream(
                 topic, LogStream(self, number[0], self.topics[number[0]].msgtype, order), number[1]
@@ -153,6 +157,9 @@ class Log:
             edges = self.frames(pair[0])
             count = len(edges[pair[1:]].stamp) if pair[1:] in edges else source.count
             self.topics[name] = Topic(TRANSFORM, count, source.encoding, source.schema_encoding)
+        if name not in self.topics and (shown := self._presents(name)) is not None:
+            self._check(shown)
+            self.topics[name] = replace(self.topics[shown], msgtype=PRESENTED[self.topics[shown].msgtype].msgtype)
         number = field_of(name)
         if name not in self.topics and number is not None and number[0] in self._channels:
             self._check_number(*number)
@@ -161,6 +168,12 @@ class Log:
             file = self._files[name] = read_file(name)
             self.topics[name] = Topic(file.msgtype, len(file.t_ns), "", "")
         return self.topics.get(name)
+
+    def _presents(self, name: str) -> str | None:
+        """Return the topic that is presented as another type under this name, None for any other name."""
+        source = name.rpartition(":")[0]
+        known = source in self._channels and name not in self._channels
+        return source if known and presented_name(source, self.topics[source].msgtype) == name else None
 
     def _check_number(self, topic: str, field: str) -> None:
         """Raise LocfuseError where a field is not there, or is no number."""

@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from locfuse.formats.columns import concat, n_bytes, take
+from locfuse.formats.messages.presented import PRESENTED
 from locfuse.fusion.data import Block, Column, Ints
 
 from . import clock as clocks
@@ -172,15 +173,14 @@ def field_of(name: str) -> tuple[str, str] | None:
     return (parts[0], parts[1]) if len(parts) == 2 and all(parts) else None
 
 
-class NumberStream:
-    """A field of a topic with the face of a topic (formats.log.stream.LogStream)."""
+class DerivedStream:
+    """A topic made of another one, with its clock and the face of a topic (formats.log.stream.LogStream)."""
 
-    msgtype = NUMBER
+    msgtype = ""
 
-    def __init__(self, topic: str, source: LogStream, field: str) -> None:
+    def __init__(self, topic: str, source: LogStream) -> None:
         self.topic = topic
         self._source = source
-        self._field = field
 
     @property
     def order(self) -> str:
@@ -232,6 +232,16 @@ class NumberStream:
         """Messages that are not among the rows, by reason."""
         return self._source.dropped
 
+
+class NumberStream(DerivedStream):
+    """A field of a topic."""
+
+    msgtype = NUMBER
+
+    def __init__(self, topic: str, source: LogStream, field: str) -> None:
+        super().__init__(topic, source)
+        self._field = field
+
     def columns(self, *fields: str) -> dict[str, Column]:
         """Return the number as the column "data"."""
         values = np.asarray(self._source.columns(self._field)[self._field], dtype=np.float64)
@@ -240,3 +250,33 @@ class NumberStream:
     def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
         """Yield everything as one block: numbers are light."""
         yield np.arange(len(self.t_ns)), self.columns(*fields)
+
+
+class PresentedStream(DerivedStream):
+    """Messages of one type as those of another (formats.messages.presented)."""
+
+    def __init__(self, topic: str, source: LogStream) -> None:
+        super().__init__(topic, source)
+        self._how = PRESENTED[source.msgtype]
+        self.msgtype = self._how.msgtype
+
+    @property
+    def frame_id(self) -> str:
+        """The frame in which the messages made are."""
+        return self._how.frame(self._source.frame_id)
+
+    def columns(self, *fields: str) -> dict[str, Column]:
+        """Return whole columns of the type that it is presented as; the source is read block by block."""
+        blocks = list(self.blocks(*fields))
+        if not blocks:
+            return self._made(self._source.columns(*self._how.fields), fields)
+        order = np.argsort(np.concatenate([rows for rows, _ in blocks]), kind="stable")
+        return {name: take(concat([made[name] for _, made in blocks]), order) for name in fields}
+
+    def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
+        """Yield (row numbers (k,), columns), k at most `rows`, in file order; every row exactly once."""
+        for numbers, columns in self._source.blocks(*self._how.fields, rows=rows):
+            yield numbers, self._made(columns, fields)
+
+    def _made(self, columns: Mapping[str, Column], fields: tuple[str, ...]) -> dict[str, Column]:
+        return self._how.make(columns, fields, self._source.frame_id)

@@ -21,7 +21,7 @@ from locfuse.fusion.data import Column, Ints, Ragged
 from .decoded import Decoded
 from .fields import Part, resolve
 from .layout import CDR, Layout, Leaf, MalformedError, Rules, read_layout
-from .schema import Many, Record, Scalar, Text
+from .schema import Counts, Many, Record, Scalar, Text
 
 Bytes = NDArray[np.uint8]
 
@@ -180,12 +180,25 @@ def _leaf(data: Bytes, start: Ints, group: Group, part: Part) -> Column:
         offsets = np.array(leaf.offsets, np.int64)
         values = _numbers(data, start[:, None] + offsets, node.dtype, group.layout.little)
         return _rows(values) if part.inside else values[:, 0]
+    if isinstance(node, Counts):
+        return _rows(np.tile(np.array(leaf.counts, np.int64), (len(start), 1)))
+    if isinstance(node, Many) and isinstance(node.element, Scalar) and part.inside:
+        return _arrays(data, start, group, leaf, node.element)
     if isinstance(node, Text) and not part.inside:
         texts = _text(data, start + leaf.offsets[0], leaf.counts[0])
         return texts * (len(start) // len(texts))
     if isinstance(node, Many) and isinstance(node.element, Scalar):
         return _array(data, start, group, leaf, part)
     return _texts(data, start, leaf)
+
+
+def _arrays(data: Bytes, start: Ints, group: Group, leaf: Leaf, element: Scalar) -> Column:
+    """Gather the numbers of all arrays inside an array, end to end."""
+    counts = np.array(leaf.counts, np.int64)
+    begin = np.repeat(np.array(leaf.offsets, np.int64), counts)
+    inside = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    offsets = begin + element.size * inside
+    return _rows(_numbers(data, start[:, None] + offsets, element.dtype, group.layout.little))
 
 
 def _array(data: Bytes, start: Ints, group: Group, leaf: Leaf, part: Part) -> Column:
@@ -257,6 +270,8 @@ def _empty(part: Part) -> Column:
     node = part.node
     if isinstance(node, Text):
         return []
+    if isinstance(node, Counts):
+        return Ragged(np.empty(0, np.int64), np.zeros(1, np.int64))
     element = node.element if isinstance(node, Many) else node
     if not isinstance(element, Scalar):
         return []

@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from .schema import FILLER, Many, Node, Record, Text
+from .schema import FILLER, Counts, Many, Node, Record, Scalar, Text
 
 STAMPS = ("header.stamp", "timestamp")  # where a message says when it was measured: ROS, Foxglove
 FRAMES = ("header.frame_id", "frame_id")
@@ -24,12 +24,20 @@ class Part(NamedTuple):
     inside: bool  # in an array of structures: one value per element
 
 
+LENGTH = "length"  # of each of the arrays that lie in an array: "echoes.ranges.length"
+
+
 def resolve(message: Record, path: str) -> tuple[Part, ...]:
-    """Find a field path in a message type. Raises FieldError naming the nearest field."""
+    """Find a field path in a message type. Raises FieldError naming the nearest field.
+
+    Arrays inside an array are one column end to end; its `.length` says where each ends.
+    """
     node: Node = message
     inside = False
     walked: list[str] = []
     for name in path.split("."):
+        if name == LENGTH and inside and isinstance(node, Many):
+            return (Part(".".join(walked), Counts(), inside=True),)
         if isinstance(node, Many) and isinstance(node.element, Record) and not inside:
             node, inside = node.element, True
         if not isinstance(node, Record):
@@ -44,7 +52,7 @@ def resolve(message: Record, path: str) -> tuple[Part, ...]:
         return tuple(Part(f"{path}.{name}", part, inside) for name, part in node.fields.items())
     if isinstance(node, Record) or (isinstance(node, Many) and isinstance(node.element, Record | Many)):
         raise FieldError(f"{path} is a structure: name a part of it")
-    if isinstance(node, Many) and inside:
+    if isinstance(node, Many) and inside and not isinstance(node.element, Scalar | Text):
         raise FieldError(f"{path} is an array inside an array: it cannot be a column")
     return (Part(path, node, inside),)
 

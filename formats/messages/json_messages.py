@@ -19,7 +19,7 @@ from locfuse.fusion.data import Column, Ints, Ragged
 
 from .decoded import Decoded
 from .fields import Part, resolve
-from .schema import TIMES, Many, Node, Record, Scalar, SchemaError, Text, refuse_large
+from .schema import TIMES, Counts, Many, Node, Record, Scalar, SchemaError, Text, refuse_large
 
 NUMBER = Scalar("f8", 8)
 SCALARS: dict[str, Node] = {"number": NUMBER, "integer": NUMBER, "boolean": Scalar("?", 1), "string": Text()}
@@ -101,6 +101,8 @@ def _object(text: bytes) -> dict[str, Any] | None:
 
 def _column(objects: list[dict[str, Any]], path: str, parts: tuple[Part, ...]) -> Column:
     inside = parts[0].inside
+    if inside and isinstance(parts[0].node, Many | Counts):
+        return _nested(parts[0], objects)
     values = [_at(one, path.split(".")) for one in objects]
     node = TIME if len(parts) == 2 else parts[0].node
     if inside:
@@ -111,6 +113,17 @@ def _column(objects: list[dict[str, Any]], path: str, parts: tuple[Part, ...]) -
     if isinstance(node, Many):
         return _many(node, values)
     return [_text(v) for v in values] if isinstance(node, Text) else _scalars(node, values)
+
+
+def _nested(part: Part, objects: list[dict[str, Any]]) -> Column:
+    """Return the arrays inside an array end to end, or how long each is."""
+    found = [_at(one, part.path.split(".")) for one in objects]
+    rows = [[v if isinstance(v, list) else [] for v in row] if isinstance(row, list) else [] for row in found]
+    if isinstance(part.node, Counts):
+        return _ragged([np.array([len(v) for v in row], np.int64) for row in rows], "i8")
+    if isinstance(part.node, Many) and isinstance(part.node.element, Text):
+        return [tuple(_text(v) for inner in row for v in inner) for row in rows]
+    return _ragged([_floats([v for inner in row for v in inner]) for row in rows], "f8")
 
 
 def _at(value: Any, names: Sequence[str]) -> Any:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from .fields import FieldError, Part
-from .schema import Many, Scalar, Text
+from .schema import Counts, Many, Scalar, Text
 
 NUMBER, TRUTH, TEXT, TIME, BYTES = "a number", "true or false", "a text", "a time", "bytes"
 NUMBERS, TRUTHS, TEXTS, TIMES = "an array of numbers", "an array of true or false", "an array of texts", "times"
@@ -32,10 +32,12 @@ READ_TYPES = frozenset(
         "ackermann_msgs/msg/AckermannDriveStamped",
         "autoware_auto_vehicle_msgs/msg/VelocityReport",
         "autoware_vehicle_msgs/msg/VelocityReport",
+        "control_msgs/msg/DynamicJointState",
         "duckietown_msgs/msg/WheelEncoderStamped",
         "foxglove.CompressedImage",
         "foxglove.LocationFix",
         "geometry_msgs/msg/PointStamped",
+        "geometry_msgs/msg/Pose2D",
         "geometry_msgs/msg/PoseStamped",
         "geometry_msgs/msg/PoseWithCovarianceStamped",
         "geometry_msgs/msg/TransformStamped",
@@ -44,6 +46,7 @@ READ_TYPES = frozenset(
         "geometry_msgs/msg/TwistWithCovarianceStamped",
         "irobot_create_msgs/msg/WheelTicks",
         "irobot_create_msgs/msg/WheelVels",
+        "kobuki_msgs/msg/SensorState",
         "locfuse/msg/Detections",
         "mocap4r2_msgs/msg/RigidBodies",
         "nav_msgs/msg/Odometry",
@@ -53,7 +56,9 @@ READ_TYPES = frozenset(
         "sensor_msgs/msg/JointState",
         "sensor_msgs/msg/LaserScan",
         "sensor_msgs/msg/MagneticField",
+        "sensor_msgs/msg/MultiEchoLaserScan",
         "sensor_msgs/msg/NavSatFix",
+        "sensor_msgs/msg/PointCloud2",
         "sensor_msgs/msg/Range",
         "std_msgs/msg/Float32",
         "std_msgs/msg/Float64",
@@ -66,6 +71,7 @@ READ_TYPES = frozenset(
         "tf/msg/tfMessage",
         "tf2_msgs/msg/TFMessage",
         "turtlebot3_msgs/msg/SensorState",
+        "turtlesim/msg/Pose",
     )
 )
 XY, XYZ, XYZW = ("x", "y"), ("x", "y", "z"), ("x", "y", "z", "w")
@@ -83,6 +89,7 @@ ONE_NUMBER = frozenset(
         *(f"{at}angular.z" for at in ("", "twist.", "twist.twist.")),
         *(f"{at}{part}" for at in ("", "drive.") for part in ("speed", "steering_angle")),
         "longitudinal_velocity", "heading_rate", "velocity_left", "velocity_right",
+        "x", "y", "theta", "linear_velocity", "angular_velocity",
         "angle_min", "angle_increment", "time_increment", "range_min", "range_max",
         "width", "height", "step",
         "field_of_view", "min_range", "max_range", "range",
@@ -114,6 +121,15 @@ EXPECTED: Mapping[str, tuple[str, ...]] = {
     "markers.id": (NUMBERS,),
     "markers.marker_id": (NUMBERS,),
     "detections.id": (NUMBERS, TEXTS),
+    "joint_names": (TEXTS,),
+    "interface_values.interface_names": (TEXTS,),
+    "interface_values.values": (NUMBERS,),
+    "interface_values.values.length": (NUMBERS,),
+    "ranges.echoes": (NUMBERS,),
+    "ranges.echoes.length": (NUMBERS,),
+    "fields.name": (TEXTS,),
+    "fields.offset": (NUMBERS,),
+    "fields.datatype": (NUMBERS,),
     "k": (NINE,),
     "position": (NUMBERS,),
     "velocity": (NUMBERS,),
@@ -130,6 +146,9 @@ OF_TYPE: Mapping[tuple[str, str], tuple[str, ...]] = {
     **{(f"std_msgs/msg/{name}", "data"): (NUMBER,) for name in (*WHOLE_NUMBERS, "Float32", "Float64")},
     ("duckietown_msgs/msg/WheelEncoderStamped", "data"): (NUMBER,),
     **{("locfuse/msg/Detections", name): (NUMBER,) for name in ("id", "range", "bearing")},
+    **{("sensor_msgs/msg/PointCloud2", name): (NUMBER,) for name in ("point_step", "row_step")},
+    ("sensor_msgs/msg/PointCloud2", "is_bigendian"): (TRUTH,),
+    ("sensor_msgs/msg/PointCloud2", "data"): (BYTES,),
     ("std_msgs/msg/String", "data"): (TEXT,),
     ("sensor_msgs/msg/CompressedImage", "data"): (BYTES,),
     ("sensor_msgs/msg/Image", "data"): (BYTES,),
@@ -145,10 +164,12 @@ def kind_of(parts: Sequence[Part]) -> str:
     if len(parts) == 2:
         return TIMES if first.inside else TIME
     node, many = first.node, first.inside
+    if isinstance(node, Counts):
+        return NUMBERS
     if isinstance(node, Many):
-        if isinstance(node.element, Scalar) and node.element.dtype == "u1" and node.count is None:
+        if isinstance(node.element, Scalar) and node.element.dtype == "u1" and node.count is None and not many:
             return BYTES
-        if isinstance(node.element, Scalar) and node.element.dtype != "?" and node.count is not None:
+        if isinstance(node.element, Scalar) and node.element.dtype != "?" and node.count is not None and not many:
             return f"{node.count} numbers"
         node, many = node.element, True
     if isinstance(node, Text):

@@ -104,6 +104,7 @@ class _Walk:
         self.leaves: dict[str, Leaf] = {}
         self.tail: Tail | None = None  # the last sequence of numbers
         self.tail_end = -1
+        self.nested = 0  # arrays that the walk is in
         self.little = self._encapsulation() if rules.header else True
         self.word = struct.Struct("<I" if self.little else ">I")
 
@@ -134,7 +135,7 @@ class _Walk:
             parts = wanted if isinstance(wanted, Mapping) else {}
             for name, part in node.fields.items():
                 self.step(part, parts.get(name))
-        else:
+        elif isinstance(node, Many):
             self._many(node, wanted)
 
     def _phase(self) -> int:
@@ -187,10 +188,11 @@ class _Walk:
     def _many(self, node: Many, wanted: Wanted | str | None) -> None:
         count = self._length() if node.count is None else node.count
         if isinstance(node.element, Scalar):
-            if node.count is None:
+            free = node.count is None and not (self.nested and wanted is not None)  # of several lengths all count
+            if free:
                 self.tail = self._tail(node.element.size, wanted)
             self._numbers(node.element, count, wanted)
-            self.tail_end = self.at if node.count is None else -1
+            self.tail_end = self.at if free else -1
             return
         size = _fixed_run(node.element, count, self._phase(), self.rules.aligned)
         if size is None:
@@ -200,8 +202,10 @@ class _Walk:
             if wanted is None:
                 self.at += size
                 return
+        self.nested += 1
         for _ in range(count):
             self.step(node.element, wanted)
+        self.nested -= 1
 
 
 @lru_cache(maxsize=4096)

@@ -61,7 +61,12 @@ class Record:
         return self.name in TIMES and len(parts) == 2 and whole
 
 
-Node = Scalar | Text | Many | Record
+@dataclass(frozen=True, eq=False)
+class Counts:
+    """How long each of the arrays inside an array is: no field, but told by its bytes."""
+
+
+Node = Scalar | Text | Many | Record | Counts
 
 
 def parse(name: str, encoding: str, text: str, filler: bool = True) -> Record:

@@ -159,7 +159,7 @@ def csv_text(heading: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
     """Return rows of values as CSV, every number in full precision, nothing where there is no value."""
     out = io.StringIO()
     writer = csv_format.writer(out, lineterminator="\n")
-    writer.writerow(heading)
+    writer.writerow(map(_plain, heading))
     writer.writerows([_plain(value) for value in row] for row in rows)
     return out.getvalue()
 
@@ -167,7 +167,7 @@ def csv_text(heading: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
 def _plain(value: Any) -> str:
     if isinstance(value, float):
         return repr(value) if math.isfinite(value) else ""
-    return "" if value is None else str(value)
+    return "" if value is None else visible(str(value))
 
 
 def escape(words: str) -> str:

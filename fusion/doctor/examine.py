@@ -15,12 +15,13 @@ from locfuse.fusion.data import Array, Drive, Measurements, Stream
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import gap_limit
-from locfuse.fusion.wheels.repairs import times
+from locfuse.fusion.wheels.repairs import gaps_of
 
 from .clocks import of_clocks
 from .compass import of_convention, tilted
 from .finding import Finding, Least
 from .laser import laser_motion, of_laser
+from .laser_driver import of_scatter
 from .truth import metre, of_truth
 from .turning import Turning, aligned, of_track, of_turning, turnings
 
@@ -48,6 +49,8 @@ def examine(
     found += _refused(drive)
     found += _gaps("wheels", drive.wheels.t)
     found += [o for name, m in drive.measurements.items() for o in (*_gaps(name, m.t), *_blind(name, m))]
+    if "lrf" in drive.measurements:
+        found += of_scatter(streams["lrf"], robot.settings("lrf"))
     by_sensor = turnings(drive)
     turning = of_turning(drive, robot, by_sensor, streams)
     wrong_wheels = any(o.role == "wheels" and o.severe for o in turning)
@@ -110,7 +113,7 @@ def _gaps(name: str, t: Array) -> list[Finding]:
     longest = max(end - start for start, end in found)
     where = ", ".join(f"{start:.1f}-{end:.1f} s" for start, end in found[:3])
     more = " ..." if len(found) > 3 else ""
-    return [Finding(name, "gap", f"silent {times(len(found))}, at most {longest:.1f} s ({where}{more})")]
+    return [Finding(name, "gap", f"{gaps_of(len(found), longest)} ({where}{more})")]
 
 
 def gaps(t: Array) -> list[tuple[float, float]]:

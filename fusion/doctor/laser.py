@@ -100,8 +100,8 @@ def of_laser(
     if abs(motion.yaw) > MIN_YAW_ERROR_RAD + MIN_SIGMAS * motion.yaw_sigma:
         yaw = se2.wrap(math.radians(settings.yaw_deg) - motion.yaw)
         words = (
-            f"walls come nearer as if it looked {math.degrees(-motion.yaw):+.0f} deg further left than its yaw of "
-            f"{settings.yaw_deg:.1f} deg says"
+            f"walls come nearer as they would with a yaw of {math.degrees(yaw):.0f} deg, not of "
+            f"{settings.yaw_deg:.0f} deg as configured"
         )
         return [
             Finding(

@@ -1,4 +1,4 @@
-"""What a laser's driver does: how it says that nothing came back, which way it scans, and when."""
+"""What a laser's raw ranges say: how nothing came back, which way it scans and when, and how they scatter."""
 
 from __future__ import annotations
 
@@ -14,6 +14,12 @@ from .finding import Finding
 SAMPLE_SCANS = 300  # looked at
 RANGE_MAX_SHARE = 0.01  # of the ranges at exactly range_max: more are no walls
 SEVERE_RANGE_MAX_SHARE = 0.05  # share from which they would be taken for walls
+MIN_TRIPLES = 1000  # of neighbouring ranges, by which noise is judged
+MAX_SCATTER = 1.4  # times sigma_range: more is named
+# shares of normal numbers, and how near to 0 they are in standard deviations; clutter and rounding lie elsewhere
+NORMAL_SHARES, NORMAL_SIZES = (0.1, 0.25, 0.5), (0.1257, 0.3186, 0.6745)
+MAX_NOISE_M = 0.1  # of a laser: more is leaves
+MAX_UNLIKE = 1.2  # times the smallest of the sigmas that these say
 
 
 def driver(stream: Stream, settings: LrfSettings) -> list[Finding]:
@@ -27,6 +33,47 @@ def driver(stream: Stream, settings: LrfSettings) -> list[Finding]:
     values = np.concatenate([r.values[r.first[0] : r.first[-1]] for r in ranges]).astype(np.float64)
     far = np.repeat(column["range_max"].astype(np.float64), lengths)
     return [*_nothing(values, far, settings), *_turning(column, lengths)]
+
+
+def of_scatter(stream: Stream, settings: LrfSettings) -> list[Finding]:
+    """Return the noise that the ranges show, where it is more than the settings say.
+
+    Nothing of the map, the pose or the line extraction comes in: a noise that is set too low splits the lines, and
+    what is left of them fits well.
+    """
+    found = [scatter(columns) for _, columns in _first(stream)]
+    each = np.abs(np.concatenate(found)) if found else np.empty(0)
+    if len(each) < MIN_TRIPLES:
+        return []
+    sigmas = settings.range_scale * np.quantile(each, NORMAL_SHARES) / NORMAL_SIZES
+    sigma = float(sigmas.min())
+    if not MAX_SCATTER * settings.sigma_range < sigma < MAX_NOISE_M or sigmas.max() > MAX_UNLIKE * sigma:
+        return []
+    words = (
+        f"neighbouring ranges scatter by {sigma:.3f} m (1 sigma), and sigma_range is {settings.sigma_range:g} m"
+    )
+    return [Finding("lrf", "noise", words, (f"lrf.sigma_range={sigma:.2g}",))]
+
+
+def scatter(columns: dict[str, Any]) -> Array:
+    """Return what is left of three neighbouring ranges on a wall, scaled to the noise of one range [m].
+
+    Beams that are `a` apart meet a straight wall where 1 / r0 + 1 / r2 = 2 cos(a) / r1, however it lies. Corners
+    and clutter leave much more than noise does.
+    """
+    ranges = cast("Ragged", columns["ranges"])
+    lengths = ranges.lengths
+    r = ranges.values[ranges.first[0] : ranges.first[-1]].astype(np.float64)
+    scan = np.repeat(np.arange(len(lengths)), lengths)
+    low, far, step = (
+        np.asarray(columns[k], np.float64)[scan] for k in ("range_min", "range_max", "angle_increment")
+    )
+    seen = np.isfinite(r) & (r > 0.0) & (r >= low) & (r < far)
+    at = np.flatnonzero(seen[:-2] & seen[1:-1] & seen[2:] & (scan[:-2] == scan[2:])) + 1
+    before, here, after, cos = r[at - 1], r[at], r[at + 1], np.cos(step[at])
+    total = before + after
+    by = 2.0 * cos * np.square(np.stack((before, after)) / total)  # derivatives by `after` and `before`
+    return np.asarray((here - 2.0 * cos * before * after / total) / np.sqrt(1.0 + np.square(by).sum(axis=0)))
 
 
 def _first(stream: Stream) -> list[tuple[Any, dict[str, Any]]]:

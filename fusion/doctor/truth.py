@@ -12,7 +12,7 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import gap_limit
 from locfuse.fusion.wheels.calibrate import truth_sigma
 from locfuse.fusion.wheels.jumps import Mask, spikes
-from locfuse.fusion.wheels.repairs import times
+from locfuse.fusion.wheels.repairs import gaps_of, times
 
 from .finding import Finding, Least
 from .start import of_start
@@ -45,7 +45,7 @@ def _gaps(truth: Truth) -> list[Finding]:
     long = dt > gap_limit(truth.t)
     if not long.any():
         return []
-    words = f"silent {times(int(long.sum()))}, at most {float(dt.max()):.1f} s; errors there do not exist"
+    words = f"{gaps_of(int(long.sum()), float(dt.max()))}: no errors are computed there"
     return [Finding("truth", "gap", words)]
 
 

@@ -57,6 +57,8 @@ def read_laser(stream: Stream, laser: Laser, settings: WheelSettings, time_offse
     if len(stream.t_ns) < 2:
         raise LocfuseError(f"{stream.topic} has {len(stream.t_ns)} scans; two are the least", role="wheels")
     scans = read_scans(stream, laser, Standing())
+    if scans.t[0] == scans.t[-1]:
+        raise LocfuseError(f"the {len(scans.t)} scans of {stream.topic} have one stamp", role="wheels")
     way = _matched(scans)
     if scans.skewed:
         way = _matched(read_scans(stream, laser, _wheels(way, settings)))

@@ -48,6 +48,8 @@ class Velocity(NamedTuple):
 
     def spread(self, before: Velocity, dt: float) -> Array:
         """Return the covariance (3, 3) of a step of dt [s] at this velocity, which was expected to be `before`."""
+        if dt == 0.0:  # two scans of one stamp: no time to move, and A is 1
+            return np.zeros((3, 3))
         A = self.P @ inverse(before.P) * np.exp(-dt / FORGOTTEN_S)
         M = np.linalg.solve(np.eye(3) - A, A @ self.P)
         values, vectors = np.linalg.eigh(dt * dt * (self.P + M + M.T))

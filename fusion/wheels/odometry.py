@@ -31,18 +31,26 @@ def _pose(prefix: str, position: str = "position", orientation: str = "orientati
     )
 
 
-# Message type -> fields of its pose (6), and of its forward speed [m/s] and turning rate [rad/s] (2).
+TURTLESIM = "turtlesim/msg/Pose"
+# Message type -> fields of its pose: x, y and a quaternion (6).
 POSE: Mapping[str, tuple[str, ...]] = {
     ODOMETRY: _pose("pose.pose"),
     TRANSFORM: _pose("transform", "translation", "rotation"),
     "geometry_msgs/msg/PoseStamped": _pose("pose"),
     "geometry_msgs/msg/PoseWithCovarianceStamped": _pose("pose.pose"),
 }
+# Message type -> fields of x, y [m] and the heading [rad].
+PLANAR: Mapping[str, tuple[str, str, str]] = {
+    "geometry_msgs/msg/Pose2D": ("x", "y", "theta"),
+    TURTLESIM: ("x", "y", "theta"),
+}
+# Message type -> fields of its forward speed [m/s] and turning rate [rad/s].
 SPEED: Mapping[str, tuple[str, str]] = {
     ODOMETRY: ("twist.twist.linear.x", "twist.twist.angular.z"),
     "geometry_msgs/msg/TwistStamped": ("twist.linear.x", "twist.angular.z"),
     "geometry_msgs/msg/TwistWithCovarianceStamped": ("twist.twist.linear.x", "twist.twist.angular.z"),
     "geometry_msgs/msg/Twist": ("linear.x", "angular.z"),
+    TURTLESIM: ("linear_velocity", "angular_velocity"),
     "autoware_auto_vehicle_msgs/msg/VelocityReport": ("longitudinal_velocity", "heading_rate"),
     "autoware_vehicle_msgs/msg/VelocityReport": ("longitudinal_velocity", "heading_rate"),
 }
@@ -54,14 +62,16 @@ STEERED: Mapping[str, tuple[str, str]] = {
 SCANS = "sensor_msgs/msg/LaserScan"  # matched with each other (fusion.laser_odometry): their fields are big
 BODY_READS: Mapping[str, tuple[str, ...]] = {
     **{
-        kind: (*POSE.get(kind, ()), *SPEED.get(kind, ()), *STEERED.get(kind, ()))
-        for kind in (*POSE, *SPEED, *STEERED)
+        kind: tuple(field for fields in (POSE, PLANAR, SPEED, STEERED) for field in fields.get(kind, ()))
+        for kind in (*POSE, *PLANAR, *SPEED, *STEERED)
     },
     SCANS: (),
 }
 MIN_STEP_M = 1e-3  # m: steps below say nothing about a direction
 MAX_STEP_RATIO = 3.0  # |pose step| and |twist| dt within this factor speak of the same motion
 MIN_AGREEING_SHARE = 0.8  # share of the moving steps that must agree before the twist is believed
+COMMANDED = ("cmd", "command", "target", "setpoint", "teleop", "joy")  # what the body was asked to do
+MAX_HOLD_S = 1.0  # s that a command lasts at most: drivers stop the robot when nothing more comes
 SPEED_SETTING = "wheels.max_speed [m/s] says how far it may step"
 MAX_REVERSE_SHARE = 0.1  # share of backing up that the pose may know of and still be called blind to it
 
@@ -86,12 +96,33 @@ def pose_and_speed(stream: Stream, settings: WheelSettings) -> Array:
     if kind in POSE:
         x, y, *q = (columns[name].astype(np.float64) for name in POSE[kind])
         values[:, :3] = np.stack((x, y, se2.yaw(*q)), axis=-1)
+    if kind in PLANAR:
+        values[:, :3] = np.stack([columns[name] for name in PLANAR[kind]], axis=-1)
     if kind in SPEED:
         values[:, 3:] = np.stack([columns[name] for name in SPEED[kind]], axis=-1)
     if kind in STEERED:
         speed, angle = (columns[name].astype(np.float64) for name in STEERED[kind])
         values[:, 3:] = np.stack((speed, speed * np.tan(angle) / _wheelbase(stream, settings)), axis=-1)
     return values
+
+
+def commanded(topic: str) -> bool:
+    """Return whether a topic's name says that its speeds were asked for, not measured."""
+    return any(word in topic.lower() for word in COMMANDED)
+
+
+def obeyed(t: Array, speeds: Array) -> tuple[Array, Array]:
+    """Return what a body does that obeys commands (n, 2) of speed [m/s] and turning rate [rad/s] at t (n,) [s].
+
+    A command lasts until the next one, MAX_HOLD_S at most; then the body stands. Returns times (m,) and the twists
+    (m-1, 3) between them.
+    """
+    span = np.diff(t)
+    lasts = np.minimum(span, MAX_HOLD_S)
+    twist = np.stack((speeds[:-1, 0] * lasts, np.zeros_like(lasts), speeds[:-1, 1] * lasts), axis=-1)
+    ended = np.flatnonzero(lasts < span)
+    times: Array = np.insert(t, ended + 1, t[ended] + MAX_HOLD_S)
+    return times, np.insert(twist, ended + 1, 0.0, axis=0)
 
 
 def _wheelbase(stream: Stream, settings: WheelSettings) -> float:

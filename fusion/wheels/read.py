@@ -10,6 +10,7 @@ import numpy as np
 
 from locfuse.fusion.data import Array, LocfuseError, Stream
 from locfuse.fusion.robot import VIRTUAL_TRACK, Mirrored, WheelSettings
+from locfuse.fusion.streams import count_dropped
 
 from . import odometry
 from .motion import Wheels
@@ -136,12 +137,15 @@ def _from_body(stream: Stream, settings: WheelSettings) -> WheelReading:
     keep = usable(stream.t_ns, values, dropped)
     require_two(stream.topic, len(keep), len(stream.t_ns))
     t = (stream.t_ns[keep] - stream.t_ns[keep[0]]) * 1e-9
-    posed = stream.msgtype in odometry.POSE
-    way = odometry.travelled(t, values[keep], settings.reverse_by_twist, settings.max_speed, posed)
-    if way.spikes:
-        dropped["spike"] = dropped.get("spike", 0) + way.spikes
-    t = t[way.keep]
+    posed = stream.msgtype in (*odometry.POSE, *odometry.PLANAR)
+    if not posed and odometry.commanded(stream.topic):
+        t, twist = odometry.obeyed(t, values[keep, 3:])
+        notes: tuple[str, ...] = ()
+    else:
+        way = odometry.travelled(t, values[keep], settings.reverse_by_twist, settings.max_speed, posed)
+        count_dropped(dropped, "spike", way.spikes)
+        t, twist, notes = t[way.keep], way.twist, way.notes
     require_two(stream.topic, len(t), len(stream.t_ns))
-    wheels = Wheels.from_twists(t - t[0], way.twist, settings.track or VIRTUAL_TRACK, settings.noise)
+    wheels = Wheels.from_twists(t - t[0], twist, settings.track or VIRTUAL_TRACK, settings.noise)
     epoch_ns = int(stream.t_ns[keep[0]]) + round((float(t[0]) + settings.time_offset) * 1e9)
-    return WheelReading(wheels, epoch_ns, dropped, way.notes)
+    return WheelReading(wheels, epoch_ns, dropped, notes)

@@ -78,3 +78,8 @@ def _words(name: str, count: Unrolled, spiked: int, jumps: Sequence[float]) -> l
 def times(n: int) -> str:
     """Return "once", "twice", "3 times"."""
     return {1: "once", 2: "twice"}.get(n, f"{n} times")
+
+
+def gaps_of(n: int, longest_s: float) -> str:
+    """Return "a gap of 1.2 s", "3 gaps, the longest 1.2 s"."""
+    return f"a gap of {longest_s:.1f} s" if n == 1 else f"{n} gaps, the longest {longest_s:.1f} s"

@@ -15,11 +15,14 @@ from .jumps import Mask
 from .repairs import Side
 
 JOINTS = "sensor_msgs/msg/JointState"
+KOBUKI = "kobuki_msgs/msg/SensorState"
 # Message type -> fields of the left and the right counter.
 TICKS: Mapping[str, tuple[str, str]] = {
     "irobot_create_msgs/msg/WheelTicks": ("ticks_left", "ticks_right"),
     "turtlebot3_msgs/msg/SensorState": ("left_encoder", "right_encoder"),
+    KOBUKI: ("left_encoder", "right_encoder"),
 }
+TICK_BITS = {KOBUKI: 16}  # of the counters; 32 where nothing is said
 # Message type -> fields of the left and the right wheel's speed [rad/s].
 SPEEDS: Mapping[str, tuple[str, str]] = {
     "irobot_create_msgs/msg/WheelVels": ("velocity_left", "velocity_right"),
@@ -38,6 +41,7 @@ NUMBERS: Mapping[str, int] = {
 USUAL_TICKS = {
     "irobot_create_msgs/msg/WheelTicks": 508.8,  # Create 3, and the TurtleBot 4 on it
     "turtlebot3_msgs/msg/SensorState": 4096.0,  # the TurtleBot 3's Dynamixels
+    KOBUKI: 2578.33,  # the TurtleBot 2's Kobuki base: 52 ticks a turn of the motor, gear 49.58
     "duckietown_msgs/msg/WheelEncoderStamped": 135.0,  # the Duckiebot DB21's Hall encoders
 }
 
@@ -74,7 +78,7 @@ def _found(stream: Stream, settings: WheelSettings, dropped: dict[str, int]) -> 
     fields = SPEEDS.get(stream.msgtype)
     if fields is not None:
         return _Found(stream.t_ns, _two(stream, fields), speeds=True)
-    return _Found(stream.t_ns, _two(stream, TICKS[stream.msgtype]), (2.0**32,))
+    return _Found(stream.t_ns, _two(stream, TICKS[stream.msgtype]), (2.0 ** TICK_BITS.get(stream.msgtype, 32),))
 
 
 def _two(stream: Stream, fields: tuple[str, str]) -> Array:

@@ -193,6 +193,12 @@ def test_names_of_logs_and_reasons_are_no_markup_on_the_page() -> None:
     assert 'href="javascript:' not in page([entry("javascript:alert(1)", None, {"all": 0.1})])
 
 
+def test_names_of_logs_and_reasons_act_on_no_terminal_that_shows_the_csv() -> None:
+    text = csv(Rows([Entry("a\x1b]0;b", None, "failed", "unknown key lrf.\x1b[2J\u202e")], []))
+    assert text.isascii()
+    assert text.replace("\n", "").isprintable()
+
+
 def test_logs_without_truth_and_without_any_result_have_a_page() -> None:
     assert "None of these logs has a truth" in page(
         [entry("a", None, {"all": None}), entry("b", "r", {"all": None})]

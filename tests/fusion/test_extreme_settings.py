@@ -11,11 +11,13 @@ import pytest
 from worlds import World
 
 from locfuse.fusion.data import Array, Drive
+from locfuse.fusion.ekf.belief_pose import PoseBelief
 from locfuse.fusion.fuse import Filter
 from locfuse.fusion.instants import due_readings, steps_of
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot, StartSettings
+from locfuse.fusion.sensor import VERDICTS, Innovation
 from locfuse.fusion.smooth import fuse_and_smooth
 
 SIGMAS = [  # degrees, m
@@ -99,3 +101,10 @@ def test_a_drive_without_floors_is_as_good_as_with_them() -> None:
     positive_throughout(drive, robot, ["lrf"])
     for run in fuse_and_smooth(drive, robot, ["lrf"]):
         assert (evaluate(run, drive).figures["position_rmse_m"] or 1.0) < 0.01
+
+
+def test_a_covariance_beyond_the_square_of_a_float_refuses_the_reading() -> None:
+    """Its products are infinite and its NIS is no number: the gate refuses, and nothing is raised."""
+    belief = PoseBelief((0.0, 0.0, 0.0), (1e200, 1e200, 0.0, 1e200, 0.0, 1.0))
+    H, R = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)), ((1.0, 0.0), (0.0, 1.0))
+    assert VERDICTS[Innovation.of(0, (1.0, 1.0), H, R, belief, 9.0).verdict] == "gate"

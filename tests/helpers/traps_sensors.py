@@ -295,10 +295,10 @@ LASER_TRAPS = (
         False,
         "lrf",
     ),
-    Trap("a yawed laser", nobody_knows_the_yaw, "than its yaw of 0.0 deg", True, "lrf", blur=0.02),
+    Trap("a yawed laser", nobody_knows_the_yaw, "not of 0 deg as", True, "lrf", blur=0.02),
     Trap("yawed, said by /tf_static", only_tf_knows_the_yaw, "yaw 90° by /tf_static", False, "lrf"),
     Trap("two publishers of /tf_static", two_publishers, "contradict; the last one counts", False, "lrf"),
-    Trap("a wrong publisher of /tf_static", wrong_publisher, "than its yaw of 90.0 deg", True, "lrf", blur=0.02),
+    Trap("a wrong publisher of /tf_static", wrong_publisher, "not of 90 deg as", True, "lrf", blur=0.02),
     Trap("a laser late by 0.4 s", late_laser, "stamps look 0.4", True, "lrf"),
     Trap("a laser on another clock", other_clock, "stamped 3600.0 s after the wheels", True, "lrf"),
     Trap("a laser whose ranges are short", short_metre, "its ranges are 0.9", True, "lrf"),
@@ -363,7 +363,7 @@ def blind_spots(drive: Drive) -> None:
 
 TRUTH_TRAPS = (
     Trap("a tracked marker off the axle", marker, "it swings as the body point", spoils=True),
-    Trap("gaps in the truth", blind_spots, "silent twice, at most 2.1 s; errors there do not exist"),
+    Trap("gaps in the truth", blind_spots, "2 gaps, the longest 2.1 s: no errors are computed there"),
     Trap("a truth on a clock of its own", lambda d: late(d, TRUTH, 0.5), "stamps look 0.5", spoils=True),
     Trap("jumps of metres in the truth", jumps, "by more than the wheels rolled", spoils=True),
     Trap("a start that nobody told", elsewhere, "m and 20 deg from where the drive starts", spoils=True),

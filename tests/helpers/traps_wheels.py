@@ -262,6 +262,6 @@ CLOCK_TRAPS = (
     Trap("absurd stamps", some_absurd, "off the stream's clock)"),
     Trap("stamps that are all zero", all_zero, "most header stamps contradict it"),
     Trap("header and log time are two clocks", simulated_time, "two clocks; header stamps are used"),
-    Trap("a silence", silence, "silent once"),
+    Trap("a silence", silence, "a gap of 0.9 s"),
     Trap("a truth that repeats", repeated_truth, "repeat the one before"),
 )

@@ -93,7 +93,7 @@ def custom(path: Path, topic: str, msgtype: str, text: str, t: Array, rows: list
         schema = writer.register_schema(msgtype, "ros2msg", (text + HEADER_TEXT).encode())
         channel = writer.register_channel(topic, "cdr", schema)
         for ns, row in zip(stamps(t), rows, strict=True):
-            message = _filled(store, msgtype, {"header": header(ns), **row})
+            message = _filled(store, msgtype, {**({"header": header(ns)} if "header" in text else {}), **row})
             writer.add_message(channel, ns, bytes(store.serialize_cdr(message, msgtype)), ns, 0)
         writer.finish()
     return path

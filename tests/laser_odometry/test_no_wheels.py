@@ -178,6 +178,19 @@ def test_a_laser_that_sees_nothing_is_refused_in_one_line() -> None:
         moved(t, truth, np.array([(90.0, 0.0, 91.0, 0.0)]))
 
 
+def test_two_scans_of_one_stamp_are_one_instant() -> None:
+    t, truth = circle()
+    way = moved(np.insert(t, 20, t[20]), np.insert(truth, 20, truth[20], axis=0), ROOM).wheels
+    np.testing.assert_array_equal(way.t, in_the_room().wheels.t)
+    np.testing.assert_allclose(way.pose[-1], in_the_room().wheels.pose[-1], atol=0.02)
+
+
+def test_scans_that_all_have_one_stamp_are_refused_in_one_line() -> None:
+    t, truth = circle(1.0)
+    with pytest.raises(LocfuseError, match="the 5 scans of /scan have one stamp"):
+        moved(np.zeros_like(t), truth, ROOM)
+
+
 def test_scans_are_no_wheels_before_they_are_matched() -> None:
     with pytest.raises(LocfuseError, match="has to be matched first"):
         read_wheels(stream_of(*circle(1.0), ROOM), WheelSettings())

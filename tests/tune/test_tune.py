@@ -15,7 +15,7 @@ import small_drive
 from commands import locfuse
 from scipy.stats import norm
 
-from locfuse.cli.jobs.tune import not_white
+from locfuse.cli.jobs.tune import lasting_errors, tune_logs
 from locfuse.cli.pipeline.load import find_log, load
 from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.fusion.data import Array, Drive, LocfuseError, Measurements
@@ -218,6 +218,18 @@ def test_errors_that_last_are_named_because_no_sigma_describes_them() -> None:
         only=("compass", "lrf"),
     )
     trial = Trial("drive", loaded.drive, loaded.robot)
-    assert any(note.startswith("drive: compass: errors of") for note in not_white([trial]))  # iron
+    found = lasting_errors([trial])
+    assert list(found) == [("drive", "compass")]  # iron
+    assert found["drive", "compass"].startswith("errors of")
     alone = replace(loaded.drive, measurements={"lrf": loaded.drive.measurements["lrf"]})
-    assert not_white([trial._replace(drive=alone)]) == []
+    assert lasting_errors([trial._replace(drive=alone)]) == {}
+
+
+def test_a_sensor_whose_errors_last_does_not_spoil_the_noise_of_the_others() -> None:
+    """With the compass's white noise alone, all sensors would have three times the error."""
+    how = LogOptions(None, (), None, strict=False, quiet=True, end=30.0)
+    found = tune_logs([find_log(["rounded_rectangle"])], [], ("compass", "lrf"), False, how, lambda what: None)
+    assert not found.refused
+    assert set(found.tables()) == {"wheels", "lrf"}
+    assert found.tables()["lrf"]["sigma_range"] == pytest.approx(0.03, rel=0.1)
+    assert any("compass: errors of" in note and "left as it was" in note for note in found.notes)

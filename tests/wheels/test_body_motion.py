@@ -152,13 +152,84 @@ def test_a_measured_twist_drives_its_circle(kind: str, tmp_path: Path) -> None:
     assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-9)
 
 
-def test_a_commanded_twist_is_never_taken_unasked_and_named_as_what_it_is(tmp_path: Path) -> None:
-    log = log_of(tmp_path / "x.mcap", twists(T, "/cmd_vel"))
-    done = locfuse("run", log, "-o", tmp_path / "out")
-    assert done.exit_code == 1
-    assert "/cmd_vel holds the commanded motion: --set wheels.topic=/cmd_vel takes it" in done.stderr
-    pose, _ = final(log, "--set", "wheels.topic=/cmd_vel")
+def notes_of(report: Any) -> str:
+    return json.dumps(report, ensure_ascii=False)
+
+
+def test_a_commanded_twist_is_the_last_resort_and_named_as_what_it_is(tmp_path: Path) -> None:
+    pose, report = final(log_of(tmp_path / "x.mcap", twists(T, "/cmd_vel")))
     assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-9)
+    assert "/cmd_vel holds commanded speeds" in notes_of(report)
+    measured = log_of(tmp_path / "measured.mcap", twists(T, "/cmd_vel", speed=2 * SPEED), twists(T, "/base/speed"))
+    pose, report = final(measured)
+    assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-9)
+    assert "commanded" not in notes_of(report)
+
+
+def test_a_command_lasts_until_the_next_one_and_a_second_at_most() -> None:
+    t = np.array([0.0, 0.5, 4.0, 4.2])
+    data = {"linear.x": np.array([1.0, 2.0, 3.0, 0.0]), "angular.z": np.array([0.0, 0.0, 0.0, 0.0])}
+    stream = ArrayStream("/cmd_vel", "geometry_msgs/msg/Twist", np.array(stamps(t)), data)
+    wheels = read_wheels(stream, WheelSettings()).wheels
+    at = np.interp([0.5, 1.5, 3.9, 4.0, 4.2], wheels.t, wheels.pose[:, 0])
+    np.testing.assert_allclose(at, [0.5, 2.5, 2.5, 2.5, 3.1], atol=1e-9)  # 0.5 s of 1, 1 s of 2, 0.2 s of 3 m/s
+
+
+def poses_of(t: Array, topic: str) -> list[Said]:
+    kind = "geometry_msgs/msg/PoseStamped"
+    return [
+        Said(topic, kind, cdr(kind, header=header(ns, "map"),
+                              pose={"position": {"x": p[0], "y": p[1]}, "orientation": turned(p[2])}), ns)
+        for ns, p in zip(stamps(t), CIRCLE.tolist(), strict=True)
+    ]  # fmt: skip
+
+
+def test_poses_of_another_program_stand_in_where_nothing_measured_the_motion(tmp_path: Path) -> None:
+    log = log_of(tmp_path / "x.mcap", poses_of(T, "/slam/pose"), poses_of(T, "/move_base_simple/goal"))
+    pose, report = final(log)
+    assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-9)
+    assert "/slam/pose holds poses that another program estimated" in notes_of(report)
+    pose, report = final(log_of(tmp_path / "tf.mcap", tf(T, CIRCLE, parent="world", child="turtle1")))
+    assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-9)
+    assert "/tf:world:turtle1 holds poses" in notes_of(report)
+
+
+def test_a_turtle_of_turtlesim_drives_by_its_own_pose(tmp_path: Path) -> None:
+    text = "float32 x\nfloat32 y\nfloat32 theta\nfloat32 linear_velocity\nfloat32 angular_velocity\n"
+    wrapped = np.mod(CIRCLE[:, 2] + math.pi, 2 * math.pi) - math.pi
+    rows = [
+        {"x": x + 5.5, "y": y + 5.5, "theta": a, "linear_velocity": SPEED, "angular_velocity": RATE}
+        for (x, y), a in zip(CIRCLE[:, :2].tolist(), wrapped.tolist(), strict=True)
+    ]
+    pose, _ = final(custom(tmp_path / "x.mcap", "/turtle1/pose", "turtlesim/msg/Pose", text, T, rows))
+    assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-5)  # the message holds single precision
+
+
+KOBUKI_TEXT = (
+    "std_msgs/Header header\nuint16 time_stamp\nuint8 bumper\nuint8 wheel_drop\nuint8 cliff\n"
+    "uint16 left_encoder\nuint16 right_encoder\nint8 left_pwm\nint8 right_pwm\nuint8 buttons\nuint8 charger\n"
+    "uint8 battery\nuint16[] bottom\nuint8[] current\nuint8 over_current\nuint16 digital_input\n"
+    "uint16[] analog_input\n"
+)
+
+
+def test_a_turtlebot_2_is_recognised_and_its_counters_of_16_bits_roll_over(tmp_path: Path) -> None:
+    t, angle = angles(60.0)
+    counts = np.round(angle * 2578.33 / (2 * math.pi)).astype(int) + 60_000
+    rows = [{"left_encoder": a % 2**16, "right_encoder": b % 2**16} for a, b in counts.tolist()]
+    kind = "kobuki_msgs/msg/SensorState"
+    log = custom(tmp_path / "x.mcap", "/mobile_base/sensors/core", kind, KOBUKI_TEXT, t, rows)
+    done = locfuse("init", log, "-o", tmp_path / "robot.toml")
+    assert "this robot is a turtlebot2 (messages of kobuki_msgs)" in done.stderr
+    pose, _ = final(log, "--robot", str(tmp_path / "robot.toml"))
+    ways = (counts - counts[0]) * 2 * math.pi / 2578.33
+    expected = np.zeros(3)
+    for d_left, d_right in np.diff(ways, axis=0) * 0.035:
+        way, turn = (d_left + d_right) / 2, (d_right - d_left) / 0.23
+        chord = way * (math.sin(turn / 2) / (turn / 2) if turn else 1.0)
+        angle_now = expected[2] + turn / 2
+        expected += [chord * math.cos(angle_now), chord * math.sin(angle_now), turn]
+    assert pose[:2] == pytest.approx(expected[:2], abs=1e-6)
 
 
 WHEEL_VELS = "irobot_create_msgs/msg/WheelVels"
@@ -252,6 +323,30 @@ def test_a_mirrored_wheel_does_not_hide_radius_and_track(
     fixes = dict(fix.split("=") for fix in found["fixes"])
     assert fixes["wheels.mirrored"] == mirrored
     assert [float(fixes[f"wheels.{k}"]) for k in ("radius", "track")] == pytest.approx([RADIUS, TRACK], rel=0.02)
+
+
+def test_init_asks_for_the_wheelbase_of_a_steering_angle(tmp_path: Path) -> None:
+    kind = "ackermann_msgs/msg/AckermannDrive"
+    names = ("steering_angle", "steering_angle_velocity", "speed", "acceleration", "jerk")
+    text = "".join(f"float32 {name}\n" for name in names)
+    rows = [{"steering_angle": math.atan(RATE * 0.33 / SPEED), "speed": SPEED} for _ in T]
+    log = custom(tmp_path / "x.mcap", "/drive", kind, text, T, rows)
+    assert "to be filled in: wheels.wheelbase" in locfuse("init", log).stderr
+    pose, _ = final(log, "--set", "wheels.wheelbase=0.33")
+    assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-5)
+
+
+def test_an_arm_is_no_wheel_and_hides_none(tmp_path: Path) -> None:
+    t, angle = angles()
+    log = log_of(tmp_path / "x.mcap", joint_states(t, angle, ("shoulder", "elbow")), twists(T, "/cmd_vel"))
+    pose, report = final(log)
+    assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-9)
+    assert "/cmd_vel holds commanded speeds" in notes_of(report)
+
+
+def test_of_several_odometries_those_made_of_more_come_last(tmp_path: Path) -> None:
+    log = log_of(tmp_path / "x.mcap", odometry(T, CIRCLE, "/camera/odom/sample"), odometry(T, CIRCLE))
+    assert "guessed: wheels.topic=/odom " in locfuse("init", log).stderr
 
 
 def test_init_says_which_of_several_odometries_it_guessed(tmp_path: Path) -> None:

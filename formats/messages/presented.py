@@ -1,0 +1,34 @@
+"""Message types that are read as another one: what they are presented as, by whom, and what it takes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+from locfuse.fusion.data import Column
+
+from .as_joints import DYNAMIC, JOINTS, OF_DYNAMIC, as_joints
+from .as_scan import CLOUD, ECHOES, OF_CLOUD, OF_ECHOES, SCAN, cloud_as_scans, echoes_as_scans, level_frame
+
+
+class Presented(NamedTuple):
+    """How the messages of a type become those of another."""
+
+    msgtype: str  # what they become
+    suffix: str  # the topic is called "/source:suffix"
+    fields: tuple[str, ...]  # of the source
+    make: Callable[[Mapping[str, Column], tuple[str, ...], str], dict[str, Column]]  # columns, fields, frame id
+    frame: Callable[[str], str] = str
+
+
+PRESENTED: Mapping[str, Presented] = {
+    CLOUD: Presented(SCAN, "scan", OF_CLOUD, cloud_as_scans, frame=level_frame),
+    ECHOES: Presented(SCAN, "scan", OF_ECHOES, echoes_as_scans),
+    DYNAMIC: Presented(JOINTS, "joints", OF_DYNAMIC, as_joints),
+}
+
+
+def presented_name(name: str, msgtype: str) -> str | None:
+    """Return the name under which a topic of this type is presented as another, None for any other type."""
+    kind = PRESENTED.get(msgtype)
+    return f"{name}:{kind.suffix}" if kind is not None else None

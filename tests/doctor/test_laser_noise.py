@@ -1,0 +1,74 @@
+"""The noise that ranges show by themselves, held to walls in closed form with noise that was drawn."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from commands import locfuse
+
+from locfuse.fusion.data import Array, ArrayStream, Ragged
+from locfuse.fusion.doctor.laser_driver import of_scatter
+from locfuse.fusion.sensors.lrf import LrfSettings
+
+BEAMS, SCANS = 360, 30
+ANGLES = np.arange(BEAMS) * (2.0 * np.pi / BEAMS) - np.pi
+NORMALS, DISTANCES = np.radians([0.0, 90.0, 180.0, 270.0]) + 0.2, np.array([2.5, 1.5, 3.0, 2.0])
+
+
+def room() -> Array:
+    """The ranges (SCANS, BEAMS) of a closed room: to the nearest of four walls."""
+    cos = np.cos(ANGLES[:, None] - NORMALS)
+    return np.tile(np.where(cos > 1e-3, DISTANCES / np.maximum(cos, 1e-3), np.inf).min(axis=1), (SCANS, 1))
+
+
+def stream(ranges: Array) -> ArrayStream:
+    n = len(ranges)
+    data = {
+        "angle_min": np.full(n, -np.pi),
+        "angle_increment": np.full(n, 2.0 * np.pi / BEAMS),
+        "time_increment": np.zeros(n),
+        "range_min": np.full(n, 0.05),
+        "range_max": np.full(n, 12.0),
+        "ranges": Ragged(ranges.ravel(), np.arange(n + 1) * BEAMS),
+    }
+    return ArrayStream("/scan", "sensor_msgs/msg/LaserScan", np.arange(n) * 10**8, data)
+
+
+def said(ranges: Array, **settings: float) -> float | None:
+    """The sigma that is suggested, None where nothing is said."""
+    found = of_scatter(stream(ranges), LrfSettings(**settings))
+    return float(found[0].fixes[0].removeprefix("lrf.sigma_range=")) if found else None
+
+
+def noise(sigma: float) -> Array:
+    return sigma * np.random.default_rng(3).normal(size=(SCANS, BEAMS))
+
+
+@pytest.mark.parametrize("sigma", [0.01, 0.03, 0.05])
+def test_a_noise_that_is_set_too_low_is_named_with_the_one_that_was_drawn(sigma: float) -> None:
+    assert said(room() + noise(sigma), sigma_range=sigma / 2.0) == pytest.approx(sigma, rel=0.12)
+
+
+def test_a_noise_that_is_right_or_too_high_is_not_mentioned() -> None:
+    for configured in (0.03, 0.05):
+        assert said(room() + noise(0.03), sigma_range=configured) is None
+
+
+def test_walls_without_noise_leave_nothing_however_they_lie() -> None:
+    assert said(room(), sigma_range=1e-6) is None
+
+
+def test_rounded_ranges_and_clutter_tell_no_noise() -> None:
+    assert said(np.round(room() / 0.05) * 0.05, sigma_range=0.005) is None
+    rng = np.random.default_rng(4)
+    leaves = np.minimum(rng.exponential(0.3, (SCANS, BEAMS)), 1.0)
+    some = rng.random((SCANS, BEAMS)) < 0.3
+    assert said(room() - leaves, sigma_range=0.01) is None
+    assert said(room() + noise(0.005) - some * leaves, sigma_range=0.001) is None
+
+
+def test_info_names_the_noise_of_a_recorded_laser() -> None:
+    """The sample's is 0.03 m."""
+    told = locfuse("info", "rounded_triangle", "--set", "lrf.sigma_range=0.01")
+    assert "fix: --set lrf.sigma_range=0.034" in told.stdout
+    assert "scatter" not in locfuse("info", "rounded_triangle").stdout

@@ -249,7 +249,8 @@ def _reference_words(name: str, found: ByReference, own: Mapping[str, Any]) -> s
     assert effect is not None
     most = "" if found.sure else "at most "
     errors = f"{length(found.before)} without it and {most}{length(found.after)} with it"
-    words = f"Against {name} the position error is {errors} (95 % interval: {interval(effect)})."
+    span = interval(effect) if found.sure else f"at {'least' if effect.low > 0.0 else 'most'} {times(effect.low)}"
+    words = f"Against {name} the position error is {errors} (95 % interval: {span})."
     return f"{words} {own['words']}".strip()
 
 

@@ -87,10 +87,12 @@ def init(
         with reader_may_leave():
             put(text)
     lost = made.overview.log.losses.lines()
+    for line in lost:
+        show.say(f"lost: {line}")  # the reason of exit code 3: said under --quiet too
     for note in notes:
         say(f"{ekf}: {note}")
     if not how.quiet:
-        _say(made, words, name, lost)
+        _say(made, words, name)
     return LOSS if lost else 0
 
 
@@ -157,11 +159,9 @@ def _foot(made: Draft) -> str:
     return "\n".join(([f"Not in this log: {', '.join(plain)}."] if plain else []) + others)
 
 
-def _say(made: Draft, words: str, name: str, lost: list[str]) -> None:
+def _say(made: Draft, words: str, name: str) -> None:
     from locfuse.cli.terminal import show
 
-    for line in lost:
-        show.say(f"lost: {line}")
     if made.robot:
         show.say(
             f"guessed: {made.robot}: its figures that the log does not tell are taken from locfuse's own files"

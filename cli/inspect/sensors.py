@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from locfuse.cli.choose.topics import Choice, of_type
+from locfuse.cli.pipeline.maps import GRID
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.doctor.finding import Finding, of_error
 from locfuse.fusion.doctor.laser_driver import driver
@@ -21,7 +22,26 @@ def raw_findings(log: Log, robot: Robot, choice: Choice) -> list[Finding]:
     return [
         *_said("lrf", choice.of("lrf"), driver, log, robot),
         *_said("camera", pictures_of(log, choice), _pictures, log, robot),
+        *_maps(log, robot, choice),
     ]
+
+
+def _maps(log: Log, robot: Robot, choice: Choice) -> list[Finding]:
+    """Offer the maps that a log holds to its laser; the user knows whether they were made of the same scans."""
+    topics = [t for t in of_type(log, (GRID,)) if log.topics[t].count and not _costs(t)]
+    topics.sort(key=lambda t: t != "/map")
+    if not topics or not choice.of("lrf") or robot.settings("lrf").map_topic is not None or robot.lines:
+        return []
+    words = (
+        f"{' and '.join(topics)} {'holds a map' if len(topics) == 1 else 'hold maps'}, in which the laser can be "
+        "localised; one that was made of these scans says nothing new"
+    )
+    return [Finding("lrf", "map", words, (f"lrf.map_topic={topics[0]}",))]
+
+
+def _costs(topic: str) -> bool:
+    """Return whether a grid says by its name what a way costs, and not where walls are."""
+    return "costmap" in topic.lower()
 
 
 def pictures_of(log: Log, choice: Choice) -> tuple[str, ...]:

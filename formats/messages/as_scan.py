@@ -77,7 +77,7 @@ def points(columns: Mapping[str, Any], i: int) -> Array:
     step, width, height, row = (int(columns[k][i]) for k in ("point_step", "width", "height", "row_step"))
     if (
         not all(kinds)
-        or step < 1
+        or not 1 <= step <= len(columns["data"][i])  # one point at least, and no dtype of gigabytes
         or max(o + np.dtype(k).itemsize for o, k in zip(offsets, kinds, strict=True)) > step
     ):
         return nothing

@@ -22,6 +22,9 @@ READ_TYPES = frozenset(
     (
         "ackermann_msgs/msg/AckermannDrive",
         "apriltag_msgs/msg/AprilTagDetectionArray",
+        "apriltag_ros/msg/AprilTagDetectionArray",
+        "apriltags2_ros/msg/AprilTagDetectionArray",
+        "apriltags_ros/msg/AprilTagDetectionArray",
         "aruco_msgs/msg/MarkerArray",
         "aruco_opencv_msgs/msg/ArucoDetection",
         "isaac_ros_apriltag_interfaces/msg/AprilTagDetectionArray",
@@ -112,6 +115,7 @@ EXPECTED: Mapping[str, tuple[str, ...]] = {
             "markers.pose.position",
             "markers.pose.pose.position",
             "detections.pose.pose.pose.position",
+            "detections.pose.pose.position",
             "detections.bbox.center.position",
             "detections.centre",
         )
@@ -121,6 +125,7 @@ EXPECTED: Mapping[str, tuple[str, ...]] = {
     "markers.id": (NUMBERS,),
     "markers.marker_id": (NUMBERS,),
     "detections.id": (NUMBERS, TEXTS),
+    "detections.id.length": (NUMBERS,),
     "joint_names": (TEXTS,),
     "interface_values.interface_names": (TEXTS,),
     "interface_values.values": (NUMBERS,),

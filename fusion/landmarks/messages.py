@@ -18,6 +18,7 @@ from locfuse.fusion.data import Array, Ints, LocfuseError, Ragged, Stream
 DETECTIONS = "locfuse/msg/Detections"  # a file beside the log
 LAST_NUMBER = re.compile(r"\d+(?=\D*$)")
 NO_ID = -1
+BUNDLE = -(2**62)  # of several tags that are one detection: left out
 
 
 class Fields(NamedTuple):
@@ -27,13 +28,16 @@ class Fields(NamedTuple):
     x: str
     y: str = ""  # "": in pixels, x only
     z: str = ""
+    bundled: str = ""  # how many ids each detection has, where it holds a list of them
 
 
-def _at(ids: str, position: str) -> Fields:
-    return Fields(ids, *(f"{position}.{axis}" for axis in "xyz"))
+def _at(ids: str, position: str, bundled: str = "") -> Fields:
+    x, y, z = (f"{position}.{axis}" for axis in "xyz")
+    return Fields(ids, x, y, z, bundled)
 
 
-# Message type -> its fields. Not apriltag_ros of ROS 1: there every detection holds a list of ids.
+BUNDLES = _at("detections.id", "detections.pose.pose.pose.position", "detections.id.length")
+# Message type -> its fields.
 POSES: Mapping[str, Fields] = {
     "ros2_aruco_interfaces/msg/ArucoMarkers": _at("marker_ids", "poses.position"),
     "aruco_msgs/msg/MarkerArray": _at("markers.id", "markers.pose.pose.position"),
@@ -41,6 +45,9 @@ POSES: Mapping[str, Fields] = {
     "isaac_ros_apriltag_interfaces/msg/AprilTagDetectionArray": _at(
         "detections.id", "detections.pose.pose.pose.position"
     ),
+    "apriltag_ros/msg/AprilTagDetectionArray": BUNDLES,
+    "apriltags2_ros/msg/AprilTagDetectionArray": BUNDLES,
+    "apriltags_ros/msg/AprilTagDetectionArray": _at("detections.id", "detections.pose.pose.position"),
     "vision_msgs/msg/Detection3DArray": _at("detections.id", "detections.bbox.center.position"),
 }
 PIXELS: Mapping[str, Fields] = {
@@ -79,22 +86,23 @@ def sighted(stream: Stream, looks: Looks) -> Sighted:
         ids = np.asarray(columns["id"]).astype(np.int64)
         told = None if len(ranges) and np.isnan(ranges).all() else ranges
         return Sighted(stream.t_ns, ids, told, np.asarray(columns["bearing"], np.float64))
-    kind = stream.msgtype
-    fields = FIELDS[kind]
-    raw = stream.columns(*READS[kind])
-    row, ids = _ids(raw[fields.ids])
-    x = _values(raw[fields.x], len(ids), stream.topic)
-    if kind in PIXELS:
+    fields = FIELDS[stream.msgtype]
+    raw = stream.columns(*READS[stream.msgtype])
+    row, ids = _first_ids(raw[fields.ids], raw[fields.bundled]) if fields.bundled else _ids(raw[fields.ids])
+    alone = ids != BUNDLE
+    t_ns, n = stream.t_ns[row[alone]], len(ids)
+    x = _values(raw[fields.x], n, stream.topic)[alone]
+    if stream.msgtype in PIXELS:
         if looks.fx is None or looks.cx is None:
             raise LocfuseError(
                 f"{stream.topic} says where tags are in the picture, and no CameraInfo says how the camera looks.",
                 role="landmarks",
                 hint="Give its matrix: --set landmarks.fx=<px> --set landmarks.cx=<px>",
             )
-        return Sighted(stream.t_ns[row], ids, None, np.arctan2(looks.cx - x, looks.fx))
-    y, z = (_values(raw[name], len(ids), stream.topic) for name in (fields.y, fields.z))
+        return Sighted(t_ns, ids[alone], None, np.arctan2(looks.cx - x, looks.fx))
+    y, z = (_values(raw[name], n, stream.topic)[alone] for name in (fields.y, fields.z))
     ahead = z * np.cos(looks.down) - y * np.sin(looks.down)
-    return Sighted(stream.t_ns[row], ids, np.hypot(x, ahead), np.arctan2(-x, ahead))
+    return Sighted(t_ns, ids[alone], np.hypot(x, ahead), np.arctan2(-x, ahead))
 
 
 def _ids(column: Any) -> tuple[Ints, Ints]:
@@ -106,6 +114,15 @@ def _ids(column: Any) -> tuple[Ints, Ints]:
     found = [LAST_NUMBER.search(text) for _, text in texts]
     ids = [int(match.group()) % 2**62 if match else NO_ID for match in found]
     return np.array([row for row, _ in texts], np.int64), np.array(ids, np.int64)
+
+
+def _first_ids(ids: Any, counts: Any) -> tuple[Ints, Ints]:
+    """Return the message of each detection and its id, BUNDLE where several tags are one detection."""
+    n = counts.values[counts.first[0] : counts.first[-1]].astype(np.int64)
+    values = ids.values[ids.first[0] : ids.first[-1]].astype(np.int64)
+    out = np.where(n == 0, NO_ID, BUNDLE)
+    out[n == 1] = values[(np.cumsum(n) - n)[n == 1]]
+    return np.repeat(np.arange(len(counts)), counts.lengths), out
 
 
 def _values(column: Any, n: int, topic: str) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from commands import locfuse
@@ -23,7 +25,7 @@ def room() -> Array:
 
 def stream(ranges: Array) -> ArrayStream:
     n = len(ranges)
-    data = {
+    data: dict[str, Any] = {
         "angle_min": np.full(n, -np.pi),
         "angle_increment": np.full(n, 2.0 * np.pi / BEAMS),
         "time_increment": np.zeros(n),
@@ -34,7 +36,7 @@ def stream(ranges: Array) -> ArrayStream:
     return ArrayStream("/scan", "sensor_msgs/msg/LaserScan", np.arange(n) * 10**8, data)
 
 
-def said(ranges: Array, **settings: float) -> float | None:
+def said(ranges: Array, **settings: Any) -> float | None:
     """The sigma that is suggested, None where nothing is said."""
     found = of_scatter(stream(ranges), LrfSettings(**settings))
     return float(found[0].fixes[0].removeprefix("lrf.sigma_range=")) if found else None

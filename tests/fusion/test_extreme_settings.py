@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from worlds import World
 
-from locfuse.fusion.data import Array, Drive
+from locfuse.fusion.data import VERDICTS, Array, Drive
 from locfuse.fusion.ekf.belief_pose import PoseBelief
 from locfuse.fusion.fuse import Filter
 from locfuse.fusion.instants import due_readings, steps_of
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot, StartSettings
-from locfuse.fusion.sensor import VERDICTS, Innovation
+from locfuse.fusion.sensor import Innovation
 from locfuse.fusion.smooth import fuse_and_smooth
 
 SIGMAS = [  # degrees, m

@@ -155,6 +155,18 @@ def test_the_map_may_be_a_topic_of_the_log(tmp_path: Path) -> None:
     assert np.hypot(*(path[-1, 1:3] - true[:2])) < 0.05
 
 
+def test_info_and_init_offer_a_map_of_the_log_and_leave_it_to_the_user(tmp_path: Path) -> None:
+    log = with_map(tmp_path)
+    findings = json.loads(locfuse("info", log, *GEOMETRY, "--json").stdout)["findings"]
+    (found,) = (f for f in findings if f["code"] == "map")
+    assert (found["fixes"], found["severe"]) == (["lrf.map_topic=/map"], False)
+    assert "# map_topic = " in locfuse("init", log, *GEOMETRY).stdout
+    findings = json.loads(locfuse("info", log, *GEOMETRY, "--set", "lrf.map_topic=/map", "--json").stdout)[
+        "findings"
+    ]
+    assert not any(f["code"] == "map" for f in findings)
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

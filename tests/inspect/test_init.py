@@ -189,6 +189,7 @@ def test_a_damaged_log_is_looked_at_all_the_same_and_the_loss_is_counted(tmp_pat
     done = init(tmp_path / "x.mcap", tmp_path / "robot.toml", *GEOMETRY)
     assert done.exit_code == 3
     assert "lost:" in done.stderr
+    assert "lost:" in locfuse("init", tmp_path / "x.mcap", "-q").stderr
     assert tomllib.loads(done.stdout)["wheels"]["topic"] == "/joint_states"
 
 

@@ -132,14 +132,15 @@ def test_a_cloud_that_is_a_map_is_no_laser(tmp_path: Path) -> None:
     assert "nothing says how the robot moved" in done.stderr
 
 
-def test_a_cloud_whose_fields_lie_outside_its_points_gives_no_beam(tmp_path: Path) -> None:
+@pytest.mark.parametrize("step", [0, 8, 2**32 - 1])
+def test_a_cloud_whose_fields_lie_outside_its_points_gives_no_beam(step: int, tmp_path: Path) -> None:
     message = cdr(
         CLOUD,
         header=header(T0, "velodyne"),
         height=1,
         width=2,
         fields=[{"name": n, "offset": 4 * i, "datatype": 7, "count": 1} for i, n in enumerate("xyz")],
-        point_step=8,
+        point_step=step,
         row_step=16,
         data=np.zeros(16, np.uint8),
     )

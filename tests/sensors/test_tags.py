@@ -29,6 +29,7 @@ FRAME = "camera_optical"
 METRE, BEARING = 0.03, math.radians(0.25)  # noise of places, and of what is seen in pixels
 ARUCO, APRIL = "ros2_aruco_interfaces/msg/ArucoMarkers", "apriltag_msgs/msg/AprilTagDetectionArray"
 ISAAC, VISION = "isaac_ros_apriltag_interfaces/msg/AprilTagDetectionArray", "vision_msgs/msg/Detection3DArray"
+BUNDLED = "apriltag_ros/msg/AprilTagDetectionArray"
 POINT2 = "float64 x\nfloat64 y\n"
 TEXTS = {
     ARUCO: "std_msgs/Header header\nint64[] marker_ids\ngeometry_msgs/Pose[] poses\n",
@@ -39,6 +40,9 @@ TEXTS = {
     "isaac_ros_apriltag_interfaces/msg/AprilTagDetection": "string family\nint32 id\n"
     "geometry_msgs/PoseWithCovarianceStamped pose\n",
     ISAAC: "std_msgs/Header header\nAprilTagDetection[] detections\n",
+    "apriltag_ros/msg/AprilTagDetection": "int32[] id\nfloat64[] size\n"
+    "geometry_msgs/PoseWithCovarianceStamped pose\n",
+    BUNDLED: "std_msgs/Header header\nAprilTagDetection[] detections\n",
     "vision_msgs/msg/BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size\n",
     "vision_msgs/msg/Detection3D": "std_msgs/Header header\nBoundingBox3D bbox\nstring id\n",
     VISION: "std_msgs/Header header\nDetection3D[] detections\n",
@@ -68,6 +72,20 @@ def april(stamp: dict[str, Any], seen: list[tuple[int, Array]]) -> bytes:
 def isaac(stamp: dict[str, Any], seen: list[tuple[int, Array]]) -> bytes:
     tags = [{"id": k, "pose": {"pose": {"pose": {"position": _xyz(p)}}}} for k, p in seen]
     return cdr(ISAAC, header=stamp, detections=tags)
+
+
+def bundled(stamp: dict[str, Any], seen: list[tuple[int, Array]]) -> bytes:
+    """Lists of ids; a bundle of two tags stands where neither does."""
+    tags = [([k], p) for k, p in seen]
+    decoy = [(list(MAP)[:2], np.array([3.0, 0.0, 1.0]))]
+    return cdr(
+        BUNDLED,
+        header=stamp,
+        detections=[
+            {"id": ids, "size": [0.1] * len(ids), "pose": {"pose": {"pose": {"position": _xyz(p)}}}}
+            for ids, p in (*decoy, *tags)
+        ],
+    )
 
 
 def vision(stamp: dict[str, Any], seen: list[tuple[int, Array]]) -> bytes:
@@ -155,7 +173,7 @@ def compared(files: tuple[Path, Path, Path], *words: Any) -> tuple[dict[str, Any
     return json.loads((out / "report.json").read_text())["configurations"], done.stderr
 
 
-@pytest.mark.parametrize(("kind", "make"), [(ARUCO, aruco), (ISAAC, isaac), (VISION, vision)])
+@pytest.mark.parametrize(("kind", "make"), [(ARUCO, aruco), (ISAAC, isaac), (VISION, vision), (BUNDLED, bundled)])
 def test_poses_of_tags_hold_the_robot(kind: str, make: Callable[..., bytes], tmp_path: Path) -> None:
     """By type alone, the camera's place by /tf_static: only the map is told."""
     found, _ = compared(written(tmp_path, kind, make))

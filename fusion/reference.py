@@ -22,8 +22,9 @@ def refuse(drive: Drive, robot: Robot) -> None:
     """Raise UsageError where this log can have no reference."""
     if drive.truth is not None:
         raise UsageError(
-            f"--reference: this log has a truth, {drive.truth.topic}; leave --reference out, or judge without the "
-            "truth: --set truth.topic=none"
+            f"--reference: this log has a truth, {drive.truth.topic}, and is judged by that.",
+            fixes=("truth.topic=none",),
+            hint="Leave --reference out, or hide the truth: --set truth.topic=none",
         )
     check_optimal(robot, _present(drive))
     if not _locates(_present(drive)):

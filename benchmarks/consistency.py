@@ -1,4 +1,4 @@
-"""Does the covariance stay right where nothing observes the heading or the place? Simulated drives (issue 16).
+"""Does the covariance stay right where nothing observes the heading or the place? Simulated drives.
 
     python -m benchmarks.consistency --drives 30
     python -m benchmarks.consistency --drives 10 --case "laser alone" --case "laser at 40 Hz"

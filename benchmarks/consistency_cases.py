@@ -1,4 +1,4 @@
-"""The drives of `benchmarks.consistency`: what is simulated, what the filter is given, and the goal (issue 16).
+"""The drives of `benchmarks.consistency`: what is simulated, what the filter is given, and the goal.
 
 The robot is the simulator's own (`sample_logs/scenario.py`), on the rounded rectangle. It begins to drive at once.
 Its first scan comes at 0.6 s, in motion. The heading is then uncertain by 1.0 degrees, and only an absolute
@@ -25,7 +25,7 @@ MOVING = (*STANDING, "control.wait=0", "lrf.phase=0.6")
 
 @dataclass(frozen=True)
 class Goal:
-    """What issue 16 asks of a case; None: nothing."""
+    """What is asked of a case; None: nothing."""
 
     anees: tuple[float, float] | None = None  # lowest, highest mean
     aligned: float | None = None  # mm, highest mean

@@ -437,6 +437,7 @@ class Evaluation:
     lost: tuple[tuple[float, float], ...] = ()  # s: when the filter said that it was lost; all figures include it
     notes: tuple[str, ...] = ()  # what the filter said of the run
     rates: Mapping[str, float] = field(default_factory=dict)  # Hz, as of the estimates
+    reference: bool = False  # judged against the whole drive's solution, not against truth (judge.against)
 
     @property
     def name(self) -> str:

@@ -390,6 +390,9 @@ class Sensor(ABC):
         """Return the point of the map that it measures to, (x, y) [m]; None where it knows none."""
         return None
 
+    locates: ClassVar[bool] = False
+    """Whether it says where the robot is, and not only how it turns or moves: it can judge other sensors."""
+
     @property
     def measures_metres(self) -> bool:
         """Whether it and the wheels must mean the same metre."""

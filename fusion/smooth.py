@@ -100,17 +100,6 @@ def smoothed(drive: Drive, filtered: Estimates, journal: Journal) -> Estimates:
     )
 
 
-def against(reference: Estimates, e: Estimates) -> dict[str, float]:
-    """Return how far an estimate is from another one on the same instants, such as from the smoothed one."""
-    apart = np.hypot(*(e.pose[:, :2] - reference.pose[:, :2]).T)
-    turned = se2.wrap_all(e.pose[:, 2] - reference.pose[:, 2])
-    return {
-        "position_rmse_m": float(np.sqrt((apart**2).mean())),
-        "position_max_m": float(apart.max()),
-        "heading_rmse_deg": float(np.degrees(np.sqrt((turned**2).mean()))),
-    }
-
-
 class Backward:
     """The backward pass: the smoothed state from the last instant to the first.
 

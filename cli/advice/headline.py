@@ -22,6 +22,8 @@ def headline(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> st
         return f"No verdict on this log: {void[0]}."
     if not errors:
         return _without_truth(report)
+    if report.get("reference"):
+        return " ".join((_by_reference(report, errors), *(f"Not counted is {line}." for line in void)))
     return " ".join((_by_errors(report, sets, errors), *(f"Not counted is {line}." for line in void)))
 
 
@@ -48,6 +50,19 @@ def _by_errors(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], err
     bad = [s for s in others if report.get("verdicts", {}).get(s, {}).get("verdict") in HURTS] or others
     one = "" if len(bad) == 1 else "one of "
     return f"{first} With all sensors it is {length(errors[every])}: {one}{_names(bad)} hurts."
+
+
+def _by_reference(report: Mapping[str, Any], errors: Mapping[str, float]) -> str:
+    """Return what a reference tells of odometry and of sensors; it is no truth, so it keeps or drops none."""
+    verdicts = report.get("verdicts", {})
+    words = {which: [s for s, v in verdicts.items() if v["verdict"] in which] for which in (HELPS, HURTS)}
+    parts = [f"odometry alone is off by {length(errors[ODOMETRY])}"] if ODOMETRY in errors else []
+    for which, one, several in ((HELPS, "helps", "help"), (HURTS, "hurts", "hurt")):
+        if words[which]:
+            parts.append(f"{_names(words[which])} {one if len(words[which]) == 1 else several}")
+    if not any(words.values()):
+        parts.append("of the sensors nothing is sure")
+    return f"Measured against a reference, not truth: {'; '.join(parts)}."
 
 
 def _without_truth(report: Mapping[str, Any]) -> str:

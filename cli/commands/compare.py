@@ -19,6 +19,7 @@ from locfuse.cli.terminal.options import (
     log_options,
     out_options,
     preset_option,
+    reference_option,
     smooth_option,
     window_options,
 )
@@ -54,6 +55,7 @@ from locfuse.cli.terminal.rerun_options import rerun_options
     help="Move each estimate onto the truth before judging it.",
 )
 @smooth_option
+@reference_option
 @advice_option
 @jitter_option
 @click.option(

@@ -148,6 +148,6 @@ def _scene_of_log(what: Sequence[str], wish: Wish, progress: Progress) -> Scene:
     from locfuse.cli.rerun.scene import scene_of_result
     from locfuse.cli.session.session import opened
 
-    result = opened(what, wish.how, progress, read_again=True).compare(wish.sensors or None)
+    result = opened(what, wish.how, progress, read_again=True).compare(wish.sensors or None, reference=False)
     progress("recording")
     return scene_of_result(result, wish.images, wish.full)

@@ -36,6 +36,7 @@ class Wish:
     estimate: tuple[str, ...] = ()
     given_map: Path | None = None
     jitter: int = 0  # runs
+    reference: bool | None = None  # of several logs there is none
     advice: bool = True  # fixes are tried; of several logs never
     open: bool = False  # the page, in the browser
 
@@ -76,6 +77,7 @@ def one(log: Sequence[str], wish: Wish) -> int:
             smooth=wish.smooth,
             advice=wish.advice,
             jitter=wish.jitter,
+            reference=wish.reference,
             audits=rerun.wanted,
             estimates=sources,
         )

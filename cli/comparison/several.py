@@ -79,6 +79,8 @@ def _wanted(wish: Wish, folder: Path) -> Wanted:
         raise UsageError(f"--map {wish.given_map}: it is of one drive: compare one log at a time")
     if wish.jitter:
         raise UsageError(f"--jitter {wish.jitter}: several logs say by themselves what is chance; give one log")
+    if wish.reference:
+        raise UsageError("--reference: it is of one drive: compare one log at a time")
     robots = Robots.of(fleet.robot_from, how.robot)
     check_settings(how if how.robot is None or PLACE not in str(how.robot) else wish.without_robot())
     wanted = Wanted(

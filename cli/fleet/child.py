@@ -70,6 +70,7 @@ def compare(job: Job) -> tuple[str, ...]:
             align=job.asked.align,
             smooth=job.asked.smooth,
             audits=job.recording is not None,
+            reference=False,  # truth and references do not mix in a table
             advice=False,  # a fleet is compared; a single log is advised on
         )
         folder = job.place(cell)

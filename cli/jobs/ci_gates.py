@@ -18,9 +18,11 @@ from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.inputs import read_small
 from locfuse.formats.log.identity import Identity
 from locfuse.formats.report import json_report
+from locfuse.formats.report.changes import judged_by
 from locfuse.fusion.data import LocfuseError, UsageError
 
 FAILED = 4
+OF_REFERENCE = "reference."  # before a figure: that of a log without truth, against its reference
 OPERATORS: dict[str, Callable[[float, float], bool]] = {
     ">=": operator.ge,
     "<=": operator.le,
@@ -178,11 +180,25 @@ def failures(report: Mapping[str, Any], gates: Sequence[Gate], baseline: Baselin
 
 
 def _violated(report: Mapping[str, Any], gate: Gate) -> str | None:
-    name, value = figure(report["configurations"], gate.figure)
+    if mixed := _mixed(report, gate):
+        return f"{gate.text}: {mixed}"
+    name, value = figure(report["configurations"], gate.figure.removeprefix(OF_REFERENCE))
     if value is None:
         return f"{gate.text}: {_missing(report, gate, name)}"
     if OPERATORS[gate.op](value, gate.limit):
         return f"{gate.text}: it is {value:.6g}"
+    return None
+
+
+def _mixed(report: Mapping[str, Any], gate: Gate) -> str | None:
+    """Say where a gate on truth meets a reference, or the other way round: the two are different figures."""
+    from locfuse.fusion.judge.evaluate import ERROR_KEYS
+
+    asked = gate.figure.startswith(OF_REFERENCE) and gate.figure not in report["configurations"]
+    if asked:
+        return None if report.get("reference") else "no reference judged this log; it needs a log without truth"
+    if report.get("reference") and gate.figure.rpartition(".")[2] in ERROR_KEYS:
+        return f"errors are against a reference, not truth; if that is meant: {OF_REFERENCE}{gate.text}"
     return None
 
 
@@ -203,7 +219,7 @@ def _missing(report: Mapping[str, Any], gate: Gate, name: str | None) -> str:
     configurations = report["configurations"]
     if name is None:
         return f"no such configuration in this report ({', '.join(configurations)})"
-    key = gate.figure[len(name) + 1 :]
+    key = gate.figure.removeprefix(OF_REFERENCE)[len(name) + 1 :]
     if key in configurations[name]:
         why = "without truth" if report.get("truth") is None else "here"
         return f"the figure does not exist {why}"
@@ -218,8 +234,13 @@ def _worse(report: Mapping[str, Any], baseline: Baseline) -> list[str]:
     """Return error figures that both reports have and that grew by more than the tolerance."""
     from locfuse.fusion.judge.evaluate import ERROR_KEYS
 
+    then, now = judged_by(baseline.report), judged_by(report)
+    if then != now and None not in (then, now):
+        return [f"--baseline {baseline.path}: its errors are against {then}, these against {now}: no comparison"]
     lines, compared = [], 0
     for name, old_values in baseline.report["configurations"].items():
+        if _judge(old_values) != _judge(report["configurations"].get(name, {})):
+            continue
         for key in ERROR_KEYS:
             _, old = figure({name: old_values}, f"{name}.{key}")
             _, new = (
@@ -239,6 +260,11 @@ def _worse(report: Mapping[str, Any], baseline: Baseline) -> list[str]:
     if not compared:
         return [f"--baseline {baseline.path}: it has no error figure in common with this report"]
     return lines
+
+
+def _judge(values: Mapping[str, Any]) -> Any:
+    """Return the sensors of the reference that judged a result; None where it was no reference."""
+    return (values.get("reference") or {}).get("sensors")
 
 
 def _number(text: str) -> float | None:

@@ -1,24 +1,25 @@
-"""Several configurations over one measured log, judged: by truth where there is truth, else by prediction."""
+"""Several configurations over one measured log, judged: by truth, else by a reference and by prediction."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, cast, get_args
+from typing import TYPE_CHECKING, Any, NamedTuple, cast, get_args
 
 import numpy as np
 
 from locfuse.formats.report import json_report
 from locfuse.fusion import se2
 from locfuse.fusion.data import Drive, Estimates, Evaluation
+from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.consistency import Run
 from locfuse.fusion.judge.credit import Credit, credit
 from locfuse.fusion.judge.evaluate import Align, evaluate
-from locfuse.fusion.judge.predictive import Score, listeners, scores
+from locfuse.fusion.judge.predictive import Score, contradictions, listeners, scores
 from locfuse.fusion.paper.preset import fuser
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.sensors.registry import REGISTRY, needed
 
 from . import results
 from .configurations import Configuration
@@ -26,14 +27,13 @@ from .key import Asked, key
 from .load import Loaded
 from .memory import lean
 from .settings import Progress, one_of
-from .trust import add_consistency, evidence
-from .verdicts import credit_values, prediction_values, verdicts
+from .trust import add_consistency, evidence, judge_values, noise_factors, reference_values
+from .verdicts import ByReference, by_reference, credit_values, prediction_values, verdicts
+
+if TYPE_CHECKING:
+    from locfuse.fusion.reference import References
 
 OTHER_FRAME_M, OTHER_FRAME_RAD = 0.5, math.radians(20.0)  # a first pose this far from the truth's: another frame
-PSEUDO = (
-    "there is no truth in this log. The smoothed estimate has seen the whole drive and serves as a "
-    "pseudo-reference: it shows what only the future corrects, and shares every error of its own sensors and map"
-)
 PLAIN_FRAME = "none"  # no alignment: the covariance can be judged
 Watch = Callable[[Estimates, Evaluation], None]
 Heard = Callable[[Estimates], None]
@@ -50,6 +50,16 @@ class Compared:
     runs: Sequence[Run]  # evidence of the sensors' noise
     credit: Credit | None  # where there is truth
     scores: Sequence[Score]  # where there is none
+    reference: Referenced | None = None  # where there is none, and a reference takes its place
+
+
+@dataclass(frozen=True)
+class Referenced:
+    """What took the place of truth."""
+
+    references: References
+    judges: Mapping[str, Reference]  # result -> the one that judged it
+    effects: Mapping[str, ByReference]  # by sensor
 
 
 class Judged(NamedTuple):
@@ -70,10 +80,12 @@ def compare_log(
     audits: bool = False,
     foreign: Sequence[Estimates] = (),
     heard: Sequence[Heard] = (),
+    reference: bool = False,
 ) -> Compared:
     """Run and judge every configuration; smoothed ones come after all others.
 
-    `foreign` are other people's estimates, judged beside ours.
+    `foreign` are other people's estimates, judged beside ours. With `reference` the whole drive is solved, and its
+    solution takes the place of a truth that the log lacks; what watches is given evaluations without it.
 
     Audits are most of what a run holds. Unless `audits` are kept they end as soon as it is judged: who draws them
     takes what is drawn then (`watch`). So it is with the runs that other sensors only listen to (`heard`).
@@ -83,11 +95,15 @@ def compare_log(
     if smooth:
         refuse_smoothing(robot, configurations)
     filtered, smoothed = [], []
+    solved: dict[frozenset[str], Estimates] = {}
+    solves = _solved_sets(drive) if reference else set()
     for c in configurations:
         progress(f"fusing {c.name}")
-        first, *after = lean(_judged, c, loaded, align, smooth, watch, audits)
+        both = smooth or (frozenset(c.sensors) in solves and not c.rates)
+        first, *after = lean(_judged, c, loaded, align, both, watch, audits, shown=smooth)
         filtered.append(first)
-        smoothed += after
+        smoothed += after if smooth else []
+        solved |= {frozenset(c.sensors): j.estimates for j in after if not c.rates}
     plain = {
         frozenset(c.sensors): j.evaluation for c, j in zip(configurations, filtered, strict=True) if not c.rates
     }
@@ -95,26 +111,97 @@ def compare_log(
     found = credit(plain, present) if drive.truth is not None else None
     predicted = [] if found is not None else predict(drive, robot, configurations, progress, heard)
     every = [*filtered, *smoothed, *(_judged_foreign(e, drive, align) for e in foreign)]
+    progress("solving the whole drive" if reference else "judging")
+    runs = [run for j in filtered for run in j.evidence]
+    references = (
+        lean(_references, drive, robot, solved, noise_factors(runs, robot), quarrels(configurations, predicted))
+        if reference
+        else None
+    )
+    referenced = None if references is None else _referenced(references, every, filtered, align)
     return Compared(
         loaded=loaded,
         configurations=configurations,
         estimates=[j.estimates for j in every],
-        evaluations=[j.evaluation for j in every],
+        evaluations=[j.evaluation for j in every] if referenced is None else referenced[1],
         runs=[run for j in every for run in j.evidence],
         credit=found,
         scores=predicted,
+        reference=None if referenced is None else referenced[0],
     )
 
 
+def _solved_sets(drive: Drive) -> set[frozenset[str]]:
+    from locfuse.fusion.reference import sets
+
+    return {frozenset(sensors) for sensors in sets(drive)}
+
+
+def _references(
+    drive: Drive,
+    robot: Robot,
+    solved: Mapping[frozenset[str], Estimates],
+    noise: Mapping[str, float],
+    contradict: Sequence[tuple[str, str]],
+) -> References | None:
+    from locfuse.fusion.reference import References
+
+    return References.of(drive, robot, solved, noise, contradict)
+
+
+def quarrels(configurations: Sequence[Configuration], found: Sequence[Score]) -> list[tuple[str, str]]:
+    """Return pairs of sensors that contradict each other, as prediction shows."""
+    alone = {c.sensors[0]: c.name for c in configurations if len(c.sensors) == 1 and not c.rates}
+    return contradictions(found, alone)
+
+
+def _referenced(
+    references: References,
+    every: Sequence[Judged],
+    filtered: Sequence[Judged],
+    align: str,
+) -> tuple[Referenced, list[Evaluation]]:
+    """Return every result judged by a reference, and which judged what."""
+    how = cast("Align", align)
+    pairs = [references.judged(j.evaluation, j.estimates, how) for j in every]
+    plain = {frozenset(j.estimates.sensors): j for j in filtered if not j.estimates.rates}
+    found = {s: _effect(references, s, plain, how) for s in references.present}
+    effects = {s: effect for s, effect in found.items() if effect is not None}
+    judges = {j.estimates.name: reference for j, (_, reference) in zip(every, pairs, strict=True)}
+    return Referenced(references, judges, effects), [evaluation for evaluation, _ in pairs]
+
+
+def _effect(
+    references: References, sensor: str, plain: Mapping[frozenset[str], Judged], align: Align
+) -> ByReference | None:
+    """Return what the reference that a sensor has no part in says of its effect; None where nothing was run."""
+    reference, before = references.without(sensor), frozenset(needed(sensor))
+    after = before | {sensor}
+    if reference is None or before not in plain or after not in plain:
+        return None
+    judged = {s: reference.judge(plain[s].evaluation, plain[s].estimates, align) for s in (before, after)}
+    errors = [e.figures["position_rmse_m"] or 0.0 for e in judged.values()]
+    found = credit(judged, [sensor]) if reference.can_judge(max(errors)) else None
+    alone = None if found is None else found.sensors[sensor].alone
+    effect = None if alone is None else reference.widened(alone, errors[0], errors[1])
+    return ByReference(errors[0], errors[1], reference.can_judge(errors[1]), effect)
+
+
 def _judged(
-    c: Configuration, loaded: Loaded, align: str, smooth: bool, watch: Sequence[Watch], audits: bool
+    c: Configuration,
+    loaded: Loaded,
+    align: str,
+    smooth: bool,
+    watch: Sequence[Watch],
+    audits: bool,
+    shown: bool,
 ) -> list[Judged]:
-    """Fuse and judge one configuration: filtered, and perhaps smoothed."""
+    """Fuse and judge one configuration: filtered, and perhaps smoothed, which is watched if it is `shown`."""
     drive, robot, judged = c.drive(loaded.drive), loaded.robot, []
     how = cast("Align", align)
     for e in lean(c.fuse, loaded.drive, robot, smooth and bool(c.sensors)):
         evaluation = lean(evaluate, e, drive, how)
-        for look in watch:
+        for look in watch if shown or not e.smoothed else ():
             look(e, evaluation)
         kept = e if audits else replace(e, audits={})
         judged.append(Judged(kept, evaluation, evidence(drive, e, robot)))
@@ -191,8 +278,28 @@ def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
     report["credit"] = None if compared.credit is None else credit_values(compared.credit)
     report["prediction"] = prediction_values(compared.scores, list(sets)) if compared.scores else None
     add_consistency(report, compared.runs, compared.evaluations, compared.loaded.robot)
-    add_pseudo_reference(report, compared.loaded.drive, compared.estimates)
+    add_reference(report, compared)
     return json_report.plain(report)
+
+
+def add_reference(report: dict[str, Any], compared: Compared) -> None:
+    """Add `reference` to the report and to every result, and let it speak of the sensors that it can judge."""
+    found = compared.reference
+    report["reference"] = None
+    for name, values in report["configurations"].items():
+        values["reference"] = (
+            None if found is None else judge_values(found.judges[name], found.references.whole, values["sensors"])
+        )
+    if found is None:
+        return
+    references = found.references
+    report["reference"] = reference_values(references.whole, references.contradict)
+    for sensor in references.present:
+        own, effect = report["verdicts"].get(sensor), found.effects.get(sensor)
+        reference = references.without(sensor)
+        quarrel = None if reference is None else references.quarrel(reference, (sensor,))
+        if own is not None or effect is not None:
+            report["verdicts"][sensor] = by_reference(own, reference, effect, quarrel)
 
 
 def report_of_run(
@@ -203,16 +310,3 @@ def report_of_run(
     runs = evidence(c.drive(loaded.drive), estimates[0], loaded.robot)
     add_consistency(report, runs, evaluations, loaded.robot)
     return json_report.plain(report)
-
-
-def add_pseudo_reference(report: dict[str, Any], drive: Drive, estimates: Sequence[Estimates]) -> None:
-    """Where there is no truth, compare every configuration with the smoothed one of most sensors, and say so."""
-    smoothed = [e for e in estimates if e.smoothed]
-    if drive.truth is not None or not smoothed:
-        return
-    from locfuse.fusion.smooth import against
-
-    best = max(smoothed, key=lambda e: len(e.sensors))
-    report["pseudo_reference"] = {"configuration": best.name, "words": PSEUDO}
-    for e in estimates:
-        report["configurations"][e.name]["against_smoothed"] = against(best, e)

@@ -35,12 +35,21 @@ class Asked:
     align: str
     smooth: bool
     jitter: int = 0  # runs
+    reference: bool = False  # one takes the place of truth
 
     @classmethod
-    def of(cls, sensors: Iterable[Sensors], all_subsets: bool, align: str, smooth: bool, jitter: int = 0) -> Asked:
+    def of(
+        cls,
+        sensors: Iterable[Sensors],
+        all_subsets: bool,
+        align: str,
+        smooth: bool,
+        jitter: int = 0,
+        reference: bool = False,
+    ) -> Asked:
         """Return it with every configuration as one word."""
         words = tuple(s if isinstance(s, str) else ",".join(s) for s in sensors)
-        return cls(words, all_subsets, align, smooth, jitter)
+        return cls(words, all_subsets, align, smooth, jitter, reference)
 
 
 def asked_tables(how: LogOptions, more: Sequence[str] = ()) -> dict[str, Any]:

@@ -70,6 +70,7 @@ def repeat(loaded: Loaded, asked: Asked) -> str:
     words += [word for sensors in asked.sensors for word in ("--sensors", sensors)]
     words += ["--all-subsets"] * asked.all_subsets + ["--smooth"] * asked.smooth
     words += ["--jitter", str(asked.jitter)] if asked.jitter else []
+    words += ["--reference" if asked.reference else "--no-reference"] if loaded.drive.truth is None else []
     words += ["--align", asked.align] if asked.align != "none" else []
     for option, bound in zip(("--from", "--to"), loaded.window, strict=True):
         words += [] if bound is None else [option, f"{bound:g}"]

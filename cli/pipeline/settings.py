@@ -14,6 +14,7 @@ from typing import Any
 PathLike = str | os.PathLike[str]
 Sets = Mapping[str, Any] | Iterable[str]  # {"lrf.topic": "/scan"}, or as typed: ["lrf.topic=/scan"]
 Progress = Callable[[str], None]  # is given the name of the current step
+MAX_REFERENCE_INSTANTS = 2400  # of a drive whose reference is solved unasked: four minutes of a 10 Hz laser
 OF_COMPARISON = ("html", "md", "json", "tum", "csv", "tex")  # kinds of output
 OF_RUN = ("tum", "csv", "json")
 PRESETS = ("default", "paper")

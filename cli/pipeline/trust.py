@@ -1,13 +1,15 @@
-"""What a report says of trust: every sensor's noise without truth, every covariance where there is truth."""
+"""What a report says of trust: every sensor's noise without truth, every covariance with truth, any reference."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
+from locfuse.formats.tables.findings import length
 from locfuse.fusion.data import Drive, Estimates, Evaluation
+from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.consistency import Consistency, Run, judge
 from locfuse.fusion.judge.covariance import Honesty, honesty
 from locfuse.fusion.robot import Robot
@@ -67,3 +69,45 @@ def unless_overconfident(sensor: str, found: Consistency, using: Sequence[Honest
         "this worse"
     )
     return replace(found, words=words, cures={})
+
+
+REFERENCE = (
+    "Errors are against a reference, not truth: the whole drive solved forward and backward with the "
+    "wheels{sensors} (1 sigma {sigma}), or without the sensor that is judged. A * marks a result whose own "
+    "sensors are in its reference: its error shows only what the rest of the drive corrects. A ? marks a "
+    "reference that is further from the one of all sensors than both claim: one of the two is wrong. An error of "
+    "the wheels that no sensor corrects is not seen."
+)
+TOO_SMALL = {"understated", "correlated"}  # verdicts on a sigma
+
+
+def noise_factors(runs: Sequence[Run], robot: Robot) -> dict[str, float]:
+    """Return by how much the sigma of each sensor is too small, as its residuals show: 1 where it is not."""
+    found = {s: c for sensors in sensors_consistency(runs, robot, {}).values() for s, c in sensors.items()}
+    return {s: max(1.0, c.scale) for s, c in found.items() if c.verdict in TOO_SMALL and c.scale is not None}
+
+
+def reference_values(whole: Reference, quarrels: Sequence[tuple[str, str]]) -> dict[str, Any]:
+    """Return the reference of all sensors as plain values, with what it is in words."""
+    sensors = "".join(f", {s}" for s in whole.sensors[:-1]) + f" and {whole.sensors[-1]}"
+    words = REFERENCE.format(sensors=sensors, sigma=length(whole.sigma))
+    words += "".join(f" {s} contradicts all others and is left out." for s in whole.left_out)
+    doubtful = [pair for pair in quarrels if set(pair) <= set(whole.sensors)]
+    words += "".join(f" {a} and {b} contradict each other, so it is doubtful." for a, b in doubtful)
+    return {
+        "sensors": list(whole.sensors),
+        "left_out": list(whole.left_out),
+        "sigma_m": whole.sigma,
+        "words": words,
+    }
+
+
+def judge_values(reference: Reference, whole: Reference, used: Collection[str]) -> dict[str, Any]:
+    """Return what judged a result that used these sensors; `shared` are those that are in both."""
+    return {
+        "sensors": list(reference.sensors),
+        "left_out": list(reference.left_out),
+        "sigma_m": reference.sigma,
+        "shared": [s for s in reference.sensors if s in used],
+        "agrees": reference.agrees(whole),
+    }

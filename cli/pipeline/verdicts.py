@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
+from locfuse.formats.tables.findings import length
+from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.credit import Credit, SensorCredit
 from locfuse.fusion.judge.predictive import MIN_GAIN_NATS, Score, contradictions, ranking
-from locfuse.fusion.judge.verdict import MIN_EFFECT, Effect, overconfident
+from locfuse.fusion.judge.verdict import MIN_EFFECT, Effect, overconfident, verdict
 
 TRUST_SENSORS = (
     "There is no truth in this log. Configurations are ranked by how well each predicts the sensors that it "
@@ -21,6 +23,15 @@ TRUST_STRETCHES = (
     "Instead it was switched off every other five seconds and its readings there were predicted. That shows "
     "whether it agrees with itself, which a biased sensor does too."
 )
+
+
+class ByReference(NamedTuple):
+    """What a reference that a sensor has no part in says of it."""
+
+    before: float  # m, error without it
+    after: float  # m, error with it
+    sure: bool  # the reference is exact enough for `after` too; else that is an upper bound
+    effect: Effect | None  # None where it is exact enough for neither
 
 
 def verdicts(
@@ -209,6 +220,40 @@ def _predicted(mine: Sequence[Score], against: Sequence[str], sensors: int) -> d
     return {"verdict": _grade(mine, gain), "words": f"With it, {on} can be predicted {better}."}
 
 
+def by_reference(
+    own: Mapping[str, Any] | None,
+    reference: Reference | None,
+    found: ByReference | None,
+    quarrel: tuple[str, str] | None,
+) -> dict[str, Any]:
+    """Return a sensor's verdict without truth: by a reference without it if that can judge, else its `own`."""
+    own = own or {"verdict": "no verdict", "words": ""}
+    if reference is None:
+        words = "Without it nothing in this log says where the robot is, so no reference can judge it."
+        return {**own, "words": f"{own['words']} {words}".strip()}
+    if found is None:
+        return dict(own)
+    name = f"a reference without it ({' and '.join(reference.sensors)}, 1 sigma {length(reference.sigma)})"
+    if quarrel is not None:
+        words = f"{name.capitalize()} cannot judge it: {' and '.join(quarrel)} contradict each other."
+        return {**own, "words": f"{own['words']} {words}".strip()}
+    if found.effect is None:
+        errors = f"{length(found.before)} without it and {length(found.after)} with it"
+        words = f"{name.capitalize()} is not exact enough to judge errors of {errors}."
+        return {**own, "words": f"{own['words']} {words}".strip()}
+    return {"verdict": verdict(None, found.effect, None, None), "words": _reference_words(name, found, own)}
+
+
+def _reference_words(name: str, found: ByReference, own: Mapping[str, Any]) -> str:
+    effect = found.effect
+    assert effect is not None
+    most = "" if found.sure else "at most "
+    errors = f"{length(found.before)} without it and {most}{length(found.after)} with it"
+    span = interval(effect) if found.sure else f"at {'least' if effect.low > 0.0 else 'most'} {times(effect.low)}"
+    words = f"Against {name} the position error is {errors} (95 % interval: {span})."
+    return f"{words} {own['words']}".strip()
+
+
 def _grade(mine: Sequence[Score], gain: float) -> str:
     if abs(gain) <= MIN_GAIN_NATS:
         return "no effect seen"
@@ -219,9 +264,7 @@ def _grade(mine: Sequence[Score], gain: float) -> str:
 
 def _by_itself(score: Score) -> dict[str, Any]:
     """Judge the only sensor of a log by its own readings: that can show a fault, never that it is right."""
-    words = (
-        "The log has no reference and no second sensor. Self-check: its readings five seconds ahead are predicted "
-    )
+    words = "The log has no truth and no second sensor. Self-check: its readings five seconds ahead are predicted "
     if score.high < 0.0:
         words += (
             f"{abs(score.gain):.2f} nats per number worse than by odometry. Check its clock, mount and settings."

@@ -11,9 +11,9 @@ import numpy as np
 from locfuse.cli.pipeline.load import Loaded
 from locfuse.formats.log.log import Log
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Estimates, LocfuseError, Stream, UsageError, matrices
+from locfuse.fusion.data import Array, Drive, Estimates, LocfuseError, Stream, UsageError
+from locfuse.fusion.judge.against import interpolated
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.streams import gap_limit
 from locfuse.fusion.wheels.odometry import POSE
 
 NAME = re.compile(r"[A-Za-z][\w.-]*")
@@ -76,7 +76,7 @@ def _read(log: Log, drive: Drive, name: str, source: str) -> Estimates:
         )
     t, pose, triangles = t[inside], pose[inside], triangles[inside]
     pose[:, 2] = np.unwrap(pose[:, 2])
-    at = None if drive.truth is None else _at(drive.truth.t, t, pose, triangles)
+    at = None if drive.truth is None else interpolated(drive.truth.t, t, pose, triangles)
     return Estimates(
         configuration=name,
         sensors=(),
@@ -100,19 +100,3 @@ def _columns(stream: Stream, epoch_ns: int) -> tuple[Array, Array, Array]:
         said = np.isfinite(P).all(axis=(1, 2)) & (np.diagonal(P, axis1=1, axis2=2) > 0.0).all(axis=1)
         triangles[said] = P[said][:, UPPER[0], UPPER[1]]
     return (stream.t_ns - epoch_ns) * np.float64(1e-9), pose, triangles
-
-
-def _at(stamps: Array, t: Array, pose: Array, triangles: Array) -> tuple[Array, Array]:
-    """Return poses (q, 3) and covariances (q, 3, 3) at the truth's stamps, interpolated; NaN outside and in gaps.
-
-    A covariance is that of the row before: between two rows nobody says how it grows.
-    """
-    before = np.clip(np.searchsorted(t, stamps, side="right") - 1, 0, len(t) - 1)
-    after = np.minimum(before + 1, len(t) - 1)
-    exact = np.abs(stamps - t[before]) < 1e-9
-    near = (stamps >= t[0]) & (stamps <= t[-1] + 1e-9) & (exact | (t[after] - t[before] <= gap_limit(t)))
-    out = np.stack([np.interp(stamps, t, column) for column in pose.T], axis=-1)
-    out[~near] = np.nan
-    spread = matrices(triangles[before])
-    spread[~near] = np.nan
-    return out, spread

@@ -16,6 +16,7 @@ from locfuse.cli.pipeline.load import Loaded, find_log, load_to_fuse, start_erro
 from locfuse.cli.pipeline.memory import lean
 from locfuse.cli.pipeline.outputs import Drawn
 from locfuse.cli.pipeline.settings import (
+    MAX_REFERENCE_INSTANTS,
     LogOptions,
     PathLike,
     Progress,
@@ -31,7 +32,7 @@ from locfuse.cli.pipeline.trust import evidence
 from locfuse.formats.log.log import Log
 from locfuse.formats.robot.robot_toml import as_set
 from locfuse.formats.visible import visible
-from locfuse.fusion.data import Drive, Estimates, Evaluation
+from locfuse.fusion.data import Drive, Estimates, Evaluation, UsageError
 from locfuse.fusion.judge.evaluate import Align, evaluate
 from locfuse.fusion.robot import Robot
 
@@ -163,6 +164,7 @@ class Session:
         estimates: Mapping[str, str] | None = None,
         advice: bool = True,
         jitter: int = 0,
+        reference: bool | None = None,
     ) -> Comparison:
         """Run several configurations and say what each sensor is worth, as `locfuse compare` does.
 
@@ -178,11 +180,14 @@ class Session:
             jitter: fuse as many times more with stamps moved by 1 us and 1 % of the readings dropped; the report
                 then has the range of every figure, and a verdict that changes becomes "no effect seen".
             estimates: other people's estimates as rows of their own, {"amcl": "/amcl_pose", "slam": "slam.tum"}.
+            reference: where the log has no truth, measure errors against the solution of the whole drive. None:
+                where the drive is short enough for that, or is smoothed anyway.
 
         Raises:
             LocfuseError: an unknown sensor, or one that this log lacks.
         """
         runs = check_runs(jitter)
+        refer = self._refers(reference, smooth, runs)
         words = () if sensors is None else (sensors,) if isinstance(sensors, str) else tuple(sensors)
         wanted = for_comparison(words, self.drive, all_subsets)
         foreign = foreign_estimates(self.loaded, named_sources(estimates or {}), [c.name for c in wanted])
@@ -190,10 +195,14 @@ class Session:
         evaluator = Evaluator(self.loaded, self.progress, align) if advice else None
         takes, hears = ([], []) if evaluator is None else (evaluator.takes, evaluator.hears)
         watch = [drawn.take, *takes]
-        compared = compare_log(self.loaded, wanted, align, self.progress, smooth, watch, audits, foreign, hears)
+        compared = compare_log(
+            self.loaded, wanted, align, self.progress, smooth, watch, audits, foreign, hears, refer
+        )
         report = report_of(
             compared,
-            None if foreign or self.loaded.asked is None else Asked.of(words, all_subsets, align, smooth, runs),
+            None
+            if foreign or self.loaded.asked is None
+            else Asked.of(words, all_subsets, align, smooth, runs, refer),
         )
         if runs:
             self._jitter(report, wanted, align, smooth, compared.estimates, runs)
@@ -207,6 +216,19 @@ class Session:
             compared,
             drawn,
         )
+
+    def _refers(self, wanted: bool | None, smooth: bool, jitter: int) -> bool:
+        """Return whether a reference takes truth's place. Raises UsageError where one is asked for in vain."""
+        if wanted and jitter:
+            raise UsageError(f"--reference --jitter {jitter}: of a jittered drive there is no reference; use one")
+        short = smooth or len(self.drive.t) <= MAX_REFERENCE_INSTANTS
+        if wanted is False or jitter or not (wanted or short):
+            return False
+        from locfuse.fusion.reference import possible, refuse
+
+        if wanted:
+            refuse(self.drive, self.robot)
+        return possible(self.drive, self.robot)
 
     def findings(self) -> dict[str, Any]:
         """Return what is wrong or can be better: {"headline", "validity", "findings", "fixes"}, each fix tried.
@@ -276,6 +298,7 @@ class Session:
             "smooth": smooth,
             "audits": False,
             "advice": False,
+            "reference": False,
         }
         results = {cell: self.with_settings(sets).compare(sensors, **asked) for cell, sets in found.items()}
         return Named("cell", results)

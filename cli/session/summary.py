@@ -140,7 +140,9 @@ def compare(
     found = {}
     for name, parts in named(_each(logs)).items():
         with naming(name):
-            found[name] = opened(parts, how, progress).compare(sensors, **asked, audits=False, advice=False)
+            found[name] = opened(parts, how, progress).compare(
+                sensors, **asked, audits=False, advice=False, reference=False
+            )
     return Summary(found)
 
 

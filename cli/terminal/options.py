@@ -74,6 +74,16 @@ def jitter_option(command: F) -> F:
     return click.option("--jitter", type=int, default=0, metavar="N", help=words)(command)
 
 
+def reference_option(command: F) -> F:
+    """Add --reference and --no-reference, which arrive as `reference`; None where neither was given."""
+    words = (
+        "Without truth: measure errors against the solution of the whole drive by all sensors, and judge each "
+        "sensor by one without it.  [default: with --smooth, and for drives of up to "
+        f"{settings.MAX_REFERENCE_INSTANTS} update times]"
+    )
+    return click.option("--reference/--no-reference", default=None, help=words)(command)
+
+
 class RobotFile(click.Path):
     """A robot.toml, or one for each robot of a fleet: those are looked for when the robots are known."""
 

@@ -21,9 +21,14 @@ from .screen import put, reader_may_leave, screen
 from .screen import say as on_screen
 
 BELOW = " rmse, max, final: distance to the truth. ANEES: 1 is right, more is overconfident. See: locfuse explain"
+BELOW_REFERENCE = (
+    " rmse, max, final: distance to a reference, not to truth; * it has the configuration's own sensors, "
+    "? it may be wrong. See: locfuse explain reference"
+)
 BELOW_SENSORS = " NIS: 1 is right, more: its noise is set too low. absent: readings without a measurement"
 COLOURS = {"helps": "green", "hurts": "red"}  # of verdicts; the others need none
 NO_TRUTH = "no truth in this log: the error figures do not exist; if a topic holds it: --set truth.topic=/TOPIC"
+OR_REFERENCE = ", or measure against the solution of the whole drive: --reference"
 
 
 class Progress(Protocol):
@@ -113,7 +118,7 @@ def figures(report: Mapping[str, Any]) -> None:
     """Print the configurations and what became of each sensor's measurements."""
     table(tables.brief(report))
     if tables.has_figures(report):
-        lines([BELOW])
+        lines([BELOW_REFERENCE if report.get("reference") else BELOW])
     table(tables.jitter(report))
     of_sensors = tables.sensors(report).without("verdicts").without("joint_nis")
     table(of_sensors)
@@ -141,12 +146,12 @@ def notes(report: Mapping[str, Any], losses: Sequence[str], quiet: bool) -> None
     for stream, reasons in report["input"]["dropped"].items():
         counted = ", ".join(f"{count} {reason.replace('_', ' ')}" for reason, count in reasons.items())
         say(f"dropped: {stream}: {counted}")
-    if "pseudo_reference" in report:
-        say(f"note: {report['pseudo_reference']['words']}")
     if report.get("jitter"):
         say(f"note: {report['jitter']['words']}")
-    if report["truth"] is None:
-        say(NO_TRUTH)
+    if report.get("reference"):
+        say(f"note: {report['reference']['words']}")
+    elif report["truth"] is None:
+        say(NO_TRUTH + (OR_REFERENCE if "verdicts" in report else ""))
     if report.get("prediction"):
         say(f"note: {report['prediction']['trust']}")
 

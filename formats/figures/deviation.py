@@ -39,9 +39,9 @@ def deviations(scene: Scene) -> Section:
     with_heading = [j for j in judged if j.heading is not None]
     if with_heading:
         panels.append(_heading(with_heading, span))
-    panels.append(_error(judged))
-    text = "Estimate minus truth. Curves keep the least and the greatest value of every pixel."
-    return Section("deviation", "Deviation from truth", text, tuple(panels))
+    panels.append(_error(judged, scene.judged_by))
+    text = f"Estimate minus {scene.judged_by}. Curves keep the least and the greatest value of every pixel."
+    return Section("deviation", f"Deviation from {scene.judged_by}", text, tuple(panels))
 
 
 def _overlay(judged: list[Evaluation], name: str, columns: list[Array], span: tuple[float, float]) -> Panel:
@@ -85,7 +85,7 @@ def _heading(judged: list[Evaluation], span: tuple[float, float]) -> Panel:
     return Panel("deviation_heading", "Deviation in heading", label, TIME, marks, summary, x_range=span)
 
 
-def _error(judged: list[Evaluation]) -> Panel:
+def _error(judged: list[Evaluation], by: str) -> Panel:
     """Position error against the way driven, on a logarithmic axis."""
     errors = [np.maximum(np.hypot(*j.deviation.T), MIN_ERROR_M) for j in judged]
     scale, unit = metres(errors)
@@ -95,7 +95,7 @@ def _error(judged: list[Evaluation]) -> Panel:
         f"position error, {unit}",
         "distance driven, m",
         tuple(Curve(j.name, j.distance, scale * e) for j, e in zip(judged, errors, strict=True)),
-        "Distance of estimate and truth; " + _figures_words(judged, "position_rmse_m", "m"),
+        f"Distance of estimate and {by}; " + _figures_words(judged, "position_rmse_m", "m"),
         log=True,
     )
 

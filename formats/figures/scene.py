@@ -43,6 +43,11 @@ class Scene:
         return max(self.estimates, key=lambda e: len(e.sensors))
 
     @property
+    def judged_by(self) -> str:
+        """What deviations are from."""
+        return "reference" if any(e.reference for e in self.evaluations) else "truth"
+
+    @property
     def has_truth(self) -> bool:
         """Whether anything could be judged."""
         return any(len(e.t) for e in self.evaluations)

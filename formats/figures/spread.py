@@ -25,7 +25,7 @@ def spread(scene: Scene) -> Section:
     scale, unit = metres(list(position.values()))
     heading = {j.name: _sizes(np.degrees(j.heading), MIN_ERROR_DEG) for j in judged if j.heading is not None}
     panels = (_panel("position", position, scale, unit), _panel("heading", heading, 1.0, "°"))
-    text = "Share of the truth's stamps in bins of equal ratio. The upright line is the median."
+    text = f"Share of the {scene.judged_by}'s stamps in bins of equal ratio. The upright line is the median."
     return Section("spread", "How large the errors are", text, tuple(p for p in panels if p is not None))
 
 

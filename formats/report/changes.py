@@ -24,10 +24,19 @@ def changes(before: Report, after: Report) -> dict[str, Any]:
         "inputs": [before["input"]["name"], after["input"]["name"]],
         "versions": [before["locfuse"], after["locfuse"]],
         "settings": _settings(before["settings"], after["settings"]),
+        "judged_by": [judged_by(before), judged_by(after)],
         "configurations": {name: _figures(a[name], b[name]) for name in a if name in b},
         "only_before": [name for name in a if name not in b],
         "only_after": [name for name in b if name not in a],
     }
+
+
+def judged_by(report: Report) -> str | None:
+    """Return what a report's errors are against: "truth", or a reference of which sensors; None for nothing."""
+    if report.get("truth") is not None:
+        return "truth"
+    reference = report.get("reference")
+    return None if reference is None else f"a reference of {'+'.join(reference['sensors'])}"
 
 
 def _figures(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, dict[str, float | None]]:
@@ -95,6 +104,8 @@ def remarks(found: Mapping[str, Any]) -> list[str]:
         lines.append("different input: {} and {}".format(*found["inputs"]))
     if len(set(found["versions"])) > 1:
         lines.append("different versions of locfuse: {} and {}".format(*found["versions"]))
+    if len(set(found["judged_by"])) > 1 and None not in found["judged_by"]:
+        lines.append("errors cannot be compared: before against {}, after against {}".format(*found["judged_by"]))
     lines += [f"setting {key}: {_said(a)} -> {_said(b)}" for key, (a, b) in found["settings"].items()]
     for which in ("before", "after"):
         if found[f"only_{which}"]:

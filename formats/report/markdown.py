@@ -16,7 +16,7 @@ def render(report: Mapping[str, Any]) -> str:
     source, sensors = report["input"], tables.sensors(report)
     known_by = code(fingerprint(source, 16).split()[1])
     details = [
-        markdown(tables.configurations(report, main=False)) if report["truth"] else "",
+        markdown(tables.configurations(report, main=False)) if tables.has_figures(report) else "",
         markdown(sensors) if sensors.rows else "",
         _listing("Absent", dict(report["absent"])),
         _listing("Dropped", {k: counts(v) for k, v in source["dropped"].items()}),
@@ -34,9 +34,14 @@ def render(report: Mapping[str, Any]) -> str:
         _findings(report),
         _listing("Notes", dict.fromkeys(notes_of(report), "")),
         _folded("All figures, sensors, and what was dropped", details),
-        f"Input {known_by}, locfuse {escape(report['locfuse'])}. Deviation = estimate - truth.",
+        f"Input {known_by}, locfuse {escape(report['locfuse'])}. Deviation = estimate - {compared_with(report)}.",
     ]
     return "\n\n".join(p for p in parts if p) + "\n"
+
+
+def compared_with(report: Mapping[str, Any]) -> str:
+    """Return what errors are taken against."""
+    return "reference" if report.get("reference") else "truth"
 
 
 def _verdicts(report: Mapping[str, Any]) -> str:
@@ -55,7 +60,8 @@ def _findings(report: Mapping[str, Any]) -> str:
 def _truth_line(report: Mapping[str, Any]) -> str:
     truth = report["truth"]
     if truth is None:
-        return "No truth in this log: error figures do not exist."
+        reference = report.get("reference")
+        return escape(reference["words"]) if reference else "No truth in this log: error figures do not exist."
     aligned = {v["align"] for v in report["configurations"].values()} - {"none"}
     how = f" Estimates were aligned to the truth ({', '.join(sorted(aligned))})." if aligned else ""
     heading = "" if truth["heading"] else " It has no heading."

@@ -79,6 +79,17 @@ class CovarianceConsistency(Struct):
     words: str
 
 
+class Reference(Struct):
+    """What took the place of truth: the solution of the whole drive, forward and backward."""
+
+    sensors: list[str]  # it was solved with, beside the wheels
+    left_out: list[str]  # sensors of the log that it was solved without
+    sigma_m: float  # median over the drive of its claimed standard deviation, sqrt(P_xx + P_yy)
+    shared: list[str] = []  # sensors that it shares with the result that it judged
+    agrees: bool = True  # with the reference of all sensors, as near as both claim
+    words: str = ""  # what it is, as a sentence
+
+
 class Result(Struct):
     """The figures of one configuration, filtered or smoothed."""
 
@@ -110,6 +121,7 @@ class Result(Struct):
     distance_m: float  # by the estimate
     consistency: CovarianceConsistency | None = None
     jitter: dict[str, Any] | None = None  # figure -> least and most over runs on jittered drives; path_moved_m
+    reference: Reference | None = None  # what errors were taken against; null: the truth, or nothing
     void: Void | None = None  # why error figures are null that could be computed
 
 
@@ -202,6 +214,7 @@ class Report(_Common):
     findings: list[ReportedFinding] | None = None  # null: the log was not evaluated
     fixes: list[str] | None = None  # all fixes together, "table.key=value" each
     validity: list[Validity] = []  # why figures are void or doubtful
+    reference: Reference | None = None  # of all sensors, where it took the place of truth; null: it did not
     verdicts: dict[str, Verdict] = {}  # sensor -> verdict; only of a comparison
     credit: dict[str, Any] | None = None  # factors and intervals behind the verdicts
     prediction: dict[str, Any] | None = None  # how well each configuration predicts sensors it leaves out

@@ -184,7 +184,8 @@ def _deviations(scene: Scene, name: str, close: list[float] | None) -> Any | Non
             f"{origin}/{part(e.name)}/three_sigma": [rrb.EntityBehavior(visible=e.name == best)] for e in judged
         }
         views.append(_plot(component, origin, legend=i == 0, span=close[i] if close else None, overrides=bands))
-    return rrb.Vertical(contents=views, name=name, row_shares=[1.35, *[1.0] * (count - 1)])  # room for the legend
+    label = f"{name} (reference)" if judged[0].reference else name
+    return rrb.Vertical(contents=views, name=label, row_shares=[1.35, *[1.0] * (count - 1)])  # room for the legend
 
 
 def _close(scene: Scene) -> list[float] | None:

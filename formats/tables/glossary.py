@@ -12,6 +12,13 @@ GLOSSARY: Mapping[str, str] = {
         "A reference trajectory in the log, from a tracker or a simulator. It judges estimates and corrects none. "
         "All error figures are estimate minus truth."
     ),
+    "reference": (
+        "In a log without truth, the solution of the whole drive by all its sensors, forward and backward, in the "
+        "place of truth. It shares the wheels with every estimate, so it is no truth. A sensor is judged by one "
+        "that was solved without it, where that one's sigma is at most a third of the error. *: its own sensors "
+        "are in the reference, so the error is larger than shown. ?: the reference disagrees with the one of all "
+        "sensors. docs/report.md"
+    ),
     "rmse": (
         "Root mean square error: the usual distance between estimate and truth, in metres. Large errors count "
         "more."

@@ -36,7 +36,7 @@ MAIN = tuple(c for c in COLUMNS if c.key not in ASIDE)
 LOST = Column("lost_share", "lost", form="{:.0%}")
 DISTANCE = Column("distance_m", "distance", "m", "{:.2f}")
 DURATION = Column("duration_s", "duration", "s", "{:.1f}")
-TO_SMOOTHED = Column("to_smoothed_m", "rms to smoothed", "m", "{:.3f}")
+JUDGED_BY = Column("judged_by", "judged by", kind="text")
 GAIN = Column("gain_nats", "predicts the rest", "nats", "{:+.2f}")
 COUNTS = (
     Column("accepted", "accepted"),
@@ -111,6 +111,7 @@ def configurations(report: Report, main: bool = True) -> Table:
     rows = report["configurations"].values()
     found = [c for c in (MAIN if main else COLUMNS) if any(v.get(c.key) is not None for v in rows)]
     found += [LOST] if any(v.get(LOST.key) for v in rows) else []
+    found += [JUDGED_BY] if report.get("reference") else []
     label = "Main figures of every configuration" if main else "All figures of every configuration"
     return of_values((CONFIGURATION, *(found or (DISTANCE, DURATION))), _configurations(report), label)
 
@@ -120,7 +121,19 @@ def _configurations(report: Report, key: str | None = None) -> Rows:
     for name, values in report["configurations"].items():
         own = values if key is None else values.get(key)
         if own:
-            yield {**own, "configuration": name}, ("configurations", name, *([key] if key else []))
+            yield (
+                {**own, "configuration": name, JUDGED_BY.key: _judged_by(values.get("reference"))},
+                ("configurations", name, *([key] if key else [])),
+            )
+
+
+def _judged_by(reference: Mapping[str, Any] | None) -> str | None:
+    """Return which reference judged a result: "all", "all *" where it shares sensors, "camera ?" in doubt."""
+    if reference is None:
+        return None
+    every = not reference["left_out"] and len(reference["sensors"]) > 1
+    mark = " *" if reference["shared"] else "" if reference["agrees"] else " ?"
+    return f"{'all' if every else '+'.join(reference['sensors'])}{mark}"
 
 
 def brief(report: Report) -> Table:
@@ -130,12 +143,10 @@ def brief(report: Report) -> Table:
     ranking = (report.get("prediction") or {}).get("ranking", ())
     gains = {r["configuration"]: r["gain_nats"] for r in ranking}
     columns = [CONFIGURATION, DISTANCE]
-    columns += [TO_SMOOTHED] if report.get("pseudo_reference") else []
     columns += [GAIN] if ranking else []
     rows = []
     for values, at in _configurations(report):
-        to_smoothed = values.get("against_smoothed", {}).get("position_rmse_m")
-        rows.append(({**values, TO_SMOOTHED.key: to_smoothed, GAIN.key: gains.get(at[1])}, at))
+        rows.append(({**values, GAIN.key: gains.get(at[1])}, at))
     return of_values(columns, rows)
 
 
@@ -163,14 +174,6 @@ def scores(report: Report) -> Table:
     found = enumerate(report["prediction"]["scores"])
     rows = (({**s, "by": where[s["by"]]}, ("prediction", "scores", i)) for i, s in found)
     return of_values(SCORES, rows, "Predictions of each sensor")
-
-
-def against_smoothed(report: Report) -> Table:
-    """Return how far every configuration is from the smoothed estimate."""
-    first = next(iter(report["configurations"].values()))["against_smoothed"]
-    columns = [Column("configuration", f"against {report['pseudo_reference']['configuration']}", kind="text")]
-    columns += [Column(key, key.replace("_", " "), form="{:.4f}") for key in first]
-    return of_values(columns, _configurations(report, "against_smoothed"), "Against the smoothed estimate")
 
 
 def consistency(report: Report) -> Table:

@@ -35,6 +35,9 @@ LASER = "lrf"
 MIN_KEYS = 10
 START_FLOOR = np.diag([1e-4**2, 1e-4**2, 1e-5**2])  # m^2, rad^2: a start that is known exactly
 SPAN_GAP_S = 30.0  # closures further apart in time are told apart
+MAX_EXTENT_VIEWS = 1.5  # extent of a drive over how far its scans reach, up to which there is no loop to close
+SAMPLE_SCANS = 20
+FAR_SHARE = 0.95  # of a scan's points that are nearer than how far it reaches
 MIN_GAIN, MIN_GAIN_M = 1.5, 0.01  # by how much the graph must fit the loops better than the filter
 
 
@@ -148,12 +151,14 @@ def _rms(errors: Array) -> float:
 
 
 def whole_drive(drive: Drive, robot: Robot, sensors: Sequence[str], wheels: Array | None = None) -> Graph | None:
-    """Return the graph of a drive with a laser; None without one, or where it is too short to have a loop.
+    """Return the graph of a drive with a laser; None without one, or where it has no room for a loop.
 
     `wheels` (3,): corrections of the wheels where the filter estimated them.
     """
     m = drive.measurements.get(LASER)
     if LASER not in sensors or m is None or m.points is None or robot.settings(LASER).map != "grow":
+        return None
+    if in_one_view(drive):
         return None
     lag = clock_lag(drive)
     odometry = odometry_of(drive, lag, wheels)
@@ -192,6 +197,18 @@ def whole_drive(drive: Drive, robot: Robot, sensors: Sequence[str], wheels: Arra
         wheels=wheels,
         sensors=(LASER, *others.sensors),
     )
+
+
+def in_one_view(drive: Drive) -> bool:
+    """Return whether all of a drive lies within sight of its middle: a filter's map then holds it together."""
+    m = drive.measurements[LASER]
+    if m.points is None:
+        return False
+    t = np.linspace(drive.t[0], drive.t[-1], 10 * SAMPLE_SCANS)
+    extent = np.hypot(*np.ptp(drive.wheels.relative(np.full(len(t), t[0]), t)[:, :2], axis=0))
+    some = np.unique(np.linspace(0, len(m.t) - 1, SAMPLE_SCANS).round().astype(int))
+    seen = [np.hypot(*(p - np.array(m.points.origin)).T) for p in m.points.read(some) if len(p)]
+    return bool(seen) and bool(extent <= MAX_EXTENT_VIEWS * np.median([np.quantile(r, FAR_SHARE) for r in seen]))
 
 
 def clock_lag(drive: Drive) -> float:

@@ -78,6 +78,7 @@ class Camera(Sensor):
     """Reads CompressedImage (JPEG, PNG) and Image (rgb8, bgr8, rgba8, bgra8)."""
 
     name = "camera"
+    locates = True
     Settings = CameraSettings
     components = (Component("bearing", "deg", math.degrees(1.0)),)
     states = mount_states("camera")

@@ -49,6 +49,7 @@ class Gps(Sensor):
     """Reads NavSatFix."""
 
     name = "gps"
+    locates = True
     Settings = GpsSettings
     components = (Component("east", "m"), Component("north", "m"))
     colour = Colour("#4f3510", "#7d7a3c")

@@ -108,6 +108,7 @@ class Landmarks(Sensor):
     """Reads detections of landmarks with ids."""
 
     name = "landmarks"
+    locates = True
     Settings = LandmarksSettings
     components = (Component("bearing", "deg", math.degrees(1.0)), Component("range", "m"))
     states: ClassVar[Mapping[str, tuple[Component, ...]]] = {OFFSET: (Component("range offset", "m"),)}

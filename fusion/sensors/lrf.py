@@ -50,6 +50,7 @@ class Lrf(Sensor):
     """Reads LaserScan."""
 
     name = "lrf"
+    locates = True
     Settings = LrfSettings
     components = (Component("r", "m"), Component("psi", "deg", math.degrees(1.0)))
     states = mount_states("lrf")

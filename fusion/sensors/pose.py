@@ -90,6 +90,7 @@ class PoseSensor(Sensor):
     """Reads poses that are somebody's estimate."""
 
     name = "pose"
+    locates = True
     Settings = PoseSettings
     components = (Component("x", "m"), Component("y", "m"), Component("heading", "deg", math.degrees(1.0)))
     colour = Colour("#1f6f8b", "#7b6bff")

@@ -43,6 +43,7 @@ class Sonar(Sensor):
     """Reads Range."""
 
     name = "sonar"
+    locates = True
     Settings = SonarSettings
     components = (Component("distance", "m"),)
     colour = Colour("#a93fc6", "#ec92fd")

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import locfuse
-from rewrite_log import rewritten
 
 LOG = "rounded_rectangle"
 
@@ -22,7 +21,7 @@ def test_compare_smooths_every_configuration_with_sensors(tmp_path: Path) -> Non
     assert [c["configuration"] for c in found.values()] == ["odometry", "lrf", "lrf"]
     assert found["lrf-smoothed"]["position_rmse_m"] < found["lrf"]["position_rmse_m"]
     assert (tmp_path / "out" / "lrf-smoothed.tum").is_file()
-    assert "pseudo" not in done.stderr
+    assert "reference" not in done.stderr
 
 
 def test_run_writes_the_smoothed_drive_beside_the_filtered_one(tmp_path: Path) -> None:
@@ -54,17 +53,3 @@ def test_the_printed_filter_is_not_smoothed(tmp_path: Path) -> None:
     done = locfuse("run", LOG, "--smooth", "--preset", "paper", "-o", tmp_path / "out")
     assert done.exit_code == 2
     assert "--preset paper" in done.stderr
-
-
-def test_without_truth_the_smoothed_drive_is_a_labelled_pseudo_reference(tmp_path: Path) -> None:
-    log = rewritten(tmp_path / "untrue.mcap", seed=None, without="/ground_truth/pose")
-    words = ("--sensors", "odometry", "--sensors", "lrf", "--smooth", "--no-advice")
-    done = locfuse("compare", log, *words, "-o", tmp_path / "out")
-    assert done.exit_code == 0, done.stderr
-    report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert report["pseudo_reference"]["configuration"] == "lrf-smoothed"
-    away = {n: c["against_smoothed"]["position_rmse_m"] for n, c in report["configurations"].items()}
-    assert away["lrf-smoothed"] == 0.0
-    assert 0.0 < away["lrf"] < 0.05 < away["odometry"]
-    assert all(c["position_rmse_m"] is None for c in report["configurations"].values())
-    assert "pseudo-reference" in done.stderr

@@ -36,6 +36,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "measure instants judge doctor",
         "fuse graph jitter",
         "smooth tune paper advice laser_odometry",
+        "reference",
     ),
     "formats": (
         "caps visible nearest columns thin geometry no_pandas delayed_signals url",

@@ -137,7 +137,9 @@ def test_other_real_logs_run_and_say_what_they_lack(tmp_path: Path) -> None:
     report = json.loads((tmp_path / "tb4" / "report.json").read_text())
     assert report["settings"]["lrf"]["yaw_deg"] == pytest.approx(90.0, abs=0.1)  # only /tf_static says so
     assert report["configurations"]["lrf"]["sensors"]["lrf"]["accepted"] > 1000
-    assert report["configurations"]["lrf"]["position_rmse_m"] is None
+    assert report["truth"] is None
+    assert report["reference"]["sensors"] == ["lrf"]
+    assert report["configurations"]["lrf"]["reference"]["shared"] == ["lrf"]
     done = locfuse("compare", data / "bags" / "evo" / "nav2_turtlebot.mcap", "-o", tmp_path / "evo")
     assert done.exit_code == 0, done.stderr
     report = json.loads((tmp_path / "evo" / "report.json").read_text())

@@ -1,0 +1,107 @@
+"""A reference in the place of truth: the solution of a whole drive, and estimates that are held against it.
+
+It is no truth: it shares the wheels with every estimate, and it has the errors of its own sensors. So a sensor is
+judged by a reference that was solved without it, and only where that one is exact enough to judge.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from locfuse.fusion.data import Array, Drive, Estimates, Evaluation, Truth, matrices
+from locfuse.fusion.streams import gap_limit
+
+from .evaluate import Align, evaluate
+from .verdict import Effect
+
+TOPIC = "reference"
+MAX_SIGMA_SHARE = 1.0 / 3.0  # of the error that a reference judges: it then changes that error by 6 % at most
+MAX_APART_SIGMAS = 3.0  # of two references: further apart, one of them is wrong
+MIN_ERROR_SHARE = 1e-3  # of an error, below which nothing is said of it
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The smoothed estimate of a drive in the place of truth."""
+
+    sensors: tuple[str, ...]  # it was solved with, beside the wheels
+    left_out: tuple[str, ...]  # sensors of the log that it was solved without
+    sigma: float  # m, median over the drive of the standard deviation of its place, sqrt(P_xx + P_yy)
+    drive: Drive  # with the reference as its truth, at every instant
+
+    @classmethod
+    def of(cls, solved: Estimates, drive: Drive, left_out: tuple[str, ...] = ()) -> Reference:
+        """Return the reference that a smoothed estimate on this drive is."""
+        spread = np.sqrt(np.maximum(solved.triangles[:, 0] + solved.triangles[:, 3], 0.0))
+        truth = Truth(TOPIC, drive.t, solved.pose[:, :2], solved.pose[:, 2])
+        return cls(
+            solved.sensors,
+            left_out,
+            float(np.median(spread)),
+            replace(drive, truth=truth, truth_motions=None, truth_instant=None),
+        )
+
+    def can_judge(self, error: float | None) -> bool:
+        """Return whether it is exact enough to judge an error [m]."""
+        return error is not None and self.sigma <= MAX_SIGMA_SHARE * error
+
+    def agrees(self, other: Reference) -> bool:
+        """Return whether two references of one drive are as near to each other as both claim."""
+        assert self.drive.truth is not None
+        assert other.drive.truth is not None
+        apart = np.hypot(*(self.drive.truth.xy - other.drive.truth.xy).T)
+        return float(np.sqrt((apart**2).mean())) <= MAX_APART_SIGMAS * math.hypot(self.sigma, other.sigma)
+
+    def judge(self, judged: Evaluation, e: Estimates, align: Align = "none") -> Evaluation:
+        """Return an evaluation without truth with its deviations from the reference.
+
+        It has no ANEES: an estimate shares wheels and sensors with the reference, so their errors are no
+        independent ones.
+        """
+        t = self.drive.t
+        same = len(e.t) == len(t) and bool((e.t == t).all())
+        pose, P = (e.pose, matrices(e.triangles)) if same else interpolated(t, e.t, e.pose, e.triangles)
+        found = evaluate(replace(e, audits={}, truth_pose=pose, truth_P=P), self.drive, align)
+        figures = {**found.figures, "anees": None, "truth_coverage": None}
+        own = {key: judged.figures[key] for key in ("duration_s", "distance_m")}
+        return replace(
+            found,
+            sensors=judged.sensors,
+            figures={**figures, **own},
+            nees=np.full(len(found.nees), np.nan),
+            reference=True,
+        )
+
+    def widened(self, effect: Effect, before: float, after: float) -> Effect:
+        """Return an effect ln(before / after) of errors [m] with what the reference's own errors leave open.
+
+        Of an estimate that has nothing to do with the reference the squared error is smaller by sigma^2; of one
+        that shares its sensors, larger by as much.
+        """
+        least, most = (self._bounds(error) for error in (before, after))
+        low = math.log(least[0] / before) - math.log(most[1] / after)
+        high = math.log(least[1] / before) - math.log(most[0] / after)
+        return replace(effect, low=effect.low + low, high=effect.high + high)
+
+    def _bounds(self, error: float) -> tuple[float, float]:
+        square = error**2 - self.sigma**2
+        return max(math.sqrt(max(square, 0.0)), MIN_ERROR_SHARE * error), math.hypot(error, self.sigma)
+
+
+def interpolated(stamps: Array, t: Array, pose: Array, triangles: Array) -> tuple[Array, Array]:
+    """Return poses (q, 3) and covariances (q, 3, 3) at stamps (q,), from rows at t (n,); NaN outside and in gaps.
+
+    A covariance is that of the row before: between two rows nobody says how it grows.
+    """
+    before = np.clip(np.searchsorted(t, stamps, side="right") - 1, 0, len(t) - 1)
+    after = np.minimum(before + 1, len(t) - 1)
+    exact = np.abs(stamps - t[before]) < 1e-9
+    near = (stamps >= t[0]) & (stamps <= t[-1] + 1e-9) & (exact | (t[after] - t[before] <= gap_limit(t)))
+    out = np.stack([np.interp(stamps, t, column) for column in pose.T], axis=-1)
+    out[~near] = np.nan
+    spread = matrices(triangles[before])
+    spread[~near] = np.nan
+    return out, spread

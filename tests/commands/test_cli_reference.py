@@ -1,0 +1,119 @@
+"""A log without truth as a user meets it: a reference is said on every page, and never taken for truth."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from commands import Done, locfuse
+
+from locfuse.cli.jobs import ci_gates
+from locfuse.formats.report.changes import changes, remarks
+
+LOG = "rounded_triangle"
+WORDS = ("compare", LOG, "--sensors", "odometry", "--sensors", "compass", "--sensors", "lrf", "--no-advice")
+NO_TRUTH = ("--set", "truth.topic=none")
+
+
+@pytest.fixture(scope="module")
+def judged(tmp_path_factory: pytest.TempPathFactory) -> tuple[Done, Path]:
+    out = tmp_path_factory.mktemp("reference") / "out"
+    done = locfuse(*WORDS, *NO_TRUTH, "--estimate", "tracker=/ground_truth/pose", "-o", out)
+    assert done.exit_code == 0, done.stderr
+    return done, out
+
+
+def report(out: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((out / "report.json").read_text())
+    return found
+
+
+def test_the_report_names_the_reference_and_what_judged_each_result(judged: tuple[Done, Path]) -> None:
+    found = report(judged[1])
+    assert found["truth"] is None
+    assert found["reference"]["sensors"] == ["compass", "lrf", "camera"]
+    assert found["reference"]["left_out"] == []
+    assert 0.0 < found["reference"]["sigma_m"] < 0.02
+    rows = found["configurations"]
+    assert rows["odometry"]["reference"]["shared"] == []
+    assert rows["compass"]["reference"]["left_out"] == ["compass"]
+    assert rows["compass"]["position_rmse_m"] == pytest.approx(0.098, abs=0.01)  # by truth 0.0977
+    assert rows["compass"]["anees"] is None
+
+
+def test_every_page_says_that_it_is_a_reference(judged: tuple[Done, Path]) -> None:
+    done, out = judged
+    assert "Measured against a reference, not truth" in done.stdout
+    assert "distance to a reference, not to truth" in done.stdout
+    assert "the wheels, compass, lrf and camera" in done.stderr
+    page, table = (out / "report.html").read_text(), (out / "report.md").read_text()
+    for text in (page, table):
+        assert "Measured against a reference, not truth" in text
+        assert "the wheels, compass, lrf and camera" in text
+        assert "judged by" in text
+    assert "Deviation from reference" in page
+    assert "Deviation is estimate minus reference" in page
+    assert "Deviation = estimate - reference" in table
+
+
+def test_a_verdict_names_the_reference_that_the_sensor_has_no_part_in(judged: tuple[Done, Path]) -> None:
+    words = report(judged[1])["verdicts"]["compass"]["words"]
+    assert words.startswith("Against a reference without it (lrf and camera, 1 sigma ")
+
+
+def failed(report: dict[str, Any], gate: str) -> list[str]:
+    return ci_gates.read([gate], None, "5%").failures(report)
+
+
+def test_a_gate_on_truth_fails_on_a_reference_unless_it_says_so(judged: tuple[Done, Path]) -> None:
+    plain, meant = "compass.position_rmse_m > 5", "reference.compass.position_rmse_m > 5"
+    (line,) = failed(report(judged[1]), plain)
+    assert f"errors are against a reference, not truth; if that is meant: {meant}" in line
+    assert failed(report(judged[1]), meant) == []
+    (line,) = failed(report(judged[1]), "reference.compass.position_rmse_m > 0.01")
+    assert ": it is 0.09" in line
+    assert failed(report(judged[1]), "compass.sensors.compass.accepted < 1") == []
+
+
+def test_truth_and_reference_are_never_mixed_by_a_gate_or_a_baseline(
+    judged: tuple[Done, Path], tmp_path: Path
+) -> None:
+    baseline = judged[1] / "report.json"
+    gates = ("--baseline", baseline, "--fail-if", "reference.odometry.position_rmse_m > 5")
+    words = ("compare", LOG, "--sensors", "odometry", "--no-advice", "--write", "json", "-q")
+    done = locfuse(*words, *gates, "-o", tmp_path / "truth")
+    assert done.exit_code == 4
+    gate, other = [line for line in done.stderr.splitlines() if line.startswith("gate: ")]
+    assert "no reference judged this log" in gate
+    assert "its errors are against a reference of compass+lrf+camera, these against truth" in other
+    assert ci_gates.read([], baseline, "5%").failures(report(judged[1])) == []
+
+
+def test_it_can_be_left_out_and_is_refused_where_there_is_truth(tmp_path: Path) -> None:
+    words = ("compare", LOG, "--sensors", "odometry", "--no-advice", "--write", "json")
+    done = locfuse(*words, *NO_TRUTH, "--no-reference", "-o", tmp_path / "out")
+    assert done.exit_code == 0, done.stderr
+    found = report(tmp_path / "out")
+    assert found["reference"] is None
+    assert found["configurations"]["odometry"]["position_rmse_m"] is None
+    assert "--no-reference" in found["repeat"]
+    assert "or measure against the solution of the whole drive: --reference" in done.stderr
+    done = locfuse(*words, "--reference", "-o", tmp_path / "truth")
+    assert done.exit_code == 2
+    assert "this log has a truth, /ground_truth/pose" in done.stderr
+
+
+def test_another_estimate_is_held_against_the_reference_too(judged: tuple[Done, Path]) -> None:
+    error = report(judged[1])["configurations"]["tracker"]["position_rmse_m"]
+    assert error is not None
+    assert error < 0.01  # it is the truth
+
+
+def test_results_by_truth_and_by_reference_side_by_side_say_so(judged: tuple[Done, Path]) -> None:
+    by_reference = report(judged[1])
+    by_truth = {**by_reference, "reference": None, "truth": {"topic": "/truth"}}
+    found = changes(by_truth, by_reference)
+    (line,) = [r for r in remarks(found) if r.startswith("errors cannot be compared")]
+    assert "before against truth, after against a reference of compass+lrf+camera" in line

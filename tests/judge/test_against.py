@@ -1,0 +1,98 @@
+"""A reference in the place of truth: what it measures, and what its own errors leave open."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from locfuse.fusion.data import Drive, Estimates, Motions, upper_triangles
+from locfuse.fusion.judge.against import Reference, interpolated
+from locfuse.fusion.judge.evaluate import evaluate
+from locfuse.fusion.judge.verdict import Effect
+
+N = 400
+SIGMA = 0.02  # m, of each axis of the solved drive
+
+
+def path() -> NDArray[np.float64]:
+    t = np.linspace(0.0, 40.0, N)
+    return np.column_stack((np.cos(0.2 * t), np.sin(0.2 * t), 0.2 * t + np.pi / 2.0))
+
+
+def of_poses(pose: NDArray[np.float64], name: str = "lrf", sigma: float = SIGMA) -> Estimates:
+    P = np.broadcast_to(np.diag([sigma**2, sigma**2, 1e-6]), (len(pose), 3, 3))
+    return Estimates(name, (name,), np.linspace(0.0, 40.0, len(pose)), pose, upper_triangles(P), {})
+
+
+def drive() -> Drive:
+    motions = Motions(np.zeros((N, 3)), np.zeros((N, 3, 3)), np.zeros((N, 3, 0)))
+    return Drive(0, np.linspace(0.0, 40.0, N), motions, {}, {}, {})
+
+
+def reference() -> Reference:
+    return Reference.of(of_poses(path()), drive(), ("compass",))
+
+
+def test_the_sigma_of_a_reference_is_that_of_its_place() -> None:
+    assert reference().sigma == pytest.approx(math.hypot(SIGMA, SIGMA))
+
+
+def test_errors_are_distances_to_the_reference_and_no_claim_is_made_of_consistency() -> None:
+    moved = of_poses(path() + np.array([0.3, -0.4, 0.01]), "compass")
+    found = reference().judge(evaluate(moved, drive()), moved)
+    assert found.reference
+    assert found.figures["position_rmse_m"] == pytest.approx(0.5)
+    assert found.figures["heading_rmse_deg"] == pytest.approx(math.degrees(0.01))
+    assert found.figures["anees"] is None
+    assert found.figures["truth_coverage"] is None
+    assert np.isnan(found.nees).all()
+
+
+def test_an_estimate_at_other_times_is_read_between_its_rows_and_not_across_gaps() -> None:
+    whole = of_poses(path(), "amcl")
+    kept = np.ones(N, bool)
+    kept[100:200] = False
+    kept[1:90:3] = False
+    rare = Estimates("amcl", (), whole.t[kept], whole.pose[kept], whole.triangles[kept], {})
+    pose, P = interpolated(whole.t, rare.t, rare.pose, rare.triangles)
+    known = np.isfinite(pose[:, 0])
+    assert not known[101:199].any()
+    assert known[:90].all()
+    np.testing.assert_allclose(pose[known], whole.pose[known], atol=1e-3)
+    assert np.isfinite(P[known]).all()
+
+
+@pytest.mark.parametrize(("error", "able"), [(0.0, False), (0.08, False), (0.09, True), (None, False)])
+def test_it_judges_errors_of_three_sigmas_and_more(error: float | None, able: bool) -> None:
+    assert reference().can_judge(error) is able
+
+
+@pytest.mark.parametrize(("shift", "agree"), [(0.0, True), (0.1, True), (0.13, False)])
+def test_two_references_agree_up_to_three_of_their_sigmas_apart(shift: float, agree: bool) -> None:
+    """Of 28 mm each, 40 mm together."""
+    other = Reference.of(of_poses(path() + np.array([shift, 0.0, 0.0])), drive())
+    assert reference().agrees(other) is agree
+
+
+@pytest.mark.parametrize("shares", [False, True])
+def test_the_widened_interval_has_the_true_ratio_whether_or_not_errors_are_shared(shares: bool) -> None:
+    """Errors drawn anew: of an estimate of its own, or one whose error the reference halves and so shares."""
+    rng = np.random.default_rng(5)
+    own = rng.normal(size=(N, 2)) * 0.3
+    after = rng.normal(size=(N, 2)) * 0.05
+    wrong = rng.normal(size=(N, 2)) * SIGMA
+    if shares:
+        after = after + wrong  # what is measured is then without the error that both have
+    rms = {
+        "before": np.sqrt(((own - wrong) ** 2).sum(axis=1).mean()),
+        "after": np.sqrt(((after - wrong) ** 2).sum(axis=1).mean()),
+    }
+    true = math.log(np.sqrt((own**2).sum(axis=1).mean()) / np.sqrt((after**2).sum(axis=1).mean()))
+    value = math.log(rms["before"] / rms["after"])
+    found = reference().widened(Effect(value, value, value, None), float(rms["before"]), float(rms["after"]))
+    chance = 0.02  # where errors are shared the bound is what is expected, and so many draws miss it by this
+    assert found.low - chance < true < found.high + chance
+    assert found.high - found.low < 0.3

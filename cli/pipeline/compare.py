@@ -286,13 +286,11 @@ def add_reference(report: dict[str, Any], compared: Compared) -> None:
     """Add `reference` to the report and to every result, and let it speak of the sensors that it can judge."""
     found = compared.reference
     report["reference"] = None
-    for name, values in report["configurations"].items():
-        values["reference"] = (
-            None if found is None else judge_values(found.judges[name], found.references.whole, values["sensors"])
-        )
     if found is None:
         return
     references = found.references
+    for name, values in report["configurations"].items():
+        values["reference"] = judge_values(found.judges[name], references.whole, values["sensors"])
     report["reference"] = reference_values(references.whole, references.contradict)
     for sensor in references.present:
         own, effect = report["verdicts"].get(sensor), found.effects.get(sensor)

@@ -113,6 +113,7 @@ def _configuration(evaluation: Evaluation) -> dict[str, Any]:
         "configuration": evaluation.configuration,
         **evaluation.figures,
         "align": evaluation.align,
+        "reference": None,  # errors are those to the truth
         "smoothed": evaluation.smoothed,
         "rates_hz": dict(evaluation.rates),
         "lost": [list(interval) for interval in evaluation.lost],

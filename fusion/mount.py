@@ -100,7 +100,7 @@ class Mount:
                 continue
             key, unit, times = (("x", " m", 1.0), ("y", " m", 1.0), ("yaw_deg", "°", math.degrees(1.0)))[i]
             parts.append(
-                f"{key} {times * found:.4g}{unit} (1 sigma: {times * sigma:.2g}), "
+                f"{key} {to_a_tenth_of(times * sigma, times * found):g}{unit} (1 sigma: {times * sigma:.2g}), "
                 f"configured {times * self.told[i]:.4g}"
             )
         return [f"its mount was found elsewhere: {'; '.join(parts)}"] if parts else []
@@ -137,3 +137,8 @@ def rotated(q: Array, v: Array) -> Array:
     t = 2.0 * np.cross(axis, v)
     turned: Array = v + w[:, None] * t + np.cross(axis, t)
     return turned
+
+
+def to_a_tenth_of(sigma: float, value: float) -> float:
+    """Return a value without the digits that its standard deviation makes meaningless."""
+    return round(value, 1 - math.floor(math.log10(sigma))) + 0.0 if sigma > 0.0 else value

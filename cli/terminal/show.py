@@ -22,8 +22,8 @@ from .screen import say as on_screen
 
 BELOW = " rmse, max, final: distance to the truth. ANEES: 1 is right, more is overconfident. See: locfuse explain"
 BELOW_REFERENCE = (
-    " rmse, max, final: distance to a reference, not to truth; * it has the configuration's own sensors, "
-    "? it may be wrong. See: locfuse explain reference"
+    " rmse, max, final: distance to a reference, not to truth. See: locfuse explain reference",
+    " *: the reference uses the same sensors. ?: the reference may be wrong.",
 )
 BELOW_SENSORS = " NIS: 1 is right, more: its noise is set too low. absent: readings without a measurement"
 COLOURS = {"helps": "green", "hurts": "red"}  # of verdicts; the others need none
@@ -118,7 +118,7 @@ def figures(report: Mapping[str, Any]) -> None:
     """Print the configurations and what became of each sensor's measurements."""
     table(tables.brief(report))
     if tables.has_figures(report):
-        lines([BELOW_REFERENCE if report.get("reference") else BELOW])
+        lines(BELOW_REFERENCE if report.get("reference") else (BELOW,))
     table(tables.jitter(report))
     of_sensors = tables.sensors(report).without("verdicts").without("joint_nis")
     table(of_sensors)

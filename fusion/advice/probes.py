@@ -10,6 +10,7 @@ import numpy as np
 
 from locfuse.fusion.data import Drive, Estimates
 from locfuse.fusion.doctor.finding import Finding
+from locfuse.fusion.mount import to_a_tenth_of
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import wrap
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -54,17 +55,12 @@ def of_mount(robot: Robot, sensor: str, e: Estimates) -> Iterator[Finding]:
         configured = float(getattr(robot.settings(sensor), key))
         least = MIN_MOUNT_DEG if key == "yaw_deg" else MIN_MOUNT_M
         if abs(value - configured) > max(MIN_SIGMAS * sigma, least):
-            shown = _to_a_tenth_of(sigma, value)
+            shown = to_a_tenth_of(sigma, value)
             fixes.append(f"{sensor}.{key}={shown:g}")
             unit = "°" if key == "yaw_deg" else " m"
             words.append(f"{part} is {shown:g}{unit} (± {sigma:.1g}), configured {configured:g}{unit}")
     if fixes:
         yield Finding(sensor, "mount", f"mount by the drive itself: {', '.join(words)}", tuple(fixes))
-
-
-def _to_a_tenth_of(sigma: float, value: float) -> float:
-    """Return a value without the digits that its standard deviation makes meaningless."""
-    return round(value, 1 - math.floor(math.log10(sigma))) + 0.0 if sigma > 0.0 else value
 
 
 def _track(robot: Robot, e: Estimates) -> Iterator[Finding]:

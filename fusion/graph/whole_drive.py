@@ -202,7 +202,7 @@ def whole_drive(drive: Drive, robot: Robot, sensors: Sequence[str], wheels: Arra
 def in_one_view(drive: Drive) -> bool:
     """Return whether all of a drive lies within sight of its middle: a filter's map then holds it together."""
     m = drive.measurements[LASER]
-    if m.points is None:
+    if m.points is None or not len(m.t):
         return False
     t = np.linspace(drive.t[0], drive.t[-1], 10 * SAMPLE_SCANS)
     extent = np.hypot(*np.ptp(drive.wheels.relative(np.full(len(t), t[0]), t)[:, :2], axis=0))

@@ -15,6 +15,7 @@ from scipy.optimize import least_squares
 from textbook import TextbookEkf, move, numeric_jacobian, wrap
 from worlds import World
 
+import locfuse
 from locfuse.fusion.data import Array, Drive, Estimates, Measurements, Motions, Stream, UsageError
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.journal import Journal
@@ -376,3 +377,12 @@ def test_maps_that_are_not_weighed_optimally_are_refused(mode: str) -> None:
     with pytest.raises(UsageError, match=f"lrf.map = {mode}.*refine or grow"):
         fuse_and_smooth(drive, robot, ["compass", "lrf"])
     fuse_and_smooth(drive, robot, ["compass"])
+
+
+def test_a_laser_of_which_no_scan_is_used_leaves_the_rest_to_be_smoothed() -> None:
+    session = locfuse.load("rounded_triangle", sets=("lrf.time_offset=3600",))
+    found = session.run("compass,lrf", smooth=True, advice=False)
+    alone = session.run("compass", smooth=True, advice=False)
+    np.testing.assert_array_equal(
+        found.estimates["compass+lrf-smoothed"].pose, alone.estimates["compass-smoothed"].pose
+    )

@@ -50,7 +50,8 @@ def locfuse(*words: str | Path) -> Command:
 
 def figures(logs: Logs, out: Path, length: str) -> list[Figure]:
     """Return what is measured in whole processes; `length` is that of the long log, in words."""
-    how = ("--write", "json", "--quiet", "--overwrite", "--out", out)
+    advised = ("--write", "json", "--quiet", "--overwrite", "--out", out)
+    how = (*advised, "--no-advice")  # how often advice fuses again depends on what looks wrong with the log
     stock, stock_minute = module("decode", "stock", logs.hour), module("decode", "stock", logs.minute)
     ours = module("decode", "ours", logs.hour)
     one = locfuse("run", logs.hour, *FROZEN, *how)
@@ -63,6 +64,12 @@ def figures(logs: Logs, out: Path, length: str) -> list[Figure]:
         Figure(f"{length}: one configuration, frozen map / stock", 0.45, one, stock),
         Figure(f"{length}: five configurations, frozen map / stock", 0.70, five, stock, peak=200.0),
         Figure(f"{length}: five configurations with a Rerun recording / without", 1.5, recorded, five, peak=300.0),
+        Figure(
+            f"{length}: five configurations with advice / without",
+            3.0,
+            locfuse("compare", logs.hour, *FROZEN, *advised),
+            five,
+        ),
         Figure(f"{length}: one configuration, `grow` / stock", 0.90, locfuse("run", logs.hour, *how), stock),
         Figure(f"{length}: reading and decoding / stock", 0.10, ours, stock),
         Figure(f"{length}: reading and decoding / rosbags", 0.35, ours, module("decode", "rosbags", logs.hour)),

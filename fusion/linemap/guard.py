@@ -161,8 +161,7 @@ class Guard:
             self._intervals.append((self._lost_from, t))
         self._lost_from = self._since = self._place = None
         self._torn = False
-        if isinstance(belief, JointBelief):
-            belief.lost = False
+        belief.lost = False
 
     def _disagree(self, t: float, lines: LineMap, belief: JointBelief) -> bool:
         if self._since is None:

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 from commands import locfuse
+from scan_streams import scan_stream
 
-from locfuse.fusion.data import Array, ArrayStream, Ragged
+from locfuse.fusion.data import Array
 from locfuse.fusion.doctor.laser_driver import of_scatter
 from locfuse.fusion.sensors.lrf import LrfSettings
 
@@ -23,22 +24,9 @@ def room() -> Array:
     return np.tile(np.where(cos > 1e-3, DISTANCES / np.maximum(cos, 1e-3), np.inf).min(axis=1), (SCANS, 1))
 
 
-def stream(ranges: Array) -> ArrayStream:
-    n = len(ranges)
-    data: dict[str, Any] = {
-        "angle_min": np.full(n, -np.pi),
-        "angle_increment": np.full(n, 2.0 * np.pi / BEAMS),
-        "time_increment": np.zeros(n),
-        "range_min": np.full(n, 0.05),
-        "range_max": np.full(n, 12.0),
-        "ranges": Ragged(ranges.ravel(), np.arange(n + 1) * BEAMS),
-    }
-    return ArrayStream("/scan", "sensor_msgs/msg/LaserScan", np.arange(n) * 10**8, data)
-
-
 def said(ranges: Array, **settings: Any) -> float | None:
     """The sigma that is suggested, None where nothing is said."""
-    found = of_scatter(stream(ranges), LrfSettings(**settings))
+    found = of_scatter(scan_stream(range(len(ranges)), ranges), LrfSettings(**settings))
     return float(found[0].fixes[0].removeprefix("lrf.sigma_range=")) if found else None
 
 

@@ -12,11 +12,12 @@ import pytest
 from bags import Said, cdr, header, real_log, write
 from commands import locfuse
 from ring_drive import box, scan
+from scan_streams import SCAN, scan_stream
 from wheel_bags import stamps
 
 import locfuse as locfuse_api
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, ArrayStream, LocfuseError, Ragged
+from locfuse.fusion.data import Array, ArrayStream, LocfuseError
 from locfuse.fusion.laser_odometry.motion import read_laser, seen
 from locfuse.fusion.laser_odometry.velocity import FORGOTTEN_S, USUAL, Velocity, standing
 from locfuse.fusion.robot import WheelSettings
@@ -24,7 +25,6 @@ from locfuse.fusion.sensors.lrf import LrfSettings, laser_of
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
-SCAN = "sensor_msgs/msg/LaserScan"
 BEAMS, PERIOD = 120, 0.2  # of ring_drive's laser; s
 ROOM = np.array(box(-4.0, -3.0, 4.5, 3.5) + box(1.0, 2.6, 2.2, 3.5) + box(-4.0, -3.0, -3.2, -1.0))
 CORRIDOR = np.array([(-90.0, -1.0, 90.0, -1.0), (-90.0, 1.0, 90.0, 1.0)])
@@ -48,17 +48,7 @@ def ranges_of(pose: Array, segments: Array, rng: np.random.Generator) -> Array:
 
 def stream_of(t: Array, poses: Array, segments: Array) -> ArrayStream:
     rng = np.random.default_rng(3)
-    rows = np.concatenate([ranges_of(pose, segments, rng) for pose in poses])
-    n = len(t)
-    data: dict[str, Any] = {
-        "angle_min": np.full(n, -np.pi),
-        "angle_increment": np.full(n, 2.0 * np.pi / BEAMS),
-        "time_increment": np.zeros(n),
-        "range_min": np.full(n, 0.05),
-        "range_max": np.full(n, 12.0),
-        "ranges": Ragged(rows, np.arange(n + 1) * BEAMS),
-    }
-    return ArrayStream("/scan", SCAN, np.array(stamps(t)), data)
+    return scan_stream(stamps(t), np.stack([ranges_of(pose, segments, rng) for pose in poses]))
 
 
 def moved(t: Array, poses: Array, segments: Array, **lrf: Any) -> WheelReading:

@@ -11,7 +11,7 @@ from msgspec.structs import astuple
 from numpy.typing import NDArray
 
 from .data import Audit
-from .sensor import Innovation
+from .sensor import Innovation, Reading, Table
 
 MANY = 256
 COLUMNS = {
@@ -42,10 +42,23 @@ class Record:
 
     def add(self, k: int, seen: Sequence[Innovation]) -> None:
         """Note the innovations of one reading at instant k."""
+        if isinstance(seen, Reading):
+            self._add(k, seen.table())
+            return
         self._waiting += seen
         self._instants += [k] * len(seen)
         if len(self._waiting) > MANY:
             self._write()
+
+    def _add(self, k: int, of: Table) -> None:
+        self._write()
+        at = slice(self._rows, self._rows + len(of.nis))
+        self._make_room(at.stop, of.y.shape[1])
+        rows = np.arange(of.first, of.first + len(of.nis))
+        values = (k, rows, of.verdict, of.landmark, of.nis, of.threshold, of.y, of.sigma)
+        for column, of_rows in zip(self._columns.values(), values, strict=True):
+            column[at] = of_rows
+        self._rows = at.stop
 
     def _write(self) -> None:
         if not self._waiting:

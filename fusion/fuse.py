@@ -22,9 +22,10 @@ from .audit import MANY, Record
 from .data import Array, Drive, Estimates, Measurements, matrices
 from .instants import Due, Step, due_readings, steps_of
 from .robot import Robot, StartSettings
-from .sensor import Block, Innovation, Model
+from .sensor import Block, Innovation, Model, Reading
 
 AT_ONCE = 4096  # stamps of the truth: what is needed on the way is many times larger than the result
+Rows = list[Innovation | Reading]  # in the order in which they are corrected
 MakeBelief = Callable[[Pose, Triangle, Sequence[Block]], JointBelief]  # at the start
 
 
@@ -110,24 +111,24 @@ class Filter:
         """Take the belief to instant k and correct it by every reading (sensor, i) that is due there."""
         self._move(step, due, measurements)
         belief, in_map, models = self.belief, self._in_map, self.models
-        accepted: list[Innovation] = []
+        accepted: list[Innovation | Reading] = []
         heard: list[Innovation] = []
-        several: list[tuple[str, list[Innovation]]] = []  # of one reading, where they are corrected together
+        several: list[tuple[str, Rows]] = []  # of one reading, where they are corrected together
         for sensor, i in due:
             model = models[sensor]
             seen = model.innovations(measurements[sensor], i, belief if model.local else in_map)
             if sensor in self._inflates:
                 seen = [inflated(innovation) for innovation in seen]
             self._records[sensor].add(k, seen)
-            taken = [innovation for innovation in seen if innovation.verdict == 0]
+            taken, rows = _accepted(seen)
             if sensor not in self._listens or not self._listens[sensor][i]:
-                whole = self._joint and len(taken) > 1
+                whole = self._joint and rows > 1
                 at = 0 if whole and not several else len(accepted)
                 accepted[at:at] = taken
                 if whole:
                     several.append((sensor, taken))
             elif models[sensor].teaches:
-                heard += taken
+                heard += [innovation for innovation in seen if innovation.verdict == 0]
         if heard:
             belief.listen(heard)
         if accepted:
@@ -137,7 +138,7 @@ class Filter:
             model.learn(measurements[sensor], i, belief if model.local else in_map)
         self._record()
 
-    def _correct_whole(self, accepted: list[Innovation], several: list[tuple[str, list[Innovation]]]) -> None:
+    def _correct_whole(self, accepted: Rows, several: list[tuple[str, Rows]]) -> None:
         """Correct once by all that was accepted, and note how well readings of several rows fit as a whole.
 
         The first of these stands first in the equation: whitened, its rows are what they would be alone.
@@ -145,7 +146,7 @@ class Filter:
         (sensor, first), *others = several
         joint = [(name, self.belief.joint_nis(seen)) for name, seen in others]
         self.belief.correct(accepted)
-        joint.insert(0, (sensor, self.belief.nis_of_first(sum([len(s.y) for s in first]))))
+        joint.insert(0, (sensor, self.belief.nis_of_first(sum([s.numbers for s in first]))))
         for name, nis in joint:
             self._records[name].joint.extend(nis)
 
@@ -228,6 +229,14 @@ class Filter:
             yield from (f"wheels: {words}" for words in wheel_words(self._wheels, x, P, self._sensors, metric))
         for name, model in self.models.items():
             yield from (f"{name}: {words}" for words in model.notes(self._seen_by(model)))
+
+
+def _accepted(seen: Sequence[Innovation]) -> tuple[Rows, int]:
+    """Return what corrects the filter, and how many rows that is."""
+    if isinstance(seen, Reading):
+        return [seen] if seen.accepted else [], seen.accepted
+    taken: Rows = [innovation for innovation in seen if innovation.verdict == 0]
+    return taken, len(taken)
 
 
 def _begin(robot: Robot, models: Sequence[Model], make: MakeBelief) -> JointBelief:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Literal, NamedTuple, Protocol
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol, overload
 
 import msgspec
 import numpy as np
 
-from .data import VERDICTS, Array, Colour, Component, MapLine, Measurements, Stream
+from .data import VERDICTS, Array, Colour, Component, Ints, MapLine, Measurements, Stream
 
 GATE = VERDICTS.index("gate")
 Matrix = tuple[tuple[float, ...], ...]
@@ -68,6 +68,11 @@ class Innovation(msgspec.Struct, frozen=True, gc=False):
     H_block: Matrix = ()  # (d, len(columns))
     shared: Sequence[Sequence[float]] = ()  # (d, k) unit errors that innovations of one reading share; in R too
 
+    @property
+    def numbers(self) -> int:
+        """How many numbers it holds, d."""
+        return len(self.y)
+
     @classmethod
     def of(
         cls,
@@ -112,6 +117,58 @@ class Innovation(msgspec.Struct, frozen=True, gc=False):
         """Return what is known of states without a reading, such as that two of them are equal."""
         zero = ((0.0, 0.0, 0.0),) * len(y)
         return cls(-1, 0, -1, 0.0, math.inf, y, y, zero, R, columns, H_block)
+
+
+class Table(NamedTuple):
+    """What became of the n measurements of one reading, as columns."""
+
+    first: int  # row in Measurements.z
+    verdict: Ints  # (n,)
+    landmark: Ints  # (n,)
+    threshold: float
+    nis: Array  # (n,)
+    y: Array  # (n, d)
+    sigma: Array  # (n, d)
+
+
+class Equation(NamedTuple):
+    """y = H dx + noise of covariance R."""
+
+    y: Array  # (m,)
+    columns: Ints  # (c,) of the state; a column may stand there twice
+    H: Array  # (m, c)
+    R: Array  # (m, m)
+
+
+class Reading(Sequence[Innovation]):
+    """The innovations of a reading of many rows, as columns: an object for each takes longer than the filter."""
+
+    accepted: int  # rows that correct the filter
+    numbers: int  # that these rows hold
+
+    @abstractmethod
+    def table(self) -> Table:
+        """Return what became of every row."""
+
+    @abstractmethod
+    def equation(self) -> Equation:
+        """Return what the accepted rows say together, in arrays of the caller's own."""
+
+    @abstractmethod
+    def rows(self) -> list[Innovation]:
+        """Return every row as an innovation."""
+
+    @overload
+    def __getitem__(self, i: int) -> Innovation: ...
+    @overload
+    def __getitem__(self, i: slice) -> list[Innovation]: ...
+    def __getitem__(self, i: int | slice) -> Innovation | list[Innovation]:
+        """Return a row, or some, as innovations."""
+        return self.rows()[i]
+
+    def __iter__(self) -> Iterator[Innovation]:
+        """Yield every row as an innovation."""
+        return iter(self.rows())
 
 
 def _pair(y: tuple[float, ...], spread: Matrix, R: Matrix) -> tuple[float, tuple[float, float]]:
@@ -197,7 +254,7 @@ class Model:
         """Return whether reading i is the first of a map of its own: the local frame may begin at its instant."""
         return False
 
-    def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
+    def innovations(self, m: Measurements, i: int, belief: Any) -> Sequence[Innovation]:
         """Compare reading i with the prior belief. Verdict 0 ("accepted") corrects the filter."""
         raise NotImplementedError
 

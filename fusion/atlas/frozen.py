@@ -37,17 +37,18 @@ class Way:
         """Go on with a way that was left: what lies between is no way."""
         self._last = None
 
-    def note(self, t: float, pose: Array, scan: Scan) -> None:
-        """Keep a scan from a pose (3,) that is not the last one's."""
+    def goes(self, pose: Array) -> bool:
+        """Take in the next pose (3,), and tell whether a scan from there is worth keeping."""
         if self._last is not None:
             self.length += math.hypot(*(pose[:2] - self._last[:2]))
         self._last = pose
-        if len(self.sights) >= MANY_SIGHTS:
-            return
-        if self.sights:
-            x, y, turn = (pose - self.sights[-1].pose).tolist()
-            if math.hypot(x, y) < STRIDE and abs(se2.wrap(turn)) < TURN:
-                return
+        if not self.sights or len(self.sights) >= MANY_SIGHTS:
+            return not self.sights
+        x, y, turn = (pose - self.sights[-1].pose).tolist()
+        return math.hypot(x, y) >= STRIDE or abs(se2.wrap(turn)) >= TURN
+
+    def keep(self, t: float, pose: Array, scan: Scan) -> None:
+        """Keep a scan that was taken at a pose."""
         self.sights.append(Sight(t, pose, scan))
 
     def passed(self, place: Array) -> float:

@@ -9,6 +9,7 @@ Hierarchical SLAM (Estrada, Neira and Tardos, IEEE T-RO 2005) with the graph of 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -77,7 +78,7 @@ class AtlasTracker(LineTracker):
                 self._return_to(back, self._belief)
         return super().begins_map(m, i)
 
-    def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
+    def innovations(self, m: Measurements, i: int, belief: Any) -> Sequence[Innovation]:
         """Associate the lines of scan i, where a map has just begun with the walls that led here."""
         if self._bridge is not None and not len(self.map) and isinstance(belief, JointBelief):
             bridge, hits = self._bridge
@@ -98,7 +99,8 @@ class AtlasTracker(LineTracker):
         pose = np.array(belief.pose())
         if begins and len(self.map):
             self._enter(pose, belief)
-        self._way.note(float(m.t[i]), pose, self._scan_of(m, first, last, belief))
+        if self._way.goes(pose):
+            self._way.keep(float(m.t[i]), pose, self._scan_of(m, first, last, belief))
         if self._way.length - self._asked_at >= (ASK_AGAIN if self._asked_at else FIRST_ASK):
             self._asked_at = self._way.length
             self._look(float(m.t[i]), belief)

@@ -21,6 +21,8 @@ SOURCES = (
     "lines",
     "mounts",
     "pairs",
+    "match",
+    "keep",
     "filter",
 )  # compiled as one unit: a file uses those before it
 COMPILED = "compiled"  # the extension's name, beside the sources

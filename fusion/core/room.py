@@ -35,6 +35,10 @@ class Room(NamedTuple):
             return cls(source, *of_lists, OnViews(source))
         return cls(unit, np.empty, _wholes, _array, _whole_array, _row, lambda a, n: a[:n].tolist(), unit)
 
+    def beside(self, source: ModuleType) -> Room:
+        """Return the room of the same form for another file of the core."""
+        return _interpreted(source) if isinstance(self.on_arrays, OnViews) else self
+
     def __deepcopy__(self, memo: object) -> Room:
         """Return the same: whoever copies a belief wants no second core."""
         return self
@@ -43,6 +47,11 @@ class Room(NamedTuple):
     def here(cls, source: ModuleType) -> Room:
         """Return the room for the form that runs in this process."""
         return _here(source)
+
+
+@cache
+def _interpreted(source: ModuleType) -> Room:
+    return Room.of(source, None)
 
 
 @cache

@@ -17,10 +17,10 @@ from locfuse.fusion import se2
 from locfuse.fusion.core import filter as interpreted
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Ints, LocfuseError
-from locfuse.fusion.sensor import Block, Innovation, Matrix, PoseRows
+from locfuse.fusion.sensor import Block, Innovation, Matrix, PoseRows, Reading
 
 from .map_frame import Pose, Together, Triangle, by_frame
-from .rows import sparse_row, stacked
+from .rows import sparse_row, together
 
 Rows = Sequence[Sequence[float]]
 POSE = np.arange(3)
@@ -386,7 +386,7 @@ class JointBelief:
         lower = S.tolist()
         return tuple([tuple([lower[max(i, j)][min(i, j)] for j in range(d)]) for i in range(d)])
 
-    def correct(self, seen: Sequence[Innovation]) -> None:
+    def correct(self, seen: Sequence[Innovation | Reading]) -> None:
         """Paper eq. 10-12 with everything one instant saw stacked; considered columns keep their values."""
         if not seen:
             return
@@ -401,8 +401,8 @@ class JointBelief:
         if after != before:
             self._swing(after[0] - before[0], after[1] - before[1])
 
-    def _take_in(self, seen: Sequence[Innovation], kept: Ints) -> None:
-        equation = stacked(seen)
+    def _take_in(self, seen: Sequence[Innovation | Reading], kept: Ints) -> None:
+        equation = together(seen)
         chosen = NONE_KEPT
         if len(kept):
             chosen = np.zeros(self.n, np.intp)
@@ -422,9 +422,9 @@ class JointBelief:
         e = self._whitened[:m]
         return float(e @ e), len(e)
 
-    def joint_nis(self, seen: Sequence[Innovation]) -> tuple[float, int]:
+    def joint_nis(self, seen: Sequence[Innovation | Reading]) -> tuple[float, int]:
         """Return y' S^-1 y of several innovations, where S has all that their errors share, and its dof."""
-        equation = stacked(seen)
+        equation = together(seen)
         positive(self._room.on_arrays.whiten(*self._given(*equation)))
         e = equation[0]
         return float(e @ e), len(e)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from itertools import groupby
 
 import numpy as np
 
 from locfuse.fusion.data import Array, Ints
-from locfuse.fusion.sensor import Innovation
+from locfuse.fusion.sensor import Equation, Innovation, Reading
 
 
 def sparse_row(
@@ -19,7 +20,29 @@ def sparse_row(
     return [(i, g) for i, g in entries if g != 0.0]
 
 
-def stacked(seen: Sequence[Innovation]) -> tuple[Array, Ints, Array, Array]:
+def together(seen: Sequence[Innovation | Reading]) -> Equation:
+    """Return what single innovations and readings of many say at once, in their order."""
+    if len(seen) == 1 and isinstance(seen[0], Reading):
+        return seen[0].equation()
+    parts: list[Equation] = []
+    for whole, some in groupby(seen, lambda s: isinstance(s, Reading)):
+        parts += [s.equation() for s in some] if whole else [stacked(list(some))]  # type: ignore[union-attr, arg-type]
+    return parts[0] if len(parts) == 1 else _beside(parts)
+
+
+def _beside(parts: Sequence[Equation]) -> Equation:
+    """Return equations whose noise is independent as one."""
+    m, c = sum([len(p.y) for p in parts]), sum([len(p.columns) for p in parts])
+    H, R = np.zeros((m, c)), np.zeros((m, m))
+    i = j = 0
+    for y, columns, part, noise in parts:
+        below, right = i + len(y), j + len(columns)
+        H[i:below, j:right], R[i:below, i:below] = part, noise
+        i, j = below, right
+    return Equation(np.concatenate([p.y for p in parts]), np.concatenate([p.columns for p in parts]), H, R)
+
+
+def stacked(seen: Sequence[Innovation]) -> Equation:
     """Return y (m,), the state columns (c,) that all of it depends on, H (m, c), R (m, m)."""
     if len(seen) == 1:
         return _alone(seen[0])
@@ -40,13 +63,13 @@ def stacked(seen: Sequence[Innovation]) -> tuple[Array, Ints, Array, Array]:
     shared = [s.shared for s in seen if s.shared]
     if shared:
         R += _between(seen, len(shared[0][0]), R_at)
-    return np.array(y, np.float64), columns, H, R
+    return Equation(np.array(y, np.float64), columns, H, R)
 
 
-def _alone(s: Innovation) -> tuple[Array, Ints, Array, Array]:
+def _alone(s: Innovation) -> Equation:
     H = [(*h, *own) for h, own in zip(s.H, s.H_block, strict=True)] if s.columns else s.H
     columns: Ints = np.array((0, 1, 2, *s.columns))
-    return np.array(s.y, np.float64), columns, np.array(H, np.float64), np.array(s.R, np.float64)
+    return Equation(np.array(s.y, np.float64), columns, np.array(H, np.float64), np.array(s.R, np.float64))
 
 
 def _between(seen: Sequence[Innovation], k: int, own: Ints) -> Array:

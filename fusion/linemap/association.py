@@ -7,64 +7,197 @@ about equally well are no evidence at all: the line is skipped and counted as am
 
 from __future__ import annotations
 
-from operator import attrgetter
+from typing import NamedTuple
 
 import msgspec
+import numpy as np
 
+from locfuse.fusion.core import keep, match
+from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.sensor import Equation, Innovation, Reading, Table
 
 from .line_map import LineMap
-from .pairing import Pair, candidate_pairs
+from .pairing import Candidates, Pair, candidate_pairs
 from .scan import Scan
 
 AMBIGUOUS = 6.0  # a second candidate within this of the best score (chi-square, 2 dof: 95 %) is a rival
 ZONE = 60.0  # squared distance up to which a near line forbids calling a segment new
+OVERLAP, LONGEST = 0.3, 0.5  # share of a segment's length, of so many m at most, by which it overlaps its map line
+COMMON = 0.05  # m that two segments may both claim of one map line
 
 
 class Association(msgspec.Struct, frozen=True, gc=False):
-    """The verdict for each measured line: its pair, or why there is none."""
+    """The verdict for each of k measured lines: its pair, or why there is none."""
 
-    pairs: list[Pair]  # the best score first
-    match: list[int]  # (k,) index of the accepted pair, -1
-    best: list[int]  # (k,) index of the best pair, -1
-    ambiguous: list[bool]  # (k,)
-    near: list[bool]  # (k,) something is too near to call the line new
+    scan: Scan
+    candidates: Candidates
+    fate: Ints | list[int]  # (4, k) flat, by `core.match`
+
+    @property
+    def pairs(self) -> list[Pair]:
+        """All pairs, line by line."""
+        return self.candidates.pairs()
+
+    @property
+    def match(self) -> list[int]:
+        """The accepted pair of every line (k,), -1: none."""
+        return self._row(0)
+
+    @property
+    def best(self) -> list[int]:
+        """The best pair of every line (k,), -1: none."""
+        return self._row(1)
+
+    @property
+    def ambiguous(self) -> list[bool]:
+        """Whether two pairs explain a line as well (k,)."""
+        return [flag > 0 for flag in self._row(2)]
+
+    @property
+    def near(self) -> list[bool]:
+        """Whether something is too near to call the line new (k,)."""
+        return [flag > 0 for flag in self._row(3)]
+
+    def _row(self, i: int) -> list[int]:
+        k = self.candidates.lines
+        return list(map(int, self.fate[i * k : (i + 1) * k]))
+
+    def new(self) -> list[int]:
+        """Return the lines that match nothing and are near nothing that is known."""
+        fate, k = self.fate, self.candidates.lines
+        return [i for i in range(k) if fate[i] < 0 and not fate[3 * k + i]]
+
+    def refuse(self, line: int) -> None:
+        """Let a measured line match nothing."""
+        self.fate[line] = -1
+
+    def extend(self, lines: LineMap, scan: int) -> None:
+        """Let map lines that were matched reach as far as the measured ones do, and note the scan's number."""
+        of, kept = self.candidates, (lines.lo, lines.hi, lines.hits, lines.seen)
+        of.room.beside(keep).on_arrays.extend(of.numbers, self.fate, of.lines, *kept, scan)
+
+    def matched(self) -> list[Pair]:
+        """Return the accepted pairs, line by line."""
+        return [self.candidates.pair(p) for p in self.match if p >= 0]
 
 
 def associate(scan: Scan, lines: LineMap, belief: JointBelief, gate: float) -> Association:
     """Associate measured lines with map lines at a chi-square threshold `gate` (2 degrees of freedom)."""
-    pairs = sorted(candidate_pairs(scan, lines, belief, max(gate, ZONE)), key=attrgetter("score"))
-    k = len(scan.z)
-    match, best = [-1] * k, [-1] * k
-    ambiguous, near = [False] * k, [False] * k
-    rivals = [0.3 * min(length, 0.5) for length in scan.lengths()]
-    for p, pair in enumerate(pairs):
-        i = pair.line
-        if pair.overlap > 0.0 and pair.d2 <= ZONE:
-            near[i] = True
-        if pair.d2 > gate or pair.overlap <= rivals[i]:
-            if best[i] < 0:
-                best[i] = p
-        elif match[i] < 0:
-            match[i] = best[i] = p
-        elif pair.score - pairs[match[i]].score < AMBIGUOUS:
-            ambiguous[i] = True
-    _one_to_one(pairs, match, ambiguous)
-    if any(ambiguous):
-        match = [-1 if a else m for m, a in zip(match, ambiguous, strict=True)]
-    return Association(pairs, match, best, ambiguous, near)
+    of = candidate_pairs(scan, lines, belief, max(gate, ZONE))
+    fate, taken = of.room.wholes(4 * of.lines), of.room.wholes(of.places)
+    how = gate, ZONE, AMBIGUOUS, OVERLAP, LONGEST
+    found = Association(scan, of, fate)
+    core = of.room.beside(match).functions
+    if core.match(of.numbers, of.found, of.rows, of.lines, *how, fate, taken, of.places):
+        _one_to_one(found)
+    core.refuse(fate, of.lines)
+    return found
 
 
-def _one_to_one(pairs: list[Pair], match: list[int], ambiguous: list[bool]) -> None:
+def _one_to_one(found: Association) -> None:
     """Let each stretch of a map line be matched once; the worse of two overlapping claims is ambiguous."""
-    matched = sorted([m for m in match if m >= 0])
-    if len({pairs[m].which for m in matched}) == len(matched):
-        return
     taken: dict[int, list[Pair]] = {}
-    for p in matched:
-        pair = pairs[p]
+    for pair in sorted(found.matched(), key=lambda pair: pair.score):
         others = taken.setdefault(pair.which, [])
-        if any(min(pair.hi, other.hi) - max(pair.lo, other.lo) > 0.05 for other in others):
-            ambiguous[pair.line] = True
+        if any(min(pair.hi, other.hi) - max(pair.lo, other.lo) > COMMON for other in others):
+            found.fate[2 * found.candidates.lines + pair.line] = 1
         else:
             others.append(pair)
+
+
+class Codes(NamedTuple):
+    """The verdicts (indices into VERDICTS) of lines that match nothing."""
+
+    unmatched: int
+    ambiguous: int
+    new: int  # of what is near no map line
+
+
+class SeenLines(Reading):
+    """What a scan says of the pose and of the map, by its association."""
+
+    def __init__(
+        self,
+        found: Association,
+        first: int,
+        ids: Ints,
+        gate: float,
+        codes: Codes,
+        joint: bool,
+        shared: Array | None,
+    ) -> None:
+        """`first` is the row of the first line in Measurements.z, `ids` (J,) those of map lines.
+
+        `joint`: the map's lines are states. `shared` (k, 2, s) is what lines share (lines.sweep), in the base.
+        """
+        self._found, self._first, self._gate, self._joint = found, first, gate, joint
+        self._shared = np.zeros((0, 2, 0)) if shared is None else shared
+        of = found.candidates
+        self._verdict, self._landmark = np.empty(of.lines, np.intp), np.empty(of.lines, np.intp)
+        self._told = np.full((of.lines, 5), np.nan)  # by core.match
+        columns = self._verdict, self._landmark, self._told
+        self.accepted: int = of.room.beside(match).on_arrays.judge(
+            of.numbers, found.fate, of.lines, ids, *codes, *columns
+        )
+        self.numbers = 2 * self.accepted
+
+    def __len__(self) -> int:
+        """Return the number of lines."""
+        return len(self._verdict)
+
+    def table(self) -> Table:
+        """Return what became of every line."""
+        told = self._told
+        return Table(self._first, self._verdict, self._landmark, self._gate, told[:, 0], told[:, 1:3], told[:, 3:])
+
+    def equation(self) -> Equation:
+        """Return what the matched lines say together."""
+        return self._equation(0, self.accepted)[0]
+
+    def _equation(self, row: int, k: int) -> tuple[Equation, Array]:
+        """Return what the k pairs in a row of the fate say, and what they share, (2 k, s)."""
+        of, seat, parts = self._found.candidates, self._found.scan.seat, self._shared.shape[2]
+        at_mount = np.array(() if seat is None else seat.columns, np.intp)
+        width = 3 + len(at_mount) + (2 * k if self._joint else 0)
+        y, at, H, R = np.empty(2 * k), np.empty(width, np.intp), np.zeros((2 * k, width)), np.zeros((2 * k, 2 * k))
+        G, shared = np.empty((2 * k, parts)), self._shared.ravel()
+        mount = of.mount, len(at_mount), at_mount
+        of.room.beside(match).on_arrays.equation(
+            of.numbers, self._found.fate, row, of.lines, of.columns, self._joint, *mount, of.rows, shared, parts,
+            at, H, G, R, y,
+        )  # fmt: skip
+        return Equation(y, at, H, R), G
+
+    def rows(self) -> list[Innovation]:
+        """Return every line as an innovation."""
+        found = []
+        best = self._found.best
+        paired = [i for i, p in enumerate(best) if p >= 0]
+        (_, at, H, R), G = self._equation(1, len(paired))
+        seat = 3 if self._found.scan.seat is None else 3 + len(self._found.scan.seat.columns)
+        place = {i: slice(2 * n, 2 * n + 2) for n, i in enumerate(paired)}
+        for i, verdict in enumerate(self._verdict.tolist()):
+            if self._landmark[i] < 0:
+                found.append(Innovation.unpredicted(self._first + i, verdict, 2, self._gate))
+                continue
+            of = place[i]
+            own = [*range(seat + of.start, seat + of.stop), *range(3, seat)] if self._joint else [*range(3, seat)]
+            nis, y0, y1, *sigma = self._told[i].tolist()
+            found.append(
+                Innovation(
+                    row=self._first + i,
+                    verdict=verdict,
+                    landmark=int(self._landmark[i]),
+                    nis=nis,
+                    threshold=self._gate,
+                    y=(y0, y1),
+                    sigma=tuple(sigma),
+                    H=tuple(map(tuple, H[of, :3].tolist())),
+                    R=tuple(map(tuple, R[of, of].tolist())),
+                    columns=tuple(at[own].tolist()),
+                    H_block=tuple(map(tuple, H[of][:, own].tolist())) if own else (),
+                    shared=G[of].tolist() if G.size and not verdict else (),
+                )
+            )
+        return found

@@ -41,12 +41,6 @@ class Seat(NamedTuple):
         chosen: Array = out[:, :, list(self.free)]
         return chosen
 
-    def rows(self, psi: float) -> tuple[list[float], list[float]]:
-        """Return the same of one line, as plain numbers: scans of a few lines cost no arrays."""
-        c, s = math.cos(psi), math.sin(psi)
-        r, turn = (-c, -s, self.x * s - self.y * c), (0.0, 0.0, -1.0)
-        return [r[i] for i in self.free], [turn[i] for i in self.free]
-
 
 def seated(rows: Array, mount: Mount, belief: JointBelief) -> tuple[Array, Array, Array, Seat, Array]:
     """Return lines (k, 7), put into the base by the mount as told, as the estimated mount puts them.

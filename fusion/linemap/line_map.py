@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
+from locfuse.fusion.core import keep
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Ints, MapLine
 from locfuse.fusion.ekf.belief_arrays import JointBelief
@@ -102,6 +103,14 @@ class LineMap:
         self.P = np.concatenate((self.P, P[None]))
         self.seen, self.born = np.append(self.seen, scan), np.append(self.born, scan)
         return line
+
+    def keep_floor(self, belief: JointBelief, floor: Array) -> None:
+        """Know no line better than its floor (2, 2), whatever was averaged: no wall is a plane to less."""
+        at, missing = np.empty(2 * len(self), np.intp), np.empty(2 * len(self))
+        rho, beta = floor[0, 0], floor[1, 1]
+        k = Room.here(keep).on_arrays.lacks(belief.arrays[1], self.column, len(self), rho, beta, at, missing)
+        if k:
+            belief.loosen(at[:k], missing[:k])
 
     def drop(self, gone: Ints) -> Ints:
         """Remove lines by position; return the state columns that they held."""

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from math import sqrt
+from typing import Any
 
 import msgspec
 import numpy as np
 
 from locfuse.fusion.core import pairs as interpreted
 from locfuse.fusion.core.room import Room
-from locfuse.fusion.data import Array
+from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 
 from .laser_mount import Seat
@@ -43,9 +44,36 @@ class Pair(msgspec.Struct, frozen=True, gc=False):
     psi: float  # rad, measured, base frame, as the map line's psi is predicted: not wrapped
 
 
+class Candidates(msgspec.Struct, frozen=True, gc=False):
+    """The pairs of one scan, line by line, as the core wants them."""
+
+    room: Room
+    rows: Any  # (lines, 7) flat: measured lines
+    lines: int
+    places: int  # map lines
+    columns: Ints  # (places,) first column of every map line in the state, -1: frozen
+    mount: Any  # by `_mount`
+    numbers: Any  # (found, 19) flat
+    found: int
+
+    def pair(self, p: int) -> Pair:
+        """Return one of them."""
+        at = _COLUMNS * p
+        i, j, offset, turn, r00, r01, r11, s00, s01, s11, d2, score, lo, hi, overlap, c, s, u, psi = (
+            self.room.listed(self.numbers[at : at + _COLUMNS], _COLUMNS)
+        )
+        which = int(j)
+        y, R, S = (offset, turn), (r00, r01, r11), (s00, s01, s11)
+        return Pair(int(i), which, int(self.columns[which]), y, R, S, d2, score, lo, hi, overlap, c, s, u, psi)
+
+    def pairs(self) -> list[Pair]:
+        """Return them all."""
+        return [self.pair(p) for p in range(self.found)]
+
+
 def candidate_pairs(
     scan: Scan, lines: LineMap, belief: JointBelief, limit: float, room: Room | None = None
-) -> list[Pair]:
+) -> Candidates:
     """Return the pairs on the right face whose squared distance is at most `limit`, measured line by line.
 
     `room`, where it is not this process' own form of the core: for tests.
@@ -55,8 +83,9 @@ def candidate_pairs(
     walls, width, states = lines.walls(belief, scan.seat, room)
     angle_slack, offset_slack = _slack(triangle[0] + triangle[3], triangle[5])
     out = room.floats(_COLUMNS * len(rows) * places)
+    measured, mount = room.given(rows), room.given(_mount(scan.seat, belief, room))
     found = room.functions.pairs(
-        room.given(rows),
+        measured,
         len(rows),
         walls,
         width,
@@ -66,7 +95,7 @@ def candidate_pairs(
         states,
         room.flat([pose]),
         room.flat([triangle]),
-        room.given(_mount(scan.seat, belief, room)),
+        mount,
         0 if scan.seat is None else len(scan.seat.free),
         angle_slack,
         offset_slack,
@@ -74,15 +103,7 @@ def candidate_pairs(
         room.floats(4 * places),
         out,
     )
-    columns, numbers = lines.columns(), room.listed(out, _COLUMNS * found)
-    return [_pair(numbers[at : at + _COLUMNS], columns) for at in range(0, len(numbers), _COLUMNS)]
-
-
-def _pair(of: list[float], columns: list[int]) -> Pair:
-    i, j, offset, turn, r00, r01, r11, s00, s01, s11, d2, score, lo, hi, overlap, c, s, u, psi = of
-    which = int(j)
-    R, S = (r00, r01, r11), (s00, s01, s11)
-    return Pair(int(i), which, columns[which], (offset, turn), R, S, d2, score, lo, hi, overlap, c, s, u, psi)
+    return Candidates(room, measured, len(rows), places, lines.column, mount, out, found)
 
 
 def _mount(seat: Seat | None, belief: JointBelief, room: Room) -> Array:

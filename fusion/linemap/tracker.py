@@ -16,11 +16,10 @@ from locfuse.fusion.lines.flatness import bend
 from locfuse.fusion.mount import Mount
 from locfuse.fusion.sensor import Block, Innovation, Model
 
-from .association import Association, associate
+from .association import Association, Codes, SeenLines, associate
 from .guard import Guard
 from .laser_mount import seated, seated_shares
 from .line_map import LineMap, about_middle
-from .pairing import Pair
 from .scan import Scan, Scans
 from .standing import Standing
 from .tidy import MIN_HITS, merge_doubles, prune
@@ -29,7 +28,6 @@ UNMATCHED, AMBIGUOUS, NEW, LOST, REPEATED = (
     VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new", "lost", "repeated")
 )
 TIDY_EVERY = 10  # scans
-RHO_BETA = np.array([[0], [1]])  # of a line from its column on
 # A scan in which only one line matches says little about whether the match is right: it must fit nearly perfectly.
 LONE_D2, LONE_ANGLE, LONE_OFFSET = 5.0, math.radians(3.0), 0.15
 
@@ -86,7 +84,7 @@ class LineTracker(Model):
         """Take in the wheels' motion: a robot that stands still learns nothing new."""
         self._standing.rolled(u)
 
-    def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
+    def innovations(self, m: Measurements, i: int, belief: Any) -> Sequence[Innovation]:
         """Associate the lines of scan i; each becomes one innovation with its verdict."""
         first, last = int(m.first[i]), int(m.first[i + 1])
         self._asked, self._last, self._teach = i, None, True
@@ -110,54 +108,21 @@ class LineTracker(Model):
             return [Innovation.unpredicted(first + k, LOST, 2, self._gate) for k in range(last - first)]
         if self.mode == "grow":
             _refuse_a_lone_match(found)
-        shared = self._shared(m, first, last, belief)
-        return [self._innovation(found, k, first + k, scan, shared) for k in range(last - first)]
+        return self._seen(found, first, self._shared(m, first, last, belief))
 
-    def _shared(self, m: Measurements, first: int, last: int, belief: Any) -> list[Any] | None:
+    def _seen(self, found: Association, first: int, shared: Array | None = None) -> SeenLines:
+        """Return what the lines from row `first` on say."""
+        codes = Codes(UNMATCHED, AMBIGUOUS, NEW if self.mode == "grow" else UNMATCHED)
+        return SeenLines(found, first, self.map.ids, self._gate, codes, self.joint, shared)
+
+    def _shared(self, m: Measurements, first: int, last: int, belief: Any) -> Array | None:
         """Return what rows first:last share (k, 2, s), put into the base as they are; None: nothing."""
         if not self.joint or "shared" not in m.extra:
             return None
-        shared = m.extra["shared"][first:last]
+        shared: Array = m.extra["shared"][first:last]
         if self.mount is not None and self._raw is not None:
-            shared = seated_shares(shared, self._raw.z, self.mount, belief)
-        found: list[Any] = shared.tolist()
-        return found
-
-    def _innovation(
-        self, found: Association, k: int, row: int, scan: Scan, shared: list[Any] | None = None
-    ) -> Innovation:
-        p, verdict = found.match[k], 0
-        if p < 0:
-            p = found.best[k]
-            if p < 0 or not found.near[k]:
-                grows = self.mode == "grow" and not found.near[k]
-                return Innovation.unpredicted(row, NEW if grows else UNMATCHED, 2, self._gate)
-            verdict = AMBIGUOUS if found.ambiguous[k] else UNMATCHED
-        pair = found.pairs[p]
-        c, s, u, (r00, r01, r11) = pair.cos, pair.sin, pair.u, pair.R
-        columns: tuple[int, ...] = ()
-        H_block: tuple[tuple[float, ...], ...] = ()
-        by_mount: tuple[Sequence[float], Sequence[float]] = ((), ())
-        if scan.seat is not None:
-            columns, by_mount = scan.seat.columns, scan.seat.rows(pair.psi)
-            H_block = tuple(by_mount[0]), tuple(by_mount[1])
-        if self.joint:
-            columns = (pair.column, pair.column + 1, *columns)
-            H_block = (1.0, u, *by_mount[0]), (0.0, 1.0, *by_mount[1])
-        return Innovation(
-            row=row,
-            verdict=verdict,
-            landmark=int(self.map.ids[pair.which]),
-            nis=pair.d2,
-            threshold=self._gate,
-            y=pair.y,
-            sigma=(math.sqrt(pair.S[0]), math.sqrt(pair.S[2])),
-            H=((-c, -s, 0.0), (0.0, 0.0, -1.0)),
-            R=((r00, r01), (r01, r11)),
-            columns=columns,
-            H_block=H_block,
-            shared=_as_matched(shared[k], pair.psi - scan.z.item(k, 1)) if shared and not verdict else (),
-        )
+            return seated_shares(shared, self._raw.z, self.mount, belief)
+        return shared.astype(np.float64)
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Let matched extents grow, and add what is new: all of the first scan, later only in `grow`."""
@@ -176,9 +141,7 @@ class LineTracker(Model):
                 self._add(scan, k, belief)
             self._first_map = self._first_map or self.map.lines(belief)
             return
-        for p in found.match:
-            if p >= 0:
-                self._extend(found.pairs[p])
+        found.extend(self.map, self._scan)
         if self.joint:
             self._revise(m, first, last, found, belief)
             self._keep_floor(m, belief)
@@ -190,7 +153,7 @@ class LineTracker(Model):
             self._bend(found, uneven, belief)
         if self.mode != "grow":
             return
-        new = [k for k, p in enumerate(found.match) if p < 0 and not found.near[k]]
+        new = found.new()
         if new:
             scan = self._scan_of(m, first, last, belief)
             for k in new:
@@ -205,7 +168,7 @@ class LineTracker(Model):
         A wall stays within its unevenness, so a line that is known no better is left alone: loosened for ever, the
         walls of a small room would let the robot drift among them.
         """
-        seen = np.array(sorted({found.pairs[p].column for p in found.match if p >= 0}))
+        seen = np.array(sorted({pair.column for pair in found.matched()}))
         if self.mode == "consider" or len(seen) == 0:
             return
         columns = np.concatenate((seen, seen + 1))
@@ -219,11 +182,7 @@ class LineTracker(Model):
         """
         if self.mode == "consider" or "uneven" in m.extra:
             return
-        at = self.map.column + RHO_BETA
-        lacks = m.floor.diagonal()[:, None] - belief.covariance.diagonal()[at]
-        below = lacks > 0.0
-        if below.any():
-            belief.loosen(at[below], lacks[below])
+        self.map.keep_floor(belief, m.floor)
 
     def _scan_of(self, m: Measurements, first: int, last: int, belief: Any) -> Scan:
         """Return what rows first:last say as one scan, put into the base by the mount as the belief has it."""
@@ -244,13 +203,6 @@ class LineTracker(Model):
         """Say in words what the guard did and where the laser was found to sit."""
         words = self.guard.words() if self.guard is not None else []
         return words + (self.mount.words(belief) if self.mount is not None else [])
-
-    def _extend(self, pair: Pair) -> None:
-        lines, j = self.map, pair.which
-        if not (lines.lo[j] <= pair.lo and pair.hi <= lines.hi[j]):
-            lines.lo[j], lines.hi[j] = min(lines.lo[j], pair.lo), max(lines.hi[j], pair.hi)
-        lines.hits[j] += 1
-        lines.seen[j] = self._scan
 
     def _add(self, scan: Scan, k: int, belief: JointBelief) -> None:
         """New line from (r, psi), the inverse of LineMap.predict; its anchor is the middle of the segment."""
@@ -280,20 +232,12 @@ class LineTracker(Model):
         self.map.append(anchor, value, P, column, (-half, half), self._scan)
 
 
-def _as_matched(shared: tuple[list[float], list[float]], turned: float) -> tuple[list[float], list[float]]:
-    """Return what (r, psi) share with other lines (lines.sweep); a line may be read as (-r, psi + pi)."""
-    r, psi = shared
-    return r if math.cos(turned) > 0.0 else [-g for g in r], psi
-
-
 def _refuse_a_lone_match(found: Association) -> None:
     """Turn a scan's only match into none where others failed to match and it does not fit nearly perfectly."""
     matched = [k for k, p in enumerate(found.match) if p >= 0]
     if len(matched) != 1 or len(found.match) == 1:
         return
-    k = matched[0]
-    pair = found.pairs[found.match[k]]
+    (pair,) = found.matched()
     offset, turn = pair.y
     if pair.d2 > LONE_D2 or abs(turn) > LONE_ANGLE or abs(offset) > LONE_OFFSET:
-        found.match[k] = -1
-        found.near[k] = True
+        found.refuse(pair.line)

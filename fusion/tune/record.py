@@ -23,7 +23,7 @@ from locfuse.fusion.fuse import Filter
 from locfuse.fusion.instants import due_readings, steps_of
 from locfuse.fusion.mount import exact
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.sensor import Block, Innovation, Model
+from locfuse.fusion.sensor import Block, Innovation, Model, Reading
 
 UNKNOWN_VARIANCE = 100.0  # variance of a new map line [m^2, rad^2]: nothing is known
 
@@ -122,7 +122,7 @@ class Listed:
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
         """Compare as ever."""
-        seen = self._model.innovations(m, i, belief)
+        seen = list(self._model.innovations(m, i, belief))
         self._belief.owners |= {id(s): (self._index, of_sigma(m, s.row)) for s in seen if s.verdict == 0}
         return seen
 
@@ -158,22 +158,23 @@ class Taped(JointBelief):
         turned, driven = float(self.state[2]) - theta, float(np.hypot(*lever))
         self.tape.ops.append(Move(self.instant, lever, in_map(Q, theta), coupling, turned, driven))
 
-    def correct(self, seen: Sequence[Innovation]) -> None:
+    def correct(self, seen: Sequence[Innovation | Reading]) -> None:
         """Correct as ever, and write down what was seen and how far it moved the state."""
         if not seen:
             return
+        rows = [s for s in seen if isinstance(s, Innovation)]  # all of them: Listed makes lists
         before, swings = self.state.copy(), len(self.tape.ops)
         super().correct(seen)
         swung = self.tape.ops[swings:]
         del self.tape.ops[swings:]
-        y, columns, H, R = stacked(seen)
+        y, columns, H, R = stacked(rows)
         R_sigma, sensor = np.zeros_like(R), np.full(len(y), -1)
         k = 0
-        for s in seen:
-            rows = slice(k, k + len(s.y))
+        for s in rows:
+            at = slice(k, k + len(s.y))
             if s.row >= 0:
-                sensor[rows], R_sigma[rows, rows] = self._owned(s, R[rows, rows])
-            k = rows.stop
+                sensor[at], R_sigma[at, at] = self._owned(s, R[at, at])
+            k = at.stop
         self.tape.ops.append(See(self.instant, y, columns, H, R_sigma, R - R_sigma, sensor, self.state - before))
         self.tape.ops += swung
 

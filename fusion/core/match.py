@@ -1,0 +1,139 @@
+"""Which map line is this, and what do matched lines say together? By the pairs that `pairs` found.
+
+A pair is two numbers of one equation: (r, psi) of a measured line less what is predicted of a map line. Its
+derivatives by pose, line and mount stand in `pairs`.
+"""
+
+from math import cos, sqrt
+
+from .pairs import PAIR, lever
+
+LINE = 7  # columns of a measured line: r, psi, R as 00, 01, 11, and both ends
+TOLD = 5  # columns of what is told of a line: NIS, y (2), sigma (2)
+
+
+def match(pairs, found, rows, lines, gate, zone, rival, share, longest, fate, taken, places):
+    """Write fate (4, lines): the pair that matches, the best pair, -1 where there is none; ambiguous; near.
+
+    A pair matches within `gate` where it overlaps by more than `share` of the measured length, of at most
+    `longest` [m]; another such pair that is worse by less than `rival` makes it ambiguous. A line is near a map line
+    that it overlaps within `zone`. `taken` (places,) is room. Returns whether two lines match one map line.
+    """
+    for i in range(4 * lines):
+        fate[i] = -1 if i < 2 * lines else 0
+    for p in range(found):
+        at = PAIR * p
+        i = whole(pairs[at])
+        if pairs[at + 14] > 0.0 and pairs[at + 10] <= zone:
+            fate[3 * lines + i] = 1
+        kind = i if fits_well(pairs, at, rows, i, gate, share, longest) else lines + i
+        if fate[kind] < 0 or pairs[at + 11] < pairs[PAIR * fate[kind] + 11]:
+            fate[kind] = p
+    for p in range(found):
+        at = PAIR * p
+        i = whole(pairs[at])
+        if fate[i] >= 0 and fate[i] != p and pairs[at + 11] - pairs[PAIR * fate[i] + 11] < rival:
+            if fits_well(pairs, at, rows, i, gate, share, longest):
+                fate[2 * lines + i] = 1
+    for j in range(places):
+        taken[j] = 0
+    twice = False
+    for i in range(lines):
+        if fate[i] >= 0:
+            fate[lines + i] = fate[i]
+            j = whole(pairs[PAIR * fate[i] + 1])
+            if taken[j] > 0:
+                twice = True
+            taken[j] = 1
+    return twice
+
+
+def fits_well(pairs, at, rows, i, gate, share, longest):
+    """Tell whether a pair of measured line i may match: by its distance, and by how much both overlap."""
+    return pairs[at + 10] <= gate and pairs[at + 14] > share * min(
+        rows[LINE * i + 6] - rows[LINE * i + 5], longest
+    )
+
+
+def whole(number):
+    """Return the index that stands in a table of floats."""
+    return int(number)
+
+
+def refuse(fate, lines):
+    """Let an ambiguous line match nothing."""
+    for i in range(lines):
+        if fate[2 * lines + i] > 0:
+            fate[i] = -1
+
+
+def judge(pairs, fate, lines, ids, unmatched, ambiguous, new, verdicts, landmarks, told):
+    """Write verdict, landmark (lines,) and told (lines, 5) of every line; return how many are accepted.
+
+    `ids` are those of the map lines. Of a line that pairs with none nothing is told.
+    """
+    accepted = 0
+    for i in range(lines):
+        p = fate[lines + i]
+        if p < 0 or (fate[i] < 0 and not fate[3 * lines + i]):
+            verdicts[i], landmarks[i] = unmatched if fate[3 * lines + i] else new, -1
+            continue
+        at = PAIR * p
+        verdicts[i], landmarks[i] = 0, ids[whole(pairs[at + 1])]
+        if fate[i] < 0:
+            verdicts[i] = ambiguous if fate[2 * lines + i] else unmatched
+        else:
+            accepted += 1
+        told[i, 0], told[i, 1], told[i, 2] = pairs[at + 10], pairs[at + 2], pairs[at + 3]
+        told[i, 3], told[i, 4] = sqrt(pairs[at + 7]), sqrt(pairs[at + 9])
+    return accepted
+
+
+def equation(
+    pairs, fate, row, lines, columns, states, mount, free, at_mount, rows, shared, parts, at, H, G, R, y
+):  # fmt: skip
+    """Write y = H dx + noise of covariance R (2 k,) for the k pairs in a row of `fate`, and the state columns of H.
+
+    `at` is the pose, the mount's `free` states `at_mount`, and where lines are `states` two `columns` for each pair,
+    which may stand there twice. `shared` (lines, 2, parts) are unit errors that the lines of a scan share, already
+    in R of each line: they are written, as the pairs read their lines, over G (2 k, parts), and add to R between
+    pairs. H and R are given as zeros.
+    """
+    for i in range(3):
+        at[i] = i
+    for i in range(free):
+        at[3 + i] = at_mount[i]
+    a = 0
+    for i in range(lines):
+        p = fate[row * lines + i]
+        if p < 0:
+            continue
+        of, b = PAIR * p, a + 1
+        y[a], y[b] = pairs[of + 2], pairs[of + 3]
+        H[a, 0], H[a, 1], H[b, 2] = -pairs[of + 15], -pairs[of + 16], -1.0
+        for j in range(free):
+            H[a, 3 + j], H[b, 3 + j] = lever(mount, j, pairs[of + 18]), -1.0 if mount[2 + j] == 2.0 else 0.0
+        if states:
+            j = 3 + free + a
+            at[j] = columns[whole(pairs[of + 1])]
+            at[j + 1] = at[j] + 1
+            H[a, j], H[a, j + 1], H[b, j + 1] = 1.0, pairs[of + 17], 1.0
+        R[a, a], R[a, b], R[b, a], R[b, b] = pairs[of + 4], pairs[of + 5], pairs[of + 5], pairs[of + 6]
+        if parts > 0:
+            share(pairs, of, rows, i, shared, parts, G, a, R)
+        a += 2
+
+
+def share(pairs, of, rows, i, shared, parts, G, a, R):
+    """Write what line i shares over rows a, a + 1 of G, and add it to R between them and those before.
+
+    A line that is read as (-r, psi + pi) shares the r of the other sign.
+    """
+    side = 1.0 if cos(pairs[of + 18] - rows[LINE * i + 1]) > 0.0 else -1.0
+    for k in range(parts):
+        G[a, k], G[a + 1, k] = side * shared[2 * parts * i + k], shared[parts * (2 * i + 1) + k]
+    for m in range(a, a + 2):
+        for j in range(a):
+            for k in range(parts):
+                R[m, j] += G[m, k] * G[j, k]
+            R[j, m] = R[m, j]

@@ -1,0 +1,64 @@
+from .arrays import Floats, Matrix, Wholes
+
+LINE: int
+TOLD: int
+
+def match(
+    pairs: Floats,
+    found: int,
+    rows: Floats,
+    lines: int,
+    gate: float,
+    zone: float,
+    rival: float,
+    share: float,
+    longest: float,
+    fate: Wholes,
+    taken: Wholes,
+    places: int,
+) -> bool: ...
+def fits_well(pairs: Floats, at: int, rows: Floats, i: int, gate: float, share: float, longest: float) -> bool: ...
+def whole(number: float) -> int: ...
+def refuse(fate: Wholes, lines: int) -> None: ...
+def judge(
+    pairs: Floats,
+    fate: Wholes,
+    lines: int,
+    ids: Wholes,
+    unmatched: int,
+    ambiguous: int,
+    new: int,
+    verdicts: Wholes,
+    landmarks: Wholes,
+    told: Matrix,
+) -> int: ...
+def equation(
+    pairs: Floats,
+    fate: Wholes,
+    row: int,
+    lines: int,
+    columns: Wholes,
+    states: bool,
+    mount: Floats,
+    free: int,
+    at_mount: Wholes,
+    rows: Floats,
+    shared: Floats,
+    parts: int,
+    at: Wholes,
+    H: Matrix,
+    G: Matrix,
+    R: Matrix,
+    y: Floats,
+) -> None: ...
+def share(
+    pairs: Floats,
+    of: int,
+    rows: Floats,
+    i: int,
+    shared: Floats,
+    parts: int,
+    G: Matrix,
+    a: int,
+    R: Matrix,
+) -> None: ...

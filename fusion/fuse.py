@@ -5,8 +5,8 @@ predict by the wheels  ->  every sensor due compares with the same prior  ->  co
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +19,12 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
 
 from .audit import MANY, Record
+from .coast import HeadingRecord, Stretches
 from .data import Array, Drive, Estimates, Measurements, matrices
 from .instants import Due, Step, due_readings, steps_of
 from .robot import Robot, StartSettings
 from .sensor import Block, Innovation, Model, Reading
+from .track import Track
 
 AT_ONCE = 4096  # stamps of the truth: what is needed on the way is many times larger than the result
 Rows = list[Innovation | Reading]  # in the order in which they are corrected
@@ -47,9 +49,15 @@ def fuse(
     for sensor in (*sensors, *listen):
         if sensor not in drive.measurements:
             raise drive.lacks(sensor)
-    run = Filter(robot, sensors, listen, make, {s: len(m.z) for s, m in drive.measurements.items()})
-    for k, (step, due) in enumerate(zip(steps_of(drive), due_readings(drive, (*sensors, *listen)), strict=True)):
-        run.advance(k, step, due, drive.measurements)
+    run = Filter(robot, sensors, listen, make, {s: len(m.z) for s, m in drive.measurements.items()}, len(drive.t))
+    stretches = run.stretches(drive)
+    each = enumerate(zip(steps_of(drive), due_readings(drive, (*sensors, *listen)), strict=True))
+    for k, (step, due) in each:
+        last = run.coast(stretches, k)
+        if last > k:
+            next(islice(each, last - k - 1, last - k - 1), None)
+        else:
+            run.advance(k, step, due, drive.measurements)
     return run.estimates(drive, name or configuration_name(sensors, drive))
 
 
@@ -74,8 +82,9 @@ class Filter:
         listen: Mapping[str, NDArray[np.bool_]] | None = None,
         make: MakeBelief = JointBelief,
         rows: Mapping[str, int] | None = None,
+        instants: int = MANY,
     ) -> None:
-        """`rows`: how many measurements of each sensor will come, where that is known."""
+        """`rows`: how many measurements of each sensor will come, where that is known; `instants` likewise."""
         self._sensors = tuple(s for s in REGISTRY if s in sensors)
         self._wheels = robot.wheels
         self._inflates = {s for s in REGISTRY if s in sensors and robot.settings(s).outliers == "inflate"}
@@ -96,16 +105,13 @@ class Filter:
         for s, model in self.models.items():
             # a sensor that is used must not read what only listens
             model.meet({o: other for o, other in self.models.items() if o in sensors or s not in sensors})
-        self._poses = array("d")  # flat: an hour of Python tuples would be hundreds of megabytes
-        self._triangles = array("d")
-        self._records = {s: Record((rows or {}).get(s, MANY)) for s in self.models}
+        self._records: dict[str, Record | HeadingRecord] = {
+            s: Record((rows or {}).get(s, MANY)) for s in self.models
+        }
         fixed = [b.name for m in self.models.values() for b in m.blocks() if not b.name.startswith("_")]
         if robot.wheels.estimate:
             fixed.append(WHEELS)
-        blocks = [(name, *self.belief.block(name)) for name in fixed]  # their columns stay
-        self._block_columns = np.array([c + i for _, c, values in blocks for i in range(len(values))], np.intp)
-        self._block_names = [(name, len(values)) for name, _, values in blocks]
-        self._values, self._variances = array("d"), array("d")  # of these columns, flat
+        self._track = Track(self.belief, fixed, instants)
 
     def advance(self, k: int, step: Step, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
         """Take the belief to instant k and correct it by every reading (sensor, i) that is due there."""
@@ -136,7 +142,23 @@ class Filter:
         for sensor, i in due:
             model = models[sensor]
             model.learn(measurements[sensor], i, belief if model.local else in_map)
-        self._record()
+        self._track.note(self.belief, -1 if self._in_map is self.belief else self.belief.frame or 0)
+
+    def stretches(self, drive: Drive) -> Stretches:
+        """Return where the core may take many instants of a drive at once."""
+        found = Stretches(drive, self.models, self.belief, (*self._inflates, *self._listens))
+        if found.sensor is not None:
+            self._records[found.sensor] = found.record
+        return found
+
+    def coast(self, on: Stretches, k: int) -> int:
+        """Take the belief from instant k as far as only headings are read; return the instant that is next."""
+        last = on.until(k) if self.belief.plain else k
+        if last > k:
+            moved = on.coast(self.belief, k, last, self._track)
+            for model in self._rolling:
+                model.rolled(moved)
+        return last
 
     def _correct_whole(self, accepted: Rows, several: list[tuple[str, Rows]]) -> None:
         """Correct once by all that was accepted, and note how well readings of several rows fit as a whole.
@@ -173,29 +195,10 @@ class Filter:
         if self.belief.frame is not None:
             self._in_map = InMap(self.belief)
 
-    def _record(self) -> None:
-        belief = self._in_map
-        pose, triangle = belief.located()
-        self._poses.extend(pose)
-        self._triangles.extend(triangle)
-        if len(self._block_columns):
-            x, P = self.belief.arrays
-            self._values.extend(x[self._block_columns].tolist())
-            self._variances.extend(P[self._block_columns, self._block_columns].tolist())
-
-    def _by_block(self, flat: array[float]) -> dict[str, Array]:
-        """Return one column per number of every block, (instants, numbers)."""
-        whole = np.array(flat).reshape(-1, max(len(self._block_columns), 1))
-        ends = np.cumsum([n for _, n in self._block_names], dtype=np.int64).tolist()
-        named = zip(self._block_names, ends, strict=True)
-        return {name: np.ascontiguousarray(whole[:, end - n : end]) for (name, n), end in named}
-
     def estimates(self, drive: Drive, name: str) -> Estimates:
         """Return everything recorded, with predictions at the truth's stamps beside it."""
-        n = len(self._poses) // 3
-        pose = np.frombuffer(self._poses).reshape(n, 3)
-        triangles = np.frombuffer(self._triangles).reshape(n, 6)
-        blocks, variances = self._by_block(self._values), self._by_block(self._variances)
+        pose, triangles = self._track.recorded()
+        blocks, variances = self._track.blocks(), self._track.blocks(variances=True)
         maps = [m.lines(self._seen_by(m)) for m in self.models.values()]
         truth_pose, truth_P = _at_truth(drive, pose, triangles, blocks.get(WHEELS))
         return Estimates(

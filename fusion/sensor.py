@@ -187,6 +187,18 @@ def _several(y: tuple[float, ...], spread: Matrix, R: Matrix) -> tuple[float, tu
     return float(e @ np.linalg.solve(S, e)), tuple(np.sqrt(np.diagonal(S)).tolist())
 
 
+class Headings(NamedTuple):
+    """All readings of a sensor that says theta + offset + noise, as columns (fusion.coast)."""
+
+    z: Array  # (n,) rad
+    variance: Array  # (n,) rad^2
+    usable: Ints  # (n,) 0: compared, and never used
+    unused: int  # the verdict then, an index into VERDICTS
+    threshold: float  # of the gate
+    offset: float  # rad, known
+    block: str | None  # of one state: what adds to the offset
+
+
 class Block(NamedTuple):
     """A named part of the state that a sensor owns (compass offset, gyro bias, line map)."""
 
@@ -257,6 +269,10 @@ class Model:
     def innovations(self, m: Measurements, i: int, belief: Any) -> Sequence[Innovation]:
         """Compare reading i with the prior belief. Verdict 0 ("accepted") corrects the filter."""
         raise NotImplementedError
+
+    def headings(self, m: Measurements) -> Headings | None:
+        """Return all readings as headings, where they are nothing else and nothing is learnt from them."""
+        return None
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Take in what reading i taught beyond the pose (new map lines), after the correction."""

@@ -24,6 +24,7 @@ SOURCES = (
     "match",
     "keep",
     "filter",
+    "coast",
 )  # compiled as one unit: a file uses those before it
 COMPILED = "compiled"  # the extension's name, beside the sources
 VARIABLE = "LOCFUSE_CORE"

@@ -16,7 +16,7 @@ def extend(pairs, fate, lines, low, high, hits, seen, scan):
 
 
 def lacks(P, columns, places, rho, beta, at, missing):
-    """Write which states of the lines at `columns` (places,) have less than the variances rho and beta, and by how much.
+    """Write which states of the lines at `columns` (places,) vary by less than rho and beta, and by how much.
 
     First all offsets, then all angles. Returns how many there are.
     """

@@ -1,12 +1,15 @@
 cdef Py_ssize_t LINE, TOLD
 
-cpdef bint match(
+cdef double COMMON
+cpdef void match(
     double[::1] pairs, Py_ssize_t found, double[::1] rows, Py_ssize_t lines, double gate, double zone, double rival,
-    double share, double longest, Py_ssize_t[::1] fate, Py_ssize_t[::1] taken, Py_ssize_t places)
+    double share, double longest, Py_ssize_t[::1] fate, Py_ssize_t[::1] order)
+cdef void claim(double[::1] pairs, Py_ssize_t lines, Py_ssize_t[::1] fate, Py_ssize_t[::1] order)
+cdef bint overlap(double[::1] pairs, Py_ssize_t a, Py_ssize_t b)
 cdef bint fits_well(
     double[::1] pairs, Py_ssize_t at, double[::1] rows, Py_ssize_t i, double gate, double share, double longest)
 cdef Py_ssize_t whole(double number)
-cpdef void refuse(Py_ssize_t[::1] fate, Py_ssize_t lines)
+cpdef double matched_share(double[::1] rows, Py_ssize_t lines, Py_ssize_t[::1] fate)
 cpdef Py_ssize_t judge(
     double[::1] pairs, Py_ssize_t[::1] fate, Py_ssize_t lines, Py_ssize_t[::1] ids, Py_ssize_t unmatched,
     Py_ssize_t ambiguous, Py_ssize_t new, Py_ssize_t[::1] verdicts, Py_ssize_t[::1] landmarks, double[:, ::1] told)

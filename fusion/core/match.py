@@ -10,14 +10,15 @@ from .pairs import PAIR, lever
 
 LINE = 7  # columns of a measured line: r, psi, R as 00, 01, 11, and both ends
 TOLD = 5  # columns of what is told of a line: NIS, y (2), sigma (2)
+COMMON = 0.05  # m of one map line that two measured lines may both claim
 
 
-def match(pairs, found, rows, lines, gate, zone, rival, share, longest, fate, taken, places):
+def match(pairs, found, rows, lines, gate, zone, rival, share, longest, fate, order):
     """Write fate (4, lines): the pair that matches, the best pair, -1 where there is none; ambiguous; near.
 
     A pair matches within `gate` where it overlaps by more than `share` of the measured length, of at most
-    `longest` [m]; another such pair that is worse by less than `rival` makes it ambiguous. A line is near a map line
-    that it overlaps within `zone`. `taken` (places,) is room. Returns whether two lines match one map line.
+    `longest` [m]; another such pair that is worse by less than `rival` makes it ambiguous. A line is near a map
+    line that it overlaps within `zone`. `order` (lines,) is room.
     """
     for i in range(4 * lines):
         fate[i] = -1 if i < 2 * lines else 0
@@ -32,20 +33,47 @@ def match(pairs, found, rows, lines, gate, zone, rival, share, longest, fate, ta
     for p in range(found):
         at = PAIR * p
         i = whole(pairs[at])
-        if fate[i] >= 0 and fate[i] != p and pairs[at + 11] - pairs[PAIR * fate[i] + 11] < rival:
-            if fits_well(pairs, at, rows, i, gate, share, longest):
-                fate[2 * lines + i] = 1
-    for j in range(places):
-        taken[j] = 0
-    twice = False
+        near = fate[i] >= 0 and fate[i] != p and pairs[at + 11] - pairs[PAIR * fate[i] + 11] < rival
+        if near and fits_well(pairs, at, rows, i, gate, share, longest):
+            fate[2 * lines + i] = 1
+    claim(pairs, lines, fate, order)
     for i in range(lines):
-        if fate[i] >= 0:
-            fate[lines + i] = fate[i]
-            j = whole(pairs[PAIR * fate[i] + 1])
-            if taken[j] > 0:
-                twice = True
-            taken[j] = 1
-    return twice
+        if fate[2 * lines + i] > 0:
+            fate[i] = -1
+
+
+def claim(pairs, lines, fate, order):
+    """Let the pair that matches be the best one, and each stretch of a map line be matched once.
+
+    By their scores, lines claim the stretch of the map line that they match; who comes second is ambiguous.
+    """
+    claims = 0
+    for i in range(lines):
+        if fate[i] < 0:
+            continue
+        fate[lines + i] = fate[i]
+        at, k = PAIR * fate[i], claims
+        while k > 0 and pairs[PAIR * fate[order[k - 1]] + 11] > pairs[at + 11]:
+            order[k] = order[k - 1]
+            k -= 1
+        order[k] = i
+        claims += 1
+    kept = 0
+    for k in range(claims):
+        i, j = order[k], 0
+        while j < kept and not overlap(pairs, PAIR * fate[i], PAIR * fate[order[j]]):
+            j += 1
+        if j < kept:
+            fate[2 * lines + i] = 1
+        else:
+            order[kept] = i
+            kept += 1
+
+
+def overlap(pairs, a, b):
+    """Tell whether two pairs claim the same stretch of one map line."""
+    common = min(pairs[a + 13], pairs[b + 13]) - max(pairs[a + 12], pairs[b + 12])
+    return pairs[a + 1] == pairs[b + 1] and common > COMMON
 
 
 def fits_well(pairs, at, rows, i, gate, share, longest):
@@ -60,11 +88,15 @@ def whole(number):
     return int(number)
 
 
-def refuse(fate, lines):
-    """Let an ambiguous line match nothing."""
+def matched_share(rows, lines, fate):
+    """Return the share of the measured length that is matched; 1 where there is no length."""
+    total = matched = 0.0
     for i in range(lines):
-        if fate[2 * lines + i] > 0:
-            fate[i] = -1
+        length = rows[LINE * i + 6] - rows[LINE * i + 5]
+        total += length
+        if fate[i] >= 0:
+            matched += length
+    return matched / total if total > 0.0 else 1.0
 
 
 def judge(pairs, fate, lines, ids, unmatched, ambiguous, new, verdicts, landmarks, told):
@@ -92,9 +124,9 @@ def judge(pairs, fate, lines, ids, unmatched, ambiguous, new, verdicts, landmark
 def equation(
     pairs, fate, row, lines, columns, states, mount, free, at_mount, rows, shared, parts, at, H, G, R, y
 ):  # fmt: skip
-    """Write y = H dx + noise of covariance R (2 k,) for the k pairs in a row of `fate`, and the state columns of H.
+    """Write y = H dx + noise of covariance R (2 k,) for the k pairs in a row of `fate`, and the states of H.
 
-    `at` is the pose, the mount's `free` states `at_mount`, and where lines are `states` two `columns` for each pair,
+    `at` is the pose, the mount's `free` states `at_mount`, and where lines are `states` two `columns` for each,
     which may stand there twice. `shared` (lines, 2, parts) are unit errors that the lines of a scan share, already
     in R of each line: they are written, as the pairs read their lines, over G (2 k, parts), and add to R between
     pairs. H and R are given as zeros.

@@ -86,6 +86,21 @@ class JointBelief:
         """State and covariance with the room they have for more states, for the core."""
         return self._x, self._P
 
+    @property
+    def drifting(self) -> Sequence[tuple[Ints, Array]]:
+        """State columns (k,) that drift, and the variance (k,) that each of them gains in a second."""
+        return self._drift
+
+    @property
+    def plain(self) -> bool:
+        """Whether a prediction is a motion and drifts, and a correction corrects every state."""
+        return (
+            type(self) is JointBelief
+            and self._motion_block is None
+            and not len(self._considered)
+            and not self.lost
+        )
+
     def pose(self) -> Pose:
         """Return (x, y, theta)."""
         x, y, theta = self._x[:3].tolist()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from itertools import groupby
 
 import numpy as np
 
@@ -22,11 +21,19 @@ def sparse_row(
 
 def together(seen: Sequence[Innovation | Reading]) -> Equation:
     """Return what single innovations and readings of many say at once, in their order."""
-    if len(seen) == 1 and isinstance(seen[0], Reading):
-        return seen[0].equation()
+    if len(seen) == 1:
+        s = seen[0]
+        return s.equation() if isinstance(s, Reading) else _alone(s)
     parts: list[Equation] = []
-    for whole, some in groupby(seen, lambda s: isinstance(s, Reading)):
-        parts += [s.equation() for s in some] if whole else [stacked(list(some))]  # type: ignore[union-attr, arg-type]
+    single: list[Innovation] = []
+    for s in seen:
+        if not isinstance(s, Reading):
+            single.append(s)
+            continue
+        parts += [stacked(single)] if single else []
+        parts.append(s.equation())
+        single = []
+    parts += [stacked(single)] if single else []
     return parts[0] if len(parts) == 1 else _beside(parts)
 
 

@@ -24,7 +24,6 @@ from .scan import Scan
 AMBIGUOUS = 6.0  # a second candidate within this of the best score (chi-square, 2 dof: 95 %) is a rival
 ZONE = 60.0  # squared distance up to which a near line forbids calling a segment new
 OVERLAP, LONGEST = 0.3, 0.5  # share of a segment's length, of so many m at most, by which it overlaps its map line
-COMMON = 0.05  # m that two segments may both claim of one map line
 
 
 class Association(msgspec.Struct, frozen=True, gc=False):
@@ -63,6 +62,12 @@ class Association(msgspec.Struct, frozen=True, gc=False):
         k = self.candidates.lines
         return list(map(int, self.fate[i * k : (i + 1) * k]))
 
+    def share(self) -> float:
+        """Return the share of the scan's line length that was matched."""
+        of = self.candidates
+        share: float = of.room.beside(match).functions.matched_share(of.rows, of.lines, self.fate)
+        return share
+
     def new(self) -> list[int]:
         """Return the lines that match nothing and are near nothing that is known."""
         fate, k = self.fate, self.candidates.lines
@@ -85,25 +90,10 @@ class Association(msgspec.Struct, frozen=True, gc=False):
 def associate(scan: Scan, lines: LineMap, belief: JointBelief, gate: float) -> Association:
     """Associate measured lines with map lines at a chi-square threshold `gate` (2 degrees of freedom)."""
     of = candidate_pairs(scan, lines, belief, max(gate, ZONE))
-    fate, taken = of.room.wholes(4 * of.lines), of.room.wholes(of.places)
-    how = gate, ZONE, AMBIGUOUS, OVERLAP, LONGEST
-    found = Association(scan, of, fate)
+    fate, how = of.room.wholes(4 * of.lines), (gate, ZONE, AMBIGUOUS, OVERLAP, LONGEST)
     core = of.room.beside(match).functions
-    if core.match(of.numbers, of.found, of.rows, of.lines, *how, fate, taken, of.places):
-        _one_to_one(found)
-    core.refuse(fate, of.lines)
-    return found
-
-
-def _one_to_one(found: Association) -> None:
-    """Let each stretch of a map line be matched once; the worse of two overlapping claims is ambiguous."""
-    taken: dict[int, list[Pair]] = {}
-    for pair in sorted(found.matched(), key=lambda pair: pair.score):
-        others = taken.setdefault(pair.which, [])
-        if any(min(pair.hi, other.hi) - max(pair.lo, other.lo) > COMMON for other in others):
-            found.fate[2 * found.candidates.lines + pair.line] = 1
-        else:
-            others.append(pair)
+    core.match(of.numbers, of.found, of.rows, of.lines, *how, fate, of.room.wholes(of.lines))
+    return Association(scan, of, fate)
 
 
 class Codes(NamedTuple):

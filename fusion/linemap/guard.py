@@ -23,7 +23,7 @@ from locfuse.fusion.ekf.map_frame import Pose
 
 from .association import Association, associate
 from .line_map import LineMap
-from .relocalise import behind_walls, find_pose, matched_share
+from .relocalise import behind_walls, find_pose
 from .scan import Scan
 from .scan_history import Trail, expected_share
 
@@ -84,7 +84,7 @@ class Guard:
         if self._lost_from is not None:
             _keep_open(belief, dt)
             return self._search(t, scan, found, lines, belief, gate)
-        share = matched_share(found, scan)
+        share = found.share()
         if share >= WELL:
             self._well = (t, lines.next_id)
         if share >= MIN_MATCHED_SHARE:
@@ -272,7 +272,7 @@ def _after_slip(scan: Scan, lines: LineMap, belief: JointBelief, gate: float) ->
     for turn in _turns(scan, lines, recent, belief):
         with tried(belief, turn, SLIP_XY**2, SLIP_THETA**2):
             there = associate(scan, lines, belief, gate)
-        share = matched_share(there, scan)
+        share = there.share()
         if share >= least and sum(p >= 0 for p in there.match) >= 2:
             least, found = share + 1e-9, turn
     if found is None:

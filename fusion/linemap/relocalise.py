@@ -19,7 +19,6 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 
-from .association import Association
 from .line_map import LineMap
 from .scan import Scan
 from .scan_history import Trail
@@ -39,13 +38,6 @@ MARGIN = 0.2  # m at either end of a known wall that is not trusted to block the
 TOO_MUCH_THROUGH = 0.15
 DRIFTED = 2.0  # slack along the trail: wheels drift
 OFTEN, CONTRADICTS = 3, 0.35  # scans of the trail that make a pose none; share seen through by which one does
-
-
-def matched_share(found: Association, scan: Scan) -> float:
-    """Return the share of a scan's line length that was matched."""
-    length = scan.lengths()
-    total = sum(length)
-    return sum([one for one, p in zip(length, found.match, strict=True) if p >= 0]) / total if total > 0 else 1.0
 
 
 def seen_through(

@@ -21,6 +21,7 @@ from locfuse.fusion.sensor import (
     Belief,
     Bias,
     Block,
+    Headings,
     Innovation,
     Model,
     Reversal,
@@ -170,6 +171,14 @@ class CompassModel(Model):
             return []
         drift = math.radians(self.settings.offset_drift_deg) ** 2
         return [Block(OFFSET, np.zeros(1), np.array([[math.pi**2 / 3.0]]), np.array([drift]))]
+
+    def headings(self, m: Measurements) -> Headings:
+        """Return all readings as what they are."""
+        disturbed = np.abs(m.extra["strength"] - 1.0) > self.settings.field_tolerance
+        usable = np.asarray(~disturbed, np.intp)
+        variance = np.ascontiguousarray(m.covariances(slice(None))[:, 0, 0])
+        z, block = np.ascontiguousarray(m.z[:, 0]), None if self.given else OFFSET
+        return Headings(z, variance, usable, DISTURBED, self.threshold, self.offset, block)
 
     def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
         """Compare one heading with the belief; a field of the wrong strength is not a heading."""

@@ -57,12 +57,11 @@ class Stretches:
     """Which instants of a drive can be taken at once, and how."""
 
     def __init__(
-        self, drive: Drive, models: Mapping[str, Model], belief: JointBelief, slow: Sequence[str]
+        self, drive: Drive, models: Mapping[str, Model], belief: JointBelief, slow: Sequence[str] = ()
     ) -> None:
         """`slow`: sensors that need the loop whatever they read."""
-        self.sensor, self._of = _headings(
-            drive, [(s, models[s]) for s in REGISTRY if s in models and s not in slow]
-        )
+        named = [(s, models[s]) for s in REGISTRY if s in models and s not in slow]
+        self.sensor, self._of = _headings(drive, named)
         when = drive.instant[self.sensor] if self.sensor is not None else ()
         self._when: Ints = np.array(when, np.intp)
         self.record = HeadingRecord(self._when, self._of.threshold)

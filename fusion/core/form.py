@@ -22,7 +22,6 @@ SOURCES = (
     "mounts",
     "pairs",
     "match",
-    "keep",
     "filter",
     "coast",
 )  # compiled as one unit: a file uses those before it

@@ -1,7 +1,7 @@
 """Which map line is this, and what do matched lines say together? By the pairs that `pairs` found.
 
 A pair is two numbers of one equation: (r, psi) of a measured line less what is predicted of a map line. Its
-derivatives by pose, line and mount stand in `pairs`.
+derivatives by pose, line and mount stand in `pairs`. A match also teaches the map how far its lines reach.
 """
 
 from math import cos, sqrt
@@ -169,3 +169,30 @@ def share(pairs, of, rows, i, shared, parts, G, a, R):
             for k in range(parts):
                 R[m, j] += G[m, k] * G[j, k]
             R[j, m] = R[m, j]
+
+
+def extend(pairs, fate, lines, low, high, hits, seen, scan):
+    """Let the map lines that were matched reach as far as the measured ones, and count them as seen in `scan`."""
+    for i in range(lines):
+        if fate[i] >= 0:
+            at = PAIR * fate[i]
+            j = whole(pairs[at + 1])
+            low[j], high[j] = min(low[j], pairs[at + 12]), max(high[j], pairs[at + 13])
+            hits[j] += 1
+            seen[j] = scan
+
+
+def lacks(P, columns, places, rho, beta, at, missing):
+    """Write which states of the lines at `columns` (places,) vary by less than rho and beta, and by how much.
+
+    First all offsets, then all angles. Returns how many there are.
+    """
+    found = 0
+    for k in range(2):
+        floor = beta if k else rho
+        for i in range(places):
+            j = columns[i] + k
+            if floor - P[j, j] > 0.0:
+                at[found], missing[found] = j, floor - P[j, j]
+                found += 1
+    return found

@@ -64,3 +64,9 @@ def share(
     a: int,
     R: Matrix,
 ) -> None: ...
+def extend(
+    pairs: Floats, fate: Wholes, lines: int, low: Floats, high: Floats, hits: Wholes, seen: Wholes, scan: int
+) -> None: ...
+def lacks(
+    P: Matrix, columns: Wholes, places: int, rho: float, beta: float, at: Wholes, missing: Floats
+) -> int: ...

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from locfuse.fusion.core import keep, match
+from locfuse.fusion.core import match
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.sensor import Equation, Innovation, Reading, Table
@@ -80,7 +80,7 @@ class Association(msgspec.Struct, frozen=True, gc=False):
     def extend(self, lines: LineMap, scan: int) -> None:
         """Let map lines that were matched reach as far as the measured ones do, and note the scan's number."""
         of, kept = self.candidates, (lines.lo, lines.hi, lines.hits, lines.seen)
-        of.room.beside(keep).on_arrays.extend(of.numbers, self.fate, of.lines, *kept, scan)
+        of.room.beside(match).on_arrays.extend(of.numbers, self.fate, of.lines, *kept, scan)
 
     def matched(self) -> list[Pair]:
         """Return the accepted pairs, line by line."""

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.core import keep
+from locfuse.fusion.core import match
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Ints, MapLine
 from locfuse.fusion.ekf.belief_arrays import JointBelief
@@ -108,7 +108,7 @@ class LineMap:
         """Know no line better than its floor (2, 2), whatever was averaged: no wall is a plane to less."""
         at, missing = np.empty(2 * len(self), np.intp), np.empty(2 * len(self))
         rho, beta = floor[0, 0], floor[1, 1]
-        k = Room.here(keep).on_arrays.lacks(belief.arrays[1], self.column, len(self), rho, beta, at, missing)
+        k = Room.here(match).on_arrays.lacks(belief.arrays[1], self.column, len(self), rho, beta, at, missing)
         if k:
             belief.loosen(at[:k], missing[:k])
 

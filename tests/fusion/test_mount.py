@@ -16,7 +16,7 @@ from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.linemap.association import associate
-from locfuse.fusion.linemap.laser_mount import Seat, seated, seated_shares
+from locfuse.fusion.linemap.laser_mount import seated, seated_shares
 from locfuse.fusion.linemap.scan import Scan
 from locfuse.fusion.linemap.tracker import LineTracker
 from locfuse.fusion.lines.extract import rows_of
@@ -77,7 +77,7 @@ def test_an_innovation_depends_on_pose_line_and_mount_as_finite_differences_say(
     told = in_base(seen_by_laser, TOLD)  # as the front end puts it there
     scan = Scan(*seated(rows_of(told[None], R[None], np.array([[-100.0, 100.0]])), mount, belief))
     found = associate(scan, model.map, belief, math.inf)
-    seen = model._innovation(found, 0, 0, scan)
+    (seen,) = model._seen(found, 0)
 
     def lost(v: np.ndarray) -> np.ndarray:
         """What the innovation loses when the states move: h(pose, line) - z(mount)."""
@@ -153,13 +153,6 @@ def test_a_bearing_depends_on_the_cameras_mount_as_finite_differences_say() -> N
 
     row = bearing_by_mount(pose, landmark, (mount[0], mount[1]))
     np.testing.assert_allclose([row], numeric_jacobian(h, mount), atol=1e-8)
-
-
-def test_the_rows_of_one_line_are_those_of_many() -> None:
-    psi = np.array([-2.0, 0.3, 1.4])
-    for free in ((0, 1, 2), (1,), (0, 2)):
-        seat = Seat(0.2, -0.1, (3, 4, 5)[: len(free)], free)
-        np.testing.assert_allclose([seat.rows(one) for one in psi.tolist()], seat.derivative(psi), rtol=1e-15)
 
 
 def test_only_what_is_uncertain_is_a_state() -> None:

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.fusion.ekf.belief_arrays import JointBelief
@@ -80,7 +79,7 @@ def test_a_line_that_is_seen_for_ever_stays_within_its_walls_unevenness() -> Non
     z, R, ends = np.array([[2.0, 0.0]]), np.diag([1e-4, 1e-4])[None], np.array([[-1.0, 1.0]])
     found = associate(Scan(z, R, ends), tracker.map, belief, math.inf)
     for which in (0, 1):
-        pair = next(p for p, pair in enumerate(found.pairs) if pair.which == which)
+        found.fate[0] = next(p for p, pair in enumerate(found.pairs) if pair.which == which)
         for _ in range(10 * LAG_SCANS):
-            tracker._bend(replace(found, match=[pair]), uneven, belief)
+            tracker._bend(found, uneven, belief)
     np.testing.assert_allclose(np.diagonal(belief.covariance)[3:], [*uneven, 4e-4, 4e-4], rtol=1e-9)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from itertools import combinations
@@ -282,7 +282,7 @@ def with_settings(robot: Robot, changes: dict[str, dict[str, Any]]) -> Robot:
 
 def walked(
     robot: Robot, sensors: tuple[str, ...], of: str
-) -> Iterator[tuple[list[Innovation], Model, Measurements, int, JointBelief]]:
+) -> Iterator[tuple[Sequence[Innovation], Model, Measurements, int, JointBelief]]:
     """Run the filter; yield what one sensor makes of some readings, with copies of its model and the belief."""
     drive, _ = six_sensors.drive()
     m = drive.measurements[of]
@@ -301,7 +301,7 @@ def walked(
         run.advance(k, step, due, drive.measurements)
 
 
-def check(seen: list[Innovation], model: Model, m: Measurements, i: int, belief: JointBelief) -> int:
+def check(seen: Sequence[Innovation], model: Model, m: Measurements, i: int, belief: JointBelief) -> int:
     """Compare the H of every predicted innovation with central differences; return how many there were."""
     predicted = [s for s in seen if math.isfinite(s.nis)]
     for s in predicted:

@@ -54,7 +54,7 @@ def test_line_jacobians_equal_finite_differences(
     z = h + np.array([0.003, 0.002])
     scan = Scan(z[None], np.diag([1e-3, 1e-4])[None], np.array([[-100.0, 100.0]]))
     found = associate(scan, lines, belief, math.inf)
-    seen = model._innovation(found, 0, 0, scan)
+    (seen,) = model._seen(found, 0)
     H = np.hstack((np.array(seen.H), np.array(seen.H_block)))
     np.testing.assert_allclose(H, numeric_jacobian(lambda v: predicted(v, anchor), x), atol=1e-7)
     np.testing.assert_allclose(seen.y, [0.003, 0.002], atol=1e-9)

@@ -342,6 +342,9 @@ class Sensor(ABC):
     named: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     """Message type -> words, one of which its topic must hold: a bare number does not say what it is."""
 
+    second_best: ClassVar[tuple[str, ...]] = ()
+    """Message types that are read unasked only where the log holds none of its other types."""
+
     several: ClassVar[bool] = False
     """All topics of its types are one sensor: a ring of sonars."""
 

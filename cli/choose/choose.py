@@ -17,6 +17,7 @@ from locfuse.fusion.wheels.odometry import SCANS, commanded
 
 from .body_topics import asked_for
 from .presented_topics import offer_presented
+from .tag_frames import offer_tags
 from .topics import NAMED, ONLY, Choice, checked, of_type, one, several_fit, types
 from .wheel_topics import choose_wheels
 
@@ -34,6 +35,8 @@ def choose(log: Log, robot: Robot, insisted: Collection[str] = ()) -> Choice:
     """
     choice = Choice()
     offer_presented(log)
+    if robot.settings("landmarks").map is not None:  # without a map tags say nothing, and finding them costs time
+        offer_tags(log)
     choose_truth(log, robot, "truth" in insisted, choice)
     choose_wheels(log, robot, choice)
     for name in REGISTRY:
@@ -118,10 +121,15 @@ def _candidates(log: Log, name: str, choice: Choice) -> list[str]:
     taken = {*choice.of("truth"), *wheels}
     found = [t for t in of_type(log, sensor.reads) if t not in taken]
     found = [t for t in found if _named_well(t, log.topics[t].msgtype, sensor)]
-    found = [t for t in found if log.topics[t].count != 0] or found
+    found = best_of(log, sensor, [t for t in found if log.topics[t].count != 0] or found)
     if len(found) > 1 and type(sensor).carries is not Sensor.carries:  # to ask costs reading the topics
         found = [t for t in found if sensor.carries(log.stream(t))] or found[:1]
     return found
+
+
+def best_of(log: Log, sensor: Sensor, topics: list[str]) -> list[str]:
+    """Return topics of a sensor's types without those that say less than another one of them."""
+    return [t for t in topics if log.topics[t].msgtype not in sensor.second_best] or topics
 
 
 def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None:

@@ -33,9 +33,7 @@ def transforms_of(log: Log, frames: Iterable[str]) -> StaticTransforms:
     static = log.static_transforms()
     if all(frame in BASE_FRAMES or mount_of(static, frame) is not None for frame in frames if frame):
         return static
-    known = {edge.child for edge in static.edges}
-    still = [edge for edge in log.still_transforms().edges if edge.child not in known]
-    return StaticTransforms((*static.edges, *still), static.conflicts)
+    return log.all_mounts()
 
 
 def mount_tables(transforms: StaticTransforms, streams: Mapping[str, Sequence[Stream]]) -> dict[str, Any]:

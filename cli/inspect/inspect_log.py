@@ -15,6 +15,7 @@ from locfuse.cli.choose.body_topics import NoWheelsError
 from locfuse.cli.choose.choose import choose_sensor, choose_truth
 from locfuse.cli.choose.mounts import mount_tables, shared_turns, transforms_of
 from locfuse.cli.choose.presented_topics import offer_presented
+from locfuse.cli.choose.tag_frames import offer_tags
 from locfuse.cli.choose.topics import Choice
 from locfuse.cli.choose.wheel_topics import choose_wheels
 from locfuse.cli.pipeline.load import Loaded, make_robot, measured, merged_tables, named_by_hand
@@ -74,6 +75,7 @@ def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) ->
     """Choose every role by itself: what cannot be chosen becomes a finding."""
     choice = Choice()
     offer_presented(log)
+    offer_tags(log)
     steps: dict[str, Callable[[], None]] = {
         "truth": partial(choose_truth, log, robot, "truth" in insisted, choice),
         "wheels": partial(choose_wheels, log, robot, choice),

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from locfuse.cli.choose.choose import best_of
 from locfuse.cli.choose.mounts import mount_tables
 from locfuse.cli.choose.topics import of_type
 from locfuse.cli.pipeline.load import table_types
@@ -58,6 +59,7 @@ def _topics(overview: Overview, role: str) -> Known:
     topics, why = overview.choice.of(role), overview.choice.why.get(role, "")
     if not topics and role in REGISTRY:  # a sensor that lacks a setting may have its topic all the same
         fit = [t for t in of_type(overview.log, REGISTRY[role].reads) if overview.log.topics[t].count]
+        fit = best_of(overview.log, REGISTRY[role], fit)
         settings = overview.robot.settings(role)
         unset = role in overview.choice.absent and len(fit) == 1 and REGISTRY[role].missing(settings) is not None
         topics, why = (tuple(fit), "the only topic of its type") if unset else ((), "")

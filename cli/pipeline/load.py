@@ -16,6 +16,7 @@ import msgspec
 from locfuse.cli.choose.choose import choose
 from locfuse.cli.choose.mounts import mount_tables, optics_tables, shared_turns, transforms_of
 from locfuse.cli.choose.standing import refuse_standing
+from locfuse.cli.choose.tilt import level_compass
 from locfuse.cli.choose.topics import Choice
 from locfuse.formats.caps import MAX_ROBOT_TOML
 from locfuse.formats.inputs import read_small
@@ -159,9 +160,11 @@ def measured(
     if by_scans := "wheels" in streams and streams["wheels"].msgtype == SCANS:
         sensed.setdefault("lrf", parts(streams["wheels"]))  # where it sits matters, whether or not it is a sensor
     frames = [part.frame_id for s in sensed for part in sensed[s]]
-    mounts = robot_toml.merge(mount_tables(transforms_of(log, frames), sensed), optics_tables(log, sensed, tables))
+    transforms = transforms_of(log, frames)
+    mounts = robot_toml.merge(mount_tables(transforms, sensed), optics_tables(log, sensed, tables))
     robot = with_landmarks(make_robot(robot_toml.merge(mounts, shared_turns(tables, sensed), tables)))
     wanted = {role: s for role, s in streams.items() if role not in aside}
+    wanted = level_compass(log, wanted, robot, transforms)
     motion = _motion_of_scans(streams["wheels"], robot, progress) if by_scans else None
     drive = measure(wanted, robot, choice.absent, progress, known, motion)
     refuse_standing(log, choice, drive.wheels)

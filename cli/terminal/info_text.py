@@ -136,7 +136,7 @@ def _roles(overview: Overview, width: int | None) -> Iterator[str]:
         words = f"{' and '.join(topics)}, {overview.choice.why.get(role, '')}"
         if role in mounts:
             words += f"; {_place(mounts[role], frames[topics[0]])}"
-        body += _wrapped(f"  {role:<9}", words, width)
+        body += _wrapped(f"  {role:<8} ", words, width)
     yield from _section(READS, body)
 
 

@@ -20,6 +20,7 @@ from locfuse.formats.messages.presented import PRESENTED, presented_name
 from locfuse.formats.messages.schema import SchemaError
 from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.robot import transforms
+from locfuse.formats.robot.tag_frames import EVERY, TAGS
 from locfuse.formats.url import Place
 from locfuse.fusion.data import Ints, LocfuseError, UsageError
 from locfuse.fusion.progress import say_done
@@ -31,9 +32,19 @@ from .identity import Identity, files_of, identity, identity_of, seen_of, seen_o
 from .stream import NUMBER, LogStream, NumberStream, PresentedStream, field_of
 from .table import Raw, Table, dated, digest
 from .topics import Topic, UnreadableTopicError, by_topic
-from .transform_stream import TF_FIELDS, TRANSFORM, Edge, TransformStream, edges_of, loop_in, pair_of
+from .transform_stream import (
+    TF_FIELDS,
+    TRANSFORM,
+    Edge,
+    TagStream,
+    TransformStream,
+    edges_of,
+    loop_in,
+    pair_of,
+    tags_of,
+)
 
-AnyStream = LogStream | TransformStream | FileStream | NumberStream | PresentedStream
+AnyStream = LogStream | TransformStream | TagStream | FileStream | NumberStream | PresentedStream
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 
@@ -117,8 +128,8 @@ class Log:
         """Return a topic's stream; nothing is read before its rows are asked for.
 
         "/tf:odom:base_link" is the frame base_link in the frame odom as /tf says (TransformStamped),
-        "/status:yaw.value" a number of any message, "/points:scan" a cloud's level slice as a LaserScan, and the
-        name of a .tum or .csv file is that file.
+        "/tf:camera_optical:*" the tags that were seen in that frame, "/status:yaw.value" a number of any message,
+        "/points:scan" a cloud's level slice as a LaserScan, and the name of a .tum or .csv file is that file.
         """
         if order not in clocks.ORDERS:
             raise UsageError(f"order = {order!r} is unknown; it is one of {', '.join(clocks.ORDERS)}")
@@ -140,8 +151,10 @@ class Log:
         if topic in self._channels or topic not in self.topics or pair is None:
             self._check(topic)
             return LogStream(self, topic, self.topics[topic].msgtype, order)
-        edges = tuple(self.frames(pair[0], order).values())
-        return TransformStream(topic, order, edges, self.static_transforms())
+        edges = self.frames(pair[0], order)
+        if self.topics[topic].msgtype == TAGS:
+            return TagStream(topic, order, tags_of(edges, pair[1]), self.all_mounts())
+        return TransformStream(topic, order, tuple(edges.values()), self.static_transforms())
 
     def streams(self, wants: Mapping[str, Sequence[str]], order: str = "auto") -> dict[str, AnyStream]:
         """Return the streams of several topics, their named fields read in one walk over the log."""
@@ -152,11 +165,9 @@ class Log:
     def find(self, name: str) -> Topic | None:
         """Return a topic by its name, two frames of /tf ("/tf:odom:base_link"), a number, a file; else None."""
         pair = pair_of(name)
-        if name not in self.topics and pair is not None and self._is_tf(pair[0]):
-            source = self.topics[pair[0]]
-            edges = self.frames(pair[0])
-            count = len(edges[pair[1:]].stamp) if pair[1:] in edges else source.count
-            self.topics[name] = Topic(TRANSFORM, count, source.encoding, source.schema_encoding)
+        frames = pair is not None and name not in self.topics and self._is_tf(pair[0])
+        if pair is not None and frames and (made := self._of_frames(pair)) is not None:
+            self.topics[name] = made
         if name not in self.topics and (shown := self._presents(name)) is not None:
             self._check(shown)
             self.topics[name] = replace(self.topics[shown], msgtype=PRESENTED[self.topics[shown].msgtype].msgtype)
@@ -168,6 +179,15 @@ class Log:
             file = self._files[name] = read_file(name)
             self.topics[name] = Topic(file.msgtype, len(file.t_ns), "", "")
         return self.topics.get(name)
+
+    def _of_frames(self, pair: tuple[str, str, str]) -> Topic | None:
+        """Return two frames of /tf, or the tags that were seen in a frame, as a topic; None without any tag."""
+        source, edges = self.topics[pair[0]], self.frames(pair[0])
+        if pair[2] == EVERY:
+            seen = sum(len(edge.stamp) for edge in tags_of(edges, pair[1]))
+            return Topic(TAGS, seen, source.encoding, source.schema_encoding) if seen else None
+        count = len(edges[pair[1:]].stamp) if pair[1:] in edges else source.count
+        return Topic(TRANSFORM, count, source.encoding, source.schema_encoding)
 
     def _presents(self, name: str) -> str | None:
         """Return the topic that is presented as another type under this name, None for any other name."""
@@ -226,6 +246,13 @@ class Log:
                 if not edge.moves
             )
         )
+
+    def all_mounts(self) -> transforms.StaticTransforms:
+        """Return what never moves: by /tf_static, of other frames by the transforms of /tf that never change."""
+        static = self.static_transforms()
+        known = {edge.child for edge in static.edges}
+        still = (edge for edge in self.still_transforms().edges if edge.child not in known)
+        return transforms.StaticTransforms((*static.edges, *still), static.conflicts)
 
     @property
     def time_span_ns(self) -> tuple[int, int] | None:

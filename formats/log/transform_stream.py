@@ -4,6 +4,8 @@ A TFMessage holds any frames in any order; what a filter wants is one frame in a
 frames is presented as a geometry_msgs/TransformStamped topic: odometry that exists only in /tf, a SLAM pose, a
 reference. Frames that are not neighbours are chained, the slower transforms interpolated to the times of the
 fastest one (as tf2 does: positions linearly, rotations along the shorter way).
+
+Tags that a detector publishes as frames of its camera are a topic too, "/tf:camera_optical:*".
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from typing import NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.formats.robot.tag_frames import TAGS, in_optical_axes, number_of
 from locfuse.formats.robot.transforms import FIELDS, StaticTransforms, inverse_of, matrices_of, quaternions_of
 from locfuse.fusion.data import Array, Block, Column, Ints, LocfuseError, Ragged
 
@@ -76,7 +79,38 @@ def edges_of(log_time: Ints, columns: Mapping[str, Column], order: str) -> dict[
     return found
 
 
-class TransformStream:
+class Dated:
+    """What a stream made of transforms says of its clock (formats.log.stream.LogStream)."""
+
+    _settled: clocks.Clock
+
+    @property
+    def clock(self) -> str:
+        """Which times were taken, in words."""
+        return self._settled.words
+
+    @property
+    def by_stamps(self) -> bool:
+        """Whether the times are those of the transforms' headers, sorted or repaired perhaps."""
+        return self._settled.by_stamps
+
+    @property
+    def as_stamped(self) -> bool:
+        """Whether every time is simply its header's."""
+        return self._settled.as_stamped
+
+    @property
+    def repaired(self) -> Mapping[str, int]:
+        """Stamps that were replaced, by reason."""
+        return self._settled.repaired
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is unusual about the stream's times, in words."""
+        return self._settled.notes
+
+
+class TransformStream(Dated):
     """One frame in another over time, with the face of a topic (formats.log.stream.LogStream)."""
 
     def __init__(self, topic: str, order: str, edges: Sequence[Edge], static: StaticTransforms) -> None:
@@ -102,6 +136,10 @@ class TransformStream:
             words = f"{self.source}: {self._child} never moves in {self._parent}: both are on one rigid body"
             raise LocfuseError(words)
         return max(moving, key=lambda edge: (edge.moves, len(edge.stamp)))
+
+    @property
+    def _settled(self) -> clocks.Clock:  # type: ignore[override]
+        return self._main.clock
 
     @cached_property
     def _keep(self) -> NDArray[np.bool_]:
@@ -129,31 +167,6 @@ class TransformStream:
         return float(np.median(self._main.log_time - self._main.stamp)) * 1e-9
 
     @property
-    def clock(self) -> str:
-        """Which times were taken, in words."""
-        return self._main.clock.words
-
-    @property
-    def by_stamps(self) -> bool:
-        """Whether the times are those of the transforms' headers, sorted or repaired perhaps."""
-        return self._main.clock.by_stamps
-
-    @property
-    def as_stamped(self) -> bool:
-        """Whether every time is simply its header's."""
-        return self._main.clock.as_stamped
-
-    @property
-    def repaired(self) -> Mapping[str, int]:
-        """Stamps that were replaced, by reason."""
-        return self._main.clock.repaired
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What is unusual about the stream's times, in words."""
-        return self._main.clock.notes
-
-    @property
     def dropped(self) -> Mapping[str, int]:
         """Transforms that are not among the rows, by reason."""
         outside = int((~self._keep).sum())
@@ -175,6 +188,57 @@ class TransformStream:
     def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
         """Yield everything as one block."""
         yield np.arange(len(self.t_ns)), self.columns(*fields)
+
+
+class TagStream(Dated):
+    """The tags that a camera saw, a row for each, with the face of a topic; made of frames of /tf.
+
+    A transform that says the same to the bit as the one before of its tag was published again, not seen again.
+    """
+
+    msgtype = TAGS
+
+    def __init__(self, topic: str, order: str, edges: Sequence[Edge], static: StaticTransforms) -> None:
+        self.topic = topic
+        self.order = order
+        self.frame_id = edges[0].parent
+        recorded, stamps = (np.concatenate([getattr(e, name) for e in edges]) for name in ("log_time", "stamp"))
+        ids = np.concatenate([np.full(len(e.stamp), number_of(e.child)) for e in edges])
+        places = in_optical_axes(np.concatenate([e.values for e in edges])[:, :3], self.frame_id, static)
+        again = np.concatenate([_again(e) for e in edges])
+        self.delay_s = float(np.median(recorded - stamps)) * 1e-9
+        by_record = np.argsort(recorded, kind="stable")
+        by_record = by_record[~again[by_record]]
+        self._settled = clocks.settle(recorded[by_record], stamps[by_record], order)
+        rows = by_record if self._settled.rows is None else by_record[self._settled.rows]
+        self.t_ns = self._settled.t_ns
+        self.dropped = {**self._settled.dropped, **({"repeat": int(again.sum())} if again.any() else {})}
+        self._data: dict[str, Column] = {"id": ids[rows].astype(np.int64)}
+        self._data |= {axis: places[rows, k] for k, axis in enumerate("xyz")}
+
+    def columns(self, *fields: str) -> dict[str, Column]:
+        """Return columns: id, and x, y, z [m] in optical axes."""
+        return {name: self._data[name] for name in fields}
+
+    def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
+        """Yield everything as one block."""
+        yield np.arange(len(self.t_ns)), self.columns(*fields)
+
+
+def tags_of(edges: Mapping[tuple[str, str], Edge], camera: str) -> list[Edge]:
+    """Return the numbered frames that were seen in a frame; what never moves there is a part of the robot."""
+    return [
+        edge
+        for (parent, child), edge in edges.items()
+        if parent == camera and number_of(child) is not None and (edge.moves or len(edge.stamp) == 1)
+    ]
+
+
+def _again(edge: Edge) -> NDArray[np.bool_]:
+    """Mark the transforms (n,) that are those before them, to the bit."""
+    same = np.zeros(len(edge.stamp), dtype=bool)
+    same[1:] = (edge.values[1:] == edge.values[:-1]).all(axis=1)
+    return same
 
 
 class Step(NamedTuple):

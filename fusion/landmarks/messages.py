@@ -2,7 +2,7 @@
 
 Detectors that look through a camera give positions in its optical frame (REP 103: x right, y down, z ahead), or
 only where a tag's centre is in the picture. A camera that looks down by the angle p sees a point (x, y, z) ahead
-by z cos p - y sin p, and left by -x.
+by z cos p - y sin p, and left by -x. Tags as frames of /tf come along these axes too.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from locfuse.fusion.data import Array, Ints, LocfuseError, Ragged, Stream
 
 DETECTIONS = "locfuse/msg/Detections"  # a file beside the log
+TAGS = "locfuse/msg/TagFrames"  # frames of /tf: a row for each tag, in the camera's optical axes
 LAST_NUMBER = re.compile(r"\d+(?=\D*$)")
 NO_ID = -1
 BUNDLE = -(2**62)  # of several tags that are one detection: left out
@@ -57,6 +58,7 @@ PIXELS: Mapping[str, Fields] = {
 FIELDS: Mapping[str, Fields] = {**POSES, **PIXELS}
 READS: Mapping[str, tuple[str, ...]] = {
     DETECTIONS: ("id", "range", "bearing"),
+    TAGS: ("id", "x", "y", "z"),
     **{kind: tuple(field for field in fields if field) for kind, fields in FIELDS.items()},
 }
 
@@ -86,6 +88,9 @@ def sighted(stream: Stream, looks: Looks) -> Sighted:
         ids = np.asarray(columns["id"]).astype(np.int64)
         told = None if len(ranges) and np.isnan(ranges).all() else ranges
         return Sighted(stream.t_ns, ids, told, np.asarray(columns["bearing"], np.float64))
+    if stream.msgtype == TAGS:
+        ids, x, y, z = (np.asarray(column) for column in stream.columns(*READS[TAGS]).values())
+        return _placed(stream.t_ns, ids.astype(np.int64), (x, y, z), looks)
     fields = FIELDS[stream.msgtype]
     raw = stream.columns(*READS[stream.msgtype])
     row, ids = _first_ids(raw[fields.ids], raw[fields.bundled]) if fields.bundled else _ids(raw[fields.ids])
@@ -101,8 +106,14 @@ def sighted(stream: Stream, looks: Looks) -> Sighted:
             )
         return Sighted(t_ns, ids[alone], None, np.arctan2(looks.cx - x, looks.fx))
     y, z = (_values(raw[name], n, stream.topic)[alone] for name in (fields.y, fields.z))
+    return _placed(t_ns, ids[alone], (x, y, z), looks)
+
+
+def _placed(t_ns: Ints, ids: Ints, place: tuple[Array, Array, Array], looks: Looks) -> Sighted:
+    """Return range and bearing of places x, y, z (m,) [m] in optical axes."""
+    x, y, z = place
     ahead = z * np.cos(looks.down) - y * np.sin(looks.down)
-    return Sighted(t_ns, ids[alone], np.hypot(x, ahead), np.arctan2(-x, ahead))
+    return Sighted(t_ns, ids, np.hypot(x, ahead), np.arctan2(-x, ahead))
 
 
 def _ids(column: Any) -> tuple[Ints, Ints]:

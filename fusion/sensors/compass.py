@@ -2,6 +2,7 @@
 
 The field's direction in the map is not known to a tenth of a degree, and the module's 0.1° is its resolution,
 not its accuracy (docs/paper.md). So theta = measured heading - offset, and the offset is estimated unless given.
+A field is levelled before its heading is taken where an IMU says that the robot tilts (level.py).
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ from locfuse.fusion.sensor import (
 )
 from locfuse.fusion.streams import count_dropped
 
+from .level import LevelledField, levelled
+
 Convention = Literal["enu_rad", "enu_deg", "compass_rad", "compass_deg"]
 OFFSET = "compass_offset"
 DISTURBED = VERDICTS.index("disturbed")
@@ -57,6 +60,7 @@ class CompassSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, k
     yaw_deg: float = 0.0
     hard_iron: tuple[float, float] = (0.0, 0.0)  # centre of the field's circle in the base's plane, message's unit
     soft_iron: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 1.0)  # row by row, applied after hard_iron
+    level: bool = True  # a magnetometer's field is levelled by an IMU of the log where the robot tilts
     field_tolerance: float = 0.25  # share by which the field's strength may leave its median
 
 
@@ -111,10 +115,19 @@ class Compass(Sensor):
     ) -> Measurements:
         """Turn readings into headings z (n, 1) [rad] in the field's frame."""
         fields = self.reads[stream.msgtype]
-        if stream.msgtype.endswith("MagneticField") and not settings.roll_deg and not settings.pitch_deg:
+        up = stream.up if isinstance(stream, LevelledField) else None
+        if (
+            stream.msgtype.endswith("MagneticField")
+            and not settings.roll_deg
+            and not settings.pitch_deg
+            and up is None
+        ):
             fields = fields[:2]  # a level sensor's third axis says nothing
         columns = cast("dict[str, Array]", stream.columns(*fields))
-        heading, strength = _HEADING[stream.msgtype](columns, settings, stream.topic)
+        if up is None:
+            heading, strength = _HEADING[stream.msgtype](columns, settings, stream.topic)
+        else:
+            heading, strength = from_level_field(columns, settings, up)
         t = (stream.t_ns - epoch_ns) * 1e-9 + settings.time_offset
         good = np.isfinite(heading)
         _refuse_stuck(t[good], heading[good], wheels, stream.topic)
@@ -133,6 +146,7 @@ class Compass(Sensor):
             floor=np.zeros((1, 1)),
             extra={"strength": strength, "rest": rest},
             dropped=dropped,
+            notes=(stream.note,) if isinstance(stream, LevelledField) else (),
         )
 
     def heading(self, m: Measurements) -> tuple[Array, Array]:
@@ -223,19 +237,31 @@ def _refuse_stuck(t: Array, heading: Array, wheels: WheelMotion, topic: str) -> 
 
 def from_field(columns: dict[str, Array], settings: CompassSettings, topic: str) -> tuple[Array, Array]:
     """Heading from two field axes in the base frame: theta = phi_B - atan2(m_y, m_x); and the strength."""
-    mx, my = _in_base(columns, settings)
-    mx, my = mx - settings.hard_iron[0], my - settings.hard_iron[1]
-    a, b, c, d = settings.soft_iron
-    mx, my = a * mx + b * my, c * mx + d * my
+    mx, my = _without_iron(columns, settings)
     return -np.arctan2(my, mx), np.hypot(mx, my)
 
 
-def _in_base(columns: dict[str, Array], settings: CompassSettings) -> tuple[Array, Array]:
-    """Return the field along the base's x and y axes, (n,) each."""
+def from_level_field(columns: dict[str, Array], settings: CompassSettings, up: Array) -> tuple[Array, Array]:
+    """Return the same of a robot that tilts; `up` (n, 3) in the base's axes. Iron turns with the robot."""
+    mx, my = _without_iron(columns, settings)
+    mx, my = levelled(np.stack((mx, my, _along(columns, settings, 2)), axis=-1), up)
+    return -np.arctan2(my, mx), np.hypot(mx, my)
+
+
+def _without_iron(columns: dict[str, Array], settings: CompassSettings) -> tuple[Array, Array]:
+    """Return the field along the base's x and y axes, (n,) each, without what the robot's iron adds."""
+    mx, my = _along(columns, settings, 0), _along(columns, settings, 1)
+    mx, my = mx - settings.hard_iron[0], my - settings.hard_iron[1]
+    a, b, c, d = settings.soft_iron
+    return a * mx + b * my, c * mx + d * my
+
+
+def _along(columns: dict[str, Array], settings: CompassSettings, axis: int) -> Array:
+    """Return the field along an axis of the base, (n,)."""
     x, y = columns["magnetic_field.x"], columns["magnetic_field.y"]
     R = rotation(settings.roll_deg, settings.pitch_deg, settings.yaw_deg)
     z = columns.get("magnetic_field.z", np.zeros_like(x))
-    return R[0, 0] * x + R[0, 1] * y + R[0, 2] * z, R[1, 0] * x + R[1, 1] * y + R[1, 2] * z
+    return np.asarray(R[axis, 0] * x + R[axis, 1] * y + R[axis, 2] * z)
 
 
 def from_imu(

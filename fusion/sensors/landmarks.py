@@ -117,6 +117,9 @@ class Landmarks(Sensor):
     bias = Bias("yaw_deg", -1.0)
     extra = True
     sees = "landmark"
+    second_best = tuple(
+        PIXELS
+    )  # a detector that says where a tag is in the picture often says where it stands, too
     asks: ClassVar[Mapping[str, Ask]] = {
         "map": Ask(
             "landmarks.csv with columns id, x, y in m: not in this log. Where the landmarks stand", needed=True

@@ -30,6 +30,8 @@ METRE, BEARING = 0.03, math.radians(0.25)  # noise of places, and of what is see
 ARUCO, APRIL = "ros2_aruco_interfaces/msg/ArucoMarkers", "apriltag_msgs/msg/AprilTagDetectionArray"
 ISAAC, VISION = "isaac_ros_apriltag_interfaces/msg/AprilTagDetectionArray", "vision_msgs/msg/Detection3DArray"
 BUNDLED = "apriltag_ros/msg/AprilTagDetectionArray"
+ARUCO_ROS, ARUCO_OPENCV = "aruco_msgs/msg/MarkerArray", "aruco_opencv_msgs/msg/ArucoDetection"
+VISION_2D = "vision_msgs/msg/Detection2DArray"
 POINT2 = "float64 x\nfloat64 y\n"
 TEXTS = {
     ARUCO: "std_msgs/Header header\nint64[] marker_ids\ngeometry_msgs/Pose[] poses\n",
@@ -46,6 +48,16 @@ TEXTS = {
     "vision_msgs/msg/BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size\n",
     "vision_msgs/msg/Detection3D": "std_msgs/Header header\nBoundingBox3D bbox\nstring id\n",
     VISION: "std_msgs/Header header\nDetection3D[] detections\n",
+    "aruco_msgs/msg/Marker": "std_msgs/Header header\nuint32 id\ngeometry_msgs/PoseWithCovariance pose\n"
+    "float64 confidence\n",
+    ARUCO_ROS: "std_msgs/Header header\nMarker[] markers\n",
+    "aruco_opencv_msgs/msg/MarkerPose": "int32 marker_id\ngeometry_msgs/Pose pose\n",
+    ARUCO_OPENCV: "std_msgs/Header header\nMarkerPose[] markers\n",
+    "vision_msgs/msg/Point2D": POINT2,
+    "vision_msgs/msg/Pose2D": "Point2D position\nfloat64 theta\n",
+    "vision_msgs/msg/BoundingBox2D": "Pose2D center\nfloat64 size_x\nfloat64 size_y\n",
+    "vision_msgs/msg/Detection2D": "std_msgs/Header header\nBoundingBox2D bbox\nstring id\n",
+    VISION_2D: "std_msgs/Header header\nDetection2D[] detections\n",
 }
 for _name, _text in TEXTS.items():
     if _name not in STORE.types:
@@ -91,6 +103,24 @@ def bundled(stamp: dict[str, Any], seen: list[tuple[int, Array]]) -> bytes:
 def vision(stamp: dict[str, Any], seen: list[tuple[int, Array]]) -> bytes:
     tags = [{"id": f"tag36h11:{k}", "bbox": {"center": {"position": _xyz(p)}}} for k, p in seen]
     return cdr(VISION, header=stamp, detections=tags)
+
+
+def aruco_ros(stamp: dict[str, Any], seen: list[tuple[int, Array]]) -> bytes:
+    markers = [{"id": k, "pose": {"pose": {"position": _xyz(p)}}} for k, p in seen]
+    return cdr(ARUCO_ROS, header=stamp, markers=markers)
+
+
+def aruco_opencv(stamp: dict[str, Any], seen: list[tuple[int, Array]]) -> bytes:
+    return cdr(
+        ARUCO_OPENCV, header=stamp, markers=[{"marker_id": k, "pose": {"position": _xyz(p)}} for k, p in seen]
+    )
+
+
+def vision_2d(stamp: dict[str, Any], seen: list[tuple[int, Array]]) -> bytes:
+    """Boxes whose middles are where the tags are in the picture."""
+    boxes = [(k, CX + FX * p[0] / p[2]) for k, p in seen]
+    found = [{"id": str(k), "bbox": {"center": {"position": {"x": u, "y": 200.0}}}} for k, u in boxes]
+    return cdr(VISION_2D, header=stamp, detections=found)
 
 
 def _xyz(p: Array) -> dict[str, float]:
@@ -158,6 +188,7 @@ def compared(files: tuple[Path, Path, Path], *words: Any) -> tuple[dict[str, Any
     done = locfuse(
         "compare",
         log,
+        "--no-advice",
         *GEOMETRY,
         *known,
         "--truth",
@@ -173,7 +204,17 @@ def compared(files: tuple[Path, Path, Path], *words: Any) -> tuple[dict[str, Any
     return json.loads((out / "report.json").read_text())["configurations"], done.stderr
 
 
-@pytest.mark.parametrize(("kind", "make"), [(ARUCO, aruco), (ISAAC, isaac), (VISION, vision), (BUNDLED, bundled)])
+@pytest.mark.parametrize(
+    ("kind", "make"),
+    [
+        (ARUCO, aruco),
+        (ISAAC, isaac),
+        (VISION, vision),
+        (BUNDLED, bundled),
+        (ARUCO_ROS, aruco_ros),
+        (ARUCO_OPENCV, aruco_opencv),
+    ],
+)
 def test_poses_of_tags_hold_the_robot(kind: str, make: Callable[..., bytes], tmp_path: Path) -> None:
     """By type alone, the camera's place by /tf_static: only the map is told."""
     found, _ = compared(written(tmp_path, kind, make))
@@ -187,6 +228,12 @@ def test_pixels_of_tags_are_bearings_by_the_camera_info(tmp_path: Path) -> None:
     found, _ = compared(files, "--set", f"landmarks.sigma_bearing_deg={math.degrees(BEARING)}")
     assert found["landmarks"]["position_rmse_m"] < 0.3 * found["odometry"]["position_rmse_m"]
     assert "innovation of bearing" in (tmp_path / "out/report.html").read_text()
+
+
+def test_middles_of_boxes_are_bearings_too(tmp_path: Path) -> None:
+    files = written(tmp_path, VISION_2D, vision_2d, camera_info(), noise=0.005)
+    found, _ = compared(files, "--set", f"landmarks.sigma_bearing_deg={math.degrees(BEARING)}")
+    assert found["landmarks"]["position_rmse_m"] < 0.3 * found["odometry"]["position_rmse_m"]
 
 
 def test_the_noise_of_pixels_is_that_of_their_bearings(tmp_path: Path) -> None:

@@ -139,6 +139,32 @@ def test_frames_that_loop_are_refused_in_one_line(tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
+def test_two_frames_of_tf_are_the_truth_where_they_are_named(tmp_path: Path) -> None:
+    """The base in map, where a tracker says it, judges an odometry that is 10 % short."""
+    short = np.concatenate((0.9 * CIRCLE[:, :2], CIRCLE[:, 2:]), axis=1)
+    log = log_of(tmp_path / "x.mcap", odometry(T, short), tf(T, CIRCLE, "map", "base_link"))
+    out = tmp_path / "out"
+    words = ("--no-advice", "--sensors", "odometry", "-o", out, "--write", "json")
+    done = locfuse("compare", log, "--set", "truth.topic=/tf:map:base_link", *words)
+    assert done.exit_code == 0, done.stderr
+    found = json.loads((out / "report.json").read_text())["configurations"]["odometry"]
+    expected = 0.1 * math.sqrt(float(np.square(CIRCLE[:, :2]).sum(axis=1).mean()))
+    assert found["position_rmse_m"] == pytest.approx(expected, rel=1e-3)
+
+
+def test_autowares_speeds_drive_their_circle(tmp_path: Path) -> None:
+    kind = "autoware_vehicle_msgs/msg/VelocityReport"
+    text = (
+        "std_msgs/Header header\nfloat32 longitudinal_velocity\nfloat32 lateral_velocity\nfloat32 heading_rate\n"
+    )
+    rows = [
+        {"header": header(ns, "base_link"), "longitudinal_velocity": SPEED, "heading_rate": RATE}
+        for ns in stamps(T)
+    ]
+    pose, _ = final(custom(tmp_path / "x.mcap", "/vehicle/status/velocity_status", kind, text, T, rows))
+    assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-3)
+
+
 def test_a_frame_that_is_not_there_is_named(tmp_path: Path) -> None:
     log = log_of(tmp_path / "x.mcap", tf(T, CIRCLE))
     done = locfuse("run", log, "-o", tmp_path / "out", "--set", "wheels.topic=/tf:odom:base_footprint")

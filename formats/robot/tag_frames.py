@@ -1,0 +1,63 @@
+"""Tags that a detector publishes as frames of /tf, one transform camera -> tag at every detection.
+
+Which child frames of a camera are tags, what their numbers are, and along which axes the camera sees them.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from locfuse.fusion.data import Array
+
+from .transforms import StaticTransforms
+
+TAGS = "locfuse/msg/TagFrames"  # id, x, y, z [m] in the camera's optical axes (REP 103: x right, y down, z ahead)
+READS = ("id", "x", "y", "z")
+EVERY = "*"  # "/tf:camera_optical:*": every numbered frame that is seen in this one
+NUMBERED = re.compile(r"^(.*?)(\d+)$", re.DOTALL)
+MAX_ID = 2**62
+TAG_WORDS = ("tag", "marker", "aruco", "april", "fiducial", "landmark", "beacon", "36h11", "25h9", "16h5")
+UPRIGHT = 0.7  # of the z axis, along the vertical: more is a body's frame, whose z axis is up
+
+
+def number_of(frame: str) -> int | None:
+    """Return the id of a frame whose name ends in a number ("tag_3", "tag36h11:5"), None of any other."""
+    match = NUMBERED.match(frame)
+    return int(match[2][-18:]) % MAX_ID if match else None
+
+
+def named_as_tag(frame: str) -> bool:
+    """Return whether a frame's name says that it is a tag, and which one."""
+    name = frame.rpartition("/")[2].lower()
+    match = NUMBERED.match(name)
+    return match is not None and any(word in name for word in TAG_WORDS)
+
+
+def ancestors(transforms: StaticTransforms, frame: str) -> list[tuple[str, Array]]:
+    """Return the frames above a frame, the nearest first, and the frame in each of them (4, 4)."""
+    above = {edge.child: edge for edge in transforms.edges}
+    found: list[tuple[str, Array]] = []
+    T = np.eye(4)
+    while frame in above and len(found) < len(above):  # a loop ends, too
+        edge = above[frame]
+        T, frame = edge.T_parent_child @ T, edge.parent
+        found.append((frame, T))
+    return found
+
+
+def in_optical_axes(p: Array, frame: str, transforms: StaticTransforms) -> Array:
+    """Return places (n, 3) [m] in a camera's frame along x right, y down, z ahead.
+
+    A frame is optical where its name says so, else where its z axis is not upright on the body above it; where
+    nothing is above it, by the places: what a camera sees is ahead of it.
+    """
+    above = ancestors(transforms, frame)
+    if "optical" in frame.lower():
+        optical = True
+    elif above:
+        optical = abs(float(above[-1][1][2, 2])) < UPRIGHT
+    else:
+        optical = bool((p[:, 2] > 0.0).mean() > (p[:, 0] > 0.0).mean()) if len(p) else True
+    return p if optical else np.stack((-p[:, 1], -p[:, 2], p[:, 0]), axis=-1)

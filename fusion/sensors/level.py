@@ -1,0 +1,176 @@
+"""Roll and pitch out of an IMU, to level a magnetic field before its heading is taken.
+
+The earth's field dips by 60 degrees and more in most places, so that a degree of roll turns a heading by two.
+Which way is up follows from the IMU's orientation where it says one, else from gravity and turning rates by a
+complementary filter (Mahony, Hamel and Pflimlin 2008, without its integral term):
+
+    u' = -w x u + (a / |a| - u) / T,    T = 5 s
+
+with u up in the IMU's axes, w the rates less their median, a the accelerations. Robots on a floor stay as they
+are: nothing is levelled unless up moves by more than 3 degrees.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple, cast
+
+import numpy as np
+
+from locfuse.fusion.data import Array, Block, Column, Ints, Stream
+from locfuse.fusion.mount import rotated
+
+IMU = "sensor_msgs/msg/Imu"
+FIELD = "sensor_msgs/msg/MagneticField"
+AXES = "xyz"
+ORIENTATION = tuple(f"orientation.{a}" for a in "xyzw")
+RATES = tuple(f"angular_velocity.{a}" for a in AXES)
+ACCELERATIONS = tuple(f"linear_acceleration.{a}" for a in AXES)
+READS = (*ORIENTATION, "orientation_covariance", *RATES, "angular_velocity_covariance", *ACCELERATIONS)
+MIN_TILT_RAD = math.radians(3.0)  # by which up moves in a drive that tilts: 5 % of the readings lie beyond it
+MAX_APART_RAD = math.radians(25.0)  # of up from where the mount has it: beyond, the mount is wrong
+SETTLING_S = 5.0  # T above: accelerations of the robot that last a second count for a fifth
+STEP_S = 0.02  # readings are averaged over it
+STRENGTH = 0.1  # share by which an acceleration may differ from the usual one and count as gravity
+STILL = 1e-9  # an orientation whose up moves by less says nothing of tilt
+MAX_STEP_S = 0.5  # of rates that are integrated: a longer gap begins anew
+
+
+class Tilt(NamedTuple):
+    """Which way is up over time."""
+
+    t_ns: Ints  # (n,)
+    up: Array  # (n, 3) unit vectors in the base's axes
+    words: str  # by what
+
+
+class LevelledField:
+    """A magnetometer's stream that also says which way is up; otherwise the stream that it was."""
+
+    def __init__(self, stream: Stream, tilt: Tilt) -> None:
+        self.topic, self.msgtype, self.frame_id = stream.topic, stream.msgtype, stream.frame_id
+        self.t_ns, self.dropped = stream.t_ns, stream.dropped
+        self._stream = stream
+        zero = self.t_ns[0] if len(self.t_ns) else 0
+        t, at = (self.t_ns - zero) * 1e-9, (tilt.t_ns - zero) * 1e-9
+        up = np.stack([np.interp(t, at, column) for column in tilt.up.T], axis=-1)
+        self.up: Array = up / np.linalg.norm(up, axis=1, keepdims=True)  # (n, 3) in the base's axes
+        degrees = math.degrees(float(np.quantile(_from(self.up, np.array([0.0, 0.0, 1.0])), 0.95)))
+        self.note = f"the robot tilts by up to {degrees:.0f}° by {tilt.words}: the field is levelled by that"
+
+    def columns(self, *fields: str) -> dict[str, Column]:
+        """Return the columns of the stream."""
+        return self._stream.columns(*fields)
+
+    def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
+        """Yield the blocks of the stream."""
+        yield from self._stream.blocks(*fields, rows=rows)
+
+
+def tilt_of(stream: Stream, R: Array) -> Tilt | None:
+    """Return which way is up by an IMU whose axes R (3, 3) turns into the base's; None for a robot on a floor.
+
+    None too where the IMU says neither orientation nor gravity and rates, and where up is elsewhere than the mount
+    has it: `locfuse info` says so then.
+    """
+    columns = cast("dict[str, Array]", stream.columns(*READS))
+    up, words = by_orientation(columns), "the orientation"
+    if up is None:
+        up, words = by_gravity(stream.t_ns, columns), "gravity and turning rates"
+    if up is None:
+        return None
+    good = np.isfinite(up).all(axis=1)
+    t_ns, up = stream.t_ns[good], up[good] @ R.T
+    if not len(t_ns):
+        return None
+    middle = np.median(up, axis=0)
+    if middle[2] < 0.0:  # north, east, down, or gravity of the other sign
+        up, middle = -up, -middle
+    vertical = np.array([0.0, 0.0, 1.0])
+    size = float(np.linalg.norm(middle))
+    if size < 0.5 or _from(middle[None] / size, vertical)[0] > MAX_APART_RAD:
+        return None
+    moves = float(np.quantile(_from(up, middle / size), 0.95))
+    return Tilt(t_ns, up, f"{words} of {stream.topic}") if moves > MIN_TILT_RAD else None
+
+
+def levelled(m: Array, up: Array) -> tuple[Array, Array]:
+    """Return the field's parts (n,) ahead and to the left on the level, of fields (n, 3) in the base's axes.
+
+    Ahead is the base's x axis seen from above: heading is then yaw, whatever roll and pitch are.
+    """
+    ahead = np.array([1.0, 0.0, 0.0]) - up[:, :1] * up
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    left = np.cross(up, ahead)
+    return (m * ahead).sum(axis=1), (m * left).sum(axis=1)
+
+
+def by_orientation(columns: dict[str, Array]) -> Array | None:
+    """Return up in the IMU's axes (n, 3), NaN where nothing is said; None where tilt is never said."""
+    q = np.stack([columns[name] for name in ORIENTATION], axis=-1).astype(np.float64)
+    none = (columns["orientation_covariance"][:, 0] == -1.0) | ~((q**2).sum(axis=1) >= 0.25)
+    if none.all():
+        return None
+    up = rotated(q * np.array([-1.0, -1.0, -1.0, 1.0]), np.array([0.0, 0.0, 1.0]))
+    up[none] = np.nan
+    return up if float(np.nanmax(np.nanmax(up, axis=0) - np.nanmin(up, axis=0))) > STILL else None
+
+
+def by_gravity(t_ns: Ints, columns: dict[str, Array]) -> Array | None:
+    """Return up in the IMU's axes (n, 3) by accelerations and turning rates; None without either."""
+    a, w = (
+        np.stack([columns[name] for name in names], axis=-1).astype(np.float64) for names in (ACCELERATIONS, RATES)
+    )
+    good = np.isfinite(a).all(axis=1) & np.isfinite(w).all(axis=1)
+    if not good.any() or (columns["angular_velocity_covariance"][good, 0] == -1.0).all() or not w[good].any():
+        return None
+    strength = np.linalg.norm(a[good], axis=1)
+    usual = float(np.median(strength))
+    if usual <= 0.0:
+        return None
+    t = (t_ns[good] - t_ns[0]) * 1e-9
+    first = np.flatnonzero(np.diff(np.floor(t / STEP_S), prepend=-1.0))
+    n = np.diff(np.append(first, len(t)))
+    ts, a, w = t[first], np.add.reduceat(a[good], first) / n[:, None], np.add.reduceat(w[good], first) / n[:, None]
+    found = _complementary(ts, a, w - _bias(a, w), usual)
+    out = np.full((len(t_ns), 3), np.nan)
+    out[good] = np.stack([np.interp(t, ts, column) for column in found.T], axis=-1)
+    return out
+
+
+def _bias(a: Array, w: Array) -> Array:
+    """Return the bias of the rates (3,) about level axes: robots on wheels do not keep rolling over."""
+    up = np.median(a, axis=0)
+    up = up / max(float(np.linalg.norm(up)), 1e-9)
+    bias = np.median(w, axis=0)
+    return np.asarray(bias - (bias @ up) * up)
+
+
+def _complementary(t: Array, a: Array, w: Array, usual: float) -> Array:
+    """Return up (n, 3) by the filter above; accelerations of another strength than usual say nothing."""
+    x, y, z = (float(v) for v in np.median(a[t < t[0] + MAX_STEP_S], axis=0) / usual)
+    found = []
+    before = float(t[0])
+    for now, (ax, ay, az), (wx, wy, wz) in zip(t.tolist(), a.tolist(), w.tolist(), strict=True):
+        dt = now - before
+        before = now
+        size = math.sqrt(ax * ax + ay * ay + az * az)
+        counts = abs(size / usual - 1.0) < STRENGTH
+        if dt > MAX_STEP_S and counts:
+            x, y, z = ax, ay, az
+        else:
+            x, y, z = x - (wy * z - wz * y) * dt, y - (wz * x - wx * z) * dt, z - (wx * y - wy * x) * dt
+            if counts:
+                share = dt / (SETTLING_S + dt)
+                x, y, z = x + share * (ax / size - x), y + share * (ay / size - y), z + share * (az / size - z)
+        length = math.sqrt(x * x + y * y + z * z) or 1.0
+        x, y, z = x / length, y / length, z / length
+        found.append((x, y, z))
+    return np.array(found)
+
+
+def _from(up: Array, middle: Array) -> Array:
+    """Return the angles (n,) [rad] between unit vectors (n, 3) and one (3,)."""
+    found: Array = np.arctan2(np.linalg.norm(np.cross(up, middle), axis=1), up @ middle)
+    return found

@@ -29,7 +29,7 @@ class HeadingRecord:
 
     def __init__(self, when: Ints, threshold: float) -> None:
         self._when, self._threshold = when, threshold
-        self.told = np.empty((len(when), interpreted.TOLD))  # verdict, NIS, y, sigma
+        self.told = np.empty((len(when), interpreted.HEARD))  # verdict, NIS, y, sigma
         self.joint: list[float] = []
 
     def add(self, k: int, seen: Sequence[Innovation]) -> None:

@@ -1,4 +1,4 @@
-cdef Py_ssize_t TOLD
+cdef Py_ssize_t HEARD
 
 cpdef double coast(
     double[::1] x, double[:, ::1] P, Py_ssize_t n, Py_ssize_t frame, Py_ssize_t first, Py_ssize_t last,

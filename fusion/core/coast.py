@@ -3,7 +3,7 @@
 from .filter import correct, locate, move, swing, whiten
 from .fit import wrapped
 
-TOLD = 4  # columns of what is told of a reading: verdict, NIS, y, sigma
+HEARD = 4  # columns of what is told of a reading: verdict, NIS, y, sigma
 
 
 def coast(

@@ -1,6 +1,6 @@
 from .arrays import Floats, Matrix, Wholes
 
-TOLD: int
+HEARD: int
 
 def coast(
     x: Floats,

@@ -19,7 +19,7 @@ SOURCES = (
     "walls",
     "fit",
     "lines",
-    "mounts",
+    "places",
     "pairs",
     "match",
     "filter",

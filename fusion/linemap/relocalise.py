@@ -11,11 +11,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
+from locfuse.fusion.core import places
+from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 
@@ -36,6 +39,8 @@ SAMPLES = 5  # points along a seen wall at which sight lines are tested
 BEHIND = 0.3  # m by which a point must lie behind a known wall
 MARGIN = 0.2  # m at either end of a known wall that is not trusted to block the sight
 TOO_MUCH_THROUGH = 0.15
+GRAZING = 0.1  # sine of the angle at which a sight line meets a wall: flatter ones are not trusted
+OVERLAP = 0.6  # share of a seen wall's length by which it overlaps the known one that it is
 DRIFTED = 2.0  # slack along the trail: wheels drift
 OFTEN, CONTRADICTS = 3, 0.35  # scans of the trail that make a pose none; share seen through by which one does
 
@@ -47,7 +52,7 @@ def seen_through(
     if len(scan.z) == 0:
         return 0.0
     length = scan.ends[:, 1] - scan.ends[:, 0]
-    return float((behind_walls(scan, lines, values, (x, y, theta), both) * length).sum() / length.sum())
+    return float(behind_walls(scan, lines, values, (x, y, theta), both) @ length / length.sum())
 
 
 def behind_walls(
@@ -57,34 +62,25 @@ def behind_walls(
 
     `values` (J, 2) are rho and beta of the map's lines; `both`: walls block the sight from their unseen side too.
     """
-    x, y, theta = pose
     known = np.flatnonzero(lines.hits >= MIN_HITS)
-    if len(known) == 0 or len(scan.z) == 0:
-        return np.zeros(len(scan.z))
-    points = _points(scan)  # (k * SAMPLES, 2) base frame
-    distance = np.hypot(points[:, 0], points[:, 1])
-    bearing = np.arctan2(points[:, 1], points[:, 0]) + theta
-    values = values[known]
-    d = np.stack((np.cos(bearing), np.sin(bearing)), axis=-1)
-    n = np.stack((np.cos(values[:, 1]), np.sin(values[:, 1])), axis=-1)
-    offset = np.array([x, y]) - lines.anchor[known]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        range_ = (values[:, 0] - (offset * n).sum(axis=1)) / (d @ n.T)
-    tangent = np.stack((-n[:, 1], n[:, 0]), axis=-1)
-    along = (offset * tangent).sum(axis=1) + range_ * (d @ tangent.T)
-    facing = np.abs(d @ n.T) if both else d @ n.T
-    blocks = (range_ > 0) & (range_ < distance[:, None] - BEHIND) & (facing > 0.1)
-    blocks &= (along > lines.lo[known] + MARGIN) & (along < lines.hi[known] - MARGIN)
-    behind: Array = blocks.any(axis=1).reshape(-1, SAMPLES).mean(axis=1)
-    return behind
+    out, m = np.zeros(len(scan.z)), len(known)
+    if m and len(out):
+        walls = _walls(lines, values, known)
+        how = both, BEHIND, MARGIN, GRAZING, np.empty((m, 2))
+        _core().behind(scan.rows(), len(out), SAMPLES, walls, m, *pose, *how, out)
+    return out
 
 
-def _points(scan: Scan) -> Array:
-    share = (np.arange(SAMPLES) + 0.5) / SAMPLES
-    along = scan.ends[:, :1] + share * (scan.ends[:, 1:] - scan.ends[:, :1])
-    c, s = np.cos(scan.z[:, 1:]), np.sin(scan.z[:, 1:])
-    r = scan.z[:, :1]
-    return np.stack((r * c - along * s, r * s + along * c), axis=-1).reshape(-1, 2)
+def _walls(lines: LineMap, values: Array, known: Ints) -> Array:
+    """Return map lines as core.places wants them, (m, 6)."""
+    walls = np.empty((len(known), places.KNOWN))
+    walls[:, :2], walls[:, 2:4] = values[known], lines.anchor[known]
+    walls[:, 4], walls[:, 5] = lines.lo[known], lines.hi[known]
+    return walls
+
+
+def _core() -> Any:
+    return Room.here(places).on_arrays
 
 
 def find_pose(scan: Scan, lines: LineMap, belief: JointBelief, trail: Trail) -> tuple[float, float, float] | None:
@@ -150,22 +146,16 @@ def _heading_fits(theta: Array, belief: JointBelief) -> NDArray[np.bool_]:
 def hypotheses(scan: Scan, lines: LineMap, values: Array, known: Ints, most: int = LONGEST) -> Array:
     """Return poses (h, 3) from pairs of the longest seen walls laid onto pairs of known ones at the same angle."""
     longest = np.argsort(-(scan.ends[:, 1] - scan.ends[:, 0]), kind="stable")[:most]
-    beta, n = values[known, 1], np.stack((np.cos(values[known, 1]), np.sin(values[known, 1])), axis=-1)
-    rho = values[known, 0] + (lines.anchor[known] * n).sum(axis=1)
-    cosine, sine = n @ n.T, np.outer(n[:, 0], n[:, 1]) - np.outer(n[:, 1], n[:, 0])  # of beta[k] - beta[j]
-    found = [np.zeros((0, 3))]
-    for a, b in combinations(longest.tolist(), 2):
-        between = float(se2.wrap_all(scan.z[b, 1] - scan.z[a, 1]))
-        if abs(math.sin(between)) < math.sin(SKEW):
-            continue
-        j, k = np.nonzero(math.cos(between) * cosine + math.sin(between) * sine > math.cos(SAME_ANGLE))
-        slack = 0.5 * se2.wrap_all(beta[k] - beta[j] - between)
-        theta = se2.wrap_all(beta[j] - scan.z[a, 1] + slack)
-        det = sine[j, k]
-        p, q = rho[j] - scan.z[a, 0], rho[k] - scan.z[b, 0]
-        x, y = (p * n[k, 1] - q * n[j, 1]) / det, (n[j, 0] * q - n[k, 0] * p) / det
-        found.append(np.stack((x, y, theta), axis=-1))
-    return np.concatenate(found)
+    pairs = [
+        (a, b)
+        for a, b in combinations(longest.tolist(), 2)
+        if abs(math.sin(scan.z.item(b, 1) - scan.z.item(a, 1))) >= math.sin(SKEW)
+    ]
+    rows, walls, m, found = scan.rows(), _walls(lines, values, known), len(known), 0
+    poses, normal, core = np.empty((len(pairs) * m * m, 3)), np.empty((m, 2)), _core()
+    for a, b in pairs:
+        found = core.hypotheses(rows, a, b, walls, m, math.cos(SAME_ANGLE), normal, found, poses)
+    return poses[:found]
 
 
 def _distinct(poses: Array) -> Array:
@@ -182,21 +172,9 @@ def explained(
     What is known of a wall grows with what was seen of it: a rival may look at a part that nobody saw yet. `slack`
     widens what counts as the same wall.
     """
-    length = scan.ends[:, 1] - scan.ends[:, 0]
-    share, possible, count = np.zeros(len(poses)), np.zeros(len(poses)), np.zeros(len(poses), dtype=np.int64)
-    for at in range(0, len(poses), 512):
-        x, y, theta = (poses[at : at + 512, i, None, None] for i in range(3))
-        rho, beta = values[known, 0], values[known, 1]
-        c, s = np.cos(beta), np.sin(beta)
-        dx, dy = x - lines.anchor[known, 0], y - lines.anchor[known, 1]
-        turn = se2.wrap_all(scan.z[:, 1, None] + theta - beta)
-        offset = scan.z[:, 0, None] - (rho - dx * c - dy * s)
-        along = c * dy - s * dx
-        lo, hi = scan.ends[:, :1] + along, scan.ends[:, 1:] + along
-        overlap = np.minimum(hi, lines.hi[known]) - np.maximum(lo, lines.lo[known])
-        same = (np.abs(turn) < slack * SAME_ANGLE) & (np.abs(offset) < slack * SAME_OFFSET)
-        possible[at : at + 512] = (same.any(axis=2) * length).sum(axis=1) / length.sum()
-        seen = (same & (overlap > 0.6 * length[:, None])).any(axis=2)
-        share[at : at + 512] = (seen * length).sum(axis=1) / length.sum()
-        count[at : at + 512] = seen.sum(axis=1)
-    return share, possible, count
+    walls, m, out = _walls(lines, values, known), len(known), np.empty((len(poses), 3))
+    if len(poses):
+        same = slack * SAME_ANGLE, slack * SAME_OFFSET, OVERLAP
+        how = *same, np.empty((m, 2)), out
+        _core().explained(np.ascontiguousarray(poses), len(poses), scan.rows(), len(scan.z), walls, m, *how)
+    return out[:, 0], out[:, 1], out[:, 2].astype(np.int64)

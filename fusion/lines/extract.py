@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion.core import lines as interpreted
-from locfuse.fusion.core import mounts
+from locfuse.fusion.core import places
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Ints
 
@@ -32,7 +32,7 @@ _BATCH = 256  # scans worked on at once,
 _BEAMS = 100_000  # unless they have more beams than this in all: working memory is some 300 bytes a beam
 _COLUMNS = 11  # of a line, by core.lines
 _OF_R = np.array((2, 3, 3, 4))
-LINE = 7  # columns of a line in a table, by core.mounts and core.pairs
+LINE = 7  # columns of a line in a table, by core.places and core.pairs
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def rows_in_base(rows: Array, x: float, y: float, yaw: float, room: Room | None 
 
     `room`, where it is not this process' own form of the core: for tests.
     """
-    room, out = room or Room.here(mounts), np.empty((len(rows), LINE))
+    room, out = room or Room.here(places), np.empty((len(rows), LINE))
     if len(rows):
         room.on_arrays.into_base(rows, len(rows), x, y, yaw, out)
     return out
@@ -135,7 +135,7 @@ def rows_in_base(rows: Array, x: float, y: float, yaw: float, room: Room | None 
 def to_base(z: Array, R_unit: Array, ends: Array, x: float, y: float, yaw: float) -> tuple[Array, Array, Array]:
     """Return (z, R_unit, ends) in the base frame, of lines seen by a laser at (x [m], y [m], yaw [rad]) on it.
 
-    By `core.mounts`. For rows scaled by sigma_range^2 plus a floor, the floor is the base frame's.
+    By `core.places`. For rows scaled by sigma_range^2 plus a floor, the floor is the base frame's.
     """
     return of_rows(rows_in_base(rows_of(z, R_unit, ends), x, y, yaw))
 

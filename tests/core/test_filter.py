@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from locfuse.fusion.core import filter as interpreted
-from locfuse.fusion.core import mounts
+from locfuse.fusion.core import places
 from locfuse.fusion.core.form import form
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, LocfuseError
@@ -140,6 +140,6 @@ def test_a_number_that_is_none_is_refused_in_one_line() -> None:
 @given(st.lists(NUMBERS, min_size=7, max_size=42), st.tuples(NUMBERS, NUMBERS, NUMBERS))
 def test_lines_are_put_elsewhere_alike_in_both_forms(numbers: list[float], to: tuple[float, float, float]) -> None:
     rows = np.array(numbers[: len(numbers) // 7 * 7]).reshape(-1, 7)
-    found = rows_in_base(rows, *to, Room.of(mounts, None))
+    found = rows_in_base(rows, *to, Room.of(places, None))
     if form().functions is not None:
-        np.testing.assert_array_equal(found, rows_in_base(rows, *to, Room.of(mounts, form().functions)))
+        np.testing.assert_array_equal(found, rows_in_base(rows, *to, Room.of(places, form().functions)))

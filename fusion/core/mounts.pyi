@@ -1,3 +1,0 @@
-from .arrays import Matrix
-
-def into_base(rows: Matrix, lines: int, x: float, y: float, yaw: float, out: Matrix) -> None: ...

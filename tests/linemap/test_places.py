@@ -1,0 +1,149 @@
+"""Where may a scan have been taken? Held against sight lines and shares written out, in both forms of the core."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from line_scene import scene
+
+from locfuse.fusion import se2
+from locfuse.fusion.core.room import Room
+from locfuse.fusion.data import Array
+from locfuse.fusion.linemap.line_map import LineMap
+from locfuse.fusion.linemap.relocalise import behind_walls, explained, hypotheses, seen_through
+from locfuse.fusion.linemap.scan import Scan
+
+SEEDS = range(40)
+FORMS = pytest.mark.parametrize("interpreted", [False, True])
+
+
+def take(interpreted: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    if interpreted:
+        monkeypatch.setattr("locfuse.fusion.core.room._here", lambda source: Room.of(source, None))
+
+
+def known_scene(seed: int) -> tuple[Scan, LineMap, Array, tuple[float, float, float]]:
+    scan, lines, belief = scene(seed, False)
+    lines.hits[:] = 9
+    lines.hits[::7] = 1  # not seen often enough to count
+    return scan, lines, lines.values(belief), belief.pose()
+
+
+def ends_of(lines: LineMap, values: Array, j: int) -> tuple[Array, Array, Array]:
+    """Both ends (2,) of a map line, and its normal."""
+    rho, beta = values[j]
+    n, t = np.array([math.cos(beta), math.sin(beta)]), np.array([-math.sin(beta), math.cos(beta)])
+    foot = lines.anchor[j] + rho * n
+    return foot + lines.lo[j] * t, foot + lines.hi[j] * t, n
+
+
+def hidden(point: Array, eye: Array, lines: LineMap, values: Array, both: bool) -> bool:
+    """Whether a wall stands between eye and point: by the parameters of two lines that cross."""
+    far = float(np.linalg.norm(point - eye))
+    for j in np.flatnonzero(lines.hits >= 4):
+        a, b, n = ends_of(lines, values, int(j))
+        ahead = (point - eye) / max(far, 1e-12)
+        facing = float(ahead @ n)
+        if (abs(facing) if both else facing) <= 0.1:
+            continue
+        run = (b - a) / np.linalg.norm(b - a)
+        s, w = np.linalg.solve(np.array([ahead, -run]).T, a - eye)
+        if 0.0 < s < far - 0.3 and 0.2 < w < np.linalg.norm(b - a) - 0.2:
+            return True
+    return False
+
+
+@FORMS
+@pytest.mark.parametrize("both", [False, True])
+def test_what_lies_behind_walls_is_what_sight_lines_say(
+    interpreted: bool, both: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    take(interpreted, monkeypatch)
+    total = 0.0
+    for seed in SEEDS:
+        scan, lines, values, pose = known_scene(seed)
+        shares = np.zeros(len(scan.z))
+        for i, ((r, psi), (low, high)) in enumerate(zip(scan.z.tolist(), scan.ends.tolist(), strict=True)):
+            for k in range(5):
+                along = low + (k + 0.5) / 5 * (high - low)
+                local = np.array([r * math.cos(psi), r * math.sin(psi), 0.0])
+                local[:2] += along * np.array([-math.sin(psi), math.cos(psi)])
+                point = se2.compose(np.array(pose), local)[:2]
+                shares[i] += hidden(point, np.array(pose[:2]), lines, values, both) / 5
+        np.testing.assert_allclose(behind_walls(scan, lines, values, pose, both), shares, atol=1e-12)
+        length = scan.ends[:, 1] - scan.ends[:, 0]
+        expected = (shares * length).sum() / length.sum()
+        assert seen_through(scan, lines, values, *pose, both) == pytest.approx(expected, abs=1e-12)
+        total += shares.sum()
+    assert total > 5.0
+
+
+@FORMS
+def test_what_a_place_explains_is_what_its_walls_overlap(
+    interpreted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    take(interpreted, monkeypatch)
+    seen = 0
+    for seed in SEEDS:
+        scan, lines, values, pose = known_scene(seed)
+        known = np.flatnonzero(lines.hits >= 4)
+        poses = np.array(pose) + np.random.default_rng(seed).normal(0.0, 0.2, (20, 3))
+        found = explained(poses, scan, lines, values, known, 2.0)
+        for p, (x, y, theta) in enumerate(poses.tolist()):
+            share = possible = total = 0.0
+            count = 0
+            for (r, psi), (low, high) in zip(scan.z.tolist(), scan.ends.tolist(), strict=True):
+                same = whole = False
+                for j in known:
+                    rho, beta = values[j]
+                    c, s = math.cos(beta), math.sin(beta)
+                    away = (x - lines.anchor[j, 0], y - lines.anchor[j, 1])
+                    apart = r - (rho - away[0] * c - away[1] * s)
+                    along = away[1] * c - away[0] * s
+                    if abs(se2.wrap(psi + theta - beta)) < math.radians(10.0) and abs(apart) < 0.5:
+                        common = min(high + along, lines.hi[j]) - max(low + along, lines.lo[j])
+                        same, whole = True, whole or common > 0.6 * (high - low)
+                share, possible = share + whole * (high - low), possible + same * (high - low)
+                total, count = total + high - low, count + whole
+            assert (found[0][p], found[1][p]) == pytest.approx((share / total, possible / total), abs=1e-12)
+            assert found[2][p] == count
+            seen += count
+    assert seen > 20
+
+
+@FORMS
+def test_the_place_of_a_scan_is_among_the_hypotheses(interpreted: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A map of four walls, and what a robot in it sees of them without noise."""
+    take(interpreted, monkeypatch)
+    lines = LineMap()
+    for j, (beta, away) in enumerate(((0.0, 3.0), (math.pi / 2, 2.0), (math.pi, 1.0), (-2.2, 2.5))):
+        n = np.array([math.cos(beta), math.sin(beta)])
+        lines.append(away * n, np.array([0.0, beta]), np.eye(2) * 1e-6, -1, (-2.0, 2.0 + 0.1 * j), 0)
+    lines.hits[:] = 9
+    x, y, theta = 0.4, -0.3, 0.7
+    z = [(float(a @ (math.cos(b), math.sin(b))) - x * math.cos(b) - y * math.sin(b), se2.wrap(b - theta))
+         for a, (_, b) in zip(lines.anchor, lines.value, strict=True)]  # fmt: skip
+    scan = Scan(np.array(z), np.tile(1e-6 * np.eye(2), (4, 1, 1)), np.stack((-lines.hi, -lines.lo), axis=-1))
+    poses = hypotheses(scan, lines, lines.value, np.arange(4))
+    off = poses - (x, y, theta)
+    off[:, 2] = se2.wrap_all(off[:, 2])
+    assert np.abs(off).max(axis=1).min() < 1e-12
+    assert len(hypotheses(scan, lines, lines.value, np.arange(1))) == 0
+
+
+def test_both_forms_give_the_same_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    for seed in SEEDS:
+        scan, lines, values, pose = known_scene(seed)
+        known = np.flatnonzero(lines.hits >= 4)
+
+        def everything() -> list[bytes]:
+            poses = hypotheses(scan, lines, values, known)  # noqa: B023
+            found = poses, behind_walls(scan, lines, values, pose, True)  # noqa: B023
+            return [a.tobytes() for a in (*found, *explained(poses, scan, lines, values, known))]  # noqa: B023
+
+        one = everything()
+        with monkeypatch.context() as patch:
+            take(True, patch)
+            assert everything() == one

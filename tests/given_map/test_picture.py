@@ -1,7 +1,7 @@
 """A picture of the room, drawn cell by cell here, lies where map_server says: nothing is shifted by half a cell.
 
-By map_server's convention the origin is the lower left corner of the lower left cell, and the first row of the image
-is the northernmost. Cells of 20 cm show a shift by half of one at once.
+By map_server's convention the origin is the lower left corner of the lower left cell, and the first row of the
+image is the northernmost. Cells of 20 cm show a shift by half of one at once.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def solid(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
 def hit(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Walls as a mapping program leaves them: black where a wall passes within half a cell of the middle."""
     near = [np.abs(x), np.abs(x - ROOM[0]), np.abs(y), np.abs(y - ROOM[1])]
-    return np.min(near, axis=0) < 0.5 * CELL - 1e-9
+    return np.asarray(np.min(near, axis=0) < 0.5 * CELL - 1e-9)
 
 
 def draw(path: Path, walls: NDArray[np.bool_], x: NDArray[np.float64], y: NDArray[np.float64]) -> Path:

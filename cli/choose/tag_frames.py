@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from locfuse.formats.log.transform_stream import tags_of
-from locfuse.formats.robot.tag_frames import EVERY, ancestors, named_as_tag
+from locfuse.formats.robot.tag_frames import OF_CAMERA, ancestors, named_as_tag
 from locfuse.formats.robot.transforms import StaticTransforms
-from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.landmarks.messages import POSES
 from locfuse.fusion.sensors.registry import REGISTRY
 
@@ -24,18 +22,17 @@ ROOM_FRAMES = ("map", "world", "earth", "odom")  # a camera that hangs there is 
 
 
 def offer_tags(log: Log) -> None:
-    """Make a topic of the tags that each camera of the robot saw, "/tf:camera_optical:*", where /tf has any.
+    """Make a topic of the tags that each camera of the robot saw, "/tf:camera_optical:tags", where /tf has any.
 
     A frame is a tag where its name says so and ends in a number, its parent is a camera of the robot, it moves
     there, and there are several. Detectors that publish poses besides are read themselves: nothing is made then.
-    Reading /tf takes time: for callers who need landmarks.
+    Reading /tf takes time: for callers who need landmarks. Raises LocfuseError where its frames form a loop.
     """
     if any(log.topics[t].count for t in of_type(log, POSES)):
         return
     for topic in log.transform_topics:
-        with suppress(LocfuseError):  # frames in a loop: said where somebody names them
-            for camera in _cameras(log, topic):
-                log.find(f"{topic}:{camera}:{EVERY}")
+        for camera in _cameras(log, topic):
+            log.find(f"{topic}:{camera}:{OF_CAMERA}")
 
 
 def _cameras(log: Log, topic: str) -> list[str]:

@@ -15,7 +15,7 @@ from .transforms import StaticTransforms
 
 TAGS = "locfuse/msg/TagFrames"  # id, x, y, z [m] in the camera's optical axes (REP 103: x right, y down, z ahead)
 READS = ("id", "x", "y", "z")
-EVERY = "*"  # "/tf:camera_optical:*": every numbered frame that is seen in this one
+OF_CAMERA = "tags"  # the last part of "/tf:camera_optical:tags"
 NUMBERED = re.compile(r"^(.*?)(\d+)$", re.DOTALL)
 MAX_ID = 2**62
 TAG_WORDS = ("tag", "marker", "aruco", "april", "fiducial", "landmark", "beacon", "36h11", "25h9", "16h5")

@@ -76,7 +76,7 @@ def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) ->
     choice = Choice()
     offer_presented(log)
     try:
-        offer_tags(log)
+        offer_tags(log, robot)
     except LocfuseError as e:  # its frames form a loop
         topic, _, words = str(e).partition(": ")
         found.append(Finding(topic, "tf", words))

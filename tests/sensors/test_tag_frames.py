@@ -205,4 +205,5 @@ def test_numbers_of_frames() -> None:
         None,
         None,
     ]
-    assert not named_as_tag("stage/camera_2")
+    assert not any(map(named_as_tag, ("stage/camera_2", "stage_2", "tag", "arm_2")))
+    assert all(map(named_as_tag, ("apriltag3", "36h11:5", "robot/tags_2", "AR_marker_1")))

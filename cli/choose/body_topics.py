@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.truth import looks_like_truth
 from locfuse.fusion.wheels.odometry import ODOMETRY, PLANAR, POSE, SCANS, SPEED, STEERED, TRANSFORM, commanded
 from locfuse.fusion.wheels.read import WHEEL_READS
@@ -83,9 +84,9 @@ def _stand_in(log: Log, robot: Robot, choice: Choice) -> Body | None:
     if (scans := _scans(log, robot)) is not None:
         return Body(scans, "no wheels and no odometry: its scans are matched with each other")
     for topics, note in (
-        (_poses(log, choice), ESTIMATED),
+        (_poses(log, robot, choice), ESTIMATED),
         (_twists(log, robot, choice, asked=True), ONLY_COMMANDED),
-        (_filled(log, choice, tuple(STEERED)), ""),  # lacks the wheelbase, which its reader asks for
+        (_filled(log, robot, choice, tuple(STEERED)), ""),  # lacks the wheelbase, which its reader asks for
     ):
         if (topic := one(log, "wheels", None, topics, WHEEL_READS)) is not None:
             return Body(topic, "nothing else says how the robot moved", note.format(topic=topic))
@@ -94,21 +95,26 @@ def _stand_in(log: Log, robot: Robot, choice: Choice) -> Body | None:
 
 def _measured(log: Log, robot: Robot, choice: Choice) -> tuple[list[str], str]:
     """Return topics that measured how the body moved, those of the best kind, the likeliest first, and why."""
-    if odometry := _filled(log, choice, (ODOMETRY,)):
+    if odometry := _filled(log, robot, choice, (ODOMETRY,)):
         return sorted(odometry, key=_made_of_more), ONLY
     if pairs := odometry_frames(log):
         return pairs, "the only odometry in /tf"
     return _twists(log, robot, choice, asked=False), ONLY
 
 
-def _filled(log: Log, choice: Choice, kinds: Sequence[str]) -> list[str]:
-    """Return recorded topics of these types that hold messages and that nobody else reads."""
+def _filled(log: Log, robot: Robot, choice: Choice, kinds: Sequence[str]) -> list[str]:
+    """Return recorded topics of these types that hold messages and that nobody else reads.
+
+    A topic that the settings give to a sensor of its own (`[pose] topic`) is left to it where there are others.
+    """
     taken = {topic for role in choice.topics for topic in choice.of(role)}
-    return [
+    found = [
         t
         for t in of_type(log, kinds)
         if log.topics[t].count and t not in taken and ":" not in t and not looks_like_truth(t)
     ]
+    asked = {robot.settings(name).topic for name, sensor in REGISTRY.items() if sensor.asked_only}
+    return [t for t in found if t not in asked] or found
 
 
 def _made_of_more(topic: str) -> bool:
@@ -119,12 +125,12 @@ def _made_of_more(topic: str) -> bool:
 def _twists(log: Log, robot: Robot, choice: Choice, asked: bool) -> list[str]:
     """Return topics of speeds that can be read: commanded ones (`asked`), or those that were measured."""
     kinds = (*TWISTS, *STEERED) if robot.wheels.wheelbase else TWISTS
-    return [t for t in _filled(log, choice, kinds) if commanded(t) == asked]
+    return [t for t in _filled(log, robot, choice, kinds) if commanded(t) == asked]
 
 
-def _poses(log: Log, choice: Choice) -> list[str]:
+def _poses(log: Log, robot: Robot, choice: Choice) -> list[str]:
     """Return poses of the robot that another program estimated: topics, else frames of /tf."""
-    topics = [t for t in _filled(log, choice, POSES) if not asked_for(t)]
+    topics = [t for t in _filled(log, robot, choice, POSES) if not asked_for(t)]
     return topics or moving_frames(log, FIXED_FRAMES)
 
 

@@ -6,6 +6,7 @@ Truth is never guessed by type: /odom and /amcl_pose are estimates, and an estim
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from locfuse.fusion.data import LocfuseError
@@ -36,7 +37,8 @@ def choose(log: Log, robot: Robot, insisted: Collection[str] = ()) -> Choice:
     choice = Choice()
     offer_presented(log)
     if robot.settings("landmarks").map is not None:  # without a map tags say nothing, and finding them costs time
-        offer_tags(log)
+        with suppress(LocfuseError):  # frames of /tf in a loop: said where somebody names them
+            offer_tags(log, robot)
     choose_truth(log, robot, "truth" in insisted, choice)
     choose_wheels(log, robot, choice)
     for name in REGISTRY:

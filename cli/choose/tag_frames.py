@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from locfuse.formats.log.transform_stream import tags_of
-from locfuse.formats.robot.tag_frames import EVERY, ancestors, named_as_tag
+from locfuse.formats.robot.tag_frames import OF_CAMERA, ancestors, named_as_tag
 from locfuse.formats.robot.transforms import StaticTransforms
-from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.landmarks.messages import POSES
+from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .mounts import BASE_FRAMES, CAMERA_INFO
@@ -23,19 +22,20 @@ CAMERA_WORDS = ("camera", "cam_", "_cam", "optical", "webcam", "realsense", "kin
 ROOM_FRAMES = ("map", "world", "earth", "odom")  # a camera that hangs there is not on the robot
 
 
-def offer_tags(log: Log) -> None:
-    """Make a topic of the tags that each camera of the robot saw, "/tf:camera_optical:*", where /tf has any.
+def offer_tags(log: Log, robot: Robot) -> None:
+    """Make a topic of the tags that each camera of the robot saw, "/tf:camera_optical:tags", where /tf has any.
 
     A frame is a tag where its name says so and ends in a number, its parent is a camera of the robot, it moves
-    there, and there are several. Detectors that publish poses besides are read themselves: nothing is made then.
-    Reading /tf takes time: for callers who need landmarks.
+    there, and there are several. Detectors that publish poses besides are read themselves, and what the settings
+    name is: nothing is made then.
+    Reading /tf takes time: for callers who need landmarks. Raises LocfuseError where its frames form a loop.
     """
-    if any(log.topics[t].count for t in of_type(log, POSES)):
+    settings = robot.settings("landmarks")
+    if settings.topic or settings.file or any(log.topics[t].count for t in of_type(log, POSES)):
         return
     for topic in log.transform_topics:
-        with suppress(LocfuseError):  # frames in a loop: said where somebody names them
-            for camera in _cameras(log, topic):
-                log.find(f"{topic}:{camera}:{EVERY}")
+        for camera in _cameras(log, topic):
+            log.find(f"{topic}:{camera}:{OF_CAMERA}")
 
 
 def _cameras(log: Log, topic: str) -> list[str]:

@@ -37,7 +37,12 @@ def _mount_by(overview: Overview, name: str, keys: Mapping[str, Any]) -> str:
     if frames and all(frame in BASE_FRAMES for frame in frames):
         return f"its frame {frames[0]}"
     known = [frame for frame in frames if mount_of(overview.transforms, frame) is not None]
-    return "/tf_static" if known and len(known) == len(frames) else "nobody"
+    return placed_by(overview, known[0]) if known and len(known) == len(frames) else "nobody"
+
+
+def placed_by(overview: Overview, frame: str) -> str:
+    """Return who places a frame on the base: /tf_static, else transforms of /tf that never change."""
+    return "/tf_static" if mount_of(overview.log.static_transforms(), frame) is not None else "/tf"
 
 
 def unplaced(overview: Overview) -> list[Finding]:
@@ -64,7 +69,10 @@ def conflicts(overview: Overview) -> list[Finding]:
         mount = extrinsics(overview).get(role, {})
         if not role:
             others.append(frame)
-        elif mount.get("by") == "/tf_static":  # whether it is wrong the walls tell, see fusion.doctor.laser
+        elif mount.get("by") in {
+            "/tf_static",
+            "/tf",
+        }:  # whether it is wrong the walls tell, see fusion.doctor.laser
             keys = [k for k in ("x", "y", "yaw_deg") if isinstance(mount.get(k), float)]
             wrong = any(o.role == role and o.code == "yaw" for o in overview.findings)
             fixes = () if wrong else tuple(f"{role}.{k}={mount[k]:.4g}" for k in keys)

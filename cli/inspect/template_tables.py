@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from locfuse.cli.choose.choose import best_of
-from locfuse.cli.choose.mounts import mount_tables
+from locfuse.cli.choose.mounts import BASE_FRAMES, mount_tables
 from locfuse.cli.choose.topics import of_type
 from locfuse.cli.pipeline.load import table_types
 from locfuse.formats.robot.commented_toml import Line
@@ -17,6 +17,7 @@ from locfuse.fusion.wheels.odometry import BODY_READS, STEERED
 from locfuse.fusion.wheels.read import counts_ticks
 from locfuse.fusion.wheels.sources import JOINTS
 
+from .mounts import placed_by
 from .overview import Overview
 from .template_words import ask, guess
 
@@ -86,8 +87,15 @@ def _mounts(overview: Overview) -> Known:
         for key, raw in table.items():
             value = _rounded(raw)
             if value or key in MOUNTED:
-                known[f"{name}.{key}"] = value, f"by /tf_static: where {frame} sits on the base"
+                known[f"{name}.{key}"] = value, _placed(overview, frame)
     return known
+
+
+def _placed(overview: Overview, frame: str) -> str:
+    """Say who places a frame on the base; a base frame is the base itself."""
+    if frame in BASE_FRAMES:
+        return f"its frame {frame} is the base"
+    return f"by {placed_by(overview, frame)}: where {frame} sits on the base"
 
 
 def _rounded(value: Any) -> Any:

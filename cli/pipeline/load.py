@@ -296,6 +296,8 @@ def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = sil
     moving = ("wheels", "lrf") if by_scans else ("wheels",)  # what the motion comes from
     wheels = all(table in same or table not in tables for table in moving)
     unchanged = {s: m for s, m in loaded.drive.measurements.items() if wheels and (s in same or s not in tables)}
+    if "gyro" in tables and "gyro" not in same:
+        unchanged.pop("compass", None)  # its field is levelled by the IMU, as that is mounted
     asked = None if loaded.asked is None else with_files(robot_toml.layered(loaded.asked, sets))
     found = measured(loaded.log, tables, deepcopy(loaded.choice), progress, known=unchanged)
     sources = {**loaded.sources, **dict.fromkeys(_keys(sets), "--set")}

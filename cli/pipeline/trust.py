@@ -73,10 +73,10 @@ def unless_overconfident(sensor: str, found: Consistency, using: Sequence[Honest
 
 REFERENCE = (
     "Errors are against a reference, not truth: the whole drive solved forward and backward with the "
-    "wheels{sensors} (1 sigma {sigma}), or without the sensor that is judged. A * marks a result whose own "
+    "odometry{sensors} (1 sigma {sigma}), or without the sensor that is judged. A * marks a result whose own "
     "sensors are in its reference: its error shows only what the rest of the drive corrects. A ? marks a "
     "reference that is further from the one of all sensors than both claim: one of the two is wrong. An error of "
-    "the wheels that no sensor corrects is not seen."
+    "the odometry that no sensor corrects is not seen."
 )
 TOO_SMALL = {"understated", "correlated"}  # verdicts on a sigma
 

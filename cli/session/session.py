@@ -206,7 +206,8 @@ class Session:
         )
         if runs:
             self._jitter(report, wanted, align, smooth, compared.estimates, runs)
-        complete(report, None if evaluator is None else evaluator.advised(), self._start_error())
+        advised = None if evaluator is None else evaluator.advised()
+        complete(report, advised, self._start_error(), [e.name for e in foreign])
         self.progress("writing")
         return Comparison(
             self.loaded,

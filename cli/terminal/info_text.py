@@ -82,7 +82,8 @@ def _headline(overview: Overview) -> str:
     count = sum(f.count for f in recorded)
     size = overview.log.identity.size / 1e6
     files = f" in {len(overview.log.paths)} files" if len(overview.log.paths) > 1 else ""
-    return f"{overview.log.name}: {seconds}, {count} messages on {len(recorded)} topics, {size:.1f} MB{files}"
+    topics = f"{len(recorded)} topic{'' if len(recorded) == 1 else 's'}"
+    return f"{overview.log.name}: {seconds}, {count} messages on {topics}, {size:.1f} MB{files}"
 
 
 def _topics(overview: Overview, width: int | None) -> Iterator[str]:

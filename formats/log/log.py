@@ -20,7 +20,7 @@ from locfuse.formats.messages.presented import PRESENTED, presented_name
 from locfuse.formats.messages.schema import SchemaError
 from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.robot import transforms
-from locfuse.formats.robot.tag_frames import EVERY, TAGS
+from locfuse.formats.robot.tag_frames import OF_CAMERA, TAGS
 from locfuse.formats.url import Place
 from locfuse.fusion.data import Ints, LocfuseError, UsageError
 from locfuse.fusion.progress import say_done
@@ -128,8 +128,9 @@ class Log:
         """Return a topic's stream; nothing is read before its rows are asked for.
 
         "/tf:odom:base_link" is the frame base_link in the frame odom as /tf says (TransformStamped),
-        "/tf:camera_optical:*" the tags that were seen in that frame, "/status:yaw.value" a number of any message,
-        "/points:scan" a cloud's level slice as a LaserScan, and the name of a .tum or .csv file is that file.
+        "/tf:camera_optical:tags" the tags that were seen in that frame, "/status:yaw.value" a number of any
+        message, "/points:scan" a cloud's level slice as a LaserScan, and the name of a .tum or .csv file is that
+        file.
         """
         if order not in clocks.ORDERS:
             raise UsageError(f"order = {order!r} is unknown; it is one of {', '.join(clocks.ORDERS)}")
@@ -183,7 +184,7 @@ class Log:
     def _of_frames(self, pair: tuple[str, str, str]) -> Topic | None:
         """Return two frames of /tf, or the tags that were seen in a frame, as a topic; None without any tag."""
         source, edges = self.topics[pair[0]], self.frames(pair[0])
-        if pair[2] == EVERY:
+        if pair[2] == OF_CAMERA:
             seen = sum(len(edge.stamp) for edge in tags_of(edges, pair[1]))
             return Topic(TAGS, seen, source.encoding, source.schema_encoding) if seen else None
         count = len(edges[pair[1:]].stamp) if pair[1:] in edges else source.count

@@ -5,7 +5,7 @@ frames is presented as a geometry_msgs/TransformStamped topic: odometry that exi
 reference. Frames that are not neighbours are chained, the slower transforms interpolated to the times of the
 fastest one (as tf2 does: positions linearly, rotations along the shorter way).
 
-Tags that a detector publishes as frames of its camera are a topic too, "/tf:camera_optical:*".
+Tags that a detector publishes as frames of its camera are a topic too, "/tf:camera_optical:tags".
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.formats.robot.tag_frames import TAGS, in_optical_axes, number_of
+from locfuse.formats.robot.tag_frames import TAGS, in_optical_axes, named_as_tag, number_of
 from locfuse.formats.robot.transforms import FIELDS, StaticTransforms, inverse_of, matrices_of, quaternions_of
 from locfuse.fusion.data import Array, Block, Column, Ints, LocfuseError, Ragged
 
@@ -226,12 +226,16 @@ class TagStream(Dated):
 
 
 def tags_of(edges: Mapping[tuple[str, str], Edge], camera: str) -> list[Edge]:
-    """Return the numbered frames that were seen in a frame; what never moves there is a part of the robot."""
-    return [
+    """Return the numbered frames that were seen in a frame, those called like tags where there are any.
+
+    What never moves there is a part of the robot.
+    """
+    found = [
         edge
         for (parent, child), edge in edges.items()
         if parent == camera and number_of(child) is not None and (edge.moves or len(edge.stamp) == 1)
     ]
+    return [edge for edge in found if named_as_tag(edge.child)] or found
 
 
 def _again(edge: Edge) -> NDArray[np.bool_]:

@@ -14,11 +14,10 @@ from locfuse.fusion.data import Array
 from .transforms import StaticTransforms
 
 TAGS = "locfuse/msg/TagFrames"  # id, x, y, z [m] in the camera's optical axes (REP 103: x right, y down, z ahead)
-READS = ("id", "x", "y", "z")
-EVERY = "*"  # "/tf:camera_optical:*": every numbered frame that is seen in this one
+OF_CAMERA = "tags"  # the last part of "/tf:camera_optical:tags"
 NUMBERED = re.compile(r"^(.*?)(\d+)$", re.DOTALL)
 MAX_ID = 2**62
-TAG_WORDS = ("tag", "marker", "aruco", "april", "fiducial", "landmark", "beacon", "36h11", "25h9", "16h5")
+TAG_NAME = re.compile(r"tags?(?![a-z])|marker|aruco|april|fiducial|landmark|beacon|\d+h\d+")  # "stage" is none
 UPRIGHT = 0.7  # of the z axis, along the vertical: more is a body's frame, whose z axis is up
 
 
@@ -31,8 +30,7 @@ def number_of(frame: str) -> int | None:
 def named_as_tag(frame: str) -> bool:
     """Return whether a frame's name says that it is a tag, and which one."""
     name = frame.rpartition("/")[2].lower()
-    match = NUMBERED.match(name)
-    return match is not None and any(word in name for word in TAG_WORDS)
+    return number_of(name) is not None and TAG_NAME.search(name) is not None
 
 
 def ancestors(transforms: StaticTransforms, frame: str) -> list[tuple[str, Array]]:

@@ -119,7 +119,7 @@ def of_laser(
     words = (
         f"its ranges are {1.0 / scale:.3f} times the distances of the {whose} (1 sigma {motion.scale_sigma:.3f})"
     )
-    words += ": set range_scale if the wheels are right, wheels.radius if the laser is" if metre == 1.0 else ""
+    words += _who_is_right(robot) if metre == 1.0 else ""
     fix = f"lrf.range_scale={settings.range_scale * scale:.4g}"
     return [Finding("lrf", "range scale", words, (fix,), abs(scale - 1.0) > SEVERE_SCALE_ERROR)]
 
@@ -218,3 +218,10 @@ def _paired(a: Array, b: Array, moved: Array, d: Array, mount: Array) -> Walls:
     k = int(good.sum())
     own = moved[2] + se2.wrap_all(a[good, 1] - b_near[:, 1] - moved[2])
     return Walls(y, n[good], np.tile(d, (k, 1)), own, np.full(k, moved[2]))
+
+
+def _who_is_right(robot: Robot) -> str:
+    """Say what to set where laser and wheels disagree; an odometry's wheels are not ours to set."""
+    if robot.wheels.radius is None:
+        return ": set range_scale if the odometry is right; if the laser is, it is made with a wrong wheel radius"
+    return ": set range_scale if the wheels are right, wheels.radius if the laser is"

@@ -45,6 +45,8 @@ def test_our_own_trajectory_gives_our_own_figures(ours: Path, tmp_path: Path) ->
     for key in ERRORS:
         assert found["mine"][key] == pytest.approx(found["compass"][key], abs=1e-9), key
     assert found["mine"]["anees"] is None  # a .tum says no covariance
+    headline = json.loads((tmp_path / "o/report.json").read_text())["headline"]
+    assert headline.startswith("With the compass: position error")  # an estimate is no sensor to keep
     assert "another frame" not in stderr
 
 

@@ -14,8 +14,9 @@ from commands import locfuse
 from landmark_drive import path_of
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from wheel_bags import GEOMETRY, angles, joint_states, log_of
+from wheel_bags import GEOMETRY, RADIUS, TRACK, angles, joint_states, log_of
 
+from locfuse.cli.session.session import load
 from locfuse.fusion.data import ArrayStream, Measurements
 from locfuse.fusion.mount import rotation
 from locfuse.fusion.sensors.compass import Compass, CompassSettings
@@ -135,7 +136,7 @@ def test_an_imu_on_end_that_nobody_configured_levels_nothing() -> None:
     assert tilt_of(streams(data, np.zeros((len(T), 3)))[0], np.eye(3)) is None
 
 
-def recorded(folder: Path, tilt_deg: float, imu: bool = True) -> tuple[Path, Path]:
+def recorded(folder: Path, tilt_deg: float, imu: bool = True, frame: str = "imu") -> tuple[Path, Path]:
     """A drive whose wheels slip, with a magnetometer and an IMU at 50 Hz; the log and the truth."""
     t, angle = angles(40.0)
     true = path_of(t, angle)
@@ -145,7 +146,7 @@ def recorded(folder: Path, tilt_deg: float, imu: bool = True) -> tuple[Path, Pat
     data = imu_of(body, Rotation.identity(), t, orientation=True)
     said = joint_states(t, angle + np.stack((-slip, slip), axis=-1))
     for i, ns in enumerate((T0 + np.round(t * S).astype(np.int64)).tolist()):
-        mag = cdr(MAG, header=header(ns, "imu"), magnetic_field=dict(zip("xyz", field[i].tolist(), strict=True)))
+        mag = cdr(MAG, header=header(ns, frame), magnetic_field=dict(zip("xyz", field[i].tolist(), strict=True)))
         said.append(Said("/mag", MAG, mag, ns + 1))
         q = {a: float(data[f"orientation.{a}"][i]) for a in "xyzw"}
         if imu:
@@ -191,3 +192,17 @@ def test_a_flat_drive_is_the_same_to_the_bit_with_an_imu_beside_it(tmp_path: Pat
         assert locfuse("run", log, *GEOMETRY, *SETS, *(words if imu else words[:5])).exit_code == 0
         made.append((folder / "out/trajectory.csv").read_bytes())
     assert made[0] == made[1]
+
+
+def test_another_mount_of_the_imu_levels_the_field_anew(tmp_path: Path) -> None:
+    """Of a session all that depends on a setting is measured again, also the compass on the gyro's mount."""
+    log, _ = recorded(tmp_path, 8.0, frame="mag")
+    sets = {"wheels.radius": RADIUS, "wheels.track": TRACK, "compass.topic": "/mag", "gyro.topic": "/imu"}
+    on_end = {"gyro.roll_deg": 90.0}  # then up is not where the mount has it, and nothing is levelled
+    session = load(log, sets=sets)
+    before, after, fresh = (
+        s.drive.measurements["compass"].z
+        for s in (session, session.with_settings(on_end), load(log, sets={**sets, **on_end}))
+    )
+    np.testing.assert_array_equal(after, fresh)
+    assert np.abs(after - before).max() > 0.1

@@ -117,10 +117,10 @@ def test_a_camera_frame_whose_z_axis_is_up_and_that_only_tf_places(tmp_path: Pat
 def test_info_finds_the_tags_and_init_writes_them_with_their_camera(tmp_path: Path) -> None:
     log, _ = drive(tmp_path, "tag_{}", OPTICAL, *mount())
     said = " ".join(locfuse("info", log, *GEOMETRY).stdout.split())
-    assert f"/tf:{OPTICAL}:*" in said
+    assert f"/tf:{OPTICAL}:tags" in said
     assert "landmarks: landmarks.map is not set" in said
     table = locfuse("init", log, *GEOMETRY).stdout.partition("[landmarks]")[2].partition("\n[")[0]
-    assert f'topic = "/tf:{OPTICAL}:*"' in table
+    assert f'topic = "/tf:{OPTICAL}:tags"' in table
     assert "# map =" in table
     again = locfuse("init", log, *GEOMETRY, "--set", "landmarks.map=grow").stdout
     table = again.partition("[landmarks]")[2].partition("\n[")[0]
@@ -137,7 +137,7 @@ def test_a_map_of_the_tags_is_made_where_nobody_knows_it(tmp_path: Path) -> None
 def test_a_frame_that_is_published_again_was_not_seen_again(tmp_path: Path) -> None:
     frames = [frame(T0 + i * S, OPTICAL, "tag_3", (0.0, 0.0, 1.0 + i // 3)) for i in range(9)]
     log = log_of(tmp_path / "x.mcap", [tf(T0 + i * S, one) for i, one in enumerate(frames)])
-    stream = open_log([log]).stream(f"/tf:{OPTICAL}:*")
+    stream = open_log([log]).stream(f"/tf:{OPTICAL}:tags")
     assert stream.columns("id", "z")["z"] == pytest.approx([1.0, 2.0, 3.0])
     assert dict(stream.dropped) == {"repeat": 6}
     assert (stream.t_ns - T0).tolist() == [0, 3 * S, 6 * S]
@@ -164,11 +164,27 @@ def test_other_frames_are_no_tags(parent: str, children: tuple[str, ...], tmp_pa
     room = tf(T0, frame(T0, "world", "ceiling_camera", (0, 0, 3)), topic="/tf_static")
     t, angle = angles(10.0)
     log = log_of(tmp_path / "x.mcap", [room, *mount(), *joint_states(t, angle), *moving])
-    assert ":*" not in locfuse("info", log, *GEOMETRY).stdout
+    assert ":tags" not in locfuse("info", log, *GEOMETRY).stdout
     done = locfuse(
         "run", log, *GEOMETRY, "--set", "landmarks.map=grow", "--sensors", "landmarks", "-o", tmp_path / "o"
     )
     assert done.exit_code == 1
+
+
+def test_other_numbered_frames_beside_tags_are_left_out_and_alone_they_are_read_where_they_are_named(
+    tmp_path: Path,
+) -> None:
+    def seen(*names: str) -> Path:
+        said = [
+            tf(T0 + i * S, *(frame(T0 + i * S, OPTICAL, c, (0.1 * i, k, 1)) for k, c in enumerate(names)))
+            for i in range(5)
+        ]
+        return log_of(tmp_path / f"{names[-1]}.mcap", said)
+
+    beside = open_log([seen("tag_1", "tag_2", "person_1")]).stream(f"/tf:{OPTICAL}:tags")
+    assert np.asarray(beside.columns("id")["id"]).tolist() == [1, 2] * 5
+    alone = open_log([seen("shelf_4", "shelf_7")]).stream(f"/tf:{OPTICAL}:tags")
+    assert np.asarray(alone.columns("id")["id"]).tolist() == [4, 7] * 5
 
 
 def test_tags_that_never_move_in_the_camera_are_no_tags(tmp_path: Path) -> None:
@@ -178,7 +194,7 @@ def test_tags_that_never_move_in_the_camera_are_no_tags(tmp_path: Path) -> None:
     ]
     t, angle = angles(10.0)
     log = log_of(tmp_path / "x.mcap", [*mount(), *joint_states(t, angle), *still])
-    assert ":*" not in locfuse("info", log, *GEOMETRY).stdout
+    assert ":tags" not in locfuse("info", log, *GEOMETRY).stdout
 
 
 def test_numbers_of_frames() -> None:
@@ -189,4 +205,5 @@ def test_numbers_of_frames() -> None:
         None,
         None,
     ]
-    assert not named_as_tag("stage/camera_2")
+    assert not any(map(named_as_tag, ("stage/camera_2", "stage_2", "tag", "arm_2")))
+    assert all(map(named_as_tag, ("apriltag3", "36h11:5", "robot/tags_2", "AR_marker_1")))

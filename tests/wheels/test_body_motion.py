@@ -105,6 +105,8 @@ def test_mounts_come_from_tf_where_nothing_is_static(tmp_path: Path) -> None:
     log = log_of(tmp_path / "x.mcap", tf(T, CIRCLE, more=[mount]), scans)
     found = json.loads(locfuse("info", log, "--json").stdout)["extrinsics"]["lrf"]
     assert [found["x"], found["y"], found["yaw_deg"]] == pytest.approx([0.12, -0.03, math.degrees(0.5)], abs=1e-5)
+    assert found["by"] == "/tf"
+    assert "# by /tf: where laser sits on the base" in locfuse("init", log).stdout
 
 
 def scan(ns: int) -> bytes:
@@ -163,6 +165,12 @@ def test_autowares_speeds_drive_their_circle(tmp_path: Path) -> None:
     ]
     pose, _ = final(custom(tmp_path / "x.mcap", "/vehicle/status/velocity_status", kind, text, T, rows))
     assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-3)
+
+
+def test_info_says_that_frames_loop(tmp_path: Path) -> None:
+    loop = tf(T[:3], CIRCLE[:3], "a", "b", more=[("b", "a", (1.0, 0.0, 0.0))])
+    said = locfuse("info", log_of(tmp_path / "x.mcap", odometry(T, CIRCLE), loop)).stdout
+    assert "  /tf: frames form a loop: a -> b -> a\n" in said
 
 
 def test_a_frame_that_is_not_there_is_named(tmp_path: Path) -> None:
@@ -373,6 +381,15 @@ def test_an_arm_is_no_wheel_and_hides_none(tmp_path: Path) -> None:
 def test_of_several_odometries_those_made_of_more_come_last(tmp_path: Path) -> None:
     log = log_of(tmp_path / "x.mcap", odometry(T, CIRCLE, "/camera/odom/sample"), odometry(T, CIRCLE))
     assert "guessed: wheels.topic=/odom " in locfuse("init", log).stderr
+
+
+def test_an_odometry_that_is_named_as_a_pose_leaves_the_other_one_to_the_wheels(tmp_path: Path) -> None:
+    log = log_of(tmp_path / "x.mcap", odometry(T, CIRCLE), odometry(T, CIRCLE, "/vo/odom"))
+    assert "2 topics that fit: /odom, /vo/odom" in " ".join(locfuse("run", log).stderr.split())
+    pose, _ = final(log, "--set", "pose.topic=/vo/odom", "--sensors", "pose", "--no-advice")
+    assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=0.05)
+    alone = locfuse("run", log_of(tmp_path / "one.mcap", odometry(T, CIRCLE)), "--set", "pose.topic=/odom")
+    assert "/odom is read as wheels already" in " ".join(alone.stderr.split())
 
 
 def test_init_says_which_of_several_odometries_it_guessed(tmp_path: Path) -> None:

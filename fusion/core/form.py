@@ -18,6 +18,7 @@ SOURCES = (
     "pieces",
     "walls",
     "fit",
+    "curves",
     "lines",
     "places",
     "pairs",

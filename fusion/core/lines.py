@@ -7,6 +7,7 @@ Arrays are flat, matrices row by row. Nothing crosses from one scan to another. 
 from math import cos, sin, tan
 
 from .beams import cut_at_gaps, gather, ring_start
+from .curves import find_curves
 from .fit import (
     determinant,
     foot_of,
@@ -33,17 +34,18 @@ MIN_RATIO = 1e-100  # 1/m, of sigma_angle over sigma_range
 
 def extract(
     floats, wholes, scans, beams, ranges, cos_, sin_, x0, y0, stride, growth, ring, low, high, settings, share,
-    slips, counts, out, loads
+    slips, counts, hidden, out, loads
 ):  # fmt: skip
     """Find the lines of `scans` scans of `beams` beams each, and return how many there are.
 
     `floats` and `wholes` make room for so many numbers. Beam j of scan i starts at (x0, y0) [m] and points along
     (cos_, sin_), row i * stride + j; growth[i] is how far apart neighbours on a wall may be [m per m of range];
     ring[i] says that the scan goes all the way round. Ranges in [low, high) [m] are returns. `settings` are the
-    numbers of LineSettings in their order. Written are counts (scans), out (lines, 11) - r, psi, their covariance
-    over sigma_range^2 (rr, rp, pp), both ends along the tangent [m], points, chi2 per degree of freedom, first and
-    last beam - and, with `slips` > 0 pieces of the sweep and each beam's `share` (slips, beams) of them, loads
-    (lines, 2, 2, slips): what r and psi owe to a turn and a move of 1 in each piece.
+    numbers of LineSettings in their order. Written are counts (scans), how many walls were left out as pieces of a
+    curve, hidden (scans), out (lines, 11) - r, psi, their covariance over sigma_range^2 (rr, rp, pp), both ends
+    along the tangent [m], points, chi2 per degree of freedom, first and last beam - and, with `slips` > 0 pieces
+    of the sweep and each beam's `share` (slips, beams) of them, loads (lines, 2, 2, slips): what r and psi owe to
+    a turn and a move of 1 in each piece.
     """
     sigma_range, sigma_angle, min_points, min_length = settings[0], settings[1], settings[2], settings[3]
     max_gap, bridge, split_sigmas, split_floor = max(settings[4], 1e-100), settings[6], settings[7], settings[8]
@@ -56,10 +58,11 @@ def extract(
     beam, row, run_first, first = wholes(beams), wholes(beams), wholes(beams + 1), wholes(beams + 1)
     todo, linked, after, before = wholes(2 * beams + 4), wholes(beams + 1), wholes(beams + 1), wholes(beams + 1)
     best, groups, start, stop = wholes(beams + 1), wholes(beams + 1), wholes(beams), wholes(beams)
-    bounds = wholes(beams + 1)
+    bounds, curved, joint, gains = wholes(beams + 1), wholes(beams), floats(beams), floats(beams)
+    ratio, variance = max(sigma_angle / sigma_range, MIN_RATIO), sigma_range * sigma_range
     lines = 0
     for scan in range(scans):
-        counts[scan] = 0
+        counts[scan] = hidden[scan] = 0
         column = scan * stride
         k = gather(ranges, cos_, sin_, x0, y0, scan, column, beams, 0, low, high, d, ux, uy, ox, oy, x, y, beam)
         closed = False
@@ -85,7 +88,14 @@ def extract(
             d, x, y, k, start, stop, bounds, walls, closed, r, psi, sigma_range, sigma_angle, corner_sigmas,
             max_gap, near_end, far_end
         )  # fmt: skip
+        find_curves(
+            d, ux, uy, ox, oy, x, y, start, stop, bounds, walls, closed, r, psi, ratio, variance, row, e, q, w,
+            sums, joint, gains, curved
+        )  # fmt: skip
         for wall in range(walls):
+            if curved[wall]:
+                hidden[scan] += 1
+                continue
             n = rows_of(start, stop, bounds[wall], bounds[wall + 1], row)
             flat = r[wall] * grazing
             begin_at, end_at = max(near_end[wall], -flat), min(far_end[wall], flat)

@@ -24,6 +24,7 @@ def extract(
     share: Floats,
     slips: int,
     counts: Wholes,
+    hidden: Wholes,
     out: Floats,
     loads: Floats,
 ) -> int: ...

@@ -48,7 +48,7 @@ def examine(
     found = [Finding("wheels", "repaired", repair) for repair in drive.repairs]
     found += _refused(drive)
     found += _gaps("wheels", drive.wheels.t)
-    found += [o for name, m in drive.measurements.items() for o in (*_gaps(name, m.t), *_blind(name, m))]
+    found += [o for name, m in drive.measurements.items() for o in (*_gaps(name, m.t), *blind(name, m))]
     if "lrf" in drive.measurements:
         found += of_scatter(streams["lrf"], robot.settings("lrf"))
     by_sensor = turnings(drive)
@@ -125,11 +125,13 @@ def gaps(t: Array) -> list[tuple[float, float]]:
     return [(float(t[i]), float(t[i + 1])) for i in long]
 
 
-def _blind(name: str, m: Measurements) -> list[Finding]:
+def blind(name: str, m: Measurements) -> list[Finding]:
+    """Say that a sensor saw next to nothing of what it should see, and what the measurement itself says."""
     n = len(m.t)
     if n >= MIN_READINGS and m.absent > MAX_EMPTY_SHARE * n:
         words = f"no {REGISTRY[name].sees} in {m.absent} of {n} readings: it is dead, or its settings do not fit"
-        return [Finding(name, "blind", words, severe=REGISTRY[name].blind_spoils)]
+        why = (Finding(name, "seen", note) for note in m.notes)
+        return [Finding(name, "blind", words, severe=REGISTRY[name].blind_spoils), *why]
     if not n:
         return [Finding(name, "blind", "no reading within the wheels' time", severe=True)]
     return [Finding(name, "seen", note) for note in m.notes]

@@ -13,7 +13,6 @@ from .finding import Finding
 
 SAMPLE_SCANS = 300  # looked at
 RANGE_MAX_SHARE = 0.01  # of the ranges at exactly range_max: more are no walls
-SEVERE_RANGE_MAX_SHARE = 0.05  # share from which they would be taken for walls
 MIN_TRIPLES = 1000  # of neighbouring ranges, by which noise is judged
 MAX_SCATTER = 1.4  # times sigma_range: more is named
 # shares of normal numbers, and how near to 0 they are in standard deviations; clutter and rounding lie elsewhere
@@ -103,11 +102,7 @@ def _nothing(values: Array, far: Array, settings: LrfSettings) -> list[Finding]:
     if share > RANGE_MAX_SHARE:
         end = float(far[full][0])
         words = f"{share:.0%} of its ranges are exactly range_max = {end:g} m: its driver's word for no return"
-        found.append(
-            Finding(
-                "lrf", "range_max", words, (f"lrf.range_max={0.999 * end:.4g}",), share > SEVERE_RANGE_MAX_SHARE
-            )
-        )
+        found.append(Finding("lrf", "range_max", words, (f"lrf.range_max={0.999 * end:.4g}",)))
     return found
 
 

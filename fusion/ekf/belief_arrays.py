@@ -339,15 +339,21 @@ class JointBelief:
     def remove(self, columns: Ints) -> None:
         """Drop state columns that belong to no named block (map lines that proved worthless).
 
-        Map lines come after the map frame, whose columns stay where they are.
+        Map lines come after the map frame, whose columns stay where they are. Only what lies behind a dropped
+        column moves: the covariance is not copied.
         """
-        keep = np.setdiff1d(np.arange(self.n), columns)
-        m = len(keep)
-        self._x[:m] = self._x[keep]
-        self._P[:m, :m] = self._P[np.ix_(keep, keep)]
-        self._x[m : self.n] = 0.0
-        self._P[m : self.n, :] = 0.0
-        self._P[:, m : self.n] = 0.0
+        if not len(columns):
+            return
+        n, m = self.n, self.n - len(columns)
+        for to, block in _moves(columns, n):
+            room = slice(to, to + block.stop - block.start)
+            self._x[room] = self._x[block]
+            self._P[room, :n] = self._P[block, :n]
+        for to, block in _moves(columns, n):
+            self._P[:m, to : to + block.stop - block.start] = self._P[:m, block]
+        self._x[m:n] = 0.0
+        self._P[m:n, :n] = 0.0
+        self._P[:m, m:n] = 0.0
         self.n = m
         for name in self._points:
             start = self._slices[name].start - int((columns < self._slices[name].start).sum())
@@ -473,3 +479,14 @@ def too_far_apart(S: float) -> LocfuseError:
         f"the filter's variances span too many powers of ten to be computed with (innovations of up to {S:.0e}): "
         "are the sigmas and floors of robot.toml meant so?"
     )
+
+
+def _moves(gone: Ints, n: int) -> list[tuple[int, slice]]:
+    """Return where the blocks of n columns between those that are gone (k,) move to, and the blocks, in order."""
+    found, to = [], int(gone.min())
+    after = np.sort(gone) + 1
+    for begin, end in zip(after.tolist(), [*(after[1:] - 1).tolist(), n], strict=True):
+        if end > begin:
+            found.append((to, slice(begin, end)))
+            to += end - begin
+    return found

@@ -39,6 +39,7 @@ AGREES = 0.25  # share that still matches: doors stand open in walls that are kn
 WALLS_BEHIND = 3  # seen walls that must lie behind known ones: fewer are seen through a door
 VIEW, SCANS = math.radians(90.0), 5  # that walls must fill to contradict a map; scans before a jump that count
 CONTINUES = 0.4  # share of the seen length where scans from before a jump expect it: then there was none
+SLIP_VIEW = math.radians(45.0)  # that walls must fill to show a slip: a few short lines match at some heading
 HARDLY = 0.2  # a slip turns everything: where more than this share still matches, there was none
 SLIP_XY, SLIP_THETA = 0.03, math.radians(1.5)  # m, rad: what is left to correct after a slip's heading was found
 CANDIDATES = 8
@@ -90,11 +91,11 @@ class Guard:
         if share >= MIN_MATCHED_SHARE:
             self._since, self._torn = None, False
             return found, True
-        if moved and share < HARDLY:
+        if moved and share < HARDLY and _view(scan) >= SLIP_VIEW:
             slipped = _after_slip(scan, lines, belief, gate)
             if slipped is not None:
                 self._since, self._torn = None, False
-                return slipped, not self._carried_off(t, lines, belief)
+                return slipped, not self._carried_off(t, scan, lines, belief)
         return found, self._believed(before, now, share, lines, belief)
 
     def _believed(self, before: list[Seen], now: Seen, share: float, lines: LineMap, belief: JointBelief) -> bool:
@@ -113,9 +114,14 @@ class Guard:
             return True
         return self._disagree(t, lines, belief)
 
-    def _carried_off(self, t: float, lines: LineMap, belief: JointBelief) -> bool:
-        """Count a slip; a series of them is none: somebody carries the robot, and it is lost from the first on."""
+    def _carried_off(self, t: float, scan: Scan, lines: LineMap, belief: JointBelief) -> bool:
+        """Count a slip; a series of them is none: somebody carries the robot, and it is lost from the first on.
+
+        Only where much is seen: in clutter, or by a narrow camera, some heading fits a few short lines.
+        """
         self._slips += 1
+        if _view(scan) < VIEW:
+            return False
         first, last, count = self._carried or (t, t, 0)
         if t - last > SERIES:
             first, count = t, 0

@@ -5,6 +5,7 @@ two parts of a wall left and right of something that stands before it are two li
 than `bridge` and than either part, and both are statistically the same line. Joining across wider shadows
 sometimes succeeds and sometimes not as the robot moves, and what is one line here and two there cannot be matched
 with the map one to one. Beams that could belong to either of two walls meeting in a corner belong to none.
+Pieces of a curved wall are no lines at all (`core.curves`).
 The work per beam is done by `core.lines`; here stands what it is given and what comes back.
 """
 
@@ -47,6 +48,7 @@ class Lines:
     chi2: Array  # (m,) residual chi2 per degree of freedom
     span: Ints  # (m, 2) first and last beam in the fit; first > last where the line crosses beam 0
     sweep: Array  # (m, 2, 2, pieces) what (r, psi) owe to the robot's turn and move in every piece of the sweep
+    curved: Ints  # (n,) walls that were left out, since they are pieces of a curve (core.curves)
 
 
 class Scans(NamedTuple):
@@ -147,7 +149,8 @@ def lines_of(scans: Scans, settings: LineSettings, motion: Motion | None, room: 
     numbers = np.array([*astuple(settings), *((0.0,) * 4 if motion is None else (*motion.lever, *motion.ahead))])
     share = shares(beams) if slips else np.zeros(0)
     most = n * (beams // 3)  # lines: none of fewer beams
-    counts, out, loads = room.wholes(n), room.floats(_COLUMNS * most), room.floats(4 * slips * most)
+    counts, curved = room.wholes(n), room.wholes(n)
+    out, loads = room.floats(_COLUMNS * most), room.floats(4 * slips * most)
     rays = scans.rays()
     found = room.functions.extract(
         room.floats,
@@ -165,6 +168,7 @@ def lines_of(scans: Scans, settings: LineSettings, motion: Motion | None, room: 
         room.given(share),
         slips,
         counts,
+        curved,
         out,
         loads,
     )
@@ -178,6 +182,7 @@ def lines_of(scans: Scans, settings: LineSettings, motion: Motion | None, room: 
         chi2=lines[:, 8],
         span=lines[:, 9:11].astype(np.int64),
         sweep=np.array(loads[: 4 * slips * found]).reshape(found, 2, 2, slips),
+        curved=np.array(curved, dtype=np.int64),
     )
 
 

@@ -134,9 +134,11 @@ class Gathered:
         self._counts: list[Ints] = []
         self._z, self._R_unit, self._ends = [np.empty((0, 2))], [np.empty((0, 2, 2))], [np.empty((0, 2))]
         self._sweep: list[Array] = []
+        self.curved = self.straight = 0  # walls: left out as pieces of a curve; lines
 
     def add(self, at: Ints, lines: Lines) -> None:
         """Add the lines of the readings `at` (k,); of each line what a measurement needs."""
+        self.curved, self.straight = self.curved + int(lines.curved.sum()), self.straight + len(lines.z)
         self._at.append(at)
         self._counts.append(np.diff(lines.first))
         self._z.append(lines.z)

@@ -23,6 +23,7 @@ from locfuse.fusion.mount import ASK_MOUNT, Mount, MountedSettings, mount_states
 from locfuse.fusion.sensor import Ask, Reversal, Sensor, WheelMotion
 
 TELL_MOUNT = ("refine", "grow")  # maps whose lines are states: with them a drive tells where its laser sits
+CURVED_SHARE = 0.05  # of all walls: more curved ones than this are said
 MapMode = Literal["first-scan", "consider", "refine", "grow", "given"]
 
 
@@ -100,7 +101,7 @@ class Lrf(Sensor):
             extra["uneven"] = np.broadcast_to(uneven, z.shape)  # m^2, rad^2
         dropped = {**stream.dropped, **({"too_many_beams": giants} if giants else {})}
         points = ScanPoints(stream, self.reads[stream.msgtype], stamps, laser, wheels, np.arange(len(t)))
-        notes = tuple(_floor_notes(uneven, settings))
+        notes = (*_floor_notes(uneven, settings), *_curve_notes(found.curved, found.straight))
         return Measurements(
             t, first, z, R_unit, settings.sigma_range, np.diag(floor), extra, dropped, points, notes
         )
@@ -135,6 +136,16 @@ def _floor_notes(uneven: Array, settings: LrfSettings) -> Iterator[str]:
             f"the walls are not flat: the noise floor of a line was raised to {1e3 * offset:.1f} mm and "
             f"{math.degrees(angle):.2f}° (to keep {1e3 * floor[0]:g} mm and {settings.floor_angle_deg:g}°: "
             "--set lrf.walls=flat)"
+        )
+
+
+def _curve_notes(curved: int, straight: int) -> Iterator[str]:
+    """Say that walls are curved where that is more than a column now and then."""
+    walls = curved + straight
+    if curved > CURVED_SHARE * walls:
+        yield (
+            f"{100 * curved / walls:.0f} % of the walls seen are pieces of curved walls. They are not used: "
+            "no straight line says where the robot is beside a curve"
         )
 
 

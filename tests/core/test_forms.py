@@ -70,6 +70,15 @@ def test_scans_of_a_room_have_the_same_lines_in_both_forms(beams: int, moving: b
     assert (np.abs(lines.sweep).sum() > 0.0) == moving
 
 
+@pytest.mark.parametrize("turn", [0.5, 1.0])  # of the circle
+def test_scans_of_a_round_room_have_the_same_curves_in_both_forms(turn: float) -> None:
+    angles = np.linspace(-math.pi, math.pi, 361, endpoint=False) * turn
+    d = 4.0 + np.random.default_rng(2).normal(0.0, 0.03, (40, len(angles)))
+    lines = agree(Scans(d, angles, None, 0.0, math.inf))
+    assert lines.curved.min() > 3
+    assert len(lines.z) < 10
+
+
 @settings(deadline=None, max_examples=150)
 @given(st.data(), st.integers(0, 60), st.integers(0, 3), st.booleans(), st.booleans())
 def test_no_scan_makes_either_form_fail_or_differ(

@@ -222,12 +222,19 @@ def test_wheel_parameters_as_states_correct_the_motion() -> None:
     np.testing.assert_allclose(belief.covariance, A @ P @ A.T + W @ Q @ W.T, atol=1e-9)
 
 
-def test_removing_states_is_marginalising_them() -> None:
+@pytest.mark.parametrize(
+    "gone", [[6, 7], [3], [19], [18, 19], [3, 19], [4, 5, 6, 7, 12, 15, 16], [7, 6], list(range(3, 20)), []]
+)
+def test_removing_states_is_marginalising_them(gone: list[int]) -> None:
     belief, book = joint(np.random.default_rng(4))
-    belief.remove(np.array([6, 7]))
-    keep = [i for i in range(20) if i not in (6, 7)]
+    belief.remove(np.array(gone, dtype=np.int64))
+    keep = [i for i in range(20) if i not in gone]
     np.testing.assert_allclose(belief.covariance, book.P[np.ix_(keep, keep)], rtol=1e-9)
     np.testing.assert_array_equal(belief.state, book.x[keep])
+    x, P = belief.arrays
+    assert not x[len(keep) :].any()  # whoever comes next finds nothing
+    assert not P[len(keep) :].any()
+    assert not P[:, len(keep) :].any()
 
 
 @pytest.mark.parametrize("heading", [math.pi, -math.pi, math.pi - 1e-9, 3 * math.pi])

@@ -7,9 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from bags import real_log
 from numpy.typing import NDArray
 from worlds import PLATES, ROOM, World
 
+from locfuse.cli.pipeline.load import load
+from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.fusion.data import Estimates, Evaluation
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
@@ -120,6 +123,13 @@ def test_an_ordinary_drive_is_never_lost_and_never_slips(seed: int) -> None:
     found, _ = judged(World(seed=seed), ["lrf"])
     assert found.lost == ()
     assert found.notes == ()
+
+
+@pytest.mark.parametrize("log", ["odometry_in_tf.bag", "pimouse.bag"])
+def test_a_real_robot_that_nobody_carries_is_not_lost_where_little_is_seen(log: str) -> None:
+    """A depth camera whose few short lines fit at some heading or other, and a small robot between chair legs."""
+    loaded = load([real_log(f"strangers/{log}")], LogOptions(None, (), None, False, True))
+    assert fuse(loaded.drive, loaded.robot, ["lrf"]).lost == ()
 
 
 def test_a_slip_of_a_wheel_is_found_and_turned_back() -> None:

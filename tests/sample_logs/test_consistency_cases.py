@@ -16,6 +16,8 @@ from benchmarks.consistency_before import BEFORE
 from benchmarks.consistency_cases import CASES, LASER, MOVING, Case, Goal, vague
 from benchmarks.consistency_figures import Figures, Means, inside, means, without
 from benchmarks.consistency_kept import Kept
+from benchmarks.consistency_starts import Start, alone
+from benchmarks.consistency_starts import inside as share
 from benchmarks.consistency_table import HEAD, row
 from locfuse.cli.pipeline.load import make_robot
 from locfuse.formats.robot import robot_toml
@@ -95,7 +97,34 @@ def test_the_starts_alone_have_the_anees_of_what_the_simulator_draws() -> None:
         tables = Simulation(load("rounded_rectangle", vague(2, 0.05)), seed).robot_tables["start"]
         true = Simulation(load("rounded_rectangle", MOVING), seed).robot_tables["start"]
         off.append([(tables[k] - true[k]) / sigma for k, sigma in (("x", 0.05), ("y", 0.05), ("theta_deg", 2.0))])
-    assert consistency.of_starts((1, 2, 3)) == pytest.approx(float(np.square(off).mean()), rel=1e-6)
+    found = alone(Start(math.radians(2.0), 0.05), np.zeros((1, 2)), range(1, 4))
+    assert found.anees == pytest.approx(float(np.square(off).mean()), rel=1e-6)
+
+
+def test_a_start_s_error_goes_with_the_drive_as_its_sigma_does() -> None:
+    """On a straight way one draw decides each direction: beside the start x, y mix with the heading's lever."""
+    way = np.stack((np.linspace(0.0, 50.0, 200), np.zeros(200)), axis=-1)
+    start = Start(math.radians(2.0), 0.05)
+    x, y, heading = 2.9, 3.1, 3.2
+    beside = 3.0 * 0.05 / math.sqrt(heading**2 - 9.0) / math.radians(2.0) / 50.0  # of the way has y inside
+    assert share(np.array([[x, 0.0, 0.0]]), start, way)[0] == 1.0
+    assert share(np.array([[0.0, 0.0, heading]]), start, way)[0] == pytest.approx((1.0 + beside) / 3.0, abs=0.01)
+    at_first = share(np.array([[0.0, y, 0.0]]), start, way)[0]  # the lever's variance hides it soon
+    assert 0.98 < at_first < 1.0
+
+
+def test_what_chance_does_to_few_drives_is_the_binomial_s() -> None:
+    """Where there is no lever a drive is three draws; a single one outside 3 sigma takes the share below 99 %."""
+    found = alone(Start(math.radians(2.0), 0.05), np.zeros((1, 2)), range(30))
+    none = math.erf(3.0 / math.sqrt(2.0)) ** 90
+    assert found.short == pytest.approx(1.0 - none, abs=0.03)
+
+
+def test_a_vague_start_s_goal_is_what_its_draws_allow_and_others_keep_theirs() -> None:
+    seeds = range(1000, 1030)
+    vaguely = next(c for c in CASES if c.name == "laser, start 2°, 0.05 m")
+    assert consistency.fair(vaguely, seeds).goal.inside == pytest.approx(0.9806 - consistency.LEEWAY, abs=0.002)
+    assert consistency.fair(SHORT, seeds) == SHORT
 
 
 def test_a_run_that_was_stopped_goes_on_where_it_was(tmp_path: Path) -> None:

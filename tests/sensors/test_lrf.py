@@ -7,10 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from lock_step import simulated
 from textbook import numeric_jacobian, wrap
 from worlds import ROOM, World
 
 from locfuse.fusion.data import MapLine
+from locfuse.fusion.doctor.examine import blind
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
@@ -257,7 +259,8 @@ def test_lines_of_scans_that_lie_in_the_file_in_any_order_come_in_the_order_of_t
             begin = np.concatenate(([0], np.cumsum(counts[at])))
             span = np.zeros((len(rows), 2), int)
             sweep = np.zeros((len(rows), 2, 12), np.float32) + rows[:, None, None]
-            whole = Lines(begin, z[rows], R_unit[rows], z[rows] + 1.0, rows, line[rows], span, sweep)
+            curved = np.ones(len(at), int)
+            whole = Lines(begin, z[rows], R_unit[rows], z[rows] + 1.0, rows, line[rows], span, sweep, curved)
             gathered.add(np.array(at), whole)
     for found in (shuffled.in_order(4), straight.in_order(4)):
         for column, expected in zip(found[:4], (first, z, R_unit, z + 1.0), strict=True):
@@ -269,3 +272,13 @@ def test_a_log_without_scans_has_no_lines() -> None:
     assert sweep.shape == (0, 2, 12)
     assert first.tolist() == [0]
     assert (z.shape, R_unit.shape, ends.shape) == ((0, 2), (0, 2, 2), (0, 2))
+
+
+def test_a_round_room_leaves_the_pose_to_the_wheels_and_says_why() -> None:
+    drive, robot = simulated(3, "round_room", ("path.laps=0.3",))
+    (note,) = drive.measurements["lrf"].notes
+    assert "curved walls" in note
+    dead, why = blind("lrf", drive.measurements["lrf"])
+    assert "no line in" in dead.message
+    assert why.message == note
+    np.testing.assert_allclose(fuse(drive, robot, ("lrf",)).pose, fuse(drive, robot, ()).pose, atol=1e-9)

@@ -14,7 +14,6 @@ from types import ModuleType
 from typing import NamedTuple
 
 SOURCES = (
-    "beams",
     "pieces",
     "walls",
     "fit",

@@ -6,7 +6,6 @@ Arrays are flat, matrices row by row. Nothing crosses from one scan to another. 
 
 from math import cos, sin, tan
 
-from .beams import cut_at_gaps, gather, ring_start
 from .curves import find_curves
 from .fit import (
     determinant,
@@ -25,7 +24,7 @@ from .fit import (
     step_r,
     wrapped,
 )
-from .pieces import merge, moments, split, tolerances
+from .pieces import cut_at_gaps, gather, merge, moments, ring_start, split, tolerances
 from .walls import close_ring, corner_limits, link_parts, long_enough, perpendicular_fit
 
 MAX_TURN = 1e3  # rad: beyond it the steps went astray

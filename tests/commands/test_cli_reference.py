@@ -47,7 +47,7 @@ def test_every_page_says_that_it_is_a_reference(judged: tuple[Done, Path]) -> No
     done, out = judged
     assert "Measured against a reference, not truth" in done.stdout
     assert "distance to a reference, not to truth" in done.stdout
-    assert "the wheels, compass, lrf and camera" in done.stderr
+    assert "the odometry, compass, lrf and camera" in done.stderr
     page, table = (out / "report.html").read_text(), (out / "report.md").read_text()
     for text in (page, table):
         assert "Measured against a reference, not truth" in text

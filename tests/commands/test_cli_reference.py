@@ -51,7 +51,7 @@ def test_every_page_says_that_it_is_a_reference(judged: tuple[Done, Path]) -> No
     page, table = (out / "report.html").read_text(), (out / "report.md").read_text()
     for text in (page, table):
         assert "Measured against a reference, not truth" in text
-        assert "the wheels, compass, lrf and camera" in text
+        assert "the odometry, compass, lrf and camera" in text
         assert "judged by" in text
     assert "Deviation from reference" in page
     assert "Deviation is estimate minus reference" in page

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from locfuse.fusion.core.filter import bent
 from locfuse.fusion.data import Array
 from locfuse.sample_logs.messages import streams
 
@@ -54,10 +55,10 @@ def inside(drawn: Array, start: Start, way: Array) -> Array:
     c, s = np.cos(off[:, 2:]), np.sin(off[:, 2:])
     x, y = c * way[:, 0] - s * way[:, 1], s * way[:, 0] + c * way[:, 1]  # (k, n) m, as believed
     turned = start.theta**2
-    bent = 1.0 - 2.0 * math.exp(-0.5 * turned) + 0.5 * (1.0 + math.exp(-2.0 * turned))
+    along = bent(turned)
     heading = np.broadcast_to(off[:, 2:], x.shape)
     errors = np.abs([off[:, :1] + x - way[:, 0], off[:, 1:2] + y - way[:, 1], heading])
-    variances = [start.xy**2 + y * y * turned + bent * x * x, start.xy**2 + x * x * turned + bent * y * y]
+    variances = [start.xy**2 + y * y * turned + along * x * x, start.xy**2 + x * x * turned + along * y * y]
     limits = 3.0 * np.sqrt([*variances, np.full(x.shape, turned)])
     share: Array = (errors <= limits).mean(axis=(0, 2))
     return share

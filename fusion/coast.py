@@ -90,7 +90,7 @@ class Stretches:
         Returns by how much the wheels moved, x, y [m], theta [rad], component by component.
         """
         x, P = belief.arrays
-        frame = -1 if belief.frame is None else belief.frame
+        frame = belief.in_frame
         if self._room_for != (frame, len(x)):
             self._make_room(belief, frame, len(x))
         begin, end = (0, 0) if self.sensor is None else self._when.searchsorted((first, last)).tolist()

@@ -142,7 +142,7 @@ class Filter:
         for sensor, i in due:
             model = models[sensor]
             model.learn(measurements[sensor], i, belief if model.local else in_map)
-        self._track.note(self.belief, -1 if self._in_map is self.belief else self.belief.frame or 0)
+        self._track.note(self.belief)
 
     def stretches(self, drive: Drive) -> Stretches:
         """Return where the core may take many instants of a drive at once."""

@@ -47,11 +47,12 @@ class Track:
             new[: self.n] = old[: self.n]
         self.columns = more
 
-    def note(self, belief: JointBelief, frame: int) -> None:
-        """Record an instant, seen from the map where its frame begins at state `frame`; -1: they are the same."""
+    def note(self, belief: JointBelief) -> None:
+        """Record an instant, seen from the map."""
         self.make_room(self.n + 1)
         (pose, triangle, values), states = self.columns, self.states
-        self._core.note(*belief.arrays, frame, self._room, self.n, pose, triangle, states, len(states), values)
+        at = *belief.arrays, belief.in_frame, self._room, self.n
+        self._core.note(*at, pose, triangle, states, len(states), values)
         self.n += 1
 
     def recorded(self) -> tuple[Array, Array]:

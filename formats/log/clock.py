@@ -6,6 +6,8 @@ contradicts it is replaced: it is dated by its recording time, between the trust
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -40,6 +42,40 @@ class Clock:
     def as_stamped(self) -> bool:
         """Whether every time is simply its header's."""
         return self.by_stamps and self.rows is None and not self.repaired
+
+
+class Dated(ABC):
+    """What a stream says of the times that were taken for its rows."""
+
+    @property
+    @abstractmethod
+    def _clock(self) -> Clock:
+        """Return what was settled."""
+
+    @property
+    def clock(self) -> str:
+        """Which times were taken, in words."""
+        return self._clock.words
+
+    @property
+    def by_stamps(self) -> bool:
+        """Whether the times are those of the headers, sorted or repaired perhaps."""
+        return self._clock.by_stamps
+
+    @property
+    def as_stamped(self) -> bool:
+        """Whether every time is simply its header's."""
+        return self._clock.as_stamped
+
+    @property
+    def repaired(self) -> Mapping[str, int]:
+        """Stamps that were replaced, by reason."""
+        return self._clock.repaired
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is unusual about the stream's times, in words."""
+        return self._clock.notes
 
 
 def settle(log_time: Ints, stamp: Ints | None, order: str = "auto") -> Clock:

@@ -33,7 +33,7 @@ class Reader(Protocol):
         """Count the messages on a topic that are of another type than the rest of it."""
 
 
-class LogStream:
+class LogStream(clocks.Dated):
     """One topic: its clock is settled, its fields are columns on request (fusion.data.Stream)."""
 
     def __init__(self, log: Reader, topic: str, msgtype: str, order: str) -> None:
@@ -71,31 +71,6 @@ class LogStream:
         if table.stamp is None or table.log_time is None or not len(table.log_time):
             return None
         return float(np.median(table.log_time - np.asarray(table.columns[table.stamp]))) * 1e-9
-
-    @property
-    def clock(self) -> str:
-        """Which times were taken, in words."""
-        return self._clock.words
-
-    @property
-    def by_stamps(self) -> bool:
-        """Whether the times are those of the headers, sorted or repaired perhaps."""
-        return self._clock.by_stamps
-
-    @property
-    def as_stamped(self) -> bool:
-        """Whether every time is simply its header's."""
-        return self._clock.as_stamped
-
-    @property
-    def repaired(self) -> Mapping[str, int]:
-        """Stamps that were replaced, by reason."""
-        return self._clock.repaired
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What is unusual about the stream's times, in words."""
-        return self._clock.notes
 
     @property
     def dropped(self) -> Mapping[str, int]:

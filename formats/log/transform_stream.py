@@ -79,38 +79,7 @@ def edges_of(log_time: Ints, columns: Mapping[str, Column], order: str) -> dict[
     return found
 
 
-class Dated:
-    """What a stream made of transforms says of its clock (formats.log.stream.LogStream)."""
-
-    _settled: clocks.Clock
-
-    @property
-    def clock(self) -> str:
-        """Which times were taken, in words."""
-        return self._settled.words
-
-    @property
-    def by_stamps(self) -> bool:
-        """Whether the times are those of the transforms' headers, sorted or repaired perhaps."""
-        return self._settled.by_stamps
-
-    @property
-    def as_stamped(self) -> bool:
-        """Whether every time is simply its header's."""
-        return self._settled.as_stamped
-
-    @property
-    def repaired(self) -> Mapping[str, int]:
-        """Stamps that were replaced, by reason."""
-        return self._settled.repaired
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What is unusual about the stream's times, in words."""
-        return self._settled.notes
-
-
-class TransformStream(Dated):
+class TransformStream(clocks.Dated):
     """One frame in another over time, with the face of a topic (formats.log.stream.LogStream)."""
 
     def __init__(self, topic: str, order: str, edges: Sequence[Edge], static: StaticTransforms) -> None:
@@ -138,7 +107,7 @@ class TransformStream(Dated):
         return max(moving, key=lambda edge: (edge.moves, len(edge.stamp)))
 
     @property
-    def _settled(self) -> clocks.Clock:  # type: ignore[override]
+    def _clock(self) -> clocks.Clock:
         return self._main.clock
 
     @cached_property
@@ -190,7 +159,7 @@ class TransformStream(Dated):
         yield np.arange(len(self.t_ns)), self.columns(*fields)
 
 
-class TagStream(Dated):
+class TagStream(clocks.Dated):
     """The tags that a camera saw, a row for each, with the face of a topic; made of frames of /tf.
 
     A transform that says the same to the bit as the one before of its tag was published again, not seen again.
@@ -209,12 +178,16 @@ class TagStream(Dated):
         self.delay_s = float(np.median(recorded - stamps)) * 1e-9
         by_record = np.argsort(recorded, kind="stable")
         by_record = by_record[~again[by_record]]
-        self._settled = clocks.settle(recorded[by_record], stamps[by_record], order)
-        rows = by_record if self._settled.rows is None else by_record[self._settled.rows]
-        self.t_ns = self._settled.t_ns
-        self.dropped = {**self._settled.dropped, **({"repeat": int(again.sum())} if again.any() else {})}
+        self._settled = settled = clocks.settle(recorded[by_record], stamps[by_record], order)
+        rows = by_record if settled.rows is None else by_record[settled.rows]
+        self.t_ns = settled.t_ns
+        self.dropped = {**settled.dropped, **({"repeat": int(again.sum())} if again.any() else {})}
         self._data: dict[str, Column] = {"id": ids[rows].astype(np.int64)}
         self._data |= {axis: places[rows, k] for k, axis in enumerate("xyz")}
+
+    @property
+    def _clock(self) -> clocks.Clock:
+        return self._settled
 
     def columns(self, *fields: str) -> dict[str, Column]:
         """Return columns: id, and x, y, z [m] in optical axes."""

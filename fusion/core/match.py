@@ -1,7 +1,8 @@
 """Which map line is this, and what do matched lines say together? By the pairs that `pairs` found.
 
-A pair is two numbers of one equation: (r, psi) of a measured line less what is predicted of a map line. Its
-derivatives by pose, line and mount stand in `pairs`. A match also teaches the map how far its lines reach.
+A pair is two numbers of one equation: (r, psi) of a measured line less what is predicted of a map line (eq. 17,
+18). Its derivatives (eq. 13) by pose, line and mount stand in `pairs`. A match also teaches the map how far its
+lines reach.
 """
 
 from math import cos, sqrt

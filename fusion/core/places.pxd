@@ -1,5 +1,5 @@
 cpdef void into_base(double[:, ::1] rows, Py_ssize_t lines, double x, double y, double yaw, double[:, ::1] out)
-cdef Py_ssize_t SEEN, KNOWN
+cdef Py_ssize_t KNOWN
 cpdef void behind(
     double[:, ::1] rows, Py_ssize_t lines, Py_ssize_t samples, double[:, ::1] walls, Py_ssize_t m, double x, double y,
     double theta, bint both, double near, double margin, double grazing, double[:, ::1] normal, double[::1] out)

@@ -10,7 +10,6 @@ from math import cos, pi, sin, sqrt
 
 from .fit import wrapped
 
-SEEN = 7  # columns of a measured line: r, psi, R as 00, 01, 11, and both ends
 KNOWN = 6  # columns of a map line: rho, beta, anchor x, y, and both ends
 
 
@@ -34,11 +33,12 @@ def into_base(rows, lines, x, y, yaw, out):
 
 
 def behind(rows, lines, samples, walls, m, x, y, theta, both, near, margin, grazing, normal, out):
-    """Write the share of every measured line that lies behind map lines `walls` (m, 6), from a pose.
+    """Write which share of every measured line lies behind map lines `walls` (m, 6), from a pose.
 
-    A point of it - there are so many `samples` - does where the sight line meets a wall more than `near` [m]
-    before it, more than `margin` [m] from the wall's ends, and at more than `grazing` (sine of the angle), on the
-    face that was seen or on `both`. `normal` (m, 2) is room.
+    `rows` (lines, 7) are r, psi, R as 00, 01, 11, and both ends. A point of a line - there are so many `samples` -
+    lies behind where the sight line meets a wall more than `near` [m] before it, more than `margin` [m] from the
+    wall's ends, and at more than `grazing` (sine of the angle), on the face that was seen or on `both`. `normal`
+    (m, 2) is room.
     """
     normals(walls, m, normal)
     ahead_x, ahead_y = cos(theta), sin(theta)
@@ -76,11 +76,11 @@ def blocked(walls, m, normal, x, y, dx, dy, reach, both, margin, grazing):
 
 
 def explained(poses, h, rows, lines, walls, m, angle, offset, overlap, normal, out):
-    """Write out (h, 3) for every pose: the share of the measured length that map lines explain, and would explain
+    """Write what map lines explain of a scan from every pose, out (h, 3).
 
-    were they longer than known, and how many lines they explain. A line is the same as a map line within `angle`
-    [rad] and `offset` [m], where both overlap by more than the share `overlap` of its length. `normal` (m, 2) is
-    room.
+    These are the share of the measured length, the share were the map lines longer than known, and how many lines.
+    A line is the same as a map line within `angle` [rad] and `offset` [m]; it is explained where both overlap by
+    more than the share `overlap` of its length. `rows` and `walls` are as in `behind`; `normal` (m, 2) is room.
     """
     normals(walls, m, normal)
     total = 0.0

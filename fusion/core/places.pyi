@@ -1,6 +1,5 @@
 from .arrays import Floats, Matrix
 
-SEEN: int
 KNOWN: int
 
 def into_base(rows: Matrix, lines: int, x: float, y: float, yaw: float, out: Matrix) -> None: ...

@@ -87,6 +87,11 @@ class JointBelief:
         return self._x, self._P
 
     @property
+    def in_frame(self) -> int:
+        """First column of the map frame, for the core; -1: the local frame is the map."""
+        return -1 if self.frame is None else self.frame
+
+    @property
     def drifting(self) -> Sequence[tuple[Ints, Array]]:
         """State columns (k,) that drift, and the variance (k,) that each of them gains in a second."""
         return self._drift
@@ -109,7 +114,7 @@ class JointBelief:
     def located(self, in_map: bool = False) -> tuple[Pose, Triangle]:
         """Return the pose, local or that in the map, and its covariance's upper triangle."""
         out = np.empty(9)
-        first = -1 if self.frame is None or not in_map else self.frame
+        first = self.in_frame if in_map else -1
         self._room.on_arrays.locate(self._x, self._P, first, out)
         x, y, theta, xx, xy, xt, yy, yt, tt = out.tolist()
         return (x, y, theta), (xx, xy, xt, yy, yt, tt)
@@ -345,11 +350,12 @@ class JointBelief:
         if not len(columns):
             return
         n, m = self.n, self.n - len(columns)
-        for to, block in _moves(columns, n):
+        moves = _moves(columns, n)
+        for to, block in moves:
             room = slice(to, to + block.stop - block.start)
             self._x[room] = self._x[block]
             self._P[room, :n] = self._P[block, :n]
-        for to, block in _moves(columns, n):
+        for to, block in moves:
             self._P[:m, to : to + block.stop - block.start] = self._P[:m, block]
         self._x[m:n] = 0.0
         self._P[m:n, :n] = 0.0

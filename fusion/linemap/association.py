@@ -125,7 +125,7 @@ class SeenLines(Reading):
         self._shared = np.zeros((0, 2, 0)) if shared is None else shared
         of = found.candidates
         self._verdict, self._landmark = np.empty(of.lines, np.intp), np.empty(of.lines, np.intp)
-        self._told = np.full((of.lines, 5), np.nan)  # by core.match
+        self._told = np.full((of.lines, match.TOLD), np.nan)
         columns = self._verdict, self._landmark, self._told
         self.accepted: int = of.room.beside(match).on_arrays.judge(
             of.numbers, found.fate, of.lines, ids, *codes, *columns

@@ -26,11 +26,6 @@ class Scan(msgspec.Struct, frozen=True, gc=False):
         """Return the lines as one table (k, 7): r, psi, R as 00, 01, 11, and both ends."""
         return rows_of(self.z, self.R, self.ends) if self.table is None else self.table
 
-    def lengths(self) -> list[float]:
-        """Return how long they are [m]."""
-        lengths: list[float] = (self.ends[:, 1] - self.ends[:, 0]).tolist()
-        return lengths
-
 
 class Scans:
     """Reads the laser's measurements scan by scan, in the order of time."""

@@ -76,7 +76,7 @@ def test_output_directory_that_cannot_be_written_is_one_line(
 
 def test_disk_full_is_one_line_and_leaves_nothing(log: Path, tmp_path: Path) -> None:
     with start(FULL, "run", log, "-o", tmp_path / "out") as process:
-        _, stderr = process.communicate(timeout=60)
+        _, stderr = process.communicate(timeout=300)
     assert process.returncode == 1
     assert one_line(stderr), stderr
     assert not (tmp_path / "out").exists()
@@ -87,7 +87,7 @@ def test_disk_full_keeps_the_result_that_was_there(log: Path, tmp_path: Path) ->
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
 
     with start(FULL, "run", log, "-o", tmp_path) as process:
-        assert one_line(process.communicate(timeout=60)[1])
+        assert one_line(process.communicate(timeout=300)[1])
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
 
 
@@ -111,7 +111,7 @@ def test_ctrl_c_and_sigterm_end_with_their_code_one_line_and_no_half_file(
         assert process.stdout is not None
         assert process.stdout.readline() == "held\n"
         process.send_signal(number)
-        _, stderr = process.communicate(timeout=60)
+        _, stderr = process.communicate(timeout=300)
     assert process.returncode == code
     assert [line for line in stderr.splitlines() if line] == stderr.splitlines()[-1:], stderr
     assert "nothing was left half-written" in stderr

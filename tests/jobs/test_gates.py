@@ -193,7 +193,7 @@ def test_gates_hold_although_the_reader_of_the_table_has_left(tmp_path: Path, ho
     words = (*ODOMETRY, "-q", "-o", str(tmp_path))
     gate = ("--fail-if", "odometry.position_rmse_m > 0")
     command = [sys.executable, "-m", "locfuse.cli", *words, *gate, *how]
-    done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, check=False, timeout=60)
+    done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, check=False, timeout=300)
     os.close(write)
     assert done.returncode == 4
     assert done.stderr.startswith("gate: ")
@@ -210,7 +210,7 @@ def test_gates_hold_although_the_reader_of_stdout_and_stderr_has_left(
     words = (*ODOMETRY, "-o", str(tmp_path))
     gate = ("--fail-if", "odometry.position_rmse_m > 0")
     command = [sys.executable, "-m", "locfuse.cli", *words, *gate, *how]
-    done = subprocess.run(command, stdout=write, stderr=write, check=False, timeout=60)
+    done = subprocess.run(command, stdout=write, stderr=write, check=False, timeout=300)
     os.close(write)
     assert done.returncode == 4
     assert (tmp_path / "report.json").exists()

@@ -137,7 +137,7 @@ def test_a_full_disk_costs_what_was_asked_for_by_name_and_leaves_nothing_half_wr
     save = tmp_path / "drive.rrd"
     words = ["run", LOG, *LIGHT, "-o", str(tmp_path / "out"), "--rerun-save", str(save)]
     done = subprocess.run(
-        [sys.executable, "-c", FULL_DISK, *words], capture_output=True, text=True, timeout=60, check=False
+        [sys.executable, "-c", FULL_DISK, *words], capture_output=True, text=True, timeout=300, check=False
     )
     assert done.returncode == 1, done.stderr
     (line,) = (one for one in done.stderr.splitlines() if "--rerun-save" in one)
@@ -288,7 +288,7 @@ def test_the_web_view_is_reachable_from_this_machine_only(recording: Path) -> No
     command = [sys.executable, "-m", "locfuse.cli", "view", str(recording), "--web", "--web-port", str(port)]
     server = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
     try:
-        deadline = time.monotonic() + 30
+        deadline = time.monotonic() + 300
         while not viewer.listening("127.0.0.1", port) and time.monotonic() < deadline:
             time.sleep(0.1)
         listeners = [
@@ -298,7 +298,7 @@ def test_the_web_view_is_reachable_from_this_machine_only(recording: Path) -> No
         assert mine.startswith("0100007F")  # 127.0.0.1
     finally:
         server.terminate()
-        _, said = server.communicate(timeout=20)
+        _, said = server.communicate(timeout=300)
     assert f"http://127.0.0.1:{port}/?url=" in said
     assert server.returncode == 143
     assert not viewer.listening("127.0.0.1", port)  # the server does not outlive the command

@@ -18,11 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import textbook_lines
+from locfuse.cli.pipeline.load import load
+from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.formats.log.log import open_log
 from locfuse.fusion.camera.detect import Detector, detect
 from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.fuse import fuse
 from locfuse.fusion.lines.extract import extract_lines
-from locfuse.fusion.sensor import Innovation
+from locfuse.fusion.sensor import Equation, Innovation, Reading, Table
 
 Array = NDArray[np.float64]
 Work = Callable[[], int]  # does some units of work and says how many
@@ -34,31 +37,63 @@ SIGMA = 0.05
 WALLS = [(2.0, a, math.cos(a), math.sin(a)) for a in (0.0, 1.0, 2.0, 3.0, -1.0, -2.0)]  # rho [m], beta [rad], n
 
 
-def filters(lines: bool) -> tuple[Work, Work]:
-    """One step of the 3 x 3 filter: predict, then correct by a heading or by six lines (r, psi)."""
-    rng = np.random.default_rng(0)
-    z = rng.normal(0.0, SIGMA, (STEPS, 12 if lines else 1))
+def headings(path: Path) -> tuple[Work, Work]:
+    """A drive with headings, fused as the product fuses it and recorded, against as many steps of filterpy."""
+    loaded = load([path], LogOptions(None, (), None, False, True), only={"compass"})
+    z = np.random.default_rng(0).normal(0.0, SIGMA, (STEPS, 1))
+    return (lambda: len(fuse(loaded.drive, loaded.robot, ["compass"]).t)), (lambda: filterpy(z))
+
+
+def six_lines(path: Path) -> tuple[Work, Work]:
+    """Predict, then correct by six lines (r, psi) at once."""
+    z = np.random.default_rng(0).normal(0.0, SIGMA, (STEPS, 2 * len(WALLS)))
     return (lambda: our_filter(z)), (lambda: filterpy(z))
+
+
+class SixLines(Reading):
+    """A scan's lines with the walls they are, as the product's own association hands them to the filter."""
+
+    def __init__(self, y: Array, H: Array, R: Array) -> None:
+        self.accepted, self.numbers = len(WALLS), len(y)
+        self._equation = Equation(y, np.arange(3), H, R)
+
+    def equation(self) -> Equation:
+        """Return what all lines say."""
+        return self._equation
+
+    def table(self) -> Table:
+        """Nobody reads what became of them."""
+        raise NotImplementedError
+
+    def rows(self) -> list[Innovation]:
+        """Nobody reads them one by one."""
+        raise NotImplementedError
+
+    def __len__(self) -> int:
+        return len(WALLS)
+
+    def __getitem__(self, k: Any) -> Any:
+        return self.rows()[k]
 
 
 def our_filter(z: Array) -> int:
     """Predict and correct with the product's filter."""
     belief = JointBelief((0.0, 0.0, 0.0), (0.01, 0.0, 0.0, 0.01, 0.0, 0.01))
-    alone = z.shape[1] == 1
-    H_lines = [((-c, -s, 0.0), (0.0, 0.0, -1.0)) for _, _, c, s in WALLS]
-    r, R = SIGMA**2, ((SIGMA**2, 0.0), (0.0, SIGMA**2))
-    for row in z.tolist():
+    H, R = jacobian(), SIGMA**2 * np.eye(2 * len(WALLS))
+    for row in z:
         belief.predict(MOTION, NOISE)
-        if alone:
-            off = (row[0] - belief.theta,)
-            seen = [Innovation(0, 0, -1, 0.0, 0.0, off, off, ((0.0, 0.0, 1.0),), ((r,),))]
-        else:
-            seen, (x, y, theta) = [], belief.pose()
-            for k, ((rho, beta, c, s), H) in enumerate(zip(WALLS, H_lines, strict=True)):
-                e = (row[2 * k] + x * c + y * s - rho, row[2 * k + 1] - beta + theta)
-                seen.append(Innovation(k, 0, k, 0.0, 0.0, e, e, H, R))
-        belief.correct(seen)
+        x, y, theta = belief.pose()
+        expected = [v for rho, beta, c, s in WALLS for v in (rho - x * c - y * s, beta - theta)]
+        belief.correct([SixLines(row - expected, H.copy(), R.copy())])
     return len(z)
+
+
+def jacobian() -> Array:
+    """Return the derivative (12, 3) of r and psi of all walls by the pose."""
+    _, _, c, s = np.array(WALLS).T
+    H = np.zeros((2 * len(WALLS), 3))
+    H[::2, 0], H[::2, 1], H[1::2, 2] = -c, -s, -1.0
+    return H
 
 
 def filterpy(z: Array) -> int:
@@ -76,11 +111,9 @@ def filterpy(z: Array) -> int:
             self.F = np.array([[1.0, 0.0, -step[1]], [0.0, 1.0, step[0]], [0.0, 0.0, 1.0]])
             self.Q = turn @ W @ turn.T
 
-    rho, beta, c, s = np.array(WALLS).T
-    H_lines = np.zeros((12, 3))
-    H_lines[::2, 0], H_lines[::2, 1], H_lines[1::2, 2] = -c, -s, -1.0
     W, alone = np.diag([NOISE[0], NOISE[3], NOISE[5]]), z.shape[1] == 1
-    H = np.array([[0.0, 0.0, 1.0]]) if alone else H_lines
+    H = np.array([[0.0, 0.0, 1.0]]) if alone else jacobian()
+    rho, beta, c, s = np.array(WALLS).T
 
     def expected(x: Array) -> Array:
         if alone:
@@ -148,8 +181,8 @@ def omni(path: Path) -> tuple[Work, Work]:
 
 
 KERNELS: dict[str, Callable[[Path], tuple[Work, Work]]] = {
-    "ekf_heading": lambda path: filters(lines=False),
-    "ekf_lines": lambda path: filters(lines=True),
+    "ekf_heading": headings,
+    "ekf_lines": six_lines,
     "lines": lines,
     "lines_recursive": recursion,
     "omni": omni,

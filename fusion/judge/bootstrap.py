@@ -18,6 +18,7 @@ from locfuse.fusion.data import Array
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000
+STARTS_AT_ONCE = 1 << 20  # of blocks that are held: a drive of many short ones would fill the memory
 CHANCE_DRAWS = 20_000  # of an effect of chance: its tails are thin
 MAX_BLOCKS = 200  # longer blocks do no harm, shorter ones cost memory
 MIN_MSE_M2 = 1e-18  # m^2: a mean squared error below is taken as this
@@ -104,8 +105,14 @@ def block_means(values: Array, block: int, seed: int = 1) -> Array:
     count = math.ceil(q / block)
     twice = np.concatenate((np.zeros((k, 1)), values, values), axis=1)
     sums = np.cumsum(twice, axis=1)
-    starts = np.random.default_rng(seed).integers(0, q, size=(RESAMPLES, count))
-    totals = np.stack([(row[starts + block] - row[starts]).sum(axis=1) for row in sums], axis=-1)
+    rng = np.random.default_rng(seed)
+    at_once = max(1, STARTS_AT_ONCE // count)
+    totals = np.empty((RESAMPLES, k))
+    for first in range(0, RESAMPLES, at_once):
+        some = totals[first : first + at_once]
+        starts = rng.integers(0, q, size=(len(some), count))
+        for j, row in enumerate(sums):
+            some[:, j] = (row[starts + block] - row[starts]).sum(axis=1)
     means: Array = totals / (count * block)
     return means
 

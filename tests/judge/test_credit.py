@@ -15,6 +15,7 @@ from scipy import stats
 
 from locfuse.cli.pipeline.verdicts import verdicts
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge import bootstrap
 from locfuse.fusion.judge.bootstrap import Errors, block_means, by_chance, effective_samples, student_t
 from locfuse.fusion.judge.credit import Credit, credit, credit_over_logs, shapley_steps, subsets
 from locfuse.fusion.judge.evaluate import evaluate
@@ -90,6 +91,13 @@ def test_block_means_keep_pairs_and_the_mean() -> None:
     means = block_means(np.stack((values, 2.0 * values)), 20)
     np.testing.assert_allclose(means[:, 1], 2.0 * means[:, 0])
     assert means[:, 0].mean() == pytest.approx(values.mean(), rel=0.02)
+
+
+def test_means_are_the_same_however_few_blocks_are_held_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    values = np.random.default_rng(0).normal(size=(2, 503))
+    whole = block_means(values, 7)
+    monkeypatch.setattr(bootstrap, "STARTS_AT_ONCE", 1000)
+    np.testing.assert_array_equal(block_means(values, 7), whole)
 
 
 def test_the_interval_of_a_ratio_contains_the_truth_as_often_as_it_says() -> None:

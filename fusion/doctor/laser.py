@@ -34,6 +34,7 @@ STRETCHES = 8  # stretches of the drive whose estimates must agree
 MIN_SCALE_ERROR, MIN_YAW_ERROR_RAD, MIN_SIGMAS = 0.03, math.radians(4.0), 3.0
 WORTH_SAYING = Least(MIN_SCALE_ERROR, MIN_SIGMAS)
 SEVERE_SCALE_ERROR, SEVERE_YAW_ERROR_RAD = 0.05, math.radians(8.0)
+MAX_RADIUS_MISFIT = 0.5  # of the smaller error: two errors that differ by more have two causes
 MIN_CORRELATION = 0.9  # correlation of both turns: less, and what the wheels tell is noise
 MIN_TURN_SQUARES_RAD2 = 0.5  # rad^2, all turns squared and added: what wobbles along a straight tells no track
 
@@ -84,6 +85,31 @@ def _turned(m: Measurements, yaw: float, mount: Array) -> Measurements:
     own = r - np.cos(psi) * mount[0] - np.sin(psi) * mount[1]
     psi = psi - yaw
     return replace(m, z=np.stack((own + np.cos(psi) * mount[0] + np.sin(psi) * mount[1], psi), axis=-1))
+
+
+def of_radius(motion: Motion | None, robot: Robot, least: Least = WORTH_SAYING) -> list[Finding]:
+    """Return the wheels' radius where the walls say that they measure ways and turns too long by one factor.
+
+    A wrong range scale changes no turn, a wrong track no way: one number explains both, where it would take two.
+    """
+    radius = robot.wheels.radius
+    if motion is None or radius is None or motion.turns is None:
+        return []
+    scales, sigmas = np.array((1.0 / motion.scale, motion.turns)), (motion.scale_sigma, motion.turns_sigma)
+    if not all(math.isfinite(s) and s > 0.0 for s in sigmas):
+        return []
+    off, apart = np.abs(scales - 1.0), abs(float(scales[0] - scales[1]))
+    alike = apart < least.sigmas * math.hypot(*sigmas) and apart < MAX_RADIUS_MISFIT * float(off.min())
+    if not alike or any(off < [least.error + least.sigmas * s for s in sigmas]):
+        return []
+    weights = 1.0 / np.square(sigmas)
+    factor, sigma = float(scales @ weights / weights.sum()), float(weights.sum() ** -0.5)
+    words = (
+        f"by the laser's walls they measure ways and turns {1.0 / factor:.3f} times as long as these are (1 sigma "
+        f"{sigma:.3f}): a wrong radius does both"
+    )
+    fixes = (f"wheels.radius={radius * factor:.4g}",)
+    return [Finding("wheels", "radius", words, fixes, abs(factor - 1.0) > SEVERE_SCALE_ERROR)]
 
 
 def of_laser(

@@ -18,8 +18,8 @@ from locfuse.fusion.data import Drive, LocfuseError, Truth, UsageError
 from locfuse.fusion.doctor.clocks import of_clocks
 from locfuse.fusion.doctor.compass import angles, by_gravity
 from locfuse.fusion.doctor.examine import gaps
-from locfuse.fusion.doctor.finding import Finding, of_error
-from locfuse.fusion.doctor.laser import laser_motion, of_laser
+from locfuse.fusion.doctor.finding import Finding, Least, of_error
+from locfuse.fusion.doctor.laser import laser_motion, of_laser, of_radius
 from locfuse.fusion.doctor.start import start_pose
 from locfuse.fusion.doctor.truth import of_truth
 from locfuse.fusion.doctor.turning import explain, of_track, turnings
@@ -86,6 +86,28 @@ def test_the_track_is_measured_by_the_turning_of_the_walls() -> None:
     narrow = type(settings)(radius=0.05, track=0.8 * TRACK)
     assert told(of_track(narrow, turnings(wrong), motion))["wheels.track"] == pytest.approx(TRACK, rel=0.03)
     assert of_track(settings, turnings(right), laser_motion(m, m.t, right, robot())) == []
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.06])
+def test_ways_and_turns_that_are_too_long_alike_are_a_wrong_radius(factor: float) -> None:
+    """What the encoders count is multiplied by a radius that is off."""
+    right = drive(4, robot())
+    rolled = np.concatenate((np.zeros((1, 2)), np.cumsum(factor * right.wheels.rolled, axis=0)))
+    wrong = replace(right, wheels=Wheels.from_wheels(right.wheels.t, *rolled.T, TRACK, right.wheels.noise))
+    m = right.measurements["lrf"]
+    found = of_radius(laser_motion(m, m.t, wrong, robot()), robot(), least=Least(0.005, 2.0))
+    assert told(found)["wheels.radius"] == pytest.approx(0.05 / factor, rel=0.02)
+
+
+def test_a_wrong_track_or_range_scale_alone_is_no_wrong_radius() -> None:
+    right = drive(4, robot())
+    m = right.measurements["lrf"]
+    rolled = np.concatenate((np.zeros((1, 2)), np.cumsum(right.wheels.rolled, axis=0)))
+    narrow = replace(right, wheels=Wheels.from_wheels(right.wheels.t, *rolled.T, 0.8 * TRACK, 4e-4))
+    shrunk = replace(m, z=m.z * [0.9, 1.0])
+    least = Least(0.005, 2.0)
+    for readings, motion in ((m, right), (m, narrow), (shrunk, right)):
+        assert of_radius(laser_motion(readings, m.t, motion, robot()), robot(), least=least) == []
 
 
 def test_a_straight_run_tells_no_track() -> None:

@@ -18,12 +18,12 @@ from locfuse.cli.pipeline.load import Loaded
 from locfuse.cli.pipeline.trust import sensors_consistency
 from locfuse.fusion.advice.probes import of_mount, of_offsets, of_probe, of_scale, probe_of
 from locfuse.fusion.advice.search import Candidate, Fixes
+from locfuse.fusion.advice.slip import Slip, slip
 from locfuse.fusion.data import Estimates, Truth
 from locfuse.fusion.doctor.clocks import clock_lags, lags_by_truth
 from locfuse.fusion.doctor.examine import examine, scales
 from locfuse.fusion.doctor.finding import Finding, Least
 from locfuse.fusion.doctor.lag import SAID_SIGMAS, Lag, worth_saying
-from locfuse.fusion.doctor.slip import Slip, slip
 from locfuse.fusion.judge.consistency import Consistency
 from locfuse.fusion.judge.covariance import honesty
 from locfuse.fusion.sensors.registry import REGISTRY

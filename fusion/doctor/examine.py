@@ -86,7 +86,8 @@ def _scales(
     if lrf is not None and len(lrf.t) > 20 and not any(o.role == "lrf" for o in turning):
         motion = laser_motion(lrf, aligned(lrf, by_sensor.get("lrf")), drive, robot)
     factor, scaled = metre(drive, robot, **named)
-    radius = of_radius(motion, robot, **named) if wheels_metre(drive) is None else []
+    by_truth = wheels_metre(drive) is not None
+    radius = [] if by_truth else of_radius(motion, robot, **named)
     if radius and least is None:
         return radius  # one cause of what looks like a wrong track and a wrong range scale
     by_wheels = robot.wheels.radius is not None
@@ -94,7 +95,7 @@ def _scales(
     if track:
         scaled = [replace(o, fixes=o.fixes[:1]) for o in scaled]
     # who tries fixes tries all three
-    return [*radius, *scaled, *track, *of_laser(motion, robot, factor, **named)]
+    return [*radius, *scaled, *track, *of_laser(motion, robot, factor, by_truth=by_truth, **named)]
 
 
 def _refused(drive: Drive) -> list[Finding]:

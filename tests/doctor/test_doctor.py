@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from small_drive import START, TRACK, drive, path, robot
+from small_drive import NOISE, START, TRACK, drive, path, robot
 
 import locfuse
 from locfuse.formats.robot.urdf import wheel_geometry
@@ -51,7 +51,12 @@ def test_the_laser_s_metre_is_measured_by_walls_seen_twice(scale: float) -> None
     motion = laser_motion(shrunk, m.t, healthy, robot())
     assert motion is not None
     assert motion.scale == pytest.approx(scale, rel=0.02)
-    assert bool(of_laser(motion, robot())) == (scale != 1.0)
+    found = of_laser(motion, robot())
+    assert bool(found) == (scale != 1.0)
+    assert not found or f"wheels.radius={0.05 / motion.scale:.4g}" in found[0].message  # who is right is not known
+    by_truth = of_laser(motion, robot(), by_truth=True)
+    assert [f.code for f in by_truth] == ["range scale"] * bool(found)
+    assert not any("wheels.radius" in f.message for f in by_truth)
 
 
 @pytest.mark.parametrize("yaw_deg", [-120.0, 20.0, 90.0, 180.0])
@@ -93,7 +98,7 @@ def test_ways_and_turns_that_are_too_long_alike_are_a_wrong_radius(factor: float
     """What the encoders count is multiplied by a radius that is off."""
     right = drive(4, robot())
     rolled = np.concatenate((np.zeros((1, 2)), np.cumsum(factor * right.wheels.rolled, axis=0)))
-    wrong = replace(right, wheels=Wheels.from_wheels(right.wheels.t, *rolled.T, TRACK, right.wheels.noise))
+    wrong = replace(right, wheels=Wheels.from_wheels(right.wheels.t, rolled[:, 0], rolled[:, 1], TRACK, NOISE))
     m = right.measurements["lrf"]
     found = of_radius(laser_motion(m, m.t, wrong, robot()), robot(), least=Least(0.005, 2.0))
     assert told(found)["wheels.radius"] == pytest.approx(0.05 / factor, rel=0.02)
@@ -103,7 +108,9 @@ def test_a_wrong_track_or_range_scale_alone_is_no_wrong_radius() -> None:
     right = drive(4, robot())
     m = right.measurements["lrf"]
     rolled = np.concatenate((np.zeros((1, 2)), np.cumsum(right.wheels.rolled, axis=0)))
-    narrow = replace(right, wheels=Wheels.from_wheels(right.wheels.t, *rolled.T, 0.8 * TRACK, 4e-4))
+    narrow = replace(
+        right, wheels=Wheels.from_wheels(right.wheels.t, rolled[:, 0], rolled[:, 1], 0.8 * TRACK, NOISE)
+    )
     shrunk = replace(m, z=m.z * [0.9, 1.0])
     least = Least(0.005, 2.0)
     for readings, motion in ((m, right), (m, narrow), (shrunk, right)):

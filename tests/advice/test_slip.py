@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from small_drive import NOISE, drive, robot
 
+from locfuse.fusion.advice.slip import LONG_S, MAX_FACTOR, SHORT_S, slip
 from locfuse.fusion.data import Drive
-from locfuse.fusion.doctor.slip import LONG_S, MAX_FACTOR, SHORT_S, slip
 
 
 def drawn(seed: int = 0, laps: float = 2.0, compass_noise_deg: float = 1.0) -> Drive:

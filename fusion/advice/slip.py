@@ -70,14 +70,14 @@ def slip(drive: Drive) -> Slip | None:
 
 def _by(name: str, t: Array, heading: Array, wheels: Wheels) -> Slip | None:
     known = np.isfinite(heading)
-    parts = [_differences(t[known], heading[known], window, wheels) for window in (SHORT_S, LONG_S)]
-    if parts[0] is None or parts[1] is None:
+    short, long = (_differences(t[known], heading[known], window, wheels) for window in (SHORT_S, LONG_S))
+    if short is None or long is None:
         return None
-    expected = parts[1].expected
-    growth = expected - parts[0].expected
+    expected = long.expected
+    growth = expected - short.expected
     if growth < MIN_EXPECTED_RAD**2 * (1.0 - SHORT_S / LONG_S):
         return None
-    usual, whole = (max(long - short, 0.0) / growth for short, long in zip(*(p.seen for p in parts), strict=True))
+    usual, whole = (max(b - a, 0.0) / growth for a, b in zip(short.seen, long.seen, strict=True))
     # rare slips are slips: wheels are only called better than configured if all that was seen says so
     factor = usual if usual > 1.0 else min(max(whole, usual), 1.0)
     return Slip(factor, math.sqrt(factor * expected), math.sqrt(expected), name)

@@ -58,9 +58,9 @@ def improves(before: Score, after: Score) -> bool:
         less = before.position - after.position
         if less > max(MIN_GAIN * before.position, MIN_GAIN_M):
             return True
-        # an ANEES that comes nearer while the error grows is no gain: 220 and 176 are both far off
-        grows = after.position > before.position * (1.0 + MAX_LOSS) + MAX_LOSS_M
-        return not grows and _off(before) - _off(after) > MIN_LN_ANEES_GAIN
+        nearer = _off(before) - _off(after)
+        # and outweighs an error that grows: 220 and 176 are both far off
+        return nearer > MIN_LN_ANEES_GAIN and gain(before, after) > WEIGHT_OF_ANEES * MIN_LN_ANEES_GAIN - 1e-9
     if before.prediction is not None and after.prediction is not None:
         return after.prediction - before.prediction > MIN_GAIN_NATS
     return False

@@ -82,7 +82,9 @@ BOUNDS = (0.5, 2.0)
         (Score(0.1, 40.0, BOUNDS), Score(0.1, 1.0, BOUNDS), False, True),
         (Score(0.1, 0.8, BOUNDS), Score(0.1, 1.0, BOUNDS), False, False),  # chance, both
         (Score(0.1, 1.0, BOUNDS), Score(0.1, 3.0, BOUNDS), True, False),
-        (Score(0.1, 5.4, BOUNDS), Score(0.12, 1.0, BOUNDS), True, False),  # no ANEES is worth a larger error
+        (Score(0.1, 5.4, BOUNDS), Score(0.12, 1.0, BOUNDS), True, True),  # no ANEES is worth a larger error
+        (Score(0.295, 220.0, BOUNDS), Score(0.328, 176.0, BOUNDS), True, False),  # nor is a little of it a gain
+        (Score(0.3, 220.0, BOUNDS), Score(0.303, 100.0, BOUNDS), False, True),
         (Score(0.1, 1.0, BOUNDS), Score(0.05, 3.0, BOUNDS), False, True),  # half the error
         (Score(0.1, 1.0, BOUNDS), Score(0.091, 3.0, BOUNDS), True, False),  # less than a tenth
         (Score(0.1), Score(0.01, lost=0.2), True, True),  # lost is worse, whatever else

@@ -80,6 +80,7 @@ FAULTS: dict[str, Fault] = {
     **{f"compass {ms} ms late": _late("compass", ms / 1000) for ms in (20, 50, 100, 200)},
     **{f"laser {ms} ms late": _late("lrf", ms / 1000) for ms in (20, 50, 100, 200)},
     "camera 200 ms late": _late("camera", 0.2),
+    "wheels 100 ms late": _late("wheels", 0.1),
     "truth 100 ms late": _late("truth", 0.1),
     "laser 3 cm ahead": Fault(("lrf.x=0.03",), "lrf", MOUNT),
     "laser 3 cm aside": Fault(("lrf.y=0.03",), "lrf", MOUNT),
@@ -128,6 +129,11 @@ class Case:
         """Whom a right verdict accuses."""
         return {fault.role for fault in self.faults if fault.role}
 
+    @property
+    def of_truth(self) -> bool:
+        """Whether the truth itself is wrong: without it nothing is."""
+        return any(fault.role == "truth" for fault in self.faults)
+
 
 def cases() -> list[Case]:
     """Return single faults, then pairs."""
@@ -148,12 +154,13 @@ def errors(session: Session) -> dict[str, float]:
     return {name: v["position_rmse_m"] for name, v in found.items() if v["position_rmse_m"] is not None}
 
 
-def run(log: Path, case: Case, truth: bool, right: Mapping[str, float]) -> dict[str, Any]:
+def run(
+    log: Path, case: Case, truth: bool, right: Mapping[str, float], before: Mapping[str, float]
+) -> dict[str, Any]:
     """Return what is found in one case, and the errors before and after everything that is advised is set."""
     sets = (*RIGHT, *case.sets)
     hidden = () if truth else ("truth.topic=none",)
     report = load(log, sets=(*sets, *hidden)).findings()
-    before = errors(load(log, sets=sets))
     after = errors(load(log, sets=(*sets, *report["fixes"]))) if report["fixes"] else before
     return {
         "accused": sorted({f["role"] for f in report["findings"] if f["fixes"]}),
@@ -201,41 +208,53 @@ def results(seeds: int, out: Path, chosen: Sequence[Case], truths: Sequence[bool
         done = {(r["case"], r["seed"], r["truth"]): r for r in rows}
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(FIRST_SEED, FIRST_SEED + seeds):
-            left = [(c, t) for c in chosen for t in truths if (c.name, seed, t) not in done]
-            yield from (done[c.name, seed, t] for c in chosen for t in truths if (c.name, seed, t) in done)
+            wanted = [(c, t) for c in chosen for t in truths if t or not c.of_truth]
+            left = [(c, t) for c, t in wanted if (c.name, seed, t) not in done]
+            yield from (done[c.name, seed, t] for c, t in wanted if (c.name, seed, t) in done)
             if not left:
                 continue
             log = drive(seed, Path(folder))
             right = errors(load(log, sets=RIGHT))
-            for case, truth in left:
-                row = {"case": case.name, "seed": seed, "truth": truth, **run(log, case, truth, right)}
-                with out.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(row) + "\n")
-                yield row
+            for case in dict.fromkeys(c for c, _ in left):
+                before = errors(load(log, sets=(*RIGHT, *case.sets)))
+                for truth in (t for c, t in left if c == case):
+                    row = {"case": case.name, "seed": seed, "truth": truth}
+                    row |= run(log, case, truth, right, before)
+                    with out.open("a", encoding="utf-8") as file:
+                        file.write(json.dumps(row) + "\n")
+                    yield row
 
 
 def table(rows: Sequence[Mapping[str, Any]], chosen: Sequence[Case]) -> list[str]:
-    """Return one line for each case, with and without truth."""
+    """Return one line for each case: with truth, then without."""
     lines = [
-        "| fault | truth | right key | others accused | worse | gap closed | errors, mm: right, before, after |",
-        "|---|---|--:|--:|--:|--:|---|",
+        "| fault | right key | others accused | worse | gap closed | errors, mm: right, before, after |",
+        "|---|---|---|---|---|---|",
     ]
     for case in chosen:
-        for truth in (True, False):
-            own = [r for r in rows if r["case"] == case.name and r["truth"] == truth]
-            if not own:
-                continue
-            others = sum(bool(set(r["accused"]) - case.roles) for r in own)
-            closed = [r["closed"] for r in own if r["closed"] is not None]
-            share = f"{sum(closed) / len(closed):.0%}" if closed else "no gap"
-            errors_m = next((r["errors_m"] for r in own if r["errors_m"]), None)
-            shown = ", ".join(f"{1000 * e:.1f}" for e in errors_m) if errors_m else ""
-            named = f"{sum(r['named'] for r in own)}/{len(own)}"
-            lines.append(
-                f"| {case.name} | {'yes' if truth else 'no'} | {named} | {others} "
-                f"| {sum(bool(r['worse']) for r in own)} | {share} | {shown} |"
-            )
+        sides = [[r for r in rows if r["case"] == case.name and r["truth"] == t] for t in (True, False)]
+        if not any(sides):
+            continue
+        cells = (
+            [f"{sum(r['named'] for r in side)} of {len(side)}" for side in sides],
+            [str(sum(bool(set(r["accused"]) - case.roles) for r in side)) for side in sides],
+            [str(sum(bool(r["worse"]) for r in side)) for side in sides],
+            [_mean(r["closed"] for r in side if r["closed"] is not None) for side in sides],
+        )
+        beside = (", ".join(c if side else "-" for c, side in zip(cell, sides, strict=True)) for cell in cells)
+        lines.append(f"| {case.name} | {' | '.join(beside)} | {_errors(sides)} |")
     return lines
+
+
+def _errors(sides: Sequence[Sequence[Mapping[str, Any]]]) -> str:
+    """Return the mean errors with the right and the wrong settings, and after advice with truth and without."""
+    known = [[r["errors_m"] for r in side if r["errors_m"]] for side in sides]
+    first = next((side for side in known if side), None)
+    if first is None:
+        return ""
+    means = [sum(e[i] for e in first) / len(first) for i in (0, 1)]
+    means += [sum(e[2] for e in side) / len(side) for side in known if side]
+    return ", ".join(f"{1000 * mean:.1f}" for mean in means)
 
 
 def goals(rows: Sequence[Mapping[str, Any]], chosen: Sequence[Case]) -> list[str]:

@@ -23,6 +23,9 @@ ASK_MOUNT = (
     "How well they are known: sigma_x, sigma_y, sigma_yaw_deg (of a laser 0.01 m and 0.5 degrees unless set)"
 )
 SIGMA_M, SIGMA_DEG = 0.01, 0.5  # m, degrees: of a mount, wherever it comes from
+MAX_PRIOR_SIGMAS = (
+    3.0  # of what is configured: what is found further off may be another error that looks like a mount
+)
 SAID_SIGMAS = 3.0  # its own: a mount found further off than this, and than it is known to be, is reported
 
 
@@ -92,18 +95,22 @@ class Mount:
 
     def words(self, belief: Any) -> list[str]:
         """Say where the drive found the mount, if that is not where it is configured to be."""
-        parts = []
+        parts, far = [], False
         for i, name in self._names.items():
             column, value = belief.block(name)
             found, sigma = float(value[0]), math.sqrt(max(float(belief.covariance[column, column]), 0.0))
             if abs(found - self.told[i]) <= max(SAID_SIGMAS * sigma, math.sqrt(self._variances[i])):
                 continue
+            far = far or abs(found - self.told[i]) > MAX_PRIOR_SIGMAS * math.sqrt(self._variances[i])
             key, unit, times = (("x", " m", 1.0), ("y", " m", 1.0), ("yaw_deg", "°", math.degrees(1.0)))[i]
             parts.append(
                 f"{key} {to_a_tenth_of(times * sigma, times * found):g}{unit} (1 sigma: {times * sigma:.2g}), "
                 f"configured {times * self.told[i]:.4g}"
             )
-        return [f"its mount was found elsewhere: {'; '.join(parts)}"] if parts else []
+        doubt = (
+            ". That is further off than it is known to be: measure it, or something else is wrong" if far else ""
+        )
+        return [f"its mount was found elsewhere: {'; '.join(parts)}{doubt}"] if parts else []
 
     def rows(self, by_mount: tuple[Row, ...]) -> tuple[Row, ...]:
         """Return the columns of a derivative by (x, y, yaw), (d, 3), that belong to states."""

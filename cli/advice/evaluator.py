@@ -7,6 +7,7 @@ is blamed for the fault of another.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -14,6 +15,7 @@ from locfuse.cli.pipeline.compare import Compared, Heard, Watch, compare_log
 from locfuse.cli.pipeline.configurations import Configuration, for_comparison
 from locfuse.cli.pipeline.load import Loaded
 from locfuse.cli.pipeline.settings import Progress, silent
+from locfuse.fusion.advice.score import MAX_CHANCE_LOSS
 from locfuse.fusion.advice.search import Advice, Candidate, Fixes, search, together, total
 from locfuse.fusion.data import Estimates
 
@@ -25,6 +27,7 @@ MAX_ROUNDS = 4
 # findings that are measured again, better, once others are fixed
 REFINED = ("lag", "mount", "way", "understated")
 CLEAR = 1.0  # worth of fixes beyond which nothing of a later stage is likely to explain the same
+CHANCE = 2.0 * math.log(1.0 + MAX_CHANCE_LOSS)  # worth that two configurations may gain or lose by chance
 MIN_DURATION_S = 5.0  # s: a shorter drive judges no setting
 
 
@@ -113,6 +116,7 @@ def _rounds(compared: Compared, trial: Trial) -> tuple[list[Advice], Fixes]:
         trial.seed(kept, compared)
         evidence = Evidence(compared, trial, kept)
         if not evidence.suspicious():
+            without = {}  # what had no fix looked wrong only beside what now has one
             break
         found = _first_that_helps(evidence, kept, trial, done={(a.finding.role, a.finding.code) for a in helped})
         without = {a.finding.role: a for a in found if not a.helps}
@@ -143,7 +147,7 @@ def _first_that_helps(evidence: Evidence, kept: Fixes, trial: Trial, done: set[t
     for stage in stages:
         candidates = [c for c in stage() if _key(c) not in done or c.finding.code in REFINED]
         found = search(candidates, kept, trial)
-        best = max(best, found, key=total)
+        best = max(best, found, key=_weight)
         observed = {_key(c) for c in candidates if not c.offer}
         if total(best) > CLEAR or any(a.helps and (a.finding.role, a.finding.code) in observed for a in found):
             break
@@ -153,6 +157,15 @@ def _first_that_helps(evidence: Evidence, kept: Fixes, trial: Trial, done: set[t
     if any(a.helps for a in best):
         return [*(a for a in failed if a.finding.severe and not a.helps), *best]
     return _one_each(failed)
+
+
+def _weight(found: Sequence[Advice]) -> float:
+    """Return what a stage's fixes are worth beside a later one's, which explains the same in another way.
+
+    A clock that is measured to be off and noise that would hide it: chance alone may make noise look better.
+    """
+    measured = any(a.helps and a.measured for a in found)
+    return total(found) + (CHANCE if measured else 0.0)
 
 
 def _key(c: Candidate) -> tuple[str, str]:

@@ -7,7 +7,7 @@ and noise, since each of these looks like one.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -18,11 +18,12 @@ from locfuse.cli.pipeline.load import Loaded
 from locfuse.cli.pipeline.trust import sensors_consistency
 from locfuse.fusion.advice.probes import of_mount, of_offsets, of_probe, of_scale, probe_of
 from locfuse.fusion.advice.search import Candidate, Fixes
+from locfuse.fusion.advice.slip import Slip, slip
 from locfuse.fusion.data import Estimates, Truth
 from locfuse.fusion.doctor.clocks import clock_lags, lags_by_truth
 from locfuse.fusion.doctor.examine import examine, scales
 from locfuse.fusion.doctor.finding import Finding, Least
-from locfuse.fusion.doctor.lag import Lag, worth_saying
+from locfuse.fusion.doctor.lag import SAID_SIGMAS, Lag, worth_saying
 from locfuse.fusion.judge.consistency import Consistency
 from locfuse.fusion.judge.covariance import honesty
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -75,7 +76,7 @@ class Evidence:
             or self._worse_than_odometry()
             or bool(self._mounts_found)
         )
-        return seen or bool(scales(self.loaded.drive, self.loaded.robot, SUSPICIOUS))
+        return seen or self._slips_unusually or bool(scales(self.loaded.drive, self.loaded.robot, SUSPICIOUS))
 
     def _lags(self) -> bool:
         return bool(self._late) or any(worth_saying(lag) for lag in self._by_wheels.values())
@@ -96,8 +97,10 @@ class Evidence:
 
     def clocks(self) -> list[Candidate]:
         """Return what measuring and the truth say of clocks: while one is wrong, the rest is not to be trusted."""
-        offers = [*self._late, *self._late_pictures()]
-        return self._candidates([f for f in self.doctor if f.code == CLOCK], offers)
+        offers = [*self._late, *self._late_wheels(), *self._late_pictures()]
+        by_truth = self.loaded.drive.truth is not None
+        measured = {("wheels", CLOCK), *((f.role, f.code) for f, _ in self._late if by_truth)}
+        return self._candidates([f for f in self.doctor if f.code == CLOCK], offers, measured)
 
     def geometry(self) -> list[Candidate]:
         """Return what measuring and a run with more states say of mounts, scales and directions."""
@@ -105,14 +108,22 @@ class Evidence:
         named = {(f.role, f.code) for f in probed}
         found = [*probed, *(f for f in self._mounts_found if (f.role, f.code) not in named)]
         offers = [(f, (f.fixes,)) for f in found]
-        return self._candidates([f for f in self.doctor if f.code != CLOCK], offers)
+        # a state's sigma is evidence only where the run is consistent
+        measured = {(f.role, f.code) for f in found if not self._complained_itself(f.role)}
+        return self._candidates([f for f in self.doctor if f.code != CLOCK], offers, measured)
 
-    def _candidates(self, seen: Sequence[Finding], offers: Sequence[Offer]) -> list[Candidate]:
+    def _candidates(
+        self, seen: Sequence[Finding], offers: Sequence[Offer], measured: Collection[tuple[str, str]]
+    ) -> list[Candidate]:
         """Return candidates; a sensor that no run can use as it is (its readings are refused) has no judge."""
         known = {(f.role, f.code) for f in seen}
+        offered = [self._candidate(f, tries, True) for f, tries in offers if (f.role, f.code) not in known]
         return [
-            *(self._candidate(f, (f.fixes,), not f.severe) for f in seen if f.fixes and self.judges(f.role)),
-            *(self._candidate(f, tries, True) for f, tries in offers if (f.role, f.code) not in known),
+            replace(c, measured=(c.finding.role, c.finding.code) in measured)
+            for c in (
+                *(self._candidate(f, (f.fixes,), not f.severe) for f in seen if f.fixes and self.judges(f.role)),
+                *offered,
+            )
         ]
 
     @cached_property
@@ -162,6 +173,22 @@ class Evidence:
         for sensor, lag in self._by_wheels.items():
             if abs(lag.offset) >= max(MIN_SUSPICIOUS_LAG_S, MIN_SUSPICIOUS_SIGMAS * lag.sigma):
                 yield from self._shifted(sensor, lag, "the wheels")
+
+    def _late_wheels(self) -> Iterator[Offer]:
+        """Yield the wheels' clock where all sensors that turn are as late as each other: then it is theirs."""
+        lags = [lag for lag in self._by_wheels.values() if 0.0 < lag.sigma < math.inf]
+        if len(lags) < 2:
+            return
+        offsets, weights = np.array([lag.offset for lag in lags]), np.array([lag.sigma**-2 for lag in lags])
+        mean, sigma = float(offsets @ weights / weights.sum()), float(weights.sum() ** -0.5)
+        alike = (np.abs(offsets - mean) < MIN_LAG_SIGMAS * weights**-0.5).all()
+        if alike and abs(mean) >= max(MIN_SUSPICIOUS_LAG_S, SAID_SIGMAS * sigma):
+            names = " and ".join(self._by_wheels)
+            words = f"stamps look {abs(mean):.3f} s {'late' if mean > 0.0 else 'early'} against {names} alike"
+            yield (
+                Finding("wheels", CLOCK, f"{words} (1 sigma {sigma:.3f} s)"),
+                ((f"wheels.time_offset={self.loaded.robot.wheels.time_offset - mean + 0.0:.3f}",),),
+            )
 
     def _shifted(self, sensor: str, lag: Lag, against: str) -> Iterator[Offer]:
         """Yield a lag with the offsets to be tried: the lag itself, and one standard deviation to either side."""
@@ -250,9 +277,18 @@ class Evidence:
                 finding = Finding(sensor, verdict.verdict, words)
                 options = tuple(dict.fromkeys((*seen, *more)))
                 found.append(self._candidate(finding, options, not seen))
-        if self.loaded.drive.truth is not None and self._doubtful(self._best(self.trial.configurations)):
+        doubtful = self.loaded.drive.truth is not None and self._doubtful(self._best(self.trial.configurations))
+        if doubtful or self._slips_unusually:
             found.append(self._wheel_noise())
         return found
+
+    @cached_property
+    def _slip(self) -> Slip | None:
+        return slip(self.loaded.drive)
+
+    @property
+    def _slips_unusually(self) -> bool:
+        return self._slip is not None and self._slip.unusual
 
     def _by_anees(self, sensor: str) -> list[Fixes]:
         """Return the sensor's noise scaled by what truth says of the run that uses it alone."""
@@ -273,11 +309,16 @@ class Evidence:
 
     def _wheel_noise(self) -> Candidate:
         noise = self.loaded.robot.wheels.noise
-        finding = Finding("wheels", "noise", f"wheels.noise = {noise:g} m does not fit this drive")
-        options = tuple((f"wheels.noise={noise * factor:.2g}",) for factor in WHEEL_NOISE_FACTORS)
-        found = self._candidate(finding, options, True)
+        words, factors = f"wheels.noise = {noise:g} m does not fit this drive", WHEEL_NOISE_FACTORS
+        measured = self._slips_unusually
+        if measured and self._slip is not None:
+            words = self._slip.words
+            factors = (self._slip.factor, *(factors if self.loaded.drive.truth is not None else ()))
+        options = tuple((f"wheels.noise={noise * factor:.2g}",) for factor in factors)
+        found = self._candidate(Finding("wheels", "noise", words), options, True)
         # odometry's one random walk tells no noise
-        return replace(found, judges=tuple(n for n in found.judges if n != ODOMETRY))
+        judges = tuple(n for n in found.judges if n != ODOMETRY)
+        return replace(found, judges=judges, measured=measured)
 
     # ---- configurations that judge ----
 

@@ -26,6 +26,7 @@ from locfuse.formats.url import Place
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.doctor.examine import examine
 from locfuse.fusion.doctor.finding import Finding, of_error
+from locfuse.fusion.doctor.laser import OPEN_SCALE
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import merged
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
     from locfuse.cli.pipeline.settings import LogOptions
 from .overview import Overview
 
-PHANTOMS = {"yaw", "range scale"}  # what walls that are none would say
+PHANTOMS = {"yaw", "range scale", OPEN_SCALE}  # what walls that are none would say
 
 
 def inspect_log(

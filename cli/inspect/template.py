@@ -13,6 +13,7 @@ from locfuse.formats.robot.commented_toml import Section
 from locfuse.formats.url import Place
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.doctor.finding import Finding
+from locfuse.fusion.doctor.laser import OPEN_SCALE
 
 from .inspect_log import inspect_log
 from .known_robots import open_figures, recognise
@@ -123,7 +124,7 @@ def _fixes(findings: Iterable[Finding]) -> dict[str, tuple[str, str]]:
 
 def _certain(f: Finding) -> bool:
     """Whether the log itself shows that a fix is right, or nothing runs without it."""
-    return f.severe or f.code in MEASURED_CODES
+    return f.code != OPEN_SCALE and (f.severe or f.code in MEASURED_CODES)
 
 
 def _why(f: Finding) -> str:

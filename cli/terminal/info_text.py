@@ -13,6 +13,7 @@ from locfuse.cli.inspect.topics import TopicFacts, clock_word
 from locfuse.cli.inspect.values import absent, configurations, wheels_missing
 from locfuse.formats.tables.table import Cell, Column, Table
 from locfuse.fusion.doctor.finding import Finding
+from locfuse.fusion.doctor.laser import OPEN_SCALE
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from . import text_table
@@ -206,7 +207,8 @@ def _wrapped(head: str, words: str, width: int | None, indent: str | None = None
 
 def _next(overview: Overview, typed: Sequence[str]) -> list[str]:
     """Return the commands to try next: once more with what fixes the worst, a robot.toml, or the comparison."""
-    fixes = dict(fix.partition("=")[::2] for f in overview.findings if f.severe for fix in f.fixes)
+    worst = [f for f in overview.findings if f.severe and f.code != OPEN_SCALE]  # there the reader has to choose
+    fixes = dict(fix.partition("=")[::2] for f in worst for fix in f.fixes)
     if fixes:
         kept = _without(typed, fixes)
         options = [word for key, value in fixes.items() for word in ("--set", f"{key}={value}")]

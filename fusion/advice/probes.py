@@ -10,7 +10,7 @@ import numpy as np
 
 from locfuse.fusion.data import Drive, Estimates
 from locfuse.fusion.doctor.finding import Finding
-from locfuse.fusion.mount import to_a_tenth_of
+from locfuse.fusion.mount import MAX_PRIOR_SIGMAS, SIGMA_DEG, SIGMA_M, to_a_tenth_of
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import wrap
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -40,12 +40,18 @@ def probe_of(robot: Robot, sensor: str) -> tuple[str, ...]:
 
 def of_probe(robot: Robot, sensor: str, e: Estimates) -> Iterator[Finding]:
     """Yield the mount and the track that a probe's run estimates, where they differ from what is configured."""
-    yield from of_mount(robot, sensor, e)
+    yield from of_mount(robot, sensor, e, PROBE_XY_M, PROBE_YAW_DEG)
     yield from _track(robot, e)
 
 
-def of_mount(robot: Robot, sensor: str, e: Estimates) -> Iterator[Finding]:
-    """Yield the mount that a run estimates as a state, where it differs from what is configured."""
+def of_mount(
+    robot: Robot, sensor: str, e: Estimates, prior_xy: float = SIGMA_M, prior_yaw_deg: float = SIGMA_DEG
+) -> Iterator[Finding]:
+    """Yield the mount that a run estimates as a state, where it differs from what is configured.
+
+    Not one that is further off than the run took for likely, `prior_xy` [m] and `prior_yaw_deg` (1 sigma) unless
+    the sensor's settings say more: then something else is wrong, and looks like a mount.
+    """
     fixes, words = [], []
     for part, (key, scale) in MOUNT_KEYS.items():
         name = f"{sensor}_{part}"
@@ -53,6 +59,9 @@ def of_mount(robot: Robot, sensor: str, e: Estimates) -> Iterator[Finding]:
             continue
         value, sigma = scale * float(e.blocks[name][-1, 0]), scale * float(e.block_sigmas[name][-1, 0])
         configured = float(getattr(robot.settings(sensor), key))
+        stated = getattr(robot.settings(sensor), "sigma_yaw_deg" if part == "yaw" else f"sigma_{part}")
+        if abs(value - configured) > MAX_PRIOR_SIGMAS * (stated or (prior_yaw_deg if part == "yaw" else prior_xy)):
+            return
         least = MIN_MOUNT_DEG if key == "yaw_deg" else MIN_MOUNT_M
         if abs(value - configured) > max(MIN_SIGMAS * sigma, least):
             shown = to_a_tenth_of(sigma, value)

@@ -10,6 +10,7 @@ MAX_CHANCE_LOSS = 0.15  # relative, of the position error of a configuration tha
 MAX_LN_ANEES_LOSS = 0.1  # by which ln ANEES may leave its chance range further where the error stays the same
 MIN_GAIN = 0.1  # relative gain of the position error
 MIN_LN_ANEES_GAIN = 0.2  # by which ln ANEES must come nearer to its chance range
+MAX_SETTLED_SHARE = 0.5  # of the error before: a fix that leaves less is right, whatever chance does elsewhere
 MIN_GAIN_M = 2e-4  # m: smaller gains of the position error are none, however large their share
 MAX_LOSS_NATS, MIN_GAIN_NATS = 0.02, 0.05  # nats per number; a sigma 10 % off costs about 0.01, 50 % about 0.1
 MAX_LOST_SHARE = 0.005  # of the drive: by which being lost may grow
@@ -57,10 +58,19 @@ def improves(before: Score, after: Score) -> bool:
         less = before.position - after.position
         if less > max(MIN_GAIN * before.position, MIN_GAIN_M):
             return True
-        return _off(before) - _off(after) > MIN_LN_ANEES_GAIN
+        nearer = _off(before) - _off(after)
+        # and outweighs an error that grows: 220 and 176 are both far off
+        return nearer > MIN_LN_ANEES_GAIN and gain(before, after) > WEIGHT_OF_ANEES * MIN_LN_ANEES_GAIN - 1e-9
     if before.prediction is not None and after.prediction is not None:
         return after.prediction - before.prediction > MIN_GAIN_NATS
     return False
+
+
+def settles(before: Score, after: Score) -> bool:
+    """Return whether a configuration's error falls to less than half: no chance of one drive does that."""
+    if before.position is None or after.position is None:
+        return False
+    return after.position < MAX_SETTLED_SHARE * before.position and not spoils(before, after)
 
 
 def gain(before: Score, after: Score) -> float:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from locfuse.fusion.doctor.finding import Finding
 
-from .score import Score, gain, improves, spoils, spoils_alone
+from .score import Score, gain, improves, settles, spoils, spoils_alone
 
 Fixes = tuple[str, ...]  # "table.key=value"
 Scores = Mapping[str, Score]  # by configuration
@@ -28,6 +28,9 @@ class Candidate:
     judges: tuple[str, ...]
     minor: tuple[str, ...] = ()  # of these, by which a gain shows and a little more error is no harm
     offer: bool = False  # no observation, only a setting that may help: silent where it does not
+    measured: bool = (
+        False  # the drive itself shows the value, beyond chance: without truth no loss is proof enough
+    )
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,7 @@ class Advice:
     before: Mapping[str, Score] | None = None
     after: Mapping[str, Score] | None = None
     tried: tuple[Fixes, ...] = ()  # every alternative that was tried
+    measured: bool = False  # as the candidate's
 
     @property
     def helps(self) -> bool:
@@ -69,7 +73,7 @@ def search(candidates: Sequence[Candidate], kept: Fixes, trial: Try) -> list[Adv
         helpful = [(c, advice) for c, advice in tried if advice.helps]
         if not helpful:
             return [*found, *(advice for c, advice in tried if not c.offer)]
-        best, advice = max(helpful, key=lambda pair: worth(pair[1]))
+        best, advice = max(helpful, key=lambda pair: _rank(pair[1], [a for _, a in helpful]))
         found.append(advice)
         kept = together(kept, advice.fixes)
         # what did not help is tried again only beside what did: a second fault may have hidden it
@@ -84,6 +88,22 @@ def worth(advice: Advice) -> float:
     return sum(gain(advice.before[name], advice.after[name]) for name in advice.before)
 
 
+def _rank(advice: Advice, rivals: Sequence[Advice]) -> float:
+    """Return what a fix is worth beside others.
+
+    Without truth a sensor that is moved to where a wrong one is predicts that one better: two sensors that
+    disagree accuse each other. So only configurations that judged all of them are counted, where there are any.
+    """
+    if (
+        advice.before is None
+        or advice.after is None
+        or any(s.position is not None for s in advice.before.values())
+    ):
+        return worth(advice)
+    shared = [name for name in advice.before if all(name in (a.before or {}) for a in rivals)]
+    return sum(gain(advice.before[name], advice.after[name]) for name in shared) or worth(advice)
+
+
 def total(found: Sequence[Advice]) -> float:
     """Return what all fixes that help are worth together."""
     return sum(worth(advice) for advice in found if advice.helps)
@@ -94,21 +114,30 @@ def _best(candidate: Candidate, kept: Fixes, trial: Try) -> Advice:
     options = [Advice(candidate.finding, tried=candidate.alternatives)]
     for fixes in candidate.alternatives:
         pairs = _pairs(candidate, kept, fixes, trial)
-        if any(improves(*pair) for pair in pairs.values()):
+        if any(improves(*pair) for pair in pairs.values()) or (candidate.measured and _by_prediction(pairs)):
             before = {name: pair[0] for name, pair in pairs.items()}
             after = {name: pair[1] for name, pair in pairs.items()}
-            advice = Advice(candidate.finding, fixes, before, after, candidate.alternatives)
+            advice = Advice(candidate.finding, fixes, before, after, candidate.alternatives, candidate.measured)
             options += [advice] if worth(advice) > 0.0 else []
     return max(options, key=lambda a: (a.helps, worth(a)))
 
 
+def _by_prediction(pairs: Mapping[str, tuple[Score, Score]]) -> bool:
+    return bool(pairs) and all(before.position is None for before, _ in pairs.values())
+
+
 def _pairs(candidate: Candidate, kept: Fixes, fixes: Fixes, trial: Try) -> dict[str, tuple[Score, Score]]:
     """Return every judge's score before and after; {} as soon as one gets worse, since each is a run."""
-    pairs = {}
+    pairs: dict[str, tuple[Score, Score]] = {}
+    settled = False
     for name in candidate.judges:
         before, after = trial(kept, (name,)), trial(together(kept, fixes), (name,))
-        harm = spoils_alone if name in candidate.minor else spoils
-        if name not in before or name not in after or harm(before[name], after[name]):
+        if name not in before or name not in after:
+            return {}
+        # what takes one configuration's error to less than half is right: another one's may lose what chance does
+        chance = name in candidate.minor or settled
+        if (spoils_alone if chance else spoils)(before[name], after[name]):
             return {}
         pairs[name] = before[name], after[name]
+        settled = settled or (not candidate.offer and settles(before[name], after[name]))
     return pairs

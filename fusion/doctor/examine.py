@@ -20,9 +20,9 @@ from locfuse.fusion.wheels.repairs import gaps_of
 from .clocks import of_clocks
 from .compass import of_convention, tilted
 from .finding import Finding, Least
-from .laser import laser_motion, of_laser
+from .laser import laser_motion, of_laser, of_radius
 from .laser_driver import of_scatter
-from .truth import metre, of_truth
+from .truth import metre, of_truth, wheels_metre
 from .turning import Turning, aligned, of_track, of_turning, turnings
 
 MIN_READINGS = 10  # readings from which a sensor is judged
@@ -86,11 +86,16 @@ def _scales(
     if lrf is not None and len(lrf.t) > 20 and not any(o.role == "lrf" for o in turning):
         motion = laser_motion(lrf, aligned(lrf, by_sensor.get("lrf")), drive, robot)
     factor, scaled = metre(drive, robot, **named)
+    by_truth = wheels_metre(drive) is not None
+    radius = [] if by_truth else of_radius(motion, robot, **named)
+    if radius and least is None:
+        return radius  # one cause of what looks like a wrong track and a wrong range scale
     by_wheels = robot.wheels.radius is not None
     track = of_track(robot.wheels, by_sensor, motion, factor, **named) if by_wheels else []
     if track:
         scaled = [replace(o, fixes=o.fixes[:1]) for o in scaled]
-    return [*scaled, *track, *of_laser(motion, robot, factor, **named)]
+    # who tries fixes tries all three
+    return [*radius, *scaled, *track, *of_laser(motion, robot, factor, by_truth=by_truth, **named)]
 
 
 def _refused(drive: Drive) -> list[Finding]:

@@ -34,6 +34,8 @@ STRETCHES = 8  # stretches of the drive whose estimates must agree
 MIN_SCALE_ERROR, MIN_YAW_ERROR_RAD, MIN_SIGMAS = 0.03, math.radians(4.0), 3.0
 WORTH_SAYING = Least(MIN_SCALE_ERROR, MIN_SIGMAS)
 SEVERE_SCALE_ERROR, SEVERE_YAW_ERROR_RAD = 0.05, math.radians(8.0)
+OPEN_SCALE = "distances"  # laser or wheels: what a fix assumes, nothing in the log shows
+MAX_RADIUS_MISFIT = 0.5  # of the smaller error: two errors that differ by more have two causes
 MIN_CORRELATION = 0.9  # correlation of both turns: less, and what the wheels tell is noise
 MIN_TURN_SQUARES_RAD2 = 0.5  # rad^2, all turns squared and added: what wobbles along a straight tells no track
 
@@ -86,13 +88,42 @@ def _turned(m: Measurements, yaw: float, mount: Array) -> Measurements:
     return replace(m, z=np.stack((own + np.cos(psi) * mount[0] + np.sin(psi) * mount[1], psi), axis=-1))
 
 
+def of_radius(motion: Motion | None, robot: Robot, least: Least = WORTH_SAYING) -> list[Finding]:
+    """Return the wheels' radius where the walls say that they measure ways and turns too long by one factor.
+
+    A wrong range scale changes no turn, a wrong track no way: one number explains both, where it would take two.
+    """
+    radius = robot.wheels.radius
+    if motion is None or radius is None or motion.turns is None:
+        return []
+    scales, sigmas = np.array((1.0 / motion.scale, motion.turns)), (motion.scale_sigma, motion.turns_sigma)
+    if not all(math.isfinite(s) and s > 0.0 for s in sigmas):
+        return []
+    off, apart = np.abs(scales - 1.0), abs(float(scales[0] - scales[1]))
+    alike = apart < least.sigmas * math.hypot(*sigmas) and apart < MAX_RADIUS_MISFIT * float(off.min())
+    if not alike or any(off < [least.error + least.sigmas * s for s in sigmas]):
+        return []
+    weights = 1.0 / np.square(sigmas)
+    factor, sigma = float(scales @ weights / weights.sum()), float(weights.sum() ** -0.5)
+    words = (
+        f"by the laser's walls they measure ways and turns {1.0 / factor:.3f} times as long as these are (1 sigma "
+        f"{sigma:.3f}): a wrong radius does both"
+    )
+    fixes = (f"wheels.radius={radius * factor:.4g}",)
+    return [Finding("wheels", "radius", words, fixes, abs(factor - 1.0) > SEVERE_SCALE_ERROR)]
+
+
 def of_laser(
-    motion: Motion | None, robot: Robot, metre: float = 1.0, least: Least = WORTH_SAYING
+    motion: Motion | None,
+    robot: Robot,
+    metre: float = 1.0,
+    least: Least = WORTH_SAYING,
+    by_truth: bool = False,
 ) -> list[Finding]:
     """Check range scale and yaw.
 
     `metre` is by how much another fix will scale the wheels' metre: the laser's follows. A scale that is off by
-    less than `least` is not named.
+    less than `least` is not named. `by_truth`: the wheels' metre is the truth's; else nothing says who is right.
     """
     if motion is None:
         return []
@@ -115,13 +146,15 @@ def of_laser(
     scale = motion.scale * metre
     if abs(scale - 1.0) < least.error + least.sigmas * motion.scale_sigma:
         return []
-    whose = "wheels" if metre == 1.0 else "truth"
+    by_truth = by_truth or metre != 1.0
+    whose = "truth" if by_truth else "wheels"
     words = (
         f"its ranges are {1.0 / scale:.3f} times the distances of the {whose} (1 sigma {motion.scale_sigma:.3f})"
     )
-    words += _who_is_right(robot) if metre == 1.0 else ""
+    words += "" if by_truth else _who_is_right(robot, scale)
     fix = f"lrf.range_scale={settings.range_scale * scale:.4g}"
-    return [Finding("lrf", "range scale", words, (fix,), abs(scale - 1.0) > SEVERE_SCALE_ERROR)]
+    code = "range scale" if by_truth else OPEN_SCALE
+    return [Finding("lrf", code, words, (fix,), abs(scale - 1.0) > SEVERE_SCALE_ERROR)]
 
 
 def fitted(walls: Walls) -> tuple[float, float] | None:
@@ -220,8 +253,11 @@ def _paired(a: Array, b: Array, moved: Array, d: Array, mount: Array) -> Walls:
     return Walls(y, n[good], np.tile(d, (k, 1)), own, np.full(k, moved[2]))
 
 
-def _who_is_right(robot: Robot) -> str:
+def _who_is_right(robot: Robot, scale: float) -> str:
     """Say what to set where laser and wheels disagree; an odometry's wheels are not ours to set."""
-    if robot.wheels.radius is None:
+    wheels = robot.wheels
+    if wheels.radius is None:
         return ": set range_scale if the odometry is right; if the laser is, it is made with a wrong wheel radius"
-    return ": set range_scale if the wheels are right, wheels.radius if the laser is"
+    track = "" if wheels.track is None else f" and wheels.track={wheels.track / scale:.4g}"
+    laser = f"wheels.radius={wheels.radius / scale:.4g}{track}"
+    return f": set range_scale if the wheels are right; if the laser is, {laser}"

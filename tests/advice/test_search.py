@@ -83,6 +83,8 @@ BOUNDS = (0.5, 2.0)
         (Score(0.1, 0.8, BOUNDS), Score(0.1, 1.0, BOUNDS), False, False),  # chance, both
         (Score(0.1, 1.0, BOUNDS), Score(0.1, 3.0, BOUNDS), True, False),
         (Score(0.1, 5.4, BOUNDS), Score(0.12, 1.0, BOUNDS), True, True),  # no ANEES is worth a larger error
+        (Score(0.295, 220.0, BOUNDS), Score(0.328, 176.0, BOUNDS), True, False),  # nor is a little of it a gain
+        (Score(0.3, 220.0, BOUNDS), Score(0.303, 100.0, BOUNDS), False, True),
         (Score(0.1, 1.0, BOUNDS), Score(0.05, 3.0, BOUNDS), False, True),  # half the error
         (Score(0.1, 1.0, BOUNDS), Score(0.091, 3.0, BOUNDS), True, False),  # less than a tenth
         (Score(0.1), Score(0.01, lost=0.2), True, True),  # lost is worse, whatever else
@@ -99,6 +101,46 @@ def test_half_the_error_is_worth_as_much_as_a_quarter_of_the_anees_outside_its_r
     less = gain(Score(0.2, 1.0, BOUNDS), Score(0.1, 1.0, BOUNDS))
     surer = gain(Score(0.1, 32.0, BOUNDS), Score(0.1, 8.0, BOUNDS))
     assert less == pytest.approx(surer)
+
+
+class Accusers:
+    """Two sensors that contradict each other: either gains once it moves, and all sensors know who is right."""
+
+    def __call__(self, fixes: Fixes, names: Sequence[str]) -> Scores:
+        gains = {frozenset({LAG}): {"lrf": 1.0, "all": 1.0}, frozenset({OFFSET}): {"compass": 3.0, "all": 0.2}}
+        gained = gains.get(frozenset(fixes), {})
+        return {name: Score(prediction=1.0 + gained.get(name, 0.0 if len(fixes) < 2 else -1.0)) for name in names}
+
+
+def test_of_two_sensors_that_accuse_each_other_that_one_is_moved_that_all_the_others_gain_by() -> None:
+    assert helpful(search([BIASED, LATE], (), Accusers())) == [(LAG,)]
+
+
+@pytest.mark.parametrize(
+    ("gained", "measured", "helps"), [(0.01, True, True), (0.01, False, False), (-0.01, True, False)]
+)
+def test_without_truth_a_measured_value_need_not_gain_much_but_must_not_lose(
+    gained: float, measured: bool, helps: bool
+) -> None:
+    def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
+        return {name: Score(prediction=1.0 + gained * bool(fixes)) for name in names}
+
+    candidate = Candidate(LATE.finding, LATE.alternatives, LATE.judges, measured=measured)
+    assert [a.helps for a in search([candidate], (), trial)] == [helps]
+
+
+@pytest.mark.parametrize(
+    ("alone", "offer", "helps"), [(0.04, False, True), (0.04, True, False), (0.07, False, False)]
+)
+def test_what_takes_a_sensor_s_own_error_to_less_than_half_may_cost_the_rest_what_chance_does(
+    alone: float, offer: bool, helps: bool
+) -> None:
+    def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
+        errors = {"lrf": alone, "all": 0.0055} if fixes else {"lrf": 0.1, "all": 0.005}
+        return {name: Score(errors[name]) for name in names}
+
+    candidate = Candidate(LATE.finding, LATE.alternatives, LATE.judges, offer=offer)
+    assert any(a.helps for a in search([candidate], (), trial)) == helps
 
 
 class Uneven(Trials):

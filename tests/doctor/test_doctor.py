@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from small_drive import START, TRACK, drive, path, robot
+from small_drive import NOISE, START, TRACK, drive, path, robot
 
 import locfuse
 from locfuse.formats.robot.urdf import wheel_geometry
@@ -18,8 +18,8 @@ from locfuse.fusion.data import Drive, LocfuseError, Truth, UsageError
 from locfuse.fusion.doctor.clocks import of_clocks
 from locfuse.fusion.doctor.compass import angles, by_gravity
 from locfuse.fusion.doctor.examine import gaps
-from locfuse.fusion.doctor.finding import Finding, of_error
-from locfuse.fusion.doctor.laser import laser_motion, of_laser
+from locfuse.fusion.doctor.finding import Finding, Least, of_error
+from locfuse.fusion.doctor.laser import laser_motion, of_laser, of_radius
 from locfuse.fusion.doctor.start import start_pose
 from locfuse.fusion.doctor.truth import of_truth
 from locfuse.fusion.doctor.turning import explain, of_track, turnings
@@ -51,7 +51,12 @@ def test_the_laser_s_metre_is_measured_by_walls_seen_twice(scale: float) -> None
     motion = laser_motion(shrunk, m.t, healthy, robot())
     assert motion is not None
     assert motion.scale == pytest.approx(scale, rel=0.02)
-    assert bool(of_laser(motion, robot())) == (scale != 1.0)
+    found = of_laser(motion, robot())
+    assert bool(found) == (scale != 1.0)
+    assert not found or f"wheels.radius={0.05 / motion.scale:.4g}" in found[0].message  # who is right is not known
+    by_truth = of_laser(motion, robot(), by_truth=True)
+    assert [f.code for f in by_truth] == ["range scale"] * bool(found)
+    assert not any("wheels.radius" in f.message for f in by_truth)
 
 
 @pytest.mark.parametrize("yaw_deg", [-120.0, 20.0, 90.0, 180.0])
@@ -86,6 +91,30 @@ def test_the_track_is_measured_by_the_turning_of_the_walls() -> None:
     narrow = type(settings)(radius=0.05, track=0.8 * TRACK)
     assert told(of_track(narrow, turnings(wrong), motion))["wheels.track"] == pytest.approx(TRACK, rel=0.03)
     assert of_track(settings, turnings(right), laser_motion(m, m.t, right, robot())) == []
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.06])
+def test_ways_and_turns_that_are_too_long_alike_are_a_wrong_radius(factor: float) -> None:
+    """What the encoders count is multiplied by a radius that is off."""
+    right = drive(4, robot())
+    rolled = np.concatenate((np.zeros((1, 2)), np.cumsum(factor * right.wheels.rolled, axis=0)))
+    wrong = replace(right, wheels=Wheels.from_wheels(right.wheels.t, rolled[:, 0], rolled[:, 1], TRACK, NOISE))
+    m = right.measurements["lrf"]
+    found = of_radius(laser_motion(m, m.t, wrong, robot()), robot(), least=Least(0.005, 2.0))
+    assert told(found)["wheels.radius"] == pytest.approx(0.05 / factor, rel=0.02)
+
+
+def test_a_wrong_track_or_range_scale_alone_is_no_wrong_radius() -> None:
+    right = drive(4, robot())
+    m = right.measurements["lrf"]
+    rolled = np.concatenate((np.zeros((1, 2)), np.cumsum(right.wheels.rolled, axis=0)))
+    narrow = replace(
+        right, wheels=Wheels.from_wheels(right.wheels.t, rolled[:, 0], rolled[:, 1], 0.8 * TRACK, NOISE)
+    )
+    shrunk = replace(m, z=m.z * [0.9, 1.0])
+    least = Least(0.005, 2.0)
+    for readings, motion in ((m, right), (m, narrow), (shrunk, right)):
+        assert of_radius(laser_motion(readings, m.t, motion, robot()), robot(), least=least) == []
 
 
 def test_a_straight_run_tells_no_track() -> None:

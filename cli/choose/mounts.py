@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from itertools import permutations
 from typing import TYPE_CHECKING, Any
 
@@ -23,17 +24,41 @@ TURNS = ("roll_deg", "pitch_deg")
 MAX_TILT = 0.7  # of the z axis, along the vertical: more is a frame whose z axis is up, no optical one
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 BASE_FRAMES = ("base_link", "base_footprint", "base")
+ODOMETRY_WORD = "odom"
 
 
 def transforms_of(log: Log, frames: Iterable[str]) -> StaticTransforms:
     """Return the transforms of /tf_static, and where they do not place all frames those of /tf that never change.
 
-    ROS 1 publishes mounts on /tf. Reading it takes time, so it is asked only where something is missing.
+    ROS 1 publishes mounts on /tf. Reading it takes time, so it is asked only where something is missing. It also
+    says which frame is the body where that is not called like one: the frame that moves in a frame odom.
     """
     static = log.static_transforms()
-    if all(frame in BASE_FRAMES or mount_of(static, frame) is not None for frame in frames if frame):
+    if all(is_base(frame) or mount_of(static, frame) is not None for frame in frames if frame):
         return static
-    return log.all_mounts()
+    return replace(log.all_mounts(), bases=tuple(_bodies(log)))
+
+
+def _bodies(log: Log) -> list[str]:
+    """Return the frames of /tf that move in the frame of an odometry."""
+    edges = (edge for topic in log.transform_topics for edge in log.frames(topic).values())
+    return [e.child for e in edges if e.moves and is_odometry(e.parent) and not is_odometry(e.child)]
+
+
+def is_base(frame: str) -> bool:
+    """Return whether a frame is called like a robot's body, with or without the robot's name before it."""
+    return last_word(frame) in BASE_FRAMES
+
+
+def is_odometry(frame: str) -> bool:
+    """Return whether a frame is called like one in which an odometry says its poses: odom, odom_combined."""
+    word = last_word(frame)
+    return word.startswith(ODOMETRY_WORD) or word.endswith(ODOMETRY_WORD)
+
+
+def last_word(frame: str) -> str:
+    """Return what a frame is called without its robot's name: "/robot1/base_link" is base_link."""
+    return frame.rpartition("/")[2].lower()
 
 
 def mount_tables(transforms: StaticTransforms, streams: Mapping[str, Sequence[Stream]]) -> dict[str, Any]:
@@ -98,7 +123,14 @@ def shared_turns(tables: Mapping[str, Any], streams: Mapping[str, Sequence[Strea
 
 def mount_of(transforms: StaticTransforms, frame: str) -> Mount | None:
     """Return where a frame sits on the base, None where nothing says so."""
-    return planar_mount(transforms, BASE_FRAMES, frame) if frame else None
+    return planar_mount(transforms, _bases_in(transforms), frame) if frame else None
+
+
+def _bases_in(transforms: StaticTransforms) -> list[str]:
+    """Return the frames that may be the body: by its name, with a robot's name before it, by its motion."""
+    frames = dict.fromkeys(name for edge in transforms.edges for name in (edge.parent, edge.child))
+    named = [frame for base in BASE_FRAMES for frame in frames if last_word(frame) == base]
+    return [*BASE_FRAMES, *named, *transforms.bases]
 
 
 def _table(mount: Mount) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from locfuse.formats.messages.presented import PRESENTED, presented_name
 from locfuse.formats.nearest import did_you_mean
@@ -17,6 +17,14 @@ NAMED = "named in the settings"
 ONLY = "the only topic of its type"
 
 
+class Note(NamedTuple):
+    """A choice that the user has to know of."""
+
+    role: str
+    words: str
+    fixes: tuple[str, ...] = ()  # settings that say the same for good
+
+
 @dataclass
 class Choice:
     """Topics by role ("wheels", a sensor, "truth"), and why a sensor has none."""
@@ -27,7 +35,7 @@ class Choice:
     absent: dict[str, str] = field(default_factory=dict)
     fixes: dict[str, tuple[str, ...]] = field(default_factory=dict)  # absent role -> settings that may bring it in
     foreign: set[str] = field(default_factory=set)  # sensors for which the log has no topic at all
-    notes: list[str] = field(default_factory=list)  # about the wheels
+    notes: list[Note] = field(default_factory=list)
 
     def of(self, role: str) -> tuple[str, ...]:
         """Return all topics of a role."""
@@ -58,6 +66,12 @@ def one(log: Log, role: str, named: str | None, candidates: list[str], reads: It
         raise several_fit(log, role, filled)
     fit = filled or candidates
     return fit[0] if fit else None
+
+
+def likeliest(topics: Sequence[str], unlikely: Iterable[str]) -> str:
+    """Return the first of several topics that fit, one with none of these words in its name where there is one."""
+    words = tuple(unlikely)
+    return min(topics, key=lambda topic: any(word in topic.lower() for word in words))
 
 
 def several_fit(log: Log, role: str, topics: Sequence[str]) -> LocfuseError:

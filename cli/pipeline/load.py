@@ -170,7 +170,7 @@ def measured(
     refuse_standing(log, choice, drive.wheels)
     _refuse_other_clock(log, drive)
     preset = (filters.NOTE,) if robot.preset == "paper" else ()
-    chosen = (f"wheels: {note}" for note in choice.notes)
+    chosen = (f"{note.role}: {note.words}" for note in choice.notes if note.role in streams)
     notes = (*preset, *chosen, *_clock_notes(streams), *start_notes(robot, drive), *drive.notes)
     drive = replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes})
     return Loaded(log, robot, choice, drive, tables)

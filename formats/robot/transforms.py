@@ -54,6 +54,7 @@ class StaticTransforms:
 
     edges: tuple[Transform, ...] = ()
     conflicts: tuple[Conflict, ...] = ()
+    bases: tuple[str, ...] = ()  # frames that are the robot's body, whatever they are called
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,7 @@ SPEED: Mapping[str, tuple[str, str]] = {
     "geometry_msgs/msg/TwistStamped": ("twist.linear.x", "twist.angular.z"),
     "geometry_msgs/msg/TwistWithCovarianceStamped": ("twist.twist.linear.x", "twist.twist.angular.z"),
     "geometry_msgs/msg/Twist": ("linear.x", "angular.z"),
+    "duckietown_msgs/msg/Twist2DStamped": ("v", "omega"),
     TURTLESIM: ("linear_velocity", "angular_velocity"),
     "autoware_auto_vehicle_msgs/msg/VelocityReport": ("longitudinal_velocity", "heading_rate"),
     "autoware_vehicle_msgs/msg/VelocityReport": ("longitudinal_velocity", "heading_rate"),

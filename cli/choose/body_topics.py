@@ -145,7 +145,8 @@ def _made(topic: str) -> int:
 
 def _twists(log: Log, robot: Robot, choice: Choice, asked: bool) -> list[str]:
     """Return topics of speeds that can be read: commanded ones (`asked`), or those that were measured."""
-    kinds = (*TWISTS, *STEERED) if robot.wheels.wheelbase else TWISTS
+    steers = robot.wheels.wheelbase or robot.wheels.steering != "angle"
+    kinds = (*TWISTS, *STEERED) if steers else TWISTS
     return [t for t in _filled(log, robot, choice, kinds) if commanded(t) == asked]
 
 

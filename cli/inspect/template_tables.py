@@ -152,6 +152,8 @@ def _concerns(facts: Facts, table: str, key: str) -> bool:
     if table == "wheels" and key in OF_COUNTERS:
         return kind not in BODY_READS and bool(kind) and (key != "ticks_per_revolution" or counts_ticks(kind))
     if table == "wheels" and key == "wheelbase":
+        return kind in STEERED and facts.overview.robot.wheels.steering == "angle"
+    if table == "wheels" and key == "steering":
         return kind in STEERED
     if table not in REGISTRY:
         return True

@@ -81,7 +81,7 @@ def mount(parent: str, child: str) -> list[Said]:
 
 
 def scans(topic: str, frame: str = "laser") -> list[Said]:
-    data = {
+    data: dict[str, Any] = {
         "angle_min": -1.5,
         "angle_increment": 0.1,
         "range_max": 10.0,
@@ -101,7 +101,8 @@ def chosen(log: Log, **tables: Any) -> Choice:
 def end_of(log: Log) -> Array:
     """Where the motion of the chosen topic ends, (x, y, theta)."""
     reading = read_wheels(log.stream(chosen(log).topics["wheels"]), WheelSettings())
-    return np.asarray(reading.wheels.pose)[-1]
+    end: Array = reading.wheels.pose[-1]
+    return end
 
 
 # ---- which of several ----

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from locfuse.formats.messages.kinds import CAMERA_MATRIX
 from locfuse.formats.robot.transforms import Mount, StaticTransforms, planar_mount
 from locfuse.fusion.data import Stream
 from locfuse.fusion.mount import rotation
@@ -36,7 +37,7 @@ def transforms_of(log: Log, frames: Iterable[str]) -> StaticTransforms:
     static = log.static_transforms()
     if all(is_base(frame) or mount_of(static, frame) is not None for frame in frames if frame):
         return static
-    return replace(log.all_mounts(), bases=tuple(_bodies(log)))
+    return replace(log.all_mounts(), bases=tuple(_bodies(log)), moving=tuple(log.moving_transforms()))
 
 
 def _bodies(log: Log) -> list[str]:
@@ -87,6 +88,22 @@ def _looks(mount: Mount) -> dict[str, Any]:
     }
 
 
+def on_moving_parts(
+    transforms: StaticTransforms, streams: Mapping[str, Sequence[Stream]], tables: Mapping[str, Any]
+) -> dict[str, str]:
+    """Return the sensors whose place on the base changes, in words, but for those that somebody placed."""
+    found = {}
+    for sensor, parts in streams.items():
+        keys = {"x", "y", "yaw_deg"} & set(REGISTRY[sensor].Settings.__struct_fields__)
+        told = keys & set(tables.get(sensor, {}))
+        if len(keys) == 3 and not told and (moves := moved_by(transforms, parts[0].frame_id)):
+            found[sensor] = (
+                f"{parts[0].frame_id} moves on the robot ({moves} by /tf), and only sensors bolted to its "
+                f"base are read; if it stood still, say where: {sensor}.x, {sensor}.y, {sensor}.yaw_deg"
+            )
+    return found
+
+
 def optics_tables(log: Log, streams: Mapping[str, Sequence[Stream]], tables: Mapping[str, Any]) -> dict[str, Any]:
     """Return focal length and middle of the picture [px] by the log's CameraInfo, of sensors that ask for them.
 
@@ -98,7 +115,7 @@ def optics_tables(log: Log, streams: Mapping[str, Sequence[Stream]], tables: Map
         wants = "fx" in REGISTRY[sensor].Settings.__struct_fields__ and "fx" not in tables.get(sensor, {})
         same = [t for t in infos if log.stream(t).frame_id == parts[0].frame_id] if wants else []
         for topic in same[:1] or (infos if wants and len(infos) == 1 else []):
-            matrix = np.asarray(log.stream(topic).columns("k")["k"], np.float64).reshape(-1, 9)
+            matrix = np.asarray(log.stream(topic).columns(CAMERA_MATRIX)[CAMERA_MATRIX], np.float64).reshape(-1, 9)
             if len(matrix) and matrix[0, 0] > 0.0:
                 found[sensor] = {"fx": float(matrix[0, 0]), "cx": float(matrix[0, 2])}
     return found
@@ -124,6 +141,19 @@ def shared_turns(tables: Mapping[str, Any], streams: Mapping[str, Sequence[Strea
 def mount_of(transforms: StaticTransforms, frame: str) -> Mount | None:
     """Return where a frame sits on the base, None where nothing says so."""
     return planar_mount(transforms, _bases_in(transforms), frame) if frame else None
+
+
+def moved_by(transforms: StaticTransforms, frame: str) -> str:
+    """Return what moves between the body and a frame, such as "pan_link in base_link"; "" where nothing does."""
+    if not frame or mount_of(transforms, frame) is not None:
+        return ""
+    parent = {edge.child: edge.parent for edge in (*transforms.edges, *transforms.moving)}
+    moving, bodies = {edge.child for edge in transforms.moving}, set(_bases_in(transforms))
+    way = [frame.lstrip("/")]
+    while way[-1] in parent and way[-1] not in bodies and len(way) <= len(parent):  # a loop ends too
+        way.append(parent[way[-1]])
+    found = [f"{child} in {parent[child]}" for child in way[:-1] if child in moving]
+    return found[0] if found and way[-1] in bodies else ""
 
 
 def _bases_in(transforms: StaticTransforms) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from locfuse.cli.choose.mounts import is_base, mount_of
+from locfuse.cli.choose.mounts import is_base, mount_of, moved_by
 from locfuse.fusion.doctor.finding import Finding
 from locfuse.fusion.sensors.registry import REGISTRY
 
@@ -49,7 +49,9 @@ def unplaced(overview: Overview) -> list[Finding]:
     """Say of the sensors whose place matters that nobody says where they sit."""
     found = []
     for name, mount in extrinsics(overview).items():
-        if mount["by"] == "nobody" and REGISTRY[name].placed:
+        frames = {f.topic: f.frame_id for f in overview.facts}
+        moves = any(moved_by(overview.transforms, frames.get(t, "")) for t in overview.choice.of(name))
+        if mount["by"] == "nobody" and REGISTRY[name].placed and not moves:
             keys = f"{name}.mounts" if "mounts" in mount else f"{name}.x, {name}.y, {name}.yaw_deg"
             words = f"nothing says where it sits on the robot: the base's origin is assumed (set {keys})"
             found.append(Finding(name, "mount", words))

@@ -102,6 +102,11 @@ ONE_NUMBER = frozenset(
         "ticks_left", "ticks_right", "left_encoder", "right_encoder",
     )
 )  # fmt: skip
+# what releases of a package call one field
+CAMERA_MATRIX = "k|K"  # ROS 2, ROS 1
+CENTRE_2D = "detections.bbox.center.position.x|detections.bbox.center.x"
+CLASS = "detections.results.hypothesis.class_id|detections.results.id"
+TRACK_OR_CLASS = f"detections.id|{CLASS}"
 # dotted path in these types -> the kinds that its readers take
 EXPECTED: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(ONE_NUMBER, (NUMBER,)),
@@ -123,6 +128,9 @@ EXPECTED: Mapping[str, tuple[str, ...]] = {
         )
         for axis in XYZ
     },
+    CENTRE_2D: (NUMBERS,),
+    TRACK_OR_CLASS: (NUMBERS, TEXTS),
+    CLASS: (NUMBERS, TEXTS),
     "marker_ids": (NUMBERS,),
     "markers.id": (NUMBERS,),
     "markers.marker_id": (NUMBERS,),
@@ -137,7 +145,7 @@ EXPECTED: Mapping[str, tuple[str, ...]] = {
     "fields.name": (TEXTS,),
     "fields.offset": (NUMBERS,),
     "fields.datatype": (NUMBERS,),
-    "k": (NINE,),
+    CAMERA_MATRIX: (NINE,),
     "position": (NUMBERS,),
     "velocity": (NUMBERS,),
     "format": (TEXT,),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from wheel_bags import angles, custom, joint_states, log_of, numbers, stamps
 
 from locfuse.cli.choose.choose import choose
-from locfuse.cli.choose.mounts import mount_of, transforms_of
+from locfuse.cli.choose.mounts import mount_of, on_moving_parts, transforms_of
 from locfuse.cli.choose.topics import Choice
 from locfuse.cli.pipeline.load import make_robot
 from locfuse.formats.log.log import Log, open_log
@@ -260,3 +260,25 @@ def test_a_frame_beside_the_body_is_not_taken_for_it(tmp_path: Path) -> None:
     """A pan unit that carries a camera is no body, however rigid the two are."""
     log = opened(tmp_path, tf("odom", "base_link"), mount("pan_link", "laser"))
     assert mount_of(transforms_of(log, ["laser"]), "laser") is None
+
+
+def test_a_laser_that_moves_on_the_robot_is_left_out_with_what_moves(tmp_path: Path) -> None:
+    """The odometry still runs; where somebody says where the laser stood, it is used."""
+    swing = np.stack((np.zeros_like(T), np.zeros_like(T), 0.3 * np.sin(T)), axis=-1)
+    log = log_of(
+        tmp_path / "x.mcap",
+        odometry("/odom"),
+        tf("odom", "base_link"),
+        tf("base_link", "pan_link", swing),
+        mount("pan_link", "laser"),
+        scans("/scan"),
+    )
+    info = locfuse("info", log)
+    assert "laser moves on the robot (pan_link in base_link by /tf)" in " ".join(info.stdout.split())
+    assert "base's origin is assumed" not in info.stdout
+    done = locfuse("run", log, "-o", tmp_path / "out", "--no-advice", "--sensors", "lrf")
+    assert done.exit_code == 1
+    assert "laser moves on the robot" in " ".join(done.stderr.split())
+    placed = transforms_of(open_log([log]), ["laser"])
+    assert mount_of(placed, "laser") is None
+    assert on_moving_parts(placed, {"lrf": [open_log([log]).stream("/scan")]}, {"lrf": {"x": 0.2}}) == {}

@@ -142,7 +142,15 @@ class Filter:
         for sensor, i in due:
             model = models[sensor]
             model.learn(measurements[sensor], i, belief if model.local else in_map)
+        if self._leads:
+            self._turn_pages()
         self._track.note(self.belief)
+
+    def _turn_pages(self) -> None:
+        """Let every sensor whose map is full begin the next one here."""
+        for sensor in self._leads:
+            if self.models[sensor].turn_page(self.belief):
+                self._follow_frame()
 
     def stretches(self, drive: Drive) -> Stretches:
         """Return where the core may take many instants of a drive at once."""
@@ -192,6 +200,10 @@ class Filter:
     def _begin_frame(self) -> None:
         """Let a map of a sensor's own begin in a local frame (fusion.ekf.map_frame)."""
         self.belief.begin_frame()
+        self._follow_frame()
+
+    def _follow_frame(self) -> None:
+        """See the pose in the map through the local frame, once there is one."""
         if self.belief.frame is not None:
             self._in_map = InMap(self.belief)
 

@@ -277,6 +277,13 @@ class Model:
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Take in what reading i taught beyond the pose (new map lines), after the correction."""
 
+    def turn_page(self, belief: Any) -> bool:
+        """Leave a map that is full for the next one, once all readings of an instant have taught what they can.
+
+        Only asked of a model that `leads`. Return whether it did: the local frame may have moved on.
+        """
+        return False
+
     def lines(self, belief: Any) -> tuple[list[MapLine], list[MapLine]]:
         """Return the map after the first scan and the map at the end, for the report."""
         return [], []

@@ -9,22 +9,20 @@ Hierarchical SLAM (Estrada, Neira and Tardos, IEEE T-RO 2005) with the graph of 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Ints, MapLine, Measurements
+from locfuse.fusion.data import Array, MapLine, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import by_frame
-from locfuse.fusion.linemap.scan import Scan
 from locfuse.fusion.linemap.tidy import MIN_HITS
 from locfuse.fusion.linemap.tracker import LineTracker
 from locfuse.fusion.mount import Mount
-from locfuse.fusion.sensor import Innovation
 
 from .anchors import NOWHERE, Anchors, Edge, inverted
+from .bridge import Bridge, cross, seen_from_here
 from .closing import Closure, Here, find_closure
 from .frozen import FrozenMap, Way, box_of, frozen, joint_covariance, thaw
 
@@ -45,7 +43,6 @@ class AtlasTracker(LineTracker):
 
     def __init__(self, mode: str, gate: float, recover: bool = True, mount: Mount | None = None) -> None:
         super().__init__(mode, gate, recover, mount)
-        self._belief: Any = None
         self._anchors = Anchors()
         self._frozen: list[FrozenMap] = []
         self._way = Way()
@@ -61,33 +58,7 @@ class AtlasTracker(LineTracker):
         self._ask_known_at: dict[
             int, float
         ] = {}  # frozen map in which this one was seen -> m of way to look again
-        self._bridge: tuple[Scan, Ints] | None = None  # what leads over to the next map, and how often it was seen
         self.closed: list[tuple[float, float]] = []  # s: when a place was seen before, and when it was recognised
-
-    def begin(self, given: Any, belief: Any) -> None:
-        """Enter a given map."""
-        super().begin(given, belief)
-        self._belief = belief
-
-    def begins_map(self, m: Measurements, i: int) -> bool:
-        """Return whether scan i begins a map: the first one, or the next where this one is full."""
-        if self._full and m.first[i] < m.first[i + 1]:
-            back = self._beside(self._belief)
-            self._leave(self._belief, bridges=back is None)
-            if back is not None:
-                self._return_to(back, self._belief)
-        return super().begins_map(m, i)
-
-    def innovations(self, m: Measurements, i: int, belief: Any) -> Sequence[Innovation]:
-        """Associate the lines of scan i, where a map has just begun with the walls that led here."""
-        if self._bridge is not None and not len(self.map) and isinstance(belief, JointBelief):
-            bridge, hits = self._bridge
-            self._bridge = None
-            self._enter(np.array(belief.pose()), belief)
-            for k in range(len(bridge.z)):
-                self._add(bridge, k, belief)
-            self.map.hits[:] = hits
-        return super().innovations(m, i, belief)
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Teach the map at hand, look for it in earlier ones, and leave it where its anchor is far."""
@@ -109,33 +80,47 @@ class AtlasTracker(LineTracker):
 
     # ---- from one map to the next ----
 
+    def turn_page(self, belief: JointBelief) -> bool:
+        """Leave a map that is full; the next one begins at once, where a scan has just told the pose."""
+        full, self._full = self._full, False
+        if not full:
+            return False
+        back = self._beside(belief)
+        if back is not None:
+            self._leave(belief, bridges=False)
+            self._return_to(back, belief)
+            return True
+        bridge = self._seen_last(belief)
+        if bridge is None:
+            return False  # no wall leads over yet
+        self._leave(belief, bridges=True)
+        self._begin_next(bridge, belief)
+        return True
+
+    def _begin_next(self, bridge: Bridge, belief: JointBelief) -> None:
+        """Begin a map at the pose with walls as they are seen from there."""
+        belief.begin_frame()
+        self._enter(np.array(belief.pose()), belief)
+        cross(bridge, self.map, belief, self._scan)
+
     def _leave(self, belief: JointBelief, bridges: bool) -> None:
-        """Freeze the map at hand; what was seen of it last may lead over to the next one."""
+        """Freeze the map at hand; the pose is where the next one lies, if walls lead over to it."""
         self._take_in_absolutes(belief)
         lines = frozen(self.map, belief)
         box = box_of(lines, lines.value, self._way)
         joint = joint_covariance(self.map, belief)
         self._frozen.append(FrozenMap(self._at, lines, self._way, box, self._origin, joint))
         if bridges:
-            self._bridge = self._seen_last(belief)
             belief.loosen(np.arange(3), LESS_SURE * np.diagonal(belief.matrix()) + LEAST)
             if self.guard is not None:
                 self.guard.turn_page()
         self._left = np.array(belief.pose()), belief.matrix()
         belief.remove(self.map.drop(np.arange(len(self.map))))
-        self._full = False
 
-    def _seen_last(self, belief: JointBelief) -> tuple[Scan, Ints] | None:
-        """Return the walls that were seen last as the robot should see them, and their hits."""
+    def _seen_last(self, belief: JointBelief) -> Bridge | None:
+        """Return the walls that were seen last, as the robot should see them."""
         at = np.flatnonzero((self.map.seen >= self._scan - RECENT) & (self.map.hits >= MIN_HITS))
-        if not len(at):
-            return None
-        values = self.map.values(belief)
-        seen = self.map.predict(at, values, belief)
-        ax, ay = self.map.anchor[at].T
-        along = seen.cos * (belief.y - ay) - seen.sin * (belief.x - ax)
-        ends = np.stack((self.map.lo[at] - along, self.map.hi[at] - along), axis=-1)
-        return Scan(np.stack((seen.r, seen.psi), axis=-1), seen.spread, ends), self.map.hits[at]
+        return seen_from_here(self.map, at, belief) if len(at) else None
 
     def _beside(self, belief: JointBelief) -> FrozenMap | None:
         """Return the map beside the one at hand, by an edge of the graph, in which the robot is; None: in none."""

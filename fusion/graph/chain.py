@@ -22,7 +22,7 @@ MIN_INLIERS, MIN_OVERLAP, MAX_RMS_M = 0.6, 0.3, 0.05
 SLIPS_RAD = np.radians([-30.0, -24.0, -18.0, -12.0, -8.0, -4.0, 4.0, 8.0, 12.0, 18.0, 24.0, 30.0])
 SLIP_INLIERS, SLIP_GAIN = 0.75, 0.1  # where fewer points fit a slip is looked for; it must let so many more fit
 LOOSE = np.diag([0.1**-2, 0.1**-2, np.radians(8.0) ** -2])  # the wheels' prior while one is looked for
-INFLATION = 0.3  # of the matches' information: errors that neighbouring scans share were counted as their own
+INFLATION = 0.5  # of the matches' information: errors that neighbouring scans share were counted as their own
 PLACES_AGAIN, MIN_WAY_M, MAX_AGAIN_M = 2, 5.0, 2.5  # earlier visits that a key is matched with again, how near
 
 

@@ -26,7 +26,7 @@ class Clouds:
 
     first: Ints  # (n + 1,)
     xy: Array  # (m, 2) [m], each cloud in its own frame
-    normal: Array  # (m, 2) unit vectors across the surface; NaN where there is none
+    normal: Array  # (m, 2) unit vectors from the surface to the side that was seen; NaN where there is none
 
     def __len__(self) -> int:
         """Return the number of clouds."""
@@ -61,7 +61,10 @@ def clouds_of(m: Measurements, readings: Ints) -> Clouds:
 
 
 def normals(xy: Array, owner: Ints, origin: Array) -> Array:
-    """Return the unit normals (m, 2) at points (m, 2) in the order of the beams, NaN where there is no line."""
+    """Return unit normals (m, 2), towards the laser, at points (m, 2) in the order of the beams.
+
+    They are NaN where there is no line.
+    """
     m = len(xy)
     if not m:
         return np.zeros((0, 2))
@@ -86,6 +89,7 @@ def normals(xy: Array, owner: Ints, origin: Array) -> Array:
     thin = np.maximum(half - apart, 0.0)
     good = (n > MIN_NEIGHBOURS) & (thin < MAX_SPREAD_M**2) & (half + apart > 9.0 * thin)
     normal = np.stack((-np.sin(along), np.cos(along)), axis=-1)
+    normal *= np.where((normal * (xy - origin)).sum(axis=1) > 0.0, -1.0, 1.0)[:, None]
     return np.where(good[:, None], normal, np.nan)
 
 

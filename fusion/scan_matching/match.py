@@ -25,7 +25,7 @@ RADII_M = (0.5, 0.4, 0.3, 0.2, 0.15, 0.15, 0.15)  # how far a point's partner ma
 SIGMA_M = 0.03  # of one point about its line
 DEPENDENT = 16.0  # neighbouring points are not independent: so many count as one
 FLOOR_M, FLOOR_RAD = 0.01, np.radians(0.2)  # no pair is known better
-MAX_ASLANT = 0.7  # cosine between the two surfaces of a pair of points, at least
+MIN_FACING = 0.7  # cosine between the normals of two points that are paired, at least: a wall has two sides
 INLIER_M = 0.1  # a point closer to its line fits
 MATCHED_POINTS = 120  # of one cloud: more cost time and, being neighbours, say little new
 POINTS_AT_ONCE = 1_000_000
@@ -158,8 +158,8 @@ class _Pairs:
         own = se2.rotated(turn, sources.normal[rows])
         normal = targets.normal[partner]
         with np.errstate(invalid="ignore"):
-            aslant = np.abs((own * normal).sum(axis=1)) < MAX_ASLANT  # False without a surface of its own
-        near &= ~aslant
+            other_side = (own * normal).sum(axis=1) < MIN_FACING  # False without a surface of its own
+        near &= ~other_side
         of, arm, at, normal, partner = of[near], arm[near], at[near], normal[near], partner[near]
         e = ((at - targets.xy[partner]) * normal).sum(axis=1)
         by_turn = normal[:, 1] * arm[:, 0] - normal[:, 0] * arm[:, 1]

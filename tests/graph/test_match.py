@@ -55,6 +55,17 @@ def test_along_a_corridor_without_ends_the_prior_holds() -> None:
     assert weak[0] < 0.02 * weak[1]
 
 
+def test_the_other_side_of_a_wall_is_not_the_wall() -> None:
+    """Through a door: before it the robot sees one face of the wall, behind it the other, 0.15 m further on."""
+    sides = [(-50.0, y, 50.0, y) for y in (-3.0, 3.0)]
+    faces = [(x, s * 0.6, x, s * 3.0) for x in (-0.075, 0.075) for s in (-1.0, 1.0)]
+    frame = [(-0.075, y, 0.075, y) for y in (-0.6, 0.6)]
+    before, step = np.array([-1.5, 0.0, 0.0]), np.array([3.0, 0.05, 0.02])
+    c = two(np.array([*sides, *faces, *frame]), before, se2.compose(before, step))
+    found = matched(c, step)
+    assert abs(found.pose[0, 0] - step[0]) < 0.02
+
+
 def test_no_match_fits_where_the_walls_are_others() -> None:
     rng = np.random.default_rng(1)
     here = scan(np.zeros(3), np.array(box(-2.0, -1.5, 3.0, 2.0)), rng)

@@ -142,7 +142,7 @@ def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None
     elif sensor.several:
         choice.take(name, candidates, f"all {len(candidates)} topics of its type")
     elif sensor.unlikely is not None:
-        best = likeliest(candidates, sensor.unlikely)
+        best = likeliest(candidates, sensor.unlikely, choice.topics.get("wheels", ""))
         choice.take(name, [best], "the likeliest of several")
         words = f"{log.name} has {len(candidates)} topics that fit: {', '.join(candidates)}; {best} is used"
         choice.notes.append(Note(name, words, (f"{name}.topic={best}",)))

@@ -68,10 +68,15 @@ def one(log: Log, role: str, named: str | None, candidates: list[str], reads: It
     return fit[0] if fit else None
 
 
-def likeliest(topics: Sequence[str], unlikely: Iterable[str]) -> str:
-    """Return the first of several topics that fit, one with none of these words in its name where there is one."""
-    words = tuple(unlikely)
-    return min(topics, key=lambda topic: any(word in topic.lower() for word in words))
+def likeliest(topics: Sequence[str], unlikely: Iterable[str], beside: str = "") -> str:
+    """Return the first of several topics: of the robot of the topic `beside`, then without these words."""
+    words, robot = tuple(unlikely), _robot(beside)
+    return min(topics, key=lambda t: (_robot(t) != robot, any(word in t.lower() for word in words)))
+
+
+def _robot(topic: str) -> str:
+    """Return the first part of a topic's name, which may be a robot's: "robot1" of "/robot1/scan"."""
+    return topic.lstrip("/").partition("/")[0] if topic.count("/") > 1 else ""
 
 
 def several_fit(log: Log, role: str, topics: Sequence[str]) -> LocfuseError:

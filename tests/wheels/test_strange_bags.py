@@ -147,6 +147,15 @@ def test_of_several_lasers_the_likeliest_is_used_and_said(used: str, other: str,
     assert note.words.endswith(f"{used} is used")
 
 
+def test_of_two_robots_the_laser_of_the_one_that_is_named_is_taken(tmp_path: Path) -> None:
+    said = [m for r in ("robot1", "robot2") for m in (*odometry(f"/{r}/odom"), *scans(f"/{r}/scan"))]
+    log = opened(tmp_path, said)
+    with pytest.raises(LocfuseError, match="2 topics that fit: /robot1/odom, /robot2/odom"):
+        chosen(log)
+    for robot in ("robot1", "robot2"):
+        assert chosen(log, wheels={"topic": f"/{robot}/odom"}).of("lrf") == (f"/{robot}/scan",)
+
+
 def test_init_writes_the_laser_that_is_used_and_calls_it_a_guess(tmp_path: Path) -> None:
     log = log_of(tmp_path / "x.mcap", odometry("/odom"), scans("/rear_scan"), scans("/front_scan"))
     done = locfuse("init", log)

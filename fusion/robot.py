@@ -18,6 +18,7 @@ from .sensor import SensorSettings
 Order = Literal["auto", "stamp", "recorded"]
 Preset = Literal["default", "paper"]
 Mirrored = Literal["none", "left", "right", "both"]
+Steering = Literal["angle", "rate", "heading"]
 # nobody knows less of a start; a variance of 1e38 beside one of 1e-6 leaves nothing of either in double precision
 MAX_START_SIGMA_M = 1e5
 MAX_START_SIGMA_DEG = 3600.0
@@ -36,6 +37,7 @@ class WheelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     ratio: float = 1.0  # right wheel's radius over the left one's
     track: float | None = None  # m between the wheels' contact points
     wheelbase: float | None = None  # m between the axles: of a steering angle
+    steering: Steering = "angle"  # what its field holds: that angle, a turning rate [rad/s], a heading
     ticks_per_revolution: float | None = None  # positions are ticks, not radians
     mirrored: Mirrored = "none"  # wheels whose count falls while the robot drives forward
     rollover: float | None = None  # the counter's range, in its own unit; 0: it never rolls over; None: found

@@ -364,6 +364,9 @@ class Sensor(ABC):
     asked_only: ClassVar[str] = ""
     """Why it is used only where its topic is named: it may repeat what another sensor says. "": it is not."""
 
+    unlikely: ClassVar[tuple[str, ...] | None] = None
+    """Words of topics that come last where several fit and one is taken unasked; None: several are an error."""
+
     extra: ClassVar[bool] = False
     """It lies beside the paper's sensors: where topics cannot be told apart it is absent, and the others run."""
 

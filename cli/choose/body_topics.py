@@ -7,7 +7,7 @@ estimated, else speeds that were only commanded.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from locfuse.fusion.data import LocfuseError
@@ -16,23 +16,16 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.truth import looks_like_truth
 from locfuse.fusion.wheels.odometry import ODOMETRY, PLANAR, POSE, SCANS, SPEED, STEERED, TRANSFORM, commanded
 from locfuse.fusion.wheels.read import WHEEL_READS
-from locfuse.fusion.wheels.sources import JOINTS, TICKS
 
-from .mounts import BASE_FRAMES
-from .topics import ONLY, Choice, of_type, one, types
+from .mounts import is_base, is_odometry, last_word
+from .topics import ONLY, Choice, likeliest, of_type, one
 
 if TYPE_CHECKING:
     from locfuse.formats.log.log import Log
 
 TWISTS = tuple(kind for kind in SPEED if kind not in (*POSE, *PLANAR))
 POSES = tuple(kind for kind in (*POSE, *PLANAR) if kind not in (ODOMETRY, TRANSFORM))
-ODOMETRY_FRAMES = ("odom", "odometry")  # last word of the frame in which an odometry says its pose
-FIXED_FRAMES = (
-    *ODOMETRY_FRAMES,
-    "map",
-    "world",
-    "earth",
-)  # ... and of those in which another program says where it is
+ROOM_FRAMES = ("map", "world", "earth")  # last word of the frames in which another program says where the robot is
 MADE_OF_MORE = (
     "filter",
     "ekf",
@@ -47,7 +40,18 @@ MADE_OF_MORE = (
     "amcl",
     "gps",
     "lidar",
+    "zed",
+    "vins",
+    "loam",
+    "lio",
+    "rtabmap",
+    "realsense",
+    "t265",
+    "combined",
+    "global",
 )
+ONLY_CORRECT = ("sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/Imu")  # types that make no motion by themselves
+RAW = ("unfiltered", "raw")
 ASKED_FOR = ("goal", "initial", "waypoint")  # poses that are wishes or guesses of a person
 ESTIMATED = (
     "{topic} holds poses that another program estimated. They are taken, since nothing else in this log says how "
@@ -65,24 +69,30 @@ class Body(NamedTuple):
     topic: str
     why: str
     note: str = ""  # what a user has to know of it
+    fixes: tuple[str, ...] = ()  # settings that choose the same
 
 
-def choose_body(log: Log, robot: Robot, choice: Choice, stand_in: bool = True) -> Body | None:
+def choose_body(log: Log, robot: Robot, choice: Choice, scans: bool, stand_in: bool) -> Body | None:
     """Return the topic that says how the body moved, None where no topic does. Raises LocfuseError for several.
 
-    `stand_in`: whether scans, poses that were estimated, and speeds that were commanded will do.
+    `scans`: whether scans will do; `stand_in`: whether estimated poses and commanded speeds will.
     """
-    topics, why = _measured(log, robot, choice)
+    topics, why, others = _measured(log, robot, choice)
     topic = one(log, "wheels", None, topics, WHEEL_READS)
+    if topic is not None and others:
+        looks = "looks" if len(others) == 1 else "look"
+        words = f"{topic} is used: {' and '.join(others)} {looks} made of more than the wheels"
+        return Body(topic, why, words, (f"wheels.topic={topic}",))
     if topic is not None:
         return Body(topic, why)
+    if scans and (laser := _scans(log, robot)) is not None:
+        lacks = "no wheels and no odometry" if stand_in else "no wheels of known size and no odometry"
+        return Body(laser, f"{lacks}: its scans are matched with each other")
     return _stand_in(log, robot, choice) if stand_in else None
 
 
 def _stand_in(log: Log, robot: Robot, choice: Choice) -> Body | None:
-    """Return what stands in for a measured motion: scans, else poses, else commands, else a steering angle."""
-    if (scans := _scans(log, robot)) is not None:
-        return Body(scans, "no wheels and no odometry: its scans are matched with each other")
+    """Return what stands in for a measured motion: poses, else commands, else a steering angle."""
     for topics, note in (
         (_poses(log, robot, choice), ESTIMATED),
         (_twists(log, robot, choice, asked=True), ONLY_COMMANDED),
@@ -93,13 +103,13 @@ def _stand_in(log: Log, robot: Robot, choice: Choice) -> Body | None:
     return None
 
 
-def _measured(log: Log, robot: Robot, choice: Choice) -> tuple[list[str], str]:
-    """Return topics that measured how the body moved, those of the best kind, the likeliest first, and why."""
+def _measured(log: Log, robot: Robot, choice: Choice) -> tuple[list[str], str, list[str]]:
+    """Return topics that measured how the body moved, those of the best kind, why, and which others they beat."""
     if odometry := _filled(log, robot, choice, (ODOMETRY,)):
-        return sorted(odometry, key=_made_of_more), ONLY
+        return _least_made(odometry)
     if pairs := odometry_frames(log):
-        return pairs, "the only odometry in /tf"
-    return _twists(log, robot, choice, asked=False), ONLY
+        return pairs, "the only odometry in /tf", []
+    return _twists(log, robot, choice, asked=False), ONLY, []
 
 
 def _filled(log: Log, robot: Robot, choice: Choice, kinds: Sequence[str]) -> list[str]:
@@ -117,21 +127,33 @@ def _filled(log: Log, robot: Robot, choice: Choice, kinds: Sequence[str]) -> lis
     return [t for t in found if t not in asked] or found
 
 
-def _made_of_more(topic: str) -> bool:
-    """Return whether an odometry's name says that it was made of more than the wheels."""
-    return any(word in topic.lower() for word in MADE_OF_MORE)
+def _least_made(odometry: Sequence[str]) -> tuple[list[str], str, list[str]]:
+    """Return the odometries whose names say that they are nearest to the wheels, why, and the others."""
+    found = [[t for t in odometry if _made(t) == rank] for rank in range(3)]
+    best = next(topics for topics in found if topics)
+    others = [t for t in odometry if t not in best]
+    return best, "the odometry nearest to the wheels" if others else ONLY, others
+
+
+def _made(topic: str) -> int:
+    """Return 0 where an odometry's name says that it is raw, 2: made of more than the wheels; else 1."""
+    name = topic.lower()
+    if any(word in name for word in RAW):
+        return 0
+    return 2 if any(word in name for word in MADE_OF_MORE) else 1
 
 
 def _twists(log: Log, robot: Robot, choice: Choice, asked: bool) -> list[str]:
     """Return topics of speeds that can be read: commanded ones (`asked`), or those that were measured."""
-    kinds = (*TWISTS, *STEERED) if robot.wheels.wheelbase else TWISTS
+    steers = robot.wheels.wheelbase or robot.wheels.steering != "angle"
+    kinds = (*TWISTS, *STEERED) if steers else TWISTS
     return [t for t in _filled(log, robot, choice, kinds) if commanded(t) == asked]
 
 
 def _poses(log: Log, robot: Robot, choice: Choice) -> list[str]:
     """Return poses of the robot that another program estimated: topics, else frames of /tf."""
     topics = [t for t in _filled(log, robot, choice, POSES) if not asked_for(t)]
-    return topics or moving_frames(log, FIXED_FRAMES)
+    return topics or moving_frames(log, lambda frame: is_odometry(frame) or is_room(frame))
 
 
 def asked_for(topic: str) -> bool:
@@ -140,31 +162,32 @@ def asked_for(topic: str) -> bool:
 
 
 def _scans(log: Log, robot: Robot) -> str | None:
-    """Return the laser whose scans say how the robot moved: the sensor's own where named, else the only one."""
+    """Return the laser whose scans say how the robot moved: the one that the sensor reads."""
     named = robot.settings("lrf").topic
     filled = [t for t in of_type(log, (SCANS,)) if log.topics[t].count]
-    return named if named in filled else one(log, "wheels", None, filled, WHEEL_READS)
+    return named if named in filled else likeliest(filled, REGISTRY["lrf"].unlikely or ()) if filled else None
 
 
 def odometry_frames(log: Log) -> list[str]:
     """Return the pairs of frames in /tf that are an odometry, as topics: a base that moves in a frame odom."""
-    return moving_frames(log, ODOMETRY_FRAMES)
+    return moving_frames(log, is_odometry)
 
 
-def moving_frames(log: Log, parents: Sequence[str]) -> list[str]:
-    """Return pairs of frames in /tf, as topics, that move in one of these; only a base's where there is one."""
+def is_room(frame: str) -> bool:
+    """Return whether a frame is called like one that stands still in the room."""
+    return last_word(frame) in ROOM_FRAMES
+
+
+def moving_frames(log: Log, fixed: Callable[[str], bool]) -> list[str]:
+    """Return pairs of frames in /tf, as topics, that move in a fixed one; only a base's where there is one."""
     found: dict[str, bool] = {}
     for topic in log.transform_topics:
         for (parent, child), edge in log.frames(topic).items():
-            if edge.moves and _last_word(parent) in parents and _last_word(child) not in FIXED_FRAMES:
-                found[f"{topic}:{parent}:{child}"] = _last_word(child) in BASE_FRAMES
+            if edge.moves and fixed(parent) and not (is_odometry(child) or is_room(child)):
+                found[f"{topic}:{parent}:{child}"] = is_base(child)
     based = [name for name, base in found.items() if base]
     names = based or list(found)
     return [name for name in names if log.find(name) is not None]
-
-
-def _last_word(frame: str) -> str:
-    return frame.rpartition("/")[2].lower()
 
 
 class NoWheelsError(LocfuseError):
@@ -172,12 +195,16 @@ class NoWheelsError(LocfuseError):
 
 
 def nothing_moves(log: Log) -> NoWheelsError:
-    """Return the error that says what is read, and which topics this log has."""
-    kinds = (JOINTS, *TICKS, ODOMETRY)
+    """Return the error that says what is missing, and which topics this log has."""
     have = ", ".join(sorted(log.topics)[:12]) or "no topics"
+    words = (
+        f"nothing says how the robot moved: {log.name} has no wheels, no odometry (nor one in /tf), no laser, no "
+        "poses and no speeds"
+    )
+    beside = [t for t in of_type(log, ONLY_CORRECT) if log.topics[t].count]
+    corrects = f"; {' and '.join(beside)} can only correct a motion (a fix has no heading, an IMU no speed)"
     return NoWheelsError(
-        f"{log.name} has no topic of type {types(kinds)}, no odometry in /tf, nor two std_msgs numbers named left "
-        "and right, no laser, no poses and no speeds, so nothing says how the robot moved.",
+        f"{words}{corrects if beside else ''}.",
         role="wheels",
         hint=f"It has {have}",
     )

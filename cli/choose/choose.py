@@ -19,7 +19,7 @@ from locfuse.fusion.wheels.odometry import SCANS, commanded
 from .body_topics import asked_for
 from .presented_topics import offer_presented
 from .tag_frames import offer_tags
-from .topics import NAMED, ONLY, Choice, checked, of_type, one, several_fit, types
+from .topics import NAMED, ONLY, Choice, Note, checked, likeliest, of_type, one, several_fit, types
 from .wheel_topics import choose_wheels
 
 NO_TRUTH = "none"  # truth.topic: the log's truth is left out
@@ -135,12 +135,17 @@ def best_of(log: Log, sensor: Sensor, topics: list[str]) -> list[str]:
 
 
 def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None:
-    """Take the only candidate; all of a sensor that has several; where a sensor beside it has one, the same."""
+    """Take the only candidate, or all; the likeliest; where a sensor beside it has one, the same."""
     sensor = REGISTRY[name]
     if len(candidates) == 1:
         choice.take(name, candidates, ONLY)
     elif sensor.several:
         choice.take(name, candidates, f"all {len(candidates)} topics of its type")
+    elif sensor.unlikely is not None:
+        best = likeliest(candidates, sensor.unlikely, choice.topics.get("wheels", ""))
+        choice.take(name, [best], "the likeliest of several")
+        words = f"{log.name} has {len(candidates)} topics that fit: {', '.join(candidates)}; {best} is used"
+        choice.notes.append(Note(name, words, (f"{name}.topic={best}",)))
     elif not sensor.extra:
         raise several_fit(log, name, candidates)
     elif shared := [t for t in candidates if t in choice.topics.values()]:

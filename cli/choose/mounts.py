@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from itertools import permutations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from locfuse.formats.messages.kinds import CAMERA_MATRIX
 from locfuse.formats.robot.transforms import Mount, StaticTransforms, planar_mount
 from locfuse.fusion.data import Stream
 from locfuse.fusion.mount import rotation
@@ -23,17 +25,41 @@ TURNS = ("roll_deg", "pitch_deg")
 MAX_TILT = 0.7  # of the z axis, along the vertical: more is a frame whose z axis is up, no optical one
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 BASE_FRAMES = ("base_link", "base_footprint", "base")
+ODOMETRY_WORD = "odom"
 
 
 def transforms_of(log: Log, frames: Iterable[str]) -> StaticTransforms:
     """Return the transforms of /tf_static, and where they do not place all frames those of /tf that never change.
 
-    ROS 1 publishes mounts on /tf. Reading it takes time, so it is asked only where something is missing.
+    ROS 1 publishes mounts on /tf. Reading it takes time, so it is asked only where something is missing. It also
+    says which frame is the body where that is not called like one: the frame that moves in a frame odom.
     """
     static = log.static_transforms()
-    if all(frame in BASE_FRAMES or mount_of(static, frame) is not None for frame in frames if frame):
+    if all(is_base(frame) or mount_of(static, frame) is not None for frame in frames if frame):
         return static
-    return log.all_mounts()
+    return replace(log.all_mounts(), bases=tuple(_bodies(log)), moving=tuple(log.moving_transforms()))
+
+
+def _bodies(log: Log) -> list[str]:
+    """Return the frames of /tf that move in the frame of an odometry."""
+    edges = (edge for topic in log.transform_topics for edge in log.frames(topic).values())
+    return [e.child for e in edges if e.moves and is_odometry(e.parent) and not is_odometry(e.child)]
+
+
+def is_base(frame: str) -> bool:
+    """Return whether a frame is called like a robot's body, with or without the robot's name before it."""
+    return last_word(frame) in BASE_FRAMES
+
+
+def is_odometry(frame: str) -> bool:
+    """Return whether a frame is called like one in which an odometry says its poses: odom, odom_combined."""
+    word = last_word(frame)
+    return word.startswith(ODOMETRY_WORD) or word.endswith(ODOMETRY_WORD)
+
+
+def last_word(frame: str) -> str:
+    """Return what a frame is called without its robot's name: "/robot1/base_link" is base_link."""
+    return frame.rpartition("/")[2].lower()
 
 
 def mount_tables(transforms: StaticTransforms, streams: Mapping[str, Sequence[Stream]]) -> dict[str, Any]:
@@ -62,6 +88,22 @@ def _looks(mount: Mount) -> dict[str, Any]:
     }
 
 
+def on_moving_parts(
+    transforms: StaticTransforms, streams: Mapping[str, Sequence[Stream]], tables: Mapping[str, Any]
+) -> dict[str, str]:
+    """Return the sensors whose place on the base changes, in words, but for those that somebody placed."""
+    found = {}
+    for sensor, parts in streams.items():
+        keys = {"x", "y", "yaw_deg"} & set(REGISTRY[sensor].Settings.__struct_fields__)
+        told = keys & set(tables.get(sensor, {}))
+        if len(keys) == 3 and not told and (moves := moved_by(transforms, parts[0].frame_id)):
+            found[sensor] = (
+                f"{parts[0].frame_id} moves on the robot ({moves} by /tf), and only sensors bolted to its "
+                f"base are read; if it stood still, say where: {sensor}.x, {sensor}.y, {sensor}.yaw_deg"
+            )
+    return found
+
+
 def optics_tables(log: Log, streams: Mapping[str, Sequence[Stream]], tables: Mapping[str, Any]) -> dict[str, Any]:
     """Return focal length and middle of the picture [px] by the log's CameraInfo, of sensors that ask for them.
 
@@ -73,7 +115,7 @@ def optics_tables(log: Log, streams: Mapping[str, Sequence[Stream]], tables: Map
         wants = "fx" in REGISTRY[sensor].Settings.__struct_fields__ and "fx" not in tables.get(sensor, {})
         same = [t for t in infos if log.stream(t).frame_id == parts[0].frame_id] if wants else []
         for topic in same[:1] or (infos if wants and len(infos) == 1 else []):
-            matrix = np.asarray(log.stream(topic).columns("k")["k"], np.float64).reshape(-1, 9)
+            matrix = np.asarray(log.stream(topic).columns(CAMERA_MATRIX)[CAMERA_MATRIX], np.float64).reshape(-1, 9)
             if len(matrix) and matrix[0, 0] > 0.0:
                 found[sensor] = {"fx": float(matrix[0, 0]), "cx": float(matrix[0, 2])}
     return found
@@ -98,7 +140,27 @@ def shared_turns(tables: Mapping[str, Any], streams: Mapping[str, Sequence[Strea
 
 def mount_of(transforms: StaticTransforms, frame: str) -> Mount | None:
     """Return where a frame sits on the base, None where nothing says so."""
-    return planar_mount(transforms, BASE_FRAMES, frame) if frame else None
+    return planar_mount(transforms, _bases_in(transforms), frame) if frame else None
+
+
+def moved_by(transforms: StaticTransforms, frame: str) -> str:
+    """Return what moves between the body and a frame, such as "pan_link in base_link"; "" where nothing does."""
+    if not frame or mount_of(transforms, frame) is not None:
+        return ""
+    parent = {edge.child: edge.parent for edge in (*transforms.edges, *transforms.moving)}
+    moving, bodies = {edge.child for edge in transforms.moving}, set(_bases_in(transforms))
+    way = [frame.lstrip("/")]
+    while way[-1] in parent and way[-1] not in bodies and len(way) <= len(parent):  # a loop ends too
+        way.append(parent[way[-1]])
+    found = [f"{child} in {parent[child]}" for child in way[:-1] if child in moving]
+    return found[0] if found and way[-1] in bodies else ""
+
+
+def _bases_in(transforms: StaticTransforms) -> list[str]:
+    """Return the frames that may be the body: by its name, with a robot's name before it, by its motion."""
+    frames = dict.fromkeys(name for edge in transforms.edges for name in (edge.parent, edge.child))
+    named = [frame for base in BASE_FRAMES for frame in frames if last_word(frame) == base]
+    return [*BASE_FRAMES, *named, *transforms.bases]
 
 
 def _table(mount: Mount) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from locfuse.fusion.landmarks.messages import POSES
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from .mounts import BASE_FRAMES, CAMERA_INFO
+from .mounts import BASE_FRAMES, CAMERA_INFO, last_word
 from .topics import of_type
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def _cameras(log: Log, topic: str) -> list[str]:
 
 def _on_robot(frame: str, transforms: StaticTransforms) -> bool:
     """Return whether nothing says that a frame stands in the room."""
-    above = [_last_word(parent) for parent, _ in ancestors(transforms, frame)]
+    above = [last_word(parent) for parent, _ in ancestors(transforms, frame)]
     return any(parent in BASE_FRAMES for parent in above) or not any(parent in ROOM_FRAMES for parent in above)
 
 
@@ -61,7 +61,3 @@ def _is_camera(log: Log, frame: str) -> bool:
         return True
     pictures = [t for t in of_type(log, (*REGISTRY["camera"].reads, CAMERA_INFO)) if log.topics[t].count]
     return any(log.stream(t).frame_id.lstrip("/") == frame for t in pictures)
-
-
-def _last_word(frame: str) -> str:
-    return frame.rpartition("/")[2].lower()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from locfuse.formats.messages.presented import PRESENTED, presented_name
 from locfuse.formats.nearest import did_you_mean
@@ -17,6 +17,14 @@ NAMED = "named in the settings"
 ONLY = "the only topic of its type"
 
 
+class Note(NamedTuple):
+    """A choice that the user has to know of."""
+
+    role: str
+    words: str
+    fixes: tuple[str, ...] = ()  # settings that say the same for good
+
+
 @dataclass
 class Choice:
     """Topics by role ("wheels", a sensor, "truth"), and why a sensor has none."""
@@ -27,7 +35,7 @@ class Choice:
     absent: dict[str, str] = field(default_factory=dict)
     fixes: dict[str, tuple[str, ...]] = field(default_factory=dict)  # absent role -> settings that may bring it in
     foreign: set[str] = field(default_factory=set)  # sensors for which the log has no topic at all
-    notes: list[str] = field(default_factory=list)  # about the wheels
+    notes: list[Note] = field(default_factory=list)
 
     def of(self, role: str) -> tuple[str, ...]:
         """Return all topics of a role."""
@@ -58,6 +66,17 @@ def one(log: Log, role: str, named: str | None, candidates: list[str], reads: It
         raise several_fit(log, role, filled)
     fit = filled or candidates
     return fit[0] if fit else None
+
+
+def likeliest(topics: Sequence[str], unlikely: Iterable[str], beside: str = "") -> str:
+    """Return the first of several topics: of the robot of the topic `beside`, then without these words."""
+    words, robot = tuple(unlikely), _robot(beside)
+    return min(topics, key=lambda t: (_robot(t) != robot, any(word in t.lower() for word in words)))
+
+
+def _robot(topic: str) -> str:
+    """Return the first part of a topic's name, which may be a robot's: "robot1" of "/robot1/scan"."""
+    return topic.lstrip("/").partition("/")[0] if topic.count("/") > 1 else ""
 
 
 def several_fit(log: Log, role: str, topics: Sequence[str]) -> LocfuseError:

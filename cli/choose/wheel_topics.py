@@ -12,7 +12,7 @@ from locfuse.fusion.wheels.read import WHEEL_READS, counts_ticks
 from locfuse.fusion.wheels.sources import JOINTS, NUMBERS, SPEEDS, TICKS, joint_names
 
 from .body_topics import choose_body, nothing_moves
-from .topics import NAMED, ONLY, Choice, checked, of_type, several_fit
+from .topics import NAMED, ONLY, Choice, Note, checked, of_type, several_fit
 
 if TYPE_CHECKING:
     from locfuse.formats.log.log import Log
@@ -58,7 +58,8 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
         choice.take("wheels", counters, kind)
         return
     wheeled = bool(counters) and _turn(log, counters, robot)
-    body = choose_body(log, robot, choice, stand_in=not wheeled)
+    asked = wheeled and _size_is_near(log, robot)
+    body = choose_body(log, robot, choice, scans=not asked, stand_in=not wheeled)
     if body is None:
         if not counters:
             raise nothing_moves(log)
@@ -66,17 +67,25 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
         return
     choice.take("wheels", [body.topic], body.why)
     if body.note:
-        choice.notes.append(body.note)
-    if wheeled:
-        choice.notes.append(
-            f"{body.topic} is used, since {' and '.join(counters)} gives wheel angles and no {unknown} "
-            f"{'are' if ' and ' in unknown else 'is'} set"
-        )
-    elif counters:
-        choice.notes.append(
-            f"{body.topic} is used, since no joint of {counters[0]} is named like a wheel; wheels.left and "
-            "wheels.right name them"
-        )
+        choice.notes.append(Note("wheels", body.note, body.fixes))
+    if counters:
+        choice.notes.append(Note("wheels", _passed_over(body.topic, counters, unknown if wheeled else "")))
+
+
+def _size_is_near(log: Log, robot: Robot) -> bool:
+    """Return whether half of the wheels' size is set, or a robot description knows it: then it is asked for."""
+    described = any(t.rpartition("/")[2] == "robot_description" and log.topics[t].count for t in log.topics)
+    return described or robot.wheels.radius is not None or robot.wheels.track is not None
+
+
+def _passed_over(used: str, counters: Sequence[str], unknown: str) -> str:
+    """Say why what counts is not used: what is not known of the wheels, or which joints they are."""
+    if unknown:
+        gives = "give" if len(counters) > 1 else "gives"
+        are = "are" if " and " in unknown else "is"
+        return f"{used} is used, since {' and '.join(counters)} {gives} wheel angles and no {unknown} {are} set"
+    words = f"{used} is used, since no joint of {counters[0]} is named like a wheel"
+    return f"{words}; wheels.left and wheels.right name them"
 
 
 def _turn(log: Log, counters: Sequence[str], robot: Robot) -> bool:

@@ -95,7 +95,7 @@ def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) ->
                 finding = replace(finding, message=finding.brief, hint="")  # info lists the topics
             choice.leave(role, finding.sentence, finding.fixes)
             found.append(finding)
-    found += [Finding("wheels", "choice", note) for note in choice.notes]
+    found += [Finding(note.role, "choice", note.words, note.fixes) for note in choice.notes]
     return choice
 
 

@@ -15,7 +15,7 @@ from locfuse.cli.choose.topics import of_type
 from locfuse.formats.robot.robot_toml import as_set
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.wheels.odometry import BODY_READS
+from locfuse.fusion.wheels.odometry import BODY_READS, SCANS
 from locfuse.fusion.wheels.read import counts_ticks
 from locfuse.fusion.wheels.sources import JOINTS, NUMBERS, TICKS
 
@@ -92,8 +92,8 @@ def _needed(overview: Overview, table: str, name: str, value: object, said: Coll
 def _wheels_kind(overview: Overview) -> str:
     """Return the message type of the wheels' turns; "" where an odometry is read, or nothing turns."""
     topics = overview.choice.of("wheels")
-    if topics:
-        kind = overview.log.topics[topics[0]].msgtype
+    kind = overview.log.topics[topics[0]].msgtype if topics else SCANS
+    if kind != SCANS:  # scans stand in for wheels of unknown size too
         return "" if kind in BODY_READS else kind
     kinds = (overview.log.topics[t].msgtype for t in of_type(overview.log, (JOINTS, *TICKS, *NUMBERS)))
     return next(kinds, "")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from locfuse.cli.choose.mounts import BASE_FRAMES, mount_of
+from locfuse.cli.choose.mounts import is_base, mount_of, moved_by
 from locfuse.fusion.doctor.finding import Finding
 from locfuse.fusion.sensors.registry import REGISTRY
 
@@ -34,7 +34,7 @@ def _mount_by(overview: Overview, name: str, keys: Mapping[str, Any]) -> str:
         return "settings"
     facts = {f.topic: f for f in overview.facts}
     frames = [facts[t].frame_id for t in overview.choice.of(name) if t in facts]
-    if frames and all(frame in BASE_FRAMES for frame in frames):
+    if frames and all(is_base(frame) for frame in frames):
         return f"its frame {frames[0]}"
     known = [frame for frame in frames if mount_of(overview.transforms, frame) is not None]
     return placed_by(overview, known[0]) if known and len(known) == len(frames) else "nobody"
@@ -49,7 +49,9 @@ def unplaced(overview: Overview) -> list[Finding]:
     """Say of the sensors whose place matters that nobody says where they sit."""
     found = []
     for name, mount in extrinsics(overview).items():
-        if mount["by"] == "nobody" and REGISTRY[name].placed:
+        frames = {f.topic: f.frame_id for f in overview.facts}
+        moves = any(moved_by(overview.transforms, frames.get(t, "")) for t in overview.choice.of(name))
+        if mount["by"] == "nobody" and REGISTRY[name].placed and not moves:
             keys = f"{name}.mounts" if "mounts" in mount else f"{name}.x, {name}.y, {name}.yaw_deg"
             words = f"nothing says where it sits on the robot: the base's origin is assumed (set {keys})"
             found.append(Finding(name, "mount", words))

@@ -123,8 +123,8 @@ def _fixes(findings: Iterable[Finding]) -> dict[str, tuple[str, str]]:
 
 
 def _certain(f: Finding) -> bool:
-    """Whether the log itself shows that a fix is right, or nothing runs without it."""
-    return f.code != OPEN_SCALE and (f.severe or f.code in MEASURED_CODES)
+    """Whether the log itself shows that a fix is right, it was chosen already, or nothing runs without it."""
+    return f.code != OPEN_SCALE and (f.severe or f.code in MEASURED_CODES or f.code == "choice")
 
 
 def _why(f: Finding) -> str:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from locfuse.cli.choose.choose import best_of
-from locfuse.cli.choose.mounts import BASE_FRAMES, mount_tables
+from locfuse.cli.choose.mounts import is_base, mount_tables
 from locfuse.cli.choose.topics import of_type
 from locfuse.cli.pipeline.load import table_types
 from locfuse.formats.robot.commented_toml import Line
@@ -93,7 +93,7 @@ def _mounts(overview: Overview) -> Known:
 
 def _placed(overview: Overview, frame: str) -> str:
     """Say who places a frame on the base; a base frame is the base itself."""
-    if frame in BASE_FRAMES:
+    if is_base(frame):
         return f"its frame {frame} is the base"
     return f"by {placed_by(overview, frame)}: where {frame} sits on the base"
 
@@ -152,6 +152,8 @@ def _concerns(facts: Facts, table: str, key: str) -> bool:
     if table == "wheels" and key in OF_COUNTERS:
         return kind not in BODY_READS and bool(kind) and (key != "ticks_per_revolution" or counts_ticks(kind))
     if table == "wheels" and key == "wheelbase":
+        return kind in STEERED and facts.overview.robot.wheels.steering == "angle"
+    if table == "wheels" and key == "steering":
         return kind in STEERED
     if table not in REGISTRY:
         return True

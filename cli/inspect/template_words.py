@@ -34,7 +34,12 @@ ASKS = {
     },
 }
 # Conventions that hold unless the user sets others; no log states them.
-GUESSES = {"wheels": {"mirrored": "guess: both counters rise while the robot drives forward"}}
+GUESSES = {
+    "wheels": {
+        "mirrored": "guess: both counters rise while the robot drives forward",
+        "steering": "guess: radians of the front wheels (rate: rad/s of the body, heading: rad)",
+    }
+}
 
 
 def ask(table: str, key: str) -> Ask | None:

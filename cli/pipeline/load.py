@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 
 from locfuse.cli.choose.choose import choose
-from locfuse.cli.choose.mounts import mount_tables, optics_tables, shared_turns, transforms_of
+from locfuse.cli.choose.mounts import mount_tables, on_moving_parts, optics_tables, shared_turns, transforms_of
 from locfuse.cli.choose.standing import refuse_standing
 from locfuse.cli.choose.tilt import level_compass
 from locfuse.cli.choose.topics import Choice
@@ -163,14 +163,17 @@ def measured(
     transforms = transforms_of(log, frames)
     mounts = robot_toml.merge(mount_tables(transforms, sensed), optics_tables(log, sensed, tables))
     robot = with_landmarks(make_robot(robot_toml.merge(mounts, shared_turns(tables, sensed), tables)))
-    wanted = {role: s for role, s in streams.items() if role not in aside}
+    moving = on_moving_parts(transforms, sensed, tables)
+    if by_scans and "lrf" in moving:
+        raise LocfuseError(moving["lrf"], role="lrf")
+    wanted = {role: s for role, s in streams.items() if role not in aside and role not in moving}
     wanted = level_compass(log, wanted, robot, transforms)
     motion = _motion_of_scans(streams["wheels"], robot, progress) if by_scans else None
-    drive = measure(wanted, robot, choice.absent, progress, known, motion)
+    drive = measure(wanted, robot, {**choice.absent, **moving}, progress, known, motion)
     refuse_standing(log, choice, drive.wheels)
     _refuse_other_clock(log, drive)
     preset = (filters.NOTE,) if robot.preset == "paper" else ()
-    chosen = (f"wheels: {note}" for note in choice.notes)
+    chosen = (f"{note.role}: {note.words}" for note in choice.notes if note.role in streams)
     notes = (*preset, *chosen, *_clock_notes(streams), *start_notes(robot, drive), *drive.notes)
     drive = replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes})
     return Loaded(log, robot, choice, drive, tables)

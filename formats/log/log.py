@@ -45,6 +45,7 @@ from .transform_stream import (
 )
 
 AnyStream = LogStream | TransformStream | TagStream | FileStream | NumberStream | PresentedStream
+MOVING = 0.005  # m, and of a quaternion (0.6 degrees): a mount that gives less is one
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 
@@ -247,6 +248,15 @@ class Log:
                 if not edge.moves
             )
         )
+
+    def moving_transforms(self) -> list[transforms.Transform]:
+        """Return the transforms of /tf that change, as they were first."""
+        return [
+            transforms.Transform(edge.parent, edge.child, transforms.matrices_of(edge.values[:1])[0])
+            for topic in self.transform_topics
+            for edge in self.frames(topic).values()
+            if np.ptp(edge.values, axis=0).max() > MOVING
+        ]
 
     def all_mounts(self) -> transforms.StaticTransforms:
         """Return what never moves: by /tf_static, of other frames by the transforms of /tf that never change."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import NamedTuple
 
 from .schema import FILLER, Counts, Many, Node, Record, Scalar, Text
@@ -22,24 +23,34 @@ class Part(NamedTuple):
     path: str
     node: Node
     inside: bool  # in an array of structures: one value per element
+    depth: int = 0  # in how many of them, one inside the other
 
 
 LENGTH = "length"  # of each of the arrays that lie in an array: "echoes.ranges.length"
+OR = "|"  # between the names that releases of a package gave to one field: "k|K"
 
 
 def resolve(message: Record, path: str) -> tuple[Part, ...]:
-    """Find a field path in a message type. Raises FieldError naming the nearest field.
+    """Find a field path in a message type, the first that it has of several. Raises FieldError naming the nearest.
 
-    Arrays inside an array are one column end to end; its `.length` says where each ends.
+    Arrays inside an array are one column end to end; the `.length` of arrays of numbers says where each ends.
     """
+    *earlier, last = path.split(OR)
+    for name in earlier:
+        with suppress(FieldError):
+            return _resolve(message, name)
+    return _resolve(message, last)
+
+
+def _resolve(message: Record, path: str) -> tuple[Part, ...]:
     node: Node = message
-    inside = False
+    inside, depth = False, 0
     walked: list[str] = []
     for name in path.split("."):
-        if name == LENGTH and inside and isinstance(node, Many):
+        if name == LENGTH and inside and isinstance(node, Many) and not isinstance(node.element, Record):
             return (Part(".".join(walked), Counts(), inside=True),)
-        if isinstance(node, Many) and isinstance(node.element, Record) and not inside:
-            node, inside = node.element, True
+        if isinstance(node, Many) and isinstance(node.element, Record):
+            node, inside, depth = node.element, True, depth + 1
         if not isinstance(node, Record):
             raise FieldError(f"{'.'.join(walked)} has no parts")
         if name not in node.fields:
@@ -54,7 +65,7 @@ def resolve(message: Record, path: str) -> tuple[Part, ...]:
         raise FieldError(f"{path} is a structure: name a part of it")
     if isinstance(node, Many) and inside and not isinstance(node.element, Scalar | Text):
         raise FieldError(f"{path} is an array inside an array: it cannot be a column")
-    return (Part(path, node, inside),)
+    return (Part(path, node, inside, depth),)
 
 
 def _no_field(node: Record, walked: list[str], name: str) -> str:

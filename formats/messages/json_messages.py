@@ -103,10 +103,11 @@ def _column(objects: list[dict[str, Any]], path: str, parts: tuple[Part, ...]) -
     inside = parts[0].inside
     if inside and isinstance(parts[0].node, Many | Counts):
         return _nested(parts[0], objects)
+    path = path if len(parts) == 2 else parts[0].path
     values = [_at(one, path.split(".")) for one in objects]
     node = TIME if len(parts) == 2 else parts[0].node
     if inside:
-        rows = [value if isinstance(value, list) else [] for value in values]
+        rows = [_flat(value, parts[0].depth) if isinstance(value, list) else [] for value in values]
         if isinstance(node, Text):
             return [tuple(_text(v) for v in row) for row in rows]
         return _ragged([_scalars(node, row) for row in rows], _dtype(node))
@@ -124,6 +125,13 @@ def _nested(part: Part, objects: list[dict[str, Any]]) -> Column:
     if isinstance(part.node, Many) and isinstance(part.node.element, Text):
         return [tuple(_text(v) for inner in row for v in inner) for row in rows]
     return _ragged([_floats([v for inner in row for v in inner]) for row in rows], "f8")
+
+
+def _flat(values: list[Any], depth: int) -> list[Any]:
+    """Return the values of structures that lie in `depth` arrays, one inside the other, end to end."""
+    for _ in range(depth - 1):
+        values = [v for one in values if isinstance(one, list) for v in one]
+    return values
 
 
 def _at(value: Any, names: Sequence[str]) -> Any:

@@ -36,6 +36,7 @@ READ_TYPES = frozenset(
         "autoware_auto_vehicle_msgs/msg/VelocityReport",
         "autoware_vehicle_msgs/msg/VelocityReport",
         "control_msgs/msg/DynamicJointState",
+        "duckietown_msgs/msg/Twist2DStamped",
         "duckietown_msgs/msg/WheelEncoderStamped",
         "foxglove.CompressedImage",
         "foxglove.LocationFix",
@@ -93,7 +94,7 @@ ONE_NUMBER = frozenset(
         *(f"{at}angular.z" for at in ("", "twist.", "twist.twist.")),
         *(f"{at}{part}" for at in ("", "drive.") for part in ("speed", "steering_angle")),
         "longitudinal_velocity", "heading_rate", "velocity_left", "velocity_right",
-        "x", "y", "theta", "linear_velocity", "angular_velocity",
+        "x", "y", "theta", "linear_velocity", "angular_velocity", "v", "omega",
         "angle_min", "angle_increment", "time_increment", "range_min", "range_max",
         "width", "height", "step",
         "field_of_view", "min_range", "max_range", "range",
@@ -101,6 +102,11 @@ ONE_NUMBER = frozenset(
         "ticks_left", "ticks_right", "left_encoder", "right_encoder",
     )
 )  # fmt: skip
+# what releases of a package call one field
+CAMERA_MATRIX = "k|K"  # ROS 2, ROS 1
+CENTRE_2D = "detections.bbox.center.position.x|detections.bbox.center.x"
+CLASS = "detections.results.hypothesis.class_id|detections.results.id"
+TRACK_OR_CLASS = f"detections.id|{CLASS}"
 # dotted path in these types -> the kinds that its readers take
 EXPECTED: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(ONE_NUMBER, (NUMBER,)),
@@ -122,6 +128,9 @@ EXPECTED: Mapping[str, tuple[str, ...]] = {
         )
         for axis in XYZ
     },
+    CENTRE_2D: (NUMBERS,),
+    TRACK_OR_CLASS: (NUMBERS, TEXTS),
+    CLASS: (NUMBERS, TEXTS),
     "marker_ids": (NUMBERS,),
     "markers.id": (NUMBERS,),
     "markers.marker_id": (NUMBERS,),
@@ -136,7 +145,7 @@ EXPECTED: Mapping[str, tuple[str, ...]] = {
     "fields.name": (TEXTS,),
     "fields.offset": (NUMBERS,),
     "fields.datatype": (NUMBERS,),
-    "k": (NINE,),
+    CAMERA_MATRIX: (NINE,),
     "position": (NUMBERS,),
     "velocity": (NUMBERS,),
     "format": (TEXT,),

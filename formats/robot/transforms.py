@@ -54,6 +54,8 @@ class StaticTransforms:
 
     edges: tuple[Transform, ...] = ()
     conflicts: tuple[Conflict, ...] = ()
+    bases: tuple[str, ...] = ()  # frames that are the robot's body, whatever they are called
+    moving: tuple[Transform, ...] = ()  # frames that move on it, as they were first: what hangs there has no mount
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -30,6 +31,7 @@ class Fields(NamedTuple):
     y: str = ""  # "": in pixels, x only
     z: str = ""
     bundled: str = ""  # how many ids each detection has, where it holds a list of them
+    classes: str = ""  # where the ids are, if `ids` holds no number at all
 
 
 def _at(ids: str, position: str, bundled: str = "") -> Fields:
@@ -37,6 +39,10 @@ def _at(ids: str, position: str, bundled: str = "") -> Fields:
     return Fields(ids, x, y, z, bundled)
 
 
+# vision_msgs: a detection's id is empty unless a tracker gave it one, and the tag's is then that of its first
+# hypothesis; what either is called differs between its releases ("|": the first that a message has).
+CLASS = "detections.results.hypothesis.class_id|detections.results.id"
+OF_VISION = f"detections.id|{CLASS}"
 BUNDLES = _at("detections.id", "detections.pose.pose.pose.position", "detections.id.length")
 # Message type -> its fields.
 POSES: Mapping[str, Fields] = {
@@ -49,17 +55,19 @@ POSES: Mapping[str, Fields] = {
     "apriltag_ros/msg/AprilTagDetectionArray": BUNDLES,
     "apriltags2_ros/msg/AprilTagDetectionArray": BUNDLES,
     "apriltags_ros/msg/AprilTagDetectionArray": _at("detections.id", "detections.pose.pose.position"),
-    "vision_msgs/msg/Detection3DArray": _at("detections.id", "detections.bbox.center.position"),
+    "vision_msgs/msg/Detection3DArray": _at(OF_VISION, "detections.bbox.center.position")._replace(classes=CLASS),
 }
 PIXELS: Mapping[str, Fields] = {
     "apriltag_msgs/msg/AprilTagDetectionArray": Fields("detections.id", "detections.centre.x"),
-    "vision_msgs/msg/Detection2DArray": Fields("detections.id", "detections.bbox.center.position.x"),
+    "vision_msgs/msg/Detection2DArray": Fields(
+        OF_VISION, "detections.bbox.center.position.x|detections.bbox.center.x", classes=CLASS
+    ),
 }
 FIELDS: Mapping[str, Fields] = {**POSES, **PIXELS}
 READS: Mapping[str, tuple[str, ...]] = {
     DETECTIONS: ("id", "range", "bearing"),
     TAGS: ("id", "x", "y", "z"),
-    **{kind: tuple(field for field in fields if field) for kind, fields in FIELDS.items()},
+    **{kind: tuple(field for field in fields[:-1] if field) for kind, fields in FIELDS.items()},
 }
 
 
@@ -94,9 +102,12 @@ def sighted(stream: Stream, looks: Looks) -> Sighted:
     fields = FIELDS[stream.msgtype]
     raw = stream.columns(*READS[stream.msgtype])
     row, ids = _first_ids(raw[fields.ids], raw[fields.bundled]) if fields.bundled else _ids(raw[fields.ids])
+    if fields.classes and len(ids) and (ids == NO_ID).all():
+        with suppress(LocfuseError):  # of releases without hypotheses: the ids are none
+            row, ids = _ids(stream.columns(fields.classes)[fields.classes])
     alone = ids != BUNDLE
-    t_ns, n = stream.t_ns[row[alone]], len(ids)
-    x = _values(raw[fields.x], n, stream.topic)[alone]
+    t_ns = stream.t_ns[row[alone]]
+    x = _values(raw[fields.x], row, stream.topic)[alone]
     if stream.msgtype in PIXELS:
         if looks.fx is None or looks.cx is None:
             raise LocfuseError(
@@ -105,7 +116,7 @@ def sighted(stream: Stream, looks: Looks) -> Sighted:
                 hint="Give its matrix: --set landmarks.fx=<px> --set landmarks.cx=<px>",
             )
         return Sighted(t_ns, ids[alone], None, np.arctan2(looks.cx - x, looks.fx))
-    y, z = (_values(raw[name], n, stream.topic)[alone] for name in (fields.y, fields.z))
+    y, z = (_values(raw[name], row, stream.topic)[alone] for name in (fields.y, fields.z))
     return _placed(t_ns, ids[alone], (x, y, z), looks)
 
 
@@ -136,9 +147,11 @@ def _first_ids(ids: Any, counts: Any) -> tuple[Ints, Ints]:
     return np.repeat(np.arange(len(counts)), counts.lengths), out
 
 
-def _values(column: Any, n: int, topic: str) -> Array:
-    """Return numbers (n,), one of each detection."""
+def _values(column: Any, row: Ints, topic: str) -> Array:
+    """Return numbers, one of each detection; `row` (n,) is the message of each of their ids."""
     values = np.asarray(column.values[column.first[0] : column.first[-1]], np.float64)
-    if len(values) != n:
-        raise LocfuseError(f"{topic} has {n} ids and {len(values)} places: no way to tell which is whose")
+    if not np.array_equal(np.bincount(row, minlength=len(column)), column.lengths):
+        raise LocfuseError(
+            f"{topic} has {len(row)} ids and {len(values)} places: no way to tell which is whose", role="landmarks"
+        )
     return values

@@ -71,7 +71,7 @@ def read_laser(stream: Stream, laser: Laser, settings: WheelSettings, time_offse
 
 
 def _notes(stream: Stream, way: _Way) -> tuple[str, ...]:
-    words = [f"none in this log: the motion is matched from scan to scan of {stream.topic}"]
+    words = [f"the motion is matched from scan to scan of {stream.topic}"]
     blind = way.blind[1:]
     if blind.any():
         at = np.flatnonzero(blind) + 1

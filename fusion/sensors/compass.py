@@ -74,6 +74,7 @@ class Compass(Sensor):
         OFFSET: (Component("compass offset", "deg", math.degrees(1.0)),)
     }
     drawn = "heading"
+    unlikely = ("raw", "camera", "zed", "realsense", "oak", "d435", "t265", "lidar", "livox", "ouster")
     colour = Colour("#cb7627", "#ec8c10")
     noise_keys = ("sigma_deg",)
     bias = Bias("offset_deg", 1.0, estimated=True)

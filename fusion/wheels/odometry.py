@@ -50,11 +50,13 @@ SPEED: Mapping[str, tuple[str, str]] = {
     "geometry_msgs/msg/TwistStamped": ("twist.linear.x", "twist.angular.z"),
     "geometry_msgs/msg/TwistWithCovarianceStamped": ("twist.twist.linear.x", "twist.twist.angular.z"),
     "geometry_msgs/msg/Twist": ("linear.x", "angular.z"),
+    "duckietown_msgs/msg/Twist2DStamped": ("v", "omega"),
     TURTLESIM: ("linear_velocity", "angular_velocity"),
     "autoware_auto_vehicle_msgs/msg/VelocityReport": ("longitudinal_velocity", "heading_rate"),
     "autoware_vehicle_msgs/msg/VelocityReport": ("longitudinal_velocity", "heading_rate"),
 }
-# Speed and the angle of the front wheels: they turn the body by speed * tan(angle) / wheelbase.
+# Speed and the angle of the front wheels: they turn the body by speed * tan(angle) / wheelbase. Some drivers put a
+# turning rate or the heading there instead (wheels.steering).
 STEERED: Mapping[str, tuple[str, str]] = {
     "ackermann_msgs/msg/AckermannDriveStamped": ("drive.speed", "drive.steering_angle"),
     "ackermann_msgs/msg/AckermannDrive": ("speed", "steering_angle"),
@@ -101,9 +103,37 @@ def pose_and_speed(stream: Stream, settings: WheelSettings) -> Array:
     if kind in SPEED:
         values[:, 3:] = np.stack([columns[name] for name in SPEED[kind]], axis=-1)
     if kind in STEERED:
-        speed, angle = (columns[name].astype(np.float64) for name in STEERED[kind])
-        values[:, 3:] = np.stack((speed, speed * np.tan(angle) / _wheelbase(stream, settings)), axis=-1)
+        speed, steered = (columns[name].astype(np.float64) for name in STEERED[kind])
+        values[:, 3] = speed
+        if settings.steering == "heading":
+            values[:, :3] = _headed(stream.t_ns * np.float64(1e-9), speed, steered)
+        elif settings.steering == "rate":
+            values[:, 4] = steered
+        else:
+            values[:, 4] = speed * np.tan(steered) / _wheelbase(stream, settings)
     return values
+
+
+def has_pose(msgtype: str, settings: WheelSettings) -> bool:
+    """Return whether messages of this type say poses, or speed and heading, of which poses are made."""
+    return msgtype in POSE or msgtype in PLANAR or (msgtype in STEERED and settings.steering == "heading")
+
+
+def _headed(t: Array, speed: Array, heading: Array) -> Array:
+    """Return the poses (n, 3) of a body of this speed [m/s] and heading [rad] at t (n,) [s]: arcs between them.
+
+    An arc of length s that turns by d has the chord s sin(d / 2) / (d / 2), in the direction of its middle.
+    """
+    finite = np.isfinite(speed) & np.isfinite(heading)
+    out = np.full((len(t), 3), np.nan)
+    t, speed, heading = t[finite], speed[finite], heading[finite]
+    way = 0.5 * (speed[1:] + speed[:-1]) * np.diff(t)
+    turn = se2.wrap_all(np.diff(heading))
+    chord, middle = way * np.sinc(turn / (2.0 * np.pi)), heading[:-1] + 0.5 * turn
+    steps = np.stack((chord * np.cos(middle), chord * np.sin(middle)), axis=-1)
+    places = np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))[: len(t)]
+    out[finite] = np.column_stack((places, heading))
+    return out
 
 
 def commanded(topic: str) -> bool:
@@ -130,7 +160,8 @@ def _wheelbase(stream: Stream, settings: WheelSettings) -> float:
         raise LocfuseError(
             f"{stream.topic} gives a steering angle, so the distance between the axles must be known.",
             role="wheels",
-            hint="Set it with --set wheels.wheelbase=<metres>",
+            hint="Set it with --set wheels.wheelbase=<metres>, or say what it holds instead: "
+            "--set wheels.steering=rate (rad/s) or heading (rad)",
         )
     return settings.wheelbase
 

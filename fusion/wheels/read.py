@@ -137,7 +137,7 @@ def _from_body(stream: Stream, settings: WheelSettings) -> WheelReading:
     keep = usable(stream.t_ns, values, dropped)
     require_two(stream.topic, len(keep), len(stream.t_ns))
     t = (stream.t_ns[keep] - stream.t_ns[keep[0]]) * 1e-9
-    posed = stream.msgtype in (*odometry.POSE, *odometry.PLANAR)
+    posed = odometry.has_pose(stream.msgtype, settings)
     if not posed and odometry.commanded(stream.topic):
         t, twist = odometry.obeyed(t, values[keep, 3:])
         notes: tuple[str, ...] = ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple, cast
 
@@ -44,6 +45,9 @@ USUAL_TICKS = {
     KOBUKI: 2578.33,  # the TurtleBot 2's Kobuki base: 52 ticks a turn of the motor, gear 49.58
     "duckietown_msgs/msg/WheelEncoderStamped": 135.0,  # the Duckiebot DB21's Hall encoders
 }
+SIDE_LETTERS = {"left": {"l", "fl", "rl", "bl"}, "right": {"r", "fr", "rr", "br"}}  # of joints that are wheels
+REAR_WORDS, REAR_LETTERS = ("rear", "back"), {"rl", "rr", "bl", "br"}
+NO_DRIVE = ("caster", "steer", "drop", "suspension")  # joints of a wheel that say nothing of the way it rolls
 
 
 class Counters(NamedTuple):
@@ -185,8 +189,15 @@ def _by_name(names: list[tuple[str, ...]], positions: Ragged, joints: Sequence[s
 
 
 def joint_names(names: list[tuple[str, ...]], topic: str, settings: WheelSettings) -> tuple[str, str]:
-    """Return the joints of the left and right wheel: as set, else the only pair whose names say so."""
+    """Return the joints of the left and right wheel: as set, else the pair whose names say so.
+
+    Of two pairs that is the rear one: the wheels of one side of a robot that skids turn alike, and those of a
+    car's rear axle never steer.
+    """
     known = sorted({joint for row in set(names) for joint in row})
+    sides = {side: _guesses(known, side) for side in SIDE_LETTERS}
+    if len({len(guesses) for guesses in sides.values()}) == 1:  # as many left ones as right ones
+        sides = {side: [j for j in guesses if _is_rear(j)] or guesses for side, guesses in sides.items()}
     found = []
     for side, given in (("left", settings.left), ("right", settings.right)):
         if given is not None and given not in known:
@@ -195,7 +206,7 @@ def joint_names(names: list[tuple[str, ...]], topic: str, settings: WheelSetting
                 role="wheels",
                 hint=f"Name one with --set wheels.{side}=<joint>",
             )
-        guesses = [given] if given is not None else _guesses(known, side)
+        guesses = [given] if given is not None else sides[side]
         if len(guesses) != 1:
             what = f"{len(guesses)} joints are" if guesses else "no joint is"
             fix = f"wheels.{side}={guesses[0] if guesses else '<joint>'}"
@@ -210,5 +221,16 @@ def joint_names(names: list[tuple[str, ...]], topic: str, settings: WheelSetting
 
 
 def _guesses(joints: Sequence[str], side: str) -> list[str]:
+    """Return the joints that are called like a wheel of this side; where none is, like anything of this side."""
     found = [j for j in joints if side in j.lower()]
-    return [j for j in found if "wheel" in j.lower()] or found
+    wheels = [j for j in joints if "wheel" in j.lower() and not any(word in j.lower() for word in NO_DRIVE)]
+    return [j for j in wheels if j in found or _letters(j) & SIDE_LETTERS[side]] or found
+
+
+def _letters(joint: str) -> set[str]:
+    """Return the words of a joint's name: "fl_wheel_joint" is fl, wheel and joint."""
+    return set(re.split(r"[^a-z]+", joint.lower()))
+
+
+def _is_rear(joint: str) -> bool:
+    return any(word in joint.lower() for word in REAR_WORDS) or bool(_letters(joint) & REAR_LETTERS)

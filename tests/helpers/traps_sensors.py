@@ -302,7 +302,7 @@ LASER_TRAPS = (
     Trap("a laser late by 0.4 s", late_laser, "stamps look 0.4", True, "lrf"),
     Trap("a laser on another clock", other_clock, "stamped 3600.0 s after the wheels", True, "lrf"),
     Trap("a laser whose ranges are short", short_metre, "its ranges are 0.9", True, "lrf"),
-    Trap("two lasers", two_lasers, "2 topics that fit", True, "lrf", True),
+    Trap("two lasers", two_lasers, "2 topics that fit", False, "lrf"),
 )
 
 

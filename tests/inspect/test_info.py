@@ -125,7 +125,7 @@ def test_no_line_is_wider_than_the_screen_and_no_cell_is_folded(
     long = "/robot_one/front_left/laser/scan_filtered"
     said = [m._replace(topic=long) if m.topic == "/scan" else m for m in drive(200)]
     said = [m for m in said if not 3.0 <= (m.log_time - T0) / S < 5.0]
-    done = locfuse("info", write(tmp_path / "x.mcap", said))
+    done = locfuse("info", write(tmp_path / "x.mcap", said), *GEOMETRY)
     body = done.stdout.partition("\nnext\n")[0].splitlines()
     assert max(map(len, body)) <= width
     rows = body[2 : body.index("") + 5]
@@ -158,7 +158,7 @@ def test_a_table_keeps_its_first_column_and_the_ends_of_long_words() -> None:
 
 
 def test_what_is_missing_of_the_wheels_is_told_with_what_to_do(tmp_path: Path) -> None:
-    path = write(tmp_path / "x.mcap", drive(100))
+    path = write(tmp_path / "x.mcap", [m for m in drive(100) if m.topic != "/scan"])
     done = locfuse("info", path)
     assert done.exit_code == 0
     assert locfuse("info", path, "--check").exit_code == 3
@@ -256,13 +256,12 @@ def test_a_file_without_checksums_says_that_it_cannot_know(tmp_path: Path) -> No
     assert words not in locfuse("info", write(tmp_path / "y.mcap", drive(100)), *GEOMETRY).stdout
 
 
-def test_a_log_without_wheels_says_what_would_be_wheels(tmp_path: Path) -> None:
+def test_a_log_without_wheels_says_what_is_missing(tmp_path: Path) -> None:
     said = [m for m in drive(50) if m.topic == "/heading"]
     done = locfuse("info", write(tmp_path / "x.mcap", said), "--check")
     assert done.exit_code == 3
     (words,) = section(done, "would spoil an estimate")
-    assert "sensor_msgs/JointState" in words
-    assert "nav_msgs/Odometry" in words
+    assert "x has no wheels, no odometry (nor one in /tf), no laser, no poses and no speeds" in words
     assert section(done, "next") == []
 
 

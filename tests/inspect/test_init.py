@@ -134,7 +134,7 @@ def test_where_several_topics_fit_the_first_is_a_guess_and_the_others_are_named(
             cdr(odometry, header=header(ns, "odom"), pose={"pose": {"orientation": {"w": 1.0}}}),
             ns,
         )
-        for topic in ("/odom", "/odom_filtered")
+        for topic in ("/odom", "/odometry/wheels")
         for ns in range(T0, T0 + 10**10, 10**8)
     ]
     log = log_of(tmp_path / "x.mcap", said)
@@ -143,7 +143,7 @@ def test_where_several_topics_fit_the_first_is_a_guess_and_the_others_are_named(
     assert tomllib.loads(done.stdout)["wheels"]["topic"] == "/odom"
     words = " ".join(done.stdout.replace("\n#", " ").split())
     assert "guess:" in words
-    assert "/odom_filtered" in words
+    assert "/odometry/wheels" in words
     final(log, tmp_path / "out", "--robot", tmp_path / "robot.toml")
 
 
@@ -210,7 +210,7 @@ def test_a_damaged_log_is_looked_at_all_the_same_and_the_loss_is_counted(tmp_pat
 def test_a_log_that_cannot_run_still_gives_a_file_that_loads(tmp_path: Path) -> None:
     said = [Said("/chatter", "std_msgs/msg/String", cdr("std_msgs/msg/String", data="hello"), T0)]
     done = init(write(tmp_path / "x.mcap", said), tmp_path / "robot.toml")
-    assert "this log cannot run: x has no topic of type" in done.stderr
+    assert "this log cannot run: nothing says how the robot moved: x has no wheels" in done.stderr
     assert tomllib.loads(done.stdout) == {}
 
 

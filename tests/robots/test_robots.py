@@ -75,7 +75,7 @@ def test_four_wheels_of_a_husky_are_two_sides(tmp_path: Path) -> None:
     ]
     done = locfuse("init", write(tmp_path / "husky.mcap", said))
     wheels = tomllib.loads(done.stdout)["wheels"]
-    assert (wheels["left"], wheels["track"]) == ("front_left_wheel_joint", 1.040625)
+    assert (wheels["left"], wheels["track"]) == ("rear_left_wheel_joint", 1.040625)
     assert "topics named a200" in done.stderr
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -317,6 +317,23 @@ def test_a_steering_angle_turns_by_speed_times_its_tangent_over_the_wheelbase() 
     np.testing.assert_allclose(pose, CIRCLE[-1], atol=1e-9)
     with pytest.raises(LocfuseError, match=r"--set wheels\.wheelbase"):
         read_wheels(stream, WheelSettings())
+
+
+@pytest.mark.parametrize("backward", [1.0, -1.0])
+@pytest.mark.parametrize("steering", ["rate", "heading"])
+def test_where_a_steering_angle_should_be_may_be_a_turning_rate_or_a_heading(
+    steering: Literal["rate", "heading"], backward: float
+) -> None:
+    """A heading may begin anywhere and wraps at pi; a circle is the same driven ahead or, mirrored, back."""
+    held = np.full(len(T), RATE) if steering == "rate" else np.angle(np.exp(1j * (RATE * T + 2.0)))
+    stream = ArrayStream(
+        "/drive",
+        "ackermann_msgs/msg/AckermannDrive",
+        np.array(stamps(T)),
+        {"speed": np.full(len(T), backward * SPEED), "steering_angle": held},
+    )
+    pose = read_wheels(stream, WheelSettings(steering=steering)).wheels.pose[-1]
+    np.testing.assert_allclose(pose, CIRCLE[-1] * (backward, backward, 1.0), atol=1e-9)
 
 
 def test_an_odometry_that_stands_while_a_twist_moves_is_refused_in_words(tmp_path: Path) -> None:

@@ -1,0 +1,293 @@
+"""Bags as strangers record them: names, frames and doubles that no standard rules out; what is chosen of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bags import Said, cdr, header
+from commands import locfuse
+from numpy.typing import NDArray
+from wheel_bags import angles, custom, joint_states, log_of, numbers, stamps
+
+from locfuse.cli.choose.choose import choose
+from locfuse.cli.choose.mounts import mount_of, on_moving_parts, transforms_of
+from locfuse.cli.choose.topics import Choice
+from locfuse.cli.pipeline.load import make_robot
+from locfuse.formats.log.log import Log, open_log
+from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.robot import WheelSettings
+from locfuse.fusion.wheels.read import read_wheels
+from locfuse.fusion.wheels.sources import joint_names
+
+Array = NDArray[np.float64]
+TF = "tf2_msgs/msg/TFMessage"
+ODOMETRY = "nav_msgs/msg/Odometry"
+SCAN = "sensor_msgs/msg/LaserScan"
+SPEED, RATE = 0.4, 0.2  # m/s, rad/s: a circle of 2 m radius
+T = np.arange(0.0, 5.01, 0.1)
+CIRCLE = np.stack((2.0 * np.sin(RATE * T), 2.0 * (1.0 - np.cos(RATE * T)), RATE * T), axis=-1)  # closed form
+STANDING = np.zeros_like(CIRCLE)
+
+
+def turned(theta: float) -> dict[str, float]:
+    return {"z": math.sin(theta / 2), "w": math.cos(theta / 2)}
+
+
+def odometry(topic: str, poses: Array = CIRCLE) -> list[Said]:
+    return [
+        Said(
+            topic,
+            ODOMETRY,
+            cdr(
+                ODOMETRY,
+                header=header(ns, "odom"),
+                pose={"pose": {"position": {"x": x, "y": y}, "orientation": turned(theta)}},
+            ),
+            ns,
+        )
+        for ns, (x, y, theta) in zip(stamps(T), poses.tolist(), strict=True)
+    ]
+
+
+def tf(parent: str, child: str, poses: Array = CIRCLE, topic: str = "/tf") -> list[Said]:
+    return [
+        Said(
+            topic,
+            TF,
+            cdr(
+                TF,
+                transforms=[
+                    {
+                        "header": header(ns, parent),
+                        "child_frame_id": child,
+                        "transform": {"translation": {"x": x, "y": y}, "rotation": turned(theta)},
+                    }
+                ],
+            ),
+            ns,
+        )
+        for ns, (x, y, theta) in zip(stamps(T), poses.tolist(), strict=False)
+    ]
+
+
+def mount(parent: str, child: str) -> list[Said]:
+    """One transform of /tf_static: 0.2 m ahead, 0.1 m left, turned by 90 degrees."""
+    return tf(parent, child, np.array([[0.2, 0.1, math.pi / 2]]), "/tf_static")
+
+
+def scans(topic: str, frame: str = "laser") -> list[Said]:
+    data: dict[str, Any] = {
+        "angle_min": -1.5,
+        "angle_increment": 0.1,
+        "range_max": 10.0,
+        "ranges": [2.0 + 0.05 * i for i in range(30)],
+    }
+    return [Said(topic, SCAN, cdr(SCAN, header=header(ns, frame), **data), ns) for ns in stamps(T)]
+
+
+def opened(tmp_path: Path, *said: list[Said]) -> Log:
+    return open_log([log_of(tmp_path / "x.mcap", *said)])
+
+
+def chosen(log: Log, **tables: Any) -> Choice:
+    return choose(log, make_robot(tables))
+
+
+def end_of(log: Log) -> Array:
+    """Where the motion of the chosen topic ends, (x, y, theta)."""
+    reading = read_wheels(log.stream(chosen(log).topics["wheels"]), WheelSettings())
+    end: Array = reading.wheels.pose[-1]
+    return end
+
+
+# ---- which of several ----
+
+
+@pytest.mark.parametrize(
+    ("wheels", "other"),
+    [
+        ("/husky_velocity_controller/odom", "/odometry/filtered"),
+        ("/odom/unfiltered", "/odom"),
+        ("/odom", "/zed/zed_node/odom"),
+        ("/base_odometry/odom", "/robot_pose_ekf/odom_combined"),
+    ],
+)
+def test_an_odometry_of_the_wheels_is_taken_before_one_that_was_made_of_more(
+    wheels: str, other: str, tmp_path: Path
+) -> None:
+    log = opened(tmp_path, odometry(wheels), odometry(other, STANDING))
+    choice = chosen(log)
+    assert choice.of("wheels") == (wheels,)
+    (note,) = choice.notes
+    assert note.role == "wheels"
+    assert note.words.startswith(f"{wheels} is used: {other} looks made of more")
+    assert note.fixes == (f"wheels.topic={wheels}",)
+    assert end_of(log) == pytest.approx(CIRCLE[-1], abs=1e-6)
+
+
+def test_two_odometries_that_look_alike_are_not_guessed_at(tmp_path: Path) -> None:
+    log = opened(tmp_path, odometry("/odom"), odometry("/odometry/wheels"))
+    with pytest.raises(LocfuseError, match="2 topics that fit: /odom, /odometry/wheels"):
+        chosen(log)
+
+
+@pytest.mark.parametrize(
+    ("used", "other"), [("/scan_front", "/scan_back"), ("/scan", "/scan_filtered"), ("/base_scan", "/tilt_scan")]
+)
+def test_of_several_lasers_the_likeliest_is_used_and_said(used: str, other: str, tmp_path: Path) -> None:
+    choice = chosen(opened(tmp_path, odometry("/odom"), scans(used), scans(other)))
+    assert choice.of("lrf") == (used,)
+    (note,) = choice.notes
+    assert (note.role, note.fixes) == ("lrf", (f"lrf.topic={used}",))
+    assert note.words.endswith(f"{used} is used")
+
+
+def test_of_two_robots_the_laser_of_the_one_that_is_named_is_taken(tmp_path: Path) -> None:
+    said = [m for r in ("robot1", "robot2") for m in (*odometry(f"/{r}/odom"), *scans(f"/{r}/scan"))]
+    log = opened(tmp_path, said)
+    with pytest.raises(LocfuseError, match="2 topics that fit: /robot1/odom, /robot2/odom"):
+        chosen(log)
+    for robot in ("robot1", "robot2"):
+        assert chosen(log, wheels={"topic": f"/{robot}/odom"}).of("lrf") == (f"/{robot}/scan",)
+
+
+def test_init_writes_the_laser_that_is_used_and_calls_it_a_guess(tmp_path: Path) -> None:
+    log = log_of(tmp_path / "x.mcap", odometry("/odom"), scans("/rear_scan"), scans("/front_scan"))
+    done = locfuse("init", log)
+    assert "guessed: lrf.topic=/front_scan" in done.stderr
+    assert done.stdout.count('topic = "/front_scan"') == 1
+
+
+# ---- wheels ----
+
+
+@pytest.mark.parametrize(
+    ("joints", "pair"),
+    [
+        (("l_wheel_joint", "r_wheel_joint", "torso_lift_joint"), ("l_wheel_joint", "r_wheel_joint")),
+        (
+            ("fl_wheel_joint", "fr_wheel_joint", "rl_wheel_joint", "rr_wheel_joint"),
+            ("rl_wheel_joint", "rr_wheel_joint"),
+        ),
+        (
+            ("front_left_wheel", "front_right_wheel", "rear_left_wheel", "rear_right_wheel"),
+            ("rear_left_wheel", "rear_right_wheel"),
+        ),
+        (
+            ("left_wheel_joint", "right_wheel_joint", "wheel_drop_left_joint", "wheel_drop_right_joint"),
+            ("left_wheel_joint", "right_wheel_joint"),
+        ),
+        (
+            ("left_front_steer_wheel", "right_front_steer_wheel", "left_back_wheel", "right_back_wheel"),
+            ("left_back_wheel", "right_back_wheel"),
+        ),
+    ],
+)
+def test_wheels_are_known_by_the_names_that_robots_give_them(
+    joints: tuple[str, ...], pair: tuple[str, str]
+) -> None:
+    assert joint_names([joints], "/joint_states", WheelSettings()) == pair
+
+
+@pytest.mark.parametrize(
+    "joints", [("l_elbow", "r_elbow"), ("fl_caster_l_wheel_joint", "fl_caster_r_wheel_joint")]
+)
+def test_arms_and_casters_are_no_wheels(joints: tuple[str, ...]) -> None:
+    with pytest.raises(LocfuseError, match="no joint is named like the left wheel"):
+        joint_names([joints], "/joint_states", WheelSettings())
+
+
+def test_where_nobody_knows_the_size_of_the_wheels_the_laser_says_how_the_robot_moved(tmp_path: Path) -> None:
+    """With half of the size given somebody means the wheels: then the other half is asked for."""
+    t, angle = angles(5.0)
+    log = opened(tmp_path, joint_states(t, angle), scans("/scan"))
+    choice = chosen(log)
+    assert choice.of("wheels") == ("/scan",)
+    assert choice.notes[0].words.startswith(
+        "/scan is used, since /joint_states gives wheel angles and no wheels.radius"
+    )
+    assert chosen(log, wheels={"radius": 0.05}).of("wheels") == ("/joint_states",)
+    assert chosen(log, wheels={"radius": 0.05, "track": 0.3}).of("wheels") == ("/joint_states",)
+
+
+def test_a_speed_and_a_turning_rate_of_duckietown_are_a_twist(tmp_path: Path) -> None:
+    kind, text = "duckietown_msgs/msg/Twist2DStamped", "std_msgs/Header header\nfloat32 v\nfloat32 omega\n"
+    rows = [{"v": SPEED, "omega": RATE} for _ in T]
+    log = open_log([custom(tmp_path / "x.mcap", "/duck/car_cmd_switch_node/cmd", kind, text, T, rows)])
+    assert "commanded speeds" in chosen(log).notes[0].words
+    assert end_of(log) == pytest.approx(CIRCLE[-1], abs=1e-5)
+
+
+@pytest.mark.parametrize("parent", ["odom_combined", "robot1/odom", "wheel_odom", "/odometry"])
+def test_an_odometry_frame_in_tf_is_known_by_any_usual_name(parent: str, tmp_path: Path) -> None:
+    log = opened(tmp_path, tf(parent, "base_footprint"), tf("map", parent, STANDING))
+    assert end_of(log) == pytest.approx(CIRCLE[-1], abs=1e-6)
+
+
+def test_fixes_and_an_imu_alone_are_refused_in_a_line_that_says_what_is_missing(tmp_path: Path) -> None:
+    imu = [
+        Said("/imu", "sensor_msgs/msg/Imu", cdr("sensor_msgs/msg/Imu", header=header(ns)), ns) for ns in stamps(T)
+    ]
+    fix = [
+        Said("/fix", "sensor_msgs/msg/NavSatFix", cdr("sensor_msgs/msg/NavSatFix", header=header(ns)), ns)
+        for ns in stamps(T)
+    ]
+    with pytest.raises(LocfuseError) as refused:
+        chosen(opened(tmp_path, imu, fix))
+    words = str(refused.value)
+    assert "has no wheels, no odometry (nor one in /tf), no laser, no poses and no speeds" in words
+    assert "/fix and /imu can only correct a motion" in words
+    with pytest.raises(LocfuseError, match=r"no speeds\. It has /number"):
+        chosen(opened(tmp_path, numbers("/number", "Float64", T, T.tolist())))
+
+
+# ---- where sensors sit ----
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        [*tf("robot1/odom", "robot1/base_link"), *mount("robot1/base_link", "laser")],
+        [*tf("odom", "chassis"), *mount("chassis", "laser")],
+        [*tf("/odom_combined", "/base"), *mount("/base", "/laser")],
+        [*tf("wheel_odom", "my_robot_body"), *mount("my_robot_body", "laser")],
+    ],
+    ids=["a robot's name before it", "another name", "slashes of ROS 1", "a name of its own"],
+)
+def test_a_mount_is_found_on_any_frame_that_is_the_body(said: Sequence[Said], tmp_path: Path) -> None:
+    found = mount_of(transforms_of(opened(tmp_path, list(said)), ["laser"]), "laser")
+    assert found is not None
+    assert [found.x, found.y, found.yaw] == pytest.approx([0.2, 0.1, math.pi / 2], abs=1e-9)
+
+
+def test_a_frame_beside_the_body_is_not_taken_for_it(tmp_path: Path) -> None:
+    """A pan unit that carries a camera is no body, however rigid the two are."""
+    log = opened(tmp_path, tf("odom", "base_link"), mount("pan_link", "laser"))
+    assert mount_of(transforms_of(log, ["laser"]), "laser") is None
+
+
+def test_a_laser_that_moves_on_the_robot_is_left_out_with_what_moves(tmp_path: Path) -> None:
+    """The odometry still runs; where somebody says where the laser stood, it is used."""
+    swing = np.stack((np.zeros_like(T), np.zeros_like(T), 0.3 * np.sin(T)), axis=-1)
+    log = log_of(
+        tmp_path / "x.mcap",
+        odometry("/odom"),
+        tf("odom", "base_link"),
+        tf("base_link", "pan_link", swing),
+        mount("pan_link", "laser"),
+        scans("/scan"),
+    )
+    info = locfuse("info", log)
+    assert "laser moves on the robot (pan_link in base_link by /tf)" in " ".join(info.stdout.split())
+    assert "base's origin is assumed" not in info.stdout
+    done = locfuse("run", log, "-o", tmp_path / "out", "--no-advice", "--sensors", "lrf")
+    assert done.exit_code == 1
+    assert "laser moves on the robot" in " ".join(done.stderr.split())
+    placed = transforms_of(open_log([log]), ["laser"])
+    assert mount_of(placed, "laser") is None
+    assert on_moving_parts(placed, {"lrf": [open_log([log]).stream("/scan")]}, {"lrf": {"x": 0.2}}) == {}

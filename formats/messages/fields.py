@@ -36,7 +36,7 @@ def resolve(message: Record, path: str) -> tuple[Part, ...]:
     Arrays inside an array are one column end to end; the `.length` of arrays of numbers says where each ends.
     """
     *earlier, last = path.split(OR)
-    for name in earlier:
+    for name in (path, *earlier) if earlier else ():  # a definition may call one field "a|b", however odd
         with suppress(FieldError):
             return _resolve(message, name)
     return _resolve(message, last)

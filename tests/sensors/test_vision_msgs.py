@@ -13,6 +13,8 @@ from mcap.writer import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from locfuse.formats.log.log import open_log
+from locfuse.formats.messages.fields import resolve
+from locfuse.formats.messages.schema import Record, Scalar
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.landmarks.messages import NO_ID, Looks, Sighted, sighted
 
@@ -124,6 +126,11 @@ def test_an_id_of_a_tracker_comes_before_the_class(tmp_path: Path) -> None:
 def test_objects_whose_classes_are_words_are_no_landmarks(tmp_path: Path) -> None:
     chair = {"results": [{"hypothesis": {"class_id": "chair"}}], "bbox": {"center": {"position": {"z": 2.0}}}}
     assert seen(tmp_path, 3, release(NESTED, POINTED, True), [[chair]]).ids.tolist() == [NO_ID]
+
+
+def test_a_field_whose_own_name_holds_the_bar_between_names_is_still_found() -> None:
+    message = Record("odd", {"a|b": Scalar("f8", 8), "b": Scalar("i4", 4), "c|": Scalar("u1", 1)})
+    assert [resolve(message, path)[0].path for path in ("a|b", "c|", "x|b")] == ["a|b", "c|", "b"]
 
 
 def test_a_detector_in_doubt_is_refused(tmp_path: Path) -> None:

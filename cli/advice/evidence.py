@@ -230,7 +230,7 @@ class Evidence:
             probed = self.trial.under((*self.fixes, *probe))
             run = None if probed is None else self.trial.fused(probed, self._alone(sensor))
             if run is not None and not run.lost:
-                yield from of_probe(robot, sensor, run)
+                yield from of_probe(robot, sensor, run, drive.truth is not None)
 
     @cached_property
     def _mounts_found(self) -> list[Finding]:
@@ -239,7 +239,7 @@ class Evidence:
             finding
             for e in self.compared.estimates
             if len(e.sensors) == 1 and not e.smoothed and not e.lost
-            for finding in of_mount(self.loaded.robot, e.sensors[0], e)
+            for finding in of_mount(self.loaded.robot, e.sensors[0], e, self.loaded.drive.truth is not None)
         ]
 
     def _scaled(self) -> Iterator[Finding]:

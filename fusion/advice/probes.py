@@ -38,19 +38,24 @@ def probe_of(robot: Robot, sensor: str) -> tuple[str, ...]:
     return (*mount, *track)
 
 
-def of_probe(robot: Robot, sensor: str, e: Estimates) -> Iterator[Finding]:
+def of_probe(robot: Robot, sensor: str, e: Estimates, judged: bool) -> Iterator[Finding]:
     """Yield the mount and the track that a probe's run estimates, where they differ from what is configured."""
-    yield from of_mount(robot, sensor, e, PROBE_XY_M, PROBE_YAW_DEG)
+    yield from of_mount(robot, sensor, e, judged, PROBE_XY_M, PROBE_YAW_DEG)
     yield from _track(robot, e)
 
 
 def of_mount(
-    robot: Robot, sensor: str, e: Estimates, prior_xy: float = SIGMA_M, prior_yaw_deg: float = SIGMA_DEG
+    robot: Robot,
+    sensor: str,
+    e: Estimates,
+    judged: bool,
+    prior_xy: float = SIGMA_M,
+    prior_yaw_deg: float = SIGMA_DEG,
 ) -> Iterator[Finding]:
     """Yield the mount that a run estimates as a state, where it differs from what is configured.
 
-    Not one that is further off than the run took for likely, `prior_xy` [m] and `prior_yaw_deg` (1 sigma) unless
-    the sensor's settings say more: then something else is wrong, and looks like a mount.
+    Where no truth has `judged` it, not one that is further off than the run took for likely, `prior_xy` [m] and
+    `prior_yaw_deg` (1 sigma) unless the sensor's settings say more: something else may look like a mount.
     """
     fixes, words = [], []
     for part, (key, scale) in MOUNT_KEYS.items():
@@ -60,7 +65,8 @@ def of_mount(
         value, sigma = scale * float(e.blocks[name][-1, 0]), scale * float(e.block_sigmas[name][-1, 0])
         configured = float(getattr(robot.settings(sensor), key))
         stated = getattr(robot.settings(sensor), "sigma_yaw_deg" if part == "yaw" else f"sigma_{part}")
-        if abs(value - configured) > MAX_PRIOR_SIGMAS * (stated or (prior_yaw_deg if part == "yaw" else prior_xy)):
+        likely = MAX_PRIOR_SIGMAS * (stated or (prior_yaw_deg if part == "yaw" else prior_xy))
+        if not judged and abs(value - configured) > likely:
             return
         least = MIN_MOUNT_DEG if key == "yaw_deg" else MIN_MOUNT_M
         if abs(value - configured) > max(MIN_SIGMAS * sigma, least):

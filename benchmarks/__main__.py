@@ -2,13 +2,14 @@
 
 Generates its logs, runs every figure against its yardstick, taking turns, and prints a markdown table: medians,
 the ratio's spread over the rounds, and the goal. CPU times of whole processes, wall times beside them: trust the
-ratios. Run it from the repository's root.
+ratios. Run it from the repository's root. With LOCFUSE_DATA set, a recorded building is among them.
 """
 
 from __future__ import annotations
 
 import compileall
 import json
+import os
 import statistics
 import subprocess
 import tempfile
@@ -21,13 +22,15 @@ from benchmarks.figures import MINUTE, Command, Figure, Kernel, Logs, figures, k
 from benchmarks.process import Cost, cost
 
 ROOT = Path(__file__).parent.parent
+DATA = "LOCFUSE_DATA"  # where recorded logs are
 Row = tuple[str, ...]
 FAILED, UNKNOWN = ("failed", ""), ("", "", "no", "")
 
 
 def logs(folder: Path, minutes: float) -> Logs:
     """Generate the logs where they are not there yet."""
-    found = Logs(folder / "minute.mcap", folder / f"{minutes:g}_minutes.mcap")
+    aces = Path(os.environ.get(DATA, "")) / "aces" / "aces.mcap"
+    found = Logs(folder / "minute.mcap", folder / f"{minutes:g}_minutes.mcap", aces if aces.is_file() else None)
     for path, options in ((found.minute, MINUTE), (found.hour, ("--minutes", str(minutes)))):
         if not path.exists():
             subprocess.run(module("make_log", path, *options), check=True)

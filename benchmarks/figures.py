@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ class Logs(NamedTuple):
 
     minute: Path  # with pictures
     hour: Path
+    building: Path | None = None  # a recorded one (aces), where LOCFUSE_DATA has it
 
 
 class Figure(NamedTuple):
@@ -52,12 +54,13 @@ def figures(logs: Logs, out: Path, length: str) -> list[Figure]:
     """Return what is measured in whole processes; `length` is that of the long log, in words."""
     advised = ("--write", "json", "--quiet", "--overwrite", "--out", out)
     how = (*advised, "--no-advice")  # how often advice fuses again depends on what looks wrong with the log
-    stock, stock_minute = module("decode", "stock", logs.hour), module("decode", "stock", logs.minute)
+    stock, stock_minute = decoded(logs.hour), decoded(logs.minute)
     ours = module("decode", "ours", logs.hour)
     one = locfuse("run", logs.hour, *FROZEN, *how)
     five = locfuse("compare", logs.hour, *FROZEN, *how)
     recorded = (*five, "--rerun-save", f"{out}.rrd")
     pictures = locfuse("compare", logs.minute, *how)
+    buildings = [] if logs.building is None else [of_building(logs.building, advised)]
     return [
         Figure("60 s, 600 pictures: five configurations / stock", 1.25, pictures, stock_minute),
         Figure("60 s, 600 pictures: five configurations / one", 1.25, pictures, locfuse("run", logs.minute, *how)),
@@ -74,10 +77,21 @@ def figures(logs: Logs, out: Path, length: str) -> list[Figure]:
         Figure(f"{length}: reading and decoding / stock", 0.10, ours, stock),
         Figure(f"{length}: reading and decoding / rosbags", 0.35, ours, module("decode", "rosbags", logs.hour)),
         Figure(f"{length}: five configurations / one", 1.60, five, one),
+        *buildings,
         Figure(
             "`locfuse --help` / `import click`", 1.50, locfuse("--help"), (sys.executable, "-c", "import click")
         ),
     ]
+
+
+def of_building(log: Path, how: Sequence[str | Path]) -> Figure:
+    """Return what all that a user gets of a recorded building costs, advice included."""
+    return Figure(f"{log.stem}, a building: `compare` / stock", 10.0, locfuse("compare", log, *how), decoded(log))
+
+
+def decoded(log: Path) -> Command:
+    """Return the yardstick of a log."""
+    return module("decode", "stock", log)
 
 
 def kernels(logs: Logs) -> list[Kernel]:

@@ -60,7 +60,7 @@ def figures(logs: Logs, out: Path, length: str) -> list[Figure]:
     five = locfuse("compare", logs.hour, *FROZEN, *how)
     recorded = (*five, "--rerun-save", f"{out}.rrd")
     pictures = locfuse("compare", logs.minute, *how)
-    buildings = [] if logs.building is None else [of_building(logs.building, advised)]
+    buildings = [] if logs.building is None else [of_building(logs.building, how)]
     return [
         Figure("60 s, 600 pictures: five configurations / stock", 1.25, pictures, stock_minute),
         Figure("60 s, 600 pictures: five configurations / one", 1.25, pictures, locfuse("run", logs.minute, *how)),
@@ -85,8 +85,8 @@ def figures(logs: Logs, out: Path, length: str) -> list[Figure]:
 
 
 def of_building(log: Path, how: Sequence[str | Path]) -> Figure:
-    """Return what all that a user gets of a recorded building costs, advice included."""
-    return Figure(f"{log.stem}, a building: `compare` / stock", 10.0, locfuse("compare", log, *how), decoded(log))
+    """Return what comparing a recorded building costs."""
+    return Figure(f"{log.stem}, a building: `compare` / stock", 15.0, locfuse("compare", log, *how), decoded(log))
 
 
 def decoded(log: Path) -> Command:

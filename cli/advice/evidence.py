@@ -288,7 +288,12 @@ class Evidence:
 
     @property
     def _slips_unusually(self) -> bool:
-        return self._slip is not None and self._slip.unusual
+        """Whether the wheels slip more than configured, or clearly less.
+
+        Less is only believed where truth judges it: wheels that hardly slip in most turns may slip far in a few.
+        """
+        found = self._slip
+        return found is not None and found.unusual and (found.factor > 1.0 or self.loaded.drive.truth is not None)
 
     def _by_anees(self, sensor: str) -> list[Fixes]:
         """Return the sensor's noise scaled by what truth says of the run that uses it alone."""

@@ -179,7 +179,8 @@ class GyroModel(Model):
             at, now = belief.block(BIAS)
             columns, H_block, bias = (column, at), ((-1.0, dt),), float(now[0])
         y = turned - bias * dt - (belief.theta - float(before[0]))
-        r = m.scale**2 * dt + (self.settings.sigma_scale * turned) ** 2
+        by_scale = self.settings.sigma_scale * turned
+        r = m.scale**2 * dt + by_scale * by_scale  # `**` raises where a damaged rate is too large; inf is refused
         return [Innovation.of(i, (y,), H_TURN, ((r,),), belief, self.threshold, columns=columns, H_block=H_block)]
 
     def _used_up(self, m: Measurements, last: int, i: int) -> bool:

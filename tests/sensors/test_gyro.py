@@ -296,6 +296,21 @@ def test_nan_rates_are_left_out_and_counted() -> None:
     assert (np.linalg.eigvalsh(e.P)[1:] > -1e-15).all()
 
 
+@pytest.mark.filterwarnings("ignore:overflow encountered")
+@pytest.mark.filterwarnings("ignore:invalid value encountered")
+def test_a_turn_too_large_to_be_squared_is_refused() -> None:
+    drive, settings = drive_with_all(4)
+    m = drive.measurements["gyro"]
+    z = m.z.copy()
+    z[len(z) // 2 :] += 1e200
+    estimates = fuse(
+        replace(drive, measurements={**drive.measurements, "gyro": replace(m, z=z)}), settings, ["gyro"]
+    )
+    verdicts = estimates.audits["gyro"].verdict
+    assert (verdicts != 0).sum() >= 1
+    assert np.isfinite(estimates.pose).all()
+
+
 def test_a_given_bias_is_taken_out_and_no_state() -> None:
     t, theta, _ = way()
     model = Gyro().model(GyroSettings(bias_deg=0.5))

@@ -148,7 +148,7 @@ def field_of(name: str) -> tuple[str, str] | None:
     return (parts[0], parts[1]) if len(parts) == 2 and all(parts) else None
 
 
-class DerivedStream:
+class DerivedStream(clocks.Dated):
     """A topic made of another one, with its clock and the face of a topic (formats.log.stream.LogStream)."""
 
     msgtype = ""
@@ -178,29 +178,8 @@ class DerivedStream:
         return self._source.delay_s
 
     @property
-    def clock(self) -> str:
-        """Which times were taken, in words."""
-        return self._source.clock
-
-    @property
-    def by_stamps(self) -> bool:
-        """Whether the times are those of the headers, sorted or repaired perhaps."""
-        return self._source.by_stamps
-
-    @property
-    def as_stamped(self) -> bool:
-        """Whether every time is simply its header's."""
-        return self._source.as_stamped
-
-    @property
-    def repaired(self) -> Mapping[str, int]:
-        """Stamps that were replaced, by reason."""
-        return self._source.repaired
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What is unusual about the stream's times, in words."""
-        return self._source.notes
+    def _clock(self) -> clocks.Clock:
+        return self._source._clock
 
     @property
     def dropped(self) -> Mapping[str, int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 Array = NDArray[np.float64]
 RADIUS, TRACK, TICKS = 0.05, 0.3, 1000.0
 GEOMETRY = ("--set", f"wheels.radius={RADIUS}", "--set", f"wheels.track={TRACK}")
+ODOMETRY = "nav_msgs/msg/Odometry"
 CREATE = "irobot_create_msgs/msg/WheelTicks"
 CREATE_TEXT = "std_msgs/Header header\nint32 ticks_left\nint32 ticks_right\n"
 TURTLE = "turtlebot3_msgs/msg/SensorState"
@@ -74,6 +76,28 @@ def joint_states(t: Array, angle: Array, names: tuple[str, str] = ("left_wheel",
             ns + 1_000_000,
         )
         for ns, row in zip(stamps(t), angle.tolist(), strict=True)
+    ]
+
+
+def turned(theta: float) -> dict[str, float]:
+    """A heading [rad] as the two numbers of a quaternion that it has."""
+    return {"z": math.sin(theta / 2), "w": math.cos(theta / 2)}
+
+
+def odometry(t: Array, poses: Array, topic: str = "/odom") -> list[Said]:
+    """Poses (n, 3) at times t (n,) as an odometry says them."""
+    return [
+        Said(
+            topic,
+            ODOMETRY,
+            cdr(
+                ODOMETRY,
+                header=header(ns, "odom"),
+                pose={"pose": {"position": {"x": p[0], "y": p[1]}, "orientation": turned(p[2])}},
+            ),
+            ns,
+        )
+        for ns, p in zip(stamps(t), poses.tolist(), strict=True)
     ]
 
 

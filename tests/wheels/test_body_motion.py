@@ -12,7 +12,19 @@ import pytest
 from bags import Said, cdr, header
 from commands import locfuse
 from numpy.typing import NDArray
-from wheel_bags import GEOMETRY, RADIUS, TRACK, angles, custom, joint_states, log_of, pose_of, stamps
+from wheel_bags import (
+    GEOMETRY,
+    RADIUS,
+    TRACK,
+    angles,
+    custom,
+    joint_states,
+    log_of,
+    odometry,
+    pose_of,
+    stamps,
+    turned,
+)
 
 from locfuse.formats.log.log import open_log
 from locfuse.fusion.data import ArrayStream, LocfuseError
@@ -30,10 +42,6 @@ CIRCLE = np.stack(
 )  # closed form
 
 
-def turned(theta: float) -> dict[str, float]:
-    return {"z": math.sin(theta / 2), "w": math.cos(theta / 2)}
-
-
 def entry(ns: int, parent: str, child: str, pose: Any) -> dict[str, Any]:
     return {
         "header": header(ns, parent),
@@ -46,22 +54,6 @@ def tf(t: Array, poses: Array, parent: str = "odom", child: str = "base_link", m
     """One frame in another, and frames that never move in every message."""
     return [
         Said("/tf", TF, cdr(TF, transforms=[entry(ns, parent, child, p), *(entry(ns, *m) for m in more)]), ns)
-        for ns, p in zip(stamps(t), poses.tolist(), strict=True)
-    ]
-
-
-def odometry(t: Array, poses: Array, topic: str = "/odom") -> list[Said]:
-    return [
-        Said(
-            topic,
-            ODOMETRY,
-            cdr(
-                ODOMETRY,
-                header=header(ns, "odom"),
-                pose={"pose": {"position": {"x": p[0], "y": p[1]}, "orientation": turned(p[2])}},
-            ),
-            ns,
-        )
         for ns, p in zip(stamps(t), poses.tolist(), strict=True)
     ]
 

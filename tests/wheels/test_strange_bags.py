@@ -12,7 +12,7 @@ import pytest
 from bags import Said, cdr, header
 from commands import locfuse
 from numpy.typing import NDArray
-from wheel_bags import angles, custom, joint_states, log_of, numbers, stamps
+from wheel_bags import angles, custom, joint_states, log_of, numbers, odometry, stamps, turned
 
 from locfuse.cli.choose.choose import choose
 from locfuse.cli.choose.mounts import mount_of, on_moving_parts, transforms_of
@@ -34,24 +34,8 @@ CIRCLE = np.stack((2.0 * np.sin(RATE * T), 2.0 * (1.0 - np.cos(RATE * T)), RATE 
 STANDING = np.zeros_like(CIRCLE)
 
 
-def turned(theta: float) -> dict[str, float]:
-    return {"z": math.sin(theta / 2), "w": math.cos(theta / 2)}
-
-
-def odometry(topic: str, poses: Array = CIRCLE) -> list[Said]:
-    return [
-        Said(
-            topic,
-            ODOMETRY,
-            cdr(
-                ODOMETRY,
-                header=header(ns, "odom"),
-                pose={"pose": {"position": {"x": x, "y": y}, "orientation": turned(theta)}},
-            ),
-            ns,
-        )
-        for ns, (x, y, theta) in zip(stamps(T), poses.tolist(), strict=True)
-    ]
+def driven(topic: str, poses: Array = CIRCLE) -> list[Said]:
+    return odometry(T, poses, topic)
 
 
 def tf(parent: str, child: str, poses: Array = CIRCLE, topic: str = "/tf") -> list[Said]:
@@ -120,7 +104,7 @@ def end_of(log: Log) -> Array:
 def test_an_odometry_of_the_wheels_is_taken_before_one_that_was_made_of_more(
     wheels: str, other: str, tmp_path: Path
 ) -> None:
-    log = opened(tmp_path, odometry(wheels), odometry(other, STANDING))
+    log = opened(tmp_path, driven(wheels), driven(other, STANDING))
     choice = chosen(log)
     assert choice.of("wheels") == (wheels,)
     (note,) = choice.notes
@@ -131,7 +115,7 @@ def test_an_odometry_of_the_wheels_is_taken_before_one_that_was_made_of_more(
 
 
 def test_two_odometries_that_look_alike_are_not_guessed_at(tmp_path: Path) -> None:
-    log = opened(tmp_path, odometry("/odom"), odometry("/odometry/wheels"))
+    log = opened(tmp_path, driven("/odom"), driven("/odometry/wheels"))
     with pytest.raises(LocfuseError, match="2 topics that fit: /odom, /odometry/wheels"):
         chosen(log)
 
@@ -140,7 +124,7 @@ def test_two_odometries_that_look_alike_are_not_guessed_at(tmp_path: Path) -> No
     ("used", "other"), [("/scan_front", "/scan_back"), ("/scan", "/scan_filtered"), ("/base_scan", "/tilt_scan")]
 )
 def test_of_several_lasers_the_likeliest_is_used_and_said(used: str, other: str, tmp_path: Path) -> None:
-    choice = chosen(opened(tmp_path, odometry("/odom"), scans(used), scans(other)))
+    choice = chosen(opened(tmp_path, driven("/odom"), scans(used), scans(other)))
     assert choice.of("lrf") == (used,)
     (note,) = choice.notes
     assert (note.role, note.fixes) == ("lrf", (f"lrf.topic={used}",))
@@ -148,7 +132,7 @@ def test_of_several_lasers_the_likeliest_is_used_and_said(used: str, other: str,
 
 
 def test_of_two_robots_the_laser_of_the_one_that_is_named_is_taken(tmp_path: Path) -> None:
-    said = [m for r in ("robot1", "robot2") for m in (*odometry(f"/{r}/odom"), *scans(f"/{r}/scan"))]
+    said = [m for r in ("robot1", "robot2") for m in (*driven(f"/{r}/odom"), *scans(f"/{r}/scan"))]
     log = opened(tmp_path, said)
     with pytest.raises(LocfuseError, match="2 topics that fit: /robot1/odom, /robot2/odom"):
         chosen(log)
@@ -157,7 +141,7 @@ def test_of_two_robots_the_laser_of_the_one_that_is_named_is_taken(tmp_path: Pat
 
 
 def test_init_writes_the_laser_that_is_used_and_calls_it_a_guess(tmp_path: Path) -> None:
-    log = log_of(tmp_path / "x.mcap", odometry("/odom"), scans("/rear_scan"), scans("/front_scan"))
+    log = log_of(tmp_path / "x.mcap", driven("/odom"), scans("/rear_scan"), scans("/front_scan"))
     done = locfuse("init", log)
     assert "guessed: lrf.topic=/front_scan" in done.stderr
     assert done.stdout.count('topic = "/front_scan"') == 1
@@ -276,7 +260,7 @@ def test_a_laser_that_moves_on_the_robot_is_left_out_with_what_moves(tmp_path: P
     swing = np.stack((np.zeros_like(T), np.zeros_like(T), 0.3 * np.sin(T)), axis=-1)
     log = log_of(
         tmp_path / "x.mcap",
-        odometry("/odom"),
+        driven("/odom"),
         tf("odom", "base_link"),
         tf("base_link", "pan_link", swing),
         mount("pan_link", "laser"),

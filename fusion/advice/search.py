@@ -28,9 +28,7 @@ class Candidate:
     judges: tuple[str, ...]
     minor: tuple[str, ...] = ()  # of these, by which a gain shows and a little more error is no harm
     offer: bool = False  # no observation, only a setting that may help: silent where it does not
-    measured: bool = (
-        False  # the drive itself shows the value, beyond chance: without truth no loss is proof enough
-    )
+    measured: bool = False  # the drive itself shows the value: without truth it is taken if nothing is lost by it
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from lock_step import simulated
 from textbook import numeric_jacobian, wrap
 from worlds import ROOM, World
 
+from locfuse.fusion.atlas.one_map import LineTracker
 from locfuse.fusion.data import MapLine
 from locfuse.fusion.doctor.examine import blind
 from locfuse.fusion.ekf.belief_arrays import JointBelief
@@ -19,7 +20,6 @@ from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.linemap.association import associate
 from locfuse.fusion.linemap.line_map import LineMap
 from locfuse.fusion.linemap.scan import Scan
-from locfuse.fusion.linemap.tracker import LineTracker
 from locfuse.fusion.lines.extract import Lines
 from locfuse.fusion.lines.scans import Gathered
 from locfuse.fusion.measure import measure

@@ -12,17 +12,16 @@ from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import VERDICTS, Array, LocfuseError, MapLine, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.linemap.association import Association, Codes, SeenLines, associate
+from locfuse.fusion.linemap.laser_mount import seated, seated_shares
+from locfuse.fusion.linemap.line_map import LineMap, about_middle
+from locfuse.fusion.linemap.scan import Scan, Scans
+from locfuse.fusion.linemap.standing import Standing
+from locfuse.fusion.linemap.tidy import MIN_HITS, merge_doubles, prune
 from locfuse.fusion.lines.flatness import bend
 from locfuse.fusion.mount import Mount
+from locfuse.fusion.recovery.guard import Guard
 from locfuse.fusion.sensor import Block, Innovation, Model
-
-from .association import Association, Codes, SeenLines, associate
-from .guard import Guard
-from .laser_mount import seated, seated_shares
-from .line_map import LineMap, about_middle
-from .scan import Scan, Scans
-from .standing import Standing
-from .tidy import MIN_HITS, merge_doubles, prune
 
 UNMATCHED, AMBIGUOUS, NEW, LOST, REPEATED = (
     VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new", "lost", "repeated")
@@ -126,6 +125,8 @@ class LineTracker(Model):
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Let matched extents grow, and add what is new: all of the first scan, later only in `grow`."""
+        if self.guard is not None:
+            self.guard.corrected(belief)
         first, last = int(m.first[i]), int(m.first[i + 1])
         if first == last or not self._teach or self.mode == "given":
             return

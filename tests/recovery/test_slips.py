@@ -12,11 +12,10 @@ from worlds import World
 from locfuse.fusion.atlas.one_map import LineTracker
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.linemap.association import associate
+from locfuse.fusion.linemap.association import Association, associate
 from locfuse.fusion.linemap.scan import Scan
 from locfuse.fusion.measure import measure
-from locfuse.fusion.recovery import guard
-from locfuse.fusion.recovery.slips import CARRIED, Series, continues
+from locfuse.fusion.recovery.slips import CARRIED, Series, after_slip, continues
 
 FALSE_TURN = math.radians(-8.0)
 
@@ -24,11 +23,11 @@ FALSE_TURN = math.radians(-8.0)
 def test_a_series_that_began_with_a_mistake_is_taken_back(monkeypatch: pytest.MonkeyPatch) -> None:
     """A slip is made up at 8 s, three more follow from it; the wheels were right all the time."""
     made_up: list[float] = []
-    true_share, true_slip = guard.Association.share, guard.after_slip
+    true_share = Association.share
 
     def wrong(scan: Scan, lines: Any, belief: Any, gate: float) -> Any:
         if len(made_up) >= CARRIED:
-            return true_slip(scan, lines, belief, gate)
+            return after_slip(scan, lines, belief, gate)
         made_up.append(belief.theta)
         belief.shift(FALSE_TURN, 0.03**2, math.radians(1.5) ** 2)
         return associate(scan, lines, belief, gate)
@@ -41,8 +40,8 @@ def test_a_series_that_began_with_a_mistake_is_taken_back(monkeypatch: pytest.Mo
         return asked(tracker, m, i, belief)
 
     now, asked = [0.0], LineTracker.innovations
-    monkeypatch.setattr(guard, "after_slip", wrong)
-    monkeypatch.setattr(guard.Association, "share", share)
+    monkeypatch.setattr("locfuse.fusion.recovery.guard.after_slip", wrong)
+    monkeypatch.setattr(Association, "share", share)
     monkeypatch.setattr(LineTracker, "innovations", innovations)
     world = World(seconds=16.0)
     drive = measure(world.streams(), world.robot())

@@ -292,6 +292,10 @@ class Model:
         """Return id and place x, y [m, map frame] of every landmark that the run placed."""
         return []
 
+    def slips(self) -> int:
+        """Return how many slips of a wheel were found and turned back."""
+        return 0
+
     def lost_intervals(self) -> list[tuple[float, float]]:
         """Return when this sensor found the robot not to know where it was, (start, end) [s]."""
         return []

@@ -123,10 +123,10 @@ def _candidates(log: Log, name: str, choice: Choice) -> list[str]:
     taken = {*choice.of("truth"), *wheels}
     found = [t for t in of_type(log, sensor.reads) if t not in taken]
     found = [t for t in found if _named_well(t, log.topics[t].msgtype, sensor)]
-    found = best_of(log, sensor, [t for t in found if log.topics[t].count != 0] or found)
+    found = [t for t in found if log.topics[t].count != 0] or found
     if len(found) > 1 and type(sensor).carries is not Sensor.carries:  # to ask costs reading the topics
-        found = [t for t in found if sensor.carries(log.stream(t))] or found[:1]
-    return found
+        found = [t for t in found if sensor.carries(log.stream(t))] or [likeliest(found, sensor.unlikely or ())]
+    return best_of(log, sensor, found)
 
 
 def best_of(log: Log, sensor: Sensor, topics: list[str]) -> list[str]:
@@ -138,7 +138,10 @@ def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None
     """Take the only candidate, or all; the likeliest; where a sensor beside it has one, the same."""
     sensor = REGISTRY[name]
     if len(candidates) == 1:
-        choice.take(name, candidates, ONLY)
+        same = [t for t in of_type(log, [log.topics[candidates[0]].msgtype]) if log.topics[t].count]
+        choice.take(name, candidates, ONLY if len(same) < 2 else "the only one of its type that fits")
+    elif sensor.extra and (shared := [t for t in candidates if t in choice.topics.values()]):
+        choice.take(name, shared[:1], "another sensor reads it too")
     elif sensor.several:
         choice.take(name, candidates, f"all {len(candidates)} topics of its type")
     elif sensor.unlikely is not None:
@@ -148,8 +151,6 @@ def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None
         choice.notes.append(Note(name, words, (f"{name}.topic={best}",)))
     elif not sensor.extra:
         raise several_fit(log, name, candidates)
-    elif shared := [t for t in candidates if t in choice.topics.values()]:
-        choice.take(name, shared[:1], "another sensor reads it too")
     else:  # beside the paper's sensors: a guess would be worse than none, and an error would stop the others
         why = several_fit(log, name, candidates)
         choice.leave(name, why.sentence, why.fixes)

@@ -48,6 +48,21 @@ USUAL_TICKS = {
 SIDE_LETTERS = {"left": {"l", "fl", "rl", "bl"}, "right": {"r", "fr", "rr", "br"}}  # of joints that are wheels
 REAR_WORDS, REAR_LETTERS = ("rear", "back"), {"rl", "rr", "bl", "br"}
 NO_DRIVE = ("caster", "steer", "drop", "suspension")  # joints of a wheel that say nothing of the way it rolls
+LIMBS = (
+    "hip",
+    "knee",
+    "thigh",
+    "calf",
+    "ankle",
+    "leg",
+    "foot",
+    "arm",
+    "shoulder",
+    "elbow",
+    "wrist",
+    "finger",
+    "gripper",
+)
 
 
 class Counters(NamedTuple):
@@ -221,8 +236,8 @@ def joint_names(names: list[tuple[str, ...]], topic: str, settings: WheelSetting
 
 
 def _guesses(joints: Sequence[str], side: str) -> list[str]:
-    """Return the joints that are called like a wheel of this side; where none is, like anything of this side."""
-    found = [j for j in joints if side in j.lower()]
+    """Return the joints that are called like a wheel of this side; else like anything but a limb."""
+    found = [j for j in joints if side in j.lower() and not any(word in j.lower() for word in LIMBS)]
     wheels = [j for j in joints if "wheel" in j.lower() and not any(word in j.lower() for word in NO_DRIVE)]
     return [j for j in wheels if j in found or _letters(j) & SIDE_LETTERS[side]] or found
 

@@ -18,6 +18,7 @@ from locfuse.fusion.wheels.odometry import ODOMETRY, PLANAR, POSE, SCANS, SPEED,
 from locfuse.fusion.wheels.read import WHEEL_READS
 
 from .mounts import is_base, is_odometry, last_word
+from .not_read import not_read
 from .topics import ONLY, Choice, likeliest, of_type, one
 
 if TYPE_CHECKING:
@@ -133,6 +134,9 @@ def _measured(log: Log, robot: Robot, choice: Choice) -> tuple[list[str], str, l
         return best, why if not estimated else NEAREST, [*others, *estimated]
     if pairs := odometry_frames(log):
         return pairs, "the only odometry in /tf", estimated
+    poses = [t for t in _filled(log, robot, choice, POSES) if not asked_for(t)]
+    if poses := [t for t in poses if is_odometry(log.stream(t).frame_id)]:
+        return poses, "poses in the frame of an odometry", estimated
     return _twists(log, robot, choice, asked=False), ONLY, estimated
 
 
@@ -238,10 +242,11 @@ def nothing_moves(log: Log) -> NoWheelsError:
         f"nothing says how the robot moved: {log.name} has no wheels, no odometry (nor one in /tf), no laser, no "
         "poses and no speeds"
     )
+    others = [other for role in ("wheels", "lrf") if (other := not_read(log, role))]
     beside = [t for t in of_type(log, ONLY_CORRECT) if log.topics[t].count]
     corrects = f"; {' and '.join(beside)} can only correct a motion (a fix has no heading, an IMU no speed)"
     return NoWheelsError(
-        f"{words}{corrects if beside else ''}.",
+        ". ".join([f"{words}{corrects if beside else ''}", *others]) + ".",
         role="wheels",
         hint=f"It has {have}",
     )

@@ -13,10 +13,11 @@ from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensor import Sensor
 from locfuse.fusion.sensors.registry import REGISTRY, unmet
-from locfuse.fusion.truth import BODIES, TRUTH_READS, looks_like_truth
+from locfuse.fusion.truth import KNOWN_TRUTH, TRUTH_READS, looks_like_truth
 from locfuse.fusion.wheels.odometry import SCANS, commanded
 
 from .body_topics import asked_for
+from .not_read import not_read
 from .presented_topics import offer_presented
 from .tag_frames import offer_tags
 from .topics import NAMED, ONLY, Choice, Note, checked, likeliest, of_type, one, several_fit, types
@@ -71,9 +72,12 @@ def choose_sensor(log: Log, robot: Robot, name: str, insisted: bool, choice: Cho
         _refuse_twice(named, sensor, choice)
         choice.take(name, [checked(log, name, topic, sensor.reads) for topic in named], NAMED)
     elif not candidates:
-        if not sensor.extra:  # nobody expects what lies beside the paper's sensors
+        other = not_read(log, name)
+        if other:
+            choice.absent[name] = other
+        elif not sensor.extra:  # nobody expects what lies beside the paper's sensors
             choice.absent[name] = f"no topic of type {types(sensor.reads)} in {log.name}"
-        if not hasattr(settings, "file"):  # a file that nobody named is not missed
+        if not other and not hasattr(settings, "file"):  # a file that nobody named is not missed
             choice.foreign.add(name)
         return
     else:
@@ -168,7 +172,9 @@ def choose_truth(log: Log, robot: Robot, insisted: bool, choice: Choice) -> None
         return
     if named is not None and log.find(named) is None and not insisted:
         return
-    candidates = [t for t in of_type(log, TRUTH_READS) if looks_like_truth(t) or log.topics[t].msgtype == BODIES]
+    known = [t for t in of_type(log, TRUTH_READS) if log.topics[t].msgtype in KNOWN_TRUTH]
+    candidates = [t for t in of_type(log, TRUTH_READS) if looks_like_truth(t) or t in known]
     topic = one(log, "truth", named, candidates, TRUTH_READS)
     if topic is not None:
-        choice.take("truth", [topic], NAMED if named else "its name says so")
+        why = "its type says so" if topic in known else "its name says so"
+        choice.take("truth", [topic], NAMED if named else why)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from locfuse.formats.messages.as_joints import DYNAMIC, JOINTS
-from locfuse.formats.messages.as_scan import CLOUD, ECHOES, SCAN
+from locfuse.formats.messages.as_scan import CLOUD, ECHOES, FOXGLOVE, SCAN
 from locfuse.formats.messages.presented import presented_name
 
 from .topics import of_type
@@ -21,10 +21,10 @@ MIN_CLOUDS = 5  # of a topic: fewer are maps
 def offer_presented(log: Log) -> None:
     """Make topics of the usual types where the log holds none: each is called after its source, "/points:scan".
 
-    Of a laser's echoes all are offered, of clouds the likeliest one.
+    Of a laser's scans of Foxglove's kind and of its echoes all are offered, of clouds the likeliest one.
     """
     if not _filled(log, SCAN):
-        for topic in _filled(log, ECHOES) or _clouds(log)[:1]:
+        for topic in _filled(log, *FOXGLOVE) or _filled(log, ECHOES) or _clouds(log)[:1]:
             _present(log, topic)
     if not _filled(log, JOINTS):
         for topic in _filled(log, DYNAMIC):
@@ -37,8 +37,8 @@ def _present(log: Log, topic: str) -> None:
         log.find(name)
 
 
-def _filled(log: Log, msgtype: str) -> list[str]:
-    return [t for t in of_type(log, (msgtype,)) if log.topics[t].count]
+def _filled(log: Log, *msgtypes: str) -> list[str]:
+    return [t for t in of_type(log, msgtypes) if log.topics[t].count]
 
 
 def _clouds(log: Log) -> list[str]:

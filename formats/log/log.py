@@ -46,7 +46,8 @@ from .transform_stream import (
 
 AnyStream = LogStream | TransformStream | TagStream | FileStream | NumberStream | PresentedStream
 MOVING = 0.005  # m, and of a quaternion (0.6 degrees): a mount that gives less is one
-TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+FOXGLOVE_TF = tuple(f"foxglove{dot}FrameTransform{s}" for dot in (".", "_msgs/msg/") for s in ("", "s"))
+TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage", *FOXGLOVE_TF)
 
 
 def open_log(paths: Sequence[Place]) -> Log:
@@ -219,7 +220,13 @@ class Log:
     @property
     def transform_topics(self) -> list[str]:
         """Topics of transforms that may change: /tf, namespaced ones too."""
-        return [name for name in sorted(self.topics) if self._is_tf(name) and name.rpartition("/")[2] == "tf"]
+        return [
+            name
+            for name, topic in sorted(self.topics.items())
+            if self._is_tf(name)
+            and (name.rpartition("/")[2] == "tf" or topic.msgtype in FOXGLOVE_TF)
+            and not _is_static_tf(name, topic)
+        ]
 
     def frames(self, topic: str, order: str = "auto") -> dict[tuple[str, str], Edge]:
         """Return the transforms of a /tf topic by (parent, child). Raises LocfuseError where they form a loop."""

@@ -8,7 +8,19 @@ from typing import NamedTuple
 from locfuse.fusion.data import Column
 
 from .as_joints import DYNAMIC, JOINTS, OF_DYNAMIC, as_joints
-from .as_scan import CLOUD, ECHOES, OF_CLOUD, OF_ECHOES, SCAN, cloud_as_scans, echoes_as_scans, level_frame
+from .as_scan import (
+    CLOUD,
+    ECHOES,
+    FOXGLOVE,
+    OF_CLOUD,
+    OF_ECHOES,
+    OF_FOXGLOVE,
+    SCAN,
+    cloud_as_scans,
+    echoes_as_scans,
+    foxglove_as_scans,
+    level_frame,
+)
 
 
 class Presented(NamedTuple):
@@ -24,6 +36,7 @@ class Presented(NamedTuple):
 PRESENTED: Mapping[str, Presented] = {
     CLOUD: Presented(SCAN, "scan", OF_CLOUD, cloud_as_scans, frame=level_frame),
     ECHOES: Presented(SCAN, "scan", OF_ECHOES, echoes_as_scans),
+    **dict.fromkeys(FOXGLOVE, Presented(SCAN, "scan", OF_FOXGLOVE, foxglove_as_scans)),
     DYNAMIC: Presented(JOINTS, "joints", OF_DYNAMIC, as_joints),
 }
 

@@ -12,12 +12,26 @@ import pytest
 from bags import Said, cdr, header
 from commands import locfuse
 from numpy.typing import NDArray
-from wheel_bags import angles, custom, joint_states, log_of, numbers, odometry, stamps, turned
+from wheel_bags import (
+    RADIUS,
+    TICKS,
+    TRACK,
+    angles,
+    custom,
+    joint_states,
+    log_of,
+    numbers,
+    odometry,
+    pose_of,
+    stamps,
+    turned,
+)
 
 from locfuse.cli.choose.choose import choose
 from locfuse.cli.choose.mounts import mount_of, on_moving_parts, transforms_of
 from locfuse.cli.choose.topics import Choice
-from locfuse.cli.pipeline.load import LogOptions, load, make_robot
+from locfuse.cli.pipeline.load import load, make_robot
+from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.formats.log.log import Log, open_log
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import WheelSettings
@@ -243,6 +257,50 @@ def test_fixes_and_an_imu_alone_are_refused_in_a_line_that_says_what_is_missing(
     assert "/fix and /imu can only correct a motion" in words
     with pytest.raises(LocfuseError, match=r"no speeds\. It has /number"):
         chosen(opened(tmp_path, numbers("/number", "Float64", T, T.tolist())))
+
+
+ARRAY = "std_msgs/msg/{}MultiArray"
+
+
+def arrays(topic: str, kind: str, t: Array, rows: Any) -> list[Said]:
+    kind = ARRAY.format(kind)
+    return [Said(topic, kind, cdr(kind, data=row), ns) for ns, row in zip(stamps(t), rows, strict=True)]
+
+
+@pytest.mark.parametrize("kind", ["Int32", "Int64", "Float32"])
+def test_both_wheels_in_one_array_are_left_and_right(kind: str, tmp_path: Path) -> None:
+    t, angle = angles(20.0)
+    whole = kind != "Float32"
+    rows = np.round(angle * TICKS / (2.0 * math.pi)).astype(int).tolist() if whole else angle.tolist()
+    log = opened(tmp_path, arrays("/wheel_ticks", kind, t, rows))
+    sized = {"radius": RADIUS, "track": TRACK} | ({"ticks_per_revolution": TICKS} if whole else {})
+    choice = chosen(log, wheels=sized)
+    assert choice.of("wheels") == ("/wheel_ticks",)
+    end = read_wheels(log.stream("/wheel_ticks"), WheelSettings(**sized)).wheels.pose[-1]
+    assert end == pytest.approx(pose_of(angle), abs=5e-3)
+
+
+def test_of_an_array_of_four_nobody_guesses_which_are_the_wheels(tmp_path: Path) -> None:
+    t, angle = angles(20.0)
+    rows = np.column_stack((angle, angle))[:, [0, 2, 1, 3]]  # front left, rear left, front right, rear right
+    log = opened(tmp_path, arrays("/encoders", "Float64", t, rows.tolist()))
+    sized: dict[str, Any] = {"radius": RADIUS, "track": TRACK}
+    with pytest.raises(LocfuseError, match=r"holds 4 numbers; .* --set wheels\.left=0 --set wheels\.right=3"):
+        read_wheels(log.stream("/encoders"), WheelSettings(**sized))
+    named = WheelSettings(**sized, left="1", right="3")
+    assert read_wheels(log.stream("/encoders"), named).wheels.pose[-1] == pytest.approx(pose_of(angle), abs=1e-6)
+
+
+def test_what_is_not_read_is_named_with_what_to_record_instead(tmp_path: Path) -> None:
+    kind = "livox_ros_driver2/msg/CustomMsg"
+    file = custom(
+        tmp_path / "x.mcap", "/livox/lidar", kind, "std_msgs/Header header\nuint32 point_num\n", T, [{}] * len(T)
+    )
+    with pytest.raises(LocfuseError) as refused:
+        chosen(open_log([file]))
+    assert "/livox/lidar (livox_ros_driver2/CustomMsg) holds points in Livox' own format" in str(refused.value)
+    both = open_log([file, log_of(tmp_path / "odom.mcap", driven("/odom"))])
+    assert "record PointCloud2 instead" in chosen(both).absent["lrf"]
 
 
 # ---- where sensors sit ----

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 
@@ -271,6 +272,20 @@ class Log:
         known = {edge.child for edge in static.edges}
         still = (edge for edge in self.still_transforms().edges if edge.child not in known)
         return transforms.StaticTransforms((*static.edges, *still), static.conflicts)
+
+    @cached_property
+    def stamps_clock(self) -> tuple[Ints, Ints] | None:
+        """Log times and stamps (n,), where the light topics' stamps are of a clock that is not the recording's."""
+        readable = {name: t for name, t in self.topics.items() if self.recorded(name) and not t.problem}
+        types = {name: topic.msgtype for name, topic in readable.items()}
+        counts = {name: topic.count for name, topic in readable.items()}
+        pairs = []
+        for name in clocks.stamped_topics(types, counts):
+            with suppress(LocfuseError):  # a topic that cannot be read says so elsewhere
+                table = self.read({name: ()})[name]
+                if table.stamp is not None and table.log_time is not None and len(table.log_time):
+                    pairs.append((table.log_time, np.asarray(table.columns[table.stamp]).astype(np.int64)))
+        return clocks.common_clock(pairs)
 
     @property
     def time_span_ns(self) -> tuple[int, int] | None:

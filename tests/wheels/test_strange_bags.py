@@ -273,7 +273,8 @@ def test_both_wheels_in_one_array_are_left_and_right(kind: str, tmp_path: Path) 
     whole = kind != "Float32"
     rows = np.round(angle * TICKS / (2.0 * math.pi)).astype(int).tolist() if whole else angle.tolist()
     log = opened(tmp_path, arrays("/wheel_ticks", kind, t, rows))
-    sized = {"radius": RADIUS, "track": TRACK} | ({"ticks_per_revolution": TICKS} if whole else {})
+    sized: dict[str, Any] = {"radius": RADIUS, "track": TRACK}
+    sized |= {"ticks_per_revolution": TICKS} if whole else {}
     choice = chosen(log, wheels=sized)
     assert choice.of("wheels") == ("/wheel_ticks",)
     end = read_wheels(log.stream("/wheel_ticks"), WheelSettings(**sized)).wheels.pose[-1]
@@ -420,7 +421,7 @@ def test_scans_that_say_how_the_robot_moved_say_nothing_of_where_their_laser_sit
 
 def imus(topic: str, oriented: bool = True) -> list[Said]:
     kind = "sensor_msgs/msg/Imu"
-    said = {"orientation_covariance": [0.0 if oriented else -1.0, *[0.0] * 8]}
+    said: dict[str, Any] = {"orientation_covariance": [0.0 if oriented else -1.0, *[0.0] * 8]}
     return [
         Said(
             topic,

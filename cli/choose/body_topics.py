@@ -58,6 +58,7 @@ MADE_OF_MORE = (
 )
 ONLY_CORRECT = ("sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/Imu")  # types that make no motion by themselves
 RAW = ("unfiltered", "raw", "wheel", "encoder", "_enc")
+PRESENTED_AS = ("odometry",)  # how topics end that are another type made into an Odometry
 NOTHING_ELSE = "nothing else says how the robot moved"
 NEAREST = "the odometry nearest to the wheels"
 ASKED_FOR = ("goal", "initial", "waypoint")  # poses that are wishes or guesses of a person
@@ -149,10 +150,15 @@ def _filled(log: Log, robot: Robot, choice: Choice, kinds: Sequence[str]) -> lis
     found = [
         t
         for t in of_type(log, kinds)
-        if log.topics[t].count and t not in taken and ":" not in t and not looks_like_truth(t)
+        if log.topics[t].count and t not in taken and _a_topic(t) and not looks_like_truth(t)
     ]
     asked = {robot.settings(name).topic for name, sensor in REGISTRY.items() if sensor.asked_only}
     return [t for t in found if t not in asked] or found
+
+
+def _a_topic(name: str) -> bool:
+    """Return whether a name is a topic, or what a topic is presented as: not frames of /tf, nor a field."""
+    return ":" not in name or name.rpartition(":")[2] in PRESENTED_AS
 
 
 def _least_made(odometry: Sequence[str]) -> tuple[list[str], str, list[str]]:

@@ -1,10 +1,11 @@
-"""Topics of a log that are read as another type: scans out of clouds or echoes, joints out of ros2_control."""
+"""Topics of a log that are read as another type: scans out of clouds or echoes, joints of ros2_control, PX4's."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from locfuse.formats.messages.as_joints import DYNAMIC, JOINTS
+from locfuse.formats.messages.as_px4 import IMU, LOCAL_POSITION, ODOMETRY, SENSOR_COMBINED, VEHICLE_ODOMETRY
 from locfuse.formats.messages.as_scan import CLOUD, ECHOES, FOXGLOVE, SCAN
 from locfuse.formats.messages.presented import presented_name
 
@@ -28,6 +29,12 @@ def offer_presented(log: Log) -> None:
             _present(log, topic)
     if not _filled(log, JOINTS):
         for topic in _filled(log, DYNAMIC):
+            _present(log, topic)
+    if not _filled(log, ODOMETRY):
+        for topic in _filled(log, VEHICLE_ODOMETRY)[:1] or _filled(log, LOCAL_POSITION)[:1]:
+            _present(log, topic)
+    if not _filled(log, IMU):
+        for topic in _filled(log, SENSOR_COMBINED)[:1]:
             _present(log, topic)
 
 

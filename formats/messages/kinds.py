@@ -64,6 +64,9 @@ READ_TYPES = frozenset(
         "locfuse/msg/TagFrames",
         "mocap4r2_msgs/msg/RigidBodies",
         "nav_msgs/msg/Odometry",
+        "px4_msgs/msg/SensorCombined",
+        "px4_msgs/msg/VehicleLocalPosition",
+        "px4_msgs/msg/VehicleOdometry",
         "sensor_msgs/msg/CompressedImage",
         "sensor_msgs/msg/Image",
         "sensor_msgs/msg/Imu",
@@ -179,6 +182,13 @@ OF_TYPE: Mapping[tuple[str, str], tuple[str, ...]] = {
     ("sensor_msgs/msg/PointCloud2", "is_bigendian"): (TRUTH,),
     ("sensor_msgs/msg/PointCloud2", "data"): (BYTES,),
     ("std_msgs/msg/String", "data"): (TEXT,),
+    **{
+        ("px4_msgs/msg/VehicleOdometry", name): (f"{n} numbers",)
+        for name, n in (("position", 3), ("q", 4), ("velocity", 3), ("angular_velocity", 3))
+    },
+    ("px4_msgs/msg/VehicleOdometry", "velocity_frame"): (NUMBER,),
+    **{("px4_msgs/msg/VehicleLocalPosition", name): (NUMBER,) for name in ("x", "y", "heading", "vx", "vy")},
+    **{("px4_msgs/msg/SensorCombined", name): ("3 numbers",) for name in ("gyro_rad", "accelerometer_m_s2")},
     **{
         (f"gazebo_msgs/msg/{kind}States", f"pose.{part}"): (NUMBERS,)
         for kind in ("Model", "Link")

@@ -84,7 +84,7 @@ def test_its_sensors_turn_and_weigh_as_an_imu_does(tmp_path: Path) -> None:
     assert log.find("/fmu/out/sensor_combined:imu") is not None
     stream = log.stream("/fmu/out/sensor_combined:imu")
     axes = [f"{part}.{axis}" for part in ("angular_velocity", "linear_acceleration") for axis in "xyz"]
-    columns = stream.columns(*axes, "angular_velocity_covariance", "orientation_covariance")
+    columns: Any = stream.columns(*axes, "angular_velocity_covariance", "orientation_covariance")
     found = [float(np.asarray(columns[name])[0]) for name in axes]
     assert found == pytest.approx([0.01, -0.02, RATE, 0.1, -0.2, 9.81], abs=1e-5)
     assert np.asarray(columns["orientation_covariance"])[0, 0] == -1.0  # it has none

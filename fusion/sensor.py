@@ -405,6 +405,13 @@ class Sensor(ABC):
         """
         return None
 
+    def misfit(self, m: Measurements, settings: Any, poses: Array) -> float | None:
+        """Return how badly its readings fit the robot's poses (n, 3) at their times: a spread, in any unit.
+
+        None where poses do not say what it should read. A truth's clock is held against a sensor's by it.
+        """
+        return None
+
     heading_holds: ClassVar[bool] = False
     """Where its heading stays the same to the bit, nothing told the turn (a scan that matches no line)."""
 

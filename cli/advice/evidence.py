@@ -278,6 +278,10 @@ class Evidence:
         for sensor, verdict in self.consistency.items():
             seen, more = [*_noise_options(verdict), *_above(verdict)], self._by_anees(sensor)
             words = verdict.words if seen else self._errors_in_sigmas(sensor)
+            if verdict.verdict == "overstated" and seen and more:
+                # a sigma above the configured one is no fix of one that is too high: it has words of its own
+                found.append(self._candidate(Finding(sensor, verdict.verdict, words), tuple(seen)))
+                seen, words = [], self._errors_in_sigmas(sensor)
             if seen or more:
                 finding = Finding(sensor, verdict.verdict, words)
                 options = tuple(dict.fromkeys((*seen, *more)))

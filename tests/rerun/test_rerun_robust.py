@@ -89,7 +89,7 @@ def warnings_of(stderr: str) -> list[str]:
 
 
 def test_without_display_and_viewer_the_recording_lies_with_the_results(tmp_path: Path) -> None:
-    done = locfuse("run", LOG, *LIGHT, "-o", tmp_path / "out", "--rerun", "--rerun-images", "none")
+    done = locfuse("run", LOG, "--no-advice", *LIGHT, "-o", tmp_path / "out", "--rerun", "--rerun-images", "none")
     assert done.exit_code == 0
     (warning,) = warnings_of(done.stderr)
     assert "no display" in warning
@@ -151,7 +151,9 @@ def test_a_full_disk_costs_what_was_asked_for_by_name_and_leaves_nothing_half_wr
 def test_a_place_that_cannot_be_written_is_an_error_after_the_results(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     save = tmp_path / "file" / "drive.rrd"
-    done = locfuse("run", LOG, *LIGHT, "-o", tmp_path / "out", "--rerun-save", save, "--rerun-images", "none")
+    done = locfuse(
+        "run", LOG, "--no-advice", *LIGHT, "-o", tmp_path / "out", "--rerun-save", save, "--rerun-images", "none"
+    )
     assert done.exit_code == 1
     assert sum("--rerun-save" in line for line in done.stderr.splitlines()) == 1
     assert (tmp_path / "out" / "run.json").is_file()
@@ -195,7 +197,18 @@ def test_a_recording_is_drawn_before_rerun_is_imported(tmp_path: Path) -> None:
 def test_a_smoothed_configuration_at_a_lower_rate_is_recorded(tmp_path: Path) -> None:
     words = ("--sensors", "lrf@2Hz", "--smooth", "--set", "lrf.map=refine", "--write", "json")
     save = tmp_path / "drive.rrd"
-    done = locfuse("compare", LOG, *words, "-o", tmp_path / "out", "--rerun-save", save, "--rerun-images", "none")
+    done = locfuse(
+        "compare",
+        LOG,
+        "--no-advice",
+        *words,
+        "-o",
+        tmp_path / "out",
+        "--rerun-save",
+        save,
+        "--rerun-images",
+        "none",
+    )
     assert not warnings_of(done.stderr)
     assert check(save)["world/lrf\\@2Hz-smoothed/path"] > 100
 

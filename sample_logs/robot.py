@@ -7,6 +7,7 @@ pose between two knots is a point on that arc. No sensor samples a knot; all of 
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -97,6 +98,7 @@ class Wheel:
         self.step = self.dt / STEPS_PER_TICK
         self.slots = wheels.slots
         self.rad_per_count = 2 * math.pi / (wheels.slots * COUNTS_PER_SLOT)
+        self.counts_per_rad = wheels.slots * COUNTS_PER_SLOT / (2 * math.pi)
         self.looks = np.linspace(0, STEPS_PER_TICK, max(1, round(self.dt * wheels.sampling)) + 1)  # steps
         self.rng = rng
         self.angle = rng.uniform(0, self.rad_per_count)  # rad, true; the disc's rest position is not ours
@@ -140,10 +142,16 @@ class Wheel:
         return min(max(forward + m.kp * error + m.ki * self._integral + m.kd * slope, -1.0), 1.0)
 
     def _count(self, angles: list[float]) -> None:
-        seen = decode(*phases(np.interp(self.looks, KNOTS, angles), self.slots))
-        change = int(seen.counts.sum())
+        steepest = max(abs(b - a) for a, b in pairwise(angles))  # rad per physics step
+        if steepest * STEPS_PER_TICK < 0.99 * self.rad_per_count * (len(self.looks) - 1):
+            # less than a count from look to look: none is missed, and only where it began and ended matters
+            begin, end = (math.floor(angle * self.counts_per_rad) for angle in (angles[0], angles[-1]))
+            change = end - begin
+        else:
+            seen = decode(*phases(np.interp(self.looks, KNOTS, angles), self.slots))
+            change = int(seen.counts.sum())
+            self.missed += int(seen.missed.sum())
         self.counts += change
-        self.missed += int(seen.missed.sum())
         self.measured = change * self.rad_per_count / self.dt
 
 

@@ -221,17 +221,8 @@ def test_a_log_can_be_a_split_recording(tmp_path: Path, compared: Path) -> None:
 
 
 def test_the_audit_accounts_for_every_measurement(tmp_path: Path) -> None:
-    done = locfuse(
-        "run",
-        LOG,
-        "--no-advice",
-        "--sensors",
-        "compass,lrf",
-        "--audit",
-        tmp_path / "audit.csv",
-        "-o",
-        tmp_path / "out",
-    )
+    words = ("--sensors", "compass,lrf", "--audit", tmp_path / "audit.csv", "--no-advice")
+    done = locfuse("run", LOG, *words, "-o", tmp_path / "out")
     assert done.exit_code == 0, done.stderr
     rows = [line.split(",") for line in (tmp_path / "audit.csv").read_text().splitlines()]
     head, rows = rows[0], rows[1:]

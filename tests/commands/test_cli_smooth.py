@@ -13,18 +13,8 @@ LOG = "rounded_rectangle"
 
 
 def test_compare_smooths_every_configuration_with_sensors(tmp_path: Path) -> None:
-    done = locfuse(
-        "compare",
-        LOG,
-        "--no-advice",
-        "--sensors",
-        "odometry",
-        "--sensors",
-        "lrf",
-        "--smooth",
-        "-o",
-        tmp_path / "out",
-    )
+    words = ("--sensors", "odometry", "--sensors", "lrf", "--smooth", "--no-advice")
+    done = locfuse("compare", LOG, *words, "-o", tmp_path / "out")
     assert done.exit_code == 0, done.stderr
     found = json.loads((tmp_path / "out" / "report.json").read_text())["configurations"]
     assert list(found) == ["odometry", "lrf", "lrf-smoothed"]

@@ -21,7 +21,7 @@ from locfuse.cli.fleet.queue import run_all
 from locfuse.cli.pipeline.key import Asked
 from locfuse.fusion.data import LocfuseError
 
-ONE = ("--sensors", "odometry", "--write", "json,csv", "--no-advice", "-q")
+ONE = ("--sensors", "odometry", "--write", "json,csv", "-q")
 ASKED = Asked((), False, "none", False)
 
 

@@ -31,7 +31,7 @@ from locfuse.formats.log.log import open_log
 from locfuse.formats.whole_files import RUN_LOCK, sole_writer
 from locfuse.fusion.data import UsageError
 
-ONE = ("--sensors", "odometry", "--sensors", "compass", "--write", "json,csv", "--no-advice", "-q")
+ONE = ("--sensors", "odometry", "--sensors", "compass", "--write", "json,csv", "-q")
 
 
 @pytest.fixture(scope="module")

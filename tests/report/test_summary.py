@@ -212,11 +212,11 @@ def test_a_summary_is_replaced_and_a_foreign_folder_is_not(
 ) -> None:
     jobs_here(monkeypatch)
     before = (summary / "summary.json").read_bytes()
-    done = locfuse("compare", *drives, "--no-advice", "-o", summary, "--write", "json", "--json")
+    done = locfuse("compare", *drives, "-o", summary, "--write", "json", "--json")
     assert done.exit_code == 0, done.stderr
     assert (summary / "summary.json").read_bytes() == before == done.stdout.encode()
     (tmp_path / "chapter1.tex").write_text("precious")
-    done = locfuse("compare", *drives, "--no-advice", "-o", tmp_path)
+    done = locfuse("compare", *drives, "-o", tmp_path)
     assert done.exit_code == 1
     assert "--overwrite" in done.stderr
     assert [p.name for p in tmp_path.iterdir()] == ["chapter1.tex"]
@@ -227,7 +227,7 @@ def test_a_gate_that_one_log_fails_fails_the_summary(
 ) -> None:
     jobs_here(monkeypatch)
     words = ("--sensors", "odometry", "--write", "json", "-o", tmp_path / "out")
-    done = locfuse("compare", *drives, "--no-advice", *words, "--fail-if", "odometry.position_rmse_m > 0.0001")
+    done = locfuse("compare", *drives, *words, "--fail-if", "odometry.position_rmse_m > 0.0001")
     assert done.exit_code == 4
 
 
@@ -337,17 +337,6 @@ def test_equal_names_get_folders_of_their_own(
     twin = tmp_path / "again" / drives[0].name
     twin.parent.mkdir()
     shutil.copy(drives[0], twin)
-    done = locfuse(
-        "compare",
-        drives[0],
-        "--no-advice",
-        twin,
-        "-o",
-        tmp_path / "out",
-        "--write",
-        "json",
-        "--sensors",
-        "odometry",
-    )
+    done = locfuse("compare", drives[0], twin, "-o", tmp_path / "out", "--write", "json", "--sensors", "odometry")
     assert done.exit_code == 0, done.stderr
     assert {p.name for p in (tmp_path / "out").iterdir()} == {"drive_0", "drive_0_2", "summary.json"}

@@ -197,18 +197,8 @@ def test_a_recording_is_drawn_before_rerun_is_imported(tmp_path: Path) -> None:
 def test_a_smoothed_configuration_at_a_lower_rate_is_recorded(tmp_path: Path) -> None:
     words = ("--sensors", "lrf@2Hz", "--smooth", "--set", "lrf.map=refine", "--write", "json")
     save = tmp_path / "drive.rrd"
-    done = locfuse(
-        "compare",
-        LOG,
-        "--no-advice",
-        *words,
-        "-o",
-        tmp_path / "out",
-        "--rerun-save",
-        save,
-        "--rerun-images",
-        "none",
-    )
+    where = ("-o", tmp_path / "out", "--rerun-save", save, "--rerun-images", "none")
+    done = locfuse("compare", LOG, *words, "--no-advice", *where)
     assert not warnings_of(done.stderr)
     assert check(save)["world/lrf\\@2Hz-smoothed/path"] > 100
 

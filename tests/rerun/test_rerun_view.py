@@ -18,19 +18,8 @@ LOG = "rounded_triangle"
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("view") / "out"
-    done = locfuse(
-        "compare",
-        LOG,
-        "--no-advice",
-        "--sensors",
-        "odometry",
-        "--sensors",
-        "lrf",
-        "--write",
-        "json,tum",
-        "-o",
-        out,
-    )
+    words = ("--sensors", "odometry", "--sensors", "lrf", "--write", "json,tum", "--no-advice")
+    done = locfuse("compare", LOG, *words, "-o", out)
     assert done.exit_code == 0, done.stderr
     return out
 

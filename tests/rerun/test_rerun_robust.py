@@ -135,7 +135,7 @@ main(sys.argv[1:])
 
 def test_a_full_disk_costs_what_was_asked_for_by_name_and_leaves_nothing_half_written(tmp_path: Path) -> None:
     save = tmp_path / "drive.rrd"
-    words = ["run", LOG, *LIGHT, "-o", str(tmp_path / "out"), "--rerun-save", str(save)]
+    words = ["run", LOG, *LIGHT, "--no-advice", "-o", str(tmp_path / "out"), "--rerun-save", str(save)]
     done = subprocess.run(
         [sys.executable, "-c", FULL_DISK, *words], capture_output=True, text=True, timeout=300, check=False
     )
@@ -165,7 +165,7 @@ def test_rerun_is_imported_only_when_asked_for(tmp_path: Path) -> None:
         "try: main(sys.argv[1:])\nexcept SystemExit as e: assert not e.code\n"
         "assert 'rerun' not in sys.modules and 'rerun_bindings' not in sys.modules"
     )
-    words = ["compare", LOG, "--sensors", "odometry", "--write", "json", "-o", str(tmp_path / "out")]
+    words = ["compare", LOG, *LIGHT, "--no-advice", "-o", str(tmp_path / "out")]
     done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 
@@ -180,16 +180,8 @@ def test_a_recording_is_drawn_before_rerun_is_imported(tmp_path: Path) -> None:
         "recording.sketched = drawn\n"
         "try: main(sys.argv[1:])\nexcept SystemExit as e: assert not e.code\n"
     )
-    words = [
-        "compare",
-        LOG,
-        "--write",
-        "json",
-        "--rerun-save",
-        str(tmp_path / "a.rrd"),
-        "-o",
-        str(tmp_path / "out"),
-    ]
+    save = ("--rerun-save", str(tmp_path / "a.rrd"), "--rerun-images", "none")
+    words = ["compare", LOG, *LIGHT, "--no-advice", *save, "-o", str(tmp_path / "out")]
     done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=False)
     assert f"False {LOG}" in done.stdout, done.stderr
 
@@ -211,7 +203,7 @@ def test_a_recording_needs_no_pandas(tmp_path: Path) -> None:
         "assert 'pyarrow' in sys.modules and 'pandas' not in sys.modules"
     )
     save = ("--rerun-save", str(tmp_path / "drive.rrd"), "--rerun-images", "none")
-    words = ["run", LOG, *LIGHT, *save, "-o", str(tmp_path / "out")]
+    words = ["run", LOG, *LIGHT, "--no-advice", *save, "-o", str(tmp_path / "out")]
     done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "drive.rrd").is_file()

@@ -10,8 +10,9 @@ UNTRIED = "no setting was tried"
 
 
 def banner_of(report: Mapping[str, Any]) -> list[str]:
-    """Return what must be known before any figure: which are void, and which are doubtful and why."""
-    found = report.get("validity") or ()
+    """Return what else must be known before any figure: what is void or doubtful, and why."""
+    headline = report.get("headline") or ""
+    found = [v for v in report.get("validity") or () if v["message"] not in headline]
     return [f"{'Void' if v.get('void', True) else 'Doubtful'}: {v['message']}." for v in found]
 
 

@@ -23,6 +23,8 @@ SOURCES = (
     "pairs",
     "match",
     "filter",
+    "tables",
+    "scans",
     "coast",
 )  # compiled as one unit: a file uses those before it
 COMPILED = "compiled"  # the extension's name, beside the sources

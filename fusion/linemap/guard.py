@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -52,6 +52,7 @@ CONFIRMED = 5  # scans in a row that must agree on where a lost robot is
 SAME_XY, SAME_THETA = 0.12, math.radians(4.0)  # m, rad: within which they agree
 
 Seen = tuple[float, Pose, Scan]  # a scan: when [s], and where the robot was believed to be
+Late = tuple[float, Pose, Callable[[], Scan]]  # the same, the scan made when it is asked for
 
 
 class Guard:
@@ -67,7 +68,7 @@ class Guard:
         self._carried: tuple[float, float, int] | None = None  # first and last slip of a series, how many
         self._trail = Trail()  # since it is lost
         self._well = (0.0, 0)  # when a scan last fitted well, and the number of the first line born after it
-        self._before: deque[Seen] = deque(maxlen=SCANS)  # the last scans
+        self._before: deque[Late] = deque(maxlen=SCANS)  # the last scans
         self._before_torn: list[Seen] = []  # the last ones before the walls jumped
         self._torn = False  # the walls jumped, and little has matched since
         self._last = (math.inf, math.inf, math.inf)
@@ -80,8 +81,8 @@ class Guard:
         dt, self._now = t - self._now, t
         moved = self._moved(belief)
         now = (t, (belief.x, belief.y, belief.theta), scan)
-        before = list(self._before)
-        self._before.append(now)
+        before = tuple(self._before)
+        self._before.append((t, now[1], lambda: scan))
         if self._lost_from is not None:
             _keep_open(belief, dt)
             return self._search(t, scan, found, lines, belief, gate)
@@ -96,7 +97,18 @@ class Guard:
             if slipped is not None:
                 self._since, self._torn = None, False
                 return slipped, not self._carried_off(t, scan, lines, belief)
-        return found, self._believed(before, now, share, lines, belief)
+        seen = [(when, pose, late()) for when, pose, late in before]
+        return found, self._believed(seen, now, share, lines, belief)
+
+    def passed(self, seen: Sequence[Late], well: tuple[float, int] | None) -> None:
+        """Take in scans that the core took, and of the last one that fitted well when it was, and the next line.
+
+        Enough was matched of each.
+        """
+        self._before.extend(seen)
+        self._now, self._last, _ = seen[-1]
+        self._since, self._torn = None, False
+        self._well = self._well if well is None else well
 
     def _believed(self, before: list[Seen], now: Seen, share: float, lines: LineMap, belief: JointBelief) -> bool:
         """Return whether a scan of which little is matched may correct and teach; after several it is lost."""

@@ -18,6 +18,7 @@ from locfuse.fusion.sensor import Innovation
 
 from .line_map import LineMap
 
+TIDY_EVERY = 10  # scans
 MIN_HITS = 4
 TRIAL_SCANS = 15  # scans after its birth in which a line must earn its hits
 DOUBLE_ANGLE, DOUBLE_OFFSET = math.radians(8.0), 0.25  # further apart is two walls, whatever the covariance says

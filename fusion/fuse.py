@@ -6,7 +6,6 @@ predict by the wheels  ->  every sensor due compares with the same prior  ->  co
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +21,8 @@ from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
 
 from .audit import MANY, Record
 from .data import Array, Drive, Estimates, Measurements, matrices
-from .instants import Due, Step, due_readings, steps_of
+from .instants import Due, Instants, Step
+from .progress import say_done
 from .robot import Robot, StartSettings
 from .sensor import Block, Innovation, Model, Reading
 from .track import Track
@@ -52,13 +52,14 @@ def fuse(
             raise drive.lacks(sensor)
     run = Filter(robot, sensors, listen, make, {s: len(m.z) for s, m in drive.measurements.items()}, len(drive.t))
     stretches = run.stretches(drive)
-    each = enumerate(zip(steps_of(drive), due_readings(drive, (*sensors, *listen)), strict=True))
-    for k, (step, due) in each:
+    instants, k = Instants(drive, (*sensors, *listen)), 0
+    while k < len(instants):
+        instants.reached(k)
         last = run.coast(stretches, k)
-        if last > k:
-            next(islice(each, last - k - 1, last - k - 1), None)
-        else:
-            run.advance(k, step, due, drive.measurements, predicted=stretches.left(k))
+        if last == k:
+            run.advance(k, *instants.at(k), drive.measurements, predicted=stretches.left(k))
+        k = max(last, k + 1)
+    say_done(None)
     return run.estimates(drive, name or configuration_name(sensors, drive))
 
 

@@ -87,7 +87,7 @@ class AtlasTracker(LineTracker):
         ahead, (x, y, _) = self._way.ahead(), self._origin.tolist()
         if not ahead:  # at the next scan
             return {"follows": True, "ask_at": -1.0}
-        ask_at = self._asked_at + (ASK_AGAIN if self._asked_at else FIRST_ASK)
+        ask_at = self._asked_at + (ASK_AGAIN if self._asked_at else FIRST_ASK) if self._frozen else math.inf
         here = {"ask_at": ask_at, "origin_x": x, "origin_y": y, "reach": REACH, "most": MANY}
         return {"follows": True, **here, **ahead}
 

@@ -21,7 +21,7 @@ from locfuse.fusion.linemap.line_map import WALL
 from locfuse.fusion.linemap.pairing import MAX_PAIR_ANGLE_RAD, MAX_PAIR_OFFSET_M, PAIR, PAIR_SIGMAS
 from locfuse.fusion.linemap.scan import Passed
 from locfuse.fusion.linemap.standing import MAX_ROLLED_M, MAX_TURNED_RAD
-from locfuse.fusion.linemap.tidy import TIDY_EVERY
+from locfuse.fusion.linemap.tidy import APART, DOUBLE_ANGLE, DOUBLE_OFFSET, MIN_HITS, TIDY_EVERY, TRIAL_SCANS
 from locfuse.fusion.linemap.tracker import LineTracker
 from locfuse.fusion.lines.extract import LINE, rows_of
 from locfuse.fusion.lines.flatness import bend
@@ -110,7 +110,7 @@ class AtOnce:
         walls, free = of.map, () if of.mount is None else of.mount.free
         width, places, states = WALL + 2 * len(free), len(walls), bool(walls.column[0] >= 0)
         fixed = np.zeros(0) if states else walls.fixed(width).ravel()
-        kept = walls.column, walls.anchor, walls.lo, walls.hi, walls.hits, walls.seen, walls.ids
+        kept = walls.column, walls.anchor, walls.lo, walls.hi, walls.hits, walls.seen, walls.born, walls.ids
         at = np.array(() if of.mount is None else of.mount.columns(belief), np.intp)
         told = np.array((0.0, 0.0, 0.0) if of.mount is None else of.mount.told)
         return (
@@ -171,6 +171,11 @@ def _rules(of: LineTracker, m: Measurements) -> dict[str, Any]:
         "lone_turn": lone_turn,
         "lone_offset": lone_offset,
         "tidy": TIDY_EVERY,
+        "trial": TRIAL_SCANS,
+        "hits": MIN_HITS,
+        "double_turn": DOUBLE_ANGLE,
+        "double_offset": DOUBLE_OFFSET,
+        "double_apart": APART,
         "rolled": MAX_ROLLED_M,
         "turned": MAX_TURNED_RAD,
         "floor": float(floor[0]),
@@ -218,8 +223,8 @@ def no_scans() -> tuple[Any, ...]:
     wholes, numbers, rows = np.zeros(1, np.intp), np.zeros(1), np.zeros((1, 1))
     return (
         core.Scans(rows, wholes, wholes, 0, numbers, 0, wholes, wholes, rows, rows, rows),
-        core.Walls(wholes, rows, numbers, numbers, wholes, wholes, wholes, numbers, 0, 0, False),
+        core.Walls(wholes, rows, numbers, numbers, *(wholes,) * 4, numbers, 0, 0, False),
         core.Seat(np.zeros(3), wholes, wholes, 0),
-        core.Rules(*(0.0,) * 8, *(0,) * 3, False, 0.0, 0.0, False, False, *(0.0,) * 3, 1, *(0.0,) * 8),
+        core.Rules(*(0.0,) * 8, *(0,) * 3, False, 0.0, 0.0, False, False, *(0.0,) * 3, 1, 0, 0, *(0.0,) * 11),
         core.Way(),
     )

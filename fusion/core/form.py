@@ -22,6 +22,7 @@ SOURCES = (
     "places",
     "pairs",
     "match",
+    "doubles",
     "filter",
     "tables",
     "scans",

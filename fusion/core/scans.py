@@ -6,6 +6,7 @@ only noticed: the loop in Python sees to it (fusion.linemap.at_once).
 
 from math import sqrt
 
+from .doubles import neighbours, worthless
 from .fit import wrapped
 from .match import bends, equation, extend, is_new, judge, lacks, match, matched_share, refuse_alone
 from .pairs import gather_mount, gather_walls, pairs
@@ -129,7 +130,9 @@ def teach(b, s, i, w, rule, way, progress, d):
             d.loose, d.missing,
         )  # fmt: skip
         loosen(b.P, d.loose, d.missing, bending)
-    if rule.grows and (progress.number % rule.tidy == 0 or new_lines(d.fate, lines) > 0):
+    if rule.grows and new_lines(d.fate, lines) > 0:
+        return True
+    if rule.grows and progress.number % rule.tidy == 0 and untidy(b.x, w, rule, progress.number, d):
         return True
     if rule.floor > 0.0 or rule.floor_turn > 0.0:
         lacking = lacks(b.P, w.columns, w.places, rule.floor, rule.floor_turn, d.loose, d.missing)
@@ -144,6 +147,25 @@ def new_lines(fate, lines):
         if is_new(fate, lines, i):
             found += 1
     return found
+
+
+def untidy(x, w, rule, scan, d):
+    """Tell whether a line proved worthless by now, or one that was seen lately may be one wall with another."""
+    for j in range(w.places):
+        d.wall_rows[j, 0], d.wall_rows[j, 1] = x[w.columns[j]], x[w.columns[j] + 1]
+        d.wall_rows[j, 2], d.wall_rows[j, 3] = w.anchors[j, 0], w.anchors[j, 1]
+    for j in range(w.places):
+        if worthless(w.hits, w.born, j, scan, rule.hits, rule.trial):
+            return True
+        beside = 0
+        if scan - w.seen[j] <= rule.trial:
+            beside = neighbours(
+                d.wall_rows, w.low, w.high, w.places, j, rule.double_turn, rule.double_offset, rule.double_apart,
+                d.loose,
+            )  # fmt: skip
+        if beside > 0:
+            return True
+    return False
 
 
 def loosen(P, columns, variance, k):

@@ -10,7 +10,7 @@ cdef class Scans:
     cdef Py_ssize_t scans, parts
 
 cdef class Walls:
-    cdef Py_ssize_t[::1] columns, hits, seen, ids
+    cdef Py_ssize_t[::1] columns, hits, seen, born, ids
     cdef double[:, ::1] anchors
     cdef double[::1] low, high, fixed
     cdef Py_ssize_t width, places
@@ -24,7 +24,8 @@ cdef class Seat:
 cdef class Rules:
     cdef double max_turn, max_offset, sigmas, gate, zone, rival, share, longest, least, well, lone_d2, lone_turn
     cdef double lone_offset, rolled, turned, floor, floor_turn, uneven, uneven_turn, bend, bend_turn
-    cdef Py_ssize_t unmatched, ambiguous, new, tidy
+    cdef double double_turn, double_offset, double_apart
+    cdef Py_ssize_t unmatched, ambiguous, new, tidy, trial, hits
     cdef bint watched, grows, joint
 
 cdef class Way:

@@ -31,9 +31,9 @@ class Scans:
 class Walls:
     """The line map: `places` lines, as `pairs` and `match` want them; `fixed` those that are no states."""
 
-    def __init__(self, columns, anchors, low, high, hits, seen, ids, fixed, width, places, states):
+    def __init__(self, columns, anchors, low, high, hits, seen, born, ids, fixed, width, places, states):
         self.columns, self.anchors, self.low, self.high = columns, anchors, low, high
-        self.hits, self.seen, self.ids = hits, seen, ids
+        self.hits, self.seen, self.born, self.ids = hits, seen, born, ids
         self.fixed, self.width, self.places, self.states = fixed, width, places, states
 
 
@@ -49,8 +49,8 @@ class Rules:
 
     def __init__(
         self, max_turn, max_offset, sigmas, gate, zone, rival, share, longest, unmatched, ambiguous, new, watched,
-        least, well, grows, joint, lone_d2, lone_turn, lone_offset, tidy, rolled, turned, floor, floor_turn,
-        uneven, uneven_turn, bend, bend_turn,
+        least, well, grows, joint, lone_d2, lone_turn, lone_offset, tidy, trial, hits, double_turn, double_offset,
+        double_apart, rolled, turned, floor, floor_turn, uneven, uneven_turn, bend, bend_turn,
     ):  # fmt: skip
         self.max_turn, self.max_offset, self.sigmas = max_turn, max_offset, sigmas
         self.gate, self.zone, self.rival, self.share, self.longest = gate, zone, rival, share, longest
@@ -58,7 +58,9 @@ class Rules:
         self.watched, self.least, self.well = watched, least, well
         self.grows, self.joint = grows, joint
         self.lone_d2, self.lone_turn, self.lone_offset = lone_d2, lone_turn, lone_offset
-        self.tidy, self.rolled, self.turned = tidy, rolled, turned
+        self.tidy, self.trial, self.hits = tidy, trial, hits
+        self.double_turn, self.double_offset, self.double_apart = double_turn, double_offset, double_apart
+        self.rolled, self.turned = rolled, turned
         self.floor, self.floor_turn = floor, floor_turn
         self.uneven, self.uneven_turn, self.bend, self.bend_turn = uneven, uneven_turn, bend, bend_turn
 

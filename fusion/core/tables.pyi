@@ -41,6 +41,7 @@ class Walls:
     high: Floats
     hits: Wholes
     seen: Wholes
+    born: Wholes
     ids: Wholes
     fixed: Floats
     width: int
@@ -54,6 +55,7 @@ class Walls:
         high: Floats,
         hits: Wholes,
         seen: Wholes,
+        born: Wholes,
         ids: Wholes,
         fixed: Floats,
         width: int,
@@ -89,6 +91,11 @@ class Rules:
     lone_turn: float
     lone_offset: float
     tidy: int
+    trial: int
+    hits: int
+    double_turn: float
+    double_offset: float
+    double_apart: float
     rolled: float
     turned: float
     floor: float
@@ -119,6 +126,11 @@ class Rules:
         lone_turn: float,
         lone_offset: float,
         tidy: int,
+        trial: int,
+        hits: int,
+        double_turn: float,
+        double_offset: float,
+        double_apart: float,
         rolled: float,
         turned: float,
         floor: float,

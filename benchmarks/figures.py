@@ -98,7 +98,11 @@ def kernels(logs: Logs) -> list[Kernel]:
     """Return the inner loops that are measured."""
     return [
         Kernel("EKF step, predict + heading / filterpy", 0.08, module("kernels", "ekf_heading", logs.minute)),
-        Kernel("EKF step, predict + six lines / filterpy", 0.20, module("kernels", "ekf_lines", logs.minute)),
+        Kernel(
+            "EKF step, predict + six lines, matched and recorded / filterpy",
+            0.20,
+            module("kernels", "ekf_lines", logs.minute),
+        ),
         Kernel("lines of a 361-beam scan / small_gicp ICP", 0.05, module("kernels", "lines", logs.minute)),
         Kernel("the same / recursive split-and-merge", 0.30, module("kernels", "lines_recursive", logs.minute)),
         Kernel("omni bearing, decoding included / imdecode", 1.50, module("kernels", "omni", logs.minute)),

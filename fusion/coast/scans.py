@@ -51,6 +51,10 @@ class AtOnce:
         """Whether the core may take a scan now: there is a map, and nobody is lost."""
         return len(self.of.map) > 0
 
+    def has(self, first: int, last: int) -> bool:
+        """Tell whether the core has a scan to take at the instants first:last."""
+        return self.ready and first <= self.next_after(first, table=False) < last
+
     @property
     def places(self) -> int:
         """How many lines the map has."""

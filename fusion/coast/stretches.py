@@ -56,6 +56,7 @@ class Stretches:
         )
         self._wheels = self._tables.Wheels(self._motions, Q, dt, drifting, drift, len(drift))
         self._no_scans = no_scans()
+        self._taken: AtOnce | None = None  # whose scans the core took last
         self._headings: Any = None
         self._headings_for = -2  # first column of the map frame
         self._desk: Any = None
@@ -78,7 +79,7 @@ class Stretches:
     def coast(self, belief: JointBelief, first: int, last: int, track: Track) -> Stop:
         """Take the belief from instant `first` until `last` or where the loop must go on, and record that."""
         track.make_room(last)
-        taken = self._scans if self._scans is not None and self._scans.ready else None
+        taken = self._taken = self._scans if self._scans is not None and self._scans.has(first, last) else None
         scans = self._no_scans if taken is None else taken.given(belief, first)
         begun = (0, 0.0, 0.0, 0.0, 0, -1) if taken is None else taken.progress
         progress = self._tables.Progress(first, interpreted.DONE, *begun)
@@ -108,8 +109,8 @@ class Stretches:
         return k == self._left
 
     def takes(self, model: Model) -> bool:
-        """Tell whether a model's scans were taken, and how far the wheels rolled between them."""
-        return self._scans is not None and self._scans.ready and self._scans.of is model
+        """Tell whether a model's scans were taken last, and so how far the wheels rolled between them."""
+        return self._taken is not None and self._taken.of is model
 
     def finish(self, belief: JointBelief) -> None:
         """Let the scanner go on after the scan at which the core stopped."""

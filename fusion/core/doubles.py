@@ -15,7 +15,8 @@ def worthless(hits, born, j, scan, least, trial):
 
 def one_wall(rows, low, high, i, j, angle, offset, apart):
     """Tell whether lines i and j may be one wall by where they lie: within angle [rad], offset and apart [m]."""
-    if i == j or not abs(wrapped(rows[j, 1] - rows[i, 1])) < angle:
+    turn = rows[j, 1] - rows[i, 1]
+    if i == j or turn - turn != 0.0 or not abs(wrapped(turn)) < angle:  # Inf or NaN: there is no such line
         return False
     c, s = cos(rows[i, 1]), sin(rows[i, 1])
     dx, dy = rows[i, 2] - rows[j, 2], rows[i, 3] - rows[j, 3]

@@ -181,8 +181,10 @@ def goes_far(b, w, way):
     way.x, way.y = x, y
     if way.length >= way.ask_at or w.places > way.most or apart(x, y, way.origin_x, way.origin_y) > way.reach:
         return True
-    turned = abs(wrapped(b.x[2] - way.sight_turn))
-    return way.looks and (apart(x, y, way.sight_x, way.sight_y) >= way.stride or turned >= way.turn)
+    turn = b.x[2] - way.sight_turn
+    if turn - turn == 0.0:
+        turn = abs(wrapped(turn))
+    return way.looks and (apart(x, y, way.sight_x, way.sight_y) >= way.stride or turn >= way.turn)
 
 
 def apart(x, y, to_x, to_y):

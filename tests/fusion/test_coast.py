@@ -167,7 +167,7 @@ def test_more_lines_than_a_table_holds_are_taken_table_by_table(monkeypatch: pyt
 KINDS = st.sampled_from(["as seen", "none", "one line", "NaN", "elsewhere", "turned"])
 
 
-@hypothesis.settings(deadline=None, max_examples=15)
+@hypothesis.settings(deadline=None, max_examples=40)
 @hypothesis.given(st.lists(KINDS, min_size=12, max_size=12), st.sampled_from(["grow", "refine", "first-scan"]))
 def test_whatever_scans_show_all_ways_agree(kinds: list[str], mode: str) -> None:
     """The core in stretches, the loop, and the core interpreted, whose arrays are the same to the bit."""

@@ -39,7 +39,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "fusion/core/coast.py": ("tests/fusion/test_coast.py",),
     "fusion/core/pairs.py": ("tests/linemap/test_pairing.py",),
     "fusion/core/match.py": ("tests/linemap/test_association.py", "tests/sensors/test_lrf.py"),
-    "fusion/core/places.py": ("tests/linemap/test_places.py", "tests/core/test_filter.py"),
+    "fusion/core/places.py": ("tests/recovery/test_places.py", "tests/core/test_filter.py"),
     "fusion/core/fit.py": ("tests/core/test_fit.py", "tests/lines/test_lines.py"),
     "fusion/core/pieces.py": ("tests/core/test_pieces.py", "tests/lines/test_lines.py"),
     "fusion/judge/evaluate.py": ("tests/judge/test_evaluate.py", "tests/judge/test_consistency.py"),

@@ -84,7 +84,9 @@ class Evaluator:
 
 def _may_judge(loaded: Loaded) -> bool:
     """Return whether a log can be evaluated: with a given map, and by the print's filter, nothing is tried."""
-    if loaded.robot.lines or loaded.robot.preset != "default" or not loaded.drive.measurements:
+    if loaded.robot.lines or loaded.robot.preset != "default":
+        return False
+    if not loaded.drive.measurements and loaded.drive.truth is None:
         return False
     return float(loaded.drive.t[-1]) - float(loaded.drive.t[0]) >= MIN_DURATION_S
 

@@ -34,6 +34,17 @@ def add_validity(report: dict[str, Any], advised: Advised | None, start_error_m:
         values.update(dict.fromkeys(known))
         found.append({"configuration": name, "code": code, "message": message, "since_s": _since(values, code)})
     report["validity"] = [*_once(found), *_doubts(report, advised)]
+    if found and all("void" in values for values in report["configurations"].values()):
+        _withdraw_verdicts(report)
+
+
+def _withdraw_verdicts(report: dict[str, Any]) -> None:
+    """Take verdicts back that rest on void errors, and what a mean over several logs would count of them."""
+    if report.get("credit") is None:
+        return  # they rest on what sensors predict, not on errors
+    report["credit"] = None
+    for verdict in report.get("verdicts", {}).values():
+        verdict.update(verdict="no verdict", words="All errors of this log are void.")
 
 
 def _doubts(report: dict[str, Any], advised: Advised | None) -> list[dict[str, Any]]:

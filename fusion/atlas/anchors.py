@@ -66,6 +66,20 @@ class Anchors:
         self.edges = [e for e in self.edges if e is not edge]
         self._P = None
 
+    def loosen(self, of: int, to: int, factor: float) -> None:
+        """Multiply the covariances of all edges along the way between two anchors by the factor that it was worse.
+
+        That is the variance factor of what was observed, chi-square over degrees of freedom.
+        """
+        first, last = min(of, to), max(of, to)
+        self.edges = [
+            e._replace(information=e.information / factor)
+            if e.of != NOWHERE and e.to == e.of + 1 and first <= e.of < last
+            else e
+            for e in self.edges
+        ]
+        self._P = None
+
     def beside(self, node: int) -> set[int]:
         """Return the anchors to which an edge leads from this one."""
         edges = [e for e in self.edges if e.of != NOWHERE and node in (e.of, e.to)]

@@ -15,17 +15,20 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.linemap.line_map import LineMap
-from locfuse.fusion.linemap.relocalise import explained, hypotheses, seen_through
 from locfuse.fusion.linemap.scan import Scan
+from locfuse.fusion.recovery.relocalise import distinct, explained, hypotheses, seen_through
 
 from .frozen import Way, as_scan
 
 MIN_HITS = 4  # of a wall that counts
 PAIRED = 10  # longest walls of the new map from which pairs are made
 GATE = 16.3  # chi-square with 3 degrees of freedom at 99.9 %
+WIDER = 4.0  # times the covariance of where a map is expected to lie: some drives go wrong by more than it says
 SLACK = np.diag(np.square((0.3, 0.3, math.radians(4.0))))  # m, rad: by which a pair of walls misses the place
-MIN_LENGTH_M, MIN_WALLS = 6.0, 5  # of walls that a place must explain
+LEAST = 5  # walls that each of two maps must have
+ENOUGH = ((5, 6.0), (3, 15.0))  # walls, and m of them, that a place must explain: many, or long ones
 RIVAL, APART, TURNED = 0.75, 0.6, math.radians(15.0)  # share of the best one's length; m and rad that make a rival
+MAX_TURNED = 4  # rivals in other directions, beyond which free space is not asked
 MAX_THROUGH = 0.08  # share of the walls behind walls of the other map, beyond what is so within either map
 ROUNDS = ((0.3, math.radians(6.0)), (0.2, math.radians(4.0)), (0.12, math.radians(3.0)), (0.12, math.radians(3.0)))
 FLAT, STRAIGHT = 0.03, math.radians(0.5)  # m, rad: how well two pieces of one wall agree
@@ -59,31 +62,48 @@ def find_closure(there: Here, here: Here, expected: Array, P: Array) -> Closure 
     """
     scan = as_scan(here.lines, here.values, here.P, MIN_HITS)
     known = np.flatnonzero(there.lines.hits >= MIN_HITS)
-    if len(scan.z) < MIN_WALLS or len(known) < MIN_WALLS:
+    if min(len(scan.z), len(known)) < LEAST:
         return None
     poses = hypotheses(scan, there.lines, there.values, known, PAIRED)
     off = poses - expected
     off[:, 2] = se2.wrap_all(off[:, 2])
-    poses = poses[np.einsum("hi,ij,hj->h", off, np.linalg.inv(P + SLACK), off) <= GATE]
+    poses = poses[np.einsum("hi,ij,hj->h", off, np.linalg.inv(WIDER * P + SLACK), off) <= GATE]
     if not len(poses):
         return None
     share, _, count = explained(poses, scan, there.lines, there.values, known)
     length = share * float((scan.ends[:, 1] - scan.ends[:, 0]).sum())
-    length = np.where((length >= 0.5 * MIN_LENGTH_M) & (count >= 3), length, 0.0)
+    length = np.where((length >= 0.5 * ENOUGH[0][1]) & (count >= 3), length, 0.0)
     best = int(np.argmax(length))
-    if length[best] <= 0.0 or _rivalled(poses, length, best):
+    if length[best] <= 0.0:
+        return None
+    alike = poses[length > RIVAL * length[best]]
+    rivals = alike - poses[best]
+    turned = np.abs(se2.wrap_all(rivals[:, 2])) > TURNED
+    if not _all_contradicted(there, here, distinct(alike[turned])):
         return None
     found = _refined(poses[best], scan, there, known, expected, P)
-    if found is None or found.walls < MIN_WALLS or found.length < MIN_LENGTH_M:
+    if found is None or not any(found.walls >= n and found.length >= m for n, m in ENOUGH):
         return None
-    return None if contradicted(there, here, found.pose) else found
+    if contradicted(there, here, found.pose):
+        return None
+    return found._replace(P=found.P + left_open(rivals[~turned]))
 
 
-def _rivalled(poses: Array, length: Array, best: int) -> bool:
-    """Return whether another place explains nearly as much as the best one."""
-    apart = np.hypot(*(poses[:, :2] - poses[best, :2]).T) > APART
-    apart |= np.abs(se2.wrap_all(poses[:, 2] - poses[best, 2])) > TURNED
-    return bool((length[apart] > RIVAL * length[best]).any())
+def _all_contradicted(there: Here, here: Here, poses: Array) -> bool:
+    """Return whether free space rules out all of these places (h, 3)."""
+    return len(poses) <= MAX_TURNED and all(contradicted(there, here, pose) for pose in poses)
+
+
+def left_open(rivals: Array) -> Array:
+    """Return the covariance (3, 3) that rivals leave, other places (n, 3) from the best one, as good.
+
+    Along a corridor there are many; across it and in heading they agree.
+    """
+    apart = rivals[np.hypot(*rivals[:, :2].T) > APART, :2]
+    P = np.zeros((3, 3))
+    if len(apart):
+        P[:2, :2] = apart.T @ apart * (np.square(apart).sum(axis=1).max() / np.square(apart).sum())
+    return P
 
 
 def contradicted(there: Here, here: Here, pose: Array) -> bool:

@@ -21,19 +21,19 @@ from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import by_frame
 from locfuse.fusion.linemap.scan import Passed
 from locfuse.fusion.linemap.tidy import MIN_HITS
-from locfuse.fusion.linemap.tracker import LineTracker
 from locfuse.fusion.mount import Mount
 
 from .anchors import NOWHERE, Anchors, Edge, inverted
 from .bridge import Bridge, cross, seen_from_here
 from .closing import Closure, Here, find_closure
 from .frozen import FrozenMap, Way, box_of, frozen, joint_covariance, thaw
+from .looks import INSISTING, Looks, is_open
+from .one_map import LineTracker
 
 REACH, MANY = 12.0, 100  # m from the anchor, and lines, beyond which the next map begins
 FIRST_ASK, ASK_AGAIN = 3.0, 1.5  # m of way in a map before it is looked for in earlier ones, and between two looks
 BACK_WITHIN = 0.8  # share of the reach within which the robot returns to a map that it left
 BACK_XY, BACK_THETA = 0.3, math.radians(3.0)  # m, rad: standard deviations of where that is, at most
-AGREES_XY, AGREES_THETA, AGREEING = 0.25, math.radians(2.5), 2  # m, rad within which so many looks must agree
 WORSE = 30.0  # chi-square by which a closure may make all others worse
 RECENT = 3  # scans: what was seen in them leads over to the next map
 # what adds to the variances of where a map ends: neighbouring beams and scans share errors that no filter counts
@@ -54,9 +54,7 @@ class AtlasTracker(LineTracker):
         self._left: tuple[Array, Array] | None = None  # where in the map before the next one began, and P
         self._full = False
         self._asked_at = 0.0  # m of way
-        self._seen_in: dict[
-            int, tuple[Closure, int]
-        ] = {}  # frozen map -> the last look's closure, looks that agree
+        self._looks = Looks()  # at the frozen maps, from this one
         self._loops: list[Edge] = []
         self._ask_known_at: dict[
             int, float
@@ -92,10 +90,10 @@ class AtlasTracker(LineTracker):
         return {"follows": True, **here, **ahead}
 
     def passed(
-        self, rolled: tuple[float, float, float], number: int, way: Any, last: Sequence[Passed], well: int | None
+        self, progress: Any, way: Any, poses: tuple[Array, Array], last: Sequence[Passed], well: int | None
     ) -> None:
         """Take in what the core did without asking, and how far the way went on."""
-        super().passed(rolled, number, way, last, well)
+        super().passed(progress, way, poses, last, well)
         if last and way.ask_at >= 0.0 and self.mode == "grow":
             self._way.went(way.length, way.x, way.y)
 
@@ -114,6 +112,10 @@ class AtlasTracker(LineTracker):
 
     def turn_page(self, belief: JointBelief) -> bool:
         """Leave a map that is full; the next one begins at once, where a scan has just told the pose."""
+        if self.guard is not None and self.guard.gives_up():
+            self._leave(belief, bridges=False)  # the next scan begins a map, whose place nothing tells
+            self.guard.gave_up, self._full = True, False
+            return False
         full, self._full = self._full, False
         if not full:
             return False
@@ -194,7 +196,7 @@ class AtlasTracker(LineTracker):
         self._frozen = [one for one in self._frozen if one is not old]
         self._at, self._way, self._origin = old.anchor, old.way, old.origin
         self._way.resume()
-        self._asked_at, self._seen_in, self._ask_known_at = self._way.length, {}, {}
+        self._asked_at, self._looks, self._ask_known_at = self._way.length, Looks(), {}
         if self.guard is not None:
             self.guard.turn_page()
 
@@ -210,7 +212,7 @@ class AtlasTracker(LineTracker):
             self._at = self._anchors.next(self._at, 0.0 * z if still else z, 0.0 * P if still else P)
             if frame is not None:
                 self._anchors.pose[-1] = frame
-        self._way, self._origin, self._asked_at, self._seen_in = Way(), pose, 0.0, {}
+        self._way, self._origin, self._asked_at, self._looks = Way(), pose, 0.0, Looks()
         self._ask_known_at = {}
 
     def _take_in_absolutes(self, belief: JointBelief) -> None:
@@ -242,22 +244,19 @@ class AtlasTracker(LineTracker):
         corners = np.array([(x, y) for x in (low[0], high[0]) for y in (low[1], high[1])])
         for old in self._frozen:
             k = old.anchor
-            if (k in beside and k not in known) or self._way.length < self._ask_known_at.get(k, 0.0):
+            expected, P = self._anchors.relative(k, at)
+            unknown = is_open(P)
+            if k in beside and k not in known and not unknown:
                 continue
-            expected, P = self._anchors.relative(old.anchor, at)
+            if self._way.length < self._ask_known_at.get(k, 0.0):
+                continue
             slack = 3.0 * math.sqrt(max(float(P[0, 0] + P[1, 1]), 0.0))
             there = se2.transform(expected, corners)
             if (there.min(axis=0) > old.box[1] + slack).any() or (there.max(axis=0) < old.box[0] - slack).any():
                 continue
             found = find_closure(Here(old.lines, old.lines.value, old.lines.P, old.way), here, expected, P)
-            if found is None:
-                self._seen_in.pop(k, None)
-                continue
-            before, looks = self._seen_in.get(k, (found, 0))
-            step = se2.between(before.pose, found.pose)
-            same = math.hypot(step[0], step[1]) < AGREES_XY and abs(se2.wrap(float(step[2]))) < AGREES_THETA
-            self._seen_in[k] = (found, looks + 1 if same else 1)
-            if self._seen_in[k][1] >= AGREEING:
+            if self._looks.agree(k, found, unknown, self._anchors):
+                assert found is not None
                 self._close(t, old, at, found, belief)
 
     def _close(self, t: float, seen: FrozenMap, at: int, found: Closure, belief: JointBelief) -> None:
@@ -273,18 +272,25 @@ class AtlasTracker(LineTracker):
         before = self._anchors.cost()
         self._anchors.add(edge)
         self._anchors.solve()
-        if self._anchors.cost() - before > WORSE:
+        worse = self._anchors.cost() - before
+        if worse > WORSE:
             self._anchors.remove(edge)
-            for e in old:
-                self._anchors.add(e)
-            self._anchors.pose = poses
-            return
+            if self._looks.count(of) < INSISTING:
+                for e in old:
+                    self._anchors.add(e)
+                self._anchors.pose = poses
+                return
+            self._anchors.loosen(of, at, worse / 3.0)
+            self._anchors.add(edge)
+            self._anchors.solve()
         self._ask_known_at[of] = 2.0 * self._way.length
         self._loops = [e for e in self._loops if all(e is not o for o in old)] + [edge]
         if not old:
             here = se2.compose(found.pose, np.array(belief.pose()))
             self.closed.append((seen.way.passed(here[:2]), t))
         belief.know_frame(self._anchors.pose[at], self._anchors.covariance((at,)))
+        if self.guard is not None and not is_open(self._anchors.relative(0, at)[1]):
+            self.guard.recognised(t)
 
     # ---- results ----
 

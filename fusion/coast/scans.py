@@ -10,21 +10,21 @@ from typing import Any
 
 import numpy as np
 
+from locfuse.fusion.atlas.one_map import LineTracker
 from locfuse.fusion.audit import Record
 from locfuse.fusion.core import match, tables
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Ints, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.linemap.association import AMBIGUOUS, LONE, LONGEST, OVERLAP, ZONE
-from locfuse.fusion.linemap.guard import MIN_MATCHED_SHARE, SCANS, WELL
 from locfuse.fusion.linemap.line_map import WALL
 from locfuse.fusion.linemap.pairing import MAX_PAIR_ANGLE_RAD, MAX_PAIR_OFFSET_M, PAIR, PAIR_SIGMAS
 from locfuse.fusion.linemap.scan import Passed
 from locfuse.fusion.linemap.standing import MAX_ROLLED_M, MAX_TURNED_RAD
 from locfuse.fusion.linemap.tidy import APART, DOUBLE_ANGLE, DOUBLE_OFFSET, MIN_HITS, TIDY_EVERY, TRIAL_SCANS
-from locfuse.fusion.linemap.tracker import LineTracker
 from locfuse.fusion.lines.extract import LINE, rows_of
 from locfuse.fusion.lines.flatness import bend
+from locfuse.fusion.recovery.guard import MIN_MATCHED_SHARE, SCANS, WELL
 from locfuse.fusion.sensor import Table
 
 BLOCK = 4096  # lines that become one table at a time: an hour of them need not be there at once
@@ -96,7 +96,7 @@ class AtOnce:
             landmark,
             np.full((lines, match.TOLD), np.nan),
             np.zeros((scans, 2)),
-            np.zeros((scans, 6)),
+            np.zeros((scans, 9)),
         )
         self._scans = self._core.Scans(
             rows_of(m.z[at], m.covariances(at), m.extra["ends"][at]), self._first,
@@ -142,11 +142,10 @@ class AtOnce:
             table = Table(row, verdict[at], landmark[at], of.gate, now[:, 0], now[:, 1:3], now[:, 3:])
             self.record.add_rows(np.repeat(when[a:b], np.diff(first[a : b + 1])), table)
             self.record.joint.extend(joint[a:b][joint[a:b, 1] > 0.0].ravel())
-        seen = [i for i in range(max(a, b - 2 * SCANS), b) if first[i + 1] > first[i]]
-        seen = seen if len(seen) >= SCANS else [i for i in range(a, b) if first[i + 1] > first[i]]
-        rolled = progress.x, progress.y, progress.theta
-        last = [Passed(self._m, begin + i, sights[i]) for i in seen[-SCANS:]]
-        of.passed(rolled, progress.number, way, last, begin + progress.well if progress.well >= 0 else None)
+        seen = a + np.flatnonzero(np.diff(first[a : b + 1]))
+        poses = sights[seen, :3], sights[seen, 6:]
+        last = [Passed(self._m, begin + i, sights[i, :6]) for i in seen[-SCANS:].tolist()]
+        of.passed(progress, way, poses, last, begin + progress.well if progress.well >= 0 else None)
 
 
 def _rules(of: LineTracker, m: Measurements) -> dict[str, Any]:

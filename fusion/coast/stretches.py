@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from locfuse.fusion.atlas.one_map import LineTracker
 from locfuse.fusion.audit import Record
 from locfuse.fusion.core import coast as interpreted
 from locfuse.fusion.core import tables
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Drive, Ints
 from locfuse.fusion.ekf.belief_arrays import AT_ONCE, JointBelief, positive
-from locfuse.fusion.linemap.tracker import LineTracker
 from locfuse.fusion.sensor import GATE, Model
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.track import Track

@@ -121,6 +121,8 @@ def teach(b, s, i, w, rule, way, progress, d):
     """Teach the map what scan i showed; tell whether the loop has to go on with it."""
     lines = s.first[i + 1] - s.first[i]
     progress.number += 1
+    for j in range(3):
+        s.sights[i, 6 + j] = b.x[j]
     extend(d.pairs, d.fate, lines, w.low, w.high, w.hits, w.seen, progress.number)
     if not rule.joint:
         return False

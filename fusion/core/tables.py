@@ -17,7 +17,7 @@ class Scans:
     Scan i, of so many `scans`, is due at instant when[i]; its lines are first[i] until first[i + 1]. `shared`
     (k, 2, parts), flat, are unit errors that the lines of a scan share. Written are verdict, landmark (k,), told
     (k, 5: NIS, y, sigma), and of each scan joint (NIS of all that is accepted, and its degrees of freedom) and
-    sights (the pose before, and what `moved` says of the mount).
+    sights (the pose before, what `moved` says of the mount, the pose after).
     """
 
     def __init__(

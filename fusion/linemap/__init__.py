@@ -1,1 +1,1 @@
-"""The line map: (rho, beta) of walls, data association, map upkeep, slip and kidnapping."""
+"""The line map: (rho, beta) of walls, data association and map upkeep."""

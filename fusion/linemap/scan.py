@@ -8,7 +8,6 @@ import msgspec
 import numpy as np
 
 from locfuse.fusion.data import Array, Measurements
-from locfuse.fusion.ekf.map_frame import Pose
 from locfuse.fusion.lines.extract import LINE, of_rows, rows_in_base, rows_of
 
 from .laser_mount import Seat
@@ -61,12 +60,6 @@ class Passed(NamedTuple):
     def rows(self) -> tuple[int, int]:
         """First row and end in the measurements."""
         return int(self.of.first[self.i]), int(self.of.first[self.i + 1])
-
-    @property
-    def pose(self) -> Pose:
-        """The pose before."""
-        x, y, theta = self.sight[:3].tolist()
-        return x, y, theta
 
     def seated(self, scan: Scan) -> Scan:
         """Return its lines in the base by the mount of that time."""

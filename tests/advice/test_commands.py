@@ -57,6 +57,35 @@ def test_quiet_commands_that_exit_with_3_say_why_on_one_line(command: str, tmp_p
     assert line.startswith("lost: the truth starts 3.26 m from where the drive starts")
 
 
+def test_where_every_error_is_void_no_sensor_gets_a_verdict_and_the_start_is_the_fix(tmp_path: Path) -> None:
+    drive = Drive()
+    elsewhere(drive)
+    done = locfuse("compare", drive.record(tmp_path / "log.mcap"), "-o", tmp_path / "out", "--write", "json")
+    assert done.exit_code == 3
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert {v["verdict"] for v in report["verdicts"].values()} == {"no verdict"}
+    assert report["credit"] is None  # nor does it count in the mean over several logs
+    assert {fix.split("=")[0] for fix in report["fixes"]} >= {"start.x", "start.y", "start.theta_deg"}
+
+
+def test_a_log_with_wheels_and_truth_alone_gets_the_fix_of_its_start(tmp_path: Path) -> None:
+    drive = Drive()
+    elsewhere(drive)
+    drive.drop("/compass", "/scan")
+    for sensor in ("compass", "lrf"):
+        drive.tables.pop(sensor, None)
+    log = drive.record(tmp_path / "log.mcap")
+    locfuse("compare", log, "-o", tmp_path / "out", "--write", "json")
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert list(report["configurations"]) == ["odometry"]
+    assert {fix.split("=")[0] for fix in report["fixes"]} >= {"start.x", "start.y", "start.theta_deg"}
+    fixed = ("--robot", tmp_path / "out" / "robot.toml", "--robot", tmp_path / "out" / "fixes.toml")
+    done = locfuse("compare", log, *fixed, "-o", tmp_path / "again", "--write", "json")
+    assert done.exit_code == 0, done.stderr
+    again = json.loads((tmp_path / "again" / "report.json").read_text())
+    assert again["configurations"]["odometry"]["position_rmse_m"] < 0.5
+
+
 def test_a_laser_whose_ranges_are_short_gets_its_scale_and_is_called_doubtful_before(tmp_path: Path) -> None:
     """Its ranges are 0.9 times the distances: what puts them right is 1 / 0.9."""
     drive = Drive()

@@ -82,3 +82,27 @@ def test_a_frame_that_is_known_better_teaches_the_rest_as_a_reading_of_it_would(
     belief.know_frame(wanted_x[at], wanted_P[np.ix_(at, at)])
     np.testing.assert_allclose(belief.state, wanted_x, atol=1e-9)
     np.testing.assert_allclose(belief.covariance, wanted_P, atol=1e-9)
+
+
+def test_a_way_that_was_worse_than_claimed_is_loosened_until_its_error_is_an_ordinary_one() -> None:
+    """The closure contradicts the way by 10 sigma; by the variance factor its chi-square becomes about 3."""
+    graph = Anchors()
+    at = graph.first(np.zeros(3), np.zeros((3, 3)))
+    for _ in range(2):
+        at = graph.next(at, np.array([10.0, 0.0, 0.0]), P_STEP)
+    other = graph.next(at, np.array([5.0, 0.0, 0.0]), P_STEP)
+    aside = graph.relative(at, other)[1].copy()
+    z, P = graph.relative(0, at)
+    z = z + 10.0 * np.sqrt(np.diagonal(P)) * (0.0, 1.0, 0.0)
+    closure = Edge(0, at, z, np.diag((1e6, 1e6, 1e8)))
+    graph.add(closure)
+    graph.solve()
+    worse = graph.cost()
+    assert worse > 30.0
+    graph.remove(closure)
+    graph.loosen(0, at, worse / 3.0)
+    graph.add(closure)
+    graph.solve()
+    assert 1.5 < graph.cost() < 4.5
+    np.testing.assert_allclose(graph.pose[at, :2], z[:2], atol=0.01)
+    np.testing.assert_allclose(graph.relative(at, other)[1], aside, atol=1e-12)  # what lies beyond is as it was

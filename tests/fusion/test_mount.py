@@ -11,6 +11,7 @@ import pytest
 from lock_step import simulated
 from textbook import numeric_jacobian, wrap
 
+from locfuse.fusion.atlas.one_map import LineTracker
 from locfuse.fusion.camera.bearing import bearing_by_mount, predict_bearing
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
@@ -18,7 +19,6 @@ from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.linemap.association import associate
 from locfuse.fusion.linemap.laser_mount import seated, seated_shares
 from locfuse.fusion.linemap.scan import Scan
-from locfuse.fusion.linemap.tracker import LineTracker
 from locfuse.fusion.lines.extract import rows_of
 from locfuse.fusion.mount import Mount
 from locfuse.fusion.sensors.camera import BearingModel, CameraSettings

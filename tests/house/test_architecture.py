@@ -31,6 +31,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "core",
         "camera lines ekf scan_matching landmarks",
         "wheels linemap",
+        "recovery",
         "atlas given_map",
         "truth sensors",
         "measure instants track judge doctor",

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from locfuse.fusion.atlas.one_map import LineTracker
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.linemap.association import associate
 from locfuse.fusion.linemap.scan import Scan
-from locfuse.fusion.linemap.tracker import LineTracker
 from locfuse.fusion.lines.flatness import LAG_SCANS, bend, wall_floor
 from locfuse.fusion.se2 import wrap_all
 

@@ -11,6 +11,7 @@ from lock_step import simulated
 from textbook import numeric_jacobian, wrap
 from worlds import ROOM, World
 
+from locfuse.fusion.atlas.one_map import LineTracker
 from locfuse.fusion.data import MapLine
 from locfuse.fusion.doctor.examine import blind
 from locfuse.fusion.ekf.belief_arrays import JointBelief
@@ -19,7 +20,6 @@ from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.linemap.association import associate
 from locfuse.fusion.linemap.line_map import LineMap
 from locfuse.fusion.linemap.scan import Scan
-from locfuse.fusion.linemap.tracker import LineTracker
 from locfuse.fusion.lines.extract import Lines
 from locfuse.fusion.lines.scans import Gathered
 from locfuse.fusion.measure import measure
@@ -277,12 +277,13 @@ def test_a_log_without_scans_has_no_lines() -> None:
 def test_scans_that_were_not_deskewed_share_nothing_beside_those_that_were() -> None:
     gathered, one = Gathered(), np.ones(1, int)
     for i, parts in enumerate((0, 12, 0)):
-        z, sweep = np.full((1, 2), float(i)), np.full((1, 2, parts), 0.5, np.float32)
+        z, shared = np.full((1, 2), float(i)), np.full((1, 2, parts), 0.5)
         span = np.zeros((1, 2), int)
-        lines = Lines(np.array([0, 1]), z, np.eye(2)[None], z, one, np.ones(1), span, sweep, one)
+        lines = Lines(np.array([0, 1]), z, np.eye(2)[None], z, one, np.ones(1), span, shared, one)
         gathered.add(np.array([i]), lines)
-    sweep = gathered.in_order(3)[-1]
-    np.testing.assert_array_equal(sweep, np.array([0.0, 0.5, 0.0])[:, None, None] * np.ones((3, 2, 12)))
+    np.testing.assert_array_equal(
+        gathered.in_order(3)[-1], np.array([0.0, 0.5, 0.0])[:, None, None] * np.ones((3, 2, 12))
+    )
 
 
 def test_a_round_room_leaves_the_pose_to_the_wheels_and_says_why() -> None:

@@ -21,9 +21,9 @@ from locfuse.fusion.core import places
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.linemap.line_map import LineMap
+from locfuse.fusion.linemap.scan import Scan
 
-from .line_map import LineMap
-from .scan import Scan
 from .scan_history import Trail
 
 LONGEST = 5  # seen walls from which pairs are made
@@ -105,7 +105,7 @@ def find_pose(scan: Scan, lines: LineMap, belief: JointBelief, trail: Trail) -> 
     pose = poses[best]
     apart = np.hypot(*(poses[:, :2] - pose[:2]).T) > APART
     apart |= np.abs(se2.wrap_all(poses[:, 2] - pose[2])) > TURNED
-    rivals = _distinct(poses[apart & (possible >= RIVAL * share[best])])
+    rivals = distinct(poses[apart & (possible >= RIVAL * share[best])])
     here = np.array([belief.x, belief.y, belief.theta])
     stand = _standing(np.vstack((pose, rivals)), scan, lines, values)
     last = _lasting(stand, trail.back_from(here), lines, values, known)
@@ -158,7 +158,7 @@ def hypotheses(scan: Scan, lines: LineMap, values: Array, known: Ints, most: int
     return poses[:found]
 
 
-def _distinct(poses: Array) -> Array:
+def distinct(poses: Array) -> Array:
     """Return one of the poses (h, 3) in every cell of half the size within which poses count as the same."""
     cells = np.floor(np.column_stack((poses[:, :2] / (0.5 * APART), se2.wrap_all(poses[:, 2]) / (0.5 * TURNED))))
     return poses[np.sort(np.unique(cells, axis=0, return_index=True)[1])]

@@ -14,8 +14,7 @@ import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array
-
-from .scan import Scan
+from locfuse.fusion.linemap.scan import Scan
 
 STRIDE, TURN = 0.2, math.radians(15.0)  # m, rad between two scans that are kept
 LENGTH, TURNED = 30, math.radians(90.0)  # scans, rad: over 6 m, or around a corner, the wheels have drifted
@@ -30,21 +29,22 @@ class Trail:
     def __init__(self) -> None:
         self._seen: deque[tuple[Array, Scan]] = deque(maxlen=LENGTH)  # pose by the wheels, scan
 
-    def note(self, pose: Array, scan: Scan) -> None:
-        """Keep a scan that shows something, from a pose (3,) by the wheels that is not the last one's.
+    def note(self, pose: Array, scan: Scan) -> bool:
+        """Keep a scan that shows something, from a pose (3,) by the wheels that is not the last one's, or do not.
 
         Where the walls moved otherwise than the wheels, the robot is still being carried: what was before is void.
         """
         if len(scan.z) < MIN_LINES:
-            return
+            return False
         if self._seen:
             there, before = self._seen[-1]
             step = se2.between(there, pose)
             if math.hypot(step[0], step[1]) < STRIDE and abs(se2.wrap(float(step[2]))) < TURN:
-                return
+                return False
             if expected_share(scan, before, step) < CONTINUES:
                 self.forget()
         self._seen.append((pose, scan))
+        return True
 
     def forget(self) -> None:
         """Forget all scans and start again."""

@@ -12,8 +12,8 @@ from locfuse.fusion import se2
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array
 from locfuse.fusion.linemap.line_map import LineMap
-from locfuse.fusion.linemap.relocalise import behind_walls, explained, hypotheses, seen_through
 from locfuse.fusion.linemap.scan import Scan
+from locfuse.fusion.recovery.relocalise import behind_walls, explained, hypotheses, seen_through
 
 SEEDS = range(40)
 FORMS = pytest.mark.parametrize("interpreted", [False, True])

@@ -11,48 +11,43 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.data import Array
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import Pose
+from locfuse.fusion.linemap.association import Association, associate
+from locfuse.fusion.linemap.line_map import LineMap
+from locfuse.fusion.linemap.scan import Scan
 
-from .association import Association, associate
-from .line_map import LineMap
 from .relocalise import behind_walls, find_pose
-from .scan import Scan
-from .scan_history import Trail, expected_share
+from .scan_history import Trail
+from .slips import CARRIED, Seen, Series, after_slip, continues
 
 MIN_MATCHED_SHARE = 0.5  # share of the seen length that must match in an ordinary scan
 THROUGH = 0.3  # share of the seen length that lies behind known walls: more is disagreement
 WELL, LOOK_BACK = 0.9, 3.0  # share of the seen length in a scan that fits; s by which being lost is dated back
 SUSTAINED, SUSTAINED_SCANS = 0.5, 4  # s and scans of disagreement before the robot counts as lost
 MOVED, TURNED = 0.01, math.radians(0.5)  # since the last scan: at rest nothing slips
-MAX_SLIP_RAD = math.radians(30.0)
-SLIP_SHARE = 0.6  # of the seen length that a slipped heading must explain, with two lines
 GAP = 1.0  # s without a scan after which walls need not continue
 AGREES = 0.25  # share that still matches: doors stand open in walls that are known as one, and nobody is lost
 WALLS_BEHIND = 3  # seen walls that must lie behind known ones: fewer are seen through a door
 VIEW, SCANS = math.radians(90.0), 5  # that walls must fill to contradict a map; scans before a jump that count
-CONTINUES = 0.4  # share of the seen length where scans from before a jump expect it: then there was none
 SLIP_VIEW = math.radians(45.0)  # that walls must fill to show a slip: a few short lines match at some heading
 HARDLY = 0.2  # a slip turns everything: where more than this share still matches, there was none
-SLIP_XY, SLIP_THETA = 0.03, math.radians(1.5)  # m, rad: what is left to correct after a slip's heading was found
-CANDIDATES = 8
 LOST_XY = 5.0  # m: standard deviation of a robot that does not know where it is
 PLACED_XY, PLACED_THETA = 0.15, math.radians(3.0)  # m, rad: after it was found again
 CARRY, CARRY_TURN = 0.5, math.radians(30.0)  # m, rad within a second: somebody may carry a lost robot
-RECENT = 60  # scans
-SERIES, CARRIED = 1.0, 4  # s between slips of one series, and slips that make it one
-CONFIRMED = 5  # scans in a row that must agree on where a lost robot is
+CONFIRMED, WITH_HEADING = 5, 3  # scans in a row, from different places, that must agree on where a lost robot is
+HEADING_KNOWN = math.radians(10.0)  # rad: standard deviation of a heading that other sensors tell
 SAME_XY, SAME_THETA = 0.12, math.radians(4.0)  # m, rad: within which they agree
 
-Seen = tuple[float, Pose, Scan]  # a scan: when [s], and where the robot was believed to be
-Late = tuple[float, Pose, Callable[[], Scan]]  # the same, the scan made when it is asked for
+PATIENCE = 60  # scans along 12 m of a lost robot's way that did not tell its place: then it begins a map anew
+
+Late = tuple[float, Pose, Callable[[], Scan]]  # a scan that is made when it is asked for; compare slips.Seen
 
 
 class Guard:
@@ -65,7 +60,7 @@ class Guard:
         self._intervals: list[tuple[float, float]] = []
         self._slips = 0
         self._place: tuple[Array, Pose, int] | None = None  # belief and pose found first, scans that agree
-        self._carried: tuple[float, float, int] | None = None  # first and last slip of a series, how many
+        self._series = Series()
         self._trail = Trail()  # since it is lost
         self._well = (0.0, 0)  # when a scan last fitted well, and the number of the first line born after it
         self._before: deque[Late] = deque(maxlen=SCANS)  # the last scans
@@ -73,6 +68,15 @@ class Guard:
         self._torn = False  # the walls jumped, and little has matched since
         self._last = (math.inf, math.inf, math.inf)
         self._now = 0.0
+        self._after: Pose | None = None  # where the robot was believed to be once the last scan had corrected it
+        self._wheels: Pose = (0.0, 0.0, 0.0)  # by the wheels alone
+        self._tried = 0  # scans along the way of a lost robot
+        self.gave_up = False  # the map was left, where the robot is in it was not known
+        self._adrift: float | None = None  # s: since then the robot is in a map whose place is not known
+
+    def corrected(self, belief: JointBelief) -> None:
+        """Take in where a scan has put the robot: from here on the wheels lead."""
+        self._after = (belief.x, belief.y, belief.theta)
 
     def watch(
         self, t: float, scan: Scan, found: Association, lines: LineMap, belief: JointBelief, gate: float
@@ -80,7 +84,7 @@ class Guard:
         """Return the association to use and whether the scan may correct the pose and teach the map."""
         dt, self._now = t - self._now, t
         moved = self._moved(belief)
-        now = (t, (belief.x, belief.y, belief.theta), scan)
+        now = (t, self._rolled(belief), scan)
         before = tuple(self._before)
         self._before.append((t, now[1], lambda: scan))
         if self._lost_from is not None:
@@ -93,20 +97,37 @@ class Guard:
             self._since, self._torn = None, False
             return found, True
         if moved and share < HARDLY and _view(scan) >= SLIP_VIEW:
-            slipped = _after_slip(scan, lines, belief, gate)
+            believed = (belief.x, belief.y, belief.theta)
+            slipped = after_slip(scan, lines, belief, gate)
             if slipped is not None:
                 self._since, self._torn = None, False
-                return slipped, not self._carried_off(t, scan, lines, belief)
-        seen = [(when, pose, late()) for when, pose, late in before]
-        return found, self._believed(seen, now, share, lines, belief)
+                self._slips += 1
+                if _view(scan) < VIEW or not self._series.goes_on(now, _made(before), believed):
+                    return slipped, True
+                self._slips -= CARRIED
+                if self._series.mistaken(now):
+                    self._take_back(now, lines, belief)
+                    return associate(scan, lines, belief, gate), True
+                self._lose(self._series.begun, lines, belief)
+                return slipped, False
+        return found, self._believed(_made(before), now, share, lines, belief)
 
-    def passed(self, seen: Sequence[Late], well: tuple[float, int] | None) -> None:
-        """Take in scans that the core took, and of the last one that fitted well when it was, and the next line.
+    def passed(
+        self,
+        poses: tuple[Array, Array],
+        seen: Sequence[tuple[float, Callable[[], Scan]]],
+        well: tuple[float, int] | None,
+    ) -> None:
+        """Take in scans that the core took, each of which matched enough: the poses before and after it, (n, 3).
 
-        Enough was matched of each.
+        `seen` are the last of them; `well` is when one last fitted well, and the number of the next line.
         """
-        self._before.extend(seen)
-        self._now, self._last, _ = seen[-1]
+        before, after = poses
+        wheels = self._rolled_by(before, after)
+        last: list[Pose] = [(x, y, theta) for x, y, theta in wheels[-len(seen) :].tolist()]
+        self._before.extend((t, pose, scan) for (t, scan), pose in zip(seen, last, strict=True))
+        self._wheels, self._now = last[-1], seen[-1][0]
+        self._last, self._after = tuple(before[-1].tolist()), tuple(after[-1].tolist())
         self._since, self._torn = None, False
         self._well = self._well if well is None else well
 
@@ -116,7 +137,7 @@ class Guard:
         if _view(scan) < VIEW:  # a doorway, clutter: too little to contradict anything
             return not self._torn
         if self._torn:
-            self._torn = not _continues(self._before_torn, now)
+            self._torn = not continues(self._before_torn, now)
         elif share < HARDLY and _jumped(before, now):
             self._torn, self._before_torn = True, before
         if self._torn:
@@ -126,53 +147,72 @@ class Guard:
             return True
         return self._disagree(t, lines, belief)
 
-    def _carried_off(self, t: float, scan: Scan, lines: LineMap, belief: JointBelief) -> bool:
-        """Count a slip; a series of them is none: somebody carries the robot, and it is lost from the first on.
-
-        Only where much is seen: in clutter, or by a narrow camera, some heading fits a few short lines.
-        """
-        self._slips += 1
-        if _view(scan) < VIEW:
-            return False
-        first, last, count = self._carried or (t, t, 0)
-        if t - last > SERIES:
-            first, count = t, 0
-        self._carried = (first, t, count + 1)
-        if count + 1 < CARRIED:
-            return False
-        self._slips -= CARRIED
-        self._carried = None
-        self._lose(first, lines, belief)
-        return True
+    def _take_back(self, now: Seen, lines: LineMap, belief: JointBelief) -> None:
+        """Go back to before a series of slips, on by the wheels, and forget what was learnt meanwhile."""
+        self._forget_since_well(lines, belief)
+        belief.place(self._series.undone(now), PLACED_XY**2, PLACED_THETA**2)
 
     def _lose(self, since: float, lines: LineMap, belief: JointBelief) -> None:
         """Mark the robot as lost from the last scan that fitted well; what was learnt after it is forgotten."""
-        well, born = self._well
+        well, _ = self._well
         self._lost_from = max(min(since, well), since - LOOK_BACK)
         if self._intervals and self._lost_from <= self._intervals[-1][1]:  # what was found was no place
             self._lost_from = min(self._lost_from, self._intervals.pop()[0])
-        gone = np.flatnonzero(lines.ids >= born)
         belief.lost = True
+        self._forget_since_well(lines, belief)
+        self._trail.forget()
+        self._tried = 0
+        belief.place((belief.x, belief.y, belief.theta), LOST_XY**2, math.pi**2 / 3.0)
+
+    def _forget_since_well(self, lines: LineMap, belief: JointBelief) -> None:
+        gone = np.flatnonzero(lines.ids >= self._well[1])
         if len(gone) < len(lines):
             belief.remove(lines.drop(gone))
-        self._trail.forget()
-        belief.place((belief.x, belief.y, belief.theta), LOST_XY**2, math.pi**2 / 3.0)
+
+    def _rolled(self, belief: JointBelief) -> Pose:
+        """Return where the wheels alone put the robot, on from where they did at the last scan."""
+        here = np.array([[belief.x, belief.y, belief.theta]])
+        ((x, y, theta),) = self._rolled_by(here, here).tolist()
+        self._wheels, self._after = (x, y, theta), (belief.x, belief.y, belief.theta)
+        return self._wheels
+
+    def _rolled_by(self, before: Array, after: Array) -> Array:
+        """Return where the wheels alone put the robot at scans (n, 3), by the poses before and after each."""
+        begin = before[:1] if self._after is None else np.array([self._after])
+        steps = se2.between(np.concatenate((begin, after[:-1])), before)
+        return se2.chained(np.array(self._wheels), steps)
 
     def turn_page(self) -> None:
         """Go on in another map: what was seen before in this one's frame is void."""
         self._before.clear()
-        self._since = self._carried = None
+        self._since = self._after = None
+        self._series = Series()
         self._last = (math.inf, math.inf, math.inf)
         self._torn = False
+
+    def gives_up(self) -> bool:
+        """Return whether a lost robot has driven on for long and its place on the map was not found."""
+        return self._lost_from is not None and not self.gave_up and self._tried >= PATIENCE
+
+    def recognised(self, t: float) -> None:
+        """Know again where the map lies that a lost robot began."""
+        if self._adrift is not None:
+            self._intervals.append((self._adrift, t))
+        self._adrift = None
 
     def begin_anew(self, t: float, belief: JointBelief) -> None:
         """Begin with a map that begins now, where the robot is in it is exactly known."""
         self._before.clear()
-        self._since = self._place = self._carried = None
+        self._since = self._place = None
+        self._series = Series()
         self._last = (math.inf, math.inf, math.inf)
         self._trail.forget()
-        if self._lost_from is not None:
+        self._after = None
+        if self.gave_up and self._lost_from is not None:
+            self._adrift, self._lost_from = min(self._lost_from, self._adrift or math.inf), None
+        if self._lost_from is not None or belief.lost:
             self._found(t, belief)
+        self.gave_up = False
 
     def _found(self, t: float, belief: JointBelief) -> None:
         if self._lost_from is not None:
@@ -192,8 +232,10 @@ class Guard:
     def _search(
         self, t: float, scan: Scan, found: Association, lines: LineMap, belief: JointBelief, gate: float
     ) -> tuple[Association, bool]:
+        if not self._trail.note(np.array([belief.x, belief.y, belief.theta]), scan):
+            return found, False  # from the same place nothing new is seen
+        self._tried += 1
         pose = find_pose(scan, lines, belief, self._trail)
-        self._trail.note(np.array([belief.x, belief.y, belief.theta]), scan)
         if pose is None or self._lost_from is None or not self._confirmed(pose, belief):
             return found, False
         belief.place(pose, PLACED_XY**2, PLACED_THETA**2)
@@ -211,7 +253,8 @@ class Guard:
             off = np.array(pose) - se2.compose(np.array(place), se2.between(there, here))
             if math.hypot(off[0], off[1]) < SAME_XY and abs(se2.wrap(float(off[2]))) < SAME_THETA:
                 self._place = (there, place, times + 1)
-                return times + 1 >= CONFIRMED
+                known = float(belief.matrix()[2, 2]) < HEADING_KNOWN**2
+                return times + 1 >= (WITH_HEADING if known else CONFIRMED)
         self._place = (here, pose, 1)
         return False
 
@@ -222,19 +265,24 @@ class Guard:
 
     def intervals(self) -> list[tuple[float, float]]:
         """Return when the robot was lost, (start, end) [s]; one that never ended is open (infinite)."""
-        open_end = [] if self._lost_from is None else [(self._lost_from, math.inf)]
-        return [*self._intervals, *open_end]
+        since = [t for t in (self._lost_from, self._adrift) if t is not None]
+        return [*self._intervals, *([(min(since), math.inf)] if since else [])]
 
     def words(self) -> list[str]:
         """Say what happened."""
         words = [f"lost from {a:.1f} s to {b:.1f} s after the start, then found again" for a, b in self._intervals]
-        if self._lost_from is not None:
-            since = f"lost from {self._lost_from:.1f} s after the start until the end"
-            words.append(f"{since}: no place on the map fits, or several do")
+        for a, b in self.intervals():
+            if math.isinf(b):
+                since = f"lost from {a:.1f} s after the start until the end"
+                words.append(f"{since}: no place on the map fits, or several do")
         if self._slips:
             slips = "1 wheel slip" if self._slips == 1 else f"{self._slips} wheel slips"
             words.append(f"{slips} recovered by the lines of the map")
         return words
+
+
+def _made(seen: Sequence[Late]) -> list[Seen]:
+    return [(t, pose, scan()) for t, pose, scan in seen]
 
 
 def _jumped(before: Sequence[Seen], now: Seen) -> bool:
@@ -246,7 +294,7 @@ def _jumped(before: Sequence[Seen], now: Seen) -> bool:
     recent = [one for one in before if now[0] - one[0] <= GAP]
     if not recent or max(_view(one[2]) for one in recent) < VIEW:
         return False
-    return not _continues(recent, now, HARDLY)
+    return not continues(recent, now, HARDLY)
 
 
 def _view(scan: Scan) -> float:
@@ -254,13 +302,6 @@ def _view(scan: Scan) -> float:
     r = np.abs(scan.z[:, :1])
     bearings = np.arctan2(scan.ends, np.maximum(r, 1e-6))
     return float((bearings[:, 1] - bearings[:, 0]).sum())
-
-
-def _continues(before: Sequence[Seen], now: Seen, share: float = CONTINUES) -> bool:
-    """Return whether this scan shows walls where one of these scans and the wheels expect them."""
-    _, here, scan = now
-    steps = ((old, se2.between(np.array(there), np.array(here))) for _, there, old in before if len(old.z))
-    return any(expected_share(scan, old, step, MAX_SLIP_RAD) >= share for old, step in steps)
 
 
 def _sees_through(scan: Scan, lines: LineMap, belief: JointBelief) -> bool:
@@ -278,46 +319,3 @@ def _keep_open(belief: JointBelief, dt: float) -> None:
     theta = float(belief.matrix()[2, 2])
     fades = min(CARRY_TURN**2 * dt, max(math.pi**2 / 3.0 - theta, 0.0))
     belief.shift(0.0, CARRY**2 * dt, fades)
-
-
-def _after_slip(scan: Scan, lines: LineMap, belief: JointBelief, gate: float) -> Association | None:
-    """Turn the belief by the heading change that makes most of the scan match; None, and no change, without one.
-
-    Every heading is tried on the belief itself and the whole map: what is accepted here is what will be matched.
-    """
-    recent = np.flatnonzero(lines.seen.max(initial=0) - lines.seen <= RECENT)
-    least, found = SLIP_SHARE, None
-    for turn in _turns(scan, lines, recent, belief):
-        with tried(belief, turn, SLIP_XY**2, SLIP_THETA**2):
-            there = associate(scan, lines, belief, gate)
-        share = there.share()
-        if share >= least and sum(p >= 0 for p in there.match) >= 2:
-            least, found = share + 1e-9, turn
-    if found is None:
-        return None
-    belief.shift(found, SLIP_XY**2, SLIP_THETA**2)
-    return associate(scan, lines, belief, gate)
-
-
-@contextmanager
-def tried(belief: JointBelief, turn: float, xy: float, theta: float) -> Iterator[None]:
-    """Shift the belief for as long as the block lasts."""
-    belief.shift(turn, xy, theta)
-    try:
-        yield
-    finally:
-        belief.shift(-turn, -xy, -theta)
-
-
-def _turns(scan: Scan, lines: LineMap, recent: Ints, belief: JointBelief) -> list[float]:
-    """Return the distinct heading changes that lay a seen line onto a recent one, the most supported first."""
-    beta = lines.values(belief)[recent, 1]
-    turns = se2.wrap_all(beta[None, :] - belief.theta - scan.z[:, 1, None])
-    length = np.broadcast_to((scan.ends[:, 1] - scan.ends[:, 0])[:, None], turns.shape)
-    near = np.abs(turns) < MAX_SLIP_RAD
-    cells = np.round(turns[near] / math.radians(2.0)).astype(np.int64)
-    support: dict[int, float] = {}
-    for cell, weight in zip(cells.tolist(), length[near].tolist(), strict=True):
-        support[cell] = support.get(cell, 0.0) + weight
-    ranked = sorted(support, key=lambda c: (-support[c], abs(c), c))[:CANDIDATES]
-    return [c * math.radians(2.0) for c in ranked if c != 0]

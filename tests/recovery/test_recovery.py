@@ -17,8 +17,8 @@ from locfuse.fusion.data import Estimates, Evaluation
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.linemap.scan import Scan
-from locfuse.fusion.linemap.scan_history import Trail, expected_share
 from locfuse.fusion.measure import measure
+from locfuse.fusion.recovery.scan_history import Trail, expected_share
 
 Array = NDArray[np.float64]
 AT = 12.0  # s

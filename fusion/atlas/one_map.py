@@ -14,17 +14,16 @@ from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import VERDICTS, Array, Ints, LocfuseError, MapLine, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.linemap.association import Association, Codes, SeenLines, associate, new_lines
+from locfuse.fusion.linemap.laser_mount import seated, seated_shares
+from locfuse.fusion.linemap.line_map import LineMap, about_middle
+from locfuse.fusion.linemap.scan import Passed, Scan, Scans
+from locfuse.fusion.linemap.standing import Standing
+from locfuse.fusion.linemap.tidy import MIN_HITS, TIDY_EVERY, merge_doubles, prune
 from locfuse.fusion.lines.flatness import bend
 from locfuse.fusion.mount import Mount
+from locfuse.fusion.recovery.guard import Guard
 from locfuse.fusion.sensor import Block, Innovation, Model
-
-from .association import Association, Codes, SeenLines, associate, new_lines
-from .guard import Guard
-from .laser_mount import seated, seated_shares
-from .line_map import LineMap, about_middle
-from .scan import Passed, Scan, Scans
-from .standing import Standing
-from .tidy import MIN_HITS, TIDY_EVERY, merge_doubles, prune
 
 UNMATCHED, AMBIGUOUS, NEW, LOST, REPEATED = (
     VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new", "lost", "repeated")
@@ -126,6 +125,8 @@ class LineTracker(Model):
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Let matched extents grow, and add what is new: all of the first scan, later only in `grow`."""
         first, last = int(m.first[i]), int(m.first[i + 1])
+        if self.guard is not None and last > first:
+            self.guard.corrected(belief)
         if first == last or not self._teach or self.mode == "given":
             return
         if i != self._asked:  # two scans at one instant: what is known of matches is of the last one
@@ -200,11 +201,15 @@ class LineTracker(Model):
         return {}
 
     def passed(
-        self, rolled: tuple[float, float, float], number: int, way: Any, last: Sequence[Passed], well: int | None
+        self, progress: Any, way: Any, poses: tuple[Array, Array], last: Sequence[Passed], well: int | None
     ) -> None:
-        """Take in what the core did without asking: the last scans that it took, and which one fitted well."""
-        self._scan = number
-        self._standing.moved(rolled)
+        """Take in what the core did without asking (core.tables.Progress, Way).
+
+        `poses` (n, 3) are those before and after each scan that it took, `last` the last of these, `well` is which
+        one last fitted well.
+        """
+        self._scan = progress.number
+        self._standing.moved((progress.x, progress.y, progress.theta))
         if not last:
             return
         m = last[-1].of
@@ -212,8 +217,8 @@ class LineTracker(Model):
         self._asked, self._teach = last[-1].i, True
         self._standing.begin(self._raw)
         if self.guard is not None:
-            seen = [(float(m.t[one.i]), one.pose, partial(self._seen_before, one)) for one in last]
-            self.guard.passed(seen, None if well is None else (float(m.t[well]), self.map.next_id))
+            seen = [(float(m.t[one.i]), partial(self._seen_before, one)) for one in last]
+            self.guard.passed(poses, seen, None if well is None else (float(m.t[well]), self.map.next_id))
 
     def _seen_before(self, one: Passed) -> Scan:
         scan = self._scans.read(one.of, *one.rows)

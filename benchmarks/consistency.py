@@ -26,7 +26,7 @@ import click
 
 from locfuse.cli.pipeline.load import make_robot
 from locfuse.formats.robot import robot_toml
-from locfuse.fusion.data import ArrayStream, Drive
+from locfuse.fusion.data import Array, ArrayStream, Drive
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
@@ -39,7 +39,7 @@ from .consistency_before import BEFORE
 from .consistency_cases import ALONE, CASES, Case
 from .consistency_figures import Figures, Means, figures, means
 from .consistency_kept import Kept
-from .consistency_starts import ENOUGH, Alone, alone, start_of
+from .consistency_starts import ENOUGH, Start, alone, often_short, start_of
 from .consistency_table import HEAD, row
 
 STARTS = (ALONE, *(c.name for c in CASES if c.name.startswith("laser, start")))
@@ -69,33 +69,35 @@ def judged(case: Case, seed: int) -> Figures:
     return figures(run, drive, case.aligned_from, case.unknowable)
 
 
-def starts_alone(case: Case, seeds: range) -> Alone | None:
-    """Return what the drawn starts alone give in a case where nothing observes them; None: another case."""
+def way_of(case: Case, seeds: range) -> tuple[Start, Array] | None:
+    """Return the start and the way (n, 2) [m] from it in a case where nothing observes it; None: another."""
     start = start_of(case.sets)
     if case.name not in STARTS or start is None:
         return None
     truth = drive_of(case, seeds[0])[0].truth
     assert truth is not None
-    return alone(start, truth.xy - truth.xy[0], seeds)
+    return start, truth.xy - truth.xy[0]
 
 
 def fair(case: Case, seeds: range) -> Case:
     """Return the case with the share inside 3 sigma that its drawn starts allow."""
-    by_start = starts_alone(case, seeds)
-    if by_start is None:
+    found = way_of(case, seeds)
+    if found is None:
         return case
+    by_start = alone(*found, seeds)
     return replace(case, goal=replace(case.goal, inside=min(case.goal.inside, by_start.inside - LEEWAY)))
 
 
 def invariants(found: Mapping[str, Means], seeds: range) -> Iterator[str]:
     """Say what must not depend on the start's sigma or on the laser's rate, and what is chance."""
     for case in CASES:
-        by_start = starts_alone(case, seeds) if case.name in found else None
-        if by_start is not None:
+        started = way_of(case, seeds) if case.name in found else None
+        if started is not None:
+            by_start, chance = alone(*started, seeds), often_short(*started, len(seeds))
             yield (
                 f"{case.name}: the drawn starts alone have ANEES {by_start.anees:.2f} and "
                 f"{by_start.inside:.2%} inside 3 sigma, whatever the filter does. Of other sets of {len(seeds)} "
-                f"drawn starts {by_start.short:.0%} have less than {ENOUGH:.0%}."
+                f"drawn starts {chance:.0%} have less than {ENOUGH:.0%}."
             )
     starts = [name for name in STARTS if name in found]
     if len(starts) > 1:

@@ -16,10 +16,13 @@ import io
 import os
 import re
 import shlex
-import subprocess
+import signal
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
+
+from locfuse.cli.main import main as main_of_locfuse
 
 ROOT = Path(__file__).parent.parent
 PAGES = ("README.md", "docs/bags.md", "docs/paper.md", "docs/trust.md")
@@ -40,20 +43,36 @@ def output(command: str, folder: Path) -> str:
     words = shlex.split(command.removesuffix(NOTHING))
     if words[0] != "locfuse":
         raise ValueError(f"only locfuse commands are run: {command}")
-    environment = {**os.environ, "COLUMNS": WIDTH, "NO_COLOR": "1", "TERM": "dumb"}
-    done = subprocess.run(
-        [sys.executable, "-m", "locfuse.cli", *words[1:]],
-        cwd=folder,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if done.returncode != 0:
-        raise RuntimeError(f"{command}: exit {done.returncode}\n{done.stderr}")
+    printed, said = io.StringIO(), io.StringIO()
+    with contextlib.chdir(folder), typed(), contextlib.redirect_stdout(printed), contextlib.redirect_stderr(said):
+        code = exit_code(words[1:])
+    if code != 0:
+        raise RuntimeError(f"{command}: exit {code}\n{said.getvalue()}")
     if command.endswith(NOTHING):
         return ""
-    return "\n".join(line.rstrip() for line in done.stdout.splitlines() if line.strip())
+    return "\n".join(line.rstrip() for line in printed.getvalue().splitlines() if line.strip())
+
+
+@contextlib.contextmanager
+def typed() -> Iterator[None]:
+    """Let this process look like a plain terminal of the pages' width, and leave it as it was."""
+    before, handler = dict(os.environ), signal.getsignal(signal.SIGTERM)
+    os.environ |= {"COLUMNS": WIDTH, "NO_COLOR": "1", "TERM": "dumb"}
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ |= before
+        signal.signal(signal.SIGTERM, handler)
+
+
+def exit_code(words: list[str]) -> int:
+    """Run the command line in this process, which has imported what it needs, and return its exit code."""
+    try:
+        main_of_locfuse(words)
+    except SystemExit as e:
+        return int(e.code or 0)
+    return 0
 
 
 def replayed(page: str, folder: Path) -> str:

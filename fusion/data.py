@@ -364,6 +364,7 @@ class Estimates:
     truth_pose: Array | None = None  # (q, 3) predicted at the truth stamps, NaN before the drive
     truth_P: Array | None = None  # (q, 3, 3)
     notes: tuple[str, ...] = ()  # slips, being lost and found again
+    slips: int = 0  # of a wheel, that were found and turned back
     lost: tuple[tuple[float, float], ...] = ()  # s: when the filter did not know where it was
     # (m, 2) s: when a place was seen before, and when it was recognised, in order of the second
     loops: Array = field(default_factory=lambda: np.zeros((0, 2)))

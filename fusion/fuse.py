@@ -246,6 +246,7 @@ class Filter:
             truth_pose=truth_pose,
             truth_P=truth_P,
             notes=tuple(self._notes()),
+            slips=sum(m.slips() for m in self.models.values()),
             lost=tuple(
                 (a, min(b, float(drive.t[-1]))) for m in self.models.values() for a, b in m.lost_intervals()
             ),

@@ -28,6 +28,13 @@ MAX_PRIOR_SIGMAS = (
 )
 SAID_SIGMAS = 3.0  # its own: a mount found further off than this, and than it is known to be, is reported
 
+# of a topic's name: an inertial sensor inside a camera or laser, or on an arm, which is not the robot's own
+NOT_ON_BODY = (
+    *("camera", "zed", "realsense", "oak", "d435", "t265", "lidar", "livox", "ouster", "velodyne"),
+    *("gripper", "wrist", "arm", "hand", "head", "tilt", "tool"),
+)
+BARE_NUMBERS = ("std_msgs/msg/Float64", "std_msgs/msg/Float32")  # they say no unit, sense or frame: read last
+
 
 class MountedSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Keys of a sensor whose place on the base counts."""

@@ -292,6 +292,10 @@ class Model:
         """Return id and place x, y [m, map frame] of every landmark that the run placed."""
         return []
 
+    def slips(self) -> int:
+        """Return how many slips of a wheel were found and turned back."""
+        return 0
+
     def lost_intervals(self) -> list[tuple[float, float]]:
         """Return when this sensor found the robot not to know where it was, (start, end) [s]."""
         return []
@@ -398,6 +402,13 @@ class Sensor(ABC):
         """Return times (n,) [s] and headings (n,) [rad, unwrapped, up to a constant] by its own turning.
 
         None where it does not turn by itself. Clock lags, mirrored wheels and the track are found by it.
+        """
+        return None
+
+    def misfit(self, m: Measurements, settings: Any, poses: Array) -> float | None:
+        """Return how badly its readings fit the robot's poses (n, 3) at their times: a spread, in any unit.
+
+        None where poses do not say what it should read. A truth's clock is held against a sensor's by it.
         """
         return None
 

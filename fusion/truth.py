@@ -18,16 +18,27 @@ from .robot import TruthSettings
 
 BODIES = "mocap4r2_msgs/msg/RigidBodies"
 FIX = "sensor_msgs/msg/NavSatFix"
+# Types that hold several bodies -> the fields of their names and poses: motion capture, and what Gazebo simulates.
+SEVERAL: Mapping[str, tuple[str, ...]] = {
+    kind: (
+        names,
+        *(f"{pose}.position.{axis}" for axis in "xy"),
+        *(f"{pose}.orientation.{axis}" for axis in "xyzw"),
+    )
+    for kind, names, pose in (
+        (BODIES, "rigidbodies.rigid_body_name", "rigidbodies.pose"),
+        ("gazebo_msgs/msg/ModelStates", "name", "pose"),
+        ("gazebo_msgs/msg/LinkStates", "name", "pose"),
+    )
+}
+KNOWN_TRUTH = (BODIES, "gazebo_msgs/msg/ModelStates")  # types that are a reference whatever their topic is called
 TRUTH_READS: Mapping[str, tuple[str, ...]] = {
     **POSE,
     "geometry_msgs/msg/PointStamped": ("point.x", "point.y"),
-    BODIES: (
-        "rigidbodies.rigid_body_name",
-        *(f"rigidbodies.pose.position.{axis}" for axis in "xy"),
-        *(f"rigidbodies.pose.orientation.{axis}" for axis in "xyzw"),
-    ),
+    **SEVERAL,
     FIX: ("latitude", "longitude"),
 }
+MIN_MOVED_M = 0.1  # m: a body that goes less far is no robot on a drive
 TRUTH_NAMES = (
     "ground_truth",
     "groundtruth",
@@ -84,7 +95,7 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
 def _values(stream: Stream, settings: TruthSettings, dropped: dict[str, int]) -> Array:
     """Return x, y [m] and perhaps a quaternion (n, 2) or (n, 6) of every reading; NaN where there is none."""
     columns = stream.columns(*TRUTH_READS[stream.msgtype])
-    if stream.msgtype == BODIES:
+    if stream.msgtype in SEVERAL:
         return _of_body(stream.topic, columns, settings.body, dropped)
     values = np.stack([np.asarray(column, np.float64) for column in columns.values()], axis=-1)
     return _in_plane(values, settings) if stream.msgtype == FIX else values
@@ -95,8 +106,8 @@ def _of_body(topic: str, columns: dict[str, Column], body: str | None, dropped: 
     names, *fields = columns.values()
     rows = cast("list[tuple[str, ...]]", names)
     known = sorted({name for row in rows for name in row})
-    if body is None and len(known) == 1:
-        body = known[0]
+    if body is None and len(moving := _moving(rows, cast("list[Ragged]", fields), known)) == 1:
+        body = moving[0]
     if body not in known:
         fix = f"truth.body={known[0]}" if known else ""
         said = f"{topic} tracks {', '.join(known) or 'nothing'}" + (f", not {body}" if body is not None else "")
@@ -110,6 +121,20 @@ def _of_body(topic: str, columns: dict[str, Column], body: str | None, dropped: 
     for i, column in enumerate(cast("list[Ragged]", fields)):
         values[held, i] = column.values[column.first[:-1][held] + place[held]]
     return values
+
+
+def _moving(rows: list[tuple[str, ...]], fields: list[Ragged], known: list[str]) -> list[str]:
+    """Return the bodies that move, all where there is one: a simulated room stands still among them."""
+    if len(known) == 1:
+        return known
+    found = []
+    for body in known:
+        at = [(i, row.index(body)) for i, row in enumerate(rows) if body in row]
+        x, y = (np.array([column.values[column.first[i] + k] for i, k in at]) for column in fields[:2])
+        away = np.hypot(x - x[0], y - y[0])
+        if np.nanmax(away, initial=0.0) > MIN_MOVED_M:
+            found.append(body)
+    return found
 
 
 def _in_plane(where: Array, settings: TruthSettings) -> Array:

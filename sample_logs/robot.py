@@ -7,6 +7,7 @@ pose between two knots is a point on that arc. No sensor samples a knot; all of 
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,7 @@ from .scenario import Motor, Scenario, Wheels
 SIDES = ("left", "right")
 
 STEPS_PER_TICK = 4  # physics steps per encoder tick
+KNOTS = np.arange(STEPS_PER_TICK + 1)  # their ends
 
 
 class Trail:
@@ -45,9 +47,8 @@ class Trail:
         if need > len(self._pose):
             self._pose = np.concatenate((self._pose, np.zeros_like(self._pose)))
             self._twist = np.concatenate((self._twist, np.zeros_like(self._twist)))
-        for i, pose in enumerate(se2.exp(twist), start=self.count):
-            self._twist[i] = twist[i - self.count]
-            self._pose[i + 1] = se2.compose(self._pose[i], pose)
+        self._twist[self.count : need - 1] = twist
+        self._pose[self.count + 1 : need] = _chained(self._pose[self.count], se2.exp(twist))
         self.count = need - 1
 
     def knots(self) -> Array:
@@ -63,6 +64,18 @@ class Trail:
         i = np.clip((t / self.step).astype(np.int64), 0, max(self.count - 1, 0))
         share = t / self.step - i
         return se2.compose(self._pose[i], se2.exp(self._twist[i] * share[:, None]))
+
+
+def _chained(start: Array, moves: Array) -> list[tuple[float, float, float]]:
+    """Return the poses after each of the moves (k, 3), one from the other: `se2.compose`, in plain floats."""
+    x, y, theta = start.tolist()
+    theta = np.cumsum((theta, *moves[:, 2]))
+    cos, sin = np.cos(theta).tolist(), np.sin(theta).tolist()
+    poses = []
+    for (ahead, left, _), c, s, heading in zip(moves.tolist(), cos, sin, theta[1:].tolist(), strict=False):
+        x, y = x + c * ahead - s * left, y + s * ahead + c * left
+        poses.append((x, y, heading))
+    return poses
 
 
 class Tick(NamedTuple):
@@ -85,7 +98,8 @@ class Wheel:
         self.step = self.dt / STEPS_PER_TICK
         self.slots = wheels.slots
         self.rad_per_count = 2 * math.pi / (wheels.slots * COUNTS_PER_SLOT)
-        self.samples = max(1, round(self.dt * wheels.sampling))
+        self.counts_per_rad = wheels.slots * COUNTS_PER_SLOT / (2 * math.pi)
+        self.looks = np.linspace(0, STEPS_PER_TICK, max(1, round(self.dt * wheels.sampling)) + 1)  # steps
         self.rng = rng
         self.angle = rng.uniform(0, self.rad_per_count)  # rad, true; the disc's rest position is not ours
         self.speed = 0.0  # rad/s, true
@@ -128,11 +142,16 @@ class Wheel:
         return min(max(forward + m.kp * error + m.ki * self._integral + m.kd * slope, -1.0), 1.0)
 
     def _count(self, angles: list[float]) -> None:
-        at = np.linspace(0, STEPS_PER_TICK, self.samples + 1)
-        seen = decode(*phases(np.interp(at, np.arange(STEPS_PER_TICK + 1), angles), self.slots))
-        change = int(seen.counts.sum())
+        steepest = max(abs(b - a) for a, b in pairwise(angles))  # rad per physics step
+        if steepest * STEPS_PER_TICK < 0.99 * self.rad_per_count * (len(self.looks) - 1):
+            # less than a count from look to look: none is missed, and only where it began and ended matters
+            begin, end = (math.floor(angle * self.counts_per_rad) for angle in (angles[0], angles[-1]))
+            change = end - begin
+        else:
+            seen = decode(*phases(np.interp(self.looks, KNOTS, angles), self.slots))
+            change = int(seen.counts.sum())
+            self.missed += int(seen.missed.sum())
         self.counts += change
-        self.missed += int(seen.missed.sum())
         self.measured = change * self.rad_per_count / self.dt
 
 

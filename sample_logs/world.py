@@ -168,16 +168,23 @@ def hit_rings(rings: Array, origin: Array, direction: Array) -> Array:
 
 def clearance(plan: Plan, points: Array) -> Array:
     """Return the distance of every point (n, 2) from the nearest thing in the plan, (n,) m."""
-    a, along = plan.segments[:, :2], plan.segments[:, 2:] - plan.segments[:, :2]
-    w = points[:, None] - a[None]
-    share = np.clip((w * along).sum(axis=-1) / (along * along).sum(axis=-1), 0, 1)
-    gap = w - share[..., None] * along
+    to_walls = _squared_gaps(plan.segments, points)
     to_circles = points[:, None] - plan.circles[None, :, :2]
     to_rings = points[:, None] - plan.rings[None, :, :2]
     gaps = (
-        np.hypot(gap[..., 0], gap[..., 1]),
+        np.sqrt(to_walls.min(axis=1, keepdims=True, initial=np.inf)),
         np.hypot(to_circles[..., 0], to_circles[..., 1]) - plan.circles[:, 2],
         plan.rings[:, 2] - np.hypot(to_rings[..., 0], to_rings[..., 1]),
         np.full((len(points), 1), np.inf),
     )
     return np.asarray(np.concatenate(gaps, axis=1).min(axis=1))
+
+
+def _squared_gaps(segments: Array, points: Array) -> Array:
+    """Return the squared distance of every point (n, 2) from every wall (m, 4), (n, m) m^2."""
+    ax, ay, ex, ey = segments.T
+    ux, uy = ex - ax, ey - ay
+    wx, wy = points[:, :1] - ax, points[:, 1:] - ay
+    share = np.clip((wx * ux + wy * uy) / (ux * ux + uy * uy), 0.0, 1.0)
+    squared: Array = (wx - share * ux) ** 2 + (wy - share * uy) ** 2
+    return squared

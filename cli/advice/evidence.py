@@ -149,11 +149,16 @@ class Evidence:
         return [*by_runs, *(offer for offer in self._late_by_wheels() if offer[0].role not in named)]
 
     def _late_by_truth(self, lags: Mapping[str, Lag]) -> Iterator[Offer]:
-        """Yield lags against the truth's headings; small ones only of sensors that look wrong anyway."""
+        """Yield lags against the truth's headings; small ones only of sensors that look wrong anyway.
+
+        Not where another clock is surely wrong: what a few milliseconds change beside that is chance.
+        """
+        sure = any(f.code == CLOCK and f.severe for f in self.doctor)
         for sensor, lag in lags.items():
             if not self._using(sensor):
                 continue  # no run takes its readings as they are
-            sigmas = MIN_LAG_SIGMAS if self._complained(sensor) else MIN_SURE_LAG_SIGMAS
+            small = self._complained(sensor) and not sure
+            sigmas = MIN_LAG_SIGMAS if small else MIN_SURE_LAG_SIGMAS
             if abs(lag.offset) >= max(MIN_LAG_S, sigmas * lag.sigma):
                 yield from self._shifted(sensor, lag, "the truth")
 
@@ -273,6 +278,10 @@ class Evidence:
         for sensor, verdict in self.consistency.items():
             seen, more = [*_noise_options(verdict), *_above(verdict)], self._by_anees(sensor)
             words = verdict.words if seen else self._errors_in_sigmas(sensor)
+            if verdict.verdict == "overstated" and seen and more:
+                # a sigma above the configured one is no fix of one that is too high: it has words of its own
+                found.append(self._candidate(Finding(sensor, verdict.verdict, words), tuple(seen)))
+                seen, words = [], self._errors_in_sigmas(sensor)
             if seen or more:
                 finding = Finding(sensor, verdict.verdict, words)
                 options = tuple(dict.fromkeys((*seen, *more)))
@@ -314,11 +323,14 @@ class Evidence:
 
     def _wheel_noise(self) -> Candidate:
         noise = self.loaded.robot.wheels.noise
-        words, factors = f"wheels.noise = {noise:g} m does not fit this drive", WHEEL_NOISE_FACTORS
+        words = f"wheels.noise = {noise:g} m does not fit this drive"
+        factors: tuple[float, ...] = WHEEL_NOISE_FACTORS
         measured = self._slips_unusually
         if measured and self._slip is not None:
             words = self._slip.words
             factors = (self._slip.factor, *(factors if self.loaded.drive.truth is not None else ()))
+        if any(e.slips for e in self.compared.estimates):  # less noise would hold them for impossible
+            factors = tuple(factor for factor in factors if factor > 1.0)
         options = tuple((f"wheels.noise={noise * factor:.2g}",) for factor in factors)
         found = self._candidate(Finding("wheels", "noise", words), options, True)
         # odometry's one random walk tells no noise

@@ -18,6 +18,7 @@ from locfuse.fusion.wheels.odometry import ODOMETRY, PLANAR, POSE, SCANS, SPEED,
 from locfuse.fusion.wheels.read import WHEEL_READS
 
 from .mounts import is_base, is_odometry, last_word
+from .not_read import not_read
 from .topics import ONLY, Choice, likeliest, of_type, one
 
 if TYPE_CHECKING:
@@ -49,9 +50,17 @@ MADE_OF_MORE = (
     "t265",
     "combined",
     "global",
+    "rf2o",
+    "kiss",
+    "laser",
+    "scan",
+    "mavros",
 )
 ONLY_CORRECT = ("sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/Imu")  # types that make no motion by themselves
-RAW = ("unfiltered", "raw")
+RAW = ("unfiltered", "raw", "wheel", "encoder", "_enc")
+PRESENTED_AS = ("odometry",)  # how topics end that are another type made into an Odometry
+NOTHING_ELSE = "nothing else says how the robot moved"
+NEAREST = "the odometry nearest to the wheels"
 ASKED_FOR = ("goal", "initial", "waypoint")  # poses that are wishes or guesses of a person
 ESTIMATED = (
     "{topic} holds poses that another program estimated. They are taken, since nothing else in this log says how "
@@ -85,6 +94,10 @@ def choose_body(log: Log, robot: Robot, choice: Choice, scans: bool, stand_in: b
         return Body(topic, why, words, (f"wheels.topic={topic}",))
     if topic is not None:
         return Body(topic, why)
+    if (
+        body := _estimate(log, [t for t in _filled(log, robot, choice, (ODOMETRY,)) if in_room(log, t)])
+    ) is not None:
+        return body
     if scans and (laser := _scans(log, robot)) is not None:
         lacks = "no wheels and no odometry" if stand_in else "no wheels of known size and no odometry"
         return Body(laser, f"{lacks}: its scans are matched with each other")
@@ -93,23 +106,39 @@ def choose_body(log: Log, robot: Robot, choice: Choice, scans: bool, stand_in: b
 
 def _stand_in(log: Log, robot: Robot, choice: Choice) -> Body | None:
     """Return what stands in for a measured motion: poses, else commands, else a steering angle."""
+    if (body := _estimate(log, _poses(log, robot, choice))) is not None:
+        return body
     for topics, note in (
-        (_poses(log, robot, choice), ESTIMATED),
         (_twists(log, robot, choice, asked=True), ONLY_COMMANDED),
         (_filled(log, robot, choice, tuple(STEERED)), ""),  # lacks the wheelbase, which its reader asks for
     ):
         if (topic := one(log, "wheels", None, topics, WHEEL_READS)) is not None:
-            return Body(topic, "nothing else says how the robot moved", note.format(topic=topic))
+            return Body(topic, NOTHING_ELSE, note.format(topic=topic))
     return None
 
 
+def _estimate(log: Log, topics: list[str]) -> Body | None:
+    """Return what another program estimated as the motion. Raises LocfuseError for several."""
+    topic = one(log, "wheels", None, topics, WHEEL_READS)
+    return None if topic is None else Body(topic, NOTHING_ELSE, ESTIMATED.format(topic=topic))
+
+
 def _measured(log: Log, robot: Robot, choice: Choice) -> tuple[list[str], str, list[str]]:
-    """Return topics that measured how the body moved, those of the best kind, why, and which others they beat."""
-    if odometry := _filled(log, robot, choice, (ODOMETRY,)):
-        return _least_made(odometry)
+    """Return topics that measured how the body moved, those of the best kind, why, and which others they beat.
+
+    An odometry that says where the robot is in the room is somebody's estimate: what was measured comes before it.
+    """
+    odometry = _filled(log, robot, choice, (ODOMETRY,))
+    estimated = [t for t in odometry if in_room(log, t)]
+    if rolled := [t for t in odometry if t not in estimated]:
+        best, why, others = _least_made(rolled)
+        return best, why if not estimated else NEAREST, [*others, *estimated]
     if pairs := odometry_frames(log):
-        return pairs, "the only odometry in /tf", []
-    return _twists(log, robot, choice, asked=False), ONLY, []
+        return pairs, "the only odometry in /tf", estimated
+    poses = [t for t in _filled(log, robot, choice, POSES) if not asked_for(t)]
+    if poses := [t for t in poses if is_odometry(log.stream(t).frame_id)]:
+        return poses, "poses in the frame of an odometry", estimated
+    return _twists(log, robot, choice, asked=False), ONLY, estimated
 
 
 def _filled(log: Log, robot: Robot, choice: Choice, kinds: Sequence[str]) -> list[str]:
@@ -121,10 +150,15 @@ def _filled(log: Log, robot: Robot, choice: Choice, kinds: Sequence[str]) -> lis
     found = [
         t
         for t in of_type(log, kinds)
-        if log.topics[t].count and t not in taken and ":" not in t and not looks_like_truth(t)
+        if log.topics[t].count and t not in taken and _a_topic(t) and not looks_like_truth(t)
     ]
     asked = {robot.settings(name).topic for name, sensor in REGISTRY.items() if sensor.asked_only}
     return [t for t in found if t not in asked] or found
+
+
+def _a_topic(name: str) -> bool:
+    """Return whether a name is a topic, or what a topic is presented as: not frames of /tf, nor a field."""
+    return ":" not in name or name.rpartition(":")[2] in PRESENTED_AS
 
 
 def _least_made(odometry: Sequence[str]) -> tuple[list[str], str, list[str]]:
@@ -132,7 +166,7 @@ def _least_made(odometry: Sequence[str]) -> tuple[list[str], str, list[str]]:
     found = [[t for t in odometry if _made(t) == rank] for rank in range(3)]
     best = next(topics for topics in found if topics)
     others = [t for t in odometry if t not in best]
-    return best, "the odometry nearest to the wheels" if others else ONLY, others
+    return best, NEAREST if others else ONLY, others
 
 
 def _made(topic: str) -> int:
@@ -144,10 +178,18 @@ def _made(topic: str) -> int:
 
 
 def _twists(log: Log, robot: Robot, choice: Choice, asked: bool) -> list[str]:
-    """Return topics of speeds that can be read: commanded ones (`asked`), or those that were measured."""
+    """Return topics of speeds that can be read: commanded ones (`asked`), or those that were measured.
+
+    Speeds in a frame that does not turn with the robot (odom, map) are not those ahead.
+    """
     steers = robot.wheels.wheelbase or robot.wheels.steering != "angle"
     kinds = (*TWISTS, *STEERED) if steers else TWISTS
-    return [t for t in _filled(log, robot, choice, kinds) if commanded(t) == asked]
+    found = [t for t in _filled(log, robot, choice, kinds) if commanded(t) == asked]
+    return [t for t in found if asked or not _beside_body(log.stream(t).frame_id)]
+
+
+def _beside_body(frame: str) -> bool:
+    return is_odometry(frame) or is_room(frame)
 
 
 def _poses(log: Log, robot: Robot, choice: Choice) -> list[str]:
@@ -171,6 +213,11 @@ def _scans(log: Log, robot: Robot) -> str | None:
 def odometry_frames(log: Log) -> list[str]:
     """Return the pairs of frames in /tf that are an odometry, as topics: a base that moves in a frame odom."""
     return moving_frames(log, is_odometry)
+
+
+def in_room(log: Log, topic: str) -> bool:
+    """Return whether the poses of a topic are given in a frame that stands still in the room."""
+    return is_room(log.stream(topic).frame_id)
 
 
 def is_room(frame: str) -> bool:
@@ -201,10 +248,11 @@ def nothing_moves(log: Log) -> NoWheelsError:
         f"nothing says how the robot moved: {log.name} has no wheels, no odometry (nor one in /tf), no laser, no "
         "poses and no speeds"
     )
+    others = [other for role in ("wheels", "lrf") if (other := not_read(log, role))]
     beside = [t for t in of_type(log, ONLY_CORRECT) if log.topics[t].count]
     corrects = f"; {' and '.join(beside)} can only correct a motion (a fix has no heading, an IMU no speed)"
     return NoWheelsError(
-        f"{words}{corrects if beside else ''}.",
+        ". ".join([f"{words}{corrects if beside else ''}", *others]) + ".",
         role="wheels",
         hint=f"It has {have}",
     )

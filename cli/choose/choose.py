@@ -13,10 +13,11 @@ from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensor import Sensor
 from locfuse.fusion.sensors.registry import REGISTRY, unmet
-from locfuse.fusion.truth import BODIES, TRUTH_READS, looks_like_truth
+from locfuse.fusion.truth import KNOWN_TRUTH, TRUTH_READS, looks_like_truth
 from locfuse.fusion.wheels.odometry import SCANS, commanded
 
 from .body_topics import asked_for
+from .not_read import not_read
 from .presented_topics import offer_presented
 from .tag_frames import offer_tags
 from .topics import NAMED, ONLY, Choice, Note, checked, likeliest, of_type, one, several_fit, types
@@ -71,9 +72,12 @@ def choose_sensor(log: Log, robot: Robot, name: str, insisted: bool, choice: Cho
         _refuse_twice(named, sensor, choice)
         choice.take(name, [checked(log, name, topic, sensor.reads) for topic in named], NAMED)
     elif not candidates:
-        if not sensor.extra:  # nobody expects what lies beside the paper's sensors
+        other = not_read(log, name)
+        if other:
+            choice.absent[name] = other
+        elif not sensor.extra:  # nobody expects what lies beside the paper's sensors
             choice.absent[name] = f"no topic of type {types(sensor.reads)} in {log.name}"
-        if not hasattr(settings, "file"):  # a file that nobody named is not missed
+        if not other and not hasattr(settings, "file"):  # a file that nobody named is not missed
             choice.foreign.add(name)
         return
     else:
@@ -123,10 +127,10 @@ def _candidates(log: Log, name: str, choice: Choice) -> list[str]:
     taken = {*choice.of("truth"), *wheels}
     found = [t for t in of_type(log, sensor.reads) if t not in taken]
     found = [t for t in found if _named_well(t, log.topics[t].msgtype, sensor)]
-    found = best_of(log, sensor, [t for t in found if log.topics[t].count != 0] or found)
+    found = [t for t in found if log.topics[t].count != 0] or found
     if len(found) > 1 and type(sensor).carries is not Sensor.carries:  # to ask costs reading the topics
-        found = [t for t in found if sensor.carries(log.stream(t))] or found[:1]
-    return found
+        found = [t for t in found if sensor.carries(log.stream(t))] or [likeliest(found, sensor.unlikely or ())]
+    return best_of(log, sensor, found)
 
 
 def best_of(log: Log, sensor: Sensor, topics: list[str]) -> list[str]:
@@ -138,7 +142,10 @@ def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None
     """Take the only candidate, or all; the likeliest; where a sensor beside it has one, the same."""
     sensor = REGISTRY[name]
     if len(candidates) == 1:
-        choice.take(name, candidates, ONLY)
+        same = [t for t in of_type(log, [log.topics[candidates[0]].msgtype]) if log.topics[t].count]
+        choice.take(name, candidates, ONLY if len(same) < 2 else "the only one of its type that fits")
+    elif sensor.extra and (shared := [t for t in candidates if t in choice.topics.values()]):
+        choice.take(name, shared[:1], "another sensor reads it too")
     elif sensor.several:
         choice.take(name, candidates, f"all {len(candidates)} topics of its type")
     elif sensor.unlikely is not None:
@@ -148,8 +155,6 @@ def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None
         choice.notes.append(Note(name, words, (f"{name}.topic={best}",)))
     elif not sensor.extra:
         raise several_fit(log, name, candidates)
-    elif shared := [t for t in candidates if t in choice.topics.values()]:
-        choice.take(name, shared[:1], "another sensor reads it too")
     else:  # beside the paper's sensors: a guess would be worse than none, and an error would stop the others
         why = several_fit(log, name, candidates)
         choice.leave(name, why.sentence, why.fixes)
@@ -167,7 +172,9 @@ def choose_truth(log: Log, robot: Robot, insisted: bool, choice: Choice) -> None
         return
     if named is not None and log.find(named) is None and not insisted:
         return
-    candidates = [t for t in of_type(log, TRUTH_READS) if looks_like_truth(t) or log.topics[t].msgtype == BODIES]
+    known = [t for t in of_type(log, TRUTH_READS) if log.topics[t].msgtype in KNOWN_TRUTH]
+    candidates = [t for t in of_type(log, TRUTH_READS) if looks_like_truth(t) or t in known]
     topic = one(log, "truth", named, candidates, TRUTH_READS)
     if topic is not None:
-        choice.take("truth", [topic], NAMED if named else "its name says so")
+        why = "its type says so" if topic in known else "its name says so"
+        choice.take("truth", [topic], NAMED if named else why)

@@ -1,11 +1,12 @@
-"""Topics of a log that are read as another type: scans out of clouds or echoes, joints out of ros2_control."""
+"""Topics of a log that are read as another type: scans out of clouds or echoes, joints of ros2_control, PX4's."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from locfuse.formats.messages.as_joints import DYNAMIC, JOINTS
-from locfuse.formats.messages.as_scan import CLOUD, ECHOES, SCAN
+from locfuse.formats.messages.as_px4 import IMU, LOCAL_POSITION, ODOMETRY, SENSOR_COMBINED, VEHICLE_ODOMETRY
+from locfuse.formats.messages.as_scan import CLOUD, ECHOES, FOXGLOVE, SCAN
 from locfuse.formats.messages.presented import presented_name
 
 from .topics import of_type
@@ -21,13 +22,19 @@ MIN_CLOUDS = 5  # of a topic: fewer are maps
 def offer_presented(log: Log) -> None:
     """Make topics of the usual types where the log holds none: each is called after its source, "/points:scan".
 
-    Of a laser's echoes all are offered, of clouds the likeliest one.
+    Of a laser's scans of Foxglove's kind and of its echoes all are offered, of clouds the likeliest one.
     """
     if not _filled(log, SCAN):
-        for topic in _filled(log, ECHOES) or _clouds(log)[:1]:
+        for topic in _filled(log, *FOXGLOVE) or _filled(log, ECHOES) or _clouds(log)[:1]:
             _present(log, topic)
     if not _filled(log, JOINTS):
         for topic in _filled(log, DYNAMIC):
+            _present(log, topic)
+    if not _filled(log, ODOMETRY):
+        for topic in _filled(log, VEHICLE_ODOMETRY)[:1] or _filled(log, LOCAL_POSITION)[:1]:
+            _present(log, topic)
+    if not _filled(log, IMU):
+        for topic in _filled(log, SENSOR_COMBINED)[:1]:
             _present(log, topic)
 
 
@@ -37,8 +44,8 @@ def _present(log: Log, topic: str) -> None:
         log.find(name)
 
 
-def _filled(log: Log, msgtype: str) -> list[str]:
-    return [t for t in of_type(log, (msgtype,)) if log.topics[t].count]
+def _filled(log: Log, *msgtypes: str) -> list[str]:
+    return [t for t in of_type(log, msgtypes) if log.topics[t].count]
 
 
 def _clouds(log: Log) -> list[str]:

@@ -110,5 +110,6 @@ def checked(log: Log, role: str, topic: str, reads: Iterable[str]) -> str:
 
 
 def types(reads: Iterable[str]) -> str:
-    """Return message types as people write them."""
-    return " or ".join(t.replace("/msg/", "/") for t in reads)
+    """Return message types as people write them, those of ROS where there are any."""
+    kinds = list(reads)
+    return " or ".join(t.replace("/msg/", "/") for t in [k for k in kinds if "foxglove" not in k] or kinds)

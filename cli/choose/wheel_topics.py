@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, cast
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.wheels.read import WHEEL_READS, counts_ticks
-from locfuse.fusion.wheels.sources import JOINTS, NUMBERS, SPEEDS, TICKS, joint_names
+from locfuse.fusion.wheels.sources import ARRAYS, JOINTS, NUMBERS, SPEEDS, TICKS, joint_names
 
 from .body_topics import choose_body, nothing_moves
 from .topics import NAMED, ONLY, Choice, Note, checked, of_type, several_fit
@@ -122,10 +122,11 @@ def _counters(log: Log, robot: Robot) -> tuple[list[str], str]:
     joints, ticks, speeds = (
         [t for t in of_type(log, kind) if log.topics[t].count != 0] for kind in ((JOINTS,), TICKS, SPEEDS)
     )
+    arrays = array_topics(log)
     pairs = pair_topics(log)
     if len(joints) + len(ticks) + len(speeds) + len(pairs) > 1:
         joints = [t for t in joints if _has_wheels(log, t, robot)]
-    for found in (joints, ticks, [] if pairs else speeds):
+    for found in (joints, ticks, [] if pairs or arrays else speeds, [] if pairs else arrays):
         if len(found) > 1:
             raise several_fit(log, "wheels", found)
         if found:
@@ -152,18 +153,23 @@ def _has_wheels(log: Log, topic: str, robot: Robot) -> bool:
     return True
 
 
+def array_topics(log: Log) -> list[str]:
+    """Return topics of arrays whose names read like counters of wheels."""
+    return [t for t in of_type(log, ARRAYS) if log.topics[t].count and _counts_by_name(t)]
+
+
+def _counts_by_name(topic: str) -> bool:
+    low = topic.lower()
+    return any(w in low for w in COUNTER_WORDS) and not any(w in low for w in COMMAND_WORDS)
+
+
 def pair_topics(log: Log) -> list[tuple[str, str]]:
     """Return pairs of topics with a number each, named alike but for left and right, that read like wheels."""
     numbers = [t for t in of_type(log, NUMBERS) if log.topics[t].count != 0]
     found = []
     for topic in numbers:
         partner = other_side(topic)
-        low = topic.lower()
-        if (
-            partner in numbers
-            and any(w in low for w in COUNTER_WORDS)
-            and not any(w in low for w in COMMAND_WORDS)
-        ):
+        if partner in numbers and _counts_by_name(topic):
             found.append((topic, partner))
     return found
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from locfuse.cli.choose.topics import Choice
+from locfuse.formats.log.clock import ON_STAMPS
 from locfuse.fusion.doctor.finding import Finding
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -42,6 +43,8 @@ def _other_clocks(known: Mapping[str, TopicFacts], choice: Choice, robot: Robot)
     wheels = known.get(choice.topics.get("wheels", ""))
     for role, topic in choice.topics.items() if wheels is not None else ():
         f = known.get(topic)
+        if f is not None and ON_STAMPS in (f.clock, wheels.clock if wheels is not None else ""):
+            continue  # dated on the clock that the stamps are of
         if wheels is None or f is None or abs(off := _beside(f) - _beside(wheels)) <= OTHER_CLOCK_S:
             continue
         settings = robot.truth if role == "truth" else robot.settings(role) if role in REGISTRY else None

@@ -118,7 +118,7 @@ def geometry(robot: Robot, found: RobotFacts) -> tuple[dict[str, float], str]:
 
 def _unused_counters(log: Log, choice: Choice) -> tuple[str, ...]:
     """Return topics of wheel turns that lost to an odometry for lack of geometry."""
-    from locfuse.cli.choose.wheel_topics import pair_topics
+    from locfuse.cli.choose.wheel_topics import array_topics, pair_topics
     from locfuse.fusion.wheels.sources import SPEEDS, TICKS
 
     taken = {t for role in choice.topics for t in choice.of(role)}
@@ -126,6 +126,8 @@ def _unused_counters(log: Log, choice: Choice) -> tuple[str, ...]:
         free = [t for t in of_type(log, kinds) if t not in taken and log.topics[t].count]
         if len(free) == 1:
             return (free[0],)
+    if len(arrays := [t for t in array_topics(log) if t not in taken]) == 1:
+        return (arrays[0],)
     pairs = pair_topics(log)
     return pairs[0] if len(pairs) == 1 and pairs[0][0] not in taken else ()
 

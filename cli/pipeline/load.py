@@ -41,6 +41,8 @@ from .settings import ORDERS, PRESETS, LogOptions, Progress, silent
 
 ATTACHMENT = "robot.toml"
 ONLY_FUSED = ("noise", "estimate", "sigma_scale", "sigma_track")  # keys of [wheels] that no measurement depends on
+# scans that are matched with each other say nothing of where their laser sits: any place fits them as well
+EXACT_LASER = {"lrf": {"sigma_x": 0.0, "sigma_y": 0.0, "sigma_yaw_deg": 0.0}}
 MAX_LISTED = 1000  # entries of a folder among which a mistyped name is looked for
 BASE_TABLES: dict[str, type[msgspec.Struct]] = {
     "wheels": WheelSettings,
@@ -161,7 +163,8 @@ def measured(
         sensed.setdefault("lrf", parts(streams["wheels"]))  # where it sits matters, whether or not it is a sensor
     frames = [part.frame_id for s in sensed for part in sensed[s]]
     transforms = transforms_of(log, frames)
-    mounts = robot_toml.merge(mount_tables(transforms, sensed), optics_tables(log, sensed, tables))
+    placed = EXACT_LASER if by_scans else {}
+    mounts = robot_toml.merge(placed, mount_tables(transforms, sensed), optics_tables(log, sensed, tables))
     robot = with_landmarks(make_robot(robot_toml.merge(mounts, shared_turns(tables, sensed), tables)))
     moving = on_moving_parts(transforms, sensed, tables)
     if by_scans and "lrf" in moving:

@@ -2,13 +2,16 @@
 
 Real stamps go backwards, repeat, are zero or absurd. The order of recording is the true one, so a stamp that
 contradicts it is replaced: it is dated by its recording time, between the trusted readings around it.
+
+A simulation that is recorded by wall time has stamps of seconds since its start, and it seldom runs as fast as the
+wall's clock. What has no header is then dated by when it was recorded, read on the clock of the others' stamps.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +25,16 @@ ORDERS = ("auto", "stamp", "recorded")
 MS = 10**6
 JUMP_NS = 10 * 10**9  # a stamp that moves by this much more or less than its recording time has left its clock
 LATENCY_NS = 10**9  # stamps that differ from recording by more are another clock, not a delay
+# light types with headers that most logs have: a few of them say which clock the stamps are of
+LIGHT = (
+    "nav_msgs/msg/Odometry",
+    "sensor_msgs/msg/JointState",
+    "sensor_msgs/msg/Imu",
+    "sensor_msgs/msg/LaserScan",
+)
+MIN_MESSAGES, MAX_TOPICS = 20, 3
+ON_STAMPS = "log time on the clock of the others' stamps (no header)"
+SAME_CLOCK_NS = 10**9  # offsets from the recording that differ by less are of one clock
 
 Mask = NDArray[np.bool_]
 
@@ -206,3 +219,34 @@ def _differ(log_time: Ints, stamp: Ints) -> tuple[str, ...]:
     if abs(delay) * 1e9 <= LATENCY_NS:
         return ()
     return (f"header stamps and log times differ by {delay:.3f} s (median): two clocks; header stamps are used",)
+
+
+def stamped_topics(types: Mapping[str, str], counts: Mapping[str, int]) -> list[str]:
+    """Return the topics whose stamps are looked at, of all by their types and numbers of messages."""
+    found = [t for kind in LIGHT for t in sorted(types) if types[t] == kind and counts[t] >= MIN_MESSAGES]
+    return found[:MAX_TOPICS]
+
+
+def common_clock(pairs: Sequence[tuple[Ints, Ints]]) -> tuple[Ints, Ints] | None:
+    """Return log times and stamps (n,) of one clock, both rising, where all topics' stamps are of another one.
+
+    `pairs` are log times and stamps (m,) of each topic. None where any is stamped as it was recorded, where they
+    differ, or where stamps run backwards.
+    """
+    if not pairs or any(np.diff(stamp).min(initial=0) < 0 for _, stamp in pairs):
+        return None
+    offsets = [int(np.median(log_time - stamp)) for log_time, stamp in pairs]
+    if min(abs(offset) for offset in offsets) < LATENCY_NS or np.ptp(offsets) > SAME_CLOCK_NS:
+        return None
+    log_time, stamp = max(pairs, key=lambda pair: len(pair[0]))
+    keep = np.append(np.diff(log_time) > 0, True)
+    return log_time[keep], stamp[keep]
+
+
+def on_clock(clock: Clock, known: tuple[Ints, Ints]) -> Clock:
+    """Return the clock of messages without a header, which holds log times, on that of the stamps."""
+    log_time, stamp = known
+    inside = np.clip(clock.t_ns, log_time[0], log_time[-1])
+    # beyond either end both clocks are taken to run alike
+    t_ns = stamp[0] + np.interp(inside - log_time[0], log_time - log_time[0], stamp - stamp[0]).astype(np.int64)
+    return replace(clock, t_ns=t_ns + (clock.t_ns - inside), words=ON_STAMPS)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 
@@ -46,7 +47,8 @@ from .transform_stream import (
 
 AnyStream = LogStream | TransformStream | TagStream | FileStream | NumberStream | PresentedStream
 MOVING = 0.005  # m, and of a quaternion (0.6 degrees): a mount that gives less is one
-TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+FOXGLOVE_TF = tuple(f"foxglove{dot}FrameTransform{s}" for dot in (".", "_msgs/msg/") for s in ("", "s"))
+TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage", *FOXGLOVE_TF)
 
 
 def open_log(paths: Sequence[Place]) -> Log:
@@ -219,7 +221,13 @@ class Log:
     @property
     def transform_topics(self) -> list[str]:
         """Topics of transforms that may change: /tf, namespaced ones too."""
-        return [name for name in sorted(self.topics) if self._is_tf(name) and name.rpartition("/")[2] == "tf"]
+        return [
+            name
+            for name, topic in sorted(self.topics.items())
+            if self._is_tf(name)
+            and (name.rpartition("/")[2] == "tf" or topic.msgtype in FOXGLOVE_TF)
+            and not _is_static_tf(name, topic)
+        ]
 
     def frames(self, topic: str, order: str = "auto") -> dict[tuple[str, str], Edge]:
         """Return the transforms of a /tf topic by (parent, child). Raises LocfuseError where they form a loop."""
@@ -264,6 +272,20 @@ class Log:
         known = {edge.child for edge in static.edges}
         still = (edge for edge in self.still_transforms().edges if edge.child not in known)
         return transforms.StaticTransforms((*static.edges, *still), static.conflicts)
+
+    @cached_property
+    def stamps_clock(self) -> tuple[Ints, Ints] | None:
+        """Log times and stamps (n,), where the light topics' stamps are of a clock that is not the recording's."""
+        readable = {name: t for name, t in self.topics.items() if self.recorded(name) and not t.problem}
+        types = {name: topic.msgtype for name, topic in readable.items()}
+        counts = {name: topic.count for name, topic in readable.items()}
+        pairs = []
+        for name in clocks.stamped_topics(types, counts):
+            with suppress(LocfuseError):  # a topic that cannot be read says so elsewhere
+                table = self.read({name: ()})[name]
+                if table.stamp is not None and table.log_time is not None and len(table.log_time):
+                    pairs.append((table.log_time, np.asarray(table.columns[table.stamp]).astype(np.int64)))
+        return clocks.common_clock(pairs)
 
     @property
     def time_span_ns(self) -> tuple[int, int] | None:

@@ -32,6 +32,10 @@ class Reader(Protocol):
     def left_out(self, topic: str) -> Mapping[str, int]:
         """Count the messages on a topic that are of another type than the rest of it."""
 
+    @property
+    def stamps_clock(self) -> tuple[Ints, Ints] | None:
+        """Log times and stamps of the other topics, where these are of a clock that is not the recording's."""
+
 
 class LogStream(clocks.Dated):
     """One topic: its clock is settled, its fields are columns on request (fusion.data.Stream)."""
@@ -52,6 +56,8 @@ class LogStream(clocks.Dated):
         assert table.log_time is not None
         stamp = np.asarray(table.columns[table.stamp]) if table.stamp else None
         clock = clocks.settle(table.log_time, stamp, self.order)
+        if stamp is None and self.order == "auto" and (known := self._log.stamps_clock) is not None:
+            clock = clocks.on_clock(clock, known)
         return replace(clock, notes=(*clock.notes, _jittered(table.jittered))) if table.jittered else clock
 
     @property

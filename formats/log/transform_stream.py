@@ -19,13 +19,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.formats.robot.tag_frames import TAGS, in_optical_axes, named_as_tag, number_of
-from locfuse.formats.robot.transforms import FIELDS, StaticTransforms, inverse_of, matrices_of, quaternions_of
+from locfuse.formats.robot.transforms import (
+    FIELDS,
+    StaticTransforms,
+    as_lists,
+    inverse_of,
+    matrices_of,
+    quaternions_of,
+)
 from locfuse.fusion.data import Array, Block, Column, Ints, LocfuseError, Ragged
 
 from . import clock as clocks
 
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
-STAMP = "transforms.header.stamp"
+STAMP = "transforms.header.stamp|transforms.timestamp|timestamp"
 TF_FIELDS = (STAMP, *FIELDS)
 STILL = 1e-6  # m, and of a quaternion: what moves by less does not move
 NAMES = tuple(f"transform.{part}" for part in ("translation.x", "translation.y", "translation.z")) + tuple(
@@ -57,6 +64,7 @@ def pair_of(name: str) -> tuple[str, str, str] | None:
 
 def edges_of(log_time: Ints, columns: Mapping[str, Column], order: str) -> dict[tuple[str, str], Edge]:
     """Return the transforms of a /tf topic by (parent, child); `log_time` (m,) is of its messages."""
+    columns = as_lists(columns)
     parents, children = (cast("list[tuple[str, ...]]", columns[name]) for name in FIELDS[:2])
     stamps = cast("Ragged", columns[STAMP])
     numbers = [cast("Ragged", columns[name]) for name in FIELDS[2:]]

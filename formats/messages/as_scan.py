@@ -17,6 +17,7 @@ from locfuse.fusion.data import Array, Column, Ragged
 SCAN = "sensor_msgs/msg/LaserScan"
 CLOUD = "sensor_msgs/msg/PointCloud2"
 ECHOES = "sensor_msgs/msg/MultiEchoLaserScan"
+FOXGLOVE = ("foxglove.LaserScan", "foxglove_msgs/msg/LaserScan")
 OF_CLOUD = (
     *(f"fields.{name}" for name in ("name", "offset", "datatype")),
     *("height", "width", "point_step", "row_step", "is_bigendian", "data"),
@@ -24,6 +25,8 @@ OF_CLOUD = (
 LIKE_A_SCAN = ("angle_min", "angle_increment", "time_increment", "range_min", "range_max")
 FIRST_ECHOES = ("ranges.echoes", "ranges.echoes.length")
 OF_ECHOES = (*LIKE_A_SCAN, *FIRST_ECHOES)
+TURN = tuple(f"pose.orientation.{axis}" for axis in "xyzw")
+OF_FOXGLOVE = ("start_angle", "end_angle", "ranges", *TURN)
 BEAMS = 720
 LOW_RAD, HIGH_RAD = np.radians((-0.2, 2.2))  # of a point above the sensor's level
 NEAR_M, FAR_M = 0.3, 100.0  # m: nearer is the robot itself
@@ -52,6 +55,26 @@ def cloud_as_scans(columns: Mapping[str, Column], fields: tuple[str, ...], frame
         ranges = [level_slice(points(columns, i), OPTICAL in frame_id) for i in range(n)]
         values = np.concatenate([np.empty(0), *ranges]).astype(np.float32)
         made["ranges"] = Ragged(values, np.arange(n + 1) * BEAMS)
+    return {name: made[name] for name in fields}
+
+
+def foxglove_as_scans(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
+    """Return fields of LaserScans made of k of Foxglove's, evenly spaced from start to end; turned by their pose.
+
+    They say neither how long a scan takes nor which ranges are none: what is no number or not above zero.
+    """
+    start, end = (np.asarray(columns[name], np.float64) for name in ("start_angle", "end_angle"))
+    ranges = cast("Ragged", columns["ranges"])
+    beams = np.maximum(ranges.lengths - 1, 1)
+    x, y, z, w = (np.asarray(columns[name], np.float64) for name in TURN)
+    turn = np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    made: dict[str, Column] = {
+        "angle_min": start + np.where(np.isfinite(turn), turn, 0.0),
+        "angle_increment": (end - start) / beams,
+        **{name: np.zeros(len(start)) for name in ("time_increment", "range_min")},
+        "range_max": np.full(len(start), FAR_M),
+        "ranges": Ragged(ranges.values.astype(np.float32), ranges.first),
+    }
     return {name: made[name] for name in fields}
 
 

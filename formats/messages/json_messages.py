@@ -103,7 +103,7 @@ def _column(objects: list[dict[str, Any]], path: str, parts: tuple[Part, ...]) -
     inside = parts[0].inside
     if inside and isinstance(parts[0].node, Many | Counts):
         return _nested(parts[0], objects)
-    path = path if len(parts) == 2 else parts[0].path
+    path = parts[0].path.rpartition(".")[0] if len(parts) == 2 else parts[0].path
     values = [_at(one, path.split(".")) for one in objects]
     node = TIME if len(parts) == 2 else parts[0].node
     if inside:

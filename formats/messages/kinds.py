@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from .fields import FieldError, Part
+from .fields import OR, FieldError, Part
 from .schema import Counts, Many, Scalar, Text
 
 NUMBER, TRUTH, TEXT, TIME, BYTES = "a number", "true or false", "a text", "a time", "bytes"
@@ -38,8 +38,17 @@ READ_TYPES = frozenset(
         "control_msgs/msg/DynamicJointState",
         "duckietown_msgs/msg/Twist2DStamped",
         "duckietown_msgs/msg/WheelEncoderStamped",
-        "foxglove.CompressedImage",
-        "foxglove.LocationFix",
+        *(
+            f"foxglove{dot}{name}"
+            for dot in (".", "_msgs/msg/")
+            for name in (
+                *("CompressedImage", "FrameTransform", "FrameTransforms", "LaserScan", "LocationFix"),
+                *("PoseInFrame", "RawImage"),
+            )
+        ),
+        "geometry_msgs/msg/Pose",
+        "gazebo_msgs/msg/ModelStates",
+        "gazebo_msgs/msg/LinkStates",
         "geometry_msgs/msg/PointStamped",
         "geometry_msgs/msg/Pose2D",
         "geometry_msgs/msg/PoseStamped",
@@ -55,6 +64,9 @@ READ_TYPES = frozenset(
         "locfuse/msg/TagFrames",
         "mocap4r2_msgs/msg/RigidBodies",
         "nav_msgs/msg/Odometry",
+        "px4_msgs/msg/SensorCombined",
+        "px4_msgs/msg/VehicleLocalPosition",
+        "px4_msgs/msg/VehicleOdometry",
         "sensor_msgs/msg/CompressedImage",
         "sensor_msgs/msg/Image",
         "sensor_msgs/msg/Imu",
@@ -70,6 +82,10 @@ READ_TYPES = frozenset(
         "std_msgs/msg/Int16",
         "std_msgs/msg/Int32",
         "std_msgs/msg/Int64",
+        *(
+            f"std_msgs/msg/{name}MultiArray"
+            for name in ("Int16", "UInt16", "Int32", "UInt32", "Int64", "Float32", "Float64")
+        ),
         "std_msgs/msg/String",
         "std_msgs/msg/UInt16",
         "std_msgs/msg/UInt32",
@@ -86,7 +102,7 @@ ONE_NUMBER = frozenset(
         *(f"magnetic_field.{axis}" for axis in XYZ),
         *(f"angular_velocity.{axis}" for axis in XYZ),
         *(f"{at}orientation.{axis}" for at in ("", "pose.", "pose.pose.") for axis in XYZW),
-        *(f"{at}position.{axis}" for at in ("pose.", "pose.pose.") for axis in XY),
+        *(f"{at}position.{axis}" for at in ("", "pose.", "pose.pose.") for axis in XY),
         *(f"transform.translation.{axis}" for axis in XY),
         *(f"transform.rotation.{axis}" for axis in XYZW),
         *(f"point.{axis}" for axis in XY),
@@ -96,7 +112,7 @@ ONE_NUMBER = frozenset(
         "longitudinal_velocity", "heading_rate", "velocity_left", "velocity_right",
         "x", "y", "theta", "linear_velocity", "angular_velocity", "v", "omega",
         "angle_min", "angle_increment", "time_increment", "range_min", "range_max",
-        "width", "height", "step",
+        "width", "height", "step", "start_angle", "end_angle",
         "field_of_view", "min_range", "max_range", "range",
         "status.status", "latitude", "longitude", "position_covariance_type",
         "ticks_left", "ticks_right", "left_encoder", "right_encoder",
@@ -166,9 +182,26 @@ OF_TYPE: Mapping[tuple[str, str], tuple[str, ...]] = {
     ("sensor_msgs/msg/PointCloud2", "is_bigendian"): (TRUTH,),
     ("sensor_msgs/msg/PointCloud2", "data"): (BYTES,),
     ("std_msgs/msg/String", "data"): (TEXT,),
+    **{
+        ("px4_msgs/msg/VehicleOdometry", name): (f"{n} numbers",)
+        for name, n in (("position", 3), ("q", 4), ("velocity", 3), ("angular_velocity", 3))
+    },
+    ("px4_msgs/msg/VehicleOdometry", "velocity_frame"): (NUMBER,),
+    **{("px4_msgs/msg/VehicleLocalPosition", name): (NUMBER,) for name in ("x", "y", "heading", "vx", "vy")},
+    **{("px4_msgs/msg/SensorCombined", name): ("3 numbers",) for name in ("gyro_rad", "accelerometer_m_s2")},
+    **{
+        (f"gazebo_msgs/msg/{kind}States", f"pose.{part}"): (NUMBERS,)
+        for kind in ("Model", "Link")
+        for part in (*(f"position.{axis}" for axis in XY), *(f"orientation.{axis}" for axis in XYZW))
+    },
     ("sensor_msgs/msg/CompressedImage", "data"): (BYTES,),
     ("sensor_msgs/msg/Image", "data"): (BYTES,),
-    ("foxglove.CompressedImage", "data"): (BYTES,),
+    **{
+        (f"foxglove{dot}{name}", "data"): (BYTES,)
+        for dot in (".", "_msgs/msg/")
+        for name in ("CompressedImage", "RawImage")
+    },
+    **{(f"std_msgs/msg/{name}MultiArray", "data"): (NUMBERS,) for name in (*WHOLE_NUMBERS, "Float32", "Float64")},
 }
 TF = "transforms."  # one value for each transform of a message
 TF_TEXTS = ("frame_id",)
@@ -201,8 +234,10 @@ def expected(msgtype: str, path: str) -> tuple[str, ...]:
         return (TIME,)
     if msgtype not in READ_TYPES:
         return ()
-    if path == "transforms.header.stamp":
-        return (TIMES,)
+    if path.startswith("transforms.header.stamp"):
+        return (TIMES, TIME)
+    if path.startswith(TF) and OR in path:
+        return (TEXTS, TEXT) if path.endswith(TF_TEXTS) else (NUMBERS, NUMBER)
     if path.startswith(TF):
         return (TEXTS,) if path.endswith(TF_TEXTS) else (NUMBERS,) if path.rpartition(".")[2] in XYZW else ()
     return OF_TYPE.get((msgtype, path)) or EXPECTED.get(path, ())

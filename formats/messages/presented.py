@@ -8,7 +8,32 @@ from typing import NamedTuple
 from locfuse.fusion.data import Column
 
 from .as_joints import DYNAMIC, JOINTS, OF_DYNAMIC, as_joints
-from .as_scan import CLOUD, ECHOES, OF_CLOUD, OF_ECHOES, SCAN, cloud_as_scans, echoes_as_scans, level_frame
+from .as_px4 import (
+    IMU,
+    LOCAL_POSITION,
+    ODOMETRY,
+    OF_ODOMETRY,
+    OF_POSITION,
+    OF_SENSOR,
+    SENSOR_COMBINED,
+    VEHICLE_ODOMETRY,
+    imu_of_sensor,
+    odometry_of_position,
+    odometry_of_vehicle,
+)
+from .as_scan import (
+    CLOUD,
+    ECHOES,
+    FOXGLOVE,
+    OF_CLOUD,
+    OF_ECHOES,
+    OF_FOXGLOVE,
+    SCAN,
+    cloud_as_scans,
+    echoes_as_scans,
+    foxglove_as_scans,
+    level_frame,
+)
 
 
 class Presented(NamedTuple):
@@ -24,6 +49,10 @@ class Presented(NamedTuple):
 PRESENTED: Mapping[str, Presented] = {
     CLOUD: Presented(SCAN, "scan", OF_CLOUD, cloud_as_scans, frame=level_frame),
     ECHOES: Presented(SCAN, "scan", OF_ECHOES, echoes_as_scans),
+    **dict.fromkeys(FOXGLOVE, Presented(SCAN, "scan", OF_FOXGLOVE, foxglove_as_scans)),
+    VEHICLE_ODOMETRY: Presented(ODOMETRY, "odometry", OF_ODOMETRY, odometry_of_vehicle, frame=lambda _: "odom"),
+    LOCAL_POSITION: Presented(ODOMETRY, "odometry", OF_POSITION, odometry_of_position, frame=lambda _: "odom"),
+    SENSOR_COMBINED: Presented(IMU, "imu", OF_SENSOR, imu_of_sensor),
     DYNAMIC: Presented(JOINTS, "joints", OF_DYNAMIC, as_joints),
 }
 

@@ -11,6 +11,7 @@ import hashlib
 import math
 import re
 from collections.abc import Mapping, Sequence
+from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +28,7 @@ from locfuse.formats.tables.table import Path, Piece, Table, written
 from locfuse.fusion.data import REFUSED, Colour
 
 if TYPE_CHECKING:
+    from jinja2 import Template
     from markupsafe import Markup
 
 TONES = {"helps": "good", "seems to help": "good", "seems to hurt": "bad", "hurts": "bad"}
@@ -36,13 +38,10 @@ STRIP = 200.0  # px, width of an effect strip
 
 def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapping[str, Colour]) -> str:
     """Return the page. `sensors` are all sensors known to the product, with their colours."""
-    from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup
 
     folder = files(__package__)
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     script = compact((folder / "report.js").read_text(encoding="utf-8"))
-    template = environment.from_string((folder / "report.html.j2").read_text(encoding="utf-8"))
     names, bars = list(report["configurations"]), _bars(report)
     traces = palette.traces_in(report)
     looks = palette.looks_of(traces)
@@ -52,7 +51,7 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
     swatches = Swatches(slugs, {**palette.SHAPES, **looks})
     drawn = {m.of for s in sections for p in s.panels for m in p.marks}
     drawings = [section_drawings(s, slugs, looks) for s in sections]
-    page = template.render(
+    page = _template().render(
         report=report,
         title=title_of(report),
         fingerprint=fingerprint(report["input"]),
@@ -78,6 +77,15 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
         roles=("truth", "bounds") if report["truth"] else ("bounds",),
     )
     return page.strip() + "\n"
+
+
+@cache
+def _template() -> Template:
+    """Return the template: compiling it takes as long as a page, and several logs or a notebook write many."""
+    from jinja2 import Environment, StrictUndefined
+
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    return environment.from_string((files(__package__) / "report.html.j2").read_text(encoding="utf-8"))
 
 
 class Figures:

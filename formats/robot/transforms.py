@@ -16,11 +16,14 @@ import numpy as np
 from locfuse.formats.caps import MAX_TRANSFORMS, names_its_cap
 from locfuse.fusion.data import Array, Column, LocfuseError, Ragged
 
+# of a TFMessage; of Foxglove's FrameTransforms; of its FrameTransform, which is a single one
 FIELDS = (
-    "transforms.header.frame_id",
-    "transforms.child_frame_id",
-    *(f"transforms.transform.translation.{axis}" for axis in "xyz"),
-    *(f"transforms.transform.rotation.{axis}" for axis in "xyzw"),
+    "transforms.header.frame_id|transforms.parent_frame_id|parent_frame_id",
+    "transforms.child_frame_id|child_frame_id",
+    *(
+        f"transforms.transform.{part}|transforms.{part}|{part}"
+        for part in (*(f"translation.{axis}" for axis in "xyz"), *(f"rotation.{axis}" for axis in "xyzw"))
+    ),
 )
 FLIPPED = -0.5  # cosine of the angle between a sensor's z axis and up
 SAME_M = 1e-6  # differences below are rounding, not a conflict
@@ -78,7 +81,7 @@ def static_transforms(columns: Iterable[Mapping[str, Column]]) -> StaticTransfor
     edges: dict[str, Transform] = {}
     conflicts: dict[Conflict, None] = {}  # as a set in order: many publishers may say the same
     for topic in columns:
-        for parent, child, numbers in _entries(topic):
+        for parent, child, numbers in _entries(as_lists(topic)):
             T = _matrix(numbers)
             if T is None:
                 conflicts[Conflict(child, "a transform without a usable rotation is ignored")] = None
@@ -91,6 +94,19 @@ def static_transforms(columns: Iterable[Mapping[str, Column]]) -> StaticTransfor
             if len(edges) > MAX_TRANSFORMS:
                 raise LocfuseError(names_its_cap("/tf_static: too many frames", len(edges), MAX_TRANSFORMS))
     return StaticTransforms(tuple(edges.values()), tuple(conflicts))
+
+
+def as_lists(columns: Mapping[str, Column]) -> dict[str, Column]:
+    """Return columns with one value a message as columns of lists of one: a message that is a single transform."""
+    return {name: _listed(column) for name, column in columns.items()}
+
+
+def _listed(column: Column) -> Column:
+    if isinstance(column, np.ndarray):
+        return Ragged(column, np.arange(len(column) + 1))
+    if isinstance(column, list):
+        return [(value,) if isinstance(value, str) else value for value in column]
+    return column
 
 
 def _entries(topic: Mapping[str, Column]) -> Iterable[tuple[str, str, list[float]]]:

@@ -235,6 +235,10 @@ class LineTracker(Model):
         """Return the map after the first scan and the map now."""
         return self._first_map, self.map.lines(belief)
 
+    def slips(self) -> int:
+        """Return how many slips of a wheel the walls have told."""
+        return self.guard.slips if self.guard is not None else 0
+
     def lost_intervals(self) -> list[tuple[float, float]]:
         """Return when the robot did not know where it was, (start, end) [s]."""
         return self.guard.intervals() if self.guard is not None else []

@@ -19,8 +19,11 @@ Picture = NDArray[np.uint8]
 # message type -> the fields a picture is made of
 FIELDS: dict[str, tuple[str, ...]] = {
     "sensor_msgs/msg/CompressedImage": ("data", "format"),
-    "foxglove.CompressedImage": ("data", "format"),
     "sensor_msgs/msg/Image": ("data", "width", "height", "encoding", "step"),
+    **dict.fromkeys(("foxglove.CompressedImage", "foxglove_msgs/msg/CompressedImage"), ("data", "format")),
+    **dict.fromkeys(
+        ("foxglove.RawImage", "foxglove_msgs/msg/RawImage"), ("data", "width", "height", "encoding", "step")
+    ),
 }
 PICTURES_AT_ONCE = 16  # pictures held undecoded at a time
 # why a message gives no picture

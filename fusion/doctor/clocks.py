@@ -25,6 +25,7 @@ WINDOW_S = 1.0  # s over which ways are compared
 MAX_LAG_S, LAG_STEP_S = 1.5, 0.02  # s
 MIN_TRUTH_LAG_S, MAX_MISFIT_RATIO, MIN_CORRELATION = 0.06, 0.75, 0.9
 SEVERE_LAG_S = 0.1  # s: at half a metre per second and a radian per second this is centimetres and degrees
+MAX_STAMPED_RATIO = 0.85  # of the misfits as stamped and shifted: nearer to 1 they say nothing of the clock
 SAME_LAG_S = 0.05  # s: lags that differ by less are one
 
 
@@ -39,7 +40,40 @@ def of_clocks(drive: Drive, robot: Robot) -> list[Finding]:
     offsets = [lag.offset for lag in late.values()]
     if len(late) > 1 and len(late) == len(lags) and np.ptp(offsets) < SAME_LAG_S:
         return [_wheels(float(np.mean(offsets)), list(late), robot)]
+    if truth is not None and list(late) == ["truth"] and (witnesses := _on_truths_clock(drive, robot, truth)):
+        return [_wheels(truth.offset, ["truth", *witnesses], robot)]
     return [_stream(name, lag, robot) for name, lag in late.items()]
+
+
+def _on_truths_clock(drive: Drive, robot: Robot, lag: Lag) -> list[str]:
+    """Return the sensors whose readings fit the truth as it is stamped clearly better than shifted to the wheels.
+
+    They know places, not turning: landmarks. A robot that follows its commands late looks like a late truth.
+    """
+    truth = drive.truth
+    if truth is None or truth.theta is None:
+        return []
+    heading = np.unwrap(truth.theta)
+    found = []
+    for name, m in drive.measurements.items():
+        inside = (m.t > truth.t[0] + MAX_LAG_S) & (m.t < truth.t[-1] - MAX_LAG_S)
+        m = m.take(np.flatnonzero(inside))  # noqa: PLW2901
+        spreads = [
+            REGISTRY[name].misfit(m, robot.settings(name), _poses(truth, heading, m.t - shift))
+            for shift in (0.0, lag.offset)
+        ]
+        stamped, shifted = spreads
+        if stamped is not None and shifted is not None and stamped < MAX_STAMPED_RATIO * shifted:
+            found.append(name)
+    return found
+
+
+def _poses(truth: Truth, heading: Array, t: Array) -> Array:
+    """Return the poses (n, 3) of the body by the truth at times t (n,), `heading` (k,) [rad] not wrapped."""
+    x, y, theta = (np.interp(t, truth.t, column) for column in (*truth.xy.T, heading))
+    c, s = np.cos(theta), np.sin(theta)
+    px, py = truth.point
+    return np.stack((x - c * px + s * py, y - s * px - c * py, theta), axis=-1)
 
 
 def _stream(name: str, lag: Lag, robot: Robot) -> Finding:

@@ -30,6 +30,13 @@ MAX_WALL_TURN_RAD, MAX_WALL_SHIFT_M = (
 )  # rad, m: further off than the wheels say is another wall
 MIN_WALLS = 60  # walls seen twice
 MAX_ITERATIONS = 3  # times at most
+OTHER_YAWS_RAD = (
+    math.pi,
+    0.5 * math.pi,
+    -0.5 * math.pi,
+)  # first guesses where the configured direction fits nothing
+MAX_REST = 0.5  # of the walls' approach that may be left unexplained; paired wrongly they leave all of it
+MIN_APPROACH_M = 0.01  # m
 STRETCHES = 8  # stretches of the drive whose estimates must agree
 MIN_SCALE_ERROR, MIN_YAW_ERROR_RAD, MIN_SIGMAS = 0.03, math.radians(4.0), 3.0
 WORTH_SAYING = Least(MIN_SCALE_ERROR, MIN_SIGMAS)
@@ -66,7 +73,32 @@ def laser_motion(m: Measurements, t: Array, drive: Drive, robot: Robot) -> Motio
     """Return what walls seen twice say, scans being taken at `t` (n,) on the wheels' clock; None if few were."""
     settings = robot.settings("lrf")
     mount = np.array([settings.x, settings.y])
-    yaw = 0.0
+    found = _looking(m, t, drive, mount, 0.0)
+    if found is None or found.rest > MAX_REST:  # it may look backward or sideways: walls then pair wrongly
+        others = (_looking(m, t, drive, mount, yaw) for yaw in OTHER_YAWS_RAD)
+        best = min((f for f in others if f is not None), key=lambda f: f.rest, default=None)
+        if best is not None and best.rest < MAX_REST and (found is None or best.rest < 0.5 * found.rest):
+            found = best
+    if found is None:
+        return None
+    walls, scale, yaw = found.walls, found.scale, se2.wrap(found.yaw)
+    scale_sigma, yaw_sigma = _spread(fitted, walls, 2)
+    turns = turned(walls)
+    turns_sigma = _spread(lambda part: None if (c := turned(part)) is None else (c,), walls, 1)[0]
+    return Motion(scale, scale_sigma, yaw, yaw_sigma, turns, turns_sigma, len(walls.y))
+
+
+class Looking(NamedTuple):
+    """What the walls say of the direction of a laser, found from a first guess."""
+
+    walls: Walls
+    scale: float  # that makes the laser's metre the wheels'
+    yaw: float  # rad, assumed yaw less the true one
+    rest: float  # of the walls' approach that this does not explain, over the approach: medians
+
+
+def _looking(m: Measurements, t: Array, drive: Drive, mount: Array, yaw: float) -> Looking | None:
+    """Return what the walls say if the laser looks about `yaw` [rad] less than assumed, None if few were seen."""
     for _ in range(MAX_ITERATIONS):  # walls pair badly while the laser is thought to look elsewhere
         walls = seen_twice(_turned(m, yaw, mount), t, drive, mount)
         if (fit := fitted(walls)) is None:
@@ -74,10 +106,9 @@ def laser_motion(m: Measurements, t: Array, drive: Drive, robot: Robot) -> Motio
         scale, yaw = fit[0], yaw + fit[1]
         if abs(fit[1]) < MIN_YAW_ERROR_RAD:
             break
-    scale_sigma, yaw_sigma = _spread(fitted, walls, 2)
-    turns = turned(walls)
-    turns_sigma = _spread(lambda part: None if (c := turned(part)) is None else (c,), walls, 1)[0]
-    return Motion(scale, scale_sigma, yaw, yaw_sigma, turns, turns_sigma, len(walls.y))
+    along = (walls.n * walls.d).sum(axis=1)
+    rest = float(np.median(np.abs(walls.y - along / scale)))
+    return Looking(walls, scale, yaw, rest / max(float(np.median(np.abs(along))), MIN_APPROACH_M))
 
 
 def _turned(m: Measurements, yaw: float, mount: Array) -> Measurements:
@@ -221,9 +252,10 @@ def seen_twice(m: Measurements, t: Array, drive: Drive, mount: Array) -> Walls:
 def _places(t: Array, drive: Drive) -> tuple[Ints, Ints]:
     """Return pairs of scans (k,), (k,) between which the wheels rolled or turned far enough."""
     wheels = drive.wheels
-    step = np.maximum(np.abs(wheels.twist[:, 0]) / PAIR_DISTANCE_M, np.abs(wheels.twist[:, 2]) / PAIR_TURN_RAD)
-    way = np.interp(t, wheels.t, np.concatenate(([0.0], np.cumsum(step))))
-    second = np.searchsorted(way, way + 1.0)
+    way = np.hypot(*wheels.twist[:, :2].T)
+    step = np.maximum(way / PAIR_DISTANCE_M, np.abs(wheels.twist[:, 2]) / PAIR_TURN_RAD)
+    gone = np.interp(t, wheels.t, np.concatenate(([0.0], np.cumsum(step))))
+    second = np.searchsorted(gone, gone + 1.0)
     first = np.flatnonzero(second < len(t))
     first = first[t[second[first]] - t[first] < MAX_PAIR_TIME_S]
     every = max(1, len(first) // MAX_PAIRS)

@@ -67,7 +67,7 @@ def _jumps(truth: Truth, drive: Drive) -> list[Finding]:
     stays = int(long.sum()) - 2 * _runs(away)
     if not long.any():
         return []
-    fastest = float(np.percentile(np.abs(drive.wheels.twist[:, 0]) / np.diff(drive.wheels.t), 99.0))
+    fastest = float(np.percentile(np.hypot(*drive.wheels.twist[:, :2].T) / np.diff(drive.wheels.t), 99.0))
     speed = max(1.0, math.ceil(3.0 * fastest))
     words = f"it jumps {times(int(long.sum()))} by more than the wheels rolled"
     words += f"; {int(away.sum())} readings can be left out" if away.any() else ""

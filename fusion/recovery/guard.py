@@ -58,7 +58,7 @@ class Guard:
         self._scans = 0
         self._lost_from: float | None = None
         self._intervals: list[tuple[float, float]] = []
-        self._slips = 0
+        self.slips = 0
         self._place: tuple[Array, Pose, int] | None = None  # belief and pose found first, scans that agree
         self._series = Series()
         self._trail = Trail()  # since it is lost
@@ -101,10 +101,10 @@ class Guard:
             slipped = after_slip(scan, lines, belief, gate)
             if slipped is not None:
                 self._since, self._torn = None, False
-                self._slips += 1
+                self.slips += 1
                 if _view(scan) < VIEW or not self._series.goes_on(now, _made(before), believed):
                     return slipped, True
-                self._slips -= CARRIED
+                self.slips -= CARRIED
                 if self._series.mistaken(now):
                     self._take_back(now, lines, belief)
                     return associate(scan, lines, belief, gate), True
@@ -275,8 +275,8 @@ class Guard:
             if math.isinf(b):
                 since = f"lost from {a:.1f} s after the start until the end"
                 words.append(f"{since}: no place on the map fits, or several do")
-        if self._slips:
-            slips = "1 wheel slip" if self._slips == 1 else f"{self._slips} wheel slips"
+        if self.slips:
+            slips = "1 wheel slip" if self.slips == 1 else f"{self.slips} wheel slips"
             words.append(f"{slips} recovered by the lines of the map")
         return words
 

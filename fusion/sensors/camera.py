@@ -104,8 +104,11 @@ class Camera(Sensor):
     }
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "sensor_msgs/msg/CompressedImage": ("data", "format"),
-        "foxglove.CompressedImage": ("data", "format"),
         "sensor_msgs/msg/Image": ("data", "width", "height", "encoding", "step"),
+        **dict.fromkeys(("foxglove.CompressedImage", "foxglove_msgs/msg/CompressedImage"), ("data", "format")),
+        **dict.fromkeys(
+            ("foxglove.RawImage", "foxglove_msgs/msg/RawImage"), ("data", "width", "height", "encoding", "step")
+        ),
     }
 
     def missing(self, settings: CameraSettings) -> str | None:

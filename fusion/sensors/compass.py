@@ -15,7 +15,7 @@ import numpy as np
 
 from locfuse.fusion.chi_square import MAD, chi_square
 from locfuse.fusion.data import VERDICTS, Array, Colour, Component, LocfuseError, Measurements, Stream
-from locfuse.fusion.mount import rotated, rotation
+from locfuse.fusion.mount import BARE_NUMBERS, NOT_ON_BODY, rotated, rotation
 from locfuse.fusion.se2 import wrap, wrap_all
 from locfuse.fusion.sensor import (
     Ask,
@@ -74,7 +74,8 @@ class Compass(Sensor):
         OFFSET: (Component("compass offset", "deg", math.degrees(1.0)),)
     }
     drawn = "heading"
-    unlikely = ("raw", "camera", "zed", "realsense", "oak", "d435", "t265", "lidar", "livox", "ouster")
+    unlikely = (*NOT_ON_BODY, "raw")
+    second_best = BARE_NUMBERS
     colour = Colour("#cb7627", "#ec8c10")
     noise_keys = ("sigma_deg",)
     bias = Bias("offset_deg", 1.0, estimated=True)

@@ -68,7 +68,10 @@ class Gps(Sensor):
             "position_covariance",
             "position_covariance_type",
         ),
-        "foxglove.LocationFix": ("latitude", "longitude", "position_covariance", "position_covariance_type"),
+        **dict.fromkeys(
+            ("foxglove.LocationFix", "foxglove_msgs/msg/LocationFix"),
+            ("latitude", "longitude", "position_covariance", "position_covariance_type"),
+        ),
     }
 
     def measure(self, stream: Stream, settings: GpsSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:

@@ -26,7 +26,7 @@ import numpy as np
 
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Ints, LocfuseError, Measurements, Stream
-from locfuse.fusion.mount import rotation
+from locfuse.fusion.mount import BARE_NUMBERS, NOT_ON_BODY, rotation
 from locfuse.fusion.sensor import Block, Innovation, Model, Sensor, SensorSettings, WheelMotion
 from locfuse.fusion.streams import count_dropped, gap_limit
 
@@ -69,6 +69,8 @@ class Gyro(Sensor):
     }
     colour = Colour("#8c6a00", "#d2b13a")
     noise_keys = ("sigma_deg",)
+    unlikely = (*NOT_ON_BODY, "raw")
+    second_best = BARE_NUMBERS
     extra = True  # most bags have an IMU: one that is of no use must not stop the others
     guesses: ClassVar[Mapping[str, str]] = {"unit": "guess: radians per second, as REP 103 wants"}
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {

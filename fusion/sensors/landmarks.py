@@ -5,7 +5,12 @@ With the detector at s = p + R(theta) m on the robot and the landmark l, d = l -
     range = |d| + offset + noise,    bearing = atan2(d_y, d_x) - theta - yaw + noise
 
 (Thrun, Burgard and Fox 2005, 6.6.2). A detector's range is often off by a constant (the tag's face, the lens): the
-offset is a state unless it is given. Some detectors say the bearing only. Every detection also says where its
+offset is a state unless it is given. What a camera tells by a tag's size is no distance but the depth along its
+axis, |d| cos(b) with b the bearing from that axis. What a file holds nobody says, so that a share k is a state:
+
+    range = |d| (1 - k (1 - cos b)) + offset + noise,    k = 0 of a distance, 1 of a depth
+
+with b as it was measured. Some detectors say the bearing only. Every detection also says where its
 landmark stands; ids whose detections place them elsewhere than the map does are named, and two that stand in each
 other's place are called swapped.
 
@@ -18,12 +23,12 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.fusion.chi_square import chi_square
+from locfuse.fusion.chi_square import MAD, chi_square
 from locfuse.fusion.data import (
     VERDICTS,
     Array,
@@ -44,8 +49,12 @@ from locfuse.fusion.sensor import Ask, Belief, Bias, Block, Innovation, Model, S
 from locfuse.fusion.streams import count_dropped
 
 GROW = "grow"
-OFFSET = "range_offset"
+OFFSET, DEPTH = "range_offset", "range_depth"
+MIN_SHARE = 0.1  # of a distance that a depth is taken for at least: a detector looks ahead
+SIGMA_DEPTH = 0.5  # of a share that lies at 0 or 1
+KNOWN_DEPTH, SAID_DEPTH = 0.2, 0.5  # 1 sigma, and value, from which it is said that the ranges are depths
 NEW = VERDICTS.index("new")
+MIN_FIT = 50  # detections that are held against poses
 MIN_SEEN = 3  # detections of a landmark of which a run made the place
 MAX_SIGMA_M = 0.3  # m of the robot's position: beyond it a detection does not tell where its landmark stands
 
@@ -68,6 +77,7 @@ class LandmarksSettings(SensorSettings, frozen=True, forbid_unknown_fields=True,
     sigma_bearing_deg: float = 1.5
     range_offset: float | None = None  # m that ranges are too long; None: estimated
     sigma_range_offset: float = 0.05  # m: what an estimated offset may be at the start
+    range_depth: float | None = None  # 0: ranges are distances, 1: depths along the axis; None: found, of a file
 
     def __post_init__(self) -> None:
         """Refuse a detector without noise."""
@@ -111,7 +121,10 @@ class Landmarks(Sensor):
     locates = True
     Settings = LandmarksSettings
     components = (Component("bearing", "deg", math.degrees(1.0)), Component("range", "m"))
-    states: ClassVar[Mapping[str, tuple[Component, ...]]] = {OFFSET: (Component("range offset", "m"),)}
+    states: ClassVar[Mapping[str, tuple[Component, ...]]] = {
+        OFFSET: (Component("range offset", "m"),),
+        DEPTH: (Component("share of depth in the ranges", "%", 100.0),),
+    }
     colour = Colour("#8f2f5a", "#ff9db5")
     noise_keys = ("sigma_bearing_deg", "sigma_range")
     bias = Bias("yaw_deg", -1.0)
@@ -132,7 +145,12 @@ class Landmarks(Sensor):
 
     def concerns(self, key: str, msgtype: str) -> bool:
         """Return whether a key means anything to messages of this type."""
-        return msgtype not in PIXELS or key not in {"sigma_range", "range_offset", "sigma_range_offset"}
+        return msgtype not in PIXELS or key not in {
+            "sigma_range",
+            "range_offset",
+            "sigma_range_offset",
+            "range_depth",
+        }
 
     def missing(self, settings: LandmarksSettings) -> str | None:
         """Return why nothing can be compared: no map says where the landmarks stand."""
@@ -174,6 +192,19 @@ class Landmarks(Sensor):
             dropped=dropped,
         )
 
+    def misfit(self, m: Measurements, settings: LandmarksSettings, poses: Array) -> float | None:
+        """Return the scatter [rad] of the bearings about those that the map and the poses (n, 3) give."""
+        if settings.grows:
+            return None
+        places = settings.places
+        x, y, theta = np.repeat(poses, np.diff(m.first), axis=0).T
+        c, s = np.cos(theta), np.sin(theta)
+        seen_from = np.stack((x + c * settings.x - s * settings.y, y + s * settings.x + c * settings.y), axis=-1)
+        at = np.array([places[int(i)] for i in m.extra["id"]]).reshape(-1, 2) - seen_from
+        off = wrap_all(m.z[:, 0] - np.arctan2(at[:, 1], at[:, 0]) + theta)
+        off = wrap_all(off - np.median(off))
+        return float(np.median(np.abs(off))) / MAD if len(off) >= MIN_FIT else None
+
     def model(self, settings: LandmarksSettings) -> Model:
         """Return the landmarks' side of a new run."""
         return GrowingModel(settings) if settings.grows else LandmarksModel(settings)
@@ -214,8 +245,24 @@ def _nothing(topic: str, ids: Ints, places: Mapping[int, Point] | None) -> str:
     return f"{topic} detects no landmark of the map: it sees ids {seen}; the map has {have or 'none'}"
 
 
+class Ranging(NamedTuple):
+    """range = share * distance + offset, at one bearing."""
+
+    offset: float  # m
+    share: float
+    columns: tuple[int, ...]  # of the states among offset and depth, in this order
+    offset_free: bool
+    depth_free: bool
+    short: float  # 1 - cos(bearing)
+
+    def derivative(self, distance: float) -> list[float]:
+        """Return the derivative of a range by these states."""
+        of_offset = [1.0] if self.offset_free else []
+        return [*of_offset, -self.short * distance] if self.depth_free else of_offset
+
+
 class LandmarksModel(Model):
-    """range = |d| + offset, bearing = atan2(d) - theta - yaw; d from the detector to the landmark, in the map."""
+    """Range and bearing as above; d from the detector to the landmark, in the map."""
 
     def __init__(self, settings: LandmarksSettings) -> None:
         self.places = settings.places
@@ -223,14 +270,16 @@ class LandmarksModel(Model):
         self.thresholds = [0.0, *(chi_square(settings.gate, d) for d in (1, 2))]  # by how many numbers are said
         self.given = settings.range_offset
         self.prior = settings.sigma_range_offset
+        told = settings.file is None or settings.range_depth is not None  # positions, or the settings, say it
+        self.depth = (settings.range_depth or 0.0) if told else None
         self.sigmas = math.radians(settings.sigma_bearing_deg), settings.sigma_range
         self._seen_at: dict[int, list[tuple[float, float, float]]] = defaultdict(list)  # id -> x, y, sigma [m]
 
     def blocks(self) -> list[Block]:
-        """Return the ranges' offset where it is not given."""
-        if self.given is not None:
-            return []
-        return [Block(OFFSET, np.zeros(1), np.array([[self.prior**2]]), np.zeros(1))]
+        """Return the ranges' offset, and whether they are depths, where that is not given."""
+        free = {OFFSET: self.prior} if self.given is None else {}
+        free |= {DEPTH: SIGMA_DEPTH} if self.depth is None else {}
+        return [Block(name, np.zeros(1), np.array([[s**2]]), np.zeros(1)) for name, s in free.items()]
 
     def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
         """Compare the detections of one instant with the belief."""
@@ -241,7 +290,8 @@ class LandmarksModel(Model):
             if seen is not None:
                 found.append(seen)
                 if len(z) > 1:
-                    self._note_place(landmark, z[1] - self._offset(belief)[0], z[0], belief)
+                    ranging = self._ranging(belief, z[0])
+                    self._note_place(landmark, (z[1] - ranging.offset) / ranging.share, z[0], belief)
         return found
 
     def _compared(
@@ -269,12 +319,14 @@ class LandmarksModel(Model):
         )  # a place moves it as the robot does, the other way
         columns: tuple[int, ...] = at
         if len(z) > 1:
-            offset, of_offset = self._offset(belief)
-            y.append(z[1] - distance - offset)
-            H.append(by_range)
-            beside.append([-v for v in by_range[:2]] if at else [])
-            columns += of_offset
-            beside = [[*part, *(float(k) for _ in of_offset)] for k, part in enumerate(beside)]
+            ranging = self._ranging(belief, z[0])
+            y.append(z[1] - ranging.share * distance - ranging.offset)
+            ahead, across, turned = (ranging.share * v for v in by_range)
+            H.append((ahead, across, turned))
+            beside.append([-ahead, -across] if at else [])
+            columns += ranging.columns
+            more = ranging.derivative(distance)
+            beside = [[*beside[0], *(0.0 for _ in more)], [*beside[1], *more]]
         return Innovation.of(
             row,
             tuple(y),
@@ -287,12 +339,20 @@ class LandmarksModel(Model):
             landmark=landmark,
         )
 
-    def _offset(self, belief: Belief) -> tuple[float, tuple[int, ...]]:
-        """Return by how much ranges are too long [m], and the state column of that where it is a state."""
-        if self.given is not None:
-            return self.given, ()
-        column, now = belief.block(OFFSET)
-        return float(now[0]), (column,)
+    def _ranging(self, belief: Belief, bearing: float) -> Ranging:
+        """Return how ranges follow from distances at a measured bearing [rad], as the belief has it."""
+        offset, depth, columns = self.given, self.depth, []
+        if offset is None:
+            column, now = belief.block(OFFSET)
+            offset = float(now[0])
+            columns.append(column)
+        if depth is None:
+            column, now = belief.block(DEPTH)
+            depth = float(now[0])
+            columns.append(column)
+        short = 1.0 - math.cos(bearing)
+        share = max(1.0 - depth * short, MIN_SHARE)
+        return Ranging(offset, share, tuple(columns), self.given is None, self.depth is None, short)
 
     def _note_place(self, landmark: int, distance: float, bearing: float, belief: Belief) -> None:
         """Keep where a detection places its landmark, where the robot's own place is known."""
@@ -308,7 +368,21 @@ class LandmarksModel(Model):
 
     def notes(self, belief: Any) -> list[str]:
         """Say which landmarks stand elsewhere than the map says, and which two stand in each other's place."""
-        return wrong_places(self.places, {key: np.array(rows) for key, rows in self._seen_at.items()})
+        seen = {key: np.array(rows) for key, rows in self._seen_at.items()}
+        return [*self._depth_notes(belief), *wrong_places(self.places, seen)]
+
+    def _depth_notes(self, belief: Any) -> list[str]:
+        """Say that the ranges were found to be depths."""
+        if self.depth is not None:
+            return []
+        column, now = belief.block(DEPTH)
+        share, sigma = float(now[0]), math.sqrt(max(float(belief.covariance[column, column]), 0.0))
+        if sigma > KNOWN_DEPTH or share < SAID_DEPTH:
+            return []
+        return [
+            f"its ranges are depths along its axis, not distances: {share:.2f} of that (1 sigma: {sigma:.2g}; "
+            "landmarks.range_depth=1)"
+        ]
 
 
 class GrowingModel(LandmarksModel):
@@ -352,15 +426,17 @@ class GrowingModel(LandmarksModel):
             self._known[landmark] = self._known.get(landmark, 0) + 1
 
     def _append(self, landmark: int, z: list[float], R: Array, belief: Any) -> None:
-        """Append the place l = s + r (cos, sin)(theta + yaw + bearing), r less the ranges' offset."""
-        offset, of_offset = self._offset(belief)
+        """Append the place l = s + r (cos, sin)(theta + yaw + bearing), r the distance that the range says."""
+        ranging = self._ranging(belief, z[0])
         x, y = detector_at((belief.x, belief.y, belief.theta), self.mount)
-        r, angle = z[1] - offset, belief.theta + self.mount[2] + z[0]
+        r, angle = (z[1] - ranging.offset) / ranging.share, belief.theta + self.mount[2] + z[0]
         c, s = math.cos(angle), math.sin(angle)
         by_turn = [[belief.y - y - r * s], [x - belief.x + r * c]]  # of the pose: detector and ray turn together
-        G = np.hstack((np.eye(2), by_turn, *([[[-c], [-s]]] if of_offset else [])))
-        J = np.array([[-r * s, c], [r * c, s]])
-        column = belief.augment(np.array([x + r * c, y + r * s]), G, J @ R @ J.T, of_offset)
+        by_range = np.array([[c], [s]]) / ranging.share
+        by_states = [-v * by_range for v in ranging.derivative(r)]  # what makes the range longer, makes r shorter
+        G = np.hstack((np.eye(2), by_turn, *by_states))
+        J = np.hstack(([[-r * s], [r * c]], by_range))
+        column = belief.augment(np.array([x + r * c, y + r * s]), G, J @ R @ J.T, ranging.columns)
         belief.own_point(_name(landmark), column)
 
     def points(self, belief: Any) -> list[tuple[int, float, float]]:
@@ -377,14 +453,15 @@ class GrowingModel(LandmarksModel):
         """Say how many landmarks the map has, and which were seen too rarely to be in it for sure."""
         rare = [landmark for landmark, n in sorted(self._known.items()) if n < MIN_SEEN]
         words = f"a map of {len(self._known)} landmarks was made"
+        depth = self._depth_notes(belief)
         rarely = f"; seen less than {MIN_SEEN} times: {', '.join(map(str, rare))}" if rare else ""
         moving = [k for k, n in sorted(self._known.items()) if n >= MIN_DETECTIONS and 2 * self._refused[k] > n]
         if not moving:
-            return [words + rarely]
+            return [words + rarely, *depth]
         ids = ", ".join(map(str, moving))
         stand = f"ids {ids} do not stand still" if len(moving) > 1 else f"id {ids} does not stand still"
         fix = f"leave out with landmarks.ignore=[{ids}]"
-        return [words + rarely, f"{stand}, or several tags share it: {fix}"]
+        return [words + rarely, *depth, f"{stand}, or several tags share it: {fix}"]
 
 
 def _name(landmark: int) -> str:

@@ -65,7 +65,7 @@ class Lrf(Sensor):
     placed = True
     sees = "line"
     blind_spoils = True
-    unlikely = ("filter", "rear", "back", "tilt", "depth", "camera")
+    unlikely = ("filter", "rear", "back", "b_scan", "tilt", "depth", "camera")
     asks: ClassVar[Mapping[str, Ask]] = {
         **dict.fromkeys(("x", "y", "yaw_deg"), Ask(f"m, m, degrees: {ASK_MOUNT}", blank=True)),
         "sigma_range": Ask("m: noise of one range, by the data sheet"),

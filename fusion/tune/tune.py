@@ -260,7 +260,10 @@ def optimal(robot: Robot) -> Robot:
     settings = {}
     for s, c in robot.sensors.items():
         mode = getattr(c, "map", "")
-        changes = {"outliers": "reject", **({"map": OPTIMAL[mode]} if mode in OPTIMAL else {})}
+        changes = {
+            "outliers": "reject",
+            **({"map": OPTIMAL[mode]} if isinstance(mode, str) and mode in OPTIMAL else {}),
+        }
         settings[s] = msgspec.structs.replace(c, **changes)
     return replace(robot, sensors=settings)
 

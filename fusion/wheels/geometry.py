@@ -7,6 +7,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from locfuse.fusion import se2
 from locfuse.fusion.data import Array, LocfuseError, Stream
 from locfuse.fusion.robot import Mirrored, WheelSettings
 
@@ -17,6 +18,7 @@ from .sources import Counters, read_counters
 WINDOW_S = 0.5  # s over which both are compared
 ASSUMED_RADIUS_M = 0.05  # m: radius under which jumps of the counters are looked for
 MIN_WINDOWS, MIN_CORRELATION = 40, 0.95  # windows; correlation
+AS_GOOD = 1e-3  # of a correlation: on a circle every sense of counting fits up to rounding
 MIN_TURN_RAD = 0.5  # rad, rms sum of turns, before the track is told
 
 
@@ -41,7 +43,8 @@ def by_odometry(counters: Stream, odometry: Stream, settings: WheelSettings) -> 
     start = np.arange(max(t[0], offset), min(t[-1], offset + theirs.wheels.t[-1]) - WINDOW_S, WINDOW_S)
     if len(start) < MIN_WINDOWS:
         return None
-    moved = theirs.wheels.relative(start - offset, start - offset + WINDOW_S)
+    # as twists: along an arc the way is what the wheels roll, not the chord's part ahead
+    moved = se2.log(theirs.wheels.relative(start - offset, start - offset + WINDOW_S))
     rolled = [np.interp(start + WINDOW_S, t, side) - np.interp(start, t, side) for side in (left, right)]
     return _best(rolled[0], rolled[1], moved)
 
@@ -67,7 +70,7 @@ def _best(left: Array, right: Array, moved: Array) -> Geometry | None:
         mirrored: _correlation(0.5 * (s_left * left + s_right * right), moved[:, 0])
         for mirrored, (s_left, s_right) in SIGNS.items()
     }
-    best = max(agrees, key=lambda mirrored: (agrees[mirrored], mirrored == "none"))
+    best = max(agrees, key=lambda mirrored: agrees[mirrored] + (AS_GOOD if mirrored == "none" else 0.0))
     s_left, s_right = SIGNS[best]
     found = _fitted(0.5 * (s_left * left + s_right * right), s_right * right - s_left * left, moved)
     return None if found is None else found._replace(mirrored=best)

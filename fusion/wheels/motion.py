@@ -46,9 +46,13 @@ class Wheels:
 
     @classmethod
     def from_twists(cls, t: Array, twist: Array, track: float, noise: float) -> Wheels:
-        """Build from body twists (n-1, 3) between the times t (n,): they are known over a silence too."""
+        """Build from body twists (n-1, 3) between the times t (n,): they are known over a silence too.
+
+        A base that drives sideways (mecanum, legs) is taken for one whose wheels point the way it goes.
+        """
         half = 0.5 * track * twist[:, 2]
-        rolled = np.stack((twist[:, 0] - half, twist[:, 0] + half), axis=-1)
+        way = np.copysign(np.hypot(twist[:, 0], twist[:, 1]), twist[:, 0])
+        rolled = np.stack((way - half, way + half), axis=-1)
         return cls(t, twist, rolled, dead_reckoning(twist), track, noise, np.zeros_like(rolled))
 
     @classmethod
@@ -190,7 +194,7 @@ class _Pieces:
 
         Paper eq. 8 in its right form (docs/paper.md), plus the turn's lever arm from the piece to the end.
         """
-        m = self.a[:, 2] + 0.5 * self.twist[:, 2]
+        m = self.a[:, 2] + 0.5 * self.twist[:, 2] + self.aside()
         along = np.stack((np.cos(m), np.sin(m), np.zeros_like(m)), axis=-1)
         turning = self.turning() / track
         return np.stack((0.5 * along - turning, 0.5 * along + turning), axis=-1)
@@ -198,10 +202,16 @@ class _Pieces:
     def turning(self) -> Array:
         """Derivative of the interval's end pose by the turn of each piece, (m, 3)."""
         m = self.a[:, 2] + 0.5 * self.twist[:, 2]
-        ds, end = self.twist[:, 0], self.end[self.interval]
-        x = -0.5 * ds * np.sin(m) - (end[:, 1] - self.b[:, 1])
-        y = 0.5 * ds * np.cos(m) + (end[:, 0] - self.b[:, 0])
+        (ds, left), end = self.twist[:, :2].T, self.end[self.interval]
+        x = -0.5 * (ds * np.sin(m) + left * np.cos(m)) - (end[:, 1] - self.b[:, 1])
+        y = 0.5 * (ds * np.cos(m) - left * np.sin(m)) + (end[:, 0] - self.b[:, 0])
         return np.stack((x, y, np.ones_like(m)), axis=-1)
+
+    def aside(self) -> Array:
+        """Direction of travel from the body's axis (m,) [rad], at most a quarter turn: 0 forward and backward."""
+        ahead = np.copysign(1.0, self.twist[:, 0])
+        out: Array = np.arctan2(ahead * self.twist[:, 1], ahead * self.twist[:, 0])
+        return out
 
     def by_parameters(self, columns: Array) -> Array:
         """Derivative by PARAMETERS, (m, 3, 3)."""

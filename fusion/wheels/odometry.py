@@ -38,6 +38,9 @@ POSE: Mapping[str, tuple[str, ...]] = {
     TRANSFORM: _pose("transform", "translation", "rotation"),
     "geometry_msgs/msg/PoseStamped": _pose("pose"),
     "geometry_msgs/msg/PoseWithCovarianceStamped": _pose("pose.pose"),
+    "geometry_msgs/msg/Pose": tuple(name.removeprefix("pose.") for name in _pose("pose")),
+    "foxglove.PoseInFrame": _pose("pose"),
+    "foxglove_msgs/msg/PoseInFrame": _pose("pose"),
 }
 # Message type -> fields of x, y [m] and the heading [rad].
 PLANAR: Mapping[str, tuple[str, str, str]] = {

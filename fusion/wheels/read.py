@@ -16,6 +16,7 @@ from . import odometry
 from .motion import Wheels
 from .repairs import repaired
 from .sources import (
+    ARRAYS,
     JOINTS,
     NUMBERS,
     SPEEDS,
@@ -33,6 +34,7 @@ WHEEL_READS: Mapping[str, tuple[str, ...]] = {
     **TICKS,
     **SPEEDS,
     **dict.fromkeys(NUMBERS, ("data",)),
+    **dict.fromkeys(ARRAYS, ("data",)),
     **odometry.BODY_READS,
 }
 MIN_LENGTH_M = 1e-6  # no wheel is smaller, and no two stand closer
@@ -127,7 +129,7 @@ def _geometry(settings: WheelSettings, stream: Stream) -> tuple[float, float]:
 
 def counts_ticks(msgtype: str) -> bool:
     """Return whether a message type holds whole counts, never angles."""
-    return msgtype in TICKS or NUMBERS.get(msgtype, 0) > 0
+    return msgtype in TICKS or NUMBERS.get(msgtype, 0) > 0 or ARRAYS.get(msgtype, 0) > 0
 
 
 def _from_body(stream: Stream, settings: WheelSettings) -> WheelReading:

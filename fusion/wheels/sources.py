@@ -39,6 +39,10 @@ NUMBERS: Mapping[str, int] = {
     "std_msgs/msg/Float64": 0,
     "duckietown_msgs/msg/WheelEncoderStamped": 32,
 }
+# Both wheels in one array -> bits of its counters; 0: numbers that may be angles.
+ARRAYS: Mapping[str, int] = {
+    f"{kind}MultiArray": bits for kind, bits in NUMBERS.items() if kind.startswith("std_msgs/msg/")
+}
 USUAL_TICKS = {
     "irobot_create_msgs/msg/WheelTicks": 508.8,  # Create 3, and the TurtleBot 4 on it
     "turtlebot3_msgs/msg/SensorState": 4096.0,  # the TurtleBot 3's Dynamixels
@@ -48,6 +52,21 @@ USUAL_TICKS = {
 SIDE_LETTERS = {"left": {"l", "fl", "rl", "bl"}, "right": {"r", "fr", "rr", "br"}}  # of joints that are wheels
 REAR_WORDS, REAR_LETTERS = ("rear", "back"), {"rl", "rr", "bl", "br"}
 NO_DRIVE = ("caster", "steer", "drop", "suspension")  # joints of a wheel that say nothing of the way it rolls
+LIMBS = (
+    "hip",
+    "knee",
+    "thigh",
+    "calf",
+    "ankle",
+    "leg",
+    "foot",
+    "arm",
+    "shoulder",
+    "elbow",
+    "wrist",
+    "finger",
+    "gripper",
+)
 
 
 class Counters(NamedTuple):
@@ -79,6 +98,9 @@ def read_counters(stream: Stream, settings: WheelSettings) -> Counters:
 def _found(stream: Stream, settings: WheelSettings, dropped: dict[str, int]) -> _Found:
     if stream.msgtype == JOINTS:
         return _joints(stream, settings, dropped)
+    if stream.msgtype in ARRAYS:
+        bits = ARRAYS[stream.msgtype]
+        return _Found(stream.t_ns, _of_array(stream, settings), (2.0**bits,) if bits else ())
     fields = SPEEDS.get(stream.msgtype)
     if fields is not None:
         return _Found(stream.t_ns, _two(stream, fields), speeds=True)
@@ -88,6 +110,30 @@ def _found(stream: Stream, settings: WheelSettings, dropped: dict[str, int]) -> 
 def _two(stream: Stream, fields: tuple[str, str]) -> Array:
     columns = cast("dict[str, Array]", stream.columns(*fields))
     return np.stack([columns[name] for name in fields], axis=-1).astype(np.float64)
+
+
+def _of_array(stream: Stream, settings: WheelSettings) -> Array:
+    """Return the numbers (n, 2) of the left and the right wheel in arrays, NaN in those of another length.
+
+    Two numbers are left and right. Of more, `[wheels] left` and `right` say which they are: "0" is the first.
+    """
+    rows = cast("Ragged", stream.columns("data")["data"])
+    long = int(np.median(rows.lengths)) if len(rows) else 0
+    told = (settings.left, settings.right)
+    at = [int(one) if one is not None and one.isdecimal() else -1 for one in told]
+    if long == 2 and told == (None, None):
+        at = [0, 1]
+    if not all(0 <= k < long for k in at):
+        raise LocfuseError(
+            f"{stream.topic} holds {long} numbers; which are the left and the right wheel is not said.",
+            role="wheels",
+            hint=f"Say it with --set wheels.left=0 --set wheels.right={max(long - 1, 1)} (0 is the first)",
+        )
+    out = np.full((len(rows), 2), np.nan)
+    whole = rows.lengths == long
+    for side, k in enumerate(at):
+        out[whole, side] = rows.values[rows.first[:-1][whole] + k]
+    return out
 
 
 def _rolled_by(t: Array, speeds: Array) -> Array:
@@ -221,8 +267,8 @@ def joint_names(names: list[tuple[str, ...]], topic: str, settings: WheelSetting
 
 
 def _guesses(joints: Sequence[str], side: str) -> list[str]:
-    """Return the joints that are called like a wheel of this side; where none is, like anything of this side."""
-    found = [j for j in joints if side in j.lower()]
+    """Return the joints that are called like a wheel of this side; else like anything but a limb."""
+    found = [j for j in joints if side in j.lower() and not any(word in j.lower() for word in LIMBS)]
     wheels = [j for j in joints if "wheel" in j.lower() and not any(word in j.lower() for word in NO_DRIVE)]
     return [j for j in wheels if j in found or _letters(j) & SIDE_LETTERS[side]] or found
 

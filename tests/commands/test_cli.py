@@ -174,34 +174,36 @@ def test_a_folder_with_something_else_is_not_touched_unless_told(tmp_path: Path)
     out = tmp_path / "thesis"
     out.mkdir()
     (out / "chapter1.tex").write_text("precious")
-    done = locfuse("run", LOG, "--sensors", "odometry", "-o", out)
+    done = locfuse("run", LOG, "--no-advice", "--sensors", "odometry", "-o", out)
     assert done.exit_code in {1, 2}
     assert [p.name for p in out.iterdir()] == ["chapter1.tex"]
-    done = locfuse("run", LOG, "--sensors", "odometry", "-o", out, "--overwrite")
+    done = locfuse("run", LOG, "--no-advice", "--sensors", "odometry", "-o", out, "--overwrite")
     assert done.exit_code == 0, done.stderr
     assert (out / "chapter1.tex").read_text() == "precious"
 
 
 def test_json_on_stdout_is_the_report(tmp_path: Path) -> None:
-    done = locfuse("run", LOG, "--sensors", "odometry", "--json", "-o", tmp_path / "out")
+    done = locfuse("run", LOG, "--no-advice", "--sensors", "odometry", "--json", "-o", tmp_path / "out")
     assert json.loads(done.stdout) == json.loads((tmp_path / "out" / "run.json").read_text())
 
 
 def test_write_chooses_the_outputs(tmp_path: Path) -> None:
-    done = locfuse("compare", LOG, "--sensors", "odometry", "--write", "json", "-o", tmp_path / "out")
+    done = locfuse(
+        "compare", LOG, "--no-advice", "--sensors", "odometry", "--write", "json", "-o", tmp_path / "out"
+    )
     assert done.exit_code == 0
     written = {p.name for p in (tmp_path / "out").iterdir()}
     assert written - {"timing.json", "fixes.toml"} == {"report.json", "robot.toml"}
 
 
 def test_the_written_robot_reproduces_the_run(compared: Path, tmp_path: Path) -> None:
-    done = locfuse("compare", LOG, "--robot", compared / "robot.toml", "-o", tmp_path / "out")
+    done = locfuse("compare", LOG, "--no-advice", "--robot", compared / "robot.toml", "-o", tmp_path / "out")
     assert done.exit_code == 0, done.stderr
     assert report_of(tmp_path / "out")["configurations"] == report_of(compared)["configurations"]
 
 
 def test_alignment_is_said_and_ends_consistency_figures(tmp_path: Path) -> None:
-    done = locfuse("run", LOG, "--sensors", "odometry", "--align", "se2", "-o", tmp_path / "out")
+    done = locfuse("run", LOG, "--no-advice", "--sensors", "odometry", "--align", "se2", "-o", tmp_path / "out")
     assert done.exit_code == 0
     figures = json.loads((tmp_path / "out" / "run.json").read_text())["configurations"]["odometry"]
     assert figures["align"] == "se2"
@@ -212,16 +214,15 @@ def test_a_log_can_be_a_split_recording(tmp_path: Path, compared: Path) -> None:
     folder = tmp_path / "bag"
     folder.mkdir()
     shutil.copy(sample_logs.path(LOG), folder / "bag_0.mcap")
-    done = locfuse("run", folder, "--sensors", "lrf", "-o", tmp_path / "out")
+    done = locfuse("run", folder, "--no-advice", "--sensors", "lrf", "-o", tmp_path / "out")
     assert done.exit_code == 0, done.stderr
     a, b = np.loadtxt(tmp_path / "out" / "trajectory.tum"), np.loadtxt(compared / "lrf.tum")
     np.testing.assert_array_equal(a, b)
 
 
 def test_the_audit_accounts_for_every_measurement(tmp_path: Path) -> None:
-    done = locfuse(
-        "run", LOG, "--sensors", "compass,lrf", "--audit", tmp_path / "audit.csv", "-o", tmp_path / "out"
-    )
+    words = ("--sensors", "compass,lrf", "--audit", tmp_path / "audit.csv", "--no-advice")
+    done = locfuse("run", LOG, *words, "-o", tmp_path / "out")
     assert done.exit_code == 0, done.stderr
     rows = [line.split(",") for line in (tmp_path / "audit.csv").read_text().splitlines()]
     head, rows = rows[0], rows[1:]

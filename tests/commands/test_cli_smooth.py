@@ -13,7 +13,8 @@ LOG = "rounded_rectangle"
 
 
 def test_compare_smooths_every_configuration_with_sensors(tmp_path: Path) -> None:
-    done = locfuse("compare", LOG, "--sensors", "odometry", "--sensors", "lrf", "--smooth", "-o", tmp_path / "out")
+    words = ("--sensors", "odometry", "--sensors", "lrf", "--smooth", "--no-advice")
+    done = locfuse("compare", LOG, *words, "-o", tmp_path / "out")
     assert done.exit_code == 0, done.stderr
     found = json.loads((tmp_path / "out" / "report.json").read_text())["configurations"]
     assert list(found) == ["odometry", "lrf", "lrf-smoothed"]
@@ -25,8 +26,8 @@ def test_compare_smooths_every_configuration_with_sensors(tmp_path: Path) -> Non
 
 
 def test_run_writes_the_smoothed_drive_beside_the_filtered_one(tmp_path: Path) -> None:
-    plain = locfuse("run", LOG, "--sensors", "lrf", "-o", tmp_path / "plain")
-    done = locfuse("run", LOG, "--sensors", "lrf", "--smooth", "-o", tmp_path / "out")
+    plain = locfuse("run", LOG, "--no-advice", "--sensors", "lrf", "-o", tmp_path / "plain")
+    done = locfuse("run", LOG, "--no-advice", "--sensors", "lrf", "--smooth", "-o", tmp_path / "out")
     assert (plain.exit_code, done.exit_code) == (0, 0), done.stderr
     for kind in ("tum", "csv"):
         filtered = (tmp_path / "out" / f"trajectory.{kind}").read_bytes()
@@ -50,6 +51,6 @@ def test_a_map_without_optimal_weights_is_refused_in_one_line(command: str, mode
 
 
 def test_the_printed_filter_is_not_smoothed(tmp_path: Path) -> None:
-    done = locfuse("run", LOG, "--smooth", "--preset", "paper", "-o", tmp_path / "out")
+    done = locfuse("run", LOG, "--no-advice", "--smooth", "--preset", "paper", "-o", tmp_path / "out")
     assert done.exit_code == 2
     assert "--preset paper" in done.stderr

@@ -21,7 +21,7 @@ ERRORS = ("position_rmse_m", "position_max_m", "heading_rmse_deg", "drift_1m", "
 def ours(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One run of ours, with its trajectory as .tum and .csv."""
     out = tmp_path_factory.mktemp("ours")
-    assert locfuse("run", SAMPLE, "--sensors", "compass", "-o", out, "--overwrite").exit_code == 0
+    assert locfuse("run", SAMPLE, "--sensors", "compass", "--no-advice", "-o", out, "--overwrite").exit_code == 0
     assert (
         locfuse(
             "compare", SAMPLE, "--sensors", "compass", "-o", out / "c", "--write", "tum", "--no-advice"

@@ -96,7 +96,7 @@ def test_the_last_line_says_where_the_report_is_and_open_shows_it(
         return True
 
     monkeypatch.setattr("webbrowser.open", show)
-    words = ("compare", LOG, "--sensors", "compass", "--write", "html")
+    words = ("compare", LOG, "--sensors", "compass", "--no-advice", "--write", "html")
     done = locfuse(*words, "-o", tmp_path / "out", "--open")
     assert done.stdout.splitlines()[-1] == f"report: {tmp_path}/out/report.html"
     assert shown == [(tmp_path / "out" / "report.html").as_uri()]
@@ -104,7 +104,7 @@ def test_the_last_line_says_where_the_report_is_and_open_shows_it(
 
 def test_open_without_a_page_or_a_browser_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("webbrowser.open", lambda address: False)
-    words = ("compare", LOG, "--sensors", "compass", "--open")
+    words = ("compare", LOG, "--sensors", "compass", "--no-advice", "--open")
     assert "add html to --write" in locfuse(*words, "--write", "json", "-o", tmp_path / "a").stderr
     assert "no browser was found" in locfuse(*words, "--write", "html", "-o", tmp_path / "b").stderr
 

@@ -178,7 +178,7 @@ def test_text_from_a_log_is_no_markup_in_a_notebook(compared: locfuse.Comparison
 
 
 def test_what_is_printed_is_one_short_line(session: locfuse.Session, compared: locfuse.Comparison) -> None:
-    for thing in (session, compared, compared.estimates, session.run("odometry")):
+    for thing in (session, compared, compared.estimates, session.run("odometry", advice=False)):
         assert "\n" not in repr(thing)
         assert len(repr(thing)) < 200
     assert "truth /ground_truth/pose" in repr(session)
@@ -198,21 +198,21 @@ def test_step_by_step_gives_the_numbers_of_the_session(
 
 def test_the_papers_filter_is_fused_where_the_session_asks_for_it() -> None:
     session = locfuse.load(LOG, preset="paper", between=(None, TO))
-    run = session.run("compass")
+    run = session.run("compass", advice=False)
     direct = locfuse.fuse(session.drive, session.robot, "compass")
     np.testing.assert_array_equal(direct.pose, run.filtered.pose)
-    ours = locfuse.load(LOG, between=(None, TO)).run("compass").filtered
+    ours = locfuse.load(LOG, between=(None, TO)).run("compass", advice=False).filtered
     assert np.abs(direct.pose - ours.pose).max() > 1e-3
 
 
 def test_a_map_of_one_run_is_localised_in_by_another_and_the_session_stays_as_it_was(
     session: locfuse.Session, tmp_path: Path
 ) -> None:
-    session.run("lrf").save_map(tmp_path / "room.json")
+    session.run("lrf", advice=False).save_map(tmp_path / "room.json")
     again = session.with_map(tmp_path / "room.json")
     assert len(again.robot.lines) > 3
     assert not session.robot.lines
-    assert again.run("lrf").report["settings"]["lrf"]["map"] == "given"
+    assert again.run("lrf", advice=False).report["settings"]["lrf"]["map"] == "given"
 
 
 def test_a_log_opens_without_being_measured() -> None:
@@ -261,9 +261,9 @@ def test_losses_are_those_of_the_command(tmp_path: Path) -> None:
     words = [w for k, v in sets.items() for w in ("--set", f"{k}={v}")]
     done = command("run", tmp_path / "cut.mcap", "--sensors", "odometry", *words, "-o", tmp_path / "out")
     assert done.exit_code == 3, done.stderr
-    run = locfuse.load(tmp_path / "cut.mcap", sets=sets).run("odometry")
+    run = locfuse.load(tmp_path / "cut.mcap", sets=sets).run("odometry", advice=False)
     assert [f"lost: {line}" for line in run.losses()] == [x for x in done.stderr.splitlines() if "lost:" in x]
-    assert not locfuse.load(LOG).run("odometry").losses(strict=True)
+    assert not locfuse.load(LOG).run("odometry", advice=False).losses(strict=True)
 
 
 def test_without_truth_figures_are_none_and_configurations_are_ranked(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 from commands import locfuse
 from counted_jobs import counted_jobs
+from jobs_here import jobs_here
 
 from benchmarks.fleet import killed, tables, write_logs
 from locfuse.cli.fleet import process
@@ -52,7 +53,10 @@ def rows(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_a_log_that_cannot_be_read_is_a_row_and_the_others_are_compared(logs: list[Path], tmp_path: Path) -> None:
+def test_a_log_that_cannot_be_read_is_a_row_and_the_others_are_compared(
+    logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    jobs_here(monkeypatch)
     bad = tmp_path / "bad.mcap"
     bad.write_text("no log at all")
     done = locfuse("compare", logs[0], bad, tmp_path / "gone.mcap", logs[1], "-o", tmp_path / "out", *ONE)
@@ -69,7 +73,10 @@ def test_a_log_that_cannot_be_read_is_a_row_and_the_others_are_compared(logs: li
     assert "2 failed" in done.stdout
 
 
-def test_all_logs_failing_is_an_error_and_all_by_a_wrong_word_is_misuse(logs: list[Path], tmp_path: Path) -> None:
+def test_all_logs_failing_is_an_error_and_all_by_a_wrong_word_is_misuse(
+    logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    jobs_here(monkeypatch)
     for name in ("bad", "worse"):
         (tmp_path / f"{name}.mcap").write_text("no log at all")
     words = (tmp_path / "bad.mcap", tmp_path / "worse.mcap", "-o", tmp_path / "out", "--write", "json")
@@ -83,6 +90,7 @@ def test_all_logs_failing_is_an_error_and_all_by_a_wrong_word_is_misuse(logs: li
 def test_a_finished_log_is_not_run_again_until_something_changes(
     logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    jobs_here(monkeypatch)
     ran = counted_jobs(monkeypatch)
     own = [tmp_path / log.name for log in logs[:2]]
     for source, copy in zip(logs, own, strict=False):
@@ -113,6 +121,7 @@ def test_a_finished_log_is_not_run_again_until_something_changes(
 def test_a_setting_in_a_file_is_the_setting_on_the_command_line(
     logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    jobs_here(monkeypatch)
     out = tmp_path / "out"
     first = locfuse("compare", *logs[:2], "-o", out, *ONE, "--set", "compass.sigma_deg=5")
     assert first.exit_code == 0, first.stderr
@@ -138,6 +147,7 @@ def test_a_file_that_a_setting_names_is_part_of_the_key_by_its_content(key: str,
 def test_another_truth_file_is_run_again_and_the_window_is_that_of_every_log(
     logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    jobs_here(monkeypatch)
     truth = tmp_path / "truth.csv"
     first = int(open_log([logs[0]]).streams({"/ground_truth/pose": ()})["/ground_truth/pose"].t_ns[0])
     words = ("-o", tmp_path / "out", *ONE, "--truth", truth, "--to", "2")
@@ -290,14 +300,18 @@ def test_lists_patterns_and_folders_name_logs(logs: list[Path], tmp_path: Path) 
             expanded(words)
 
 
-def test_a_list_gives_a_summary_even_of_one_log(logs: list[Path], tmp_path: Path) -> None:
+def test_a_list_gives_a_summary_even_of_one_log(
+    logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    jobs_here(monkeypatch)
     (tmp_path / "logs.txt").write_text(f"{logs[0]}\n")
     done = locfuse("compare", f"@{tmp_path / 'logs.txt'}", "-o", tmp_path / "out", *ONE)
     assert done.exit_code == 0, done.stderr
     assert (tmp_path / "out" / logs[0].stem / "report.json").is_file()
 
 
-def test_a_robot_has_its_own_settings(logs: list[Path], tmp_path: Path) -> None:
+def test_a_robot_has_its_own_settings(logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    jobs_here(monkeypatch)
     for robot, sigma in (("r0", 4.0), ("r1", 9.0)):
         (tmp_path / f"{robot}.toml").write_text(f"[compass]\nsigma_deg = {sigma}\n")
     words = ("--robot-from", r"/(?P<robot>r\d)/", "--robot", tmp_path / "{robot}.toml", "-o", tmp_path / "out")
@@ -335,8 +349,9 @@ def test_what_cannot_be_done_is_refused_before_any_log_is_read(
 
 
 def test_every_drive_of_a_fleet_is_recorded_and_one_command_serves_them_all(
-    logs: list[Path], tmp_path: Path
+    logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    jobs_here(monkeypatch)
     from rerun.chunk import RrdReader
 
     words = ("compare", *logs[:2], "-o", tmp_path / "out", "--rerun", *ONE)

@@ -18,7 +18,7 @@ SAMPLE = "rounded_rectangle"
 def test_a_window_over_everything_changes_nothing() -> None:
     whole, window = api.load(SAMPLE), api.load(SAMPLE, between=(0.0, 1e6))
     for sensors in ("odometry", "compass"):
-        a, b = (session.run(sensors).estimates[sensors] for session in (whole, window))
+        a, b = (session.run(sensors, advice=False).estimates[sensors] for session in (whole, window))
         np.testing.assert_array_equal(a.t, b.t)
         np.testing.assert_allclose(a.pose, b.pose, atol=1e-12)
         np.testing.assert_allclose(a.triangles, b.triangles, atol=1e-15)
@@ -47,7 +47,7 @@ def test_it_starts_at_the_truths_pose_and_says_so() -> None:
     assert truth is not None
     start = session.robot.start
     assert start.x == pytest.approx(np.interp(session.drive.t[0], truth.t, truth.xy[:, 0]), abs=1e-9)
-    figures = session.run("odometry").evaluations["odometry"].figures
+    figures = session.run("odometry", advice=False).evaluations["odometry"].figures
     assert figures["duration_s"] == pytest.approx(15.0, abs=0.1)
     assert figures["position_rmse_m"] is not None
     assert figures["position_rmse_m"] < 0.3
@@ -58,9 +58,9 @@ def test_without_a_truth_it_starts_where_the_wheels_lead(tmp_path: Path) -> None
     """Odometry alone in the window is then the piece of odometry over the whole drive."""
     robot = tmp_path / "robot.toml"
     robot.write_text('[truth]\ntopic = "/none"\n')
-    whole = api.load(SAMPLE, robot=robot).run("odometry").estimates["odometry"]
+    whole = api.load(SAMPLE, robot=robot).run("odometry", advice=False).estimates["odometry"]
     session = api.load(SAMPLE, robot=robot, between=(10.0, 25.0))
-    part = session.run("odometry").estimates["odometry"]
+    part = session.run("odometry", advice=False).estimates["odometry"]
     common = np.isin(whole.t, part.t)
     np.testing.assert_allclose(part.pose[np.isin(part.t, whole.t)], whole.pose[common], atol=1e-9)
     assert any("--align origin" in note for note in session.notes)

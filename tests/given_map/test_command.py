@@ -37,7 +37,9 @@ def given(tmp_path: Path) -> Path:
 
 def judged(given: Path, *words: Any) -> tuple[dict[str, Any], str]:
     out = given.parent / "out"
-    done = locfuse("compare", LOG, "--map", given, "--sensors", "lrf", *words, "-o", out, "--write", "json")
+    done = locfuse(
+        "compare", LOG, "--map", given, "--sensors", "lrf", *words, "--no-advice", "-o", out, "--write", "json"
+    )
     assert done.exit_code == 0, done.stderr
     report: dict[str, Any] = json.loads((out / "report.json").read_text())
     return report, done.stderr

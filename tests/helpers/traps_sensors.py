@@ -231,6 +231,12 @@ def yawed(drive: Drive) -> None:
     drive.field(SCAN, angle_min=lambda a: a - math.pi / 2, angle_max=lambda a: a - math.pi / 2)
 
 
+def backward(drive: Drive) -> None:
+    """The laser's zero looks back, as that of many a cheap laser does, and nobody says so."""
+    drive.field(SCAN, angle_min=lambda a: a - math.pi, angle_max=lambda a: a - math.pi)
+    drive.drop("/tf_static")
+
+
 def only_tf_knows_the_yaw(drive: Drive) -> None:
     yawed(drive)
     drive.drop("/tf_static")
@@ -296,6 +302,7 @@ LASER_TRAPS = (
         "lrf",
     ),
     Trap("a yawed laser", nobody_knows_the_yaw, "not of 0 deg as", True, "lrf", blur=0.02),
+    Trap("a laser that looks back", backward, "not of 0 deg as", True, "lrf", blur=0.02),
     Trap("yawed, said by /tf_static", only_tf_knows_the_yaw, "yaw 90° by /tf_static", False, "lrf"),
     Trap("two publishers of /tf_static", two_publishers, "contradict; the last one counts", False, "lrf"),
     Trap("a wrong publisher of /tf_static", wrong_publisher, "not of 90 deg as", True, "lrf", blur=0.02),

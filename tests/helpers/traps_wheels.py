@@ -192,7 +192,7 @@ def relocalised(drive: Drive) -> None:
 
 def two_odometries(drive: Drive) -> None:
     only_odometry(drive)
-    drive.add([m._replace(topic="/odometry/wheels") for m in drive.on("/odom")])
+    drive.add([m._replace(topic="/odom2") for m in drive.on("/odom")])
 
 
 WHEEL_TRAPS = (

@@ -45,7 +45,7 @@ def robot(tmp_path: Path) -> Path:
 def test_odometry_reproduces_the_known_error(tmp_path: Path, robot: Path, track: float, rmse: float) -> None:
     out = tmp_path / "out"
     words = ("--robot", robot, "--set", f"wheels.track={track}", "-o", out)
-    done = locfuse("run", LOG, "--sensors", "odometry", *words)
+    done = locfuse("run", LOG, "--no-advice", "--sensors", "odometry", *words)
     assert done.exit_code == 0, done.stderr
     report = json.loads((out / "run.json").read_text())
     assert report["configurations"]["odometry"]["position_rmse_m"] == pytest.approx(rmse, rel=0.02)
@@ -57,7 +57,9 @@ def test_wall_lines_correct_the_drive_once_clock_and_metre_are_set(
     tmp_path: Path, robot: Path, track: float, most: float
 ) -> None:
     out = tmp_path / "out"
-    done = locfuse("compare", LOG, "--robot", robot, *CURED, "--set", f"wheels.track={track}", "-o", out)
+    done = locfuse(
+        "compare", LOG, "--no-advice", "--robot", robot, *CURED, "--set", f"wheels.track={track}", "-o", out
+    )
     assert done.exit_code == 0, done.stderr
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert set(report["configurations"]) == {"odometry", "lrf"}
@@ -81,7 +83,9 @@ EXACT = [word for key in ("x", "y", "yaw_deg") for word in ("--set", f"lrf.sigma
 def found_track(tmp_path: Path, robot: Path, start: float, sets: Sequence[str]) -> tuple[float, list[str]]:
     """The track that the filter finds from one that it is told, and all that is said of the wheels."""
     words = ("--robot", robot, *sets, *EXACT, "--set", f"wheels.track={start}", "--set", "wheels.estimate=true")
-    done = locfuse("run", LOG, "--sensors", "lrf", *words, "-o", tmp_path / f"{start}", "--overwrite")
+    done = locfuse(
+        "run", LOG, "--no-advice", "--sensors", "lrf", *words, "-o", tmp_path / f"{start}", "--overwrite"
+    )
     assert done.exit_code == 0, done.stderr
     notes = [line for line in done.stderr.splitlines() if "wheels:" in line]
     return float(re.findall(r"track ([0-9.]+) \(1 sigma", done.stderr)[0]), notes
@@ -114,7 +118,9 @@ def test_our_error_is_evos_error(tmp_path: Path, robot: Path) -> None:
     from evo.tools import file_interface
 
     # evo compares poses of one body: here the tracked point is the axle itself
-    done = locfuse("compare", LOG, "--robot", robot, *CURED, "--set", "truth.x=0", "-o", tmp_path / "out")
+    done = locfuse(
+        "compare", LOG, "--no-advice", "--robot", robot, *CURED, "--set", "truth.x=0", "-o", tmp_path / "out"
+    )
     assert done.exit_code == 0, done.stderr
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     for name in ("odometry", "lrf"):

@@ -46,7 +46,7 @@ def simulated(folder: Path, fault: str = "", scenario: str = "rounded_rectangle"
 def run(path: Path, *words: str) -> tuple[Done, Array, dict[str, Any]]:
     """Run and hold every row to: finite, P positive, time never backward."""
     out = path.parent / f"{path.stem}-out"
-    done = locfuse("run", path, "-o", out, *words)
+    done = locfuse("run", path, "--no-advice", "-o", out, *words)
     assert done.exit_code in {0, 3}, done.stderr
     rows = np.loadtxt(out / "trajectory.csv", delimiter=",", skiprows=1)
     P = rows[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)
@@ -183,7 +183,7 @@ def test_kidnapping_is_marked_and_never_confident_and_wrong(folder: Path) -> Non
 @pytest.fixture(scope="module")
 def disturbed(folder: Path) -> Path:
     out = folder / "disturbed"
-    assert locfuse("compare", "disturbed", "-o", out, "--write", "json,html").exit_code == 0
+    assert locfuse("compare", "disturbed", "--no-advice", "-o", out, "--write", "json,html").exit_code == 0
     return out
 
 
@@ -229,7 +229,7 @@ def test_a_driver_that_stamps_whole_seconds_gives_many_readings_one_instant_and_
     ]
     for sensors in ("compass", "all"):
         run(write(folder / "seconds.mcap", whole, attachments=attachments), "--sensors", sensors)
-    done = locfuse("compare", folder / "seconds.mcap", "--write", "json", "-o", folder / "seconds")
+    done = locfuse("compare", folder / "seconds.mcap", "--no-advice", "--write", "json", "-o", folder / "seconds")
     assert done.exit_code in {0, 3}, done.stderr
 
 

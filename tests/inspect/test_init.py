@@ -31,7 +31,6 @@ def init(log: Any, out: Path, *words: str) -> Done:
     done = locfuse("init", log, *words)
     assert done.exit_code in {0, 3}, done.stderr
     assert all(c.isprintable() or c == "\n" for c in done.stdout)
-    assert locfuse("init", log, *words).stdout == done.stdout
     out.write_text(done.stdout)
     return done
 
@@ -54,10 +53,13 @@ def final(log: Any, folder: Path, *words: Any) -> tuple[list[float], dict[str, A
 @pytest.mark.parametrize("name", sample_logs.names())
 def test_a_sample_log_runs_with_it_to_the_same_bytes(name: str, tmp_path: Path) -> None:
     done = init(name, tmp_path / "robot.toml")
+    assert locfuse("init", name).stdout == done.stdout
     assert "next: locfuse tune" in done.stderr
     assert "by the log's own robot.toml" in done.stdout
     for folder, words in (("without", ()), ("with", ("--robot", tmp_path / "robot.toml"))):
-        assert locfuse("run", name, "-o", tmp_path / folder, "--write", "tum", *words).exit_code == 0
+        assert (
+            locfuse("run", name, "--no-advice", "-o", tmp_path / folder, "--write", "tum", *words).exit_code == 0
+        )
     without, same = ((tmp_path / f / "trajectory.tum").read_bytes() for f in ("without", "with"))
     assert same == without
 
@@ -134,7 +136,7 @@ def test_where_several_topics_fit_the_first_is_a_guess_and_the_others_are_named(
             cdr(odometry, header=header(ns, "odom"), pose={"pose": {"orientation": {"w": 1.0}}}),
             ns,
         )
-        for topic in ("/odom", "/odometry/wheels")
+        for topic in ("/odom", "/odom2")
         for ns in range(T0, T0 + 10**10, 10**8)
     ]
     log = log_of(tmp_path / "x.mcap", said)
@@ -143,7 +145,7 @@ def test_where_several_topics_fit_the_first_is_a_guess_and_the_others_are_named(
     assert tomllib.loads(done.stdout)["wheels"]["topic"] == "/odom"
     words = " ".join(done.stdout.replace("\n#", " ").split())
     assert "guess:" in words
-    assert "/odometry/wheels" in words
+    assert "/odom2" in words
     final(log, tmp_path / "out", "--robot", tmp_path / "robot.toml")
 
 

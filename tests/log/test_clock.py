@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from locfuse.formats.log.clock import Clock, settle
+from locfuse.formats.log.clock import ON_STAMPS, Clock, common_clock, on_clock, settle
 from locfuse.formats.log.monotone import never_decreasing
 from locfuse.fusion.data import Ints
 
@@ -229,3 +229,28 @@ def test_times_never_decrease_whatever_the_stamps_are(rows: list[tuple[int, int]
     assert (np.diff(clock.t_ns) >= 0).all()
     expected = len(stamp) if clock.rows is None else len(clock.rows)
     assert len(clock.t_ns) == expected
+
+
+def test_what_has_no_header_is_dated_on_the_clock_of_the_others_stamps() -> None:
+    """A simulation at 0.8 of the wall's speed, its stamps from 12 s on: recorded together is happened together."""
+    true = np.arange(0, 100 * S, S // 10)
+    wall = T0 + (true * 5) // 4
+    known = common_clock([(wall, true + 12 * S), (wall + 10**6, true + 12 * S)])
+    assert known is not None
+    some = Clock(wall[55:900:7] + 2, None, "log time (no header)")
+    dated = on_clock(some, known)
+    np.testing.assert_allclose(dated.t_ns, true[55:900:7] + 12 * S, atol=1000)
+    assert dated.words == ON_STAMPS
+    outside = on_clock(Clock(wall[[0, -1]] + np.array([-S, S]), None, ""), known)
+    np.testing.assert_allclose(outside.t_ns, true[[0, -1]] + 12 * S + np.array([-S, S]), atol=1000)
+
+
+def test_stamps_of_the_recordings_clock_or_of_several_clocks_date_nothing_else() -> None:
+    true = T0 + np.arange(0, 10 * S, S // 10)
+    late, other = (true + 20_000_000, true), (true, true - 3600 * S)
+    assert common_clock([late]) is None
+    assert common_clock([late, other]) is None
+    assert common_clock([other, (true, true - 5 * S)]) is None
+    assert common_clock([(true, true[::-1] - 3600 * S)]) is None
+    assert common_clock([]) is None
+    assert common_clock([other]) is not None

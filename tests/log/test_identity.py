@@ -80,7 +80,7 @@ def test_a_copy_has_the_identity_of_the_log_and_another_log_has_another(raw: Pat
 
 
 def test_every_byte_is_hashed_where_all_were_read_or_the_user_asks(tmp_path: Path) -> None:
-    words = ("--sensors", "odometry", "--write", "json", "-q")
+    words = ("--sensors", "odometry", "--write", "json", "--no-advice", "-q")
     log = sample_logs.path("rounded_rectangle")
     assert locfuse("compare", "rounded_rectangle", *words, "-o", tmp_path / "a", "--hash").exit_code == 0
     source = json.loads((tmp_path / "a" / "report.json").read_text())["input"]

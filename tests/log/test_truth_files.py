@@ -19,6 +19,9 @@ from hostile import write as sample_write
 from numpy.typing import NDArray
 from wheel_bags import custom, log_of, stamps
 
+from locfuse.cli.choose.choose import choose_truth
+from locfuse.cli.choose.topics import Choice
+from locfuse.cli.pipeline.load import make_robot
 from locfuse.formats import inputs
 from locfuse.formats.log.file_stream import FileStream, read_file
 from locfuse.formats.log.log import open_log
@@ -150,6 +153,26 @@ def test_one_of_several_mocap_bodies_is_read_by_its_name(tmp_path: Path) -> None
     assert dropped == {"other_bodies": int((~seen).sum())}
     with pytest.raises(LocfuseError, match=r"tracks cart, robot\.(.|\n)*truth\.body=cart"):
         read_truth(stream, TruthSettings(), 0)
+
+
+def test_of_what_gazebo_simulates_the_model_that_moves_is_the_robot(tmp_path: Path) -> None:
+    """The ground and the walls are models too; the topic is a reference by its type. It has no stamps."""
+    kind = "gazebo_msgs/msg/ModelStates"
+    text = (
+        "string[] name\ngeometry_msgs/Pose[] pose\n"
+        + BODIES_TEXT[BODIES_TEXT.index("=" * 80 + "\nMSG: geometry") :]
+    )
+    pose = [{"position": {"x": x, "y": y}, "orientation": {"w": 1.0}} for x, y in PATH]
+    rows = [{"name": ["ground_plane", "robot"], "pose": [{"position": {"x": 9.0}}, one]} for one in pose]
+    log = open_log([custom(tmp_path / "x.mcap", "/gazebo/model_states", kind, text, T, rows)])
+    choice = Choice()
+    choose_truth(log, make_robot({}), False, choice)
+    assert (choice.of("truth"), choice.why["truth"]) == (("/gazebo/model_states",), "its type says so")
+    stream = log.stream("/gazebo/model_states")
+    truth, _ = read_truth(stream, TruthSettings(), int(stream.t_ns[0]))
+    np.testing.assert_allclose(truth.xy, PATH, atol=1e-12)
+    with pytest.raises(LocfuseError, match="not cart"):
+        read_truth(stream, TruthSettings(body="cart"), 0)
 
 
 def test_satellite_fixes_are_metres_east_and_north_turned_into_the_map(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from ruamel.yaml import YAML
 ROOT = Path(__file__).parents[2]
 ACTION: dict[str, Any] = YAML(typ="safe").load((ROOT / "action.yml").read_text(encoding="utf-8"))
 WORKFLOWS = sorted((ROOT / ".github").rglob("*.yml"))
-FAST = "--sensors odometry --sensors compass --write json,md"
+FAST = "--sensors odometry --sensors compass --write json,md --no-advice"
 
 
 class Ran(NamedTuple):

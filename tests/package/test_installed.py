@@ -26,8 +26,16 @@ def command(before: str, *words: str) -> subprocess.CompletedProcess[str]:
     ("module", "package", "words"),
     [
         ("cv2", "opencv-python-headless", ("run", "rounded_triangle", "--sensors", "camera")),
-        ("jinja2", "jinja2", ("compare", "rounded_triangle", "--sensors", "odometry", "--write", "html")),
-        ("rerun", "rerun-sdk", ("run", "rounded_triangle", "--sensors", "odometry", "--rerun-save", "x.rrd")),
+        (
+            "jinja2",
+            "jinja2",
+            ("compare", "rounded_triangle", "--sensors", "odometry", "--write", "html", "--no-advice"),
+        ),
+        (
+            "rerun",
+            "rerun-sdk",
+            ("run", "rounded_triangle", "--sensors", "odometry", "--rerun-save", "x.rrd", "--no-advice"),
+        ),
     ],
 )
 def test_a_missing_package_is_one_line_with_the_pip_command(

@@ -54,7 +54,7 @@ def test_robots_inside_logs_and_those_that_init_and_run_write_are_valid(tmp_path
     written = locfuse("init", "disturbed").stdout
     assert written.startswith("#:schema ./robot.schema.json\n")
     assert problems("robot", tomllib.loads(written)) == []
-    locfuse("run", "rounded_triangle", "--sensors", "compass", "--write", "json", "-o", tmp_path)
+    locfuse("run", "rounded_triangle", "--sensors", "compass", "--write", "json", "--no-advice", "-o", tmp_path)
     assert problems("robot", tomllib.loads((tmp_path / "robot.toml").read_text())) == []
 
 
@@ -103,7 +103,8 @@ def test_real_reports_are_valid_with_and_without_truth(tmp_path: Path) -> None:
     assert problems("report", report) == []
     nameless = rewritten(tmp_path / "log.mcap", None, "/ground_truth/pose", "rounded_triangle")
     for log in ("rounded_triangle", nameless):
-        done = locfuse("run", log, "--sensors", "compass", "--write", "json", "-o", tmp_path / "run")
+        some = ("--sensors", "compass", "--write", "json", "--to", "20")
+        done = locfuse("run", log, *some, "-o", tmp_path / "run")
         assert done.exit_code == 0, done.stderr
         run = json.loads((tmp_path / "run" / "run.json").read_text())
         assert (run["truth"] is None) == (log == nameless)

@@ -35,7 +35,7 @@ def report(log: Path) -> dict[str, Any]:
 
 
 def compared(log: Path | str, out: Path, *words: str) -> dict[str, Any]:
-    done = locfuse("compare", log, *words, "-o", out, "--write", "json", "-q")
+    done = locfuse("compare", log, *words, "--no-advice", "-o", out, "--write", "json", "-q")
     assert done.exit_code == 0, done.stderr
     found: dict[str, Any] = json.loads((out / "report.json").read_text())
     return found
@@ -56,7 +56,9 @@ def test_the_command_gives_the_same_figures_and_names_no_path(
 
 
 def test_the_command_is_the_same_from_python(report: dict[str, Any], log: Path) -> None:
-    result = api.load(log, sets={"compass.sigma_deg": 4}).compare(["odometry", "compass"], align="origin")
+    result = api.load(log, sets={"compass.sigma_deg": 4}).compare(
+        ["odometry", "compass"], align="origin", advice=False
+    )
     assert result.report["repeat"] == report["repeat"]
     assert result.report["changed_settings"] == report["changed_settings"]
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from commands import locfuse
+from jobs_here import jobs_here
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
@@ -207,8 +208,9 @@ def test_a_log_in_a_summary_has_the_report_it_has_alone(drives: list[Path], summ
 
 
 def test_a_summary_is_replaced_and_a_foreign_folder_is_not(
-    drives: list[Path], summary: Path, tmp_path: Path
+    drives: list[Path], summary: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    jobs_here(monkeypatch)
     before = (summary / "summary.json").read_bytes()
     done = locfuse("compare", *drives, "-o", summary, "--write", "json", "--json")
     assert done.exit_code == 0, done.stderr
@@ -220,7 +222,10 @@ def test_a_summary_is_replaced_and_a_foreign_folder_is_not(
     assert [p.name for p in tmp_path.iterdir()] == ["chapter1.tex"]
 
 
-def test_a_gate_that_one_log_fails_fails_the_summary(drives: list[Path], tmp_path: Path) -> None:
+def test_a_gate_that_one_log_fails_fails_the_summary(
+    drives: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    jobs_here(monkeypatch)
     words = ("--sensors", "odometry", "--write", "json", "-o", tmp_path / "out")
     done = locfuse("compare", *drives, *words, "--fail-if", "odometry.position_rmse_m > 0.0001")
     assert done.exit_code == 4
@@ -325,7 +330,10 @@ def later(source: Path, target: Path, seconds: float) -> None:
         writer.finish()
 
 
-def test_equal_names_get_folders_of_their_own(drives: list[Path], tmp_path: Path) -> None:
+def test_equal_names_get_folders_of_their_own(
+    drives: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    jobs_here(monkeypatch)
     twin = tmp_path / "again" / drives[0].name
     twin.parent.mkdir()
     shutil.copy(drives[0], twin)

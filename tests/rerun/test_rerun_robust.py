@@ -89,7 +89,7 @@ def warnings_of(stderr: str) -> list[str]:
 
 
 def test_without_display_and_viewer_the_recording_lies_with_the_results(tmp_path: Path) -> None:
-    done = locfuse("run", LOG, *LIGHT, "-o", tmp_path / "out", "--rerun", "--rerun-images", "none")
+    done = locfuse("run", LOG, "--no-advice", *LIGHT, "-o", tmp_path / "out", "--rerun", "--rerun-images", "none")
     assert done.exit_code == 0
     (warning,) = warnings_of(done.stderr)
     assert "no display" in warning
@@ -135,7 +135,7 @@ main(sys.argv[1:])
 
 def test_a_full_disk_costs_what_was_asked_for_by_name_and_leaves_nothing_half_written(tmp_path: Path) -> None:
     save = tmp_path / "drive.rrd"
-    words = ["run", LOG, *LIGHT, "-o", str(tmp_path / "out"), "--rerun-save", str(save)]
+    words = ["run", LOG, *LIGHT, "--no-advice", "-o", str(tmp_path / "out"), "--rerun-save", str(save)]
     done = subprocess.run(
         [sys.executable, "-c", FULL_DISK, *words], capture_output=True, text=True, timeout=300, check=False
     )
@@ -151,7 +151,9 @@ def test_a_full_disk_costs_what_was_asked_for_by_name_and_leaves_nothing_half_wr
 def test_a_place_that_cannot_be_written_is_an_error_after_the_results(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     save = tmp_path / "file" / "drive.rrd"
-    done = locfuse("run", LOG, *LIGHT, "-o", tmp_path / "out", "--rerun-save", save, "--rerun-images", "none")
+    done = locfuse(
+        "run", LOG, "--no-advice", *LIGHT, "-o", tmp_path / "out", "--rerun-save", save, "--rerun-images", "none"
+    )
     assert done.exit_code == 1
     assert sum("--rerun-save" in line for line in done.stderr.splitlines()) == 1
     assert (tmp_path / "out" / "run.json").is_file()
@@ -163,7 +165,7 @@ def test_rerun_is_imported_only_when_asked_for(tmp_path: Path) -> None:
         "try: main(sys.argv[1:])\nexcept SystemExit as e: assert not e.code\n"
         "assert 'rerun' not in sys.modules and 'rerun_bindings' not in sys.modules"
     )
-    words = ["compare", LOG, "--sensors", "odometry", "--write", "json", "-o", str(tmp_path / "out")]
+    words = ["compare", LOG, *LIGHT, "--no-advice", "-o", str(tmp_path / "out")]
     done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 
@@ -178,16 +180,8 @@ def test_a_recording_is_drawn_before_rerun_is_imported(tmp_path: Path) -> None:
         "recording.sketched = drawn\n"
         "try: main(sys.argv[1:])\nexcept SystemExit as e: assert not e.code\n"
     )
-    words = [
-        "compare",
-        LOG,
-        "--write",
-        "json",
-        "--rerun-save",
-        str(tmp_path / "a.rrd"),
-        "-o",
-        str(tmp_path / "out"),
-    ]
+    save = ("--rerun-save", str(tmp_path / "a.rrd"), "--rerun-images", "none")
+    words = ["compare", LOG, *LIGHT, "--no-advice", *save, "-o", str(tmp_path / "out")]
     done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=False)
     assert f"False {LOG}" in done.stdout, done.stderr
 
@@ -195,7 +189,8 @@ def test_a_recording_is_drawn_before_rerun_is_imported(tmp_path: Path) -> None:
 def test_a_smoothed_configuration_at_a_lower_rate_is_recorded(tmp_path: Path) -> None:
     words = ("--sensors", "lrf@2Hz", "--smooth", "--set", "lrf.map=refine", "--write", "json")
     save = tmp_path / "drive.rrd"
-    done = locfuse("compare", LOG, *words, "-o", tmp_path / "out", "--rerun-save", save, "--rerun-images", "none")
+    where = ("-o", tmp_path / "out", "--rerun-save", save, "--rerun-images", "none")
+    done = locfuse("compare", LOG, *words, "--no-advice", *where)
     assert not warnings_of(done.stderr)
     assert check(save)["world/lrf\\@2Hz-smoothed/path"] > 100
 
@@ -208,7 +203,7 @@ def test_a_recording_needs_no_pandas(tmp_path: Path) -> None:
         "assert 'pyarrow' in sys.modules and 'pandas' not in sys.modules"
     )
     save = ("--rerun-save", str(tmp_path / "drive.rrd"), "--rerun-images", "none")
-    words = ["run", LOG, *LIGHT, *save, "-o", str(tmp_path / "out")]
+    words = ["run", LOG, *LIGHT, "--no-advice", *save, "-o", str(tmp_path / "out")]
     done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "drive.rrd").is_file()

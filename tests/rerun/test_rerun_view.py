@@ -18,7 +18,8 @@ LOG = "rounded_triangle"
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("view") / "out"
-    done = locfuse("compare", LOG, "--sensors", "odometry", "--sensors", "lrf", "--write", "json,tum", "-o", out)
+    words = ("--sensors", "odometry", "--sensors", "lrf", "--write", "json,tum", "--no-advice")
+    done = locfuse("compare", LOG, *words, "-o", out)
     assert done.exit_code == 0, done.stderr
     return out
 
@@ -51,7 +52,7 @@ def test_a_folder_of_results_is_shown_from_its_files(results: Path, tmp_path: Pa
 
 def test_a_run_folder_keeps_its_covariances(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    assert locfuse("run", LOG, "--sensors", "compass", "-o", out).exit_code == 0
+    assert locfuse("run", LOG, "--no-advice", "--sensors", "compass", "-o", out).exit_code == 0
     assert locfuse("view", out, "--save", tmp_path / "drive.rrd").exit_code == 0
     rows = np.loadtxt(out / "trajectory.csv", delimiter=",", skiprows=1)
     P = rows[:, [4, 5, 5, 7]].reshape(-1, 2, 2)
@@ -67,7 +68,7 @@ def drawn(recording: Path, name: str) -> NDArray[np.float64]:
 
 def test_a_smoothed_run_is_drawn_from_its_own_file(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    assert locfuse("run", LOG, "--sensors", "compass", "--smooth", "-o", out).exit_code == 0
+    assert locfuse("run", LOG, "--no-advice", "--sensors", "compass", "--smooth", "-o", out).exit_code == 0
     assert locfuse("view", out, "--save", tmp_path / "drive.rrd").exit_code == 0
     for name, file in (("compass", "trajectory.tum"), ("compass-smoothed", "smoothed.tum")):
         tum = np.loadtxt(out / file)
@@ -77,7 +78,7 @@ def test_a_smoothed_run_is_drawn_from_its_own_file(tmp_path: Path) -> None:
 def test_a_folder_of_0_1_is_shown_though_smoothed_results_had_another_name(tmp_path: Path) -> None:
     out = tmp_path / "out"
     words = ("--sensors", "compass", "--smooth", "--write", "json,tum")
-    assert locfuse("compare", LOG, *words, "-o", out).exit_code == 0
+    assert locfuse("compare", LOG, "--no-advice", *words, "-o", out).exit_code == 0
     report = json.loads((out / "report.json").read_text())
     del report["schema_version"]
     rows = report["configurations"]

@@ -40,7 +40,7 @@ LAST_BIT = 3e-16  # NumPy's sine against that of the C library
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("run")
-    done = locfuse("run", LOG, "-o", out, "--export", "mcap,log,kitti,tum-cov", "-q")
+    done = locfuse("run", LOG, "--no-advice", "-o", out, "--export", "mcap,log,kitti,tum-cov", "-q")
     assert done.exit_code == 0, done.stderr
     return out
 
@@ -148,7 +148,7 @@ def test_the_logs_own_messages_are_copied_with_bytes_and_times(ran: Path) -> Non
 
 
 def test_a_copy_of_the_log_runs_to_the_same_trajectory(ran: Path, tmp_path: Path) -> None:
-    done = locfuse("run", ran / "estimates.mcap", "-o", tmp_path, "--write", "tum")
+    done = locfuse("run", ran / "estimates.mcap", "--no-advice", "-o", tmp_path, "--write", "tum")
     assert done.exit_code == 0, done.stderr
     assert (tmp_path / "trajectory.tum").read_bytes() == (ran / "trajectory.tum").read_bytes()
 
@@ -178,7 +178,7 @@ def test_the_file_is_sound_to_every_reader(ran: Path) -> None:
 
 
 def test_the_same_run_gives_the_same_bytes(ran: Path, tmp_path: Path) -> None:
-    locfuse("run", LOG, "-o", tmp_path, "--export", "mcap,log,kitti,tum-cov", "-q")
+    locfuse("run", LOG, "--no-advice", "-o", tmp_path, "--export", "mcap,log,kitti,tum-cov", "-q")
     for path in ran.iterdir():
         assert (tmp_path / path.name).read_bytes() == path.read_bytes(), path.name
 
@@ -210,9 +210,8 @@ def test_tum_with_covariance_names_its_columns(ran: Path) -> None:
 
 def test_compare_exports_every_configuration_under_a_name_that_ros_allows(tmp_path: Path) -> None:
     sets = [w for s in ("odometry", "compass,lrf", "lrf@2Hz") for w in ("--sensors", s)]
-    done = locfuse(
-        "compare", LOG, "-o", tmp_path, "--write", "tum,json", "--export", "mcap,csv,kitti", *sets, "-q"
-    )
+    words = ("--write", "tum,json", "--export", "mcap,csv,kitti", "--no-advice", "-q")
+    done = locfuse("compare", LOG, *sets, *words, "-o", tmp_path)
     assert done.exit_code == 0, done.stderr
     topics = decoded(tmp_path / "estimates.mcap")
     for name in json.loads((tmp_path / "report.json").read_text())["configurations"]:
@@ -228,7 +227,10 @@ def test_compare_exports_every_configuration_under_a_name_that_ros_allows(tmp_pa
 
 def test_a_frame_has_one_parent_where_the_log_has_a_tf_of_its_own(tmp_path: Path) -> None:
     bag = real_log("turtlebot4")
-    assert locfuse("run", bag, "-o", tmp_path, "--export", "log", "--write", "json", "-q").exit_code == 0
+    assert (
+        locfuse("run", bag, "--no-advice", "-o", tmp_path, "--export", "log", "--write", "json", "-q").exit_code
+        == 0
+    )
     parents: dict[str, set[str]] = {}
     for topic, messages in decoded(tmp_path / "estimates.mcap").items():
         for m, _ in messages if topic == "/tf" else ():
@@ -240,7 +242,10 @@ def test_a_frame_has_one_parent_where_the_log_has_a_tf_of_its_own(tmp_path: Path
 
 def test_a_sqlite3_bag_is_copied_too(tmp_path: Path) -> None:
     bag = real_log("turtlebot4/db3")
-    assert locfuse("run", bag, "-o", tmp_path, "--export", "log", "--write", "json", "-q").exit_code == 0
+    assert (
+        locfuse("run", bag, "--no-advice", "-o", tmp_path, "--export", "log", "--write", "json", "-q").exit_code
+        == 0
+    )
     store = get_typestore(Stores.ROS2_HUMBLE)  # such bags hold no definitions, copies of them do
     with AnyReader([bag], default_typestore=store) as original, AnyReader([tmp_path / "estimates.mcap"]) as copy:
         wanted = Counter((c.topic, t, bytes(raw)) for c, t, raw in original.messages())
@@ -249,7 +254,12 @@ def test_a_sqlite3_bag_is_copied_too(tmp_path: Path) -> None:
 
 def test_messages_are_recorded_in_the_logs_clock_where_it_keeps_two(tmp_path: Path) -> None:
     bag = real_log("bags/evo/nav2_turtlebot.mcap")
-    assert locfuse("run", bag, "-o", tmp_path, "--export", "mcap,log", "--write", "tum,json", "-q").exit_code == 0
+    assert (
+        locfuse(
+            "run", bag, "--no-advice", "-o", tmp_path, "--export", "mcap,log", "--write", "tum,json", "-q"
+        ).exit_code
+        == 0
+    )
     topics = decoded(tmp_path / "estimates.mcap")
     ours, theirs = topics["/locfuse/odometry/odometry"], topics["/odom"]
     assert [stamp(m) for m, _ in ours] == stamps_of(tmp_path / "trajectory.tum")
@@ -260,7 +270,7 @@ def test_messages_are_recorded_in_the_logs_clock_where_it_keeps_two(tmp_path: Pa
 @pytest.mark.parametrize("words", [(), ("--smooth",)])
 def test_without_truth_or_with_a_smoothed_estimate(tmp_path: Path, words: Sequence[str]) -> None:
     log = write(tmp_path / "x.mcap", drive(100), attachments=ROBOT)
-    done = locfuse("run", log, "-o", tmp_path / "out", "--export", "mcap,tum-cov", *words)
+    done = locfuse("run", log, "--no-advice", "-o", tmp_path / "out", "--export", "mcap,tum-cov", *words)
     assert done.exit_code == 0, done.stderr
     topics = decoded(tmp_path / "out" / "estimates.mcap")
     assert len([t for t in topics if t.endswith("/odometry")]) == 1 + len(words)

@@ -16,7 +16,7 @@ from benchmarks.consistency_before import BEFORE
 from benchmarks.consistency_cases import CASES, LASER, MOVING, Case, Goal, vague
 from benchmarks.consistency_figures import Figures, Means, inside, means, without
 from benchmarks.consistency_kept import Kept
-from benchmarks.consistency_starts import Start, alone
+from benchmarks.consistency_starts import Start, alone, often_short
 from benchmarks.consistency_starts import inside as share
 from benchmarks.consistency_table import HEAD, row
 from locfuse.cli.pipeline.load import make_robot
@@ -115,9 +115,9 @@ def test_a_start_s_error_goes_with_the_drive_as_its_sigma_does() -> None:
 
 def test_what_chance_does_to_few_drives_is_the_binomial_s() -> None:
     """Where there is no lever a drive is three draws; a single one outside 3 sigma takes the share below 99 %."""
-    found = alone(Start(math.radians(2.0), 0.05), np.zeros((1, 2)), range(30))
+    found = often_short(Start(math.radians(2.0), 0.05), np.zeros((1, 2)), 30)
     none = math.erf(3.0 / math.sqrt(2.0)) ** 90
-    assert found.short == pytest.approx(1.0 - none, abs=0.03)
+    assert found == pytest.approx(1.0 - none, abs=0.03)
 
 
 def test_a_vague_start_s_goal_is_what_its_draws_allow_and_others_keep_theirs() -> None:

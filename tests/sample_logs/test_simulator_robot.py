@@ -71,6 +71,16 @@ def test_encoder_counts_never_leave_the_true_wheel_angle() -> None:
     assert sum(wheel.missed for wheel in robot.wheels) == 0
 
 
+def test_an_encoder_that_is_read_too_seldom_loses_counts_and_says_so() -> None:
+    """At 10 rad/s a disc of 500 slots gives 3183 counts/s; 2000 looks a second see two or none at once."""
+    robot = Robot(Scenario(wheels=Wheels(sampling=2000.0)), (0.0, 0.0, 0.0), streams(3))
+    for _ in range(300):
+        robot.drive((10.0, -10.0))
+    for wheel in robot.wheels:
+        assert wheel.missed > 100
+        assert abs(wheel.angle) / wheel.rad_per_count - abs(wheel.counts) > 2 * wheel.missed - 2
+
+
 def test_the_trail_between_knots_is_the_circular_arc() -> None:
     trail = Trail(0.1, (1.0, 2.0, 0.5))
     trail.extend(np.array([[0.3, 0.0, 0.6]]))

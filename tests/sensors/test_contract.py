@@ -240,7 +240,12 @@ VARIANTS: dict[str, list[dict[str, dict[str, Any]]]] = {
     "sonar": [{}],
     "gps": [{}, {"gps": CERTAIN_GPS}, {"gps": {**CERTAIN_GPS, "origin": (48.0, 11.0), "x": 0.3, "y": 0.1}}],
     "gyro": [{}, {"gyro": {"bias_deg": 0.5}}],
-    "landmarks": [{}, {"landmarks": {"range_offset": 0.1}}],
+    "landmarks": [
+        {},
+        {"landmarks": {"range_offset": 0.1}},
+        {"landmarks": {"file": "seen.csv"}},
+        {"landmarks": {"range_depth": 1.0}},
+    ],
     "pose": [{}, {"pose": {"frame": "drift"}}, {"pose": {"frame": "map", "gate": 1.0}}],
     "twist": [{}],
 }

@@ -25,19 +25,34 @@ Array = NDArray[np.float64]
 SIGMA_RANGE, SIGMA_BEARING, OFFSET = 0.05, math.radians(1.0), 0.08
 
 
-def written(folder: Path, drift: float = 0.0, more: str = "", seed: int = 1, **changed: Any) -> tuple[Path, ...]:
-    """Write a log whose wheels slip by `drift` of every turn, detections of the true path, truth and a map."""
-    t, angle = angles(60.0)
+def written(
+    folder: Path,
+    drift: float = 0.0,
+    more: str = "",
+    seed: int = 1,
+    depth: bool = False,
+    late: float = 0.0,
+    seconds: float = 60.0,
+    **changed: Any,
+) -> tuple[Path, ...]:
+    """Write a log whose wheels slip by `drift` of every turn, detections of the true path, truth and a map.
+
+    `depth`: a camera that sees 60 degrees to either side and says depths; `late`: s by which the robot follows.
+    """
+    t, angle = angles(seconds)
     true = path_of(t, angle)
     slipping = angle + drift * np.stack((-(angle[:, 1] - angle[:, 0]), angle[:, 1] - angle[:, 0]), axis=-1) / 2
-    log = log_of(folder / "x.mcap", joint_states(t, slipping))
+    log = log_of(folder / "x.mcap", joint_states(t - late, slipping))
     rng = np.random.default_rng(seed)
     lines = ["t,id,range,bearing"]
     for i in range(5, len(t), 10):
         for key in rng.choice(sorted(MAP), 2, replace=False).tolist():
             d = np.array(MAP[key]) - true[i, :2]
-            r = np.hypot(*d) + OFFSET + SIGMA_RANGE * rng.standard_normal()
-            b = wrap(math.atan2(d[1], d[0]) - true[i, 2] + SIGMA_BEARING * rng.standard_normal())
+            b = wrap(math.atan2(d[1], d[0]) - true[i, 2])
+            if depth and abs(b) > math.radians(60.0):
+                continue
+            r = np.hypot(*d) * (math.cos(b) if depth else 1.0) + OFFSET + SIGMA_RANGE * rng.standard_normal()
+            b = wrap(b + SIGMA_BEARING * rng.standard_normal())
             lines.append(f"{T0 // 10**9 + t[i]:.9f},{key},{float(r)!r},{float(b)!r}")
     (folder / "detections.csv").write_text("\n".join(lines) + "\n" + more)
     given = {**MAP, **{int(k[1:]): v for k, v in changed.items()}}
@@ -82,6 +97,56 @@ def test_anees_over_many_drives_is_one(tmp_path: Path) -> None:
     ]  # fmt: skip
     nis = np.mean([r["configurations"]["landmarks"]["sensors"]["landmarks"]["nis"] for r in found])
     assert nis == pytest.approx(1.0, abs=0.12)  # 4 x 600 detections of two numbers
+
+
+def test_depths_of_a_camera_are_told_from_distances_by_the_drive(tmp_path: Path) -> None:
+    """The size of a tag in a picture says how far it is along the camera's axis: two thirds at 48 degrees."""
+    files = written(tmp_path, depth=True)
+    found, stderr = compared(files)
+    fixed, _ = compared(files, "--set", "landmarks.range_depth=0")
+    good, bad = (r["configurations"]["landmarks"] for r in (found, fixed))
+    assert "its ranges are depths along its axis, not distances" in stderr
+    share = float(stderr.split("not distances: ")[1].split(" ")[0])
+    assert share == pytest.approx(1.0, abs=0.1)
+    assert good["position_rmse_m"] < 0.05
+    assert 0.6 < good["sensors"]["landmarks"]["nis"] < 1.4
+    assert bad["position_rmse_m"] > 2.0 * good["position_rmse_m"]
+    _, stderr = compared(written(tmp_path))  # distances are said to be nothing else
+    assert "depths" not in stderr
+
+
+def test_depths_make_a_map_too(tmp_path: Path) -> None:
+    log, detections, _, truth = written(tmp_path, depth=True)
+    report, stderr = compared((log, detections, Path("grow"), truth), "--align", "se2")
+    assert "its ranges are depths along its axis" in stderr
+    assert report["configurations"]["landmarks"]["position_rmse_m"] < 0.08
+
+
+def test_landmarks_that_agree_with_the_truths_clock_say_that_the_wheels_are_early(tmp_path: Path) -> None:
+    """A robot follows its commands late: it is not the truth that is late, as it would look beside the wheels."""
+    log, detections, given, truth = written(tmp_path, late=0.25)
+    words = (
+        "--set",
+        f"landmarks.file={detections}",
+        "--set",
+        f"landmarks.map={given}",
+        "--set",
+        f"truth.topic={truth}",
+    )
+    done = locfuse("info", log, *GEOMETRY, *words)
+    assert "truth and landmarks run 0.25 s behind them alike: the wheels' clock is off" in done.stdout
+    assert "wheels.time_offset=0.25" in done.stdout
+    assert "truth.time_offset" not in done.stdout
+    done = locfuse("info", log, *GEOMETRY, "--set", f"truth.topic={truth}")  # nobody is there to say it
+    assert "truth.time_offset=-0.25" in done.stdout
+
+
+def test_tune_takes_a_map_of_landmarks(tmp_path: Path) -> None:
+    log, detections, given, _ = written(tmp_path, seconds=20.0)
+    words = ("--set", f"landmarks.file={detections}", "--set", f"landmarks.map={given}")
+    done = locfuse("tune", log, *GEOMETRY, *words, "-o", tmp_path / "tuned.toml")
+    assert done.exit_code == 0, done.stderr
+    assert "sigma_range" in (tmp_path / "tuned.toml").read_text()
 
 
 def test_two_swapped_landmarks_and_a_wrong_one_are_named(tmp_path: Path) -> None:

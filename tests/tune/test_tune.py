@@ -205,7 +205,9 @@ def test_the_command_writes_a_robot_that_the_next_command_takes(tmp_path: Path) 
     likelihood = report["ln_likelihood_per_number"]["held_out"]
     assert likelihood["after"] > likelihood["before"]
     assert tomllib.loads(out.read_text())["compass"]["sigma_deg"] == pytest.approx(sigma["after"], rel=1e-3)
-    assert locfuse("run", "rounded_rectangle", "--robot", out, "-o", tmp_path / "run").exit_code == 0
+    assert (
+        locfuse("run", "rounded_rectangle", "--no-advice", "--robot", out, "-o", tmp_path / "run").exit_code == 0
+    )
     taken = locfuse("tune", "rounded_rectangle", "-o", out)
     assert taken.exit_code == 2
     assert "--overwrite" in taken.stderr

@@ -402,7 +402,7 @@ def test_an_odometry_that_is_named_as_a_pose_leaves_the_other_one_to_the_wheels(
 
 
 def test_init_says_which_of_several_odometries_it_guessed(tmp_path: Path) -> None:
-    log = log_of(tmp_path / "x.mcap", odometry(T, CIRCLE), odometry(T, CIRCLE, "/odometry/wheels"))
+    log = log_of(tmp_path / "x.mcap", odometry(T, CIRCLE), odometry(T, CIRCLE, "/odom2"))
     done = locfuse("init", log)
     assert "guessed: wheels.topic=/odom" in done.stderr
-    assert "/odometry/wheels" in done.stderr
+    assert "/odom2" in done.stderr

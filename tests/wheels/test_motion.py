@@ -212,6 +212,19 @@ def test_an_odometry_knows_its_way_over_a_silence() -> None:
     assert not wheels_of_poses(t, poses).silence.any()
 
 
+@pytest.mark.parametrize("aside", [0.5 * math.pi, -0.5 * math.pi, math.pi, 0.7, -2.5])
+def test_a_base_that_goes_sideways_is_as_uncertain_as_one_that_goes_ahead(aside: float) -> None:
+    """Nothing but the name of its axes differs: mecanum wheels and legs roll the way they go."""
+    ahead = wheels_from(random_drive(150))
+    c, s = math.cos(aside), math.sin(aside)
+    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    other = Wheels.from_twists(ahead.t, ahead.twist @ R.T, TRACK, K)
+    cuts = ahead.t[[0, 40, 90]], ahead.t[[40, 90, 150]]
+    one, two = ahead.between(*cuts), other.between(*cuts)
+    np.testing.assert_allclose(two.u, one.u @ R.T, atol=1e-12)
+    np.testing.assert_allclose(two.Q, R @ one.Q @ R.T, rtol=1e-9, atol=1e-15)
+
+
 def test_in_however_long_a_silence_a_heading_is_at_most_unknown() -> None:
     _, heard = wanderer(0, (20.0, 30.0))
     t = heard.t + np.where(heard.t > 25.0, 1e9, 0.0)  # a stamp from another decade

@@ -12,15 +12,30 @@ import pytest
 from bags import Said, cdr, header
 from commands import locfuse
 from numpy.typing import NDArray
-from wheel_bags import angles, custom, joint_states, log_of, numbers, odometry, stamps, turned
+from wheel_bags import (
+    RADIUS,
+    TICKS,
+    TRACK,
+    angles,
+    custom,
+    joint_states,
+    log_of,
+    numbers,
+    odometry,
+    pose_of,
+    stamps,
+    turned,
+)
 
 from locfuse.cli.choose.choose import choose
 from locfuse.cli.choose.mounts import mount_of, on_moving_parts, transforms_of
 from locfuse.cli.choose.topics import Choice
-from locfuse.cli.pipeline.load import make_robot
+from locfuse.cli.pipeline.load import load, make_robot
+from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.formats.log.log import Log, open_log
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import WheelSettings
+from locfuse.fusion.wheels.geometry import by_odometry
 from locfuse.fusion.wheels.read import read_wheels
 from locfuse.fusion.wheels.sources import joint_names
 
@@ -99,6 +114,9 @@ def end_of(log: Log) -> Array:
         ("/odom/unfiltered", "/odom"),
         ("/odom", "/zed/zed_node/odom"),
         ("/base_odometry/odom", "/robot_pose_ekf/odom_combined"),
+        ("/odometry/wheels", "/odom"),
+        ("/odom_enc", "/odom"),
+        ("/odom", "/odom_rf2o"),
     ],
 )
 def test_an_odometry_of_the_wheels_is_taken_before_one_that_was_made_of_more(
@@ -115,13 +133,19 @@ def test_an_odometry_of_the_wheels_is_taken_before_one_that_was_made_of_more(
 
 
 def test_two_odometries_that_look_alike_are_not_guessed_at(tmp_path: Path) -> None:
-    log = opened(tmp_path, driven("/odom"), driven("/odometry/wheels"))
-    with pytest.raises(LocfuseError, match="2 topics that fit: /odom, /odometry/wheels"):
+    log = opened(tmp_path, driven("/odom"), driven("/odom2"))
+    with pytest.raises(LocfuseError, match="2 topics that fit: /odom, /odom2"):
         chosen(log)
 
 
 @pytest.mark.parametrize(
-    ("used", "other"), [("/scan_front", "/scan_back"), ("/scan", "/scan_filtered"), ("/base_scan", "/tilt_scan")]
+    ("used", "other"),
+    [
+        ("/scan_front", "/scan_back"),
+        ("/f_scan", "/b_scan"),
+        ("/scan", "/scan_filtered"),
+        ("/base_scan", "/tilt_scan"),
+    ],
 )
 def test_of_several_lasers_the_likeliest_is_used_and_said(used: str, other: str, tmp_path: Path) -> None:
     choice = chosen(opened(tmp_path, driven("/odom"), scans(used), scans(other)))
@@ -179,7 +203,12 @@ def test_wheels_are_known_by_the_names_that_robots_give_them(
 
 
 @pytest.mark.parametrize(
-    "joints", [("l_elbow", "r_elbow"), ("fl_caster_l_wheel_joint", "fl_caster_r_wheel_joint")]
+    "joints",
+    [
+        ("l_elbow", "r_elbow"),
+        ("front_left_hip_x", "front_right_hip_x"),
+        ("fl_caster_l_wheel_joint", "fl_caster_r_wheel_joint"),
+    ],
 )
 def test_arms_and_casters_are_no_wheels(joints: tuple[str, ...]) -> None:
     with pytest.raises(LocfuseError, match="no joint is named like the left wheel"):
@@ -230,6 +259,51 @@ def test_fixes_and_an_imu_alone_are_refused_in_a_line_that_says_what_is_missing(
         chosen(opened(tmp_path, numbers("/number", "Float64", T, T.tolist())))
 
 
+ARRAY = "std_msgs/msg/{}MultiArray"
+
+
+def arrays(topic: str, kind: str, t: Array, rows: Any) -> list[Said]:
+    kind = ARRAY.format(kind)
+    return [Said(topic, kind, cdr(kind, data=row), ns) for ns, row in zip(stamps(t), rows, strict=True)]
+
+
+@pytest.mark.parametrize("kind", ["Int32", "Int64", "Float32"])
+def test_both_wheels_in_one_array_are_left_and_right(kind: str, tmp_path: Path) -> None:
+    t, angle = angles(20.0)
+    whole = kind != "Float32"
+    rows = np.round(angle * TICKS / (2.0 * math.pi)).astype(int).tolist() if whole else angle.tolist()
+    log = opened(tmp_path, arrays("/wheel_ticks", kind, t, rows))
+    sized: dict[str, Any] = {"radius": RADIUS, "track": TRACK}
+    sized |= {"ticks_per_revolution": TICKS} if whole else {}
+    choice = chosen(log, wheels=sized)
+    assert choice.of("wheels") == ("/wheel_ticks",)
+    end = read_wheels(log.stream("/wheel_ticks"), WheelSettings(**sized)).wheels.pose[-1]
+    assert end == pytest.approx(pose_of(angle), abs=5e-3)
+
+
+def test_of_an_array_of_four_nobody_guesses_which_are_the_wheels(tmp_path: Path) -> None:
+    t, angle = angles(20.0)
+    rows = np.column_stack((angle, angle))[:, [0, 2, 1, 3]]  # front left, rear left, front right, rear right
+    log = opened(tmp_path, arrays("/encoders", "Float64", t, rows.tolist()))
+    sized: dict[str, Any] = {"radius": RADIUS, "track": TRACK}
+    with pytest.raises(LocfuseError, match=r"holds 4 numbers; .* --set wheels\.left=0 --set wheels\.right=3"):
+        read_wheels(log.stream("/encoders"), WheelSettings(**sized))
+    named = WheelSettings(**sized, left="1", right="3")
+    assert read_wheels(log.stream("/encoders"), named).wheels.pose[-1] == pytest.approx(pose_of(angle), abs=1e-6)
+
+
+def test_what_is_not_read_is_named_with_what_to_record_instead(tmp_path: Path) -> None:
+    kind = "livox_ros_driver2/msg/CustomMsg"
+    file = custom(
+        tmp_path / "x.mcap", "/livox/lidar", kind, "std_msgs/Header header\nuint32 point_num\n", T, [{}] * len(T)
+    )
+    with pytest.raises(LocfuseError) as refused:
+        chosen(open_log([file]))
+    assert "/livox/lidar (livox_ros_driver2/CustomMsg) holds points in Livox' own format" in str(refused.value)
+    both = open_log([file, log_of(tmp_path / "odom.mcap", driven("/odom"))])
+    assert "record PointCloud2 instead" in chosen(both).absent["lrf"]
+
+
 # ---- where sensors sit ----
 
 
@@ -275,3 +349,126 @@ def test_a_laser_that_moves_on_the_robot_is_left_out_with_what_moves(tmp_path: P
     placed = transforms_of(open_log([log]), ["laser"])
     assert mount_of(placed, "laser") is None
     assert on_moving_parts(placed, {"lrf": [open_log([log]).stream("/scan")]}, {"lrf": {"x": 0.2}}) == {}
+
+
+# ---- estimates that look like odometry ----
+
+
+def odometry_in(frame: str, topic: str, poses: Array = CIRCLE) -> list[Said]:
+    """An odometry whose poses are given in any frame."""
+    return [
+        Said(
+            topic,
+            ODOMETRY,
+            cdr(
+                ODOMETRY,
+                header=header(ns, frame),
+                pose={"pose": {"position": {"x": p[0], "y": p[1]}, "orientation": turned(p[2])}},
+            ),
+            ns,
+        )
+        for ns, p in zip(stamps(T), poses.tolist(), strict=True)
+    ]
+
+
+TWIST = "geometry_msgs/msg/TwistStamped"
+
+
+def twists(topic: str, frame: str) -> list[Said]:
+    twist = {"linear": {"x": SPEED}, "angular": {"z": RATE}}
+    return [Said(topic, TWIST, cdr(TWIST, header=header(ns, frame), twist=twist), ns) for ns in stamps(T)]
+
+
+def test_an_odometry_in_the_map_is_an_estimate_that_comes_after_what_the_wheels_said(tmp_path: Path) -> None:
+    """A particle filter or a localisation publishes Odometry too; its frame says that it knows the room."""
+    estimate = odometry_in("map", "/pf/pose/odom", STANDING)
+    choice = chosen(opened(tmp_path, driven("/odom"), estimate))
+    assert choice.of("wheels") == ("/odom",)
+    assert "/pf/pose/odom looks made of more than the wheels" in choice.notes[0].words
+    choice = chosen(opened(tmp_path, twists("/vehicle/twist", "base_link"), estimate))
+    assert choice.of("wheels") == ("/vehicle/twist",)
+    assert "/pf/pose/odom looks made of more than the wheels" in choice.notes[0].words
+
+
+def test_an_odometry_in_the_map_is_used_where_nothing_else_moves_and_called_an_estimate(tmp_path: Path) -> None:
+    log = opened(tmp_path, odometry_in("world", "/carla/odometry"), scans("/scan"))
+    choice = chosen(log)
+    assert choice.of("wheels") == ("/carla/odometry",)
+    assert "holds poses that another program estimated" in choice.notes[0].words
+    assert end_of(log) == pytest.approx(CIRCLE[-1], abs=1e-6)
+
+
+def test_speeds_along_the_axes_of_odom_are_not_speeds_ahead(tmp_path: Path) -> None:
+    log = opened(tmp_path, twists("/odometry/twist", "odom"), twists("/body_twist", "body"))
+    assert chosen(log).of("wheels") == ("/body_twist",)
+
+
+def options(*sets: str) -> LogOptions:
+    return LogOptions(None, sets, None, strict=False, quiet=True)
+
+
+def test_scans_that_say_how_the_robot_moved_say_nothing_of_where_their_laser_sits(tmp_path: Path) -> None:
+    """Moved and matched by one mount, they fit any: what a filter found there would be made of noise."""
+    log = log_of(tmp_path / "x.mcap", scans("/scan"))
+    lrf = load([log], options()).robot.settings("lrf")
+    assert lrf.sigmas(tells=True) == (0.0, 0.0, 0.0)
+    told = load([log], options("lrf.sigma_x=0.02")).robot.settings("lrf")
+    assert told.sigmas(tells=True) == (0.02, 0.0, 0.0)
+
+
+# ---- inertial sensors ----
+
+
+def imus(topic: str, oriented: bool = True) -> list[Said]:
+    kind = "sensor_msgs/msg/Imu"
+    said: dict[str, Any] = {"orientation_covariance": [0.0 if oriented else -1.0, *[0.0] * 8]}
+    return [
+        Said(
+            topic,
+            kind,
+            cdr(
+                kind,
+                header=header(ns, "imu"),
+                orientation=turned(RATE * t) if oriented else {},
+                angular_velocity={"z": RATE},
+                **said,
+            ),
+            ns,
+        )
+        for ns, t in zip(stamps(T), T.tolist(), strict=True)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("used", "other"), [("/imu/data", "/camera/imu"), ("/imu1/imu", "/gripper/imu"), ("/z_imu/data", "/livox/imu")]
+)
+def test_of_several_imus_the_one_on_the_body_is_read_by_compass_and_gyro(
+    used: str, other: str, tmp_path: Path
+) -> None:
+    choice = chosen(opened(tmp_path, driven("/odom"), imus(used), imus(other)))
+    assert (choice.of("compass"), choice.of("gyro")) == ((used,), (used,))
+    choice = chosen(opened(tmp_path, driven("/odom"), imus(used, oriented=False), imus(other, oriented=False)))
+    assert choice.of("gyro") == (used,)
+
+
+def test_a_heading_that_is_a_bare_number_comes_after_an_orientation(tmp_path: Path) -> None:
+    """Nothing says its unit, its zero or its sense; where no IMU has an orientation it is read."""
+    heading = numbers("/compass_hdg", "Float64", T, np.degrees(RATE * T).tolist())
+    choice = chosen(opened(tmp_path, driven("/odom"), imus("/imu/data"), heading))
+    assert choice.of("compass") == ("/imu/data",)
+    choice = chosen(opened(tmp_path, driven("/odom"), imus("/imu/data", oriented=False), heading))
+    assert (choice.of("compass"), choice.of("gyro")) == (("/compass_hdg",), ("/imu/data",))
+
+
+def test_the_size_of_the_wheels_is_what_an_odometry_of_arcs_was_made_with(tmp_path: Path) -> None:
+    """Along an arc the wheels roll further than the robot comes ahead: by the chord they were 0.5 % too small."""
+    t = np.arange(0.0, 40.0, 0.1)
+    # both wheels by turns fast and slow, on a circle of 0.05 * 7.5 / 0.5 = 0.75 m: closed form
+    rolled = 0.5 * t - 2.5 * (np.cos(0.2 * t) - 1.0)
+    angle = np.stack((6.0 * rolled, 9.0 * rolled), axis=-1)  # rad
+    turn = 0.05 * 3.0 / 0.3 * rolled
+    poses = np.stack((0.75 * np.sin(turn), 0.75 * (1.0 - np.cos(turn)), turn), axis=-1)
+    log = opened(tmp_path, joint_states(t, angle), odometry(t, poses))
+    found = by_odometry(log.stream("/joint_states"), log.stream("/odom"), WheelSettings())
+    assert found is not None
+    assert (found.radius, found.track) == pytest.approx((0.05, 0.3), rel=1e-4)

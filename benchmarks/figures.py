@@ -62,10 +62,10 @@ def figures(logs: Logs, out: Path, length: str) -> list[Figure]:
     pictures = locfuse("compare", logs.minute, *how)
     buildings = [] if logs.building is None else [of_building(logs.building, how)]
     return [
-        Figure("60 s, 600 pictures: five configurations / stock", 1.25, pictures, stock_minute),
+        Figure("60 s, 600 pictures: five configurations / stock", 1.40, pictures, stock_minute),
         Figure("60 s, 600 pictures: five configurations / one", 1.25, pictures, locfuse("run", logs.minute, *how)),
-        Figure(f"{length}: one configuration, frozen map / stock", 0.45, one, stock),
-        Figure(f"{length}: five configurations, frozen map / stock", 0.70, five, stock, peak=200.0),
+        Figure(f"{length}: one configuration, frozen map / stock", 0.35, one, stock),
+        Figure(f"{length}: five configurations, frozen map / stock", 0.45, five, stock, peak=200.0),
         Figure(f"{length}: five configurations with a Rerun recording / without", 1.5, recorded, five, peak=300.0),
         Figure(
             f"{length}: five configurations with advice / without",
@@ -73,10 +73,10 @@ def figures(logs: Logs, out: Path, length: str) -> list[Figure]:
             locfuse("compare", logs.hour, *FROZEN, *advised),
             five,
         ),
-        Figure(f"{length}: one configuration, `grow` / stock", 0.90, locfuse("run", logs.hour, *how), stock),
+        Figure(f"{length}: one configuration, `grow` / stock", 0.45, locfuse("run", logs.hour, *how), stock),
         Figure(f"{length}: reading and decoding / stock", 0.10, ours, stock),
         Figure(f"{length}: reading and decoding / rosbags", 0.35, ours, module("decode", "rosbags", logs.hour)),
-        Figure(f"{length}: five configurations / one", 1.60, five, one),
+        Figure(f"{length}: five configurations / one", 1.30, five, one),
         *buildings,
         Figure(
             "`locfuse --help` / `import click`", 1.50, locfuse("--help"), (sys.executable, "-c", "import click")
@@ -97,9 +97,13 @@ def decoded(log: Path) -> Command:
 def kernels(logs: Logs) -> list[Kernel]:
     """Return the inner loops that are measured."""
     return [
-        Kernel("EKF step, predict + heading / filterpy", 0.08, module("kernels", "ekf_heading", logs.minute)),
-        Kernel("EKF step, predict + six lines / filterpy", 0.20, module("kernels", "ekf_lines", logs.minute)),
-        Kernel("lines of a 361-beam scan / small_gicp ICP", 0.05, module("kernels", "lines", logs.minute)),
+        Kernel("EKF step, predict + heading / filterpy", 0.06, module("kernels", "ekf_heading", logs.minute)),
+        Kernel(
+            "EKF step, predict + six lines, matched and recorded / filterpy",
+            0.20,
+            module("kernels", "ekf_lines", logs.minute),
+        ),
+        Kernel("lines of a 361-beam scan / small_gicp ICP", 0.025, module("kernels", "lines", logs.minute)),
         Kernel("the same / recursive split-and-merge", 0.30, module("kernels", "lines_recursive", logs.minute)),
-        Kernel("omni bearing, decoding included / imdecode", 1.50, module("kernels", "omni", logs.minute)),
+        Kernel("omni bearing, decoding included / imdecode", 1.10, module("kernels", "omni", logs.minute)),
     ]

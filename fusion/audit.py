@@ -10,7 +10,7 @@ import numpy as np
 from msgspec.structs import astuple
 from numpy.typing import NDArray
 
-from .data import Audit
+from .data import Audit, Ints
 from .sensor import Innovation, Reading, Table
 
 MANY = 256
@@ -43,14 +43,15 @@ class Record:
     def add(self, k: int, seen: Sequence[Innovation]) -> None:
         """Note the innovations of one reading at instant k."""
         if isinstance(seen, Reading):
-            self._add(k, seen.table())
+            self.add_rows(k, seen.table())
             return
         self._waiting += seen
         self._instants += [k] * len(seen)
         if len(self._waiting) > MANY:
             self._write()
 
-    def _add(self, k: int, of: Table) -> None:
+    def add_rows(self, k: int | Ints, of: Table) -> None:
+        """Note rows of one reading at instant k, or of many, at instants (n,)."""
         self._write()
         at = slice(self._rows, self._rows + len(of.nis))
         self._make_room(at.stop, of.y.shape[1])

@@ -6,11 +6,12 @@ predict by the wheels  ->  every sensor due compares with the same prior  ->  co
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.fusion.coast.headings import HeadingRecord
+from locfuse.fusion.coast.stretches import Stretches
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.equations import predicted
 from locfuse.fusion.ekf.map_frame import InMap, Pose, Triangle
@@ -19,9 +20,9 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
 
 from .audit import MANY, Record
-from .coast import HeadingRecord, Stretches
 from .data import Array, Drive, Estimates, Measurements, matrices
-from .instants import Due, Step, due_readings, steps_of
+from .instants import Due, Instants, Step
+from .progress import say_done
 from .robot import Robot, StartSettings
 from .sensor import Block, Innovation, Model, Reading
 from .track import Track
@@ -51,13 +52,14 @@ def fuse(
             raise drive.lacks(sensor)
     run = Filter(robot, sensors, listen, make, {s: len(m.z) for s, m in drive.measurements.items()}, len(drive.t))
     stretches = run.stretches(drive)
-    each = enumerate(zip(steps_of(drive), due_readings(drive, (*sensors, *listen)), strict=True))
-    for k, (step, due) in each:
+    instants, k = Instants(drive, (*sensors, *listen)), 0
+    while k < len(instants):
+        instants.reached(k)
         last = run.coast(stretches, k)
-        if last > k:
-            next(islice(each, last - k - 1, last - k - 1), None)
-        else:
-            run.advance(k, step, due, drive.measurements)
+        if last == k:
+            run.advance(k, *instants.at(k), drive.measurements, predicted=stretches.left(k))
+        k = max(last, k + 1)
+    say_done(None)
     return run.estimates(drive, name or configuration_name(sensors, drive))
 
 
@@ -113,9 +115,19 @@ class Filter:
             fixed.append(WHEELS)
         self._track = Track(self.belief, fixed, instants)
 
-    def advance(self, k: int, step: Step, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
-        """Take the belief to instant k and correct it by every reading (sensor, i) that is due there."""
-        self._move(step, due, measurements)
+    def advance(
+        self,
+        k: int,
+        step: Step,
+        due: Sequence[Due],
+        measurements: Mapping[str, Measurements],
+        predicted: bool = False,
+    ) -> None:
+        """Take the belief to instant k and correct it by every reading (sensor, i) that is due there.
+
+        `predicted`: it is there already.
+        """
+        self._move(None if predicted else step, due, measurements)
         belief, in_map, models = self.belief, self._in_map, self.models
         accepted: list[Innovation | Reading] = []
         heard: list[Innovation] = []
@@ -155,18 +167,23 @@ class Filter:
     def stretches(self, drive: Drive) -> Stretches:
         """Return where the core may take many instants of a drive at once."""
         found = Stretches(drive, self.models, self.belief, (*self._inflates, *self._listens))
-        if found.sensor is not None:
-            self._records[found.sensor] = found.record
+        self._records |= found.records()
         return found
 
     def coast(self, on: Stretches, k: int) -> int:
-        """Take the belief from instant k as far as only headings are read; return the instant that is next."""
+        """Take the belief from instant k as far as the core goes; return the instant that is next."""
         last = on.until(k) if self.belief.plain else k
-        if last > k:
-            moved = on.coast(self.belief, k, last, self._track)
-            for model in self._rolling:
-                model.rolled(moved)
-        return last
+        if last <= k:
+            return k
+        stop = on.coast(self.belief, k, last, self._track)
+        for model in self._rolling:
+            if not on.takes(model):
+                model.rolled(stop.rolled)
+        if stop.finish:
+            on.finish(self.belief)
+            self._turn_pages()
+            self._track.note(self.belief)
+        return stop.instant + stop.finish
 
     def _correct_whole(self, accepted: Rows, several: list[tuple[str, Rows]]) -> None:
         """Correct once by all that was accepted, and note how well readings of several rows fit as a whole.
@@ -180,11 +197,12 @@ class Filter:
         for name, nis in joint:
             self._records[name].joint.extend(nis)
 
-    def _move(self, step: Step, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
+    def _move(self, step: Step | None, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
         """Predict, tell models that ask how far the wheels rolled, and begin a frame where a map begins."""
-        self.belief.predict(*step)
-        for model in self._rolling:
-            model.rolled(step.u)
+        if step is not None:
+            self.belief.predict(*step)
+            for model in self._rolling:
+                model.rolled(step.u)
         for sensor, i in due:
             if sensor in self._may_begin and self.models[sensor].begins_map(measurements[sensor], i):
                 self._begin_frame()

@@ -6,7 +6,7 @@ hour's values are never all in memory as objects.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.motion import Wheels
 
-from .data import Array, Drive, Motions
+from .data import Array, Drive, Ints, Motions
 from .progress import say_done
 
 BLOCK = 256  # instants
@@ -31,12 +31,45 @@ class Step(NamedTuple):
     J: Array | None  # (3, p) its derivative by the wheel parameters
 
 
+class Instants:
+    """The motions and the readings of a whole drive, instant by instant; it says how much of its time is done.
+
+    Whoever goes on by many instants at once leaves out what lies between.
+    """
+
+    def __init__(self, drive: Drive, sensors: Sequence[str]) -> None:
+        self._drive, self._dt = drive, np.diff(drive.t, prepend=drive.t[:1])
+        self._owners = {s: drive.instant[s] for s in REGISTRY if s in sensors}
+        self._begin = self._said = -BLOCK  # of the block at hand, and of the one whose begin was said
+        self._steps: list[Step] = []
+        self._due: list[list[Due]] = []
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self._dt)
+
+    def at(self, k: int) -> tuple[Step, list[Due]]:
+        """Return the motion that leads to instant k, and the readings (sensor, i) that belong to it."""
+        if not 0 <= k - self._begin < BLOCK:
+            self._begin = k - k % BLOCK
+            at = slice(self._begin, min(self._begin + BLOCK, len(self)))
+            self._steps = list(_block(self._drive.motions, self._dt, at))
+            self._due = _due(self._owners, at.start, at.stop)
+        return self._steps[k - self._begin], self._due[k - self._begin]
+
+    def reached(self, k: int) -> None:
+        """Say now and then that the instants before k are done."""
+        if k - self._said >= BLOCK:
+            self._said, t = k, self._drive.t
+            say_done(float(t[k] / t[-1]) if k else 0.0)
+
+
 def steps_of(drive: Drive) -> Iterator[Step]:
     """Yield the motions of a whole drive, and say meanwhile how much of its time is done."""
-    dt = np.diff(drive.t, prepend=drive.t[:1])
-    for a in range(0, len(dt), BLOCK):
-        say_done(float(drive.t[a] / drive.t[-1]) if a else 0.0)
-        yield from _block(drive.motions, dt, slice(a, a + BLOCK))
+    instants = Instants(drive, ())
+    for k in range(len(instants)):
+        instants.reached(k)
+        yield instants.at(k)[0]
     say_done(None)
 
 
@@ -54,12 +87,16 @@ def step_between(wheels: Wheels, t_from: float, t_to: float, parameters: bool = 
 
 def due_readings(drive: Drive, sensors: Sequence[str]) -> Iterator[list[Due]]:
     """Yield for every instant the readings (sensor, i) that belong to it, in registry order."""
-    n = len(drive.t)
-    owners = {s: drive.instant[s] for s in REGISTRY if s in sensors}
+    owners, n = {s: drive.instant[s] for s in REGISTRY if s in sensors}, len(drive.t)
     for a in range(0, n, BLOCK):
-        due: list[list[Due]] = [[] for _ in range(min(BLOCK, n - a))]
-        for sensor, instant in owners.items():
-            first, last = np.searchsorted(instant, (a, a + BLOCK)).tolist()
-            for i, k in enumerate((instant[first:last] - a).tolist(), first):
-                due[k].append((sensor, i))
-        yield from due
+        yield from _due(owners, a, min(a + BLOCK, n))
+
+
+def _due(owners: Mapping[str, Ints], begin: int, end: int) -> list[list[Due]]:
+    """Return the readings of the instants begin:end, sensor by sensor."""
+    due: list[list[Due]] = [[] for _ in range(end - begin)]
+    for sensor, instant in owners.items():
+        first, last = np.searchsorted(instant, (begin, end)).tolist()
+        for i, k in enumerate((instant[first:last] - begin).tolist(), first):
+            due[k].append((sensor, i))
+    return due

@@ -49,6 +49,13 @@ def between(a: Array, b: Array) -> Array:
     return compose(inverse(a), b)
 
 
+def chained(a: Array, steps: Array) -> Array:
+    """Return the poses a ⊕ steps[0], a ⊕ steps[0] ⊕ steps[1], ... (n, 3) of a (3,) and steps (n, 3)."""
+    theta = a[2] + np.cumsum(steps[:, 2])
+    before = np.concatenate((a[2:], theta[:-1]))
+    return np.column_stack((a[:2] + np.cumsum(rotated(before, steps[:, :2]), axis=0), theta))
+
+
 def between_jacobians(a: Array, b: Array) -> tuple[Array, Array]:
     """Return the derivatives of between(a, b) by the numbers of a and of b (..., 3), (..., 3, 3) each."""
     by_b = rotation(-a[..., 2])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -46,6 +46,19 @@ class Way:
             return not self.sights
         x, y, turn = (pose - self.sights[-1].pose).tolist()
         return math.hypot(x, y) >= STRIDE or abs(se2.wrap(turn)) >= TURN
+
+    def ahead(self) -> dict[str, Any]:
+        """Return its length and last place, and where the next scan is kept (core.scans.Way); {}: at once."""
+        if self._last is None or not self.sights:
+            return {}
+        (x, y), last = self._last[:2].tolist(), self.sights[-1].pose.tolist()
+        sight = dict(zip(("sight_x", "sight_y", "sight_turn"), last, strict=True))
+        looks = len(self.sights) < MANY_SIGHTS
+        return {"length": self.length, "x": x, "y": y, "looks": looks, **sight, "stride": STRIDE, "turn": TURN}
+
+    def went(self, length: float, x: float, y: float) -> None:
+        """Take over its length and last place from who has followed it."""
+        self.length, self._last = length, np.array((x, y, 0.0))
 
     def keep(self, t: float, pose: Array, scan: Scan) -> None:
         """Keep a scan that was taken at a pose."""

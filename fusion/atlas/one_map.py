@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import VERDICTS, Array, LocfuseError, MapLine, Measurements
+from locfuse.fusion.core.room import Room
+from locfuse.fusion.data import VERDICTS, Array, Ints, LocfuseError, MapLine, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.linemap.association import Association, Codes, SeenLines, associate
+from locfuse.fusion.linemap.association import Association, Codes, SeenLines, associate, new_lines
 from locfuse.fusion.linemap.laser_mount import seated, seated_shares
 from locfuse.fusion.linemap.line_map import LineMap, about_middle
-from locfuse.fusion.linemap.scan import Scan, Scans
+from locfuse.fusion.linemap.scan import Passed, Scan, Scans
 from locfuse.fusion.linemap.standing import Standing
-from locfuse.fusion.linemap.tidy import MIN_HITS, merge_doubles, prune
+from locfuse.fusion.linemap.tidy import MIN_HITS, TIDY_EVERY, merge_doubles, prune
 from locfuse.fusion.lines.flatness import bend
 from locfuse.fusion.mount import Mount
 from locfuse.fusion.recovery.guard import Guard
@@ -26,9 +28,6 @@ from locfuse.fusion.sensor import Block, Innovation, Model
 UNMATCHED, AMBIGUOUS, NEW, LOST, REPEATED = (
     VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new", "lost", "repeated")
 )
-TIDY_EVERY = 10  # scans
-# A scan in which only one line matches says little about whether the match is right: it must fit nearly perfectly.
-LONE_D2, LONE_ANGLE, LONE_OFFSET = 5.0, math.radians(3.0), 0.15
 
 
 class LineTracker(Model):
@@ -46,7 +45,8 @@ class LineTracker(Model):
         # only a map that holds what was seen since can say that something is wrong
         self.guard = Guard() if recover and mode in ("grow", "given") else None
         self._first_map: list[MapLine] = []
-        self._gate = chi_square(gate, 2)
+        self.gate = chi_square(gate, 2)
+        self.codes = Codes(UNMATCHED, AMBIGUOUS, NEW if mode == "grow" else UNMATCHED)
         self._scan = 0
         self._scans = Scans()
         self._last: Association | None = None
@@ -94,25 +94,24 @@ class LineTracker(Model):
         self._raw = self._standing.take(self._scans.read(m, first, last))
         if self._raw is None:
             self._teach = False
-            return [Innovation.unpredicted(row, REPEATED, 2, self._gate) for row in range(first, last)]
+            return [Innovation.unpredicted(row, REPEATED, 2, self.gate) for row in range(first, last)]
         if len(self.map) == 0:
-            return [Innovation.unpredicted(row, NEW, 2, self._gate) for row in range(first, last)]
+            return [Innovation.unpredicted(row, NEW, 2, self.gate) for row in range(first, last)]
         scan = self._scan_of(m, first, last, belief)
-        found = associate(scan, self.map, belief, self._gate)
+        found = associate(scan, self.map, belief, self.gate)
         if self.guard is not None:
-            found, self._teach = self.guard.watch(float(m.t[i]), scan, found, self.map, belief, self._gate)
+            found, self._teach = self.guard.watch(float(m.t[i]), scan, found, self.map, belief, self.gate)
         self._last = found
         if not self._teach:
             self._standing.forget()
-            return [Innovation.unpredicted(first + k, LOST, 2, self._gate) for k in range(last - first)]
+            return [Innovation.unpredicted(first + k, LOST, 2, self.gate) for k in range(last - first)]
         if self.mode == "grow":
-            _refuse_a_lone_match(found)
+            found.refuse_alone()
         return self._seen(found, first, self._shared(m, first, last, belief))
 
     def _seen(self, found: Association, first: int, shared: Array | None = None) -> SeenLines:
         """Return what the lines from row `first` on say."""
-        codes = Codes(UNMATCHED, AMBIGUOUS, NEW if self.mode == "grow" else UNMATCHED)
-        return SeenLines(found, first, self.map.ids, self._gate, codes, self.joint, shared)
+        return SeenLines(found, first, self.map.ids, self.gate, self.codes, self.joint, shared)
 
     def _shared(self, m: Measurements, first: int, last: int, belief: Any) -> Array | None:
         """Return what rows first:last share (k, 2, s), put into the base as they are; None: nothing."""
@@ -125,9 +124,9 @@ class LineTracker(Model):
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Let matched extents grow, and add what is new: all of the first scan, later only in `grow`."""
-        if self.guard is not None:
-            self.guard.corrected(belief)
         first, last = int(m.first[i]), int(m.first[i + 1])
+        if self.guard is not None and last > first:
+            self.guard.corrected(belief)
         if first == last or not self._teach or self.mode == "given":
             return
         if i != self._asked:  # two scans at one instant: what is known of matches is of the last one
@@ -144,24 +143,22 @@ class LineTracker(Model):
             return
         found.extend(self.map, self._scan)
         if self.joint:
-            self._revise(m, first, last, found, belief)
-            self._keep_floor(m, belief)
+            uneven = _uneven(m, first)
+            if uneven.any():
+                self._bend(found, uneven, belief)
+            self._revise(m, i, found.new() if self.mode == "grow" else [], belief)
 
-    def _revise(self, m: Measurements, first: int, last: int, found: Association, belief: JointBelief) -> None:
-        """Let lines that are states bend; in `grow` add what is new, drop what proved worthless, join doubles."""
-        uneven = m.extra["uneven"][first] if "uneven" in m.extra else np.zeros(2)
-        if uneven.any():
-            self._bend(found, uneven, belief)
-        if self.mode != "grow":
-            return
-        new = found.new()
+    def _revise(self, m: Measurements, i: int, new: list[int], belief: JointBelief) -> None:
+        """Add lines of scan i that are new; now and then drop what proved worthless and join doubles (`grow`)."""
+        first, last = int(m.first[i]), int(m.first[i + 1])
         if new:
             scan = self._scan_of(m, first, last, belief)
             for k in new:
                 self._add(scan, k, belief)
-        if self._scan % TIDY_EVERY == 0:
+        if self.mode == "grow" and self._scan % TIDY_EVERY == 0:
             prune(self.map, belief, self._scan)
-            merge_doubles(self.map, belief, self._scan, uneven)
+            merge_doubles(self.map, belief, self._scan, _uneven(m, first))
+        self._keep_floor(m, belief)
 
     def _bend(self, found: Association, uneven: Array, belief: JointBelief) -> None:
         """Loosen the lines that were seen: of a wall that is not flat another part is seen next (wall_floor).
@@ -169,12 +166,8 @@ class LineTracker(Model):
         A wall stays within its unevenness, so a line that is known no better is left alone: loosened for ever, the
         walls of a small room would let the robot drift among them.
         """
-        seen = np.array(sorted({pair.column for pair in found.matched()}))
-        if self.mode == "consider" or len(seen) == 0:
-            return
-        columns = np.concatenate((seen, seen + 1))
-        room = np.repeat(uneven, len(seen)) - np.diagonal(belief.covariance)[columns]
-        belief.loosen(columns, np.clip(room, 0.0, np.repeat(bend(uneven), len(seen))))
+        if self.mode != "consider":
+            belief.loosen(*found.bends(belief.arrays[1], uneven, bend(uneven)))
 
     def _keep_floor(self, m: Measurements, belief: JointBelief) -> None:
         """Know no line better than its floor, whatever was averaged: no wall is a plane to less than that.
@@ -191,6 +184,52 @@ class LineTracker(Model):
         if self.mount is None:
             return scan
         return Scan(*seated(scan.rows(), self.mount, belief))
+
+    # ---- many scans at once ----
+
+    @property
+    def scans_taken(self) -> int:
+        """How many scans taught the map."""
+        return self._scan
+
+    def rolled_since(self) -> tuple[float, float, float]:
+        """Return how far the wheels rolled since the last scan that was used, x, y [m], theta [rad]."""
+        return self._standing.since()
+
+    def way(self) -> dict[str, Any]:
+        """Return the way through the map for `core.scans.Way`: here none is followed."""
+        return {}
+
+    def passed(
+        self, progress: Any, way: Any, poses: tuple[Array, Array], last: Sequence[Passed], well: int | None
+    ) -> None:
+        """Take in what the core did without asking (core.tables.Progress, Way).
+
+        `poses` (n, 3) are those before and after each scan that it took, `last` the last of these, `well` is which
+        one last fitted well.
+        """
+        self._scan = progress.number
+        self._standing.moved((progress.x, progress.y, progress.theta))
+        if not last:
+            return
+        m = last[-1].of
+        self._raw = self._scans.read(m, *last[-1].rows)
+        self._asked, self._teach = last[-1].i, True
+        self._standing.begin(self._raw)
+        if self.guard is not None:
+            seen = [(float(m.t[one.i]), partial(self._seen_before, one)) for one in last]
+            self.guard.passed(poses, seen, None if well is None else (float(m.t[well]), self.map.next_id))
+
+    def _seen_before(self, one: Passed) -> Scan:
+        scan = self._scans.read(one.of, *one.rows)
+        return scan if self.mount is None else one.seated(scan)
+
+    def finish(self, m: Measurements, i: int, fate: Ints, room: Room, belief: JointBelief) -> None:
+        """Teach the map what of scan i the core left to do: it stopped after it."""
+        lines = int(m.first[i + 1] - m.first[i])
+        self._revise(m, i, new_lines(fate, lines, room) if self.mode == "grow" else [], belief)
+
+    # ---- results ----
 
     def lines(self, belief: Any) -> tuple[list[MapLine], list[MapLine]]:
         """Return the map after the first scan and the map now."""
@@ -237,12 +276,7 @@ class LineTracker(Model):
         self.map.append(anchor, value, P, column, (-half, half), self._scan)
 
 
-def _refuse_a_lone_match(found: Association) -> None:
-    """Turn a scan's only match into none where others failed to match and it does not fit nearly perfectly."""
-    matched = [k for k, p in enumerate(found.match) if p >= 0]
-    if len(matched) != 1 or len(found.match) == 1:
-        return
-    (pair,) = found.matched()
-    offset, turn = pair.y
-    if pair.d2 > LONE_D2 or abs(turn) > LONE_ANGLE or abs(offset) > LONE_OFFSET:
-        found.refuse(pair.line)
+def _uneven(m: Measurements, row: int) -> Array:
+    """Return the variances (2,) by which a piece of wall is off its line, [m^2, rad^2]."""
+    uneven: Array = m.extra["uneven"][row] if "uneven" in m.extra else np.zeros(2)
+    return uneven

@@ -9,14 +9,17 @@ Hierarchical SLAM (Estrada, Neira and Tardos, IEEE T-RO 2005) with the graph of 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, MapLine, Measurements
+from locfuse.fusion.core.room import Room
+from locfuse.fusion.data import Array, Ints, MapLine, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import by_frame
+from locfuse.fusion.linemap.scan import Passed
 from locfuse.fusion.linemap.tidy import MIN_HITS
 from locfuse.fusion.mount import Mount
 
@@ -65,9 +68,38 @@ class AtlasTracker(LineTracker):
         super().learn(m, i, belief)
         if first == last or not self._teach or self.mode != "grow" or not isinstance(belief, JointBelief):
             return
-        pose = np.array(belief.pose())
         if begins and len(self.map):
-            self._enter(pose, belief)
+            self._enter(np.array(belief.pose()), belief)
+        self._go_on(m, i, belief)
+
+    def finish(self, m: Measurements, i: int, fate: Ints, room: Room, belief: JointBelief) -> None:
+        """Teach the map what of scan i the core left to do, and go on as after every scan."""
+        super().finish(m, i, fate, room, belief)
+        if self.mode == "grow":
+            self._go_on(m, i, belief)
+
+    def way(self) -> dict[str, Any]:
+        """Return the way through the map, and where something is to be done on it."""
+        if self.mode != "grow":
+            return super().way()
+        ahead, (x, y, _) = self._way.ahead(), self._origin.tolist()
+        if not ahead:  # at the next scan
+            return {"follows": True, "ask_at": -1.0}
+        ask_at = self._asked_at + (ASK_AGAIN if self._asked_at else FIRST_ASK) if self._frozen else math.inf
+        here = {"ask_at": ask_at, "origin_x": x, "origin_y": y, "reach": REACH, "most": MANY}
+        return {"follows": True, **here, **ahead}
+
+    def passed(
+        self, progress: Any, way: Any, poses: tuple[Array, Array], last: Sequence[Passed], well: int | None
+    ) -> None:
+        """Take in what the core did without asking, and how far the way went on."""
+        super().passed(progress, way, poses, last, well)
+        if last and way.ask_at >= 0.0 and self.mode == "grow":
+            self._way.went(way.length, way.x, way.y)
+
+    def _go_on(self, m: Measurements, i: int, belief: JointBelief) -> None:
+        """Follow the way, look for the map at hand in earlier ones, and tell whether it is full."""
+        pose, first, last = np.array(belief.pose()), int(m.first[i]), int(m.first[i + 1])
         if self._way.goes(pose):
             self._way.keep(float(m.t[i]), pose, self._scan_of(m, first, last, belief))
         if self._way.length - self._asked_at >= (ASK_AGAIN if self._asked_at else FIRST_ASK):

@@ -1,67 +1,141 @@
-"""The filter over a stretch of a drive on which nothing but headings is read: many instants at once."""
+"""The filter over a stretch of a drive, many instants at once: headings, and scans that fit the line map.
 
-from .filter import correct, locate, move, swing, whiten
+It stops where the loop in Python must take over: before a scan that hardly fits, after one with a new line.
+"""
+
+from .filter import AT_ONCE, correct, locate, move, swing, whiten
 from .fit import wrapped
+from .scans import MATCHED, NOTHING, columns_of, look, state, teach
 
 HEARD = 4  # columns of what is told of a reading: verdict, NIS, y, sigma
+DONE, BEFORE, AFTER = (
+    0,
+    1,
+    2,
+)  # why it stopped: all done; predicted, no more; all but the map's lessons and the note
 
 
-def coast(
-    x, P, n, frame, first, last, u, Q, dt, drifting, drift, drifts, when, reading, stop, z, r, usable, gate,
-    refused, unused, offset, at, states, room, y, S, H, V, pose, triangle, columns, blocks, values, told
-):  # fmt: skip
-    """Predict (eq. 5-7) from instant `first` until `last`, and correct by every heading due there (eq. 10-12).
+def coast(b, m, h, s, w, seat, rule, way, d, notes, progress, last, reading):
+    """Predict (eq. 5-7) from the instant of `progress` until `last`, and correct by all that is due (eq. 10-12).
 
-    u (instants, 3), Q (instants, 9) and dt (instants,) are the motions; the states `drifting` (drifts,) gain the
-    variance `drift` each second. Headings `reading` until `stop` are due here: heading i at instant when[i] is
-    z[i] [rad] of variance r[i], and what is predicted is `offset` and the sum of the states `at` (states,). Where
-    it is not `usable`, or beyond `gate`, it corrects nothing. room (9,), y (1,), S (1, 1), H (1, states) of ones,
-    and V (4, n) of zeros are room. Written are pose (instants, 3) and triangle (instants, 6) by `locate`, the
-    states `columns` (blocks,) and their variances as values (instants, 2 blocks), and told (readings, 4), with the
-    verdict 0, `refused` or `unused`. Returns what `whiten` does where a correction failed, else 1.
+    `reading` is the first heading that is due; `progress` says where and why this stopped. Returns what `whiten`
+    does where a correction failed, else 1.
     """
     i = reading
-    for k in range(first, last):
-        move(x, P, n, u[k, 0], u[k, 1], u[k, 2], Q[k, 0], Q[k, 1], Q[k, 2], Q[k, 4], Q[k, 5], Q[k, 8])
-        for j in range(drifts):
-            P[drifting[j], drifting[j]] += drift[j] * dt[k]
-        if i < stop and when[i] == k:
-            told[i, 0] = 0.0 if usable[i] else unused
-            greatest = heading(x, P, n, frame, z[i] - offset, r[i], gate, refused, at, states, y, S, H, V, told, i)
+    for k in range(progress.instant, last):
+        progress.instant = k
+        roll(b, m, progress, k)
+        scan, kind = progress.scan, NOTHING
+        if scan < s.scans and s.when[scan] == k:
+            kind = look(b, s, scan, w, seat, rule, progress, d)
+            if kind < 0:
+                progress.why = BEFORE
+                return 1.0
+            progress.scan += 1
+        taken = False
+        if i < h.readings and h.when[i] == k:
+            greatest = compare(b, h, i, d)
             if not greatest > 0.0:
                 return greatest
+            taken = h.told[i, 0] == 0.0
             i += 1
-        note(x, P, frame, room, k, pose, triangle, columns, blocks, values)
+        accepted = state(b, s, scan, w, seat, rule, d) if kind == MATCHED else 0
+        if accepted > 0 or taken:
+            greatest = correct_by(b, s, scan, accepted, h, i - 1, taken, seat, rule, d)
+            if not greatest > 0.0:
+                return greatest
+        if kind == MATCHED and teach(b, s, scan, w, rule, way, progress, d):
+            progress.why = AFTER
+            return 1.0
+        note(
+            b.x, b.P, b.frame, notes.room, k, notes.pose, notes.triangle, notes.columns, notes.blocks, notes.values
+        )
+    progress.instant, progress.why = last, DONE
     return 1.0
 
 
-def heading(x, P, n, frame, z, r, gate, refused, at, states, y, S, H, V, told, i):
-    """Correct by heading i, and tell what became of it; returns what `whiten` does."""
-    turn = z
-    for j in range(states):
-        turn -= x[at[j]]
-    y[0], S[0, 0] = turn - turn, r  # NaN where there is no heading
-    if y[0] == 0.0:
-        y[0] = wrapped(turn)
-    told[i, 2] = y[0]
-    greatest = whiten(P, n, at, states, H, S, y, 1, V)
-    if not greatest > 0.0:
-        return greatest
-    told[i, 1], told[i, 3] = y[0] * y[0], S[0, 0]
-    if told[i, 0] == 0.0 and not told[i, 1] <= gate:
-        told[i, 0] = refused
-    if told[i, 0] == 0.0:
-        correct_in_frame(x, P, n, frame, V, y)
+def roll(b, m, progress, k):
+    """Predict to instant k, and sum up how far the wheels rolled."""
+    ux, uy, turn = m.u[k, 0], m.u[k, 1], m.u[k, 2]
+    move(b.x, b.P, b.n, ux, uy, turn, m.Q[k, 0], m.Q[k, 1], m.Q[k, 2], m.Q[k, 4], m.Q[k, 5], m.Q[k, 8])
+    for j in range(m.drifts):
+        b.P[m.drifting[j], m.drifting[j]] += m.drift[j] * m.dt[k]
+    progress.x += ux
+    progress.y += uy
+    progress.theta += turn
+
+
+def compare(b, h, i, d):
+    """Compare heading i with the belief, and tell what became of it; returns what `whiten` does."""
+    turn = h.z[i] - h.offset
+    for j in range(h.states):
+        turn -= b.x[h.at[j]]
+        d.H[0, j] = 1.0
+    d.y[0], d.R[0, 0] = turn - turn, h.r[i]  # NaN where there is no heading
+    if d.y[0] == 0.0:
+        d.y[0] = wrapped(turn)
+    h.told[i, 0] = 0.0 if h.usable[i] else h.unused
+    h.told[i, 2] = d.y[0]
+    greatest = whiten(b.P, b.n, h.at, h.states, d.H, d.R, d.y, 1, d.V)
+    if greatest > 0.0:
+        h.told[i, 1], h.told[i, 3] = d.y[0] * d.y[0], d.R[0, 0]
+        if h.told[i, 0] == 0.0 and not h.told[i, 1] <= h.gate:
+            h.told[i, 0] = h.refused
     return greatest
 
 
-def correct_in_frame(x, P, n, frame, V, e):
-    """Correct by one row, and let the uncertainty of the map frame's place follow its correction."""
+def correct_by(b, s, scan, accepted, h, i, taken, seat, rule, d):
+    """Correct once by what is written of a scan's accepted lines and, where it is `taken`, by heading i.
+
+    Without lines the heading is what `compare` has just whitened.
+    """
+    greatest, m = 1.0, 2 * accepted
+    if accepted > 0:
+        width = columns_of(accepted, seat, rule)
+        if taken:
+            beside(h, i, d, m, width)
+            m, width = m + 1, width + h.states
+        greatest = whiten(b.P, b.n, d.at, width, d.H, d.R, d.y, m, d.V)
+        if not greatest > 0.0:
+            return greatest
+        if rule.joint and accepted > 1:
+            note_fit(s.joint, scan, d.y, 2 * accepted)
+    correct_in_frame(b.x, b.P, b.n, b.frame, d.V, d.y, max(m, 1))
+    return greatest
+
+
+def beside(h, i, d, m, width):
+    """Write heading i as row m, with its states behind the `width` columns of the rows before it."""
+    for j in range(h.states):
+        d.at[width + j] = h.at[j]
+        for k in range(m):
+            d.H[k, width + j] = 0.0
+        d.H[m, width + j] = 1.0
+    for j in range(width):
+        d.H[m, j] = 0.0
+    for j in range(m):
+        d.R[j, m] = d.R[m, j] = 0.0
+    d.y[m], d.R[m, m] = h.told[i, 2], h.r[i]
+
+
+def note_fit(joint, scan, e, m):
+    """Write how well the first m numbers of a correction fit as a whole: y' S^-1 y and the degrees of freedom."""
+    total = 0.0
+    for j in range(m):
+        total += e[j] * e[j]
+    joint[scan, 0], joint[scan, 1] = total, m
+
+
+def correct_in_frame(x, P, n, frame, V, e, m):
+    """Correct by m rows, and let the uncertainty of the map frame's place follow its correction."""
+    for k in range(m, m + (AT_ONCE - m % AT_ONCE) % AT_ONCE):
+        for j in range(n):
+            V[k, j] = 0.0
     if frame < 0:
-        correct(x, P, n, V, e, 1)
+        correct(x, P, n, V, e, m)
         return
     place_x, place_y = x[frame], x[frame + 1]
-    correct(x, P, n, V, e, 1)
+    correct(x, P, n, V, e, m)
     swing(P, n, frame, x[frame] - place_x, x[frame + 1] - place_y)
 
 

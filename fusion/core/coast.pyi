@@ -1,63 +1,43 @@
 from .arrays import Floats, Matrix, Wholes
+from .tables import Belief, Desk, Headings, Notes, Progress, Rules, Scans, Seat, Walls, Way, Wheels
 
 HEARD: int
+DONE: int
+BEFORE: int
+AFTER: int
 
 def coast(
-    x: Floats,
-    P: Matrix,
-    n: int,
-    frame: int,
-    first: int,
+    b: Belief,
+    m: Wheels,
+    h: Headings,
+    s: Scans,
+    w: Walls,
+    seat: Seat,
+    rule: Rules,
+    way: Way,
+    d: Desk,
+    notes: Notes,
+    progress: Progress,
     last: int,
-    u: Matrix,
-    Q: Matrix,
-    dt: Floats,
-    drifting: Wholes,
-    drift: Floats,
-    drifts: int,
-    when: Wholes,
     reading: int,
-    stop: int,
-    z: Floats,
-    r: Floats,
-    usable: Wholes,
-    gate: float,
-    refused: float,
-    unused: float,
-    offset: float,
-    at: Wholes,
-    states: int,
-    room: Floats,
-    y: Floats,
-    S: Matrix,
-    H: Matrix,
-    V: Matrix,
-    pose: Matrix,
-    triangle: Matrix,
-    columns: Wholes,
-    blocks: int,
-    values: Matrix,
-    told: Matrix,
 ) -> float: ...
-def heading(
-    x: Floats,
-    P: Matrix,
-    n: int,
-    frame: int,
-    z: float,
-    r: float,
-    gate: float,
-    refused: float,
-    at: Wholes,
-    states: int,
-    y: Floats,
-    S: Matrix,
-    H: Matrix,
-    V: Matrix,
-    told: Matrix,
+def roll(b: Belief, m: Wheels, progress: Progress, k: int) -> None: ...
+def compare(b: Belief, h: Headings, i: int, d: Desk) -> float: ...
+def correct_by(
+    b: Belief,
+    s: Scans,
+    scan: int,
+    accepted: int,
+    h: Headings,
     i: int,
+    taken: bool,
+    seat: Seat,
+    rule: Rules,
+    d: Desk,
 ) -> float: ...
-def correct_in_frame(x: Floats, P: Matrix, n: int, frame: int, V: Matrix, e: Floats) -> None: ...
+def beside(h: Headings, i: int, d: Desk, m: int, width: int) -> None: ...
+def note_fit(joint: Matrix, scan: int, e: Floats, m: int) -> None: ...
+def correct_in_frame(x: Floats, P: Matrix, n: int, frame: int, V: Matrix, e: Floats, m: int) -> None: ...
 def note(
     x: Floats,
     P: Matrix,

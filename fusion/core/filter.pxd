@@ -1,3 +1,5 @@
+cdef Py_ssize_t AT_ONCE
+
 cpdef void move(
     double[::1] x, double[:, ::1] P, Py_ssize_t n, double ux, double uy, double turn, double qxx, double qxy,
     double qxt, double qyy, double qyt, double qtt)

@@ -6,6 +6,8 @@ have room for more states than there are.
 
 from math import cos, exp, sin, sqrt
 
+AT_ONCE = 4  # rows of a correction that `correct` takes together
+
 
 def move(x, P, n, ux, uy, turn, qxx, qxy, qxt, qyy, qyt, qtt):
     """Eq. 5-7: move by the relative pose (ux, uy, turn) of covariance Q, in the frame of its start.

@@ -1,5 +1,7 @@
 from .arrays import Floats, Matrix, Wholes
 
+AT_ONCE: int
+
 def move(
     x: Floats,
     P: Matrix,
@@ -15,15 +17,7 @@ def move(
     qtt: float,
 ) -> None: ...
 def whiten(
-    P: Matrix,
-    n: int,
-    at: Wholes,
-    states: int,
-    H: Matrix,
-    S: Matrix,
-    y: Floats,
-    m: int,
-    V: Matrix,
+    P: Matrix, n: int, at: Wholes, states: int, H: Matrix, S: Matrix, y: Floats, m: int, V: Matrix
 ) -> float: ...
 def projected(P: Matrix, n: int, at: Wholes, states: int, H: Matrix, S: Matrix, m: int, V: Matrix) -> float: ...
 def factor(S: Matrix, m: int) -> bool: ...

@@ -22,7 +22,10 @@ SOURCES = (
     "places",
     "pairs",
     "match",
+    "doubles",
     "filter",
+    "tables",
+    "scans",
     "coast",
 )  # compiled as one unit: a file uses those before it
 COMPILED = "compiled"  # the extension's name, beside the sources

@@ -12,7 +12,7 @@ cdef Py_ssize_t whole(double number)
 cpdef double matched_share(double[::1] rows, Py_ssize_t lines, Py_ssize_t[::1] fate)
 cpdef Py_ssize_t judge(
     double[::1] pairs, Py_ssize_t[::1] fate, Py_ssize_t lines, Py_ssize_t[::1] ids, Py_ssize_t unmatched,
-    Py_ssize_t ambiguous, Py_ssize_t new, Py_ssize_t[::1] verdicts, Py_ssize_t[::1] landmarks, double[:, ::1] told)
+    Py_ssize_t ambiguous, Py_ssize_t new, Py_ssize_t first, Py_ssize_t[::1] verdicts, Py_ssize_t[::1] landmarks, double[:, ::1] told)
 cpdef void equation(
     double[::1] pairs, Py_ssize_t[::1] fate, Py_ssize_t row, Py_ssize_t lines, Py_ssize_t[::1] columns, bint states,
     double[::1] mount, Py_ssize_t free, Py_ssize_t[::1] at_mount, double[::1] rows, double[::1] shared,
@@ -26,3 +26,9 @@ cpdef void extend(
 cpdef Py_ssize_t lacks(
     double[:, ::1] P, Py_ssize_t[::1] columns, Py_ssize_t places, double rho, double beta, Py_ssize_t[::1] at,
     double[::1] missing)
+cpdef void refuse_alone(
+    double[::1] pairs, Py_ssize_t lines, Py_ssize_t[::1] fate, double d2, double turn, double offset)
+cpdef bint is_new(Py_ssize_t[::1] fate, Py_ssize_t lines, Py_ssize_t i)
+cpdef Py_ssize_t bends(
+    double[:, ::1] P, double[::1] pairs, Py_ssize_t[::1] fate, Py_ssize_t lines, Py_ssize_t[::1] columns, double rho,
+    double beta, double most_rho, double most_beta, Py_ssize_t[::1] at, double[::1] missing)

@@ -100,26 +100,48 @@ def matched_share(rows, lines, fate):
     return matched / total if total > 0.0 else 1.0
 
 
-def judge(pairs, fate, lines, ids, unmatched, ambiguous, new, verdicts, landmarks, told):
-    """Write verdict, landmark (lines,) and told (lines, 5) of every line; return how many are accepted.
+def judge(pairs, fate, lines, ids, unmatched, ambiguous, new, first, verdicts, landmarks, told):
+    """Write verdict, landmark and told (5) of every line, from row `first` on; return how many are accepted.
 
     `ids` are those of the map lines. Of a line that pairs with none nothing is told.
     """
     accepted = 0
     for i in range(lines):
-        p = fate[lines + i]
+        p, row = fate[lines + i], first + i
         if p < 0 or (fate[i] < 0 and not fate[3 * lines + i]):
-            verdicts[i], landmarks[i] = unmatched if fate[3 * lines + i] else new, -1
+            verdicts[row], landmarks[row] = unmatched if fate[3 * lines + i] else new, -1
             continue
         at = PAIR * p
-        verdicts[i], landmarks[i] = 0, ids[whole(pairs[at + 1])]
+        verdicts[row], landmarks[row] = 0, ids[whole(pairs[at + 1])]
         if fate[i] < 0:
-            verdicts[i] = ambiguous if fate[2 * lines + i] else unmatched
+            verdicts[row] = ambiguous if fate[2 * lines + i] else unmatched
         else:
             accepted += 1
-        told[i, 0], told[i, 1], told[i, 2] = pairs[at + 10], pairs[at + 2], pairs[at + 3]
-        told[i, 3], told[i, 4] = sqrt(pairs[at + 7]), sqrt(pairs[at + 9])
+        told[row, 0], told[row, 1], told[row, 2] = pairs[at + 10], pairs[at + 2], pairs[at + 3]
+        told[row, 3], told[row, 4] = sqrt(pairs[at + 7]), sqrt(pairs[at + 9])
     return accepted
+
+
+def refuse_alone(pairs, lines, fate, d2, turn, offset):
+    """Let a scan's only match be none where others failed to match and it does not fit nearly perfectly.
+
+    That is within the squared distance `d2`, `turn` [rad] and `offset` [m].
+    """
+    alone = -1
+    for i in range(lines):
+        if fate[i] >= 0:
+            if alone >= 0:
+                return
+            alone = i
+    if alone >= 0 and lines > 1:
+        at = PAIR * fate[alone]
+        if pairs[at + 10] > d2 or abs(pairs[at + 3]) > turn or abs(pairs[at + 2]) > offset:
+            fate[alone] = -1
+
+
+def is_new(fate, lines, i):
+    """Tell whether line i matches nothing and is near nothing that is known."""
+    return fate[i] < 0 and not fate[3 * lines + i]
 
 
 def equation(
@@ -181,6 +203,28 @@ def extend(pairs, fate, lines, low, high, hits, seen, scan):
             low[j], high[j] = min(low[j], pairs[at + 12]), max(high[j], pairs[at + 13])
             hits[j] += 1
             seen[j] = scan
+
+
+def bends(P, pairs, fate, lines, columns, rho, beta, most_rho, most_beta, at, missing):
+    """Write by what variance the states of the lines that were seen bend, `most` of each, and which these are.
+
+    A wall stays within its unevenness rho, beta (variances), so a line that is known no better is left alone.
+    Returns how many states there are.
+    """
+    found = 0
+    for i in range(lines):
+        if fate[i] < 0:
+            continue
+        j, known = columns[whole(pairs[PAIR * fate[i] + 1])], 0
+        while known < found and at[known] != j:
+            known += 2
+        if known < found:
+            continue
+        at[found], at[found + 1] = j, j + 1
+        missing[found] = min(max(rho - P[j, j], 0.0), most_rho)
+        missing[found + 1] = min(max(beta - P[j + 1, j + 1], 0.0), most_beta)
+        found += 2
+    return found
 
 
 def lacks(P, columns, places, rho, beta, at, missing):

@@ -30,10 +30,13 @@ def judge(
     unmatched: int,
     ambiguous: int,
     new: int,
+    first: int,
     verdicts: Wholes,
     landmarks: Wholes,
     told: Matrix,
 ) -> int: ...
+def refuse_alone(pairs: Floats, lines: int, fate: Wholes, d2: float, turn: float, offset: float) -> None: ...
+def is_new(fate: Wholes, lines: int, i: int) -> bool: ...
 def equation(
     pairs: Floats,
     fate: Wholes,
@@ -54,19 +57,24 @@ def equation(
     y: Floats,
 ) -> None: ...
 def share(
-    pairs: Floats,
-    of: int,
-    rows: Floats,
-    i: int,
-    shared: Floats,
-    parts: int,
-    G: Matrix,
-    a: int,
-    R: Matrix,
+    pairs: Floats, of: int, rows: Floats, i: int, shared: Floats, parts: int, G: Matrix, a: int, R: Matrix
 ) -> None: ...
 def extend(
     pairs: Floats, fate: Wholes, lines: int, low: Floats, high: Floats, hits: Wholes, seen: Wholes, scan: int
 ) -> None: ...
+def bends(
+    P: Matrix,
+    pairs: Floats,
+    fate: Wholes,
+    lines: int,
+    columns: Wholes,
+    rho: float,
+    beta: float,
+    most_rho: float,
+    most_beta: float,
+    at: Wholes,
+    missing: Floats,
+) -> int: ...
 def lacks(
     P: Matrix, columns: Wholes, places: int, rho: float, beta: float, at: Wholes, missing: Floats
 ) -> int: ...

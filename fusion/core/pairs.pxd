@@ -9,7 +9,7 @@ cdef void predict(double[::1] walls, Py_ssize_t width, Py_ssize_t places, double
 cpdef Py_ssize_t pairs(
     double[::1] rows, Py_ssize_t lines, double[::1] walls, Py_ssize_t width, double[::1] low, double[::1] high,
     Py_ssize_t places, bint states, double[::1] pose, double[::1] P, double[::1] mount, Py_ssize_t free,
-    double max_turn, double max_offset, double limit, double[::1] seen, double[::1] out)
+    double max_turn, double max_offset, double sigmas, double limit, double[::1] seen, double[::1] out)
 cdef void spread(
     double[::1] rows, Py_ssize_t i, double[::1] walls, Py_ssize_t width, Py_ssize_t j, bint states,
     double[::1] pose, double[::1] P, double[::1] mount, Py_ssize_t free, double side, double[::1] seen,

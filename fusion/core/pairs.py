@@ -60,8 +60,8 @@ def predict(walls, width, places, pose, seen):
 
 
 def pairs(
-    rows, lines, walls, width, low, high, places, states, pose, P, mount, free, max_turn, max_offset, limit, seen,
-    out
+    rows, lines, walls, width, low, high, places, states, pose, P, mount, free, max_turn, max_offset, sigmas,
+    limit, seen, out
 ):  # fmt: skip
     """Write the pairs on the right face whose squared distance is at most `limit`; return how many there are.
 
@@ -69,8 +69,11 @@ def pairs(
     map lines `walls` (places, width). `states` says that they are part of the state; where they are not, their own
     covariance counts as noise. `pose` is x, y, theta, and P its covariance's triangle. `mount` is x_m, y_m, then
     of its `free` states which of x, y, yaw they are, the covariances of x, y, theta with them, and their own.
-    Pairs farther apart than max_turn [rad] or max_offset [m] are not looked at; `seen` (places, 4) is room.
+    Pairs farther apart than max_turn [rad] or max_offset [m], and so many sigmas of the pose, are not looked at;
+    `seen` (places, 4) is room.
     """
+    max_turn += sigmas * sqrt(max(P[5], 0.0))
+    max_offset += sigmas * sqrt(max(P[0] + P[3], 0.0))
     predict(walls, width, places, pose, seen)
     found = 0
     for i in range(lines):

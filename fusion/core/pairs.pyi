@@ -26,6 +26,7 @@ def pairs(
     free: int,
     max_turn: float,
     max_offset: float,
+    sigmas: float,
     limit: float,
     seen: Floats,
     out: Floats,

@@ -1,4 +1,8 @@
 cpdef void into_base(double[:, ::1] rows, Py_ssize_t lines, double x, double y, double yaw, double[:, ::1] out)
+cpdef void moved(double[::1] place, double[::1] told, double[::1] out)
+cpdef void shares_into_base(
+    double[:, ::1] rows, Py_ssize_t lines, Py_ssize_t parts, double x, double y, double yaw, double[::1] shared,
+    Py_ssize_t first, double[::1] out)
 cdef Py_ssize_t KNOWN
 cpdef void behind(
     double[:, ::1] rows, Py_ssize_t lines, Py_ssize_t samples, double[:, ::1] walls, Py_ssize_t m, double x, double y,

@@ -32,6 +32,33 @@ def into_base(rows, lines, x, y, yaw, out):
         out[i, 5], out[i, 6] = min(begin, end), max(begin, end)
 
 
+def moved(place, told, out):
+    """Write what leads from the base by the mount `told` to that by the one at `place`: x, y [m], yaw [rad]."""
+    turn = place[2] - told[2]
+    c = s = turn - turn
+    if c == 0.0:
+        c, s = cos(turn), sin(turn)
+    out[0], out[1], out[2] = place[0] - c * told[0] + s * told[1], place[1] - s * told[0] - c * told[1], turn
+
+
+def shares_into_base(rows, lines, parts, x, y, yaw, shared, first, out):
+    """Write unit errors (lines, 2, parts), flat, of r and psi of the lines as `into_base` moves these.
+
+    They stand in `shared` from number `first` on.
+    """
+    for i in range(lines):
+        psi = rows[i, 1] + yaw
+        c = s = psi - psi
+        if c == 0.0:
+            c, s = cos(psi), sin(psi)
+        u, side = y * c - x * s, -1.0 if rows[i, 0] + x * c + y * s < 0.0 else 1.0
+        of_r = 2 * parts * i
+        of_psi = of_r + parts
+        for k in range(parts):
+            turn = shared[first + of_psi + k]
+            out[of_r + k], out[of_psi + k] = side * (shared[first + of_r + k] + u * turn), turn
+
+
 def behind(rows, lines, samples, walls, m, x, y, theta, both, near, margin, grazing, normal, out):
     """Write which share of every measured line lies behind map lines `walls` (m, 6), from a pose.
 

@@ -3,6 +3,10 @@ from .arrays import Floats, Matrix
 KNOWN: int
 
 def into_base(rows: Matrix, lines: int, x: float, y: float, yaw: float, out: Matrix) -> None: ...
+def moved(place: Floats, told: Floats, out: Floats) -> None: ...
+def shares_into_base(
+    rows: Matrix, lines: int, parts: int, x: float, y: float, yaw: float, shared: Floats, first: int, out: Floats
+) -> None: ...
 def behind(
     rows: Matrix,
     lines: int,
@@ -59,14 +63,6 @@ def likeness(
     normal: Matrix,
 ) -> int: ...
 def hypotheses(
-    rows: Matrix,
-    a: int,
-    b: int,
-    walls: Matrix,
-    m: int,
-    parallel: float,
-    normal: Matrix,
-    found: int,
-    poses: Matrix,
+    rows: Matrix, a: int, b: int, walls: Matrix, m: int, parallel: float, normal: Matrix, found: int, poses: Matrix
 ) -> int: ...
 def against(walls: Matrix, j: int, normal: Matrix) -> float: ...

@@ -68,7 +68,9 @@ class OnViews:
     def __getattr__(self, name: str) -> Callable[..., Any]:
         """Return a function of the source that takes arrays."""
         function = getattr(self._source, name)
-        return lambda *given: function(*[_viewed(a) for a in given])
+        return lambda *given, **named: function(
+            *[_viewed(a) for a in given], **{name: _viewed(a) for name, a in named.items()}
+        )
 
 
 def _viewed(value: Any) -> Any:

@@ -7,12 +7,14 @@ about equally well are no evidence at all: the line is skipped and counted as am
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
 from locfuse.fusion.core import match
+from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.sensor import Equation, Innovation, Reading, Table
@@ -23,6 +25,8 @@ from .scan import Scan
 
 AMBIGUOUS = 6.0  # a second candidate within this of the best score (chi-square, 2 dof: 95 %) is a rival
 ZONE = 60.0  # squared distance up to which a near line forbids calling a segment new
+# A scan in which only one line matches says little about whether the match is right: it must fit nearly perfectly.
+LONE = 5.0, math.radians(3.0), 0.15  # squared distance, rad, m
 OVERLAP, LONGEST = 0.3, 0.5  # share of a segment's length, of so many m at most, by which it overlaps its map line
 
 
@@ -70,12 +74,20 @@ class Association(msgspec.Struct, frozen=True, gc=False):
 
     def new(self) -> list[int]:
         """Return the lines that match nothing and are near nothing that is known."""
-        fate, k = self.fate, self.candidates.lines
-        return [i for i in range(k) if fate[i] < 0 and not fate[3 * k + i]]
+        return new_lines(self.fate, self.candidates.lines, self.candidates.room)
 
-    def refuse(self, line: int) -> None:
-        """Let a measured line match nothing."""
-        self.fate[line] = -1
+    def refuse_alone(self) -> None:
+        """Let a scan's only match be none where others failed to match and it does not fit nearly perfectly."""
+        of = self.candidates
+        of.room.beside(match).on_arrays.refuse_alone(of.numbers, of.lines, self.fate, *LONE)
+
+    def bends(self, P: Array, uneven: Array, most: Array) -> tuple[Ints, Array]:
+        """Return which states (k,) of the lines that were seen bend, and by what variance (`core.match.bends`)."""
+        of = self.candidates
+        at, missing = np.empty(2 * of.lines, np.intp), np.empty(2 * of.lines)
+        given = P, of.numbers, self.fate, of.lines, of.columns, *uneven.tolist(), *most.tolist(), at, missing
+        k = of.room.beside(match).on_arrays.bends(*given)
+        return at[:k], missing[:k]
 
     def extend(self, lines: LineMap, scan: int) -> None:
         """Let map lines that were matched reach as far as the measured ones do, and note the scan's number."""
@@ -85,6 +97,12 @@ class Association(msgspec.Struct, frozen=True, gc=False):
     def matched(self) -> list[Pair]:
         """Return the accepted pairs, line by line."""
         return [self.candidates.pair(p) for p in self.match if p >= 0]
+
+
+def new_lines(fate: Ints | list[int], lines: int, room: Room) -> list[int]:
+    """Return the lines of a scan that match nothing and are near nothing that is known, by their fate."""
+    is_new = room.beside(match).on_arrays.is_new
+    return [i for i in range(lines) if is_new(fate, lines, i)]
 
 
 def associate(scan: Scan, lines: LineMap, belief: JointBelief, gate: float) -> Association:
@@ -128,7 +146,7 @@ class SeenLines(Reading):
         self._told = np.full((of.lines, match.TOLD), np.nan)
         columns = self._verdict, self._landmark, self._told
         self.accepted: int = of.room.beside(match).on_arrays.judge(
-            of.numbers, found.fate, of.lines, ids, *codes, *columns
+            of.numbers, found.fate, of.lines, ids, *codes, 0, *columns
         )
         self.numbers = 2 * self.accepted
 

@@ -11,11 +11,12 @@ goes with their error in distance: y came out wrong by k / (2 dtheta), 8 mm.) De
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
+from locfuse.fusion.core import places
+from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import Pose
@@ -48,7 +49,7 @@ def seated(rows: Array, mount: Mount, belief: JointBelief) -> tuple[Array, Array
     As z, R, ends, seat and the table again.
     """
     now = mount.now(belief)
-    table = rows_in_base(rows, *_moved(mount, now))
+    table = rows_in_base(rows, *_moved(mount, now).tolist())
     return *of_rows(table), Seat(now[0], now[1], mount.columns(belief), mount.free), table
 
 
@@ -57,12 +58,11 @@ def seated_shares(shared: Array, z: Array, mount: Mount, belief: JointBelief) ->
 
     Left as it was it would be more than there is of R, and R of the scan no covariance.
     """
-    return in_base(shared[:, :, None].astype(np.float64), z, np.array(_moved(mount, mount.now(belief))))[:, :, 0]
+    return in_base(shared, z, _moved(mount, mount.now(belief)))
 
 
-def _moved(mount: Mount, now: Pose) -> Pose:
-    """Return what leads from the base by the mount as told to the base by the one that is estimated now."""
-    (x, y, yaw), (told_x, told_y, told_yaw) = now, mount.told
-    turn = yaw - told_yaw
-    c, s = math.cos(turn), math.sin(turn)
-    return x - c * told_x + s * told_y, y - s * told_x - c * told_y, turn
+def _moved(mount: Mount, now: Pose) -> Array:
+    """Return what leads from the base by the mount as told to the one that is estimated now, (3,) m, m, rad."""
+    out = np.empty(3)
+    Room.here(places).on_arrays.moved(np.array(now), np.array(mount.told), out)
+    return out

@@ -51,7 +51,9 @@ class LineMap:
     seen: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # number of the scan that last matched
     born: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     next_id: int = 0
-    _frozen: Any = None  # rows for core.pairs of lines that are no states, kept until the map's size changes
+    _frozen: Array | None = (
+        None  # rows for core.pairs of lines that are no states, kept until the map's size changes
+    )
 
     def __len__(self) -> int:
         """Return the number of lines."""
@@ -84,11 +86,14 @@ class LineMap:
             rows, at = np.empty((len(self), width)), np.array(free, np.intp)
             room.on_arrays.gather_walls(*belief.arrays, self.column, self.anchor, len(self), at, len(at), rows)
             return room.given(rows), width, True
-        if self._frozen is None or self._frozen[:2] != (room, width):
-            rows = np.zeros((len(self), width))
+        return room.given(self.fixed(width)), width, False
+
+    def fixed(self, width: int) -> Array:
+        """Return lines that are no states as rows (J, width) for core.pairs."""
+        if self._frozen is None or self._frozen.shape[1] != width:
+            rows = self._frozen = np.zeros((len(self), width))
             rows[:, :2], rows[:, 2:4], rows[:, 4:7] = self.value, self.anchor, self.P.reshape(-1, 4)[:, (0, 1, 3)]
-            self._frozen = room, width, room.given(rows)
-        return self._frozen[2], width, False
+        return self._frozen
 
     def append(
         self, anchor: Array, value: Array, P: Array, column: int, ends: tuple[float, float], scan: int

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from math import sqrt
 from typing import Any
 
 import msgspec
@@ -21,7 +20,7 @@ from .scan import Scan
 MAX_PAIR_ANGLE_RAD = math.radians(25.0)  # pairs further apart are not looked at
 MAX_PAIR_OFFSET_M = 1.0  # m
 PAIR_SIGMAS = 6.0  # added to both
-_COLUMNS = 19  # of a pair, by core.pairs
+PAIR = 19  # columns of a pair, by core.pairs
 
 
 class Pair(msgspec.Struct, frozen=True, gc=False):
@@ -58,9 +57,9 @@ class Candidates(msgspec.Struct, frozen=True, gc=False):
 
     def pair(self, p: int) -> Pair:
         """Return one of them."""
-        at = _COLUMNS * p
+        at = PAIR * p
         i, j, offset, turn, r00, r01, r11, s00, s01, s11, d2, score, lo, hi, overlap, c, s, u, psi = (
-            self.room.listed(self.numbers[at : at + _COLUMNS], _COLUMNS)
+            self.room.listed(self.numbers[at : at + PAIR], PAIR)
         )
         which = int(j)
         y, R, S = (offset, turn), (r00, r01, r11), (s00, s01, s11)
@@ -81,8 +80,7 @@ def candidate_pairs(
     room = room or Room.here(interpreted)
     rows, (pose, triangle), places = scan.rows(), belief.located(), len(lines)
     walls, width, states = lines.walls(belief, scan.seat, room)
-    angle_slack, offset_slack = _slack(triangle[0] + triangle[3], triangle[5])
-    out = room.floats(_COLUMNS * len(rows) * places)
+    out = room.floats(PAIR * len(rows) * places)
     measured, mount = room.given(rows), room.given(_mount(scan.seat, belief, room))
     found = room.functions.pairs(
         measured,
@@ -97,8 +95,9 @@ def candidate_pairs(
         room.flat([triangle]),
         mount,
         0 if scan.seat is None else len(scan.seat.free),
-        angle_slack,
-        offset_slack,
+        MAX_PAIR_ANGLE_RAD,
+        MAX_PAIR_OFFSET_M,
+        PAIR_SIGMAS,
         limit,
         room.floats(4 * places),
         out,
@@ -114,10 +113,3 @@ def _mount(seat: Seat | None, belief: JointBelief, room: Room) -> Array:
     mount = np.array((seat.x, seat.y, *seat.free, *(0.0,) * (free * (3 + free))))
     room.on_arrays.gather_mount(belief.arrays[1], at, free, mount)
     return mount
-
-
-def _slack(xy: float, tt: float) -> tuple[float, float]:
-    """Return the angle [rad] and the offset [m] within which a pair is worth a covariance."""
-    return MAX_PAIR_ANGLE_RAD + PAIR_SIGMAS * sqrt(max(tt, 0.0)), MAX_PAIR_OFFSET_M + PAIR_SIGMAS * sqrt(
-        max(xy, 0.0)
-    )

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import msgspec
 import numpy as np
 
 from locfuse.fusion.data import Array, Measurements
-from locfuse.fusion.lines.extract import LINE, rows_of
+from locfuse.fusion.lines.extract import LINE, of_rows, rows_in_base, rows_of
 
 from .laser_mount import Seat
 
@@ -45,3 +47,22 @@ class Scans:
             self._rows = rows_of(m.z[at], self._R, m.extra["ends"][at])
         at, held = slice(first, last), slice(first - self._begin, last - self._begin)
         return Scan(m.z[at], self._R[held], m.extra["ends"][at], None, self._rows[held])
+
+
+class Passed(NamedTuple):
+    """A scan that the core took."""
+
+    of: Measurements
+    i: int  # which
+    sight: Array  # (6,) the pose before, x, y [m], theta [rad], and how the mount then moved its lines
+
+    @property
+    def rows(self) -> tuple[int, int]:
+        """First row and end in the measurements."""
+        return int(self.of.first[self.i]), int(self.of.first[self.i + 1])
+
+    def seated(self, scan: Scan) -> Scan:
+        """Return its lines in the base by the mount of that time."""
+        x, y, yaw = self.sight[3:].tolist()
+        table = rows_in_base(scan.rows(), x, y, yaw)
+        return Scan(*of_rows(table), None, table)

@@ -43,6 +43,18 @@ class Standing:
         x, y, theta = self._rolled
         self._rolled = (x + u[0], y + u[1], theta + u[2])
 
+    def since(self) -> tuple[float, float, float]:
+        """Return the motion since the scan that the next one is compared with; infinite where there is none."""
+        return self._rolled if self._first is not None else (math.inf, math.inf, math.inf)
+
+    def moved(self, rolled: tuple[float, float, float]) -> None:
+        """Take over that motion where somebody else has summed it up."""
+        self._rolled = rolled
+
+    def begin(self, scan: Scan) -> None:
+        """Let a scan of a robot that drives be the one that the next is compared with."""
+        self._scans, self._first = 1, scan
+
     def forget(self) -> None:
         """Let the next scan be the first."""
         self._first = None
@@ -51,10 +63,11 @@ class Standing:
         """Return what a scan says: itself, or at rest the mean since the last use; None where it only repeats."""
         x, y, theta = self._rolled
         if self._first is None or x * x + y * y > MAX_ROLLED_M**2 or not -MAX_TURNED_RAD < theta < MAX_TURNED_RAD:
-            self._rolled, self._scans, self._first = (0.0, 0.0, 0.0), 1, scan  # driving: no more than this
+            self._rolled = (0.0, 0.0, 0.0)  # driving: no more than this
+            self.begin(scan)
             return scan
         if self._scans == 1:
-            self._begin(self._first)
+            self._begin_sums(self._first)
         same = self._same(scan)
         length = scan.ends[:, 1] - scan.ends[:, 0]
         if float(length[same >= 0].sum()) < SAME_SHARE * float(length.sum()):
@@ -66,7 +79,7 @@ class Standing:
         self._sum[:], self._count[:] = 0.0, 0
         return Scan(z, scan.R, scan.ends)
 
-    def _begin(self, scan: Scan) -> None:
+    def _begin_sums(self, scan: Scan) -> None:
         self._z, self._ends = scan.z, scan.ends
         self._sum, self._count = np.zeros_like(scan.z), np.zeros(len(scan.z), np.int64)
 

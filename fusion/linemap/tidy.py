@@ -9,15 +9,17 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from locfuse.fusion.core import doubles
+from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.se2 import wrap, wrap_all
+from locfuse.fusion.se2 import wrap
 from locfuse.fusion.sensor import Innovation
 
 from .line_map import LineMap
 
+TIDY_EVERY = 10  # scans
 MIN_HITS = 4
 TRIAL_SCANS = 15  # scans after its birth in which a line must earn its hits
 DOUBLE_ANGLE, DOUBLE_OFFSET = math.radians(8.0), 0.25  # further apart is two walls, whatever the covariance says
@@ -28,7 +30,9 @@ FLAT = np.array([0.005, math.radians(0.2)])  # m, rad: how well two pieces of on
 
 def prune(lines: LineMap, belief: JointBelief, scan: int) -> None:
     """Drop lines that were born TRIAL_SCANS scans ago and hardly seen since: people, poles, bad fits."""
-    gone = np.flatnonzero((lines.hits < MIN_HITS) & (scan - lines.born > TRIAL_SCANS) & (lines.born > 0))
+    worthless = Room.here(doubles).on_arrays.worthless
+    of = lines.hits, lines.born
+    gone = np.array([j for j in range(len(lines)) if worthless(*of, j, scan, MIN_HITS, TRIAL_SCANS)], np.int64)
     if len(gone):
         belief.remove(lines.drop(gone))
 
@@ -41,7 +45,8 @@ def merge_doubles(lines: LineMap, belief: JointBelief, scan: int, uneven: Array)
     R = np.diag(np.maximum(FLAT**2, 2.0 * uneven))
     recent = np.flatnonzero(scan - lines.seen <= TRIAL_SCANS)[::-1]
     while len(recent):
-        recent = recent[_near(lines, lines.values(belief), recent).any(axis=1)]
+        values = lines.values(belief)
+        recent = recent[[len(_near(lines, values, j)) > 0 for j in recent.tolist()]]
         doubles = ((j, i) for j in recent.tolist() if (i := _double_of(lines, belief, j, R)) is not None)
         found = next(doubles, None)
         if found is None:
@@ -51,27 +56,18 @@ def merge_doubles(lines: LineMap, belief: JointBelief, scan: int, uneven: Array)
         recent = recent[recent < j]
 
 
-def _near(lines: LineMap, values: Array, chosen: Ints) -> NDArray[np.bool_]:
-    """Return which lines (J,) may be one wall with each of the chosen ones (k,) by where they lie, (k, J)."""
-    rho, beta = values[chosen].T[:, :, None]
-    turn = np.abs(wrap_all(values[:, 1] - beta))
-    away = lines.anchor[chosen][:, None] - lines.anchor  # (k, J, 2)
-    c, s = np.cos(beta), np.sin(beta)
-    offset = values[:, 0] - (rho + away[:, :, 0] * c + away[:, :, 1] * s)
-    along = away[:, :, 1] * np.cos(values[:, 1]) - away[:, :, 0] * np.sin(values[:, 1])
-    lo, hi = lines.lo[chosen][:, None] + along, lines.hi[chosen][:, None] + along
-    apart = np.maximum(lines.lo, lo) - np.minimum(lines.hi, hi)
-    near: NDArray[np.bool_] = (turn < DOUBLE_ANGLE) & (np.abs(offset) <= DOUBLE_OFFSET) & (apart <= APART)
-    near[np.arange(len(chosen)), chosen] = False
-    return near
+def _near(lines: LineMap, values: Array, j: int) -> Ints:
+    """Return which lines (k,) may be one wall with line j by where they lie (`core.doubles`)."""
+    rows, found = np.concatenate((values, lines.anchor), axis=1), np.empty(len(lines), np.intp)
+    of, within = (rows, lines.lo, lines.hi, len(lines), j), (DOUBLE_ANGLE, DOUBLE_OFFSET, APART)
+    return found[: Room.here(doubles).on_arrays.neighbours(*of, *within, found)]
 
 
 def _double_of(lines: LineMap, belief: JointBelief, j: int, R: Array) -> int | None:
     """Return the line that is most clearly the same wall as line j, None where there is none."""
     values = lines.values(belief)
-    near = np.flatnonzero(_near(lines, values, np.array([j]))[0])
     best, found = DOUBLE_D2, None
-    for i in near.tolist():
+    for i in _near(lines, values, j).tolist():
         y, H, _, _ = _difference(lines, values, i, j)
         S = H @ _joint(lines, belief, i, j) @ H.T + R
         d2 = float(y @ np.linalg.solve(S, y))

@@ -13,7 +13,7 @@ from locfuse.fusion.sensor import WheelMotion
 
 from .extract import Lines, LineSettings, extract_lines, to_base
 from .pairs import blocks, misfit, nearest, turn_of
-from .sweep import PIECES, in_base, motion_of, noise_of
+from .sweep import in_base, motion_of, noise_of
 
 MAX_BEAMS = 100_000  # of one scan: no 2D laser has more
 BEAMS_AT_ONCE = 1 << 19  # lines are extracted from scans of at most so many beams together: memory is bounded
@@ -69,7 +69,7 @@ def lines_in_base(scans: dict[str, Any], stamps: Array, laser: Laser, wheels: Wh
     lines = extract_lines(ranges, angles, laser.lines, offsets, motion=motion)
     x, y, yaw = laser.mount.tolist()
     z, R_unit, ends = to_base(lines.z, lines.R_unit, lines.ends, x, y, yaw)
-    sweep: Array = np.zeros((len(z), 2, 2 * PIECES), np.float32)
+    sweep: Array = np.zeros((len(z), 2, 0), np.float32)  # nothing is shared where nothing was deskewed
     if offsets is not None:
         scan = np.repeat(np.arange(len(t)), np.diff(lines.first))
         by_base = in_base(lines.sweep, lines.z, laser.mount)
@@ -155,11 +155,17 @@ class Gathered:
         rows = None
         if (np.diff(at) < 0).any():
             rows = np.repeat(first[at] - np.cumsum(counts) + counts, counts) + np.arange(first[-1])
-        self._sweep = self._sweep or [np.empty((0, 2, 2 * PIECES), np.float32)]
+        self._sweep = _as_wide(self._sweep) or [np.empty((0, 2, 0), np.float32)]
         z, R_unit, ends, sweep = (
             _joined(pieces, rows) for pieces in (self._z, self._R_unit, self._ends, self._sweep)
         )
         return first, z, R_unit, ends, sweep
+
+
+def _as_wide(pieces: list[Array]) -> list[Array]:
+    """Return loadings (m, 2, k) with as many columns as any has: those of lines that share nothing are 0."""
+    widest = max([piece.shape[2] for piece in pieces], default=0)
+    return [p if p.shape[2] else np.zeros((*p.shape[:2], widest), p.dtype) for p in pieces]
 
 
 def _joined(pieces: list[Array], rows: Ints | None) -> Array:

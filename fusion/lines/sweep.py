@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from locfuse.fusion.core import places
+from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.sensor import WheelMotion
 
@@ -56,11 +58,11 @@ def noise_of(per_unit: Array, scan: Ints, middle: Array, duration: Array, wheels
     return G
 
 
-def in_base(per_unit: Array, z: Array, mount: Array) -> Array:
-    """Return loadings (m, 2, 2, PIECES) of the laser's lines z (m, 2) as the base sees them (extract.to_base)."""
-    x, y, yaw = mount.tolist()
-    c, s = np.cos(z[:, 1] + yaw), np.sin(z[:, 1] + yaw)
-    out = per_unit.copy()
-    out[:, 0] += (y * c - x * s)[:, None, None] * per_unit[:, 1]
-    out[:, 0] *= np.where(z[:, 0] + x * c + y * s < 0.0, -1.0, 1.0)[:, None, None]
+def in_base(loads: Array, z: Array, mount: Array) -> Array:
+    """Return loadings (m, 2, ...) of the laser's lines z (m, 2) as the base sees them, by `core.places`."""
+    given, out = np.ascontiguousarray(loads, np.float64), np.empty(loads.shape)
+    if given.size:
+        parts, z = given[0, 0].size, np.ascontiguousarray(z)
+        core = Room.here(places).on_arrays
+        core.shares_into_base(z, len(z), parts, *mount.tolist(), given.reshape(-1), 0, out.reshape(-1))
     return out

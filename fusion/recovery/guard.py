@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -47,6 +47,8 @@ SAME_XY, SAME_THETA = 0.12, math.radians(4.0)  # m, rad: within which they agree
 
 PATIENCE = 60  # scans along 12 m of a lost robot's way that did not tell its place: then it begins a map anew
 
+Late = tuple[float, Pose, Callable[[], Scan]]  # a scan that is made when it is asked for; compare slips.Seen
+
 
 class Guard:
     """Watches the agreement of scans and map over one run."""
@@ -61,7 +63,7 @@ class Guard:
         self._series = Series()
         self._trail = Trail()  # since it is lost
         self._well = (0.0, 0)  # when a scan last fitted well, and the number of the first line born after it
-        self._before: deque[Seen] = deque(maxlen=SCANS)  # the last scans
+        self._before: deque[Late] = deque(maxlen=SCANS)  # the last scans
         self._before_torn: list[Seen] = []  # the last ones before the walls jumped
         self._torn = False  # the walls jumped, and little has matched since
         self._last = (math.inf, math.inf, math.inf)
@@ -83,8 +85,8 @@ class Guard:
         dt, self._now = t - self._now, t
         moved = self._moved(belief)
         now = (t, self._rolled(belief), scan)
-        before = list(self._before)
-        self._before.append(now)
+        before = tuple(self._before)
+        self._before.append((t, now[1], lambda: scan))
         if self._lost_from is not None:
             _keep_open(belief, dt)
             return self._search(t, scan, found, lines, belief, gate)
@@ -100,7 +102,7 @@ class Guard:
             if slipped is not None:
                 self._since, self._torn = None, False
                 self.slips += 1
-                if _view(scan) < VIEW or not self._series.goes_on(now, before, believed):
+                if _view(scan) < VIEW or not self._series.goes_on(now, _made(before), believed):
                     return slipped, True
                 self.slips -= CARRIED
                 if self._series.mistaken(now):
@@ -108,7 +110,26 @@ class Guard:
                     return associate(scan, lines, belief, gate), True
                 self._lose(self._series.begun, lines, belief)
                 return slipped, False
-        return found, self._believed(before, now, share, lines, belief)
+        return found, self._believed(_made(before), now, share, lines, belief)
+
+    def passed(
+        self,
+        poses: tuple[Array, Array],
+        seen: Sequence[tuple[float, Callable[[], Scan]]],
+        well: tuple[float, int] | None,
+    ) -> None:
+        """Take in scans that the core took, each of which matched enough: the poses before and after it, (n, 3).
+
+        `seen` are the last of them; `well` is when one last fitted well, and the number of the next line.
+        """
+        before, after = poses
+        wheels = self._rolled_by(before, after)
+        last: list[Pose] = [(x, y, theta) for x, y, theta in wheels[-len(seen) :].tolist()]
+        self._before.extend((t, pose, scan) for (t, scan), pose in zip(seen, last, strict=True))
+        self._wheels, self._now = last[-1], seen[-1][0]
+        self._last, self._after = tuple(before[-1].tolist()), tuple(after[-1].tolist())
+        self._since, self._torn = None, False
+        self._well = self._well if well is None else well
 
     def _believed(self, before: list[Seen], now: Seen, share: float, lines: LineMap, belief: JointBelief) -> bool:
         """Return whether a scan of which little is matched may correct and teach; after several it is lost."""
@@ -150,12 +171,16 @@ class Guard:
 
     def _rolled(self, belief: JointBelief) -> Pose:
         """Return where the wheels alone put the robot, on from where they did at the last scan."""
-        here = np.array([belief.x, belief.y, belief.theta])
-        if self._after is not None:
-            x, y, theta = se2.compose(np.array(self._wheels), se2.between(np.array(self._after), here)).tolist()
-            self._wheels = x, y, theta
-        self._after = (belief.x, belief.y, belief.theta)
+        here = np.array([[belief.x, belief.y, belief.theta]])
+        ((x, y, theta),) = self._rolled_by(here, here).tolist()
+        self._wheels, self._after = (x, y, theta), (belief.x, belief.y, belief.theta)
         return self._wheels
+
+    def _rolled_by(self, before: Array, after: Array) -> Array:
+        """Return where the wheels alone put the robot at scans (n, 3), by the poses before and after each."""
+        begin = before[:1] if self._after is None else np.array([self._after])
+        steps = se2.between(np.concatenate((begin, after[:-1])), before)
+        return se2.chained(np.array(self._wheels), steps)
 
     def turn_page(self) -> None:
         """Go on in another map: what was seen before in this one's frame is void."""
@@ -254,6 +279,10 @@ class Guard:
             slips = "1 wheel slip" if self.slips == 1 else f"{self.slips} wheel slips"
             words.append(f"{slips} recovered by the lines of the map")
         return words
+
+
+def _made(seen: Sequence[Late]) -> list[Seen]:
+    return [(t, pose, scan()) for t, pose, scan in seen]
 
 
 def _jumped(before: Sequence[Seen], now: Seen) -> bool:

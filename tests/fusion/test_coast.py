@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import hypothesis
 import numpy as np
 import pytest
+from hypothesis import strategies as st
 from worlds import World
 
-from locfuse.fusion.coast import Stretches
+from locfuse.fusion.coast.stretches import Stretches
 from locfuse.fusion.core.form import form
 from locfuse.fusion.core.room import Room
-from locfuse.fusion.data import VERDICTS, Drive, Estimates, LocfuseError
+from locfuse.fusion.data import VERDICTS, Array, Drive, Estimates, LocfuseError
 from locfuse.fusion.fuse import Filter, fuse
 from locfuse.fusion.instants import due_readings, steps_of
 from locfuse.fusion.measure import measure
@@ -22,10 +24,18 @@ from locfuse.fusion.robot import Robot, StartSettings
 
 DRIFTING = {"compass": {"offset_drift_deg": 0.2}}
 KNOWN = {"compass": {"offset_deg": math.degrees(0.7)}}
+FROZEN, REFINED, UNGUARDED = (
+    {"lrf": {"map": "first-scan"}},
+    {"lrf": {"map": "refine"}},
+    {"lrf": {"recover": False}},
+)
+EXACT = {"lrf": {"sigma_x": 0.0, "sigma_y": 0.0, "sigma_yaw_deg": 0.0}}
+AWAY, TURNED = np.array([0.8, 1.1]), np.array([0.0, 0.2])  # m, rad: walls that stand elsewhere
+NARROW = {"lrf": {"gate": 0.6}, "compass": {"gate": 0.8}}
 
 
-def drive_of(settings: Mapping[str, Any]) -> tuple[Drive, Robot]:
-    world = World(seconds=8.0, settings=dict(settings))
+def drive_of(settings: Mapping[str, Any], **of_world: Any) -> tuple[Drive, Robot]:
+    world = World(**{"seconds": 8.0, **of_world}, settings=dict(settings))
     robot = replace(world.robot(), start=StartSettings(x=1.5, y=1.5, sigma_xy=0.1, sigma_theta_deg=5.0))
     return measure(world.streams(), robot), robot
 
@@ -43,21 +53,137 @@ def assert_same(a: Estimates, b: Estimates) -> None:
     for name in a.blocks:
         np.testing.assert_allclose(a.blocks[name], b.blocks[name], atol=1e-11)
         np.testing.assert_allclose(a.block_sigmas[name], b.block_sigmas[name], rtol=1e-9)
+    assert [(line.id, line.hits) for line in a.final_map] == [(line.id, line.hits) for line in b.final_map]
+    for line, same in zip(a.final_map, b.final_map, strict=True):
+        np.testing.assert_allclose(
+            (line.rho, line.beta, *line.ends), (same.rho, same.beta, *same.ends), atol=1e-10
+        )
+        np.testing.assert_allclose(line.P, same.P, rtol=1e-7, atol=1e-15)
+    assert (a.notes, a.lost) == (b.notes, b.lost)
     for name, audit in a.audits.items():
         other = b.audits[name]
+        np.testing.assert_allclose(audit.joint, other.joint, rtol=1e-7)
         for column in ("instant", "row", "verdict", "landmark", "threshold"):
             np.testing.assert_array_equal(getattr(audit, column), getattr(other, column), column)
         for column in ("nis", "y", "sigma"):
             np.testing.assert_allclose(getattr(audit, column), getattr(other, column), rtol=1e-7, atol=1e-12)
 
 
-@pytest.mark.parametrize("settings", [{}, KNOWN, DRIFTING], ids=["estimated", "known", "drifting"])
+def advanced(drive: Drive, robot: Robot, sensors: Sequence[str]) -> list[int]:
+    """Return the instants that the loop took, one by one."""
+    run, taken = Filter(robot, sensors), list[int]()
+    on, k = run.stretches(drive), 0
+    each = list(zip(steps_of(drive), due_readings(drive, sensors), strict=True))
+    while k < len(each):
+        last = run.coast(on, k)
+        if last == k:
+            run.advance(k, *each[k], drive.measurements, predicted=on.left(k))
+            taken.append(k)
+        k = max(last, k + 1)
+    return taken
+
+
+def with_lines(drive: Drive, change: Callable[[int, Array], Array]) -> Drive:
+    """Return the drive with the lines (k, 2) of every scan i changed to `change(i, lines)`; some may go."""
+    m = drive.measurements["lrf"]
+    rows, z, counts = [], [], []
+    for i in range(len(m.t)):
+        at = np.arange(m.first[i], m.first[i + 1])
+        kept = change(i, m.z[at].copy())[: len(at)]
+        rows.append(at[: len(kept)])
+        z.append(kept)
+        counts.append(len(kept))
+    chosen = np.concatenate(rows)
+    extra = {name: column[chosen] for name, column in m.extra.items()}
+    first = np.concatenate(([0], np.cumsum(counts)))
+    changed = replace(m, first=first, z=np.concatenate(z), R_unit=m.R_unit[chosen], extra=extra)
+    return replace(drive, measurements={**drive.measurements, "lrf": changed})
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{}, KNOWN, DRIFTING, FROZEN, REFINED, UNGUARDED, EXACT, NARROW],
+    ids=["estimated", "known", "drifting", "frozen", "refined", "unguarded", "exact", "narrow"],
+)
 @pytest.mark.parametrize("sensors", [(), ("compass",), ("compass", "lrf"), ("lrf",)])
 def test_a_drive_in_stretches_is_the_drive_instant_by_instant(
     settings: Mapping[str, Any], sensors: tuple[str, ...]
 ) -> None:
     drive, robot = drive_of(settings)
     assert_same(fuse(drive, robot, sensors), instant_by_instant(drive, robot, sensors))
+
+
+def test_a_scan_that_fits_is_left_to_the_core() -> None:
+    """The loop takes the first scan, with which the map begins, and those of a robot at rest."""
+    for settings in ({}, FROZEN, REFINED):
+        drive, robot = drive_of(settings, seconds=20.0)
+        assert len(advanced(drive, robot, ["compass", "lrf"])) <= 3
+    still, robot = drive_of({}, speed=0.0, turning=0.0)
+    assert len(advanced(still, robot, ["lrf"])) == len(still.measurements["lrf"].t)
+
+
+def test_a_robot_at_rest_and_one_without_a_map_are_the_same_to_both() -> None:
+    drive, robot = drive_of({}, speed=0.0, turning=0.0)
+    assert_same(fuse(drive, robot, ["compass", "lrf"]), instant_by_instant(drive, robot, ["compass", "lrf"]))
+    drive = with_lines(drive_of({})[0], lambda i, lines: lines[:0])
+    assert_same(fuse(drive, robot, ["compass", "lrf"]), instant_by_instant(drive, robot, ["compass", "lrf"]))
+
+
+def test_a_robot_that_is_carried_off_in_the_middle_is_lost_and_found_as_scan_by_scan() -> None:
+    """Its walls stand elsewhere from the 40th scan to the 70th: the guard says lost, and goes back to the core."""
+    drive, robot = drive_of({}, seconds=14.0)
+
+    def elsewhere(i: int, lines: Array) -> Array:
+        return np.abs(lines + AWAY) if 40 <= i < 70 else lines
+
+    carried = with_lines(drive, elsewhere)
+    for sensors in (["lrf"], ["compass", "lrf"]):
+        run = fuse(carried, robot, sensors)
+        assert run.lost
+        assert VERDICTS.index("lost") in run.audits["lrf"].verdict
+        assert_same(run, instant_by_instant(carried, robot, sensors))
+
+
+def test_errors_that_the_lines_of_a_scan_share_and_uneven_walls_are_the_same_to_both() -> None:
+    drive, robot = drive_of({})
+    m = drive.measurements["lrf"]
+    rng = np.random.default_rng(3)
+    shared = (0.004 * rng.standard_normal((len(m.z), 2, 4))).astype(np.float32)
+    uneven = np.broadcast_to(np.array([4e-5, 3e-5]), m.z.shape)
+    more: list[dict[str, Any]] = [{"shared": shared}, {"uneven": uneven}, {"shared": shared, "uneven": uneven}]
+    for extra in more:
+        drive.measurements["lrf"] = replace(m, extra={**m.extra, **extra})
+        for sensors in (["lrf"], ["compass", "lrf"]):
+            assert_same(fuse(drive, robot, sensors), instant_by_instant(drive, robot, sensors))
+
+
+def test_more_lines_than_a_table_holds_are_taken_table_by_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    drive, robot = drive_of({})
+    whole = fuse(drive, robot, ["compass", "lrf"])
+    monkeypatch.setattr("locfuse.fusion.coast.scans.BLOCK", 7)
+    assert_same(fuse(drive, robot, ["compass", "lrf"]), whole)
+
+
+KINDS = st.sampled_from(["as seen", "none", "one line", "NaN", "elsewhere", "turned"])
+
+
+@hypothesis.settings(deadline=None, max_examples=40)
+@hypothesis.given(st.lists(KINDS, min_size=12, max_size=12), st.sampled_from(["grow", "refine", "first-scan"]))
+def test_whatever_scans_show_all_ways_agree(kinds: list[str], mode: str) -> None:
+    """The core in stretches, the loop, and the core interpreted, whose arrays are the same to the bit."""
+    drive, robot = drive_of({"lrf": {"map": mode}}, seconds=2.4, speed=0.6)
+
+    def change(i: int, lines: Array) -> Array:
+        kind = kinds[i // 2 % len(kinds)]
+        shown = {"none": lines[:0], "one line": lines[:1], "elsewhere": lines + AWAY, "NaN": lines * np.nan}
+        return np.asarray({**shown, "turned": lines + TURNED}.get(kind, lines))
+
+    changed = with_lines(drive, change)
+    run = fuse(changed, robot, ["compass", "lrf"])
+    assert_same(run, instant_by_instant(changed, robot, ["compass", "lrf"]))
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("locfuse.fusion.core.room._here", lambda source: Room.of(source, None))
+        assert_same_bits(run, fuse(changed, robot, ["compass", "lrf"]))
 
 
 def test_a_heading_beyond_its_gate_and_one_in_a_disturbed_field_correct_nothing() -> None:
@@ -98,11 +224,17 @@ def test_what_the_core_does_not_know_is_left_to_the_loop() -> None:
 
 
 @pytest.mark.skipif(form().functions is None, reason="the core is not compiled")
-def test_both_forms_of_the_core_give_the_same_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> None:
-    drive, robot = drive_of(DRIFTING)
+@pytest.mark.parametrize("settings", [DRIFTING, FROZEN, REFINED])
+def test_both_forms_of_the_core_give_the_same_to_the_bit(
+    monkeypatch: pytest.MonkeyPatch, settings: Mapping[str, Any]
+) -> None:
+    drive, robot = drive_of(settings)
     compiled = fuse(drive, robot, ["compass", "lrf"])
     monkeypatch.setattr("locfuse.fusion.core.room._here", lambda source: Room.of(source, None))
-    interpreted = fuse(drive, robot, ["compass", "lrf"])
+    assert_same_bits(compiled, fuse(drive, robot, ["compass", "lrf"]))
+
+
+def assert_same_bits(compiled: Estimates, interpreted: Estimates) -> None:
     for a, b in ((compiled.pose, interpreted.pose), (compiled.triangles, interpreted.triangles)):
         assert a.tobytes() == b.tobytes()
     for name, audit in compiled.audits.items():

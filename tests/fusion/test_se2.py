@@ -48,3 +48,12 @@ def test_transform_moves_points_like_the_matrix() -> None:
     pose, points = np.array([1.0, -2.0, 0.7]), np.array([[0.0, 0.0], [1.0, 0.0], [0.3, -4.0]])
     expected = (matrix(pose) @ np.column_stack((points, np.ones(3))).T).T[:, :2]
     np.testing.assert_allclose(se2.transform(np.tile(pose, (3, 1)), points), expected, atol=1e-12)
+
+
+def test_steps_one_after_another_are_composed_one_after_another() -> None:
+    rng = np.random.default_rng(5)
+    start, steps = rng.normal(size=3), rng.normal(size=(30, 3))
+    pose = start
+    for step, found in zip(steps, se2.chained(start, steps), strict=True):
+        pose = se2.compose(pose, step)
+        np.testing.assert_allclose(found, pose, atol=1e-12)

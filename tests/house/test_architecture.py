@@ -92,7 +92,7 @@ TERMINAL = {  # only here: click, rich, print
 }
 CV2 = {"fusion/camera", "formats/results/preview.py", "formats/robot/map_image.py", "fusion/doctor/preview.py"}
 ROOM_FILES = range(3, 13)
-ROOMS_OF_ANY_SIZE = {"cli/facade"}
+ROOMS_OF_ANY_SIZE = {"cli/facade", "fusion/core"}  # the core is compiled as one unit
 
 
 def files(folder: str) -> list[Path]:

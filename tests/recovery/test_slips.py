@@ -43,6 +43,7 @@ def test_a_series_that_began_with_a_mistake_is_taken_back(monkeypatch: pytest.Mo
     monkeypatch.setattr("locfuse.fusion.recovery.guard.after_slip", wrong)
     monkeypatch.setattr(Association, "share", share)
     monkeypatch.setattr(LineTracker, "innovations", innovations)
+    monkeypatch.setattr("locfuse.fusion.coast.scans.AtOnce.ready", False)  # the core would ask none of these
     world = World(seconds=16.0)
     drive = measure(world.streams(), world.robot())
     found = fuse(drive, world.robot(), ["lrf"])

@@ -269,9 +269,21 @@ def test_lines_of_scans_that_lie_in_the_file_in_any_order_come_in_the_order_of_t
 
 def test_a_log_without_scans_has_no_lines() -> None:
     first, z, R_unit, ends, sweep = Gathered().in_order(0)
-    assert sweep.shape == (0, 2, 12)
+    assert sweep.shape == (0, 2, 0)
     assert first.tolist() == [0]
     assert (z.shape, R_unit.shape, ends.shape) == ((0, 2), (0, 2, 2), (0, 2))
+
+
+def test_scans_that_were_not_deskewed_share_nothing_beside_those_that_were() -> None:
+    gathered, one = Gathered(), np.ones(1, int)
+    for i, parts in enumerate((0, 12, 0)):
+        z, shared = np.full((1, 2), float(i)), np.full((1, 2, parts), 0.5)
+        span = np.zeros((1, 2), int)
+        lines = Lines(np.array([0, 1]), z, np.eye(2)[None], z, one, np.ones(1), span, shared, one)
+        gathered.add(np.array([i]), lines)
+    np.testing.assert_array_equal(
+        gathered.in_order(3)[-1], np.array([0.0, 0.5, 0.0])[:, None, None] * np.ones((3, 2, 12))
+    )
 
 
 def test_a_round_room_leaves_the_pose_to_the_wheels_and_says_why() -> None:

@@ -1,0 +1,63 @@
+cdef class Belief:
+    cdef double[::1] x
+    cdef double[:, ::1] P
+    cdef Py_ssize_t n, frame
+
+cdef class Scans:
+    cdef double[:, ::1] rows, told, joint, sights
+    cdef double[::1] shared
+    cdef Py_ssize_t[::1] first, when, verdict, landmark
+    cdef Py_ssize_t scans, parts
+
+cdef class Walls:
+    cdef Py_ssize_t[::1] columns, hits, seen, born, ids
+    cdef double[:, ::1] anchors
+    cdef double[::1] low, high, fixed
+    cdef Py_ssize_t width, places
+    cdef bint states
+
+cdef class Seat:
+    cdef double[::1] told
+    cdef Py_ssize_t[::1] which, at
+    cdef Py_ssize_t free
+
+cdef class Rules:
+    cdef double max_turn, max_offset, sigmas, gate, zone, rival, share, longest, least, well, lone_d2, lone_turn
+    cdef double lone_offset, rolled, turned, floor, floor_turn, uneven, uneven_turn, bend, bend_turn
+    cdef double double_turn, double_offset, double_apart
+    cdef Py_ssize_t unmatched, ambiguous, new, tidy, trial, hits
+    cdef bint watched, grows, joint
+
+cdef class Way:
+    cdef bint follows, looks
+    cdef Py_ssize_t most
+    cdef double origin_x, origin_y, reach, sight_x, sight_y, sight_turn, stride, turn
+    cdef public double length, x, y, ask_at
+
+cdef class Desk:
+    cdef double[:, ::1] raw, seated, wall_rows, H, G, R, V
+    cdef double[::1] rows, walls, mount, place, offset, pose, triangle, seen, pairs, shared, y, missing
+    cdef Py_ssize_t[::1] fate, order, at, loose
+
+cdef class Progress:
+    cdef public Py_ssize_t instant, why, scan, number, well
+    cdef public double x, y, theta
+
+cdef class Wheels:
+    cdef double[:, ::1] u, Q
+    cdef double[::1] dt, drift
+    cdef Py_ssize_t[::1] drifting
+    cdef Py_ssize_t drifts
+
+cdef class Headings:
+    cdef Py_ssize_t[::1] when, usable, at
+    cdef double[::1] z, r
+    cdef double[:, ::1] told
+    cdef double gate, refused, unused, offset
+    cdef Py_ssize_t states, readings
+
+cdef class Notes:
+    cdef double[::1] room
+    cdef double[:, ::1] pose, triangle, values
+    cdef Py_ssize_t[::1] columns
+    cdef Py_ssize_t blocks

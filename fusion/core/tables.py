@@ -1,0 +1,136 @@
+"""What the core works on: arrays and numbers that belong together, handed over as one.
+
+Each is made once and lasts as long as its arrays do. Nothing here does anything.
+"""
+
+
+class Belief:
+    """State x (n,), covariance P (n, n), and the first column of the map frame, -1 without one."""
+
+    def __init__(self, x, P, n, frame):
+        self.x, self.P, self.n, self.frame = x, P, n, frame
+
+
+class Scans:
+    """Measured lines (k, 7), scan by scan, and what becomes of each.
+
+    Scan i, of so many `scans`, is due at instant when[i]; its lines are first[i] until first[i + 1]. `shared`
+    (k, 2, parts), flat, are unit errors that the lines of a scan share. Written are verdict, landmark (k,), told
+    (k, 5: NIS, y, sigma), and of each scan joint (NIS of all that is accepted, and its degrees of freedom) and
+    sights (the pose before, what `moved` says of the mount, the pose after).
+    """
+
+    def __init__(
+        self, rows, first, when, scans, shared, parts, verdict, landmark, told, joint, sights
+    ):  # fmt: skip
+        self.rows, self.first, self.when, self.scans = rows, first, when, scans
+        self.shared, self.parts = shared, parts
+        self.verdict, self.landmark, self.told, self.joint, self.sights = verdict, landmark, told, joint, sights
+
+
+class Walls:
+    """The line map: `places` lines, as `pairs` and `match` want them; `fixed` those that are no states."""
+
+    def __init__(self, columns, anchors, low, high, hits, seen, born, ids, fixed, width, places, states):
+        self.columns, self.anchors, self.low, self.high = columns, anchors, low, high
+        self.hits, self.seen, self.born, self.ids = hits, seen, born, ids
+        self.fixed, self.width, self.places, self.states = fixed, width, places, states
+
+
+class Seat:
+    """The laser's mount as it is configured (3,); of its `free` states which (of x, y, yaw), and their columns."""
+
+    def __init__(self, told, which, at, free):
+        self.told, self.which, self.at, self.free = told, which, at, free
+
+
+class Rules:
+    """What decides on pairs, scans and lessons: the constants of fusion.linemap."""
+
+    def __init__(
+        self, max_turn, max_offset, sigmas, gate, zone, rival, share, longest, unmatched, ambiguous, new, watched,
+        least, well, grows, joint, lone_d2, lone_turn, lone_offset, tidy, trial, hits, double_turn, double_offset,
+        double_apart, rolled, turned, floor, floor_turn, uneven, uneven_turn, bend, bend_turn,
+    ):  # fmt: skip
+        self.max_turn, self.max_offset, self.sigmas = max_turn, max_offset, sigmas
+        self.gate, self.zone, self.rival, self.share, self.longest = gate, zone, rival, share, longest
+        self.unmatched, self.ambiguous, self.new = unmatched, ambiguous, new
+        self.watched, self.least, self.well = watched, least, well
+        self.grows, self.joint = grows, joint
+        self.lone_d2, self.lone_turn, self.lone_offset = lone_d2, lone_turn, lone_offset
+        self.tidy, self.trial, self.hits = tidy, trial, hits
+        self.double_turn, self.double_offset, self.double_apart = double_turn, double_offset, double_apart
+        self.rolled, self.turned = rolled, turned
+        self.floor, self.floor_turn = floor, floor_turn
+        self.uneven, self.uneven_turn, self.bend, self.bend_turn = uneven, uneven_turn, bend, bend_turn
+
+
+class Way:
+    """The way through a map, if one is followed, and where the loop in Python wants to be asked."""
+
+    def __init__(
+        self, follows=False, length=0.0, x=0.0, y=0.0, ask_at=0.0, origin_x=0.0, origin_y=0.0, reach=0.0, most=0,
+        looks=False, sight_x=0.0, sight_y=0.0, sight_turn=0.0, stride=0.0, turn=0.0,
+    ):  # fmt: skip
+        self.follows, self.length, self.x, self.y = follows, length, x, y
+        self.ask_at, self.origin_x, self.origin_y, self.reach, self.most = ask_at, origin_x, origin_y, reach, most
+        self.looks, self.sight_x, self.sight_y, self.sight_turn = looks, sight_x, sight_y, sight_turn
+        self.stride, self.turn = stride, turn
+
+
+class Desk:
+    """Room for one scan; `seated`, `walls` and `shared` lie in memory as their flat twins."""
+
+    def __init__(
+        self, raw, seated, rows, wall_rows, walls, mount, place, offset, pose, triangle, seen, pairs, fate, order,
+        shared, at, H, G, R, y, V, loose, missing,
+    ):  # fmt: skip
+        self.raw, self.seated, self.rows, self.wall_rows, self.walls = raw, seated, rows, wall_rows, walls
+        self.mount, self.place, self.offset, self.pose, self.triangle = mount, place, offset, pose, triangle
+        self.seen, self.pairs, self.fate, self.order = seen, pairs, fate, order
+        self.shared, self.at, self.H, self.G, self.R, self.y, self.V = shared, at, H, G, R, y, V
+        self.loose, self.missing = loose, missing
+
+
+class Progress:
+    """How far a drive has come: the instant that was reached, why the core stopped there, and the next scan.
+
+    x, y [m] and theta [rad] are what the wheels rolled since the last scan that was used; `number` is that of the
+    last scan that taught the map, `well` the last one that fitted well.
+    """
+
+    def __init__(self, instant, why, scan, x, y, theta, number, well):
+        self.instant, self.why, self.scan = instant, why, scan
+        self.x, self.y, self.theta, self.number, self.well = x, y, theta, number, well
+
+
+class Wheels:
+    """Motions u (instants, 3), Q (instants, 9), dt (instants,).
+
+    The states `drifting` (drifts,) gain the variance `drift` each second.
+    """
+
+    def __init__(self, u, Q, dt, drifting, drift, drifts):
+        self.u, self.Q, self.dt = u, Q, dt
+        self.drifting, self.drift, self.drifts = drifting, drift, drifts
+
+
+class Headings:
+    """Headings, `readings` of them: i at instant when[i] is z[i] [rad] of variance r[i].
+
+    What is predicted is `offset` and the sum of the states `at` (states,). Where a heading is not `usable`, or
+    beyond `gate`, it corrects nothing. Written is told (readings, 4), with the verdict 0, `refused` or `unused`.
+    """
+
+    def __init__(self, when, z, r, usable, gate, refused, unused, offset, at, states, told, readings):
+        self.when, self.z, self.r, self.usable = when, z, r, usable
+        self.gate, self.refused, self.unused, self.offset = gate, refused, unused, offset
+        self.at, self.states, self.told, self.readings = at, states, told, readings
+
+
+class Notes:
+    """What `note` writes at every instant; room (9,)."""
+
+    def __init__(self, room, pose, triangle, columns, blocks, values):
+        self.room, self.pose, self.triangle = room, pose, triangle
+        self.columns, self.blocks, self.values = columns, blocks, values

@@ -26,7 +26,9 @@ GATE = 16.3  # chi-square with 3 degrees of freedom at 99.9 %
 WIDER = 4.0  # times the covariance of where a map is expected to lie: some drives go wrong by more than it says
 SLACK = np.diag(np.square((0.3, 0.3, math.radians(4.0))))  # m, rad: by which a pair of walls misses the place
 LEAST = 5  # walls that each of two maps must have
-ENOUGH = ((5, 6.0), (3, 15.0))  # walls, and m of them, that a place must explain: many, or long ones
+MANY, LONG = (5, 6.0), (3, 15.0)  # walls, and m of them, that a place must explain: many, or long ones
+SURELY = (8, 20.0)  # the same where it lies beyond what the covariance of the way allows
+NEAR = 0.75  # m: standard deviation of where a map is expected, up to which a few long walls are enough
 RIVAL, APART, TURNED = 0.75, 0.6, math.radians(15.0)  # share of the best one's length; m and rad that make a rival
 MAX_TURNED = 4  # rivals in other directions, beyond which free space is not asked
 MAX_THROUGH = 0.08  # share of the walls behind walls of the other map, beyond what is so within either map
@@ -72,7 +74,7 @@ def find_closure(there: Here, here: Here, expected: Array, P: Array) -> Closure 
         return None
     share, _, count = explained(poses, scan, there.lines, there.values, known)
     length = share * float((scan.ends[:, 1] - scan.ends[:, 0]).sum())
-    length = np.where((length >= 0.5 * ENOUGH[0][1]) & (count >= 3), length, 0.0)
+    length = np.where((length >= 0.5 * MANY[1]) & (count >= 3), length, 0.0)
     best = int(np.argmax(length))
     if length[best] <= 0.0:
         return None
@@ -82,11 +84,22 @@ def find_closure(there: Here, here: Here, expected: Array, P: Array) -> Closure 
     if not _all_contradicted(there, here, distinct(alike[turned])):
         return None
     found = _refined(poses[best], scan, there, known, expected, P)
-    if found is None or not any(found.walls >= n and found.length >= m for n, m in ENOUGH):
+    if found is None or not _enough(found, expected, P):
         return None
     if contradicted(there, here, found.pose):
         return None
     return found._replace(P=found.P + left_open(rivals[~turned]))
+
+
+def _enough(found: Closure, expected: Array, P: Array) -> bool:
+    """Return whether a place explains enough walls; the less it is expected, the more it must."""
+    off = found.pose - expected
+    off[2] = se2.wrap(float(off[2]))
+    if off @ np.linalg.solve(P + SLACK, off) > GATE:
+        asked: tuple[tuple[int, float], ...] = (SURELY,)
+    else:
+        asked = (MANY, LONG) if float(P[0, 0] + P[1, 1]) < NEAR**2 else (MANY,)
+    return any(found.walls >= n and found.length >= m for n, m in asked)
 
 
 def _all_contradicted(there: Here, here: Here, poses: Array) -> bool:

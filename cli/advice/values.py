@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -44,12 +44,18 @@ def _joined(found: Sequence[Advice]) -> Advice:
     first, *later = found
     for advice in later:
         message = f"{first.finding.brief}; then {advice.finding.brief}"
+        if advice.finding.code != first.finding.code and _keys(first.fixes) <= _keys(advice.fixes):
+            message = advice.finding.brief  # the first one's fix is not what was set in the end
         before = {**(advice.before or {}), **(first.before or {})}
         after = {**(first.after or {}), **(advice.after or {})}
         fixes = together(first.fixes, advice.fixes)
         finding = replace(first.finding, message=message, hint="", source="")
         first = replace(first, finding=finding, fixes=fixes, before=before, after=after)
     return first
+
+
+def _keys(fixes: Iterable[str]) -> set[str]:
+    return {fix.partition("=")[0] for fix in fixes}
 
 
 def _finding(advice: Advice, until: float | None) -> dict[str, Any]:

@@ -49,11 +49,16 @@ def _effect(tried: Mapping[str, Any]) -> str:
     if before["position_rmse_m"] is not None:
         parts.append(f"error {length(before['position_rmse_m'])} -> {length(after['position_rmse_m'])}")
     if before["anees"] and after["anees"]:
-        parts.append(f"ANEES {before['anees']:.2g} -> {after['anees']:.2g}")
+        parts.append(f"ANEES {_ratio(before['anees'])} -> {_ratio(after['anees'])}")
     if before["prediction_nats"] is not None:
         parts.append(f"prediction {after['prediction_nats'] - before['prediction_nats']:+.2f} nats per number")
     until = f", first {tried['until_s']:.0f} s" if tried.get("until_s") else ""
     return f"{tried['configuration']}{until}: {', '.join(parts)}"
+
+
+def _ratio(value: float) -> str:
+    """Return a ratio as people say it: "0.92", "4.7", "9600"."""
+    return f"{float(f'{value:.2g}'):.0f}" if 99.5 <= value < 1e9 else f"{value:.2g}"
 
 
 def length(metres: float) -> str:

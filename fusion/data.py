@@ -174,6 +174,7 @@ class Measurements:
     dropped: dict[str, int] = field(default_factory=dict)  # readings refused, by reason
     points: Points | None = None  # of a laser: what else its n scans saw
     notes: tuple[str, ...] = ()  # in words: what is unusual about what was seen
+    seen: object = None  # of a sensor that need not look again: what all its readings showed (Sensor.again)
 
     @cached_property
     def R(self) -> Array:
@@ -214,6 +215,7 @@ class Measurements:
             dropped=self.dropped,
             points=None if self.points is None else self.points.take(readings),
             notes=self.notes,
+            seen=self.seen,
         )
 
 

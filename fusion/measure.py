@@ -33,18 +33,19 @@ def measure(
     progress: Callable[[str], None] = lambda role: None,
     known: Mapping[str, Measurements] | None = None,
     motion: WheelReading | None = None,
+    before: Mapping[str, Measurements] | None = None,
 ) -> Drive:
     """Measure a log: `streams` holds "wheels", sensors by name, and perhaps "truth".
 
-    Sensors in `known` were measured before, under the same settings, and those of the wheels. `motion` is how
-    the robot moved where it was found before: without wheels, from its scans.
+    Sensors in `known` were measured before, under the same settings, and those of the wheels; those in `before`
+    under others. `motion` is how the robot moved where it was found before: without wheels, from its scans.
     Raises LocfuseError where the wheels give no motion or a sensor's readings cannot be understood.
     """
     progress("measuring the wheels")
     wheels, epoch_ns, dropped, notes = motion or read_wheels(streams["wheels"], robot.wheels)
     drops = {"wheels": dropped}
     measurements: dict[str, Measurements] = {}
-    missing = dict(absent or {})
+    missing, before = dict(absent or {}), before or {}
     fixes: dict[str, tuple[str, ...]] = {}
     for name, sensor in REGISTRY.items():
         if known and name in known and name in streams:
@@ -53,7 +54,8 @@ def measure(
         elif name in streams:
             progress(f"measuring {name}")
             try:
-                found = sensor.measure(streams[name], robot.settings(name), wheels, epoch_ns)
+                again = sensor.again(before[name], robot.settings(name), epoch_ns) if name in before else None
+                found = again or sensor.measure(streams[name], robot.settings(name), wheels, epoch_ns)
             except LocfuseError as e:
                 # the others can still be compared; asking for this one is an error
                 missing[name] = e.sentence if e.role == name else str(e)

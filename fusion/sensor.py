@@ -394,6 +394,13 @@ class Sensor(ABC):
         Raises LocfuseError where they cannot be understood.
         """
 
+    def again(self, before: Measurements, settings: Any, epoch_ns: int) -> Measurements | None:
+        """Return what `measure` would under these settings, from what it measured under others.
+
+        None where the readings have to be looked at again.
+        """
+        return None
+
     @abstractmethod
     def model(self, settings: Any) -> Model:
         """Return its side of a new run of the filter."""

@@ -149,10 +149,12 @@ def measured(
     only: Collection[str] | None = None,
     aside: Collection[str] = (),
     known: Mapping[str, Measurements] | None = None,
+    before: Mapping[str, Measurements] | None = None,
 ) -> Loaded:
     """Measure the chosen topics of a log under the tables of robot.toml; those of roles in `aside` are not.
 
     Sensors that are `known` are not measured again: their settings, and those of the wheels, must be the same.
+    What was measured `before` under other settings may spare a second look at the readings.
     """
     _leave_out(choice, only, tables["preset"])
     progress("reading")
@@ -172,7 +174,7 @@ def measured(
     wanted = {role: s for role, s in streams.items() if role not in aside and role not in moving}
     wanted = level_compass(log, wanted, robot, transforms)
     motion = _motion_of_scans(streams["wheels"], robot, progress) if by_scans else None
-    drive = measure(wanted, robot, {**choice.absent, **moving}, progress, known, motion)
+    drive = measure(wanted, robot, {**choice.absent, **moving}, progress, known, motion, before)
     refuse_standing(log, choice, drive.wheels)
     _refuse_other_clock(log, drive)
     preset = (filters.NOTE,) if robot.preset == "paper" else ()
@@ -305,7 +307,8 @@ def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = sil
     if "gyro" in tables and "gyro" not in same:
         unchanged.pop("compass", None)  # its field is levelled by the IMU, as that is mounted
     asked = None if loaded.asked is None else with_files(robot_toml.layered(loaded.asked, sets))
-    found = measured(loaded.log, tables, deepcopy(loaded.choice), progress, known=unchanged)
+    before = loaded.drive.measurements
+    found = measured(loaded.log, tables, deepcopy(loaded.choice), progress, known=unchanged, before=before)
     sources = {**loaded.sources, **dict.fromkeys(_keys(sets), "--set")}
     return _within(replace(found, sources=sources, asked=asked, hash_all=loaded.hash_all), loaded.window)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal, NamedTuple
 
@@ -56,6 +56,10 @@ class Detector:
         outer = self.outer or max(1.0, min(x, y, width - 1 - x, height - 1 - y))
         inner = outer / 4.0 if self.inner is None else self.inner
         return Optics(x, y, inner, outer, self.width, self.zero, self.clockwise)
+
+    def looks_like(self, other: Detector) -> bool:
+        """Return whether another one finds the same in every picture: it may name its directions otherwise."""
+        return replace(self, zero=other.zero, clockwise=other.clockwise) == other
 
     def coloured(self, picture: Picture) -> Picture:
         """Return a picture as BGR."""

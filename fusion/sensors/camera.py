@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
@@ -22,7 +22,7 @@ from locfuse.fusion.camera.bearing import (
     predict_bearing,
 )
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import VERDICTS, Colour, Component, LocfuseError, Measurements, Stream
+from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Ints, LocfuseError, Measurements, Stream
 from locfuse.fusion.mount import ASK_MOUNT, Mount, MountedSettings, mount_states
 from locfuse.fusion.se2 import wrap
 from locfuse.fusion.sensor import GATE, Ask, Belief, Bias, Block, Innovation, Model, Sensor, WheelMotion
@@ -139,21 +139,14 @@ class Camera(Sensor):
         missing = self.missing(settings)
         if missing:
             raise LocfuseError(f"{stream.topic}: {missing}")
-        from locfuse.fusion.camera.detect import Detection, detections
+        return _collect(look(stream, detector(settings)), settings, epoch_ns)
 
-        found: list[tuple[int, Detection]] = []
-        dropped = Counter(stream.dropped)
-        for row, seen in detections(stream, detector(settings)):
-            if isinstance(seen, str):
-                dropped[seen] += 1
-            else:
-                found.append((row, seen))
-        sizes = Counter(seen.shape for _, seen in found)
-        if len(sizes) > 1:
-            usual = max(sizes, key=lambda size: (sizes[size], size))
-            dropped["other_size"] += len(found) - sizes[usual]
-            found = [(row, seen) for row, seen in found if seen.shape == usual]
-        return _collect(found, stream, settings, epoch_ns, dict(dropped))
+    def again(self, before: Measurements, settings: CameraSettings, epoch_ns: int) -> Measurements | None:
+        """Return what `measure` would: no picture is looked at again for a clock, a direction or a sigma."""
+        seen = before.seen
+        if self.missing(settings) or not isinstance(seen, Seen) or not seen.by.looks_like(detector(settings)):
+            return None
+        return _collect(seen, settings, epoch_ns)
 
     def model(self, settings: CameraSettings) -> Model:
         """Return the camera's side of a new run."""
@@ -183,31 +176,65 @@ def detector(settings: CameraSettings) -> Any:
     )
 
 
-def _collect(
-    found: list[tuple[int, Any]], stream: Stream, settings: CameraSettings, epoch_ns: int, dropped: dict[str, int]
-) -> Measurements:
+class Seen(NamedTuple):
+    """What the pictures of a log showed, before settings say when that was and where it lies."""
+
+    by: Any  # the Detector that looked
+    shape: tuple[int, int]  # px, height and width of the n pictures
+    t_ns: Ints  # (n,)
+    first: Ints  # (n + 1,) candidate of every picture
+    candidates: Array  # (m, 6), columns as in `fusion.camera.panorama.Candidate`
+    dropped: dict[str, int]
+
+
+def look(stream: Stream, by: Any) -> Seen:
+    """Look at every picture of a stream; those of another size than most are left out."""
+    from locfuse.fusion.camera.detect import Detection, detections
+
+    found: list[tuple[int, Detection]] = []
+    dropped = Counter(stream.dropped)
+    for row, seen in detections(stream, by):
+        if isinstance(seen, str):
+            dropped[seen] += 1
+        else:
+            found.append((row, seen))
+    sizes = Counter(seen.shape for _, seen in found)
+    usual = max(sizes, key=lambda size: (sizes[size], size), default=(1, 1))
+    if len(sizes) > 1:
+        dropped["other_size"] += len(found) - sizes[usual]
+        found = [(row, seen) for row, seen in found if seen.shape == usual]
+    return Seen(
+        by,
+        usual,
+        stream.t_ns[np.array([row for row, _ in found], np.int64)],
+        np.concatenate(([0], np.cumsum([len(seen.candidates) for _, seen in found], dtype=np.int64))),
+        np.array([c for _, seen in found for c in seen.candidates], np.float64).reshape(-1, 6),
+        dict(dropped),
+    )
+
+
+def _collect(seen: Seen, settings: CameraSettings, epoch_ns: int) -> Measurements:
     from locfuse.fusion.camera.optics import bearing
 
-    rows = np.array([row for row, _ in found], np.int64)
-    every = [(c, seen.optics) for _, seen in found for c in seen.candidates]
+    theta, explained, pixels, length, width, _ = seen.candidates.T.copy()
     sigma = math.radians(settings.sigma_deg)
-    rest = np.array([c.variance for c, _ in every])
-    if settings.bearing == "absolute":  # the paper's var(gamma) knows no pixels
-        rest = np.zeros(len(every))
+    # the paper's var(gamma) knows no pixels
+    rest = np.zeros(len(theta)) if settings.bearing == "absolute" else explained
     return Measurements(
-        t=(stream.t_ns[rows] - epoch_ns) * np.float64(1e-9) + settings.time_offset,
-        first=np.concatenate(([0], np.cumsum([len(seen.candidates) for _, seen in found], dtype=np.int64))),
-        z=np.array([float(bearing(np.asarray(c.theta), optics)) for c, optics in every]).reshape(-1, 1),
+        t=(seen.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset,
+        first=seen.first,
+        z=bearing(theta, detector(settings).optics(seen.shape)).reshape(-1, 1),
         R_unit=(1.0 + rest / sigma**2).reshape(-1, 1, 1),
         scale=sigma,
         floor=np.zeros((1, 1)),
         extra={
             "rest": rest,  # rad^2, what the pixels explain: not sigma's
-            "pixels": np.array([c.pixels for c, _ in every]),
-            "length": np.array([c.length for c, _ in every]),  # px
-            "width": np.array([c.width for c, _ in every]),  # rad
+            "pixels": pixels,
+            "length": length,  # px
+            "width": width,  # rad
         },
-        dropped=dropped,
+        dropped=dict(seen.dropped),
+        seen=seen,
     )
 
 

@@ -108,6 +108,38 @@ def test_every_picture_is_a_reading_with_one_row_per_candidate() -> None:
 
 
 @pytest.mark.parametrize("chain", ["fast", "paper"])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"time_offset": 0.25},
+        {"clockwise": True, "zero_deg": 20.0},
+        {"sigma_deg": 0.9, "x": 0.3, "gate": 0.9},
+        {"bearing": "absolute"},
+    ],
+)
+def test_no_picture_is_looked_at_again_for_what_it_does_not_show(chain: Any, changes: dict[str, Any]) -> None:
+    """A clock, a direction, a sigma, a mount: the same measurements to the bit as from the pictures."""
+    stream = compressed(*map(coded, (picture(LENS), picture(LENS, Pole(30.0), Pole(-80.0, 2.0)))), b"no picture")
+    settings = msgspec.structs.replace(SETTINGS, chain=chain)
+    other = msgspec.structs.replace(settings, **changes)
+    again, fresh = Camera().again(measured(stream, settings), other, 10**18), measured(stream, other)
+    assert again is not None
+    assert again.dropped == fresh.dropped == {"unreadable": 1}
+    for name in ("t", "first", "z", "R"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(fresh, name))
+    for name, column in fresh.extra.items():
+        np.testing.assert_array_equal(again.extra[name], column)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"red_ratio": 0.5}, {"centre": (LENS.x_c + 2.0, LENS.y_c)}, {"swapped": True}, {"landmark": None}]
+)
+def test_what_changes_how_a_picture_is_seen_needs_the_pictures_again(changes: dict[str, Any]) -> None:
+    before = measured(compressed(coded(picture(LENS, Pole(30.0)))))
+    assert Camera().again(before, msgspec.structs.replace(SETTINGS, **changes), 10**18) is None
+
+
+@pytest.mark.parametrize("chain", ["fast", "paper"])
 def test_a_png_a_raw_picture_and_a_swapped_jpeg_give_the_same_bearing(chain: Any) -> None:
     settings = msgspec.structs.replace(SETTINGS, chain=chain)
     shot = picture(LENS, Pole(-130.0))

@@ -14,6 +14,7 @@ from commands import locfuse as command
 from rewrite_log import rewritten
 
 import locfuse
+from locfuse.fusion.camera import detect
 from locfuse.fusion.instants import BLOCK
 from locfuse.fusion.progress import heard_by
 
@@ -43,6 +44,25 @@ def by_command(tmp_path_factory: pytest.TempPathFactory) -> Path:
     done = command("compare", LOG, "--to", TO, *words, "--smooth", "--export", "kitti,mcap", "-o", out)
     assert done.exit_code == 0, done.stderr
     return out
+
+
+def test_other_settings_do_not_decode_the_pictures_again(
+    session: locfuse.Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked: list[Any] = []
+
+    def none(stream: Any, by: Any) -> list[Any]:
+        looked.append(stream)
+        return []
+
+    monkeypatch.setattr(detect, "detections", none)
+    later = session.with_settings({"camera.time_offset": 0.05})
+    before, now = session.drive.measurements["camera"], later.drive.measurements["camera"]
+    assert now.t[0] == pytest.approx(before.t[0] + 0.05)
+    np.testing.assert_array_equal(now.z[:50], before.z[:50])
+    assert not looked
+    session.with_settings({"camera.red_ratio": 0.6})
+    assert len(looked) == 1
 
 
 def test_a_comparison_writes_the_commands_files_byte_for_byte(

@@ -11,8 +11,8 @@ from typing import Any, TypeVar
 
 import click
 
+from locfuse.cli.rerun.address import ADDRESS, LOCAL_VIEWER
 from locfuse.cli.rerun.record import RerunOptions
-from locfuse.cli.rerun.viewer import ADDRESS, LOCAL_VIEWER
 
 F = TypeVar("F", bound=Callable[..., Any])
 

@@ -171,9 +171,9 @@ class Guard:
 
     def _rolled(self, belief: JointBelief) -> Pose:
         """Return where the wheels alone put the robot, on from where they did at the last scan."""
-        here = np.array([[belief.x, belief.y, belief.theta]])
-        ((x, y, theta),) = self._rolled_by(here, here).tolist()
-        self._wheels, self._after = (x, y, theta), (belief.x, belief.y, belief.theta)
+        here = belief.x, belief.y, belief.theta
+        self._wheels = se2.carried(self._wheels, self._after or here, here)
+        self._after = here
         return self._wheels
 
     def _rolled_by(self, before: Array, after: Array) -> Array:

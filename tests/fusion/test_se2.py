@@ -28,6 +28,16 @@ def test_compose_and_inverse_are_matrix_product_and_inverse(a: np.ndarray, b: np
     np.testing.assert_allclose(se2.compose(a, se2.between(a, b)), b, atol=1e-12)
 
 
+def test_one_step_of_plain_floats_is_to_the_bit_that_of_arrays() -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(300):
+        at, a, b = rng.normal(0.0, rng.choice((0.1, 3.0, 50.0)), (3, 3))
+        steps = se2.between(a[None], b[None])
+        plain = se2.carried(tuple(at.tolist()), tuple(a.tolist()), tuple(b.tolist()))
+        assert plain == tuple(se2.chained(at, steps)[0].tolist())
+        np.testing.assert_allclose(plain, se2.compose(at, se2.compose(se2.inverse(a), b)), rtol=0.0, atol=1e-10)
+
+
 @pytest.mark.parametrize("turn", [0.0, 1e-12, 1e-6, 0.5, -2.0, 3.0, math.pi])
 def test_exp_is_the_matrix_exponential_and_log_undoes_it(turn: float) -> None:
     twist = np.array([0.7, -0.2, turn])

@@ -21,6 +21,8 @@ LENGTH, TURNED = 30, math.radians(90.0)  # scans, rad: over 6 m, or around a cor
 MIN_LINES = 2
 SAME_ANGLE, SAME_OFFSET = math.radians(4.0), 0.1  # a line is where the wheels expect it within these
 CONTINUES = 0.6  # share of the seen length that must be: less, and the robot is being carried
+MAX_SLIPS = 1000  # slips that are tried; two scans of 30 lines have fewer
+ROOM = 1 << 22  # numbers at a time: two scans of 2000 lines would need terabytes
 
 
 class Trail:
@@ -67,7 +69,22 @@ def expected_share(scan: Scan, before: Scan, step: Array, slip: float = 0.0) -> 
     r, psi = before.z.T
     near = np.abs(scan.z[:, 0, None] - (r - step[0] * np.cos(psi) - step[1] * np.sin(psi))) < SAME_OFFSET
     turn = se2.wrap_all(scan.z[:, 1, None] - psi + step[2])  # (k, lines before)
-    slips = np.append(turn[np.abs(turn) < slip], 0.0)
-    found = (near & (np.abs(turn - slips[:, None, None]) < SAME_ANGLE)).any(axis=2)  # (slips, k)
+    slips = np.append(_few(turn[np.abs(turn) < slip]), 0.0)
+    i, j = np.nonzero(near)
+    lines, first = np.unique(i, return_index=True)
+    found = np.zeros((len(slips), len(scan.z)), np.bool_)
+    at_once = max(1, ROOM // max(len(i), 1))
+    for at in range(0, len(slips) if len(i) else 0, at_once):
+        some = slice(at, at + at_once)
+        suits = np.abs(turn[i, j] - slips[some, None]) < SAME_ANGLE  # (slips, pairs)
+        found[some, lines] = np.logical_or.reduceat(suits, first, axis=1)
     length = scan.ends[:, 1] - scan.ends[:, 0]
     return float((found @ length).max() / length.sum())
+
+
+def _few(slips: Array) -> Array:
+    """Return slips (n,) [rad], of very many evenly some: neighbours then lie much closer than SAME_ANGLE."""
+    if len(slips) <= MAX_SLIPS:
+        return slips
+    some: Array = np.sort(slips)[np.linspace(0, len(slips) - 1, MAX_SLIPS).astype(np.intp)]
+    return some

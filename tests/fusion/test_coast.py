@@ -16,7 +16,7 @@ from worlds import World
 from locfuse.fusion.coast.stretches import Stretches
 from locfuse.fusion.core.form import form
 from locfuse.fusion.core.room import Room
-from locfuse.fusion.data import VERDICTS, Array, Drive, Estimates, LocfuseError
+from locfuse.fusion.data import VERDICTS, Array, Drive, Estimates, LocfuseError, Ragged
 from locfuse.fusion.fuse import Filter, fuse
 from locfuse.fusion.instants import due_readings, steps_of
 from locfuse.fusion.measure import measure
@@ -184,6 +184,57 @@ def test_whatever_scans_show_all_ways_agree(kinds: list[str], mode: str) -> None
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr("locfuse.fusion.core.room._here", lambda source: Room.of(source, None))
         assert_same_bits(run, fuse(changed, robot, ["compass", "lrf"]))
+
+
+def with_map(drive: Drive, walls: int, seed: int) -> Drive:
+    """Return the drive whose first scan shows so many walls: its own, then others anywhere around."""
+    m = drive.measurements["lrf"]
+    rng, own = np.random.default_rng(seed), int(m.first[1])
+    more = max(walls - own, 0)
+    other = np.column_stack((rng.uniform(0.5, 40.0, more), rng.uniform(-math.pi, math.pi, more)))
+    ends = np.sort(rng.uniform(-3.0, 3.0, (more, 2)), axis=1)
+    rows = np.concatenate((np.arange(min(own, walls)), np.resize(np.arange(own), more), np.arange(own, len(m.z))))
+    z, extra = m.z[rows].copy(), {name: column[rows] for name, column in m.extra.items()}
+    z[own : own + more], extra["ends"][own : own + more] = other, ends
+    first = m.first + walls - own
+    first[0] = 0
+    changed = replace(m, first=first, z=z, R_unit=m.R_unit[rows], extra=extra)
+    return replace(drive, measurements={**drive.measurements, "lrf": changed})
+
+
+@hypothesis.settings(deadline=None, max_examples=12)
+@hypothesis.given(st.sampled_from([0, 1, 2, 50, 2000]), st.integers(0, 2**32 - 1), st.booleans())
+def test_maps_of_none_to_two_thousand_walls_are_the_same_to_both_forms(walls: int, seed: int, grows: bool) -> None:
+    """Frozen with any number of walls, which are no states then; growing with few."""
+    mode = "grow" if grows and walls <= 50 else "first-scan"
+    drive, robot = drive_of({"lrf": {"map": mode}}, seconds=1.2, speed=0.6)
+    changed = with_map(drive, walls, seed)
+    run = fuse(changed, robot, ["compass", "lrf"])
+    assert len(run.first_map) == (walls or changed.measurements["lrf"].first[2])
+    assert_same(run, instant_by_instant(changed, robot, ["compass", "lrf"]))
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("locfuse.fusion.core.room._here", lambda source: Room.of(source, None))
+        assert_same_bits(run, fuse(changed, robot, ["compass", "lrf"]))
+
+
+@pytest.mark.parametrize("beams", [1, 2, 100_000])
+def test_scans_of_one_beam_and_of_a_hundred_thousand_are_fused_alike_by_both_forms(beams: int) -> None:
+    """Nothing to see, and a saw of 400 walls."""
+    world = World(seconds=0.3, speed=0.6, settings={"lrf": {"map": "first-scan"}})
+    streams, angles = world.streams(), np.linspace(-math.pi, math.pi, beams, endpoint=False)
+    scans = streams["lrf"]
+    n, saw = len(scans.t_ns), 20.0 + 6.0 * np.abs((angles * 200.0 / math.tau) % 1.0 - 0.5)
+    step = math.tau / beams
+    ranges = Ragged(np.tile(saw, n), np.arange(n + 1) * beams)
+    shown = {"angle_min": np.full(n, angles[0]), "angle_increment": np.full(n, step), "ranges": ranges}
+    data = {**scans.data, **shown}
+    robot = world.robot()
+    drive = measure({**streams, "lrf": replace(scans, data=data)}, robot)
+    run = fuse(drive, robot, ["compass", "lrf"])
+    assert len(run.first_map) == (400 if beams > 2 else 0)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("locfuse.fusion.core.room._here", lambda source: Room.of(source, None))
+        assert_same_bits(run, fuse(drive, robot, ["compass", "lrf"]))
 
 
 def test_a_heading_beyond_its_gate_and_one_in_a_disturbed_field_correct_nothing() -> None:

@@ -19,6 +19,7 @@ from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.linemap.scan import Scan
 from locfuse.fusion.measure import measure
 from locfuse.fusion.recovery.scan_history import Trail, expected_share
+from locfuse.fusion.se2 import wrap
 
 Array = NDArray[np.float64]
 AT = 12.0  # s
@@ -96,6 +97,45 @@ def test_walls_that_continue_are_expected_and_others_are_not() -> None:
     ) == pytest.approx(1.0)
     moved = after + np.array([(0.4, 0.0), (0.0, 0.0), (0.0, 0.0)])
     assert expected_share(Scan(moved, R, ends), Scan(before, R, ends), step) == pytest.approx(0.5)
+
+
+def share_by_loops(scan: Scan, before: Scan, step: NDArray[np.float64], slip: float) -> float:
+    """The share that is expected, wall by wall and slip by slip."""
+    turns = [[wrap(psi - b + step[2]) for _, b in before.z.tolist()] for _, psi in scan.z.tolist()]
+    expected = [r - step[0] * math.cos(b) - step[1] * math.sin(b) for r, b in before.z.tolist()]
+    length = scan.ends[:, 1] - scan.ends[:, 0]
+    best = 0.0
+    for slipped in (0.0, *(t for row in turns for t in row if abs(t) < slip)):
+        there = [
+            any(
+                abs(r - e) < 0.1 and abs(t - slipped) < math.radians(4.0)
+                for e, t in zip(expected, row, strict=True)
+            )
+            for (r, _), row in zip(scan.z.tolist(), turns, strict=True)
+        ]
+        best = max(best, float(length[there].sum()))
+    return best / float(length.sum())
+
+
+@pytest.mark.parametrize("slip", [0.0, 0.3])
+def test_the_expected_share_is_that_of_every_wall_and_slip_by_itself(slip: float) -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(40):
+        k = int(rng.integers(1, 12))
+        walls, ends = rng.uniform((0.5, -3.0), (4.0, 3.0), (k, 2)), np.sort(rng.normal(0.0, 2.0, (k, 2)), axis=1)
+        seen = walls + rng.normal(0.0, (0.06, 0.04), (k, 2)) + (0.0, rng.uniform(-0.3, 0.3))
+        R, step = np.tile(np.eye(2) * 1e-4, (k, 1, 1)), rng.normal(0.0, 0.05, 3)
+        scan, before = Scan(seen, R, ends), Scan(walls, R, ends)
+        assert expected_share(scan, before, step, slip) == pytest.approx(share_by_loops(scan, before, step, slip))
+
+
+def test_scans_of_two_thousand_walls_need_no_terabytes_to_be_compared() -> None:
+    n, turned = 2000, 0.2
+    walls = np.random.default_rng(1).uniform((0.5, -3.1), (40.0, 3.1), (n, 2))
+    R, ends = np.tile(np.eye(2) * 1e-4, (n, 1, 1)), np.tile((0.0, 1.0), (n, 1))
+    before, now = Scan(walls, R, ends), Scan(walls - (0.0, turned), R, ends)
+    assert expected_share(now, before, np.zeros(3), math.radians(30.0)) == 1.0
+    assert expected_share(now, before, np.zeros(3)) < 0.7
 
 
 def test_a_trail_forgets_what_was_seen_while_the_robot_was_carried() -> None:

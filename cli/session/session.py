@@ -223,9 +223,9 @@ class Session:
         if wanted and jitter:
             raise UsageError(f"--reference --jitter {jitter}: of a jittered drive there is no reference; use one")
         short = smooth or len(self.drive.t) <= MAX_REFERENCE_INSTANTS
-        if wanted is False or jitter or not (wanted or short):
+        if wanted is False or jitter or not (wanted or (short and self.drive.truth is None)):
             return False
-        from locfuse.fusion.reference import possible, refuse
+        from locfuse.fusion.reference import possible, refuse  # the graph comes with it
 
         if wanted:
             refuse(self.drive, self.robot)

@@ -226,7 +226,7 @@ def test_scans_of_one_beam_and_of_a_hundred_thousand_are_fused_alike_by_both_for
     n, saw = len(scans.t_ns), 20.0 + 6.0 * np.abs((angles * 200.0 / math.tau) % 1.0 - 0.5)
     step = math.tau / beams
     ranges = Ragged(np.tile(saw, n), np.arange(n + 1) * beams)
-    shown = {"angle_min": np.full(n, angles[0]), "angle_increment": np.full(n, step), "ranges": ranges}
+    shown: dict[str, Any] = {"angle_min": np.full(n, angles[0]), "angle_increment": np.full(n, step), "ranges": ranges}
     data = {**scans.data, **shown}
     robot = world.robot()
     drive = measure({**streams, "lrf": replace(scans, data=data)}, robot)

@@ -117,3 +117,11 @@ def exact(point: tuple[float, float]) -> tuple[Estimates, Drive]:
     )
     pose = np.column_stack((drive.truth.xy - back, drive.truth.theta))
     return replace(estimates, pose=pose, truth_pose=pose), drive
+
+
+def test_a_drive_lasts_from_its_first_instant_to_its_last_and_is_as_long_as_its_steps() -> None:
+    estimates, drive = exact((0.0, 0.0))
+    figures = evaluate(estimates, drive).figures
+    assert figures["duration_s"] == pytest.approx(0.1 * N)
+    steps = np.diff(estimates.pose[:, :2], axis=0)
+    assert figures["distance_m"] == pytest.approx(float(np.sqrt((steps**2).sum(axis=1)).sum()), rel=1e-12)

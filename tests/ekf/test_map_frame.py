@@ -268,7 +268,7 @@ def triangle_of(xy: Array) -> Triangle:
 
 @pytest.mark.parametrize("column", [0, 1])
 def test_where_the_frames_place_is_corrected_its_uncertainty_turns_about_the_same_point(column: int) -> None:
-    """The textbook's filter, then the lever: a turn of the frame moves its new place otherwise than its old one."""
+    """The textbook's filter, then the lever: a turn moves the frame's new place otherwise than its old one."""
     belief = driven(JointBelief(START, P0, [OFFSET]))
     assert belief.frame is not None
     n, f, y, r = belief.n, belief.frame, 0.3, 0.01

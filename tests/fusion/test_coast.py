@@ -224,10 +224,9 @@ def test_scans_of_one_beam_and_of_a_hundred_thousand_are_fused_alike_by_both_for
     streams, angles = world.streams(), np.linspace(-math.pi, math.pi, beams, endpoint=False)
     scans = streams["lrf"]
     n, saw = len(scans.t_ns), 20.0 + 6.0 * np.abs((angles * 200.0 / math.tau) % 1.0 - 0.5)
-    step = math.tau / beams
-    ranges = Ragged(np.tile(saw, n), np.arange(n + 1) * beams)
-    shown: dict[str, Any] = {"angle_min": np.full(n, angles[0]), "angle_increment": np.full(n, step), "ranges": ranges}
-    data = {**scans.data, **shown}
+    data: dict[str, Any] = dict(scans.data)
+    data |= {"angle_min": np.full(n, angles[0]), "angle_increment": np.full(n, math.tau / beams)}
+    data["ranges"] = Ragged(np.tile(saw, n), np.arange(n + 1) * beams)
     robot = world.robot()
     drive = measure({**streams, "lrf": replace(scans, data=data)}, robot)
     run = fuse(drive, robot, ["compass", "lrf"])

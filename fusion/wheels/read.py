@@ -101,7 +101,7 @@ def _geometry(settings: WheelSettings, stream: Stream) -> tuple[float, float]:
     missing = [key for key in ("radius", "track") if getattr(settings, key) is None]
     if missing:
         raise LocfuseError(
-            f"{stream.topic} gives wheel angles, so wheels.{' and wheels.'.join(missing)} must be known.",
+            f"wheel angles come from {stream.topic}, so wheels.{' and wheels.'.join(missing)} must be known.",
             role="wheels",
             hint=f"Set them in robot.toml or with --set wheels.{missing[0]}=<metres>; "
             "locfuse init LOG > robot.toml says how to measure them",

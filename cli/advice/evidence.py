@@ -39,7 +39,8 @@ MIN_LAG_S, MIN_LAG_SIGMAS = 0.005, 2.0  # s, standard deviations: a smaller lag 
 MIN_SURE_LAG_SIGMAS = 3.0  # standard deviations, of a sensor that looks right otherwise
 WORTH_TRYING = Least(0.005, 2.0)  # what is worth saying untried is larger
 SUSPICIOUS = Least(0.005, 2.5)  # what is reason enough to fuse again where nothing else looks wrong
-MIN_SUSPICIOUS_LAG_S = 0.01  # s: the same of clocks
+MIN_SUSPICIOUS_LAG_S, MIN_SUSPICIOUS_SIGMAS = 0.01, 2.5  # s, standard deviations: the same of clocks
+AS_SURE = 1.5  # times a lag's sigma: another sensor's that is known no worse says what slips do to both
 TOO_LOW = 2.0  # a sigma that is set too low refuses the large residuals, so the observed one is a lower bound
 CAMERA_LAGS_S = (-0.2, -0.1, 0.1, 0.2)  # s
 MAX_NOISE_FACTOR = 4.0  # on a sigma, by the errors of its own run
@@ -177,10 +178,23 @@ class Evidence:
                 yield from self._shifted(sensor, lag, f"the headings of {run.name}")
 
     def _late_by_wheels(self) -> Iterator[Offer]:
-        """Yield lags against the wheels that are too small to be said untried."""
+        """Yield lags against the wheels that are too small to be said untried.
+
+        From four sigma on where a sensor that knows its lag as well has the same, since slips pull all alike.
+        """
         for sensor, lag in self._by_wheels.items():
-            if abs(lag.offset) >= max(MIN_SUSPICIOUS_LAG_S, SAID_SIGMAS * lag.sigma):
+            sigmas = SAID_SIGMAS if self._late_like_others(sensor) else MIN_SUSPICIOUS_SIGMAS
+            if abs(lag.offset) >= max(MIN_SUSPICIOUS_LAG_S, sigmas * lag.sigma):
                 yield from self._shifted(sensor, lag, "the wheels")
+
+    def _late_like_others(self, sensor: str) -> bool:
+        """Return whether a sensor that knows its lag against the wheels about as well has the same."""
+        own = self._by_wheels[sensor]
+        return any(
+            abs(lag.offset - own.offset) < MIN_LAG_SIGMAS * lag.sigma and lag.sigma <= AS_SURE * own.sigma
+            for name, lag in self._by_wheels.items()
+            if name != sensor
+        )
 
     def _late_wheels(self) -> Iterator[Offer]:
         """Yield the wheels' clock where all sensors that turn are as late as each other: then it is theirs."""

@@ -29,9 +29,27 @@ def evidence(*offsets: float) -> Evidence:
     return made
 
 
-@pytest.mark.parametrize(("sigmas", "offered"), [(3.5, False), (4.5, True)])
-def test_a_lag_against_the_wheels_is_tried_from_four_sigma_on(sigmas: float, offered: bool) -> None:
-    assert bool(list(evidence(-sigmas * SIGMA_S)._late_by_wheels())) == offered
+@pytest.mark.parametrize(
+    ("sigmas", "others", "offered"),
+    [
+        ((3.5, 3.2), 1.0, False),
+        ((4.5, 3.2), 1.0, True),
+        ((3.5, 0.0), 1.0, True),
+        ((3.5, 3.2), 3.0, True),
+        ((3.5,), 1.0, True),
+        ((2.4,), 1.0, False),
+    ],
+)
+def test_a_lag_that_another_sensor_shares_is_tried_from_four_sigma_on(
+    sigmas: tuple[float, ...], others: float, offered: bool
+) -> None:
+    """Slips pull both alike; a sensor whose own lag is three times as vague (`others`) says nothing of that."""
+    made = evidence(*(-s * SIGMA_S for s in sigmas))
+    vague = {
+        name: lag._replace(sigma=others * SIGMA_S) for name, lag in made._by_wheels.items() if name != "compass"
+    }
+    vars(made)["_by_wheels"] = {**made._by_wheels, **vague}
+    assert any(finding.role == "compass" for finding, _ in made._late_by_wheels()) == offered
 
 
 @pytest.mark.parametrize(("sigmas", "offered"), [(3.0, False), (5.0, True)])

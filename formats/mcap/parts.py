@@ -58,6 +58,19 @@ class LooseRun:
 Part = ChunkRef | LooseRun
 
 
+def put_in_order(parts: list[Part]) -> None:
+    """Sort parts by time where one of them ends before an earlier one begins: chunks may stand in any order.
+
+    Those whose times overlap stay as they are: stamps jitter, the order of a file does not.
+    """
+    latest = 0
+    for first, last in (part.span for part in parts):
+        if last < latest:
+            parts.sort(key=lambda part: part.span[1])
+            return
+        latest = max(latest, first)
+
+
 @dataclass
 class Survey:
     """What the walk found."""

@@ -12,7 +12,7 @@ from itertools import pairwise
 from locfuse.formats.container.file_bytes import FileBytes
 
 from . import records as rec
-from .parts import ChunkRef, Survey
+from .parts import ChunkRef, Part, Survey, put_in_order
 from .summary import Summary, read_summary
 from .survey import LARGE_CHUNK_BYTES
 
@@ -30,8 +30,10 @@ def promised(data: FileBytes) -> Survey | None:
     chunks = [part for part in parts if part is not None]
     if len(chunks) < len(parts) or not _consistent(summary, summary.statistics, chunks):
         return None
+    found: list[Part] = list(chunks)
+    put_in_order(found)
     return Survey(
-        list(chunks),
+        found,
         summary.schemas,
         summary.channels,
         [(a.offset + rec.RECORD.size, a.length - rec.RECORD.size) for a in sorted(summary.attachments)],

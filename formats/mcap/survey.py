@@ -17,7 +17,7 @@ from locfuse.fusion.data import LocfuseError
 
 from . import records as rec
 from .chunk import scan
-from .parts import ChunkRef, LooseRun, Survey
+from .parts import ChunkRef, LooseRun, Survey, put_in_order
 from .resync import CHUNK_HEAD, Resync
 from .summary import Summary, lost_summary, read_summary
 
@@ -59,7 +59,18 @@ class _Walk:
         elif self.summary is None and lost_summary(self.data):
             self.losses.add(self.name, NO_SUMMARY, here, self.data.size - here)
         self._distrust_unconfirmed()
+        self._put_in_order()
         return self.found
+
+    def _put_in_order(self) -> None:
+        """Put chunks in the order of their times.
+
+        Times in a chunk's header are covered by no checksum, so they count only where the summary says the same.
+        """
+        spans = [part.span for part in self.found.parts]
+        promised = self.summary.chunks.values() if self.summary else ()
+        if sorted(spans) == sorted((entry.first, entry.last) for entry in promised):
+            put_in_order(self.found.parts)
 
     def _step(self, at: int) -> int | None:
         """Handle the record at `at`; return the next one's offset, or None at the end of the data section."""

@@ -235,3 +235,15 @@ def test_a_bow_shows_as_bend() -> None:
     found = fit(Rays(d, np.cos(angle), np.sin(angle), 0 * d, 0 * d), 1, d.min(), 0.0, 0.1)
     assert abs(found.curvature[0]) == pytest.approx(1.0 / 3.0, rel=0.1)
     assert found.bend[0] > 0.9 * found.misfit[0]
+
+
+@pytest.mark.parametrize(("apart", "one_point"), [(1e-9, True), (1e-3, False)])
+@pytest.mark.parametrize("weight", [1.0, 1e4, 1e-4])
+def test_beams_that_meet_a_line_in_one_point_give_no_direction(
+    apart: float, one_point: bool, weight: float
+) -> None:
+    """Whatever their weights: places 0.3 m along the line, so far apart."""
+    q = 0.3 + apart * np.linspace(-1.0, 1.0, 361)
+    w = np.full(361, weight)
+    sums = [float(w.sum()), float(w @ q), float(w @ (q * q)), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    assert core.singular(sums) is one_point

@@ -264,3 +264,22 @@ def test_smoothing_through_the_beginning_of_a_frame_is_batch_least_squares(rest:
 
 def triangle_of(xy: Array) -> Triangle:
     return float(xy[0, 0]), float(xy[0, 1]), 0.0, float(xy[1, 1]), 0.0, 0.0
+
+
+@pytest.mark.parametrize("column", [0, 1])
+def test_where_the_frames_place_is_corrected_its_uncertainty_turns_about_the_same_point(column: int) -> None:
+    """The textbook's filter, then the lever: a turn moves the frame's new place otherwise than its old one."""
+    belief = driven(JointBelief(START, P0, [OFFSET]))
+    assert belief.frame is not None
+    n, f, y, r = belief.n, belief.frame, 0.3, 0.01
+    x, P = np.array(belief.state)[:n].copy(), np.array(belief.covariance)[:n, :n].copy()
+    H = np.eye(n)[f + column]
+    K = P @ H / (H @ P @ H + r)
+    moved, P = x + K * y, P - np.outer(K, H @ P)
+    dx, dy = (moved - x)[f : f + 2]
+    assert min(abs(dx), abs(dy)) > 1e-3
+    A = np.eye(n)
+    A[f, f + 2], A[f + 1, f + 2] = -dy, dx
+    belief.correct([Innovation.of_states((y,), ((r,),), (f + column,), ((1.0,),))])
+    np.testing.assert_allclose(np.array(belief.state)[:n], moved, atol=1e-12)
+    np.testing.assert_allclose(np.array(belief.covariance)[:n, :n], A @ P @ A.T, atol=1e-12)

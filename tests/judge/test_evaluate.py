@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Drive, Estimates, Motions, Truth, upper_triangles
-from locfuse.fusion.judge.evaluate import evaluate
+from locfuse.fusion.judge.evaluate import Align, evaluate
 
 Array = NDArray[np.float64]
 N = 6000
@@ -77,3 +77,51 @@ def test_a_claim_that_is_wrong_by_a_factor_scores_its_square(wrong: float) -> No
     assert estimates.truth_P is not None
     found = evaluate(Estimates(**{**vars(estimates), "truth_P": estimates.truth_P * wrong**2}), drive)
     assert found.figures["anees"] == pytest.approx(1.0 / wrong**2, rel=0.05)
+
+
+MOVE = np.array([3.0, -7.0, 2.1])
+
+
+@pytest.mark.parametrize("align", ["origin", "se2"])
+@pytest.mark.parametrize("point", POINTS)
+def test_an_estimate_in_another_frame_is_moved_onto_the_truth(align: Align, point: tuple[float, float]) -> None:
+    estimates, drive = exact(point)
+    moved = se2.compose(np.broadcast_to(MOVE, estimates.pose.shape), estimates.pose)
+    found = evaluate(replace(estimates, pose=moved, truth_pose=moved), drive, align)
+    assert np.abs(found.deviation).max() < 1e-9
+
+
+def test_the_least_squares_alignment_is_that_of_evo() -> None:
+    """An estimate that drifts, so that nothing fits exactly; evo aligns in space, and all lies in a plane."""
+    from evo.core.geometry import umeyama_alignment
+
+    estimates, drive = exact((0.0, 0.0))
+    assert drive.truth is not None
+    bent = se2.compose(np.broadcast_to(MOVE, estimates.pose.shape), estimates.pose)
+    bent[:, :2] += 1e-3 * np.arange(N)[:, None] * np.array([1.0, 0.3])
+    found = evaluate(replace(estimates, pose=bent, truth_pose=bent), drive, "se2")
+    flat = np.zeros((N, 1))
+    theirs, ours = np.hstack((bent[:, :2], flat)).T, np.hstack((drive.truth.xy, flat)).T
+    R, t, _ = umeyama_alignment(theirs, ours)
+    oracle = np.linalg.norm(ours - (R @ theirs + t[:, None]), axis=0)
+    assert found.figures["position_rmse_m"] == pytest.approx(float(np.sqrt((oracle**2).mean())), rel=1e-9)
+
+
+def exact(point: tuple[float, float]) -> tuple[Estimates, Drive]:
+    """Estimates that are the truth."""
+    estimates, drive = judged(point, 0.0)
+    assert drive.truth is not None
+    assert drive.truth.theta is not None
+    back = se2.transform(
+        np.column_stack((np.zeros((N, 2)), drive.truth.theta)), np.broadcast_to(np.array(point), (N, 2))
+    )
+    pose = np.column_stack((drive.truth.xy - back, drive.truth.theta))
+    return replace(estimates, pose=pose, truth_pose=pose), drive
+
+
+def test_a_drive_lasts_from_its_first_instant_to_its_last_and_is_as_long_as_its_steps() -> None:
+    estimates, drive = exact((0.0, 0.0))
+    figures = evaluate(estimates, drive).figures
+    assert figures["duration_s"] == pytest.approx(0.1 * N)
+    steps = np.diff(estimates.pose[:, :2], axis=0)
+    assert figures["distance_m"] == pytest.approx(float(np.sqrt((steps**2).sum(axis=1)).sum()), rel=1e-12)

@@ -126,3 +126,22 @@ def test_maps_of_none_and_of_two_thousand_lines_give_the_same_in_both_forms(line
     scan = Scan(z, np.tile(np.eye(2) * 1e-3, (lines, 1, 1)), np.tile((-1.0, 1.0), (lines, 1)))
     found = in_both_forms(scan, known, JointBelief((0.0, 0.0, 0.0), UPPER), 60.0)
     assert bool(found) == (lines * walls > 100)
+
+
+@pytest.mark.parametrize("mount", [(0.2, 0.0, 0.3), (0.0, -0.1, 0.0), (0.0, 0.0, 2.0)])
+@pytest.mark.parametrize("free", [(0,), (1,), (2,), (0, 2), (1, 2), (0, 1, 2)])
+def test_a_line_depends_on_where_the_laser_sits_as_finite_differences_say(
+    mount: tuple[float, float, float], free: tuple[int, ...]
+) -> None:
+    """A line at r, psi from the laser is at r + x cos + y sin of its direction from the base."""
+    r, psi, step = 2.0, 0.9, 1e-6
+
+    def from_base(place: Array) -> float:
+        turned = psi + place[2]
+        return float(r + place[0] * math.cos(turned) + place[1] * math.sin(turned))
+
+    given = [mount[0], mount[1], *map(float, free)]
+    for a, state in enumerate(free):
+        d = step * np.eye(3)[state]
+        slope = (from_base(np.array(mount) + d) - from_base(np.array(mount) - d)) / (2.0 * step)
+        assert interpreted.lever(given, a, psi + mount[2]) == pytest.approx(-slope, abs=1e-8)

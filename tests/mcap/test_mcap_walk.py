@@ -92,6 +92,23 @@ def test_the_message_index_and_the_record_scan_find_the_same(tmp_path: Path, com
     assert n_chunks > 3
 
 
+def test_chunks_that_stand_in_any_order_come_in_that_of_their_times(tmp_path: Path) -> None:
+    said = drive(60)
+    shuffled = [said[i] for i in np.random.default_rng(1).permutation(len(said))]
+    found = payloads(write(tmp_path / "x.mcap", shuffled, chunk_size=1))
+    assert [t for _, t, _ in found] == sorted(m.log_time for m in said)
+    assert sorted(found) == whole(said)
+
+
+def test_the_order_of_the_file_is_kept_where_log_times_jitter(tmp_path: Path) -> None:
+    """Every tenth message was written 0.3 s before its neighbours; chunks overlap, and none is moved."""
+    said = [m._replace(log_time=m.log_time - 300_000_000 * (i % 10 == 9)) for i, m in enumerate(drive(60))]
+    path = write(tmp_path / "x.mcap", said, chunk_size=3000)
+    found = [t for topic, t, _ in payloads(path) if topic == "/scan"]
+    assert found == [m.log_time for m in said if m.topic == "/scan"]
+    assert found != sorted(found)
+
+
 def test_an_index_that_misses_messages_is_not_believed(tmp_path: Path) -> None:
     path = write(tmp_path / "x.mcap", drive(60))
     source = McapSource(FileBytes(path, losses := Losses()), losses)

@@ -9,6 +9,7 @@ import pytest
 from line_scene import scene
 
 from locfuse.fusion import se2
+from locfuse.fusion.core import places
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array
 from locfuse.fusion.linemap.line_map import LineMap
@@ -147,3 +148,35 @@ def test_both_forms_give_the_same_to_the_bit(monkeypatch: pytest.MonkeyPatch) ->
         with monkeypatch.context() as patch:
             take(True, patch)
             assert everything() == one
+
+
+@FORMS
+def test_a_line_of_a_turned_laser_is_the_same_line_from_the_base(
+    interpreted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both of its ends, put into the base by the mount; a line that is no number stays none."""
+    take(interpreted, monkeypatch)
+    core = Room.here(places).on_arrays
+    rng = np.random.default_rng(2)
+    rows = np.column_stack(
+        (rng.uniform(0.5, 4.0, 50), rng.uniform(-3, 3, 50), np.tile([1e-4, 0.0, 1e-6, -1.0, 1.0], (50, 1)))
+    )
+    rows[7, 1] = math.nan
+    x, y, yaw = mount = (0.3, -0.2, 0.7)
+    out = np.empty_like(rows)
+    core.into_base(rows, len(rows), x, y, yaw, out)
+    assert np.isnan(out[7]).all()
+    for k in np.delete(np.arange(50), 7):
+        ends = np.array([point_on(rows[k], side) for side in (5, 6)])
+        theirs = se2.transform(np.array(mount), ends)
+        ours = np.array([point_on(out[k], side) for side in (5, 6)])
+        if np.abs(ours - theirs).max() > 1e-9:  # a line that the base sees from behind has its ends exchanged
+            ours = ours[::-1]
+        np.testing.assert_allclose(ours, theirs, atol=1e-9)
+        assert out[k, 0] >= 0.0
+
+
+def point_on(row: Array, end: int) -> Array:
+    """One end (2,) of a line (r, psi, ..., both ends along it)."""
+    n = np.array([math.cos(row[1]), math.sin(row[1])])
+    return np.asarray(row[0] * n + row[end] * np.array([-n[1], n[0]]))

@@ -372,3 +372,17 @@ def test_a_bias_that_is_given_is_not_taken_at_rest() -> None:
     assert not run.notes
     assert len(run.audits["gyro"].verdict) == len(drive.measurements["gyro"].t) - 1
     assert not run.audits["gyro"].verdict.any()
+
+
+def test_the_bias_of_a_rest_is_as_sure_at_the_start_as_its_span_and_its_drift_until_then_say() -> None:
+    """Closed form: white noise over the rest, and a drift from the middle of the rest to the first reading."""
+    drive, _, _ = stopping(1.5, (60.0, 70.0))
+    described = robot({"sigma_scale": 0.0, "bias_drift_deg": 0.02, "sigma_bias_deg": 3.0})
+    m = drive.measurements["gyro"]
+    begin, end = (float(m.extra[f"rest_{name}"][0]) for name in ("begin", "end"))
+    measured = m.scale**2 / (end - begin) + math.radians(0.02) ** 2 * (0.5 * (begin + end) - float(m.t[0]))
+    prior = math.radians(3.0) ** 2
+    run = fuse(drive, described, ("gyro",))
+    first = int(drive.instant["gyro"][0])
+    found = run.block_sigmas["gyro_bias"][first, 0] ** 2
+    assert found == pytest.approx(1.0 / (1.0 / prior + 1.0 / measured), rel=1e-6)

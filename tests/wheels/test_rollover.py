@@ -27,3 +27,12 @@ def test_values_that_span_more_than_one_range_never_rolled_over_it(top: float) -
     found = unrolled(values, likely=(RANGE,))
     assert found.modulus is None
     np.testing.assert_array_equal(found.values, values)
+
+
+@pytest.mark.parametrize(("left", "rolled"), [(9.0, True), (14.0, True), (20.0, False)])
+def test_a_long_step_is_a_rollover_only_if_an_ordinary_one_is_left(left: float, rolled: bool) -> None:
+    """Ordinary steps are of 10; what a fall leaves of the range may be one and a half of them."""
+    values = np.array([0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0])
+    after = values[-1] + left - RANGE + np.array([0.0, 10.0, 20.0])
+    found = unrolled(np.concatenate((values, after)), likely=(RANGE,))
+    assert (found.modulus == RANGE) is rolled

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import cast
 
 import pytest
 
@@ -63,4 +62,4 @@ def test_slips_pull_all_sensors_alike_so_that_three_lags_are_no_surer_than_one(
 
 
 def test_sensors_that_are_late_by_different_times_do_not_accuse_the_wheels() -> None:
-    assert not list(cast("Evidence", evidence(-0.02, -0.04, -0.06))._late_wheels())
+    assert not list(evidence(-0.02, -0.04, -0.06)._late_wheels())

@@ -13,7 +13,7 @@ from locfuse.cli.pipeline.load import Loaded
 from locfuse.cli.pipeline.settings import Progress
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.laser_odometry.calibrate import NAMES, LaserCalibration, Motion, calibrate
-from locfuse.fusion.laser_odometry.motion import read_laser
+from locfuse.fusion.laser_odometry.motion import match_scans
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.lrf import LrfSettings, laser_of
 from locfuse.fusion.wheels.likelihood import Figure
@@ -118,5 +118,5 @@ def _motion(one: Loaded) -> Motion:
     lrf: Any = one.robot.settings("lrf")
     stream = one.log.stream(one.choice.topics["lrf"], one.robot.order)
     laser = laser_of(lrf)._replace(mount=np.zeros(3))
-    found = read_laser(stream, laser, WheelSettings(), lrf.time_offset)
+    found = match_scans(stream, laser).reading(WheelSettings(), lrf.time_offset)
     return Motion(one.drive.wheels, found.wheels, (found.epoch_ns - one.drive.epoch_ns) * 1e-9)

@@ -9,7 +9,7 @@ from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -33,11 +33,13 @@ from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream, merged
 from locfuse.fusion.wheels.odometry import SCANS
-from locfuse.fusion.wheels.read import WheelReading
 
 from .key import asked_tables, with_files
 from .memory import give_back
 from .settings import ORDERS, PRESETS, LogOptions, Progress, silent
+
+if TYPE_CHECKING:
+    from locfuse.fusion.laser_odometry.motion import MatchedScans
 
 ATTACHMENT = "robot.toml"
 ONLY_FUSED = ("noise", "estimate", "sigma_scale", "sigma_track")  # keys of [wheels] that no measurement depends on
@@ -63,6 +65,7 @@ class Loaded:
     sources: Mapping[str, str] = field(default_factory=dict)  # "lrf.x" -> who set it, of keys that somebody set
     asked: Mapping[str, Any] | None = None  # what the user gave of them; None: the result has no key
     hash_all: bool = False  # whether every byte is to be hashed
+    matched: MatchedScans | None = None  # the motion by scans, where there are no wheels
 
     @cached_property
     def labels(self) -> tuple[Event, ...]:
@@ -149,10 +152,12 @@ def measured(
     only: Collection[str] | None = None,
     aside: Collection[str] = (),
     known: Mapping[str, Measurements] | None = None,
+    matched: MatchedScans | None = None,
 ) -> Loaded:
     """Measure the chosen topics of a log under the tables of robot.toml; those of roles in `aside` are not.
 
     Sensors that are `known` are not measured again: their settings, and those of the wheels, must be the same.
+    Scans that were `matched` are not matched again where the laser's settings are the same.
     """
     _leave_out(choice, only, tables["preset"])
     progress("reading")
@@ -171,7 +176,8 @@ def measured(
         raise LocfuseError(moving["lrf"], role="lrf")
     wanted = {role: s for role, s in streams.items() if role not in aside and role not in moving}
     wanted = level_compass(log, wanted, robot, transforms)
-    motion = _motion_of_scans(streams["wheels"], robot, progress) if by_scans else None
+    matched = _matched_scans(streams["wheels"], robot, progress, matched) if by_scans else None
+    motion = matched.reading(robot.wheels, robot.settings("lrf").time_offset) if matched is not None else None
     drive = measure(wanted, robot, {**choice.absent, **moving}, progress, known, motion)
     refuse_standing(log, choice, drive.wheels)
     _refuse_other_clock(log, drive)
@@ -179,16 +185,18 @@ def measured(
     chosen = (f"{note.role}: {note.words}" for note in choice.notes if note.role in streams)
     notes = (*preset, *chosen, *_clock_notes(streams), *start_notes(robot, drive), *drive.notes)
     drive = replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes})
-    return Loaded(log, robot, choice, drive, tables)
+    return Loaded(log, robot, choice, drive, tables, matched=matched)
 
 
-def _motion_of_scans(stream: Stream, robot: Robot, progress: Progress) -> WheelReading:
+def _matched_scans(stream: Stream, robot: Robot, progress: Progress, known: MatchedScans | None) -> MatchedScans:
     """Return how the robot moved by its laser alone: it has no wheels that anybody recorded."""
-    from locfuse.fusion.laser_odometry.motion import read_laser  # SciPy comes with it
+    from locfuse.fusion.laser_odometry.motion import match_scans  # SciPy comes with it
 
+    laser = laser_of(robot.settings("lrf"))
+    if known is not None and known.of(laser):
+        return known
     progress("matching scans")
-    lrf = robot.settings("lrf")
-    return read_laser(stream, laser_of(lrf), robot.wheels, lrf.time_offset)
+    return match_scans(stream, laser)
 
 
 def _refuse_other_clock(log: Log, drive: Drive) -> None:
@@ -305,7 +313,9 @@ def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = sil
     if "gyro" in tables and "gyro" not in same:
         unchanged.pop("compass", None)  # its field is levelled by the IMU, as that is mounted
     asked = None if loaded.asked is None else with_files(robot_toml.layered(loaded.asked, sets))
-    found = measured(loaded.log, tables, deepcopy(loaded.choice), progress, known=unchanged)
+    found = measured(
+        loaded.log, tables, deepcopy(loaded.choice), progress, known=unchanged, matched=loaded.matched
+    )
     sources = {**loaded.sources, **dict.fromkeys(_keys(sets), "--set")}
     return _within(replace(found, sources=sources, asked=asked, hash_all=loaded.hash_all), loaded.window)
 

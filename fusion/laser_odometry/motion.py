@@ -48,12 +48,33 @@ class _Way:
     blind: Array  # (n,) of bool: nothing matched; the velocity before was taken
 
 
-def read_laser(stream: Stream, laser: Laser, settings: WheelSettings, time_offset: float) -> WheelReading:
-    """Return the motion by the scans of a laser alone. Raises LocfuseError where they cannot be matched.
+@dataclass(frozen=True)
+class MatchedScans:
+    """The way of a laser by its scans, before any setting of wheels or clocks has a say."""
 
-    `wheels.noise` scales the covariance of the matches: its default leaves it as it was found. The times are those
-    of the laser, `time_offset` [s] applied.
-    """
+    laser: Laser  # that was matched so
+    way: _Way
+    epoch_ns: int  # the stream's first stamp
+    dropped: dict[str, int]
+    notes: tuple[str, ...]
+
+    def of(self, laser: Laser) -> bool:
+        """Return whether this is the way of a laser with these settings."""
+        return np.array_equal(self.laser.mount, laser.mount) and self.laser[1:] == laser[1:]
+
+    def reading(self, settings: WheelSettings, time_offset: float) -> WheelReading:
+        """Return it as the motion of wheels.
+
+        `wheels.noise` scales the covariance of the matches: its default leaves it as it was found. The times are
+        those of the laser, `time_offset` [s] applied.
+        """
+        begin = float(self.way.t[0])
+        epoch_ns = self.epoch_ns + round((begin + time_offset + settings.time_offset) * 1e9)
+        return WheelReading(_wheels(self.way, settings, begin), epoch_ns, dict(self.dropped), self.notes)
+
+
+def match_scans(stream: Stream, laser: Laser) -> MatchedScans:
+    """Return the motion by the scans of a laser alone. Raises LocfuseError where they cannot be matched."""
     if len(stream.t_ns) < 2:
         raise LocfuseError(f"{stream.topic} has {len(stream.t_ns)} scans; two are the least", role="wheels")
     scans = read_scans(stream, laser, Standing())
@@ -61,13 +82,10 @@ def read_laser(stream: Stream, laser: Laser, settings: WheelSettings, time_offse
         raise LocfuseError(f"the {len(scans.t)} scans of {stream.topic} have one stamp", role="wheels")
     way = _matched(scans)
     if scans.skewed:
-        way = _matched(read_scans(stream, laser, _wheels(way, settings)))
+        way = _matched(read_scans(stream, laser, _wheels(way, WheelSettings())))
     if way.blind[1:].all():
         raise LocfuseError(NO_RETURNS.format(topic=stream.topic), role="wheels")
-    epoch_ns = int(stream.t_ns[0]) + round((float(way.t[0]) + time_offset + settings.time_offset) * 1e9)
-    return WheelReading(
-        _wheels(way, settings, float(way.t[0])), epoch_ns, dict(stream.dropped), _notes(stream, way)
-    )
+    return MatchedScans(laser, way, int(stream.t_ns[0]), dict(stream.dropped), _notes(stream, way))
 
 
 def _notes(stream: Stream, way: _Way) -> tuple[str, ...]:

@@ -17,9 +17,10 @@ from wheel_bags import stamps
 
 import locfuse as locfuse_api
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, ArrayStream, LocfuseError
-from locfuse.fusion.laser_odometry.motion import read_laser, seen
+from locfuse.fusion.data import Array, ArrayStream, LocfuseError, Stream
+from locfuse.fusion.laser_odometry.motion import MatchedScans, match_scans, seen
 from locfuse.fusion.laser_odometry.velocity import FORGOTTEN_S, USUAL, Velocity, standing
+from locfuse.fusion.lines.scans import Laser
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.lrf import LrfSettings, laser_of
 from locfuse.fusion.wheels.motion import Wheels
@@ -52,7 +53,8 @@ def stream_of(t: Array, poses: Array, segments: Array) -> ArrayStream:
 
 
 def moved(t: Array, poses: Array, segments: Array, **lrf: Any) -> WheelReading:
-    return read_laser(stream_of(t, poses, segments), laser_of(LrfSettings(**lrf)), WheelSettings(), 0.0)
+    found = match_scans(stream_of(t, poses, segments), laser_of(LrfSettings(**lrf)))
+    return found.reading(WheelSettings(), 0.0)
 
 
 @cache
@@ -156,7 +158,8 @@ def test_the_covariance_of_matches_adds_up_as_a_textbook_adds_it() -> None:
 def test_noise_scales_the_covariance() -> None:
     t, truth = circle(6.0)
     stream, laser = stream_of(t, truth, ROOM), laser_of(LrfSettings())
-    once, four = (read_laser(stream, laser, WheelSettings(noise=n), 0.0).wheels for n in (4e-4, 16e-4))
+    found = match_scans(stream, laser)
+    once, four = (found.reading(WheelSettings(noise=n), 0.0).wheels for n in (4e-4, 16e-4))
     assert once.matched is not None
     assert four.matched is not None
     np.testing.assert_allclose(four.matched, 4.0 * once.matched)
@@ -260,3 +263,25 @@ def test_a_real_log_of_a_laser_alone_is_used(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.stderr
     lrf = json.loads((tmp_path / "out/report.json").read_text())["configurations"]["lrf"]
     assert lrf["sensors"]["lrf"]["accepted"] > 500
+
+
+@pytest.mark.parametrize("words", ["start.x=1", "wheels.noise=0.002", "lrf.time_offset=0.1", "lrf.x=0.2"])
+def test_scans_are_matched_again_only_where_the_laser_moves(
+    words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The motion under other settings is that of a log that was loaded with them, to the bit."""
+    log = laser_bag(tmp_path / "laser.mcap")
+    session = locfuse_api.load(log)
+    anew = locfuse_api.load(log, sets=[words])
+    matched: list[Laser] = []
+
+    def counted(stream: Stream, laser: Laser) -> MatchedScans:
+        matched.append(laser)
+        return match_scans(stream, laser)
+
+    monkeypatch.setattr("locfuse.fusion.laser_odometry.motion.match_scans", counted)
+    again = session.with_settings([words])
+    assert len(matched) == (words == "lrf.x=0.2")
+    np.testing.assert_array_equal(again.drive.motions.u, anew.drive.motions.u)
+    np.testing.assert_array_equal(again.drive.motions.Q, anew.drive.motions.Q)
+    assert again.drive.epoch_ns == anew.drive.epoch_ns

@@ -26,7 +26,7 @@ ROOT = Path(__file__).parents[1]
 TESTS: dict[str, tuple[str, ...]] = {
     "fusion/se2.py": ("tests/fusion/test_se2.py",),
     "fusion/ekf/belief_arrays.py": ("tests/ekf", "tests/fusion/test_fuse.py"),
-    "fusion/ekf/rows.py": ("tests/ekf", "tests/fusion/test_fuse.py"),
+    "fusion/ekf/rows.py": ("tests/ekf", "tests/fusion/test_fuse.py", "tests/linemap/test_association.py"),
     "fusion/wheels/motion.py": ("tests/wheels/test_motion.py", "tests/wheels/test_wheel_states.py"),
     "fusion/wheels/rollover.py": ("tests/wheels/test_rollover.py", "tests/wheels/test_wheels.py"),
     "fusion/sensors/compass.py": ("tests/sensors/test_compass.py",),

@@ -112,12 +112,10 @@ class Mount:
             key, unit, times = (("x", " m", 1.0), ("y", " m", 1.0), ("yaw_deg", "°", math.degrees(1.0)))[i]
             parts.append(
                 f"{key} {to_a_tenth_of(times * sigma, times * found):g}{unit} (1 sigma: {times * sigma:.2g}), "
-                f"configured {times * self.told[i]:.4g}"
+                f"not {times * self.told[i]:.4g}{unit} as set"
             )
-        doubt = (
-            ". That is further off than it is known to be: measure it, or something else is wrong" if far else ""
-        )
-        return [f"its mount was found elsewhere: {'; '.join(parts)}{doubt}"] if parts else []
+        doubt = ". Measure it: if the setting is right, something else is wrong" if far else ""
+        return [f"the drive shows another mount: {'; '.join(parts)}{doubt}"] if parts else []
 
     def rows(self, by_mount: tuple[Row, ...]) -> tuple[Row, ...]:
         """Return the columns of a derivative by (x, y, yaw), (d, 3), that belong to states."""

@@ -19,11 +19,12 @@ from locfuse.cli.pipeline.trust import sensors_consistency
 from locfuse.fusion.advice.probes import of_mount, of_offsets, of_probe, of_scale, probe_of
 from locfuse.fusion.advice.search import Candidate, Fixes
 from locfuse.fusion.advice.slip import Slip, slip
-from locfuse.fusion.data import Estimates, Truth
+from locfuse.fusion.data import Estimates, Stream, Truth
 from locfuse.fusion.doctor.clocks import clock_lags, lags_by_truth
 from locfuse.fusion.doctor.examine import examine, scales
 from locfuse.fusion.doctor.finding import Finding, Least
 from locfuse.fusion.doctor.lag import SAID_SIGMAS, Lag, worth_saying
+from locfuse.fusion.doctor.laser_driver import of_scatter, scatter_more
 from locfuse.fusion.judge.consistency import Consistency
 from locfuse.fusion.judge.covariance import honesty
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -39,6 +40,7 @@ MIN_SURE_LAG_SIGMAS = 3.0  # standard deviations, of a sensor that looks right o
 WORTH_TRYING = Least(0.005, 2.0)  # what is worth saying untried is larger
 SUSPICIOUS = Least(0.005, 2.5)  # what is reason enough to fuse again where nothing else looks wrong
 MIN_SUSPICIOUS_LAG_S, MIN_SUSPICIOUS_SIGMAS = 0.01, 2.5  # s, standard deviations: the same of clocks
+AS_SURE = 1.5  # times a lag's sigma: another sensor's that is known no worse says what slips do to both
 TOO_LOW = 2.0  # a sigma that is set too low refuses the large residuals, so the observed one is a lower bound
 CAMERA_LAGS_S = (-0.2, -0.1, 0.1, 0.2)  # s
 MAX_NOISE_FACTOR = 4.0  # on a sigma, by the errors of its own run
@@ -76,7 +78,12 @@ class Evidence:
             or self._worse_than_odometry()
             or bool(self._mounts_found)
         )
-        return seen or self._slips_unusually or bool(scales(self.loaded.drive, self.loaded.robot, SUSPICIOUS))
+        return (
+            seen
+            or self._slips_unusually
+            or self._ranges_scatter
+            or bool(scales(self.loaded.drive, self.loaded.robot, SUSPICIOUS))
+        )
 
     def _lags(self) -> bool:
         return bool(self._late) or any(worth_saying(lag) for lag in self._by_wheels.values())
@@ -132,10 +139,7 @@ class Evidence:
         loaded = self.trial.whole_under(self.fixes)
         if loaded is None or any(loaded.window) or loaded.robot.preset != "default":
             return []  # the doctor looks at whole drives
-        streams = {
-            role: merged([loaded.log.stream(topic, loaded.robot.order) for topic in loaded.choice.of(role)])
-            for role in loaded.choice.topics
-        }
+        streams = {role: _stream(loaded, role) for role in loaded.choice.topics}
         return examine(loaded.drive, loaded.robot, streams, WORTH_TRYING)
 
     @cached_property
@@ -174,10 +178,23 @@ class Evidence:
                 yield from self._shifted(sensor, lag, f"the headings of {run.name}")
 
     def _late_by_wheels(self) -> Iterator[Offer]:
-        """Yield lags against the wheels that are too small to be said untried."""
+        """Yield lags against the wheels that are too small to be said untried.
+
+        From four sigma on where a sensor that knows its lag as well has the same, since slips pull all alike.
+        """
         for sensor, lag in self._by_wheels.items():
-            if abs(lag.offset) >= max(MIN_SUSPICIOUS_LAG_S, MIN_SUSPICIOUS_SIGMAS * lag.sigma):
+            sigmas = SAID_SIGMAS if self._late_like_others(sensor) else MIN_SUSPICIOUS_SIGMAS
+            if abs(lag.offset) >= max(MIN_SUSPICIOUS_LAG_S, sigmas * lag.sigma):
                 yield from self._shifted(sensor, lag, "the wheels")
+
+    def _late_like_others(self, sensor: str) -> bool:
+        """Return whether a sensor that knows its lag against the wheels about as well has the same."""
+        own = self._by_wheels[sensor]
+        return any(
+            abs(lag.offset - own.offset) < MIN_LAG_SIGMAS * lag.sigma and lag.sigma <= AS_SURE * own.sigma
+            for name, lag in self._by_wheels.items()
+            if name != sensor
+        )
 
     def _late_wheels(self) -> Iterator[Offer]:
         """Yield the wheels' clock where all sensors that turn are as late as each other: then it is theirs."""
@@ -185,7 +202,8 @@ class Evidence:
         if len(lags) < 2:
             return
         offsets, weights = np.array([lag.offset for lag in lags]), np.array([lag.sigma**-2 for lag in lags])
-        mean, sigma = float(offsets @ weights / weights.sum()), float(weights.sum() ** -0.5)
+        mean = float(offsets @ weights / weights.sum())
+        sigma = min(lag.sigma for lag in lags)  # the wheels' slips pull all of them alike: no mean is surer
         alike = (np.abs(offsets - mean) < MIN_LAG_SIGMAS * weights**-0.5).all()
         if alike and abs(mean) >= max(MIN_SUSPICIOUS_LAG_S, SAID_SIGMAS * sigma):
             names = " and ".join(self._by_wheels)
@@ -277,6 +295,8 @@ class Evidence:
         found = []
         for sensor, verdict in self.consistency.items():
             seen, more = [*_noise_options(verdict), *_above(verdict)], self._by_anees(sensor)
+            if self._ranges_show_more(sensor, verdict):
+                seen = []
             words = verdict.words if seen else self._errors_in_sigmas(sensor)
             if verdict.verdict == "overstated" and seen and more:
                 # a sigma above the configured one is no fix of one that is too high: it has words of its own
@@ -290,6 +310,23 @@ class Evidence:
         if doubtful or self._slips_unusually:
             found.append(self._wheel_noise())
         return found
+
+    @cached_property
+    def _ranges_scatter(self) -> bool:
+        """Whether the laser's raw ranges scatter by more than configured."""
+        if LASER not in self.loaded.drive.measurements:
+            return False
+        return bool(of_scatter(_stream(self.loaded, LASER), self.loaded.robot.settings(LASER)))
+
+    def _ranges_show_more(self, sensor: str, verdict: Consistency) -> bool:
+        """Whether the laser's raw ranges scatter by more than a smaller sigma would say: then it is none.
+
+        The lines' residuals show the noise of ranges and angles together; the ranges show their own.
+        """
+        cure = verdict.cures.get(f"{LASER}.sigma_range")
+        if sensor != LASER or verdict.verdict != "overstated" or cure is None:
+            return False
+        return scatter_more(_stream(self.loaded, LASER), self.loaded.robot.settings(LASER), cure)
 
     @cached_property
     def _slip(self) -> Slip | None:
@@ -392,6 +429,11 @@ class Evidence:
         if known:
             return min(known, key=lambda n: known[n])
         return max(names, key=lambda n: len(self.trial.configurations[n].sensors))
+
+
+def _stream(loaded: Loaded, role: str) -> Stream:
+    """Return the raw readings of a role."""
+    return merged([loaded.log.stream(topic, loaded.robot.order) for topic in loaded.choice.of(role)])
 
 
 def _noise_options(verdict: Consistency) -> list[Fixes]:

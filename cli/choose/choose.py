@@ -37,9 +37,8 @@ def choose(log: Log, robot: Robot, insisted: Collection[str] = ()) -> Choice:
     """
     choice = Choice()
     offer_presented(log)
-    if robot.settings("landmarks").map is not None:  # without a map tags say nothing, and finding them costs time
-        with suppress(LocfuseError):  # frames of /tf in a loop: said where somebody names them
-            offer_tags(log, robot)
+    with suppress(LocfuseError):  # frames of /tf in a loop: said where somebody names them
+        offer_tags(log, robot)
     choose_truth(log, robot, "truth" in insisted, choice)
     choose_wheels(log, robot, choice)
     for name in REGISTRY:

@@ -163,13 +163,16 @@ def transfer(came: tuple[int, int] | None, quiet: bool) -> None:
 
 
 def verdicts(report: Mapping[str, Any]) -> None:
-    """Print what each sensor bought, in words."""
+    """Print what each sensor improved, in words; once what is the same of several."""
     from rich.text import Text
 
     console = screen()
-    for sensor, verdict in report.get("verdicts", {}).items():
-        colour = COLOURS.get(verdict["verdict"], "")
-        console.print(Text.assemble((f"{sensor} {verdict['verdict']}. ", f"bold {colour}"), verdict["words"]))
+    alike: dict[tuple[str, str], list[str]] = {}
+    for sensor, found in report.get("verdicts", {}).items():
+        alike.setdefault((found["verdict"], found["words"]), []).append(sensor)
+    for (verdict, words), sensors in alike.items():
+        colour = COLOURS.get(verdict, "")
+        console.print(Text.assemble((f"{', '.join(sensors)} {verdict}. ", f"bold {colour}"), words))
 
 
 def headline(report: Mapping[str, Any]) -> None:

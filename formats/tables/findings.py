@@ -57,8 +57,10 @@ def _effect(tried: Mapping[str, Any]) -> str:
 
 
 def _ratio(value: float) -> str:
-    """Return a ratio as people say it: "0.92", "4.7", "9600"."""
-    return f"{float(f'{value:.2g}'):.0f}" if 99.5 <= value < 1e9 else f"{value:.2g}"
+    """Return a ratio as people say it: "0.92", "4.7", "9600"; more says only that the figure is void."""
+    if value >= 1e5:
+        return "over 100000"
+    return f"{float(f'{value:.2g}'):.0f}" if value >= 99.5 else f"{value:.2g}"
 
 
 def length(metres: float) -> str:

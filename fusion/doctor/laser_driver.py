@@ -40,18 +40,30 @@ def of_scatter(stream: Stream, settings: LrfSettings) -> list[Finding]:
     Nothing of the map, the pose or the line extraction comes in: a noise that is set too low splits the lines, and
     what is left of them fits well.
     """
-    found = [scatter(columns) for _, columns in _first(stream)]
-    each = np.abs(np.concatenate(found)) if found else np.empty(0)
-    if len(each) < MIN_TRIPLES:
-        return []
-    sigmas = settings.range_scale * np.quantile(each, NORMAL_SHARES) / NORMAL_SIZES
-    sigma = float(sigmas.min())
-    if not MAX_SCATTER * settings.sigma_range < sigma < MAX_NOISE_M or sigmas.max() > MAX_UNLIKE * sigma:
+    sigma = ranges_sigma(stream, settings)
+    if sigma is None or not MAX_SCATTER * settings.sigma_range < sigma < MAX_NOISE_M:
         return []
     words = (
         f"neighbouring ranges scatter by {sigma:.3f} m (1 sigma), and sigma_range is {settings.sigma_range:g} m"
     )
     return [Finding("lrf", "noise", words, (f"lrf.sigma_range={sigma:.2g}",))]
+
+
+def scatter_more(stream: Stream, settings: LrfSettings, sigma: float) -> bool:
+    """Return whether neighbouring ranges surely scatter by more than `sigma` [m]."""
+    shown = ranges_sigma(stream, settings)
+    return shown is not None and MAX_SCATTER * sigma < shown < MAX_NOISE_M
+
+
+def ranges_sigma(stream: Stream, settings: LrfSettings) -> float | None:
+    """Return the noise of one range [m] that neighbouring ranges on walls show, None where it is no noise."""
+    found = [scatter(columns) for _, columns in _first(stream)]
+    each = np.abs(np.concatenate(found)) if found else np.empty(0)
+    if len(each) < MIN_TRIPLES:
+        return None
+    sigmas = settings.range_scale * np.quantile(each, NORMAL_SHARES) / NORMAL_SIZES
+    sigma = float(sigmas.min())
+    return sigma if sigmas.max() <= MAX_UNLIKE * sigma else None
 
 
 def scatter(columns: dict[str, Any]) -> Array:

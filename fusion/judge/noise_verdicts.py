@@ -20,6 +20,7 @@ MIN_BIAS_SIGMAS = 0.5  # of its noise: a smaller bias is no complaint
 MIN_SLOW_VARIANCE_RATIO = 3.0  # times the reference's own variance: slower errors must be the sensor's
 MIN_MEAN_VARIANCE_RATIO = 4.0  # times the told variance: what a mean of many readings may be off
 MAX_REFERENCE_VARIANCE_RATIO = 4.0  # times the sensor's variance: a reference with more is no judge
+MIN_NOISE_SHARE = 0.1  # of R in the innovations' variance S: with less, a small S is no sign of a small R
 MIN_WHITE_SHARE = 0.3  # share of the innovations' variance: less is not white noise
 MIN_REPEAT_CORRELATION = 0.5  # autocorrelation of innovations that follow their sensor's own slow errors
 MIN_WANDER_CORRELATION = 0.25  # autocorrelation of innovations from which the prediction is said to wander
@@ -67,6 +68,9 @@ def by_itself(sensor: str, settings: Any, o: Own, floor: Sequence[float], period
     if o.raw > MIN_SIGMA_FACTOR and o.whiteness[0] > MIN_WANDER_CORRELATION:
         return wanders(sensor, o)
     factor = _on_sigma(o, floor)
+    if factor < MIN_SIGMA_FACTOR and o.share < MIN_NOISE_SHARE:
+        # S = H P H' + R: that all of it is too large says nothing of so small a part
+        return NoiseVerdict("unclear", "noise cannot be judged: its residuals show the error of the prediction")
     if MIN_SIGMA_FACTOR < o.raw < 1.0:
         factor = max(factor, MIN_SIGMA_FACTOR)  # innovations as large as told do not say that noise is overstated
     return by_share(sensor, o.refused, lines, by_scale(sensor, settings, factor))

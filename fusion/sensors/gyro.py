@@ -208,7 +208,7 @@ class GyroModel(Model):
             return []
         span = self.rest.end - self.rest.begin
         rate = math.degrees(self.rest.turned / span)
-        return [f"bias at rest: {rate:.3f}°/s over {span:.1f} s, from {self.rest.begin:.1f} s on"]
+        return [f"bias at rest: {rate:.3f}°/s over {span:.1f} s, from {max(self.rest.begin, 0.0):.1f} s on"]
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Keep the heading as it is now."""

@@ -14,8 +14,9 @@ with b as it was measured. Some detectors say the bearing only. Every detection 
 landmark stands; ids whose detections place them elsewhere than the map does are named, and two that stand in each
 other's place are called swapped.
 
-Where no map is known (`map = "grow"`) the landmarks' places are states in the local frame, each appended where its
-first detection says that it is (Thrun, Burgard and Fox 2005, 10.3: EKF SLAM with known correspondences).
+Where no map is known (`map = "grow"`, or none is set) the landmarks' places are states in the local frame, each
+appended where its first detection says that it is (Thrun, Burgard and Fox 2005, 10.3: EKF SLAM with known
+correspondences).
 """
 
 from __future__ import annotations
@@ -63,7 +64,9 @@ class LandmarksSettings(SensorSettings, frozen=True, forbid_unknown_fields=True,
     """[landmarks]."""
 
     file: str | None = None  # .csv beside the log: t, id, range [m], bearing [rad]
-    map: str | dict[str, Point] | None = None  # .csv of id, x, y [m], or { "6" = [x, y] }; "grow": it is made
+    map: str | dict[str, Point] | None = (
+        None  # .csv of id, x, y [m], or { "6" = [x, y] }; None or "grow": it is made
+    )
     ignore: tuple[int, ...] = ()  # ids that are no landmarks, such as other robots
     x: float = 0.0  # m, detector on the base
     y: float = 0.0
@@ -88,8 +91,8 @@ class LandmarksSettings(SensorSettings, frozen=True, forbid_unknown_fields=True,
 
     @property
     def grows(self) -> bool:
-        """Whether the places of the landmarks are states."""
-        return self.map == GROW
+        """Whether the places of the landmarks are states: nobody knows them."""
+        return self.map is None or self.map == GROW
 
     @property
     def places(self) -> dict[int, Point]:
@@ -97,13 +100,13 @@ class LandmarksSettings(SensorSettings, frozen=True, forbid_unknown_fields=True,
         if self.grows:
             return {}
         if not isinstance(self.map, dict):
-            raise LocfuseError(MISSING, role="landmarks")
+            raise LocfuseError(f"landmarks.map = {self.map} was not read", role="landmarks")
         return {_id(key): place for key, place in self.map.items()}
 
 
-MISSING = (
-    "landmarks.map is not set: a .csv with columns id, x, y (--set landmarks.map=landmarks.csv), "
-    "or grow, where nobody knows the places"
+MADE = (
+    "no landmarks.map is set: where the landmarks stand is estimated (grow); with --set landmarks.map=FILE, "
+    "a .csv of id, x, y, they also say where the robot is in the room"
 )
 
 
@@ -135,7 +138,8 @@ class Landmarks(Sensor):
     )  # a detector that says where a tag is in the picture often says where it stands, too
     asks: ClassVar[Mapping[str, Ask]] = {
         "map": Ask(
-            "landmarks.csv with columns id, x, y in m: not in this log. Where the landmarks stand", needed=True
+            "landmarks.csv with columns id, x, y in m: where the landmarks stand. Without it they are estimated",
+            blank=True,
         ),
         **dict.fromkeys(("x", "y", "yaw_deg"), Ask(f"m, m, degrees: {ASK_MOUNT}", blank=True)),
         "sigma_range": Ask("m: noise of one range"),
@@ -152,10 +156,6 @@ class Landmarks(Sensor):
             "range_depth",
         }
 
-    def missing(self, settings: LandmarksSettings) -> str | None:
-        """Return why nothing can be compared: no map says where the landmarks stand."""
-        return MISSING if settings.map is None else None
-
     def mount(self, settings: LandmarksSettings) -> tuple[float, float, float]:
         """Return where the detector sits on the base: x [m], y [m], yaw [rad]."""
         return settings.x, settings.y, math.radians(settings.yaw_deg)
@@ -167,7 +167,10 @@ class Landmarks(Sensor):
         seen = sighted(stream, Looks(settings.fx, settings.cx, math.radians(settings.pitch_deg)))
         if settings.grows and seen.ranges is None:
             raise LocfuseError(
-                f"{stream.topic} says bearings only: landmarks.map=grow needs ranges", role="landmarks"
+                f"{stream.topic} says bearings only, and a map is made of ranges: name one with columns id, x, y",
+                role="landmarks",
+                fixes=("landmarks.map=landmarks.csv",),
+                hint="--set landmarks.map=landmarks.csv",
             )
         places = None if settings.grows else settings.places
         dropped = dict(stream.dropped)
@@ -190,6 +193,7 @@ class Landmarks(Sensor):
             floor=np.zeros((d, d)),
             extra={"id": ids.astype(np.float64)},
             dropped=dropped,
+            notes=(MADE,) if settings.map is None else (),
         )
 
     def misfit(self, m: Measurements, settings: LandmarksSettings, poses: Array) -> float | None:

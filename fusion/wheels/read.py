@@ -101,10 +101,10 @@ def _geometry(settings: WheelSettings, stream: Stream) -> tuple[float, float]:
     missing = [key for key in ("radius", "track") if getattr(settings, key) is None]
     if missing:
         raise LocfuseError(
-            f"{stream.topic} gives wheel angles, so wheels.{' and wheels.'.join(missing)} must be known.",
+            f"wheel angles come from {stream.topic}, so wheels.{' and wheels.'.join(missing)} must be known.",
             role="wheels",
-            hint=f"Set them in robot.toml or with --set wheels.{missing[0]}=<metres>; "
-            "locfuse init LOG > robot.toml says how to measure them",
+            hint=f"Set them: {' '.join(f'--set wheels.{key}=<metres>' for key in missing)}; locfuse init LOG > "
+            "robot.toml writes them where the log describes its robot, else how to measure them",
         )
     radius, track = float(settings.radius or 0.0), float(settings.track or 0.0)
     if min(radius, track) < MIN_LENGTH_M:

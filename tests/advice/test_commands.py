@@ -64,6 +64,8 @@ def test_where_every_error_is_void_no_sensor_gets_a_verdict_and_the_start_is_the
     assert done.exit_code == 3
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert {v["verdict"] for v in report["verdicts"].values()} == {"no verdict"}
+    assert len(report["verdicts"]) > 1
+    assert done.stdout.count("All errors of this log are void.") == 1  # once for all sensors
     assert report["credit"] is None  # nor does it count in the mean over several logs
     assert {fix.split("=")[0] for fix in report["fixes"]} >= {"start.x", "start.y", "start.theta_deg"}
 

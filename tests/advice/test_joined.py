@@ -36,7 +36,9 @@ def test_a_step_that_is_set_otherwise_by_a_later_one_is_not_told() -> None:
     assert found["fixes"] == ["lrf.sigma_range=0.04"]
 
 
-@pytest.mark.parametrize(("anees", "said"), [(0.921, "0.92"), (47.3, "47"), (99.7, "100"), (9607.5, "9600")])
+@pytest.mark.parametrize(
+    ("anees", "said"), [(0.921, "0.92"), (47.3, "47"), (99.7, "100"), (9607.5, "9600"), (6.6e10, "over 100000")]
+)
 def test_a_ratio_is_said_in_two_digits_without_an_exponent(anees: float, said: str) -> None:
     score = {"lost_share": 0.0, "position_rmse_m": None, "prediction_nats": None, "anees": anees}
     tried = {"configuration": "lrf", "before": score, "after": {**score, "anees": 1.0}, "until_s": None}

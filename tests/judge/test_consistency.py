@@ -20,22 +20,23 @@ from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.consistency import Consistency, Run, judge
 from locfuse.fusion.judge.covariance import Honesty, honesty
 from locfuse.fusion.judge.innovations import heard, own
-from locfuse.fusion.judge.noise_verdicts import correlated
+from locfuse.fusion.judge.noise_verdicts import by_itself, correlated
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.gyro import GyroSettings
 from locfuse.fusion.sensors.sonar import SonarSettings
 
 # --- one number that wanders, measured with noise: a scalar Kalman filter from the book
 
 
 def scalar_filter(
-    seed: int, q: float, r: float, told: float, n: int = 2000, gate: float = 15.1
+    seed: int, q: float, r: float, told: float, n: int = 2000, gate: float = 15.1, q_told: float | None = None
 ) -> tuple[Audit, Measurements]:
     rng = np.random.default_rng(seed)
     x, found, P = 0.0, 0.0, 0.0
     rows = []
     for k in range(n):
         x += math.sqrt(q) * rng.normal()
-        P += q
+        P += q if q_told is None else q_told
         y, S = x + math.sqrt(r) * rng.normal() - found, P + told
         accepted = y * y / S <= gate
         rows.append((k, 0 if accepted else 1, y * y / S, y, math.sqrt(S)))
@@ -87,6 +88,14 @@ def test_right_noise_lies_within_its_bounds_and_is_white() -> None:
 
 def test_too_few_readings_give_no_figures() -> None:
     assert own(*scalar_filter(1, 0.01, 1.0, 1.0, n=6)) is None
+
+
+@pytest.mark.parametrize(("q_told", "told", "verdict"), [(10.0, 1e-3, "unclear"), (1e-3, 9.0, "overstated")])
+def test_small_innovations_accuse_noise_only_where_they_show_it(q_told: float, told: float, verdict: str) -> None:
+    """A motion that is set ten times too uncertain, and an exact gyro; then a noise that is too large."""
+    o = own(*scalar_filter(1, min(q_told, 1.0), min(told, 1.0), told, q_told=q_told))
+    assert o is not None
+    assert by_itself("gyro", GyroSettings(), o, [0.0], 0.1).verdict == verdict
 
 
 # --- whole drives with one wrong setting

@@ -192,7 +192,6 @@ def test_a_map_that_is_none_is_refused_in_one_line(text: str, says: str, tmp_pat
 @pytest.mark.parametrize(
     ("sets", "says"),
     [
-        (("landmarks.file=detections.csv",), "landmarks.map is not set"),
         (("landmarks.file=nowhere.csv", "landmarks.map=landmarks.csv"), "no such file: nowhere.csv"),
         (("landmarks.file=detections.csv", "landmarks.map=nowhere.csv"), "no such file: nowhere.csv"),
         (("landmarks.file=detections.csv", 'landmarks.map={ "99" = [0.0, 1.0] }'), "the map has 99"),

@@ -118,7 +118,7 @@ def test_info_finds_the_tags_and_init_writes_them_with_their_camera(tmp_path: Pa
     log, _ = drive(tmp_path, "tag_{}", OPTICAL, *mount())
     said = " ".join(locfuse("info", log, *GEOMETRY).stdout.split())
     assert f"/tf:{OPTICAL}:tags" in said
-    assert "landmarks: landmarks.map is not set" in said
+    assert "no landmarks.map is set: where the landmarks stand is estimated (grow)" in said
     table = locfuse("init", log, *GEOMETRY).stdout.partition("[landmarks]")[2].partition("\n[")[0]
     assert f'topic = "/tf:{OPTICAL}:tags"' in table
     assert "# map =" in table

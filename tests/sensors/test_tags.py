@@ -255,7 +255,9 @@ def test_pixels_without_a_camera_info_are_one_line_with_the_keys(tmp_path: Path)
 
 def test_info_finds_tags_and_init_asks_for_their_map(tmp_path: Path) -> None:
     files = written(tmp_path, ARUCO, aruco)
-    assert "landmarks: landmarks.map is not set" in " ".join(locfuse("info", files[0], *GEOMETRY).stdout.split())
+    said = " ".join(locfuse("info", files[0], *GEOMETRY).stdout.split())
+    assert "ready odometry, landmarks" in said
+    assert "no landmarks.map is set: where the landmarks stand is estimated (grow)" in said
     table = locfuse("init", files[0], *GEOMETRY).stdout.partition("[landmarks]")[2].partition("\n[")[0]
     assert 'topic = "/tags"' in table
     assert "# map =" in table
@@ -278,6 +280,32 @@ def test_an_unknown_map_is_made_saved_and_used(tmp_path: Path) -> None:
         assert np.hypot(*(np.array(place) - MAP[int(key)])) < 0.15
     again, _ = compared((files[0], made, files[2]))
     assert again["landmarks"]["position_rmse_m"] < 0.15
+
+
+def test_tags_without_a_map_are_used_and_it_is_said(tmp_path: Path) -> None:
+    """As with map = "grow", to the last digit."""
+    log, _, truth = written(tmp_path, ARUCO, aruco)
+    found = {}
+    for name, more in (("none", ()), ("grow", ("--set", "landmarks.map=grow"))):
+        out = tmp_path / name
+        words = (*GEOMETRY, "--no-advice", "--truth", truth, "--align", "se2", "--write", "json", "-o", out, *more)
+        done = locfuse("compare", log, *words)
+        assert done.exit_code == 0, done.stderr
+        found[name] = json.loads((out / "report.json").read_text())["configurations"]
+        said = " ".join(done.stderr.split())
+        assert ("no landmarks.map is set: where the landmarks stand is estimated" in said) == (name == "none")
+    with_tags, without = (found["none"][name]["position_rmse_m"] for name in ("landmarks", "odometry"))
+    assert with_tags < 0.75 * without  # an aligned shape hides most of what drifting wheels do
+    assert found["none"] == found["grow"]
+
+
+def test_bearings_alone_make_no_map_and_stop_no_other_sensor(tmp_path: Path) -> None:
+    log, *_ = written(tmp_path, APRIL, april, camera_info())
+    done = locfuse("compare", log, *GEOMETRY, "--no-advice", "--write", "json", "-o", tmp_path / "out")
+    assert done.exit_code == 0, done.stderr
+    said = " ".join(done.stderr.split())
+    assert "absent: landmarks: /tags says bearings only, and a map is made of ranges" in said
+    assert "--set landmarks.map=landmarks.csv" in said
 
 
 def test_a_tag_that_moves_is_named(tmp_path: Path) -> None:

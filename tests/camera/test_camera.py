@@ -277,7 +277,8 @@ def test_a_log_with_pictures_but_no_landmark_is_a_log_without_a_camera() -> None
     """A first bag has cameras, perhaps several, and no settings: that is no reason to stop."""
     kinds = {"/odom": "nav_msgs/msg/Odometry", "/rgb": "sensor_msgs/msg/Image", "/depth": "sensor_msgs/msg/Image"}
     topics = {t: SimpleNamespace(msgtype=kind, count=5, problem=None) for t, kind in kinds.items()}
-    log: Any = SimpleNamespace(name="bag", topics=topics, stream=lambda _: SimpleNamespace(frame_id="odom"))
+    odometry = SimpleNamespace(frame_id="odom")
+    log: Any = SimpleNamespace(name="bag", topics=topics, stream=lambda _: odometry, transform_topics=())
     choice = choose(log, make_robot({}))
     assert choice.topics == {"wheels": "/odom"}
     assert "camera.landmark is not set" in choice.absent["camera"]

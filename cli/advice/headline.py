@@ -61,7 +61,9 @@ def _by_reference(report: Mapping[str, Any], errors: Mapping[str, float]) -> str
         if words[which]:
             parts.append(f"{_names(words[which])} {one if len(words[which]) == 1 else several}")
     if not any(words.values()):
-        parts.append("of the sensors nothing is sure")
+        alone = [s for s in verdicts if verdicts[s]["verdict"] == "no verdict"]
+        single = len(alone) == len(verdicts) == 1
+        parts.append(f"nothing else here judges {_names(alone)}" if single else "of the sensors nothing is sure")
     return f"Measured against a reference, not truth: {'; '.join(parts)}."
 
 

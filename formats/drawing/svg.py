@@ -24,6 +24,7 @@ WIDTH, HEIGHT = 460, 216  # px of an ordinary panel; the page scales it
 TOP, BOTTOM, RIGHT = 20, 34, 10
 CHARACTER = 6.4  # px, of a tick label at 11 px
 MIN_SHADE, SHADE_FOOT = 1.0, 6.0  # px: width of an instant, height of what lies at the foot
+FAR_PX = 1e6  # where nobody looks: lines to there leave the picture as those to anywhere beyond do
 
 
 @dataclass(frozen=True)
@@ -37,9 +38,10 @@ class Axis:
     log: bool = False
 
     def px(self, values: Array) -> Array:
-        """Return px of data values; what a logarithm cannot show is NaN."""
+        """Return px of data values, FAR_PX away at most; what a logarithm cannot show is NaN."""
         if not self.log:
-            return self.start + (values - self.low) * ((self.end - self.start) / (self.high - self.low))
+            px = self.start + (values - self.low) * ((self.end - self.start) / (self.high - self.low))
+            return np.clip(px, -FAR_PX, FAR_PX)
         with np.errstate(divide="ignore", invalid="ignore"):
             v = np.log(np.where(values > 0.0, values, np.nan))
         a, b = math.log(self.low), math.log(self.high)

@@ -162,6 +162,18 @@ def panel(**changes: object) -> Panel:
 SLUGS = svg.slugs_of(["lrf", *palette.ROLES])
 
 
+@pytest.mark.parametrize("equal", [False, True])
+@pytest.mark.parametrize("limits", [None, (-math.inf, math.inf)])
+def test_values_whose_span_no_number_holds_are_drawn(limits: tuple[float, float] | None, equal: bool) -> None:
+    """A damaged log may say 1e308 m one moment and -1e308 m the next."""
+    x = np.linspace(0.0, 10.0, 6)
+    curve = Curve("lrf", x, np.array([-1.5e308, 0.0, 1.5e308, 1.0, -1.0, 0.5]))
+    drawing = svg.svg(panel(marks=(curve,), y_range=limits, equal=equal), "p-0", SLUGS)
+    ET.fromstring(drawing)
+    assert "inf" not in drawing
+    assert "nan" not in drawing
+
+
 @pytest.mark.parametrize("changes", LOOKS)
 def test_a_drawing_is_well_formed_and_labelled(changes: dict[str, object]) -> None:
     root = ET.fromstring(svg.svg(panel(**changes), "p-0", SLUGS))

@@ -43,6 +43,11 @@ def quaternions(angle: Array) -> Array:
     return np.column_stack((zero, zero, np.sin(0.5 * angle), np.cos(0.5 * angle)))
 
 
+def headings(x: Array, y: Array, z: Array, w: Array) -> Array:
+    """Return the headings (n,) [rad] of quaternions of any length, by their parts (n,): `quaternions` undone."""
+    return np.asarray(np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z), np.float64)
+
+
 def segments(z: Array, ends: Array) -> Array:
     """Return lines z (k, 2) = (r, psi) as points (k, 2, 2); `ends` (k, 2) m along (-sin psi, cos psi)."""
     c, s = np.cos(z[:, 1]), np.sin(z[:, 1])

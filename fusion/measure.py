@@ -21,7 +21,7 @@ from locfuse.fusion.wheels.repairs import gaps_of
 from . import se2
 from .data import Array, Drive, Ints, LocfuseError, Measurements, Motions, Stream, Truth
 from .robot import Robot, StartSettings
-from .truth import read_truth
+from .truth import body_poses, read_truth
 
 FILL = 0.2  # s: where no sensor speaks for this long, a wheel reading becomes an instant
 
@@ -221,11 +221,7 @@ def _start_at(t: float, drive: Drive, robot: Robot) -> tuple[StartSettings, str]
         return robot.start, ""
     truth, start = drive.truth, robot.start
     if truth is not None and truth.theta is not None and truth.t[0] <= t <= truth.t[-1]:
-        x, y = (float(np.interp(t, truth.t, column)) for column in truth.xy.T)
-        theta = float(np.interp(t, truth.t, np.unwrap(truth.theta)))
-        c, s = np.cos(theta), np.sin(theta)
-        px, py = truth.point
-        pose = np.array([x - c * px + s * py, y - s * px - c * py, theta])
+        (pose,) = body_poses(truth, np.array([t]))
         words = "; it starts there at the truth's pose"
     else:
         pose = se2.compose(np.array(start.pose), drive.wheels.at(np.array(t))[2])

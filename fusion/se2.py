@@ -53,8 +53,14 @@ def between(a: Array, b: Array) -> Array:
 def chained(a: Array, steps: Array) -> Array:
     """Return the poses a ⊕ steps[0], a ⊕ steps[0] ⊕ steps[1], ... (n, 3) of a (3,) and steps (n, 3)."""
     theta = a[2] + np.cumsum(steps[:, 2])
-    before = np.concatenate((a[2:], theta[:-1]))
+    before = np.concatenate((a[2:], theta))[:-1]
     return np.column_stack((a[:2] + np.cumsum(rotated(before, steps[:, :2]), axis=0), theta))
+
+
+def chain(steps: Array) -> Array:
+    """Return (0, 0, 0) and the poses that steps (n, 3) lead to from there, (n + 1, 3)."""
+    origin = np.zeros(3)
+    return np.vstack((origin, chained(origin, steps)))
 
 
 def carried(at: Plain, a: Plain, b: Plain) -> Plain:

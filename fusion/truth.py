@@ -153,3 +153,12 @@ def _yaw(q: Array) -> Array | None:
     if not q.any():
         return None
     return se2.yaw(x, y, z, w)
+
+
+def body_poses(truth: Truth, t: Array) -> Array:
+    """Return the poses (n, 3) of the body by a truth that has headings, at times t (n,) within it; not wrapped."""
+    assert truth.theta is not None
+    x, y, theta = (np.interp(t, truth.t, column) for column in (*truth.xy.T, np.unwrap(truth.theta)))
+    c, s = np.cos(theta), np.sin(theta)
+    px, py = truth.point
+    return np.stack((x - c * px + s * py, y - s * px - c * py, theta), axis=-1)

@@ -61,9 +61,9 @@ def _by_reference(report: Mapping[str, Any], errors: Mapping[str, float]) -> str
         if words[which]:
             parts.append(f"{_names(words[which])} {one if len(words[which]) == 1 else several}")
     if not any(words.values()):
-        alone = [s for s in verdicts if verdicts[s]["verdict"] == "no verdict"]
-        single = len(alone) == len(verdicts) == 1
-        parts.append(f"nothing else here judges {_names(alone)}" if single else "of the sensors nothing is sure")
+        unjudged = len(verdicts) == 1 and all(v["verdict"] == "no verdict" for v in verdicts.values())
+        judge = f"nothing else here judges {_names([*verdicts])}"
+        parts.append(judge if unjudged else "of the sensors nothing is sure")
     return f"Measured against a reference, not truth: {'; '.join(parts)}."
 
 

@@ -94,9 +94,8 @@ def choose_body(log: Log, robot: Robot, choice: Choice, scans: bool, stand_in: b
         return Body(topic, why, words, (f"wheels.topic={topic}",))
     if topic is not None:
         return Body(topic, why)
-    if (
-        body := _estimate(log, [t for t in _filled(log, robot, choice, (ODOMETRY,)) if in_room(log, t)])
-    ) is not None:
+    in_map = [t for t in _filled(log, robot, choice, (ODOMETRY,)) if in_room(log, t)]
+    if (body := _estimate(log, in_map)) is not None:
         return body
     if scans and (laser := _scans(log, robot)) is not None:
         lacks = "no wheels and no odometry" if stand_in else "no wheels of known size and no odometry"

@@ -15,7 +15,7 @@ VESC = (
 )
 STEER = "an angle alone; beside it a speed is needed (VelocityReport)"
 LEGS = "the state of the legs; record the odometry that the robot makes of it"
-# Role -> last words of a message type -> what it is
+# role -> message type -> what it holds, and what to record instead
 NOT_READ: dict[str, dict[str, str]] = {
     "lrf": {
         "livox_ros_driver/msg/CustomMsg": LIVOX,

@@ -152,14 +152,12 @@ def measured(
     only: Collection[str] | None = None,
     aside: Collection[str] = (),
     known: Mapping[str, Measurements] | None = None,
-    before: Mapping[str, Measurements] | None = None,
-    matched: MatchedScans | None = None,
+    before: Loaded | None = None,
 ) -> Loaded:
     """Measure the chosen topics of a log under the tables of robot.toml; those of roles in `aside` are not.
 
     Sensors that are `known` are not measured again: their settings, and those of the wheels, must be the same.
-    What was measured `before` under other settings may spare a second look at the readings.
-    Scans that were `matched` are not matched again where the laser's settings are the same.
+    What the same log showed `before`, under other settings, may spare a second look at its readings and scans.
     """
     _leave_out(choice, only, tables["preset"])
     progress("reading")
@@ -178,9 +176,10 @@ def measured(
         raise LocfuseError(moving["lrf"], role="lrf")
     wanted = {role: s for role, s in streams.items() if role not in aside and role not in moving}
     wanted = level_compass(log, wanted, robot, transforms)
-    matched = _matched_scans(streams["wheels"], robot, progress, matched) if by_scans else None
+    matched = _matched_scans(streams["wheels"], robot, progress, before) if by_scans else None
     motion = matched.reading(robot.wheels, robot.settings("lrf").time_offset) if matched is not None else None
-    drive = measure(wanted, robot, {**choice.absent, **moving}, progress, known, motion, before)
+    shown = None if before is None else before.drive.measurements
+    drive = measure(wanted, robot, {**choice.absent, **moving}, progress, known, motion, shown)
     refuse_standing(log, choice, drive.wheels)
     _refuse_other_clock(log, drive)
     preset = (filters.NOTE,) if robot.preset == "paper" else ()
@@ -190,13 +189,13 @@ def measured(
     return Loaded(log, robot, choice, drive, tables, matched=matched)
 
 
-def _matched_scans(stream: Stream, robot: Robot, progress: Progress, known: MatchedScans | None) -> MatchedScans:
+def _matched_scans(stream: Stream, robot: Robot, progress: Progress, before: Loaded | None) -> MatchedScans:
     """Return how the robot moved by its laser alone: it has no wheels that anybody recorded."""
     from locfuse.fusion.laser_odometry.motion import match_scans  # SciPy comes with it
 
     laser = laser_of(robot.settings("lrf"))
-    if known is not None and known.of(laser):
-        return known
+    if before is not None and before.matched is not None and before.matched.of(laser):
+        return before.matched
     progress("matching scans")
     return match_scans(stream, laser)
 
@@ -315,15 +314,8 @@ def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = sil
     if "gyro" in tables and "gyro" not in same:
         unchanged.pop("compass", None)  # its field is levelled by the IMU, as that is mounted
     asked = None if loaded.asked is None else with_files(robot_toml.layered(loaded.asked, sets))
-    found = measured(
-        loaded.log,
-        tables,
-        deepcopy(loaded.choice),
-        progress,
-        known=unchanged,
-        before=loaded.drive.measurements,
-        matched=loaded.matched,
-    )
+    choice = deepcopy(loaded.choice)
+    found = measured(loaded.log, tables, choice, progress, known=unchanged, before=loaded)
     sources = {**loaded.sources, **dict.fromkeys(_keys(sets), "--set")}
     return _within(replace(found, sources=sources, asked=asked, hash_all=loaded.hash_all), loaded.window)
 

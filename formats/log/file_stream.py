@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from locfuse.formats.caps import MAX_TEXT_FILE
+from locfuse.formats.geometry import quaternions
 from locfuse.formats.inputs import csv_rows, read_small
 from locfuse.formats.visible import visible
 from locfuse.fusion.data import Array, Block, Column, Ints, LocfuseError
@@ -161,9 +162,8 @@ def _table_of_poses(
         return _poses(path, times, position, q, None)
     if heading is None:
         return _points(path, times, position)
-    half = 0.5 * column(heading)
-    half[~np.isfinite(half)] = np.nan  # an infinite heading is none, and sin() would warn
-    q = np.stack((np.zeros_like(half), np.zeros_like(half), np.sin(half), np.cos(half)), axis=-1)
+    theta = column(heading)
+    q = quaternions(np.where(np.isfinite(theta), theta, np.nan))  # an infinite heading is none; sin() would warn
     if not set(TRIANGLE) <= at.keys():
         return _poses(path, times, position, q, None)
     P = np.zeros((len(times), 6, 6))

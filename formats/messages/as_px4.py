@@ -11,6 +11,7 @@ from typing import cast
 
 import numpy as np
 
+from locfuse.formats.geometry import headings, quaternions
 from locfuse.fusion.data import Array, Column
 
 ODOMETRY, IMU = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
@@ -29,7 +30,7 @@ def odometry_of_vehicle(
     """Return fields of Odometry made of k VehicleOdometry messages; `columns` are OF_ODOMETRY."""
     place, q, velocity, rates = (_numbers(columns[k]) for k in ("position", "q", "velocity", "angular_velocity"))
     w, x, y, z = q.T
-    yaw = np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    yaw = headings(x, y, z, w)
     along = velocity[:, 0] * np.cos(yaw) + velocity[:, 1] * np.sin(yaw)
     ahead = np.where(_numbers(columns["velocity_frame"]) == BODY_FRAME, velocity[:, 0], along)
     return _odometry(place[:, 0], place[:, 1], yaw, ahead, -rates[:, 2], fields)
@@ -64,15 +65,11 @@ def _numbers(column: Column) -> Array:
 def _odometry(
     north: Array, east: Array, yaw: Array, ahead: Array, rate: Array, fields: tuple[str, ...]
 ) -> dict[str, Column]:
-    half = 0.5 * (0.5 * np.pi - yaw)
-    zero = np.zeros(len(yaw))
+    turned = quaternions(0.5 * np.pi - yaw)
     made: dict[str, Column] = {
         "pose.pose.position.x": east,
         "pose.pose.position.y": north,
-        "pose.pose.orientation.x": zero,
-        "pose.pose.orientation.y": zero,
-        "pose.pose.orientation.z": np.sin(half),
-        "pose.pose.orientation.w": np.cos(half),
+        **{f"pose.pose.orientation.{axis}": turned[:, k] for k, axis in enumerate("xyzw")},
         "twist.twist.linear.x": ahead,
         "twist.twist.angular.z": rate,
         **{f"{part}.covariance": np.zeros((len(yaw), 36)) for part in ("pose", "twist")},

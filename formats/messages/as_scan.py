@@ -12,6 +12,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from locfuse.formats.geometry import headings
 from locfuse.fusion.data import Array, Column, Ragged
 
 SCAN = "sensor_msgs/msg/LaserScan"
@@ -66,8 +67,7 @@ def foxglove_as_scans(columns: Mapping[str, Column], fields: tuple[str, ...], fr
     start, end = (np.asarray(columns[name], np.float64) for name in ("start_angle", "end_angle"))
     ranges = cast("Ragged", columns["ranges"])
     beams = np.maximum(ranges.lengths - 1, 1)
-    x, y, z, w = (np.asarray(columns[name], np.float64) for name in TURN)
-    turn = np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    turn = headings(*(np.asarray(columns[name], np.float64) for name in TURN))
     made: dict[str, Column] = {
         "angle_min": start + np.where(np.isfinite(turn), turn, 0.0),
         "angle_increment": (end - start) / beams,

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.formats.geometry import quaternions
 from locfuse.formats.mcap.template import MESSAGES, Columns, Template, stamps
 from locfuse.formats.mcap.write import nested, time_message
 from locfuse.fusion.data import Array, Ints, matrices
@@ -102,10 +103,10 @@ def path(t_ns: Ints, pose: Array) -> NDArray[np.uint8]:
 
 
 def _pose(at: str, pose: Array, position: str = "position", orientation: str = "orientation") -> dict[str, Array]:
-    half = 0.5 * pose[:, 2]
+    turned = quaternions(pose[:, 2])
     return {
         f"{at}.{position}.x": pose[:, 0],
         f"{at}.{position}.y": pose[:, 1],
-        f"{at}.{orientation}.z": np.sin(half),
-        f"{at}.{orientation}.w": np.cos(half),
+        f"{at}.{orientation}.z": turned[:, 2],
+        f"{at}.{orientation}.w": turned[:, 3],
     }

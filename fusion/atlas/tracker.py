@@ -114,7 +114,8 @@ class AtlasTracker(LineTracker):
         """Leave a map that is full; the next one begins at once, where a scan has just told the pose."""
         if self.guard is not None and self.guard.gives_up():
             self._leave(belief, bridges=False)  # the next scan begins a map, whose place nothing tells
-            self.guard.gave_up, self._full = True, False
+            self.guard.leave()
+            self._full = False
             return False
         full, self._full = self._full, False
         if not full:

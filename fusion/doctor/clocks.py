@@ -16,6 +16,7 @@ import numpy as np
 from locfuse.fusion.data import Array, Drive, Measurements, Truth
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.truth import body_poses
 from locfuse.fusion.wheels.motion import Wheels
 
 from .finding import Finding
@@ -53,27 +54,18 @@ def _on_truths_clock(drive: Drive, robot: Robot, lag: Lag) -> list[str]:
     truth = drive.truth
     if truth is None or truth.theta is None:
         return []
-    heading = np.unwrap(truth.theta)
     found = []
-    for name, m in drive.measurements.items():
-        inside = (m.t > truth.t[0] + MAX_LAG_S) & (m.t < truth.t[-1] - MAX_LAG_S)
-        m = m.take(np.flatnonzero(inside))  # noqa: PLW2901
+    for name, every in drive.measurements.items():
+        inside = (every.t > truth.t[0] + MAX_LAG_S) & (every.t < truth.t[-1] - MAX_LAG_S)
+        m = every.take(np.flatnonzero(inside))
         spreads = [
-            REGISTRY[name].misfit(m, robot.settings(name), _poses(truth, heading, m.t - shift))
+            REGISTRY[name].misfit(m, robot.settings(name), body_poses(truth, m.t - shift))
             for shift in (0.0, lag.offset)
         ]
         stamped, shifted = spreads
         if stamped is not None and shifted is not None and stamped < MAX_STAMPED_RATIO * shifted:
             found.append(name)
     return found
-
-
-def _poses(truth: Truth, heading: Array, t: Array) -> Array:
-    """Return the poses (n, 3) of the body by the truth at times t (n,), `heading` (k,) [rad] not wrapped."""
-    x, y, theta = (np.interp(t, truth.t, column) for column in (*truth.xy.T, heading))
-    c, s = np.cos(theta), np.sin(theta)
-    px, py = truth.point
-    return np.stack((x - c * px + s * py, y - s * px - c * py, theta), axis=-1)
 
 
 def _stream(name: str, lag: Lag, robot: Robot) -> Finding:

@@ -71,14 +71,6 @@ def edges_of(i: Ints, j: Ints, found: Matches, way: Array | None = None) -> Edge
     return edges
 
 
-def chained(poses: Array) -> Array:
-    """Return key poses (n, 3) from relative ones (n - 1, 3), from (0, 0, 0)."""
-    x = np.zeros((len(poses) + 1, 3))
-    for k, step in enumerate(poses):
-        x[k + 1] = se2.compose(x[k], step)
-    return x
-
-
 def sequential(
     targets: Targets, clouds: Clouds, wheels: Edges, way: Array, problem: Problem
 ) -> tuple[Array, Edges]:
@@ -86,7 +78,7 @@ def sequential(
     found = next_keys(targets, clouds, wheels)
     sure = good(found)
     step = np.where(sure[:, None], found.pose, wheels.z)
-    x = se2.compose(problem.anchor.pose, chained(step))
+    x = se2.compose(problem.anchor.pose, se2.chain(step))
     scans = edges_of(wheels.i, wheels.j, found, way).take(sure)
     x, _ = problem.solve(x, Edges.joined(wheels, scans), (100.0, 1.0))
     further = [scans, *(skipping(targets, clouds, x, way, n) for n in NEIGHBOUR_STEPS)]

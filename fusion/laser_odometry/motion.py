@@ -134,7 +134,7 @@ def _block(scans: Scans, rows: Ints, velocity: Velocity, way: _Way) -> tuple[Vel
     dt = np.diff(scans.t[rows])
     velocities, spread, fits = _followed(targets, sources, dt, velocity)
     steps = np.stack([v.v for v in velocities]) * dt[:, None]
-    chain = _chained(se2.exp(steps))
+    chain = se2.chain(se2.exp(steps))
     key = _keys(chain)
     _to_keys(targets, sources, chain, key, spread, way, rows)
     way.blind[rows[1:]] = np.logical_not(fits)
@@ -212,13 +212,6 @@ def seen(information: Array) -> Array:
     about = np.maximum(np.einsum("ni,ni->n", Hd, d), 1e-12)
     without = information - Hd[:, :, None] * Hd[:, None, :] / about[:, None, None]
     return np.asarray(np.where((values[:, 0] < MIN_SEEN * values[:, 1])[:, None, None], without, information))
-
-
-def _chained(steps: Array) -> Array:
-    """Return poses (n + 1, 3) of steps (n, 3), one after another from (0, 0, 0)."""
-    theta = np.concatenate(([0.0], np.cumsum(steps[:, 2])))
-    moved = np.cumsum(se2.rotated(theta[:-1], steps[:, :2]), axis=0)
-    return np.column_stack((np.concatenate((np.zeros((1, 2)), moved)), theta))
 
 
 def _keys(chain: Array) -> Ints:

@@ -4,7 +4,8 @@ The guard watches how much of what a scan shows is matched. New lines are no dis
 sees new walls. Disagreement is seeing *through* walls that the map has, or walls that all jump from one scan to
 the next. A wheel that slipped is a wrong heading: a few near the old one are tried. What stays is a robot that was
 carried off, or a map that was moved: nothing is corrected or learnt, the covariance says so, and the pose is
-looked for on the whole map until one place fits all that was seen since.
+looked for on the whole map until one place fits all that was seen since. A growing map is left after some metres
+(`gives_up`): the robot is adrift in a new one until its place is recognised.
 """
 
 from __future__ import annotations
@@ -71,7 +72,6 @@ class Guard:
         self._after: Pose | None = None  # where the robot was believed to be once the last scan had corrected it
         self._wheels: Pose = (0.0, 0.0, 0.0)  # by the wheels alone
         self._tried = 0  # scans along the way of a lost robot
-        self.gave_up = False  # the map was left, where the robot is in it was not known
         self._adrift: float | None = None  # s: since then the robot is in a map whose place is not known
 
     def corrected(self, belief: JointBelief) -> None:
@@ -192,7 +192,11 @@ class Guard:
 
     def gives_up(self) -> bool:
         """Return whether a lost robot has driven on for long and its place on the map was not found."""
-        return self._lost_from is not None and not self.gave_up and self._tried >= PATIENCE
+        return self._lost_from is not None and self._tried >= PATIENCE
+
+    def leave(self) -> None:
+        """Leave the map, where the robot is in it is not known: it is adrift until the next one is recognised."""
+        self._adrift, self._lost_from = self._since_lost(), None
 
     def recognised(self, t: float) -> None:
         """Know again where the map lies that a lost robot began."""
@@ -208,11 +212,8 @@ class Guard:
         self._last = (math.inf, math.inf, math.inf)
         self._trail.forget()
         self._after = None
-        if self.gave_up and self._lost_from is not None:
-            self._adrift, self._lost_from = min(self._lost_from, self._adrift or math.inf), None
         if self._lost_from is not None or belief.lost:
             self._found(t, belief)
-        self.gave_up = False
 
     def _found(self, t: float, belief: JointBelief) -> None:
         if self._lost_from is not None:
@@ -265,16 +266,18 @@ class Guard:
 
     def intervals(self) -> list[tuple[float, float]]:
         """Return when the robot was lost, (start, end) [s]; one that never ended is open (infinite)."""
-        since = [t for t in (self._lost_from, self._adrift) if t is not None]
-        return [*self._intervals, *([(min(since), math.inf)] if since else [])]
+        since = self._since_lost()
+        return [*self._intervals, *([] if since is None else [(since, math.inf)])]
+
+    def _since_lost(self) -> float | None:
+        return min((t for t in (self._lost_from, self._adrift) if t is not None), default=None)
 
     def words(self) -> list[str]:
         """Say what happened."""
         words = [f"lost from {a:.1f} s to {b:.1f} s after the start, then found again" for a, b in self._intervals]
-        for a, b in self.intervals():
-            if math.isinf(b):
-                since = f"lost from {a:.1f} s after the start until the end"
-                words.append(f"{since}: no place on the map fits, or several do")
+        if (since := self._since_lost()) is not None:
+            lost = f"lost from {since:.1f} s after the start until the end"
+            words.append(f"{lost}: no place on the map fits, or several do")
         if self.slips:
             slips = "1 wheel slip" if self.slips == 1 else f"{self.slips} wheel slips"
             words.append(f"{slips} recovered by the lines of the map")

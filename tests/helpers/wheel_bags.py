@@ -84,15 +84,15 @@ def turned(theta: float) -> dict[str, float]:
     return {"z": math.sin(theta / 2), "w": math.cos(theta / 2)}
 
 
-def odometry(t: Array, poses: Array, topic: str = "/odom") -> list[Said]:
-    """Poses (n, 3) at times t (n,) as an odometry says them."""
+def odometry(t: Array, poses: Array, topic: str = "/odom", frame: str = "odom") -> list[Said]:
+    """Poses (n, 3) at times t (n,) as an odometry says them, given in a frame."""
     return [
         Said(
             topic,
             ODOMETRY,
             cdr(
                 ODOMETRY,
-                header=header(ns, "odom"),
+                header=header(ns, frame),
                 pose={"pose": {"position": {"x": p[0], "y": p[1]}, "orientation": turned(p[2])}},
             ),
             ns,

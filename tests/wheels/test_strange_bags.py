@@ -356,19 +356,7 @@ def test_a_laser_that_moves_on_the_robot_is_left_out_with_what_moves(tmp_path: P
 
 def odometry_in(frame: str, topic: str, poses: Array = CIRCLE) -> list[Said]:
     """An odometry whose poses are given in any frame."""
-    return [
-        Said(
-            topic,
-            ODOMETRY,
-            cdr(
-                ODOMETRY,
-                header=header(ns, frame),
-                pose={"pose": {"position": {"x": p[0], "y": p[1]}, "orientation": turned(p[2])}},
-            ),
-            ns,
-        )
-        for ns, p in zip(stamps(T), poses.tolist(), strict=True)
-    ]
+    return odometry(T, poses, topic, frame)
 
 
 TWIST = "geometry_msgs/msg/TwistStamped"

@@ -25,11 +25,15 @@ ROOT = Path(__file__).parents[1]
 # file of the core -> the tests that must know what is right there
 TESTS: dict[str, tuple[str, ...]] = {
     "fusion/se2.py": ("tests/fusion/test_se2.py",),
-    "fusion/ekf/belief_arrays.py": ("tests/ekf", "tests/fusion/test_fuse.py"),
+    "fusion/ekf/belief_arrays.py": ("tests/ekf", "tests/atlas/test_anchors.py", "tests/fusion/test_fuse.py"),
     "fusion/ekf/rows.py": ("tests/ekf", "tests/fusion/test_fuse.py", "tests/linemap/test_association.py"),
-    "fusion/wheels/motion.py": ("tests/wheels/test_motion.py", "tests/wheels/test_wheel_states.py"),
+    "fusion/wheels/motion.py": (
+        "tests/wheels/test_motion.py",
+        "tests/wheels/test_wheel_states.py",
+        "tests/laser_odometry/test_no_wheels.py",
+    ),
     "fusion/wheels/rollover.py": ("tests/wheels/test_rollover.py", "tests/wheels/test_wheels.py"),
-    "fusion/sensors/compass.py": ("tests/sensors/test_compass.py",),
+    "fusion/sensors/compass.py": ("tests/sensors/test_compass.py", "tests/sensors/test_level.py"),
     "fusion/sensors/gyro.py": ("tests/sensors/test_gyro.py",),
     "fusion/sensors/gps.py": ("tests/sensors/test_gps.py",),
     "fusion/sensors/camera.py": ("tests/camera/test_camera.py",),

@@ -66,9 +66,8 @@ def chain(steps: Array) -> Array:
 def carried(at: Plain, a: Plain, b: Plain) -> Plain:
     """Return at ⊕ (⊖a ⊕ b) of plain floats: `chained` for one step, a tenth of its time."""
     c, s = float(np.cos(a[2])), float(np.sin(a[2]))  # NumPy's, which are not those of `math` to the last bit
-    c_back, s_back = float(np.cos(-a[2])), float(np.sin(-a[2]))
-    x = -c * a[0] - s * a[1] + c_back * b[0] - s_back * b[1]
-    y = s * a[0] - c * a[1] + s_back * b[0] + c_back * b[1]
+    x = -c * a[0] - s * a[1] + c * b[0] + s * b[1]
+    y = s * a[0] - c * a[1] - s * b[0] + c * b[1]
     c, s = float(np.cos(at[2])), float(np.sin(at[2]))
     return at[0] + (c * x - s * y), at[1] + (s * x + c * y), at[2] + (-a[2] + b[2])
 

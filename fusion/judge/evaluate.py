@@ -193,10 +193,7 @@ def _nees(deviation: Array, heading: Array | None, P: Array, truth: Truth) -> Ar
 def _along_cross(deviation: Array, pairs: _Pairs) -> Array:
     """Deviation along and left of the direction of travel: the truth's heading, else its path's tangent."""
     theta = pairs.theta if pairs.theta is not None else _tangent(pairs.xy)
-    c, s = np.cos(theta), np.sin(theta)
-    return np.stack(
-        (c * deviation[:, 0] + s * deviation[:, 1], -s * deviation[:, 0] + c * deviation[:, 1]), axis=-1
-    )
+    return se2.rotated(-theta, deviation)
 
 
 def _tangent(xy: Array) -> Array:

@@ -63,13 +63,13 @@ class LineMap:
         """Return (rho, beta) of every line, (J, 2)."""
         if len(self) == 0 or self.column[0] < 0:
             return self.value
-        return np.stack((belief.state[self.column], belief.state[self.column + 1]), axis=-1)
+        return np.column_stack((belief.state[self.column], belief.state[self.column + 1]))
 
     def covariances(self, belief: JointBelief) -> Array:
         """Return the covariance of (rho, beta) of every line, (J, 2, 2)."""
         if len(self) == 0 or self.column[0] < 0:
             return self.P
-        at = np.stack((self.column, self.column + 1), axis=-1)
+        at = np.column_stack((self.column, self.column + 1))
         P: Array = belief.covariance[at[:, :, None], at[:, None, :]]
         return P
 

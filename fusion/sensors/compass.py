@@ -246,7 +246,7 @@ def from_field(columns: dict[str, Array], settings: CompassSettings, topic: str)
 def from_level_field(columns: dict[str, Array], settings: CompassSettings, up: Array) -> tuple[Array, Array]:
     """Return the same of a robot that tilts; `up` (n, 3) in the base's axes. Iron turns with the robot."""
     mx, my = _without_iron(columns, settings)
-    mx, my = levelled(np.stack((mx, my, _along(columns, settings, 2)), axis=-1), up)
+    mx, my = levelled(np.column_stack((mx, my, _along(columns, settings, 2))), up)
     return -np.arctan2(my, mx), np.hypot(mx, my)
 
 
@@ -270,7 +270,7 @@ def from_imu(
     columns: dict[str, Array], settings: CompassSettings, topic: str, refuse: bool = True
 ) -> tuple[Array, Array]:
     """Yaw of the base by an IMU's orientation; a first covariance element of -1 means that there is none."""
-    q = np.stack([columns[f"orientation.{a}"] for a in "xyzw"], axis=-1)
+    q = np.column_stack([columns[f"orientation.{a}"] for a in "xyzw"])
     none = (columns["orientation_covariance"][:, 0] == -1.0) | ((q**2).sum(axis=1) < 0.25)
     if refuse and len(q) and none.all():
         raise LocfuseError(f"{topic} carries no orientation (orientation_covariance[0] is -1)", role="compass")

@@ -77,7 +77,7 @@ class Gps(Sensor):
     def measure(self, stream: Stream, settings: GpsSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
         """Turn fixes into z (n, 2) metres east and north of the origin, or of the first fix."""
         columns = cast("dict[str, Array]", stream.columns(*self.reads[stream.msgtype]))
-        where = np.stack((columns["latitude"], columns["longitude"]), axis=-1).astype(np.float64)
+        where = np.column_stack((columns["latitude"], columns["longitude"])).astype(np.float64)
         dropped = dict(stream.dropped)
         good = _usable(where, columns.get("status.status"), dropped)
         if not good.any():

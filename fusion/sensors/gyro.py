@@ -224,7 +224,7 @@ def up_rate(columns: dict[str, Array], settings: GyroSettings, topic: str) -> Ar
     if "data" in columns:  # a bare number is the rate itself
         bare = np.asarray(columns["data"], dtype=np.float64)
         return np.radians(bare) if settings.unit == "deg" else bare
-    omega = np.stack([columns[f"angular_velocity.{a}"] for a in "xyz"], axis=-1)
+    omega = np.column_stack([columns[f"angular_velocity.{a}"] for a in "xyz"])
     covariance = columns["angular_velocity_covariance"]
     if len(omega) and (covariance[:, 0] == -1.0).all():
         raise LocfuseError(

@@ -39,9 +39,9 @@ class Wheels:
     @classmethod
     def from_wheels(cls, t: Array, left: Array, right: Array, track: float, noise: float) -> Wheels:
         """Build from the distances that either wheel has rolled since the start, (n,) m."""
-        rolled = np.stack((np.diff(left), np.diff(right)), axis=-1)
+        rolled = np.column_stack((np.diff(left), np.diff(right)))
         ds, turn = body_increments(rolled[:, 0], rolled[:, 1], track)
-        twist = np.stack((ds, np.zeros_like(ds), turn), axis=-1)
+        twist = np.column_stack((ds, np.zeros_like(ds), turn))
         return cls(t, twist, rolled, dead_reckoning(twist), track, noise, silences(t, rolled, turn))
 
     @classmethod
@@ -52,7 +52,7 @@ class Wheels:
         """
         half = 0.5 * track * twist[:, 2]
         way = np.copysign(np.hypot(twist[:, 0], twist[:, 1]), twist[:, 0])
-        rolled = np.stack((way - half, way + half), axis=-1)
+        rolled = np.column_stack((way - half, way + half))
         return cls(t, twist, rolled, dead_reckoning(twist), track, noise, np.zeros_like(rolled))
 
     @classmethod
@@ -195,7 +195,7 @@ class _Pieces:
         Paper eq. 8 in its right form (docs/paper.md), plus the turn's lever arm from the piece to the end.
         """
         m = self.a[:, 2] + 0.5 * self.twist[:, 2] + self.aside()
-        along = np.stack((np.cos(m), np.sin(m), np.zeros_like(m)), axis=-1)
+        along = np.column_stack((np.cos(m), np.sin(m), np.zeros_like(m)))
         turning = self.turning() / track
         return np.stack((0.5 * along - turning, 0.5 * along + turning), axis=-1)
 
@@ -205,7 +205,7 @@ class _Pieces:
         (ds, left), end = self.twist[:, :2].T, self.end[self.interval]
         x = -0.5 * (ds * np.sin(m) + left * np.cos(m)) - (end[:, 1] - self.b[:, 1])
         y = 0.5 * (ds * np.cos(m) - left * np.sin(m)) + (end[:, 0] - self.b[:, 0])
-        return np.stack((x, y, np.ones_like(m)), axis=-1)
+        return np.column_stack((x, y, np.ones_like(m)))
 
     def aside(self) -> Array:
         """Direction of travel from the body's axis (m,) [rad], at most a quarter turn: 0 forward and backward."""
@@ -234,7 +234,7 @@ def silences(t: Array, rolled: Array, turn: Array) -> Array:
         return np.broadcast_to(np.float64(0.0), (len(span), 2))  # holds nothing
     fastest = float(np.percentile(np.abs(turn[~silent]) / span[~silent], 99))
     astray = way * np.minimum(0.5, fastest * span / (4.0 * np.sqrt(3.0)))
-    return np.where(silent[:, None], np.stack((astray**2, np.full_like(span, fastest)), axis=-1), 0.0)
+    return np.where(silent[:, None], np.column_stack((astray**2, np.full_like(span, fastest))), 0.0)
 
 
 def dead_reckoning(twist: Array) -> Array:
@@ -244,4 +244,4 @@ def dead_reckoning(twist: Array) -> Array:
     c, s = np.cos(theta[:-1]), np.sin(theta[:-1])
     x = np.cumsum(c * step[:, 0] - s * step[:, 1])
     y = np.cumsum(s * step[:, 0] + c * step[:, 1])
-    return np.stack((np.append(0.0, x), np.append(0.0, y), theta), axis=-1)
+    return np.column_stack((np.append(0.0, x), np.append(0.0, y), theta))

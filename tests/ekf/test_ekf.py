@@ -173,6 +173,25 @@ def test_the_joint_filter_equals_the_textbook_over_a_whole_drive() -> None:
     np.testing.assert_array_equal(belief.covariance, belief.covariance.T)
 
 
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_the_spread_of_a_reading_is_h_p_h(d: int) -> None:
+    rng = np.random.default_rng(d)
+    belief, _ = joint(rng)
+    columns, H, own = (3, 9), rng.normal(size=(d, 3)), rng.normal(size=(d, 2))
+    full = np.zeros((d, belief.n))
+    full[:, :3], full[:, list(columns)] = H, own
+    rows, blocks = (tuple(map(tuple, M.tolist())) for M in (H, own))
+    np.testing.assert_allclose(belief.spread(rows, columns, blocks), full @ belief.covariance @ full.T, atol=1e-12)
+    np.testing.assert_allclose(belief.spread(rows), H @ belief.matrix() @ H.T, atol=1e-12)
+
+
+def test_states_that_are_not_quite_what_they_were_gain_that_variance_each() -> None:
+    belief, book = joint(np.random.default_rng(5))
+    belief.loosen(np.array([9, 4]), np.array([0.1, 0.02]))
+    book.P[[9, 4], [9, 4]] += 0.1, 0.02
+    np.testing.assert_allclose(belief.covariance, book.P, atol=1e-12)
+
+
 def test_a_block_drifts_by_its_random_walk() -> None:
     belief = JointBelief(POSE, UPPER, [Block("offset", np.zeros(1), np.eye(1) * 0.1, np.array([0.02]))])
     belief.predict([0.0, 0.0, 0.0], [0.0] * 6, dt=2.5)
@@ -252,5 +271,5 @@ def test_variances_that_no_float_can_hold_side_by_side_are_refused_in_one_line()
     belief = JointBelief(POSE, UPPER, [Block("map", np.zeros(1), np.array([[1e37]]), np.zeros(1))])
     zero, pose = ((0.0, 0.0), (0.0, 0.0)), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
     twice = Innovation(0, 0, -1, 0.0, math.inf, (0.1, 0.1), (1.0, 1.0), pose, zero, (3,), ((1.0,), (0.1,)))
-    with pytest.raises(LocfuseError, match=r"too many powers of ten .* robot\.toml"):
+    with pytest.raises(LocfuseError, match=r"too many powers of ten .* up to 1e\+37\).* robot\.toml"):
         belief.correct([twice])

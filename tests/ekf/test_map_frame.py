@@ -137,6 +137,84 @@ def test_a_frame_begins_without_a_change_in_the_map() -> None:
     np.testing.assert_allclose(InMap(belief).pose(), pose, atol=1e-14)
 
 
+def seen_from(p: Array, q: Array) -> Array:
+    """Pose q as it is seen from pose p."""
+    return move(np.array([*(-turned(-p[2]) @ p[:2]), -p[2]]), q)
+
+
+def turned(angle: float) -> Array:
+    return np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+
+
+def with_kept_pose_and_point() -> tuple[JointBelief, int]:
+    """A belief that keeps a pose and a heading of earlier instants, and a point seen on the way: its column."""
+    sizes = ("kept", 3), ("heading", 1)
+    belief = JointBelief(START, P0, [Block(name, np.zeros(k), np.zeros((k, k)), np.zeros(k)) for name, k in sizes])
+    belief.clone_pose(3)
+    belief.predict(STEP, Q)
+    belief.clone_heading(6)
+    point = belief.augment(np.array([2.0, 1.0]), np.array([[1.0, 0.0, 0.4], [0.0, 1.0, -0.7]]), 0.01 * np.eye(2))
+    belief.own_point("point", point)
+    belief.predict(STEP, Q)
+    return belief, point
+
+
+def test_a_kept_pose_and_a_point_are_seen_from_where_the_frame_begins() -> None:
+    belief, point = with_kept_pose_and_point()
+    x, P = belief.state.copy(), belief.covariance.copy()
+
+    def begun(x: Array) -> Array:
+        place = seen_from(x[:3], np.array([*x[point : point + 2], 0.0]))[:2]
+        return np.concatenate((np.zeros(3), seen_from(x[:3], x[3:6]), [x[6] - x[2]], place, x[:3]))
+
+    T = numeric_jacobian(begun, x)
+    belief.begin_frame()
+    np.testing.assert_allclose(belief.state, begun(x), atol=1e-14)
+    np.testing.assert_allclose(belief.covariance, T @ P @ T.T, atol=1e-9)
+
+
+def test_a_point_is_found_by_its_name_whichever_states_go_before_and_behind_it() -> None:
+    belief, point = with_kept_pose_and_point()
+    assert belief.block("point")[1].tolist() == [2.0, 1.0]
+    belief.augment(np.array([9.0, 9.0]), np.zeros((2, 3)), np.eye(2))
+    for gone in ([3], [8, 9], [3]):  # two before it, one behind it, and again one before it
+        belief.remove(np.array(gone))
+    first, values = belief.block("point")
+    assert first == point - 2
+    np.testing.assert_array_equal(values, [2.0, 1.0])
+    assert len(belief.variances("point")) == 2
+
+
+def test_a_slip_turns_the_pose_and_leaves_the_way_from_what_is_kept_as_it_was() -> None:
+    """The pose was wrong all along: a kept heading and a kept pose were wrong by the same."""
+    sizes = ("heading", 1), ("pose", 3)
+    belief = JointBelief(START, P0, [Block(name, np.zeros(k), np.zeros((k, k)), np.zeros(k)) for name, k in sizes])
+    belief.clone_heading(3)
+    belief.clone_pose(4)
+    belief.predict(STEP, Q)
+    x, P = belief.state.copy(), belief.covariance.copy()
+    belief.shift(0.2, 0.01, 0.02)
+    after = belief.state
+    np.testing.assert_allclose(after[:3], (x[0], x[1], x[2] + 0.2), atol=1e-15)
+    np.testing.assert_allclose(belief.matrix(), P[:3, :3] + np.diag([0.01, 0.01, 0.02]), atol=1e-15)
+    assert after[2] - after[3] == pytest.approx(x[2] - x[3])
+    np.testing.assert_allclose(seen_from(after[:3], after[4:7]), seen_from(x[:3], x[4:7]), atol=1e-14)
+    now = belief.covariance  # of the way between: exactly as long, and turned exactly as far
+    J = numeric_jacobian(lambda v: seen_from(v[:3], v[4:7]), after.copy())
+    np.testing.assert_allclose(J @ now @ J.T, 0.0, atol=1e-9)
+    assert now[2, 2] + now[3, 3] - 2.0 * now[2, 3] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_pose_and_frame_together_are_their_parts_of_the_state() -> None:
+    belief = driven(JointBelief(START, P0, [OFFSET]))
+    x, P, f = belief.state, belief.covariance, belief.frame
+    both = belief.with_frame()
+    assert (*both.q, *both.G) == (*x[:3], *x[f : f + 3])
+    np.testing.assert_array_equal(both.P, P[:3, :3][np.triu_indices(3)])
+    np.testing.assert_array_equal(both.across, P[:3, f : f + 3])
+    np.testing.assert_array_equal(both.own, P[f : f + 3, f : f + 3])
+
+
 def test_a_start_that_is_known_exactly_needs_no_frame() -> None:
     belief = JointBelief(START, (0.0,) * 6)
     belief.begin_frame()

@@ -7,6 +7,8 @@ import math
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
+from textbook import numeric_jacobian
 
 from locfuse.fusion import se2
 
@@ -58,6 +60,7 @@ def test_transform_moves_points_like_the_matrix() -> None:
     pose, points = np.array([1.0, -2.0, 0.7]), np.array([[0.0, 0.0], [1.0, 0.0], [0.3, -4.0]])
     expected = (matrix(pose) @ np.column_stack((points, np.ones(3))).T).T[:, :2]
     np.testing.assert_allclose(se2.transform(np.tile(pose, (3, 1)), points), expected, atol=1e-12)
+    np.testing.assert_allclose(se2.transform(pose, points[1]), expected[1], atol=1e-12)
 
 
 def test_steps_one_after_another_are_composed_one_after_another() -> None:
@@ -67,3 +70,27 @@ def test_steps_one_after_another_are_composed_one_after_another() -> None:
     for step, found in zip(steps, se2.chained(start, steps), strict=True):
         pose = se2.compose(pose, step)
         np.testing.assert_allclose(found, pose, atol=1e-12)
+
+
+def test_rotations_of_poses_turn_the_place_and_leave_the_heading() -> None:
+    theta, v = np.array([0.0, 1.0, -3.1, 0.4]), np.random.default_rng(1).normal(size=(4, 2))
+    for angle, R, plane, turned in zip(theta, se2.rotation(theta), v, se2.rotated(theta, v), strict=True):
+        np.testing.assert_allclose(R, matrix(np.array([0.0, 0.0, angle])), atol=1e-15)
+        np.testing.assert_allclose(turned, R[:2, :2] @ plane, atol=1e-15)
+
+
+def test_the_yaw_of_a_quaternion_of_any_length_is_the_first_of_its_euler_angles() -> None:
+    rng = np.random.default_rng(2)
+    angles = rng.uniform((-3.1, -1.5, -3.1), (3.1, 1.5, 3.1), (200, 3))  # yaw, pitch, roll
+    x, y, z, w = (Rotation.from_euler("ZYX", angles).as_quat() * rng.uniform(0.3, 3.0, (200, 1))).T
+    np.testing.assert_allclose(se2.yaw(x, y, z, w), angles[:, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("a", POSES)
+@pytest.mark.parametrize("b", POSES[1::2])
+def test_the_derivatives_of_what_lies_between_two_poses_are_finite_differences(
+    a: np.ndarray, b: np.ndarray
+) -> None:
+    by_a, by_b = se2.between_jacobians(a, b)
+    np.testing.assert_allclose(by_a, numeric_jacobian(lambda p: se2.between(p, b), a), atol=1e-8)
+    np.testing.assert_allclose(by_b, numeric_jacobian(lambda p: se2.between(a, p), b), atol=1e-8)

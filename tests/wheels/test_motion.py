@@ -157,6 +157,42 @@ def test_relative_motion_between_any_two_times_follows_the_arc() -> None:
     np.testing.assert_allclose(wheels.relative(t[0], t[1]), expected, atol=1e-12)
 
 
+def test_a_window_holds_both_readings_at_its_ends_and_what_lies_between() -> None:
+    wheels = wheels_from(random_drive(20), dt=0.5)  # readings at 0, 0.5 .. 10 s
+    for begin, end, first, last in ((2.0, 4.0, 4, 8), (1.9, 4.1, 4, 8), (2.1, 3.9, 5, 7), (9.5, 99.0, 19, 20)):
+        part = wheels.window(begin, end)
+        np.testing.assert_array_equal(part.t, wheels.t[first : last + 1])
+        np.testing.assert_array_equal(part.pose, wheels.pose[first : last + 1])
+        for column in ("twist", "rolled", "silence"):
+            np.testing.assert_array_equal(getattr(part, column), getattr(wheels, column)[first:last])
+
+
+def matched(P: np.ndarray) -> Wheels:
+    """Odometry by scans: each step with its own covariance."""
+    twist = np.column_stack((np.full(len(P), 0.1), np.zeros(len(P)), np.full(len(P), 0.3)))
+    return Wheels.from_matches(np.arange(len(P) + 1.0), twist, P, TRACK, K)
+
+
+def test_the_variance_of_a_step_by_scans_is_spread_evenly_over_its_time() -> None:
+    """A quarter of the time, a quarter of the variance; at the middle of its arc, with the lever to its end."""
+    P = np.diag([4e-4, 1e-4, 9e-4])[None]
+    start, end = np.array([0.0, 0.25]), np.array([0.25, 1.0])
+    for share, turn, way, Q in zip(
+        (0.25, 0.75), (0.075, 0.225), (0.025, 0.075), matched(P).between(start, end).Q, strict=True
+    ):
+        c, s = math.cos(0.5 * turn), math.sin(0.5 * turn)
+        J = np.array([[c, -s, -0.5 * way * s], [s, c, 0.5 * way * c], [0.0, 0.0, 1.0]])
+        np.testing.assert_allclose(Q, share * J @ P[0] @ J.T, rtol=1e-9, atol=1e-15)
+
+
+def test_scans_count_as_wheels_that_leave_the_turn_as_uncertain() -> None:
+    """The turn is (right - left) / track, so of two like wheels each has track^2 / 2 of its variance."""
+    P = np.diag([4e-4, 1e-4, 9e-4]) * np.array([1.0, 2.0, 3.0])[:, None, None]
+    slips = matched(P).slips(np.array([0.0, 1.0, 2.5]))
+    np.testing.assert_allclose(slips.sum(axis=-1) / TRACK**2, [9e-4, 9e-4 * (2.0 + 0.5 * 3.0)])
+    np.testing.assert_array_equal(slips[:, 0], slips[:, 1])
+
+
 def wanderer(seed: int, silence: tuple[float, float]) -> tuple[Wheels, Wheels]:
     """A minute of straight pieces and turns by chance: all that the wheels said, and the same with a silence."""
     rng = np.random.default_rng(seed)
@@ -197,6 +233,15 @@ def test_halfway_through_a_silence_the_heading_lies_within_three_sigma_too() -> 
     assert max(errors) > 0.3
 
 
+def test_of_no_time_nothing_is_summed_and_what_comes_behind_is_as_ever() -> None:
+    wheels = wheels_from(random_drive(30))
+    begins, ends = np.array([0.1, 0.1, 0.3, 0.3]), np.array([0.1, 0.3, 0.3, 0.45])
+    found, alone = wheels.between(begins, ends), wheels.between(begins[[1, 3]], ends[[1, 3]])
+    assert not found.Q[[0, 2]].any()
+    np.testing.assert_allclose(found.u[[0, 2]], 0.0, atol=1e-15)
+    np.testing.assert_allclose(found.Q[[1, 3]], alone.Q, rtol=1e-12)
+
+
 def test_wheels_that_speak_rarely_or_in_bursts_are_not_silent() -> None:
     bursts = np.repeat(np.arange(100.0), 10) * 0.2 + np.tile(np.arange(10.0), 100) * 1e-4
     for when in (np.arange(100.0), bursts):
@@ -204,6 +249,21 @@ def test_wheels_that_speak_rarely_or_in_bursts_are_not_silent() -> None:
         way = 0.3 * t
         wheels = Wheels.from_wheels(t, way, way + 0.1 * np.sin(t), TRACK, K)
         assert not wheels.silence.any()
+
+
+@pytest.mark.parametrize(("seconds", "stray"), [(2.0, 0.2 * 2.0 / 4.0 / math.sqrt(3.0)), (60.0, 0.5)])
+def test_the_place_after_a_silence_strays_by_a_uniform_heading_and_at_most_over_a_disc(
+    seconds: float, stray: float
+) -> None:
+    """A heading uniform within w T / 4 to either side; a place uniform in a disc has half its radius per axis."""
+    t = np.append(np.arange(0.0, 40.0, 0.1), 39.9 + seconds)
+    way, turn = 0.3 * t, 0.2 * t  # rad/s is the fastest turning seen
+    wheels = Wheels.from_wheels(t, way - 0.5 * TRACK * turn, way + 0.5 * TRACK * turn, TRACK, 1e-12)
+    assert wheels.silence[-1, 0] == pytest.approx((0.3 * seconds * stray) ** 2, rel=1e-6)
+    assert wheels.silence[-1, 1] == pytest.approx(0.2, rel=1e-6)
+    assert not wheels.silence[:-1].any()
+    quarter = wheels.between(t[-2:-1], t[-2:-1] + 0.25 * seconds).Q[0, 2, 2]
+    assert quarter == pytest.approx(0.75 * (0.2 * 0.25 * seconds) ** 2 / 3.0, rel=1e-6)
 
 
 def test_an_odometry_knows_its_way_over_a_silence() -> None:

@@ -317,5 +317,5 @@ def _white(values: Array) -> float:
 
 def _relative(strength: Array) -> Array:
     """Field strength relative to the drive's median: steel and motors change it, the earth does not."""
-    median = float(np.median(strength)) if len(strength) else 1.0
+    median = float(np.median(strength)) if len(strength) else 0.0
     return strength / median if median > 0 else np.ones_like(strength)

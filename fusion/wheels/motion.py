@@ -209,8 +209,8 @@ class _Pieces:
 
     def aside(self) -> Array:
         """Direction of travel from the body's axis (m,) [rad], at most a quarter turn: 0 forward and backward."""
-        ahead = np.copysign(1.0, self.twist[:, 0])
-        out: Array = np.arctan2(ahead * self.twist[:, 1], ahead * self.twist[:, 0])
+        ahead, left = self.twist[:, 0], self.twist[:, 1]
+        out: Array = np.arctan2(np.where(np.signbit(ahead), -left, left), np.abs(ahead))
         return out
 
     def by_parameters(self, columns: Array) -> Array:

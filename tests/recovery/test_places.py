@@ -134,6 +134,29 @@ def test_the_place_of_a_scan_is_among_the_hypotheses(interpreted: bool, monkeypa
     assert len(hypotheses(scan, lines, lines.value, np.arange(1))) == 0
 
 
+@FORMS
+def test_a_hypothesis_lays_both_walls_onto_theirs_and_shares_what_their_angles_miss(
+    interpreted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Place by the two equations n.(p - a) = rho - r, heading by the mean of what either wall says."""
+    take(interpreted, monkeypatch)
+    lines = LineMap()
+    walls = [(2.9, 0.4, 0.1, 0.3), (0.2, 2.1, 1.4, -0.2), (-3.0, 0.6, 2.5, 0.5)]  # anchor, beta, rho
+    for x, y, beta, rho in walls:
+        lines.append(np.array([x, y]), np.array([rho, beta]), np.eye(2) * 1e-6, -1, (-2.0, 2.0), 0)
+    lines.hits[:] = 9
+    theta, noise = 0.7, np.array([0.02, -0.03, 0.01])
+    z = np.column_stack(([2.0, 1.7, 2.2], lines.value[:, 1] - theta + noise))
+    scan = Scan(z, np.tile(1e-6 * np.eye(2), (3, 1, 1)), np.tile((-1.0, 1.0), (3, 1)))
+    poses = hypotheses(scan, lines, lines.value, np.arange(3))
+    n = np.column_stack((np.cos(lines.value[:, 1]), np.sin(lines.value[:, 1])))
+    distance = lines.value[:, 0] + (n * lines.anchor).sum(axis=1) - z[:, 0]
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        place = np.linalg.solve(n[[a, b]], distance[[a, b]])
+        expected = [*place, theta - 0.5 * (noise[a] + noise[b])]
+        assert np.abs(poses - expected).max(axis=1).min() < 1e-12
+
+
 def test_both_forms_give_the_same_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     for seed in SEEDS:
         scan, lines, values, pose = known_scene(seed)
@@ -180,3 +203,53 @@ def point_on(row: Array, end: int) -> Array:
     """One end (2,) of a line (r, psi, ..., both ends along it)."""
     n = np.array([math.cos(row[1]), math.sin(row[1])])
     return np.asarray(row[0] * n + row[end] * np.array([-n[1], n[0]]))
+
+
+@FORMS
+def test_the_noise_of_a_line_seen_from_the_base_is_that_of_finite_differences(
+    interpreted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its covariance, and unit errors that lines share: their outer product is a covariance too."""
+    take(interpreted, monkeypatch)
+    core, rng = Room.here(places).on_arrays, np.random.default_rng(3)
+    mount, parts, first = (0.3, -0.2, 0.7), 2, 5
+    shared = rng.normal(0.0, 0.01, (40, 2, parts))
+    R = shared @ shared.transpose(0, 2, 1)
+    z = np.column_stack((rng.uniform(0.05, 4.0, 40), rng.uniform(-3.0, 3.0, 40)))
+    rows = np.column_stack((z, R[:, 0, 0], R[:, 0, 1], R[:, 1, 1], np.tile([-1.0, 1.0], (40, 1))))
+    out, moved = np.empty_like(rows), np.zeros(first + shared.size)
+    core.into_base(rows, 40, *mount, out)
+    given = np.concatenate((np.zeros(first), shared.ravel()))
+    core.shares_into_base(rows, 40, parts, *mount, given, first, moved)
+    G = moved[: shared.size].reshape(shared.shape)
+    turned = 0
+    for k in range(40):
+        side = from_base(z[k], mount)[2]
+        J = np.column_stack([
+            (np.array(from_base(z[k] + d, mount, side)) - from_base(z[k] - d, mount, side))[:2] / 2e-6
+            for d in 1e-6 * np.eye(2)
+        ])  # fmt: skip
+        np.testing.assert_allclose([[out[k, 2], out[k, 3]], [out[k, 3], out[k, 4]]], J @ R[k] @ J.T, atol=1e-9)
+        np.testing.assert_allclose(G[k], J @ shared[k], atol=1e-9)
+        turned += side < 0.0
+    assert turned > 1
+
+
+def from_base(
+    z: Array, mount: tuple[float, float, float], side: float | None = None
+) -> tuple[float, float, float]:
+    """(r, psi) from the base of a line that is (r, psi) from a mount, and on which side of it the base stands."""
+    psi = z[1] + mount[2]
+    r = float(z[0] + mount[0] * math.cos(psi) + mount[1] * math.sin(psi))
+    side = side or math.copysign(1.0, r)
+    return side * r, psi, side
+
+
+@FORMS
+def test_from_one_mount_to_another_leads_what_undoes_the_one_and_does_the_other(
+    interpreted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    take(interpreted, monkeypatch)
+    told, place, out = np.array([0.3, -0.2, 0.7]), np.array([0.35, -0.1, -0.9]), np.empty(3)
+    Room.here(places).on_arrays.moved(place, told, out)
+    np.testing.assert_allclose(se2.compose(out, told), place, atol=1e-12)

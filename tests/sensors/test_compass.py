@@ -7,12 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from worlds import World, stream
 
 from locfuse.fusion.data import VERDICTS, ArrayStream, LocfuseError, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure
+from locfuse.fusion.sensor import Block, Innovation
 from locfuse.fusion.sensors.compass import Compass, CompassModel, CompassSettings
 from locfuse.fusion.wheels.motion import Wheels
 
@@ -40,7 +42,7 @@ def test_heading_numbers_follow_their_convention(convention: str, value: float, 
 
 
 def test_degrees_read_as_radians_are_refused_with_the_cure() -> None:
-    s = stream("/heading", "std_msgs/msg/Float64", T, {"data": np.full(5, 270.0)})
+    s = stream("/heading", "std_msgs/msg/Float64", T, {"data": np.array([1.0, 2.0, 270.0, 3.0, 4.0])})
     with pytest.raises(LocfuseError, match=r"compass\.convention=enu_deg"):
         measured(s)
 
@@ -50,7 +52,7 @@ def test_a_field_to_the_north_gives_the_heading_and_iron_is_taken_out(theta: flo
     north = np.array([0.0, 2e-5])
     c, s = math.cos(theta), math.sin(theta)
     field = np.array([[c, s], [-s, c]]) @ north  # the field in the robot's frame
-    soft = np.array([[1.1, 0.1], [0.0, 0.9]])
+    soft = np.array([[1.1, 0.1], [0.2, 0.9]])
     raw = np.linalg.solve(soft, field) + np.array((3e-6, -1e-6))
     m = measured(
         stream(
@@ -60,7 +62,7 @@ def test_a_field_to_the_north_gives_the_heading_and_iron_is_taken_out(theta: flo
             {"magnetic_field.x": np.full(5, raw[0]), "magnetic_field.y": np.full(5, raw[1])},
         ),
         hard_iron=(3e-6, -1e-6),
-        soft_iron=(1.1, 0.1, 0.0, 0.9),
+        soft_iron=(1.1, 0.1, 0.2, 0.9),
     )
     np.testing.assert_allclose(np.cos(m.z[:, 0] + math.pi / 2 - theta), 1.0, atol=1e-12)
 
@@ -136,3 +138,95 @@ def test_strengths_that_only_scatter_are_noise_whatever_sigma_is_told() -> None:
     )
     assert np.median(m.R[:, 0, 0]) == pytest.approx(math.radians(0.1) ** 2, rel=1e-9)
     assert np.mean(m.R[:, 0, 0]) < 2 * math.radians(0.1) ** 2
+
+
+def test_what_is_new_in_every_strength_is_the_spread_of_a_normal_distribution() -> None:
+    """A field that scatters by 2 %: 10 % too much are 4 % beyond three sigmas, and so may the heading be off."""
+    field = 2e-5 * (1.0 + 0.02 * np.random.default_rng(0).normal(size=20_000))
+    field[777] = 2.2e-5
+    axes = {"magnetic_field.x": field, "magnetic_field.y": np.zeros(len(field))}
+    m = measured(stream("/mag", "sensor_msgs/msg/MagneticField", np.arange(len(field)) * 0.1, axes), sigma_deg=0.1)
+    assert math.sqrt(m.R[777, 0, 0]) == pytest.approx(math.hypot(math.radians(0.1), 0.04), rel=0.05)
+
+
+@pytest.mark.parametrize("convention", ["enu_rad", "compass_rad"])
+@pytest.mark.parametrize("theta", [0.3, 2.0, -1.5])
+def test_an_orientation_is_the_yaw_of_a_world_of_east_north_up_or_north_east_down(
+    convention: str, theta: float
+) -> None:
+    turns = {"enu_rad": np.eye(3), "compass_rad": np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])}
+    q = Rotation.from_matrix(turns[convention] @ Rotation.from_euler("z", theta).as_matrix()).as_quat()
+    data = {f"orientation.{a}": np.full(5, v) for a, v in zip("xyzw", q.tolist(), strict=True)}
+    s = stream("/imu", "sensor_msgs/msg/Imu", T, {**data, "orientation_covariance": np.zeros((5, 9))})
+    np.testing.assert_allclose(measured(s, convention=convention).z[:, 0], theta, atol=1e-12)
+
+
+@pytest.mark.parametrize(("length", "good"), [(0.45, False), (0.55, True), (1.0, True)])
+def test_an_orientation_of_less_than_half_the_length_is_none(length: float, good: bool) -> None:
+    data = {f"orientation.{a}": np.full(5, length if a == "w" else 0.0) for a in "xyzw"}
+    data["orientation.w"][0] = 1.0  # one reading that is good
+    s = stream("/imu", "sensor_msgs/msg/Imu", T, {**data, "orientation_covariance": np.zeros((5, 9))})
+    assert len(measured(s).z) == (5 if good else 1)
+
+
+def test_an_offset_that_nobody_knows_is_uniform_over_a_turn() -> None:
+    (block,) = CompassModel(CompassSettings(offset_drift_deg=0.3)).blocks()
+    angle = np.linspace(-math.pi, math.pi, 100_001)
+    assert block.P[0, 0] == pytest.approx(float(np.mean(angle**2)), rel=1e-4)
+    assert block.drift[0] == pytest.approx(math.radians(0.3) ** 2)
+
+
+@pytest.mark.parametrize(("turn_deg", "refused"), [(15.0, False), (25.0, True)])
+def test_a_heading_that_never_changes_is_refused_where_the_robot_turned(turn_deg: float, refused: bool) -> None:
+    t = np.arange(12) * np.float64(0.1)
+    theta = np.radians(turn_deg) * t / t[-1]
+    wheels = Wheels.from_wheels(t, -0.25 * theta, 0.25 * theta, 0.5, 1e-4)
+    s = stream("/heading", "std_msgs/msg/Float64", t, {"data": np.full(12, 0.4)})
+
+    def measure_it() -> Measurements:
+        return Compass().measure(s, CompassSettings(), wheels, int(s.t_ns[0]))
+
+    if refused:
+        with pytest.raises(LocfuseError, match=r"says 22\.9 deg in all 12 readings .* by up to 25 deg"):
+            measure_it()
+    else:
+        assert len(measure_it().z) == 12
+
+
+def test_its_derivatives_by_heading_and_offset_are_finite_differences() -> None:
+    m = measured(stream("/heading", "std_msgs/msg/Float64", T, {"data": np.full(5, 0.5)}))
+    model = CompassModel(CompassSettings())
+
+    def seen(theta: float, offset: float) -> Innovation:
+        block = Block("compass_offset", np.array([offset]), np.eye(1), np.zeros(1))
+        return model.innovations(m, 0, JointBelief((0.0, 0.0, theta), (0, 0, 0, 0, 0, 0.01), [block]))[0]
+
+    at, h = seen(0.2, 0.1), 1e-6
+    assert at.y[0] == pytest.approx(0.2)
+    assert at.H[0][2] == pytest.approx((seen(0.2 - h, 0.1).y[0] - seen(0.2 + h, 0.1).y[0]) / (2 * h))
+    assert at.H_block[0][0] == pytest.approx((seen(0.2, 0.1 - h).y[0] - seen(0.2, 0.1 + h).y[0]) / (2 * h))
+    assert at.H[0][:2] == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(("share", "usable"), [(0.7, False), (0.8, True), (1.2, True), (1.3, False)])
+def test_a_field_is_usable_where_its_strength_is_within_a_quarter_of_the_usual(share: float, usable: bool) -> None:
+    field = np.full(9, 2e-5)
+    field[3] *= share
+    axes = {"magnetic_field.x": field, "magnetic_field.y": np.zeros(9)}
+    m = measured(stream("/mag", "sensor_msgs/msg/MagneticField", np.arange(9) * np.float64(0.1), axes))
+    model, belief = CompassModel(CompassSettings(offset_deg=0.0)), JointBelief((0, 0, 0), (0, 0, 0, 0, 0, 0.01))
+    verdicts = [model.innovations(m, i, belief)[0].verdict for i in range(9)]
+    expected = [0] * 9
+    expected[3] = 0 if usable else VERDICTS.index("disturbed")
+    assert verdicts == expected
+    assert model.headings(m).usable.tolist() == [int(v == 0) for v in expected]
+
+
+@pytest.mark.parametrize(("largest", "radians"), [(12.5, True), (13.0, False), (-13.0, False)])
+def test_numbers_beyond_two_turns_are_no_radians(largest: float, radians: bool) -> None:
+    s = stream("/heading", "std_msgs/msg/Float64", T, {"data": np.array([0.1, largest, 0.2, 0.3, 0.4])})
+    if radians:
+        assert len(measured(s).z) == 5
+    else:
+        with pytest.raises(LocfuseError, match="no angle in radians"):
+            measured(s)

@@ -145,6 +145,16 @@ def test_measurements_have_the_numbers_that_it_names(sensor: Sensor) -> None:
 
 
 @each_sensor
+def test_a_time_offset_is_added_to_its_stamps(sensor: Sensor) -> None:
+    drive, robot = six_sensors.drive()
+    stream: Any = six_sensors.streams()[0][sensor.name]
+    settings = robot.settings(sensor.name)
+    later = msgspec.structs.replace(settings, time_offset=settings.time_offset + 0.5)
+    before, after = (sensor.measure(stream, s, drive.wheels, drive.epoch_ns) for s in (settings, later))
+    assert after.t[0] - before.t[0] == pytest.approx(0.5, abs=0.06)  # some sum readings up to full periods
+
+
+@each_sensor
 def test_nothing_measured_is_nothing_or_one_line(sensor: Sensor) -> None:
     """No message at all, every number NaN, every number 0: measurements that are finite, or a LocfuseError."""
     drive, robot = six_sensors.drive()

@@ -11,13 +11,16 @@ import pytest
 from numpy.typing import NDArray
 
 from locfuse.cli.pipeline.load import make_robot
-from locfuse.fusion.data import ArrayStream, Column, Drive, LocfuseError, Ragged
+from locfuse.fusion.data import ArrayStream, Column, Drive, LocfuseError, Measurements, Ragged
+from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure, thinned
 from locfuse.fusion.mount import rotation
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.sensors.gyro import Gyro, GyroSettings
+from locfuse.fusion.sensor import Block
+from locfuse.fusion.sensors.gyro import BEFORE, BIAS, Gyro, GyroSettings, rests
 from locfuse.fusion.smooth import fuse_and_smooth
+from locfuse.fusion.wheels.motion import Wheels
 
 Array = NDArray[np.float64]
 T0 = 1_700_000_000_000_000_000
@@ -386,3 +389,153 @@ def test_the_bias_of_a_rest_is_as_sure_at_the_start_as_its_span_and_its_drift_un
     first = int(drive.instant["gyro"][0])
     found = run.block_sigmas["gyro_bias"][first, 0] ** 2
     assert found == pytest.approx(1.0 / (1.0 / prior + 1.0 / measured), rel=1e-6)
+
+
+# --- one reading, in closed form
+
+
+def turned_twice(settings: GyroSettings, **extra: Array) -> Measurements:
+    """The first reading, and half a radian two seconds later."""
+    t, z = np.array([1.0, 3.0]), np.array([[0.2], [0.7]])
+    columns = {"piece": np.zeros(2), **extra}
+    return Measurements(
+        t, np.arange(3), z, np.ones((2, 1, 1)), math.radians(settings.sigma_deg), np.zeros((1, 1)), columns
+    )
+
+
+def with_bias(bias: float, variance: float) -> JointBelief:
+    none = Block(BEFORE, np.zeros(1), np.zeros((1, 1)), np.zeros(1))
+    own = Block(BIAS, np.array([bias]), np.array([[variance]]), np.zeros(1))
+    return JointBelief((1.0, -2.0, 0.3), (0.01, 0.0, 0.0, 0.01, 0.0, 0.02), [none, own])
+
+
+@pytest.mark.parametrize("given", [None, 2.0])
+def test_a_turn_is_compared_with_that_of_the_belief_and_its_noise_is_of_time_and_scale(
+    given: float | None,
+) -> None:
+    settings = GyroSettings(sigma_deg=0.4, sigma_scale=0.03, bias_deg=given)
+    m, model, belief = turned_twice(settings), Gyro().model(settings), with_bias(0.03, 0.01)
+    assert model.innovations(m, 0, belief) == []
+    model.learn(m, 0, belief)
+    belief.predict([0.1, 0.0, 0.45], [0.0] * 5 + [0.001])
+    (seen,) = model.innovations(m, 1, belief)
+    bias = 0.03 if given is None else math.radians(given)
+    assert seen.y[0] == pytest.approx(0.5 - bias * 2.0 - 0.45)
+    assert seen.R[0][0] == pytest.approx(math.radians(0.4) ** 2 * 2.0 + (0.03 * 0.5) ** 2)
+    assert (seen.columns, seen.H_block) == (((3, 4), ((-1.0, 2.0),)) if given is None else ((3,), ((-1.0,),)))
+    assert seen.H == ((0.0, 0.0, 1.0),)
+
+
+def test_a_rest_measures_the_bias_as_a_scalar_filter_takes_it() -> None:
+    settings = GyroSettings(sigma_deg=0.4, bias_drift_deg=0.3)
+    rest = {"rest_begin": np.full(2, 1.0), "rest_end": np.full(2, 5.0), "rest_turned": np.full(2, 0.2)}
+    m, model, belief = turned_twice(settings, **rest), Gyro().model(settings), with_bias(0.03, 0.001)
+    model.learn(m, 0, belief)
+    r = math.radians(0.4) ** 2 / 4.0 + math.radians(0.3) ** 2 * 2.0
+    column, bias = belief.block(BIAS)
+    assert bias[0] == pytest.approx((0.03 / 0.001 + 0.05 / r) / (1.0 / 0.001 + 1.0 / r))
+    assert belief.covariance[column, column] == pytest.approx(1.0 / (1.0 / 0.001 + 1.0 / r))
+    (seen,) = model.innovations(m, 1, belief)  # of the rest: it counted already
+    assert seen.verdict != 0
+    assert model.notes(belief) == ["bias at rest: 2.865°/s over 4.0 s, from 1.0 s on"]
+
+
+def test_the_blocks_of_an_estimated_bias_begin_as_the_settings_say() -> None:
+    before, bias = Gyro().model(GyroSettings(sigma_bias_deg=0.5, bias_drift_deg=0.01)).blocks()
+    assert not before.P.any()
+    assert bias.P[0, 0] == pytest.approx(math.radians(0.5) ** 2)
+    assert bias.drift[0] == pytest.approx(math.radians(0.01) ** 2)
+
+
+@pytest.mark.parametrize(
+    ("step", "resting"),
+    [
+        ((0.0007, 0.0006, 0.0), True),  # 0.92 mm
+        ((0.0008, 0.0009, 0.0), False),  # 1.2 mm
+        ((0.0, 0.0, math.radians(0.09)), True),
+        ((0.0, 0.0, math.radians(-0.13)), False),
+    ],
+)
+def test_wheels_that_tremble_by_a_tick_rest(step: tuple[float, float, float], resting: bool) -> None:
+    where = np.tile([3.0, 2.0, 1.0], (9, 1))
+    where[5:] += step
+    assert list(rests(where, np.zeros(9, np.int64))) == ([(0, 8)] if resting else [(0, 4), (5, 8)])
+
+
+def drive_at(speed: Array, turning: Array, t: Array) -> Wheels:
+    """Wheels of a robot that goes and turns at these rates, (n,) m/s and rad/s."""
+    way, turn = (np.append(0.0, np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t))) for v in (speed, turning))
+    return Wheels.from_wheels(t, way - 0.5 * TRACK * turn, way + 0.5 * TRACK * turn, TRACK, 1e-6)
+
+
+def rates(t: Array, rate: Array) -> ArrayStream:
+    return ArrayStream("/rate", "std_msgs/msg/Float64", stamps(t), {"data": rate})
+
+
+@pytest.mark.parametrize("drift_deg", [0.0, 0.01, 0.02, 0.024, 0.03, 0.1])
+def test_of_two_rests_that_one_gives_the_bias_which_says_most_of_it(drift_deg: float) -> None:
+    """Half a second at the start, or eight seconds later on: white noise over the span, drift until its middle.
+
+    Wheels that creep while they rest did turn the robot, and the gyro less that is its bias.
+    """
+    t = np.arange(0.0, 60.0, 0.05)
+    moves = ~((t <= 0.5) | ((t >= 30.0) & (t <= 38.0)))
+    wheels = drive_at(np.where(moves, 0.4, 0.0), np.where(moves, 0.0, 1e-4), t)
+    settings = GyroSettings(period=0.0, sigma_deg=0.1, bias_drift_deg=drift_deg)
+    m = Gyro().measure(rates(t, np.where(t < 1.0, 0.0021, 0.0041)), settings, wheels, T0)
+    early, late = 0.1**2 / 0.5 + drift_deg**2 * 0.25, 0.1**2 / 8.0 + drift_deg**2 * 34.0
+    assert m.extra["rest_begin"][0] == pytest.approx(0.0 if early < late else 30.0, abs=0.06)
+    span = m.extra["rest_end"][0] - m.extra["rest_begin"][0]
+    assert m.extra["rest_turned"][0] / span == pytest.approx(0.002 if early < late else 0.004, rel=1e-6)
+
+
+@pytest.mark.parametrize(("sigmas", "believed"), [(3.8, True), (-3.8, True), (4.2, False), (-4.3, False)])
+@pytest.mark.parametrize("drift_deg", [0.0, 0.3])
+def test_a_bias_beyond_four_of_its_sigmas_is_none(sigmas: float, believed: bool, drift_deg: float) -> None:
+    """Its own, and those of its measurement: noise over ten seconds of rest, drift over half of them."""
+    t = np.arange(100.0, 120.0, 0.05)
+    wheels = drive_at(np.where(t < 110.0, 0.0, 0.3), np.zeros_like(t), t)
+    settings = GyroSettings(sigma_bias_deg=0.8, bias_drift_deg=drift_deg, sigma_deg=0.1)
+    sigma = math.sqrt(0.8**2 + 0.1**2 / 10.0 + drift_deg**2 * 5.0)
+    m = Gyro().measure(rates(t, np.full(len(t), math.radians(sigmas * sigma))), settings, wheels, T0)
+    assert ("rest_begin" in m.extra) is believed
+
+
+@pytest.mark.parametrize(
+    ("factor", "says"),
+    [(1.0, None), (1.8, None), (0.56, None), (2.3, "2.3 times"), (0.4, "0.4 times"), (3.0, "check wheels"),
+     (150.0, "check wheels"), (25.0, "check wheels"), (100.0, "in degrees"), (35.0, "in degrees"),
+     (-1.0, "upside-down"), (-0.3, "upside-down"), (0.0, "never turns")],
+)  # fmt: skip
+def test_a_gyro_that_turns_by_another_factor_than_the_wheels_is_refused_with_what_it_may_be(
+    factor: float, says: str | None
+) -> None:
+    t = np.arange(0.0, 20.0, 0.1)
+    turning = 0.4 * np.sin(1.3 * t)
+    wheels, stream = drive_at(np.zeros_like(t), turning, t), rates(t, factor * turning)
+    if says is None:
+        assert len(Gyro().measure(stream, GyroSettings(), wheels, T0).z) > 100
+        return
+    with pytest.raises(LocfuseError, match=says) as raised:
+        Gyro().measure(stream, GyroSettings(), wheels, T0)
+    assert ("in degrees" in str(raised.value)) is (says == "in degrees")
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "noise", "refused"), [(16.0, 0.0, False), (25.0, 0.0, True), (25.0, 2.0, False)]
+)
+def test_a_gyro_is_held_against_wheels_that_turn_enough_and_alike(
+    turn_deg: float, noise: float, refused: bool
+) -> None:
+    """The wheels' turn about its mean as the root of the sum of squares; noise hides what both have in common."""
+    t = np.arange(0.0, 20.0, 0.1)
+    turning = np.sin(1.3 * t)
+    steps = np.diff(drive_at(np.zeros_like(t), turning, t).heading(t))
+    turning *= math.radians(turn_deg) / math.sqrt(float(((steps - steps.mean()) ** 2).sum()))
+    rate = 5.0 * turning + noise * np.random.default_rng(0).normal(size=len(t)) * turning.std() * 5.0
+    wheels, settings = drive_at(np.zeros_like(t), turning, t), GyroSettings(period=0.0)
+    if refused:
+        with pytest.raises(LocfuseError, match="times as far"):
+            Gyro().measure(rates(t, rate), settings, wheels, T0)
+    else:
+        assert len(Gyro().measure(rates(t, rate), settings, wheels, T0).z) == len(t)

@@ -242,6 +242,23 @@ def test_of_no_time_nothing_is_summed_and_what_comes_behind_is_as_ever() -> None
     np.testing.assert_allclose(found.Q[[1, 3]], alone.Q, rtol=1e-12)
 
 
+def test_beyond_its_ends_a_drive_goes_on_for_one_interval() -> None:
+    wheels = wheels_from(np.tile([0.01, 0.014], (50, 1)))
+    _, _, poses = wheels.at(np.array([-0.02, -9.0, 1.02, 9.0]))
+    before, after = se2.exp(-wheels.twist[0]), se2.compose(wheels.pose[-1], se2.exp(wheels.twist[-1]))
+    np.testing.assert_allclose(poses, [before, before, after, after], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("period", "gap", "silent"), [(0.02, 0.45, False), (0.02, 0.6, True), (0.2, 0.9, False), (0.2, 1.2, True)]
+)
+def test_a_silence_is_longer_than_half_a_second_and_than_five_periods(
+    period: float, gap: float, silent: bool
+) -> None:
+    t = np.append(np.arange(50.0) * period, 49.0 * period + gap)
+    assert bool(Wheels.from_wheels(t, 0.3 * t, 0.3 * t + 0.01 * np.sin(t), TRACK, K).silence.any()) is silent
+
+
 def test_wheels_that_speak_rarely_or_in_bursts_are_not_silent() -> None:
     bursts = np.repeat(np.arange(100.0), 10) * 0.2 + np.tile(np.arange(10.0), 100) * 1e-4
     for when in (np.arange(100.0), bursts):

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Drive, Estimates, Motions, Truth, upper_triangles
+from locfuse.fusion.data import VERDICTS, Audit, Drive, Estimates, Measurements, Motions, Truth, upper_triangles
 from locfuse.fusion.judge.evaluate import Align, evaluate
 
 Array = NDArray[np.float64]
@@ -125,3 +125,113 @@ def test_a_drive_lasts_from_its_first_instant_to_its_last_and_is_as_long_as_its_
     assert figures["duration_s"] == pytest.approx(0.1 * N)
     steps = np.diff(estimates.pose[:, :2], axis=0)
     assert figures["distance_m"] == pytest.approx(float(np.sqrt((steps**2).sum(axis=1)).sum()), rel=1e-12)
+
+
+# --- every figure of a short drive, written out
+
+
+def wandering(heading: bool, n: int = 90, gap: int | None = None) -> tuple[Estimates, Drive]:
+    """A robot on a winding path of about 18 m, and an estimate that drifts; the truth may have a hole."""
+    rng = np.random.default_rng(8)
+    t = 7.0 + 0.25 * np.arange(n)
+    if gap is not None:
+        t[gap:] += 40.0
+    steps = np.column_stack((rng.uniform(0.1, 0.3, n - 1), np.zeros(n - 1), rng.normal(0.0, 0.2, n - 1)))
+    true = se2.chained(np.array([3.0, -2.0, 0.5]), steps)
+    true = np.vstack(([3.0, -2.0, 0.5], true))
+    pose = true + np.cumsum(rng.normal(0.0, 0.02, (n, 3)), axis=0)
+    truth = Truth("/truth", t, true[:, :2], true[:, 2] if heading else None, (0.0, 0.0), 0.0)
+    motions = Motions(np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3, 0)))
+    drive = Drive(0, np.append(t, t[-1] + 5.0), motions, {}, {}, {}, truth)  # the drive goes on without a truth
+    P = np.broadcast_to(claimed(), (n, 3, 3))
+    return Estimates("all", (), t, pose, upper_triangles(P), {}, truth_pose=pose, truth_P=P), drive
+
+
+def matrix(pose: Array) -> Array:
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    return np.array([[c, -s, pose[0]], [s, c, pose[1]], [0.0, 0.0, 1.0]])
+
+
+@pytest.mark.parametrize("gap", [None, 40])
+@pytest.mark.parametrize("heading", [True, False])
+def test_drift_is_the_error_of_the_way_from_here_to_so_many_metres_on(heading: bool, gap: int | None) -> None:
+    """Of the relative pose, by matrices; of the displacement without a heading; never over a hole in the truth."""
+    estimates, drive = wandering(heading, gap=gap)
+    assert drive.truth is not None
+    xy, pose = drive.truth.xy, estimates.pose
+    figures = evaluate(estimates, drive).figures
+    piece = np.zeros(len(xy)) if gap is None else (np.arange(len(xy)) >= gap).astype(float)
+    jumps = np.hypot(*np.diff(xy, axis=0).T) * (np.diff(piece) == 0.0)
+    way = np.append(0.0, np.cumsum(jumps))
+    for length in (1, 5, 10):
+        errors = []
+        for i in range(len(xy)):
+            ahead = np.flatnonzero(way >= way[i] + length)
+            if not len(ahead) or piece[ahead[0]] != piece[i]:
+                continue
+            j = ahead[0]
+            if drive.truth.theta is None:
+                errors.append((pose[j, :2] - pose[i, :2]) - (xy[j] - xy[i]))
+                continue
+            true = np.column_stack((xy, drive.truth.theta))
+            ours, theirs = (np.linalg.inv(matrix(p[i])) @ matrix(p[j]) for p in (pose, true))
+            errors.append((ours - theirs)[:2, 2])
+        expected = float(np.hypot(*np.array(errors).T).mean()) / length if errors else None
+        assert figures[f"drift_{length}m"] == (None if expected is None else pytest.approx(expected, rel=1e-9))
+    assert figures["drift_5m"] is not None
+
+
+@pytest.mark.parametrize("heading", [True, False])
+def test_errors_along_and_across_are_by_the_way_the_robot_goes(heading: bool) -> None:
+    estimates, drive = wandering(heading)
+    assert drive.truth is not None
+    xy, found = drive.truth.xy, evaluate(estimates, drive)
+    tangent = np.gradient(xy[:, 0]) + 1j * np.gradient(xy[:, 1])
+    way = np.exp(1j * drive.truth.theta) if drive.truth.theta is not None else tangent / np.abs(tangent)
+    error = estimates.pose[:, :2] - xy
+    turned = (error[:, 0] + 1j * error[:, 1]) / way
+    np.testing.assert_allclose(found.along_cross, np.column_stack((turned.real, turned.imag)), atol=1e-12)
+    assert found.figures["cross_rmse_m"] == pytest.approx(float(np.sqrt(np.mean(turned.imag**2))))
+    assert found.figures["final_position_error_m"] == pytest.approx(float(abs(turned[-1])))
+
+
+def test_where_a_robot_rests_the_way_is_that_in_which_it_came() -> None:
+    estimates, drive = wandering(False)
+    assert drive.truth is not None
+    xy = np.column_stack((np.append(np.arange(50.0), np.full(40, 49.0)), np.full(90, 2.0)))
+    pose = np.column_stack((xy + np.array([0.3, 0.4]), np.zeros(90)))
+    truth = replace(drive.truth, xy=xy)
+    found = evaluate(replace(estimates, pose=pose, truth_pose=pose), replace(drive, truth=truth))
+    np.testing.assert_allclose(found.along_cross, np.tile([0.3, 0.4], (90, 1)), atol=1e-12)
+
+
+def test_a_truth_covers_the_time_of_the_drive_but_for_its_holes() -> None:
+    """22.25 s of stamps and 5 s without; then a hole of 40 s in the middle, whose other side is 22 s of stamps."""
+    whole = evaluate(*wandering(True)).figures
+    assert whole["duration_s"] == pytest.approx(27.25)
+    assert whole["truth_coverage"] == pytest.approx(22.25 / 27.25)
+    holed = evaluate(*wandering(True, gap=40)).figures
+    assert holed["duration_s"] == pytest.approx(67.25)
+    assert holed["truth_coverage"] == pytest.approx(22.0 / 67.25)
+
+
+def test_readings_are_counted_by_their_verdicts_and_the_mean_nis_is_of_those_accepted() -> None:
+    estimates, drive = wandering(True)
+    names = ["accepted"] * 3 + ["gate"] * 2 + ["new"] + ["repeated"] + ["ambiguous"]
+    verdict = np.array([VERDICTS.index(v) for v in names], np.int8)
+    n = len(verdict)
+    nis = np.array([1.0, 2.0, 6.0, 50.0, 60.0, 0.0, 0.0, 3.0])
+    joint = np.array([[3.0, 4.0], [9.0, 6.0]])
+    audit = Audit(
+        np.arange(n), np.arange(n), verdict, np.full(n, -1), nis, np.full(n, 9.2), np.zeros((n, 2)),
+        np.ones((n, 2)), joint,
+    )  # fmt: skip
+    m = Measurements(
+        np.arange(10.0), np.array([0, *range(9), 8]), np.zeros((8, 2)), np.ones((8, 2, 2)), 1.0, np.zeros((2, 2))
+    )
+    found = evaluate(replace(estimates, audits={"lrf": audit}), replace(drive, measurements={"lrf": m})).sensors
+    figures = found["lrf"]
+    assert (figures.accepted, figures.rejected) == (3, 3)
+    assert figures.nis == pytest.approx(3.0 / 2.0)
+    assert figures.joint_nis == pytest.approx(12.0 / 10.0)
+    assert figures.verdicts == {"accepted": 3, "gate": 2, "new": 1, "repeated": 1, "ambiguous": 1}

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 import re
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from textbook import numeric_jacobian
 
 from locfuse.cli.pipeline.load import make_robot
-from locfuse.fusion.data import ArrayStream, Column, Drive, Estimates
+from locfuse.fusion.data import ArrayStream, Column, Drive, Estimates, LocfuseError, Measurements, Ragged
+from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import Filter, fuse
 from locfuse.fusion.geodesy import east_north
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.gps import Gps, GpsSettings
+from locfuse.fusion.wheels.motion import Wheels
 from locfuse.sample_logs.extras import radii
 
 Array = NDArray[np.float64]
@@ -268,3 +273,128 @@ def test_a_short_drive_says_that_it_cannot_tell() -> None:
     assert "too short" in e.notes[0]
     assert np.isfinite(e.pose).all()
     assert np.hypot(*(e.pose[-1, :2] - fuse(drive, described, ()).pose[-1, :2])) < 0.2
+
+
+# --- what a fix is, and how good it claims to be
+
+STILL = Wheels.from_wheels(np.array([0.0, 100.0]), np.zeros(2), np.zeros(2), 0.5, 1e-4)
+
+
+def measured(columns: dict[str, Any], n: int = 4, **settings: Any) -> Measurements:
+    given: dict[str, Any] = {
+        "status.status": np.zeros(n, np.int8),
+        "latitude": np.full(n, ORIGIN[0]),
+        "longitude": np.full(n, ORIGIN[1]),
+        "position_covariance": np.zeros((n, 9)),
+        "position_covariance_type": np.full(n, 2, np.uint8),
+        **columns,
+    }
+    stream = ArrayStream("/fix", "sensor_msgs/msg/NavSatFix", T0 + np.arange(n) * 10**9, given)
+    return Gps().measure(stream, GpsSettings(**settings), STILL, T0)
+
+
+def test_the_covariance_of_a_fix_is_the_receivers_where_it_is_one() -> None:
+    """Row-wise (3, 3) of east, north, up. Told to half a millimetre, not finite or not positive it is none."""
+    own = np.array([[4.0, 1.0, 0.5], [1.2, 9.0, 0.7], [0.5, 0.7, 20.0]])
+    rows = np.tile(own.ravel(), (6, 1))
+    rows[1, 0], rows[2, 4] = 0.0005**2, 0.0005**2
+    rows[3, 1] = math.nan
+    rows[4, [1, 3]] = 7.0  # more than two sigmas allow
+    rows[5] = np.diag([0.002**2, 0.003**2, 1.0]).ravel()
+    R = measured({"position_covariance": rows}, 6, sigma=2.5).R
+    np.testing.assert_allclose(R[0], [[4.0, 1.1], [1.1, 9.0]])
+    np.testing.assert_allclose(R[1:5], np.tile(2.5**2 * np.eye(2), (4, 1, 1)))
+    np.testing.assert_allclose(R[5], np.diag([0.002**2, 0.003**2]))
+
+
+def test_covariances_of_another_length_are_none() -> None:
+    nine = np.diag([4.0, 9.0, 1.0]).ravel()
+    column = Ragged(np.concatenate((nine, [1.0, 2.0], 4.0 * nine)), np.array([0, 9, 11, 11, 20]))
+    R = measured({"position_covariance": column}, sigma=2.5).R
+    np.testing.assert_allclose(R[0], np.diag([4.0, 9.0]))
+    np.testing.assert_allclose(R[3], np.diag([16.0, 36.0]))
+    np.testing.assert_allclose(R[1:3], np.tile(2.5**2 * np.eye(2), (2, 1, 1)))
+
+
+def test_a_latitude_beyond_the_poles_is_nowhere() -> None:
+    m = measured({"latitude": np.array([89.0, 90.5, -89.0, -90.5]), "longitude": np.full(4, 10.0)})
+    assert m.dropped == {"nowhere": 2}
+    m = measured({"latitude": np.array([0.0, 0.0, 10.0, 10.0]), "longitude": np.array([0.0, 10.0, 0.0, 10.0])})
+    assert m.dropped == {"nowhere": 1}
+    with pytest.raises(LocfuseError, match=r"no fix in 4 messages \(4 nowhere\)"):
+        measured({"latitude": np.zeros(4), "longitude": np.zeros(4)})
+
+
+def test_a_tie_that_nobody_knows_is_a_direction_on_a_circle_and_a_place_within_a_hundred_metres() -> None:
+    """Cosine and sine of an angle that may be anything have the variance 1/2."""
+
+    def begins(**settings: Any) -> tuple[list[float], list[float]]:
+        (block,) = Gps().model(GpsSettings(**settings)).blocks()
+        assert not block.drift.any()
+        return block.x.tolist(), np.diag(block.P).tolist()
+
+    assert begins() == ([0.0] * 4, [0.5, 0.5, 100.0**2, 100.0**2])
+    assert begins(origin=ORIGIN) == ([0.0] * 4, [0.5, 0.5, 0.0, 0.0])
+    assert begins(east_deg=30.0) == ([math.radians(30.0), 1.0, 0.0, 0.0], [0.0, 0.0, 100.0**2, 100.0**2])
+
+
+def tied(length: float, east: float, sigma: float) -> tuple[JointBelief, Any]:
+    """A belief whose tie has a direction known to sigma [rad], and its length to a tenth."""
+    model = Gps().model(GpsSettings())
+    belief = JointBelief((1.0, 2.0, 0.3), (0.01, 0.0, 0.0, 0.01, 0.0, 0.02), model.blocks())
+    first = belief.block("_gps_frame")[0]
+    c, s = math.cos(east), math.sin(east)
+    turned = np.array([[c, -s], [s, c]])
+    belief.state[first : first + 4] = length * c, length * s, 3.0, -4.0
+    belief.covariance[first : first + 2, first : first + 2] = (
+        turned @ np.diag([0.01, (length * sigma) ** 2]) @ turned.T
+    )
+    return belief, model
+
+
+@pytest.mark.parametrize(
+    ("length", "sigma_deg", "known"), [(0.9, 9.0, True), (0.9, 11.0, False), (0.55, 9.0, True), (0.45, 1.0, False)]
+)
+def test_a_direction_known_to_ten_degrees_becomes_a_state_and_its_cosine_and_sine_lie_on_the_circle(
+    length: float, sigma_deg: float, known: bool
+) -> None:
+    belief, model = tied(length, 2.4, math.radians(sigma_deg))
+    first, n = belief.block("_gps_frame")[0], belief.n
+    belief.covariance[:2, first : first + 2] = 1e-3  # the robot's place has to do with it
+    belief.covariance[first : first + 2, :2] = 1e-3
+    x, P = belief.state.copy(), belief.covariance.copy()
+    model.learn(cast("Any", None), 0, belief)
+    assert model.known is known
+    if not known:
+        np.testing.assert_array_equal(belief.state, x)
+        return
+
+    def by_angle(x: Array) -> Array:
+        a, b = x[first : first + 2]
+        return np.concatenate((x[:first], [math.atan2(b, a), math.hypot(a, b)], x[first + 2 :]))
+
+    J = numeric_jacobian(by_angle, x)
+    x, P = by_angle(x), J @ P @ J.T
+    h = np.eye(n)[first + 1]  # the length is one, to a ten thousandth
+    K = P @ h / (h @ P @ h + 1e-8)
+    np.testing.assert_allclose(belief.state, x + K * (1.0 - length), atol=1e-7)
+    np.testing.assert_allclose(belief.covariance, P - np.outer(K, h @ P), atol=1e-7)
+    model.learn(cast("Any", None), 1, belief)
+    sigma = math.degrees(math.sqrt(belief.covariance[first, first]))
+    assert model.notes(belief) == [
+        f"east lies {math.degrees(belief.state[first]):.1f} deg (1 sigma: {sigma:.1f}) from the map's x axis "
+        "(gps.east_deg)"
+    ]
+
+
+@pytest.mark.parametrize("lever", [(0.0, 0.0), (2.0, -1.5)])
+def test_a_fix_is_where_the_antenna_is_seen_from_the_origin_in_axes_of_east_and_north(
+    lever: tuple[float, float],
+) -> None:
+    model = Gps().model(GpsSettings(origin=ORIGIN, east_deg=40.0, x=lever[0], y=lever[1]))
+    pose = (5.0, -3.0, 0.8)
+    m = measured({"latitude": np.full(4, ORIGIN[0] + 1e-5)}, origin=ORIGIN)
+    (seen,) = model.innovations(m, 0, JointBelief(pose, (0.01, 0.0, 0.0, 0.01, 0.0, 0.02)))
+    antenna = complex(*pose[:2]) + complex(*lever) * cmath.exp(1j * pose[2])
+    expected = complex(*m.z[0]) - antenna * cmath.exp(-1j * math.radians(40.0))
+    assert complex(*seen.y) == pytest.approx(expected)

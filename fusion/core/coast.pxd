@@ -1,4 +1,5 @@
 cdef Py_ssize_t HEARD, DONE, BEFORE, AFTER
+cdef double FINE
 
 cpdef double coast(
     Belief b, Wheels m, Headings h, Scans s, Walls w, Seat seat, Rules rule, Way way, Desk d, Notes notes,

@@ -7,6 +7,7 @@ from .filter import AT_ONCE, correct, locate, move, swing, whiten
 from .fit import wrapped
 from .scans import MATCHED, NOTHING, columns_of, look, state, teach
 
+FINE = 1.0  # returned where no correction failed: only its sign is read
 HEARD = 4  # columns of what is told of a reading: verdict, NIS, y, sigma
 DONE, BEFORE, AFTER = (
     0,
@@ -19,7 +20,7 @@ def coast(b, m, h, s, w, seat, rule, way, d, notes, progress, last, reading):
     """Predict (eq. 5-7) from the instant of `progress` until `last`, and correct by all that is due (eq. 10-12).
 
     `reading` is the first heading that is due; `progress` says where and why this stopped. Returns what `whiten`
-    does where a correction failed, else 1.
+    does where a correction failed, else FINE.
     """
     i = reading
     for k in range(progress.instant, last):
@@ -30,7 +31,7 @@ def coast(b, m, h, s, w, seat, rule, way, d, notes, progress, last, reading):
             kind = look(b, s, scan, w, seat, rule, progress, d)
             if kind < 0:
                 progress.why = BEFORE
-                return 1.0
+                return FINE
             progress.scan += 1
         taken = False
         if i < h.readings and h.when[i] == k:
@@ -46,12 +47,12 @@ def coast(b, m, h, s, w, seat, rule, way, d, notes, progress, last, reading):
                 return greatest
         if kind == MATCHED and teach(b, s, scan, w, rule, way, progress, d):
             progress.why = AFTER
-            return 1.0
+            return FINE
         note(
             b.x, b.P, b.frame, notes.room, k, notes.pose, notes.triangle, notes.columns, notes.blocks, notes.values
         )
     progress.instant, progress.why = last, DONE
-    return 1.0
+    return FINE
 
 
 def roll(b, m, progress, k):
@@ -89,7 +90,7 @@ def correct_by(b, s, scan, accepted, h, i, taken, seat, rule, d):
 
     Without lines the heading is what `compare` has just whitened.
     """
-    greatest, m = 1.0, 2 * accepted
+    greatest, m = FINE, 2 * accepted
     if accepted > 0:
         width = columns_of(accepted, seat, rule)
         if taken:

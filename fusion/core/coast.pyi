@@ -1,6 +1,7 @@
 from .arrays import Floats, Matrix, Wholes
 from .tables import Belief, Desk, Headings, Notes, Progress, Rules, Scans, Seat, Walls, Way, Wheels
 
+FINE: float
 HEARD: int
 DONE: int
 BEFORE: int

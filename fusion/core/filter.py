@@ -107,7 +107,7 @@ def correct(x, P, n, V, e, m):
             a, b, c, d = V[k, i], V[k + 1, i], V[k + 2, i], V[k + 3, i]
             for j in range(i, n):
                 P[i, j] -= a * V[k, j] + b * V[k + 1, j] + c * V[k + 2, j] + d * V[k + 3, j]
-        for j in range(i + 1, n):
+        for j in range(i, n):
             P[j, i] = P[i, j]
 
 

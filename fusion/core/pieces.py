@@ -53,7 +53,7 @@ def ring_start(d, x, y, k, growth, max_gap):
 
     The one behind the widest gap; where there is none, the farthest, and then -1 - it: the ring is closed.
     """
-    best = -1.0
+    best = 0.0
     start = 0
     for i in range(k):
         before = i - 1 if i > 0 else k - 1
@@ -95,7 +95,7 @@ def farthest(x, y, tolerance, begin, end):
     dx, dy = x[end - 1] - x[begin], y[end - 1] - y[begin]
     length = sqrt(dx * dx + dy * dy)
     if length == 0.0:  # one point, or a loop that closes exactly: any direction will do
-        length, dy = 1.0, -1.0
+        length, dy = 1.0, 1.0
     nx, ny = -dy / length, dx / length
     offset = nx * x[begin] + ny * y[begin]
     worst, at = 1.0, -1
@@ -140,7 +140,7 @@ def moments(d, ux, uy, x, y, first, pieces, sigma_range, sigma_angle, flatness, 
         dx, dy = x[end - 1] - x[begin], y[end - 1] - y[begin]
         length = sqrt(dx * dx + dy * dy)
         if length == 0.0:
-            length, dy = 1.0, -1.0
+            length, dy = 1.0, 1.0
         nx, ny = -dy / length, dx / length
         w = sx = sy = sxx = sxy = syy = 0.0
         for i in range(begin, end):

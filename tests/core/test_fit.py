@@ -195,6 +195,7 @@ def test_a_beam_along_the_wall_has_no_weight_and_all_beams_in_one_point_no_direc
     core.residuals([1.0] * 3, [0.0] * 3, [1.0] * 3, [0.0] * 3, [0.0] * 3, [0, 1, 2], 3, 1.0, 0.0, 0.1, e, q, w)
     assert max(w) < 1e-290
     assert core.keep_clear([0, 1, 2], 3, e, q, w, -1e6, 1e6) == 0
+    assert abs(core.foot_of([0.0], [1.0], [0.0], [0.0], 0, 1.0, 0.0)) > 1e100
     core.residuals([1.0] * 3, [1.0] * 3, [0.0] * 3, [0.0] * 3, [0.0] * 3, [0, 1, 2], 3, 1.0, 0.0, 0.1, e, q, w)
     core.normal_equations(3, e, q, w, sums)
     assert core.singular(sums)
@@ -205,6 +206,9 @@ def test_a_stray_leaves_unless_too_few_would_stay() -> None:
     assert core.leave_strays(row, 4, e, [0.0] * 4, [1.0] * 4, 0.01, 4) == 4
     assert core.leave_strays(row, 4, e, [0.0] * 4, [1.0] * 4, 0.01, 3) == 3
     assert row[:3] == [0, 2, 3]
+    e, row = [0.2, 0.05, 0.02, 0.09], [0, 1, 2, 3]  # of weights 0.1, 10, 30 and 1: 0.004, 0.025, 0.012, 0.0081
+    assert core.leave_strays(row, 4, e, [0.0] * 4, [0.1, 10.0, 30.0, 1.0], 0.01, 2) == 2
+    assert row[:2] == [0, 3]
 
 
 def moments(points: Array, weights: Array) -> list[float]:
@@ -247,3 +251,120 @@ def test_beams_that_meet_a_line_in_one_point_give_no_direction(
     w = np.full(361, weight)
     sums = [float(w.sum()), float(w @ q), float(w @ (q * q)), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     assert core.singular(sums) is one_point
+
+
+# --- one step, against NumPy's least squares
+
+
+def random_fit(seed: int) -> tuple[Array, Array, Array, list[float]]:
+    """Distances e [m] at feet q [m] with weights w, and the sums of one step."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(4, 40))
+    e, q, w = rng.normal(0.0, 0.05, n), rng.uniform(-1.0, 3.0, n), rng.uniform(0.2, 1.0, n)
+    e += 0.04 * q * q
+    sums = [0.0] * 9
+    core.normal_equations(n, e.tolist(), q.tolist(), w.tolist(), sums)
+    core.parabola(n, e.tolist(), q.tolist(), w.tolist(), sums)
+    return e, q, w, sums
+
+
+def solved(e: Array, w: Array, *columns: Array) -> tuple[Array, float]:
+    """Weighted least squares of e by columns: the coefficients, and what is left of the sum of squares."""
+    A = np.column_stack(columns)
+    x = np.linalg.lstsq(np.sqrt(w)[:, None] * A, np.sqrt(w) * e, rcond=None)[0]
+    return x, float(w @ (e - A @ x) ** 2)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_step_and_what_it_leaves_are_those_of_least_squares(seed: int) -> None:
+    """The distance is e - dr + q dpsi; beside a line, a parabola has one coefficient more."""
+    e, q, w, sums = random_fit(seed)
+    one = np.ones_like(q)
+    (r, psi), left = solved(e, w, one, -q)
+    assert (core.step_r(sums), core.step_psi(sums)) == pytest.approx((r, psi))
+    assert core.misfit_of(sums) == pytest.approx(left)
+    x, bent = solved(e, w, one, -q, q * q)
+    assert core.curvature(sums) == pytest.approx(x[2])
+    assert core.bend(sums) == pytest.approx(left - bent)
+    alone = solved(q * q, w, one, q)[1]
+    assert core.stiffness(sums) == pytest.approx(alone)
+
+
+def test_what_least_squares_leave_is_never_negative() -> None:
+    """On a line to rounding, which may leave less than nothing."""
+    q = np.linspace(-1.0, 2.0, 50)
+    for slope in np.linspace(0.1, 3.0, 40):
+        sums, n = [0.0] * 9, len(q)
+        core.normal_equations(n, (0.3 + slope * q).tolist(), q.tolist(), [1.0] * n, sums)
+        assert 0.0 <= core.misfit_of(sums) < 1e-11
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_piece_of_a_metre_is_bent_where_its_parabola_explains_much_and_stands_high_over_the_chord(
+    seed: int,
+) -> None:
+    """A parabola k q^2 is k / 4 high over a chord of 1 m."""
+    rng = np.random.default_rng(seed)
+    q, w, variance, k = np.linspace(0.3, 1.3, 30), rng.uniform(0.2, 1.0, 30), 0.01**2, 0.4
+    e, sums = k * q * q + rng.normal(0.0, 0.01, 30), [0.0] * 9
+    core.normal_equations(30, e.tolist(), q.tolist(), w.tolist(), sums)
+    core.parabola(30, e.tolist(), q.tolist(), w.tolist(), sums)
+    one = np.ones_like(q)
+    (_, _, k), bent = solved(e, w, one, q, q * q)
+    gain, bow = (solved(e, w, one, q)[1] - bent) / variance, abs(k) / 4.0
+    for less in (0.99, 1.01):
+        assert bool(core.is_bent(sums, 1.0, variance, less * gain, 0.5 * bow)) is (less < 1.0)
+        assert bool(core.is_bent(sums, 1.0, variance, 0.5 * gain, less * bow)) is (less < 1.0)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_piece_is_vague_where_its_direction_or_the_swing_of_its_foot_is(seed: int) -> None:
+    """Sigma of the direction by the inverse of the normal equations; the foot moves by r/2 sigma^2."""
+    _, q, w, sums = random_fit(seed)
+    A = np.column_stack((-np.ones_like(q), q))
+    variance, r = 0.03**2, 3.0
+    sigma = math.sqrt(np.linalg.inv((w[:, None] * A).T @ A)[1, 1] * variance)
+    swing = 0.5 * r * sigma**2 / math.sqrt(variance / w.sum())
+    for less in (0.99, 1.01):
+        assert core.is_vague(sums, r, variance, less * sigma, 2.0 * swing) is (less < 1.0)
+        assert core.is_vague(sums, r, variance, 2.0 * sigma, less * swing) is (less < 1.0)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_the_foot_and_the_distance_of_a_return_are_those_of_the_ray_and_the_line(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    r, psi, ratio = rng.uniform(0.5, 3.0), rng.uniform(-3.0, 3.0), 0.15
+    n, t = np.array([math.cos(psi), math.sin(psi)]), np.array([-math.sin(psi), math.cos(psi)])
+    angle = psi + rng.uniform(-1.2, 1.2, 5)
+    u, o, d = (
+        np.column_stack((np.cos(angle), np.sin(angle))),
+        rng.normal(0.0, 0.3, (5, 2)),
+        rng.uniform(1.0, 4.0, 5),
+    )
+    columns = [column.tolist() for column in (*u.T, *o.T)]
+    e, q, w = [0.0] * 5, [0.0] * 5, [0.0] * 5
+    core.residuals(d.tolist(), *columns, list(range(5)), 5, r, psi, ratio, e, q, w)
+    for i in range(5):
+        p, foot = np.linalg.solve(np.column_stack((u[i], -t)), r * n - o[i])  # the ray o + p u meets r n + foot t
+        assert q[i] == pytest.approx(foot)
+        assert core.foot_of(*columns, i, r, psi) == pytest.approx(foot)
+        assert e[i] == pytest.approx(n @ (o[i] + d[i] * u[i]) - r)
+        cosine = float(n @ u[i])
+        across = ratio * p * math.sqrt(1.0 - cosine**2)  # what s_phi moves the end along the normal, over s_d
+        assert w[i] == pytest.approx(1.0 / (across**2 + cosine**2))
+
+
+@pytest.mark.parametrize("angle", [0.0, 3.0, -3.0, math.pi, -math.pi, 4.0, -4.0, 9.0, -100.0, 1e4])
+def test_an_angle_is_wrapped_into_half_a_turn_to_either_side(angle: float) -> None:
+    found = core.wrapped(angle)
+    assert -math.pi <= found < math.pi
+    assert math.sin(found - angle) == pytest.approx(0.0, abs=1e-9)
+    assert math.cos(found - angle) == pytest.approx(1.0)
+
+
+def test_returns_with_feet_beyond_either_end_are_left_out() -> None:
+    row, e, q, w = [4, 5, 6, 7], [0.1, 0.2, 0.3, 0.4], [-1.0, 0.0, 1.0, 2.0], [1.0, 2.0, 3.0, 4.0]
+    assert core.keep_clear(row, 4, e, q, w, -0.5, 1.0) == 2
+    assert (row[:2], e[:2], q[:2], w[:2]) == ([5, 6], [0.2, 0.3], [0.0, 1.0], [2.0, 3.0])
+    assert core.rows_of([0, 3, 7], [2, 5, 9], 1, 3, row) == 4
+    assert row == [3, 4, 7, 8]

@@ -258,6 +258,16 @@ def test_two_headings_at_one_instant_share_one_prior() -> None:
     assert_same(fuse(drive, robot, ["compass"]), instant_by_instant(drive, robot, ["compass"]))
 
 
+def test_a_heading_at_the_very_instant_of_a_scan_is_taken_with_it() -> None:
+    drive, robot = drive_of({}, seconds=3.0)
+    when, scans = drive.instant["compass"].copy(), drive.instant["lrf"]
+    nearest = np.searchsorted(when, scans).clip(0, len(when) - 1)
+    when[nearest] = scans
+    assert (np.diff(when) >= 0).all()
+    drive.instant["compass"] = when
+    assert_same(fuse(drive, robot, ["compass", "lrf"]), instant_by_instant(drive, robot, ["compass", "lrf"]))
+
+
 def test_what_the_core_does_not_know_is_left_to_the_loop() -> None:
     """Wheel parameters as states, refused readings that are kept with more noise, readings that only listen."""
     for settings, sensors in (

@@ -22,13 +22,12 @@ def into_base(rows, lines, x, y, yaw, out):
                 out[i, j] = psi - psi
             continue
         c, s = cos(psi), sin(psi)
-        r, u, side = rows[i, 0] + x * c + y * s, y * c - x * s, 1.0
+        r, u = rows[i, 0] + x * c + y * s, y * c - x * s
+        cross, begin, end = rows[i, 3] + u * rows[i, 4], rows[i, 5] + u, rows[i, 6] + u
+        out[i, 2], out[i, 4] = rows[i, 2] + u * (rows[i, 3] + cross), rows[i, 4]
         if r < 0.0:
-            side, psi = -1.0, psi + pi
-        cross = rows[i, 3] + u * rows[i, 4]
-        begin, end = (rows[i, 5] + u) * side, (rows[i, 6] + u) * side
-        out[i, 0], out[i, 1] = r * side, wrapped(psi)
-        out[i, 2], out[i, 3], out[i, 4] = rows[i, 2] + u * (rows[i, 3] + cross), cross * side, rows[i, 4]
+            r, psi, cross, begin, end = -r, psi + pi, -cross, -begin, -end
+        out[i, 0], out[i, 1], out[i, 3] = r, wrapped(psi), cross
         out[i, 5], out[i, 6] = min(begin, end), max(begin, end)
 
 
@@ -51,12 +50,13 @@ def shares_into_base(rows, lines, parts, x, y, yaw, shared, first, out):
         c = s = psi - psi
         if c == 0.0:
             c, s = cos(psi), sin(psi)
-        u, side = y * c - x * s, -1.0 if rows[i, 0] + x * c + y * s < 0.0 else 1.0
+        r, u = rows[i, 0] + x * c + y * s, y * c - x * s
         of_r = 2 * parts * i
         of_psi = of_r + parts
         for k in range(parts):
             turn = shared[first + of_psi + k]
-            out[of_r + k], out[of_psi + k] = side * (shared[first + of_r + k] + u * turn), turn
+            moves = shared[first + of_r + k] + u * turn
+            out[of_r + k], out[of_psi + k] = -moves if r < 0.0 else moves, turn
 
 
 def behind(rows, lines, samples, walls, m, x, y, theta, both, near, margin, grazing, normal, out):

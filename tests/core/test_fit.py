@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import pytest
@@ -272,7 +272,7 @@ def solved(e: Array, w: Array, *columns: Array) -> tuple[Array, float]:
     """Weighted least squares of e by columns: the coefficients, and what is left of the sum of squares."""
     A = np.column_stack(columns)
     x = np.linalg.lstsq(np.sqrt(w)[:, None] * A, np.sqrt(w) * e, rcond=None)[0]
-    return x, float(w @ (e - A @ x) ** 2)
+    return np.asarray(x, np.float64), float(w @ (e - A @ x) ** 2)
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -342,12 +342,13 @@ def test_the_foot_and_the_distance_of_a_return_are_those_of_the_ray_and_the_line
         rng.uniform(1.0, 4.0, 5),
     )
     columns = [column.tolist() for column in (*u.T, *o.T)]
+    residuals, foot_of = cast("Any", core.residuals), cast("Any", core.foot_of)
     e, q, w = [0.0] * 5, [0.0] * 5, [0.0] * 5
-    core.residuals(d.tolist(), *columns, list(range(5)), 5, r, psi, ratio, e, q, w)
+    residuals(d.tolist(), *columns, list(range(5)), 5, r, psi, ratio, e, q, w)
     for i in range(5):
         p, foot = np.linalg.solve(np.column_stack((u[i], -t)), r * n - o[i])  # the ray o + p u meets r n + foot t
         assert q[i] == pytest.approx(foot)
-        assert core.foot_of(*columns, i, r, psi) == pytest.approx(foot)
+        assert foot_of(*columns, i, r, psi) == pytest.approx(foot)
         assert e[i] == pytest.approx(n @ (o[i] + d[i] * u[i]) - r)
         cosine = float(n @ u[i])
         across = ratio * p * math.sqrt(1.0 - cosine**2)  # what s_phi moves the end along the normal, over s_d

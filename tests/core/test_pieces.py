@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -91,7 +92,7 @@ def test_returns_are_gathered_once_round_with_their_directions_and_ends(begin: i
     ranges[[85, 100]] = math.nan, math.inf
     ranges[[90, 91]] = 0.5, 5.0  # the ends: [0.5, 5)
     angle, x0, y0 = np.linspace(-3.0, 3.0, beams + 5), rng.normal(size=beams + 5), rng.normal(size=beams + 5)
-    out = [[0.0] * beams for _ in range(8)]
+    out: Any = [[0.0] * beams for _ in range(8)]
     k = pieces.gather(
         ranges.tolist(), np.cos(angle).tolist(), np.sin(angle).tolist(), x0.tolist(), y0.tolist(), scan, column,
         beams, begin, 0.5, 5.0, *out,
@@ -157,8 +158,8 @@ def test_points_count_by_their_variance_across_the_chord_of_their_piece(seed: in
     u = np.column_stack((np.cos(angle), np.sin(angle)))
     p = d[:, None] * u
     first, m = [0, 12, 30], [0.0] * 12
-    columns = [column.tolist() for column in (d, *u.T, *p.T)]
-    pieces.moments(*columns, first, 2, 0.02, 0.01, 0.005, m)
+    columns, moments = [column.tolist() for column in (d, *u.T, *p.T)], cast("Any", pieces.moments)
+    moments(*columns, first, 2, 0.02, 0.01, 0.005, m)
     for piece, at in enumerate((slice(0, 12), slice(12, 30))):
         chord = p[at][-1] - p[at][0]
         n = np.array([-chord[1], chord[0]]) / np.linalg.norm(chord)

@@ -82,7 +82,7 @@ def test_a_scan_and_a_heading_of_one_instant_correct_together(
     assert core.correct_by(b, s, 1, accepted, h, 1, taken, table(free=free), joint, d) > 0.0
     np.testing.assert_allclose(b.x, book.x, atol=1e-12)
     np.testing.assert_allclose(b.P, book.P if frame < 0 else swung(book.x, book.P, before), atol=1e-12)
-    np.testing.assert_allclose(s.joint[1], [fit, m] if accepted > 1 else [0.0, 0.0])
+    np.testing.assert_allclose(s.joint[1], np.array([fit, m]) if accepted > 1 else np.zeros(2))
     assert not s.joint[[0, 2]].any()
 
 
@@ -158,8 +158,8 @@ def test_a_stretch_without_scans_is_the_textbooks_instant_by_instant_and_notes_e
         values=np.zeros((n, 4)),
     )  # fmt: skip
     progress: Any = table(instant=1, why=-1, scan=0, x=0.0, y=0.0, theta=0.0)
-    none = table(scans=0)
-    assert core.coast(b, m, h, none, None, table(free=0), None, None, d, notes, progress, n, 0) > 0.0
+    none, no = table(scans=0), table()
+    assert core.coast(b, m, h, none, no, table(free=0), no, no, d, notes, progress, n, 0) > 0.0
     assert (progress.instant, progress.why) == (n, core.DONE)
     H, upper = np.eye(N)[[2]] + np.eye(N)[[OFFSET]], np.triu_indices(3)
     for k in range(1, n):
@@ -175,4 +175,4 @@ def test_a_stretch_without_scans_is_the_textbooks_instant_by_instant_and_notes_e
     assert not notes.pose[0].any()
     h.r[0] = -1.0  # a correction that fails says so
     progress.instant = 1
-    assert not core.coast(b, m, h, none, None, table(free=0), None, None, d, notes, progress, n, 0) > 0.0
+    assert not core.coast(b, m, h, none, no, table(free=0), no, no, d, notes, progress, n, 0) > 0.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -133,7 +134,7 @@ def test_a_drive_lasts_from_its_first_instant_to_its_last_and_is_as_long_as_its_
 def wandering(heading: bool, n: int = 90, gap: int | None = None) -> tuple[Estimates, Drive]:
     """A robot on a winding path of about 18 m, and an estimate that drifts; the truth may have a hole."""
     rng = np.random.default_rng(8)
-    t = 7.0 + 0.25 * np.arange(n)
+    t: Any = 7.0 + 0.25 * np.arange(n)
     if gap is not None:
         t[gap:] += 40.0
     steps = np.column_stack((rng.uniform(0.1, 0.3, n - 1), np.zeros(n - 1), rng.normal(0.0, 0.2, n - 1)))

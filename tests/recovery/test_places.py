@@ -157,6 +157,27 @@ def test_a_hypothesis_lays_both_walls_onto_theirs_and_shares_what_their_angles_m
         assert np.abs(poses - expected).max(axis=1).min() < 1e-12
 
 
+@FORMS
+def test_every_two_seen_walls_lie_on_every_two_known_ones_at_their_angle(
+    interpreted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Within five degrees; of two walls that differ by less than 25 nothing is made."""
+    take(interpreted, monkeypatch)
+    total = 0
+    for seed in SEEDS:
+        scan, lines, values, _ = known_scene(seed)
+        psi, beta, count = scan.z[:, 1], values[:, 1], 0
+        longest = np.argsort(-(scan.ends[:, 1] - scan.ends[:, 0]), kind="stable")[:5]
+        for i, a in enumerate(longest):
+            for b in longest[i + 1 :]:
+                if abs(math.sin(psi[b] - psi[a])) >= math.sin(math.radians(25.0)):
+                    apart = beta[None, :] - beta[:, None] - (psi[b] - psi[a])
+                    count += int((np.abs(se2.wrap_all(apart)) < math.radians(5.0)).sum())
+        assert len(hypotheses(scan, lines, values, np.arange(len(lines)))) == count
+        total += count
+    assert total > 200
+
+
 def test_both_forms_give_the_same_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     for seed in SEEDS:
         scan, lines, values, pose = known_scene(seed)
@@ -184,12 +205,12 @@ def test_a_line_of_a_turned_laser_is_the_same_line_from_the_base(
     rows = np.column_stack(
         (rng.uniform(0.5, 4.0, 50), rng.uniform(-3, 3, 50), np.tile([1e-4, 0.0, 1e-6, -1.0, 1.0], (50, 1)))
     )
-    rows[7, 1] = math.nan
+    rows[7, 1], rows[8, 1] = math.nan, math.inf
     x, y, yaw = mount = (0.3, -0.2, 0.7)
     out = np.empty_like(rows)
     core.into_base(rows, len(rows), x, y, yaw, out)
-    assert np.isnan(out[7]).all()
-    for k in np.delete(np.arange(50), 7):
+    assert np.isnan(out[[7, 8]]).all()
+    for k in np.delete(np.arange(50), [7, 8]):
         ends = np.array([point_on(rows[k], side) for side in (5, 6)])
         theirs = se2.transform(np.array(mount), ends)
         ours = np.array([point_on(out[k], side) for side in (5, 6)])

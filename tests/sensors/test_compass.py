@@ -145,7 +145,10 @@ def test_what_is_new_in_every_strength_is_the_spread_of_a_normal_distribution() 
     field = 2e-5 * (1.0 + 0.02 * np.random.default_rng(0).normal(size=20_000))
     field[777] = 2.2e-5
     axes = {"magnetic_field.x": field, "magnetic_field.y": np.zeros(len(field))}
-    m = measured(stream("/mag", "sensor_msgs/msg/MagneticField", np.arange(len(field)) * 0.1, axes), sigma_deg=0.1)
+    m = measured(
+        stream("/mag", "sensor_msgs/msg/MagneticField", np.arange(len(field)) * np.float64(0.1), axes),
+        sigma_deg=0.1,
+    )
     assert math.sqrt(m.R[777, 0, 0]) == pytest.approx(math.hypot(math.radians(0.1), 0.04), rel=0.05)
 
 

@@ -46,7 +46,12 @@ TESTS: dict[str, tuple[str, ...]] = {
     "fusion/core/filter.py": ("tests/core/test_filter.py", "tests/ekf", "tests/fusion/test_coast.py"),
     "fusion/core/coast.py": ("tests/core/test_stretch.py", "tests/fusion/test_coast.py"),
     "fusion/core/pairs.py": ("tests/linemap/test_pairing.py",),
-    "fusion/core/match.py": ("tests/linemap/test_association.py", "tests/sensors/test_lrf.py"),
+    "fusion/core/match.py": (
+        "tests/linemap/test_association.py",
+        "tests/linemap/test_prediction.py",
+        "tests/linemap/test_pairing.py",
+        "tests/sensors/test_lrf.py",
+    ),
     "fusion/core/places.py": ("tests/recovery/test_places.py", "tests/core/test_filter.py"),
     "fusion/core/fit.py": ("tests/core/test_fit.py", "tests/lines/test_lines.py"),
     "fusion/core/pieces.py": ("tests/core/test_pieces.py", "tests/lines/test_lines.py"),

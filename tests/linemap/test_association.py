@@ -7,25 +7,21 @@ import math
 import numpy as np
 import pytest
 from line_scene import scene, seated
+from textbook import numeric_jacobian
 
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array
+from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.rows import stacked, together
-from locfuse.fusion.linemap.association import (
-    AMBIGUOUS,
-    LONGEST,
-    OVERLAP,
-    ZONE,
-    Association,
-    Codes,
-    SeenLines,
-    associate,
-)
+from locfuse.fusion.linemap.association import Association, Codes, SeenLines, associate
+from locfuse.fusion.linemap.line_map import LineMap
 from locfuse.fusion.linemap.pairing import Pair
 from locfuse.fusion.linemap.scan import Scan
 from locfuse.fusion.sensor import Equation, Innovation
 
 COMMON = 0.05  # m of one map line that two measured lines may both claim
+AMBIGUOUS, ZONE = 6.0, 60.0  # 95 % of chi-square with 2 degrees; squared distance within which nothing is new
+OVERLAP, LONGEST = 0.3, 0.5  # share of a segment, of so many m at most
 CODES = Codes(3, 2, 4)
 GATES = [13.8, math.inf]
 
@@ -179,3 +175,95 @@ def test_a_scan_of_nothing_matches_nothing() -> None:
     assert (found.match, found.new(), found.share()) == ([], [], 1.0)
     seen = SeenLines(found, 0, lines.ids, 13.8, CODES, True, None)
     assert (len(seen), seen.accepted, list(seen)) == (0, 0, [])
+
+
+MOUNT = np.array([0.2, -0.3, 0.0])  # of `seated`, m
+
+
+def measured_less_predicted(z: Array, value: Array, away: Array, theta: float, moved: Array, side: float) -> Array:
+    """(r, psi) of a line z at the base, were the laser's mount moved, less those of a map line from a pose."""
+    psi = z[1] + moved[2]
+    at_laser = z[0] - MOUNT[0] * math.cos(z[1]) - MOUNT[1] * math.sin(z[1])
+    x, y = MOUNT[:2] + moved[:2]
+    r, (rho, beta) = at_laser + x * math.cos(psi) + y * math.sin(psi), value
+    return np.array([side * r - rho + away[0] * math.cos(beta) + away[1] * math.sin(beta), psi - beta + theta])
+
+
+@pytest.mark.parametrize("free", [(), (2,), (0, 1), (1, 2), (0, 1, 2)])
+@pytest.mark.parametrize("states", [False, True])
+def test_the_derivatives_of_a_scan_are_finite_differences_by_pose_lines_and_mount(
+    states: bool, free: tuple[int, ...]
+) -> None:
+    """What is measured moves with the laser's mount, what is predicted with the pose and the lines."""
+    sides = []
+    for seed in range(40):
+        scan, lines, belief = scene(seed, states)
+        scan = seated(scan, belief, free) if free else scan
+        mounted = [] if scan.seat is None else list(scan.seat.columns)
+        found = associate(scan, lines, belief, 60.0)
+        equation = SeenLines(found, 0, lines.ids, 60.0, CODES, states, None).equation()
+        H = over_states(equation, belief.n)[1]
+        for k, pair in enumerate(found.matched()):
+            j, z, x = pair.which, scan.z[pair.line], belief.state.copy()
+            own = [int(lines.column[j]), int(lines.column[j]) + 1] if states else []
+            side, columns = math.copysign(1.0, math.cos(pair.psi - z[1])), [0, 1, 2, *own, *mounted]
+
+            def y(v: Array) -> Array:
+                now, moved = x.copy(), np.zeros(3)  # noqa: B023
+                now[columns] = v  # noqa: B023
+                moved[list(free)] = (now - x)[mounted]  # noqa: B023
+                value, away = now[own] if states else lines.value[j], now[:2] - lines.anchor[j]  # noqa: B023
+                return measured_less_predicted(z, value, away, float(now[2]), moved, side)  # noqa: B023
+
+            expected = np.zeros((2, belief.n))
+            expected[:, columns] = -numeric_jacobian(y, x[columns])
+            np.testing.assert_allclose(H[2 * k : 2 * k + 2], expected, atol=1e-7)
+            sides.append(side)
+    assert len(sides) > 20
+    assert -1.0 in sides
+
+
+def two_lines(offset: float, turn: float, sigma: tuple[float, float], others: int = 1) -> Association:
+    """A wall 2 m ahead seen off by so much, with such errors, from a pose that is known; and lines of no wall."""
+    lines, belief = LineMap(), JointBelief((0.0, 0.0, 0.0), (1e-18, 0.0, 0.0, 1e-18, 0.0, 1e-18))
+    lines.append(np.array([2.0, 0.0]), np.zeros(2), 1e-18 * np.eye(2), -1, (-1.0, 1.0), 0)
+    z = np.array([[2.0 + offset, turn], *[[1.0, 1.5]] * others])
+    R = np.tile(np.diag(np.square(sigma)), (len(z), 1, 1))
+    return associate(Scan(z, R, np.tile((-1.0, 1.0), (len(z), 1))), lines, belief, 13.8)
+
+
+@pytest.mark.parametrize(
+    ("offset", "turn_deg", "sigma_deg", "sigma", "believed"),
+    [
+        (0.01 * math.sqrt(4.9), 0.0, 1.0, 0.01, True),  # squared distance
+        (0.01 * math.sqrt(5.1), 0.0, 1.0, 0.01, False),
+        (0.0, 2.9, 2.0, 0.1, True),
+        (0.0, -3.1, 2.0, 0.1, False),
+        (0.145, 0.0, 1.0, 0.1, True),
+        (-0.155, 0.0, 1.0, 0.1, False),
+    ],
+)
+def test_a_lone_line_is_believed_where_it_fits_nearly_perfectly(
+    offset: float, turn_deg: float, sigma_deg: float, sigma: float, believed: bool
+) -> None:
+    """Within the squared distance 5, three degrees and 15 cm; a scan of one line has no others that failed."""
+    errors = sigma, math.radians(sigma_deg)
+    for others in (1, 0):
+        found = two_lines(offset, math.radians(turn_deg), errors, others)
+        assert found.match[0] == 0
+        found.refuse_alone()
+        assert (found.match[0] == 0) is (believed or not others)
+
+
+def test_lines_that_were_seen_bend_by_what_they_lack_of_their_unevenness() -> None:
+    """Up to the most that a scan may add; a line of which two pieces were seen bends once."""
+    for seed in range(40):
+        scan, lines, belief = scene(seed, True)
+        found = associate(scan, lines, belief, 60.0)
+        uneven, most = np.array([3e-3, 2e-2]), np.array([2e-3, 5e-3])
+        at, missing = found.bends(belief.covariance, uneven, most)
+        seen = list(dict.fromkeys(int(lines.column[pair.which]) for pair in found.matched()))
+        assert at.tolist() == [c + i for c in seen for i in (0, 1)]
+        variance = np.diag(belief.covariance)[at]
+        wanted = np.clip(np.tile(uneven, len(seen)) - variance, 0.0, np.tile(most, len(seen)))
+        np.testing.assert_allclose(missing, wanted, atol=1e-15)

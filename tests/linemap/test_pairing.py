@@ -56,7 +56,11 @@ def by_matrices(
             )
             near = abs(turn) < angle and abs(offset) < far
             if near and d2 <= limit and r > -3.0 * math.sqrt(S[0, 0]):
+                tangent = np.array([-s, c])
+                ends = tangent @ (dx, dy) + (scan.ends[i] if forward else -scan.ends[i][::-1])
+                common = min(ends[1], lines.hi[j]) - max(ends[0], lines.lo[j])
                 found[i, j] = {"y": e, "R": R, "S": S, "d2": np.array(d2), "score": d2 + np.log(np.linalg.det(S))}
+                found[i, j]["ends"] = np.array([*ends, common])
     return found
 
 
@@ -86,6 +90,7 @@ def test_pairs_are_those_that_matrices_give(states: bool, limit: float, free: tu
                 np.testing.assert_allclose(
                     getattr(pair, name), known[name][[0, 0, 1], [0, 1, 1]], rtol=1e-9, atol=1e-11
                 )
+            np.testing.assert_allclose((pair.lo, pair.hi, pair.overlap), known["ends"], atol=1e-11)
             assert pair.d2 == pytest.approx(known["d2"], rel=1e-7, abs=1e-9)
             assert pair.score == pytest.approx(known["score"], rel=1e-7, abs=1e-7)
             flipped += np.sign(pair.R[1]) != np.sign(scan.R[pair.line, 0, 1])
@@ -101,6 +106,13 @@ def test_ends_lie_along_the_map_line_and_overlap_where_the_segments_do() -> None
     scan = Scan(np.array([[2.0, 0.0]]), np.array([np.eye(2) * 1e-4]), np.array([[-1.5, 1.0]]))  # y from -1 to 1.5
     (pair,) = in_both_forms(scan, lines, belief, 60.0)
     assert (pair.lo, pair.hi, pair.overlap) == pytest.approx((-2.0, 0.5, 1.5))
+    beyond = JointBelief(
+        (2.1, 0.5, 0.0), UPPER
+    )  # by less than is known of the pose, so that the line lies behind it
+    scan_of_it = Scan(np.array([[0.1, math.pi]]), scan.R, np.array([[-1.5, 0.8]]))  # y from -0.3 to 2
+    (pair,) = in_both_forms(scan_of_it, lines, beyond, 60.0)
+    assert pair.y == pytest.approx((0.0, 0.0))
+    assert (pair.lo, pair.hi, pair.overlap) == pytest.approx((-1.3, 1.0, 2.0))
     behind = JointBelief((4.0, 0.5, math.pi), UPPER)  # sees the other face
     assert in_both_forms(scan, lines, behind, math.inf) == []
 

@@ -51,8 +51,12 @@ def test_a_line_that_is_no_state_spreads_by_the_pose_and_by_what_is_known_of_it(
     found = lines.predict(which, lines.values(belief), belief)
     for j in which:
         anchor, value = lines.anchor[j], lines.value[j]
-        by_pose = numeric_jacobian(lambda p, v=value, a=anchor: seen(p, v, a), pose)
-        by_line = numeric_jacobian(lambda v, p=pose, a=anchor: seen(p, v, a), value)
+
+        def of(x: Array, anchor: Array = anchor) -> Array:
+            return seen(x[:3], x[3:], anchor)
+
+        H = numeric_jacobian(of, np.concatenate((pose, value)))
+        by_pose, by_line = H[:, :3], H[:, 3:]
         S = by_pose @ belief.matrix() @ by_pose.T + by_line @ lines.P[j] @ by_line.T
         np.testing.assert_allclose(found.spread[j], S, rtol=1e-5, atol=1e-7 * np.abs(S).max())
 

@@ -152,8 +152,11 @@ def bend(sums):
 
 
 def is_bent(sums, extent, variance, max_bend, max_bow):
-    """Tell whether a parabola explains so much of the misfit, and is so high, that this is no straight wall."""
-    bow = abs(curvature(sums) * extent) / 4.0  # height over the chord [m]
+    """Tell whether a parabola explains so much of the misfit, and is so high, that this is no straight wall.
+
+    `max_bow` is a share of the chord `extent` [m]: k q^2 is k extent^2 / 4 high over it.
+    """
+    bow = abs(curvature(sums) * extent) / 4.0  # height / chord
     return bend(sums) > max_bend * variance and bow > max_bow
 
 

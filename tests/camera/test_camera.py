@@ -28,6 +28,8 @@ from locfuse.fusion.data import VERDICTS, ArrayStream, LocfuseError, Measurement
 from locfuse.fusion.doctor.preview import preview
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.se2 import wrap, wrap_all
+from locfuse.fusion.sensor import Innovation
+from locfuse.fusion.sensors import camera
 from locfuse.fusion.sensors.camera import Camera, CameraSettings
 
 LENS = Lens()
@@ -104,7 +106,9 @@ def test_every_picture_is_a_reading_with_one_row_per_candidate() -> None:
     np.testing.assert_allclose(errors_deg(m, 30.0, -20.0, 80.0), 0.0, atol=0.15)
     assert m.dropped == {}
     sigma = np.degrees(np.sqrt(m.R[:, 0, 0]))
-    assert ((sigma > 0.2) & (sigma < 0.4)).all()  # what the settings say, and what the pixels add
+    assert ((sigma > 0.2) & (sigma < 0.4)).all()
+    assert (m.extra["rest"] > 0.0).all()  # what the settings say, and what the pixels add
+    np.testing.assert_allclose(m.R[:, 0, 0], math.radians(0.2) ** 2 + m.extra["rest"])
 
 
 @pytest.mark.parametrize("chain", ["fast", "paper"])
@@ -424,12 +428,43 @@ def test_nearer_still_the_bearings_second_order_spread_is_claimed_too() -> None:
     assert 0.95 < np.mean(nis) < 1.15
 
 
+def test_the_noise_of_a_bearing_grows_by_the_square_of_what_the_place_spreads_it() -> None:
+    """Second order: (H P H')^2 by the place, beside the variance of the reading."""
+    now = belief(3.0, 0.5, 0.2, 0.3, 0.02)
+    (seen,) = Camera().model(CameraSettings(landmark=(4.0, 0.0))).innovations(readings((0.0,), sigma=0.01), 0, now)
+    away = np.array([1.0, -0.5])
+    spread = 0.3**2 / float(away @ away)  # sigma over distance, squared
+    assert seen.R[0][0] == pytest.approx(0.01**2 + spread**2)
+
+
+def candidates(*nis: float, threshold: float = 20.0) -> list[str]:
+    """What becomes of candidates that fit so well: their verdicts, best first."""
+    judged = [
+        Innovation(i, 0, 0, d2, threshold, (0.0,), (1.0,), ((0.0, 0.0, 1.0),), ((1.0,),))
+        for i, d2 in enumerate(nis)
+    ]
+    chosen = camera.choose(judged)
+    assert [seen.nis for seen in chosen] == sorted(nis)
+    assert [seen.landmark for seen in chosen] == [0] + [-1] * (len(nis) - 1)
+    return [VERDICTS[seen.verdict] for seen in chosen]
+
+
+def test_of_several_candidates_one_is_the_landmark_where_the_next_fits_worse_by_nine_squared_sigmas() -> None:
+    assert candidates(1.0) == ["accepted"]
+    assert candidates(21.0) == ["gate"]
+    assert candidates(10.1, 1.0) == ["accepted", "unmatched"]
+    assert candidates(9.9, 1.0) == ["ambiguous", "ambiguous"]
+    assert candidates(1.0, 9.9, 19.0, 30.0) == ["ambiguous", "ambiguous", "ambiguous", "unmatched"]
+    assert candidates(15.0, 21.0) == ["accepted", "unmatched"]  # the other is beyond the gate
+    assert candidates(25.0, 21.0) == ["gate", "unmatched"]
+
+
 def test_the_papers_orientation_is_the_landmarks_first_direction_minus_its_bearing() -> None:
     settings = CameraSettings(landmark=(3.0, 4.0), bearing="absolute", yaw_deg=10.0, gate=1.0)
     model = Camera().model(settings)
     m = readings((0.2,), (0.1, 2.0), ())
-    gamma = [math.atan2(4.0, 3.0) - (z + math.radians(10.0)) for z in (0.2, 0.1)]
-    (first,) = model.innovations(m, 0, belief(0.0, 0.0, 0.5))
+    gamma = [math.atan2(4.0 + 1.5, 3.0 - 0.5) - (z + math.radians(10.0)) for z in (0.2, 0.1)]
+    (first,) = model.innovations(m, 0, belief(0.5, -1.5, 0.5))
     (second,) = model.innovations(m, 1, belief(1.0, 1.0, 0.6))  # the robot has moved: the print does not know
     assert first.y[0] == pytest.approx(gamma[0] - 0.5)
     assert second.y[0] == pytest.approx(gamma[1] - 0.6)

@@ -176,3 +176,65 @@ def test_a_stretch_without_scans_is_the_textbooks_instant_by_instant_and_notes_e
     h.r[0] = -1.0  # a correction that fails says so
     progress.instant = 1
     assert not core.coast(b, m, h, none, no, table(free=0), no, no, d, notes, progress, n, 0) > 0.0
+
+
+def test_scans_come_one_after_another_each_with_the_heading_of_its_instant(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What a scan says is another file's: here the place x, measured. One line, psi unknown."""
+    n, when = 8, (1, 4, 6)
+    b, m = believed(7), motions(7, n)
+    h, d, book = headings([0.3, -0.2, 0.1], 0.02, (2, OFFSET), (1, 5, 6)), desk(3, 7), TextbookEkf(b.x, b.P)
+    h.gate = math.inf
+    seen, fit = [0.4, -0.1, 0.2], [core.MATCHED] * 3
+    row, noise = np.zeros(N), np.diag([0.01, 1e12])
+    row[0] = 1.0
+
+    def state(b: Any, s: Any, scan: int, *rest: Any) -> int:
+        d.at[:5], d.H[:2, :5], d.R[:2, :2] = [0, 1, 2, 8, 9], 0.0, noise
+        d.H[0, 0], d.y[:2] = 1.0, (seen[scan] - b.x[0], 0.0)
+        return 1
+
+    monkeypatch.setattr(core, "look", lambda b, s, scan, *rest: fit[scan])
+    monkeypatch.setattr(core, "state", state)
+    monkeypatch.setattr(core, "teach", lambda b, s, scan, *rest: scan == 2)
+    notes = table(
+        room=np.zeros(9),
+        pose=np.zeros((n, 3)),
+        triangle=np.zeros((n, 6)),
+        columns=[],
+        blocks=0,
+        values=np.zeros((n, 0)),
+    )
+    progress = table(instant=0, why=-1, scan=0, x=0.0, y=0.0, theta=0.0)
+    given = (
+        b,
+        m,
+        h,
+        table(scans=3, when=when),
+        table(),
+        table(free=0),
+        table(joint=True),
+        table(),
+        d,
+        notes,
+        progress,
+    )
+    assert core.coast(*given, n, 0) > 0.0
+    assert (progress.instant, progress.why, progress.scan) == (6, core.AFTER, 3)  # the last one taught a new line
+    for k in range(7):
+        predict(book, m, k)
+        H, y, R = [], [], []
+        if k in when:
+            H, y, R = [row], [seen[when.index(k)] - book.x[0]], [0.01]
+        if k in h.when:
+            H.append(np.eye(N)[2] + np.eye(N)[OFFSET])
+            y.append(math.remainder(h.z[h.when.index(k)] - 0.1 - book.x[2] - book.x[OFFSET], math.tau))
+            R.append(0.02)
+        if H:
+            book.correct(np.array(y), np.array(H), np.diag(R))
+    np.testing.assert_allclose(b.x, book.x, atol=1e-7)
+    np.testing.assert_allclose(b.P, book.P, atol=1e-7)
+    fit[0], progress.instant, progress.scan = core.NOTHING - 1, 0, 0  # hardly fits: the loop must see to it
+    assert core.coast(*given, n, 0) > 0.0
+    assert (progress.instant, progress.why, progress.scan) == (1, core.BEFORE, 0)

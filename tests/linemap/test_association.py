@@ -261,7 +261,7 @@ def test_lines_that_were_seen_bend_by_what_they_lack_of_their_unevenness() -> No
         scan, lines, belief = scene(seed, True)
         found = associate(scan, lines, belief, 60.0)
         uneven, most = np.array([3e-3, 2e-2]), np.array([2e-3, 5e-3])
-        at, missing = found.bends(belief.covariance, uneven, most)
+        at, missing = found.bends(belief.arrays[1], uneven, most)
         seen = list(dict.fromkeys(int(lines.column[pair.which]) for pair in found.matched()))
         assert at.tolist() == [c + i for c in seen for i in (0, 1)]
         variance = np.diag(belief.covariance)[at]

@@ -193,7 +193,10 @@ def test_errors_along_and_across_are_by_the_way_the_robot_goes(heading: bool) ->
     turned = (error[:, 0] + 1j * error[:, 1]) / way
     np.testing.assert_allclose(found.along_cross, np.column_stack((turned.real, turned.imag)), atol=1e-12)
     assert found.figures["cross_rmse_m"] == pytest.approx(float(np.sqrt(np.mean(turned.imag**2))))
-    assert found.figures["final_position_error_m"] == pytest.approx(float(abs(turned[-1])))
+    apart = np.abs(turned)
+    for name, expected in (("max", apart.max()), ("mean", apart.mean()), ("median", np.median(apart))):
+        assert found.figures[f"position_{name}_m"] == pytest.approx(float(expected))
+    assert found.figures["final_position_error_m"] == pytest.approx(float(apart[-1]))
 
 
 def test_where_a_robot_rests_the_way_is_that_in_which_it_came() -> None:
@@ -214,6 +217,28 @@ def test_a_truth_covers_the_time_of_the_drive_but_for_its_holes() -> None:
     holed = evaluate(*wandering(True, gap=40)).figures
     assert holed["duration_s"] == pytest.approx(67.25)
     assert holed["truth_coverage"] == pytest.approx(22.0 / 67.25)
+
+
+def test_a_truth_that_goes_on_behind_the_drive_covers_all_of_it() -> None:
+    estimates, drive = wandering(True)
+    assert evaluate(estimates, replace(drive, t=drive.t[:40])).figures["truth_coverage"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("variances", "judged"),
+    [
+        ((1e-10, 1e-10, 1e-3), True),
+        ((1e-20, 2e-20, 3e-20), True),
+        ((1e-13, 1e-13, 1.0), False),  # singular to a trillionth
+        ((0.0, 1.0, 1.0), False),
+        ((0.0, 0.0, 0.0), False),
+    ],
+)
+def test_a_claim_that_is_singular_is_not_judged(variances: tuple[float, float, float], judged: bool) -> None:
+    estimates, drive = wandering(True)
+    P = np.broadcast_to(np.diag(variances), (90, 3, 3))
+    anees = evaluate(replace(estimates, truth_P=P), drive).figures["anees"]
+    assert (anees is not None) is judged
 
 
 def test_readings_are_counted_by_their_verdicts_and_the_mean_nis_is_of_those_accepted() -> None:

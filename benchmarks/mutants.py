@@ -30,11 +30,7 @@ TESTS: dict[str, tuple[str, ...]] = {  # the sharpest and fastest first
     "fusion/se2.py": ("tests/fusion/test_se2.py",),
     "fusion/ekf/belief_arrays.py": ("tests/ekf", "tests/atlas/test_anchors.py", "tests/fusion/test_fuse.py"),
     "fusion/ekf/rows.py": ("tests/ekf", "tests/linemap/test_association.py", "tests/fusion/test_fuse.py"),
-    "fusion/wheels/motion.py": (
-        "tests/wheels/test_motion.py",
-        "tests/wheels/test_wheel_states.py",
-        "tests/laser_odometry/test_no_wheels.py",
-    ),
+    "fusion/wheels/motion.py": ("tests/wheels/test_motion.py", "tests/wheels/test_wheel_states.py"),
     "fusion/wheels/rollover.py": ("tests/wheels/test_rollover.py", "tests/wheels/test_wheels.py"),
     "fusion/sensors/compass.py": (
         "tests/sensors/test_compass.py",
@@ -145,7 +141,7 @@ def laid_out(folder: Path) -> Path:
     for path in (ROOT / "cli" / "facade").iterdir():
         if path.is_file():
             (package / path.name).symlink_to(path)
-    for name in ("cli", "formats", "sample_logs"):
+    for name in ("cli", "formats", "robots", "sample_logs"):
         (package / name).symlink_to(ROOT / name)
     shutil.copytree(ROOT / "fusion", package / "fusion", ignore=shutil.ignore_patterns("__pycache__"))
     core = importlib.util.find_spec("locfuse.fusion.core.compiled")

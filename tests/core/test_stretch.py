@@ -11,6 +11,7 @@ import pytest
 from textbook import TextbookEkf
 
 from locfuse.fusion.core import coast as core
+from locfuse.fusion.core.scans import MATCHED, NOTHING
 from locfuse.fusion.data import Array
 
 N, OFFSET, FRAME = 14, 3, 4  # states; the columns of the compass' offset and of the map frame
@@ -186,7 +187,7 @@ def test_scans_come_one_after_another_each_with_the_heading_of_its_instant(
     b, m = believed(7), motions(7, n)
     h, d, book = headings([0.3, -0.2, 0.1], 0.02, (2, OFFSET), (1, 5, 6)), desk(3, 7), TextbookEkf(b.x, b.P)
     h.gate = math.inf
-    seen, fit = [0.4, -0.1, 0.2], [core.MATCHED] * 3
+    seen, fit = [0.4, -0.1, 0.2], [MATCHED] * 3
     row, noise = np.zeros(N), np.diag([0.01, 1e12])
     row[0] = 1.0
 
@@ -235,6 +236,6 @@ def test_scans_come_one_after_another_each_with_the_heading_of_its_instant(
             book.correct(np.array(y), np.array(H), np.diag(R))
     np.testing.assert_allclose(b.x, book.x, atol=1e-7)
     np.testing.assert_allclose(b.P, book.P, atol=1e-7)
-    fit[0], progress.instant, progress.scan = core.NOTHING - 1, 0, 0  # hardly fits: the loop must see to it
+    fit[0], progress.instant, progress.scan = NOTHING - 1, 0, 0  # hardly fits: the loop must see to it
     assert core.coast(*given, n, 0) > 0.0
     assert (progress.instant, progress.why, progress.scan) == (1, core.BEFORE, 0)

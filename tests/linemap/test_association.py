@@ -267,3 +267,25 @@ def test_lines_that_were_seen_bend_by_what_they_lack_of_their_unevenness() -> No
         variance = np.diag(belief.covariance)[at]
         wanted = np.clip(np.tile(uneven, len(seen)) - variance, 0.0, np.tile(most, len(seen)))
         np.testing.assert_allclose(missing, wanted, atol=1e-15)
+
+
+def test_what_became_of_a_line_is_accepted_ambiguous_unmatched_or_new() -> None:
+    """A line that pairs with nothing near is new; what is near a known line and no match of it is unmatched."""
+    counts = dict.fromkeys((0, *CODES), 0)
+    for seed in range(80):
+        scan, lines, belief = scene(seed, False)
+        found = associate(scan, lines, belief, 13.8)
+        table = SeenLines(found, 0, lines.ids, 13.8, CODES, False, None).table()
+        for i, verdict in enumerate(table.verdict.tolist()):
+            match, best, near = found.match[i], found.best[i], found.near[i]
+            if match >= 0:
+                expected = 0
+            elif not near:
+                expected = CODES.new
+            else:
+                expected = CODES.ambiguous if best >= 0 and found.ambiguous[i] else CODES.unmatched
+            assert verdict == expected
+            named = match >= 0 or (best >= 0 and near)
+            assert table.landmark[i] == (lines.ids[found.pairs[best].which] if named else -1)
+            counts[verdict] += 1
+    assert min(counts.values()) > 5

@@ -26,6 +26,7 @@ SOURCES = (
     "filter",
     "tables",
     "scans",
+    "bearings",
     "coast",
 )  # compiled as one unit: a file uses those before it
 COMPILED = "compiled"  # the extension's name, beside the sources

@@ -37,7 +37,8 @@ cdef class Way:
 cdef class Desk:
     cdef double[:, ::1] raw, seated, wall_rows, H, G, R, V
     cdef double[::1] rows, walls, mount, place, offset, pose, triangle, seen, pairs, shared, y, missing
-    cdef Py_ssize_t[::1] fate, order, at, loose
+    cdef double[::1] located, ray, ray_row
+    cdef Py_ssize_t[::1] fate, order, at, loose, ray_at
 
 cdef class Progress:
     cdef public Py_ssize_t instant, why, scan, number, well
@@ -54,7 +55,17 @@ cdef class Headings:
     cdef double[::1] z, r
     cdef double[:, ::1] told
     cdef double gate, refused, unused, offset
-    cdef Py_ssize_t states, readings
+    cdef Py_ssize_t states, readings, taken
+    cdef public Py_ssize_t due
+
+cdef class Bearings:
+    cdef Py_ssize_t[::1] when, first
+    cdef double[::1] z, r
+    cdef double[:, ::1] told
+    cdef double x, y, nearest, gate, margin, refused, ambiguous, unmatched
+    cdef Seat seat
+    cdef Py_ssize_t readings, chosen
+    cdef public Py_ssize_t due
 
 cdef class Notes:
     cdef double[::1] room

@@ -79,17 +79,18 @@ class Way:
 
 
 class Desk:
-    """Room for one scan; `seated`, `walls` and `shared` lie in memory as their flat twins."""
+    """Room for one scan and one picture; `seated`, `walls` and `shared` lie in memory as their flat twins."""
 
     def __init__(
         self, raw, seated, rows, wall_rows, walls, mount, place, offset, pose, triangle, seen, pairs, fate, order,
-        shared, at, H, G, R, y, V, loose, missing,
+        shared, at, H, G, R, y, V, loose, missing, located, ray, ray_row, ray_at,
     ):  # fmt: skip
         self.raw, self.seated, self.rows, self.wall_rows, self.walls = raw, seated, rows, wall_rows, walls
         self.mount, self.place, self.offset, self.pose, self.triangle = mount, place, offset, pose, triangle
         self.seen, self.pairs, self.fate, self.order = seen, pairs, fate, order
         self.shared, self.at, self.H, self.G, self.R, self.y, self.V = shared, at, H, G, R, y, V
         self.loose, self.missing = loose, missing
+        self.located, self.ray, self.ray_row, self.ray_at = located, ray, ray_row, ray_at
 
 
 class Progress:
@@ -120,12 +121,39 @@ class Headings:
 
     What is predicted is `offset` and the sum of the states `at` (states,). Where a heading is not `usable`, or
     beyond `gate`, it corrects nothing. Written is told (readings, 4), with the verdict 0, `refused` or `unused`.
+    The next to come is `due`, and `taken` the one of this instant that corrects, else -1.
     """
 
-    def __init__(self, when, z, r, usable, gate, refused, unused, offset, at, states, told, readings):
+    def __init__(self, when, z, r, usable, gate, refused, unused, offset, at, states, told, readings, due, taken):
         self.when, self.z, self.r, self.usable = when, z, r, usable
         self.gate, self.refused, self.unused, self.offset = gate, refused, unused, offset
-        self.at, self.states, self.told, self.readings = at, states, told, readings
+        self.at, self.states, self.told, self.readings, self.due, self.taken = (
+            at,
+            states,
+            told,
+            readings,
+            due,
+            taken,
+        )
+
+
+class Bearings:
+    """Bearings of the point (x, y) [m, map frame], seen in `readings` pictures: i at instant when[i].
+
+    Its candidates, first[i] until first[i + 1], are z [rad] of variance r. Written is told (k, 5: verdict,
+    landmark, NIS, y, sigma); `gate` to `unmatched` are those of `bearings.choose`. The camera sits as `seat` says,
+    and nearer than `nearest` [m] it is inside the point. The next to come is picture `due`, and `chosen` the
+    candidate of this instant that corrects, else -1.
+    """
+
+    def __init__(
+        self, when, first, z, r, told, x, y, nearest, gate, margin, refused, ambiguous, unmatched, seat, readings,
+        due, chosen,
+    ):  # fmt: skip
+        self.when, self.first, self.z, self.r, self.told = when, first, z, r, told
+        self.x, self.y, self.nearest, self.gate, self.margin = x, y, nearest, gate, margin
+        self.refused, self.ambiguous, self.unmatched = refused, ambiguous, unmatched
+        self.seat, self.readings, self.due, self.chosen = seat, readings, due, chosen
 
 
 class Notes:

@@ -159,21 +159,21 @@ class Way:
     turn: float
     def __init__(
         self,
-        follows: bool = ...,
-        length: float = ...,
-        x: float = ...,
-        y: float = ...,
-        ask_at: float = ...,
-        origin_x: float = ...,
-        origin_y: float = ...,
-        reach: float = ...,
-        most: int = ...,
-        looks: bool = ...,
-        sight_x: float = ...,
-        sight_y: float = ...,
-        sight_turn: float = ...,
-        stride: float = ...,
-        turn: float = ...,
+        follows: bool,
+        length: float,
+        x: float,
+        y: float,
+        ask_at: float,
+        origin_x: float,
+        origin_y: float,
+        reach: float,
+        most: int,
+        looks: bool,
+        sight_x: float,
+        sight_y: float,
+        sight_turn: float,
+        stride: float,
+        turn: float,
     ) -> None: ...
 
 class Desk:
@@ -200,6 +200,10 @@ class Desk:
     V: Matrix
     loose: Wholes
     missing: Floats
+    located: Floats
+    ray: Floats
+    ray_row: Floats
+    ray_at: Wholes
     def __init__(
         self,
         raw: Matrix,
@@ -225,6 +229,10 @@ class Desk:
         V: Matrix,
         loose: Wholes,
         missing: Floats,
+        located: Floats,
+        ray: Floats,
+        ray_row: Floats,
+        ray_at: Wholes,
     ) -> None: ...
 
 class Progress:
@@ -262,6 +270,8 @@ class Headings:
     states: int
     told: Matrix
     readings: int
+    due: int
+    taken: int
     def __init__(
         self,
         when: Wholes,
@@ -276,6 +286,47 @@ class Headings:
         states: int,
         told: Matrix,
         readings: int,
+        due: int,
+        taken: int,
+    ) -> None: ...
+
+class Bearings:
+    when: Wholes
+    first: Wholes
+    z: Floats
+    r: Floats
+    told: Matrix
+    x: float
+    y: float
+    nearest: float
+    gate: float
+    margin: float
+    refused: float
+    ambiguous: float
+    unmatched: float
+    seat: Seat
+    readings: int
+    due: int
+    chosen: int
+    def __init__(
+        self,
+        when: Wholes,
+        first: Wholes,
+        z: Floats,
+        r: Floats,
+        told: Matrix,
+        x: float,
+        y: float,
+        nearest: float,
+        gate: float,
+        margin: float,
+        refused: float,
+        ambiguous: float,
+        unmatched: float,
+        seat: Seat,
+        readings: int,
+        due: int,
+        chosen: int,
     ) -> None: ...
 
 class Notes:

@@ -16,7 +16,7 @@ from worlds import World
 from locfuse.fusion.coast.stretches import Stretches
 from locfuse.fusion.core.form import form
 from locfuse.fusion.core.room import Room
-from locfuse.fusion.data import VERDICTS, Array, Drive, Estimates, LocfuseError, Ragged
+from locfuse.fusion.data import VERDICTS, Array, Drive, Estimates, LocfuseError, Measurements, Ragged
 from locfuse.fusion.fuse import Filter, fuse
 from locfuse.fusion.instants import due_readings, steps_of
 from locfuse.fusion.measure import measure
@@ -162,6 +162,79 @@ def test_more_lines_than_a_table_holds_are_taken_table_by_table(monkeypatch: pyt
     whole = fuse(drive, robot, ["compass", "lrf"])
     monkeypatch.setattr("locfuse.fusion.coast.scans.BLOCK", 7)
     assert_same(fuse(drive, robot, ["compass", "lrf"]), whole)
+
+
+LANDMARK = (6.5, 5.0)  # m; the robot starts at (1.5, 1.5)
+SEEN = ["nothing", "it", "it and another", "two that may be it", "another", "no number"]
+
+
+def with_pictures(drive: Drive, robot: Robot, kinds: Sequence[str], seed: int = 0) -> Drive:
+    """Return the drive with a picture at every third instant, whose candidates are of these kinds in turn."""
+    settings: Any = robot.settings("camera")
+    rng, when = np.random.default_rng(seed), np.arange(2, len(drive.t), 3)
+    x, y, theta = World().pose(drive.t[when]).T
+    bearings = np.arctan2(LANDMARK[1] - y, LANDMARK[0] - x) - theta + rng.normal(0.0, math.radians(0.3), len(when))
+    z: list[float] = []
+    counts: list[int] = []
+    for i, b in enumerate(bearings.tolist()):
+        others = {"it and another": [b + 2.0, b], "two that may be it": [b, b + 0.004], "another": [b - 1.0]}
+        shown = {"nothing": [], "it": [b], "no number": [math.nan], **others}[kinds[i % len(kinds)]]
+        z += shown
+        counts.append(len(shown))
+    R_unit = rng.uniform(1.0, 1.2, (len(z), 1, 1))
+    sigma = math.radians(settings.sigma_deg)
+    first = np.concatenate(([0], np.cumsum(counts, dtype=np.int64)))
+    m = Measurements(drive.t[when], first, np.array(z).reshape(-1, 1), R_unit, sigma, np.zeros((1, 1)))
+    return replace(
+        drive, measurements={**drive.measurements, "camera": m}, instant={**drive.instant, "camera": when}
+    )
+
+
+MOUNTED = {"x": 0.1, "y": -0.05, "yaw_deg": 1.0, "sigma_x": 0.02, "sigma_y": 0.02, "sigma_yaw_deg": 2.0}
+INSIDE = {"landmark": (1.5, 1.5)}  # where the robot starts
+CAMERAS = [{}, MOUNTED, INSIDE, {"gate": 0.5}, {"sigma_yaw_deg": 1.0}]
+
+
+@hypothesis.settings(deadline=None, max_examples=40)
+@hypothesis.given(
+    st.lists(st.sampled_from(SEEN), min_size=1, max_size=8),
+    st.sampled_from(CAMERAS),
+    st.sampled_from([("camera",), ("compass", "camera"), ("lrf", "camera"), ("compass", "lrf", "camera")]),
+    st.sampled_from(["grow", "first-scan"]),
+)
+def test_pictures_are_the_same_in_stretches_instant_by_instant_and_in_both_forms(
+    kinds: list[str], camera: dict[str, Any], sensors: tuple[str, ...], mode: str
+) -> None:
+    drive, robot = drive_of({"camera": {"landmark": LANDMARK, **camera}, "lrf": {"map": mode}}, seconds=3.0)
+    drive = with_pictures(drive, robot, kinds)
+    run = fuse(drive, robot, sensors)
+    assert_same(run, instant_by_instant(drive, robot, sensors))
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("locfuse.fusion.core.room._here", lambda source: Room.of(source, None))
+        assert_same_bits(run, fuse(drive, robot, sensors))
+
+
+def test_of_the_candidates_of_a_picture_one_is_the_landmark_and_the_core_takes_them_all() -> None:
+    """The verdicts are those of the kinds of pictures; the loop takes the first scan alone."""
+    drive, robot = drive_of({"camera": {"landmark": LANDMARK}}, seconds=6.0)
+    drive = with_pictures(drive, robot, SEEN)
+    audit = fuse(drive, robot, ["compass", "lrf", "camera"]).audits["camera"]
+    verdicts, landmarks = [VERDICTS[v] for v in audit.verdict.tolist()], audit.landmark.tolist()
+    once = ["accepted", "unmatched", "accepted", "ambiguous", "ambiguous", "gate", "gate"]  # one NaN is refused
+    for i in range(0, len(verdicts) - 6, 7):
+        assert verdicts[i : i + 7] == once
+        assert landmarks[i : i + 3] == [0, -1, 0]
+        assert sorted(landmarks[i + 3 : i + 5]) == [-1, 0]
+    assert len(advanced(drive, robot, ["compass", "lrf", "camera"])) <= 3
+
+
+def test_two_pictures_at_one_instant_share_one_prior() -> None:
+    drive, robot = drive_of({"camera": {"landmark": LANDMARK}})
+    drive = with_pictures(drive, robot, ["it"])
+    when = drive.instant["camera"].copy()
+    when[10] = when[9]
+    drive.instant["camera"] = when
+    assert_same(fuse(drive, robot, ["camera"]), instant_by_instant(drive, robot, ["camera"]))
 
 
 KINDS = st.sampled_from(["as seen", "none", "one line", "NaN", "elsewhere", "turned"])

@@ -334,10 +334,11 @@ class OrientationModel(Model):
 
 
 def choose(judged: list[Innovation]) -> list[Innovation]:
-    """Give the candidates of one picture their verdicts: at most one is accepted."""
+    """Give the candidates of one picture their verdicts, the best first: at most one is accepted."""
     told = np.zeros((len(judged), core.POINTED))
     told[:, 2] = [seen.nis for seen in judged]
     every = 0, len(judged), judged[0].threshold, MARGIN, *map(float, VERDICTS_OF_CHOICE)
-    Room.here(core).on_arrays.choose(told, *every)
+    best = Room.here(core).on_arrays.choose(told, *every)
     verdicts = told[:, :2].astype(np.intp).tolist()
-    return [replace(s, verdict=v, landmark=k) for s, (v, k) in zip(judged, verdicts, strict=True)]
+    seen = [replace(s, verdict=v, landmark=k) for s, (v, k) in zip(judged, verdicts, strict=True)]
+    return [seen.pop(best), *seen]

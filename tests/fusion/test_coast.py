@@ -67,8 +67,8 @@ def assert_same(a: Estimates, b: Estimates) -> None:
         )
         np.testing.assert_allclose(line.P, same.P, rtol=1e-7, atol=1e-15)
     assert (a.notes, a.lost) == (b.notes, b.lost)
-    for name, audit in a.audits.items():
-        audit, other = by_row(audit), by_row(b.audits[name])
+    for name in a.audits:
+        audit, other = by_row(a.audits[name]), by_row(b.audits[name])
         np.testing.assert_allclose(audit.joint, other.joint, rtol=1e-7)
         for column in ("instant", "row", "verdict", "landmark", "threshold"):
             np.testing.assert_array_equal(getattr(audit, column), getattr(other, column), column)

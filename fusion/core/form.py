@@ -25,6 +25,7 @@ SOURCES = (
     "doubles",
     "filter",
     "tables",
+    "intervals",
     "scans",
     "bearings",
     "coast",

@@ -44,6 +44,13 @@ cdef class Progress:
     cdef public Py_ssize_t instant, why, scan, number, well
     cdef public double x, y, theta
 
+cdef class Odometer:
+    cdef double[::1] t
+    cdef double[:, ::1] twist, pose, rolled, silence, matched
+    cdef Py_ssize_t readings
+    cdef double track, noise
+    cdef bint silent, matches, parameters
+
 cdef class Wheels:
     cdef double[:, ::1] u, Q
     cdef double[::1] dt, drift

@@ -105,6 +105,23 @@ class Progress:
         self.x, self.y, self.theta, self.number, self.well = x, y, theta, number, well
 
 
+class Odometer:
+    """Wheel readings at t (readings,) [s]: between two of them the twist (3) is constant, from the pose (3) on.
+
+    Either wheel rolled as `rolled` (2) says [m], with the variance `noise` for each metre, on a `track` [m]. Where
+    the way is not known (`silent`) the variance of the place [m^2] and the turning rate [rad/s] are `silence` (2),
+    and where the motion was matched (`matches`) its covariance is `matched` (9). `parameters`: J is asked for.
+    """
+
+    def __init__(
+        self, t, twist, pose, rolled, silence, matched, readings, track, noise, silent, matches, parameters
+    ):  # fmt: skip
+        self.t, self.twist, self.pose, self.rolled = t, twist, pose, rolled
+        self.silence, self.matched, self.readings = silence, matched, readings
+        self.track, self.noise = track, noise
+        self.silent, self.matches, self.parameters = silent, matches, parameters
+
+
 class Wheels:
     """Motions u (instants, 3), Q (instants, 9), dt (instants,).
 

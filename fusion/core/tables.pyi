@@ -248,6 +248,35 @@ class Progress:
         self, instant: int, why: int, scan: int, x: float, y: float, theta: float, number: int, well: int
     ) -> None: ...
 
+class Odometer:
+    t: Floats
+    twist: Matrix
+    pose: Matrix
+    rolled: Matrix
+    silence: Matrix
+    matched: Matrix
+    readings: int
+    track: float
+    noise: float
+    silent: bool
+    matches: bool
+    parameters: bool
+    def __init__(
+        self,
+        t: Floats,
+        twist: Matrix,
+        pose: Matrix,
+        rolled: Matrix,
+        silence: Matrix,
+        matched: Matrix,
+        readings: int,
+        track: float,
+        noise: float,
+        silent: bool,
+        matches: bool,
+        parameters: bool,
+    ) -> None: ...
+
 class Wheels:
     u: Matrix
     Q: Matrix

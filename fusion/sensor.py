@@ -25,6 +25,8 @@ class SensorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     gate: float = 0.9999  # confidence of the chi-square gate: one good reading in 10 000 is lost; 1 accepts all
     outliers: Literal["reject", "inflate"] = "reject"  # beyond the gate: refused, or R grown until they fit
 
+    only_fused: ClassVar[frozenset[str]] = frozenset({"gate", "outliers"})  # keys that no measurement depends on
+
     def __post_init__(self) -> None:
         """Refuse a sensor without noise: P would be singular, and rounding makes that worse than singular."""
         for key in ("sigma", "sigma_deg", "sigma_range"):

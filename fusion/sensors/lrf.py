@@ -46,6 +46,8 @@ class LrfSettings(MountedSettings, frozen=True, forbid_unknown_fields=True, kw_o
     map_topic: str | None = None  # nav_msgs/OccupancyGrid of the log, in which it localises (map = given)
     recover: bool = True  # from slips and being carried away
 
+    only_fused: ClassVar[frozenset[str]] = MountedSettings.only_fused | {"recover"}
+
 
 class Lrf(Sensor):
     """Reads LaserScan."""

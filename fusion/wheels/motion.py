@@ -112,7 +112,7 @@ class Wheels:
         """
         n, parts = len(t_from), 9 if parameters else 0
         u, Q, J = np.empty((n, 3)), np.empty((n, 9)), np.empty((n, parts))
-        times = (np.require(t, np.float64, "CW") for t in (t_from, t_to))
+        times = (np.require(t, np.float64, ["C", "W"]) for t in (t_from, t_to))
         Room.here(intervals).on_arrays.between(
             self._odometer(parameters), *times, n, u, Q, J, np.empty(intervals.ROOM)
         )
@@ -123,7 +123,7 @@ class Wheels:
         silent, none = bool(self.silence.any()), np.zeros((0, 2))
         matched = np.zeros((0, 9)) if self.matched is None else self.matched.reshape(-1, 9)
         columns = self.t, self.twist, self.pose, self.rolled, self.silence if silent else none, matched
-        of = *(np.require(c, np.float64, "CW") for c in columns), len(self.t), self.track, self.noise
+        of = *(np.require(c, np.float64, ["C", "W"]) for c in columns), len(self.t), self.track, self.noise
         return Room.here(tables).on_arrays.Odometer(*of, silent, self.matched is not None, parameters)
 
 

@@ -102,7 +102,8 @@ class Lrf(Sensor):
             extra["shared"] = sweep
         if uneven.any():
             extra["uneven"] = np.broadcast_to(uneven, z.shape)  # m^2, rad^2
-        dropped = {**stream.dropped, **({"too_many_beams": giants} if giants else {})}
+        too_large = {"too_many_beams": giants, "too_many_lines": found.crowded}
+        dropped = {**stream.dropped, **{reason: n for reason, n in too_large.items() if n}}
         points = ScanPoints(stream, self.reads[stream.msgtype], stamps, laser, wheels, np.arange(len(t)))
         notes = (*_floor_notes(uneven, settings), *_curve_notes(found.curved, found.straight))
         return Measurements(

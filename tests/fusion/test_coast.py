@@ -17,6 +17,7 @@ from locfuse.fusion.coast.stretches import Stretches
 from locfuse.fusion.core.form import form
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, LocfuseError, Measurements, Ragged
+from locfuse.fusion.doctor.examine import REFUSALS
 from locfuse.fusion.fuse import Filter, fuse
 from locfuse.fusion.instants import due_readings, steps_of
 from locfuse.fusion.measure import measure
@@ -297,23 +298,37 @@ def test_maps_of_none_to_two_thousand_walls_are_the_same_to_both_forms(walls: in
         assert_same_bits(run, fuse(changed, robot, ["compass", "lrf"]))
 
 
-@pytest.mark.parametrize("beams", [1, 2, 100_000])
-def test_scans_of_one_beam_and_of_a_hundred_thousand_are_fused_alike_by_both_forms(beams: int) -> None:
-    """Nothing to see, and a saw of 400 walls."""
-    world = World(seconds=0.3, speed=0.6, settings={"lrf": {"map": "first-scan"}})
+def saw_of(walls: int, beams: int, world: World) -> tuple[Drive, Robot]:
+    """Return the drive of a world whose scans are a saw of so many walls, all around."""
     streams, angles = world.streams(), np.linspace(-math.pi, math.pi, beams, endpoint=False)
     scans = streams["lrf"]
-    n, saw = len(scans.t_ns), 20.0 + 6.0 * np.abs((angles * 200.0 / math.tau) % 1.0 - 0.5)
+    n, depth = len(scans.t_ns), 2400.0 / walls  # m
+    saw = 20.0 + depth * np.abs((angles * 0.5 * walls / math.tau) % 1.0 - 0.5)
     data: dict[str, Any] = dict(scans.data)
     data |= {"angle_min": np.full(n, angles[0]), "angle_increment": np.full(n, math.tau / beams)}
     data["ranges"] = Ragged(np.tile(saw, n), np.arange(n + 1) * beams)
     robot = world.robot()
-    drive = measure({**streams, "lrf": replace(scans, data=data)}, robot)
+    return measure({**streams, "lrf": replace(scans, data=data)}, robot), robot
+
+
+@pytest.mark.parametrize("beams", [1, 2, 100_000])
+def test_scans_of_one_beam_and_of_a_hundred_thousand_are_fused_alike_by_both_forms(beams: int) -> None:
+    """Nothing to see, and a saw of 400 walls."""
+    drive, robot = saw_of(400, beams, World(seconds=0.3, speed=0.6, settings={"lrf": {"map": "first-scan"}}))
     run = fuse(drive, robot, ["compass", "lrf"])
     assert len(run.first_map) == (400 if beams > 2 else 0)
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr("locfuse.fusion.core.room._here", lambda source: Room.of(source, None))
         assert_same_bits(run, fuse(drive, robot, ["compass", "lrf"]))
+
+
+def test_scans_of_more_walls_than_a_room_has_are_counted_and_not_used() -> None:
+    """A correction by thousands of walls would take gigabytes."""
+    drive, robot = saw_of(600, 100_000, World(seconds=0.3, speed=0.6))
+    m = drive.measurements["lrf"]
+    assert (m.absent, m.dropped) == (3, {"too_many_lines": 3})
+    assert REFUSALS["too_many_lines"] == "with more walls than can be true (over 500)"
+    assert fuse(drive, robot, ["compass", "lrf"]).first_map == []
 
 
 def test_a_heading_beyond_its_gate_and_one_in_a_disturbed_field_correct_nothing() -> None:

@@ -26,6 +26,7 @@ SOURCES = (
     "filter",
     "tables",
     "intervals",
+    "red",
     "scans",
     "bearings",
     "coast",

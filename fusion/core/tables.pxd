@@ -74,6 +74,16 @@ cdef class Bearings:
     cdef Py_ssize_t readings, chosen
     cdef public Py_ssize_t due
 
+cdef class Window:
+    cdef unsigned char[:, ::1] excess, red
+    cdef unsigned char[::1] least
+    cdef int[:, ::1] points
+    cdef double[::1] theta, radius, level
+    cdef Py_ssize_t[::1] edge, order, room, rings
+    cdef Py_ssize_t height, width, left, top, across, down
+    cdef double x_c, y_c, fewest, gap
+    cdef bint cut
+
 cdef class Notes:
     cdef double[::1] room
     cdef double[:, ::1] pose, triangle, values

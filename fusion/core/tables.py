@@ -173,6 +173,27 @@ class Bearings:
         self.seat, self.readings, self.due, self.chosen = seat, readings, due, chosen
 
 
+class Window:
+    """The part of a picture that holds the mirror, `height` by `width` pixels from (`left`, `top`) on.
+
+    `excess` is red less the greater of green and blue, `red` is red, and a pixel is red where the excess is at
+    least `least` (256,) of its red. `points` (n, 2) are where there is any: x, y in the window. The mirror's axis
+    is at (x_c, y_c) of the picture, which has so many pixels `across` and `down` and may `cut` the mirror. A thing
+    has at least the `fewest` pixels and no `gap` [px]. Room: theta, radius, level, edge, order, room (n,), rings.
+    """
+
+    def __init__(
+        self, excess, red, least, points, height, width, left, top, x_c, y_c, across, down, cut, fewest, gap,
+        theta, radius, level, edge, order, room, rings,
+    ):  # fmt: skip
+        self.excess, self.red, self.least, self.points = excess, red, least, points
+        self.height, self.width, self.left, self.top = height, width, left, top
+        self.x_c, self.y_c, self.across, self.down = x_c, y_c, across, down
+        self.cut, self.fewest, self.gap = cut, fewest, gap
+        self.theta, self.radius, self.level, self.edge = theta, radius, level, edge
+        self.order, self.room, self.rings = order, room, rings
+
+
 class Notes:
     """What `note` writes at every instant; room (9,)."""
 

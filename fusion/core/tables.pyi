@@ -1,4 +1,4 @@
-from .arrays import Floats, Matrix, Wholes
+from .arrays import Floats, Matrix, Pixels, Points, Wholes
 
 class Belief:
     x: Floats
@@ -356,6 +356,55 @@ class Bearings:
         readings: int,
         due: int,
         chosen: int,
+    ) -> None: ...
+
+class Window:
+    excess: Pixels
+    red: Pixels
+    least: Pixels
+    points: Points
+    height: int
+    width: int
+    left: int
+    top: int
+    x_c: float
+    y_c: float
+    across: int
+    down: int
+    cut: bool
+    fewest: float
+    gap: float
+    theta: Floats
+    radius: Floats
+    level: Floats
+    edge: Wholes
+    order: Wholes
+    room: Wholes
+    rings: Wholes
+    def __init__(
+        self,
+        excess: Pixels,
+        red: Pixels,
+        least: Pixels,
+        points: Points,
+        height: int,
+        width: int,
+        left: int,
+        top: int,
+        x_c: float,
+        y_c: float,
+        across: int,
+        down: int,
+        cut: bool,
+        fewest: float,
+        gap: float,
+        theta: Floats,
+        radius: Floats,
+        level: Floats,
+        edge: Wholes,
+        order: Wholes,
+        room: Wholes,
+        rings: Wholes,
     ) -> None: ...
 
 class Notes:

@@ -137,7 +137,7 @@ class Gathered:
         self._z, self._R_unit, self._ends = [np.empty((0, 2))], [np.empty((0, 2, 2))], [np.empty((0, 2))]
         self._sweep: list[Array] = []
         self.curved = self.straight = 0  # walls: left out as pieces of a curve; lines
-        self.crowded = 0  # scans of more than MAX_LINES, of which none is used
+        self.giants = self.crowded = 0  # scans of more than MAX_BEAMS, and MAX_LINES: none of them is used
 
     def add(self, at: Ints, lines: Lines) -> None:
         """Add the lines of the readings `at` (k,); of each line what a measurement needs."""

@@ -56,6 +56,7 @@ TESTS: dict[str, tuple[str, ...]] = {  # the sharpest and fastest first
     ),
     "fusion/core/filter.py": ("tests/ekf", "tests/core/test_filter.py", "tests/core/test_stretch.py"),
     "fusion/core/coast.py": ("tests/core/test_stretch.py", "tests/fusion/test_coast.py"),
+    "fusion/core/intervals.py": ("tests/wheels/test_motion.py", "tests/core/test_intervals.py"),
     "fusion/core/pairs.py": ("tests/linemap/test_pairing.py",),
     "fusion/core/match.py": (
         "tests/linemap/test_association.py",

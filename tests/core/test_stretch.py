@@ -34,7 +34,13 @@ def headings(z: list[float], r: float, at: tuple[int, ...], when: tuple[int, ...
     return table(
         z=z, r=[r] * n, usable=[True] * n, gate=GATE, refused=REFUSED, unused=UNUSED, offset=0.1, at=at,
         states=len(at), told=np.full((n, 4), np.nan), when=when, readings=n,
+        due=0,
+        taken=-1,
     )  # fmt: skip
+
+
+def no_pictures() -> Any:
+    return table(readings=0, due=0, chosen=-1)
 
 
 def desk(rows: int, columns: int) -> Any:
@@ -79,8 +85,8 @@ def test_a_scan_and_a_heading_of_one_instant_correct_together(
     rows = m + taken
     fit = y @ np.linalg.solve((full @ b.P @ full.T + noise)[:m, :m], y)
     book.correct(np.append(y, 0.07)[:rows], full[:rows], noise[:rows, :rows])
-    before = b.x.copy()
-    assert core.correct_by(b, s, 1, accepted, h, 1, taken, table(free=free), joint, d) > 0.0
+    before, h.taken = b.x.copy(), 1 if taken else -1
+    assert core.correct_by(b, s, 1, accepted, h, no_pictures(), table(free=free), joint, d) > 0.0
     np.testing.assert_allclose(b.x, book.x, atol=1e-12)
     np.testing.assert_allclose(b.P, book.P if frame < 0 else swung(book.x, book.P, before), atol=1e-12)
     np.testing.assert_allclose(s.joint[1], np.array([fit, m]) if accepted > 1 else np.zeros(2))
@@ -97,9 +103,9 @@ def test_a_heading_alone_is_compared_and_corrects(at: tuple[int, ...], z: float,
     H[0, list(at)] = 1.0
     S, book = float(H[0] @ b.P @ H[0]) + 0.02, TextbookEkf(b.x, b.P)
     book.correct(np.array([-0.1]), H, np.array([[0.02]]))
-    assert core.compare(b, h, 1, d) == pytest.approx(S)
+    assert core.turn(b, h, 1, d) == pytest.approx(S)
     np.testing.assert_allclose(h.told[1], [0.0, 0.01 / S, -0.1, math.sqrt(S)])
-    core.correct_by(b, table(), 0, 0, h, 1, True, table(free=0), table(joint=True), d)
+    core.correct_by(b, table(), 0, 0, h, no_pictures(), table(free=0), table(joint=True), d)
     np.testing.assert_allclose(b.x, book.x, atol=1e-12)
     np.testing.assert_allclose(b.P, book.P if frame < 0 else swung(book.x, book.P, before), atol=1e-12)
 
@@ -110,18 +116,18 @@ def test_a_heading_beyond_the_gate_one_of_no_use_and_one_that_is_none_are_told_a
     sigma = math.sqrt(1e-4 + 0.02)
     for share, verdict in ((0.99, 0.0), (1.01, REFUSED)):
         h = headings([b.x[2] + 0.1 + share * math.sqrt(GATE) * sigma], 0.02, (2,))
-        core.compare(b, h, 0, d)
+        core.turn(b, h, 0, d)
         assert h.told[0, 0] == verdict
         assert h.told[0, 1] == pytest.approx(share**2 * GATE)
     h = headings([b.x[2] + 2.0], 0.02, (2,))
     h.usable[0] = False
-    core.compare(b, h, 0, d)
+    core.turn(b, h, 0, d)
     assert h.told[0, 0] == UNUSED
     h = headings([math.nan], 0.02, (2,))
-    core.compare(b, h, 0, d)
+    core.turn(b, h, 0, d)
     assert h.told[0, 0] == REFUSED
     h = headings([0.0], -1.0, (2,))  # no variance
-    assert not core.compare(b, h, 0, d) > 0.0
+    assert not core.turn(b, h, 0, d) > 0.0
 
 
 def motions(seed: int, n: int) -> Any:
@@ -160,7 +166,7 @@ def test_a_stretch_without_scans_is_the_textbooks_instant_by_instant_and_notes_e
     )  # fmt: skip
     progress: Any = table(instant=1, why=-1, scan=0, x=0.0, y=0.0, theta=0.0)
     none, no = table(scans=0), table()
-    assert core.coast(b, m, h, none, no, table(free=0), no, no, d, notes, progress, n, 0) > 0.0
+    assert core.coast(b, m, h, no_pictures(), none, no, table(free=0), no, no, d, notes, progress, n) > 0.0
     assert (progress.instant, progress.why) == (n, core.DONE)
     H, upper = np.eye(N)[[2]] + np.eye(N)[[OFFSET]], np.triu_indices(3)
     for k in range(1, n):
@@ -175,8 +181,8 @@ def test_a_stretch_without_scans_is_the_textbooks_instant_by_instant_and_notes_e
     np.testing.assert_allclose((progress.x, progress.y, progress.theta), m.u[1:].sum(axis=0))
     assert not notes.pose[0].any()
     h.r[0] = -1.0  # a correction that fails says so
-    progress.instant = 1
-    assert not core.coast(b, m, h, none, no, table(free=0), no, no, d, notes, progress, n, 0) > 0.0
+    progress.instant, h.due = 1, 0
+    assert not core.coast(b, m, h, no_pictures(), none, no, table(free=0), no, no, d, notes, progress, n) > 0.0
 
 
 def test_scans_come_one_after_another_each_with_the_heading_of_its_instant(
@@ -212,6 +218,7 @@ def test_scans_come_one_after_another_each_with_the_heading_of_its_instant(
         b,
         m,
         h,
+        no_pictures(),
         table(scans=3, when=when),
         table(),
         table(free=0),
@@ -221,7 +228,7 @@ def test_scans_come_one_after_another_each_with_the_heading_of_its_instant(
         notes,
         progress,
     )
-    assert core.coast(*given, n, 0) > 0.0
+    assert core.coast(*given, n) > 0.0
     assert (progress.instant, progress.why, progress.scan) == (6, core.AFTER, 3)  # the last one taught a new line
     for k in range(7):
         predict(book, m, k)
@@ -237,5 +244,5 @@ def test_scans_come_one_after_another_each_with_the_heading_of_its_instant(
     np.testing.assert_allclose(b.x, book.x, atol=1e-7)
     np.testing.assert_allclose(b.P, book.P, atol=1e-7)
     fit[0], progress.instant, progress.scan = NOTHING - 1, 0, 0  # hardly fits: the loop must see to it
-    assert core.coast(*given, n, 0) > 0.0
+    assert core.coast(*given, n) > 0.0
     assert (progress.instant, progress.why, progress.scan) == (1, core.BEFORE, 0)

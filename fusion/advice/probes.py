@@ -16,6 +16,7 @@ from locfuse.fusion.se2 import wrap
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.states import WHEELS, derivative, geometry
 
+MOUNT = "mount"  # code of the finding on one
 MIN_SIGMAS = 4.0  # standard deviations by which an estimate must differ from what is configured
 MIN_MOUNT_M, MIN_MOUNT_DEG, MIN_TRACK = 0.004, 0.2, 0.005  # m, degrees, relative: smaller errors are left alone
 MIN_SCALE, MIN_TRUTH = 0.002, 50  # relative; readings of the truth
@@ -75,7 +76,7 @@ def of_mount(
             unit = "°" if key == "yaw_deg" else " m"
             words.append(f"{part} is {shown:g}{unit} (± {sigma:.1g}), configured {configured:g}{unit}")
     if fixes:
-        yield Finding(sensor, "mount", f"mount by the drive itself: {', '.join(words)}", tuple(fixes))
+        yield Finding(sensor, MOUNT, f"mount by the drive itself: {', '.join(words)}", tuple(fixes))
 
 
 def _track(robot: Robot, e: Estimates) -> Iterator[Finding]:

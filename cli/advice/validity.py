@@ -55,7 +55,7 @@ def _doubts(report: dict[str, Any], advised: Advised | None) -> list[dict[str, A
         using = [n for n, v in report["configurations"].items() if found.role in {*EVERY, *v["sensors"]}]
         if found.severe and using and found.code != "start":
             fixes = advice.fixes or found.fixes
-            how = f"; {'tried' if advice.fixes else 'no help'}: {options(fixes)}" if fixes else ""
+            how = f"; {'it helps to set' if advice.fixes else 'tried in vain:'} {options(fixes)}" if fixes else ""
             message = f"{found.role}: {found.brief}{how}"
             entry = {"code": found.code, "message": message, "since_s": 0.0, "configurations": using}
             doubts.append({**entry, "void": False})

@@ -36,6 +36,32 @@ def test_a_step_that_is_set_otherwise_by_a_later_one_is_not_told() -> None:
     assert found["fixes"] == ["lrf.sigma_range=0.04"]
 
 
+def test_a_value_that_was_measured_again_is_told_once_with_its_last_value() -> None:
+    again = Advice(Finding("lrf", "lag", "stamps look 0.01 s early"), ("lrf.time_offset=-0.09",))
+    found = finding(LATE, again)
+    assert found["message"] == "stamps look 0.1 s late"
+    assert found["fixes"] == ["lrf.time_offset=-0.09"]
+
+
+def test_what_has_no_fix_stands_beside_what_has_one() -> None:
+    """Else the fix of one would seem to be that of both."""
+    report: dict[str, Any] = {}
+    open_scale = Advice(Finding("lrf", "distances", "ranges differ from the wheels'", severe=True))
+    add_findings(report, Advised((LATE, open_scale)))
+    assert [(f["code"], f["fixes"]) for f in report["findings"]] == [
+        ("lag", ["lrf.time_offset=-0.1"]),
+        ("distances", []),
+    ]
+
+
+@pytest.mark.parametrize(("harmless", "said"), [(True, "little changes"), (False, "the result gets worse")])
+def test_what_was_tried_in_vain_says_why_it_is_not_offered(harmless: bool, said: str) -> None:
+    words = sentence(finding(Advice(HIGH.finding, tried=(HIGH.fixes,), harmless=harmless)))
+    assert words.startswith("lrf: noise is set too high. With lrf.sigma_range=0.01 ")
+    assert said in words
+    assert sentence(finding(Advice(HIGH.finding))) == "lrf: noise is set too high."
+
+
 @pytest.mark.parametrize(
     ("anees", "said"), [(0.921, "0.92"), (47.3, "47"), (99.7, "100"), (9607.5, "9600"), (6.6e10, "over 100000")]
 )

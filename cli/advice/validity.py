@@ -7,6 +7,7 @@ While a clock, a scale or a direction is surely wrong, or the truth jumps, figur
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from locfuse.formats.tables.findings import options
@@ -54,12 +55,17 @@ def _doubts(report: dict[str, Any], advised: Advised | None) -> list[dict[str, A
         found = advice.finding
         using = [n for n, v in report["configurations"].items() if found.role in {*EVERY, *v["sensors"]}]
         if found.severe and using and found.code != "start":
-            fixes = advice.fixes or found.fixes
-            how = f"; {'it helps to set' if advice.fixes else 'tried in vain:'} {options(fixes)}" if fixes else ""
-            message = f"{found.role}: {found.brief}{how}"
+            message = f"{found.role}: {_first_sentence(found.brief)}"
+            if advice.fixes:
+                message += f". Every figure here is without the fix: {options(advice.fixes)}"
             entry = {"code": found.code, "message": message, "since_s": 0.0, "configurations": using}
             doubts.append({**entry, "void": False})
     return doubts
+
+
+def _first_sentence(words: str) -> str:
+    """Return what is wrong; how it was measured stands with the finding."""
+    return re.sub(r" \(correlation [^()]*\)", "", words.partition(". ")[0])
 
 
 def _lost(values: dict[str, Any]) -> tuple[str, str] | None:

@@ -49,12 +49,15 @@ def _withdraw_verdicts(report: dict[str, Any]) -> None:
 
 
 def _doubts(report: dict[str, Any], advised: Advised | None) -> list[dict[str, Any]]:
-    """Return what is surely wrong with the settings; what obeying changes stands in the findings."""
+    """Return what is surely wrong with the settings; what obeying changes stands in the findings.
+
+    Where the fix was tried and changes little, the figures do not depend on it.
+    """
     doubts = []
     for advice in advised.advice if advised is not None else ():
         found = advice.finding
         using = [n for n, v in report["configurations"].items() if found.role in {*EVERY, *v["sensors"]}]
-        if found.severe and using and found.code != "start":
+        if found.severe and using and found.code != "start" and not advice.harmless:
             message = f"{found.role}: {_first_sentence(found.brief)}"
             if advice.fixes:
                 message += f". Every figure here is without the fix: {options(advice.fixes)}"

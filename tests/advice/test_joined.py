@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from locfuse.cli.advice.evaluator import Advised
+from locfuse.cli.advice.validity import add_validity
 from locfuse.cli.advice.values import add_findings
 from locfuse.formats.tables.findings import sentence
 from locfuse.fusion.advice.search import Advice
 from locfuse.fusion.doctor.finding import Finding
 
+SURE = Finding("lrf", "lag", "late (correlation 0.9 as stamped, 0.99 shifted). It is the laser's", severe=True)
 LATE = Advice(Finding("lrf", "lag", "stamps look 0.1 s late"), ("lrf.time_offset=-0.1",))
 HIGH = Advice(Finding("lrf", "too high", "noise is set too high"), ("lrf.sigma_range=0.01",))
 LOW = Advice(Finding("lrf", "anees", "errors are 2 times what is claimed"), ("lrf.sigma_range=0.04",))
@@ -70,3 +73,26 @@ def test_a_ratio_is_said_in_two_digits_without_an_exponent(anees: float, said: s
     tried = {"configuration": "lrf", "before": score, "after": {**score, "anees": 1.0}, "until_s": None}
     words = sentence({"role": "lrf", "message": "noise", "fixes": ["lrf.sigma_range=1"], "tried": tried})
     assert f"ANEES {said} -> 1)" in words
+
+
+@pytest.mark.parametrize(
+    ("advice", "doubt"),
+    [
+        (
+            replace(LATE, finding=SURE),
+            "lrf: late. Every figure here is without the fix: --set lrf.time_offset=-0.1",
+        ),
+        (Advice(SURE, tried=(("lrf.time_offset=-0.1",),)), "lrf: late"),
+        (Advice(SURE, tried=(("lrf.time_offset=-0.1",),), harmless=True), None),
+        (LATE, None),
+    ],
+)
+def test_figures_are_doubtful_while_something_is_surely_wrong_that_changes_them(
+    advice: Advice, doubt: str | None
+) -> None:
+    """How it was measured stands with the finding."""
+    report: dict[str, Any] = {
+        "configurations": {"lrf": {"configuration": "lrf", "sensors": {"lrf": {}}, "lost_share": 0.0}}
+    }
+    add_validity(report, Advised((advice,)), None)
+    assert [v["message"] for v in report["validity"]] == ([] if doubt is None else [doubt])

@@ -25,7 +25,7 @@ from .trial import Trial
 
 MAX_ROUNDS = 4
 # findings that are measured again, better, once others are fixed
-REFINED = ("lag", "mount", "way", "biased", "understated")
+REFINED = ("lag", "mount", "way", "biased", "understated", "overstated")
 CLEAR = 1.0  # worth of fixes beyond which nothing of a later stage is likely to explain the same
 CHANCE = 2.0 * math.log(1.0 + MAX_CHANCE_LOSS)  # worth that two configurations may gain or lose by chance
 MIN_DURATION_S = 5.0  # s: a shorter drive judges no setting

@@ -25,11 +25,11 @@ from locfuse.fusion.doctor.examine import examine, scales
 from locfuse.fusion.doctor.finding import Finding, Least
 from locfuse.fusion.doctor.lag import SAID_SIGMAS, Lag, worth_saying
 from locfuse.fusion.doctor.laser import OPEN_SCALE
-from locfuse.fusion.doctor.laser_driver import of_scatter, scatter_more
+from locfuse.fusion.doctor.laser_driver import of_scatter, ranges_sigma, scatter_more
 from locfuse.fusion.judge.consistency import Consistency
 from locfuse.fusion.judge.consistency import Evidence as Said
 from locfuse.fusion.judge.covariance import honesty
-from locfuse.fusion.judge.noise_verdicts import NoiseVerdict
+from locfuse.fusion.judge.noise_verdicts import MAX_SIGMA_FACTOR, NoiseVerdict
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import merged
 
@@ -340,9 +340,13 @@ class Evidence:
         found = []
         for sensor, verdict in self.consistency.items():
             seen, more = [*_noise_options(verdict), *_above(verdict)], self._by_anees(sensor)
+            by_ranges, words = self._as_ranges_scatter(sensor, verdict), verdict.words
+            if by_ranges:
+                seen.append(by_ranges)
+                words += f" by its lines, {by_ranges[0].partition('=')[2]} m by its ranges"
             if self._ranges_show_more(sensor, verdict) or self._too_sure(sensor, verdict):
                 seen = []
-            words = verdict.words if seen else self._errors_in_sigmas(sensor)
+            words = words if seen else self._errors_in_sigmas(sensor)
             if verdict.verdict == "overstated" and seen and more:
                 # a sigma above the configured one is no fix of one that is too high: it has words of its own
                 found.append(self._candidate(Finding(sensor, verdict.verdict, words), tuple(seen)))
@@ -362,6 +366,21 @@ class Evidence:
         if LASER not in self.loaded.drive.measurements:
             return False
         return bool(of_scatter(_stream(self.loaded, LASER), self.loaded.robot.settings(LASER)))
+
+    def _as_ranges_scatter(self, sensor: str, verdict: Consistency) -> Fixes:
+        """Return the laser's noise as its raw ranges show it, where its lines show it too, if not as exactly.
+
+        A sigma that is far too high also joins walls that are two, and these lines fit worse than others.
+        """
+        cure = verdict.cures.get(f"{LASER}.sigma_range")
+        if sensor != LASER or verdict.verdict != "overstated" or cure is None:
+            return ()
+        settings = self.loaded.robot.settings(LASER)
+        shown = ranges_sigma(_stream(self.loaded, LASER), settings)
+        if shown is None or not cure / MAX_SIGMA_FACTOR <= shown < cure:
+            return ()
+        share = shown / settings.sigma_range
+        return tuple(f"{LASER}.{k}={getattr(settings, k) * share:.2g}" for k in REGISTRY[LASER].noise_keys)
 
     def _ranges_show_more(self, sensor: str, verdict: Consistency) -> bool:
         """Whether the laser's raw ranges scatter by more than a smaller sigma would say: then it is none.

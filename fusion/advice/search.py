@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from locfuse.fusion.doctor.finding import Finding
 
-from .score import MAX_LOSS_NATS, Score, gain, improves, settles, spoils, spoils_alone
+from .score import Score, gain, improves, settles, spoils, spoils_alone
 
 Fixes = tuple[str, ...]  # "table.key=value"
 Scores = Mapping[str, Score]  # by configuration
@@ -114,12 +114,12 @@ def _best(candidate: Candidate, kept: Fixes, trial: Try) -> Advice:
     for fixes in candidate.alternatives:
         pairs = _pairs(candidate, kept, fixes, trial)
         harmless = harmless or bool(pairs)
-        if any(improves(*pair) for pair in pairs.values()) or (candidate.measured and _by_prediction(pairs)):
+        shown = candidate.measured and _by_prediction(pairs)  # by the drive itself: not to lose is enough
+        if shown or any(improves(*pair) for pair in pairs.values()):
             before = {name: pair[0] for name, pair in pairs.items()}
             after = {name: pair[1] for name, pair in pairs.items()}
             advice = Advice(candidate.finding, fixes, before, after, candidate.alternatives, candidate.measured)
-            least = -MAX_LOSS_NATS * len(pairs) if _by_prediction(pairs) and candidate.measured else 0.0
-            options += [advice] if worth(advice) > least else []
+            options += [advice] if shown or worth(advice) > 0.0 else []
     return max(
         options, key=worth, default=Advice(candidate.finding, tried=candidate.alternatives, harmless=harmless)
     )

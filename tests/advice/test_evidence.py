@@ -14,6 +14,7 @@ from locfuse.fusion.doctor.finding import Finding
 from locfuse.fusion.doctor.lag import Lag
 from locfuse.fusion.judge.consistency import Consistency
 from locfuse.fusion.judge.noise_verdicts import Verdict
+from locfuse.fusion.sensors.lrf import LrfSettings
 
 SIGMA_S = 0.004
 
@@ -127,3 +128,24 @@ def test_a_range_scale_is_only_tried_where_something_else_than_turning_tells(
     found = made._decided(Finding("lrf", "distances", "too long", ("lrf.range_scale=0.95",), True))
     assert bool(found.fixes) == decided
     assert found.message.endswith("Nothing in this log says which") != decided
+
+
+@pytest.mark.parametrize(
+    ("lines", "ranges", "offered"),
+    [
+        (0.047, 0.034, ("lrf.sigma_range=0.034", "lrf.sigma_angle_deg=0.28")),
+        (0.047, 0.050, ()),  # no less than the lines show
+        (0.047, 0.020, ()),  # the two do not show the same
+        (0.047, None, ()),
+    ],
+)
+def test_a_range_noise_that_is_set_too_high_is_also_tried_as_the_ranges_show_it(
+    lines: float, ranges: float | None, offered: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, cures = doubtful(1.0), {"lrf.sigma_range": lines, "lrf.sigma_angle_deg": lines / 0.12}
+    robot = SimpleNamespace(settings=lambda _: LrfSettings(sigma_range=0.09, sigma_angle_deg=0.75))
+    vars(made)["compared"] = SimpleNamespace(loaded=SimpleNamespace(robot=robot))
+    monkeypatch.setattr("locfuse.cli.advice.evidence._stream", lambda *_: None)
+    monkeypatch.setattr("locfuse.cli.advice.evidence.ranges_sigma", lambda *_: ranges)
+    assert made._as_ranges_scatter("lrf", Consistency("overstated", "", cures=cures)) == offered
+    assert not made._as_ranges_scatter("lrf", Consistency("understated", "", cures=cures))

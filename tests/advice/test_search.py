@@ -76,6 +76,24 @@ def test_of_a_fix_that_does_not_help_it_is_known_whether_it_harms(after: float, 
     assert found.harmless == harmless
 
 
+@pytest.mark.parametrize(
+    ("lost", "minor", "taken"), [(0.04, True, True), (0.04, False, False), (0.06, True, False)]
+)
+def test_a_configuration_that_nobody_would_keep_may_predict_worse_by_what_chance_does(
+    lost: float, minor: bool, taken: bool
+) -> None:
+    """A mount that the drive shows by eight sigmas: a hundred bearings say little against it."""
+    scores = {("lrf", ()): 3.24, ("all", ()): 3.03, ("lrf", (LAG,)): 3.24 - lost, ("all", (LAG,)): 3.03}
+
+    def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
+        return {name: Score(prediction=scores[name, fixes]) for name in names}
+
+    candidate = Candidate(
+        LATE.finding, LATE.alternatives, LATE.judges, minor=("lrf",) if minor else (), measured=True
+    )
+    assert helpful(search([candidate], (), trial)) == ([(LAG,)] if taken else [])
+
+
 BOUNDS = (0.5, 2.0)
 
 

@@ -32,9 +32,9 @@ def test_a_reference_says_which_sensors_help_and_what_nobody_judges(verdicts: di
 @pytest.mark.parametrize(
     ("after", "until", "end"),
     [
-        (0.0035, None, "hurts. With the laser and the fixes found it is 3.5 mm."),
-        (0.0320, None, "hurts."),  # as good as the best without it
-        (0.0035, 300.0, "hurts."),  # of the beginning only: another figure
+        (0.0035, None, "With the laser and the fixes found it is 3.5 mm."),
+        (0.0320, None, "the laser hurts."),  # as good as the best without it
+        (0.0035, 300.0, "the laser hurts."),  # of the beginning only: another figure
     ],
 )
 def test_a_sensor_that_is_good_once_its_fix_is_set_is_named(after: float, until: float | None, end: str) -> None:
@@ -44,9 +44,28 @@ def test_a_sensor_that_is_good_once_its_fix_is_set_is_named(after: float, until:
     tried = {"configuration": "lrf", "before": {"position_rmse_m": 0.058}, "after": score, "until_s": until}
     report: dict[str, Any] = {
         "configurations": {name: {"position_rmse_m": e} for name, e in errors.items()},
+        "verdicts": {"lrf": {"verdict": "hurts"}},
         "findings": [{"fixes": ["lrf.time_offset=0"], "tried": tried}, {"fixes": [], "tried": None}],
     }
     sets = {"odometry": (), "compass": ("compass",), "lrf": ("lrf",), "all": ("compass", "lrf")}
     found = headline(report, sets)
     assert found.startswith("Keep the compass: 33 mm. With all sensors it is 55 mm: the laser hurts.")
     assert found.endswith(end)
+
+
+@pytest.mark.parametrize(
+    ("compass", "camera", "end"),
+    [
+        ("hurts", "no effect seen", "the compass hurts."),
+        ("seems to hurt", "hurts", "one of the compass and the camera hurts."),
+        ("seems to help", "no effect seen", "leave the compass and the camera out."),
+    ],
+)
+def test_hurts_is_said_only_of_a_sensor_whose_verdict_says_so(compass: str, camera: str, end: str) -> None:
+    errors = {"odometry": 3.0, "lrf": 0.75, "all": 4.2}
+    report: dict[str, Any] = {
+        "configurations": {name: {"position_rmse_m": error} for name, error in errors.items()},
+        "verdicts": {"lrf": {"verdict": "helps"}, "compass": {"verdict": compass}, "camera": {"verdict": camera}},
+    }
+    found = headline(report, {"odometry": (), "lrf": ("lrf",), "all": ("lrf", "compass", "camera")})
+    assert found == f"Keep the laser: 0.75 m. With all sensors it is 4.20 m: {end}"

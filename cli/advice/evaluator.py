@@ -18,6 +18,7 @@ from locfuse.cli.pipeline.settings import Progress, silent
 from locfuse.fusion.advice.score import MAX_CHANCE_LOSS, Score, improves, spoils
 from locfuse.fusion.advice.search import Advice, Candidate, Fixes, search, together, total
 from locfuse.fusion.data import Estimates
+from locfuse.fusion.robot import Robot
 
 from .beginning import Beginning
 from .evidence import Evidence
@@ -78,6 +79,7 @@ class Evaluator:
         trial = self.trial
         first = self._watch.compared() or _compared((), trial.loaded, trial)
         found, kept = _rounds(first, trial)
+        found = changing(found, kept, trial.loaded.robot)
         until = None if trial.loaded is trial.whole else float(trial.loaded.drive.t[-1])
         return Advised(tuple(found), until, trial.fusions) if found or kept else Advised()
 
@@ -177,6 +179,7 @@ def _first_that_helps(evidence: Evidence, kept: Fixes, trial: Trial, done: set[t
         evidence.clocks,
         evidence.geometry,
         evidence.offsets,
+        evidence.slips,
         evidence.noise,
         evidence.unexplained,
     )
@@ -187,6 +190,8 @@ def _first_that_helps(evidence: Evidence, kept: Fixes, trial: Trial, done: set[t
         found = search(candidates, kept, trial)
         best = max(best, found, key=_weight)
         observed = {_key(c) for c in candidates if not c.offer}
+        if stage == evidence.slips and any(a.helps for a in found):
+            break
         if total(best) > CLEAR or any(a.helps and (a.finding.role, a.finding.code) in observed for a in found):
             break
         failed += (a for a in found if not a.helps)
@@ -208,6 +213,28 @@ def _weight(found: Sequence[Advice]) -> float:
 
 def _key(c: Candidate) -> tuple[str, str]:
     return c.finding.role, c.finding.code
+
+
+def changing(found: Sequence[Advice], kept: Fixes, robot: Robot) -> list[Advice]:
+    """Return advice without fixes that set, in the end, what is configured already.
+
+    A clock that was moved because another sensor's distances were wrong is moved back once these are right.
+    """
+    last = dict(fix.partition("=")[::2] for fix in kept)
+    same = {key for key, value in last.items() if _is_configured(key, value, robot)}
+    kept_fixes = [tuple(fix for fix in a.fixes if fix.partition("=")[0] not in same) for a in found]
+    return [replace(a, fixes=fixes) for a, fixes in zip(found, kept_fixes, strict=True) if fixes or not a.helps]
+
+
+def _is_configured(key: str, value: str, robot: Robot) -> bool:
+    """Return whether a setting has this value, as near as it is written."""
+    table, _, name = key.partition(".")
+    settings = getattr(robot, table, None) if table in ("wheels", "start", "truth") else robot.settings(table)
+    now = getattr(settings, name, None)
+    try:
+        return now is not None and not isinstance(now, bool) and math.isclose(float(value), now, abs_tol=5e-5)
+    except (TypeError, ValueError):
+        return False
 
 
 def _one_each(found: Sequence[Advice]) -> list[Advice]:

@@ -355,10 +355,13 @@ class Evidence:
                 finding = Finding(sensor, verdict.verdict if seen else self._by_truth(sensor), words)
                 options = tuple(dict.fromkeys((*seen, *more)))
                 found.append(self._candidate(finding, options, not seen))
-        doubtful = self.loaded.drive.truth is not None and self._doubtful(self._best(self.trial.configurations))
-        if doubtful or self._slips_unusually:
+        if self.loaded.drive.truth is not None and self._doubtful(self._best(self.trial.configurations)):
             found.append(self._wheel_noise())
         return found
+
+    def slips(self) -> list[Candidate]:
+        """Return the wheels' noise where their turning shows it: every sensor's run is as sure as it says."""
+        return [self._wheel_noise()] if self._slips_unusually else []
 
     @cached_property
     def _ranges_scatter(self) -> bool:

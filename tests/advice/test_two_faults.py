@@ -68,3 +68,21 @@ def test_not_where_both_together_make_something_worse_or_the_sensor_gains_nothin
 
 def test_only_for_what_surely_spoils_the_estimate() -> None:
     assert not found(Advice(Finding("compass", "lag", "late"), tried=((CLOCK,),)), Trial(0.0046))
+
+
+@pytest.mark.parametrize(
+    ("last", "left"),
+    [
+        ("0.000", [("lrf", ("lrf.range_scale=0.95",))]),
+        ("-0.050", [("camera", ("camera.time_offset=-0.050",)), ("lrf", ("lrf.range_scale=0.95",))]),
+    ],
+)
+def test_a_clock_that_is_moved_and_moved_back_is_no_advice(last: str, left: list[tuple[str, Fixes]]) -> None:
+    """It only looked wrong beside a laser whose ranges were."""
+    moved = Advice(Finding("camera", "lag", "late"), (f"camera.time_offset={last}",))
+    scaled = Advice(Finding("lrf", "range scale", "too long"), ("lrf.range_scale=0.95",))
+    open_one = Advice(Finding("compass", "outliers", "a third does not fit"))
+    kept = (f"camera.time_offset={last}", "lrf.range_scale=0.95")
+    robot = SimpleNamespace(settings=lambda _: SimpleNamespace(time_offset=0.0, range_scale=1.0))
+    found = evaluator.changing([moved, scaled, open_one], kept, robot)  # type: ignore[arg-type]
+    assert [(a.finding.role, a.fixes) for a in found] == [*left, ("compass", ())]

@@ -39,7 +39,7 @@ class Trial:
     fusions: int = 0
     loaded: Loaded = field(init=False)  # what is tried of the log: all of it, or its beginning
     _end: float | None = field(init=False)  # s, of what is tried; None: of the drive
-    _whole: tuple[Fixes, Loaded | None] = ((), None)  # the last that was asked for: an hour's are big
+    _last: tuple[Fixes, Loaded | None] = ((), None)  # the whole log under the fixes that were asked for last
     _logs: dict[Fixes, Loaded | None] = field(default_factory=dict)
     _scores: dict[tuple[Fixes, str], Score] = field(default_factory=dict)
 
@@ -83,7 +83,7 @@ class Trial:
         if not fixes:
             return self.loaded
         if fixes not in self._logs:
-            whole = self._set(fixes)
+            whole = self.whole_under(fixes)
             self._logs[fixes] = None if whole is None else self._shortened(whole)
         return self._logs[fixes]
 
@@ -91,17 +91,13 @@ class Trial:
         """Return the whole log under more settings, also where only its beginning is tried."""
         if not fixes:
             return self.whole
-        if self._end is None:
-            return self.under(fixes)
-        if self._whole[0] != fixes:
-            self._whole = fixes, self._set(fixes)
-        return self._whole[1]
-
-    def _set(self, fixes: Fixes) -> Loaded | None:
-        try:
-            return with_settings(self.whole, fixes)
-        except LocfuseError:
-            return None
+        if fixes != self._last[0]:
+            self._last = (), None  # an hour under every setting that is tried would be hundreds of megabytes
+            try:
+                self._last = fixes, with_settings(self.whole, fixes)
+            except LocfuseError:
+                self._last = fixes, None
+        return self._last[1]
 
     def _shortened(self, loaded: Loaded) -> Loaded:
         if self._end is None:

@@ -41,6 +41,7 @@ class Advice:
     after: Mapping[str, Score] | None = None
     tried: tuple[Fixes, ...] = ()  # every alternative that was tried
     measured: bool = False  # as the candidate's
+    harmless: bool = False  # one of what was tried changes little; else all of it makes something worse
 
     @property
     def helps(self) -> bool:
@@ -109,15 +110,19 @@ def total(found: Sequence[Advice]) -> float:
 
 def _best(candidate: Candidate, kept: Fixes, trial: Try) -> Advice:
     """Return the alternative that gains most of those that help."""
-    options = [Advice(candidate.finding, tried=candidate.alternatives)]
+    options, harmless = [], False
     for fixes in candidate.alternatives:
         pairs = _pairs(candidate, kept, fixes, trial)
-        if any(improves(*pair) for pair in pairs.values()) or (candidate.measured and _by_prediction(pairs)):
+        harmless = harmless or bool(pairs)
+        shown = candidate.measured and _by_prediction(pairs)  # by the drive itself: not to lose is enough
+        if shown or any(improves(*pair) for pair in pairs.values()):
             before = {name: pair[0] for name, pair in pairs.items()}
             after = {name: pair[1] for name, pair in pairs.items()}
             advice = Advice(candidate.finding, fixes, before, after, candidate.alternatives, candidate.measured)
-            options += [advice] if worth(advice) > 0.0 else []
-    return max(options, key=lambda a: (a.helps, worth(a)))
+            options += [advice] if shown or worth(advice) > 0.0 else []
+    return max(
+        options, key=worth, default=Advice(candidate.finding, tried=candidate.alternatives, harmless=harmless)
+    )
 
 
 def _by_prediction(pairs: Mapping[str, tuple[Score, Score]]) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -84,3 +85,17 @@ def test_a_mount_that_the_filter_estimates_is_offered_with_the_value_that_it_fin
     found = load(log, sets=("lrf.y=0.03",)).findings()
     values = dict(fix.split("=") for fix in found["fixes"])
     assert float(values["lrf.y"]) == pytest.approx(0.0, abs=0.015)
+
+
+def test_laser_and_wheels_that_differ_in_distance_are_both_named_where_nothing_tells_who_is_right(
+    log: Path,
+) -> None:
+    """The laser's own readings are predicted better by the wheels' distances, even if the wheels are wrong."""
+    for wrong in (("lrf.range_scale=1.08",), ("wheels.radius=0.046", "wheels.track=0.552")):
+        found = load(log, sets=("truth.topic=none", *wrong)).findings()
+        assert not {fix.partition("=")[0] for fix in found["fixes"]} & {"lrf.range_scale", "wheels.radius"}
+        (message,) = (f["message"] for f in found["findings"] if f["code"] == "distances")
+        values = {k: float(v) for k, v in re.findall(r"(lrf.range_scale|wheels.radius)=([0-9.]+[0-9])", message)}
+        right = "wheels.radius" if len(wrong) > 1 else "lrf.range_scale"
+        assert values[right] == pytest.approx(0.05 if len(wrong) > 1 else 1.0, rel=0.02)
+        assert len(values) == 2

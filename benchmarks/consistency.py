@@ -46,6 +46,7 @@ from .consistency_starts import ENOUGH, Start, alone, often_short, start_of
 from .consistency_table import HEAD, row
 
 STARTS = (ALONE, *(c.name for c in CASES if c.name.startswith("laser, start")))
+DRAWN = (*STARTS, *(c.name for c in CASES if c.name.startswith("placed anew")))  # the start is never observed
 LEEWAY = 0.005  # of the share inside 3 sigma, for the errors of the drive itself
 RATES = (ALONE, "laser at 40 Hz")
 
@@ -87,7 +88,7 @@ def least(case: Case, seeds: range) -> Bound:
 def way_of(case: Case, seeds: range) -> tuple[Start, Array] | None:
     """Return the start and the way (n, 2) [m] from it in a case where nothing observes it; None: another."""
     start = start_of(case.sets)
-    if case.name not in STARTS or start is None:
+    if case.name not in DRAWN or start is None:
         return None
     truth = drive_of(case, seeds[0])[0].truth
     assert truth is not None

@@ -51,7 +51,7 @@ def wanted(case: Case, found: Mapping[str, Means], before: Means | None, same: M
     """Return the goals of a case, in the order of the columns."""
     now, goal = found[case.name], case.goal
     low, high = goal.anees or (0.0, math.inf)
-    anees = NOTHING if goal.anees is None else Wanted(f"{low:g}-{high:g}", low <= now.anees <= high)
+    anees = NOTHING if goal.anees is None else Wanted(f"{low:g}-{high:.3g}", low <= now.anees <= high)
     return (
         anees,
         position(case, found, before, same),

@@ -154,9 +154,15 @@ class Evidence:
         return [*by_runs, *(offer for offer in self._late_by_wheels() if offer[0].role not in named)]
 
     def _lags_by_truth(self) -> dict[str, Lag]:
-        """Return lags against the truth's headings; the laser's by its own run, where that tells it better."""
+        """Return lags against the truth's headings; the laser's by its own run, where that tells it better.
+
+        Not while another clock looks wrong, or the laser's by a tenth of a second: the run goes by the wheels too,
+        and is late by a part of what they are.
+        """
         drive, runs = self.loaded.drive, self.compared.estimates
         lags = lags_by_truth(drive, drive.truth)
+        if any(f.code == CLOCK and (f.role != LASER or f.severe) for f in self.doctor):
+            return lags
         own = (e for e in runs if e.sensors == (LASER,) and not e.smoothed and not e.lost)
         lag = next((lag_of_run(drive, drive.truth, e) for e in own), None)
         if lag is not None and (LASER not in lags or lag.sigma < lags[LASER].sigma):

@@ -12,12 +12,13 @@ one only roughly: with a laser alone a drive has a single draw of the heading. A
 nothing observes, errs by that one draw at every instant. So what the drawn starts alone give stands below the
 table: the share inside 3 sigma of those cases is to be at most LEEWAY below it, and where their own ANEES is above
 1, the goal is as many times higher. Where a position is to be no worse than that of 0.1, the drives are the same.
+A laser whose clock is off is judged with it set to what the drive and its truth tell; 0.1 told nothing.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, lru_cache, partial
 from pathlib import Path
@@ -29,6 +30,8 @@ import numpy as np
 from locfuse.cli.pipeline.load import make_robot
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import Array, ArrayStream, Drive
+from locfuse.fusion.doctor.clocks import lag_of_run
+from locfuse.fusion.doctor.lag import SAID_SIGMAS, Lag
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
@@ -39,7 +42,7 @@ from locfuse.sample_logs.record import in_memory
 from .accuracy import FIRST_SEED, streams_by_role
 from .consistency_before import BEFORE
 from .consistency_bound import Bound, bound, drive_once, path_in_frame, shape_error
-from .consistency_cases import ALONE, CASES, Case
+from .consistency_cases import ALONE, CASES, LASER, Case
 from .consistency_figures import Figures, Means, figures, means
 from .consistency_kept import Kept
 from .consistency_starts import ENOUGH, Start, alone, often_short, start_of
@@ -66,9 +69,26 @@ def drive_of(case: Case, seed: int) -> tuple[Drive, Robot]:
     return measure(streams_by_role(topics, tables), robot), robot
 
 
+@lru_cache(maxsize=64)
+def late(case: Case, seed: int) -> Lag:
+    """Return the laser's clock by its own run and the truth's headings, as advice finds it."""
+    drive, robot = drive_of(case, seed)
+    found = lag_of_run(drive, drive.truth, fuse(drive, robot, LASER))
+    if found is None:
+        raise click.ClickException(f"{case.name}, seed {seed}: the truth's headings tell no lag")
+    return found
+
+
+def as_found(case: Case, seed: int) -> Case:
+    """Return the case with the laser's clock set to what is found, where it is wrong."""
+    if not case.late_by:
+        return case
+    return replace(case, given=(*case.given, f"lrf.time_offset={late(case, seed).offset}"))
+
+
 def judged(case: Case, seed: int) -> Figures:
     """Fuse one drive and judge it."""
-    drive, robot = drive_of(case, seed)
+    drive, robot = drive_of(as_found(case, seed), seed)
     run = fuse_and_smooth(drive, robot, case.sensors)[1] if case.smooth else fuse(drive, robot, case.sensors)
     found = figures(run, drive, case.aligned_from, case.unknowable)
     if case.goal.in_frame is None or drive.truth is None:
@@ -118,6 +138,8 @@ def invariants(found: Mapping[str, Means], seeds: range) -> Iterator[str]:
                 f"of {at_truth:.2f} mm at the truth's stamps ({after_scan:.2f} mm after each scan). Here it is "
                 f"{found[case.name].aligned / at_truth:.2f} times that (goal: {case.goal.of_bound:g})."
             )
+        if case.late_by and case.name in found:
+            yield f"{case.name}: {clock_words([late(case, seed) for seed in seeds], case.late_by)}"
         started = way_of(case, seeds) if case.name in found else None
         if started is not None:
             by_start, chance = alone(*started, seeds), often_short(*started, len(seeds))
@@ -135,6 +157,16 @@ def invariants(found: Mapping[str, Means], seeds: range) -> Iterator[str]:
     if all(name in found for name in RATES):
         slow, fast = (found[name].anees for name in RATES)
         yield f"Laser at 10 Hz and at 40 Hz: ANEES {slow:.2f} and {fast:.2f} (goal: equal)."
+
+
+def clock_words(lags: Sequence[Lag], late_by: float) -> str:
+    """Return how well the clocks of lasers that are `late_by` [s] late were found."""
+    off, sigmas = np.array([lag.offset + late_by for lag in lags]), np.array([lag.sigma for lag in lags])
+    clear = sum(abs(lag.offset) > SAID_SIGMAS * lag.sigma for lag in lags)
+    return (
+        f"found within {1e3 * np.abs(off).max():.1f} ms, {1e3 * np.sqrt((off**2).mean()):.1f} ms rms; its sigma is "
+        f"{1e3 * sigmas.mean():.1f} ms. Beyond {SAID_SIGMAS:g} sigma in {clear} of {len(lags)} drives (goal: all)."
+    )
 
 
 @click.command()

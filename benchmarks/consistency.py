@@ -163,9 +163,10 @@ def clock_words(lags: Sequence[Lag], late_by: float) -> str:
     """Return how well the clocks of lasers that are `late_by` [s] late were found."""
     off, sigmas = np.array([lag.offset + late_by for lag in lags]), np.array([lag.sigma for lag in lags])
     clear = sum(abs(lag.offset) > SAID_SIGMAS * lag.sigma for lag in lags)
+    worst, rms, sigma = (1000.0 * float(s) for s in (np.abs(off).max(), np.sqrt((off**2).mean()), sigmas.mean()))
     return (
-        f"found within {1e3 * np.abs(off).max():.1f} ms, {1e3 * np.sqrt((off**2).mean()):.1f} ms rms; its sigma is "
-        f"{1e3 * sigmas.mean():.1f} ms. Beyond {SAID_SIGMAS:g} sigma in {clear} of {len(lags)} drives (goal: all)."
+        f"found within {worst:.1f} ms, {rms:.1f} ms rms; its sigma is {sigma:.1f} ms. Beyond {SAID_SIGMAS:g} sigma "
+        f"in {clear} of {len(lags)} drives (goal: all)."
     )
 
 

@@ -165,8 +165,8 @@ def clock_words(lags: Sequence[Lag], late_by: float) -> str:
     clear = sum(abs(lag.offset) > SAID_SIGMAS * lag.sigma for lag in lags)
     worst, rms, sigma = (1000.0 * float(s) for s in (np.abs(off).max(), np.sqrt((off**2).mean()), sigmas.mean()))
     return (
-        f"found within {worst:.1f} ms, {rms:.1f} ms rms; its sigma is {sigma:.1f} ms. Beyond {SAID_SIGMAS:g} sigma "
-        f"in {clear} of {len(lags)} drives (goal: all)."
+        f"found within {worst:.1f} ms, {rms:.1f} ms rms; its sigma is {sigma:.1f} ms. Beyond {SAID_SIGMAS:g} "
+        f"sigma in {clear} of {len(lags)} drives (goal: all)."
     )
 
 

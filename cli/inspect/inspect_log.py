@@ -26,7 +26,6 @@ from locfuse.formats.url import Place
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.doctor.examine import examine
 from locfuse.fusion.doctor.finding import Finding, of_error
-from locfuse.fusion.doctor.laser import OPEN_SCALE
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import merged
@@ -40,8 +39,6 @@ from .topics import derived_facts, topic_facts
 if TYPE_CHECKING:
     from locfuse.cli.pipeline.settings import LogOptions
 from .overview import Overview
-
-PHANTOMS = {"yaw", "range scale", OPEN_SCALE}  # what walls that are none would say
 
 
 def inspect_log(
@@ -150,9 +147,7 @@ def _measure(overview: Overview, progress: Callable[[str], None]) -> None:
         role: merged([overview.log.stream(topic, loaded.robot.order) for topic in overview.choice.of(role)])
         for role in overview.choice.topics
     }
-    phantoms = PHANTOMS if any(o.code == "range_max" and o.severe for o in overview.findings) else set()
-    found = examine(loaded.drive, loaded.robot, streams)
-    overview.findings += [o for o in found if o.role != "lrf" or o.code not in phantoms]
+    overview.findings += examine(loaded.drive, loaded.robot, streams)
     overview.findings += _unusable(overview, loaded)
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def raw_findings(log: Log, robot: Robot, choice: Choice) -> list[Finding]:
     """Return how a laser's driver writes its scans, and what is wrong with a camera's pictures."""
     return [
-        *_said("lrf", choice.of("lrf"), driver, log, robot),
+        *_said("lrf", choice.of("lrf"), _scans, log, robot),
         *_said("camera", pictures_of(log, choice), _pictures, log, robot),
         *_maps(log, robot, choice),
     ]
@@ -60,6 +60,10 @@ def _said(
         return examine(log.stream(topics[0], robot.order), robot.settings(role))
     except LocfuseError as e:
         return [of_error(e, role, "unusable")]
+
+
+def _scans(stream: Any, _: Any) -> list[Finding]:
+    return driver(stream)
 
 
 def _pictures(stream: Any, settings: Any) -> list[Finding]:

@@ -10,7 +10,8 @@ import numpy as np
 from locfuse.formats.rerun.scene import ScanPoints
 from locfuse.formats.thin import evenly
 from locfuse.fusion.data import Array, Drive, Ints, Ragged, Stream
-from locfuse.fusion.lines.scans import points_in_base
+from locfuse.fusion.lines.points import ScanPoints as Measured
+from locfuse.fusion.lines.scans import Laser, points_in_base
 from locfuse.fusion.sensors.lrf import LrfSettings, laser_of
 
 MAX_BEAMS = 360  # of a scan that are drawn: more than a screen shows
@@ -18,14 +19,16 @@ FIELDS = ("angle_min", "angle_increment", "time_increment", "range_min", "range_
 
 
 def scan_points(stream: Stream, settings: LrfSettings, drive: Drive, scans: int, beams: int) -> ScanPoints:
-    """Return at most `scans` scans of at most `beams` points, evenly over the log."""
+    """Return at most `scans` scans of at most `beams` points, evenly over the log, read as the lines were."""
+    measured = drive.measurements["lrf"].points
+    laser = measured.laser if isinstance(measured, Measured) else laser_of(settings)
     wanted = evenly(len(stream.t_ns), scans)
     t = np.zeros(len(wanted))
     points: list[Array] = [np.zeros((0, 2))] * len(wanted)
     for rows, columns in stream.blocks(*FIELDS, rows=128):
         for at, scan in _chosen(rows, columns, wanted):
             stamp = (stream.t_ns[wanted[at]] - drive.epoch_ns) * 1e-9 + settings.time_offset
-            t[at], points[at] = _points(scan, float(stamp), settings, drive, beams)
+            t[at], points[at] = _points(scan, float(stamp), laser, drive, beams)
     keep = np.flatnonzero((t >= drive.t[0]) & (t <= drive.t[-1]))
     keep = keep[np.argsort(t[keep], kind="stable")]
     chosen = [points[i] for i in keep.tolist()]
@@ -43,13 +46,11 @@ def _chosen(rows: Ints, columns: dict[str, Any], wanted: Ints) -> Iterator[tuple
         yield int(at[i]), {**scalars, "ranges": ranges[i]}
 
 
-def _points(
-    scan: dict[str, Any], stamp: float, settings: LrfSettings, drive: Drive, beams: int
-) -> tuple[float, Array]:
+def _points(scan: dict[str, Any], stamp: float, laser: Laser, drive: Drive, beams: int) -> tuple[float, Array]:
     """Return one scan's middle instant and its returns (k, 2) [m, base frame at that instant]."""
     one = {
         name: np.atleast_1d(value)[None] if name == "ranges" else np.array([value]) for name, value in scan.items()
     }
-    points, middle = points_in_base(one, np.array([stamp]), laser_of(settings), drive.wheels)
+    points, middle = points_in_base(one, np.array([stamp]), laser, drive.wheels)
     drawn = points[0, evenly(points.shape[1], beams)]
     return float(middle[0]), drawn[np.isfinite(drawn[:, 0])]

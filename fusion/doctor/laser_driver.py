@@ -12,7 +12,6 @@ from locfuse.fusion.sensors.lrf import Lrf, LrfSettings
 from .finding import Finding
 
 SAMPLE_SCANS = 300  # looked at
-RANGE_MAX_SHARE = 0.01  # of the ranges at exactly range_max: more are no walls
 MIN_TRIPLES = 1000  # of neighbouring ranges, by which noise is judged
 MAX_SCATTER = 1.4  # times sigma_range: more is named
 # shares of normal numbers, and how near to 0 they are in standard deviations; clutter and rounding lie elsewhere
@@ -21,7 +20,7 @@ MAX_NOISE_M = 0.1  # of a laser: more is leaves
 MAX_UNLIKE = 1.2  # times the smallest of the sigmas that these say
 
 
-def driver(stream: Stream, settings: LrfSettings) -> list[Finding]:
+def driver(stream: Stream) -> list[Finding]:
     """Return what is unusual about the first scans of a stream."""
     parts = [columns for _, columns in _first(stream)]
     if not parts:
@@ -31,7 +30,7 @@ def driver(stream: Stream, settings: LrfSettings) -> list[Finding]:
     lengths = np.concatenate([r.lengths for r in ranges])
     values = np.concatenate([r.values[r.first[0] : r.first[-1]] for r in ranges]).astype(np.float64)
     far = np.repeat(column["range_max"].astype(np.float64), lengths)
-    return [*_nothing(values, far, settings), *_turning(column, lengths)]
+    return [*_nothing(values, far), *_turning(column, lengths)]
 
 
 def of_scatter(stream: Stream, settings: LrfSettings) -> list[Finding]:
@@ -97,9 +96,8 @@ def _first(stream: Stream) -> list[tuple[Any, dict[str, Any]]]:
     return found
 
 
-def _nothing(values: Array, far: Array, settings: LrfSettings) -> list[Finding]:
+def _nothing(values: Array, far: Array) -> list[Finding]:
     """How many ranges are no walls, by how they say so."""
-    n = max(1, len(values))
     shares = {
         "inf": np.isinf(values).mean() if len(values) else 0.0,
         "NaN": np.isnan(values).mean() if len(values) else 0.0,
@@ -107,15 +105,7 @@ def _nothing(values: Array, far: Array, settings: LrfSettings) -> list[Finding]:
         "beyond range_max": ((values > far) & np.isfinite(values)).mean() if len(values) else 0.0,
     }
     words = ", ".join(f"{share:.0%} {how}" for how, share in shares.items() if share >= 0.005)
-    found = [Finding("lrf", "no return", f"of its ranges {words}: nothing came back there")] if words else []
-    limit = np.minimum(far, settings.range_max or np.inf)
-    full = (values == far) & (values <= limit)
-    share = float(full.sum()) / n
-    if share > RANGE_MAX_SHARE:
-        end = float(far[full][0])
-        words = f"{share:.0%} of its ranges are exactly range_max = {end:g} m: its driver's word for no return"
-        found.append(Finding("lrf", "range_max", words, (f"lrf.range_max={0.999 * end:.4g}",)))
-    return found
+    return [Finding("lrf", "no return", f"of its ranges {words}: nothing came back there")] if words else []
 
 
 def _turning(column: dict[str, Array], lengths: Array) -> list[Finding]:

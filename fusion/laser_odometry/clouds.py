@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion.data import Array, Ints, Stream
+from locfuse.fusion.lines.no_return import Longest, below
 from locfuse.fusion.lines.points import SCANS_PER_BLOCK
 from locfuse.fusion.lines.scans import Laser, equal_scans, points_in_base
 from locfuse.fusion.scan_matching.clouds import MAX_RANGE_M, Clouds, normals
@@ -55,7 +56,19 @@ class Scans:
 
 
 def read_scans(stream: Stream, laser: Laser, wheels: WheelMotion) -> Scans:
-    """Return the scans of a stream; `wheels` says how the robot moved while each was taken."""
+    """Return the scans of a stream; `wheels` says how the robot moved while each was taken.
+
+    A range that the driver writes where nothing came back is left out, unless `laser` says how far it sees.
+    """
+    scans, longest = _read(stream, laser, wheels)
+    if laser.range_max is not None or longest.no_return is None:
+        return scans
+    return _read(stream, laser._replace(range_max=below(longest.no_return)), wheels)[0]
+
+
+def _read(stream: Stream, laser: Laser, wheels: WheelMotion) -> tuple[Scans, Longest]:
+    """Return the scans of a stream, and its longest range."""
+    longest = Longest()
     stamps: Array = (stream.t_ns - stream.t_ns[0]) * np.float64(1e-9)
     t = stamps.copy()
     points: list[NDArray[np.float32]] = [np.zeros((0, 2), np.float32)] * len(t)
@@ -63,11 +76,12 @@ def read_scans(stream: Stream, laser: Laser, wheels: WheelMotion) -> Scans:
     for rows, columns in stream.blocks(*FIELDS, rows=SCANS_PER_BLOCK):
         skewed |= bool(np.any(cast("Array", columns["time_increment"]) > 0.0)) and laser.deskew
         for group, scans in equal_scans(columns):
+            longest.add(scans["ranges"], scans["range_max"])
             at = rows[group]
             xy, t[at] = points_in_base(scans, stamps[at], laser, wheels)
             for row, p in zip(at.tolist(), xy, strict=True):
                 points[row] = _thinned(p, laser.mount[:2]).astype(np.float32)
-    return Scans(t, points, laser.mount[:2], skewed)
+    return Scans(t, points, laser.mount[:2], skewed), longest
 
 
 def _thinned(points: Array, origin: Array) -> Array:

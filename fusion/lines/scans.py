@@ -135,6 +135,7 @@ class Gathered:
         self._z, self._R_unit, self._ends = [np.empty((0, 2))], [np.empty((0, 2, 2))], [np.empty((0, 2))]
         self._sweep: list[Array] = []
         self.curved = self.straight = 0  # walls: left out as pieces of a curve; lines
+        self.giants = 0  # scans of too many beams
 
     def add(self, at: Ints, lines: Lines) -> None:
         """Add the lines of the readings `at` (k,); of each line what a measurement needs."""

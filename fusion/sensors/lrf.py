@@ -17,6 +17,7 @@ from locfuse.fusion.atlas.tracker import AtlasTracker
 from locfuse.fusion.data import Array, Colour, Component, Ints, Measurements, Stream
 from locfuse.fusion.lines.extract import LineSettings
 from locfuse.fusion.lines.flatness import wall_floor
+from locfuse.fusion.lines.no_return import Longest, below
 from locfuse.fusion.lines.points import SCANS_PER_BLOCK, ScanPoints
 from locfuse.fusion.lines.scans import Gathered, Laser, equal_scans, lines_in_base, too_many_beams, turns
 from locfuse.fusion.mount import ASK_MOUNT, Mount, MountedSettings, mount_states
@@ -84,14 +85,12 @@ class Lrf(Sensor):
     def measure(self, stream: Stream, settings: LrfSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
         """Extract the lines of every scan, deskewed to the middle of the scan, in the base frame."""
         stamps: Array = (stream.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset
-        t, laser = stamps.copy(), laser_of(settings)
-        found, giants = Gathered(), 0
-        for rows, columns in stream.blocks(*self.reads[stream.msgtype], rows=SCANS_PER_BLOCK):
-            giants += too_many_beams(columns)
-            for group, scans in equal_scans(columns):
-                at = rows[group]
-                lines, t[at] = lines_in_base(scans, stamps[at], laser, wheels)
-                found.add(at, lines)
+        laser = laser_of(settings)
+        t, found, longest = self._lines(stream, stamps, laser, wheels)
+        nothing = longest.no_return if settings.range_max is None else None
+        if nothing is not None:
+            laser = laser._replace(range_max=below(nothing))
+            t, found, _ = self._lines(stream, stamps, laser, wheels)
         first, z, R_unit, ends, sweep = found.in_order(len(t))
         uneven = unevenness(settings, t, first, z, R_unit, sweep[:, 1], wheels)
         floor = np.maximum(uneven, np.square((settings.floor_range, math.radians(settings.floor_angle_deg))))
@@ -100,12 +99,28 @@ class Lrf(Sensor):
             extra["shared"] = sweep
         if uneven.any():
             extra["uneven"] = np.broadcast_to(uneven, z.shape)  # m^2, rad^2
-        dropped = {**stream.dropped, **({"too_many_beams": giants} if giants else {})}
+        dropped = {**stream.dropped, **({"too_many_beams": found.giants} if found.giants else {})}
         points = ScanPoints(stream, self.reads[stream.msgtype], stamps, laser, wheels, np.arange(len(t)))
         notes = (*_floor_notes(uneven, settings), *_curve_notes(found.curved, found.straight))
+        if nothing is not None:
+            notes = (longest.note, *notes)
         return Measurements(
             t, first, z, R_unit, settings.sigma_range, np.diag(floor), extra, dropped, points, notes
         )
+
+    def _lines(
+        self, stream: Stream, stamps: Array, laser: Laser, wheels: WheelMotion
+    ) -> tuple[Array, Gathered, Longest]:
+        """Return the instants of the scans (n,) [s], their lines, and the longest range."""
+        t, found, longest = stamps.copy(), Gathered(), Longest()
+        for rows, columns in stream.blocks(*self.reads[stream.msgtype], rows=SCANS_PER_BLOCK):
+            found.giants += too_many_beams(columns)
+            for group, scans in equal_scans(columns):
+                longest.add(scans["ranges"], scans["range_max"])
+                at = rows[group]
+                lines, t[at] = lines_in_base(scans, stamps[at], laser, wheels)
+                found.add(at, lines)
+        return t, found, longest
 
     def heading(self, m: Measurements) -> tuple[Array, Array]:
         """Return times (n,) and headings (n,) [rad, unwrapped, up to a constant] by lines from scan to scan."""

@@ -291,7 +291,13 @@ LASER_TRAPS = (
     Trap("no return as NaN", no_returns(math.nan), "NaN: nothing came back", False, "lrf"),
     Trap("no return as 0", no_returns(0.0), "zero: nothing came back", False, "lrf"),
     Trap("no return beyond range_max", no_returns(9.0), "beyond range_max: nothing came back", False, "lrf"),
-    Trap("no return as range_max", saturated, "exactly range_max = 5 m", False, "lrf"),
+    Trap(
+        "no return as range_max, or as one other range",
+        saturated,
+        "exactly 5 m, the longest: read as no return",
+        False,
+        "lrf",
+    ),
     Trap("a laser that scans clockwise", clockwise, "clockwise", False, "lrf"),
     Trap("a laser upside-down", upside_down, "mounted upside-down", True, "lrf"),
     Trap(

@@ -23,7 +23,7 @@ CURE = re.compile(r"--set (\S+)")
 
 @cache
 def healthy_error(sensors: str, folder: Path) -> float:
-    found = error(Drive(sensors == "camera").record(folder / "healthy.mcap"), sensors)
+    found = error(Drive(sensors == "camera").record(folder / f"healthy_{sensors}.mcap"), sensors)
     assert found is not None
     return found
 

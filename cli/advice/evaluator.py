@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from locfuse.cli.pipeline.compare import Compared, Heard, Watch, compare_log
 from locfuse.cli.pipeline.configurations import Configuration, for_comparison
 from locfuse.cli.pipeline.load import Loaded
 from locfuse.cli.pipeline.settings import Progress, silent
-from locfuse.fusion.advice.score import MAX_CHANCE_LOSS
+from locfuse.fusion.advice.score import MAX_CHANCE_LOSS, Score, improves, spoils
 from locfuse.fusion.advice.search import Advice, Candidate, Fixes, search, together, total
 from locfuse.fusion.data import Estimates
 
@@ -25,7 +25,7 @@ from .trial import Trial
 
 MAX_ROUNDS = 4
 # findings that are measured again, better, once others are fixed
-REFINED = ("lag", "mount", "way", "understated")
+REFINED = ("lag", "mount", "way", "biased", "understated", "overstated")
 CLEAR = 1.0  # worth of fixes beyond which nothing of a later stage is likely to explain the same
 CHANCE = 2.0 * math.log(1.0 + MAX_CHANCE_LOSS)  # worth that two configurations may gain or lose by chance
 MIN_DURATION_S = 5.0  # s: a shorter drive judges no setting
@@ -122,7 +122,7 @@ def _rounds(compared: Compared, trial: Trial) -> tuple[list[Advice], Fixes]:
             break
         found = _first_that_helps(evidence, kept, trial, done={(a.finding.role, a.finding.code) for a in helped})
         without = {a.finding.role: a for a in found if not a.helps}
-        new = [a for a in found if a.helps]
+        new = [a for a in found if a.helps] or _beside_another(found, kept, trial)
         if not new:
             break
         helped += new
@@ -133,7 +133,42 @@ def _rounds(compared: Compared, trial: Trial) -> tuple[list[Advice], Fixes]:
             break
         compared = _compared(kept, loaded, trial)
     names = {a.finding.role for a in helped}
-    return [*helped, *(a for role, a in without.items() if role not in names)], kept
+    return [*helped, *(a for role, a in without.items() if a.finding.severe or role not in names)], kept
+
+
+def _beside_another(found: Sequence[Advice], kept: Fixes, trial: Trial) -> list[Advice]:
+    """Return a severe finding's fix with what else is wrong once it is set, where only both together help.
+
+    Two faults may hide each other: a compass that is refused because it is late does not disturb a laser whose
+    noise is set too high, and disturbs it as soon as it is used.
+    """
+    for advice in found:
+        for fixes in advice.tried if advice.finding.severe else ():
+            beside = together(kept, fixes)
+            loaded = trial.under(beside)
+            if loaded is None:
+                continue
+            evidence = Evidence(_compared(beside, loaded, trial), trial, beside)
+            trial.seed(beside, evidence.compared)
+            judges = evidence.judges(advice.finding.role)
+            if not any(improves(*pair) for pair in _pairs(kept, beside, judges, trial).values()):
+                continue
+            done = {(advice.finding.role, advice.finding.code)}
+            others = [a for a in _first_that_helps(evidence, beside, trial, done) if a.helps]
+            both = beside
+            for other in others:
+                both = together(both, other.fixes)
+            pairs = _pairs(kept, both, judges, trial)
+            if others and pairs and not any(spoils(*pair) for pair in pairs.values()):
+                before, after = ({name: pair[i] for name, pair in pairs.items()} for i in (0, 1))
+                return [replace(advice, fixes=fixes, before=before, after=after), *others]
+    return []
+
+
+def _pairs(kept: Fixes, fixes: Fixes, judges: Sequence[str], trial: Trial) -> dict[str, tuple[Score, Score]]:
+    """Return the scores of configurations under two sets of fixes; {} where one has none."""
+    before, after = trial(kept, judges), trial(fixes, judges)
+    return {name: (before[name], after[name]) for name in before} if before and after else {}
 
 
 def _first_that_helps(evidence: Evidence, kept: Fixes, trial: Trial, done: set[tuple[str, str]]) -> list[Advice]:
@@ -143,6 +178,7 @@ def _first_that_helps(evidence: Evidence, kept: Fixes, trial: Trial, done: set[t
         evidence.geometry,
         evidence.offsets,
         evidence.noise,
+        evidence.unexplained,
     )
     failed: list[Advice] = []
     best: list[Advice] = []

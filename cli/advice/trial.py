@@ -39,7 +39,7 @@ class Trial:
     fusions: int = 0
     loaded: Loaded = field(init=False)  # what is tried of the log: all of it, or its beginning
     _end: float | None = field(init=False)  # s, of what is tried; None: of the drive
-    _whole: dict[Fixes, Loaded | None] = field(default_factory=dict)
+    _whole: tuple[Fixes, Loaded | None] = ((), None)  # the last that was asked for: an hour's are big
     _logs: dict[Fixes, Loaded | None] = field(default_factory=dict)
     _scores: dict[tuple[Fixes, str], Score] = field(default_factory=dict)
 
@@ -83,7 +83,7 @@ class Trial:
         if not fixes:
             return self.loaded
         if fixes not in self._logs:
-            whole = self.whole_under(fixes)
+            whole = self._set(fixes)
             self._logs[fixes] = None if whole is None else self._shortened(whole)
         return self._logs[fixes]
 
@@ -91,12 +91,17 @@ class Trial:
         """Return the whole log under more settings, also where only its beginning is tried."""
         if not fixes:
             return self.whole
-        if fixes not in self._whole:
-            try:
-                self._whole[fixes] = with_settings(self.whole, fixes)
-            except LocfuseError:
-                self._whole[fixes] = None
-        return self._whole[fixes]
+        if self._end is None:
+            return self.under(fixes)
+        if self._whole[0] != fixes:
+            self._whole = fixes, self._set(fixes)
+        return self._whole[1]
+
+    def _set(self, fixes: Fixes) -> Loaded | None:
+        try:
+            return with_settings(self.whole, fixes)
+        except LocfuseError:
+            return None
 
     def _shortened(self, loaded: Loaded) -> Loaded:
         if self._end is None:

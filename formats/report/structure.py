@@ -170,6 +170,7 @@ class ReportedFinding(Struct):
     fixes: list[str]  # "table.key=value" each; empty: nothing helped
     tried: Tried | None  # null: no fix was found
     alternatives: list[list[str]]  # fixes that were tried and do not help
+    harmless: bool = False  # one of these changes little; without a fix and this, all make the result worse
 
 
 class Truth(Struct):

@@ -42,6 +42,7 @@ class Advice:
     after: Mapping[str, Score] | None = None
     tried: tuple[Fixes, ...] = ()  # every alternative that was tried
     measured: bool = False  # as the candidate's
+    harmless: bool = False  # one of what was tried changes little; else all of it makes something worse
 
     @property
     def helps(self) -> bool:
@@ -111,20 +112,27 @@ def total(found: Sequence[Advice]) -> float:
 def _best(candidate: Candidate, kept: Fixes, trial: Try) -> Advice:
     """Return the alternative that gains most of those that help, by position, else by the path's shape."""
     found = _best_by(candidate, kept, trial, False)
-    return found if found.helps or not candidate.by_shape else _best_by(candidate, kept, trial, True)
+    if found.helps or not candidate.by_shape:
+        return found
+    by_shape = _best_by(candidate, kept, trial, True)
+    return by_shape if by_shape.helps else found
 
 
 def _best_by(candidate: Candidate, kept: Fixes, trial: Try, shape: bool) -> Advice:
-    options = [Advice(candidate.finding, tried=candidate.alternatives)]
+    options, harmless = [], False
     for fixes in candidate.alternatives:
         pairs = _pairs(candidate, kept, fixes, trial, shape)
-        need_no_gain = candidate.measured and bool(pairs) and (shape or _by_prediction(pairs))
-        if need_no_gain or any(improves(*pair) for pair in pairs.values()):
+        harmless = harmless or bool(pairs)
+        # by the drive itself: not to lose is enough
+        shown = candidate.measured and bool(pairs) and (shape or _by_prediction(pairs))
+        if shown or any(improves(*pair) for pair in pairs.values()):
             before = {name: pair[0] for name, pair in pairs.items()}
             after = {name: pair[1] for name, pair in pairs.items()}
             advice = Advice(candidate.finding, fixes, before, after, candidate.alternatives, candidate.measured)
-            options += [advice] if worth(advice) > 0.0 else []
-    return max(options, key=lambda a: (a.helps, worth(a)))
+            options += [advice] if (shown and not shape) or worth(advice) > 0.0 else []
+    return max(
+        options, key=worth, default=Advice(candidate.finding, tried=candidate.alternatives, harmless=harmless)
+    )
 
 
 def _by_prediction(pairs: Mapping[str, tuple[Score, Score]]) -> bool:

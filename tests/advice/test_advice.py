@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -105,3 +106,17 @@ def test_a_laser_20_ms_late_is_named_with_its_sigma_where_the_truth_tells_and_a_
         before, after = finding["tried"]["before"], finding["tried"]["after"]
         assert before["aligned"]
         assert after["position_rmse_m"] < before["position_rmse_m"]
+
+
+def test_laser_and_wheels_that_differ_in_distance_are_both_named_where_nothing_tells_who_is_right(
+    log: Path,
+) -> None:
+    """The laser's own readings are predicted better by the wheels' distances, even if the wheels are wrong."""
+    for wrong in (("lrf.range_scale=1.08",), ("wheels.radius=0.046", "wheels.track=0.552")):
+        found = load(log, sets=("truth.topic=none", *wrong)).findings()
+        assert not {fix.partition("=")[0] for fix in found["fixes"]} & {"lrf.range_scale", "wheels.radius"}
+        (message,) = (f["message"] for f in found["findings"] if f["code"] == "distances")
+        values = {k: float(v) for k, v in re.findall(r"(lrf.range_scale|wheels.radius)=([0-9.]+[0-9])", message)}
+        right = "wheels.radius" if len(wrong) > 1 else "lrf.range_scale"
+        assert values[right] == pytest.approx(0.05 if len(wrong) > 1 else 1.0, rel=0.02)
+        assert len(values) == 2

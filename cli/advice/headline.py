@@ -47,9 +47,11 @@ def _by_errors(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], err
     if every in ties:
         adds = "adds" if len(others) == 1 else "add"
         return f"{first} {_names(others).capitalize()} {adds} nothing measurable beside {beside}."
-    bad = [s for s in others if report.get("verdicts", {}).get(s, {}).get("verdict") in HURTS] or others
-    one = "" if len(bad) == 1 else "one of "
-    return f"{first} With all sensors it is {length(errors[every])}: {one}{_names(bad)} hurts."
+    bad = [s for s in others if report.get("verdicts", {}).get(s, {}).get("verdict") in HURTS]
+    all_of_them = f"{first} With all sensors it is {length(errors[every])}: "
+    if not bad:  # one drive does not settle which
+        return f"{all_of_them}leave {_names(others)} out."
+    return f"{all_of_them}{'' if len(bad) == 1 else 'one of '}{_names(bad)} hurts."
 
 
 def _by_reference(report: Mapping[str, Any], errors: Mapping[str, float]) -> str:

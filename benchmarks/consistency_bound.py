@@ -1,8 +1,9 @@
 """What no filter can beat: the least error of the path's shape on a drive of `benchmarks.consistency`.
 
 The posterior Cramer-Rao bound (Tichavsky, Muravchik and Nehorai 1998) of a filter that is told the true walls,
-from the first scan on: it uses every beam with its own noise, and the wheels with theirs. What a scan has in it is
-used from the end of the scan on, as the product does. A filter that must learn the walls knows less.
+from the first scan on: it uses every beam with its own noise, and the wheels with theirs. A scan is used from its
+end on: the truth's stamps of the cases fall into the first half of a sweep, where the product too has only the
+scan before. A filter that must learn the walls knows less.
 
 An aligned error is that of a path in the world. A compass turns the map while it finds out where it lies, and that
 bends this path; what the laser and the wheels make of the shape is the path within the map's own frame.

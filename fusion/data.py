@@ -348,6 +348,14 @@ class MapLine:
         return self.P if self.P_free is None else self.P_free
 
 
+class SeenAgain(NamedTuple):
+    """A place that was recognised."""
+
+    then: float  # s: when it was seen before
+    now: float  # s: when it was recognised
+    pose: Array  # (3,) where the robot was now, seen from where it was then
+
+
 @dataclass(frozen=True)
 class Estimates:
     """The result of one configuration over one drive."""
@@ -370,6 +378,7 @@ class Estimates:
     lost: tuple[tuple[float, float], ...] = ()  # s: when the filter did not know where it was
     # (m, 2) s: when a place was seen before, and when it was recognised, in order of the second
     loops: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    loop_poses: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (m, 3) the second seen from the first
     smoothed: bool = False  # by the whole drive, its end included; audits are the filter's
     rates: Mapping[str, float] = field(default_factory=dict)  # Hz, of sensors used at a lower rate than the log's
 

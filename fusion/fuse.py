@@ -231,6 +231,7 @@ class Filter:
         blocks, variances = self._track.blocks(), self._track.blocks(variances=True)
         maps = [m.lines(self._seen_by(m)) for m in self.models.values()]
         truth_pose, truth_P = _at_truth(drive, pose, triangles, blocks.get(WHEELS))
+        loops = [loop for m in self.models.values() for loop in m.closed_loops()]
         return Estimates(
             configuration=name,
             sensors=self._sensors,
@@ -250,7 +251,8 @@ class Filter:
             lost=tuple(
                 (a, min(b, float(drive.t[-1]))) for m in self.models.values() for a, b in m.lost_intervals()
             ),
-            loops=np.array([pair for m in self.models.values() for pair in m.closed_loops()]).reshape(-1, 2),
+            loops=np.array([(loop.then, loop.now) for loop in loops]).reshape(-1, 2),
+            loop_poses=np.array([loop.pose for loop in loops]).reshape(-1, 3),
         )
 
     def _notes(self) -> Iterator[str]:

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, Protocol, overload
 import msgspec
 import numpy as np
 
-from .data import VERDICTS, Array, Colour, Component, Ints, MapLine, Measurements, Stream
+from .data import VERDICTS, Array, Colour, Component, Ints, MapLine, Measurements, SeenAgain, Stream
 
 GATE = VERDICTS.index("gate")
 Matrix = tuple[tuple[float, ...], ...]
@@ -300,8 +300,8 @@ class Model:
         """Return when this sensor found the robot not to know where it was, (start, end) [s]."""
         return []
 
-    def closed_loops(self) -> list[tuple[float, float]]:
-        """Return when a place was seen before and when it was recognised, (then, now) [s]."""
+    def closed_loops(self) -> list[SeenAgain]:
+        """Return the places that were recognised, in order of time."""
         return []
 
     def notes(self, belief: Any) -> list[str]:

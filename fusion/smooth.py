@@ -54,8 +54,7 @@ def fuse_and_smooth(
     check_optimal(robot, sensors)
     journal = Journal()
     filtered = fuse(drive, robot, sensors, name, make=journal.belief_of)
-    wheels = filtered.blocks.get(WHEELS)
-    graph = whole_drive(drive, robot, sensors, None if wheels is None else wheels[-1])
+    graph = whole_drive(drive, robot, sensors, filtered)
     if graph is None:
         return filtered, smoothed(drive, filtered, journal)
     if graph.needed(filtered):
@@ -77,6 +76,7 @@ def by_graph(filtered: Estimates, graph: Graph) -> Estimates:
         final_map=graph.walls(),
         lost=(),
         loops=graph.seen_again(),
+        loop_poses=np.zeros((0, 3)),
         notes=(*filtered.notes, *graph.notes()),
         smoothed=True,
     )

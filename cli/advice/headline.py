@@ -58,9 +58,11 @@ def _as_configured(
     if every in ties:
         adds = "adds" if len(others) == 1 else "add"
         return f"{first} {_names(others).capitalize()} {adds} nothing measurable beside {beside}."
-    bad = [s for s in others if report.get("verdicts", {}).get(s, {}).get("verdict") in HURTS] or others
-    one = "" if len(bad) == 1 else "one of "
-    return f"{first} With all sensors it is {length(errors[every])}: {one}{_names(bad)} hurts."
+    bad = [s for s in others if report.get("verdicts", {}).get(s, {}).get("verdict") in HURTS]
+    all_of_them = f"{first} With all sensors it is {length(errors[every])}: "
+    if not bad:  # one drive does not settle which
+        return f"{all_of_them}leave {_names(others)} out."
+    return f"{all_of_them}{'' if len(bad) == 1 else 'one of '}{_names(bad)} hurts."
 
 
 def _ties(errors: Mapping[str, float]) -> list[str]:

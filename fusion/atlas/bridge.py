@@ -14,6 +14,8 @@ from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.linemap.line_map import LineMap
 
+TINY, SHARE = 1e-18, 1e-9  # m^2, rad^2; of a variance: what is known exactly can be inverted beside the rest
+
 
 class Bridge(NamedTuple):
     """k walls as the robot should see them."""
@@ -39,6 +41,18 @@ def seen_from_here(lines: LineMap, at: Ints, belief: JointBelief) -> Bridge:
     states = np.concatenate((np.arange(3), (lines.column[at, None] + np.arange(2)).reshape(-1)))
     P = H @ belief.covariance[np.ix_(states, states)] @ H.T
     return Bridge(seen.r, seen.psi, ends, lines.hits[at], 0.5 * (P + P.T))
+
+
+def heading_among(lines: LineMap, at: Ints, belief: JointBelief) -> float:
+    """Return how well the heading is known where the walls `at` (k,) are given, 1 sigma [rad].
+
+    That is what the last scans say of it, whatever the robot and its walls have drifted together.
+    """
+    states = np.append(2, (lines.column[at, None] + np.arange(2)).reshape(-1))
+    P = belief.covariance[np.ix_(states, states)]
+    size = np.sqrt(np.maximum(np.diagonal(P), TINY))
+    unit = P / np.outer(size, size) + SHARE * np.eye(len(P))
+    return float(size[0] / np.sqrt(np.linalg.inv(unit)[0, 0]))
 
 
 def cross(bridge: Bridge, lines: LineMap, belief: JointBelief, scan: int) -> None:

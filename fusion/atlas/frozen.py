@@ -64,10 +64,9 @@ class Way:
         """Keep a scan that was taken at a pose."""
         self.sights.append(Sight(t, pose, scan))
 
-    def passed(self, place: Array) -> float:
-        """Return when the way came nearest to a place (2,) [m] of its map, in s."""
-        nearest = min(self.sights, key=lambda sight: math.hypot(*(sight.pose[:2] - place)))
-        return nearest.t
+    def nearest(self, place: Array) -> Sight:
+        """Return the scan that was taken nearest to a place (2,) [m] of its map."""
+        return min(self.sights, key=lambda sight: math.hypot(*(sight.pose[:2] - place)))
 
 
 class FrozenMap(NamedTuple):

@@ -16,7 +16,7 @@ import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.core.room import Room
-from locfuse.fusion.data import Array, Ints, MapLine, Measurements
+from locfuse.fusion.data import Array, Ints, MapLine, Measurements, SeenAgain
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import by_frame
 from locfuse.fusion.linemap.scan import Passed
@@ -24,13 +24,16 @@ from locfuse.fusion.linemap.tidy import MIN_HITS
 from locfuse.fusion.mount import Mount
 
 from .anchors import NOWHERE, Anchors, Edge, inverted
-from .bridge import Bridge, cross, seen_from_here
+from .bridge import Bridge, cross, heading_among, seen_from_here
 from .closing import Closure, Here, find_closure
 from .frozen import FrozenMap, Way, box_of, frozen, joint_covariance, thaw
 from .looks import INSISTING, Looks, is_open
 from .one_map import LineTracker
 
 REACH, MANY = 12.0, 100  # m from the anchor, and lines, beyond which the next map begins
+# rad: 1 sigma of the heading among the walls in view, with which a map may be left; times the reach, beyond which
+# it must be: the next map keeps for good what of its frame is wrong when it begins
+TOLD, WAIT = math.radians(0.5), 1.5
 FIRST_ASK, ASK_AGAIN = 3.0, 1.5  # m of way in a map before it is looked for in earlier ones, and between two looks
 BACK_WITHIN = 0.8  # share of the reach within which the robot returns to a map that it left
 BACK_XY, BACK_THETA = 0.3, math.radians(3.0)  # m, rad: standard deviations of where that is, at most
@@ -59,7 +62,7 @@ class AtlasTracker(LineTracker):
         self._ask_known_at: dict[
             int, float
         ] = {}  # frozen map in which this one was seen -> m of way to look again
-        self.closed: list[tuple[float, float]] = []  # s: when a place was seen before, and when it was recognised
+        self.closed: list[SeenAgain] = []
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Teach the map at hand, look for it in earlier ones, and leave it where its anchor is far."""
@@ -125,9 +128,10 @@ class AtlasTracker(LineTracker):
             self._leave(belief, bridges=False)
             self._return_to(back, belief)
             return True
-        bridge = self._seen_last(belief)
-        if bridge is None:
-            return False  # no wall leads over yet
+        leading = self._seen_last()
+        if not len(leading) or not self._may_turn(leading, belief):
+            return False  # no wall leads over yet, or this scan has not told the heading
+        bridge = seen_from_here(self.map, leading, belief)
         self._leave(belief, bridges=True)
         self._begin_next(bridge, belief)
         return True
@@ -152,10 +156,14 @@ class AtlasTracker(LineTracker):
         self._left = np.array(belief.pose()), belief.matrix()
         belief.remove(self.map.drop(np.arange(len(self.map))))
 
-    def _seen_last(self, belief: JointBelief) -> Bridge | None:
-        """Return the walls that were seen last, as the robot should see them."""
-        at = np.flatnonzero((self.map.seen >= self._scan - RECENT) & (self.map.hits >= MIN_HITS))
-        return seen_from_here(self.map, at, belief) if len(at) else None
+    def _seen_last(self) -> Ints:
+        """Return the walls that were seen last."""
+        return np.flatnonzero((self.map.seen >= self._scan - RECENT) & (self.map.hits >= MIN_HITS))
+
+    def _may_turn(self, leading: Ints, belief: JointBelief) -> bool:
+        """Return whether the heading is well known among the walls that lead over, or waiting must end."""
+        x, y = (np.array(belief.pose()) - self._origin)[:2].tolist()
+        return math.hypot(x, y) > WAIT * REACH or heading_among(self.map, leading, belief) < TOLD
 
     def _beside(self, belief: JointBelief) -> FrozenMap | None:
         """Return the map beside the one at hand, by an edge of the graph, in which the robot is; None: in none."""
@@ -288,15 +296,16 @@ class AtlasTracker(LineTracker):
         self._loops = [e for e in self._loops if all(e is not o for o in old)] + [edge]
         if not old:
             here = se2.compose(found.pose, np.array(belief.pose()))
-            self.closed.append((seen.way.passed(here[:2]), t))
+            sight = seen.way.nearest(here[:2])
+            self.closed.append(SeenAgain(sight.t, t, se2.between(sight.pose, here)))
         belief.know_frame(self._anchors.pose[at], self._anchors.covariance((at,)))
         if self.guard is not None and not is_open(self._anchors.relative(0, at)[1]):
             self.guard.recognised(t)
 
     # ---- results ----
 
-    def closed_loops(self) -> list[tuple[float, float]]:
-        """Return when a place was seen before and when it was recognised, (then, now) [s]."""
+    def closed_loops(self) -> list[SeenAgain]:
+        """Return the places that were recognised, in order of time."""
         return self.closed
 
     def lines(self, belief: Any) -> tuple[list[MapLine], list[MapLine]]:

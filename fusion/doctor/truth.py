@@ -12,6 +12,7 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import gap_limit
 from locfuse.fusion.wheels.calibrate import truth_sigma
 from locfuse.fusion.wheels.jumps import Mask, spikes
+from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.repairs import gaps_of, times
 
 from .finding import Finding, Least
@@ -129,10 +130,19 @@ def metre(drive: Drive, robot: Robot, least: Least = WORTH_SAYING) -> tuple[floa
     return factor, [Finding("wheels", "wheel scale", words, tuple(fixes), abs(factor - 1.0) > SEVERE_SCALE_ERROR)]
 
 
+def _arc(wheels: Wheels, start: Array, end: Array, turn: Array) -> Array:
+    """Return the chords (k, 2) [m, base frame at the start] of arcs as long as rolled, which turn by `turn`."""
+    rolled = np.concatenate((np.zeros((1, 2)), np.cumsum(wheels.twist[:, :2], axis=0)))
+    way = np.stack([np.interp(end, wheels.t, r) - np.interp(start, wheels.t, r) for r in rolled.T], axis=-1)
+    return se2.rotated(0.5 * turn, way * np.sinc(turn / (2.0 * np.pi))[:, None])
+
+
 def _point(truth: Truth, drive: Drive) -> list[Finding]:
     """Fit which body point was tracked: while the robot turns, a point off its axle swings.
 
-    With p(t) = base + R(theta) l, a step of the point seen in the base frame is d + (R(turn) - 1) l.
+    With p(t) = base + R(theta) l, a step of the point seen in the base frame is d + (R(turn) - 1) l. The turn is
+    the truth's, and of the wheels only how far they rolled counts: were the turn theirs, its noise would stand on
+    both sides of the equation and look like a point behind the axle.
     """
     if truth.theta is None or np.ptp(np.unwrap(truth.theta)) < MIN_TURN_RAD:
         return []
@@ -141,13 +151,13 @@ def _point(truth: Truth, drive: Drive) -> list[Finding]:
     if len(rows) < 20:
         return []
     start, end = truth.t[rows], truth.t[rows] + WINDOW_S
-    theta = np.unwrap(truth.theta)[rows]
+    heading = np.unwrap(truth.theta)
+    theta, turn = heading[rows], np.interp(end, truth.t, heading) - heading[rows]
     later = np.stack([np.interp(end, truth.t, c) for c in truth.xy.T], axis=-1)
     step = se2.rotated(-theta, later - truth.xy[rows])
-    moved = wheels.relative(start, end)
-    c, s = np.cos(moved[:, 2]) - 1.0, np.sin(moved[:, 2])
+    c, s = np.cos(turn) - 1.0, np.sin(turn)
     A = np.concatenate((np.stack((c, -s), axis=-1), np.stack((s, c), axis=-1)))
-    y = np.concatenate((step - moved[:, :2]).T.reshape(2, -1))
+    y = np.concatenate((step - _arc(wheels, start, end, turn)).T)
     keep = np.ones(len(y), dtype=bool)
     for _ in range(3):
         x, *_ = np.linalg.lstsq(A[keep], y[keep], rcond=None)

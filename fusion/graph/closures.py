@@ -73,11 +73,22 @@ class Candidates:
 
 
 def close(
-    x: Array, edges: Edges, problem: Problem, maps: Submaps, way: Array, clouds: Clouds, views: Views
+    x: Array,
+    edges: Edges,
+    problem: Problem,
+    maps: Submaps,
+    way: Array,
+    clouds: Clouds,
+    views: Views,
+    hints: Edges,
 ) -> tuple[Array, Edges, Loops]:
-    """Return the key poses with all loops closed, all edges, and the loops."""
+    """Return the key poses with all loops closed, all edges, and the loops.
+
+    `hints` between keys steer the search and are none of the edges.
+    """
     loops = Loops()
-    x, normal = problem.solve(x, edges)
+    x, normal = problem.solve(x, Edges.joined(edges, hints), GRADUATIONS if len(hints) else (1.0,))
+    hints = hints.take(hints.weights(x) > KEPT)
     targets, sources = Targets(thinned(maps.clouds)), sources_of(maps.clouds, 200)
     for wide in WIDE_M:
         before = set(loops.pair)
@@ -85,7 +96,7 @@ def close(
         ready, start = placed(found, maps, wide, loops)
         if len(ready.a):
             new = judged(ready, start, targets, sources, maps, clouds, views, x, way, loops)
-            trial = Edges.joined(edges, loops.edges, new)
+            trial = Edges.joined(edges, hints, loops.edges, new)
             x, normal = problem.solve(x, trial, GRADUATIONS)
             loops.edges = Edges.joined(loops.edges, new)
             loops.edges = loops.edges.take(loops.edges.weights(x) > KEPT)

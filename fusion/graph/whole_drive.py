@@ -19,6 +19,7 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.scan_matching.clouds import clouds_of
 from locfuse.fusion.scan_matching.free_space import Views
 from locfuse.fusion.scan_matching.match import Targets, sources_of
+from locfuse.fusion.wheels.states import WHEELS
 
 from .between import scans_between
 from .bridge import Fixes, bridged
@@ -27,6 +28,7 @@ from .closures import GRADUATIONS, Loops, close
 from .keys import choose_keys
 from .odometry import Odometry, odometry_of
 from .others import Others
+from .recognised import recognised
 from .solve import Anchor, Edges, Normal, Problem
 from .submaps import Submaps, submaps_of
 from .walls import straightened
@@ -150,10 +152,12 @@ def _rms(errors: Array) -> float:
     return float(np.sqrt((errors[:, :2] ** 2).sum(axis=1).mean())) if len(errors) else 0.0
 
 
-def whole_drive(drive: Drive, robot: Robot, sensors: Sequence[str], wheels: Array | None = None) -> Graph | None:
+def whole_drive(
+    drive: Drive, robot: Robot, sensors: Sequence[str], filtered: Estimates | None = None
+) -> Graph | None:
     """Return the graph of a drive with a laser; None without one, or where it has no room for a loop.
 
-    `wheels` (3,): corrections of the wheels where the filter estimated them.
+    Of the filter's run it takes over the places that were recognised, and the wheels where they were estimated.
     """
     m = drive.measurements.get(LASER)
     if LASER not in sensors or m is None or m.points is None or robot.settings(LASER).map != "grow":
@@ -161,6 +165,8 @@ def whole_drive(drive: Drive, robot: Robot, sensors: Sequence[str], wheels: Arra
     if in_one_view(drive):
         return None
     lag = clock_lag(drive)
+    estimated = None if filtered is None else filtered.blocks.get(WHEELS)
+    wheels = None if estimated is None else estimated[-1]
     odometry = odometry_of(drive, lag, wheels)
     readings = choose_keys(odometry, drive.instant[LASER])
     if len(readings) < MIN_KEYS:
@@ -176,7 +182,8 @@ def whole_drive(drive: Drive, robot: Robot, sensors: Sequence[str], wheels: Arra
     x, edges = sequential(targets, sources, wheel_edges(odometry, keys), way, problem)
     maps = submaps_of(clouds, x, way)
     views = Views.of(clouds, np.array(m.points.origin))
-    x, closed, loops = close(x, edges, problem, maps, way, clouds, views)
+    hints = Edges.none() if filtered is None else recognised(filtered, odometry, keys)
+    x, closed, loops = close(x, edges, problem, maps, way, clouds, views, hints)
     if len(loops.edges):
         closed = Edges.joined(closed, again(targets, sources, x, way))
     x, normal = problem.solve(x, closed, GRADUATIONS if len(loops.edges) else (1.0,))

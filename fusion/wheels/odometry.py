@@ -16,7 +16,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, LocfuseError, Stream
 from locfuse.fusion.robot import WheelSettings
 
-from .jumps import Mask, limits, restarted, spikes
+from .jumps import MAX_SPEED_MPS, Mask, limits, restarted, spikes
 from .repairs import times
 
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -77,6 +77,7 @@ MAX_STEP_RATIO = 3.0  # |pose step| and |twist| dt within this factor speak of t
 MIN_AGREEING_SHARE = 0.8  # share of the moving steps that must agree before the twist is believed
 COMMANDED = ("cmd", "command", "target", "setpoint", "teleop", "joy")  # what the body was asked to do
 MAX_HOLD_S = 1.0  # s that a command lasts at most: drivers stop the robot when nothing more comes
+MAX_TURN_RADPS = 1e6  # not even one in a unit that nobody told is faster
 SPEED_SETTING = "wheels.max_speed [m/s] says how far it may step"
 MAX_REVERSE_SHARE = 0.1  # share of backing up that the pose may know of and still be called blind to it
 
@@ -174,10 +175,10 @@ def travelled(t: Array, values: Array, by_twist: bool, max_speed: float | None, 
 
     `posed` is whether the messages have a pose at all.
     """
-    everything = np.ones(len(t), dtype=bool)
     if not posed or (np.ptp(values[:, :3], axis=0).max() <= 0.0 and values[:, 3:].any()):
         notes = ("its pose never changes: its twist is used",) if posed else ()
-        return Way(everything, _integrated(t, values[:, 3:]), 0, notes)
+        keep = possible(values[:, 3:], max_speed)
+        return Way(keep, _integrated(t[keep], values[keep, 3:]), int((~keep).sum()), notes)
     bad = spikes(t, values[:, :2], _limits(t, values, max_speed))
     t, values = t[~bad], values[~bad]
     twist = _steps(values)
@@ -242,6 +243,12 @@ def _steps(values: Array) -> Array:
 
 def _limits(t: Array, values: Array, max_speed: float | None) -> Array:
     return limits(t, np.hypot(*np.diff(values[:, :2], axis=0).T), max_speed)
+
+
+def possible(speeds: Array, max_speed: float | None) -> Mask:
+    """Mark speeds [m/s] and turning rates [rad/s] (n, 2) that a body can have."""
+    most = MAX_SPEED_MPS if max_speed is None else max_speed
+    return (np.abs(speeds[:, 0]) <= most) & (np.abs(speeds[:, 1]) <= MAX_TURN_RADPS)
 
 
 def _integrated(t: Array, speeds: Array) -> Array:

@@ -141,7 +141,9 @@ def _from_body(stream: Stream, settings: WheelSettings) -> WheelReading:
     t = (stream.t_ns[keep] - stream.t_ns[keep[0]]) * 1e-9
     posed = odometry.has_pose(stream.msgtype, settings)
     if not posed and odometry.commanded(stream.topic):
-        t, twist = odometry.obeyed(t, values[keep, 3:])
+        can = odometry.possible(values[keep, 3:], settings.max_speed)
+        count_dropped(dropped, "spike", int((~can).sum()))
+        t, twist = odometry.obeyed(t[can], values[keep[can], 3:])
         notes: tuple[str, ...] = ()
     else:
         way = odometry.travelled(t, values[keep], settings.reverse_by_twist, settings.max_speed, posed)

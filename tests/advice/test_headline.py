@@ -50,3 +50,21 @@ def test_a_sensor_that_is_good_once_its_fix_is_set_is_named(after: float, until:
     found = headline(report, sets)
     assert found.startswith("Keep the compass: 33 mm. With all sensors it is 55 mm: the laser hurts.")
     assert found.endswith(end)
+
+
+@pytest.mark.parametrize(
+    ("compass", "camera", "end"),
+    [
+        ("hurts", "no effect seen", "the compass hurts."),
+        ("seems to hurt", "hurts", "one of the compass and the camera hurts."),
+        ("seems to help", "no effect seen", "leave the compass and the camera out."),
+    ],
+)
+def test_hurts_is_said_only_of_a_sensor_whose_verdict_says_so(compass: str, camera: str, end: str) -> None:
+    errors = {"odometry": 3.0, "lrf": 0.75, "all": 4.2}
+    report: dict[str, Any] = {
+        "configurations": {name: {"position_rmse_m": error} for name, error in errors.items()},
+        "verdicts": {"lrf": {"verdict": "helps"}, "compass": {"verdict": compass}, "camera": {"verdict": camera}},
+    }
+    found = headline(report, {"odometry": (), "lrf": ("lrf",), "all": ("lrf", "compass", "camera")})
+    assert found == f"Keep the laser: 0.75 m. With all sensors it is 4.20 m: {end}"

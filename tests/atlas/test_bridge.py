@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from locfuse.fusion.atlas.bridge import cross, seen_from_here
+from locfuse.fusion.atlas.bridge import cross, heading_among, seen_from_here
 from locfuse.fusion.data import Array
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.linemap.line_map import LineMap
@@ -73,3 +73,29 @@ def test_how_two_walls_lie_to_each_other_is_known_as_before() -> None:
     after = bridge.P[np.ix_((1, 3), (1, 3))]
     apart = np.array([1.0, -1.0])
     assert apart @ after @ apart == pytest.approx(apart @ before @ apart)
+
+
+def test_the_heading_among_walls_is_what_is_left_of_it_once_they_are_given() -> None:
+    belief, lines = drive()
+    walls = np.concatenate([lines.column, lines.column + 1])
+    P = belief.covariance
+    left = P[2, 2] - P[2, walls] @ np.linalg.solve(P[np.ix_(walls, walls)], P[walls, 2])
+    assert heading_among(lines, np.arange(3), belief) == pytest.approx(np.sqrt(left), rel=1e-3)
+
+
+def test_a_motion_that_no_scan_has_followed_leaves_the_heading_as_uncertain_as_the_motion_is() -> None:
+    belief, lines = drive()
+    told = heading_among(lines, np.arange(3), belief)
+    belief.predict((0.1, 0.0, 0.0), (1e-10, 0.0, 0.0, 1e-10, 0.0, 0.02**2))
+    assert heading_among(lines, np.arange(3), belief) == pytest.approx(np.hypot(told, 0.02), rel=1e-3)
+
+
+def test_what_robot_and_walls_have_drifted_together_does_not_count() -> None:
+    belief = JointBelief((0.0, 0.0, 0.0), (1e-12, 0.0, 0.0, 1e-12, 0.0, 0.1**2))
+    lines = LineMap()
+    for x, y, beta in WALLS:  # each is seen from the pose: it turns as the pose does
+        column = belief.augment(
+            np.array([0.0, beta]), np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.diag((1e-8, 0.003**2))
+        )
+        lines.append(np.array([x, y]), np.array([0.0, beta]), np.zeros((2, 2)), column, (-1.0, 1.0), 4)
+    assert heading_among(lines, np.arange(3), belief) == pytest.approx(0.003 / np.sqrt(3.0), rel=0.01)

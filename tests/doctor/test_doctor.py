@@ -219,6 +219,27 @@ def test_a_body_point_is_told_before_the_start_that_depends_on_it() -> None:
     assert told(found) == pytest.approx({"truth.x": 0.3, "truth.y": 0.1}, abs=0.05)
 
 
+@pytest.mark.parametrize(("x", "y"), [(0.0, 0.0), (0.3, 0.1)])
+@pytest.mark.parametrize("seed", range(3))
+def test_wheels_whose_turns_are_noisy_make_no_body_point(x: float, y: float, seed: int) -> None:
+    """Their noise is in how far they turned; the truth knows that, and the point is what it is."""
+    healthy = drive(18, robot(), laps=1.5)
+    truth, w, rng = truth_of(healthy), healthy.wheels, np.random.default_rng(seed)
+    turn = rng.normal(0.0, math.radians(5.0), len(w.t) - 1) * np.sqrt(np.diff(w.t))  # 5 degrees in a second
+    left, right = (
+        np.concatenate(([0.0], np.cumsum(r))) for r in (w.rolled + np.outer(turn, (-0.5, 0.5)) * TRACK).T
+    )
+    noisy = replace(healthy, wheels=Wheels.from_wheels(w.t, left, right, TRACK, w.noise))
+    assert truth.theta is not None
+    c, s = np.cos(truth.theta), np.sin(truth.theta)
+    point = np.stack((x * c - y * s, x * s + y * c), axis=-1)
+    found = of_truth(replace(noisy, truth=replace(truth, xy=truth.xy + point)), robot())
+    if x:
+        assert told(found) == pytest.approx({"truth.x": x, "truth.y": y}, abs=0.05)
+    else:
+        assert "body point" not in {f.code for f in found}
+
+
 def test_a_healthy_truth_is_not_mentioned() -> None:
     for seed in range(19, 24):
         assert of_truth(drive(seed, robot()), robot()) == []

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
 from ring_drive import WIDTH, ring_drive, robot
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive
+from locfuse.fusion.data import Array, Drive, Estimates
+from locfuse.fusion.graph import closures
+from locfuse.fusion.graph import recognised as hints
 from locfuse.fusion.graph.bridge import Fixes, bridged
 from locfuse.fusion.graph.odometry import odometry_of
+from locfuse.fusion.graph.recognised import recognised
 from locfuse.fusion.graph.whole_drive import Graph, whole_drive
 
 
@@ -74,6 +78,61 @@ def test_the_same_bytes_twice() -> None:
     assert again is not None
     for one, other in zip(graph.poses(), again.poses(), strict=True):
         assert one.tobytes() == other.tobytes()
+
+
+def having_recognised(drive: Drive, truth: Array, *places: tuple[float, float], wrong: Any = 0.0) -> Estimates:
+    """A run of the filter that recognised places, (then, now) [s] each, as they are or `wrong` by a pose."""
+    then, now = np.searchsorted(drive.t, np.array(places).reshape(-1, 2)).T
+    poses = se2.between(truth[then], truth[now]) + wrong
+    found = drive.t[np.column_stack((then, now))]
+    return Estimates("lrf", ("lrf",), drive.t, truth, np.zeros((len(truth), 6)), {}, loops=found, loop_poses=poses)
+
+
+def returns(drive: Drive, truth: Array) -> list[tuple[float, float]]:
+    """Some times (then, now) [s] at which the robot was at one place, one round of the ring apart."""
+    k = np.arange(0, len(drive.t), 40)
+    apart = np.hypot(*(truth[k, None, :2] - truth[None, k, :2]).transpose(2, 0, 1))
+    i, j = np.nonzero((apart < 0.5) & (drive.t[k] - drive.t[k][:, None] > 20.0))
+    return list(zip(drive.t[k[i]].tolist(), drive.t[k[j]].tolist(), strict=True))[:4]
+
+
+def test_a_place_that_the_filter_recognised_lies_between_keys_where_the_truth_has_it() -> None:
+    drive, truth, graph = solved()
+    places = returns(drive, truth)
+    edges = recognised(having_recognised(drive, truth, *places), odometry_of(drive), graph.keys)
+    assert len(edges) == len(places) > 2
+    at = truth[graph.keys]
+    off = se2.between(edges.z, se2.between(at[edges.i], at[edges.j]))
+    assert np.abs(off[:, :2]).max() < 0.05  # the wheels err over less than half a key's way
+    assert np.abs(se2.wrap_all(off[:, 2])).max() < np.radians(2.0)
+
+
+def test_without_a_search_what_the_filter_recognised_is_closed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """After a long loop every window is too wide, as here, where a window is soon called wide."""
+    monkeypatch.setattr(closures, "MAX_SEARCHES", 0)
+    monkeypatch.setattr(closures, "NARROW_M", 0.05)
+    monkeypatch.setattr(hints, "SIGMA_M", 0.02)
+    drive, truth, _ = solved()
+    lone = whole_drive(drive, robot(), ["lrf"])
+    known = whole_drive(drive, robot(), ["lrf"], having_recognised(drive, truth, *returns(drive, truth)))
+    assert lone is not None
+    assert known is not None
+    assert len(lone.closures) == 0
+    assert worst(lone.poses()[0], truth) > 0.5
+    assert len(known.closures) >= 3
+    assert worst(known.poses()[0], truth) < 0.12
+
+
+@pytest.mark.parametrize("wrong", [(6.0, 0.0, 0.0), (0.0, 0.0, np.pi), (0.0, -3.0, 0.4)])
+def test_a_place_that_was_recognised_wrongly_bends_nothing(wrong: tuple[float, float, float]) -> None:
+    drive, truth, graph = solved()
+    misled = having_recognised(drive, truth, *returns(drive, truth), wrong=np.array(wrong))
+    found = whole_drive(drive, robot(), ["lrf"], misled)
+    assert found is not None
+    assert worst(found.poses()[0], truth) < 0.12
+    assert len(found.closures) >= 0.5 * len(graph.closures)
 
 
 def test_a_drive_without_a_loop_closes_none_and_says_so() -> None:

@@ -192,6 +192,22 @@ def test_a_commanded_twist_is_the_last_resort_and_named_as_what_it_is(tmp_path: 
     assert "commanded" not in notes_of(report)
 
 
+@pytest.mark.parametrize("topic", ["/cmd_vel", "/base/speed"])
+@pytest.mark.parametrize(("field", "absurd"), [("linear.x", 1e300), ("angular.z", -1e308), ("linear.x", -2e6)])
+def test_a_speed_that_no_body_has_is_left_out_and_counted(topic: str, field: str, absurd: float) -> None:
+    """The circle goes on as if the message had not come; what is faster than wheels.max_speed goes too."""
+    data = {"linear.x": np.full(len(T), SPEED), "angular.z": np.full(len(T), RATE)}
+    data[field] = data[field].copy()
+    data[field][[7, 30]] = absurd
+    stream = ArrayStream(topic, "geometry_msgs/msg/Twist", np.array(stamps(T)), data)
+    reading = read_wheels(stream, WheelSettings())
+    assert reading.dropped == {"spike": 2}
+    np.testing.assert_allclose(reading.wheels.pose[-1], CIRCLE[-1], atol=1e-9)
+    assert read_wheels(stream, WheelSettings(max_speed=2.0 * SPEED)).dropped == {"spike": 2}
+    with pytest.raises(LocfuseError, match=f"{topic} has 0 usable readings of {len(T)}"):
+        read_wheels(stream, WheelSettings(max_speed=0.5 * SPEED))
+
+
 def test_a_command_lasts_until_the_next_one_and_a_second_at_most() -> None:
     t = np.array([0.0, 0.5, 4.0, 4.2])
     data = {"linear.x": np.array([1.0, 2.0, 3.0, 0.0]), "angular.z": np.array([0.0, 0.0, 0.0, 0.0])}

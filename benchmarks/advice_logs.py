@@ -20,6 +20,7 @@ import click
 import numpy as np
 
 from benchmarks.advice import PAGE, put
+from benchmarks.building import FAR_S
 from benchmarks.relations import relation_errors
 from locfuse.cli.advice.evaluator import standard
 from locfuse.cli.advice.trial import Trial
@@ -110,13 +111,14 @@ def _obeyed(
 
 
 def _by_relations(session: Session, relations: Path) -> str:
-    """Return the mean error of relative poses that people verified by hand, each between two scans."""
+    """Return the mean errors of relative poses that people verified by hand: of scans near and far in time."""
     drive = session.loaded.drive
     table = np.loadtxt(relations)
     table[:, :2] += RELATIONS_EPOCH_S - drive.epoch_ns * 1e-9 + session.robot.settings("lrf").time_offset
     estimates = session.run("lrf", advice=False).filtered
-    translation, rotation = relation_errors(estimates.t, estimates.pose, table)
-    return f"{length(float(translation.mean()))}, {np.degrees(rotation.mean()):.2f}°"
+    far = table[:, 1] - table[:, 0] > FAR_S
+    (near, turn), (beyond, _) = (relation_errors(estimates.t, estimates.pose, table[rows]) for rows in (~far, far))
+    return f"{length(float(near.mean()))}, {np.degrees(turn.mean()):.2f}°; far {length(float(beyond.mean()))}"
 
 
 def _tried(finding: Mapping[str, Any]) -> tuple[str, str, str, str]:

@@ -82,7 +82,8 @@ def _with_fixes(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], le
     name = min(after, key=lambda n: after[n], default=None)
     if name is None or after[name] * (1.0 + TIE) + TIE_M >= least:
         return ""
-    return f" {_with(sets[name])} and the fixes found it is {length(after[name])}."
+    which = f"{_with(sets[name])} and" if len(sets) > 1 else "With"
+    return f" {which} the fixes found it is {length(after[name])}."
 
 
 def _by_reference(report: Mapping[str, Any], errors: Mapping[str, float]) -> str:

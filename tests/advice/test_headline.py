@@ -32,9 +32,9 @@ def test_a_reference_says_which_sensors_help_and_what_nobody_judges(verdicts: di
 @pytest.mark.parametrize(
     ("after", "until", "end"),
     [
-        (0.0035, None, "hurts. With the laser and the fixes found it is 3.5 mm."),
-        (0.0320, None, "hurts."),  # as good as the best without it
-        (0.0035, 300.0, "hurts."),  # of the beginning only: another figure
+        (0.0035, None, "With the laser and the fixes found it is 3.5 mm."),
+        (0.0320, None, "the laser hurts."),  # as good as the best without it
+        (0.0035, 300.0, "the laser hurts."),  # of the beginning only: another figure
     ],
 )
 def test_a_sensor_that_is_good_once_its_fix_is_set_is_named(after: float, until: float | None, end: str) -> None:
@@ -44,6 +44,7 @@ def test_a_sensor_that_is_good_once_its_fix_is_set_is_named(after: float, until:
     tried = {"configuration": "lrf", "before": {"position_rmse_m": 0.058}, "after": score, "until_s": until}
     report: dict[str, Any] = {
         "configurations": {name: {"position_rmse_m": e} for name, e in errors.items()},
+        "verdicts": {"lrf": {"verdict": "hurts"}},
         "findings": [{"fixes": ["lrf.time_offset=0"], "tried": tried}, {"fixes": [], "tried": None}],
     }
     sets = {"odometry": (), "compass": ("compass",), "lrf": ("lrf",), "all": ("compass", "lrf")}

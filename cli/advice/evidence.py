@@ -20,7 +20,7 @@ from locfuse.fusion.advice.probes import of_mount, of_offsets, of_probe, of_scal
 from locfuse.fusion.advice.search import Candidate, Fixes
 from locfuse.fusion.advice.slip import Slip, slip
 from locfuse.fusion.data import Estimates, Stream, Truth
-from locfuse.fusion.doctor.clocks import clock_lags, lags_by_truth
+from locfuse.fusion.doctor.clocks import clock_lags, lag_of_run, lags_by_truth
 from locfuse.fusion.doctor.examine import examine, scales
 from locfuse.fusion.doctor.finding import Finding, Least
 from locfuse.fusion.doctor.lag import SAID_SIGMAS, Lag, worth_saying
@@ -113,7 +113,8 @@ class Evidence:
         by_truth = self.loaded.drive.truth is not None
         seen = [f for f in self.doctor if f.code == CLOCK]
         measured = {("wheels", CLOCK), *((f.role, f.code) for f, _ in self._late if by_truth)}
-        return self._candidates(seen, offers, measured | {(f.role, f.code) for f in seen})
+        found = self._candidates(seen, offers, measured | {(f.role, f.code) for f in seen})
+        return [replace(c, by_shape=by_truth and c.finding.role == LASER) for c in found]
 
     def geometry(self) -> list[Candidate]:
         """Return what measuring and a run with more states say of mounts, scales and directions."""
@@ -175,10 +176,26 @@ class Evidence:
         """Return clock lags against the truth, without it against other runs and the wheels."""
         drive = self.loaded.drive
         if drive.truth is not None and drive.truth.theta is not None:
-            return list(self._late_by_truth(lags_by_truth(drive, drive.truth)))
+            return list(self._late_by_truth(self._lags_by_truth()))
         by_runs = list(self._late_by_runs())
         named = {finding.role for finding, _ in by_runs}
         return [*by_runs, *(offer for offer in self._late_by_wheels() if offer[0].role not in named)]
+
+    def _lags_by_truth(self) -> dict[str, Lag]:
+        """Return lags against the truth's headings; the laser's by its own run, where that tells it better.
+
+        Not while another clock looks wrong, or the laser's by a tenth of a second: the run goes by the wheels too,
+        and is late by a part of what they are.
+        """
+        drive, runs = self.loaded.drive, self.compared.estimates
+        lags = lags_by_truth(drive, drive.truth)
+        if any(f.code == CLOCK and (f.role != LASER or f.severe) for f in self.doctor):
+            return lags
+        own = (e for e in runs if e.sensors == (LASER,) and not e.smoothed and not e.lost)
+        lag = next((lag_of_run(drive, drive.truth, e) for e in own), None)
+        if lag is not None and (LASER not in lags or lag.sigma < lags[LASER].sigma):
+            lags[LASER] = lag
+        return lags
 
     def _late_by_truth(self, lags: Mapping[str, Lag]) -> Iterator[Offer]:
         """Yield lags against the truth's headings; small ones only of sensors that look wrong anyway.

@@ -77,7 +77,10 @@ def _with_fixes(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], le
     after = {
         t["configuration"]: t["after"]["position_rmse_m"]
         for t in tried
-        if t["configuration"] in sets and t["until_s"] is None and t["after"]["position_rmse_m"] is not None
+        if t["configuration"] in sets
+        and t["until_s"] is None
+        and t["after"]["position_rmse_m"] is not None
+        and not t["after"].get("aligned")  # of the path's shape: another figure
     }
     name = min(after, key=lambda n: after[n], default=None)
     if name is None or after[name] * (1.0 + TIE) + TIE_M >= least:

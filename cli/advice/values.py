@@ -83,6 +83,7 @@ def _finding(advice: Advice, until: float | None) -> dict[str, Any]:
 def _score(score: Score) -> dict[str, float | None]:
     return {
         "position_rmse_m": score.position,
+        "aligned": score.aligned,
         "anees": score.anees,
         "prediction_nats": score.prediction,
         "lost_share": score.lost,

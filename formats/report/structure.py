@@ -146,6 +146,7 @@ class Trial(Struct):
     """One configuration's figures before or after a fix."""
 
     position_rmse_m: Figure
+    aligned: bool  # that of the path laid on the truth as a whole: nothing observes where a laser's own map lies
     anees: Figure
     prediction_nats: Figure  # nats per number of sensors that only listened; only without truth
     lost_share: Share  # of the drive

@@ -56,7 +56,8 @@ def _effect(tried: Mapping[str, Any]) -> str:
     if before["lost_share"] != after["lost_share"]:
         parts.append(f"lost {before['lost_share']:.0%} -> {after['lost_share']:.0%} of the drive")
     if before["position_rmse_m"] is not None:
-        parts.append(f"error {length(before['position_rmse_m'])} -> {length(after['position_rmse_m'])}")
+        whose = "error of the path's shape" if before.get("aligned") else "error"
+        parts.append(f"{whose} {length(before['position_rmse_m'])} -> {length(after['position_rmse_m'])}")
     if before["anees"] and after["anees"]:
         parts.append(f"ANEES {_ratio(before['anees'])} -> {_ratio(after['anees'])}")
     if before["prediction_nats"] is not None:

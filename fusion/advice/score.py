@@ -26,6 +26,12 @@ class Score(NamedTuple):
     bounds: tuple[float, float] | None = None  # where a consistent filter's ANEES lies on such a drive
     prediction: float | None = None  # nats per number of the sensors that only listened; without truth
     lost: float = 0.0  # share of the drive
+    shape: float | None = None  # m, position rmse of the path laid on the truth as a whole
+    aligned: bool = False  # `position` is that of the shape
+
+    def of_shape(self) -> Score:
+        """Return the score of the path's shape alone: where it lies in the world does not count."""
+        return self._replace(position=self.shape, anees=None, bounds=None, aligned=True)
 
 
 def spoils(before: Score, after: Score, allowed: float = MAX_LOSS, allowed_nats: float = MAX_LOSS_NATS) -> bool:

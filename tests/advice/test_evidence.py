@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from locfuse.cli.advice import evidence as module
 from locfuse.cli.advice.evidence import Evidence
 from locfuse.fusion.data import Measurements
 from locfuse.fusion.doctor.finding import Finding
@@ -70,6 +71,33 @@ def test_slips_pull_all_sensors_alike_so_that_three_lags_are_no_surer_than_one(
 
 def test_sensors_that_are_late_by_different_times_do_not_accuse_the_wheels() -> None:
     assert not list(evidence(-0.02, -0.04, -0.06)._late_wheels())
+
+
+WHEELS_LATE, LASER_LATE = Finding("wheels", "lag", "late"), Finding("lrf", "lag", "late")
+
+
+@pytest.mark.parametrize(
+    ("open_findings", "sigma", "used"),
+    [
+        ((), 0.002, True),
+        ((), 0.006, False),  # the lines tell it better
+        ((LASER_LATE,), 0.002, True),
+        ((replace(LASER_LATE, severe=True),), 0.002, False),
+        ((WHEELS_LATE,), 0.002, False),
+        ((replace(WHEELS_LATE, code="track"),), 0.002, True),
+    ],
+)
+def test_the_laser_s_own_run_tells_its_clock_only_while_no_other_clock_looks_wrong(
+    monkeypatch: pytest.MonkeyPatch, open_findings: tuple[Finding, ...], sigma: float, used: bool
+) -> None:
+    """The run goes by the wheels too: on a real log whose wheels are 0.13 s early it was 0.014 s early itself."""
+    by_lines, by_run = Lag(-0.01, 0.99, 0.98, 0.005), Lag(-0.02, 0.999, 0.99, sigma)
+    monkeypatch.setattr(module, "lags_by_truth", lambda *_: {"lrf": by_lines})
+    monkeypatch.setattr(module, "lag_of_run", lambda *_: by_run)
+    made, run = Evidence.__new__(Evidence), SimpleNamespace(sensors=("lrf",), smoothed=False, lost=())
+    loaded = SimpleNamespace(drive=SimpleNamespace(truth=None))
+    vars(made).update(doctor=list(open_findings), compared=SimpleNamespace(loaded=loaded, estimates=[run]))
+    assert made._lags_by_truth() == {"lrf": by_run if used else by_lines}
 
 
 def doubtful(anees: float, verdict: Verdict = "overstated") -> Evidence:

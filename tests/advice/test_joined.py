@@ -75,6 +75,18 @@ def test_a_ratio_is_said_in_two_digits_without_an_exponent(anees: float, said: s
     assert f"ANEES {said} -> 1)" in words
 
 
+def test_an_error_of_the_shape_alone_is_said_to_be_that() -> None:
+    score = {"lost_share": 0.0, "position_rmse_m": 0.0052, "aligned": True, "prediction_nats": None, "anees": None}
+    tried = {
+        "configuration": "lrf",
+        "before": score,
+        "after": {**score, "position_rmse_m": 0.0036},
+        "until_s": None,
+    }
+    words = sentence({"role": "lrf", "message": "late", "fixes": ["lrf.time_offset=-0.02"], "tried": tried})
+    assert "(tried with lrf: error of the path's shape 5.2 mm -> 3.6 mm)" in words
+
+
 @pytest.mark.parametrize(
     ("advice", "doubt"),
     [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import pytest
 
@@ -192,3 +193,36 @@ def test_what_nobody_would_keep_may_lose_what_chance_does_and_no_more(
         ("compass",) if minor else (),
     )
     assert [a.helps for a in search([candidate], (), Uneven(loss))] == [helps]
+
+
+@pytest.mark.parametrize(
+    ("shape", "measured", "helps"),
+    [(0.0049, True, True), (0.0049, False, False), (0.0040, False, True), (0.006, True, False)],
+)
+def test_a_fix_that_moves_a_map_which_nothing_holds_in_the_world_is_judged_by_the_path_s_shape(
+    shape: float, measured: bool, helps: bool
+) -> None:
+    """The map's direction is drawn anew: the position gets worse by chance, whatever becomes of the shape."""
+
+    def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
+        return {
+            name: Score(0.02, 1.0, BOUNDS, shape=shape) if fixes else Score(0.015, 1.0, BOUNDS, shape=0.005)
+            for name in names
+        }
+
+    candidate = Candidate(LATE.finding, LATE.alternatives, LATE.judges, measured=measured, by_shape=True)
+    (found,) = search([candidate], (), trial)
+    assert found.helps == helps
+    assert not any(a.helps for a in search([replace(candidate, by_shape=False)], (), trial))
+    if helps and found.before is not None and found.after is not None:
+        assert found.after["lrf"] == Score(shape, shape=shape, aligned=True)
+        assert found.before["lrf"].position == 0.005
+
+
+def test_where_the_position_itself_gains_the_shape_is_not_asked() -> None:
+    def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
+        return {name: Score(0.01 if fixes else 0.02, shape=0.004) for name in names}
+
+    (found,) = search([replace(LATE, by_shape=True)], (), trial)
+    assert found.helps
+    assert found.before == {name: Score(0.02, shape=0.004) for name in LATE.judges}

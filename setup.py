@@ -41,7 +41,7 @@ def unit() -> Path:
         text = (CORE / f"{name}.py").read_text(encoding="utf-8")
         code.append(IMPORTS.sub("", text.split('"""', 2)[2]))  # without the docstring
         types.append((CORE / f"{name}.pxd").read_text(encoding="utf-8"))
-    code.append(f"\nSOURCE = {FORM['fingerprint'](CORE)}\n")
+    code.append(f"\nSOURCE = {FORM['fingerprint'](CORE)}\nCHECKED = {DIRECTIVES['boundscheck']}\n")
     path = folder / f"{FORM['COMPILED']}.py"
     path.write_text("\n".join(code), encoding="utf-8")
     path.with_suffix(".pxd").write_text("\n".join(types), encoding="utf-8")

@@ -99,11 +99,11 @@ def kernels(logs: Logs) -> list[Kernel]:
     return [
         Kernel("EKF step, predict + heading / filterpy", 0.06, module("kernels", "ekf_heading", logs.minute)),
         Kernel(
-            "EKF step, predict + six lines, matched and recorded / filterpy",
-            0.20,
+            "EKF step within a stretch, predict + six lines, matched and recorded / filterpy",
+            0.12,
             module("kernels", "ekf_lines", logs.minute),
         ),
         Kernel("lines of a 361-beam scan / small_gicp ICP", 0.025, module("kernels", "lines", logs.minute)),
         Kernel("the same / recursive split-and-merge", 0.30, module("kernels", "lines_recursive", logs.minute)),
-        Kernel("omni bearing, decoding included / imdecode", 1.10, module("kernels", "omni", logs.minute)),
+        Kernel("omni bearing, decoding included / imdecode", 0.90, module("kernels", "omni", logs.minute)),
     ]

@@ -10,8 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.fusion.coast.headings import HeadingRecord
-from locfuse.fusion.coast.stretches import Stretches
+from locfuse.fusion.coast.stretches import AnyRecord, Stretches
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.equations import predicted
 from locfuse.fusion.ekf.map_frame import InMap, Pose, Triangle
@@ -107,9 +106,7 @@ class Filter:
         for s, model in self.models.items():
             # a sensor that is used must not read what only listens
             model.meet({o: other for o, other in self.models.items() if o in sensors or s not in sensors})
-        self._records: dict[str, Record | HeadingRecord] = {
-            s: Record((rows or {}).get(s, MANY)) for s in self.models
-        }
+        self._records: dict[str, AnyRecord] = {s: Record((rows or {}).get(s, MANY)) for s in self.models}
         fixed = [b.name for m in self.models.values() for b in m.blocks() if not b.name.startswith("_")]
         if robot.wheels.estimate:
             fixed.append(WHEELS)

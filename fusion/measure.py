@@ -38,10 +38,11 @@ def measure(
     """Measure a log: `streams` holds "wheels", sensors by name, and perhaps "truth".
 
     Sensors in `known` were measured before, under the same settings, and those of the wheels; those in `before`
-    under others. `motion` is how the robot moved where it was found before: without wheels, from its scans.
+    under others. `motion` is how the robot moved where it is known before.
     Raises LocfuseError where the wheels give no motion or a sensor's readings cannot be understood.
     """
-    progress("measuring the wheels")
+    if motion is None:
+        progress("measuring the wheels")
     wheels, epoch_ns, dropped, notes = motion or read_wheels(streams["wheels"], robot.wheels)
     drops = {"wheels": dropped}
     measurements: dict[str, Measurements] = {}

@@ -9,7 +9,7 @@ where the drive can tell the mount: a laser by the lines of its own map.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from msgspec.structs import replace
@@ -46,6 +46,8 @@ class MountedSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, k
     sigma_x: float | None = None  # m; 0 is exact. A laser that builds its map: 0.01 unless set
     sigma_y: float | None = None
     sigma_yaw_deg: float | None = None  # degrees; 0 is exact. A laser that builds its map: 0.5 unless set
+
+    only_fused: ClassVar[frozenset[str]] = SensorSettings.only_fused | {"sigma_x", "sigma_y", "sigma_yaw_deg"}
 
     @property
     def mount(self) -> tuple[float, float, float]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
 
@@ -48,6 +48,9 @@ class WheelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     estimate: bool = False  # scale of either wheel and track as states
     sigma_scale: float = 0.02  # prior of the estimated scales, relative
     sigma_track: float = 0.2  # prior of the estimated track, relative
+
+    # keys that no measurement depends on
+    only_fused: ClassVar[frozenset[str]] = frozenset({"noise", "estimate", "sigma_scale", "sigma_track"})
 
     @property
     def shares(self) -> tuple[float, float]:

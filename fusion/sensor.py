@@ -25,6 +25,8 @@ class SensorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     gate: float = 0.9999  # confidence of the chi-square gate: one good reading in 10 000 is lost; 1 accepts all
     outliers: Literal["reject", "inflate"] = "reject"  # beyond the gate: refused, or R grown until they fit
 
+    only_fused: ClassVar[frozenset[str]] = frozenset({"gate", "outliers"})  # keys that no measurement depends on
+
     def __post_init__(self) -> None:
         """Refuse a sensor without noise: P would be singular, and rounding makes that worse than singular."""
         for key in ("sigma", "sigma_deg", "sigma_range"):
@@ -199,6 +201,19 @@ class Headings(NamedTuple):
     block: str | None  # of one state: what adds to the offset
 
 
+class Bearings(NamedTuple):
+    """All readings of a sensor that sees one known point among candidates, as columns (fusion.coast)."""
+
+    z: Array  # (m,) rad, in the sensor's frame
+    variance: Array  # (m,) rad^2
+    point: tuple[float, float]  # m, map frame
+    nearest: float  # m: nearer to the point than this, nothing can be said
+    threshold: float  # of the gate
+    margin: float  # in NIS: a second candidate that is worse by less makes both ambiguous
+    verdicts: tuple[int, int, int]  # of a best candidate that is refused, of ambiguous ones, of all others
+    mount: Any  # fusion.mount.Mount, which may hold states; None: known exactly, at the base
+
+
 class Block(NamedTuple):
     """A named part of the state that a sensor owns (compass offset, gyro bias, line map)."""
 
@@ -272,6 +287,10 @@ class Model:
 
     def headings(self, m: Measurements) -> Headings | None:
         """Return all readings as headings, where they are nothing else and nothing is learnt from them."""
+        return None
+
+    def bearings(self, m: Measurements) -> Bearings | None:
+        """Return all readings as bearings of a known point, where they are nothing else and nothing is learnt."""
         return None
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:

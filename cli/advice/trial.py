@@ -39,7 +39,7 @@ class Trial:
     fusions: int = 0
     loaded: Loaded = field(init=False)  # what is tried of the log: all of it, or its beginning
     _end: float | None = field(init=False)  # s, of what is tried; None: of the drive
-    _whole: dict[Fixes, Loaded | None] = field(default_factory=dict)
+    _last: tuple[Fixes, Loaded | None] = ((), None)  # the whole log under the fixes that were asked for last
     _logs: dict[Fixes, Loaded | None] = field(default_factory=dict)
     _scores: dict[tuple[Fixes, str], Score] = field(default_factory=dict)
 
@@ -91,12 +91,13 @@ class Trial:
         """Return the whole log under more settings, also where only its beginning is tried."""
         if not fixes:
             return self.whole
-        if fixes not in self._whole:
+        if fixes != self._last[0]:
+            self._last = (), None  # an hour under every setting that is tried would be hundreds of megabytes
             try:
-                self._whole[fixes] = with_settings(self.whole, fixes)
+                self._last = fixes, with_settings(self.whole, fixes)
             except LocfuseError:
-                self._whole[fixes] = None
-        return self._whole[fixes]
+                self._last = fixes, None
+        return self._last[1]
 
     def _shortened(self, loaded: Loaded) -> Loaded:
         if self._end is None:

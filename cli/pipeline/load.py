@@ -33,6 +33,7 @@ from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream, merged
 from locfuse.fusion.wheels.odometry import SCANS
+from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
 from .key import asked_tables, with_files
 from .memory import give_back
@@ -42,7 +43,6 @@ if TYPE_CHECKING:
     from locfuse.fusion.laser_odometry.motion import MatchedScans
 
 ATTACHMENT = "robot.toml"
-ONLY_FUSED = ("noise", "estimate", "sigma_scale", "sigma_track")  # keys of [wheels] that no measurement depends on
 # scans that are matched with each other say nothing of where their laser sits: any place fits them as well
 EXACT_LASER = {"lrf": {"sigma_x": 0.0, "sigma_y": 0.0, "sigma_yaw_deg": 0.0}}
 MAX_LISTED = 1000  # entries of a folder among which a mistyped name is looked for
@@ -66,6 +66,7 @@ class Loaded:
     asked: Mapping[str, Any] | None = None  # what the user gave of them; None: the result has no key
     hash_all: bool = False  # whether every byte is to be hashed
     matched: MatchedScans | None = None  # the motion by scans, where there are no wheels
+    reading: WheelReading | None = None  # the motion of the whole log; None: it has to be read again
 
     @cached_property
     def labels(self) -> tuple[Event, ...]:
@@ -177,7 +178,13 @@ def measured(
     wanted = {role: s for role, s in streams.items() if role not in aside and role not in moving}
     wanted = level_compass(log, wanted, robot, transforms)
     matched = _matched_scans(streams["wheels"], robot, progress, before) if by_scans else None
-    motion = matched.reading(robot.wheels, robot.settings("lrf").time_offset) if matched is not None else None
+    if matched is not None:
+        motion = matched.reading(robot.wheels, robot.settings("lrf").time_offset)
+    elif before is not None and before.reading is not None:
+        motion = before.reading.with_noise(robot.wheels.noise)
+    else:
+        progress("measuring the wheels")
+        motion = read_wheels(wanted["wheels"], robot.wheels)
     shown = None if before is None else before.drive.measurements
     drive = measure(wanted, robot, {**choice.absent, **moving}, progress, known, motion, shown)
     refuse_standing(log, choice, drive.wheels)
@@ -186,7 +193,7 @@ def measured(
     chosen = (f"{note.role}: {note.words}" for note in choice.notes if note.role in streams)
     notes = (*preset, *chosen, *_clock_notes(streams), *start_notes(robot, drive), *drive.notes)
     drive = replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes})
-    return Loaded(log, robot, choice, drive, tables, matched=matched)
+    return Loaded(log, robot, choice, drive, tables, matched=matched, reading=motion)
 
 
 def _matched_scans(stream: Stream, robot: Robot, progress: Progress, before: Loaded | None) -> MatchedScans:
@@ -311,21 +318,25 @@ def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = sil
     moving = ("wheels", "lrf") if by_scans else ("wheels",)  # what the motion comes from
     wheels = all(table in same or table not in tables for table in moving)
     unchanged = {s: m for s, m in loaded.drive.measurements.items() if wheels and (s in same or s not in tables)}
+    if make_robot(tables).wheels.noise != loaded.robot.wheels.noise:  # so much is uncertain of a deskewed scan
+        unchanged = {s: m for s, m in unchanged.items() if "shared" not in m.extra}
     if "gyro" in tables and "gyro" not in same:
         unchanged.pop("compass", None)  # its field is levelled by the IMU, as that is mounted
     asked = None if loaded.asked is None else with_files(robot_toml.layered(loaded.asked, sets))
     choice = deepcopy(loaded.choice)
-    found = measured(loaded.log, tables, choice, progress, known=unchanged, before=loaded)
+    before = loaded if wheels else replace(loaded, reading=None)
+    found = measured(loaded.log, tables, choice, progress, known=unchanged, before=before)
     sources = {**loaded.sources, **dict.fromkeys(_keys(sets), "--set")}
     return _within(replace(found, sources=sources, asked=asked, hash_all=loaded.hash_all), loaded.window)
 
 
 def _measured_by(tables: Mapping[str, Any], table: str) -> Any:
-    """Return the keys of a table that measuring depends on: the wheels' noise and states only matter in fusing."""
-    keys = tables.get(table)
-    if table != "wheels" or not isinstance(keys, Mapping):
+    """Return the keys of a table that measuring depends on: gates, states and the wheels' noise are fusing's."""
+    keys = tables.get(table, {})
+    if not isinstance(keys, Mapping):
         return keys
-    return {key: value for key, value in keys.items() if key not in ONLY_FUSED}
+    only_fused = getattr(table_types().get(table), "only_fused", ())
+    return {key: value for key, value in keys.items() if key not in only_fused}
 
 
 def _refuse_other_reading(loaded: Loaded, sets: Mapping[str, Any]) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+from locfuse.fusion.core import bearings as core
+from locfuse.fusion.core.room import Room
 from locfuse.fusion.se2 import wrap
 
 Point = tuple[float, float]
@@ -24,20 +26,19 @@ def predict_bearing(
 
     None where the camera is inside the landmark.
     """
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    dx = landmark[0] - pose[0] - c * lever[0] + s * lever[1]
-    dy = landmark[1] - pose[1] - s * lever[0] - c * lever[1]
-    q = dx * dx + dy * dy
-    if q < MIN_DISTANCE_M**2:
-        return None
-    turn = -1.0 - (lever[0] * (dx * c + dy * s) + lever[1] * (dy * c - dx * s)) / q
-    return wrap(math.atan2(dy, dx) - pose[2] - yaw), (dy / q, -dx / q, turn)
+    seen = _seen(pose, landmark, lever, yaw)
+    return None if seen is None else (wrap(seen[0]), (seen[1], seen[2], seen[3]))
 
 
 def bearing_by_mount(pose: tuple[float, float, float], landmark: Point, lever: Point) -> Row:
-    """Return the derivative of the predicted bearing by the camera's x, y and yaw on the base."""
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    dx = landmark[0] - pose[0] - c * lever[0] + s * lever[1]
-    dy = landmark[1] - pose[1] - s * lever[0] - c * lever[1]
-    q = dx * dx + dy * dy
-    return (dy * c - dx * s) / q, -(dx * c + dy * s) / q, -1.0
+    """Return the derivative of the predicted bearing by the camera's x, y and yaw on the base; NaN inside it."""
+    seen = _seen(pose, landmark, lever, 0.0)
+    return (math.nan, math.nan, math.nan) if seen is None else (seen[4], seen[5], seen[6])
+
+
+def _seen(pose: tuple[float, float, float], landmark: Point, lever: Point, yaw: float) -> list[float] | None:
+    """Return the bearing and its derivatives by pose and mount (7,), as the core has them."""
+    room = Room.here(core)
+    out = room.floats(core.RAY)
+    found = room.functions.bearing(room.flat((pose,)), *landmark, *lever, yaw, MIN_DISTANCE_M, out)
+    return room.listed(out, core.RAY) if found else None

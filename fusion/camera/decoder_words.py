@@ -30,6 +30,7 @@ class _Listener:
         self._decoding = 0
         self._saved = -1
         self._file = -1
+        self.heard = 0  # bytes of the file whose picture is known
 
     @contextmanager
     def listening(self, alone: bool) -> Iterator[int]:
@@ -74,13 +75,14 @@ _LISTENER = _Listener()
 def listened(decode: Callable[[], T]) -> tuple[T, bytes]:
     """Return what `decode` returns, and what the libraries said of it on stderr (mostly nothing)."""
     with _LISTENER.listening(alone=False) as file:
-        before = _size(file)
+        before = _LISTENER.heard
         found = decode()
         if _size(file) == before:
             return found, b""
     with _LISTENER.listening(alone=True) as file:  # it may have been said of another thread's picture
         before = _size(file)
         found = decode()
+        _LISTENER.heard = _size(file)
         return found, os.pread(file, 4096, before)
 
 

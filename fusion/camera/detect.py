@@ -10,7 +10,7 @@ import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -51,11 +51,7 @@ class Detector:
 
     def optics(self, shape: tuple[int, ...]) -> Optics:
         """Return the calibration for pictures (h, w, 3); by default centred, and as large as fits."""
-        height, width = shape[:2]
-        x, y = self.centre or ((width - 1) / 2.0, (height - 1) / 2.0)
-        outer = self.outer or max(1.0, min(x, y, width - 1 - x, height - 1 - y))
-        inner = outer / 4.0 if self.inner is None else self.inner
-        return Optics(x, y, inner, outer, self.width, self.zero, self.clockwise)
+        return _optics(shape[:2], self.centre, self.inner, self.outer, (self.width, self.zero, self.clockwise))
 
     def looks_like(self, other: Detector) -> bool:
         """Return whether another one finds the same in every picture: it may name its directions otherwise."""
@@ -81,8 +77,27 @@ class Detector:
     def find_in_half(self, picture: Picture, shape: tuple[int, int]) -> Detection:
         """Return the candidates, in pixels of the whole picture `shape` (h, w), of a picture at half its size."""
         optics = self.optics(shape)
-        found = radial.candidates(self.coloured(picture), optics.halved(), self.red.halved())
+        found = radial.candidates(self.coloured(picture), *_halved(optics, self.red))
         return Detection(shape, optics, [candidate.doubled() for candidate in found])
+
+
+@lru_cache(maxsize=4)
+def _optics(
+    shape: tuple[int, ...],
+    centre: tuple[float, float] | None,
+    inner: float | None,
+    outer: float | None,
+    looks: tuple[int, float, bool],
+) -> Optics:
+    height, width = shape
+    x, y = centre or ((width - 1) / 2.0, (height - 1) / 2.0)
+    outer = outer or max(1.0, min(x, y, width - 1 - x, height - 1 - y))
+    return Optics(x, y, outer / 4.0 if inner is None else inner, outer, *looks)
+
+
+@lru_cache(maxsize=4)
+def _halved(optics: Optics, red: Red) -> tuple[Optics, Red]:
+    return optics.halved(), red.halved()
 
 
 def detect(message: tuple[Any, ...], detector: Detector) -> Detection | str:
@@ -92,7 +107,7 @@ def detect(message: tuple[Any, ...], detector: Detector) -> Detection | str:
     """
     shape = coarse_size(message)
     if shape is not None and detector.is_half_enough(shape):
-        picture = decode(message, half=True)
+        picture = decode(message, shape)
         return picture if isinstance(picture, str) else detector.find_in_half(picture, shape)
     picture = decode(message)
     return picture if isinstance(picture, str) else detector.find(picture)

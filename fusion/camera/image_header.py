@@ -18,20 +18,28 @@ def image_size(data: memoryview) -> tuple[int, int] | None:
     """Return (width, height) [px] that a picture declares; None where it is no JPEG or PNG, or has no end."""
     if bytes(data[:8]) == PNG and bytes(data[12:16]) == b"IHDR" and b"IEND" in bytes(data[24:]):
         return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
-    return _jpeg_size(data) if bytes(data[:2]) == JPEG else None
+    return _jpeg_size(data, _frame(data)) if bytes(data[:2]) == JPEG else None
+
+
+def coarse_size(data: memoryview) -> tuple[int, int] | None:
+    """Return (width, height) [px] of a JPEG that keeps its colour at half the resolution; None of all else."""
+    at = _frame(data) if bytes(data[:2]) == JPEG else None
+    return _jpeg_size(data, at) if _is_coarse(data, at) else None
 
 
 def has_coarse_colour(data: memoryview) -> bool:
     """Return whether a JPEG keeps its colour at half the brightness' resolution or less (4:2:0, 4:2:2)."""
-    at = _frame(data)
+    return _is_coarse(data, _frame(data))
+
+
+def _is_coarse(data: memoryview, at: int | None) -> bool:
     if at is None or len(data) < at + 10 + 3 * COLOURS or data[at + 9] != COLOURS:
         return False
     sampling = [data[at + 11 + 3 * k] for k in range(COLOURS)]  # horizontal in the high half of the byte
     return all(sampling[0] >> 4 >= 2 * (other >> 4) > 0 for other in sampling[1:])
 
 
-def _jpeg_size(data: memoryview) -> tuple[int, int] | None:
-    at = _frame(data)
+def _jpeg_size(data: memoryview, at: int | None) -> tuple[int, int] | None:
     if at is None:
         return None
     # inside a scan 0xFF is always followed by 0; the end is nearly always the end

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Stream
 
+from . import image_header
 from .decoder_words import listened, tells_of_damage
-from .image_header import has_coarse_colour, image_size
+from .image_header import image_size
 from .opencv import MAX_PIXELS, cv2
 
 Picture = NDArray[np.uint8]
@@ -45,8 +46,10 @@ _ENCODINGS: dict[str, tuple[int, int | None]] = {
 }
 
 
-def compressed(data: Any, layout: str, half: bool = False) -> Picture | str:
-    """Return the BGR picture of a sensor_msgs/CompressedImage, or why there is none; at `half` its size.
+def compressed(data: Any, layout: str, coarse: tuple[int, int] | None = None) -> Picture | str:
+    """Return the BGR picture of a sensor_msgs/CompressedImage, or why there is none.
+
+    It is at half its size where that is `coarse`, its height and width.
 
     `layout` is the message's format: "jpeg", or image_transport's "bgr8; jpeg compressed bgr8", where
     "compressed rgb8" says that the file itself holds R and B swapped. Pixels stay where the sensor put
@@ -55,12 +58,12 @@ def compressed(data: Any, layout: str, half: bool = False) -> Picture | str:
     encoding, _, rest = layout.partition(";")
     if encoding.startswith(GREY):
         return NO_COLOUR
-    size = image_size(memoryview(data).cast("B"))
+    size = coarse or image_size(memoryview(data).cast("B"))
     if size is None:
         return UNREADABLE
     if size[0] * size[1] > MAX_PIXELS:
         return TOO_LARGE
-    picture, words = listened(lambda: _decoded(data, half))
+    picture, words = listened(lambda: _decoded(data, coarse is not None))
     if picture is None:
         return UNREADABLE
     if tells_of_damage(words):
@@ -75,9 +78,8 @@ def coarse_size(message: tuple[Any, ...]) -> tuple[int, int] | None:
     """Return (height, width) [px] of a message's picture if it is a JPEG with colour at half resolution."""
     if len(message) != 2:
         return None
-    data = memoryview(message[0]).cast("B")
-    size = image_size(data)
-    return (size[1], size[0]) if size is not None and has_coarse_colour(data) else None
+    size = image_header.coarse_size(memoryview(message[0]).cast("B"))
+    return None if size is None else (size[1], size[0])
 
 
 def _decoded(data: Any, half: bool) -> NDArray[Any] | None:
@@ -103,10 +105,10 @@ def raw(data: Any, width: int, height: int, encoding: str, step: int) -> Picture
     return pixels if conversion is None else np.asarray(cv2.cvtColor(pixels, conversion), np.uint8)
 
 
-def decode(message: tuple[Any, ...], half: bool = False) -> Picture | str:
-    """Return the picture of one message, given its `FIELDS` in order; at `half` its size if it is compressed."""
+def decode(message: tuple[Any, ...], coarse: tuple[int, int] | None = None) -> Picture | str:
+    """Return the picture of one message, given its `FIELDS` in order; at half its size where that is `coarse`."""
     if len(message) == 2:
-        return compressed(*message, half=half)
+        return compressed(*message, coarse)
     data, width, height, encoding, step = message
     return raw(data, int(width), int(height), encoding, int(step))
 

@@ -1,6 +1,6 @@
 """The fast landmark detection: a vertical line is a radial line in the raw picture, so nothing is unwrapped.
 
-Red pixels inside the mirror are few, and only those get an angle. The bearing is that of `panorama`
+Red pixels inside the mirror are few, and only those get an angle (`core.red`). The bearing is that of `panorama`
 (tests/camera/test_panorama.py holds the two together).
 """
 
@@ -8,19 +8,19 @@ from __future__ import annotations
 
 import threading
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from locfuse.fusion.data import Array
-from locfuse.fusion.se2 import TAU
+from locfuse.fusion.core import red as core
+from locfuse.fusion.core import tables
+from locfuse.fusion.core.room import Room
 
 from .opencv import cv2
 from .optics import Optics
-from .panorama import Candidate, Picture, Red, cap, largest, red_excess, red_share, room_for_planes, variance
+from .panorama import Candidate, Picture, Red, largest, red_excess, room_for_planes, variance
 
 MAX_GAP_PX = 2.0  # px: red pixels further apart than this, along the circle, belong to two things
-MAX_CLUSTERS = 32  # clusters looked at in one picture, the largest first: noise can make thousands
 _ROOM = threading.local()  # memory that one picture leaves for the next
 
 
@@ -46,69 +46,42 @@ def _planes(shape: tuple[int, ...]) -> list[Picture]:
     return planes
 
 
-def red_pixels(picture: Picture, optics: Optics, red: Red) -> NDArray[np.int64]:
-    """Return the red pixels inside the mirror, lone ones left out: columns x, y, and how red, (3, n)."""
+def candidates(picture: Picture, optics: Optics, red: Red) -> list[Candidate]:
+    """Return the vertical red things of a BGR picture, the largest first."""
     rows, columns, mirror = _window(*picture.shape[:2], optics)
     if mirror.size == 0:
-        return np.empty((3, 0), np.int64)
+        return []
     excess, r = red_excess(picture[rows, columns], red, _planes(mirror.shape))
     cv2.bitwise_and(excess, mirror, dst=excess)
     x, y, w, h = cv2.boundingRect(excess)
-    left, top = max(0, x - 1), max(0, y - 1)  # the noise filter sees one pixel more
-    part = np.s_[top : y + h + 1, left : x + w + 1]
-    if w == 0:
-        return np.empty((3, 0), np.int64)
-    grey = red_share(excess[part], r[part], red)
-    found = cv2.findNonZero(cv2.min(grey, cv2.medianBlur(grey, 3)))
-    if found is None:
-        return np.empty((3, 0), np.int64)
-    i, j = np.asarray(found, np.int64).reshape(-1, 2).T
-    return np.stack((i + (left + columns.start), j + (top + rows.start), grey[j, i]))
-
-
-def candidates(picture: Picture, optics: Optics, red: Red) -> list[Candidate]:
-    """Return the vertical red things of a BGR picture, the largest first."""
-    x, y, level = red_pixels(picture, optics, red)
-    if len(x) < red.length:
+    points = cv2.findNonZero(excess[y : y + h, x : x + w]) if w else None
+    if points is None or len(points) < red.length:
         return []
-    dx, dy = x - optics.x_c, y - optics.y_c
-    r, theta = np.hypot(dx, dy), np.arctan2(dx, dy)
-    parts = _clusters(theta, r, red.length)
-    h, w = picture.shape[:2]
-    if optics.outer > min(optics.x_c, optics.y_c, w - 1 - optics.x_c, h - 1 - optics.y_c):
-        edge = (x == 0) | (y == 0) | (x == w - 1) | (y == h - 1)
-        parts = [_whole_circles(part, r, edge) for part in parts]
-    return largest([_measured(_unwrapped(theta[i]), r[i], level[i]) for i in parts if len(i)], red)
+    at = np.asarray(points, np.int32).reshape(-1, 2)
+    at += np.array((x, y), np.int32)
+    seen = excess, r, _least(red.ratio), at, *mirror.shape, columns.start, rows.start
+    found = _things(seen, len(at), picture.shape, optics, red)
+    return largest([_candidate(*thing) for thing in found], red)
 
 
-def _clusters(theta: Array, r: Array, least: float) -> list[NDArray[np.int64]]:
-    """Return the pixels of each thing: neighbours along the circle at most MAX_GAP_PX apart, column 0 included."""
-    order = np.argsort(theta, kind="stable")
-    t, twice = theta[order], 2.0 * r[order]
-    apart = (t[1:] - t[:-1]) * (twice[1:] + twice[:-1])  # four times the arc [px]
-    parts = np.split(order, np.flatnonzero(apart > 4.0 * MAX_GAP_PX) + 1)
-    if len(parts) > 1 and (t[0] + TAU - t[-1]) * (twice[0] + twice[-1]) <= 4.0 * MAX_GAP_PX:
-        parts[0] = np.concatenate((parts.pop(), parts[0]))
-    return sorted((part for part in parts if len(part) >= least), key=len, reverse=True)[:MAX_CLUSTERS]
+def _things(
+    seen: tuple[Any, ...], n: int, shape: tuple[int, ...], optics: Optics, red: Red
+) -> list[tuple[float, ...]]:
+    """Return what n pixels of a picture (h, w, 3) show, as `core.red` has it; `seen` is the window's beginning."""
+    (h, w), x, y = shape[:2], optics.x_c, optics.y_c
+    cut = optics.outer > min(x, y, w - 1 - x, h - 1 - y)
+    numbers, wholes, out = np.empty((3, n)), np.empty((3, n), np.intp), np.empty((n, core.MEASURED))
+    room = *numbers, *wholes, np.empty(int(optics.outer) + 2, np.intp)
+    window = Room.here(tables).on_arrays.Window(*seen, x, y, w, h, cut, red.length, MAX_GAP_PX, *room)
+    things: list[tuple[float, ...]] = out[: Room.here(core).on_arrays.things(window, n, out)].tolist()
+    return things
 
 
-def _whole_circles(part: NDArray[np.int64], r: Array, edge: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return the pixels of a thing on circles that the picture's border, which cuts slantwise, leaves whole."""
-    cut = r[part[edge[part]]]
-    return part[r[part] < cut.min() - 1.0] if len(cut) else part
+def _candidate(theta: float, pixels: float, length: float, width: float, radius: float) -> Candidate:
+    return Candidate(theta, variance(theta, radius, length, width), pixels, length, width, radius)
 
 
-def _unwrapped(theta: Array) -> Array:
-    """Return the angles (n,) of one thing, which begins at theta[0], without a jump where theta passes pi."""
-    return theta if theta[0] <= theta[-1] else np.where(theta < theta[0], theta + TAU, theta)
-
-
-def _measured(theta: Array, r: Array, level: NDArray[np.int64]) -> Candidate:
-    """Return the candidate made of these pixels (n,); its middle is their centre of weight."""
-    weight = np.minimum(level, cap(level))
-    middle = float(weight @ theta / weight.sum()) % TAU
-    near, far = float(r.min()), float(r.max())
-    rings = np.bincount((r - near).astype(np.int64))
-    length, radius = float(np.count_nonzero(rings)), 0.5 * (near + far)
-    width = len(r) / (length * radius)
-    return Candidate(middle, variance(middle, radius, length, width), float(len(r)), length, width, radius)
+@lru_cache(maxsize=4)
+def _least(ratio: float) -> Picture:
+    """Return what excess is enough for every level of red, (256,)."""
+    return np.asarray(cv2.convertScaleAbs(np.arange(256, dtype=np.uint8), alpha=ratio), np.uint8).ravel()

@@ -13,6 +13,7 @@ import numpy as np
 from locfuse.fusion.atlas.one_map import LineTracker
 from locfuse.fusion.audit import Record
 from locfuse.fusion.core import match, tables
+from locfuse.fusion.core.bearings import RAY
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Ints, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
@@ -191,8 +192,11 @@ def _rules(of: LineTracker, m: Measurements) -> dict[str, Any]:
 
 
 def desk(lines: int = 0, places: int = 0, free: int = 0, parts: int = 0) -> dict[str, Array]:
-    """Return room for a scan of so many lines, a map of so many places, a mount, and a heading beside it."""
-    m, columns = 2 * lines + 1, 6 + free + 2 * lines
+    """Return room for a scan of so many lines, a map of so many places, a mount, and what else an instant has.
+
+    A heading has up to three states, a bearing nine: local pose, map frame, the camera's mount.
+    """
+    m, columns = 2 * lines + 2, 3 + free + 2 * lines + 3 + 9
     seated, walls = np.empty((lines, LINE)), np.empty((places, WALL + 2 * free))
     return {
         "raw": np.empty((lines, LINE)),
@@ -217,6 +221,10 @@ def desk(lines: int = 0, places: int = 0, free: int = 0, parts: int = 0) -> dict
         "y": np.empty(m),
         "loose": np.empty(2 * max(places, lines), np.intp),
         "missing": np.empty(2 * max(places, lines)),
+        "located": np.empty(9),
+        "ray": np.empty(RAY),
+        "ray_row": np.empty(9),
+        "ray_at": np.empty(9, np.intp),
     }
 
 

@@ -1,4 +1,4 @@
-"""Stretches of a drive on which the core takes all instants at once: headings, and scans that fit the line map.
+"""Stretches of a drive on which the core takes all instants at once: headings, bearings, scans that fit the map.
 
 What comes of it is what instant by instant comes of it (tests/fusion/test_coast.py). All else (other sensors, a
 scan that hardly fits, new lines, settings that the core does not know) stays with the loop in `fuse`.
@@ -22,9 +22,11 @@ from locfuse.fusion.sensor import GATE, Model
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.track import Track
 
+from .bearings import Pictures, pictures_of
 from .headings import HeadingRecord, headings_of
 from .scans import AtOnce, desk, no_scans
 
+AnyRecord = Record | HeadingRecord | Pictures
 MOST = 1 << 16  # instants at once: Ctrl-C waits for them
 
 
@@ -41,9 +43,11 @@ class Stretches:
         self._when: Ints = np.array(when, np.intp)
         self.record = HeadingRecord(self._when, self._of.threshold)
         self.scanner, self._scans = _scans(drive, named)
+        self.camera, self._pictures = pictures_of(drive, named)
+        taken = [s for s in (self.sensor, self.scanner, self.camera) if s is not None]
         busy = [np.array([len(drive.t)])]
-        busy += [drive.instant[s] for s in models if s not in (self.sensor, self.scanner)]
-        busy += [_twice(drive.instant[s]) for s in (self.sensor, self.scanner) if s is not None]
+        busy += [drive.instant[s] for s in models if s not in taken]
+        busy += [_twice(drive.instant[s]) for s in taken]
         self._busy: list[int] = np.unique(np.concatenate(busy)).tolist()
         self._next = 0
         self._core, self._tables = Room.here(interpreted).on_arrays, Room.here(tables).on_arrays
@@ -83,10 +87,10 @@ class Stretches:
         scans = self._no_scans if taken is None else taken.given(belief, first)
         begun = (0, 0.0, 0.0, 0.0, 0, -1) if taken is None else taken.progress
         progress = self._tables.Progress(first, interpreted.DONE, *begun)
-        reading = int(self._when.searchsorted(first))
         x, P = belief.arrays
-        of = self._tables.Belief(x, P, belief.n, belief.in_frame), self._wheels, self._sums(belief)
-        positive(self._core.coast(*of, *scans, self._room(len(x)), self._notes(track), progress, last, reading))
+        of = self._tables.Belief(x, P, belief.n, belief.in_frame), self._wheels, self._sums(belief, first)
+        seen = self._pictures.table(belief, first)
+        positive(self._core.coast(*of, seen, *scans, self._room(len(x)), self._notes(track), progress, last))
         track.n = reached = progress.instant
         self._left = reached if progress.why == interpreted.BEFORE else -1
         if taken is not None:
@@ -95,13 +99,15 @@ class Stretches:
         rolled: list[float] = self._motions[first:predicted].sum(axis=0).tolist()
         return Stop(reached, progress.why == interpreted.AFTER, rolled)
 
-    def records(self) -> dict[str, Record | HeadingRecord]:
+    def records(self) -> dict[str, AnyRecord]:
         """Return what becomes of the readings, by sensor: whoever judges one notes it there."""
-        found: dict[str, Record | HeadingRecord] = {}
+        found: dict[str, AnyRecord] = {}
         if self.sensor is not None:
             found[self.sensor] = self.record
         if self.scanner is not None and self._scans is not None:
             found[self.scanner] = self._scans.record
+        if self.camera is not None:
+            found[self.camera] = self._pictures
         return found
 
     def left(self, k: int) -> bool:
@@ -117,16 +123,17 @@ class Stretches:
         if self._scans is not None:
             self._scans.finish(self._fate, belief)
 
-    def _sums(self, belief: JointBelief) -> Any:
-        """Return the headings, with the states whose sum they are."""
+    def _sums(self, belief: JointBelief, k: int) -> Any:
+        """Return the headings, with the states whose sum they are, of which those from instant k on are due."""
         of, frame = self._of, belief.in_frame
         if self._headings_for != frame:
             own = () if of.block is None else (belief.block(of.block)[0],)
             at = np.array([2, *own, *(() if frame < 0 else (frame + 2,))])
             judged = of.z, of.variance, of.usable, of.threshold, float(GATE), float(of.unused), of.offset
             told = self.record.told
-            self._headings = self._tables.Headings(self._when, *judged, at, len(at), told, len(self._when))
+            self._headings = self._tables.Headings(self._when, *judged, at, len(at), told, len(self._when), 0, -1)
             self._headings_for = frame
+        self._headings.due = int(self._when.searchsorted(k))
         return self._headings
 
     def _notes(self, track: Track) -> Any:

@@ -19,5 +19,7 @@ cpdef double take_in(
     double[::1] x, double[:, ::1] P, Py_ssize_t n, Py_ssize_t[::1] at, Py_ssize_t states, double[:, ::1] H,
     double[:, ::1] R, double[::1] y, Py_ssize_t m, double[:, ::1] V, Py_ssize_t[::1] kept, bint some)
 cpdef void locate(double[::1] x, double[:, ::1] P, Py_ssize_t first, double[::1] out)
+cpdef Py_ssize_t by_local(
+    double[::1] x, Py_ssize_t first, double by_x, double by_y, double by_theta, double[::1] row)
 cpdef double bent(double tt)
 cpdef void swing(double[:, ::1] P, Py_ssize_t n, Py_ssize_t first, double dx, double dy)

@@ -168,6 +168,25 @@ def locate(x, P, first, out):
     out[8] = P[2, 2] + 2.0 * tt + gtt
 
 
+def by_local(x, first, by_x, by_y, by_theta, row):
+    """Write the derivative by the local pose q and the map frame G of what has this one by the pose in the map.
+
+    The chain rule of map_frame: H_q = H J_q, H_G = H J_G. Returns how many numbers these are. Without a frame,
+    `first` < 0, the pose is that in the map.
+    """
+    if first < 0:
+        row[0], row[1], row[2] = by_x, by_y, by_theta
+        return 3
+    turn = x[first + 2]
+    c = s = turn - turn
+    if c == 0.0:
+        c, s = cos(turn), sin(turn)
+    rx, ry = c * x[0] - s * x[1], s * x[0] + c * x[1]
+    row[0], row[1], row[2] = c * by_x + s * by_y, c * by_y - s * by_x, by_theta
+    row[3], row[4], row[5] = by_x, by_y, by_y * rx - by_x * ry + by_theta
+    return 6
+
+
 def bent(tt):
     """Return by how much a heading of variance tt [rad^2] spreads a lever r along r itself, per r^2.
 

@@ -25,7 +25,10 @@ SOURCES = (
     "doubles",
     "filter",
     "tables",
+    "intervals",
+    "red",
     "scans",
+    "bearings",
     "coast",
 )  # compiled as one unit: a file uses those before it
 COMPILED = "compiled"  # the extension's name, beside the sources

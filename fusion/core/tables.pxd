@@ -37,11 +37,19 @@ cdef class Way:
 cdef class Desk:
     cdef double[:, ::1] raw, seated, wall_rows, H, G, R, V
     cdef double[::1] rows, walls, mount, place, offset, pose, triangle, seen, pairs, shared, y, missing
-    cdef Py_ssize_t[::1] fate, order, at, loose
+    cdef double[::1] located, ray, ray_row
+    cdef Py_ssize_t[::1] fate, order, at, loose, ray_at
 
 cdef class Progress:
     cdef public Py_ssize_t instant, why, scan, number, well
     cdef public double x, y, theta
+
+cdef class Odometer:
+    cdef double[::1] t
+    cdef double[:, ::1] twist, pose, rolled, silence, matched
+    cdef Py_ssize_t readings
+    cdef double track, noise
+    cdef bint silent, matches, parameters
 
 cdef class Wheels:
     cdef double[:, ::1] u, Q
@@ -54,7 +62,27 @@ cdef class Headings:
     cdef double[::1] z, r
     cdef double[:, ::1] told
     cdef double gate, refused, unused, offset
-    cdef Py_ssize_t states, readings
+    cdef Py_ssize_t states, readings, taken
+    cdef public Py_ssize_t due
+
+cdef class Bearings:
+    cdef Py_ssize_t[::1] when, first
+    cdef double[::1] z, r
+    cdef double[:, ::1] told
+    cdef double x, y, nearest, gate, margin, refused, ambiguous, unmatched
+    cdef Seat seat
+    cdef Py_ssize_t readings, chosen
+    cdef public Py_ssize_t due
+
+cdef class Window:
+    cdef unsigned char[:, ::1] excess, red
+    cdef unsigned char[::1] least
+    cdef int[:, ::1] points
+    cdef double[::1] theta, radius, level
+    cdef Py_ssize_t[::1] edge, order, room, rings
+    cdef Py_ssize_t height, width, left, top, across, down
+    cdef double x_c, y_c, fewest, gap
+    cdef bint cut
 
 cdef class Notes:
     cdef double[::1] room

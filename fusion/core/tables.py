@@ -79,17 +79,18 @@ class Way:
 
 
 class Desk:
-    """Room for one scan; `seated`, `walls` and `shared` lie in memory as their flat twins."""
+    """Room for one scan and one picture; `seated`, `walls` and `shared` lie in memory as their flat twins."""
 
     def __init__(
         self, raw, seated, rows, wall_rows, walls, mount, place, offset, pose, triangle, seen, pairs, fate, order,
-        shared, at, H, G, R, y, V, loose, missing,
+        shared, at, H, G, R, y, V, loose, missing, located, ray, ray_row, ray_at,
     ):  # fmt: skip
         self.raw, self.seated, self.rows, self.wall_rows, self.walls = raw, seated, rows, wall_rows, walls
         self.mount, self.place, self.offset, self.pose, self.triangle = mount, place, offset, pose, triangle
         self.seen, self.pairs, self.fate, self.order = seen, pairs, fate, order
         self.shared, self.at, self.H, self.G, self.R, self.y, self.V = shared, at, H, G, R, y, V
         self.loose, self.missing = loose, missing
+        self.located, self.ray, self.ray_row, self.ray_at = located, ray, ray_row, ray_at
 
 
 class Progress:
@@ -102,6 +103,23 @@ class Progress:
     def __init__(self, instant, why, scan, x, y, theta, number, well):
         self.instant, self.why, self.scan = instant, why, scan
         self.x, self.y, self.theta, self.number, self.well = x, y, theta, number, well
+
+
+class Odometer:
+    """Wheel readings at t (readings,) [s]: between two of them the twist (3) is constant, from the pose (3) on.
+
+    Either wheel rolled as `rolled` (2) says [m], with the variance `noise` for each metre, on a `track` [m]. Where
+    the way is not known (`silent`) the variance of the place [m^2] and the turning rate [rad/s] are `silence` (2),
+    and where the motion was matched (`matches`) its covariance is `matched` (9). `parameters`: J is asked for.
+    """
+
+    def __init__(
+        self, t, twist, pose, rolled, silence, matched, readings, track, noise, silent, matches, parameters
+    ):  # fmt: skip
+        self.t, self.twist, self.pose, self.rolled = t, twist, pose, rolled
+        self.silence, self.matched, self.readings = silence, matched, readings
+        self.track, self.noise = track, noise
+        self.silent, self.matches, self.parameters = silent, matches, parameters
 
 
 class Wheels:
@@ -120,12 +138,60 @@ class Headings:
 
     What is predicted is `offset` and the sum of the states `at` (states,). Where a heading is not `usable`, or
     beyond `gate`, it corrects nothing. Written is told (readings, 4), with the verdict 0, `refused` or `unused`.
+    The next to come is `due`, and `taken` the one of this instant that corrects, else -1.
     """
 
-    def __init__(self, when, z, r, usable, gate, refused, unused, offset, at, states, told, readings):
+    def __init__(self, when, z, r, usable, gate, refused, unused, offset, at, states, told, readings, due, taken):
         self.when, self.z, self.r, self.usable = when, z, r, usable
         self.gate, self.refused, self.unused, self.offset = gate, refused, unused, offset
-        self.at, self.states, self.told, self.readings = at, states, told, readings
+        self.at, self.states, self.told, self.readings, self.due, self.taken = (
+            at,
+            states,
+            told,
+            readings,
+            due,
+            taken,
+        )
+
+
+class Bearings:
+    """Bearings of the point (x, y) [m, map frame], seen in `readings` pictures: i at instant when[i].
+
+    Its candidates, first[i] until first[i + 1], are z [rad] of variance r. Written is told (k, 5: verdict,
+    landmark, NIS, y, sigma); `gate` to `unmatched` are those of `bearings.choose`. The camera sits as `seat` says,
+    and nearer than `nearest` [m] it is inside the point. The next to come is picture `due`, and `chosen` the
+    candidate of this instant that corrects, else -1.
+    """
+
+    def __init__(
+        self, when, first, z, r, told, x, y, nearest, gate, margin, refused, ambiguous, unmatched, seat, readings,
+        due, chosen,
+    ):  # fmt: skip
+        self.when, self.first, self.z, self.r, self.told = when, first, z, r, told
+        self.x, self.y, self.nearest, self.gate, self.margin = x, y, nearest, gate, margin
+        self.refused, self.ambiguous, self.unmatched = refused, ambiguous, unmatched
+        self.seat, self.readings, self.due, self.chosen = seat, readings, due, chosen
+
+
+class Window:
+    """The part of a picture that holds the mirror, `height` by `width` pixels from (`left`, `top`) on.
+
+    `excess` is red less the greater of green and blue, `red` is red, and a pixel is red where the excess is at
+    least `least` (256,) of its red. `points` (n, 2) are where there is any: x, y in the window. The mirror's axis
+    is at (x_c, y_c) of the picture, which has so many pixels `across` and `down` and may `cut` the mirror. A thing
+    has at least the `fewest` pixels and no `gap` [px]. Room: theta, radius, level, edge, order, room (n,), rings.
+    """
+
+    def __init__(
+        self, excess, red, least, points, height, width, left, top, x_c, y_c, across, down, cut, fewest, gap,
+        theta, radius, level, edge, order, room, rings,
+    ):  # fmt: skip
+        self.excess, self.red, self.least, self.points = excess, red, least, points
+        self.height, self.width, self.left, self.top = height, width, left, top
+        self.x_c, self.y_c, self.across, self.down = x_c, y_c, across, down
+        self.cut, self.fewest, self.gap = cut, fewest, gap
+        self.theta, self.radius, self.level, self.edge = theta, radius, level, edge
+        self.order, self.room, self.rings = order, room, rings
 
 
 class Notes:

@@ -1,4 +1,4 @@
-from .arrays import Floats, Matrix, Wholes
+from .arrays import Floats, Matrix, Pixels, Points, Wholes
 
 class Belief:
     x: Floats
@@ -159,21 +159,21 @@ class Way:
     turn: float
     def __init__(
         self,
-        follows: bool = ...,
-        length: float = ...,
-        x: float = ...,
-        y: float = ...,
-        ask_at: float = ...,
-        origin_x: float = ...,
-        origin_y: float = ...,
-        reach: float = ...,
-        most: int = ...,
-        looks: bool = ...,
-        sight_x: float = ...,
-        sight_y: float = ...,
-        sight_turn: float = ...,
-        stride: float = ...,
-        turn: float = ...,
+        follows: bool,
+        length: float,
+        x: float,
+        y: float,
+        ask_at: float,
+        origin_x: float,
+        origin_y: float,
+        reach: float,
+        most: int,
+        looks: bool,
+        sight_x: float,
+        sight_y: float,
+        sight_turn: float,
+        stride: float,
+        turn: float,
     ) -> None: ...
 
 class Desk:
@@ -200,6 +200,10 @@ class Desk:
     V: Matrix
     loose: Wholes
     missing: Floats
+    located: Floats
+    ray: Floats
+    ray_row: Floats
+    ray_at: Wholes
     def __init__(
         self,
         raw: Matrix,
@@ -225,6 +229,10 @@ class Desk:
         V: Matrix,
         loose: Wholes,
         missing: Floats,
+        located: Floats,
+        ray: Floats,
+        ray_row: Floats,
+        ray_at: Wholes,
     ) -> None: ...
 
 class Progress:
@@ -238,6 +246,35 @@ class Progress:
     well: int
     def __init__(
         self, instant: int, why: int, scan: int, x: float, y: float, theta: float, number: int, well: int
+    ) -> None: ...
+
+class Odometer:
+    t: Floats
+    twist: Matrix
+    pose: Matrix
+    rolled: Matrix
+    silence: Matrix
+    matched: Matrix
+    readings: int
+    track: float
+    noise: float
+    silent: bool
+    matches: bool
+    parameters: bool
+    def __init__(
+        self,
+        t: Floats,
+        twist: Matrix,
+        pose: Matrix,
+        rolled: Matrix,
+        silence: Matrix,
+        matched: Matrix,
+        readings: int,
+        track: float,
+        noise: float,
+        silent: bool,
+        matches: bool,
+        parameters: bool,
     ) -> None: ...
 
 class Wheels:
@@ -262,6 +299,8 @@ class Headings:
     states: int
     told: Matrix
     readings: int
+    due: int
+    taken: int
     def __init__(
         self,
         when: Wholes,
@@ -276,6 +315,96 @@ class Headings:
         states: int,
         told: Matrix,
         readings: int,
+        due: int,
+        taken: int,
+    ) -> None: ...
+
+class Bearings:
+    when: Wholes
+    first: Wholes
+    z: Floats
+    r: Floats
+    told: Matrix
+    x: float
+    y: float
+    nearest: float
+    gate: float
+    margin: float
+    refused: float
+    ambiguous: float
+    unmatched: float
+    seat: Seat
+    readings: int
+    due: int
+    chosen: int
+    def __init__(
+        self,
+        when: Wholes,
+        first: Wholes,
+        z: Floats,
+        r: Floats,
+        told: Matrix,
+        x: float,
+        y: float,
+        nearest: float,
+        gate: float,
+        margin: float,
+        refused: float,
+        ambiguous: float,
+        unmatched: float,
+        seat: Seat,
+        readings: int,
+        due: int,
+        chosen: int,
+    ) -> None: ...
+
+class Window:
+    excess: Pixels
+    red: Pixels
+    least: Pixels
+    points: Points
+    height: int
+    width: int
+    left: int
+    top: int
+    x_c: float
+    y_c: float
+    across: int
+    down: int
+    cut: bool
+    fewest: float
+    gap: float
+    theta: Floats
+    radius: Floats
+    level: Floats
+    edge: Wholes
+    order: Wholes
+    room: Wholes
+    rings: Wholes
+    def __init__(
+        self,
+        excess: Pixels,
+        red: Pixels,
+        least: Pixels,
+        points: Points,
+        height: int,
+        width: int,
+        left: int,
+        top: int,
+        x_c: float,
+        y_c: float,
+        across: int,
+        down: int,
+        cut: bool,
+        fewest: float,
+        gap: float,
+        theta: Floats,
+        radius: Floats,
+        level: Floats,
+        edge: Wholes,
+        order: Wholes,
+        room: Wholes,
+        rings: Wholes,
     ) -> None: ...
 
 class Notes:

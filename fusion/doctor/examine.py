@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from locfuse.fusion.data import Array, Drive, Measurements, Stream
+from locfuse.fusion.lines.scans import MAX_BEAMS, MAX_LINES
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import gap_limit
@@ -32,7 +33,8 @@ REFUSALS = {
     "same_stamp": "share the stamp of another",
     "not_finite": "hold NaN or Inf",
     "outside_wheels": "before the first or after the last of the wheels",
-    "too_many_beams": "with more beams than can be true",
+    "too_many_beams": f"with more beams than can be true (over {MAX_BEAMS})",
+    "too_many_lines": f"with more walls than can be true (over {MAX_LINES})",
 }
 REPAIRED = {"spike", "other_joints"}
 

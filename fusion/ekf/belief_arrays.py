@@ -119,6 +119,13 @@ class JointBelief:
         x, y, theta, xx, xy, xt, yy, yt, tt = out.tolist()
         return (x, y, theta), (xx, xy, xt, yy, yt, tt)
 
+    def by_local(self, H: tuple[float, float, float]) -> list[float]:
+        """Return the derivative (6,) by local pose and map frame of what has H by the pose in the map."""
+        row = np.empty(6)
+        n = self._room.on_arrays.by_local(self._x, self.in_frame, *H, row)
+        derivative: list[float] = row[:n].tolist()
+        return derivative
+
     def triangle(self) -> Triangle:
         """Return the pose covariance's upper triangle."""
         return self.located()[1]

@@ -15,7 +15,6 @@ Huang, Mourikis, Roumeliotis 2010; docs/trust.md). Compare robocentric maps (Cas
 
 from __future__ import annotations
 
-from math import cos, sin
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -52,11 +51,11 @@ class Framed(Protocol):
     def frame_pose(self) -> Pose | None:
         """Return G, None where the local frame is the map."""
 
-    def with_frame(self) -> Together:
-        """Return q and G with their covariances."""
-
     def located(self, in_map: bool = False) -> tuple[Pose, Triangle]:
         """Return the pose, local or that in the map, and its covariance's upper triangle."""
+
+    def by_local(self, H: tuple[float, float, float]) -> list[float]:
+        """Return the derivative (6,) by q and G of what has the derivative H by the pose in the map."""
 
     def block(self, name: str) -> tuple[int, Any]:
         """Return (first state column, values) of a block."""
@@ -68,7 +67,7 @@ class Framed(Protocol):
 class InMap:
     """A belief with a map frame as sensors see it that observe the pose in the map.
 
-    The one place where the chain rule stands.
+    By the chain rule, which stands in `core.filter.by_local`.
     """
 
     __slots__ = ("_belief", "_first")
@@ -130,12 +129,9 @@ class InMap:
         if len(H) == 1 and not H[0][0] and not H[0][1]:  # a heading: linear, and without a lever
             columns, H_block = (*columns, first + 2), ((*(H_block[0] if H_block else ()), H[0][2]),)
             return self._belief.spread(H, columns, H_block), H, columns, H_block
-        (x, y, _), (_, _, turn), *_ = self._belief.with_frame()
-        c, s = cos(turn), sin(turn)
-        rx, ry = c * x - s * y, s * x + c * y
-        by_q = tuple([(c * a + s * b, c * b - s * a, t) for a, b, t in H])
-        by_G = tuple([(a, b, b * rx - a * ry + t) for a, b, t in H])
-        H_block = tuple([(*own, *g) for own, g in zip(H_block or ((),) * len(H), by_G, strict=True)])
+        rows = [self._belief.by_local(h) for h in H]
+        by_q = tuple([(a, b, t) for a, b, t, *_ in rows])
+        H_block = tuple([(*own, *row[3:]) for own, row in zip(H_block or ((),) * len(H), rows, strict=True)])
         columns = (*columns, first, first + 1, first + 2)
         return self._belief.spread(by_q, columns, H_block), by_q, columns, H_block
 

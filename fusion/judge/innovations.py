@@ -195,8 +195,9 @@ class Frozen:
 
     def spread(self, H: Any, columns: Any = (), H_block: Any = ()) -> tuple[tuple[float, ...], ...]:
         """Return H P H' of the pose alone."""
-        rows = [[sum(h[i] * self._P[i][j] for i in range(3)) for j in range(3)] for h in H]
-        return tuple(tuple(sum(r[j] * h[j] for j in range(3)) for h in H) for r in rows)
+        (xx, xy, xt), (_, yy, yt), (_, _, tt) = self._P
+        rows = [(a * xx + b * xy + c * xt, a * xy + b * yy + c * yt, a * xt + b * yt + c * tt) for a, b, c in H]
+        return tuple([tuple([p * a + q * b + r * c for a, b, c in H]) for p, q, r in rows])
 
 
 def heard(drive: Drive, robot: Robot, run: Estimates, sensor: str) -> Heard | None:

@@ -26,17 +26,21 @@ class Longest:
 
     def add(self, ranges: Array, far: Array) -> None:
         """Count the ranges (k, b) [m] of k scans that lie within range_max `far` (k,) [m]."""
-        seen = ranges <= far[:, None]  # False for NaN
+        if not ranges.size:
+            return
         self._read += ranges.size
-        longest = float(np.max(ranges, where=seen, initial=0.0))
-        if longest < NEAR * self.value or longest == 0.0:
+        longest = float(ranges.max())
+        if not longest <= far.min():  # NaN, Inf, or ranges beyond range_max: no wall is there
+            ranges = np.where(ranges <= far[:, None], ranges, 0.0)
+            longest = float(ranges.max())
+        if longest < NEAR * self.value or longest <= 0.0:
             return
         if longest > self.value:
             self._near = self._near + self.count if self.value >= NEAR * longest else 0
             self.value, self.count = longest, 0
-        equal = int(np.count_nonzero(seen & (ranges == self.value)))
+        equal = int(np.count_nonzero(ranges == self.value))
         self.count += equal
-        self._near += int(np.count_nonzero(seen & (ranges >= NEAR * self.value))) - equal
+        self._near += int(np.count_nonzero(ranges >= NEAR * self.value)) - equal
 
     @property
     def no_return(self) -> float | None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, Ragged
@@ -16,6 +17,7 @@ from .pairs import blocks, misfit, nearest, turn_of
 from .sweep import in_base, motion_of, noise_of
 
 MAX_BEAMS = 100_000  # of one scan: no 2D laser has more
+MAX_LINES = 500  # of one scan: no room shows more, and a correction by n of them takes 32 n^2 bytes and n^3 time
 BEAMS_AT_ONCE = 1 << 19  # lines are extracted from scans of at most so many beams together: memory is bounded
 KNOTS_PER_SCAN = 5  # instants of a scan at which the wheels are asked where the robot was
 MAX_SAME_TURN_RAD, MAX_SAME_SHIFT_M = (
@@ -135,17 +137,24 @@ class Gathered:
         self._z, self._R_unit, self._ends = [np.empty((0, 2))], [np.empty((0, 2, 2))], [np.empty((0, 2))]
         self._sweep: list[Array] = []
         self.curved = self.straight = 0  # walls: left out as pieces of a curve; lines
-        self.giants = 0  # scans of too many beams
+        self.giants = self.crowded = 0  # scans of more than MAX_BEAMS, and MAX_LINES: none of them is used
 
     def add(self, at: Ints, lines: Lines) -> None:
         """Add the lines of the readings `at` (k,); of each line what a measurement needs."""
-        self.curved, self.straight = self.curved + int(lines.curved.sum()), self.straight + len(lines.z)
+        counts = np.diff(lines.first)
+        kept: slice | NDArray[np.bool_] = np.s_[:]
+        crowded = counts > MAX_LINES
+        if crowded.any():
+            kept = np.repeat(~crowded, counts)
+            counts = np.where(crowded, 0, counts)
+            self.crowded += int(crowded.sum())
+        self.curved, self.straight = self.curved + int(lines.curved.sum()), self.straight + int(counts.sum())
         self._at.append(at)
-        self._counts.append(np.diff(lines.first))
-        self._z.append(lines.z)
-        self._R_unit.append(lines.R_unit)
-        self._ends.append(lines.ends)
-        self._sweep.append(lines.sweep)
+        self._counts.append(counts)
+        self._z.append(lines.z[kept])
+        self._R_unit.append(lines.R_unit[kept])
+        self._ends.append(lines.ends[kept])
+        self._sweep.append(lines.sweep[kept])
 
     def in_order(self, n: int) -> tuple[Ints, Array, Array, Array, Array]:
         """Return the lines of n readings in order: first (n + 1,), z, R_unit, ends, sweep. Nothing stays here."""

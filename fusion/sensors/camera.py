@@ -16,18 +16,26 @@ from msgspec.structs import replace
 
 from locfuse.fusion.camera.bearing import (
     H_ORIENTATION,
+    MIN_DISTANCE_M,
     Point,
     bearing_by_mount,
     paper_orientation,
     predict_bearing,
 )
 from locfuse.fusion.chi_square import chi_square
+from locfuse.fusion.core import bearings as core
+from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Ints, LocfuseError, Measurements, Stream
 from locfuse.fusion.mount import ASK_MOUNT, Mount, MountedSettings, mount_states
 from locfuse.fusion.se2 import wrap
-from locfuse.fusion.sensor import GATE, Ask, Belief, Bias, Block, Innovation, Model, Sensor, WheelMotion
+from locfuse.fusion.sensor import GATE, Ask, Bearings, Belief, Bias, Block, Innovation, Model, Sensor, WheelMotion
 
 AMBIGUOUS, UNMATCHED = (VERDICTS.index(v) for v in ("ambiguous", "unmatched"))
+VERDICTS_OF_CHOICE = (
+    GATE,
+    AMBIGUOUS,
+    UNMATCHED,
+)  # of a best candidate that is refused, of ambiguous ones, of others
 MAX_PANORAMA_COLUMNS, MAX_PANORAMA_ROWS = 3600, 8192  # of a panorama: its maps stay below 250 MB
 MARGIN = 9.0  # by how much the second-best candidate must fit worse (squared sigmas: odds of 90 to 1)
 
@@ -254,6 +262,12 @@ class BearingModel(Model):
         """Say where the camera was found to sit."""
         return self.mount.words(belief)
 
+    def bearings(self, m: Measurements) -> Bearings:
+        """Return all readings as what they are."""
+        variance = np.ascontiguousarray(m.covariances(slice(None))[:, 0, 0])
+        judged = MIN_DISTANCE_M, self.threshold, MARGIN, VERDICTS_OF_CHOICE
+        return Bearings(np.ascontiguousarray(m.z[:, 0]), variance, self.landmark, *judged, self.mount)
+
     def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
         """Compare the candidates of picture i with the belief: the one inside the gate is the landmark.
 
@@ -320,16 +334,11 @@ class OrientationModel(Model):
 
 
 def choose(judged: list[Innovation]) -> list[Innovation]:
-    """Give the candidates of one picture their verdicts: at most one is accepted."""
-    best, *others = sorted(judged, key=lambda seen: seen.nis)
-    if best.nis > best.threshold:
-        verdict = GATE
-    elif others and others[0].nis <= min(best.threshold, best.nis + MARGIN):
-        verdict = AMBIGUOUS
-    else:
-        verdict = 0
-    rest = (AMBIGUOUS if verdict == AMBIGUOUS and o.nis <= o.threshold else UNMATCHED for o in others)
-    return [
-        replace(best, verdict=verdict),
-        *(replace(o, verdict=v, landmark=-1) for o, v in zip(others, rest, strict=True)),
-    ]
+    """Give the candidates of one picture their verdicts, the best first: at most one is accepted."""
+    told = np.zeros((len(judged), core.POINTED))
+    told[:, 2] = [seen.nis for seen in judged]
+    every = 0, len(judged), judged[0].threshold, MARGIN, *map(float, VERDICTS_OF_CHOICE)
+    best = Room.here(core).on_arrays.choose(told, *every)
+    verdicts = told[:, :2].astype(np.intp).tolist()
+    seen = [replace(s, verdict=v, landmark=k) for s, (v, k) in zip(judged, verdicts, strict=True)]
+    return [seen.pop(best), *seen]

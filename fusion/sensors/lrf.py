@@ -47,6 +47,8 @@ class LrfSettings(MountedSettings, frozen=True, forbid_unknown_fields=True, kw_o
     map_topic: str | None = None  # nav_msgs/OccupancyGrid of the log, in which it localises (map = given)
     recover: bool = True  # from slips and being carried away
 
+    only_fused: ClassVar[frozenset[str]] = MountedSettings.only_fused | {"recover"}
+
 
 class Lrf(Sensor):
     """Reads LaserScan."""
@@ -99,7 +101,8 @@ class Lrf(Sensor):
             extra["shared"] = sweep
         if uneven.any():
             extra["uneven"] = np.broadcast_to(uneven, z.shape)  # m^2, rad^2
-        dropped = {**stream.dropped, **({"too_many_beams": found.giants} if found.giants else {})}
+        too_large = {"too_many_beams": found.giants, "too_many_lines": found.crowded}
+        dropped = {**stream.dropped, **{reason: n for reason, n in too_large.items() if n}}
         points = ScanPoints(stream, self.reads[stream.msgtype], stamps, laser, wheels, np.arange(len(t)))
         notes = (*_floor_notes(uneven, settings), *_curve_notes(found.curved, found.straight))
         if nothing is not None:

@@ -1,20 +1,22 @@
 """Wheel motion (paper eq. 1-3, 7, 8): exact arcs, pre-integrated between any two instants.
 
 Encoder rate costs nothing in the filter: all wheel readings are turned at once into a chain of body twists, and
-the motion, its covariance and its derivative by the wheel parameters are summed per interval with NumPy.
+the motion, its covariance and its derivative by the wheel parameters are summed per interval (`core.intervals`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from locfuse.fusion import se2
+from locfuse.fusion.core import intervals, tables
+from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Ints, Motions
 
 MIN_GAP_S, MIN_GAP_PERIODS = 0.5, 5.0  # s, median periods: over a longer one the way is not known, only the sums
-INTERVALS_AT_ONCE = 8192  # intervals at a time: what is needed on the way is many times larger than the result
 PARAMETERS = ("scale_left", "scale_right", "track")  # relative corrections, 0 = as given
 
 
@@ -102,122 +104,27 @@ class Wheels:
         return np.diff(np.stack([np.interp(t, self.t, column) for column in way.T], axis=-1), axis=-2)
 
     def between(self, t_from: Array, t_to: Array, parameters: bool = False) -> Motions:
-        """Pre-integrate n intervals [t_from, t_to], (n,) s each, that do not overlap and are in order.
+        """Pre-integrate n intervals [t_from, t_to], (n,) s each.
 
         Noise is independent per wheel with variance `noise` times the distance rolled, whatever the encoder
         rate (the paper's eq. 9 depends on the period). Each piece between two cuts contributes through
         eq. 8 in its right form plus the lever arm to the interval's end.
         """
-        blocks = [slice(a, a + INTERVALS_AT_ONCE) for a in range(0, max(len(t_from), 1), INTERVALS_AT_ONCE)]
-        parts = [self._between(t_from[at], t_to[at], parameters) for at in blocks]
-        return Motions(*map(np.concatenate, zip(*parts, strict=True)))
+        n, parts = len(t_from), 9 if parameters else 0
+        u, Q, J = np.empty((n, 3)), np.empty((n, 9)), np.empty((n, parts))
+        times = (np.require(t, np.float64, ["C", "W"]) for t in (t_from, t_to))
+        Room.here(intervals).on_arrays.between(
+            self._odometer(parameters), *times, n, u, Q, J, np.empty(intervals.ROOM)
+        )
+        return Motions(u, Q.reshape(n, 3, 3), J.reshape(n, 3, parts // 3))
 
-    def _between(self, t_from: Array, t_to: Array, parameters: bool) -> tuple[Array, Array, Array]:
-        pieces = _Pieces.cut(self, t_from, t_to)
-        u = se2.between(pieces.start, pieces.end)
-        columns = pieces.jacobian(self.track)  # (m, 3, 2) left, right
-        if self.matched is None:
-            variance = self.noise * np.abs(pieces.rolled)  # (m, 2)
-            Q = pieces.total((columns * variance[:, None]) @ columns.transpose(0, 2, 1) + pieces.unseen())
-        else:
-            Q = pieces.total(pieces.by_match(self.matched))
-        J = np.zeros((len(u), 3, 0))
-        if parameters:
-            J = pieces.total(pieces.by_parameters(columns))
-        turn = se2.rotation(-pieces.start[:, 2])
-        return u, turn @ Q @ turn.transpose(0, 2, 1), turn @ J
-
-
-@dataclass(frozen=True)
-class _Pieces:
-    """Intervals cut at every wheel reading: m pieces of n intervals, on each of which the twist is constant."""
-
-    interval: Ints  # (m,)
-    count: int  # n
-    a: Array  # (m, 3) dead-reckoned pose at the piece's start
-    b: Array  # (m, 3) at its end
-    twist: Array  # (m, 3)
-    rolled: Array  # (m, 2)
-    wheel: Ints  # (m,) the wheel interval
-    share: Array  # (m,) of the wheel interval
-    span: Array  # (m,) s
-    silence: Array  # (m, 2) of the wheel interval
-    start: Array  # (n, 3) at the interval's start
-    end: Array  # (n, 3)
-
-    @classmethod
-    def cut(cls, wheels: Wheels, t_from: Array, t_to: Array) -> _Pieces:
-        k0, f0, start = wheels.at(t_from)
-        k1, f1, end = wheels.at(t_to)
-        counts = np.where(t_to > t_from, k1 - k0 + 1, 0)
-        interval = np.repeat(np.arange(len(t_from)), counts)
-        nth = np.arange(len(interval)) - np.repeat(np.cumsum(counts) - counts, counts)
-        k = k0[interval] + nth
-        share_a = np.where(nth == 0, f0[interval], 0.0)
-        share_b = np.where(k == k1[interval], f1[interval], 1.0)
-        share = share_b - share_a
-        a = se2.compose(wheels.pose[k], se2.exp(share_a[:, None] * wheels.twist[k]))
-        twist = share[:, None] * wheels.twist[k]
-        b = se2.compose(a, se2.exp(twist))
-        rolled, span = share[:, None] * wheels.rolled[k], share * (wheels.t[k + 1] - wheels.t[k])
-        return cls(interval, len(t_from), a, b, twist, rolled, k, share, span, wheels.silence[k], start, end)
-
-    def total(self, terms: Array) -> Array:
-        """Sum terms (m, ...) over the pieces of each interval, (n, ...)."""
-        out = np.zeros((self.count, *terms.shape[1:]))
-        if len(terms):
-            first = np.flatnonzero(np.diff(self.interval, prepend=-1))
-            out[self.interval[first]] = np.add.reduceat(terms, first, axis=0)
-        return out
-
-    def unseen(self) -> Array:
-        """Covariance of each piece by what the wheels did unseen, (m, 3, 3): none but in a silence.
-
-        A whole silence leaves no doubt about the heading, which is the difference of the sums; a part of it does.
-        """
-        out = np.zeros((len(self.share), 3, 3))
-        out[:, 0, 0] = out[:, 1, 1] = self.share * self.silence[:, 0]
-        turned = np.minimum(self.silence[:, 1] * self.span, np.pi)  # at most any way round
-        out[:, 2, 2] = (1.0 - self.share) * turned**2 / 3.0
-        return out
-
-    def by_match(self, P: Array) -> Array:
-        """Covariance of each piece, (m, 3, 3), by that of the twists: its share, with the lever arm to the end."""
-        m = self.a[:, 2] + 0.5 * self.twist[:, 2]
-        J = se2.rotation(m)
-        J[:, :, 2] = self.turning()
-        out: Array = J @ (self.share[:, None, None] * P[self.wheel]) @ J.transpose(0, 2, 1)
-        return out
-
-    def jacobian(self, track: float) -> Array:
-        """Derivative of the interval's end pose by the (left, right) distance rolled in each piece, (m, 3, 2).
-
-        Paper eq. 8 in its right form (docs/paper.md), plus the turn's lever arm from the piece to the end.
-        """
-        m = self.a[:, 2] + 0.5 * self.twist[:, 2] + self.aside()
-        along = np.stack((np.cos(m), np.sin(m), np.zeros_like(m)), axis=-1)
-        turning = self.turning() / track
-        return np.stack((0.5 * along - turning, 0.5 * along + turning), axis=-1)
-
-    def turning(self) -> Array:
-        """Derivative of the interval's end pose by the turn of each piece, (m, 3)."""
-        m = self.a[:, 2] + 0.5 * self.twist[:, 2]
-        (ds, left), end = self.twist[:, :2].T, self.end[self.interval]
-        x = -0.5 * (ds * np.sin(m) + left * np.cos(m)) - (end[:, 1] - self.b[:, 1])
-        y = 0.5 * (ds * np.cos(m) - left * np.sin(m)) + (end[:, 0] - self.b[:, 0])
-        return np.stack((x, y, np.ones_like(m)), axis=-1)
-
-    def aside(self) -> Array:
-        """Direction of travel from the body's axis (m,) [rad], at most a quarter turn: 0 forward and backward."""
-        ahead = np.copysign(1.0, self.twist[:, 0])
-        out: Array = np.arctan2(ahead * self.twist[:, 1], ahead * self.twist[:, 0])
-        return out
-
-    def by_parameters(self, columns: Array) -> Array:
-        """Derivative by PARAMETERS, (m, 3, 3)."""
-        by_track = -self.twist[:, 2:3] * self.turning()
-        scales = columns * self.rolled[:, None, :]
-        return np.concatenate((scales, by_track[:, :, None]), axis=2)
+    def _odometer(self, parameters: bool) -> Any:
+        """Return the readings as the core takes them."""
+        silent, none = bool(self.silence.any()), np.zeros((0, 2))
+        matched = np.zeros((0, 9)) if self.matched is None else self.matched.reshape(-1, 9)
+        columns = self.t, self.twist, self.pose, self.rolled, self.silence if silent else none, matched
+        of = *(np.require(c, np.float64, ["C", "W"]) for c in columns), len(self.t), self.track, self.noise
+        return Room.here(tables).on_arrays.Odometer(*of, silent, self.matched is not None, parameters)
 
 
 def silences(t: Array, rolled: Array, turn: Array) -> Array:

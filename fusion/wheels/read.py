@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -53,6 +54,10 @@ class WheelReading(NamedTuple):
     epoch_ns: int  # the first reading used, time offset applied
     dropped: dict[str, int]  # readings that are not used, by reason
     notes: tuple[str, ...]  # repairs in words, each with the setting that controls it
+
+    def with_noise(self, noise: float) -> WheelReading:
+        """Return the same motion of wheels with another noise, m per metre rolled."""
+        return self._replace(wheels=replace(self.wheels, noise=noise), dropped=dict(self.dropped))
 
 
 def read_wheels(stream: Stream, settings: WheelSettings) -> WheelReading:

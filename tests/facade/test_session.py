@@ -14,9 +14,13 @@ from commands import locfuse as command
 from rewrite_log import rewritten
 
 import locfuse
+from locfuse.cli.pipeline import load
 from locfuse.fusion.camera import detect
 from locfuse.fusion.instants import BLOCK
+from locfuse.fusion.lines.scans import lines_in_base
 from locfuse.fusion.progress import heard_by
+from locfuse.fusion.sensors import lrf
+from locfuse.fusion.wheels.read import read_wheels
 
 LOG = "rounded_rectangle"
 WORDS = ("odometry", "lrf", "compass,lrf@2Hz")
@@ -63,6 +67,38 @@ def test_other_settings_do_not_decode_the_pictures_again(
     assert not looked
     session.with_settings({"camera.red_ratio": 0.6})
     assert len(looked) == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "again"),
+    [
+        ({"lrf.gate": 0.999, "compass.outliers": "inflate"}, ()),
+        ({"lrf.sigma_x": 0.05, "lrf.recover": False, "wheels.estimate": True}, ()),
+        ({"lrf.sigma_range": 0.05}, ("lines",)),
+        ({"wheels.noise": 1e-3}, ("lines",)),  # a deskewed scan is as uncertain as the wheels
+        ({"wheels.track": 0.61}, ("wheels", "lines")),
+    ],
+)
+def test_other_settings_measure_again_what_depends_on_them_and_are_those_of_a_new_load(
+    session: locfuse.Session, monkeypatch: pytest.MonkeyPatch, changes: dict[str, Any], again: tuple[str, ...]
+) -> None:
+    looked: list[str] = []
+
+    def noted(name: str, work: Any) -> Any:
+        def done(*args: Any) -> Any:
+            looked.append(name)
+            return work(*args)
+
+        return done
+
+    monkeypatch.setattr(load, "read_wheels", noted("wheels", read_wheels))
+    monkeypatch.setattr(lrf, "lines_in_base", noted("lines", lines_in_base))
+    later = session.with_settings(changes)
+    assert set(looked) == set(again)
+    fresh = locfuse.load(LOG, sets=changes, between=(None, TO))
+    for one in ("odometry", "compass+lrf"):
+        a, b = (s.run(one.replace("+", ",")).estimates[one] for s in (later, fresh))
+        assert (a.pose.tobytes(), a.triangles.tobytes()) == (b.pose.tobytes(), b.triangles.tobytes())
 
 
 def test_a_comparison_writes_the_commands_files_byte_for_byte(

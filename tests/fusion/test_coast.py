@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import hypothesis
@@ -16,7 +16,8 @@ from worlds import World
 from locfuse.fusion.coast.stretches import Stretches
 from locfuse.fusion.core.form import form
 from locfuse.fusion.core.room import Room
-from locfuse.fusion.data import VERDICTS, Array, Drive, Estimates, LocfuseError, Ragged
+from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, LocfuseError, Measurements, Ragged
+from locfuse.fusion.doctor.examine import REFUSALS
 from locfuse.fusion.fuse import Filter, fuse
 from locfuse.fusion.instants import due_readings, steps_of
 from locfuse.fusion.measure import measure
@@ -47,6 +48,13 @@ def instant_by_instant(drive: Drive, robot: Robot, sensors: Sequence[str]) -> Es
     return run.estimates(drive, "the loop")
 
 
+def by_row(audit: Audit) -> Audit:
+    """Return the record in the order of rows: of the candidates of a picture the loop notes the best first."""
+    order = np.lexsort((audit.row, audit.instant))
+    columns = {f.name: getattr(audit, f.name)[order] for f in fields(Audit) if f.name != "joint"}
+    return Audit(**columns, joint=audit.joint)
+
+
 def assert_same(a: Estimates, b: Estimates) -> None:
     np.testing.assert_allclose(a.pose, b.pose, atol=1e-11)
     np.testing.assert_allclose(a.triangles, b.triangles, rtol=1e-9, atol=1e-15)
@@ -60,8 +68,8 @@ def assert_same(a: Estimates, b: Estimates) -> None:
         )
         np.testing.assert_allclose(line.P, same.P, rtol=1e-7, atol=1e-15)
     assert (a.notes, a.lost) == (b.notes, b.lost)
-    for name, audit in a.audits.items():
-        other = b.audits[name]
+    for name in a.audits:
+        audit, other = by_row(a.audits[name]), by_row(b.audits[name])
         np.testing.assert_allclose(audit.joint, other.joint, rtol=1e-7)
         for column in ("instant", "row", "verdict", "landmark", "threshold"):
             np.testing.assert_array_equal(getattr(audit, column), getattr(other, column), column)
@@ -164,6 +172,79 @@ def test_more_lines_than_a_table_holds_are_taken_table_by_table(monkeypatch: pyt
     assert_same(fuse(drive, robot, ["compass", "lrf"]), whole)
 
 
+LANDMARK = (6.5, 5.0)  # m; the robot starts at (1.5, 1.5)
+SEEN = ["nothing", "it", "it and another", "two that may be it", "another", "no number"]
+
+
+def with_pictures(drive: Drive, robot: Robot, kinds: Sequence[str], seed: int = 0) -> Drive:
+    """Return the drive with a picture at every third instant, whose candidates are of these kinds in turn."""
+    settings: Any = robot.settings("camera")
+    rng, when = np.random.default_rng(seed), np.arange(2, len(drive.t), 3)
+    x, y, theta = World().pose(drive.t[when]).T
+    bearings = np.arctan2(LANDMARK[1] - y, LANDMARK[0] - x) - theta + rng.normal(0.0, math.radians(0.3), len(when))
+    z: list[float] = []
+    counts: list[int] = []
+    for i, b in enumerate(bearings.tolist()):
+        others = {"it and another": [b + 2.0, b], "two that may be it": [b, b + 0.004], "another": [b - 1.0]}
+        shown = {"nothing": [], "it": [b], "no number": [math.nan], **others}[kinds[i % len(kinds)]]
+        z += shown
+        counts.append(len(shown))
+    R_unit = rng.uniform(1.0, 1.2, (len(z), 1, 1))
+    sigma = math.radians(settings.sigma_deg)
+    first = np.concatenate(([0], np.cumsum(counts, dtype=np.int64)))
+    m = Measurements(drive.t[when], first, np.array(z).reshape(-1, 1), R_unit, sigma, np.zeros((1, 1)))
+    return replace(
+        drive, measurements={**drive.measurements, "camera": m}, instant={**drive.instant, "camera": when}
+    )
+
+
+MOUNTED = {"x": 0.1, "y": -0.05, "yaw_deg": 1.0, "sigma_x": 0.02, "sigma_y": 0.02, "sigma_yaw_deg": 2.0}
+INSIDE = {"landmark": (1.5, 1.5)}  # where the robot starts
+CAMERAS = [{}, MOUNTED, INSIDE, {"gate": 0.5}, {"sigma_yaw_deg": 1.0}]
+
+
+@hypothesis.settings(deadline=None, max_examples=40)
+@hypothesis.given(
+    st.lists(st.sampled_from(SEEN), min_size=1, max_size=8),
+    st.sampled_from(CAMERAS),
+    st.sampled_from([("camera",), ("compass", "camera"), ("lrf", "camera"), ("compass", "lrf", "camera")]),
+    st.sampled_from(["grow", "first-scan"]),
+)
+def test_pictures_are_the_same_in_stretches_instant_by_instant_and_in_both_forms(
+    kinds: list[str], camera: dict[str, Any], sensors: tuple[str, ...], mode: str
+) -> None:
+    drive, robot = drive_of({"camera": {"landmark": LANDMARK, **camera}, "lrf": {"map": mode}}, seconds=3.0)
+    drive = with_pictures(drive, robot, kinds)
+    run = fuse(drive, robot, sensors)
+    assert_same(run, instant_by_instant(drive, robot, sensors))
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("locfuse.fusion.core.room._here", lambda source: Room.of(source, None))
+        assert_same_bits(run, fuse(drive, robot, sensors))
+
+
+def test_of_the_candidates_of_a_picture_one_is_the_landmark_and_the_core_takes_them_all() -> None:
+    """The verdicts are those of the kinds of pictures; the loop takes the first scan alone."""
+    drive, robot = drive_of({"camera": {"landmark": LANDMARK}}, seconds=6.0)
+    drive = with_pictures(drive, robot, SEEN)
+    audit = fuse(drive, robot, ["compass", "lrf", "camera"]).audits["camera"]
+    verdicts, landmarks = [VERDICTS[v] for v in audit.verdict.tolist()], audit.landmark.tolist()
+    once = ["accepted", "unmatched", "accepted", "ambiguous", "ambiguous", "gate", "gate"]  # one NaN is refused
+    for i in range(0, len(verdicts) - 6, 7):
+        assert verdicts[i : i + 7] == once
+        assert landmarks[i : i + 3] == [0, -1, 0]
+        assert sorted(landmarks[i + 3 : i + 5]) == [-1, 0]
+    assert len(advanced(drive, robot, ["compass", "lrf", "camera"])) <= 3
+
+
+def test_two_pictures_at_one_instant_share_one_prior() -> None:
+    drive, robot = drive_of({"camera": {"landmark": LANDMARK}})
+    drive = with_pictures(drive, robot, ["it"])
+    when = drive.instant["camera"].copy()
+    when[10] = when[9]
+    drive.instant["camera"] = when
+    assert_same(fuse(drive, robot, ["camera"]), instant_by_instant(drive, robot, ["camera"]))
+
+
 KINDS = st.sampled_from(["as seen", "none", "one line", "NaN", "elsewhere", "turned"])
 
 
@@ -217,23 +298,37 @@ def test_maps_of_none_to_two_thousand_walls_are_the_same_to_both_forms(walls: in
         assert_same_bits(run, fuse(changed, robot, ["compass", "lrf"]))
 
 
-@pytest.mark.parametrize("beams", [1, 2, 100_000])
-def test_scans_of_one_beam_and_of_a_hundred_thousand_are_fused_alike_by_both_forms(beams: int) -> None:
-    """Nothing to see, and a saw of 400 walls."""
-    world = World(seconds=0.3, speed=0.6, settings={"lrf": {"map": "first-scan"}})
+def saw_of(walls: int, beams: int, world: World) -> tuple[Drive, Robot]:
+    """Return the drive of a world whose scans are a saw of so many walls, all around."""
     streams, angles = world.streams(), np.linspace(-math.pi, math.pi, beams, endpoint=False)
     scans = streams["lrf"]
-    n, saw = len(scans.t_ns), 20.0 + 6.0 * np.abs((angles * 200.0 / math.tau) % 1.0 - 0.5)
+    n, depth = len(scans.t_ns), 2400.0 / walls  # m
+    saw = 20.0 + depth * np.abs((angles * 0.5 * walls / math.tau) % 1.0 - 0.5)
     data: dict[str, Any] = dict(scans.data)
     data |= {"angle_min": np.full(n, angles[0]), "angle_increment": np.full(n, math.tau / beams)}
     data["ranges"] = Ragged(np.tile(saw, n), np.arange(n + 1) * beams)
     robot = world.robot()
-    drive = measure({**streams, "lrf": replace(scans, data=data)}, robot)
+    return measure({**streams, "lrf": replace(scans, data=data)}, robot), robot
+
+
+@pytest.mark.parametrize("beams", [1, 2, 100_000])
+def test_scans_of_one_beam_and_of_a_hundred_thousand_are_fused_alike_by_both_forms(beams: int) -> None:
+    """Nothing to see, and a saw of 400 walls."""
+    drive, robot = saw_of(400, beams, World(seconds=0.3, speed=0.6, settings={"lrf": {"map": "first-scan"}}))
     run = fuse(drive, robot, ["compass", "lrf"])
     assert len(run.first_map) == (400 if beams > 2 else 0)
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr("locfuse.fusion.core.room._here", lambda source: Room.of(source, None))
         assert_same_bits(run, fuse(drive, robot, ["compass", "lrf"]))
+
+
+def test_scans_of_more_walls_than_a_room_has_are_counted_and_not_used() -> None:
+    """A correction by thousands of walls would take gigabytes."""
+    drive, robot = saw_of(600, 100_000, World(seconds=0.3, speed=0.6))
+    m = drive.measurements["lrf"]
+    assert (m.absent, m.dropped) == (3, {"too_many_lines": 3})
+    assert REFUSALS["too_many_lines"] == "with more walls than can be true (over 500)"
+    assert fuse(drive, robot, ["compass", "lrf"]).first_map == []
 
 
 def test_a_heading_beyond_its_gate_and_one_in_a_disturbed_field_correct_nothing() -> None:

@@ -1,0 +1,119 @@
+"""The bearing of a known point: what is predicted, and which of a picture's candidates shows the point.
+
+z = atan2(dy, dx) - theta - yaw + noise, (dx, dy) from the camera to the point, in the map; the camera's place and
+yaw on the base may be states.
+"""
+
+from math import atan2, cos, sin, sqrt
+
+from .filter import by_local, locate
+from .fit import wrapped
+
+POINTED = 5  # columns of what is told of a candidate: verdict, landmark, NIS, y, sigma
+RAY = 9  # the bearing, its derivatives by pose and mount, and of the candidate that is the point y and R
+
+
+def bearing(pose, to_x, to_y, x, y, yaw, nearest, out):
+    """Write the bearing [rad, not wrapped] of a point from a camera at x, y, yaw on the base, and its derivatives.
+
+    These are by the pose (x, y, theta) and by the camera's x, y, yaw: out (7,). Returns whether there is one: a
+    camera nearer to the point than `nearest` [m] is inside it.
+    """
+    c = s = pose[2] - pose[2]  # NaN where there is no heading
+    if c == 0.0:
+        c, s = cos(pose[2]), sin(pose[2])
+    dx = to_x - pose[0] - c * x + s * y
+    dy = to_y - pose[1] - s * x - c * y
+    q = dx * dx + dy * dy
+    if not q >= nearest * nearest or not q > 0.0:
+        return False
+    ahead, aside = dx * c + dy * s, dy * c - dx * s
+    out[0] = atan2(dy, dx) - pose[2] - yaw
+    out[1], out[2], out[3] = dy / q, -dx / q, -1.0 - (x * ahead + y * aside) / q
+    out[4], out[5], out[6] = aside / q, -ahead / q, -1.0
+    return True
+
+
+def sight(b, g, i, d):
+    """Compare the candidates of picture i with the belief, and tell what became of each.
+
+    Where one shows the point it is `g.chosen`, and what it says is left on the desk. Returns what `whiten` does.
+    """
+    if g.first[i] == g.first[i + 1]:
+        return 1.0
+    locate(b.x, b.P, b.frame, d.located)
+    for j in range(3):
+        d.place[j] = g.seat.told[j]
+    for j in range(g.seat.free):
+        d.place[g.seat.which[j]] = b.x[g.seat.at[j]]
+    if not bearing(d.located, g.x, g.y, d.place[0], d.place[1], d.place[2], g.nearest, d.ray):
+        return 1.0
+    states = derive(b, d.ray[1], d.ray[2], 0.0, d)
+    bend = quadratic(b.P, d.ray_at, d.ray_row, states)
+    more = bend * bend  # the bearing is not linear in the position: second-order (sigma of it / distance)^4
+    states = derive(b, d.ray[1], d.ray[2], d.ray[3], d)
+    for j in range(g.seat.free):
+        d.ray_row[states + j], d.ray_at[states + j] = d.ray[4 + g.seat.which[j]], g.seat.at[j]
+    least = judge_each(g, i, d.ray[0], quadratic(b.P, d.ray_at, d.ray_row, states + g.seat.free), more)
+    if not least > 0.0:
+        return least
+    best = choose(g.told, g.first[i], g.first[i + 1], g.gate, g.margin, g.refused, g.ambiguous, g.unmatched)
+    if g.told[best, 0] == 0.0:
+        g.chosen, d.ray[7], d.ray[8] = best, g.told[best, 3], g.r[best] + more
+    return 1.0
+
+
+def derive(b, by_x, by_y, by_theta, d):
+    """Write a derivative by the pose in the map as one by states, and which these are; return how many."""
+    states = by_local(b.x, b.frame, by_x, by_y, by_theta, d.ray_row)
+    for j in range(3):
+        d.ray_at[j], d.ray_at[3 + j] = j, b.frame + j
+    return states
+
+
+def quadratic(P, at, row, states):
+    """Return H P H' of one row of derivatives by the states `at` (states,)."""
+    total = 0.0
+    for i in range(states):
+        for j in range(states):
+            total += row[i] * row[j] * P[at[i], at[j]]
+    return max(total, 0.0)  # but for rounding
+
+
+def judge_each(g, i, predicted, variance, more):
+    """Write NIS, innovation and sigma of every candidate of picture i; return 1, or a variance that is none."""
+    for row in range(g.first[i], g.first[i + 1]):
+        S, y = variance + (g.r[row] + more), g.z[row] - predicted
+        if not S > 0.0:
+            return S
+        g.told[row, 3] = y - y  # NaN where there is no bearing
+        if y - y == 0.0:
+            g.told[row, 3] = wrapped(y)
+        g.told[row, 2], g.told[row, 4] = g.told[row, 3] * g.told[row, 3] / S, sqrt(S)
+    return 1.0
+
+
+def choose(told, first, last, gate, margin, refused, ambiguous, unmatched):
+    """Give the candidates first:last of one picture, of which NIS is told, verdict and landmark (0 or -1).
+
+    At most one is accepted: the best, within `gate`, unless another within it is worse by no more than `margin`.
+    Returns the best.
+    """
+    best, second = first, -1
+    for row in range(first + 1, last):
+        if told[row, 2] < told[best, 2]:
+            best = row
+    for row in range(first, last):
+        if row != best and (second < 0 or told[row, 2] < told[second, 2]):
+            second = row
+    verdict = 0.0
+    if not told[best, 2] <= gate:
+        verdict = refused
+    elif second >= 0 and told[second, 2] <= min(gate, told[best, 2] + margin):
+        verdict = ambiguous
+    for row in range(first, last):
+        told[row, 0], told[row, 1] = unmatched, -1.0
+        if verdict == ambiguous and told[row, 2] <= gate:
+            told[row, 0] = ambiguous
+    told[best, 0], told[best, 1] = verdict, 0.0
+    return best

@@ -155,17 +155,23 @@ def errors(session: Session) -> dict[str, float]:
 
 
 def run(
-    log: Path, case: Case, truth: bool, right: Mapping[str, float], before: Mapping[str, float]
+    session: Session, seen: Session, case: Case, right: Mapping[str, float], before: Mapping[str, float]
 ) -> dict[str, Any]:
-    """Return what is found in one case, and the errors before and after everything that is advised is set."""
-    sets = (*RIGHT, *case.sets)
-    hidden = () if truth else ("truth.topic=none",)
-    report = load(log, sets=(*sets, *hidden)).findings()
-    after = errors(load(log, sets=(*sets, *report["fixes"]))) if report["fixes"] else before
+    """Return what is found in one case, and the errors before and after everything that is advised is set.
+
+    `session` is the log under the settings of the case, `seen` what is judged, perhaps without the log's truth.
+    Findings do not depend on a reference, so none is solved.
+    """
+    report = seen.compare(audits=False, reference=False).report
+    after = errors(session.with_settings(report["fixes"])) if report["fixes"] else before
     return {
         "accused": sorted({f["role"] for f in report["findings"] if f["fixes"]}),
         "unfixed": sorted({f["role"] for f in report["findings"] if not f["fixes"]}),
         "fixes": report["fixes"],
+        "messages": [f"{f['role']}: {f['message']}" for f in report["findings"]],
+        "right_m": dict(right),
+        "before_m": dict(before),
+        "after_m": dict(after),
         **judged(case, right, before, after, report["fixes"]),
     }
 
@@ -214,12 +220,15 @@ def results(seeds: int, out: Path, chosen: Sequence[Case], truths: Sequence[bool
             if not left:
                 continue
             log = drive(seed, Path(folder))
-            right = errors(load(log, sets=RIGHT))
+            whole, blind = load(log, sets=RIGHT), load(log, sets=(*RIGHT, "truth.topic=none"))
+            right = errors(whole)
             for case in dict.fromkeys(c for c, _ in left):
-                before = errors(load(log, sets=(*RIGHT, *case.sets)))
+                session = whole.with_settings(case.sets)  # measures only the sensors again that it changes
+                before = errors(session)
                 for truth in (t for c, t in left if c == case):
                     row = {"case": case.name, "seed": seed, "truth": truth}
-                    row |= run(log, case, truth, right, before)
+                    seen = session if truth else blind.with_settings(case.sets)
+                    row |= run(session, seen, case, right, before)
                     with out.open("a", encoding="utf-8") as file:
                         file.write(json.dumps(row) + "\n")
                     yield row

@@ -4,7 +4,8 @@
 
 Every log below that the folder holds is compared, then compared with all fixes that were found. With truth the
 figure is the position error of the best configuration and of `all`; without it, how well the sensors that only
-listen are predicted. `--write` puts the table into docs/advice.md; `--log brenner` runs only some.
+listen are predicted; beside a file of relations, that of the relative poses too. `--write` puts the table into
+docs/advice.md; `--log brenner` runs only some.
 """
 
 from __future__ import annotations
@@ -16,9 +17,15 @@ from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 
 from benchmarks.advice import PAGE, put
-from locfuse.cli.session.session import load
+from benchmarks.building import FAR_S
+from benchmarks.relations import relation_errors
+from locfuse.cli.advice.evaluator import standard
+from locfuse.cli.advice.trial import Trial
+from locfuse.cli.pipeline.settings import silent
+from locfuse.cli.session.session import Session, load
 from locfuse.formats.tables.findings import length
 
 
@@ -31,6 +38,7 @@ class RealLog:
     sets: tuple[str, ...] = ()
 
 
+RELATIONS_EPOCH_S = 1e9  # s: a relation's stamps plus this are the log's
 ARENA = (
     "wheels.radius=0.0199962",
     "wheels.track=0.155",
@@ -48,6 +56,7 @@ LOGS = (
     RealLog("aces", "aces/aces.mcap"),
 )
 HEAD = ("| log | finding | fix | judged by | before | after |", "|---|---|---|---|--:|--:|")
+AGAIN = "compared again: "
 
 
 def results(one: RealLog, path: Path) -> Iterator[str]:
@@ -60,19 +69,64 @@ def results(one: RealLog, path: Path) -> Iterator[str]:
         return
     for finding in findings:
         yield f"| {one.name} | {finding['role']}: {finding['code']} | {' | '.join(_tried(finding))} |"
-    if before["fixes"]:
-        after = session.with_settings(before["fixes"]).compare(advice=False).report
-        names = [n for n in dict.fromkeys((_best(before), _best(after), "all")) if n in before["configurations"]]
-        for name in names:
-            cells = (_error(before, name), _error(after, name))
-            yield f"| {one.name} | **all of it, obeyed** |  | {name} | {' | '.join(cells)} |"
+    if not before["fixes"]:
+        return
+    obeyed = session.with_settings(before["fixes"])
+    compared = obeyed.compare()
+    again = " ".join(f"`{fix}`" for fix in compared.report["fixes"]) or "nothing to fix"
+    for name, *cells in _obeyed(session, before, obeyed, compared.report):
+        yield f"| {one.name} | **all of it, obeyed** | {AGAIN}{again} | {name} | {' | '.join(cells)} |"
+        again = "the same"
+    relations = path.with_suffix(".relations")
+    if relations.exists():
+        cells = [_by_relations(s, relations) for s in (session, obeyed)]
+        yield f"| {one.name} | **all of it, obeyed** |  | {relations.name}, lrf | {' | '.join(cells)} |"
+
+
+def _obeyed(
+    session: Session, before: Mapping[str, Any], obeyed: Session, after: Mapping[str, Any]
+) -> Iterator[tuple[str, str, str]]:
+    """Yield configurations with their figures before and after.
+
+    By truth the best ones and `all`; without truth the one of most sensors, by what it predicts: a reference would
+    be another one under other settings.
+    """
+    if before["truth"] is not None:
+        for name in dict.fromkeys((_best(before), _best(after), "all")):
+            if name in before["configurations"]:
+                yield name, _error(before, name), _error(after, name)
+        return
+    name = list(before["configurations"])[-1]
+    scores = [
+        Trial(s.loaded, {c.name: c for c in standard(s.loaded)}, "none", silent)((), (name,))[name]
+        for s in (session, obeyed)
+    ]
+    yield (
+        name,
+        *(
+            _score(score._asdict() | {"position_rmse_m": None, "prediction_nats": score.prediction})
+            for score in scores
+        ),
+    )
+
+
+def _by_relations(session: Session, relations: Path) -> str:
+    """Return the mean errors of relative poses that people verified by hand: of scans near and far in time."""
+    drive = session.loaded.drive
+    table = np.loadtxt(relations)
+    table[:, :2] += RELATIONS_EPOCH_S - drive.epoch_ns * 1e-9 + session.robot.settings("lrf").time_offset
+    estimates = session.run("lrf", advice=False).filtered
+    far = table[:, 1] - table[:, 0] > FAR_S
+    (near, turn), (beyond, _) = (relation_errors(estimates.t, estimates.pose, table[rows]) for rows in (~far, far))
+    return f"{length(float(near.mean()))}, {np.degrees(turn.mean()):.2f}°; far {length(float(beyond.mean()))}"
 
 
 def _tried(finding: Mapping[str, Any]) -> tuple[str, str, str, str]:
     """Return the fix, the configuration that gains most by it, and its figure before and after."""
     fixes, tried = " ".join(f"`{fix}`" for fix in finding["fixes"]), finding["tried"]
     if not fixes or tried is None:
-        return "none helps", "", "", ""
+        tried = "changes little" if finding["harmless"] else "makes it worse"
+        return tried if finding["alternatives"] else "nothing says which", "", "", ""
     return fixes, tried["configuration"], _score(tried["before"]), _score(tried["after"])
 
 
@@ -89,15 +143,12 @@ def _best(report: Mapping[str, Any]) -> str:
 
 
 def _error(report: Mapping[str, Any], name: str) -> str:
-    """Return a configuration's position error, else how it predicts the sensors that it leaves out."""
+    """Return a configuration's position error, void or not; "" where it has none."""
     values = report["configurations"][name]
     if values["position_rmse_m"] is not None:
         return length(values["position_rmse_m"])
-    if values.get("void"):
-        return str(values["void"]["reason"])
-    ranks = {r["configuration"]: r for r in (report["prediction"] or {}).get("ranking", ())}
-    gain = ranks.get(name, {}).get("gain_nats")
-    return "" if gain is None else f"{gain:+.2f} nats against odometry"
+    void = values.get("void")
+    return f"{length(void['figures']['position_rmse_m'])}, void" if void else ""
 
 
 def _score(score: Mapping[str, float | None]) -> str:

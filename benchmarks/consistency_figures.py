@@ -24,6 +24,7 @@ class Figures(NamedTuple):
     aligned: float  # mm, rmse after the best rigid motion onto the truth: the shape alone
     inside: float  # share of all errors of x, y and heading within 3 of their sigmas
     walls: float  # smallest sigma of a map line's direction at the end, over that of the heading at the first scan
+    in_frame: float = math.nan  # mm, error of the shape of the path within the map's frame, where it is asked for
 
 
 class Means(NamedTuple):
@@ -37,6 +38,7 @@ class Means(NamedTuple):
     aligned_worst: float  # mm
     inside: float
     walls: float  # of all drives the smallest
+    in_frame: float = math.nan  # mm
 
 
 def figures(
@@ -94,7 +96,7 @@ def walls_kept(estimates: Estimates, drive: Drive) -> float:
 def means(found: Sequence[Figures]) -> Means:
     """Return the mean and worst figures over drives."""
     table = np.array(found)
-    anees, position, aligned, within, walls = table.T
+    anees, position, aligned, within, walls, in_frame = table.T
     return Means(
         len(found),
         float(anees.mean()),
@@ -104,4 +106,5 @@ def means(found: Sequence[Figures]) -> Means:
         float(aligned.max()),
         float(within.mean()),
         float(walls.min()),
+        float(in_frame.mean()),
     )

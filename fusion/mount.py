@@ -26,6 +26,7 @@ SIGMA_M, SIGMA_DEG = 0.01, 0.5  # m, degrees: of a mount, wherever it comes from
 MAX_PRIOR_SIGMAS = (
     3.0  # of what is configured: what is found further off may be another error that looks like a mount
 )
+OTHER_MOUNT = "the drive shows another mount"  # how the note on it begins
 SAID_SIGMAS = 3.0  # its own: a mount found further off than this, and than it is known to be, is reported
 
 # of a topic's name: an inertial sensor inside a camera or laser, or on an arm, which is not the robot's own
@@ -117,7 +118,7 @@ class Mount:
                 f"not {times * self.told[i]:.4g}{unit} as set"
             )
         doubt = ". Measure it: if the setting is right, something else is wrong" if far else ""
-        return [f"the drive shows another mount: {'; '.join(parts)}{doubt}"] if parts else []
+        return [f"{OTHER_MOUNT}: {'; '.join(parts)}{doubt}"] if parts else []
 
     def rows(self, by_mount: tuple[Row, ...]) -> tuple[Row, ...]:
         """Return the columns of a derivative by (x, y, yaw), (d, 3), that belong to states."""

@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from locfuse.cli.pipeline.compare import Compared, Heard, Watch, compare_log
 from locfuse.cli.pipeline.configurations import Configuration, for_comparison
 from locfuse.cli.pipeline.load import Loaded
 from locfuse.cli.pipeline.settings import Progress, silent
-from locfuse.fusion.advice.score import MAX_CHANCE_LOSS
+from locfuse.fusion.advice.score import MAX_CHANCE_LOSS, Score, improves, spoils
 from locfuse.fusion.advice.search import Advice, Candidate, Fixes, search, together, total
 from locfuse.fusion.data import Estimates
+from locfuse.fusion.robot import Robot
 
 from .beginning import Beginning
 from .evidence import Evidence
@@ -25,7 +26,7 @@ from .trial import Trial
 
 MAX_ROUNDS = 4
 # findings that are measured again, better, once others are fixed
-REFINED = ("lag", "mount", "way", "understated")
+REFINED = ("lag", "mount", "way", "biased", "understated", "overstated")
 CLEAR = 1.0  # worth of fixes beyond which nothing of a later stage is likely to explain the same
 CHANCE = 2.0 * math.log(1.0 + MAX_CHANCE_LOSS)  # worth that two configurations may gain or lose by chance
 MIN_DURATION_S = 5.0  # s: a shorter drive judges no setting
@@ -78,6 +79,7 @@ class Evaluator:
         trial = self.trial
         first = self._watch.compared() or _compared((), trial.loaded, trial)
         found, kept = _rounds(first, trial)
+        found = changing(found, kept, trial.loaded.robot)
         until = None if trial.loaded is trial.whole else float(trial.loaded.drive.t[-1])
         return Advised(tuple(found), until, trial.fusions) if found or kept else Advised()
 
@@ -122,7 +124,7 @@ def _rounds(compared: Compared, trial: Trial) -> tuple[list[Advice], Fixes]:
             break
         found = _first_that_helps(evidence, kept, trial, done={(a.finding.role, a.finding.code) for a in helped})
         without = {a.finding.role: a for a in found if not a.helps}
-        new = [a for a in found if a.helps]
+        new = [a for a in found if a.helps] or _beside_another(found, kept, trial)
         if not new:
             break
         helped += new
@@ -133,7 +135,42 @@ def _rounds(compared: Compared, trial: Trial) -> tuple[list[Advice], Fixes]:
             break
         compared = _compared(kept, loaded, trial)
     names = {a.finding.role for a in helped}
-    return [*helped, *(a for role, a in without.items() if role not in names)], kept
+    return [*helped, *(a for role, a in without.items() if a.finding.severe or role not in names)], kept
+
+
+def _beside_another(found: Sequence[Advice], kept: Fixes, trial: Trial) -> list[Advice]:
+    """Return a severe finding's fix with what else is wrong once it is set, where only both together help.
+
+    Two faults may hide each other: a compass that is refused because it is late does not disturb a laser whose
+    noise is set too high, and disturbs it as soon as it is used.
+    """
+    for advice in found:
+        for fixes in advice.tried if advice.finding.severe else ():
+            beside = together(kept, fixes)
+            loaded = trial.under(beside)
+            if loaded is None:
+                continue
+            evidence = Evidence(_compared(beside, loaded, trial), trial, beside)
+            trial.seed(beside, evidence.compared)
+            judges = evidence.judges(advice.finding.role)
+            if not any(improves(*pair) for pair in _pairs(kept, beside, judges, trial).values()):
+                continue
+            done = {(advice.finding.role, advice.finding.code)}
+            others = [a for a in _first_that_helps(evidence, beside, trial, done) if a.helps]
+            both = beside
+            for other in others:
+                both = together(both, other.fixes)
+            pairs = _pairs(kept, both, judges, trial)
+            if others and pairs and not any(spoils(*pair) for pair in pairs.values()):
+                before, after = ({name: pair[i] for name, pair in pairs.items()} for i in (0, 1))
+                return [replace(advice, fixes=fixes, before=before, after=after), *others]
+    return []
+
+
+def _pairs(kept: Fixes, fixes: Fixes, judges: Sequence[str], trial: Trial) -> dict[str, tuple[Score, Score]]:
+    """Return the scores of configurations under two sets of fixes; {} where one has none."""
+    before, after = trial(kept, judges), trial(fixes, judges)
+    return {name: (before[name], after[name]) for name in before} if before and after else {}
 
 
 def _first_that_helps(evidence: Evidence, kept: Fixes, trial: Trial, done: set[tuple[str, str]]) -> list[Advice]:
@@ -142,7 +179,9 @@ def _first_that_helps(evidence: Evidence, kept: Fixes, trial: Trial, done: set[t
         evidence.clocks,
         evidence.geometry,
         evidence.offsets,
+        evidence.slips,
         evidence.noise,
+        evidence.unexplained,
     )
     failed: list[Advice] = []
     best: list[Advice] = []
@@ -151,6 +190,8 @@ def _first_that_helps(evidence: Evidence, kept: Fixes, trial: Trial, done: set[t
         found = search(candidates, kept, trial)
         best = max(best, found, key=_weight)
         observed = {_key(c) for c in candidates if not c.offer}
+        if stage == evidence.slips and any(a.helps for a in found):
+            break
         if total(best) > CLEAR or any(a.helps and (a.finding.role, a.finding.code) in observed for a in found):
             break
         failed += (a for a in found if not a.helps)
@@ -172,6 +213,28 @@ def _weight(found: Sequence[Advice]) -> float:
 
 def _key(c: Candidate) -> tuple[str, str]:
     return c.finding.role, c.finding.code
+
+
+def changing(found: Sequence[Advice], kept: Fixes, robot: Robot) -> list[Advice]:
+    """Return advice without fixes that set, in the end, what is configured already.
+
+    A clock that was moved because another sensor's distances were wrong is moved back once these are right.
+    """
+    last = dict(fix.partition("=")[::2] for fix in kept)
+    same = {key for key, value in last.items() if _is_configured(key, value, robot)}
+    kept_fixes = [tuple(fix for fix in a.fixes if fix.partition("=")[0] not in same) for a in found]
+    return [replace(a, fixes=fixes) for a, fixes in zip(found, kept_fixes, strict=True) if fixes or not a.helps]
+
+
+def _is_configured(key: str, value: str, robot: Robot) -> bool:
+    """Return whether a setting has this value, as near as it is written."""
+    table, _, name = key.partition(".")
+    settings = getattr(robot, table, None) if table in ("wheels", "start", "truth") else robot.settings(table)
+    now = getattr(settings, name, None)
+    try:
+        return now is not None and not isinstance(now, bool) and math.isclose(float(value), now, abs_tol=5e-5)
+    except (TypeError, ValueError):
+        return False
 
 
 def _one_each(found: Sequence[Advice]) -> list[Advice]:

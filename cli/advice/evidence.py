@@ -15,18 +15,21 @@ import numpy as np
 
 from locfuse.cli.pipeline.compare import Compared
 from locfuse.cli.pipeline.load import Loaded
-from locfuse.cli.pipeline.trust import sensors_consistency
+from locfuse.cli.pipeline.trust import overconfident, sensors_consistency
 from locfuse.fusion.advice.probes import of_mount, of_offsets, of_probe, of_scale, probe_of
 from locfuse.fusion.advice.search import Candidate, Fixes
 from locfuse.fusion.advice.slip import Slip, slip
 from locfuse.fusion.data import Estimates, Stream, Truth
-from locfuse.fusion.doctor.clocks import clock_lags, lags_by_truth
+from locfuse.fusion.doctor.clocks import clock_lags, lag_of_run, lags_by_truth
 from locfuse.fusion.doctor.examine import examine, scales
 from locfuse.fusion.doctor.finding import Finding, Least
 from locfuse.fusion.doctor.lag import SAID_SIGMAS, Lag, worth_saying
-from locfuse.fusion.doctor.laser_driver import of_scatter, scatter_more
+from locfuse.fusion.doctor.laser import OPEN_SCALE
+from locfuse.fusion.doctor.laser_driver import of_scatter, ranges_sigma, scatter_more
 from locfuse.fusion.judge.consistency import Consistency
+from locfuse.fusion.judge.consistency import Evidence as Said
 from locfuse.fusion.judge.covariance import honesty
+from locfuse.fusion.judge.noise_verdicts import MAX_SIGMA_FACTOR, NoiseVerdict
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import merged
 
@@ -46,6 +49,7 @@ CAMERA_LAGS_S = (-0.2, -0.1, 0.1, 0.2)  # s
 MAX_NOISE_FACTOR = 4.0  # on a sigma, by the errors of its own run
 CLOCK = "lag"  # what clocks' findings are called
 NOISE = {"understated", "overstated", "correlated"}
+FINE = {"consistent", "unclear"}  # verdicts on a sensor that are no complaint
 
 
 Offer = tuple[Finding, tuple[Fixes, ...]]  # no observation, only settings that may help
@@ -67,12 +71,12 @@ class Evidence:
 
     def suspicious(self) -> bool:
         """Return whether anything looks wrong at all: else nothing is tried, and nothing costs time."""
-        noise = any(f.verdict not in {"consistent", "unclear"} for f in self.consistency.values())
-        overconfident = any(h is not None and h.anees > h.bounds[1] for h in self.honesty.values())
+        noise = any(f.verdict not in FINE for f in self.consistency.values())
+        claims_too_much = bool(overconfident(self.honesty))
         lost = any(e.lost for e in self.compared.estimates)
         seen = (
             noise
-            or overconfident
+            or claims_too_much
             or lost
             or self._lags()
             or self._worse_than_odometry()
@@ -80,6 +84,7 @@ class Evidence:
         )
         return (
             seen
+            or bool(self._biases_again)
             or self._slips_unusually
             or self._ranges_scatter
             or bool(scales(self.loaded.drive, self.loaded.robot, SUSPICIOUS))
@@ -106,32 +111,56 @@ class Evidence:
         """Return what measuring and the truth say of clocks: while one is wrong, the rest is not to be trusted."""
         offers = [*self._late, *self._late_wheels(), *self._late_pictures()]
         by_truth = self.loaded.drive.truth is not None
+        seen = [f for f in self.doctor if f.code == CLOCK]
         measured = {("wheels", CLOCK), *((f.role, f.code) for f, _ in self._late if by_truth)}
-        return self._candidates([f for f in self.doctor if f.code == CLOCK], offers, measured)
+        found = self._candidates(seen, offers, measured | {(f.role, f.code) for f in seen})
+        return [replace(c, by_shape=by_truth and c.finding.role == LASER) for c in found]
 
     def geometry(self) -> list[Candidate]:
         """Return what measuring and a run with more states say of mounts, scales and directions."""
-        probed = [*self._probed(), *self._scaled()]
+        probed = [] if self._open_scale else [*self._probed(), *self._scaled()]
         named = {(f.role, f.code) for f in probed}
-        found = [*probed, *(f for f in self._mounts_found if (f.role, f.code) not in named)]
+        mounts = [] if self._open_scale else self._mounts_found
+        found = [*probed, *(f for f in mounts if (f.role, f.code) not in named)]
         offers = [(f, (f.fixes,)) for f in found]
-        # a state's sigma is evidence only where the run is consistent
-        measured = {(f.role, f.code) for f in found if not self._complained_itself(f.role)}
+        # a state's sigma is evidence only where the run is consistent, or less sure than it could be
+        measured = {(f.role, f.code) for f in found if self._verdict(f.role) in {*FINE, "overstated"}}
         return self._candidates([f for f in self.doctor if f.code != CLOCK], offers, measured)
 
     def _candidates(
         self, seen: Sequence[Finding], offers: Sequence[Offer], measured: Collection[tuple[str, str]]
     ) -> list[Candidate]:
         """Return candidates; a sensor that no run can use as it is (its readings are refused) has no judge."""
+        seen = [self._decided(f) for f in seen]
         known = {(f.role, f.code) for f in seen}
         offered = [self._candidate(f, tries, True) for f, tries in offers if (f.role, f.code) not in known]
         return [
             replace(c, measured=(c.finding.role, c.finding.code) in measured)
             for c in (
-                *(self._candidate(f, (f.fixes,), not f.severe) for f in seen if f.fixes and self.judges(f.role)),
+                *(
+                    self._candidate(f, (f.fixes,) if f.fixes else (), not f.severe)
+                    for f in seen
+                    if (f.fixes or f.code == OPEN_SCALE) and self.judges(f.role)
+                ),
                 *offered,
             )
         ]
+
+    @property
+    def _open_scale(self) -> bool:
+        """Whether laser and wheels surely differ in distance and nothing tells who is right: that moves mounts."""
+        return any(f.severe and not self._decided(f).fixes for f in self.doctor if f.code == OPEN_SCALE)
+
+    def _decided(self, finding: Finding) -> Finding:
+        """Return a finding; without its fix where nothing tells whose distances are right, laser's or wheels'.
+
+        The laser's own readings are predicted better if its distances are the wheels', whoever is wrong.
+        """
+        known = self.loaded.drive.measurements
+        few = np.arange(2)  # readings: whether a sensor tells its turning does not depend on them
+        if finding.code != OPEN_SCALE or any(REGISTRY[s].heading(m.take(few)) is None for s, m in known.items()):
+            return finding  # what knows more than its own turning may tell
+        return replace(finding, fixes=(), message=f"{finding.message}. Nothing in this log says which")
 
     @cached_property
     def doctor(self) -> list[Finding]:
@@ -147,10 +176,26 @@ class Evidence:
         """Return clock lags against the truth, without it against other runs and the wheels."""
         drive = self.loaded.drive
         if drive.truth is not None and drive.truth.theta is not None:
-            return list(self._late_by_truth(lags_by_truth(drive, drive.truth)))
+            return list(self._late_by_truth(self._lags_by_truth()))
         by_runs = list(self._late_by_runs())
         named = {finding.role for finding, _ in by_runs}
         return [*by_runs, *(offer for offer in self._late_by_wheels() if offer[0].role not in named)]
+
+    def _lags_by_truth(self) -> dict[str, Lag]:
+        """Return lags against the truth's headings; the laser's by its own run, where that tells it better.
+
+        Not while another clock looks wrong, or the laser's by a tenth of a second: the run goes by the wheels too,
+        and is late by a part of what they are.
+        """
+        drive, runs = self.loaded.drive, self.compared.estimates
+        lags = lags_by_truth(drive, drive.truth)
+        if any(f.code == CLOCK and (f.role != LASER or f.severe) for f in self.doctor):
+            return lags
+        own = (e for e in runs if e.sensors == (LASER,) and not e.smoothed and not e.lost)
+        lag = next((lag_of_run(drive, drive.truth, e) for e in own), None)
+        if lag is not None and (LASER not in lags or lag.sigma < lags[LASER].sigma):
+            lags[LASER] = lag
+        return lags
 
     def _late_by_truth(self, lags: Mapping[str, Lag]) -> Iterator[Offer]:
         """Yield lags against the truth's headings; small ones only of sensors that look wrong anyway.
@@ -235,7 +280,7 @@ class Evidence:
     def _late_pictures(self) -> Iterator[Offer]:
         """Yield clocks to be tried of a camera that contradicts the rest: bearings know no turning."""
         verdict = self.consistency.get("camera")
-        if verdict is not None and verdict.verdict not in {"consistent", "unclear", "overstated"}:
+        if verdict is not None and verdict.verdict not in {*FINE, "overstated"}:
             message = f"{verdict.words}; its clock explains that"
             yield Finding("camera", CLOCK, message), self._offsets_in_time("camera", CAMERA_LAGS_S)
 
@@ -279,6 +324,10 @@ class Evidence:
             if e.name == self._all() and not e.smoothed and self.loaded.drive.truth is not None
             for f in of_offsets(self.loaded.robot, e)
         ]
+        found += [
+            replace(self._candidate(Finding(s, "biased", v.words), (_set(v.cures),), True), measured=True)
+            for s, v in self._biases_again.items()
+        ]
         for sensor, verdict in self.consistency.items():
             options = [_set(verdict.cures)] if verdict.verdict == "biased" and verdict.cures else []
             if sensor == "camera" and verdict.verdict in {"biased", "outliers", "contradicts", "understated"}:
@@ -290,26 +339,46 @@ class Evidence:
                 found.append(self._candidate(finding, tuple(options)))
         return found
 
+    @cached_property
+    def _biases_again(self) -> dict[str, NoiseVerdict]:
+        """Offsets that were fixed before something else was: measured again, since that had moved them."""
+        keys = [fix.partition("=")[0] for fix in self.fixes]
+        fixed = [
+            s for s in self.consistency if (b := REGISTRY[s].bias) is not None and f"{s}.{b.key}" in keys[:-1]
+        ]
+        if not fixed:
+            return {}
+        said = Said(self.compared.runs, self.loaded.robot, overconfident(self.honesty))
+        found = {s: said.bias(s) for s in fixed if self._verdict(s) != "biased"}
+        return {s: verdict for s, verdict in found.items() if verdict is not None}
+
     def noise(self) -> list[Candidate]:
         """Return noise that does not fit, sensor by sensor, and that of the wheels."""
         found = []
         for sensor, verdict in self.consistency.items():
             seen, more = [*_noise_options(verdict), *_above(verdict)], self._by_anees(sensor)
-            if self._ranges_show_more(sensor, verdict):
+            by_ranges, words = self._as_ranges_scatter(sensor, verdict), verdict.words
+            if by_ranges:
+                seen.append(by_ranges)
+                words += f" by its lines, {by_ranges[0].partition('=')[2]} m by its ranges"
+            if self._ranges_show_more(sensor, verdict) or self._too_sure(sensor, verdict):
                 seen = []
-            words = verdict.words if seen else self._errors_in_sigmas(sensor)
+            words = words if seen else self._errors_in_sigmas(sensor)
             if verdict.verdict == "overstated" and seen and more:
                 # a sigma above the configured one is no fix of one that is too high: it has words of its own
                 found.append(self._candidate(Finding(sensor, verdict.verdict, words), tuple(seen)))
                 seen, words = [], self._errors_in_sigmas(sensor)
             if seen or more:
-                finding = Finding(sensor, verdict.verdict, words)
+                finding = Finding(sensor, verdict.verdict if seen else self._by_truth(sensor), words)
                 options = tuple(dict.fromkeys((*seen, *more)))
                 found.append(self._candidate(finding, options, not seen))
-        doubtful = self.loaded.drive.truth is not None and self._doubtful(self._best(self.trial.configurations))
-        if doubtful or self._slips_unusually:
+        if self.loaded.drive.truth is not None and self._doubtful(self._best(self.trial.configurations)):
             found.append(self._wheel_noise())
         return found
+
+    def slips(self) -> list[Candidate]:
+        """Return the wheels' noise where their turning shows it: every sensor's run is as sure as it says."""
+        return [self._wheel_noise()] if self._slips_unusually else []
 
     @cached_property
     def _ranges_scatter(self) -> bool:
@@ -317,6 +386,21 @@ class Evidence:
         if LASER not in self.loaded.drive.measurements:
             return False
         return bool(of_scatter(_stream(self.loaded, LASER), self.loaded.robot.settings(LASER)))
+
+    def _as_ranges_scatter(self, sensor: str, verdict: Consistency) -> Fixes:
+        """Return the laser's noise as its raw ranges show it, where its lines show it too, if not as exactly.
+
+        A sigma that is far too high also joins walls that are two, and these lines fit worse than others.
+        """
+        cure = verdict.cures.get(f"{LASER}.sigma_range")
+        if sensor != LASER or verdict.verdict != "overstated" or cure is None:
+            return ()
+        settings = self.loaded.robot.settings(LASER)
+        shown = ranges_sigma(_stream(self.loaded, LASER), settings)
+        if shown is None or not cure / MAX_SIGMA_FACTOR <= shown < cure:
+            return ()
+        share = shown / settings.sigma_range
+        return tuple(f"{LASER}.{k}={getattr(settings, k) * share:.2g}" for k in REGISTRY[LASER].noise_keys)
 
     def _ranges_show_more(self, sensor: str, verdict: Consistency) -> bool:
         """Whether the laser's raw ranges scatter by more than a smaller sigma would say: then it is none.
@@ -341,6 +425,19 @@ class Evidence:
         found = self._slip
         return found is not None and found.unusual and (found.factor > 1.0 or self.loaded.drive.truth is not None)
 
+    def _too_sure(self, sensor: str, verdict: Consistency) -> bool:
+        """Whether truth shows that a filter which is to trust a sensor more trusts it too much already."""
+        honest = self.honesty.get(self._alone(sensor))
+        return verdict.verdict == "overstated" and honest is not None and honest.anees > honest.bounds[1]
+
+    @property
+    def _noise_factors(self) -> tuple[float, ...]:
+        """Factors on the wheels' noise, to be tried where truth judges: less is no fix of a filter too sure."""
+        honest = self.honesty.get(self._best(self.trial.configurations))
+        if honest is None:
+            return ()
+        return tuple(factor for factor in WHEEL_NOISE_FACTORS if (factor > 1.0) == (honest.anees > 1.0))
+
     def _by_anees(self, sensor: str) -> list[Fixes]:
         """Return the sensor's noise scaled by what truth says of the run that uses it alone."""
         honest = self.honesty.get(self._alone(sensor))
@@ -352,6 +449,19 @@ class Evidence:
             return []  # that is no noise
         return [tuple(f"{sensor}.{k}={getattr(settings, k) * factor:.2g}" for k in keys)]
 
+    def _by_truth(self, sensor: str) -> str:
+        """Return what truth says of the covariance of the run that uses a sensor alone."""
+        honest = self.honesty.get(self._alone(sensor))
+        return "understated" if honest is None or honest.anees > 1.0 else "overstated"
+
+    def unexplained(self) -> list[Candidate]:
+        """Return what is unusual in a sensor's residuals where no setting is known that explains it."""
+        return [
+            self._candidate(Finding(sensor, verdict.verdict, verdict.words), ())
+            for sensor, verdict in self.consistency.items()
+            if verdict.verdict not in FINE and not verdict.cures
+        ]
+
     def _errors_in_sigmas(self, sensor: str) -> str:
         """Return how much larger or smaller the errors of the sensor's own run are than it claims."""
         honest = self.honesty.get(self._alone(sensor))
@@ -361,11 +471,11 @@ class Evidence:
     def _wheel_noise(self) -> Candidate:
         noise = self.loaded.robot.wheels.noise
         words = f"wheels.noise = {noise:g} m does not fit this drive"
-        factors: tuple[float, ...] = WHEEL_NOISE_FACTORS
+        factors = self._noise_factors
         measured = self._slips_unusually
         if measured and self._slip is not None:
             words = self._slip.words
-            factors = (self._slip.factor, *(factors if self.loaded.drive.truth is not None else ()))
+            factors = (self._slip.factor, *factors)
         if any(e.slips for e in self.compared.estimates):  # less noise would hold them for impossible
             factors = tuple(factor for factor in factors if factor > 1.0)
         options = tuple((f"wheels.noise={noise * factor:.2g}",) for factor in factors)
@@ -382,8 +492,12 @@ class Evidence:
 
     def _complained_itself(self, sensor: str) -> bool:
         """Return whether a sensor's own residuals are unusual, whatever truth says of its run."""
+        return self._verdict(sensor) not in FINE
+
+    def _verdict(self, sensor: str) -> str:
+        """Return the verdict on a sensor's residuals; that on what has none is "unclear"."""
         verdict = self.consistency.get(sensor)
-        return verdict is not None and verdict.verdict not in {"consistent", "unclear"}
+        return "unclear" if verdict is None else verdict.verdict
 
     def _doubtful(self, name: str) -> bool:
         """Return whether a configuration is inconsistent by truth; without truth any may be, once one looks so."""

@@ -31,14 +31,25 @@ def _by_errors(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], err
     """Return which sensors to keep by the position errors of the configurations that have one."""
     if len(errors) == 1:
         ((name, error),) = errors.items()
-        return f"{_with(sets[name])}: position error {length(error)}."
-    least = min(errors.values())
-    ties = [n for n, e in errors.items() if e <= least * (1.0 + TIE) + TIE_M]
+        return f"{_with(sets[name])}: position error {length(error)}.{_with_fixes(report, sets, error)}"
+    least, ties = min(errors.values()), _ties(errors)
     best = min(ties, key=lambda n: len(sets[n]))
-    every = max(sets, key=lambda n: len(sets[n]))
     if not sets[best]:
-        return f"No sensor improves on odometry: {length(errors[best])}."
+        return f"No sensor improves on odometry: {length(errors[best])}.{_with_fixes(report, sets, least)}"
     first = f"Keep {_names(sets[best])}: {length(errors[best])}."
+    return f"{_as_configured(report, sets, errors, best, first)}{_with_fixes(report, sets, least)}"
+
+
+def _as_configured(
+    report: Mapping[str, Any],
+    sets: Mapping[str, Sequence[str]],
+    errors: Mapping[str, float],
+    best: str,
+    first: str,
+) -> str:
+    """Return what to keep with the settings as they are, and what the other sensors add."""
+    every = max(sets, key=lambda n: len(sets[n]))
+    ties = _ties(errors)
     others = [s for s in sets[every] if s not in sets[best]]
     if not others or every not in errors:
         base = errors.get(ODOMETRY)
@@ -52,6 +63,30 @@ def _by_errors(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], err
     if not bad:  # one drive does not settle which
         return f"{all_of_them}leave {_names(others)} out."
     return f"{all_of_them}{'' if len(bad) == 1 else 'one of '}{_names(bad)} hurts."
+
+
+def _ties(errors: Mapping[str, float]) -> list[str]:
+    """Return the configurations whose errors are equal to the least."""
+    least = min(errors.values())
+    return [n for n, e in errors.items() if e <= least * (1.0 + TIE) + TIE_M]
+
+
+def _with_fixes(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], least: float) -> str:
+    """Return what a fix was found to give, where that is less than any error without it [m], else ""."""
+    tried = [f["tried"] for f in report.get("findings") or () if f["fixes"] and f["tried"]]
+    after = {
+        t["configuration"]: t["after"]["position_rmse_m"]
+        for t in tried
+        if t["configuration"] in sets
+        and t["until_s"] is None
+        and t["after"]["position_rmse_m"] is not None
+        and not t["after"].get("aligned")  # of the path's shape: another figure
+    }
+    name = min(after, key=lambda n: after[n], default=None)
+    if name is None or after[name] * (1.0 + TIE) + TIE_M >= least:
+        return ""
+    which = f"{_with(sets[name])} and" if len(sets) > 1 else "With"
+    return f" {which} the fixes found it is {length(after[name])}."
 
 
 def _by_reference(report: Mapping[str, Any], errors: Mapping[str, float]) -> str:

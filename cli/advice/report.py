@@ -6,6 +6,8 @@ from collections.abc import Collection
 from typing import Any
 
 from locfuse.formats.report import json_report
+from locfuse.fusion.advice.probes import MOUNT
+from locfuse.fusion.mount import OTHER_MOUNT
 
 from .evaluator import Advised
 from .headline import headline
@@ -25,6 +27,7 @@ def complete(
     Rows that are `foreign` estimates say nothing of which sensors to keep.
     """
     add_findings(report, advised)
+    _leave_out_what_findings_say(report)
     add_validity(report, advised, start_error_m)
     sets = {
         name: tuple(values["sensors"])
@@ -33,3 +36,12 @@ def complete(
     }
     report["headline"] = headline(report, sets)
     report.update(json_report.plain(report))
+
+
+def _leave_out_what_findings_say(report: dict[str, Any]) -> None:
+    """Take out the notes on a mount that a finding gives as a fix: it would be said twice, with other digits."""
+    mounts = {f["role"] for f in report["findings"] or () if f["code"] == MOUNT and f["fixes"]}
+    for values in report["configurations"].values():
+        values["notes"] = [
+            note for note in values["notes"] if not any(note.startswith(f"{s}: {OTHER_MOUNT}") for s in mounts)
+        ]

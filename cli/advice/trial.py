@@ -19,7 +19,7 @@ from locfuse.fusion.advice.score import Score
 from locfuse.fusion.advice.search import Fixes
 from locfuse.fusion.data import Drive, Estimates, Evaluation, LocfuseError
 from locfuse.fusion.judge.covariance import honesty
-from locfuse.fusion.judge.evaluate import Align, evaluate
+from locfuse.fusion.judge.evaluate import Align, evaluate, shape_error
 from locfuse.fusion.judge.predictive import listeners, mean_density
 from locfuse.fusion.measure import windowed
 from locfuse.fusion.paper.preset import fuser
@@ -69,9 +69,9 @@ class Trial:
         """Take scores from a comparison under these settings, which need not be fused again."""
         if compared.loaded.drive.truth is None:
             return  # those come by `heard`
-        for judged in compared.evaluations:
+        for e, judged in zip(compared.estimates, compared.evaluations, strict=True):
             if judged.name in self.configurations:
-                self._scores[fixes, judged.name] = score_of(judged)
+                self._scores[fixes, judged.name] = score_of(judged, shape_error(e, compared.loaded.drive))
 
     def heard(self, fixes: Fixes, loaded: Loaded, e: Estimates) -> None:
         """Take the score of a run that other sensors listened to, which need not be fused again."""
@@ -117,7 +117,10 @@ class Trial:
         if loaded.drive.truth is None:
             return self._predicted(loaded, c)
         e = self.fused(loaded, c.name)
-        return None if e is None else score_of(evaluate(e, loaded.drive, cast("Align", self.align)))
+        if e is None:
+            return None
+        judged = evaluate(e, loaded.drive, cast("Align", self.align))
+        return score_of(judged, shape_error(e, loaded.drive))
 
     def _predicted(self, loaded: Loaded, c: Configuration) -> Score | None:
         """Score a configuration by what it predicts of the sensors that only listen."""
@@ -138,12 +141,13 @@ def predicted(drive: Drive, e: Estimates) -> Score:
     return Score(prediction=mean_density(drive, e, listeners(drive, e.sensors)))
 
 
-def score_of(judged: Evaluation) -> Score:
-    """Return a configuration's figures against truth."""
+def score_of(judged: Evaluation, shape: float | None = None) -> Score:
+    """Return a configuration's figures against truth; `shape` is the error of its path's shape [m]."""
     found = honesty(judged) if judged.align == PLAIN_FRAME else None
     return Score(
         judged.figures.get("position_rmse_m"),
         judged.figures.get("anees"),
         None if found is None else found.bounds,
         lost=judged.lost_share,
+        shape=shape,
     )

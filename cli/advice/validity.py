@@ -7,6 +7,7 @@ While a clock, a scale or a direction is surely wrong, or the truth jumps, figur
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from locfuse.formats.tables.findings import options
@@ -48,18 +49,26 @@ def _withdraw_verdicts(report: dict[str, Any]) -> None:
 
 
 def _doubts(report: dict[str, Any], advised: Advised | None) -> list[dict[str, Any]]:
-    """Return what is surely wrong with the settings; what obeying changes stands in the findings."""
+    """Return what is surely wrong with the settings; what obeying changes stands in the findings.
+
+    Where the fix was tried and changes little, the figures do not depend on it.
+    """
     doubts = []
     for advice in advised.advice if advised is not None else ():
         found = advice.finding
         using = [n for n, v in report["configurations"].items() if found.role in {*EVERY, *v["sensors"]}]
-        if found.severe and using and found.code != "start":
-            fixes = advice.fixes or found.fixes
-            how = f"; {'tried' if advice.fixes else 'no help'}: {options(fixes)}" if fixes else ""
-            message = f"{found.role}: {found.brief}{how}"
+        if found.severe and using and found.code != "start" and not advice.harmless:
+            message = f"{found.role}: {_first_sentence(found.brief)}"
+            if advice.fixes:
+                message += f". Every figure here is without the fix: {options(advice.fixes)}"
             entry = {"code": found.code, "message": message, "since_s": 0.0, "configurations": using}
             doubts.append({**entry, "void": False})
     return doubts
+
+
+def _first_sentence(words: str) -> str:
+    """Return what is wrong; how it was measured stands with the finding."""
+    return re.sub(r" \(correlation [^()]*\)", "", words.partition(". ")[0])
 
 
 def _lost(values: dict[str, Any]) -> tuple[str, str] | None:

@@ -20,9 +20,9 @@ def add_findings(report: dict[str, Any], advised: Advised | None) -> None:
     if advised is None:
         report["findings"] = report["fixes"] = None
         return
-    by_role: dict[str, list[Advice]] = {}
+    by_role: dict[tuple[str, bool], list[Advice]] = {}
     for advice in advised.advice:
-        by_role.setdefault(advice.finding.role, []).append(advice)
+        by_role.setdefault((advice.finding.role, advice.helps), []).append(advice)
     report["findings"] = [_finding(_joined(found), advised.until) for found in by_role.values()]
     report["fixes"] = list(advised.fixes)
 
@@ -44,7 +44,9 @@ def _joined(found: Sequence[Advice]) -> Advice:
     first, *later = found
     for advice in later:
         message = f"{first.finding.brief}; then {advice.finding.brief}"
-        if advice.finding.code != first.finding.code and _keys(first.fixes) <= _keys(advice.fixes):
+        if advice.finding.code == first.finding.code:
+            message = first.finding.brief  # the same once more, measured better
+        elif _keys(first.fixes) <= _keys(advice.fixes):
             message = advice.finding.brief  # the first one's fix is not what was set in the end
         before = {**(advice.before or {}), **(first.before or {})}
         after = {**(first.after or {}), **(advice.after or {})}
@@ -74,12 +76,14 @@ def _finding(advice: Advice, until: float | None) -> dict[str, Any]:
         "fixes": list(advice.fixes),
         "tried": tried,
         "alternatives": [list(fixes) for fixes in advice.tried],
+        "harmless": advice.harmless,
     }
 
 
 def _score(score: Score) -> dict[str, float | None]:
     return {
         "position_rmse_m": score.position,
+        "aligned": score.aligned,
         "anees": score.anees,
         "prediction_nats": score.prediction,
         "lost_share": score.lost,

@@ -27,8 +27,12 @@ def sensors_consistency(
     runs: Sequence[Run], robot: Robot, by_truth: Mapping[str, Honesty | None]
 ) -> dict[str, dict[str, Consistency]]:
     """Return what all runs say of every sensor's noise: configuration -> sensor -> Consistency; {} for no runs."""
-    overconfident = {name for name, h in by_truth.items() if h is not None and h.anees > h.bounds[1]}
-    return judge(runs, robot, overconfident) if runs else {}
+    return judge(runs, robot, overconfident(by_truth)) if runs else {}
+
+
+def overconfident(by_truth: Mapping[str, Honesty | None]) -> set[str]:
+    """Return the configurations that truth shows to be overconfident."""
+    return {name for name, h in by_truth.items() if h is not None and h.anees > h.bounds[1]}
 
 
 def add_consistency(
@@ -59,8 +63,8 @@ def unless_overconfident(sensor: str, found: Consistency, using: Sequence[Honest
     Its readings repeat well and are wrong together: a mount, a scale or a clock, which no noise figure fixes.
     """
     wrong = [honest for honest in using if honest is not None]
-    overconfident = bool(wrong) and all(honest.anees > honest.bounds[1] for honest in wrong)
-    if found.verdict != "overstated" or found.scale is None or not overconfident:
+    all_wrong = bool(wrong) and all(honest.anees > honest.bounds[1] for honest in wrong)
+    if found.verdict != "overstated" or found.scale is None or not all_wrong:
         return found
     times = math.sqrt(min(honest.anees for honest in wrong))
     words = (

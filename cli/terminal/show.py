@@ -135,8 +135,9 @@ def table(shown: Table) -> None:
 
 def notes(report: Mapping[str, Any], losses: Sequence[str], quiet: bool) -> None:
     """Print to stderr what a reader of the figures must know: absent sensors, findings, losses."""
-    for line in losses:
-        say(f"lost: {line}")  # the reason of exit code 3: said under --quiet too
+    void = {v["message"] for v in report.get("validity") or () if v["void"]}
+    for line in losses:  # the reasons of exit code 3: said under --quiet too
+        say(f"{'void' if line in void else 'lost'}: {line}")
     if quiet:
         return
     for sensor, why in report["absent"].items():

@@ -146,6 +146,7 @@ class Trial(Struct):
     """One configuration's figures before or after a fix."""
 
     position_rmse_m: Figure
+    aligned: bool  # that of the path laid on the truth as a whole: nothing observes where a laser's own map lies
     anees: Figure
     prediction_nats: Figure  # nats per number of sensors that only listened; only without truth
     lost_share: Share  # of the drive
@@ -169,6 +170,7 @@ class ReportedFinding(Struct):
     fixes: list[str]  # "table.key=value" each; empty: nothing helped
     tried: Tried | None  # null: no fix was found
     alternatives: list[list[str]]  # fixes that were tried and do not help
+    harmless: bool = False  # one of these changes little; without a fix and this, all make the result worse
 
 
 class Truth(Struct):

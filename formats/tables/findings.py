@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-UNTRIED = "no setting was tried"
+SAME_NATS = 0.02  # nats per number: predictions that differ by less are equal
 
 
 def banner_of(report: Mapping[str, Any]) -> list[str]:
@@ -25,9 +25,18 @@ def sentence(finding: Mapping[str, Any]) -> str:
     """Return "compass: ... Fix (tried with all: error 0.110 -> 0.004 m): --set ..."."""
     head = f"{finding['role']}: {finding['message'].rstrip('. ')}."
     if not finding["fixes"]:
-        tried = ", ".join(" ".join(fixes) for fixes in finding.get("alternatives", ()))
-        return f"{head} No fix was found{f' (tried {tried}: none helps)' if tried else ''}."
+        return f"{head}{_in_vain(finding)}"
     return f"{head} Fix (tried with {_effect(finding['tried'])}): {options(finding['fixes'])}"
+
+
+def _in_vain(finding: Mapping[str, Any]) -> str:
+    """Return what was tried and does not help, "" where there was nothing to try."""
+    tried = ", or ".join(" and ".join(fixes) for fixes in finding.get("alternatives", ()))
+    if not tried:
+        return ""
+    if finding.get("harmless"):
+        return f" With {tried} little changes on this drive."
+    return f" With {tried} the result gets worse."
 
 
 def options(fixes: Sequence[str]) -> str:
@@ -47,11 +56,14 @@ def _effect(tried: Mapping[str, Any]) -> str:
     if before["lost_share"] != after["lost_share"]:
         parts.append(f"lost {before['lost_share']:.0%} -> {after['lost_share']:.0%} of the drive")
     if before["position_rmse_m"] is not None:
-        parts.append(f"error {length(before['position_rmse_m'])} -> {length(after['position_rmse_m'])}")
+        whose = "error of the path's shape" if before.get("aligned") else "error"
+        parts.append(f"{whose} {length(before['position_rmse_m'])} -> {length(after['position_rmse_m'])}")
     if before["anees"] and after["anees"]:
         parts.append(f"ANEES {_ratio(before['anees'])} -> {_ratio(after['anees'])}")
     if before["prediction_nats"] is not None:
-        parts.append(f"prediction {after['prediction_nats'] - before['prediction_nats']:+.2f} nats per number")
+        gained = after["prediction_nats"] - before["prediction_nats"]
+        same = abs(gained) < SAME_NATS
+        parts.append("prediction as before" if same else f"prediction {gained:+.2f} nats per number")
     until = f", first {tried['until_s']:.0f} s" if tried.get("until_s") else ""
     return f"{tried['configuration']}{until}: {', '.join(parts)}"
 

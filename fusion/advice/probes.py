@@ -16,6 +16,7 @@ from locfuse.fusion.se2 import wrap
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.states import WHEELS, derivative, geometry
 
+MOUNT = "mount"  # code of the finding on one
 MIN_SIGMAS = 4.0  # standard deviations by which an estimate must differ from what is configured
 MIN_MOUNT_M, MIN_MOUNT_DEG, MIN_TRACK = 0.004, 0.2, 0.005  # m, degrees, relative: smaller errors are left alone
 MIN_SCALE, MIN_TRUTH = 0.002, 50  # relative; readings of the truth
@@ -55,7 +56,8 @@ def of_mount(
     """Yield the mount that a run estimates as a state, where it differs from what is configured.
 
     Where no truth has `judged` it, not one that is further off than the run took for likely, `prior_xy` [m] and
-    `prior_yaw_deg` (1 sigma) unless the sensor's settings say more: something else may look like a mount.
+    `prior_yaw_deg` (1 sigma) unless the sensor's settings say more: something else may look like a mount. Nor one
+    that is nearer than people measure: on a drive of left turns 20 ms look like a third of a degree.
     """
     fixes, words = [], []
     for part, (key, scale) in MOUNT_KEYS.items():
@@ -68,14 +70,14 @@ def of_mount(
         likely = MAX_PRIOR_SIGMAS * (stated or (prior_yaw_deg if part == "yaw" else prior_xy))
         if not judged and abs(value - configured) > likely:
             return
-        least = MIN_MOUNT_DEG if key == "yaw_deg" else MIN_MOUNT_M
+        least = (MIN_MOUNT_DEG if judged else SIGMA_DEG) if part == "yaw" else MIN_MOUNT_M if judged else SIGMA_M
         if abs(value - configured) > max(MIN_SIGMAS * sigma, least):
             shown = to_a_tenth_of(sigma, value)
             fixes.append(f"{sensor}.{key}={shown:g}")
             unit = "°" if key == "yaw_deg" else " m"
             words.append(f"{part} is {shown:g}{unit} (± {sigma:.1g}), configured {configured:g}{unit}")
     if fixes:
-        yield Finding(sensor, "mount", f"mount by the drive itself: {', '.join(words)}", tuple(fixes))
+        yield Finding(sensor, MOUNT, f"mount by the drive itself: {', '.join(words)}", tuple(fixes))
 
 
 def _track(robot: Robot, e: Estimates) -> Iterator[Finding]:

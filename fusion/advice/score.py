@@ -13,6 +13,7 @@ MIN_LN_ANEES_GAIN = 0.2  # by which ln ANEES must come nearer to its chance rang
 MAX_SETTLED_SHARE = 0.5  # of the error before: a fix that leaves less is right, whatever chance does elsewhere
 MIN_GAIN_M = 2e-4  # m: smaller gains of the position error are none, however large their share
 MAX_LOSS_NATS, MIN_GAIN_NATS = 0.02, 0.05  # nats per number; a sigma 10 % off costs about 0.01, 50 % about 0.1
+MAX_CHANCE_LOSS_NATS = MIN_GAIN_NATS  # nats per number, of a configuration that nobody would keep
 MAX_LOST_SHARE = 0.005  # of the drive: by which being lost may grow
 WEIGHT_OF_ANEES = 0.5  # of a factor on ANEES, against one on the position error
 
@@ -25,10 +26,19 @@ class Score(NamedTuple):
     bounds: tuple[float, float] | None = None  # where a consistent filter's ANEES lies on such a drive
     prediction: float | None = None  # nats per number of the sensors that only listened; without truth
     lost: float = 0.0  # share of the drive
+    shape: float | None = None  # m, position rmse of the path laid on the truth as a whole
+    aligned: bool = False  # `position` is that of the shape
+
+    def of_shape(self) -> Score:
+        """Return the score of the path's shape alone: where it lies in the world does not count."""
+        return self._replace(position=self.shape, anees=None, bounds=None, aligned=True)
 
 
-def spoils(before: Score, after: Score, allowed: float = MAX_LOSS) -> bool:
-    """Return whether any figure gets notably worse, or ceases to exist; `allowed` is of the position error."""
+def spoils(before: Score, after: Score, allowed: float = MAX_LOSS, allowed_nats: float = MAX_LOSS_NATS) -> bool:
+    """Return whether any figure gets notably worse, or ceases to exist.
+
+    `allowed` is the share by which the position error may grow, `allowed_nats` what a prediction may lose.
+    """
     if after.lost > before.lost + MAX_LOST_SHARE:
         return True
     if before.position is not None:
@@ -37,7 +47,7 @@ def spoils(before: Score, after: Score, allowed: float = MAX_LOSS) -> bool:
         much_smaller = after.position < (1.0 - MIN_GAIN) * before.position
         return not much_smaller and _off(after) > _off(before) + MAX_LN_ANEES_LOSS
     if before.prediction is not None:
-        return after.prediction is None or after.prediction < before.prediction - MAX_LOSS_NATS
+        return after.prediction is None or after.prediction < before.prediction - allowed_nats
     return False
 
 
@@ -47,7 +57,7 @@ def spoils_alone(before: Score, after: Score) -> bool:
     One drive's error moves by many percent with every other way of weighing the same readings, by chance: such a
     configuration may not hinder what helps the better ones.
     """
-    return spoils(before, after, MAX_CHANCE_LOSS)
+    return spoils(before, after, MAX_CHANCE_LOSS, MAX_CHANCE_LOSS_NATS)
 
 
 def improves(before: Score, after: Score) -> bool:

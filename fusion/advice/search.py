@@ -28,7 +28,8 @@ class Candidate:
     judges: tuple[str, ...]
     minor: tuple[str, ...] = ()  # of these, by which a gain shows and a little more error is no harm
     offer: bool = False  # no observation, only a setting that may help: silent where it does not
-    measured: bool = False  # the drive itself shows the value: without truth it is taken if nothing is lost by it
+    measured: bool = False  # the drive shows the value: without truth and by shape it is taken if nothing is lost
+    by_shape: bool = False  # may be judged by the path's shape: nobody observes where its map lies, that is chance
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,7 @@ class Advice:
     after: Mapping[str, Score] | None = None
     tried: tuple[Fixes, ...] = ()  # every alternative that was tried
     measured: bool = False  # as the candidate's
+    harmless: bool = False  # one of what was tried changes little; else all of it makes something worse
 
     @property
     def helps(self) -> bool:
@@ -108,23 +110,38 @@ def total(found: Sequence[Advice]) -> float:
 
 
 def _best(candidate: Candidate, kept: Fixes, trial: Try) -> Advice:
-    """Return the alternative that gains most of those that help."""
-    options = [Advice(candidate.finding, tried=candidate.alternatives)]
+    """Return the alternative that gains most of those that help, by position, else by the path's shape."""
+    found = _best_by(candidate, kept, trial, False)
+    if found.helps or not candidate.by_shape:
+        return found
+    by_shape = _best_by(candidate, kept, trial, True)
+    return by_shape if by_shape.helps else found
+
+
+def _best_by(candidate: Candidate, kept: Fixes, trial: Try, shape: bool) -> Advice:
+    options, harmless = [], False
     for fixes in candidate.alternatives:
-        pairs = _pairs(candidate, kept, fixes, trial)
-        if any(improves(*pair) for pair in pairs.values()) or (candidate.measured and _by_prediction(pairs)):
+        pairs = _pairs(candidate, kept, fixes, trial, shape)
+        harmless = harmless or bool(pairs)
+        # by the drive itself: not to lose is enough
+        shown = candidate.measured and bool(pairs) and (shape or _by_prediction(pairs))
+        if shown or any(improves(*pair) for pair in pairs.values()):
             before = {name: pair[0] for name, pair in pairs.items()}
             after = {name: pair[1] for name, pair in pairs.items()}
             advice = Advice(candidate.finding, fixes, before, after, candidate.alternatives, candidate.measured)
-            options += [advice] if worth(advice) > 0.0 else []
-    return max(options, key=lambda a: (a.helps, worth(a)))
+            options += [advice] if (shown and not shape) or worth(advice) > 0.0 else []
+    return max(
+        options, key=worth, default=Advice(candidate.finding, tried=candidate.alternatives, harmless=harmless)
+    )
 
 
 def _by_prediction(pairs: Mapping[str, tuple[Score, Score]]) -> bool:
-    return bool(pairs) and all(before.position is None for before, _ in pairs.values())
+    return all(before.position is None for before, _ in pairs.values())
 
 
-def _pairs(candidate: Candidate, kept: Fixes, fixes: Fixes, trial: Try) -> dict[str, tuple[Score, Score]]:
+def _pairs(
+    candidate: Candidate, kept: Fixes, fixes: Fixes, trial: Try, shape: bool
+) -> dict[str, tuple[Score, Score]]:
     """Return every judge's score before and after; {} as soon as one gets worse, since each is a run."""
     pairs: dict[str, tuple[Score, Score]] = {}
     settled = False
@@ -132,6 +149,8 @@ def _pairs(candidate: Candidate, kept: Fixes, fixes: Fixes, trial: Try) -> dict[
         before, after = trial(kept, (name,)), trial(together(kept, fixes), (name,))
         if name not in before or name not in after:
             return {}
+        if shape:
+            before, after = ({name: scores[name].of_shape()} for scores in (before, after))
         # what takes one configuration's error to less than half is right: another one's may lose what chance does
         chance = name in candidate.minor or settled
         if (spoils_alone if chance else spoils)(before[name], after[name]):

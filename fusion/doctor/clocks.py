@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from locfuse.fusion.data import Array, Drive, Measurements, Truth
+from locfuse.fusion.data import Array, Drive, Estimates, Measurements, Truth
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.truth import body_poses
@@ -86,15 +86,37 @@ def lags_by_truth(drive: Drive, truth: Truth | None) -> dict[str, Lag]:
 
     In place of the truth there may be a run that knows its heading better than the wheels do.
     """
-    if truth is None or truth.theta is None or len(truth.t) < MIN_READINGS:
+    reference = _by_headings(drive, truth)
+    if reference is None:
         return {}
-    span = (float(truth.t[0]), float(truth.t[-1]))
-    by_truth = Reference(partial(_between, truth.t, np.unwrap(truth.theta)), span, drive.wheels.heading)
     turned = {
         name: heading for name, m in drive.measurements.items() if (heading := _heading(name, m)) is not None
     }
-    found = {name: find_lag(*heading, by_truth) for name, heading in turned.items()}
+    found = {name: find_lag(*heading, reference) for name, heading in turned.items()}
     return {name: lag._replace(against="truth") for name, lag in found.items() if lag is not None}
+
+
+def lag_of_run(drive: Drive, truth: Truth | None, run: Estimates) -> Lag | None:
+    """Return how far the clock of a run's only sensor is from the truth's, by the headings of the run.
+
+    The run of a laser turns by the clock of its scans, since its map holds the heading at each of them, and with
+    less noise than turns from scan to scan have: the lag's sigma is about half as large. A sensor that the wheels
+    outweigh would show a part of its lag only.
+    """
+    reference, (sensor,) = _by_headings(drive, truth), run.sensors
+    if reference is None or len(drive.instant[sensor]) < MIN_READINGS:
+        return None
+    at = np.unique(drive.instant[sensor])[:MAX_READINGS]
+    found = find_lag(run.t[at], run.pose[at, 2], reference)
+    return None if found is None else found._replace(against="truth")
+
+
+def _by_headings(drive: Drive, truth: Truth | None) -> Reference | None:
+    """Return the truth's headings as what is held against; None where it has none."""
+    if truth is None or truth.theta is None or len(truth.t) < MIN_READINGS:
+        return None
+    span = (float(truth.t[0]), float(truth.t[-1]))
+    return Reference(partial(_between, truth.t, np.unwrap(truth.theta)), span, drive.wheels.heading)
 
 
 def off_by(lag: Lag) -> bool:

@@ -182,8 +182,8 @@ def of_laser(
     words = (
         f"its ranges are {1.0 / scale:.3f} times the distances of the {whose} (1 sigma {motion.scale_sigma:.3f})"
     )
-    words += "" if by_truth else _who_is_right(robot, scale)
     fix = f"lrf.range_scale={settings.range_scale * scale:.4g}"
+    words += "" if by_truth else _who_is_right(robot, scale, fix)
     code = "range scale" if by_truth else OPEN_SCALE
     return [Finding("lrf", code, words, (fix,), abs(scale - 1.0) > SEVERE_SCALE_ERROR)]
 
@@ -285,11 +285,12 @@ def _paired(a: Array, b: Array, moved: Array, d: Array, mount: Array) -> Walls:
     return Walls(y, n[good], np.tile(d, (k, 1)), own, np.full(k, moved[2]))
 
 
-def _who_is_right(robot: Robot, scale: float) -> str:
+def _who_is_right(robot: Robot, scale: float, fix: str) -> str:
     """Say what to set where laser and wheels disagree; an odometry's wheels are not ours to set."""
     wheels = robot.wheels
     if wheels.radius is None:
-        return ": set range_scale if the odometry is right; if the laser is, it is made with a wrong wheel radius"
+        return f". If the odometry is right, set {fix}; if the laser is, the odometry has a wrong wheel radius"
     track = "" if wheels.track is None else f" and wheels.track={wheels.track / scale:.4g}"
-    laser = f"wheels.radius={wheels.radius / scale:.4g}{track}"
-    return f": set range_scale if the wheels are right; if the laser is, {laser}"
+    return (
+        f". If the wheels are right, set {fix}; if the laser is, wheels.radius={wheels.radius / scale:.4g}{track}"
+    )

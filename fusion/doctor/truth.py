@@ -51,13 +51,18 @@ def _gaps(truth: Truth) -> list[Finding]:
 
 
 def _noise(truth: Truth, drive: Drive) -> list[Finding]:
-    """The truth's scatter while the robot stands: unless it is told, ANEES takes it for an error of the filter."""
+    """The truth's scatter while the robot stands: unless it is set, ANEES takes it for an error of the filter.
+
+    No estimate depends on it.
+    """
     seen = truth_sigma(truth, drive.wheels)
     if truth.sigma or truth.sigma_theta or (seen.xy < MIN_NOISE_M and seen.theta < MIN_NOISE_RAD):
         return []
-    words = f"its own noise is {1e3 * seen.xy:.1f} mm and {math.degrees(seen.theta):.2f} deg (1 sigma, at rest)"
-    fixes = (f"truth.sigma={seen.xy:.2g}", f"truth.sigma_theta_deg={math.degrees(seen.theta):.2g}")
-    return [Finding("truth", "noise", words, fixes, True)]
+    words, fixes = f"{1e3 * seen.xy:.1f} mm", [f"truth.sigma={seen.xy:.2g}"]
+    if truth.theta is not None:
+        words += f" and {math.degrees(seen.theta):.2f}°"
+        fixes.append(f"truth.sigma_theta_deg={math.degrees(seen.theta):.2g}")
+    return [Finding("truth", "noise", f"its own noise is {words} (1 sigma, at rest)", tuple(fixes))]
 
 
 def _jumps(truth: Truth, drive: Drive) -> list[Finding]:

@@ -2,11 +2,12 @@
 
 A sensor is best judged by a run that does not use it and is healthy itself; else by its own innovations. Where two
 sensors disagree, the one that others disagree with too is to blame. A run that uses a sensor whose noise is
-understated judges nobody else.
+understated judges nobody else. Whose mean is off, a truth with headings says first: no run is as exact.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -15,7 +16,10 @@ import numpy as np
 
 from locfuse.fusion.data import Drive, Estimates
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.se2 import wrap
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.streams import gap_limit
+from locfuse.fusion.truth import body_poses
 
 from .innovations import Heard, Own, heard, own, usual_period
 from .noise_verdicts import (
@@ -28,6 +32,7 @@ from .noise_verdicts import (
     by_reference_run,
     contradicting,
     disagrees,
+    notable,
     of_messages,
 )
 
@@ -35,6 +40,7 @@ MAX_REFERENCE_NIS_RATIO = (
     MAX_SIGMA_FACTOR**2
 )  # a run with a sensor whose variance is understated by more is no reference
 MIN_READINGS = 20  # readings
+MAX_START_M, MAX_START_RAD = 0.5, math.radians(20.0)  # a truth that starts further from a run: another frame
 
 
 @dataclass(frozen=True)
@@ -90,6 +96,7 @@ class Evidence:
             (r.estimates.name, s): found for r in runs for s, found in r.own.items()
         }
         self._heard: dict[tuple[str, str], Heard | None] = {}
+        self._truth = as_run(runs[0].drive, runs[0].estimates) if runs else None
         self.flagged: dict[str, Heard] = {}
         self.contradict: set[str] = set()
         self._flag()
@@ -157,6 +164,17 @@ class Evidence:
                     found.append((run, evidence))
         return sorted(found, key=lambda w: w[1].reference)
 
+    def bias(self, sensor: str) -> NoiseVerdict | None:
+        """Return by how much a sensor's mean is off, if that is notable, sure or not; None where nothing tells."""
+        found = self._hear_by_truth(sensor) or next((h for _, h in self.reference_runs(sensor)), None)
+        if found is None or found.bias is None or not notable(found):
+            return None
+        return biased(sensor, self.robot.settings(sensor), found.bias)
+
+    def _hear_by_truth(self, sensor: str) -> Heard | None:
+        found = None if self._truth is None else self._hear(self._truth, sensor)
+        return found if found is not None and found.readings >= MIN_READINGS else None
+
     def _hear(self, run: Run, sensor: str) -> Heard | None:
         key = run.estimates.name, sensor
         if key not in self._heard:
@@ -183,8 +201,11 @@ class Evidence:
         return max(scales, key=lambda s: scales[s]) if scales else ""
 
     def _flag(self) -> None:
-        """Find the sensors whose mean is off, the surest evidence first."""
-        surest = {s: found[0][1] for s in self.sensors if (found := self.reference_runs(s))}
+        """Find the sensors whose mean is off: by truth, else the surest evidence first."""
+        by_truth = {s: h for s in self.sensors if (h := self._hear_by_truth(s)) is not None}
+        self.flagged |= {s: h for s, h in by_truth.items() if disagrees(h)}
+        left = [s for s in self.sensors if s not in by_truth]
+        surest = {s: found[0][1] for s in left if (found := self.reference_runs(s))}
         for s in sorted(surest, key=lambda s: surest[s].reference):
             found = self.reference_runs(s)
             if not found or not disagrees(found[0][1]):
@@ -199,3 +220,27 @@ class Evidence:
             else:
                 self.flagged[s] = evidence
         self.contradict -= self.flagged.keys()
+
+
+def as_run(drive: Drive, estimates: Estimates) -> Run | None:
+    """Return a truth with headings as a run that uses no sensor; None where there is none in the run's frame.
+
+    Its poses are NaN where the truth has a gap: nothing is compared there.
+    """
+    truth = drive.truth
+    if truth is None or truth.theta is None or len(truth.t) < MIN_READINGS:
+        return None
+    pose = body_poses(truth, drive.t)
+    after = np.clip(np.searchsorted(truth.t, drive.t), 1, len(truth.t) - 1)
+    known = (drive.t >= truth.t[0]) & (drive.t <= truth.t[-1])
+    known &= truth.t[after] - truth.t[after - 1] <= gap_limit(truth.t)
+    if not known.any():
+        return None
+    first = int(np.argmax(known))
+    away = pose[first] - estimates.pose[first]
+    if math.hypot(*away[:2].tolist()) > MAX_START_M or abs(wrap(float(away[2]))) > MAX_START_RAD:
+        return None
+    triangles = np.zeros((len(drive.t), 6))
+    triangles[:, [0, 3]], triangles[:, 5] = truth.sigma**2, truth.sigma_theta**2
+    pose[~known] = np.nan
+    return Run(drive, Estimates("truth", (), drive.t, pose, triangles, {}), {})

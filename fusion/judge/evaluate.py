@@ -97,6 +97,16 @@ def evaluate(estimates: Estimates, drive: Drive, align: Align = "none") -> Evalu
     )
 
 
+def shape_error(estimates: Estimates, drive: Drive) -> float | None:
+    """Return the position error (rms) of a path laid on the truth as a whole [m]; None without truth."""
+    pairs = None if drive.truth is None else _pairs(estimates, drive.truth)
+    if drive.truth is None or pairs is None or len(pairs.t) == 0:
+        return None
+    pose = aligned(pairs, drive.truth.point, "se2")
+    point = np.broadcast_to(np.array(drive.truth.point), pairs.xy.shape)
+    return float(np.sqrt(np.square(se2.transform(pose, point) - pairs.xy).sum(axis=1).mean()))
+
+
 def _without_truth(
     estimates: Estimates, sensors: dict[str, SensorFigures], figures: dict[str, float | None]
 ) -> Evaluation:

@@ -209,6 +209,7 @@ def heard(drive: Drive, robot: Robot, run: Estimates, sensor: str) -> Heard | No
     blocks, angular = model.blocks(), REGISTRY[sensor].components[0].unit == "deg"
     belief, rows = Frozen(blocks), []
     readings = _some(len(m.t))
+    readings = readings[np.isfinite(run.pose[drive.instant[sensor][readings], 0])]  # a truth may have gaps
     instants = drive.instant[sensor][readings]
     poses, covariances = run.pose[instants].tolist(), matrices(run.triangles[instants]).tolist()
     for i, pose, P in zip(readings.tolist(), poses, covariances, strict=True):

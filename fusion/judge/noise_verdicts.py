@@ -39,7 +39,12 @@ class NoiseVerdict:
 
 def disagrees(h: Heard) -> bool:
     """Return whether a sensor's mean is surely and notably off a run that does not use it."""
-    return h.bias is not None and abs(h.bias) > max(MIN_SIGMAS * h.sure, MIN_BIAS_SIGMAS * math.sqrt(h.white))
+    return h.bias is not None and abs(h.bias) > MIN_SIGMAS * h.sure and notable(h)
+
+
+def notable(h: Heard) -> bool:
+    """Return whether a sensor's mean is off by more than half its noise."""
+    return h.bias is not None and abs(h.bias) > MIN_BIAS_SIGMAS * math.sqrt(h.white)
 
 
 def by_reference_run(sensor: str, settings: Any, h: Heard) -> NoiseVerdict | None:
@@ -71,8 +76,10 @@ def by_itself(sensor: str, settings: Any, o: Own, floor: Sequence[float], period
     if factor < MIN_SIGMA_FACTOR and o.share < MIN_NOISE_SHARE:
         # S = H P H' + R: that all of it is too large says nothing of so small a part
         return NoiseVerdict("unclear", "noise cannot be judged: its residuals show the error of the prediction")
-    if MIN_SIGMA_FACTOR < o.raw < 1.0:
-        factor = max(factor, MIN_SIGMA_FACTOR)  # innovations as large as told do not say that noise is overstated
+    if factor < MIN_SIGMA_FACTOR < max(o.raw, o.nis):
+        # residuals as large as configured, in the middle or on average (a few large ones make that: people, walls
+        # that are not flat), do not show that the noise is set too high, however similar neighbouring ones are
+        factor = MIN_SIGMA_FACTOR
     return by_share(sensor, o.refused, lines, by_scale(sensor, settings, factor))
 
 

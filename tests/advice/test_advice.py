@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,10 @@ import pytest
 from commands import locfuse
 from rewrite_log import rewritten
 
+from benchmarks.consistency_cases import LATE_CLOCK, MOVING, OFFSET, SCENARIO
 from locfuse.cli.session.session import load
+from locfuse.sample_logs.load import load as scenario_of
+from locfuse.sample_logs.record import on_truth, write_log
 
 FAULTS = ("compass.offset_deg=-60", "lrf.time_offset=0.1")
 PICTURES = "/omni/image/compressed"
@@ -84,3 +88,35 @@ def test_a_mount_that_the_filter_estimates_is_offered_with_the_value_that_it_fin
     found = load(log, sets=("lrf.y=0.03",)).findings()
     values = dict(fix.split("=") for fix in found["fixes"])
     assert float(values["lrf.y"]) == pytest.approx(0.0, abs=0.015)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.02])
+def test_a_laser_20_ms_late_is_named_with_its_sigma_where_the_truth_tells_and_a_right_one_is_not(
+    tmp_path: Path, late: float
+) -> None:
+    """The direction of its map, drawn at the first scan, hides what the clock does: the path's shape tells it."""
+    log = tmp_path / "log.mcap"
+    write_log(scenario_of(SCENARIO, (*MOVING, LATE_CLOCK) if late else MOVING), 1001, on_truth, log)
+    found = [f for f in load(log, sets=(OFFSET,)).findings()["findings"] if f["role"] == "lrf"]
+    assert len(found) == bool(late)
+    for finding in found:
+        (fix,) = finding["fixes"]
+        assert float(fix.removeprefix("lrf.time_offset=")) == pytest.approx(-late, abs=0.005)
+        assert "s late against the truth (1 sigma 0.002 s)" in finding["message"]
+        before, after = finding["tried"]["before"], finding["tried"]["after"]
+        assert before["aligned"]
+        assert after["position_rmse_m"] < before["position_rmse_m"]
+
+
+def test_laser_and_wheels_that_differ_in_distance_are_both_named_where_nothing_tells_who_is_right(
+    log: Path,
+) -> None:
+    """The laser's own readings are predicted better by the wheels' distances, even if the wheels are wrong."""
+    for wrong in (("lrf.range_scale=1.08",), ("wheels.radius=0.046", "wheels.track=0.552")):
+        found = load(log, sets=("truth.topic=none", *wrong)).findings()
+        assert not {fix.partition("=")[0] for fix in found["fixes"]} & {"lrf.range_scale", "wheels.radius"}
+        (message,) = (f["message"] for f in found["findings"] if f["code"] == "distances")
+        values = {k: float(v) for k, v in re.findall(r"(lrf.range_scale|wheels.radius)=([0-9.]+[0-9])", message)}
+        right = "wheels.radius" if len(wrong) > 1 else "lrf.range_scale"
+        assert values[right] == pytest.approx(0.05 if len(wrong) > 1 else 1.0, rel=0.02)
+        assert len(values) == 2

@@ -54,7 +54,7 @@ def test_quiet_commands_that_exit_with_3_say_why_on_one_line(command: str, tmp_p
     done = locfuse(command, log, "-q", "--no-advice", "-o", tmp_path / "out", "--write", "json")
     assert done.exit_code == 3
     (line,) = done.stderr.splitlines()
-    assert line.startswith("lost: the truth starts 3.26 m from where the drive starts")
+    assert line.startswith("void: the truth starts 3.26 m from where the drive starts")
 
 
 def test_where_every_error_is_void_no_sensor_gets_a_verdict_and_the_start_is_the_fix(tmp_path: Path) -> None:

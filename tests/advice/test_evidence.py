@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from locfuse.cli.advice import evidence as module
 from locfuse.cli.advice.evidence import Evidence
+from locfuse.fusion.data import Measurements
+from locfuse.fusion.doctor.finding import Finding
 from locfuse.fusion.doctor.lag import Lag
+from locfuse.fusion.judge.consistency import Consistency
+from locfuse.fusion.judge.noise_verdicts import Verdict
+from locfuse.fusion.sensors.lrf import LrfSettings
 
 SIGMA_S = 0.004
 
@@ -63,3 +71,109 @@ def test_slips_pull_all_sensors_alike_so_that_three_lags_are_no_surer_than_one(
 
 def test_sensors_that_are_late_by_different_times_do_not_accuse_the_wheels() -> None:
     assert not list(evidence(-0.02, -0.04, -0.06)._late_wheels())
+
+
+WHEELS_LATE, LASER_LATE = Finding("wheels", "lag", "late"), Finding("lrf", "lag", "late")
+
+
+@pytest.mark.parametrize(
+    ("open_findings", "sigma", "used"),
+    [
+        ((), 0.002, True),
+        ((), 0.006, False),  # the lines tell it better
+        ((LASER_LATE,), 0.002, True),
+        ((replace(LASER_LATE, severe=True),), 0.002, False),
+        ((WHEELS_LATE,), 0.002, False),
+        ((replace(WHEELS_LATE, code="track"),), 0.002, True),
+    ],
+)
+def test_the_laser_s_own_run_tells_its_clock_only_while_no_other_clock_looks_wrong(
+    monkeypatch: pytest.MonkeyPatch, open_findings: tuple[Finding, ...], sigma: float, used: bool
+) -> None:
+    """The run goes by the wheels too: on a real log whose wheels are 0.13 s early it was 0.014 s early itself."""
+    by_lines, by_run = Lag(-0.01, 0.99, 0.98, 0.005), Lag(-0.02, 0.999, 0.99, sigma)
+    monkeypatch.setattr(module, "lags_by_truth", lambda *_: {"lrf": by_lines})
+    monkeypatch.setattr(module, "lag_of_run", lambda *_: by_run)
+    made, run = Evidence.__new__(Evidence), SimpleNamespace(sensors=("lrf",), smoothed=False, lost=())
+    loaded = SimpleNamespace(drive=SimpleNamespace(truth=None))
+    vars(made).update(doctor=list(open_findings), compared=SimpleNamespace(loaded=loaded, estimates=[run]))
+    assert made._lags_by_truth() == {"lrf": by_run if used else by_lines}
+
+
+def doubtful(anees: float, verdict: Verdict = "overstated") -> Evidence:
+    """A log whose one run has this ANEES, 0.5 to 2 being chance."""
+    made = Evidence.__new__(Evidence)
+    vars(made).update(
+        honesty={"lrf": SimpleNamespace(anees=anees, bounds=(0.5, 2.0))},
+        consistency={"lrf": Consistency(verdict, "", cures={"lrf.sigma_range": 0.01})},
+        compared=SimpleNamespace(evaluations=[SimpleNamespace(name="lrf", figures={"position_rmse_m": 0.1})]),
+        trial=SimpleNamespace(configurations={"lrf": SimpleNamespace(sensors=("lrf",))}),
+    )
+    return made
+
+
+@pytest.mark.parametrize(("anees", "factors"), [(20.0, {3.0, 10.0}), (0.1, {0.1, 0.3})])
+def test_of_a_filter_that_is_too_sure_no_smaller_noise_of_the_wheels_is_tried(
+    anees: float, factors: set[float]
+) -> None:
+    """On one drive chance may make it look better."""
+    assert set(doubtful(anees)._noise_factors) == factors
+
+
+@pytest.mark.parametrize(
+    ("anees", "verdict", "too_sure"),
+    [(20.0, "overstated", True), (20.0, "understated", False), (1.0, "overstated", False)],
+)
+def test_a_sensor_is_not_to_be_trusted_more_where_truth_shows_that_it_is_trusted_too_much(
+    anees: float, verdict: Verdict, too_sure: bool
+) -> None:
+    made = doubtful(anees, verdict)
+    assert made._too_sure("lrf", made.consistency["lrf"]) == too_sure
+
+
+def test_what_is_unusual_and_has_no_setting_is_told_all_the_same() -> None:
+    made = doubtful(1.0)
+    vars(made)["consistency"] = {
+        "lrf": Consistency("outliers", "34% of the lines do not fit the map"),
+        "compass": Consistency("consistent", ""),
+        "camera": Consistency("overstated", "", cures={"camera.sigma_deg": 0.1}),
+    }
+    (found,) = made.unexplained()
+    assert (found.finding.role, found.finding.code) == ("lrf", "outliers")
+    assert not found.alternatives
+    assert not found.offer
+
+
+@pytest.mark.parametrize(("others", "decided"), [((), False), (("compass",), False), (("camera",), True)])
+def test_a_range_scale_is_only_tried_where_something_else_than_turning_tells(
+    others: tuple[str, ...], decided: bool
+) -> None:
+    made = Evidence.__new__(Evidence)
+    columns = Measurements(np.zeros(3), np.arange(4), np.zeros((3, 1)), np.ones((3, 1, 1)), 1.0, np.zeros((1, 1)))
+    lines = replace(columns, z=np.zeros((3, 2)), R_unit=np.tile(np.eye(2), (3, 1, 1)), floor=np.zeros((2, 2)))
+    measured = {"lrf": lines} | dict.fromkeys(others, columns)
+    vars(made)["compared"] = SimpleNamespace(loaded=SimpleNamespace(drive=SimpleNamespace(measurements=measured)))
+    found = made._decided(Finding("lrf", "distances", "too long", ("lrf.range_scale=0.95",), True))
+    assert bool(found.fixes) == decided
+    assert found.message.endswith("Nothing in this log says which") != decided
+
+
+@pytest.mark.parametrize(
+    ("lines", "ranges", "offered"),
+    [
+        (0.047, 0.034, ("lrf.sigma_range=0.034", "lrf.sigma_angle_deg=0.28")),
+        (0.047, 0.050, ()),  # no less than the lines show
+        (0.047, 0.020, ()),  # the two do not show the same
+        (0.047, None, ()),
+    ],
+)
+def test_a_range_noise_that_is_set_too_high_is_also_tried_as_the_ranges_show_it(
+    lines: float, ranges: float | None, offered: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, cures = doubtful(1.0), {"lrf.sigma_range": lines, "lrf.sigma_angle_deg": lines / 0.12}
+    robot = SimpleNamespace(settings=lambda _: LrfSettings(sigma_range=0.09, sigma_angle_deg=0.75))
+    vars(made)["compared"] = SimpleNamespace(loaded=SimpleNamespace(robot=robot))
+    monkeypatch.setattr("locfuse.cli.advice.evidence._stream", lambda *_: None)
+    monkeypatch.setattr("locfuse.cli.advice.evidence.ranges_sigma", lambda *_: ranges)
+    assert made._as_ranges_scatter("lrf", Consistency("overstated", "", cures=cures)) == offered
+    assert not made._as_ranges_scatter("lrf", Consistency("understated", "", cures=cures))

@@ -1,4 +1,4 @@
-"""The first line where a reference judges: what it may say of sensors, and what it may not."""
+"""The first line: what a reference may say of sensors, and what a fix that was found would give."""
 
 from __future__ import annotations
 
@@ -27,6 +27,33 @@ def test_a_reference_says_which_sensors_help_and_what_nobody_judges(verdicts: di
     }
     found = headline(report, {"odometry": ()})
     assert found == f"Measured against a reference, not truth: odometry alone is off by 52 mm; {end}"
+
+
+@pytest.mark.parametrize(
+    ("after", "until", "aligned", "end"),
+    [
+        (0.0035, None, False, "With the laser and the fixes found it is 3.5 mm."),
+        (0.0320, None, False, "the laser hurts."),  # as good as the best without it
+        (0.0035, 300.0, False, "the laser hurts."),  # of the beginning only: another figure
+        (0.0035, None, True, "the laser hurts."),  # of the path's shape: another figure
+    ],
+)
+def test_a_sensor_that_is_good_once_its_fix_is_set_is_named(
+    after: float, until: float | None, aligned: bool, end: str
+) -> None:
+    """A laser 0.2 s late: without its fix one would keep the compass and sell the laser."""
+    errors = {"odometry": 0.25, "compass": 0.033, "lrf": 0.058, "all": 0.055}
+    score = {"position_rmse_m": after, "aligned": aligned}
+    tried = {"configuration": "lrf", "before": {"position_rmse_m": 0.058}, "after": score, "until_s": until}
+    report: dict[str, Any] = {
+        "configurations": {name: {"position_rmse_m": e} for name, e in errors.items()},
+        "verdicts": {"lrf": {"verdict": "hurts"}},
+        "findings": [{"fixes": ["lrf.time_offset=0"], "tried": tried}, {"fixes": [], "tried": None}],
+    }
+    sets = {"odometry": (), "compass": ("compass",), "lrf": ("lrf",), "all": ("compass", "lrf")}
+    found = headline(report, sets)
+    assert found.startswith("Keep the compass: 33 mm. With all sensors it is 55 mm: the laser hurts.")
+    assert found.endswith(end)
 
 
 @pytest.mark.parametrize(

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from locfuse.cli.advice.evaluator import Advised
+from locfuse.cli.advice.validity import add_validity
 from locfuse.cli.advice.values import add_findings
 from locfuse.formats.tables.findings import sentence
 from locfuse.fusion.advice.search import Advice
 from locfuse.fusion.doctor.finding import Finding
 
+SURE = Finding("lrf", "lag", "late (correlation 0.9 as stamped, 0.99 shifted). It is the laser's", severe=True)
 LATE = Advice(Finding("lrf", "lag", "stamps look 0.1 s late"), ("lrf.time_offset=-0.1",))
 HIGH = Advice(Finding("lrf", "too high", "noise is set too high"), ("lrf.sigma_range=0.01",))
 LOW = Advice(Finding("lrf", "anees", "errors are 2 times what is claimed"), ("lrf.sigma_range=0.04",))
@@ -36,6 +39,32 @@ def test_a_step_that_is_set_otherwise_by_a_later_one_is_not_told() -> None:
     assert found["fixes"] == ["lrf.sigma_range=0.04"]
 
 
+def test_a_value_that_was_measured_again_is_told_once_with_its_last_value() -> None:
+    again = Advice(Finding("lrf", "lag", "stamps look 0.01 s early"), ("lrf.time_offset=-0.09",))
+    found = finding(LATE, again)
+    assert found["message"] == "stamps look 0.1 s late"
+    assert found["fixes"] == ["lrf.time_offset=-0.09"]
+
+
+def test_what_has_no_fix_stands_beside_what_has_one() -> None:
+    """Else the fix of one would seem to be that of both."""
+    report: dict[str, Any] = {}
+    open_scale = Advice(Finding("lrf", "distances", "ranges differ from the wheels'", severe=True))
+    add_findings(report, Advised((LATE, open_scale)))
+    assert [(f["code"], f["fixes"]) for f in report["findings"]] == [
+        ("lag", ["lrf.time_offset=-0.1"]),
+        ("distances", []),
+    ]
+
+
+@pytest.mark.parametrize(("harmless", "said"), [(True, "little changes"), (False, "the result gets worse")])
+def test_what_was_tried_in_vain_says_why_it_is_not_offered(harmless: bool, said: str) -> None:
+    words = sentence(finding(Advice(HIGH.finding, tried=(HIGH.fixes,), harmless=harmless)))
+    assert words.startswith("lrf: noise is set too high. With lrf.sigma_range=0.01 ")
+    assert said in words
+    assert sentence(finding(Advice(HIGH.finding))) == "lrf: noise is set too high."
+
+
 @pytest.mark.parametrize(
     ("anees", "said"), [(0.921, "0.92"), (47.3, "47"), (99.7, "100"), (9607.5, "9600"), (6.6e10, "over 100000")]
 )
@@ -44,3 +73,38 @@ def test_a_ratio_is_said_in_two_digits_without_an_exponent(anees: float, said: s
     tried = {"configuration": "lrf", "before": score, "after": {**score, "anees": 1.0}, "until_s": None}
     words = sentence({"role": "lrf", "message": "noise", "fixes": ["lrf.sigma_range=1"], "tried": tried})
     assert f"ANEES {said} -> 1)" in words
+
+
+def test_an_error_of_the_shape_alone_is_said_to_be_that() -> None:
+    score = {"lost_share": 0.0, "position_rmse_m": 0.0052, "aligned": True, "prediction_nats": None, "anees": None}
+    tried = {
+        "configuration": "lrf",
+        "before": score,
+        "after": {**score, "position_rmse_m": 0.0036},
+        "until_s": None,
+    }
+    words = sentence({"role": "lrf", "message": "late", "fixes": ["lrf.time_offset=-0.02"], "tried": tried})
+    assert "(tried with lrf: error of the path's shape 5.2 mm -> 3.6 mm)" in words
+
+
+@pytest.mark.parametrize(
+    ("advice", "doubt"),
+    [
+        (
+            replace(LATE, finding=SURE),
+            "lrf: late. Every figure here is without the fix: --set lrf.time_offset=-0.1",
+        ),
+        (Advice(SURE, tried=(("lrf.time_offset=-0.1",),)), "lrf: late"),
+        (Advice(SURE, tried=(("lrf.time_offset=-0.1",),), harmless=True), None),
+        (LATE, None),
+    ],
+)
+def test_figures_are_doubtful_while_something_is_surely_wrong_that_changes_them(
+    advice: Advice, doubt: str | None
+) -> None:
+    """How it was measured stands with the finding."""
+    report: dict[str, Any] = {
+        "configurations": {"lrf": {"configuration": "lrf", "sensors": {"lrf": {}}, "lost_share": 0.0}}
+    }
+    add_validity(report, Advised((advice,)), None)
+    assert [v["message"] for v in report["validity"]] == ([] if doubt is None else [doubt])

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from locfuse.fusion.data import Measurements
-from locfuse.fusion.doctor.clocks import clock_lags, in_words
+from locfuse.fusion import se2
+from locfuse.fusion.data import Drive, Estimates, Measurements, Motions, Truth
+from locfuse.fusion.doctor.clocks import clock_lags, in_words, lag_of_run
 from locfuse.fusion.doctor.lag import Lag, worth_saying
 from locfuse.fusion.wheels.motion import Wheels
 
@@ -93,3 +96,37 @@ def test_a_lag_is_said_from_four_of_its_own_sigmas_on() -> None:
     assert not worth_saying(said._replace(without=0.9989))
     assert not worth_saying(Lag(0.13, 0.99, 0.9))
     assert not worth_saying(Lag(0.005, 0.999, 0.98, sigma=0.0001))
+
+
+def a_run(wheels: Wheels, true: Array, seed: int, late: float) -> tuple[Drive, Truth, Estimates]:
+    """A laser's run at 10 Hz whose heading is that of `late` [s] before, with errors of 0.1 degrees."""
+    t = np.arange(1.0, 89.0, 0.1)
+    errors = np.random.default_rng(700 + seed).normal(0.0, np.radians(0.1), len(t))
+    pose = np.zeros((len(t), 3))
+    pose[:, 2] = np.interp(t - late, T, true) + errors
+    none = np.zeros((len(t), 6))
+    motions = Motions(pose, np.zeros((len(t), 3, 3)), none)
+    drive = Drive(0, t, motions, {}, {"lrf": np.arange(len(t))}, {}, wheels=wheels)
+    truth = Truth("/truth", T, np.zeros((len(T), 2)), se2.wrap_all(true))
+    return drive, truth, Estimates("lrf", ("lrf",), t, pose, none, {})
+
+
+@pytest.mark.parametrize("late", [0.0, 0.02])
+def test_a_run_whose_map_holds_the_heading_tells_its_clock_by_the_truth(late: float) -> None:
+    """As far off as its sigma says, and within 5 ms: 20 ms are then four of its sigmas."""
+    errors, sigmas = [], []
+    for seed in SEEDS:
+        lag = lag_of_run(*a_run(*turned(seed), seed, late))
+        assert lag is not None
+        assert lag.against == "truth"
+        errors.append(lag.offset + late)
+        sigmas.append(lag.sigma)
+    assert np.abs(errors).max() < 0.005
+    assert max(sigmas) < 0.005
+    assert 0.2 < np.mean(np.square(np.array(errors) / sigmas)) < 2.5
+
+
+def test_a_run_without_truth_s_headings_tells_no_clock() -> None:
+    drive, truth, run = a_run(*turned(0), 0, 0.02)
+    assert lag_of_run(drive, None, run) is None
+    assert lag_of_run(drive, replace(truth, theta=None), run) is None

@@ -257,6 +257,9 @@ def test_the_noise_of_a_truth_is_measured_at_rest_unless_it_is_told() -> None:
     (found,) = of_truth(replace(session.drive, truth=noisy), session.robot)
     assert found.code == "noise"
     assert told([found]) == pytest.approx({"truth.sigma": 0.006, "truth.sigma_theta_deg": 0.4}, rel=0.15)
+    assert not found.severe  # it spoils no estimate
+    (found,) = of_truth(replace(session.drive, truth=replace(noisy, theta=None)), session.robot)
+    assert told([found]) == pytest.approx({"truth.sigma": 0.006}, rel=0.15)  # no heading, no noise of it
     known = replace(noisy, sigma=0.006, sigma_theta=math.radians(0.4))
     assert of_truth(replace(session.drive, truth=known), session.robot) == []
 

@@ -23,6 +23,7 @@ from locfuse.fusion.judge.innovations import heard, own
 from locfuse.fusion.judge.noise_verdicts import by_itself, correlated
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.gyro import GyroSettings
+from locfuse.fusion.sensors.lrf import LrfSettings
 from locfuse.fusion.sensors.sonar import SonarSettings
 
 # --- one number that wanders, measured with noise: a scalar Kalman filter from the book
@@ -96,6 +97,17 @@ def test_small_innovations_accuse_noise_only_where_they_show_it(q_told: float, t
     o = own(*scalar_filter(1, min(q_told, 1.0), min(told, 1.0), told, q_told=q_told))
     assert o is not None
     assert by_itself("gyro", GyroSettings(), o, [0.0], 0.1).verdict == verdict
+
+
+@pytest.mark.parametrize(("nis", "verdict"), [(1.05, "consistent"), (0.4, "overstated")])
+def test_residuals_that_are_large_enough_on_average_do_not_say_that_noise_is_too_high(
+    nis: float, verdict: str
+) -> None:
+    """Walls that are not flat: small residuals in the middle, alike from scan to scan, and a few large ones."""
+    o = own(*scalar_filter(1, 0.01, 1.0, 1.0))
+    assert o is not None
+    tailed = o._replace(nis=nis, raw=0.6, scale=0.18, whiteness=(0.6,) * 5, white=0.5)
+    assert by_itself("lrf", LrfSettings(), tailed._replace(R=(1.0, 1.0)), [0.0, 0.0], 0.1).verdict == verdict
 
 
 # --- whole drives with one wrong setting

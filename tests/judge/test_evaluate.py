@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import VERDICTS, Audit, Drive, Estimates, Measurements, Motions, Truth, upper_triangles
-from locfuse.fusion.judge.evaluate import Align, evaluate
+from locfuse.fusion.judge.evaluate import Align, evaluate, shape_error
 
 Array = NDArray[np.float64]
 N = 6000
@@ -105,7 +105,14 @@ def test_the_least_squares_alignment_is_that_of_evo() -> None:
     theirs, ours = np.hstack((bent[:, :2], flat)).T, np.hstack((drive.truth.xy, flat)).T
     R, t, _ = umeyama_alignment(theirs, ours)
     oracle = np.linalg.norm(ours - (R @ theirs + t[:, None]), axis=0)
-    assert found.figures["position_rmse_m"] == pytest.approx(float(np.sqrt((oracle**2).mean())), rel=1e-9)
+    error = pytest.approx(float(np.sqrt((oracle**2).mean())), rel=1e-9)
+    assert found.figures["position_rmse_m"] == error
+    assert shape_error(replace(estimates, pose=bent, truth_pose=bent), drive) == error
+
+
+def test_there_is_no_error_of_the_shape_without_truth() -> None:
+    estimates, drive = exact((0.0, 0.0))
+    assert shape_error(estimates, replace(drive, truth=None)) is None
 
 
 def exact(point: tuple[float, float]) -> tuple[Estimates, Drive]:

@@ -22,6 +22,7 @@ from benchmarks.consistency_table import HEAD, row
 from locfuse.cli.pipeline.load import make_robot
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import Drive, Estimates
+from locfuse.fusion.doctor.lag import Lag
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
@@ -87,7 +88,8 @@ def test_a_row_shows_now_before_and_the_goal() -> None:
 def test_a_drive_gives_finite_figures() -> None:
     found = means([consistency.judged(SHORT, 1)])
     assert found.drives == 1
-    assert np.isfinite(found[1:]).all()
+    assert np.isfinite(found[1:-1]).all()
+    assert math.isnan(found.in_frame)  # nobody asked
 
 
 def test_the_starts_alone_have_the_anees_of_what_the_simulator_draws() -> None:
@@ -140,3 +142,18 @@ def test_a_run_that_was_stopped_goes_on_where_it_was(tmp_path: Path) -> None:
     assert driven == [0, 1, 2]
     assert [f.anees for f in found] == [1.0, 2.0, 3.0]
     assert math.isnan(found[0].walls)
+
+
+def test_a_laser_whose_clock_is_off_is_judged_as_the_drive_tells_it() -> None:
+    case = next(c for c in CASES if c.late_by)
+    (given,) = set(consistency.as_found(case, 1001).given) - set(case.given)
+    assert float(given.removeprefix("lrf.time_offset=")) == pytest.approx(-case.late_by, abs=0.005)
+    assert consistency.as_found(SHORT, 1) is SHORT
+
+
+def test_clocks_are_said_with_their_errors_and_sigmas() -> None:
+    lags = [Lag(-0.021, 0.99, 0.9, 0.002), Lag(-0.017, 0.99, 0.9, 0.006)]
+    words = consistency.clock_words(lags, 0.02)
+    assert words.startswith(
+        "found within 3.0 ms, 2.2 ms rms; its sigma is 4.0 ms. Beyond 4 sigma in 1 of 2 drives"
+    )

@@ -61,5 +61,5 @@ def test_a_compass_sees_neither_radius_nor_track_but_their_quotient() -> None:
 
 def test_what_several_configurations_say_is_said_once() -> None:
     runs = {"odometry": {"notes": []}, "lrf": {"notes": ["lrf: slipped"]}, "all": {"notes": ["lrf: slipped"]}}
-    assert notes_of({"notes": ["clock"], "configurations": runs}) == ["clock", "lrf, all: lrf: slipped"]
+    assert notes_of({"notes": ["clock"], "configurations": runs}) == ["clock", "lrf: slipped (all: alike)"]
     assert notes_of({"notes": [], "configurations": {"all": runs["all"]}}) == ["lrf: slipped"]

@@ -144,7 +144,8 @@ def laid_out(folder: Path) -> Path:
             (package / path.name).symlink_to(path)
     for name in ("cli", "formats", "robots", "sample_logs"):
         (package / name).symlink_to(ROOT / name)
-    shutil.copytree(ROOT / "fusion", package / "fusion", ignore=shutil.ignore_patterns("__pycache__"))
+    built = shutil.ignore_patterns("__pycache__", "*.so", "*.pyd")  # a core that was built in the source tree
+    shutil.copytree(ROOT / "fusion", package / "fusion", ignore=built)
     core = importlib.util.find_spec("locfuse.fusion.core.compiled")
     if core is not None and core.origin is not None:  # runs until a file of the core is changed
         (package / "fusion" / "core" / Path(core.origin).name).symlink_to(Path(core.origin).resolve())

@@ -261,7 +261,8 @@ def words_are_wrong(done: Done, short: bool = True) -> str:
         return ""
     if done.code in {1, 2} and (text.count("\n") != 1 or not text.startswith("locfuse: ")):
         return f"exit {done.code} is not one line: {text[-500:]}"
-    if done.code == 3 and not any(c.isdigit() for line in losses.splitlines() if "lost" in line for c in line):
+    lines = [line for line in losses.splitlines() if "lost" in line or "void:" in line]
+    if done.code == 3 and not any(c.isdigit() for line in lines for c in line):
         return f"exit 3 without numbers: {text[-500:]}"
     return ""
 

@@ -103,6 +103,7 @@ class SqliteSource:
         self.losses = losses
         self.data = data
         self._leash = Leash(self.path, data.size)
+        self._readable = 2**63 - 1  # rowid up to which a walk has come that met damage
         self._journal_is_used = self._count_unused_journal()
         try:
             with closing(self._connect()) as database, self._leash.step():
@@ -215,17 +216,19 @@ class SqliteSource:
         topics = sorted(wanted)
         query = (
             f"SELECT {TOPIC}, COALESCE(CAST(timestamp AS INTEGER), -1), "
-            "CASE WHEN length(data) <= ? THEN CAST(data AS BLOB) END FROM messages "
-            f"WHERE {TOPIC} IN ({','.join('?' * len(topics))}) ORDER BY rowid"
+            "CASE WHEN length(data) <= ? THEN CAST(data AS BLOB) END, rowid FROM messages "
+            f"WHERE {TOPIC} IN ({','.join('?' * len(topics))}) AND rowid <= ? ORDER BY rowid"
         )
-        n = 0
+        n, last = 0, 0
         with closing(self._connect()) as database:
             try:
                 with self._leash.step():
-                    for row in database.execute(query, (MAX_MESSAGE, *topics)):
-                        n += 1
-                        yield row
+                    for row in database.execute(query, (MAX_MESSAGE, *topics, self._readable)):
+                        n, last = n + 1, row[3]
+                        yield row[:3]
             except ERRORS:
+                # another walk might get past the damage: then it would have other rows than this one
+                self._readable = min(self._readable, last)
                 expected = sum(self._counts.get(topic, 0) for topic in topics)
                 self.losses.add(str(self.path), CUT_SHORT, 0, 0, max(expected - n, 0) or None)
 

@@ -11,10 +11,10 @@ import numpy as np
 
 from locfuse.formats.columns import concat, n_bytes, take
 from locfuse.formats.messages.presented import PRESENTED
-from locfuse.fusion.data import Block, Column, Ints
+from locfuse.fusion.data import Block, Column, Ints, LocfuseError
 
 from . import clock as clocks
-from .table import Raw, Table
+from .table import CHANGED, Raw, Table
 
 NUMBER = "std_msgs/msg/Float64"  # what a number of any message is presented as
 BLOCK_BYTES = 32 * 1024 * 1024
@@ -99,7 +99,9 @@ class LogStream(clocks.Dated):
                 some, raw = raw.split(min(room, _at_once(raw.messages.length)))  # noqa: PLW2901
                 decoded = some.columns(fields)
                 here = row_of[at : at + int(decoded.good.sum())]
-                at += len(here)
+                at += int(decoded.good.sum())
+                if at > len(row_of):
+                    raise LocfuseError(f"{self.topic}: {CHANGED}")
                 waiting.append(_rows(here, decoded.columns))
                 room -= len(waiting[-1][0])
                 if room <= 0 or _bytes(waiting) >= BLOCK_BYTES:

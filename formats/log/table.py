@@ -40,6 +40,7 @@ class Raw(NamedTuple):
 
 END_OF_TIME = 2**62  # ns
 LONG_BYTES = 64 * 1024  # bytes: no message that is read into columns for a whole log is nearly as long
+CHANGED = "the log changed while it was being read, or is damaged so that two readings of it differ"
 NO_TIMES: tuple[Ints, Ints] = (np.empty(0, np.int64), np.empty(0, np.int64))
 
 
@@ -152,7 +153,7 @@ class Table:
 
     def _add(self, columns: dict[str, Column], n: int) -> None:
         if n != self._n:
-            raise LocfuseError(f"{self.topic}: the log changed while it was being read")
+            raise LocfuseError(f"{self.topic}: {CHANGED}")
         rows = self._walk_rows
         self.columns |= {k: c if rows is None else take(c, rows) for k, c in columns.items()}
 

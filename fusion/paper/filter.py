@@ -25,6 +25,7 @@ from .equations import PRINTED, Printed
 from .rows import PARTS, LineRows, Rows
 
 EARLY = 1e-9  # s: a stamp that is rounding away from the grid is on it
+MAX_STEPS = 2_000_000  # of the loop, 100 bytes each: two days and more
 
 
 def fuse_as_printed(
@@ -77,6 +78,16 @@ class Counts:
         return np.stack([np.interp(t, self.t, side) for side in self.rolled.T], axis=-1)
 
 
+def _grid(end: float, period: float) -> Array:
+    """Return the instants of the filter's loop, (m,) [s]. Raises LocfuseError where they are too many to hold."""
+    if end / period > MAX_STEPS:
+        raise LocfuseError(
+            f"--preset paper steps every {period:g} s, and this drive of {end:.3g} s has {end / period:.3g} "
+            f"steps; {MAX_STEPS} are the most. Fuse a part of it with --from and --to"
+        )
+    return np.arange(0.0, end + EARLY, period)
+
+
 class PrintedFilter:
     """State, covariance, each sensor's part of eq. 16, and the record of what happened."""
 
@@ -89,7 +100,7 @@ class PrintedFilter:
         numbers: Printed = PRINTED,
     ) -> None:
         self.drive, self.numbers, self.listen = drive, numbers, listen
-        self.grid = np.arange(0.0, float(drive.t[-1]) + EARLY, numbers.period)  # (m,) s
+        self.grid = _grid(float(drive.t[-1]), numbers.period)
         self.counts = Counts(drive.wheels)
         self.rolled = np.diff(self.counts.latest(self.grid), axis=0, prepend=0.0)  # (m, 2) left, right by step
         self.L = float(drive.wheels.track)

@@ -8,6 +8,7 @@ import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 from commands import locfuse
@@ -245,3 +246,42 @@ def test_where_all_messages_are_lost_the_file_is_named_and_not_the_wheels(record
     assert done.exit_code == 1
     assert "messages on /joint_states can be read" in done.stderr
     assert "damaged place of the database" in done.stderr
+
+
+class DamagedForTwo:
+    """A database whose rows from the 15th on are damaged for whoever asks for two topics at once."""
+
+    def __init__(self, real: sqlite3.Connection) -> None:
+        self._real = real
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._real, name)
+
+    def execute(self, query: str, values: tuple[Any, ...] = ()) -> Any:
+        rows = self._real.execute(query, values)
+        return self._damaged(rows) if "rowid FROM messages" in query and len(values) == 4 else rows
+
+    def _damaged(self, rows: Iterator[Any]) -> Iterator[Any]:
+        for row in rows:
+            if row[3] > 14:
+                raise sqlite3.DatabaseError("database disk image is malformed")
+            yield row
+
+
+def test_where_a_walk_met_damage_no_later_walk_goes_further(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    topics = "".join(f"INSERT INTO topics VALUES({k}, '/{k}', 'std_msgs/msg/Float64', 'cdr');" for k in (2, 3))
+    rows = "".join(
+        f"INSERT INTO messages VALUES({i}, {2 + i % 2}, {1_700_000_000_000_000_000 + i}, x'00010000{i:016x}');"
+        for i in range(1, 21)
+    )
+    path = database(tmp_path / "bag.db3", TOPICS + topics + MESSAGES + rows)
+    connect = rosbag2_sqlite.SqliteSource._connect
+    monkeypatch.setattr(rosbag2_sqlite.SqliteSource, "_connect", lambda self: DamagedForTwo(connect(self)))
+    log = open_log([path])
+    both = log.read({"/2": ("data",), "/3": ("data",)})
+    assert [len(both[t].columns["data"]) for t in ("/2", "/3")] == [7, 7]
+    assert sum(len(raw.messages.start) for raw in log.raw("/2", ("data",))) == 7  # 10 without the damage
+    assert [len(columns["data"]) for _, columns in log.stream("/3").blocks("data")] == [7]
+    assert any("damaged place of the database are lost (6 messages)" in line for line in log.losses.lines())

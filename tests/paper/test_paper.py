@@ -386,3 +386,13 @@ def test_the_printed_filter_refuses_a_given_map_and_does_not_pass_it_by(tmp_path
     done = locfuse("run", "rounded_rectangle", "--map", hall, "--preset", "paper", "-o", tmp_path / "out")
     assert done.exit_code == 2
     assert "leave --preset paper out" in done.stderr
+
+
+def test_a_drive_of_more_steps_than_memory_is_refused_in_one_line() -> None:
+    drive = small_drive.drive(1, small_drive.robot())
+    years = replace(drive, t=np.append(drive.t[:-1], 1.7e9))
+    with pytest.raises(
+        LocfuseError, match=r"1\.7e\+10 steps; 2000000 are the most\. Fuse a part of it"
+    ) as refused:
+        PrintedFilter(years, small_drive.robot(), (), {})
+    assert "\n" not in str(refused.value)

@@ -21,7 +21,7 @@ import numpy as np
 
 from benchmarks.advice import PAGE, put
 from benchmarks.building import FAR_S
-from benchmarks.relations import relation_errors
+from benchmarks.relations import EPOCH_S, relation_errors
 from locfuse.cli.advice.evaluator import standard
 from locfuse.cli.advice.trial import Trial
 from locfuse.cli.pipeline.settings import silent
@@ -38,7 +38,6 @@ class RealLog:
     sets: tuple[str, ...] = ()
 
 
-RELATIONS_EPOCH_S = 1e9  # s: a relation's stamps plus this are the log's
 ARENA = (
     "wheels.radius=0.0199962",
     "wheels.track=0.155",
@@ -101,20 +100,15 @@ def _obeyed(
         Trial(s.loaded, {c.name: c for c in standard(s.loaded)}, "none", silent)((), (name,))[name]
         for s in (session, obeyed)
     ]
-    yield (
-        name,
-        *(
-            _score(score._asdict() | {"position_rmse_m": None, "prediction_nats": score.prediction})
-            for score in scores
-        ),
-    )
+    was, now = (_score({"position_rmse_m": None, "prediction_nats": score.prediction}) for score in scores)
+    yield name, was, now
 
 
 def _by_relations(session: Session, relations: Path) -> str:
     """Return the mean errors of relative poses that people verified by hand: of scans near and far in time."""
     drive = session.loaded.drive
     table = np.loadtxt(relations)
-    table[:, :2] += RELATIONS_EPOCH_S - drive.epoch_ns * 1e-9 + session.robot.settings("lrf").time_offset
+    table[:, :2] += EPOCH_S - drive.epoch_ns * 1e-9 + session.robot.settings("lrf").time_offset
     estimates = session.run("lrf", advice=False).filtered
     far = table[:, 1] - table[:, 0] > FAR_S
     (near, turn), (beyond, _) = (relation_errors(estimates.t, estimates.pose, table[rows]) for rows in (~far, far))

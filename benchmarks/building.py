@@ -28,7 +28,7 @@ from locfuse.fusion.fuse import fuse
 from locfuse.fusion.sensors import lrf
 from locfuse.fusion.smooth import fuse_and_smooth
 
-from .relations import relation_errors, summary
+from .relations import EPOCH_S, relation_errors, summary
 
 SETTINGS = ("lrf.x=-0.04", "wheels.time_offset=0.13")
 BUILDINGS: dict[str, tuple[str, ...]] = {"fr079": SETTINGS, "aces": ()}  # log -> its settings
@@ -77,7 +77,7 @@ def one_run(
         scans = without_some(drive.measurements["lrf"], rng)
         drive = replace(drive, measurements={**drive.measurements, "lrf": scans})
     relations = np.loadtxt(folder / name / f"{name}.relations")
-    relations[:, :2] += 1e9 - drive.epoch_ns * 1e-9
+    relations[:, :2] += EPOCH_S - drive.epoch_ns * 1e-9
     start = time.process_time()
     robot = loaded.robot
     runs = list(fuse_and_smooth(drive, robot, ["lrf"])) if smooth else [fuse(drive, robot, ["lrf"])]

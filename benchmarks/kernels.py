@@ -33,10 +33,8 @@ Array = NDArray[np.float64]
 Work = Callable[[], int]  # does some units of work and says how many
 ROUNDS = 7
 SCANS = 512
-STEPS, LONG = (
-    2000,
-    20_000,
-)  # of filterpy; of a drive of half an hour, which a run's beginning and end do not count in
+# of filterpy; of a drive of half an hour, in which a run's beginning and end do not count
+STEPS, LONG = 2000, 20_000
 MOTION, NOISE = (0.01, 0.0001, 0.02), (1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-5)
 SIGMA = 0.05
 WALLS = [(2.0, a, math.cos(a), math.sin(a)) for a in (0.0, 1.0, 2.0, 3.0, -1.0, -2.0)]  # rho [m], beta [rad], n

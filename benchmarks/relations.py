@@ -20,6 +20,8 @@ from locfuse.fusion import se2
 
 Array = NDArray[np.float64]
 
+EPOCH_S = 1e9  # s: the stamps of a relation plus this are those of the logs in docs/maps.md
+
 
 def relation_errors(t: Array, pose: Array, relations: Array) -> tuple[Array, Array]:
     """Return translational [m] and rotational [rad] errors (k,) of relations (k, 8) by a trajectory at t (n,).

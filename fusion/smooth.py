@@ -67,6 +67,7 @@ def by_graph(filtered: Estimates, graph: Graph) -> Estimates:
     """Return the drive as the graph has it, its map straightened. States beside the pose stay the filter's."""
     pose, P = graph.poses()
     truth_pose, truth_P = graph.at_truth()
+    loops, loop_poses = graph.seen_again()
     return replace(
         filtered,
         pose=pose,
@@ -75,8 +76,8 @@ def by_graph(filtered: Estimates, graph: Graph) -> Estimates:
         truth_P=truth_P,
         final_map=graph.walls(),
         lost=(),
-        loops=graph.seen_again(),
-        loop_poses=np.zeros((0, 3)),
+        loops=loops,
+        loop_poses=loop_poses,
         notes=(*filtered.notes, *graph.notes()),
         smoothed=True,
     )

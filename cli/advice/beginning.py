@@ -95,7 +95,7 @@ def head(e: Estimates, whole: Drive, drive: Drive) -> Estimates | None:
         notes=(),
         lost=tuple((a, min(b, until)) for a, b in e.lost if a < until),
         loops=e.loops[e.loops[:, 1] <= until],
-        loop_poses=e.loop_poses[e.loops[: len(e.loop_poses), 1] <= until],
+        loop_poses=e.loop_poses[e.loops[:, 1] <= until],
     )
 
 

@@ -19,19 +19,18 @@ from locfuse.cli.pipeline.trust import overconfident, sensors_consistency
 from locfuse.fusion.advice.probes import of_mount, of_offsets, of_probe, of_scale, probe_of
 from locfuse.fusion.advice.search import Candidate, Fixes
 from locfuse.fusion.advice.slip import Slip, slip
-from locfuse.fusion.data import Estimates, Stream, Truth
+from locfuse.fusion.data import Estimates, Truth
 from locfuse.fusion.doctor.clocks import clock_lags, lag_of_run, lags_by_truth
 from locfuse.fusion.doctor.examine import examine, scales
 from locfuse.fusion.doctor.finding import Finding, Least
 from locfuse.fusion.doctor.lag import SAID_SIGMAS, Lag, worth_saying
 from locfuse.fusion.doctor.laser import OPEN_SCALE
-from locfuse.fusion.doctor.laser_driver import of_scatter, ranges_sigma, scatter_more
+from locfuse.fusion.doctor.laser_driver import ranges_sigma, scatter_more
 from locfuse.fusion.judge.consistency import Consistency
 from locfuse.fusion.judge.consistency import Evidence as Said
 from locfuse.fusion.judge.covariance import honesty
 from locfuse.fusion.judge.noise_verdicts import MAX_SIGMA_FACTOR, NoiseVerdict
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.streams import merged
 
 from .trial import Trial
 
@@ -168,7 +167,7 @@ class Evidence:
         loaded = self.trial.whole_under(self.fixes)
         if loaded is None or any(loaded.window) or loaded.robot.preset != "default":
             return []  # the doctor looks at whole drives
-        streams = {role: _stream(loaded, role) for role in loaded.choice.topics}
+        streams = {role: loaded.stream(role) for role in loaded.choice.topics}
         return examine(loaded.drive, loaded.robot, streams, WORTH_TRYING)
 
     @cached_property
@@ -381,24 +380,26 @@ class Evidence:
         return [self._wheel_noise()] if self._slips_unusually else []
 
     @cached_property
+    def _ranges_sigma(self) -> float | None:
+        """The noise of a range as the laser's raw ranges show it [m]; None where they show none."""
+        if LASER not in self.loaded.drive.measurements:
+            return None
+        return ranges_sigma(self.loaded.stream(LASER), self.loaded.robot.settings(LASER))
+
+    @property
     def _ranges_scatter(self) -> bool:
         """Whether the laser's raw ranges scatter by more than configured."""
-        if LASER not in self.loaded.drive.measurements:
-            return False
-        return bool(of_scatter(_stream(self.loaded, LASER), self.loaded.robot.settings(LASER)))
+        return scatter_more(self._ranges_sigma, self.loaded.robot.settings(LASER).sigma_range)
 
     def _as_ranges_scatter(self, sensor: str, verdict: Consistency) -> Fixes:
         """Return the laser's noise as its raw ranges show it, where its lines show it too, if not as exactly.
 
         A sigma that is far too high also joins walls that are two, and these lines fit worse than others.
         """
-        cure = verdict.cures.get(f"{LASER}.sigma_range")
-        if sensor != LASER or verdict.verdict != "overstated" or cure is None:
+        cure, shown = _smaller_range_noise(sensor, verdict), self._ranges_sigma
+        if cure is None or shown is None or not cure / MAX_SIGMA_FACTOR <= shown < cure:
             return ()
         settings = self.loaded.robot.settings(LASER)
-        shown = ranges_sigma(_stream(self.loaded, LASER), settings)
-        if shown is None or not cure / MAX_SIGMA_FACTOR <= shown < cure:
-            return ()
         share = shown / settings.sigma_range
         return tuple(f"{LASER}.{k}={getattr(settings, k) * share:.2g}" for k in REGISTRY[LASER].noise_keys)
 
@@ -407,10 +408,8 @@ class Evidence:
 
         The lines' residuals show the noise of ranges and angles together; the ranges show their own.
         """
-        cure = verdict.cures.get(f"{LASER}.sigma_range")
-        if sensor != LASER or verdict.verdict != "overstated" or cure is None:
-            return False
-        return scatter_more(_stream(self.loaded, LASER), self.loaded.robot.settings(LASER), cure)
+        cure = _smaller_range_noise(sensor, verdict)
+        return cure is not None and scatter_more(self._ranges_sigma, cure)
 
     @cached_property
     def _slip(self) -> Slip | None:
@@ -428,7 +427,7 @@ class Evidence:
     def _too_sure(self, sensor: str, verdict: Consistency) -> bool:
         """Whether truth shows that a filter which is to trust a sensor more trusts it too much already."""
         honest = self.honesty.get(self._alone(sensor))
-        return verdict.verdict == "overstated" and honest is not None and honest.anees > honest.bounds[1]
+        return verdict.verdict == "overstated" and honest is not None and honest.overconfident
 
     @property
     def _noise_factors(self) -> tuple[float, ...]:
@@ -441,7 +440,7 @@ class Evidence:
     def _by_anees(self, sensor: str) -> list[Fixes]:
         """Return the sensor's noise scaled by what truth says of the run that uses it alone."""
         honest = self.honesty.get(self._alone(sensor))
-        if honest is None or honest.bounds[0] <= honest.anees <= honest.bounds[1] or honest.anees <= 0.0:
+        if honest is None or honest.consistent or honest.anees <= 0.0:
             return []
         settings, keys = self.loaded.robot.settings(sensor), REGISTRY[sensor].noise_keys
         factor = honest.anees**0.5
@@ -503,7 +502,7 @@ class Evidence:
         """Return whether a configuration is inconsistent by truth; without truth any may be, once one looks so."""
         honest = self.honesty.get(name)
         lost = any(e.lost for e in self.compared.estimates if e.name == name)
-        return honest is None or lost or not honest.bounds[0] <= honest.anees <= honest.bounds[1]
+        return honest is None or lost or not honest.consistent
 
     def _candidate(self, finding: Finding, alternatives: tuple[Fixes, ...], offer: bool = False) -> Candidate:
         judges = self.judges(finding.role)
@@ -545,9 +544,11 @@ class Evidence:
         return max(names, key=lambda n: len(self.trial.configurations[n].sensors))
 
 
-def _stream(loaded: Loaded, role: str) -> Stream:
-    """Return the raw readings of a role."""
-    return merged([loaded.log.stream(topic, loaded.robot.order) for topic in loaded.choice.of(role)])
+def _smaller_range_noise(sensor: str, verdict: Consistency) -> float | None:
+    """Return the smaller noise of a range [m] that the lines of a laser show, None where they show none."""
+    return (
+        verdict.cures.get(f"{LASER}.sigma_range") if sensor == LASER and verdict.verdict == "overstated" else None
+    )
 
 
 def _noise_options(verdict: Consistency) -> list[Fixes]:

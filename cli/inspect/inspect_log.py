@@ -28,7 +28,6 @@ from locfuse.fusion.doctor.examine import examine
 from locfuse.fusion.doctor.finding import Finding, of_error
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.streams import merged
 
 from .clocks import of_stamps
 from .mounts import conflicts, unplaced
@@ -143,10 +142,7 @@ def _measure(overview: Overview, progress: Callable[[str], None]) -> None:
         return
     progress("looking for findings")
     overview.loaded, overview.robot = loaded, loaded.robot
-    streams = {
-        role: merged([overview.log.stream(topic, loaded.robot.order) for topic in overview.choice.of(role)])
-        for role in overview.choice.topics
-    }
+    streams = {role: loaded.stream(role) for role in loaded.choice.topics}
     overview.findings += examine(loaded.drive, loaded.robot, streams)
     overview.findings += _unusable(overview, loaded)
 

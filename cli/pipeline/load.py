@@ -68,6 +68,10 @@ class Loaded:
     matched: MatchedScans | None = None  # the motion by scans, where there are no wheels
     reading: WheelReading | None = None  # the motion of the whole log; None: it has to be read again
 
+    def stream(self, role: str) -> Stream:
+        """Return the raw readings of a role, of all its topics."""
+        return merged([self.log.stream(topic, self.robot.order) for topic in self.choice.of(role)])
+
     @cached_property
     def labels(self) -> tuple[Event, ...]:
         """Faults that the log labels itself, read when a figure asks for them."""

@@ -32,7 +32,7 @@ def sensors_consistency(
 
 def overconfident(by_truth: Mapping[str, Honesty | None]) -> set[str]:
     """Return the configurations that truth shows to be overconfident."""
-    return {name for name, h in by_truth.items() if h is not None and h.anees > h.bounds[1]}
+    return {name for name, h in by_truth.items() if h is not None and h.overconfident}
 
 
 def add_consistency(
@@ -63,7 +63,7 @@ def unless_overconfident(sensor: str, found: Consistency, using: Sequence[Honest
     Its readings repeat well and are wrong together: a mount, a scale or a clock, which no noise figure fixes.
     """
     wrong = [honest for honest in using if honest is not None]
-    all_wrong = bool(wrong) and all(honest.anees > honest.bounds[1] for honest in wrong)
+    all_wrong = bool(wrong) and all(honest.overconfident for honest in wrong)
     if found.verdict != "overstated" or found.scale is None or not all_wrong:
         return found
     times = math.sqrt(min(honest.anees for honest in wrong))

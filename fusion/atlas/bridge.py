@@ -38,7 +38,7 @@ def seen_from_here(lines: LineMap, at: Ints, belief: JointBelief) -> Bridge:
     by[:, 0, 0], by[:, 0, 1], by[:, 1, 2] = -seen.cos, -seen.sin, -1.0
     by[k, 0, 3 + 2 * k], by[k, 0, 4 + 2 * k], by[k, 1, 4 + 2 * k] = 1.0, seen.u, 1.0
     H = by.reshape(2 * len(at), -1)
-    states = np.concatenate((np.arange(3), (lines.column[at, None] + np.arange(2)).reshape(-1)))
+    states = np.concatenate((np.arange(3), lines.states(at)))
     P = H @ belief.covariance[np.ix_(states, states)] @ H.T
     return Bridge(seen.r, seen.psi, ends, lines.hits[at], 0.5 * (P + P.T))
 
@@ -48,7 +48,7 @@ def heading_among(lines: LineMap, at: Ints, belief: JointBelief) -> float:
 
     That is what the last scans say of it, whatever the robot and its walls have drifted together.
     """
-    states = np.append(2, (lines.column[at, None] + np.arange(2)).reshape(-1))
+    states = np.append(2, lines.states(at))
     P = belief.covariance[np.ix_(states, states)]
     size = np.sqrt(np.maximum(np.diagonal(P), TINY))
     unit = P / np.outer(size, size) + SHARE * np.eye(len(P))

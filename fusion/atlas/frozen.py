@@ -107,7 +107,7 @@ def thaw(kept: LineMap, lines: LineMap, first_column: int) -> None:
 
 def joint_covariance(lines: LineMap, belief: JointBelief) -> Array:
     """Return the covariance (2J, 2J) of rho and beta of all lines."""
-    at = np.stack((lines.column, lines.column + 1), axis=-1).reshape(-1)
+    at = lines.states(np.s_[:])
     P: Array = belief.covariance[np.ix_(at, at)]
     return P
 

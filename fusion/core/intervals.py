@@ -108,9 +108,8 @@ def add_wheels(w, k, share, i, Q, room):
     for side in range(2):
         at, variance = 12 + 3 * side, w.noise * abs(share * w.rolled[k, side])
         add(Q, i, variance, room[at], room[at + 1], room[at + 2])
-    if (
-        w.silent
-    ):  # a whole silence leaves no doubt about the heading, the difference of the sums; a part of it does
+    if w.silent:
+        # a whole silence leaves no doubt about the heading, the difference of the sums; a part of it does
         most = min(w.silence[k, 1] * (share * (w.t[k + 1] - w.t[k])), pi)
         Q[i, 0] += share * w.silence[k, 0]
         Q[i, 4] += share * w.silence[k, 0]

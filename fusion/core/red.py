@@ -5,9 +5,8 @@ A vertical line of the world lies along a radius of the picture, so that a pixel
 
 from math import atan2, floor, pi, sqrt
 
-MEASURED = (
-    5  # numbers of a thing: angle of its middle, pixels, length [px], width [rad], radius of its middle [px]
-)
+# numbers of a thing: angle of its middle, pixels, length [px], width [rad], radius of its middle [px]
+MEASURED = 5
 NINE = 9  # a pixel and its neighbours
 
 
@@ -46,11 +45,8 @@ def red_pixels(g, n):
         i, j = g.points[k, 0], g.points[k, 1]
         if g.excess[j, i] > 0 and reds(g, j, i) > NINE // 2:  # the median of the nine is red too
             dx, dy = (i + g.left) - g.x_c, (j + g.top) - g.y_c
-            g.theta[found], g.radius[found], g.level[found] = (
-                atan2(dx, dy),
-                sqrt(dx * dx + dy * dy),
-                g.excess[j, i],
-            )
+            g.theta[found], g.radius[found] = atan2(dx, dy), sqrt(dx * dx + dy * dy)
+            g.level[found] = g.excess[j, i]
             g.edge[found] = on_edge(i + g.left, j + g.top, g.across, g.down)
             found += 1
     return found

@@ -144,14 +144,8 @@ class Headings:
     def __init__(self, when, z, r, usable, gate, refused, unused, offset, at, states, told, readings, due, taken):
         self.when, self.z, self.r, self.usable = when, z, r, usable
         self.gate, self.refused, self.unused, self.offset = gate, refused, unused, offset
-        self.at, self.states, self.told, self.readings, self.due, self.taken = (
-            at,
-            states,
-            told,
-            readings,
-            due,
-            taken,
-        )
+        self.at, self.states, self.told, self.readings = at, states, told, readings
+        self.due, self.taken = due, taken
 
 
 class Bearings:

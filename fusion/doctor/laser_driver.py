@@ -40,7 +40,7 @@ def of_scatter(stream: Stream, settings: LrfSettings) -> list[Finding]:
     what is left of them fits well.
     """
     sigma = ranges_sigma(stream, settings)
-    if sigma is None or not MAX_SCATTER * settings.sigma_range < sigma < MAX_NOISE_M:
+    if sigma is None or not scatter_more(sigma, settings.sigma_range):
         return []
     words = (
         f"neighbouring ranges scatter by {sigma:.3f} m (1 sigma), and sigma_range is {settings.sigma_range:g} m"
@@ -48,9 +48,8 @@ def of_scatter(stream: Stream, settings: LrfSettings) -> list[Finding]:
     return [Finding("lrf", "noise", words, (f"lrf.sigma_range={sigma:.2g}",))]
 
 
-def scatter_more(stream: Stream, settings: LrfSettings, sigma: float) -> bool:
-    """Return whether neighbouring ranges surely scatter by more than `sigma` [m]."""
-    shown = ranges_sigma(stream, settings)
+def scatter_more(shown: float | None, sigma: float) -> bool:
+    """Return whether ranges, of which `ranges_sigma` is `shown` [m], surely scatter by more than `sigma` [m]."""
     return shown is not None and MAX_SCATTER * sigma < shown < MAX_NOISE_M
 
 

@@ -12,18 +12,17 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.data import Estimates, Ints
 
-from .closures import NARROW_M, NARROW_RAD
+from .closures import CLOSURE_WIDTH, NARROW_M, NARROW_RAD
 from .odometry import Odometry
 from .solve import Edges
 
 # of such a place, half of what a match needs no search for: its walls say it better, but the keys lie beside it
 SIGMA_M, SIGMA_RAD = 0.5 * NARROW_M, 0.5 * NARROW_RAD
-WIDTH = 4.0  # sigmas
 
 
 def recognised(filtered: Estimates, odometry: Odometry, keys: Ints) -> Edges:
     """Return the places that a run recognised, as edges between keys; `keys` (m,) are instants of the run."""
-    at = np.searchsorted(filtered.t, filtered.loops[: len(filtered.loop_poses)])
+    at = np.searchsorted(filtered.t, filtered.loops)
     at = np.minimum(at, len(filtered.t) - 1)
     ends = _nearest(keys, at)
     to_then, _ = odometry.between(keys[ends[:, 0]], at[:, 0])
@@ -31,7 +30,7 @@ def recognised(filtered: Estimates, odometry: Odometry, keys: Ints) -> Edges:
     z = se2.compose(se2.compose(to_then, filtered.loop_poses), from_now)
     information = np.diag(1.0 / np.square((SIGMA_M, SIGMA_M, SIGMA_RAD)))
     apart = ends[:, 0] < ends[:, 1]
-    found = Edges.of(ends[:, 0], ends[:, 1], z, np.tile(information, (len(z), 1, 1)), WIDTH)
+    found = Edges.of(ends[:, 0], ends[:, 1], z, np.tile(information, (len(z), 1, 1)), CLOSURE_WIDTH)
     return found.take(np.flatnonzero(apart))
 
 

@@ -89,10 +89,14 @@ class Graph:
         """Covariance of each key pose (m, 3, 3), and that with the next one (m - 1, 3, 3)."""
         return self.normal.chain(len(self.x))
 
-    def seen_again(self) -> Array:
-        """Return when places were seen before and when they were recognised, (m, 2) [s]."""
-        when = np.sort(self.drive.t[self.keys][np.column_stack((self.closures.i, self.closures.j))], axis=1)
-        return when[np.argsort(when[:, 1], kind="stable")]
+    def seen_again(self) -> tuple[Array, Array]:
+        """Return when places were seen before and when they were recognised, (m, 2) [s], and how (m, 3).
+
+        That is where the second pose lies as seen from the first, which is the earlier one.
+        """
+        when = self.drive.t[self.keys][np.column_stack((self.closures.i, self.closures.j))]
+        order = np.argsort(when[:, 1], kind="stable")
+        return when[order], self.closures.z[order]
 
     def walls(self) -> list[MapLine]:
         """Return the straightened map."""

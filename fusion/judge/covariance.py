@@ -22,13 +22,21 @@ class Honesty:
     """Mean squared error over predicted variance: 1 is right, more is over-confident."""
 
     anees: float
-    bounds: tuple[
-        float, float
-    ]  # where an honest filter's ANEES lies at CONFIDENCE, for one drive's worth of errors
+    bounds: tuple[float, float]  # of an honest filter's ANEES at CONFIDENCE, for one drive's worth of errors
     states: Mapping[str, float] = field(default_factory=dict)  # of x, y and theta, each on its own
     state_bounds: tuple[float, float] = (0.0, math.inf)
     independent: float = 1.0  # how many independent errors the drive is worth
     words: str = ""
+
+    @property
+    def overconfident(self) -> bool:
+        """Whether its errors are larger than an honest filter's by more than chance."""
+        return self.anees > self.bounds[1]
+
+    @property
+    def consistent(self) -> bool:
+        """Whether its ANEES is one that an honest filter has."""
+        return self.bounds[0] <= self.anees <= self.bounds[1]
 
 
 def honesty(judged: Evaluation) -> Honesty | None:

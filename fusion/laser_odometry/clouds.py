@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion.data import Array, Ints, Stream
-from locfuse.fusion.lines.no_return import Longest, below
+from locfuse.fusion.lines.no_return import Longest, left_out
 from locfuse.fusion.lines.points import SCANS_PER_BLOCK
 from locfuse.fusion.lines.scans import Laser, equal_scans, points_in_base
 from locfuse.fusion.scan_matching.clouds import MAX_RANGE_M, Clouds, normals
@@ -60,15 +60,11 @@ def read_scans(stream: Stream, laser: Laser, wheels: WheelMotion) -> Scans:
 
     A range that the driver writes where nothing came back is left out, unless `laser` says how far it sees.
     """
-    scans, longest = _read(stream, laser, wheels)
-    if laser.range_max is not None or longest.no_return is None:
-        return scans
-    return _read(stream, laser._replace(range_max=below(longest.no_return)), wheels)[0]
+    return left_out(laser, lambda understood, longest: _read(stream, understood, wheels, longest))[0]
 
 
-def _read(stream: Stream, laser: Laser, wheels: WheelMotion) -> tuple[Scans, Longest]:
-    """Return the scans of a stream, and its longest range."""
-    longest = Longest()
+def _read(stream: Stream, laser: Laser, wheels: WheelMotion, longest: Longest) -> Scans:
+    """Return the scans of a stream; `longest` sees all of its ranges."""
     stamps: Array = (stream.t_ns - stream.t_ns[0]) * np.float64(1e-9)
     t = stamps.copy()
     points: list[NDArray[np.float32]] = [np.zeros((0, 2), np.float32)] * len(t)
@@ -81,7 +77,7 @@ def _read(stream: Stream, laser: Laser, wheels: WheelMotion) -> tuple[Scans, Lon
             xy, t[at] = points_in_base(scans, stamps[at], laser, wheels)
             for row, p in zip(at.tolist(), xy, strict=True):
                 points[row] = _thinned(p, laser.mount[:2]).astype(np.float32)
-    return Scans(t, points, laser.mount[:2], skewed), longest
+    return Scans(t, points, laser.mount[:2], skewed)
 
 
 def _thinned(points: Array, origin: Array) -> Array:

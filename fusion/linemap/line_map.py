@@ -145,6 +145,10 @@ class LineMap:
             spread += _cross_spread(belief.covariance, columns, c, s, u)
         return Prediction(r, beta - belief.theta, c, s, u, spread)
 
+    def states(self, which: Ints | slice) -> Ints:
+        """Return the state columns of lines `which` (k,), rho and beta line by line, (2k,)."""
+        return (self.column[which][:, None] + np.arange(2)).reshape(-1)
+
     def covariances_of(self, which: Ints, belief: JointBelief) -> Array:
         """Return the state covariances of lines `which`, (k, 2, 2)."""
         at = self.column[which, None] + np.arange(2)

@@ -6,9 +6,16 @@ round the robot that goes with it. Ranges of a wall scatter: hardly two of the l
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeVar
+
 import numpy as np
 
 from locfuse.fusion.data import Array
+
+from .scans import Laser
+
+T = TypeVar("T")
 
 MIN_REPEATS = 20  # of the longest range of a log: fewer may be chance, and draw nothing
 NEAR = 0.99  # of the longest range: where the ranges of the same wall would lie
@@ -58,6 +65,14 @@ class Longest:
         )
 
 
-def below(value: float) -> float:
-    """Return the largest range [m] that is shorter than the word for no return."""
-    return float(np.nextafter(value, 0.0))
+def left_out(laser: Laser, read: Callable[[Laser, Longest], T]) -> tuple[T, Laser, tuple[str, ...]]:
+    """Read scans, and once more without the word for no return where they have one; with the laser, and a note.
+
+    Not where `laser` says how far it sees: then the user has decided. `read` shows all ranges to what it is given.
+    """
+    longest = Longest()
+    found = read(laser, longest)
+    if laser.range_max is not None or longest.no_return is None:
+        return found, laser, ()
+    laser = laser._replace(range_max=float(np.nextafter(longest.no_return, 0.0)))
+    return read(laser, Longest()), laser, (longest.note,)

@@ -31,11 +31,8 @@ from locfuse.fusion.se2 import wrap
 from locfuse.fusion.sensor import GATE, Ask, Bearings, Belief, Bias, Block, Innovation, Model, Sensor, WheelMotion
 
 AMBIGUOUS, UNMATCHED = (VERDICTS.index(v) for v in ("ambiguous", "unmatched"))
-VERDICTS_OF_CHOICE = (
-    GATE,
-    AMBIGUOUS,
-    UNMATCHED,
-)  # of a best candidate that is refused, of ambiguous ones, of others
+# of a best candidate that is refused, of ambiguous ones, of others
+VERDICTS_OF_CHOICE = (GATE, AMBIGUOUS, UNMATCHED)
 MAX_PANORAMA_COLUMNS, MAX_PANORAMA_ROWS = 3600, 8192  # of a panorama: its maps stay below 250 MB
 MARGIN = 9.0  # by how much the second-best candidate must fit worse (squared sigmas: odds of 90 to 1)
 

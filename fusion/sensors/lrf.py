@@ -17,7 +17,7 @@ from locfuse.fusion.atlas.tracker import AtlasTracker
 from locfuse.fusion.data import Array, Colour, Component, Ints, Measurements, Stream
 from locfuse.fusion.lines.extract import LineSettings
 from locfuse.fusion.lines.flatness import wall_floor
-from locfuse.fusion.lines.no_return import Longest, below
+from locfuse.fusion.lines.no_return import Longest, left_out
 from locfuse.fusion.lines.points import SCANS_PER_BLOCK, ScanPoints
 from locfuse.fusion.lines.scans import Gathered, Laser, equal_scans, lines_in_base, too_many_beams, turns
 from locfuse.fusion.mount import ASK_MOUNT, Mount, MountedSettings, mount_states
@@ -87,12 +87,9 @@ class Lrf(Sensor):
     def measure(self, stream: Stream, settings: LrfSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
         """Extract the lines of every scan, deskewed to the middle of the scan, in the base frame."""
         stamps: Array = (stream.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset
-        laser = laser_of(settings)
-        t, found, longest = self._lines(stream, stamps, laser, wheels)
-        nothing = longest.no_return if settings.range_max is None else None
-        if nothing is not None:
-            laser = laser._replace(range_max=below(nothing))
-            t, found, _ = self._lines(stream, stamps, laser, wheels)
+        (t, found), laser, unseen = left_out(
+            laser_of(settings), lambda laser, longest: self._lines(stream, stamps, laser, wheels, longest)
+        )
         first, z, R_unit, ends, sweep = found.in_order(len(t))
         uneven = unevenness(settings, t, first, z, R_unit, sweep[:, 1], wheels)
         floor = np.maximum(uneven, np.square((settings.floor_range, math.radians(settings.floor_angle_deg))))
@@ -104,18 +101,16 @@ class Lrf(Sensor):
         too_large = {"too_many_beams": found.giants, "too_many_lines": found.crowded}
         dropped = {**stream.dropped, **{reason: n for reason, n in too_large.items() if n}}
         points = ScanPoints(stream, self.reads[stream.msgtype], stamps, laser, wheels, np.arange(len(t)))
-        notes = (*_floor_notes(uneven, settings), *_curve_notes(found.curved, found.straight))
-        if nothing is not None:
-            notes = (longest.note, *notes)
+        notes = (*unseen, *_floor_notes(uneven, settings), *_curve_notes(found.curved, found.straight))
         return Measurements(
             t, first, z, R_unit, settings.sigma_range, np.diag(floor), extra, dropped, points, notes
         )
 
     def _lines(
-        self, stream: Stream, stamps: Array, laser: Laser, wheels: WheelMotion
-    ) -> tuple[Array, Gathered, Longest]:
-        """Return the instants of the scans (n,) [s], their lines, and the longest range."""
-        t, found, longest = stamps.copy(), Gathered(), Longest()
+        self, stream: Stream, stamps: Array, laser: Laser, wheels: WheelMotion, longest: Longest
+    ) -> tuple[Array, Gathered]:
+        """Return the instants of the scans (n,) [s] and their lines; `longest` sees all ranges."""
+        t, found = stamps.copy(), Gathered()
         for rows, columns in stream.blocks(*self.reads[stream.msgtype], rows=SCANS_PER_BLOCK):
             found.giants += too_many_beams(columns)
             for group, scans in equal_scans(columns):
@@ -123,7 +118,7 @@ class Lrf(Sensor):
                 at = rows[group]
                 lines, t[at] = lines_in_base(scans, stamps[at], laser, wheels)
                 found.add(at, lines)
-        return t, found, longest
+        return t, found
 
     def heading(self, m: Measurements) -> tuple[Array, Array]:
         """Return times (n,) and headings (n,) [rad, unwrapped, up to a constant] by lines from scan to scan."""

@@ -14,6 +14,7 @@ from locfuse.fusion.data import Measurements
 from locfuse.fusion.doctor.finding import Finding
 from locfuse.fusion.doctor.lag import Lag
 from locfuse.fusion.judge.consistency import Consistency
+from locfuse.fusion.judge.covariance import Honesty
 from locfuse.fusion.judge.noise_verdicts import Verdict
 from locfuse.fusion.sensors.lrf import LrfSettings
 
@@ -104,7 +105,7 @@ def doubtful(anees: float, verdict: Verdict = "overstated") -> Evidence:
     """A log whose one run has this ANEES, 0.5 to 2 being chance."""
     made = Evidence.__new__(Evidence)
     vars(made).update(
-        honesty={"lrf": SimpleNamespace(anees=anees, bounds=(0.5, 2.0))},
+        honesty={"lrf": Honesty(anees, (0.5, 2.0))},
         consistency={"lrf": Consistency(verdict, "", cures={"lrf.sigma_range": 0.01})},
         compared=SimpleNamespace(evaluations=[SimpleNamespace(name="lrf", figures={"position_rmse_m": 0.1})]),
         trial=SimpleNamespace(configurations={"lrf": SimpleNamespace(sensors=("lrf",))}),
@@ -171,9 +172,12 @@ def test_a_range_noise_that_is_set_too_high_is_also_tried_as_the_ranges_show_it(
     lines: float, ranges: float | None, offered: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made, cures = doubtful(1.0), {"lrf.sigma_range": lines, "lrf.sigma_angle_deg": lines / 0.12}
-    robot = SimpleNamespace(settings=lambda _: LrfSettings(sigma_range=0.09, sigma_angle_deg=0.75))
-    vars(made)["compared"] = SimpleNamespace(loaded=SimpleNamespace(robot=robot))
-    monkeypatch.setattr("locfuse.cli.advice.evidence._stream", lambda *_: None)
+    loaded = SimpleNamespace(
+        robot=SimpleNamespace(settings=lambda _: LrfSettings(sigma_range=0.09, sigma_angle_deg=0.75)),
+        drive=SimpleNamespace(measurements=("lrf",)),
+        stream=lambda _: None,
+    )
+    vars(made)["compared"] = SimpleNamespace(loaded=loaded)
     monkeypatch.setattr("locfuse.cli.advice.evidence.ranges_sigma", lambda *_: ranges)
     assert made._as_ranges_scatter("lrf", Consistency("overstated", "", cures=cures)) == offered
     assert not made._as_ranges_scatter("lrf", Consistency("understated", "", cures=cures))

@@ -10,7 +10,7 @@ from commands import locfuse
 from scan_streams import scan_stream
 
 from locfuse.fusion.data import Array
-from locfuse.fusion.doctor.laser_driver import of_scatter, scatter_more
+from locfuse.fusion.doctor.laser_driver import of_scatter, ranges_sigma, scatter_more
 from locfuse.fusion.sensors.lrf import LrfSettings
 
 BEAMS, SCANS = 360, 30
@@ -47,7 +47,7 @@ def test_a_noise_that_is_right_or_too_high_is_not_mentioned() -> None:
 @pytest.mark.parametrize(("sigma", "more"), [(0.02, True), (0.028, False), (0.04, False)])
 def test_a_smaller_sigma_is_contradicted_by_the_ranges(sigma: float, more: bool) -> None:
     ranges = room() + noise(0.03)
-    assert scatter_more(scan_stream(range(SCANS), ranges), LrfSettings(), sigma) == more
+    assert scatter_more(ranges_sigma(scan_stream(range(SCANS), ranges), LrfSettings()), sigma) == more
 
 
 def test_walls_without_noise_leave_nothing_however_they_lie() -> None:

@@ -43,7 +43,7 @@ def test_a_ring_driven_twice_is_closed_and_straight() -> None:
 
 def test_a_loop_joins_two_times_at_which_the_robot_was_at_one_place() -> None:
     drive, truth, graph = solved()
-    then, now = np.searchsorted(drive.t, graph.seen_again()).T
+    then, now = np.searchsorted(drive.t, graph.seen_again()[0]).T
     assert len(now) == len(graph.closures)
     assert (drive.t[now] - drive.t[then] > 10.0).all(), "that is no return"
     assert np.hypot(*(truth[now] - truth[then])[:, :2].T).max() < WIDTH, "that is another corridor"

@@ -28,7 +28,12 @@ SOURCES = (
     "intervals",
     "red",
     "scans",
+    "singles",
     "bearings",
+    "echoes",
+    "fixes",
+    "turns",
+    "sightings",
     "coast",
 )  # compiled as one unit: a file uses those before it
 COMPILED = "compiled"  # the extension's name, beside the sources

@@ -238,7 +238,7 @@ class Columns(ABC):
     def table(self, belief: Any) -> Any:
         """Return the table, with the states as they lie in the belief now."""
 
-    def passed(self, first: int, last: int) -> None:
+    def passed(self, first: int, last: int) -> None:  # noqa: B027, most have nothing to learn from it
         """Take in that the core took the readings first:last."""
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from locfuse.fusion.core import tables
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.core.singles import JUDGED
-from locfuse.fusion.data import Audit, Drive, Ints
+from locfuse.fusion.data import Audit, Drive
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.sensor import UNTOLD, Columns, Innovation, Model
 

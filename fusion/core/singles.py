@@ -55,24 +55,26 @@ def say(d, k, y, r, shared, follows):
 def weigh(b, d, numbers, states, told, row):
     """Write NIS, innovations and sigmas of the next rows, which are one reading of so many `numbers`.
 
-    Eq. 10's S = H P H' + R, and y' S^-1 y. Returns what `whiten` does.
+    Eq. 10's S = H P H' + R, and y' S^-1 y, which is left NaN for what is no number. Returns what `whiten` does.
     """
     k, nis = d.singles, 0.0
     for i in range(numbers):
         for j in range(i):
             d.S[i, j] = product(b.P, d, k + i, k + j, states) + d.own_R[k + i, 1]
         d.S[i, i] = variance(b.P, d, k + i, states) + d.own_R[k + i, 0]
-        told[row, JUDGED + numbers + i] = d.S[i, i]
+        told[row, JUDGED + i] = d.own_y[k + i]
+        told[row, JUDGED + numbers + i] = sqrt(d.S[i, i]) if d.S[i, i] > 0.0 else d.S[i, i]
     greatest = max(0.0, d.S[0, 0])
+    if not abs(d.S[0, 0] + d.S[numbers - 1, numbers - 1]) >= 0.0:  # of a reading that is no number
+        return 1.0
     if not factor(d.S, numbers):
         return -greatest
     for i in range(numbers):
-        told[row, JUDGED + i] = d.e[i] = d.own_y[k + i]
+        d.e[i] = d.own_y[k + i]
         for j in range(i):
             d.e[i] -= d.S[i, j] * d.e[j]
         d.e[i] /= d.S[i, i]
         nis += d.e[i] * d.e[i]
-        told[row, JUDGED + numbers + i] = sqrt(told[row, JUDGED + numbers + i])
     told[row, 2] = nis
     return greatest
 

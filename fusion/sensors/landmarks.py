@@ -314,8 +314,7 @@ class LandmarksModel(Model):
     def passed(self, landmarks: list[int], verdicts: list[float], placed: list[list[float]]) -> None:
         """Take in what became of detections that the core compared, and where they put their landmarks."""
         for landmark, place in zip(landmarks, placed, strict=True):
-            if place[2] > 0.0:  # NaN: the robot's own place was not known well enough
-                self._seen_at[landmark].append((place[0], place[1], place[2]))
+            self._keep_place(landmark, *place)  # NaN where the robot's own place was not known well enough
 
     def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
         """Compare the detections of one instant with the belief."""
@@ -401,7 +400,11 @@ class LandmarksModel(Model):
         out = room.floats(2)
         room.functions.placed(belief.x, belief.y, belief.theta, *self.mount, distance, bearing, out)
         x, y = room.listed(out, 2)
-        self._seen_at[landmark].append((x, y, math.hypot(sigma, self.sigmas[1], distance * self.sigmas[0])))
+        self._keep_place(landmark, x, y, math.hypot(sigma, self.sigmas[1], distance * self.sigmas[0]))
+
+    def _keep_place(self, landmark: int, x: float, y: float, sigma: float) -> None:
+        if math.isfinite(x + y + sigma):
+            self._seen_at[landmark].append((x, y, sigma))
 
     def notes(self, belief: Any) -> list[str]:
         """Say which landmarks stand elsewhere than the map says, and which two stand in each other's place."""

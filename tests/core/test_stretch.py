@@ -3,30 +3,19 @@
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from core_tables import FRAME, GATE, REFUSED, N, believed, table
 from textbook import TextbookEkf
 
 from locfuse.fusion.core import coast as core
 from locfuse.fusion.core.scans import MATCHED, NOTHING
 from locfuse.fusion.data import Array
 
-N, OFFSET, FRAME = 14, 3, 4  # states; the columns of the compass' offset and of the map frame
-REFUSED, UNUSED, GATE = 1.0, 5.0, 6.6
-
-
-def table(**columns: Any) -> Any:
-    """What the core works on, interpreted: any object that has these."""
-    return SimpleNamespace(**columns)
-
-
-def believed(seed: int, frame: int = -1) -> Any:
-    rng = np.random.default_rng(seed)
-    root = 0.1 * rng.normal(size=(N, N))
-    return table(x=rng.normal(size=N), P=root @ root.T + 1e-3 * np.eye(N), n=N, frame=frame)
+OFFSET = 3  # the column of the compass' offset
+UNUSED = 5.0
 
 
 def headings(z: list[float], r: float, at: tuple[int, ...], when: tuple[int, ...] = ()) -> Any:

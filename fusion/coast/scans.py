@@ -195,7 +195,7 @@ def _rules(of: LineTracker, m: Measurements) -> dict[str, Any]:
 def desk(singles: int = 0, lines: int = 0, places: int = 0, free: int = 0, parts: int = 0) -> dict[str, Array]:
     """Return room for a scan of so many lines, a map of so many places, a mount, and what else an instant has.
 
-    A heading has up to three states. Beside so many rows of `singles` there is a bearing's, and as many as are tried.
+    A heading has up to three states. A bearing's row stands beside those of `singles`, and some are tried.
     """
     own = singles + 1 + TRIED
     m, columns = 2 * lines + 1 + own, 3 + free + 2 * lines + 3 + WIDE * own

@@ -24,6 +24,7 @@ SOURCES = (
     "match",
     "doubles",
     "filter",
+    "nees",
     "tables",
     "intervals",
     "red",

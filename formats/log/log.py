@@ -17,9 +17,9 @@ from locfuse.formats.container.source import Messages, Recorded, Source
 from locfuse.formats.messages.fields import FieldError, resolve
 from locfuse.formats.messages.kinds import NUMBER as A_NUMBER
 from locfuse.formats.messages.kinds import check_kind, kind_of
-from locfuse.formats.messages.presented import PRESENTED, presented_name
 from locfuse.formats.messages.schema import SchemaError
 from locfuse.formats.nearest import did_you_mean
+from locfuse.formats.presented.kinds import PRESENTED, presented_name
 from locfuse.formats.robot import transforms
 from locfuse.formats.robot.tag_frames import OF_CAMERA, TAGS
 from locfuse.formats.url import Place

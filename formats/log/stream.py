@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from locfuse.formats.columns import concat, n_bytes, take
-from locfuse.formats.messages.presented import PRESENTED
+from locfuse.formats.presented.kinds import PRESENTED
 from locfuse.fusion.data import Block, Column, Ints, LocfuseError
 
 from . import clock as clocks
@@ -215,7 +215,7 @@ class NumberStream(DerivedStream):
 
 
 class PresentedStream(DerivedStream):
-    """Messages of one type as those of another (formats.messages.presented)."""
+    """Messages of one type as those of another (formats.presented.kinds)."""
 
     def __init__(self, topic: str, source: LogStream) -> None:
         super().__init__(topic, source)

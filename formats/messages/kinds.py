@@ -42,10 +42,22 @@ READ_TYPES = frozenset(
             f"foxglove{dot}{name}"
             for dot in (".", "_msgs/msg/")
             for name in (
-                *("CompressedImage", "FrameTransform", "FrameTransforms", "LaserScan", "LocationFix"),
-                *("PoseInFrame", "RawImage"),
+                *(
+                    "CompressedImage",
+                    "FrameTransform",
+                    "FrameTransforms",
+                    "JointStates",
+                    "LaserScan",
+                    "LocationFix",
+                ),
+                *("Odometry", "PointCloud", "PoseInFrame", "RawImage"),
             )
         ),
+        "clearpath_platform_msgs/msg/Feedback",
+        "gps_common/msg/GPSFix",
+        "gps_msgs/msg/GPSFix",
+        "jackal_msgs/msg/Feedback",
+        "unitree_go/msg/SportModeState",
         "geometry_msgs/msg/Pose",
         "gazebo_msgs/msg/ModelStates",
         "gazebo_msgs/msg/LinkStates",
@@ -101,6 +113,7 @@ ONE_NUMBER = frozenset(
     (
         *(f"magnetic_field.{axis}" for axis in XYZ),
         *(f"angular_velocity.{axis}" for axis in XYZ),
+        "linear_velocity.x", "point_stride",
         *(f"{at}orientation.{axis}" for at in ("", "pose.", "pose.pose.") for axis in XYZW),
         *(f"{at}position.{axis}" for at in ("", "pose.", "pose.pose.") for axis in XY),
         *(f"transform.translation.{axis}" for axis in XY),
@@ -161,6 +174,14 @@ EXPECTED: Mapping[str, tuple[str, ...]] = {
     "fields.name": (TEXTS,),
     "fields.offset": (NUMBERS,),
     "fields.datatype": (NUMBERS,),
+    "fields.type": (NUMBERS,),
+    "joints.name": (TEXTS,),
+    **{f"joints.{name}": (NUMBERS,) for name in ("position", "velocity", "effort")},
+    "drivers.measured_travel": (NUMBERS,),
+    "drivers.measured_velocity": (NUMBERS,),
+    "pose_covariance": (THIRTY_SIX, NUMBERS),
+    "velocity_covariance": (THIRTY_SIX, NUMBERS),
+    "imu_state.quaternion": ("4 numbers",),
     CAMERA_MATRIX: (NINE,),
     "position": (NUMBERS,),
     "velocity": (NUMBERS,),
@@ -199,8 +220,9 @@ OF_TYPE: Mapping[tuple[str, str], tuple[str, ...]] = {
     **{
         (f"foxglove{dot}{name}", "data"): (BYTES,)
         for dot in (".", "_msgs/msg/")
-        for name in ("CompressedImage", "RawImage")
+        for name in ("CompressedImage", "PointCloud", "RawImage")
     },
+    ("unitree_go/msg/SportModeState", "position"): ("3 numbers",),
     **{(f"std_msgs/msg/{name}MultiArray", "data"): (NUMBERS,) for name in (*WHOLE_NUMBERS, "Float32", "Float64")},
 }
 TF = "transforms."  # one value for each transform of a message

@@ -7,7 +7,26 @@ from typing import NamedTuple
 
 from locfuse.fusion.data import Column
 
-from .as_joints import DYNAMIC, JOINTS, OF_DYNAMIC, as_joints
+from .as_joints import (
+    DYNAMIC,
+    FEEDBACK,
+    FOXGLOVE_JOINTS,
+    JOINTS,
+    OF_DYNAMIC,
+    OF_FEEDBACK,
+    OF_FOXGLOVE_JOINTS,
+    as_joints,
+    joints_of_feedback,
+    joints_of_foxglove,
+)
+from .as_odometry import (
+    FOXGLOVE_ODOMETRY,
+    OF_FOXGLOVE_ODOMETRY,
+    OF_SPORT_STATE,
+    SPORT_STATE,
+    odometry_of_foxglove,
+    odometry_of_sport_state,
+)
 from .as_px4 import (
     IMU,
     LOCAL_POSITION,
@@ -25,13 +44,16 @@ from .as_scan import (
     CLOUD,
     ECHOES,
     FOXGLOVE,
+    FOXGLOVE_CLOUD,
     OF_CLOUD,
     OF_ECHOES,
     OF_FOXGLOVE,
+    OF_FOXGLOVE_CLOUD,
     SCAN,
     cloud_as_scans,
     echoes_as_scans,
     foxglove_as_scans,
+    foxglove_clouds_as_scans,
     level_frame,
 )
 
@@ -50,6 +72,13 @@ PRESENTED: Mapping[str, Presented] = {
     CLOUD: Presented(SCAN, "scan", OF_CLOUD, cloud_as_scans, frame=level_frame),
     ECHOES: Presented(SCAN, "scan", OF_ECHOES, echoes_as_scans),
     **dict.fromkeys(FOXGLOVE, Presented(SCAN, "scan", OF_FOXGLOVE, foxglove_as_scans)),
+    **dict.fromkeys(FOXGLOVE_CLOUD, Presented(SCAN, "scan", OF_FOXGLOVE_CLOUD, foxglove_clouds_as_scans)),
+    **dict.fromkeys(
+        FOXGLOVE_ODOMETRY, Presented(ODOMETRY, "odometry", OF_FOXGLOVE_ODOMETRY, odometry_of_foxglove)
+    ),
+    SPORT_STATE: Presented(ODOMETRY, "odometry", OF_SPORT_STATE, odometry_of_sport_state, frame=lambda _: "odom"),
+    **dict.fromkeys(FOXGLOVE_JOINTS, Presented(JOINTS, "joints", OF_FOXGLOVE_JOINTS, joints_of_foxglove)),
+    **dict.fromkeys(FEEDBACK, Presented(JOINTS, "joints", OF_FEEDBACK, joints_of_feedback)),
     VEHICLE_ODOMETRY: Presented(ODOMETRY, "odometry", OF_ODOMETRY, odometry_of_vehicle, frame=lambda _: "odom"),
     LOCAL_POSITION: Presented(ODOMETRY, "odometry", OF_POSITION, odometry_of_position, frame=lambda _: "odom"),
     SENSOR_COMBINED: Presented(IMU, "imu", OF_SENSOR, imu_of_sensor),

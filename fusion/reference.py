@@ -135,7 +135,8 @@ def _noisier(drive: Drive, factors: Mapping[str, float]) -> Drive:
 
 
 def _present(drive: Drive) -> tuple[str, ...]:
-    return tuple(s for s in REGISTRY if s in drive.measurements)
+    """Return the sensors that measured something: a dead one makes no reference."""
+    return tuple(s for s in REGISTRY if s in drive.measurements and len(drive.measurements[s].z))
 
 
 def _without(sensor: str, present: Sequence[str]) -> tuple[str, ...]:

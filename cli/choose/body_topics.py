@@ -17,7 +17,7 @@ from locfuse.fusion.truth import looks_like_truth
 from locfuse.fusion.wheels.odometry import ODOMETRY, PLANAR, POSE, SCANS, SPEED, STEERED, TRANSFORM, commanded
 from locfuse.fusion.wheels.read import WHEEL_READS
 
-from .mounts import is_base, is_odometry, last_word
+from .mounts import is_base, is_odometry, is_room
 from .not_read import not_read
 from .topics import ONLY, Choice, likeliest, of_type, one
 
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 TWISTS = tuple(kind for kind in SPEED if kind not in (*POSE, *PLANAR))
 POSES = tuple(kind for kind in (*POSE, *PLANAR) if kind not in (ODOMETRY, TRANSFORM))
-ROOM_FRAMES = ("map", "world", "earth")  # last word of the frames in which another program says where the robot is
 MADE_OF_MORE = (
     "filter",
     "ekf",
@@ -217,11 +216,6 @@ def odometry_frames(log: Log) -> list[str]:
 def in_room(log: Log, topic: str) -> bool:
     """Return whether the poses of a topic are given in a frame that stands still in the room."""
     return is_room(log.stream(topic).frame_id)
-
-
-def is_room(frame: str) -> bool:
-    """Return whether a frame is called like one that stands still in the room."""
-    return last_word(frame) in ROOM_FRAMES
 
 
 def moving_frames(log: Log, fixed: Callable[[str], bool]) -> list[str]:

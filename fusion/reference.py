@@ -26,6 +26,8 @@ def refuse(drive: Drive, robot: Robot) -> None:
             fixes=("truth.topic=none",),
             hint="Leave --reference out, or hide the truth: --set truth.topic=none",
         )
+    if drive.wheels.stands:
+        raise UsageError("--reference: the robot does not move in this log, so no sensor can be judged")
     check_optimal(robot, _present(drive))
     if not _locates(_present(drive)):
         raise UsageError(

@@ -38,7 +38,6 @@ MADE_OF_MORE = (
     "slam",
     "map",
     "amcl",
-    "gps",
     "lidar",
     "zed",
     "vins",
@@ -55,6 +54,7 @@ MADE_OF_MORE = (
     "scan",
     "mavros",
 )
+MADE_OF_FIXES = ("gps", "gnss", "navsat")  # navsat_transform's has no heading
 ONLY_CORRECT = ("sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/Imu")  # types that make no motion by themselves
 RAW = ("unfiltered", "raw", "wheel", "encoder", "_enc")
 PRESENTED_AS = ("odometry",)  # how topics end that are another type made into an Odometry
@@ -161,17 +161,19 @@ def _a_topic(name: str) -> bool:
 
 def _least_made(odometry: Sequence[str]) -> tuple[list[str], str, list[str]]:
     """Return the odometries whose names say that they are nearest to the wheels, why, and the others."""
-    found = [[t for t in odometry if _made(t) == rank] for rank in range(3)]
+    found = [[t for t in odometry if _made(t) == rank] for rank in range(4)]
     best = next(topics for topics in found if topics)
     others = [t for t in odometry if t not in best]
     return best, NEAREST if others else ONLY, others
 
 
 def _made(topic: str) -> int:
-    """Return 0 where an odometry's name says that it is raw, 2: made of more than the wheels; else 1."""
+    """Return 0 where an odometry's name says that it is raw, 2: of more than wheels, 3: of fixes; else 1."""
     name = topic.lower()
     if any(word in name for word in RAW):
         return 0
+    if any(word in name for word in MADE_OF_FIXES):
+        return 3
     return 2 if any(word in name for word in MADE_OF_MORE) else 1
 
 

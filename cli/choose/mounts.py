@@ -26,7 +26,7 @@ MAX_TILT = 0.7  # of the z axis, along the vertical: more is a frame whose z axi
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 BASE_FRAMES = ("base_link", "base_footprint", "base")
 ODOMETRY_WORD = "odom"
-ROOM_FRAMES = ("map", "world", "earth")  # last word of the frames in which another program says where the robot is
+ROOM_FRAMES = ("map", "world", "earth", "utm")  # last word of frames that stand still in the room
 
 
 def transforms_of(log: Log, frames: Iterable[str]) -> StaticTransforms:

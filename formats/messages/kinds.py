@@ -76,6 +76,7 @@ READ_TYPES = frozenset(
         "locfuse/msg/TagFrames",
         "mocap4r2_msgs/msg/RigidBodies",
         "nav_msgs/msg/Odometry",
+        "nav_msgs/msg/Path",
         "px4_msgs/msg/SensorCombined",
         "px4_msgs/msg/VehicleLocalPosition",
         "px4_msgs/msg/VehicleOdometry",
@@ -144,10 +145,12 @@ EXPECTED: Mapping[str, tuple[str, ...]] = {
     "rigidbodies.rigid_body_name": (TEXTS,),
     **{f"rigidbodies.pose.position.{axis}": (NUMBERS,) for axis in XY},
     **{f"rigidbodies.pose.orientation.{axis}": (NUMBERS,) for axis in XYZW},
+    **{f"poses.pose.orientation.{axis}": (NUMBERS,) for axis in XYZW},
     **{
         f"{at}.{axis}": (NUMBERS,)
         for at in (
             "poses.position",
+            "poses.pose.position",
             "markers.pose.position",
             "markers.pose.pose.position",
             "detections.pose.pose.pose.position",
@@ -256,7 +259,7 @@ def expected(msgtype: str, path: str) -> tuple[str, ...]:
         return (TIME,)
     if msgtype not in READ_TYPES:
         return ()
-    if path.startswith("transforms.header.stamp"):
+    if path.startswith(("transforms.header.stamp", "poses.header.stamp")):
         return (TIMES, TIME)
     if path.startswith(TF) and OR in path:
         return (TEXTS, TEXT) if path.endswith(TF_TEXTS) else (NUMBERS, NUMBER)

@@ -57,6 +57,13 @@ from .as_scan import (
     level_frame,
 )
 
+PATH, POSE = "nav_msgs/msg/Path", "geometry_msgs/msg/PoseStamped"
+OF_PATH = (
+    "poses.header.stamp",
+    *(f"poses.pose.position.{axis}" for axis in "xy"),
+    *(f"poses.pose.orientation.{axis}" for axis in "xyzw"),
+)
+
 
 class Presented(NamedTuple):
     """How the messages of a type become those of another."""
@@ -64,7 +71,8 @@ class Presented(NamedTuple):
     msgtype: str  # what they become
     suffix: str  # the topic is called "/source:suffix"
     fields: tuple[str, ...]  # of the source
-    make: Callable[[Mapping[str, Column], tuple[str, ...], str], dict[str, Column]]  # columns, fields, frame id
+    # columns, fields, frame id -> columns; None where the last message holds all rows (log.stream.PathStream)
+    make: Callable[[Mapping[str, Column], tuple[str, ...], str], dict[str, Column]] | None
     frame: Callable[[str], str] = str
 
 
@@ -82,6 +90,7 @@ PRESENTED: Mapping[str, Presented] = {
     VEHICLE_ODOMETRY: Presented(ODOMETRY, "odometry", OF_ODOMETRY, odometry_of_vehicle, frame=lambda _: "odom"),
     LOCAL_POSITION: Presented(ODOMETRY, "odometry", OF_POSITION, odometry_of_position, frame=lambda _: "odom"),
     SENSOR_COMBINED: Presented(IMU, "imu", OF_SENSOR, imu_of_sensor),
+    PATH: Presented(POSE, "poses", OF_PATH, None),
     DYNAMIC: Presented(JOINTS, "joints", OF_DYNAMIC, as_joints),
 }
 

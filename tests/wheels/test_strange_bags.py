@@ -117,6 +117,7 @@ def end_of(log: Log) -> Array:
         ("/odometry/wheels", "/odom"),
         ("/odom_enc", "/odom"),
         ("/odom", "/odom_rf2o"),
+        ("/odometry/filtered", "/odometry/gps"),
     ],
 )
 def test_an_odometry_of_the_wheels_is_taken_before_one_that_was_made_of_more(

@@ -44,7 +44,7 @@ ARUCO = (
     + struct.pack("<7d", 0.1, 0.2, 1.5, 0, 0, 0, 1)
 )  # fmt: skip
 FIX = (
-    HEADER + HEADER + struct.pack("<HxxIHxx4I", 0, 0, 0, 0, 0, 0, 0) + struct.pack("<h3H", 2, 1, 0, 1) + bytes(4)
+    HEADER + HEADER[:17] + struct.pack("<xHIHxx4I", 0, 0, 0, 0, 0, 0, 0) + struct.pack("<h3H", 2, 1, 0, 1)
     + struct.pack("<25d", 52.5, 13.25, *range(23)) + struct.pack("<9d", 0.25, 0, 0, 0, 0.5, 0, 0, 0, 1)
     + struct.pack("<B", 2)
 )  # fmt: skip

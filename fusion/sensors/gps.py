@@ -55,6 +55,7 @@ FRAME = "_gps_frame"
 WIDE = 100.0  # m: how far the first fix may be from where the robot was
 MAX_KNOWN_DIRECTION_RAD = math.radians(10.0)  # from here on the direction of east is a state of its own
 LENGTH = 1e-4  # how well a^2 + b^2 = 1 is said
+OF_GPSD = ("gps_common/msg/GPSFix", "gps_msgs/msg/GPSFix")  # drivers publish the same fixes as NavSatFix
 MIN_SIGMA_M = 1e-3  # m, of a standard deviation
 
 Rows = tuple[tuple[float, float, float], ...]
@@ -72,7 +73,7 @@ class GpsSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 class Gps(Sensor):
-    """Reads NavSatFix."""
+    """Reads NavSatFix, GPSFix and Foxglove's LocationFix."""
 
     name = "gps"
     locates = True
@@ -81,18 +82,22 @@ class Gps(Sensor):
     colour = Colour("#4f3510", "#7d7a3c")
     noise_keys = ("sigma",)
     extra = True
+    second_best = OF_GPSD
     asks: ClassVar[Mapping[str, Ask]] = {
         **dict.fromkeys(("x", "y"), Ask(f"m: {ASK_MOUNT}", blank=True)),
         "origin": Ask("[latitude, longitude] of the map's origin; left out, estimated"),
         "sigma": Ask("m: where the receiver does not say"),
     }
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
-        "sensor_msgs/msg/NavSatFix": (
-            "status.status",
-            "latitude",
-            "longitude",
-            "position_covariance",
-            "position_covariance_type",
+        **dict.fromkeys(
+            ("sensor_msgs/msg/NavSatFix", *OF_GPSD),
+            (
+                "status.status",
+                "latitude",
+                "longitude",
+                "position_covariance",
+                "position_covariance_type",
+            ),
         ),
         **dict.fromkeys(
             ("foxglove.LocationFix", "foxglove_msgs/msg/LocationFix"),

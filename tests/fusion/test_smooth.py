@@ -17,8 +17,9 @@ from worlds import World
 
 import locfuse
 from locfuse.fusion.data import Array, Drive, Estimates, Measurements, Motions, Stream, UsageError
+from locfuse.fusion.ekf import journal as journals
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.ekf.journal import Journal
+from locfuse.fusion.ekf.journal import Journal, undone
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
@@ -334,6 +335,28 @@ def test_smoothed_errors_are_smaller_and_as_large_as_the_smoother_says() -> None
     assert 0.6 < np.mean(anees) < 1.7, anees
 
 
+def test_a_solver_that_rounding_fools_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two states that follow from each other exactly (a frame that swings about a start known exactly).
+
+    LU finds a pivot of 1e-17 there instead of none, and a solution of 1e16 along the direction that is not there.
+    """
+    rng = np.random.default_rng(3)
+    F, relation = rng.normal(size=(5, 5)), np.vstack((np.eye(5), 0.7 * np.eye(5)[4]))
+    P = relation @ F @ F.T @ relation.T
+    nowhere = np.array([0.0, 0.0, 0.0, 0.0, 0.7, -1.0])[:, None]
+    B = P[:, :3] @ np.array([[1.0, 0.0, 0.3], [0.0, 1.0, -0.2], [0.0, 0.0, 1.0]])
+    least = np.linalg.lstsq(P, B, rcond=1e-12)[0]
+
+    def fooled(unit: Array, right: Array) -> Array:
+        found: Array = np.linalg.lstsq(unit, right, rcond=1e-12)[0] + 1e16 * nowhere
+        return found
+
+    monkeypatch.setattr(np.linalg, "solve", fooled)
+    found = journals._solved(P, B)
+    assert P @ found == pytest.approx(B, abs=1e-9)
+    assert np.abs(found).max() < 10.0 * np.abs(least).max()
+
+
 def test_the_filter_is_the_same_with_and_without_a_journal() -> None:
     drive, robot = drive_of(World(seconds=6.0))
     for sensors in ([], ["compass"], ["compass", "lrf"]):
@@ -341,6 +364,19 @@ def test_the_filter_is_the_same_with_and_without_a_journal() -> None:
         filtered, _ = fuse_and_smooth(drive, robot, sensors)
         np.testing.assert_allclose(filtered.pose, plain.pose, rtol=0, atol=1e-11)
         np.testing.assert_allclose(filtered.P, plain.P, rtol=0, atol=1e-11)
+
+
+def test_a_variance_that_rounding_took_below_zero_is_zero() -> None:
+    """A frame has just begun, the robot moves straight on, and what it does sideways is known to 1e-17 m."""
+    before, noise = np.diag((0.0, 0.0, 0.0, 1e-4)), np.diag((1e-6, 0.0, 1e-6))
+    after = np.diag((1e-6, 0.0, 1e-6, 1e-4))
+    x, x_next, rows = np.zeros(4), np.array([0.1, 0.0, 0.0, 0.0]), np.arange(3)
+    right = undone(x, before, x_next, after, rows, noise)
+    after[1, 1] = -1e-35
+    with np.errstate(all="raise"):
+        rounded = undone(x, before, x_next, after, rows, noise)
+    for got, wanted in zip(rounded, right, strict=True):
+        np.testing.assert_array_equal(got, wanted)
 
 
 def test_odometry_is_its_own_smoother() -> None:

@@ -186,7 +186,8 @@ def _judged(y: tuple[float, ...], spread: Matrix, R: Matrix) -> tuple[float, tup
     S = [[p + r for p, r in zip(*rows, strict=True)] for rows in zip(spread, R, strict=True)]
     variances = [S[i][i] for i in range(len(y))]
     sigma = tuple([math.sqrt(v) if v > 0.0 else v for v in variances])
-    if not math.isfinite(sum(variances)):
+    total = sum(variances)
+    if not math.isfinite(total * total):  # no number, or so large that its products are none
         return math.nan, sigma
     nis = 0.0
     e = list(y)

@@ -66,7 +66,7 @@ def weigh(b, d, numbers, states, told, row):
         told[row, JUDGED + numbers + i] = sqrt(d.S[i, i]) if d.S[i, i] > 0.0 else d.S[i, i]
     greatest = max(0.0, d.S[0, 0])
     total = d.S[0, 0] + d.S[numbers - 1, numbers - 1]
-    if total - total != 0.0:  # of a reading that is no number
+    if total * total - total * total != 0.0:  # no number, or so large that its products are none
         return 1.0
     if not factor(d.S, numbers):
         return -greatest

@@ -18,8 +18,8 @@ from trap_logs import PICTURES, WHEELS, Drive
 from traps_camera import decoded, raw
 
 from locfuse import sample_logs
-from locfuse.cli.advice.validity import reasons
 from locfuse.cli.terminal import text_table
+from locfuse.formats.tables.findings import void_reasons
 from locfuse.formats.tables.table import Column, of_words
 
 SAMPLES = ("rounded_rectangle", "rounded_triangle", "disturbed")
@@ -186,7 +186,7 @@ def test_the_next_command_is_one_that_cures(tmp_path: Path) -> None:
 def test_a_run_that_is_lost_is_said_by_info_as_by_compare() -> None:
     tried = as_json("rounded_triangle", "--set", "lrf.yaw_deg=90", "--check")["tried"]
     assert any(v["void"] and v["code"] == "lost" and "lrf" in v["configurations"] for v in tried["validity"])
-    assert reasons(tried)
+    assert void_reasons(tried)
     assert tried["headline"].startswith("Keep the camera")
 
 

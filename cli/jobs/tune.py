@@ -175,7 +175,8 @@ def _worse(tuned: Tuned, judged: Sequence[Judged]) -> list[str]:
 
 
 def _less_likely(before: float, after: float) -> str:
-    return f"what was held out is less likely with the noise that was found ({before:.3f} -> {after:.3f} per number)"
+    figures = f"{before:.3f} -> {after:.3f} per number"
+    return f"what was held out is less likely with the noise that was found ({figures})"
 
 
 def spoiled(j: Judged) -> str | None:
@@ -204,7 +205,7 @@ def write(path: Path, found: Tuning, how: LogOptions) -> None:
 
 
 def _evaluated(trial: Trial) -> Evaluation:
-    """Evaluate all sensors of a log; by the path's shape where nobody says where in the truth's frame it starts."""
+    """Evaluate all sensors of a log; by the path's shape where its start is not known."""
     run = fuse(trial.drive, trial.robot, list(trial.drive.measurements))
     elsewhere = (start_error(trial.robot, trial.drive) or 0.0) >= MAX_START_ERROR_M
     return evaluate(run, trial.drive, "se2" if elsewhere else "none")

@@ -57,7 +57,21 @@ def spoils_alone(before: Score, after: Score) -> bool:
     One drive's error moves by many percent with every other way of weighing the same readings, by chance: such a
     configuration may not hinder what helps the better ones.
     """
-    return spoils(before, after, MAX_CHANCE_LOSS, MAX_CHANCE_LOSS_NATS)
+    return spoils(before, after, MAX_CHANCE_LOSS, MAX_CHANCE_LOSS_NATS) and not _only_underconfident(before, after)
+
+
+def _only_underconfident(before: Score, after: Score) -> bool:
+    """Return whether all that changes is an error that shrinks below what was claimed anyway: no harm."""
+    if before.position is None or after.position is None or after.lost > before.lost + MAX_LOST_SHARE:
+        return False
+    return after.position <= before.position and after.anees is not None and after.anees < 1.0
+
+
+def was_chance(before: Score, after: Score) -> bool:
+    """Return whether a smaller error before was chance: that run was far off what it claimed, and no more is."""
+    if before.position is None or not after.anees:
+        return False
+    return _off(before) > MIN_LN_ANEES_GAIN and _off(after) == 0.0
 
 
 def improves(before: Score, after: Score) -> bool:

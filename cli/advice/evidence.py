@@ -515,8 +515,7 @@ class Evidence:
             factors = tuple(factor for factor in factors if factor > 1.0)
         options = tuple((f"wheels.noise={noise * factor:.2g}",) for factor in factors)
         found = self._candidate(Finding("wheels", "noise", words), options, True)
-        # odometry's one random walk tells no noise
-        judges = tuple(n for n in found.judges if n != ODOMETRY)
+        judges = tuple(n for n in found.judges if n not in found.minor)  # chance moves the others by as much
         return replace(found, judges=judges, measured=measured)
 
     # ---- configurations that judge ----
@@ -543,7 +542,9 @@ class Evidence:
     def _candidate(self, finding: Finding, alternatives: tuple[Fixes, ...], offer: bool = False) -> Candidate:
         judges = self.judges(finding.role)
         kept = {self._all(), self._best(self._using(finding.role))}
-        return Candidate(finding, alternatives, judges, tuple(n for n in judges if n not in kept), offer)
+        minor = tuple(n for n in judges if n not in kept)
+        others = tuple(n for n in minor if n != ODOMETRY) if finding.role in REFERENCE else ()
+        return Candidate(finding, alternatives, judges, minor, others, offer)
 
     def _using(self, role: str) -> list[str]:
         """Return the configurations that depend on a role."""

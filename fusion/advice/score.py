@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 MAX_LOSS, MAX_LOSS_M = 0.02, 2e-4  # relative, m: by which no position error may grow
 MAX_CHANCE_LOSS = 0.15  # relative, of the position error of a configuration that nobody would keep
+MAX_RUIN, MAX_RUIN_NATS = 0.5, 0.2  # relative, nats per number: more than chance does to any configuration
 MAX_LN_ANEES_LOSS = 0.1  # by which ln ANEES may leave its chance range further where the error stays the same
 MIN_GAIN = 0.1  # relative gain of the position error
 MIN_LN_ANEES_GAIN = 0.2  # by which ln ANEES must come nearer to its chance range
@@ -65,6 +66,17 @@ def _only_underconfident(before: Score, after: Score) -> bool:
     if before.position is None or after.position is None or after.lost > before.lost + MAX_LOST_SHARE:
         return False
     return after.position <= before.position and after.anees is not None and after.anees < 1.0
+
+
+def ruins(before: Score, after: Score) -> bool:
+    """Return whether a configuration that nobody would keep gets worse by far more than chance does."""
+    if after.lost > before.lost + MAX_LOST_SHARE:
+        return True
+    if before.position is not None:
+        return after.position is None or after.position > (1.0 + MAX_RUIN) * before.position
+    if before.prediction is not None:
+        return after.prediction is None or after.prediction < before.prediction - MAX_RUIN_NATS
+    return False
 
 
 def was_chance(before: Score, after: Score) -> bool:

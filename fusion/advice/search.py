@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from locfuse.fusion.doctor.finding import Finding
 
-from .score import Score, gain, improves, settles, spoils, spoils_alone, was_chance
+from .score import Score, gain, improves, ruins, settles, spoils, spoils_alone, was_chance
 
 Fixes = tuple[str, ...]  # "table.key=value"
 Scores = Mapping[str, Score]  # by configuration
@@ -27,6 +27,7 @@ class Candidate:
     alternatives: tuple[Fixes, ...]
     judges: tuple[str, ...]
     minor: tuple[str, ...] = ()  # of these, by which a gain shows and a little more error is no harm
+    others: tuple[str, ...] = ()  # of these, which no fix may ruin: what moves the wheels moves them too
     offer: bool = False  # no observation, only a setting that may help: silent where it does not
     measured: bool = False  # the drive shows the value: without truth and by shape it is taken if nothing is lost
     rivals: tuple[str, ...] = ()  # roles whose fixes explain the same: beside one of them, look again first
@@ -159,8 +160,9 @@ def _pairs(
             before, after = ({name: scores[name].of_shape()} for scores in (before, after))
         # what takes one configuration's error to less than half is right: another one's may lose what chance does
         chance = name in candidate.minor or settled
+        worse = ruins if name in candidate.others else spoils_alone if chance else spoils
         lucky = settled and name in candidate.minor and was_chance(before[name], after[name])
-        if (spoils_alone if chance else spoils)(before[name], after[name]) and not lucky:
+        if worse(before[name], after[name]) and not lucky:
             return {}
         pairs[name] = before[name], after[name]
         observed = candidate.measured or not candidate.offer

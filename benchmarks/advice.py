@@ -49,7 +49,9 @@ class Fault:
     sets: tuple[str, ...]
     role: str
     keys: tuple[str, ...]  # one of which a right fix sets
-    right: tuple[str, ...] = ()  # where the right setting must be stated: a mount that is stated is a state
+    right: tuple[
+        str, ...
+    ] = ()  # where the right value leaves something: a mount set by hand is a state from then on
 
 
 def _noise(role: str, factor: float, **sigmas: float) -> Fault:
@@ -127,7 +129,7 @@ class Case:
 
     @property
     def right(self) -> tuple[str, ...]:
-        """Right settings that must be stated."""
+        """What sets the wrong settings right, where they then differ from those of the log."""
         return tuple(s for fault in self.faults for s in fault.right)
 
     @property
@@ -227,16 +229,15 @@ def results(seeds: int, out: Path, chosen: Sequence[Case], truths: Sequence[bool
                 continue
             log = drive(seed, Path(folder))
             whole, blind = load(log, sets=RIGHT), load(log, sets=(*RIGHT, "truth.topic=none"))
-            rights = {(): errors(whole)}
+            right = errors(whole)
             for case in dict.fromkeys(c for c, _ in left):
                 session = whole.with_settings(case.sets)  # measures only the sensors again that it changes
                 before = errors(session)
-                if case.right not in rights:
-                    rights[case.right] = errors(whole.with_settings(case.right))
+                own = errors(session.with_settings(case.right)) if case.right else right
                 for truth in (t for c, t in left if c == case):
                     row = {"case": case.name, "seed": seed, "truth": truth}
                     seen = session if truth else blind.with_settings(case.sets)
-                    row |= run(session, seen, case, rights[case.right], before)
+                    row |= run(session, seen, case, own, before)
                     with out.open("a", encoding="utf-8") as file:
                         file.write(json.dumps(row) + "\n")
                     yield row

@@ -303,7 +303,12 @@ class Evidence:
         return min(runs, key=lambda e: float(np.median(e.triangles[:, 5])), default=None)
 
     def _late_pictures(self) -> Iterator[Offer]:
-        """Yield clocks to be tried of a camera that contradicts the rest: bearings know no turning."""
+        """Yield clocks to be tried of a camera that contradicts the rest: bearings know no turning.
+
+        Not while measuring shows what is wrong: these are guesses.
+        """
+        if any(f.role == "camera" and f.severe and f.fixes for f in self.doctor):
+            return
         verdict = self.consistency.get("camera")
         if verdict is not None and verdict.verdict not in {*FINE, "overstated"}:
             message = f"{verdict.words}; its clock explains that"

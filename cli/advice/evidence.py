@@ -546,10 +546,14 @@ class Evidence:
 
     def _candidate(self, finding: Finding, alternatives: tuple[Fixes, ...], offer: bool = False) -> Candidate:
         judges = self.judges(finding.role)
-        kept = {self._all(), self._best(self._using(finding.role))}
+        kept = self.kept(finding.role)
         minor = tuple(n for n in judges if n not in kept)
         others = tuple(n for n in minor if n != ODOMETRY) if finding.role in REFERENCE else ()
         return Candidate(finding, alternatives, judges, minor, others, offer)
+
+    def kept(self, role: str) -> set[str]:
+        """Return the configurations that somebody would keep who uses a role."""
+        return {self._all(), self._best(self._using(role))}
 
     def _using(self, role: str) -> list[str]:
         """Return the configurations that depend on a role."""

@@ -62,10 +62,11 @@ def spoils_alone(before: Score, after: Score) -> bool:
 
 
 def _only_underconfident(before: Score, after: Score) -> bool:
-    """Return whether all that changes is an error that shrinks below what was claimed anyway: no harm."""
+    """Return whether all that changes, beside chance, is that more is claimed than the error: no harm."""
     if before.position is None or after.position is None or after.lost > before.lost + MAX_LOST_SHARE:
         return False
-    return after.position <= before.position and after.anees is not None and after.anees < 1.0
+    small = after.position <= before.position * (1.0 + MAX_CHANCE_LOSS) + MAX_LOSS_M
+    return small and after.anees is not None and after.anees < 1.0
 
 
 def ruins(before: Score, after: Score) -> bool:

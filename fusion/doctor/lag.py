@@ -57,6 +57,7 @@ class Reference(NamedTuple):
     heading: Heading
     span: tuple[float, float]  # s
     wheels: Heading  # the same turning with little noise from reading to reading, for its rate
+    wanders: bool = True  # its errors add up, as those of wheels and of a laser's turns from scan to scan do
 
 
 class Lag(NamedTuple):
@@ -111,7 +112,8 @@ def find_lag(t: Array, heading: Array, reference: Reference) -> Lag | None:
     if found is None:
         return None
     fits = [_least_squares(found, _turns(t, heading, w, reference.span), reference) for w in SHORT_WINDOWS_S]
-    fits.append(_by_residuals(found, t, heading, reference))
+    if not reference.wanders:
+        fits.append(_by_residuals(found, t, heading, reference))
     best = min((f for f in fits if f is not None), key=lambda f: f.sigma, default=None)
     offset = found if best is None else best.lag
     at, zero = turns.scores(reference.heading, np.array([offset, 0.0])).tolist()

@@ -6,7 +6,14 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, cast
 
-from locfuse.formats.caps import MAX_DEFINITION, MAX_DEFINITION_LINES, MAX_DEPTH, MAX_FIELDS, names_its_cap
+from locfuse.formats.caps import (
+    MAX_DEFINITION,
+    MAX_DEFINITION_LINES,
+    MAX_DEPTH,
+    MAX_EXPRESSIONS,
+    MAX_FIELDS,
+    names_its_cap,
+)
 from locfuse.formats.container.source import message_type
 
 if TYPE_CHECKING:
@@ -19,6 +26,7 @@ DTYPES = {
 TIMES = frozenset({"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"})
 FILLER = "structure_needs_at_least_one_member"  # the byte that an empty message takes in CDR
 DIVIDER = re.compile(r"^={20,}\s*$", re.MULTILINE)
+EXPRESSION = re.compile(r"\[|=+")  # what begins one in IDL; a divider counts once
 
 
 class SchemaError(ValueError):
@@ -94,9 +102,11 @@ def parse(name: str, encoding: str, text: str, filler: bool = True) -> Record:
 def refuse_large(name: str, encoding: str, text: str) -> None:
     """Raise SchemaError for a text that would take the parser minutes."""
     lines = sum(1 for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#"))
+    expressions = len(EXPRESSION.findall(text)) if encoding == "ros2idl" else 0
     for what, found, cap, unit in (
         ("long", len(text), MAX_DEFINITION, "characters"),
         ("long", lines, MAX_DEFINITION_LINES, "lines"),
+        ("long", expressions, MAX_EXPRESSIONS, "arrays and constants"),
     ):
         if found > cap:
             raise SchemaError(

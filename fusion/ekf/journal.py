@@ -241,9 +241,10 @@ def undone(
 def _solved(P: Array, B: Array) -> Array:
     """Return P^-1 B; where P is singular (an exact start, a frame that just began), the least of all solutions.
 
-    Scaled to a unit diagonal: a pose whose frame just began has 1e-14 m^2 beside states of 1.
+    Scaled to a unit diagonal: a pose whose frame just began has 1e-14 m^2 beside states of 1. A variance that
+    rounding took below zero (-1e-35 m^2) is zero.
     """
-    scale = np.sqrt(np.diagonal(P))
+    scale = np.sqrt(np.maximum(np.diagonal(P), 0.0))
     scale = np.divide(1.0, scale, out=np.ones_like(scale), where=scale > 0.0)
     unit, right = scale[:, None] * P * scale, scale[:, None] * B
     try:

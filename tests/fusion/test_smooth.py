@@ -18,7 +18,7 @@ from worlds import World
 import locfuse
 from locfuse.fusion.data import Array, Drive, Estimates, Measurements, Motions, Stream, UsageError
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.ekf.journal import Journal
+from locfuse.fusion.ekf.journal import Journal, undone
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
@@ -341,6 +341,19 @@ def test_the_filter_is_the_same_with_and_without_a_journal() -> None:
         filtered, _ = fuse_and_smooth(drive, robot, sensors)
         np.testing.assert_allclose(filtered.pose, plain.pose, rtol=0, atol=1e-11)
         np.testing.assert_allclose(filtered.P, plain.P, rtol=0, atol=1e-11)
+
+
+def test_a_variance_that_rounding_took_below_zero_is_zero() -> None:
+    """A frame has just begun, the robot moves straight on, and what it does sideways is known to 1e-17 m."""
+    before, noise = np.diag((0.0, 0.0, 0.0, 1e-4)), np.diag((1e-6, 0.0, 1e-6))
+    after = np.diag((1e-6, 0.0, 1e-6, 1e-4))
+    x, x_next, rows = np.zeros(4), np.array([0.1, 0.0, 0.0, 0.0]), np.arange(3)
+    right = undone(x, before, x_next, after, rows, noise)
+    after[1, 1] = -1e-35
+    with np.errstate(all="raise"):
+        rounded = undone(x, before, x_next, after, rows, noise)
+    for got, wanted in zip(rounded, right, strict=True):
+        np.testing.assert_array_equal(got, wanted)
 
 
 def test_odometry_is_its_own_smoother() -> None:

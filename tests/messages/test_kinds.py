@@ -14,7 +14,7 @@ from hostile import DIVIDER, FIX, Put, fix, lies, sample, write
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from locfuse.formats.caps import MAX_DEFINITION, MAX_DEFINITION_LINES
+from locfuse.formats.caps import MAX_DEFINITION, MAX_DEFINITION_LINES, MAX_EXPRESSIONS
 from locfuse.formats.container.source import ChannelInfo
 from locfuse.formats.messages import kinds
 from locfuse.formats.messages.decode import make_decoder
@@ -247,6 +247,15 @@ def test_a_definition_beyond_a_cap_is_refused_on_a_topic_that_nobody_uses_too(
     done = locfuse("info", write(tmp_path / "f.mcap", extra=[odd], seconds=0.5))
     assert done.exit_code == 0
     assert words in done.stdout.replace("\n  ", " ")
+
+
+@pytest.mark.parametrize("member", ["long a[9]; ", "@range(min=9) long a; "])
+def test_idl_of_many_arrays_or_annotations_on_one_line_is_refused_before_it_is_parsed(member: str) -> None:
+    """Each takes the parser 2 ms: 256 kB of them take it 45 s."""
+    idl = "module pkg {{ module msg {{ struct Odd {{ {} }}; }}; }};"
+    with pytest.raises(SchemaError, match="2 049 arrays and constants, more than the cap of 2 048"):
+        parse("pkg/msg/Odd", "ros2idl", idl.format(member * (MAX_EXPRESSIONS + 1)))
+    assert "a" in parse("pkg/msg/Odd", "ros2idl", idl.format(member * 3)).fields
 
 
 def test_a_type_that_is_mentioned_often_is_one_tree() -> None:

@@ -49,6 +49,9 @@ class Fault:
     sets: tuple[str, ...]
     role: str
     keys: tuple[str, ...]  # one of which a right fix sets
+    right: tuple[
+        str, ...
+    ] = ()  # where the right value leaves something: a mount set by hand is a state from then on
 
 
 def _noise(role: str, factor: float, **sigmas: float) -> Fault:
@@ -82,10 +85,10 @@ FAULTS: dict[str, Fault] = {
     "camera 200 ms late": _late("camera", 0.2),
     "wheels 100 ms late": _late("wheels", 0.1),
     "truth 100 ms late": _late("truth", 0.1),
-    "laser 3 cm ahead": Fault(("lrf.x=0.03",), "lrf", MOUNT),
-    "laser 3 cm aside": Fault(("lrf.y=0.03",), "lrf", MOUNT),
-    "laser 2 degrees": Fault(("lrf.yaw_deg=2",), "lrf", MOUNT),
-    "laser 10 degrees": Fault(("lrf.yaw_deg=10",), "lrf", MOUNT),
+    "laser 3 cm ahead": Fault(("lrf.x=0.03",), "lrf", MOUNT, ("lrf.x=0",)),
+    "laser 3 cm aside": Fault(("lrf.y=0.03",), "lrf", MOUNT, ("lrf.y=0",)),
+    "laser 2 degrees": Fault(("lrf.yaw_deg=2",), "lrf", MOUNT, ("lrf.yaw_deg=0",)),
+    "laser 10 degrees": Fault(("lrf.yaw_deg=10",), "lrf", MOUNT, ("lrf.yaw_deg=0",)),
     "laser upside-down": _one("lrf.flipped=true"),
     "range scale 1.05": _one("lrf.range_scale=1.05"),
     "track + 3 %": _one("wheels.track=0.618"),
@@ -123,6 +126,11 @@ class Case:
     def sets(self) -> tuple[str, ...]:
         """All settings that are wrong."""
         return tuple(s for fault in self.faults for s in fault.sets)
+
+    @property
+    def right(self) -> tuple[str, ...]:
+        """What sets the wrong settings right, where they then differ from those of the log."""
+        return tuple(s for fault in self.faults for s in fault.right)
 
     @property
     def roles(self) -> set[str]:
@@ -225,10 +233,11 @@ def results(seeds: int, out: Path, chosen: Sequence[Case], truths: Sequence[bool
             for case in dict.fromkeys(c for c, _ in left):
                 session = whole.with_settings(case.sets)  # measures only the sensors again that it changes
                 before = errors(session)
+                own = errors(session.with_settings(case.right)) if case.right else right
                 for truth in (t for c, t in left if c == case):
                     row = {"case": case.name, "seed": seed, "truth": truth}
                     seen = session if truth else blind.with_settings(case.sets)
-                    row |= run(session, seen, case, right, before)
+                    row |= run(session, seen, case, own, before)
                     with out.open("a", encoding="utf-8") as file:
                         file.write(json.dumps(row) + "\n")
                     yield row

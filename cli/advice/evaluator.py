@@ -8,14 +8,14 @@ is blamed for the fault of another.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from locfuse.cli.pipeline.compare import Compared, Heard, Watch, compare_log
 from locfuse.cli.pipeline.configurations import Configuration, for_comparison
 from locfuse.cli.pipeline.load import Loaded
 from locfuse.cli.pipeline.settings import Progress, silent
-from locfuse.fusion.advice.score import MAX_CHANCE_LOSS, Score, improves, spoils
+from locfuse.fusion.advice.score import MAX_CHANCE_LOSS, Score, improves, spoils, spoils_alone
 from locfuse.fusion.advice.search import Advice, Candidate, Fixes, search, together, total
 from locfuse.fusion.data import Estimates
 from locfuse.fusion.robot import Robot
@@ -161,10 +161,15 @@ def _beside_another(found: Sequence[Advice], kept: Fixes, trial: Trial) -> list[
             for other in others:
                 both = together(both, other.fixes)
             pairs = _pairs(kept, both, judges, trial)
-            if others and pairs and not any(spoils(*pair) for pair in pairs.values()):
+            if others and pairs and not _any_spoiled(pairs, evidence.kept(advice.finding.role)):
                 before, after = ({name: pair[i] for name, pair in pairs.items()} for i in (0, 1))
                 return [replace(advice, fixes=fixes, before=before, after=after), *others]
     return []
+
+
+def _any_spoiled(pairs: Mapping[str, tuple[Score, Score]], kept: Collection[str]) -> bool:
+    """Return whether a configuration gets worse; one that nobody would keep may by what chance does."""
+    return any((spoils if name in kept else spoils_alone)(*pair) for name, pair in pairs.items())
 
 
 def _pairs(kept: Fixes, fixes: Fixes, judges: Sequence[str], trial: Trial) -> dict[str, tuple[Score, Score]]:

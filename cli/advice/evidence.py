@@ -26,6 +26,7 @@ from locfuse.fusion.doctor.finding import Finding, Least
 from locfuse.fusion.doctor.lag import SAID_SIGMAS, Lag, worth_saying
 from locfuse.fusion.doctor.laser import OPEN_SCALE
 from locfuse.fusion.doctor.laser_driver import ranges_sigma, scatter_more
+from locfuse.fusion.doctor.truth import WHEEL_SCALE
 from locfuse.fusion.judge.consistency import Consistency
 from locfuse.fusion.judge.consistency import Evidence as Said
 from locfuse.fusion.judge.covariance import honesty
@@ -108,12 +109,16 @@ class Evidence:
 
     def clocks(self) -> list[Candidate]:
         """Return what measuring and the truth say of clocks: while one is wrong, the rest is not to be trusted."""
-        offers = [*self._late, *self._late_wheels(), *self._late_pictures()]
+        pictures = list(self._late_pictures())
+        offers = [*self._late, *self._late_wheels(), *pictures]
         by_truth = self.loaded.drive.truth is not None
         seen = [f for f in self.doctor if f.code == CLOCK]
         measured = {("wheels", CLOCK), *((f.role, f.code) for f, _ in self._late if by_truth)}
         found = self._candidates(seen, offers, measured | {(f.role, f.code) for f in seen})
-        return [replace(c, by_shape=by_truth and c.finding.role == LASER) for c in found]
+        found = [replace(c, by_shape=by_truth and c.finding.role == LASER) for c in found]
+        sensors = tuple(self.loaded.drive.measurements)
+        found = [replace(c, rivals=sensors) if c.finding.role == "wheels" else c for c in found]
+        return [*found, *(self._constant_of(f.role) for f, _ in pictures if _constant(self.consistency[f.role]))]
 
     def geometry(self) -> list[Candidate]:
         """Return what measuring and a run with more states say of mounts, scales and directions."""
@@ -124,6 +129,7 @@ class Evidence:
         offers = [(f, (f.fixes,)) for f in found]
         # a state's sigma is evidence only where the run is consistent, or less sure than it could be
         measured = {(f.role, f.code) for f in found if self._verdict(f.role) in {*FINE, "overstated"}}
+        measured.add(("wheels", WHEEL_SCALE))  # by the truth's own distances
         return self._candidates([f for f in self.doctor if f.code != CLOCK], offers, measured)
 
     def _candidates(
@@ -137,7 +143,7 @@ class Evidence:
             replace(c, measured=(c.finding.role, c.finding.code) in measured)
             for c in (
                 *(
-                    self._candidate(f, (f.fixes,) if f.fixes else (), not f.severe)
+                    self._candidate(f, _ways(f), not f.severe)
                     for f in seen
                     if (f.fixes or f.code == OPEN_SCALE) and self.judges(f.role)
                 ),
@@ -202,24 +208,44 @@ class Evidence:
         Not where another clock is surely wrong: what a few milliseconds change beside that is chance.
         """
         sure = any(f.code == CLOCK and f.severe for f in self.doctor)
+        if self._was_set("truth", "time_offset") and lags:
+            yield from self._truth_again(min(lags.values(), key=lambda lag: lag.sigma))
+            return  # what is left against a clock that was set by the wheels, which slip, is that clock's
         for sensor, lag in lags.items():
             if not self._using(sensor):
                 continue  # no run takes its readings as they are
             small = self._complained(sensor) and not sure
             sigmas = MIN_LAG_SIGMAS if small else MIN_SURE_LAG_SIGMAS
-            if abs(lag.offset) >= max(MIN_LAG_S, sigmas * lag.sigma):
+            least = MIN_LAG_S if small or self._was_set(sensor, "time_offset") else MIN_SUSPICIOUS_LAG_S
+            if abs(lag.offset) >= max(least, sigmas * lag.sigma):
                 yield from self._shifted(sensor, lag, "the truth")
 
+    def _truth_again(self, lag: Lag) -> Iterator[Offer]:
+        """Yield the truth's clock once more, by the sensor that knows its lag best."""
+        if abs(lag.offset) >= max(MIN_LAG_S, MIN_SURE_LAG_SIGMAS * lag.sigma):
+            side = "late" if lag.offset > 0.0 else "early"
+            words = f"stamps look {abs(lag.offset):.3f} s {side} against the sensors (1 sigma {lag.sigma:.3f} s)"
+            offset = self.loaded.robot.truth.time_offset - lag.offset
+            yield Finding("truth", CLOCK, words), ((f"truth.time_offset={offset + 0.0:.3f}",),)
+
     def _late_by_runs(self) -> Iterator[Offer]:
-        """Yield lags of sensors that look wrong against the run of another one that does not."""
+        """Yield lags of sensors that look wrong against the run of another one that does not.
+
+        So is a clock that was set: the wheels, which slip, told it less exactly than a run's headings do.
+        """
         for sensor in self.loaded.drive.measurements:
-            run = self._reference(sensor) if self._complained_itself(sensor) else None
+            wrong = self._complained_itself(sensor) or self._was_set(sensor, "time_offset")
+            run = self._reference(sensor) if wrong else None
             if run is None:
                 continue
             truth = Truth("", run.t, run.pose[:, :2], run.pose[:, 2])
             lag = lags_by_truth(self.loaded.drive, truth).get(sensor)
             if lag is not None and abs(lag.offset) >= max(MIN_LAG_S, MIN_LAG_SIGMAS * lag.sigma):
                 yield from self._shifted(sensor, lag, f"the headings of {run.name}")
+
+    def _was_set(self, role: str, key: str) -> bool:
+        """Return whether a fix that was kept sets this."""
+        return any(fix.startswith(f"{role}.{key}=") for fix in self.fixes)
 
     def _late_by_wheels(self) -> Iterator[Offer]:
         """Yield lags against the wheels that are too small to be said untried.
@@ -277,7 +303,12 @@ class Evidence:
         return min(runs, key=lambda e: float(np.median(e.triangles[:, 5])), default=None)
 
     def _late_pictures(self) -> Iterator[Offer]:
-        """Yield clocks to be tried of a camera that contradicts the rest: bearings know no turning."""
+        """Yield clocks to be tried of a camera that contradicts the rest: bearings know no turning.
+
+        Not while measuring shows what is wrong: these are guesses.
+        """
+        if any(f.role == "camera" and f.severe and f.fixes for f in self.doctor):
+            return
         verdict = self.consistency.get("camera")
         if verdict is not None and verdict.verdict not in {*FINE, "overstated"}:
             message = f"{verdict.words}; its clock explains that"
@@ -328,7 +359,7 @@ class Evidence:
             for s, v in self._biases_again.items()
         ]
         for sensor, verdict in self.consistency.items():
-            options = [_set(verdict.cures)] if verdict.verdict == "biased" and verdict.cures else []
+            options = _constant(verdict)
             if sensor == "camera" and verdict.verdict in {"biased", "outliers", "contradicts", "understated"}:
                 options.append(
                     (f"camera.clockwise={str(not self.loaded.robot.settings('camera').clockwise).lower()}",)
@@ -337,6 +368,14 @@ class Evidence:
                 finding = Finding(sensor, verdict.verdict, verdict.words)
                 found.append(self._candidate(finding, tuple(options)))
         return found
+
+    def _constant_of(self, sensor: str) -> Candidate:
+        """Return the constant error of a sensor whose clock is guessed at: tried beside it, the better is kept.
+
+        On a drive of left turns both look alike.
+        """
+        verdict = self.consistency[sensor]
+        return self._candidate(Finding(sensor, verdict.verdict, verdict.words), tuple(_constant(verdict)), True)
 
     @cached_property
     def _biases_again(self) -> dict[str, NoiseVerdict]:
@@ -443,6 +482,8 @@ class Evidence:
         if honest is None or honest.consistent or honest.anees <= 0.0:
             return []
         settings, keys = self.loaded.robot.settings(sensor), REGISTRY[sensor].noise_keys
+        if any(self._was_set(sensor, key) for key in keys):
+            return []  # once: what is still wrong then is something else
         factor = honest.anees**0.5
         if not 1.0 / MAX_NOISE_FACTOR <= factor <= MAX_NOISE_FACTOR:
             return []  # that is no noise
@@ -479,8 +520,7 @@ class Evidence:
             factors = tuple(factor for factor in factors if factor > 1.0)
         options = tuple((f"wheels.noise={noise * factor:.2g}",) for factor in factors)
         found = self._candidate(Finding("wheels", "noise", words), options, True)
-        # odometry's one random walk tells no noise
-        judges = tuple(n for n in found.judges if n != ODOMETRY)
+        judges = tuple(n for n in found.judges if n not in found.minor)  # chance moves the others by as much
         return replace(found, judges=judges, measured=measured)
 
     # ---- configurations that judge ----
@@ -506,8 +546,14 @@ class Evidence:
 
     def _candidate(self, finding: Finding, alternatives: tuple[Fixes, ...], offer: bool = False) -> Candidate:
         judges = self.judges(finding.role)
-        kept = {self._all(), self._best(self._using(finding.role))}
-        return Candidate(finding, alternatives, judges, tuple(n for n in judges if n not in kept), offer)
+        kept = self.kept(finding.role)
+        minor = tuple(n for n in judges if n not in kept)
+        others = tuple(n for n in minor if n != ODOMETRY) if finding.role in REFERENCE else ()
+        return Candidate(finding, alternatives, judges, minor, others, offer)
+
+    def kept(self, role: str) -> set[str]:
+        """Return the configurations that somebody would keep who uses a role."""
+        return {self._all(), self._best(self._using(role))}
 
     def _using(self, role: str) -> list[str]:
         """Return the configurations that depend on a role."""
@@ -517,10 +563,17 @@ class Evidence:
     def judges(self, role: str) -> tuple[str, ...]:
         """Return the configurations by which a role's fix is judged.
 
-        The best that uses it and all sensors, which are kept; the best but for all, in which the gain shows.
+        The best that uses it and all sensors, which are kept; the best but for all, in which the gain shows. What
+        moves every configuration is judged by all of them: a track that fits the slips of one drive makes odometry
+        better, and a camera beside it worse.
         """
         if role in REFERENCE:
-            return tuple(dict.fromkeys((ODOMETRY, self._best(self.trial.configurations), self._all())))
+            known = self.trial.configurations
+            kept = (self._best(known), self._all())
+            others = (n for n in known if n not in kept and n != ODOMETRY)  # first: what settles one is right
+            # one random walk: without truth it predicts places by chance
+            walk = (ODOMETRY,) if self.loaded.drive.truth is not None or len(known) == 1 else ()
+            return tuple(n for n in dict.fromkeys((*others, *kept, *walk)) if n != ODOMETRY or walk)
         using = self._using(role)
         if not using:
             return ()
@@ -544,11 +597,23 @@ class Evidence:
         return max(names, key=lambda n: len(self.trial.configurations[n].sensors))
 
 
+def _ways(finding: Finding) -> tuple[Fixes, ...]:
+    """Return the ways to fix what measuring shows; a wrong radius alone turns the robot wrongly too."""
+    if finding.code == WHEEL_SCALE and len(finding.fixes) > 1:
+        return finding.fixes, finding.fixes[:1]
+    return (finding.fixes,) if finding.fixes else ()
+
+
 def _smaller_range_noise(sensor: str, verdict: Consistency) -> float | None:
     """Return the smaller noise of a range [m] that the lines of a laser show, None where they show none."""
     return (
         verdict.cures.get(f"{LASER}.sigma_range") if sensor == LASER and verdict.verdict == "overstated" else None
     )
+
+
+def _constant(verdict: Consistency) -> list[Fixes]:
+    """Return the fix of a constant error, nothing where a verdict is about something else."""
+    return [_set(verdict.cures)] if verdict.verdict == "biased" and verdict.cures else []
 
 
 def _noise_options(verdict: Consistency) -> list[Fixes]:

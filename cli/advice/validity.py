@@ -101,8 +101,3 @@ def _once(found: list[dict[str, Any]]) -> list[dict[str, Any]]:
             "configurations"
         ].append(name)
     return list(by_message.values())
-
-
-def reasons(report: dict[str, Any]) -> list[str]:
-    """Return why figures are void, one line each: such a command exits with 3."""
-    return [v["message"] for v in report.get("validity", ()) if v["void"]]

@@ -59,12 +59,12 @@ def info(
     """
     if topics:
         return _list_topics(log, as_json, how.quiet)
-    from locfuse.cli.advice.validity import reasons
     from locfuse.cli.inspect import values
     from locfuse.cli.inspect.inspect_log import inspect_log
     from locfuse.cli.pipeline.load import find_log
     from locfuse.cli.terminal import info_text, show
     from locfuse.formats.report import json_report
+    from locfuse.formats.tables.findings import void_reasons
 
     with show.progress(how.quiet) as progress:
         overview = inspect_log(find_log(log), how, progress)
@@ -83,7 +83,7 @@ def info(
     show.transfer(overview.log.transfer, how.quiet)
     losses = {"lost", "refused"} if how.strict else {"lost"}
     lost = any(o.code in losses for o in overview.findings)
-    return SOMETHING_LOST if lost or (check and (overview.severe or reasons(tried))) else 0
+    return SOMETHING_LOST if lost or (check and (overview.severe or void_reasons(tried))) else 0
 
 
 def _tried(log: tuple[str, ...], how: LogOptions, progress: Callable[[str], None]) -> dict[str, Any]:

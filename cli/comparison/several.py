@@ -67,7 +67,7 @@ def several(words: Sequence[str], wish: Wish) -> int:
     _print(summary, files, folder, wish)
     _say_recordings(ended, wanted.recording)
     show.end([folder / name for name in files], wish.as_json, wish.open)
-    return _code(found, gates.of_fleet(summary), ended, wish.how.quiet)
+    return _code(found, gates.of_fleet(summary), ended)
 
 
 def _wanted(wish: Wish, folder: Path) -> Wanted:
@@ -198,10 +198,12 @@ def _say_recordings(ended: Ended, recording: Recording | None) -> None:
         show.say(f"all drives in one viewer: {catalog(Path(recording.folder))}")
 
 
-def _code(found: Gathered, failed_gates: Sequence[str], ended: Ended, quiet: bool) -> int:
-    """Say what was lost and which gates failed, and return the exit code."""
+def _code(found: Gathered, failed_gates: Sequence[str], ended: Ended) -> int:
+    """Say what is void, what was lost and which gates failed, and return the exit code."""
+    void = [f"void: {name}: {line}" for name, lines in found.void.items() for line in lines]
     lost = [f"lost: {name}: {line}" for name, lines in found.lost.items() for line in lines]
-    _say_some([] if quiet else lost, "losses")
+    _say_some(void, "void figures")  # reasons of exit code 3: said under --quiet too
+    _say_some(lost, "losses")
     gates = [f"gate: {line}" for line in (*found.gates, *failed_gates)]
     _say_some(gates, "gates")
     if ended.stopped:
@@ -211,7 +213,7 @@ def _code(found: Gathered, failed_gates: Sequence[str], ended: Ended, quiet: boo
         return ci_gates.FAILED
     if "done" not in states:
         raise LocfuseError(f"none of {len(found.entries)} logs could be compared; the reasons stand above")
-    return LOSS if lost or states != {"done"} else 0
+    return LOSS if void or lost or states != {"done"} else 0
 
 
 def _say_some(lines: Sequence[str], what: str) -> None:

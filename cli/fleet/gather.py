@@ -24,6 +24,11 @@ class Gathered:
     gates: list[str] = field(default_factory=list)  # a line per gate that a log fails
     lost: dict[str, list[str]] = field(default_factory=dict)  # what each log lost, in words
 
+    @property
+    def void(self) -> dict[str, list[str]]:
+        """Why figures of logs are void, in words."""
+        return {e.name: e.void for e in self.entries if e.void}
+
 
 def gather(plan: Plan, outcomes: Mapping[str, Outcome], stopped: str, gates: FleetGates, strict: bool) -> Gathered:
     """Read the report of every job that is done; what `stopped` the others is their reason."""

@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from locfuse.cli.advice.validity import MAX_START_ERROR_M
 from locfuse.cli.pipeline.configurations import refuse_beside_others, unknown_sensor
-from locfuse.cli.pipeline.load import Loaded, load
+from locfuse.cli.pipeline.load import Loaded, load, start_error
 from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.formats.robot import commented_edit, robot_toml
 from locfuse.formats.url import Place
@@ -97,7 +98,8 @@ class Tuning:
                 rows.append((f"mean NIS of {s}, {j.name}", before, after))
             before, after = (_cell(e.figures.get("position_rmse_m"), "{:.4f} m") for e in (j.before, j.after))
             if after:
-                rows.append((f"position error, {j.name}", before, after))
+                shape = "" if j.after.align == "none" else " of the path's shape"
+                rows.append((f"position error{shape}, {j.name}", before, after))
         return rows
 
 
@@ -144,7 +146,7 @@ def tune_logs(
     def tuned_by(names: Sequence[str]) -> tuple[Tuned, list[Judged], list[str]]:
         tuned = tune(trials, names, drift, remeasure, progress)
         progress("judging the logs")
-        return tuned, (judged := _judged(tuned)), _worse(tuned, judged)
+        return tuned, (judged := _judged(trials, tuned)), _worse(tuned, judged)
 
     tuned, judged, worse = tuned_by(sensors)
     lasting = lasting_errors(tuned.trials)
@@ -158,20 +160,23 @@ def tune_logs(
     return Tuning(tuned, judged, loaded, (*worse, *_notes(tuned), *notes), bool(worse))
 
 
-def _judged(tuned: Tuned) -> list[Judged]:
-    """Evaluate every log before and after."""
-    return [
-        Judged(before.name, _evaluated(before), _evaluated(after))
-        for before, after in zip(tuned.told, tuned.trials, strict=True)
-    ]
+def _judged(given: Sequence[Trial], tuned: Tuned) -> list[Judged]:
+    """Evaluate every log as `run` would, before and after."""
+    pairs = zip(given, tuned.trials, strict=True)
+    return [Judged(before.name, _evaluated(before), _evaluated(after)) for before, after in pairs]
 
 
 def _worse(tuned: Tuned, judged: Sequence[Judged]) -> list[str]:
     """Say what the noise that was found spoils."""
     worse = [line for j in judged if (line := spoiled(j)) is not None]
     if tuned.held_out is not None and tuned.held_out[1] < tuned.held_out[0] - MAX_LOSS_NATS:
-        worse.append("what was held out is less likely under the noise that was found: it is not used")
+        worse.append(f"{_less_likely(*tuned.held_out)}: the noise that was found is not used")
     return worse
+
+
+def _less_likely(before: float, after: float) -> str:
+    figures = f"{before:.3f} -> {after:.3f} per number"
+    return f"what was held out is less likely with the noise that was found ({figures})"
 
 
 def spoiled(j: Judged) -> str | None:
@@ -182,7 +187,8 @@ def spoiled(j: Judged) -> str | None:
     if after.lost > before.lost:
         what = f"is lost for {after.lost:.0%} of the drive, before for {before.lost:.0%}"
     else:
-        what = f"has a position error of {after.position:.4f} m, before {before.position:.4f} m"
+        shape = "" if j.after.align == "none" else " (of the path's shape)"
+        what = f"has a position error{shape} of {after.position:.4f} m, before {before.position:.4f} m"
     return (
         f"{j.name} {what}: the noise that was found is not used. Something else is set wrong; see: "
         f"locfuse info {j.name} --check"
@@ -199,7 +205,10 @@ def write(path: Path, found: Tuning, how: LogOptions) -> None:
 
 
 def _evaluated(trial: Trial) -> Evaluation:
-    return evaluate(fuse(trial.drive, trial.robot, list(trial.drive.measurements)), trial.drive)
+    """Evaluate all sensors of a log; by the path's shape where its start is not known."""
+    run = fuse(trial.drive, trial.robot, list(trial.drive.measurements))
+    elsewhere = (start_error(trial.robot, trial.drive) or 0.0) >= MAX_START_ERROR_M
+    return evaluate(run, trial.drive, "se2" if elsewhere else "none")
 
 
 def _notes(tuned: Tuned) -> list[str]:
@@ -207,6 +216,9 @@ def _notes(tuned: Tuned) -> list[str]:
         f"{s} was measured again: where one of its lines ends and the next begins is judged by its noise"
         for s in tuned.measured_again
     ]
+    found = tuned.held_out
+    if found is not None and found[0] - MAX_LOSS_NATS <= found[1] < found[0]:
+        again.append(f"{_less_likely(*found)}, by no more than chance: a longer log would settle it")
     return [*tuned.flags, *again]
 
 

@@ -8,12 +8,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from locfuse.cli.advice.validity import reasons
 from locfuse.cli.advice.values import fixes_file
 from locfuse.cli.pipeline import exports, maps, outputs, results
 from locfuse.cli.pipeline.compare import Compared
 from locfuse.cli.pipeline.load import Loaded
 from locfuse.cli.pipeline.settings import OF_COMPARISON, OF_RUN, PathLike, chosen, path_of
+from locfuse.formats.tables.findings import void_reasons
 from locfuse.formats.visible import visible
 from locfuse.fusion.data import Drive, Estimates, Evaluation, UsageError
 from locfuse.fusion.judge.credit import Credit
@@ -78,7 +78,7 @@ class Result:
         Void figures are among them. The command exits with 3 where there is any. `strict` counts every single
         reading.
         """
-        return [*results.loss_lines(self.loaded, self._used(), strict), *reasons(self.report)]
+        return [*results.loss_lines(self.loaded, self._used(), strict), *void_reasons(self.report)]
 
     def _used(self) -> list[str]:
         return sorted({s for e in self.estimates.values() for s in e.sensors})

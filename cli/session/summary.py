@@ -191,7 +191,13 @@ def summarised(entries: Sequence[Entry]) -> dict[str, Any]:
 
 
 def _standing(entry: Entry) -> dict[str, Any]:
-    return {"robot": entry.robot, "state": entry.state, "reason": entry.reason or None, "losses": entry.losses}
+    return {
+        "robot": entry.robot,
+        "state": entry.state,
+        "reason": entry.reason or None,
+        "void": entry.void,
+        "losses": entry.losses,
+    }
 
 
 def default_folder() -> Path:

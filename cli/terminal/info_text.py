@@ -179,8 +179,9 @@ def _briefly(words: str, role: str, overview: Overview) -> str:
 
 
 def _finding(f: Finding, width: int | None) -> list[str]:
-    body = _wrapped(f"  {f.role}: ", f.brief if f.fixes else f.sentence, width, "    ")
-    return [*body, *_options("    fix: ", f.fixes, width)] if f.fixes else body
+    fixes = () if f.code == OPEN_SCALE else f.fixes  # of two ways to set it, which its words name, none is the fix
+    body = _wrapped(f"  {f.role}: ", f.brief if fixes else f.sentence, width, "    ")
+    return [*body, *_options("    fix: ", fixes, width)] if fixes else body
 
 
 def _options(head: str, fixes: Sequence[str], width: int | None) -> list[str]:

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from locfuse.formats.tables.findings import void_reasons
+
 State = Literal["done", "failed", "not run"]
 COUNTS = ("accepted", "rejected", "absent", "nis")  # of a sensor in a configuration
 EFFECTS = ("credit", "alone", "leave_one_out")  # of a sensor on the position error
@@ -27,6 +29,11 @@ class Entry:
         """Bytes and messages of the file that could not be read."""
         places = (self.report.get("input", {}).get("losses") or {}).values()
         return {unit: sum(p[unit] for p in places) for unit in ("bytes", "messages")}
+
+    @property
+    def void(self) -> list[str]:
+        """Why figures of this log are void, one line each."""
+        return list(self.report.get("void") or ())
 
 
 def label(configuration: str, cell: str) -> str:
@@ -53,6 +60,7 @@ def slim(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
             for cell, report in reports.items()
             for name, values in report["configurations"].items()
         },
+        "void": list(dict.fromkeys(line for report in reports.values() for line in void_reasons(report))),
         "verdicts": {sensor: v["verdict"] for sensor, v in (first.get("verdicts") or {}).items()},
         "credit": _effects(first.get("credit")),
     }

@@ -148,9 +148,15 @@ def _logs(summary: Mapping[str, Any]) -> Table:
     columns = [Column("log", "log", kind="text"), DURATION, Column("best", "best", kind="text")]
     if any(v.get("robot") for v in summary["logs"].values()):
         columns.insert(1, Column("robot", "robot", kind="text"))
-    if any(v.get("reason") for v in summary["logs"].values()):
+    rows = {name: {**v, "reason": _not_judged(v)} for name, v in summary["logs"].items()}
+    if any(row["reason"] for row in rows.values()):
         columns.append(Column("reason", "not judged", kind="text", missing=""))
-    return of_values(columns, (({**v, "log": name}, ()) for name, v in summary["logs"].items()))
+    return of_values(columns, (({**row, "log": name}, ()) for name, row in rows.items()))
+
+
+def _not_judged(log: Mapping[str, Any]) -> str | None:
+    """Return why a log was not run, or why figures of it are void."""
+    return log.get("reason") or "; ".join(f"void: {line}" for line in log.get("void") or ()) or None
 
 
 def render(summary: Mapping[str, Any]) -> str:
@@ -174,15 +180,35 @@ def headline(summary: Mapping[str, Any]) -> str:
     if not any(log.get("state", "done") == "done" for log in summary["logs"].values()):
         return "No log could be compared."
     if best is None:
-        return "None of these logs has a truth: error figures do not exist." + not_done(summary)
+        return f"{_none_judged(summary)}{not_done(summary)}"
     found = summary["configurations"][best]
     mean = found["figures"][RMSE.key]["mean"]
     rivals = {n: c["best_in"] for n, c in summary["configurations"].items() if n != best and c["best_in"]}
     others = "".join(f", {n} in {k}" for n, k in rivals.items())
-    unjudged = sum(log.get("state", "done") == "done" for log in summary["logs"].values()) - judged
-    left = f" {unjudged} without truth." if unjudged else ""
+    unjudged = _unjudged(summary)
+    left = f" {_left_out(unjudged)}." if unjudged else ""
     wins = f"the best in {found['best_in']} of {judged} logs{others}.{left}"
     return f"Best is {best}: mean position rmse {mean:.4f} m; {wins}{_ties(summary)}{not_done(summary)}"
+
+
+def _unjudged(summary: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Return the logs that were compared and have no error figure."""
+    done = (log for log in summary["logs"].values() if log.get("state", "done") == "done")
+    return [log for log in done if log.get("best") is None]
+
+
+def _none_judged(summary: Mapping[str, Any]) -> str:
+    logs = _unjudged(summary)
+    if any(log.get("void") for log in logs):
+        return f"No log has an error figure: {_left_out(logs)}."
+    return "None of these logs has a truth: error figures do not exist."
+
+
+def _left_out(logs: Sequence[Mapping[str, Any]]) -> str:
+    """Return how many logs without an error figure are void, and how many without truth."""
+    void = sum(bool(log.get("void")) for log in logs)
+    counts = ((void, "void"), (len(logs) - void, "without truth"))
+    return ", ".join(f"{n} {what}" for n, what in counts if n)
 
 
 def _ties(summary: Mapping[str, Any]) -> str:

@@ -16,6 +16,11 @@ def banner_of(report: Mapping[str, Any]) -> list[str]:
     return [f"{'Void' if v.get('void', True) else 'Doubtful'}: {v['message']}." for v in found]
 
 
+def void_reasons(report: Mapping[str, Any]) -> list[str]:
+    """Return why figures are void, one line each: a command that made them exits with 3."""
+    return [v["message"] for v in report.get("validity") or () if v["void"]]
+
+
 def findings_of(report: Mapping[str, Any]) -> list[str]:
     """Return one line per finding; reports of earlier versions have none."""
     return [sentence(f) for f in report.get("findings") or ()]

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
+
+NUMBER = re.compile(r"(?<![\w@])\d+(?:\.\d+)?(?:e[-+]?\d+)?[%°]?")  # not one within a name: lrf2, lrf@2Hz
 
 
 def title_of(report: Mapping[str, Any]) -> str:
@@ -17,36 +20,65 @@ def title_of(report: Mapping[str, Any]) -> str:
 def notes_of(report: Mapping[str, Any]) -> list[str]:
     """Return the log's notes, then the configurations' (slips, a track that was found), with who found them."""
     runs = report["configurations"]
-    found: dict[str, tuple[str, list[str]]] = {}
+    found: dict[tuple[str, int], dict[str, str]] = {}
     for name, values in runs.items():
+        times: Counter[str] = Counter()
         for words in values["notes"]:
-            found.setdefault(_form(words), (words, []))[1].append(name)
-    said = (words if len(runs) == 1 else _whose(words, names) for words, names in found.values())
+            form = _form(words)
+            found.setdefault((form, times[form]), {})[name] = words
+            times[form] += 1
+    said = (next(iter(own.values())) if len(runs) == 1 else _whose(own) for own in found.values())
     return [*_of_log(report["notes"]), *said]
 
 
 def _form(words: str) -> str:
     """Return words without their numbers: what differs only there is the same note."""
-    return re.sub(r"\d+(\.\d+)?", "#", words)
+    return NUMBER.sub("#", words)
 
 
 def _of_log(notes: Sequence[str]) -> list[str]:
     """Return the log's notes; what is true of several streams stands once, with the names of all."""
-    found: dict[str, tuple[str, str, list[str]]] = {}
+    found: dict[tuple[str, int], dict[str, str]] = {}
+    times: Counter[tuple[str, str]] = Counter()
     for note in notes:
         who, colon, words = note.partition(": ")
-        found.setdefault(_form(words) if colon else note, (who, note, []))[2].append(who)
-    return [
-        note if len(names) < 2 else note.replace(who, ", ".join(names), 1) for who, note, names in found.values()
-    ]
+        who, words = (who, words) if colon else ("", note)
+        form = _form(words) if colon else note
+        found.setdefault((form, times[who, form]), {})[who] = words
+        times[who, form] += 1
+    return [f"{', '.join(own)}: {_with_others(own)}" if "" not in own else own[""] for own in found.values()]
 
 
-def _whose(words: str, names: Sequence[str]) -> str:
-    """Put the configurations before what they found; a sensor's own words name it already."""
-    first, *others = names
-    if words.startswith(f"{first}: "):
-        return f"{words} ({', '.join(others)}: alike)" if others else words
-    return f"{', '.join(names)}: {words}"
+def _whose(own: Mapping[str, str]) -> str:
+    """Put the configurations before what they found, words by name; a sensor's own words name it already.
+
+    Numbers that are not the first one's stand behind it: "19 (all: 5) places were recognised".
+    """
+    first, *others = own
+    words = _with_others(own)
+    if not own[first].startswith(f"{first}: "):
+        return f"{', '.join(own)}: {words}"
+    alike = [name for name in others if own[name] == own[first]]
+    return f"{words} ({', '.join(alike)}: alike)" if alike else words
+
+
+def _with_others(own: Mapping[str, str]) -> str:
+    """Return the first configuration's words; behind each number, whose is another one."""
+    first, *others = own
+    numbers = {name: iter(NUMBER.findall(words)) for name, words in own.items()}
+
+    def with_others(match: re.Match[str]) -> str:
+        values = {name: next(left) for name, left in numbers.items()}
+        differing: dict[str, list[str]] = {}
+        for name in others:
+            if values[name] != values[first]:
+                differing.setdefault(values[name], []).append(name)
+        if not differing:
+            return match[0]
+        shown = "; ".join(f"{', '.join(names)}: {value}" for value, names in differing.items())
+        return f"{match[0]} ({shown})"
+
+    return NUMBER.sub(with_others, own[first])
 
 
 def fingerprint(source: Mapping[str, Any], digits: int | None = None) -> str:

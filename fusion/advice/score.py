@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 MAX_LOSS, MAX_LOSS_M = 0.02, 2e-4  # relative, m: by which no position error may grow
 MAX_CHANCE_LOSS = 0.15  # relative, of the position error of a configuration that nobody would keep
+MAX_RUIN, MAX_RUIN_NATS = 0.5, 0.2  # relative, nats per number: more than chance does to any configuration
 MAX_LN_ANEES_LOSS = 0.1  # by which ln ANEES may leave its chance range further where the error stays the same
 MIN_GAIN = 0.1  # relative gain of the position error
 MIN_LN_ANEES_GAIN = 0.2  # by which ln ANEES must come nearer to its chance range
@@ -57,7 +58,33 @@ def spoils_alone(before: Score, after: Score) -> bool:
     One drive's error moves by many percent with every other way of weighing the same readings, by chance: such a
     configuration may not hinder what helps the better ones.
     """
-    return spoils(before, after, MAX_CHANCE_LOSS, MAX_CHANCE_LOSS_NATS)
+    return spoils(before, after, MAX_CHANCE_LOSS, MAX_CHANCE_LOSS_NATS) and not _only_underconfident(before, after)
+
+
+def _only_underconfident(before: Score, after: Score) -> bool:
+    """Return whether all that changes, beside chance, is that more is claimed than the error: no harm."""
+    if before.position is None or after.position is None or after.lost > before.lost + MAX_LOST_SHARE:
+        return False
+    small = after.position <= before.position * (1.0 + MAX_CHANCE_LOSS) + MAX_LOSS_M
+    return small and after.anees is not None and after.anees < 1.0
+
+
+def ruins(before: Score, after: Score) -> bool:
+    """Return whether a configuration that nobody would keep gets worse by far more than chance does."""
+    if after.lost > before.lost + MAX_LOST_SHARE:
+        return True
+    if before.position is not None:
+        return after.position is None or after.position > (1.0 + MAX_RUIN) * before.position
+    if before.prediction is not None:
+        return after.prediction is None or after.prediction < before.prediction - MAX_RUIN_NATS
+    return False
+
+
+def was_chance(before: Score, after: Score) -> bool:
+    """Return whether a smaller error before was chance: that run was far off what it claimed, and no more is."""
+    if before.position is None or not after.anees:
+        return False
+    return _off(before) > MIN_LN_ANEES_GAIN and _off(after) == 0.0
 
 
 def improves(before: Score, after: Score) -> bool:

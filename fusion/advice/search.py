@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from locfuse.fusion.doctor.finding import Finding
 
-from .score import Score, gain, improves, settles, spoils, spoils_alone
+from .score import Score, gain, improves, ruins, settles, spoils, spoils_alone, was_chance
 
 Fixes = tuple[str, ...]  # "table.key=value"
 Scores = Mapping[str, Score]  # by configuration
@@ -27,8 +27,10 @@ class Candidate:
     alternatives: tuple[Fixes, ...]
     judges: tuple[str, ...]
     minor: tuple[str, ...] = ()  # of these, by which a gain shows and a little more error is no harm
+    others: tuple[str, ...] = ()  # of these, which no fix may ruin: what moves the wheels moves them too
     offer: bool = False  # no observation, only a setting that may help: silent where it does not
     measured: bool = False  # the drive shows the value: without truth and by shape it is taken if nothing is lost
+    rivals: tuple[str, ...] = ()  # roles whose fixes explain the same: beside one of them, look again first
     by_shape: bool = False  # may be judged by the path's shape: nobody observes where its map lies, that is chance
 
 
@@ -77,8 +79,13 @@ def search(candidates: Sequence[Candidate], kept: Fixes, trial: Try) -> list[Adv
         found.append(advice)
         kept = together(kept, advice.fixes)
         # what did not help is tried again only beside what did: a second fault may have hidden it
-        left = [c for c in left if c is not best and c.finding.role != best.finding.role]
+        left = [c for c in left if c is not best and not _explains_the_same(c, best)]
     return found
+
+
+def _explains_the_same(one: Candidate, other: Candidate) -> bool:
+    roles = one.finding.role, other.finding.role
+    return roles[0] == roles[1] or roles[0] in other.rivals or roles[1] in one.rivals
 
 
 def worth(advice: Advice) -> float:
@@ -153,8 +160,11 @@ def _pairs(
             before, after = ({name: scores[name].of_shape()} for scores in (before, after))
         # what takes one configuration's error to less than half is right: another one's may lose what chance does
         chance = name in candidate.minor or settled
-        if (spoils_alone if chance else spoils)(before[name], after[name]):
+        worse = ruins if name in candidate.others else spoils_alone if chance else spoils
+        lucky = settled and name in candidate.minor and was_chance(before[name], after[name])
+        if worse(before[name], after[name]) and not lucky:
             return {}
         pairs[name] = before[name], after[name]
-        settled = settled or (not candidate.offer and settles(before[name], after[name]))
+        observed = candidate.measured or not candidate.offer
+        settled = settled or (observed and settles(before[name], after[name]))
     return pairs

@@ -4,37 +4,41 @@ from .filter import factor
 
 
 def nees(e, S, rows, d, least, L, w, out):
-    """Write e' S^-1 e / d of errors e (rows, d) whose covariances S (rows, d * d) are regular beyond doubt.
+    """Write e' S^-1 e / d of errors e (rows, d) whose covariances S (rows, d * d) are not singular.
 
-    The smallest eigenvalue of S is at least 1 / trace(S^-1), the largest at most trace(S): their ratio is above
-    `least` where that of the bounds is. Room: L (d, d), w (d,).
+    One is singular where 1 / tr S^-1 is not above `least` of tr S, or of `least` itself: up to the factor d these
+    are its smallest and its largest eigenvalue, however the numbers are ordered. Room: L (d, d), w (d,).
     """
     for q in range(rows):
-        trace = 0.0
+        whole = 0.0
         for i in range(d):
             for j in range(d):
                 L[i, j] = S[q, d * i + j]
-            trace += L[i, i]
-        if not factor(L, d) or not inverse_trace(L, d, w) * least * max(trace, least) < 1.0:
+            whole += L[i, i]
+        if not factor(L, d) or not least * max(whole, least) * of_inverse(L, d, w) < 1.0:
             continue
-        total = 0.0
         for i in range(d):
             w[i] = e[q, i]
-            for j in range(i):
-                w[i] -= L[i, j] * w[j]
-            w[i] /= L[i, i]
-            total += w[i] * w[i]
-        out[q] = total / d
+        out[q] = squared(L, d, w, 0) / d
 
 
-def inverse_trace(L, d, w):
-    """Return the trace of (L L')^-1: the squares of L^-1, column by column."""
+def of_inverse(L, d, w):
+    """Return tr S^-1 of S = L L': the sum of all squared numbers of L^-1, column by column."""
+    trace = 0.0
+    for k in range(d):
+        for i in range(k, d):
+            w[i] = 0.0
+        w[k] = 1.0
+        trace += squared(L, d, w, k)
+    return trace
+
+
+def squared(L, d, w, first):
+    """Write L^-1 w over w (d,), whose numbers before `first` are 0; return the sum of its squares."""
     total = 0.0
-    for column in range(d):
-        for i in range(column, d):
-            w[i] = 1.0 if i == column else 0.0
-            for j in range(column, i):
-                w[i] -= L[i, j] * w[j]
-            w[i] /= L[i, i]
-            total += w[i] * w[i]
+    for i in range(first, d):
+        for j in range(first, i):
+            w[i] -= L[i, j] * w[j]
+        w[i] /= L[i, i]
+        total += w[i] * w[i]
     return total

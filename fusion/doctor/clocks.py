@@ -126,7 +126,7 @@ def _by_headings(drive: Drive, truth: Truth | None) -> Reference | None:
     if truth is None or truth.theta is None or len(truth.t) < MIN_READINGS:
         return None
     span = (float(truth.t[0]), float(truth.t[-1]))
-    return Reference(partial(_between, truth.t, np.unwrap(truth.theta)), span, drive.wheels.heading)
+    return Reference(partial(_between, truth.t, np.unwrap(truth.theta)), span, drive.wheels.heading, wanders=False)
 
 
 def off_by(lag: Lag) -> bool:

@@ -8,6 +8,9 @@ least squares take over, on short windows where the turning changes:
 - where the turning does not change, what is left misleads: a robot that steers by its pose answers its slips, its
   wheels turn back, later, what the ground has turned, and that pulls the best lag by 10 ms (the bias of
   identification in closed loop: Ljung 1999, 13.4).
+
+A heading whose errors do not last (a compass), beside one that does not wander (the truth, a laser's run), needs
+no windows: its residuals follow the turning rate by the lag. That uses all turning, and is ten times as sharp.
 """
 
 from __future__ import annotations
@@ -40,6 +43,9 @@ MIN_SAID_LAG_S, SAID_SIGMAS = 0.01, 4.0  # s, and in its own sigmas: a smaller l
 MIN_RMS_TURN_RAD = math.radians(3.0)  # rms turn per window below which there is nothing to correlate
 MIN_CORRELATION = 0.8
 MIN_WINDOWS = 20  # windows
+STRETCHES = 16  # of the drive, over which residuals are summed: errors that last no longer count as they should
+MIN_SIGMA_S = 5e-4  # s: turning rates are differences over a tenth of a second
+MAX_RESIDUAL_CORRELATION = 0.5  # of neighbouring residuals: those that last longer tell no lag
 COARSE_OVERLAP = 4.0  # windows at any time, to know roughly where the best lag is
 
 Heading = Callable[[Array], Array]  # [rad, not wrapped, up to a constant] at any time [s]
@@ -51,6 +57,7 @@ class Reference(NamedTuple):
     heading: Heading
     span: tuple[float, float]  # s
     wheels: Heading  # the same turning with little noise from reading to reading, for its rate
+    wanders: bool = True  # its errors add up, as those of wheels and of a laser's turns from scan to scan do
 
 
 class Lag(NamedTuple):
@@ -105,6 +112,8 @@ def find_lag(t: Array, heading: Array, reference: Reference) -> Lag | None:
     if found is None:
         return None
     fits = [_least_squares(found, _turns(t, heading, w, reference.span), reference) for w in SHORT_WINDOWS_S]
+    if not reference.wanders:
+        fits.append(_by_residuals(found, t, heading, reference))
     best = min((f for f in fits if f is not None), key=lambda f: f.sigma, default=None)
     offset = found if best is None else best.lag
     at, zero = turns.scores(reference.heading, np.array([offset, 0.0])).tolist()
@@ -166,6 +175,45 @@ def _least_squares(start: float, turns: _Turns, reference: Reference) -> _Fit | 
             return None
         sigma = math.sqrt(float(left.var()) * turns.overlap * float(np.linalg.inv(N)[1, 1])) / scale
     return _Fit(lag, sigma)
+
+
+def _by_residuals(start: float, t: Array, heading: Array, reference: Reference) -> _Fit | None:
+    """Return the lag near `start` [s] that explains the residuals of a heading; None where errors last.
+
+    Its standard deviation is that of sums over stretches of the drive: it holds for errors that last a little.
+    """
+    inside = (t >= reference.span[0] + MAX_LAG_S) & (t <= reference.span[1] - MAX_LAG_S)
+    t, heading = t[inside], heading[inside]
+    if len(t) < MIN_WINDOWS * STRETCHES:
+        return None
+    lag, sigma = start, math.inf
+    for _ in range(MAX_ITERATIONS):
+        rate, theirs = _rate(reference, t + lag), reference.heading(t + lag)
+        # what a heading may be off: a constant, a drift, what iron on the robot adds
+        iron = (np.cos(theirs), np.sin(theirs), np.cos(2.0 * theirs), np.sin(2.0 * theirs))
+        others = np.stack((np.ones(len(t)), t - t.mean(), *iron), axis=-1)
+        own = _without(heading - theirs, others)
+        rate = _without(rate, others)
+        squares = float(rate @ rate)
+        if squares <= 0.0:
+            return None
+        shift = float(rate @ own) / squares
+        left = own - shift * rate
+        if left[1:] @ left[:-1] > MAX_RESIDUAL_CORRELATION * float(left @ left):
+            return None
+        lag += shift
+        if abs(lag - start) > COARSE_STEP_S:
+            return None
+        sums = np.array([part.sum() for part in np.array_split(rate * left, STRETCHES)])
+        sigma = math.sqrt(float(sums @ sums)) / squares
+    return _Fit(lag, math.hypot(sigma, MIN_SIGMA_S))
+
+
+def _without(column: Array, others: Array) -> Array:
+    """Return a column (n,) less what others (n, k) explain of it."""
+    x, *_ = np.linalg.lstsq(others, column, rcond=None)
+    rest: Array = column - others @ x
+    return rest
 
 
 def _changing(turns: _Turns, reference: Reference, lag: float) -> NDArray[np.bool_]:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Ints, Measurements
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.wheels.motion import Wheels
 
 from .finding import Finding, Least
 
@@ -65,8 +66,16 @@ class Motion(NamedTuple):
     yaw: float  # rad, assumed yaw less the true one
     yaw_sigma: float
     turns: float | None  # the robot's turn per turn that the wheels tell; None where it hardly turned
-    turns_sigma: float
+    turns_sigma: float  # of what this drive shows
     walls: int
+    by_slips: float = (
+        0.0  # 1 sigma of the same: by how much slips make one drive's turns differ from the next one's
+    )
+
+    @property
+    def turns_anywhere(self) -> float:
+        """1 sigma of `turns` for any drive: eight stretches of a lap may slip alike."""
+        return max(self.turns_sigma, self.by_slips)
 
 
 def laser_motion(m: Measurements, t: Array, drive: Drive, robot: Robot) -> Motion | None:
@@ -85,7 +94,8 @@ def laser_motion(m: Measurements, t: Array, drive: Drive, robot: Robot) -> Motio
     scale_sigma, yaw_sigma = _spread(fitted, walls, 2)
     turns = turned(walls)
     turns_sigma = _spread(lambda part: None if (c := turned(part)) is None else (c,), walls, 1)[0]
-    return Motion(scale, scale_sigma, yaw, yaw_sigma, turns, turns_sigma, len(walls.y))
+    by_slips = slip_sigma(drive.wheels, t)
+    return Motion(scale, scale_sigma, yaw, yaw_sigma, turns, turns_sigma, len(walls.y), by_slips)
 
 
 class Looking(NamedTuple):
@@ -123,19 +133,26 @@ def of_radius(motion: Motion | None, robot: Robot, least: Least = WORTH_SAYING) 
     """Return the wheels' radius where the walls say that they measure ways and turns too long by one factor.
 
     A wrong range scale changes no turn, a wrong track no way: one number explains both, where it would take two.
+    Wheels slip, which moves turns by percents: for somebody who will try the fix it is enough that both together
+    are surely off, and nearer to each other than to 1. Where they surely differ, the ways tell the radius.
     """
     radius = robot.wheels.radius
     if motion is None or radius is None or motion.turns is None:
         return []
-    scales, sigmas = np.array((1.0 / motion.scale, motion.turns)), (motion.scale_sigma, motion.turns_sigma)
+    scales, sigmas = np.array((1.0 / motion.scale, motion.turns)), (motion.scale_sigma, motion.turns_anywhere)
     if not all(math.isfinite(s) and s > 0.0 for s in sigmas):
-        return []
-    off, apart = np.abs(scales - 1.0), abs(float(scales[0] - scales[1]))
-    alike = apart < least.sigmas * math.hypot(*sigmas) and apart < MAX_RADIUS_MISFIT * float(off.min())
-    if not alike or any(off < [least.error + least.sigmas * s for s in sigmas]):
         return []
     weights = 1.0 / np.square(sigmas)
     factor, sigma = float(scales @ weights / weights.sum()), float(weights.sum() ** -0.5)
+    off, apart = np.abs(scales - 1.0), abs(float(scales[0] - scales[1]))
+    tried = least != WORTH_SAYING
+    alike = apart < least.sigmas * math.hypot(*sigmas)
+    near = apart < (1.0 if tried else MAX_RADIUS_MISFIT) * float(off.min())
+    known = (sigma, sigma) if tried else sigmas
+    if not near or not (alike or tried) or any(off < [least.error + least.sigmas * s for s in known]):
+        return []
+    if not alike:
+        factor, sigma = 1.0 / motion.scale, motion.scale_sigma
     words = (
         f"by the laser's walls they measure ways and turns {1.0 / factor:.3f} times as long as these are (1 sigma "
         f"{sigma:.3f}): a wrong radius does both"
@@ -212,6 +229,17 @@ def turned(walls: Walls) -> float | None:
         return None
     scatter = 1.4826 * float(np.median(rest[near])) + 1e-3
     return _slope(walls, near & (np.abs(walls.turn - c * walls.by_wheels) < 3.0 * scatter))
+
+
+def slip_sigma(wheels: Wheels, t: Array) -> float:
+    """Return by how much slips alone move a ratio of turns on this drive, seen at t (n,): 1 sigma, relative."""
+    if wheels.noise <= 0.0 or len(t) < 2:
+        return 0.0
+    t = np.clip(t, wheels.t[0], wheels.t[-1])
+    turn = np.diff(wheels.heading(t))
+    variance = wheels.slips(np.stack((t[:-1], t[1:]), axis=-1))[:, 0].sum(axis=-1) / wheels.track**2
+    squares = float(turn @ turn)
+    return math.sqrt(float(turn**2 @ variance)) / squares if squares > 0.0 else 0.0
 
 
 def _slope(walls: Walls, rows: NDArray[np.bool_]) -> float | None:

@@ -18,6 +18,7 @@ from locfuse.fusion.wheels.repairs import gaps_of, times
 from .finding import Finding, Least
 from .start import of_start
 
+WHEEL_SCALE = "wheel scale"  # code of the finding on the wheels' metre
 WINDOW_S = 1.0  # s over which ways are compared
 STRETCHES = 8  # stretches of the drive whose estimates must agree
 MIN_WAY_M = 0.1  # m per window
@@ -127,7 +128,7 @@ def metre(drive: Drive, robot: Robot, least: Least = WORTH_SAYING) -> tuple[floa
     fixes = [f"wheels.radius={radius:.4g}"]
     if robot.wheels.track is not None:  # what turns right must go on turning right
         fixes.append(f"wheels.track={robot.wheels.track * factor:.4g}")
-    return factor, [Finding("wheels", "wheel scale", words, tuple(fixes), abs(factor - 1.0) > SEVERE_SCALE_ERROR)]
+    return factor, [Finding("wheels", WHEEL_SCALE, words, tuple(fixes), abs(factor - 1.0) > SEVERE_SCALE_ERROR)]
 
 
 def _arc(wheels: Wheels, start: Array, end: Array, turn: Array) -> Array:

@@ -199,10 +199,12 @@ def of_track(
         return []
     track, sigma, by = metre * found[0], metre * found[1], found[2]
     off = track / (metre * configured) - 1.0
-    if abs(off) < least.error + least.sigmas * sigma / track:
+    anywhere = sigma if motion is None else max(sigma, track * motion.by_slips)
+    # who tries the fix sees what it does on this drive
+    if abs(off) < least.error + least.sigmas * (anywhere if least == WORTH_SAYING else sigma) / track:
         return []
     words = (
-        f"the track is {configured:g} m, but the turning of {by} says {track:.3f} m (1 sigma {sigma:.3f}); "
+        f"the track is {configured:g} m, but the turning of {by} says {track:.3f} m (1 sigma {anywhere:.3f}); "
         "or let the filter find it (wheels.estimate=true)"
     )
     return [Finding("wheels", "track", words, (f"wheels.track={track:.3f}",), abs(off) > SEVERE_TRACK_ERROR)]

@@ -76,8 +76,7 @@ class Tuned:
     numbers: tuple[int, int]  # in training, and held out
     flags: Sequence[str]  # what these logs do not tell
     measured_again: Sequence[str]  # sensors
-    told: Sequence[Trial]  # with the noise that was told, on the same measurements
-    trials: Sequence[Trial]  # with the noise that was found
+    trials: Sequence[Trial]  # with the noise that was found, and everything else as given
 
 
 def tune(
@@ -123,6 +122,7 @@ class Bench:
                 "wheels.noise is 0:", role="tune", fixes=(fix,), hint=f"give a start, such as --set {fix}"
             )
         check_told_alike(trials, used)
+        self._given = [t.robot for t in trials]
         self.trials = [t._replace(robot=optimal(t.robot)) for t in trials]
         self.figures = Figures(trials[0].robot, used, drifting(trials[0].robot, used, drift))
         self._remeasure = remeasure
@@ -200,8 +200,6 @@ class Bench:
         now = told + np.array([figures.factors.get(name, 0.0) for name in figures.names])
         now[~np.isfinite(now)] = 0.0
         (train, held_out), numbers = problem.means(np.stack((told, now)))
-        if held_out is not None and held_out[1] < held_out[0]:
-            flags.append("what was held out is less likely with the noise that was found: do not use it")
         before = Figures(figures.told, figures.sensors, figures.drift)
         error_of = dict(zip(figures.names, errors.tolist(), strict=True))
         rows = [
@@ -210,8 +208,12 @@ class Bench:
             for name in (figures.name_of(key),)
         ]
         again = list(dict.fromkeys(self._again))
-        as_told = [self.trial(t, before) for t in self.trials]
-        return Tuned(rows, train, held_out, numbers, flags, again, as_told, self.now())
+        return Tuned(rows, train, held_out, numbers, flags, again, self.as_used())
+
+    def as_used(self) -> list[Trial]:
+        """Return the logs with what was found and everything else as given: what other commands would fuse."""
+        given = zip(self.now(), self._given, strict=True)
+        return [t._replace(robot=self.figures.robot(robot)) for t, robot in given]
 
     def _leave(self, problem: Problem, name: str) -> str:
         """Take back what the likelihood does not tell, as far as it allows, and say so."""

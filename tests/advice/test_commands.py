@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from commands import locfuse
+from jobs_here import jobs_here
 from trap_logs import Drive
 from traps_sensors import elsewhere, pitched_imu, short_metre, upside_down
 
@@ -55,6 +56,23 @@ def test_quiet_commands_that_exit_with_3_say_why_on_one_line(command: str, tmp_p
     assert done.exit_code == 3
     (line,) = done.stderr.splitlines()
     assert line.startswith("void: the truth starts 3.26 m from where the drive starts")
+
+
+def test_several_logs_of_which_one_is_void_exit_with_3_and_say_why(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    jobs_here(monkeypatch)
+    void = Drive()
+    elsewhere(void)
+    logs = [d.record(tmp_path / f"{name}.mcap") for name, d in (("right", Drive()), ("void", void))]
+    done = locfuse("compare", *logs, "-q", "-o", tmp_path / "out", "--write", "json", "--sensors", "compass")
+    assert done.exit_code == 3
+    assert [line for line in done.stderr.splitlines() if line.startswith("lost:")] == []
+    (line,) = (line for line in done.stderr.splitlines() if line.startswith("void:"))
+    assert line.startswith("void: void: the truth starts 3.26 m from where the drive starts")
+    assert "the best in 1 of 1 logs. 1 void." in done.stdout
+    logs_of = json.loads((tmp_path / "out" / "summary.json").read_text())["logs"]
+    assert [len(logs_of[name]["void"]) for name in ("right", "void")] == [0, 1]
 
 
 def test_where_every_error_is_void_no_sensor_gets_a_verdict_and_the_start_is_the_fix(tmp_path: Path) -> None:

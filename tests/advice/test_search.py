@@ -95,7 +95,70 @@ def test_a_configuration_that_nobody_would_keep_may_predict_worse_by_what_chance
     assert helpful(search([candidate], (), trial)) == ([(LAG,)] if taken else [])
 
 
+def test_rivals_that_explain_the_same_are_not_both_kept_before_the_log_is_looked_at_again() -> None:
+    """The laser is late, or the wheels are early: once one is set, the other's value is of yesterday."""
+    early = "wheels.time_offset=0.1"
+    wheels = Candidate(Finding("wheels", "lag", "early"), ((early,),), ("all",), rivals=("lrf", "compass"))
+    trial = Trials({keys(): 0.1, keys(LAG): 0.01, keys(early): 0.05, keys(LAG, early): 0.002})
+    assert helpful(search([wheels, LATE], (), trial)) == [(LAG,)]
+    trial = Trials({keys(): 0.1, keys(LAG): 0.05, keys(early): 0.01, keys(LAG, early): 0.002})
+    assert helpful(search([wheels, LATE], (), trial)) == [(early,)]
+
+
+@pytest.mark.parametrize(("camera", "taken"), [(0.019, True), (0.034, False)])
+def test_a_track_that_makes_odometry_better_may_not_ruin_the_camera(camera: float, taken: bool) -> None:
+    """14 mm before: 19 mm are chance, 34 mm say that the track fits the slips of this drive."""
+    track = "wheels.track=0.624"
+    scores = {("odometry", ()): 0.319, ("odometry", (track,)): 0.166, ("camera", ()): 0.014}
+    scores |= {("camera", (track,)): camera, ("all", ()): 0.0035, ("all", (track,)): 0.0035}
+
+    def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
+        return {name: Score(scores[name, fixes]) for name in names}
+
+    judges = ("camera", "all", "odometry")
+    finding = Finding("wheels", "track", "4 % off")
+    candidate = Candidate(finding, ((track,),), judges, ("camera", "odometry"), ("camera",), offer=True)
+    assert helpful(search([candidate], (), trial)) == ([(track,)] if taken else [])
+
+
 BOUNDS = (0.5, 2.0)
+
+
+@pytest.mark.parametrize(("anees", "taken"), [(7.8, True), (1.0, False)])
+def test_an_error_that_was_small_by_chance_may_grow_where_another_falls_to_less_than_half(
+    anees: float, taken: bool
+) -> None:
+    """A radius 6 % off: odometry's two errors cancel on this drive, and its covariance says that it is chance."""
+    radius = "wheels.radius=0.05"
+    scores = {
+        ("camera", ()): Score(0.540, 27.0, BOUNDS),
+        ("camera", (radius,)): Score(0.043, 0.95, BOUNDS),
+        ("odometry", ()): Score(0.277, anees, BOUNDS),
+        ("odometry", (radius,)): Score(0.391, 0.9, BOUNDS),
+    }
+
+    def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
+        return {name: scores[name, fixes] for name in names}
+
+    finding = Finding("wheels", "wheel scale", "6 % long", severe=True)
+    candidate = Candidate(finding, ((radius,),), ("camera", "odometry"), ("odometry",))
+    assert helpful(search([candidate], (), trial)) == ([(radius,)] if taken else [])
+
+
+def test_a_filter_that_only_becomes_underconfident_is_not_spoiled_beside_a_sensor_that_is_settled() -> None:
+    """A compass 30 degrees off: 1.3 m -> 25 mm; of `all` the error shrinks below what was claimed anyway."""
+    scores = {
+        ("compass", ()): Score(1.35, 380.0, BOUNDS),
+        ("compass", (OFFSET,)): Score(0.025, 0.7, BOUNDS),
+        ("all", ()): Score(0.00312, 0.48, BOUNDS),
+        ("all", (OFFSET,)): Score(0.00296, 0.38, BOUNDS),
+    }
+
+    def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
+        return {name: scores[name, fixes] for name in names}
+
+    assert helpful(search([BIASED], (), trial)) == [(OFFSET,)]
+    assert spoils(scores["all", ()], scores["all", (OFFSET,)])  # which a gain of its own would have to outweigh
 
 
 @pytest.mark.parametrize(

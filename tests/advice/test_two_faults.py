@@ -40,7 +40,9 @@ def what_is_wrong_then(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def look(compared: object, trial: object, fixes: Fixes) -> Any:
         assert fixes == (CLOCK,)
-        return SimpleNamespace(compared=compared, judges=lambda role: ("compass", "all"))
+        return SimpleNamespace(
+            compared=compared, judges=lambda role: ("compass", "all"), kept=lambda role: {"all"}
+        )
 
     monkeypatch.setattr(evaluator, "Evidence", look)
     monkeypatch.setattr(evaluator, "_compared", lambda *_: object())

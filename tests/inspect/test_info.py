@@ -16,10 +16,11 @@ from commands import Done, locfuse
 from mcap.reader import make_reader
 from trap_logs import PICTURES, WHEELS, Drive
 from traps_camera import decoded, raw
+from traps_sensors import short_metre
 
 from locfuse import sample_logs
-from locfuse.cli.advice.validity import reasons
 from locfuse.cli.terminal import text_table
+from locfuse.formats.tables.findings import void_reasons
 from locfuse.formats.tables.table import Column, of_words
 
 SAMPLES = ("rounded_rectangle", "rounded_triangle", "disturbed")
@@ -183,10 +184,23 @@ def test_the_next_command_is_one_that_cures(tmp_path: Path) -> None:
     assert shlex.split(compare)[:2] == ["locfuse", "compare"]
 
 
+def test_of_two_ways_to_set_a_distance_none_is_called_the_fix(tmp_path: Path) -> None:
+    """As `compare`, which offers neither; with truth it is known who is right."""
+    made = Drive()
+    short_metre(made)
+    log = made.record(tmp_path / "log.mcap")
+    assert "fix: --set lrf.range_scale=1.1" in locfuse("info", log).stdout
+    alone = locfuse("info", log, "--set", "truth.topic=none").stdout
+    (line,) = (x for x in alone.splitlines() if x.startswith("  lrf: its ranges"))
+    assert "If the wheels are right, set lrf.range_scale=1.1" in line
+    assert "if the laser is, wheels.radius=0.04" in line
+    assert "fix: --set lrf.range_scale" not in alone
+
+
 def test_a_run_that_is_lost_is_said_by_info_as_by_compare() -> None:
     tried = as_json("rounded_triangle", "--set", "lrf.yaw_deg=90", "--check")["tried"]
     assert any(v["void"] and v["code"] == "lost" and "lrf" in v["configurations"] for v in tried["validity"])
-    assert reasons(tried)
+    assert void_reasons(tried)
     assert tried["headline"].startswith("Keep the camera")
 
 

@@ -98,6 +98,14 @@ def test_logs_without_truth_have_no_best_and_it_is_said() -> None:
     assert "| a |" in over.render({**found, "locfuse": "0.1.0"})
 
 
+def test_a_log_whose_figures_are_void_has_a_truth_and_it_is_said_what_is_wrong() -> None:
+    void = {"message": "lost for 70%", "void": True}
+    reports = {"a": {**report({"all": None}), "validity": [void]}, "b": report({"all": None})}
+    found = summarised([Entry(name, report=slim({"": r})) for name, r in reports.items()])
+    assert over.headline(found) == "No log has an error figure: 1 void, 1 without truth."
+    assert "void: lost for 70%" in over.render(found)
+
+
 def test_names_from_logs_do_not_become_markup() -> None:
     found = over.summarise({"a|b*": report({"all": 0.1})})
     assert r"a\|b\*" in over.render({**found, "locfuse": "0.1.0"})

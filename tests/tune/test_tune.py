@@ -14,6 +14,8 @@ import pytest
 import small_drive
 from commands import locfuse
 from scipy.stats import norm
+from trap_logs import Drive as LogDrive
+from traps_sensors import elsewhere
 
 from locfuse.cli.jobs.tune import lasting_errors, tune_logs
 from locfuse.cli.pipeline.load import find_log, load
@@ -235,3 +237,27 @@ def test_a_sensor_whose_errors_last_does_not_spoil_the_noise_of_the_others() -> 
     assert set(found.tables()) == {"wheels", "lrf"}
     assert found.tables()["lrf"]["sigma_range"] == pytest.approx(0.03, rel=0.1)
     assert any("compass: errors of" in note and "left as it was" in note for note in found.notes)
+
+
+def test_a_log_is_judged_as_run_would_fuse_it_whatever_the_likelihood_needs(tmp_path: Path) -> None:
+    """Two centimetres of a wall's ranges set to ten: lines are cut elsewhere, and that is part of the error."""
+    start = ("--set", "lrf.sigma_range=0.1", "--sensors", "compass,lrf")
+    done = locfuse("tune", "rounded_rectangle", *start, "-o", tmp_path / "tuned.toml", "--json", "-q")
+    (judged,) = json.loads(done.stdout)["logs"]
+    errors = {}
+    for when, words in (("before", start[:2]), ("after", ("--robot", tmp_path / "tuned.toml"))):
+        ran = ("--no-advice", "-q", "-o", tmp_path / when, "--write", "json", *words, *start[2:])
+        assert locfuse("run", "rounded_rectangle", *ran).exit_code == 0
+        report = json.loads((tmp_path / when / "run.json").read_text())
+        errors[when] = report["configurations"]["compass+lrf"]["position_rmse_m"]
+    assert judged["before"]["position_rmse_m"] == pytest.approx(errors["before"], rel=1e-6)
+    assert judged["after"]["position_rmse_m"] == pytest.approx(errors["after"], rel=0.1)  # lines cut within 10 %
+
+
+def test_a_log_that_starts_elsewhere_is_judged_by_the_shape_of_its_path(tmp_path: Path) -> None:
+    drive = LogDrive()
+    elsewhere(drive)
+    done = locfuse("tune", drive.record(tmp_path / "log.mcap"), "--sensors", "compass", "-q")
+    assert "position error of the path's shape, log" in done.stdout
+    report = json.loads(locfuse("tune", tmp_path / "log.mcap", "--sensors", "compass", "--json", "-q").stdout)
+    assert report["logs"][0]["before"]["position_rmse_m"] < 1.0  # the truth starts 3.26 m away

@@ -63,3 +63,20 @@ def test_what_several_configurations_say_is_said_once() -> None:
     runs = {"odometry": {"notes": []}, "lrf": {"notes": ["lrf: slipped"]}, "all": {"notes": ["lrf: slipped"]}}
     assert notes_of({"notes": ["clock"], "configurations": runs}) == ["clock", "lrf: slipped (all: alike)"]
     assert notes_of({"notes": [], "configurations": {"all": runs["all"]}}) == ["lrf: slipped"]
+
+
+def test_where_notes_differ_in_numbers_those_of_every_configuration_and_stream_are_shown() -> None:
+    places = "lrf: the map is made of {} pieces, and {} places were recognised"
+    runs = {
+        "lrf": {"notes": [places.format(9, 19), "lrf: 29 slips", "lrf: 30 slips"]},
+        "lrf@2Hz": {"notes": [places.format(9, 5), "lrf: 29 slips", "lrf: 4 slips"]},
+        "all": {"notes": [places.format(8, 5), "lrf: 29 slips"]},
+    }
+    log = ["lrf: 0.05 s late (3%)", "compass: 0.12 s late (3%)", "3 readings share a stamp"]
+    assert notes_of({"notes": log, "configurations": runs}) == [
+        "lrf, compass: 0.05 (compass: 0.12) s late (3%)",
+        "3 readings share a stamp",
+        "lrf: the map is made of 9 (all: 8) pieces, and 19 (lrf@2Hz, all: 5) places were recognised",
+        "lrf: 29 slips (lrf@2Hz, all: alike)",
+        "lrf: 30 (lrf@2Hz: 4) slips",
+    ]

@@ -111,6 +111,43 @@ FIX_SCHEMA = b"""{"type": "object", "properties": {"timestamp": {"type": "object
 FIX = make_decoder(ChannelInfo("/a", "A", "json", "jsonschema", FIX_SCHEMA, 1))
 
 
+def field(number: int, content: bytes) -> bytes:
+    """A field of Protobuf that holds bytes, a text or a message of less than 128 bytes."""
+    return bytes((number << 3 | 2, len(content))) + content
+
+
+def described(name: bytes, number: int, kind: int, label: int = 1, held: bytes = b"") -> bytes:
+    """A FieldDescriptorProto as it lies in its DescriptorProto."""
+    numbers = bytes((0x18, number, 0x20, label, 0x28, kind))
+    return field(2, field(1, name) + numbers + (field(6, held) if held else b""))
+
+
+TIMESTAMP = field(1, b"Timestamp") + described(b"seconds", 1, 3) + described(b"nanos", 2, 5)
+PART = field(1, b"P") + described(b"x", 1, 1) + described(b"z", 2, 18) + described(b"p", 3, 11, 1, b".P")
+ALL = (
+    field(1, b"A") + described(b"timestamp", 1, 11, 1, b".google.protobuf.Timestamp") + described(b"ns", 2, 1, 3)
+    + described(b"parts", 3, 11, 3, b".P") + described(b"data", 4, 12) + described(b"is", 5, 17, 3)
+)  # fmt: skip
+PROTO_SCHEMA = (
+    field(1, field(2, b"google.protobuf") + field(4, TIMESTAMP)) + field(1, field(4, PART))
+    + b"\x0a" + bytes((len(ALL) + 3 & 0x7F | 0x80, len(ALL) + 3 >> 7)) + b"\x22"
+    + bytes((len(ALL) & 0x7F | 0x80, len(ALL) >> 7)) + ALL
+)  # fmt: skip
+PROTO = make_decoder(ChannelInfo("/a", "A", "protobuf", "protobuf", PROTO_SCHEMA, 1))
+PROTO_MESSAGE = (
+    field(1, b"\x08\x05\x10\x07") + field(2, struct.pack("<2d", 1.5, 2.5))
+    + field(3, b"\x09" + bytes(8) + b"\x10\x03") + field(4, b"abc") + field(5, b"\x01\x80\x01")
+)  # fmt: skip
+
+
+def protobuf_schema(data: bytes) -> object:
+    return decoded(make_decoder(ChannelInfo("/a", "A", "protobuf", "protobuf", data, 1)), PROTO_MESSAGE)
+
+
+def protobuf_message(data: bytes) -> object:
+    return decoded(PROTO, data, data[:9])
+
+
 def robot(data: bytes) -> object:
     return make_robot(robot_toml.parse(data, "robot.toml"))
 
@@ -261,6 +298,8 @@ TARGETS: dict[str, Target] = {
     "ros2idl": Target(definition("ros2idl"), corpus("ros2idl"), IDL_WORDS, (SchemaError,)),
     "jsonschema": Target(jsonschema, (*corpus("jsonschema"), FIX_SCHEMA), JSON_WORDS, (SchemaError,)),
     "json": Target(fix_message, corpus("json"), JSON_WORDS, ()),
+    "protobuf schema": Target(protobuf_schema, (PROTO_SCHEMA,), BYTES, (SchemaError,)),
+    "protobuf": Target(protobuf_message, (PROTO_MESSAGE,), (*BYTES, b"\x80" * 11, b"\x1a\x02"), ()),
     "cdr": Target(scan_message, (SCAN_MESSAGE,), BYTES, ()),
     "robot.toml": Target(robot, corpus("robot.toml"), TOML_WORDS, OURS),
     "urdf": Target(urdf, corpus("urdf"), XML_WORDS, ()),

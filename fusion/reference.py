@@ -26,6 +26,8 @@ def refuse(drive: Drive, robot: Robot) -> None:
             fixes=("truth.topic=none",),
             hint="Leave --reference out, or hide the truth: --set truth.topic=none",
         )
+    if drive.wheels.stands:
+        raise UsageError("--reference: the robot does not move in this log, so no sensor can be judged")
     check_optimal(robot, _present(drive))
     if not _locates(_present(drive)):
         raise UsageError(
@@ -135,7 +137,8 @@ def _noisier(drive: Drive, factors: Mapping[str, float]) -> Drive:
 
 
 def _present(drive: Drive) -> tuple[str, ...]:
-    return tuple(s for s in REGISTRY if s in drive.measurements)
+    """Return the sensors that measured something: a dead one makes no reference."""
+    return tuple(s for s in REGISTRY if s in drive.measurements and len(drive.measurements[s].z))
 
 
 def _without(sensor: str, present: Sequence[str]) -> tuple[str, ...]:

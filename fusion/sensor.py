@@ -214,6 +214,53 @@ class Bearings(NamedTuple):
     mount: Any  # fusion.mount.Mount, which may hold states; None: known exactly, at the base
 
 
+class Columns(ABC):
+    """All readings of a sensor as one of the core's tables, for what the core takes at once (fusion.coast)."""
+
+    kind: ClassVar[str]  # which of `core.tables.Readings` it is
+    when: Ints  # (n,) instants at which the readings are due
+    first: Ints  # (n + 1,) rows of every reading
+    told: Array  # (m, 4 + 2 d) verdict, landmark, NIS, threshold, y, sigma: what became of every row
+    joint: Array  # (n, 2) how well the rows of a reading fit as a whole, and their degrees of freedom
+    reads: Model | None = None  # whose line map is read
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers a row holds, d."""
+        return int(self.told.shape[1] - 4) // 2
+
+    @property
+    @abstractmethod
+    def ready(self) -> bool:
+        """Whether the core may take a reading now: nothing is left that a reading begins."""
+
+    @abstractmethod
+    def table(self, belief: Any) -> Any:
+        """Return the table, with the states as they lie in the belief now."""
+
+    def passed(self, first: int, last: int) -> None:  # noqa: B027, most have nothing to learn from it
+        """Take in that the core took the readings first:last."""
+
+
+UNTOLD = -1.0  # verdict of a row that was compared with nothing
+
+
+def untold(rows: int, numbers: int) -> Array:
+    """Return `Columns.told` before anything was told."""
+    told = np.full((rows, 4 + 2 * numbers), np.nan)
+    told[:, :2] = UNTOLD
+    return told
+
+
+def upper(R: Array) -> Array:
+    """Return the three numbers of symmetric matrices (n, 2, 2), of one number (n, 1, 1) with zeros: (n, 3)."""
+    out = np.zeros((len(R), 3))
+    out[:, 0] = R[:, 0, 0]
+    if R.shape[1] > 1:
+        out[:, 1], out[:, 2] = R[:, 0, 1], R[:, 1, 1]
+    return out
+
+
 class Block(NamedTuple):
     """A named part of the state that a sensor owns (compass offset, gyro bias, line map)."""
 
@@ -291,6 +338,10 @@ class Model:
 
     def bearings(self, m: Measurements) -> Bearings | None:
         """Return all readings as bearings of a known point, where they are nothing else and nothing is learnt."""
+        return None
+
+    def columns(self, m: Measurements, when: Ints) -> Columns | None:
+        """Return all readings, which are due at the instants `when`, for the core; None: it does not know them."""
         return None
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:

@@ -46,6 +46,10 @@ TRUTH_NAMES = (
     "mocap",
     "vicon",
     "optitrack",
+    "vrpn",
+    "qualisys",
+    "natnet",
+    "leica",
 )  # never /odom, never /amcl_pose
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Any
 
+from locfuse.cli.choose.standing import STANDS
 from locfuse.formats.report import json_report
 from locfuse.fusion.advice.probes import MOUNT
 from locfuse.fusion.mount import OTHER_MOUNT
@@ -20,11 +21,12 @@ def complete(
     advised: Advised | None,
     start_error_m: float | None = None,
     foreign: Collection[str] = (),
+    stands: bool = False,
 ) -> None:
     """Add findings, validity and headline to a finished report; None: the log was not evaluated.
 
     `start_error_m` is how far the truth starts from where the drive does, None where somebody stated the start.
-    Rows that are `foreign` estimates say nothing of which sensors to keep.
+    Rows that are `foreign` estimates say nothing of which sensors to keep; of a robot that `stands` nothing does.
     """
     add_findings(report, advised)
     _leave_out_what_findings_say(report)
@@ -34,7 +36,7 @@ def complete(
         for name, values in report["configurations"].items()
         if not values.get("smoothed") and not values.get("rates_hz") and name not in foreign
     }
-    report["headline"] = headline(report, sets)
+    report["headline"] = f"{STANDS[0].upper()}{STANDS[1:]}." if stands else headline(report, sets)
     report.update(json_report.plain(report))
 
 

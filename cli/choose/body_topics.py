@@ -17,7 +17,7 @@ from locfuse.fusion.truth import looks_like_truth
 from locfuse.fusion.wheels.odometry import ODOMETRY, PLANAR, POSE, SCANS, SPEED, STEERED, TRANSFORM, commanded
 from locfuse.fusion.wheels.read import WHEEL_READS
 
-from .mounts import is_base, is_odometry, last_word
+from .mounts import is_base, is_odometry, is_room
 from .not_read import not_read
 from .topics import ONLY, Choice, likeliest, of_type, one
 
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 TWISTS = tuple(kind for kind in SPEED if kind not in (*POSE, *PLANAR))
 POSES = tuple(kind for kind in (*POSE, *PLANAR) if kind not in (ODOMETRY, TRANSFORM))
-ROOM_FRAMES = ("map", "world", "earth")  # last word of the frames in which another program says where the robot is
 MADE_OF_MORE = (
     "filter",
     "ekf",
@@ -39,7 +38,6 @@ MADE_OF_MORE = (
     "slam",
     "map",
     "amcl",
-    "gps",
     "lidar",
     "zed",
     "vins",
@@ -56,6 +54,7 @@ MADE_OF_MORE = (
     "scan",
     "mavros",
 )
+MADE_OF_FIXES = ("gps", "gnss", "navsat")  # navsat_transform's has no heading
 ONLY_CORRECT = ("sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/Imu")  # types that make no motion by themselves
 RAW = ("unfiltered", "raw", "wheel", "encoder", "_enc")
 PRESENTED_AS = ("odometry",)  # how topics end that are another type made into an Odometry
@@ -162,17 +161,19 @@ def _a_topic(name: str) -> bool:
 
 def _least_made(odometry: Sequence[str]) -> tuple[list[str], str, list[str]]:
     """Return the odometries whose names say that they are nearest to the wheels, why, and the others."""
-    found = [[t for t in odometry if _made(t) == rank] for rank in range(3)]
+    found = [[t for t in odometry if _made(t) == rank] for rank in range(4)]
     best = next(topics for topics in found if topics)
     others = [t for t in odometry if t not in best]
     return best, NEAREST if others else ONLY, others
 
 
 def _made(topic: str) -> int:
-    """Return 0 where an odometry's name says that it is raw, 2: made of more than the wheels; else 1."""
+    """Return 0 where an odometry's name says that it is raw, 2: of more than wheels, 3: of fixes; else 1."""
     name = topic.lower()
     if any(word in name for word in RAW):
         return 0
+    if any(word in name for word in MADE_OF_FIXES):
+        return 3
     return 2 if any(word in name for word in MADE_OF_MORE) else 1
 
 
@@ -217,11 +218,6 @@ def odometry_frames(log: Log) -> list[str]:
 def in_room(log: Log, topic: str) -> bool:
     """Return whether the poses of a topic are given in a frame that stands still in the room."""
     return is_room(log.stream(topic).frame_id)
-
-
-def is_room(frame: str) -> bool:
-    """Return whether a frame is called like one that stands still in the room."""
-    return last_word(frame) in ROOM_FRAMES
 
 
 def moving_frames(log: Log, fixed: Callable[[str], bool]) -> list[str]:

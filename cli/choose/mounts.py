@@ -26,13 +26,15 @@ MAX_TILT = 0.7  # of the z axis, along the vertical: more is a frame whose z axi
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 BASE_FRAMES = ("base_link", "base_footprint", "base")
 ODOMETRY_WORD = "odom"
+ROOM_FRAMES = ("map", "world", "earth", "utm")  # last word of frames that stand still in the room
 
 
 def transforms_of(log: Log, frames: Iterable[str]) -> StaticTransforms:
     """Return the transforms of /tf_static, and where they do not place all frames those of /tf that never change.
 
     ROS 1 publishes mounts on /tf. Reading it takes time, so it is asked only where something is missing. It also
-    says which frame is the body where that is not called like one: the frame that moves in a frame odom.
+    says which frame is the body where that is not called like one: the frame that moves in a frame odom, else in a
+    frame map or world.
     """
     static = log.static_transforms()
     if all(is_base(frame) or mount_of(static, frame) is not None for frame in frames if frame):
@@ -41,9 +43,10 @@ def transforms_of(log: Log, frames: Iterable[str]) -> StaticTransforms:
 
 
 def _bodies(log: Log) -> list[str]:
-    """Return the frames of /tf that move in the frame of an odometry."""
-    edges = (edge for topic in log.transform_topics for edge in log.frames(topic).values())
-    return [e.child for e in edges if e.moves and is_odometry(e.parent) and not is_odometry(e.child)]
+    """Return the frames of /tf that move in the frame of an odometry, else in that of a room."""
+    edges = [edge for topic in log.transform_topics for edge in log.frames(topic).values() if edge.moves]
+    bodies = [e for e in edges if not (is_odometry(e.child) or is_room(e.child))]
+    return [e.child for e in bodies if is_odometry(e.parent)] or [e.child for e in bodies if is_room(e.parent)]
 
 
 def is_base(frame: str) -> bool:
@@ -55,6 +58,11 @@ def is_odometry(frame: str) -> bool:
     """Return whether a frame is called like one in which an odometry says its poses: odom, odom_combined."""
     word = last_word(frame)
     return word.startswith(ODOMETRY_WORD) or word.endswith(ODOMETRY_WORD)
+
+
+def is_room(frame: str) -> bool:
+    """Return whether a frame is called like one that stands still in the room."""
+    return last_word(frame) in ROOM_FRAMES
 
 
 def last_word(frame: str) -> str:

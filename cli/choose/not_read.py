@@ -13,6 +13,7 @@ VESC = (
     "revolutions of the motor (erpm), whose length on the ground only vesc.yaml knows (speed_to_erpm_gain); "
     "record the /odom of vesc_to_odom"
 )
+FIXES = "words of the receiver; record the NavSatFix that its driver makes of them (/fix)"
 STEER = "an angle alone; beside it a speed is needed (VelocityReport)"
 LEGS = "the state of the legs; record the odometry that the robot makes of it"
 # role -> message type -> what it holds, and what to record instead
@@ -27,12 +28,14 @@ NOT_READ: dict[str, dict[str, str]] = {
         "pandar_msgs/msg/PandarScan": PACKETS,
         "rslidar_msg/msg/RslidarPacket": PACKETS,
     },
+    "gps": {
+        **dict.fromkeys(("ublox_msgs/msg/NavPVT", "nmea_msgs/msg/Sentence"), FIXES),
+    },
     "wheels": {
         "vesc_msgs/msg/VescStateStamped": VESC,
         "autoware_vehicle_msgs/msg/SteeringReport": STEER,
         "autoware_auto_vehicle_msgs/msg/SteeringReport": STEER,
         "unitree_go/msg/LowState": LEGS,
-        "unitree_go/msg/SportModeState": LEGS,
         "unitree_legged_msgs/msg/HighState": LEGS,
     },
 }

@@ -1,13 +1,14 @@
-"""Topics of a log that are read as another type: scans out of clouds or echoes, joints of ros2_control, PX4's."""
+"""Topics of a log that are read as another type: scans of clouds, joints of ros2_control, PX4's, Foxglove's."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from locfuse.formats.messages.as_joints import DYNAMIC, JOINTS
-from locfuse.formats.messages.as_px4 import IMU, LOCAL_POSITION, ODOMETRY, SENSOR_COMBINED, VEHICLE_ODOMETRY
-from locfuse.formats.messages.as_scan import CLOUD, ECHOES, FOXGLOVE, SCAN
-from locfuse.formats.messages.presented import presented_name
+from locfuse.formats.presented.as_joints import DYNAMIC, FEEDBACK, FOXGLOVE_JOINTS, JOINTS
+from locfuse.formats.presented.as_odometry import FOXGLOVE_ODOMETRY, SPORT_STATE
+from locfuse.formats.presented.as_px4 import IMU, LOCAL_POSITION, ODOMETRY, SENSOR_COMBINED, VEHICLE_ODOMETRY
+from locfuse.formats.presented.as_scan import CLOUD, ECHOES, FOXGLOVE, FOXGLOVE_CLOUD, SCAN
+from locfuse.formats.presented.kinds import presented_name
 
 from .topics import of_type
 
@@ -28,10 +29,15 @@ def offer_presented(log: Log) -> None:
         for topic in _filled(log, *FOXGLOVE) or _filled(log, ECHOES) or _clouds(log)[:1]:
             _present(log, topic)
     if not _filled(log, JOINTS):
-        for topic in _filled(log, DYNAMIC):
+        for topic in _filled(log, DYNAMIC) or _filled(log, *FOXGLOVE_JOINTS) or _filled(log, *FEEDBACK):
             _present(log, topic)
     if not _filled(log, ODOMETRY):
-        for topic in _filled(log, VEHICLE_ODOMETRY)[:1] or _filled(log, LOCAL_POSITION)[:1]:
+        for topic in (
+            _filled(log, *FOXGLOVE_ODOMETRY)
+            or _filled(log, VEHICLE_ODOMETRY)[:1]
+            or _filled(log, LOCAL_POSITION)[:1]
+            or _filled(log, SPORT_STATE)[:1]
+        ):
             _present(log, topic)
     if not _filled(log, IMU):
         for topic in _filled(log, SENSOR_COMBINED)[:1]:
@@ -50,6 +56,6 @@ def _filled(log: Log, *msgtypes: str) -> list[str]:
 
 def _clouds(log: Log) -> list[str]:
     """Return topics of clouds that a sensor sees, those of lasers first, then the busiest."""
-    clouds = [t for t in _filled(log, CLOUD) if log.topics[t].count >= MIN_CLOUDS]
+    clouds = [t for t in _filled(log, CLOUD, *FOXGLOVE_CLOUD) if log.topics[t].count >= MIN_CLOUDS]
     clouds = [t for t in clouds if log.stream(t).frame_id.rpartition("/")[2] not in STILL_FRAMES]
     return sorted(clouds, key=lambda t: (not any(w in t.lower() for w in LASERS), -log.topics[t].count, t))

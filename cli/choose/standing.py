@@ -20,7 +20,7 @@ from .topics import Choice, of_type
 if TYPE_CHECKING:
     from locfuse.formats.log.log import Log
 
-STANDS_M, STANDS_RAD = 0.02, 0.02  # m, rad over a whole log: less is no drive
+STANDS = "the robot does not move in this log, so no sensor can be judged"
 MIN_WAY_M = 1.0  # m by another topic: more is one
 MIN_FIX_SPREAD_M = 15.0  # m: a standing receiver's fixes wander by some metres
 FIX = "sensor_msgs/msg/NavSatFix"
@@ -28,7 +28,7 @@ FIX = "sensor_msgs/msg/NavSatFix"
 
 def refuse_standing(log: Log, choice: Choice, wheels: Wheels) -> None:
     """Raise LocfuseError where the wheels' topic never moves while another topic does."""
-    if way(wheels) > STANDS_M or np.ptp(wheels.pose[:, 2]) > STANDS_RAD:
+    if not wheels.stands:
         return
     own = " and ".join(choice.of("wheels"))
     taken = set(choice.of("wheels"))
@@ -43,6 +43,11 @@ def refuse_standing(log: Log, choice: Choice, wheels: Wheels) -> None:
         if (spread := _spread(log, topic)) > MIN_FIX_SPREAD_M:
             words = f"{own} never moves, but the fixes of {topic} lie up to {spread:.0f} m apart."
             raise LocfuseError(words, role="wheels", hint="Name a topic that moves: --set wheels.topic=<topic>")
+
+
+def standing_notes(wheels: Wheels) -> tuple[str, ...]:
+    """Say that the robot does not move."""
+    return (f"wheels: {STANDS}",) if wheels.stands else ()
 
 
 def _moved(log: Log, topic: str) -> float:

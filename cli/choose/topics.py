@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
-from locfuse.formats.messages.presented import PRESENTED, presented_name
 from locfuse.formats.nearest import did_you_mean
+from locfuse.formats.presented.kinds import PRESENTED, presented_name
 from locfuse.fusion.data import LocfuseError
 
 if TYPE_CHECKING:

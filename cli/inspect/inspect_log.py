@@ -15,6 +15,7 @@ from locfuse.cli.choose.body_topics import NoWheelsError
 from locfuse.cli.choose.choose import choose_sensor, choose_truth
 from locfuse.cli.choose.mounts import mount_tables, shared_turns, transforms_of
 from locfuse.cli.choose.presented_topics import offer_presented
+from locfuse.cli.choose.standing import STANDS
 from locfuse.cli.choose.tag_frames import offer_tags
 from locfuse.cli.choose.topics import Choice
 from locfuse.cli.choose.wheel_topics import choose_wheels
@@ -143,6 +144,8 @@ def _measure(overview: Overview, progress: Callable[[str], None]) -> None:
     progress("looking for findings")
     overview.loaded, overview.robot = loaded, loaded.robot
     streams = {role: loaded.stream(role) for role in loaded.choice.topics}
+    if loaded.drive.wheels.stands:
+        overview.findings.append(Finding("wheels", "standing", STANDS))
     overview.findings += examine(loaded.drive, loaded.robot, streams)
     overview.findings += _unusable(overview, loaded)
 

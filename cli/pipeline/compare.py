@@ -110,7 +110,6 @@ def compare_log(
     present = [s for s in REGISTRY if s in drive.measurements]
     found = credit(plain, present) if drive.truth is not None else None
     predicted = [] if found is not None else predict(drive, robot, configurations, progress, heard)
-    every = [*filtered, *smoothed, *(_judged_foreign(e, drive, align) for e in foreign)]
     progress("solving the whole drive" if reference else "judging")
     runs = [run for j in filtered for run in j.evidence]
     references = (
@@ -118,7 +117,10 @@ def compare_log(
         if reference
         else None
     )
-    referenced = None if references is None else _referenced(references, every, filtered, align)
+    others = [_in_frame_of(e, drive, references, align) for e in foreign]
+    every = [*filtered, *smoothed, *(_judged_foreign(e, drive, how) for e, how in others)]
+    hows = [*([cast("Align", align)] * (len(every) - len(others))), *(how for _, how in others)]
+    referenced = None if references is None else _referenced(references, every, hows, filtered)
     return Compared(
         loaded=loaded,
         configurations=configurations,
@@ -158,14 +160,13 @@ def quarrels(configurations: Sequence[Configuration], found: Sequence[Score]) ->
 def _referenced(
     references: References,
     every: Sequence[Judged],
+    hows: Sequence[Align],
     filtered: Sequence[Judged],
-    align: str,
 ) -> tuple[Referenced, list[Evaluation]]:
-    """Return every result judged by a reference, and which judged what."""
-    how = cast("Align", align)
-    pairs = [references.judged(j.evaluation, j.estimates, how) for j in every]
+    """Return every result judged by a reference, each moved onto it as `hows` says, and which judged what."""
+    pairs = [references.judged(j.evaluation, j.estimates, how) for j, how in zip(every, hows, strict=True)]
     plain = {frozenset(j.estimates.sensors): j for j in filtered if not j.estimates.rates}
-    found = {s: _effect(references, s, plain, how) for s in references.present}
+    found = {s: _effect(references, s, plain, hows[0]) for s in references.present}
     effects = {s: effect for s, effect in found.items() if effect is not None}
     judges = {j.estimates.name: reference for j, (_, reference) in zip(every, pairs, strict=True)}
     return Referenced(references, judges, effects), [evaluation for evaluation, _ in pairs]
@@ -181,7 +182,8 @@ def _effect(
         return None
     judged = {s: reference.judge(plain[s].evaluation, plain[s].estimates, align) for s in (before, after)}
     errors = [e.figures["position_rmse_m"] or 0.0 for e in judged.values()]
-    found = credit(judged, [sensor]) if reference.can_judge(max(errors)) else None
+    some = min(errors) > 0.0  # no error is a share of none
+    found = credit(judged, [sensor]) if some and reference.can_judge(max(errors)) else None
     alone = None if found is None else found.sensors[sensor].alone
     effect = None if alone is None else reference.widened(alone, errors[0], errors[1])
     return ByReference(errors[0], errors[1], reference.can_judge(errors[1]), effect)
@@ -223,15 +225,20 @@ def _other_frame(estimates: Estimates, drive: Drive) -> float | None:
     return away if away > OTHER_FRAME_M or turned > OTHER_FRAME_RAD else None
 
 
-def _judged_foreign(e: Estimates, drive: Drive, align: str) -> Judged:
-    """Judge an estimate that is not ours; one of another frame is moved to the truth at its first pose."""
-    away = _other_frame(e, drive) if align == "none" else None
-    if away is not None:
-        words = (
-            f"{e.name}: begins {away:.2f} m from the truth, so it is of another frame: aligned at its first pose"
-        )
-        e = replace(e, notes=(*e.notes, words))
-    return Judged(e, evaluate(e, drive, cast("Align", align if away is None else "origin")), [])
+def _in_frame_of(e: Estimates, drive: Drive, references: References | None, align: str) -> tuple[Estimates, Align]:
+    """Return an estimate that is not ours and how to judge it: one of another frame is moved at its first pose."""
+    whole = None if references is None else references.whole
+    seen, judge, what = (e, drive, "truth") if whole is None else (whole.seen(e), whole.drive, "reference")
+    away = _other_frame(seen, judge) if align == "none" else None
+    if away is None:
+        return e, cast("Align", align)
+    words = f"{e.name}: begins {away:.2f} m from the {what}, so it is of another frame: aligned at its first pose"
+    return replace(e, notes=(*e.notes, words)), "origin"
+
+
+def _judged_foreign(e: Estimates, drive: Drive, how: Align) -> Judged:
+    """Judge an estimate that is not ours."""
+    return Judged(e, evaluate(e, drive, how), [])
 
 
 def refuse_smoothing(robot: Robot, configurations: Sequence[Configuration]) -> None:

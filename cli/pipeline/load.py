@@ -15,7 +15,7 @@ import msgspec
 
 from locfuse.cli.choose.choose import choose
 from locfuse.cli.choose.mounts import mount_tables, on_moving_parts, optics_tables, shared_turns, transforms_of
-from locfuse.cli.choose.standing import refuse_standing
+from locfuse.cli.choose.standing import refuse_standing, standing_notes
 from locfuse.cli.choose.tilt import level_compass
 from locfuse.cli.choose.topics import Choice
 from locfuse.formats.caps import MAX_ROBOT_TOML
@@ -195,7 +195,14 @@ def measured(
     _refuse_other_clock(log, drive)
     preset = (filters.NOTE,) if robot.preset == "paper" else ()
     chosen = (f"{note.role}: {note.words}" for note in choice.notes if note.role in streams)
-    notes = (*preset, *chosen, *_clock_notes(streams), *start_notes(robot, drive), *drive.notes)
+    notes = (
+        *preset,
+        *chosen,
+        *_clock_notes(streams),
+        *start_notes(robot, drive),
+        *standing_notes(drive.wheels),
+        *drive.notes,
+    )
     drive = replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes})
     return Loaded(log, robot, choice, drive, tables, matched=matched, reading=motion)
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from locfuse.cli.pipeline.load import Loaded
 from locfuse.formats.log.log import Log
+from locfuse.formats.presented.kinds import PRESENTED, presented_name
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Estimates, LocfuseError, Stream, UsageError
 from locfuse.fusion.judge.against import interpolated
@@ -62,6 +63,9 @@ def _read(log: Log, drive: Drive, name: str, source: str) -> Estimates:
         raise LocfuseError(
             f"--estimate {name}: {log.name} has no topic {source}, nor is there a .tum or .csv file"
         )
+    shown = presented_name(source, topic.msgtype)
+    if shown is not None and PRESENTED[topic.msgtype].msgtype in POSE:
+        return _read(log, drive, name, shown)
     if topic.msgtype not in POSE:
         kinds = ", ".join(kind.replace("/msg/", "/") for kind in POSE)
         raise LocfuseError(f"--estimate {name}: {source} is {topic.msgtype}; read are {kinds}")

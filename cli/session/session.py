@@ -144,6 +144,7 @@ class Session:
             report,
             self._advice_on_run(used, estimates[0], evaluations[0], align) if advice else None,
             self._start_error(),
+            stands=self.drive.wheels.stands,
         )
         self.progress("writing")
         return Run(
@@ -192,7 +193,9 @@ class Session:
         wanted = for_comparison(words, self.drive, all_subsets)
         foreign = foreign_estimates(self.loaded, named_sources(estimates or {}), [c.name for c in wanted])
         drawn = Drawn()
-        evaluator = Evaluator(self.loaded, self.progress, align) if advice else None
+        evaluator = (
+            Evaluator(self.loaded, self.progress, align) if advice and not self.drive.wheels.stands else None
+        )
         takes, hears = ([], []) if evaluator is None else (evaluator.takes, evaluator.hears)
         watch = [drawn.take, *takes]
         compared = compare_log(
@@ -207,7 +210,7 @@ class Session:
         if runs:
             self._jitter(report, wanted, align, smooth, compared.estimates, runs)
         advised = None if evaluator is None else evaluator.advised()
-        complete(report, advised, self._start_error(), [e.name for e in foreign])
+        complete(report, advised, self._start_error(), [e.name for e in foreign], self.drive.wheels.stands)
         self.progress("writing")
         return Comparison(
             self.loaded,
@@ -261,7 +264,7 @@ class Session:
         """Evaluate the log if this one run of it gives reason to."""
         runs = evidence(c.drive(self.drive), e, self.robot)
         one = Compared(self.loaded, [c], [e], [judged], runs, credit=None, scores=[])
-        if not looks_wrong(self.loaded, one):
+        if self.drive.wheels.stands or not looks_wrong(self.loaded, one):
             return Advised()
         return Evaluator(self.loaded, self.progress, align).advised()
 

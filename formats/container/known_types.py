@@ -12,7 +12,40 @@ ACKERMANN = (
     "float32 speed\nfloat32 acceleration\nfloat32 jerk\n"
 )
 INTERFACES = f"{DIVIDER}\nMSG: control_msgs/InterfaceValue\nstring[] interface_names\nfloat64[] values\n"
+VELOCITY = HEADER + "float32 longitudinal_velocity\nfloat32 lateral_velocity\nfloat32 heading_rate\n"
+POSE = (
+    f"{DIVIDER}\nMSG: geometry_msgs/Pose\ngeometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n"
+    f"{DIVIDER}\nMSG: geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z\n"
+    f"{DIVIDER}\nMSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n"
+)
+TAG = (
+    f"{DIVIDER}\nMSG: apriltag_msgs/AprilTagDetection\nstring family\nint32 id\nint32 hamming\nfloat32 goodness\n"
+    "float32 decision_margin\napriltag_msgs/Point centre\napriltag_msgs/Point[4] corners\nfloat64[9] homography\n"
+    f"{DIVIDER}\nMSG: apriltag_msgs/Point\nfloat64 x\nfloat64 y\n"
+)
+FIX = "".join(
+    f"float64 {name}\n"
+    for name in (
+        *("latitude", "longitude", "altitude", "track", "speed", "climb", "pitch", "roll", "dip", "time"),
+        *("gdop", "pdop", "hdop", "vdop", "tdop", "err", "err_horz", "err_vert", "err_track", "err_speed"),
+        *("err_climb", "err_time", "err_pitch", "err_roll", "err_dip"),
+    )
+)
+STATUS = (
+    f"{DIVIDER}\nMSG: gps_msgs/GPSStatus\n{HEADER}uint16 satellites_used\nint32[] satellite_used_prn\n"
+    "uint16 satellites_visible\nint32[] satellite_visible_prn\nint32[] satellite_visible_z\n"
+    "int32[] satellite_visible_azimuth\nint32[] satellite_visible_snr\nint16 status\nuint16 motion_source\n"
+    "uint16 orientation_source\nuint16 position_source\n"
+)
 ROBOTS = {
+    "autoware_auto_vehicle_msgs/msg/VelocityReport": VELOCITY,
+    "autoware_vehicle_msgs/msg/VelocityReport": VELOCITY,
+    "apriltag_msgs/msg/AprilTagDetectionArray": HEADER + "apriltag_msgs/AprilTagDetection[] detections\n" + TAG,
+    "ros2_aruco_interfaces/msg/ArucoMarkers": HEADER + "int64[] marker_ids\ngeometry_msgs/Pose[] poses\n" + POSE,
+    "gps_msgs/msg/GPSFix": (
+        f"{HEADER}gps_msgs/GPSStatus status\n{FIX}float64[9] position_covariance\n"
+        f"uint8 position_covariance_type\n{STATUS}"
+    ),
     "control_msgs/msg/DynamicJointState": (
         HEADER + "string[] joint_names\ncontrol_msgs/InterfaceValue[] interface_values\n" + INTERFACES
     ),
@@ -21,6 +54,7 @@ ROBOTS = {
     "duckietown_msgs/msg/WheelEncoderStamped": HEADER + "int32 data\nuint16 resolution\nuint8 type\n",
     "irobot_create_msgs/msg/SlipStatus": HEADER + "bool is_slipping\n",
     "irobot_create_msgs/msg/KidnapStatus": HEADER + "bool is_kidnapped\n",
+    "ackermann_msgs/msg/AckermannDrive": ACKERMANN.partition("Drive\n")[2],
     "ackermann_msgs/msg/AckermannDriveStamped": HEADER + "ackermann_msgs/AckermannDrive drive\n" + ACKERMANN,
     "kobuki_msgs/msg/SensorState": (
         HEADER + "uint16 time_stamp\nuint8 bumper\nuint8 wheel_drop\nuint8 cliff\nuint16 left_encoder\n"

@@ -22,8 +22,8 @@ class ChannelInfo(NamedTuple):
 
     topic: str
     msgtype: str  # as the file spells it
-    encoding: str  # of the messages: cdr, json, ros1
-    schema_encoding: str  # ros2msg, ros2idl, ros1msg, jsonschema
+    encoding: str  # of the messages: cdr, json, ros1, protobuf
+    schema_encoding: str  # ros2msg, ros2idl, ros1msg, jsonschema, protobuf
     schema: bytes
     n: int | None  # messages, where the file knows
 

@@ -17,9 +17,9 @@ from locfuse.formats.container.source import Messages, Recorded, Source
 from locfuse.formats.messages.fields import FieldError, resolve
 from locfuse.formats.messages.kinds import NUMBER as A_NUMBER
 from locfuse.formats.messages.kinds import check_kind, kind_of
-from locfuse.formats.messages.presented import PRESENTED, presented_name
 from locfuse.formats.messages.schema import SchemaError
 from locfuse.formats.nearest import did_you_mean
+from locfuse.formats.presented.kinds import PRESENTED, presented_name
 from locfuse.formats.robot import transforms
 from locfuse.formats.robot.tag_frames import OF_CAMERA, TAGS
 from locfuse.formats.url import Place
@@ -30,7 +30,7 @@ from . import clock as clocks
 from .file_stream import FileStream, is_file_topic, read_file
 from .files import log_name, open_source
 from .identity import Identity, files_of, identity, identity_of, seen_of, seen_of_object
-from .stream import NUMBER, LogStream, NumberStream, PresentedStream, field_of
+from .stream import NUMBER, LogStream, NumberStream, PathStream, PresentedStream, field_of
 from .table import Raw, Table, dated, digest
 from .topics import Topic, UnreadableTopicError, by_topic
 from .transform_stream import (
@@ -132,8 +132,8 @@ class Log:
 
         "/tf:odom:base_link" is the frame base_link in the frame odom as /tf says (TransformStamped),
         "/tf:camera_optical:tags" the tags that were seen in that frame, "/status:yaw.value" a number of any
-        message, "/points:scan" a cloud's level slice as a LaserScan, and the name of a .tum or .csv file is that
-        file.
+        message, "/points:scan" a cloud's level slice as a LaserScan, "/path:poses" the poses of a Path, and the
+        name of a .tum or .csv file is that file.
         """
         if order not in clocks.ORDERS:
             raise UsageError(f"order = {order!r} is unknown; it is one of {', '.join(clocks.ORDERS)}")
@@ -147,7 +147,9 @@ class Log:
             return self._files[topic]
         number, pair = field_of(topic), pair_of(topic)
         if (source := self._presents(topic)) is not None:
-            return PresentedStream(topic, LogStream(self, source, self.topics[source].msgtype, order))
+            made = LogStream(self, source, self.topics[source].msgtype, order)
+            whole = PRESENTED[made.msgtype].make is None
+            return PathStream(topic, made) if whole else PresentedStream(topic, made)
         if topic not in self._channels and topic in self.topics and number is not None:
             return NumberStream(
                 topic, LogStream(self, number[0], self.topics[number[0]].msgtype, order), number[1]

@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Protocol
+from pathlib import Path
+from typing import Protocol, cast
 
 import numpy as np
 
 from locfuse.formats.columns import concat, n_bytes, take
-from locfuse.formats.messages.presented import PRESENTED
-from locfuse.fusion.data import Block, Column, Ints, LocfuseError
+from locfuse.formats.presented.kinds import OF_PATH, POSE, PRESENTED
+from locfuse.fusion.data import Block, Column, Ints, LocfuseError, Ragged
 
 from . import clock as clocks
+from .file_stream import FileStream
 from .table import CHANGED, Raw, Table
 
 NUMBER = "std_msgs/msg/Float64"  # what a number of any message is presented as
@@ -215,7 +217,7 @@ class NumberStream(DerivedStream):
 
 
 class PresentedStream(DerivedStream):
-    """Messages of one type as those of another (formats.messages.presented)."""
+    """Messages of one type as those of another (formats.presented.kinds)."""
 
     def __init__(self, topic: str, source: LogStream) -> None:
         super().__init__(topic, source)
@@ -241,4 +243,39 @@ class PresentedStream(DerivedStream):
             yield numbers, self._made(columns, fields)
 
     def _made(self, columns: Mapping[str, Column], fields: tuple[str, ...]) -> dict[str, Column]:
+        assert self._how.make is not None
         return self._how.make(columns, fields, self._source.frame_id)
+
+
+class PathStream(FileStream):
+    """The poses of the last nav_msgs/Path of a topic, each at its own stamp.
+
+    A program that draws the way it thinks the robot took publishes it again and again, longer each time and with
+    what it corrected since. Raises LocfuseError where the poses have no times of their own: a plan.
+    """
+
+    clock = "stamps of its poses"
+
+    def __init__(self, topic: str, source: LogStream) -> None:
+        last = _last_message(source)
+        stamps: Ints = np.asarray(last.pop(OF_PATH[0]), np.int64)
+        if len(stamps) < 2 or np.ptp(stamps) == 0:
+            raise LocfuseError(
+                f"{source.topic}: the {len(stamps)} poses of its last message have no times of their own: a plan, "
+                "not a way that was driven"
+            )
+        super().__init__(Path(topic), POSE, stamps, {name.removeprefix("poses."): c for name, c in last.items()})
+        self.frame_id = source.frame_id
+        self.order = source.order
+
+
+def _last_message(source: LogStream) -> dict[str, Column]:
+    """Return the columns of the poses in the last message; of the others nothing is kept."""
+    found: dict[str, Column] = {name: np.empty(0) for name in OF_PATH}
+    latest = -1
+    for rows, columns in source.blocks(*OF_PATH, rows=16):
+        i = int(np.argmax(rows))
+        if len(rows) and rows[i] > latest:
+            latest = int(rows[i])
+            found = {name: cast("Ragged", column)[i] for name, column in columns.items()}
+    return found

@@ -51,6 +51,13 @@ def _json(channel: ChannelInfo) -> MessageDecoder:
     return JsonDecoder(parse_jsonschema(channel.msgtype, _text(channel)))
 
 
+def _protobuf(channel: ChannelInfo) -> MessageDecoder:
+    from .protobuf_messages import ProtobufDecoder
+    from .protobuf_schema import parse_descriptors
+
+    return ProtobufDecoder(*parse_descriptors(channel.msgtype, channel.schema))
+
+
 def _text(channel: ChannelInfo) -> str:
     return channel.schema.decode("utf-8", "replace")
 
@@ -59,4 +66,5 @@ ENCODINGS: dict[str, tuple[tuple[str, ...], Callable[[ChannelInfo], MessageDecod
     "cdr": (("ros2msg", "ros2idl"), _cdr),
     "ros1": (("ros1msg",), _ros1),
     "json": (("jsonschema",), _json),
+    "protobuf": (("protobuf",), _protobuf),
 }

@@ -42,10 +42,22 @@ READ_TYPES = frozenset(
             f"foxglove{dot}{name}"
             for dot in (".", "_msgs/msg/")
             for name in (
-                *("CompressedImage", "FrameTransform", "FrameTransforms", "LaserScan", "LocationFix"),
-                *("PoseInFrame", "RawImage"),
+                *(
+                    "CompressedImage",
+                    "FrameTransform",
+                    "FrameTransforms",
+                    "JointStates",
+                    "LaserScan",
+                    "LocationFix",
+                ),
+                *("Odometry", "PointCloud", "PoseInFrame", "RawImage"),
             )
         ),
+        "clearpath_platform_msgs/msg/Feedback",
+        "gps_common/msg/GPSFix",
+        "gps_msgs/msg/GPSFix",
+        "jackal_msgs/msg/Feedback",
+        "unitree_go/msg/SportModeState",
         "geometry_msgs/msg/Pose",
         "gazebo_msgs/msg/ModelStates",
         "gazebo_msgs/msg/LinkStates",
@@ -64,6 +76,7 @@ READ_TYPES = frozenset(
         "locfuse/msg/TagFrames",
         "mocap4r2_msgs/msg/RigidBodies",
         "nav_msgs/msg/Odometry",
+        "nav_msgs/msg/Path",
         "px4_msgs/msg/SensorCombined",
         "px4_msgs/msg/VehicleLocalPosition",
         "px4_msgs/msg/VehicleOdometry",
@@ -101,6 +114,7 @@ ONE_NUMBER = frozenset(
     (
         *(f"magnetic_field.{axis}" for axis in XYZ),
         *(f"angular_velocity.{axis}" for axis in XYZ),
+        "linear_velocity.x", "point_stride",
         *(f"{at}orientation.{axis}" for at in ("", "pose.", "pose.pose.") for axis in XYZW),
         *(f"{at}position.{axis}" for at in ("", "pose.", "pose.pose.") for axis in XY),
         *(f"transform.translation.{axis}" for axis in XY),
@@ -131,10 +145,12 @@ EXPECTED: Mapping[str, tuple[str, ...]] = {
     "rigidbodies.rigid_body_name": (TEXTS,),
     **{f"rigidbodies.pose.position.{axis}": (NUMBERS,) for axis in XY},
     **{f"rigidbodies.pose.orientation.{axis}": (NUMBERS,) for axis in XYZW},
+    **{f"poses.pose.orientation.{axis}": (NUMBERS,) for axis in XYZW},
     **{
         f"{at}.{axis}": (NUMBERS,)
         for at in (
             "poses.position",
+            "poses.pose.position",
             "markers.pose.position",
             "markers.pose.pose.position",
             "detections.pose.pose.pose.position",
@@ -161,6 +177,14 @@ EXPECTED: Mapping[str, tuple[str, ...]] = {
     "fields.name": (TEXTS,),
     "fields.offset": (NUMBERS,),
     "fields.datatype": (NUMBERS,),
+    "fields.type": (NUMBERS,),
+    "joints.name": (TEXTS,),
+    **{f"joints.{name}": (NUMBERS,) for name in ("position", "velocity", "effort")},
+    "drivers.measured_travel": (NUMBERS,),
+    "drivers.measured_velocity": (NUMBERS,),
+    "pose_covariance": (THIRTY_SIX, NUMBERS),
+    "velocity_covariance": (THIRTY_SIX, NUMBERS),
+    "imu_state.quaternion": ("4 numbers",),
     CAMERA_MATRIX: (NINE,),
     "position": (NUMBERS,),
     "velocity": (NUMBERS,),
@@ -199,8 +223,9 @@ OF_TYPE: Mapping[tuple[str, str], tuple[str, ...]] = {
     **{
         (f"foxglove{dot}{name}", "data"): (BYTES,)
         for dot in (".", "_msgs/msg/")
-        for name in ("CompressedImage", "RawImage")
+        for name in ("CompressedImage", "PointCloud", "RawImage")
     },
+    ("unitree_go/msg/SportModeState", "position"): ("3 numbers",),
     **{(f"std_msgs/msg/{name}MultiArray", "data"): (NUMBERS,) for name in (*WHOLE_NUMBERS, "Float32", "Float64")},
 }
 TF = "transforms."  # one value for each transform of a message
@@ -234,7 +259,7 @@ def expected(msgtype: str, path: str) -> tuple[str, ...]:
         return (TIME,)
     if msgtype not in READ_TYPES:
         return ()
-    if path.startswith("transforms.header.stamp"):
+    if path.startswith(("transforms.header.stamp", "poses.header.stamp")):
         return (TIMES, TIME)
     if path.startswith(TF) and OR in path:
         return (TEXTS, TEXT) if path.endswith(TF_TEXTS) else (NUMBERS, NUMBER)

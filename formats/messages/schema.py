@@ -91,7 +91,7 @@ def parse(name: str, encoding: str, text: str, filler: bool = True) -> Record:
     except (TypesysError, RecursionError, ValueError, KeyError, AssertionError, TypeError):
         raise SchemaError(f"its {encoding} definition of {msgtype} cannot be parsed") from None
     tree = _Trees(types).record(msgtype, 0)
-    fields = _fields(tree, {})
+    fields = count_fields(tree)
     if fields > MAX_FIELDS:
         raise SchemaError(
             names_its_cap(f"its definition of {msgtype} unfolds to too many fields", fields, MAX_FIELDS)
@@ -164,8 +164,12 @@ class _Trees:
         return Many(self._node(element, depth), size if kind == "ARRAY" else None)
 
 
-def _fields(node: Node, known: dict[int, int]) -> int:
+def count_fields(tree: Record) -> int:
     """Count the fields of a message, those of its parts at every mention."""
+    return _fields(tree, {})
+
+
+def _fields(node: Node, known: dict[int, int]) -> int:
     if isinstance(node, Many):
         return _fields(node.element, known)
     if not isinstance(node, Record):

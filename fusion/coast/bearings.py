@@ -38,7 +38,7 @@ class Pictures:
             judged = of.threshold, of.margin, *map(float, of.verdicts)
             self._table = core.Bearings(
                 self._when, self._first, of.z, of.variance, self._told, *of.point, of.nearest, *judged, seat,
-                len(self._when), 0, -1,
+                len(self._when), 0,
             )  # fmt: skip
         self._table.due = int(self._when.searchsorted(k))
         return self._table

@@ -14,7 +14,10 @@ from locfuse.fusion.atlas.one_map import LineTracker
 from locfuse.fusion.audit import Record
 from locfuse.fusion.core import match, tables
 from locfuse.fusion.core.bearings import RAY
+from locfuse.fusion.core.echoes import ECHO
+from locfuse.fusion.core.fixes import FIX
 from locfuse.fusion.core.room import Room
+from locfuse.fusion.core.singles import WIDE
 from locfuse.fusion.data import Array, Ints, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.linemap.association import AMBIGUOUS, LONE, LONGEST, OVERLAP, ZONE
@@ -28,6 +31,7 @@ from locfuse.fusion.lines.flatness import bend
 from locfuse.fusion.recovery.guard import MIN_MATCHED_SHARE, SCANS, WELL
 from locfuse.fusion.sensor import Table
 
+TRIED = 3  # rows that are written beside those that wait: of a reading of two, and of its place
 BLOCK = 4096  # lines that become one table at a time: an hour of them need not be there at once
 
 
@@ -61,11 +65,11 @@ class AtOnce:
         """How many lines the map has."""
         return len(self.of.map)
 
-    def desk(self, places: int) -> dict[str, Array]:
-        """Return room for any scan and a map of so many places."""
+    def desk(self, places: int, singles: int) -> dict[str, Array]:
+        """Return room for any scan, a map of so many places, and so many rows of single readings."""
         free = 0 if self.of.mount is None else len(self.of.mount.free)
         shared = self._m.extra["shared"].shape[2] if self.of.joint and "shared" in self._m.extra else 0
-        return desk(self._most, places, free, shared)
+        return desk(singles, self._most, places, free, shared)
 
     def finish(self, fate: Ints, belief: JointBelief) -> None:
         """Let the tracker go on after the last scan that the core took, which showed lines of this fate."""
@@ -112,15 +116,12 @@ class AtOnce:
         self._at = i - self._begin
         if self._rules is None:
             self._rules = self._core.Rules(**_rules(of, self._m))
-        walls, free = of.map, () if of.mount is None else of.mount.free
-        width, places, states = WALL + 2 * len(free), len(walls), bool(walls.column[0] >= 0)
-        fixed = np.zeros(0) if states else walls.fixed(width).ravel()
-        kept = walls.column, walls.anchor, walls.lo, walls.hi, walls.hits, walls.seen, walls.born, walls.ids
+        free = () if of.mount is None else of.mount.free
         at = np.array(() if of.mount is None else of.mount.columns(belief), np.intp)
         told = np.array((0.0, 0.0, 0.0) if of.mount is None else of.mount.told)
         return (
             self._scans,
-            self._core.Walls(*kept, fixed, width, places, states),
+            of.map.table(len(free)),
             self._core.Seat(told, np.array(free, np.intp), at, len(free)),
             self._rules,
             self._core.Way(**of.way()),
@@ -191,12 +192,13 @@ def _rules(of: LineTracker, m: Measurements) -> dict[str, Any]:
     }
 
 
-def desk(lines: int = 0, places: int = 0, free: int = 0, parts: int = 0) -> dict[str, Array]:
+def desk(singles: int = 0, lines: int = 0, places: int = 0, free: int = 0, parts: int = 0) -> dict[str, Array]:
     """Return room for a scan of so many lines, a map of so many places, a mount, and what else an instant has.
 
-    A heading has up to three states, a bearing nine: local pose, map frame, the camera's mount.
+    A heading has up to three states. A bearing's row stands beside those of `singles`, and some are tried.
     """
-    m, columns = 2 * lines + 2, 3 + free + 2 * lines + 3 + 9
+    own = singles + 1 + TRIED
+    m, columns = 2 * lines + 1 + own, 3 + free + 2 * lines + 3 + WIDE * own
     seated, walls = np.empty((lines, LINE)), np.empty((places, WALL + 2 * free))
     return {
         "raw": np.empty((lines, LINE)),
@@ -223,8 +225,19 @@ def desk(lines: int = 0, places: int = 0, free: int = 0, parts: int = 0) -> dict
         "missing": np.empty(2 * max(places, lines)),
         "located": np.empty(9),
         "ray": np.empty(RAY),
-        "ray_row": np.empty(9),
-        "ray_at": np.empty(9, np.intp),
+        "chain": np.empty(6),
+        "own_at": np.empty((own, WIDE), np.intp),
+        "own_H": np.empty((own, WIDE)),
+        "own_y": np.empty(own),
+        "own_R": np.empty((own, 2)),
+        "own_states": np.empty(own, np.intp),
+        "follows": np.empty(own, np.intp),
+        "S": np.empty((2, 2)),
+        "e": np.empty(2),
+        "tie": np.empty(4),
+        "fix": np.empty(FIX),
+        "echo": np.empty(ECHO),
+        "by": np.empty(3),
     }
 
 

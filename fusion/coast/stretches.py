@@ -1,4 +1,4 @@
-"""Stretches of a drive on which the core takes all instants at once: headings, bearings, scans that fit the map.
+"""Stretches of a drive on which the core takes all instants at once: single readings, scans that fit the map.
 
 What comes of it is what instant by instant comes of it (tests/fusion/test_coast.py). All else (other sensors, a
 scan that hardly fits, new lines, settings that the core does not know) stays with the loop in `fuse`.
@@ -24,9 +24,10 @@ from locfuse.fusion.track import Track
 
 from .bearings import Pictures, pictures_of
 from .headings import HeadingRecord, headings_of
+from .readings import ColumnRecord, Singles
 from .scans import AtOnce, desk, no_scans
 
-AnyRecord = Record | HeadingRecord | Pictures
+AnyRecord = Record | HeadingRecord | Pictures | ColumnRecord
 MOST = 1 << 16  # instants at once: Ctrl-C waits for them
 
 
@@ -44,7 +45,10 @@ class Stretches:
         self.record = HeadingRecord(self._when, self._of.threshold)
         self.scanner, self._scans = _scans(drive, named)
         self.camera, self._pictures = pictures_of(drive, named)
-        taken = [s for s in (self.sensor, self.scanner, self.camera) if s is not None]
+        self._singles = Singles(drive, dict(named), None if self._scans is None else self._scans.of)
+        whole = (s for s in (self.sensor, self.scanner, self.camera) if s is not None)
+        taken = [*whole, *self._singles.records]
+        self._whole = any(model.joint for model in models.values())
         busy = [np.array([len(drive.t)])]
         busy += [drive.instant[s] for s in models if s not in taken]
         busy += [_twice(drive.instant[s]) for s in taken]
@@ -78,23 +82,23 @@ class Stretches:
         if self._scans is not None:
             scan = self._scans.next_after(k, table=self._scans.ready)
             last = min(last, scan) if scan >= 0 else last
-        return last
+        return self._singles.until(k, last)
 
     def coast(self, belief: JointBelief, first: int, last: int, track: Track) -> Stop:
         """Take the belief from instant `first` until `last` or where the loop must go on, and record that."""
         track.make_room(last)
         taken = self._taken = self._scans if self._scans is not None and self._scans.has(first, last) else None
-        scans = self._no_scans if taken is None else taken.given(belief, first)
+        scans = self._without_scans() if taken is None else taken.given(belief, first)
         begun = (0, 0.0, 0.0, 0.0, 0, -1) if taken is None else taken.progress
         progress = self._tables.Progress(first, interpreted.DONE, *begun)
         x, P = belief.arrays
-        of = self._tables.Belief(x, P, belief.n, belief.in_frame), self._wheels, self._sums(belief, first)
-        seen = self._pictures.table(belief, first)
-        positive(self._core.coast(*of, seen, *scans, self._room(len(x)), self._notes(track), progress, last))
+        of = self._tables.Belief(x, P, belief.n, belief.in_frame), self._wheels, self._readings(belief, first)
+        positive(self._core.coast(*of, *scans, self._room(len(x)), self._notes(track), progress, last))
         track.n = reached = progress.instant
         self._left = reached if progress.why == interpreted.BEFORE else -1
         if taken is not None:
             taken.taken(scans[-1], progress)
+        self._singles.taken(first)
         predicted = reached + (progress.why != interpreted.DONE)
         rolled: list[float] = self._motions[first:predicted].sum(axis=0).tolist()
         return Stop(reached, progress.why == interpreted.AFTER, rolled)
@@ -108,7 +112,7 @@ class Stretches:
             found[self.scanner] = self._scans.record
         if self.camera is not None:
             found[self.camera] = self._pictures
-        return found
+        return found | self._singles.records
 
     def left(self, k: int) -> bool:
         """Tell whether the belief has been predicted to instant k, and nothing else was done there."""
@@ -122,6 +126,18 @@ class Stretches:
         """Let the scanner go on after the scan at which the core stopped."""
         if self._scans is not None:
             self._scans.finish(self._fate, belief)
+
+    def _readings(self, belief: JointBelief, k: int) -> Any:
+        """Return all single readings, of which those from instant k on are due."""
+        seen = self._sums(belief, k), self._pictures.table(belief, k)
+        return self._tables.Readings(*seen, *self._singles.tables(belief, k), self._whole)
+
+    def _without_scans(self) -> tuple[Any, ...]:
+        """Return what the core is given where no scan is due: the map, if somebody else reads it."""
+        if self._scans is None or not self._singles.reads_map:
+            return self._no_scans
+        scans, _, *rest = self._no_scans
+        return scans, self._scans.of.map.table(), *rest
 
     def _sums(self, belief: JointBelief, k: int) -> Any:
         """Return the headings, with the states whose sum they are, of which those from instant k on are due."""
@@ -147,7 +163,8 @@ class Stretches:
         needed = 0 if self._scans is None else self._scans.places
         if places < needed or states != size:
             self._desk_for = max(places, 2 * needed), size
-            arrays = desk() if self._scans is None else self._scans.desk(self._desk_for[0])
+            singles = self._singles.most
+            arrays = desk(singles) if self._scans is None else self._scans.desk(self._desk_for[0], singles)
             self._fate = np.asarray(arrays["fate"], np.intp)
             self._desk = self._tables.Desk(**arrays, V=np.empty((len(arrays["y"]) + AT_ONCE, size)))
         return self._desk

@@ -8,4 +8,5 @@ Floats = list[float] | Array
 Wholes = list[int] | Ints
 Pixels = memoryview | NDArray[np.uint8]
 Points = memoryview | NDArray[np.int32]
+Table = memoryview | Ints  # of whole numbers, by two indices
 Matrix = memoryview | Array  # by two indices: the same memory as somebody's array, in either form

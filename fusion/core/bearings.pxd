@@ -3,8 +3,6 @@ cdef Py_ssize_t POINTED, RAY
 cpdef bint bearing(
     double[::1] pose, double to_x, double to_y, double x, double y, double yaw, double nearest, double[::1] out)
 cdef double sight(Belief b, Bearings g, Py_ssize_t i, Desk d)
-cdef Py_ssize_t derive(Belief b, double by_x, double by_y, double by_theta, Desk d)
-cdef double quadratic(double[:, ::1] P, Py_ssize_t[::1] at, double[::1] row, Py_ssize_t states)
 cdef double judge_each(Bearings g, Py_ssize_t i, double predicted, double variance, double more)
 cpdef Py_ssize_t choose(
     double[:, ::1] told, Py_ssize_t first, Py_ssize_t last, double gate, double margin, double refused,

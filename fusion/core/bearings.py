@@ -6,18 +6,19 @@ yaw on the base may be states.
 
 from math import atan2, cos, sin, sqrt
 
-from .filter import by_local, locate
-from .fit import wrapped
+from .filter import locate
+from .fit import folded
+from .singles import derive, say, state_of, variance, wait
 
 POINTED = 5  # columns of what is told of a candidate: verdict, landmark, NIS, y, sigma
-RAY = 9  # the bearing, its derivatives by pose and mount, and of the candidate that is the point y and R
+RAY = 8  # the bearing, its derivatives by pose and mount, and the distance
 
 
 def bearing(pose, to_x, to_y, x, y, yaw, nearest, out):
     """Write the bearing [rad, not wrapped] of a point from a camera at x, y, yaw on the base, and its derivatives.
 
-    These are by the pose (x, y, theta) and by the camera's x, y, yaw: out (7,). Returns whether there is one: a
-    camera nearer to the point than `nearest` [m] is inside it.
+    These are by the pose (x, y, theta) and by the camera's x, y, yaw; last comes the distance [m]: out (8,).
+    Returns whether there is one: a camera nearer to the point than `nearest` [m] is inside it.
     """
     c = s = pose[2] - pose[2]  # NaN where there is no heading
     if c == 0.0:
@@ -30,14 +31,14 @@ def bearing(pose, to_x, to_y, x, y, yaw, nearest, out):
     ahead, aside = dx * c + dy * s, dy * c - dx * s
     out[0] = atan2(dy, dx) - pose[2] - yaw
     out[1], out[2], out[3] = dy / q, -dx / q, -1.0 - (x * ahead + y * aside) / q
-    out[4], out[5], out[6] = aside / q, -ahead / q, -1.0
+    out[4], out[5], out[6], out[7] = aside / q, -ahead / q, -1.0, sqrt(q)
     return True
 
 
 def sight(b, g, i, d):
     """Compare the candidates of picture i with the belief, and tell what became of each.
 
-    Where one shows the point it is `g.chosen`, and what it says is left on the desk. Returns what `whiten` does.
+    Where one shows the point, its row waits for the correction. Returns what `whiten` does.
     """
     if g.first[i] == g.first[i + 1]:
         return 1.0
@@ -48,36 +49,22 @@ def sight(b, g, i, d):
         d.place[g.seat.which[j]] = b.x[g.seat.at[j]]
     if not bearing(d.located, g.x, g.y, d.place[0], d.place[1], d.place[2], g.nearest, d.ray):
         return 1.0
-    states = derive(b, d.ray[1], d.ray[2], 0.0, d)
-    bend = quadratic(b.P, d.ray_at, d.ray_row, states)
+    k = d.singles
+    states = derive(b, False, d.ray[1], d.ray[2], 0.0, k, d)
+    bend = variance(b.P, d, k, states)
     more = bend * bend  # the bearing is not linear in the position: second-order (sigma of it / distance)^4
-    states = derive(b, d.ray[1], d.ray[2], d.ray[3], d)
+    states = derive(b, False, d.ray[1], d.ray[2], d.ray[3], k, d)
     for j in range(g.seat.free):
-        d.ray_row[states + j], d.ray_at[states + j] = d.ray[4 + g.seat.which[j]], g.seat.at[j]
-    least = judge_each(g, i, d.ray[0], quadratic(b.P, d.ray_at, d.ray_row, states + g.seat.free), more)
+        state_of(d, k, states, g.seat.at[j], d.ray[4 + g.seat.which[j]])
+        states += 1
+    least = judge_each(g, i, d.ray[0], variance(b.P, d, k, states), more)
     if not least > 0.0:
         return least
     best = choose(g.told, g.first[i], g.first[i + 1], g.gate, g.margin, g.refused, g.ambiguous, g.unmatched)
     if g.told[best, 0] == 0.0:
-        g.chosen, d.ray[7], d.ray[8] = best, g.told[best, 3], g.r[best] + more
+        say(d, k, g.told[best, 3], g.r[best] + more, 0.0, False)
+        wait(d, 1, states)
     return 1.0
-
-
-def derive(b, by_x, by_y, by_theta, d):
-    """Write a derivative by the pose in the map as one by states, and which these are; return how many."""
-    states = by_local(b.x, b.frame, by_x, by_y, by_theta, d.ray_row)
-    for j in range(3):
-        d.ray_at[j], d.ray_at[3 + j] = j, b.frame + j
-    return states
-
-
-def quadratic(P, at, row, states):
-    """Return H P H' of one row of derivatives by the states `at` (states,)."""
-    total = 0.0
-    for i in range(states):
-        for j in range(states):
-            total += row[i] * row[j] * P[at[i], at[j]]
-    return max(total, 0.0)  # but for rounding
 
 
 def judge_each(g, i, predicted, variance, more):
@@ -86,9 +73,7 @@ def judge_each(g, i, predicted, variance, more):
         S, y = variance + (g.r[row] + more), g.z[row] - predicted
         if not S > 0.0:
             return S
-        g.told[row, 3] = y - y  # NaN where there is no bearing
-        if y - y == 0.0:
-            g.told[row, 3] = wrapped(y)
+        g.told[row, 3] = folded(y)
         g.told[row, 2], g.told[row, 4] = g.told[row, 3] * g.told[row, 3] / S, sqrt(S)
     return 1.0
 

@@ -2,17 +2,15 @@ cdef Py_ssize_t HEARD, DONE, BEFORE, AFTER
 cdef double FINE
 
 cpdef double coast(
-    Belief b, Wheels m, Headings h, Bearings g, Scans s, Walls w, Seat seat, Rules rule, Way way, Desk d, Notes notes,
+    Belief b, Wheels m, Readings r, Scans s, Walls w, Seat seat, Rules rule, Way way, Desk d, Notes notes,
     Progress progress, Py_ssize_t last)
+cdef bint is_due(Py_ssize_t[::1] when, Py_ssize_t due, Py_ssize_t readings, Py_ssize_t k)
 cdef void roll(Belief b, Wheels m, Progress progress, Py_ssize_t k)
-cdef double compare(Belief b, Headings h, Bearings g, Desk d, Py_ssize_t k)
+cdef double compare(Belief b, Readings r, Walls w, Desk d, Py_ssize_t k)
 cdef double turn(Belief b, Headings h, Py_ssize_t i, Desk d)
 cdef double correct_by(
-    Belief b, Scans s, Py_ssize_t scan, Py_ssize_t accepted, Headings h, Bearings g, Seat seat, Rules rule, Desk d)
+    Belief b, Scans s, Py_ssize_t scan, Py_ssize_t accepted, Headings h, bint whole, Seat seat, Rules rule, Desk d)
 cdef void add_heading(Headings h, Py_ssize_t i, Desk d, Py_ssize_t m, Py_ssize_t width)
-cdef void add_bearing(Desk d, Py_ssize_t states, Py_ssize_t m, Py_ssize_t width)
-cdef void make_room(Desk d, Py_ssize_t m, Py_ssize_t width, Py_ssize_t states)
-cdef void note_fit(double[:, ::1] joint, Py_ssize_t scan, double[::1] e, Py_ssize_t m)
 cdef void correct_in_frame(
     double[::1] x, double[:, ::1] P, Py_ssize_t n, Py_ssize_t frame, double[:, ::1] V, double[::1] e, Py_ssize_t m)
 cpdef void note(

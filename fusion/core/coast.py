@@ -1,12 +1,18 @@
-"""The filter over a stretch of a drive, many instants at once: headings, bearings, scans that fit the line map.
+"""The filter over a stretch of a drive, many instants at once: scans that fit the line map, and single readings.
 
-It stops where the loop in Python must take over: before a scan that hardly fits, after one with a new line.
+It stops where the loop in Python must take over: before a scan that hardly fits or a new landmark, after a scan
+with a new line.
 """
 
 from .bearings import sight
+from .echoes import hear
 from .filter import AT_ONCE, correct, locate, move, swing, whiten
-from .fit import wrapped
+from .fit import folded
+from .fixes import locate_fix
 from .scans import MATCHED, NOTHING, columns_of, look, state, teach
+from .sightings import detect, unknown
+from .singles import add_singles, make_room, note_fit
+from .turns import begin_turn, turned
 
 FINE = 1.0  # returned where no correction failed: only its sign is read
 HEARD = 4  # columns of what is told of a reading: verdict, NIS, y, sigma
@@ -17,7 +23,7 @@ DONE, BEFORE, AFTER = (
 )  # why it stopped: all done; predicted, no more; all but the map's lessons and the note
 
 
-def coast(b, m, h, g, s, w, seat, rule, way, d, notes, progress, last):
+def coast(b, m, r, s, w, seat, rule, way, d, notes, progress, last):
     """Predict (eq. 5-7) from the instant of `progress` until `last`, and correct by all that is due (eq. 10-12).
 
     `progress` says where and why this stopped. Returns what `whiten` does where a correction failed, else FINE.
@@ -25,6 +31,11 @@ def coast(b, m, h, g, s, w, seat, rule, way, d, notes, progress, last):
     for k in range(progress.instant, last):
         progress.instant = k
         roll(b, m, progress, k)
+        if is_due(r.sightings.when, r.sightings.due, r.sightings.readings, k) and unknown(
+            r.sightings, r.sightings.due
+        ):
+            progress.why = BEFORE
+            return FINE
         scan, kind = progress.scan, NOTHING
         if scan < s.scans and s.when[scan] == k:
             kind = look(b, s, scan, w, seat, rule, progress, d)
@@ -32,13 +43,17 @@ def coast(b, m, h, g, s, w, seat, rule, way, d, notes, progress, last):
                 progress.why = BEFORE
                 return FINE
             progress.scan += 1
-        accepted, greatest = 0, compare(b, h, g, d, k)
+        d.singles = 0
+        accepted, turn_due = 0, is_due(r.turns.when, r.turns.due, r.turns.readings, k)
+        greatest = compare(b, r, w, d, k)
         if greatest > 0.0 and kind == MATCHED:
             accepted = state(b, s, scan, w, seat, rule, d)
-        if greatest > 0.0 and (accepted > 0 or h.taken >= 0 or g.chosen >= 0):
-            greatest = correct_by(b, s, scan, accepted, h, g, seat, rule, d)
+        if greatest > 0.0 and (accepted > 0 or r.headings.taken >= 0 or d.singles > 0):
+            greatest = correct_by(b, s, scan, accepted, r.headings, r.whole, seat, rule, d)
         if not greatest > 0.0:
             return greatest
+        if turn_due:
+            begin_turn(b, r.turns, r.turns.due - 1)
         if kind == MATCHED and teach(b, s, scan, w, rule, way, progress, d):
             progress.why = AFTER
             return FINE
@@ -47,6 +62,11 @@ def coast(b, m, h, g, s, w, seat, rule, way, d, notes, progress, last):
         )
     progress.instant, progress.why = last, DONE
     return FINE
+
+
+def is_due(when, due, readings, k):
+    """Tell whether reading `due` of so many `readings` belongs to instant k."""
+    return due < readings and when[due] == k
 
 
 def roll(b, m, progress, k):
@@ -60,19 +80,31 @@ def roll(b, m, progress, k):
     progress.theta += turn
 
 
-def compare(b, h, g, d, k):
-    """Compare heading and picture with the belief where they are due at instant k; returns what `whiten` does.
+def compare(b, r, w, d, k):
+    """Compare all single readings that are due at instant k with the belief; returns what `whiten` does.
 
-    What corrects it is `h.taken` and `g.chosen`, else -1.
+    What corrects it is `r.headings.taken`, else -1, and the rows that wait on the desk.
     """
     greatest = FINE
-    h.taken = g.chosen = -1
-    if h.due < h.readings and h.when[h.due] == k:
-        greatest = turn(b, h, h.due, d)
-        h.due += 1
-    if greatest > 0.0 and g.due < g.readings and g.when[g.due] == k:
-        greatest = sight(b, g, g.due, d)
-        g.due += 1
+    r.headings.taken = -1
+    if is_due(r.headings.when, r.headings.due, r.headings.readings, k):
+        greatest = turn(b, r.headings, r.headings.due, d)
+        r.headings.due += 1
+    if greatest > 0.0 and is_due(r.bearings.when, r.bearings.due, r.bearings.readings, k):
+        greatest = sight(b, r.bearings, r.bearings.due, d)
+        r.bearings.due += 1
+    if greatest > 0.0 and is_due(r.echoes.when, r.echoes.due, r.echoes.readings, k):
+        greatest = hear(b, w, r.echoes, r.echoes.due, d)
+        r.echoes.due += 1
+    if greatest > 0.0 and is_due(r.fixes.when, r.fixes.due, r.fixes.readings, k):
+        greatest = locate_fix(b, r.fixes, r.fixes.due, d)
+        r.fixes.due += 1
+    if greatest > 0.0 and is_due(r.turns.when, r.turns.due, r.turns.readings, k):
+        greatest = turned(b, r.turns, r.turns.due, d)
+        r.turns.due += 1
+    if greatest > 0.0 and is_due(r.sightings.when, r.sightings.due, r.sightings.readings, k):
+        greatest = detect(b, r.sightings, r.sightings.due, r.whole, d)
+        r.sightings.due += 1
     return greatest
 
 
@@ -82,9 +114,7 @@ def turn(b, h, i, d):
     for j in range(h.states):
         y -= b.x[h.at[j]]
         d.H[0, j] = 1.0
-    d.y[0], d.R[0, 0] = y - y, h.r[i]  # NaN where there is no heading
-    if d.y[0] == 0.0:
-        d.y[0] = wrapped(y)
+    d.y[0], d.R[0, 0] = folded(y), h.r[i]
     h.told[i, 0] = 0.0 if h.usable[i] else h.unused
     h.told[i, 2] = d.y[0]
     greatest = whiten(b.P, b.n, h.at, h.states, d.H, d.R, d.y, 1, d.V)
@@ -97,26 +127,25 @@ def turn(b, h, i, d):
     return greatest
 
 
-def correct_by(b, s, scan, accepted, h, g, seat, rule, d):
-    """Correct once by what is written of a scan's accepted lines, and by heading and bearing where they are taken.
+def correct_by(b, s, scan, accepted, h, whole, seat, rule, d):
+    """Correct once by a scan's accepted lines, which are written, by the heading that is taken, and what waits.
 
-    A heading alone is what `turn` has just whitened.
+    A heading alone is what `turn` has just whitened. How well a scan fits as a `whole` is noted,
+    where that is asked.
     """
     greatest, m, width = FINE, 2 * accepted, 0
-    if accepted > 0 or g.chosen >= 0:
+    if accepted > 0 or d.singles > 0:
         if accepted > 0:
             width = columns_of(accepted, seat, rule)
         if h.taken >= 0:
             add_heading(h, h.taken, d, m, width)
             m, width = m + 1, width + h.states
-        if g.chosen >= 0:
-            states = g.seat.free + (3 if b.frame < 0 else 6)
-            add_bearing(d, states, m, width)
-            m, width = m + 1, width + states
+        width = add_singles(d, 0, d.singles, m, width)
+        m += d.singles
         greatest = whiten(b.P, b.n, d.at, width, d.H, d.R, d.y, m, d.V)
         if not greatest > 0.0:
             return greatest
-        if rule.joint and accepted > 1:
+        if whole and accepted > 1:
             note_fit(s.joint, scan, d.y, 2 * accepted)
     correct_in_frame(b.x, b.P, b.n, b.frame, d.V, d.y, max(m, 1))
     return greatest
@@ -128,32 +157,6 @@ def add_heading(h, i, d, m, width):
     for j in range(h.states):
         d.at[width + j], d.H[m, width + j] = h.at[j], 1.0
     d.y[m], d.R[m, m] = h.told[i, 2], h.r[i]
-
-
-def add_bearing(d, states, m, width):
-    """Write the bearing on the desk as row m, with its states behind the `width` columns of the rows before it."""
-    make_room(d, m, width, states)
-    for j in range(states):
-        d.at[width + j], d.H[m, width + j] = d.ray_at[j], d.ray_row[j]
-    d.y[m], d.R[m, m] = d.ray[7], d.ray[8]
-
-
-def make_room(d, m, width, states):
-    """Let row m, and so many columns behind the `width` of the rows before it, be zero, and its noise its own."""
-    for k in range(m):
-        for j in range(states):
-            d.H[k, width + j] = 0.0
-        d.R[k, m] = d.R[m, k] = 0.0
-    for j in range(width):
-        d.H[m, j] = 0.0
-
-
-def note_fit(joint, scan, e, m):
-    """Write how well the first m numbers of a correction fit as a whole: y' S^-1 y and the degrees of freedom."""
-    total = 0.0
-    for j in range(m):
-        total += e[j] * e[j]
-    joint[scan, 0], joint[scan, 1] = total, m
 
 
 def correct_in_frame(x, P, n, frame, V, e, m):

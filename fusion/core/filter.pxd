@@ -23,3 +23,4 @@ cpdef Py_ssize_t by_local(
     double[::1] x, Py_ssize_t first, double by_x, double by_y, double by_theta, double[::1] row)
 cpdef double bent(double tt)
 cpdef void swing(double[:, ::1] P, Py_ssize_t n, Py_ssize_t first, double dx, double dy)
+cpdef void keep_heading(double[::1] x, double[:, ::1] P, Py_ssize_t n, Py_ssize_t column, double behind)

@@ -208,3 +208,13 @@ def swing(P, n, first, dx, dy):
         P[i, first] -= dy * P[i, first + 2]
         P[i, first + 1] += dx * P[i, first + 2]
     P[first + 1, first] = P[first, first + 1]
+
+
+def keep_heading(x, P, n, column, behind):
+    """Let a state be the heading as it is now, less `behind` [rad] (a clone: Roumeliotis, Burdick 2002)."""
+    x[column] = x[2] - behind
+    for j in range(n):
+        P[column, j] = P[2, j]
+    for i in range(n):
+        P[i, column] = P[i, 2]
+    P[column, column] = P[2, 2]

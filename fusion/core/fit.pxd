@@ -24,3 +24,4 @@ cdef double bend(double[::1] sums)
 cdef bint is_bent(double[::1] sums, double extent, double variance, double max_bend, double max_bow)
 cdef bint is_vague(double[::1] sums, double r, double variance, double max_sigma_psi, double max_swing)
 cdef double wrapped(double angle) noexcept
+cdef double folded(double angle) noexcept

@@ -174,3 +174,10 @@ def is_vague(sums, r, variance, max_sigma_psi, max_swing):
 def wrapped(angle):
     """Return the angle in [-pi, pi)."""
     return (angle + pi) - 2.0 * pi * floor((angle + pi) / (2.0 * pi)) - pi
+
+
+def folded(angle):
+    """Return the angle in [-pi, pi), NaN where it is none."""
+    if angle - angle == 0.0:
+        return wrapped(angle)
+    return angle - angle

@@ -24,11 +24,17 @@ SOURCES = (
     "match",
     "doubles",
     "filter",
+    "nees",
     "tables",
     "intervals",
     "red",
     "scans",
+    "singles",
     "bearings",
+    "echoes",
+    "fixes",
+    "turns",
+    "sightings",
     "coast",
 )  # compiled as one unit: a file uses those before it
 COMPILED = "compiled"  # the extension's name, beside the sources

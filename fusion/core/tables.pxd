@@ -37,8 +37,11 @@ cdef class Way:
 cdef class Desk:
     cdef double[:, ::1] raw, seated, wall_rows, H, G, R, V
     cdef double[::1] rows, walls, mount, place, offset, pose, triangle, seen, pairs, shared, y, missing
-    cdef double[::1] located, ray, ray_row
-    cdef Py_ssize_t[::1] fate, order, at, loose, ray_at
+    cdef double[:, ::1] own_H, own_R, S
+    cdef double[::1] located, ray, chain, own_y, e, tie, fix, echo, by
+    cdef Py_ssize_t[:, ::1] own_at
+    cdef Py_ssize_t[::1] fate, order, at, loose, own_states, follows
+    cdef Py_ssize_t singles
 
 cdef class Progress:
     cdef public Py_ssize_t instant, why, scan, number, well
@@ -71,8 +74,50 @@ cdef class Bearings:
     cdef double[:, ::1] told
     cdef double x, y, nearest, gate, margin, refused, ambiguous, unmatched
     cdef Seat seat
-    cdef Py_ssize_t readings, chosen
+    cdef Py_ssize_t readings
     cdef public Py_ssize_t due
+
+cdef class Echoes:
+    cdef Py_ssize_t[::1] when, first
+    cdef double[::1] z, r
+    cdef double[:, ::1] cones, told
+    cdef double widen, gate, refused, unmatched
+    cdef Py_ssize_t readings
+    cdef public Py_ssize_t due
+
+cdef class Fixes:
+    cdef Py_ssize_t[::1] when
+    cdef double[:, ::1] z, R, told
+    cdef double[::1] tie
+    cdef double lever_x, lever_y, from_x, from_y, gate, refused
+    cdef Py_ssize_t at, readings
+    cdef bint known
+    cdef public Py_ssize_t due
+
+cdef class Turns:
+    cdef Py_ssize_t[::1] when
+    cdef double[::1] t, z, piece
+    cdef double[:, ::1] told
+    cdef double walk, by_scale, bias, rest_begin, rest_end, gate, refused, repeated
+    cdef Py_ssize_t at_bias, at_before, readings
+    cdef public Py_ssize_t last, due
+
+cdef class Sightings:
+    cdef Py_ssize_t[::1] when, first, which, ids, columns
+    cdef double[:, ::1] z, R, places, told, joint, placed
+    cdef double x, y, yaw, offset, depth, sigma_bearing, sigma_range, most, gate, refused
+    cdef Py_ssize_t numbers, at_offset, at_depth, readings
+    cdef bint made
+    cdef public Py_ssize_t due
+
+cdef class Readings:
+    cdef Headings headings
+    cdef Bearings bearings
+    cdef Echoes echoes
+    cdef Fixes fixes
+    cdef Turns turns
+    cdef Sightings sightings
+    cdef bint whole
 
 cdef class Window:
     cdef unsigned char[:, ::1] excess, red

@@ -79,18 +79,25 @@ class Way:
 
 
 class Desk:
-    """Room for one scan and one picture; `seated`, `walls` and `shared` lie in memory as their flat twins."""
+    """Room for one instant: a scan, its equation (at, H, R, y, V), and the `singles`, rows that wait for it.
+
+    `seated`, `walls` and `shared` lie in memory as their flat twins. What is a single row's begins with `own`.
+    """
 
     def __init__(
         self, raw, seated, rows, wall_rows, walls, mount, place, offset, pose, triangle, seen, pairs, fate, order,
-        shared, at, H, G, R, y, V, loose, missing, located, ray, ray_row, ray_at,
+        shared, at, H, G, R, y, V, loose, missing, located, ray, chain, own_at, own_H, own_y, own_R, own_states,
+        follows, S, e, tie, fix, echo, by, singles=0,
     ):  # fmt: skip
         self.raw, self.seated, self.rows, self.wall_rows, self.walls = raw, seated, rows, wall_rows, walls
         self.mount, self.place, self.offset, self.pose, self.triangle = mount, place, offset, pose, triangle
         self.seen, self.pairs, self.fate, self.order = seen, pairs, fate, order
         self.shared, self.at, self.H, self.G, self.R, self.y, self.V = shared, at, H, G, R, y, V
         self.loose, self.missing = loose, missing
-        self.located, self.ray, self.ray_row, self.ray_at = located, ray, ray_row, ray_at
+        self.located, self.ray, self.chain = located, ray, chain
+        self.own_at, self.own_H, self.own_y, self.own_R = own_at, own_H, own_y, own_R
+        self.own_states, self.follows, self.S, self.e = own_states, follows, S, e
+        self.tie, self.fix, self.echo, self.by, self.singles = tie, fix, echo, by, singles
 
 
 class Progress:
@@ -153,18 +160,101 @@ class Bearings:
 
     Its candidates, first[i] until first[i + 1], are z [rad] of variance r. Written is told (k, 5: verdict,
     landmark, NIS, y, sigma); `gate` to `unmatched` are those of `bearings.choose`. The camera sits as `seat` says,
-    and nearer than `nearest` [m] it is inside the point. The next to come is picture `due`, and `chosen` the
-    candidate of this instant that corrects, else -1.
+    and nearer than `nearest` [m] it is inside the point. The next to come is picture `due`.
     """
 
     def __init__(
         self, when, first, z, r, told, x, y, nearest, gate, margin, refused, ambiguous, unmatched, seat, readings,
-        due, chosen,
+        due,
     ):  # fmt: skip
         self.when, self.first, self.z, self.r, self.told = when, first, z, r, told
         self.x, self.y, self.nearest, self.gate, self.margin = x, y, nearest, gate, margin
         self.refused, self.ambiguous, self.unmatched = refused, ambiguous, unmatched
-        self.seat, self.readings, self.due, self.chosen = seat, readings, due, chosen
+        self.seat, self.readings, self.due = seat, readings, due
+
+
+class Echoes:
+    """Echoes z [m] of variance r: reading i, at instant when[i], has row first[i] unless that is first[i + 1].
+
+    cones (k, 4) are x, y [m] and yaw of a sonar on the base, and how far it hears to either side [rad]; walls
+    count up to `widen` [rad] beyond. Written is told (k, 6: verdict, landmark, NIS, threshold, y, sigma).
+    """
+
+    def __init__(self, when, first, z, r, cones, widen, told, gate, refused, unmatched, readings, due):
+        self.when, self.first, self.z, self.r, self.cones = when, first, z, r, cones
+        self.widen, self.told = widen, told
+        self.gate, self.refused, self.unmatched = gate, refused, unmatched
+        self.readings, self.due = readings, due
+
+
+class Fixes:
+    """Fixes z (k, 2) [m], of covariance R (k, 3: ee, en, nn), at instants `when` (k,): see `fixes.fix`.
+
+    The tie is that of four states from column `at` on, or `tie` where that is -1. Written is told (k, 8: verdict,
+    landmark, NIS, threshold, y, y, sigma, sigma).
+    """
+
+    def __init__(
+        self, when, z, R, told, lever_x, lever_y, from_x, from_y, tie, at, known, gate, refused, readings, due
+    ):  # fmt: skip
+        self.when, self.z, self.R, self.told = when, z, R, told
+        self.lever_x, self.lever_y, self.from_x, self.from_y = lever_x, lever_y, from_x, from_y
+        self.tie, self.at, self.known = tie, at, known
+        self.gate, self.refused = gate, refused
+        self.readings, self.due = readings, due
+
+
+class Turns:
+    """Angles z [rad] that a gyro had turned by times t [s], without a gap where `piece` is the same.
+
+    What it turned from rest_begin to rest_end gave its bias. Its noise is `walk` [rad^2 / s], and `by_scale` of
+    every turn. The heading of reading `last` is the state `at_before`; the bias is the state `at_bias`, or `bias`
+    [rad / s] where that is -1. Written is told (k, 6: verdict, landmark, NIS, threshold, y, sigma).
+    """
+
+    def __init__(
+        self, when, t, z, piece, told, walk, by_scale, bias, at_bias, at_before, rest_begin, rest_end, gate,
+        refused, repeated, last, readings, due,
+    ):  # fmt: skip
+        self.when, self.t, self.z, self.piece, self.told = when, t, z, piece, told
+        self.walk, self.by_scale, self.bias = walk, by_scale, bias
+        self.at_bias, self.at_before = at_bias, at_before
+        self.rest_begin, self.rest_end = rest_begin, rest_end
+        self.gate, self.refused, self.repeated, self.last = gate, refused, repeated, last
+        self.readings, self.due = readings, due
+
+
+class Sightings:
+    """Detections z (k, 1 or 2: bearing [rad], range [m]) of covariance R (k, 3), reading by reading.
+
+    Row j shows landmark which[j] of those whose numbers are `ids` and which stand at `places` (l, 2) [m, map].
+    While they are `made`, they are the states `columns` (l,), of which -1 is none yet. The detector sits at x, y,
+    `yaw` on the base. Offset and depth of its ranges are states, or given where their column is -1. Written are
+    told (k, 4 + 2 numbers: verdict, landmark, NIS, threshold, y, sigma) and joint (n, 2: how well a reading fits
+    as a whole). Of landmarks whose places are known it is `placed` (k, 3), where a detection puts them and that
+    sigma, if the robot's own place is known to `most` [m].
+    """
+
+    def __init__(
+        self, when, first, z, R, numbers, which, ids, places, columns, made, x, y, yaw, offset, depth, at_offset,
+        at_depth, sigma_bearing, sigma_range, most, told, joint, placed, gate, refused, readings, due,
+    ):  # fmt: skip
+        self.when, self.first, self.z, self.R, self.numbers = when, first, z, R, numbers
+        self.which, self.ids, self.places, self.columns, self.made = which, ids, places, columns, made
+        self.x, self.y, self.yaw = x, y, yaw
+        self.offset, self.depth, self.at_offset, self.at_depth = offset, depth, at_offset, at_depth
+        self.sigma_bearing, self.sigma_range, self.most = sigma_bearing, sigma_range, most
+        self.told, self.joint, self.placed = told, joint, placed
+        self.gate, self.refused = gate, refused
+        self.readings, self.due = readings, due
+
+
+class Readings:
+    """All single readings of a drive; how well several of one reading fit as a `whole` is noted, if asked."""
+
+    def __init__(self, headings, bearings, echoes, fixes, turns, sightings, whole):
+        self.headings, self.bearings, self.echoes = headings, bearings, echoes
+        self.fixes, self.turns, self.sightings, self.whole = fixes, turns, sightings, whole
 
 
 class Window:

@@ -1,4 +1,4 @@
-from .arrays import Floats, Matrix, Pixels, Points, Wholes
+from .arrays import Floats, Matrix, Pixels, Points, Table, Wholes
 
 class Belief:
     x: Floats
@@ -202,8 +202,20 @@ class Desk:
     missing: Floats
     located: Floats
     ray: Floats
-    ray_row: Floats
-    ray_at: Wholes
+    chain: Floats
+    own_at: Table
+    own_H: Matrix
+    own_y: Floats
+    own_R: Matrix
+    own_states: Wholes
+    follows: Wholes
+    S: Matrix
+    e: Floats
+    tie: Floats
+    fix: Floats
+    echo: Floats
+    by: Floats
+    singles: int
     def __init__(
         self,
         raw: Matrix,
@@ -231,8 +243,20 @@ class Desk:
         missing: Floats,
         located: Floats,
         ray: Floats,
-        ray_row: Floats,
-        ray_at: Wholes,
+        chain: Floats,
+        own_at: Table,
+        own_H: Matrix,
+        own_y: Floats,
+        own_R: Matrix,
+        own_states: Wholes,
+        follows: Wholes,
+        S: Matrix,
+        e: Floats,
+        tie: Floats,
+        fix: Floats,
+        echo: Floats,
+        by: Floats,
+        singles: int,
     ) -> None: ...
 
 class Progress:
@@ -336,7 +360,6 @@ class Bearings:
     seat: Seat
     readings: int
     due: int
-    chosen: int
     def __init__(
         self,
         when: Wholes,
@@ -355,7 +378,189 @@ class Bearings:
         seat: Seat,
         readings: int,
         due: int,
-        chosen: int,
+    ) -> None: ...
+
+class Echoes:
+    when: Wholes
+    first: Wholes
+    z: Floats
+    r: Floats
+    cones: Matrix
+    widen: float
+    told: Matrix
+    gate: float
+    refused: float
+    unmatched: float
+    readings: int
+    due: int
+    def __init__(
+        self,
+        when: Wholes,
+        first: Wholes,
+        z: Floats,
+        r: Floats,
+        cones: Matrix,
+        widen: float,
+        told: Matrix,
+        gate: float,
+        refused: float,
+        unmatched: float,
+        readings: int,
+        due: int,
+    ) -> None: ...
+
+class Fixes:
+    when: Wholes
+    z: Matrix
+    R: Matrix
+    told: Matrix
+    lever_x: float
+    lever_y: float
+    from_x: float
+    from_y: float
+    tie: Floats
+    at: int
+    known: bool
+    gate: float
+    refused: float
+    readings: int
+    due: int
+    def __init__(
+        self,
+        when: Wholes,
+        z: Matrix,
+        R: Matrix,
+        told: Matrix,
+        lever_x: float,
+        lever_y: float,
+        from_x: float,
+        from_y: float,
+        tie: Floats,
+        at: int,
+        known: bool,
+        gate: float,
+        refused: float,
+        readings: int,
+        due: int,
+    ) -> None: ...
+
+class Turns:
+    when: Wholes
+    t: Floats
+    z: Floats
+    piece: Floats
+    told: Matrix
+    walk: float
+    by_scale: float
+    bias: float
+    at_bias: int
+    at_before: int
+    rest_begin: float
+    rest_end: float
+    gate: float
+    refused: float
+    repeated: float
+    last: int
+    readings: int
+    due: int
+    def __init__(
+        self,
+        when: Wholes,
+        t: Floats,
+        z: Floats,
+        piece: Floats,
+        told: Matrix,
+        walk: float,
+        by_scale: float,
+        bias: float,
+        at_bias: int,
+        at_before: int,
+        rest_begin: float,
+        rest_end: float,
+        gate: float,
+        refused: float,
+        repeated: float,
+        last: int,
+        readings: int,
+        due: int,
+    ) -> None: ...
+
+class Sightings:
+    when: Wholes
+    first: Wholes
+    z: Matrix
+    R: Matrix
+    numbers: int
+    which: Wholes
+    ids: Wholes
+    places: Matrix
+    columns: Wholes
+    made: bool
+    x: float
+    y: float
+    yaw: float
+    offset: float
+    depth: float
+    at_offset: int
+    at_depth: int
+    sigma_bearing: float
+    sigma_range: float
+    most: float
+    told: Matrix
+    joint: Matrix
+    placed: Matrix
+    gate: float
+    refused: float
+    readings: int
+    due: int
+    def __init__(
+        self,
+        when: Wholes,
+        first: Wholes,
+        z: Matrix,
+        R: Matrix,
+        numbers: int,
+        which: Wholes,
+        ids: Wholes,
+        places: Matrix,
+        columns: Wholes,
+        made: bool,
+        x: float,
+        y: float,
+        yaw: float,
+        offset: float,
+        depth: float,
+        at_offset: int,
+        at_depth: int,
+        sigma_bearing: float,
+        sigma_range: float,
+        most: float,
+        told: Matrix,
+        joint: Matrix,
+        placed: Matrix,
+        gate: float,
+        refused: float,
+        readings: int,
+        due: int,
+    ) -> None: ...
+
+class Readings:
+    headings: Headings
+    bearings: Bearings
+    echoes: Echoes
+    fixes: Fixes
+    turns: Turns
+    sightings: Sightings
+    whole: bool
+    def __init__(
+        self,
+        headings: Headings,
+        bearings: Bearings,
+        echoes: Echoes,
+        fixes: Fixes,
+        turns: Turns,
+        sightings: Sightings,
+        whole: bool,
     ) -> None: ...
 
 class Window:

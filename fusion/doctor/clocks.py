@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -43,6 +44,8 @@ def of_clocks(drive: Drive, robot: Robot) -> list[Finding]:
         return [_wheels(float(np.mean(offsets)), list(late), robot)]
     if truth is not None and list(late) == ["truth"] and (witnesses := _on_truths_clock(drive, robot, truth)):
         return [_wheels(truth.offset, ["truth", *witnesses], robot)]
+    if list(late) == list(lags) == ["truth"]:
+        return [_either(late["truth"], robot)]
     return [_stream(name, lag, robot) for name, lag in late.items()]
 
 
@@ -73,6 +76,13 @@ def _stream(name: str, lag: Lag, robot: Robot) -> Finding:
     offset = settings.time_offset + lag.offset
     fix = f"{name}.time_offset={offset + 0.0:.2f}"
     return Finding(name, "lag", in_words(lag), (fix,), abs(lag.offset) > SEVERE_LAG_S)
+
+
+def _either(lag: Lag, robot: Robot) -> Finding:
+    """Return the finding of two clocks that differ where no third one says which of them is off."""
+    found = _stream("truth", lag, robot)
+    same = f"wheels.time_offset={robot.wheels.time_offset - lag.offset + 0.0:.2f}"
+    return replace(found, message=f"{found.message}; no third clock says which of the two is off: {same} is equal")
 
 
 def _wheels(offset: float, names: list[str], robot: Robot) -> Finding:

@@ -290,11 +290,7 @@ class JointBelief:
 
     def clone_heading(self, column: int, behind: float = 0.0) -> None:
         """Let a state be the heading as it is now, less `behind` [rad] (stochastic cloning, sensors/gyro)."""
-        n, x, P = self.n, self._x, self._P
-        x[column] = x[2] - behind
-        P[column, :n] = P[2, :n]
-        P[:n, column] = P[:n, 2]
-        P[column, column] = P[2, 2]
+        self._room.on_arrays.keep_heading(self._x, self._P, self.n, column, behind)
         self._clones.add(column)
 
     def clone_pose(self, column: int, behind: Array | None = None) -> None:

@@ -21,6 +21,9 @@ from .belief_arrays import POSE, JointBelief
 from .equations import eq6_noise, eq7_A
 from .map_frame import Pose, Triangle
 
+MAX_REST = 1e-9  # of the largest number on the right: what a solution may leave
+RANK = 1e-12  # relative eigenvalue below which a covariance has no extent
+
 
 class Step(NamedTuple):
     """A motion undone: x[rows] = c + G x + noise of covariance D."""
@@ -241,6 +244,9 @@ def undone(
 def _solved(P: Array, B: Array) -> Array:
     """Return P^-1 B; where P is singular (an exact start, a frame that just began), the least of all solutions.
 
+    Rounding hides a singular P from the solver, whose solution is then of 1e16 and does not even solve: its rest
+    tells.
+
     Scaled to a unit diagonal: a pose whose frame just began has 1e-14 m^2 beside states of 1. A variance that
     rounding took below zero (-1e-35 m^2) is zero.
     """
@@ -250,7 +256,11 @@ def _solved(P: Array, B: Array) -> Array:
     try:
         solved = np.linalg.solve(unit, right)
     except np.linalg.LinAlgError:
-        solved = np.linalg.pinv(unit, hermitian=True) @ right
+        solved = np.full_like(right, np.inf)
+    with np.errstate(invalid="ignore"):
+        rest = np.abs(unit @ solved - right).max(initial=0.0)
+    if not rest <= MAX_REST * np.abs(right).max(initial=0.0):
+        solved = np.linalg.pinv(unit, rcond=RANK, hermitian=True) @ right
     return np.asarray(scale[:, None] * solved, np.float64)
 
 

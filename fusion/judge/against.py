@@ -61,10 +61,7 @@ class Reference:
         It has no ANEES: an estimate shares wheels and sensors with the reference, so their errors are no
         independent ones.
         """
-        t = self.drive.t
-        same = len(e.t) == len(t) and bool((e.t == t).all())
-        pose, P = (e.pose, matrices(e.triangles)) if same else interpolated(t, e.t, e.pose, e.triangles)
-        found = evaluate(replace(e, audits={}, truth_pose=pose, truth_P=P), self.drive, align)
+        found = evaluate(self.seen(e), self.drive, align)
         figures = {**found.figures, "anees": None, "truth_coverage": None}
         own = {key: judged.figures[key] for key in ("duration_s", "distance_m")}
         return replace(
@@ -74,6 +71,13 @@ class Reference:
             nees=np.full(len(found.nees), np.nan),
             reference=True,
         )
+
+    def seen(self, e: Estimates) -> Estimates:
+        """Return an estimate with its poses at the stamps of the reference, and without its innovations."""
+        t = self.drive.t
+        same = len(e.t) == len(t) and bool((e.t == t).all())
+        pose, P = (e.pose, matrices(e.triangles)) if same else interpolated(t, e.t, e.pose, e.triangles)
+        return replace(e, audits={}, truth_pose=pose, truth_P=P)
 
     def widened(self, effect: Effect, before: float, after: float) -> Effect:
         """Return an effect ln(before / after) of errors [m] with what the reference's own errors leave open.

@@ -13,13 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
+from locfuse.fusion.core import nees as core
+from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, Evaluation, SensorFigures, Truth
 from locfuse.fusion.streams import gap_limit
 
 Align = Literal["none", "origin", "se2"]
 DRIFT_LENGTHS_M = (1.0, 5.0, 10.0)  # m
 ERRORS_AT_ONCE = 4096  # errors whose covariances are worked on at once: on the way they take ten times their room
-MIN_EIGENVALUE_RATIO = 1e-12  # relative eigenvalue below which a covariance is singular
+MIN_PIVOT_RATIO = 1e-12  # of the largest variance: with a smaller pivot a covariance is singular
 ERROR_KEYS = (
     "position_rmse_m",
     "position_mean_m",
@@ -188,16 +190,15 @@ def _nees(deviation: Array, heading: Array | None, P: Array, truth: Truth) -> Ar
     """
     dof = 2 if heading is None else 3
     e = deviation if heading is None else np.column_stack((deviation, heading))
-    S = P[:, :dof, :dof].copy()
+    S = np.ascontiguousarray(P[:, :dof, :dof])
     own = np.square((truth.sigma, truth.sigma, truth.sigma_theta))
     S[:, np.arange(dof), np.arange(dof)] += own[:dof]
-    values, vectors = np.linalg.eigh(S)
-    good = values[:, 0] > MIN_EIGENVALUE_RATIO * np.maximum(values[:, -1], MIN_EIGENVALUE_RATIO)
-    across = np.einsum("qij,qi->qj", vectors, e)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        nees = (across**2 / values).sum(axis=1) / dof
-    judged: Array = np.where(good, nees, np.nan)
-    return judged
+    out, n = np.full(len(e), np.nan), len(e)
+    room = np.empty((dof, dof)), np.empty(dof)
+    Room.here(core).on_arrays.nees(
+        np.ascontiguousarray(e), S.reshape(n, dof * dof), n, dof, MIN_PIVOT_RATIO, *room, out
+    )
+    return out
 
 
 def _along_cross(deviation: Array, pairs: _Pairs) -> Array:

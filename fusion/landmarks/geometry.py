@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import math
 
+from locfuse.fusion.core import bearings, sightings
+from locfuse.fusion.core.room import Room
+
 Point = tuple[float, float]
-TOUCHING_M = 1e-3  # m: nearer than this a bearing has no direction
+Row = tuple[float, float, float]
 
 
 def detector_at(pose: tuple[float, float, float], mount: tuple[float, float, float]) -> Point:
@@ -14,18 +17,13 @@ def detector_at(pose: tuple[float, float, float], mount: tuple[float, float, flo
     return pose[0] + c * mount[0] - s * mount[1], pose[1] + s * mount[0] + c * mount[1]
 
 
-def predict(
-    pose: tuple[float, float, float], place: Point, mount: tuple[float, float, float]
-) -> tuple[Point, tuple[tuple[float, float, float], tuple[float, float, float]]] | None:
+def predict(pose: Row, place: Point, mount: Row) -> tuple[Point, tuple[Row, Row]] | None:
     """Return (range [m], bearing [rad]) of a landmark, and their derivatives by the robot's x, y, theta."""
-    x, y = detector_at(pose, mount)
-    dx, dy = place[0] - x, place[1] - y
-    r = math.hypot(dx, dy)
-    if r < TOUCHING_M:
+    room = Room.here(bearings)
+    ray, by = room.floats(bearings.RAY), room.floats(3)
+    if not room.functions.bearing(room.flat((pose,)), *place, *mount, sightings.TOUCHING, ray):
         return None
-    # the detector moves by (ax, ay) per radian that the robot turns
-    ax, ay = pose[1] - y, x - pose[0]
-    q = r * r
-    by_range = (-dx / r, -dy / r, -(dx * ax + dy * ay) / r)
-    by_bearing = (dy / q, -dx / q, (dy * ax - dx * ay) / q - 1.0)
-    return (r, math.atan2(dy, dx) - pose[2] - mount[2]), (by_range, by_bearing)
+    room.beside(sightings).functions.by_range(ray, mount[0], mount[1], 1.0, by)
+    angle, bx, by_y, bt, *_, distance = room.listed(ray, bearings.RAY)
+    rx, ry, rt = room.listed(by, 3)
+    return (distance, angle), ((rx, ry, rt), (bx, by_y, bt))

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.core import match
+from locfuse.fusion.core import match, tables
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Ints, MapLine
 from locfuse.fusion.ekf.belief_arrays import JointBelief
@@ -94,6 +94,13 @@ class LineMap:
             rows = self._frozen = np.zeros((len(self), width))
             rows[:, :2], rows[:, 2:4], rows[:, 4:7] = self.value, self.anchor, self.P.reshape(-1, 4)[:, (0, 1, 3)]
         return self._frozen
+
+    def table(self, free: int = 0) -> Any:
+        """Return the map for the core; of the laser's mount so many numbers are states, of a map that is none."""
+        width, states = WALL + 2 * free, len(self) > 0 and bool(self.column[0] >= 0)
+        fixed = np.zeros(0) if states else self.fixed(width).ravel()
+        kept = self.column, self.anchor, self.lo, self.hi, self.hits, self.seen, self.born, self.ids
+        return Room.here(tables).on_arrays.Walls(*kept, fixed, width, len(self), states)
 
     def append(
         self, anchor: Array, value: Array, P: Array, column: int, ends: tuple[float, float], scan: int

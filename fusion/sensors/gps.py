@@ -18,17 +18,44 @@ from typing import Any, ClassVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import Array, Colour, Component, LocfuseError, Measurements, Ragged, Stream, plausible
+from locfuse.fusion.core import fixes as core
+from locfuse.fusion.core import tables
+from locfuse.fusion.core.room import Room
+from locfuse.fusion.data import (
+    Array,
+    Colour,
+    Component,
+    Ints,
+    LocfuseError,
+    Measurements,
+    Ragged,
+    Stream,
+    plausible,
+)
 from locfuse.fusion.geodesy import east_north
 from locfuse.fusion.mount import ASK_MOUNT
-from locfuse.fusion.sensor import Ask, Block, Innovation, Model, Sensor, SensorSettings, WheelMotion
+from locfuse.fusion.sensor import (
+    GATE,
+    Ask,
+    Block,
+    Columns,
+    Innovation,
+    Model,
+    Sensor,
+    SensorSettings,
+    WheelMotion,
+    untold,
+    upper,
+)
 from locfuse.fusion.streams import count_dropped
 
 FRAME = "_gps_frame"
 WIDE = 100.0  # m: how far the first fix may be from where the robot was
 MAX_KNOWN_DIRECTION_RAD = math.radians(10.0)  # from here on the direction of east is a state of its own
 LENGTH = 1e-4  # how well a^2 + b^2 = 1 is said
+OF_GPSD = ("gps_common/msg/GPSFix", "gps_msgs/msg/GPSFix")  # drivers publish the same fixes as NavSatFix
 MIN_SIGMA_M = 1e-3  # m, of a standard deviation
 
 Rows = tuple[tuple[float, float, float], ...]
@@ -46,7 +73,7 @@ class GpsSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 class Gps(Sensor):
-    """Reads NavSatFix."""
+    """Reads NavSatFix, GPSFix and Foxglove's LocationFix."""
 
     name = "gps"
     locates = True
@@ -55,18 +82,22 @@ class Gps(Sensor):
     colour = Colour("#4f3510", "#7d7a3c")
     noise_keys = ("sigma",)
     extra = True
+    second_best = OF_GPSD
     asks: ClassVar[Mapping[str, Ask]] = {
         **dict.fromkeys(("x", "y"), Ask(f"m: {ASK_MOUNT}", blank=True)),
         "origin": Ask("[latitude, longitude] of the map's origin; left out, estimated"),
         "sigma": Ask("m: where the receiver does not say"),
     }
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
-        "sensor_msgs/msg/NavSatFix": (
-            "status.status",
-            "latitude",
-            "longitude",
-            "position_covariance",
-            "position_covariance_type",
+        **dict.fromkeys(
+            ("sensor_msgs/msg/NavSatFix", *OF_GPSD),
+            (
+                "status.status",
+                "latitude",
+                "longitude",
+                "position_covariance",
+                "position_covariance_type",
+            ),
         ),
         **dict.fromkeys(
             ("foxglove.LocationFix", "foxglove_msgs/msg/LocationFix"),
@@ -150,20 +181,23 @@ class GpsModel(Model):
         self.threshold = chi_square(settings.gate, 2)
         self.lever = (settings.x, settings.y)
         self.known = settings.east_deg is not None  # whether the direction of east is a state of its own
-        self.east = math.radians(settings.east_deg or 0.0)
+        self.tie = (math.radians(settings.east_deg or 0.0), 1.0, 0.0, 0.0)  # at the start
         self.fixed = self.known and settings.origin is not None
         self.reference: tuple[float, float] | None = (0.0, 0.0) if settings.origin is not None else None
-        self._sigma_east = math.pi
 
     def blocks(self) -> list[Block]:
         """Return the tie between map and earth as states, unless place and direction are given."""
         if self.fixed:
             return []
         place = 0.0 if self.settings.origin is not None else WIDE**2
-        x = np.array([self.east, 1.0, 0.0, 0.0]) if self.known else np.zeros(4)
+        x = np.array(self.tie) if self.known else np.zeros(4)
         # a and b of a direction that may be anything have mean 0 and variance 1/2
         direction = 0.0 if self.known else 0.5
         return [Block(FRAME, x, np.diag([direction, direction, place, place]), np.zeros(4))]
+
+    def columns(self, m: Measurements, when: Ints) -> Columns:
+        """Return all fixes for the core, which takes them once the direction of east is known."""
+        return FixColumns(self, m, when)
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
         """Compare one fix with the belief."""
@@ -178,39 +212,29 @@ class GpsModel(Model):
         self, belief: Any
     ) -> tuple[tuple[float, float], Rows, tuple[int, ...], tuple[tuple[float, ...], ...]]:
         """Return the fix as predicted, its derivative by the pose, and by the states of the tie."""
-        c, s = math.cos(belief.theta), math.sin(belief.theta)
-        lx, ly = c * self.lever[0] - s * self.lever[1], s * self.lever[0] + c * self.lever[1]
+        room, pose = Room.here(core), (belief.x, belief.y, belief.theta)
         if self.reference is None:
-            self.reference = (belief.x + lx, belief.y + ly)
-        x, y = belief.x + lx - self.reference[0], belief.y + ly - self.reference[1]
-        if self.fixed:
-            a, b, offset = math.cos(self.east), math.sin(self.east), (0.0, 0.0)
-            columns: tuple[int, ...] = ()
-            H_block: tuple[tuple[float, ...], ...] = ()
-        else:
+            x, y = se2.transform(np.array(pose), np.array(self.lever)).tolist()
+            self.reference = (x, y)
+        columns: tuple[int, ...] = ()
+        tie = self.tie
+        if not self.fixed:
             first, now = belief.block(FRAME)
-            columns = (first, first + 1, first + 2, first + 3)
-            a, b = float(now[0]), float(now[1])
-            if self.known:
-                a, b = math.cos(float(now[0])), math.sin(float(now[0]))
-                H_block = ((-b * x + a * y, 0.0, 1.0, 0.0), (-a * x - b * y, 0.0, 0.0, 1.0))
-            else:
-                H_block = ((x, y, 1.0, 0.0), (y, -x, 0.0, 1.0))
-            offset = (float(now[2]), float(now[3]))
-        h = (a * x + b * y + offset[0], -b * x + a * y + offset[1])
-        H = ((a, b, -a * ly + b * lx), (-b, a, b * ly + a * lx))
-        return h, H, columns, H_block
+            columns, tie = (first, first + 1, first + 2, first + 3), tuple(now.tolist())
+        out = room.floats(core.FIX)
+        room.functions.fix(*pose, *self.lever, *self.reference, room.flat((tie,)), self.known, out)
+        v = room.listed(out, core.FIX)
+        H = ((v[2], v[3], v[4]), (v[5], v[6], v[7]))
+        H_block = () if self.fixed else (tuple(v[8:12]), tuple(v[12:]))
+        return (v[0], v[1]), H, columns, H_block
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Let the direction of east become a state of its own once it is known well enough."""
-        if self.fixed:
+        if self.known:
             return
         first, now = belief.block(FRAME)
         columns = np.arange(first, first + 4)
         P = belief.covariance[np.ix_(columns, columns)]
-        if self.known:
-            self.east, self._sigma_east = float(now[0]), math.sqrt(max(float(P[0, 0]), 0.0))
-            return
         a, b = float(now[0]), float(now[1])
         length = math.hypot(a, b)
         if length < 0.5:
@@ -229,5 +253,32 @@ class GpsModel(Model):
             return []
         if not self.known:
             return ["the drive was too short to tell where east lies; fixes hardly counted (gps.east_deg)"]
-        east, sigma = math.degrees(self.east), math.degrees(self._sigma_east)
+        first, now = belief.block(FRAME)
+        east = math.degrees(float(now[0]))
+        sigma = math.degrees(math.sqrt(max(float(belief.covariance[first, first]), 0.0)))
         return [f"east lies {east:.1f} deg (1 sigma: {sigma:.1f}) from the map's x axis (gps.east_deg)"]
+
+
+class FixColumns(Columns):
+    """All fixes for the core, where they are linear enough: the direction of east is known."""
+
+    kind = "fixes"
+
+    def __init__(self, model: GpsModel, m: Measurements, when: Ints) -> None:
+        self._model, self.when, self.first = model, when, np.arange(len(when) + 1)
+        self._z, self._R = np.ascontiguousarray(m.z), upper(m.covariances(slice(None)))
+        self.told, self.joint = untold(len(m.z), 2), np.zeros((0, 2))
+
+    @property
+    def ready(self) -> bool:
+        """Whether the first fix was seen, and where east lies is a state or given."""
+        return self._model.known and self._model.reference is not None
+
+    def table(self, belief: Any) -> Any:
+        """Return the fixes, the antenna and the tie to the map."""
+        model = self._model
+        at = -1 if model.fixed else belief.block(FRAME)[0]
+        return Room.here(tables).on_arrays.Fixes(
+            self.when, self._z, self._R, self.told, *model.lever, *(model.reference or (0.0, 0.0)),
+            np.array(model.tie), at, model.known, model.threshold, float(GATE), len(self.when), 0,
+        )  # fmt: skip

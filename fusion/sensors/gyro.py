@@ -25,9 +25,22 @@ from typing import Any, ClassVar, Literal, NamedTuple, cast
 import numpy as np
 
 from locfuse.fusion.chi_square import chi_square
+from locfuse.fusion.core import tables
+from locfuse.fusion.core import turns as core
+from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Ints, LocfuseError, Measurements, Stream
 from locfuse.fusion.mount import BARE_NUMBERS, NOT_ON_BODY, rotation
-from locfuse.fusion.sensor import Block, Innovation, Model, Sensor, SensorSettings, WheelMotion
+from locfuse.fusion.sensor import (
+    GATE,
+    Block,
+    Columns,
+    Innovation,
+    Model,
+    Sensor,
+    SensorSettings,
+    WheelMotion,
+    untold,
+)
 from locfuse.fusion.streams import count_dropped, gap_limit
 
 MAX_REST_ROLLED_M, MAX_REST_TURNED_RAD = 0.001, math.radians(0.1)  # over a whole rest: encoders tremble by a tick
@@ -165,6 +178,19 @@ class GyroModel(Model):
         drift = math.radians(self.settings.bias_drift_deg) ** 2
         return [before, Block(BIAS, np.zeros(1), np.array([[variance]]), np.array([drift]))]
 
+    def columns(self, m: Measurements, when: Ints) -> Columns:
+        """Return all turns for the core, which takes them once there is a heading to compare with."""
+        return TurnColumns(self, m, when)
+
+    @property
+    def last(self) -> int | None:
+        """The reading whose heading is kept."""
+        return self._last
+
+    def keep(self, i: int) -> None:
+        """Take in that the heading of reading i was kept."""
+        self._last = i
+
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
         """Compare the turn since the last reading with the belief; the first, and one after a gap, only begins."""
         last = self._last
@@ -180,9 +206,9 @@ class GyroModel(Model):
         if bias is None:
             at, now = belief.block(BIAS)
             columns, H_block, bias = (column, at), ((-1.0, dt),), float(now[0])
-        y = turned - bias * dt - (belief.theta - float(before[0]))
-        by_scale = self.settings.sigma_scale * turned
-        r = m.scale**2 * dt + by_scale * by_scale  # `**` raises where a damaged rate is too large; inf is refused
+        room = Room.here(core).functions
+        y = room.surplus(turned, dt, bias, belief.theta, float(before[0]))
+        r = room.turn_noise(m.scale**2, dt, self.settings.sigma_scale, turned)  # of a damaged rate inf: refused
         return [Innovation.of(i, (y,), H_TURN, ((r,),), belief, self.threshold, columns=columns, H_block=H_block)]
 
     def _used_up(self, m: Measurements, last: int, i: int) -> bool:
@@ -217,6 +243,39 @@ class GyroModel(Model):
         column, _ = belief.block(BEFORE)
         belief.clone_heading(column)
         self._last = i
+
+
+class TurnColumns(Columns):
+    """All turns for the core."""
+
+    kind = "turns"
+
+    def __init__(self, model: GyroModel, m: Measurements, when: Ints) -> None:
+        self._model, self.when, self.first = model, when, np.arange(len(when) + 1)
+        self._of = np.ascontiguousarray(m.t), np.ascontiguousarray(m.z[:, 0]), m.extra["piece"]
+        self._walk = m.scale**2
+        self.told, self.joint = untold(len(m.z), 1), np.zeros((0, 2))
+
+    @property
+    def ready(self) -> bool:
+        """Whether a heading is kept."""
+        return self._model.last is not None
+
+    def table(self, belief: Any) -> Any:
+        """Return the turns, and the states of the kept heading and the bias."""
+        model, rest = self._model, self._model.rest
+        at_bias = belief.block(BIAS)[0] if model.given is None else -1
+        span = (math.inf, -math.inf) if rest is None else (rest.begin, rest.end)
+        return Room.here(tables).on_arrays.Turns(
+            self.when, *self._of, self.told, self._walk, model.settings.sigma_scale, model.given or 0.0, at_bias,
+            belief.block(BEFORE)[0], *span, model.threshold, float(GATE), float(REPEATED), model.last or 0,
+            len(self.when), 0,
+        )  # fmt: skip
+
+    def passed(self, first: int, last: int) -> None:
+        """Take in which heading is kept now."""
+        if last > first:
+            self._model.keep(last - 1)
 
 
 def up_rate(columns: dict[str, Array], settings: GyroSettings, topic: str) -> Array:

@@ -30,6 +30,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion.chi_square import MAD, chi_square
+from locfuse.fusion.core import sightings as core
+from locfuse.fusion.core import tables
+from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import (
     VERDICTS,
     Array,
@@ -46,17 +49,31 @@ from locfuse.fusion.landmarks.messages import PIXELS, READS, Looks, Sighted, sig
 from locfuse.fusion.landmarks.places import MIN_DETECTIONS, wrong_places
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.se2 import wrap, wrap_all
-from locfuse.fusion.sensor import Ask, Belief, Bias, Block, Innovation, Model, Sensor, SensorSettings, WheelMotion
+from locfuse.fusion.sensor import (
+    GATE,
+    Ask,
+    Belief,
+    Bias,
+    Block,
+    Columns,
+    Innovation,
+    Model,
+    Sensor,
+    SensorSettings,
+    WheelMotion,
+    untold,
+    upper,
+)
 from locfuse.fusion.streams import count_dropped
 
 GROW = "grow"
 OFFSET, DEPTH = "range_offset", "range_depth"
-MIN_SHARE = 0.1  # of a distance that a depth is taken for at least: a detector looks ahead
 SIGMA_DEPTH = 0.5  # of a share that lies at 0 or 1
 KNOWN_DEPTH, SAID_DEPTH = 0.2, 0.5  # 1 sigma, and value, from which it is said that the ranges are depths
 NEW = VERDICTS.index("new")
 MIN_FIT = 50  # detections that are held against poses
 MIN_SEEN = 3  # detections of a landmark of which a run made the place
+MOST_AT_ONCE = 64  # detections of one reading that the core has room for
 MAX_SIGMA_M = 0.3  # m of the robot's position: beyond it a detection does not tell where its landmark stands
 
 
@@ -285,6 +302,20 @@ class LandmarksModel(Model):
         free |= {DEPTH: SIGMA_DEPTH} if self.depth is None else {}
         return [Block(name, np.zeros(1), np.array([[s**2]]), np.zeros(1)) for name, s in free.items()]
 
+    def columns(self, m: Measurements, when: Ints) -> Columns | None:
+        """Return all detections for the core, if no reading has more than it has room for."""
+        few = int(np.diff(m.first).max(initial=0)) <= MOST_AT_ONCE
+        return SightingColumns(self, m, when) if few else None
+
+    def column(self, landmark: int, belief: Any) -> int:
+        """Return the first state column of the place of a landmark, -1 where that is none."""
+        return -1
+
+    def passed(self, landmarks: list[int], verdicts: list[float], placed: list[list[float]]) -> None:
+        """Take in what became of detections that the core compared, and where they put their landmarks."""
+        for landmark, place in zip(landmarks, placed, strict=True):
+            self._keep_place(landmark, *place)  # NaN where the robot's own place was not known well enough
+
     def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
         """Compare the detections of one instant with the belief."""
         found = []
@@ -354,8 +385,9 @@ class LandmarksModel(Model):
             column, now = belief.block(DEPTH)
             depth = float(now[0])
             columns.append(column)
-        short = 1.0 - math.cos(bearing)
-        share = max(1.0 - depth * short, MIN_SHARE)
+        on = Room.here(core).functions
+        short = on.shortened(bearing)
+        share = on.share_of(depth, short)
         return Ranging(offset, share, tuple(columns), self.given is None, self.depth is None, short)
 
     def _note_place(self, landmark: int, distance: float, bearing: float, belief: Belief) -> None:
@@ -364,11 +396,15 @@ class LandmarksModel(Model):
         sigma = math.sqrt(max(spread[0][0], spread[1][1]))
         if sigma > MAX_SIGMA_M:
             return
-        x, y = detector_at((belief.x, belief.y, belief.theta), self.mount)
-        direction = belief.theta + self.mount[2] + bearing
-        own = math.hypot(sigma, self.sigmas[1], distance * self.sigmas[0])
-        place = x + distance * math.cos(direction), y + distance * math.sin(direction)
-        self._seen_at[landmark].append((*place, own))
+        room = Room.here(core)
+        out = room.floats(2)
+        room.functions.placed(belief.x, belief.y, belief.theta, *self.mount, distance, bearing, out)
+        x, y = room.listed(out, 2)
+        self._keep_place(landmark, x, y, math.hypot(sigma, self.sigmas[1], distance * self.sigmas[0]))
+
+    def _keep_place(self, landmark: int, x: float, y: float, sigma: float) -> None:
+        if math.isfinite(x + y + sigma):
+            self._seen_at[landmark].append((x, y, sigma))
 
     def notes(self, belief: Any) -> list[str]:
         """Say which landmarks stand elsewhere than the map says, and which two stand in each other's place."""
@@ -400,6 +436,16 @@ class GrowingModel(LandmarksModel):
         super().__init__(settings)
         self._known: dict[int, int] = {}  # id -> detections
         self._refused: dict[int, int] = defaultdict(int)
+
+    def column(self, landmark: int, belief: Any) -> int:
+        """Return the first state column of the place of a landmark, -1 before its first detection."""
+        return int(belief.block(_name(landmark))[0]) if landmark in self._known else -1
+
+    def passed(self, landmarks: list[int], verdicts: list[float], placed: list[list[float]]) -> None:
+        """Count what became of detections that the core compared."""
+        for landmark, verdict in zip(landmarks, verdicts, strict=True):
+            self._known[landmark] += 1
+            self._refused[landmark] += int(verdict > 0.0)
 
     def begins_map(self, m: Measurements, i: int) -> bool:
         """Return whether these are the first detections, with which a local frame can begin."""
@@ -466,6 +512,47 @@ class GrowingModel(LandmarksModel):
         stand = f"ids {ids} do not stand still" if len(moving) > 1 else f"id {ids} does not stand still"
         fix = f"leave out with landmarks.ignore=[{ids}]"
         return [words + rarely, *depth, f"{stand}, or several tags share it: {fix}"]
+
+
+class SightingColumns(Columns):
+    """All detections for the core."""
+
+    kind = "sightings"
+
+    def __init__(self, model: LandmarksModel, m: Measurements, when: Ints) -> None:
+        self._model, self.when, self.first = model, when, np.ascontiguousarray(m.first, np.intp)
+        self._z, self._R, numbers = np.ascontiguousarray(m.z), upper(m.covariances(slice(None))), m.z.shape[1]
+        ids, which = np.unique(m.extra["id"].astype(np.intp), return_inverse=True)
+        self._ids, self._which = ids, which.reshape(-1).astype(np.intp)
+        places = [model.places.get(k, (math.nan, math.nan)) for k in ids.tolist()]
+        self._of = numbers, self._which, ids, np.array(places, np.float64).reshape(-1, 2)
+        self.told, self.joint = untold(len(m.z), numbers), np.zeros((len(when), 2))
+        self._placed = np.full((len(m.z), 3), np.nan)
+
+    @property
+    def ready(self) -> bool:
+        """Whether the core may take one: always, it stops before a landmark that it does not know."""
+        return True
+
+    def table(self, belief: Any) -> Any:
+        """Return the detections, and the states of places, offset and depth."""
+        model = self._model
+        columns = np.array([model.column(k, belief) for k in self._ids.tolist()], np.intp)
+        at_offset = belief.block(OFFSET)[0] if model.given is None else -1
+        at_depth = belief.block(DEPTH)[0] if model.depth is None else -1
+        states = model.given or 0.0, model.depth or 0.0, at_offset, at_depth
+        written = self.told, self.joint, self._placed
+        judged = model.thresholds[self._of[0]], float(GATE)
+        return Room.here(tables).on_arrays.Sightings(
+            self.when, self.first, self._z, self._R, *self._of, columns, model.maps, *model.mount, *states,
+            *model.sigmas, MAX_SIGMA_M, *written, *judged, len(self.when), 0,
+        )  # fmt: skip
+
+    def passed(self, first: int, last: int) -> None:
+        """Tell the model what became of the readings first:last."""
+        rows = np.arange(self.first[first], self.first[last])
+        landmarks = self._ids[self._which[rows]].tolist()
+        self._model.passed(landmarks, self.told[rows, 0].tolist(), self._placed[rows].tolist())
 
 
 def _name(landmark: int) -> str:

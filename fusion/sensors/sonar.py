@@ -19,15 +19,27 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion.chi_square import chi_square
+from locfuse.fusion.core import echoes as core
+from locfuse.fusion.core import tables
+from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Ints, Measurements, Stream
 from locfuse.fusion.linemap.sonar_echo import Cone, Echo, nearest_echo
 from locfuse.fusion.mount import ASK_MOUNT
-from locfuse.fusion.sensor import GATE, Ask, Innovation, Model, Sensor, SensorSettings, WheelMotion
+from locfuse.fusion.sensor import (
+    GATE,
+    Ask,
+    Columns,
+    Innovation,
+    Model,
+    Sensor,
+    SensorSettings,
+    WheelMotion,
+    untold,
+)
 from locfuse.fusion.streams import MergedStream, count_dropped
 
 UNMATCHED = VERDICTS.index("unmatched")
 Mount = tuple[float, float, float]
-CLUTTER = 0.25  # share of the echoes that come from something the map lacks, anywhere before the wall
 
 
 class SonarSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -119,6 +131,10 @@ class SonarModel(Model):
         """Read the map of the laser that runs in the same filter; without one there is nothing to compare with."""
         self._laser = others.get("lrf")
 
+    def columns(self, m: Measurements, when: Ints) -> Columns | None:
+        """Return all echoes for the core, where a laser's map is there to be read."""
+        return None if self._laser is None else EchoColumns(self, self._laser, m, when)
+
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
         """Compare one echo with the wall that should have answered."""
         row = int(m.first[i])
@@ -146,11 +162,31 @@ class SonarModel(Model):
             H_block=echo.H_block,
             landmark=echo.line,
         )
-        threshold = min(self.threshold, _likelier(echo.distance, seen.sigma[0]))
+        likelier = Room.here(core).functions.likelier(echo.distance, seen.sigma[0])
+        threshold = min(self.threshold, likelier)
         return replace(seen, threshold=threshold, verdict=0 if seen.nis <= threshold else GATE)
 
 
-def _likelier(distance: float, sigma: float) -> float:
-    """Return the squared distance up to which N(y; 0, sigma) outweighs clutter, uniform over `distance` [m]."""
-    odds = (1.0 - CLUTTER) / CLUTTER * distance / (math.sqrt(2.0 * math.pi) * sigma)
-    return 2.0 * math.log(max(odds, 1.0))
+class EchoColumns(Columns):
+    """All echoes for the core, which reads the laser's map."""
+
+    kind = "echoes"
+
+    def __init__(self, model: SonarModel, laser: Model, m: Measurements, when: Ints) -> None:
+        self.reads, self.when, self.first = laser, when, np.ascontiguousarray(m.first, np.intp)
+        self._of = np.ascontiguousarray(m.z[:, 0]), np.ascontiguousarray(m.covariances(slice(None))[:, 0, 0])
+        self._cones = np.column_stack([m.extra[key] for key in ("x", "y", "yaw", "half")])
+        self._judged = model.threshold, float(GATE), float(UNMATCHED)
+        self._widen = model.widen
+        self.told, self.joint = untold(len(m.z), 1), np.zeros((0, 2))
+
+    @property
+    def ready(self) -> bool:
+        """Whether the core may take one: always, a map without walls answers nothing."""
+        return True
+
+    def table(self, belief: Any) -> Any:
+        """Return the echoes."""
+        return Room.here(tables).on_arrays.Echoes(
+            self.when, self.first, *self._of, self._cones, self._widen, self.told, *self._judged, len(self.when), 0
+        )

@@ -25,6 +25,9 @@ def body_increments(ds_left: Array, ds_right: Array, track: float) -> tuple[Arra
     return 0.5 * (ds_left + ds_right), (ds_right - ds_left) / track
 
 
+STANDS_M, STANDS_RAD = 0.02, 0.02  # m, rad: a robot that stays within is on no drive
+
+
 @dataclass(frozen=True)
 class Wheels:
     """Wheel odometry of a whole drive: between two readings the body twist is constant."""
@@ -61,6 +64,12 @@ class Wheels:
     def from_matches(cls, t: Array, twist: Array, P: Array, track: float, noise: float) -> Wheels:
         """Build from body twists (n-1, 3) between the times t (n,), each with its covariance P (n-1, 3, 3)."""
         return replace(cls.from_twists(t, twist, track, noise), matched=P)
+
+    @property
+    def stands(self) -> bool:
+        """Whether the robot stays where it is for the whole log."""
+        extent = np.ptp(self.pose, axis=0)
+        return bool(max(extent[0], extent[1]) <= STANDS_M and extent[2] <= STANDS_RAD)
 
     def window(self, begin: float, end: float) -> Wheels:
         """Return the readings between two times [s]; times and poses stay those of the whole drive."""

@@ -79,6 +79,7 @@ COMMANDED = ("cmd", "command", "target", "setpoint", "teleop", "joy")  # what th
 MAX_HOLD_S = 1.0  # s that a command lasts at most: drivers stop the robot when nothing more comes
 MAX_TURN_RADPS = 1e6  # not even one in a unit that nobody told is faster
 SPEED_SETTING = "wheels.max_speed [m/s] says how far it may step"
+MAX_FRAME_SHARE = 0.5  # of the misfit to the body's axes: a speed that fits those of the frame so much better
 MAX_REVERSE_SHARE = 0.1  # share of backing up that the pose may know of and still be called blind to it
 
 
@@ -184,7 +185,7 @@ def travelled(t: Array, values: Array, by_twist: bool, max_speed: float | None, 
     twist = _steps(values)
     restart = restarted(t, twist, np.hypot(twist[:, 0], twist[:, 1]) > _limits(t, values, max_speed))
     steps = restart.steps
-    backing = backing_up(t, steps, values[:, 3]) if by_twist else np.zeros(len(steps), dtype=bool)
+    backing = backing_up(t, steps, values[:, 3], values[:, 0]) if by_twist else np.zeros(len(steps), dtype=bool)
     steps[backing, :2] *= -1.0
     return Way(~bad, steps, int(bad.sum()), tuple(_words(int(bad.sum()), restart.number, int(backing.sum()))))
 
@@ -205,11 +206,12 @@ def _words(spiked: int, restarts: int, turned: int) -> list[str]:
     return words
 
 
-def backing_up(t: Array, steps: Array, speed: Array) -> Mask:
+def backing_up(t: Array, steps: Array, speed: Array, x: Array) -> Mask:
     """Mark steps (n-1, 3) that go ahead while the twist's speed (n,) says backward.
 
-    None where the twist is not to be believed (it disagrees with most steps), or where the pose does know how to
-    back up, so that a disagreement is something else.
+    None where the twist is not to be believed (it disagrees with most steps, or is the speed along the x axis of
+    the poses, x (n,) [m], as simulators give it), or where the pose does know how to back up, so that a
+    disagreement is something else.
     """
     said = 0.5 * (speed[1:] + speed[:-1]) * np.diff(t)
     ahead = steps[:, 0]
@@ -220,6 +222,8 @@ def backing_up(t: Array, steps: Array, speed: Array) -> Mask:
     agrees = moving & (ratio < MAX_STEP_RATIO) & (ratio > 1.0 / MAX_STEP_RATIO)
     forward = moving & (said > 0.0) & (ahead > 0.0)
     known = moving & (said < 0.0) & (ahead < 0.0)
+    if along_the_frame(ahead, np.diff(x), said):
+        return np.zeros(len(said), dtype=bool)
     believed = agrees.sum() >= MIN_AGREEING_SHARE * moving.sum() and forward.sum() > wrong.sum()
     blind = known.sum() <= MAX_REVERSE_SHARE * wrong.sum()
     return (
@@ -227,11 +231,15 @@ def backing_up(t: Array, steps: Array, speed: Array) -> Mask:
     )
 
 
-def contradictions(t: Array, steps: Array, speed: Array) -> tuple[int, int]:
-    """Return how many moving steps (n-1, 3) go against the twist's speed (n,), and how many there are."""
-    said = 0.5 * (speed[1:] + speed[:-1]) * np.diff(t)
-    moving = (np.abs(steps[:, 0]) > MIN_STEP_M) & (np.abs(said) > MIN_STEP_M)
-    return int((moving & (said * steps[:, 0] < 0.0)).sum()), int(moving.sum())
+def along_the_frame(ahead: Array, dx: Array, said: Array) -> bool:
+    """Return whether speeds are given along the frame of the poses, not of the body (REP 103 wants the body's).
+
+    `said` (n,) [m] is how far they say that the body went; `ahead` and `dx` are the poses' ways ahead and along x.
+    """
+    most = MAX_STEP_RATIO * np.abs(said)  # a jump of the pose decides nothing
+    ways = dx, np.copysign(ahead, said)
+    in_frame, in_body = (float(np.minimum(np.abs(way - said), most).sum()) for way in ways)
+    return in_frame < MAX_FRAME_SHARE * in_body
 
 
 def _steps(values: Array) -> Array:

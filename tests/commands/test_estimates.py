@@ -78,7 +78,8 @@ def test_a_strangers_trajectory_is_judged_as_evo_judges_it(ours: Path, tmp_path:
     )
 
 
-def test_an_estimate_of_another_frame_is_aligned_at_its_first_pose_and_says_so(ours: Path, tmp_path: Path) -> None:
+def turned(ours: Path, tmp_path: Path) -> Path:
+    """Our own trajectory in a frame that is turned by 0.7 rad and lies elsewhere."""
     rows = np.array(
         [list(map(float, line.split())) for line in (ours / "trajectory.tum").read_text().splitlines()]
     )
@@ -92,10 +93,23 @@ def test_an_estimate_of_another_frame_is_aligned_at_its_first_pose_and_says_so(o
     )
     path = tmp_path / "turned.tum"
     path.write_text("\n".join(lines) + "\n")
-    found, stderr = compared(tmp_path / "o", "--estimate", f"turned={path}")
+    return path
+
+
+def test_an_estimate_of_another_frame_is_aligned_at_its_first_pose_and_says_so(ours: Path, tmp_path: Path) -> None:
+    found, stderr = compared(tmp_path / "o", "--estimate", f"turned={turned(ours, tmp_path)}")
     assert "of another frame: aligned at its first pose" in stderr
     by_us, _ = compared(tmp_path / "a", "--align", "origin")
     assert found["turned"]["position_rmse_m"] == pytest.approx(by_us["compass"]["position_rmse_m"], abs=1e-6)
+
+
+def test_without_truth_it_is_aligned_with_the_reference_likewise(ours: Path, tmp_path: Path) -> None:
+    hidden = ("--set", "truth.topic=none", "--reference")
+    found, stderr = compared(tmp_path / "o", "--estimate", f"turned={turned(ours, tmp_path)}", *hidden)
+    assert "m from the reference, so it is of another frame: aligned at its first pose" in " ".join(stderr.split())
+    by_us, _ = compared(tmp_path / "a", "--align", "origin", *hidden)
+    assert found["turned"]["position_rmse_m"] == pytest.approx(by_us["compass"]["position_rmse_m"], abs=0.01)
+    assert found["turned"]["position_rmse_m"] < 1.0  # m; the frame lies 5.8 m away
 
 
 def test_gaps_of_an_estimate_are_not_judged(ours: Path, tmp_path: Path) -> None:

@@ -3,30 +3,19 @@
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from core_tables import FRAME, GATE, REFUSED, N, believed, table
 from textbook import TextbookEkf
 
 from locfuse.fusion.core import coast as core
 from locfuse.fusion.core.scans import MATCHED, NOTHING
 from locfuse.fusion.data import Array
 
-N, OFFSET, FRAME = 14, 3, 4  # states; the columns of the compass' offset and of the map frame
-REFUSED, UNUSED, GATE = 1.0, 5.0, 6.6
-
-
-def table(**columns: Any) -> Any:
-    """What the core works on, interpreted: any object that has these."""
-    return SimpleNamespace(**columns)
-
-
-def believed(seed: int, frame: int = -1) -> Any:
-    rng = np.random.default_rng(seed)
-    root = 0.1 * rng.normal(size=(N, N))
-    return table(x=rng.normal(size=N), P=root @ root.T + 1e-3 * np.eye(N), n=N, frame=frame)
+OFFSET = 3  # the column of the compass' offset
+UNUSED = 5.0
 
 
 def headings(z: list[float], r: float, at: tuple[int, ...], when: tuple[int, ...] = ()) -> Any:
@@ -39,8 +28,10 @@ def headings(z: list[float], r: float, at: tuple[int, ...], when: tuple[int, ...
     )  # fmt: skip
 
 
-def no_pictures() -> Any:
-    return table(readings=0, due=0, chosen=-1)
+def readings(h: Any) -> Any:
+    """A drive's single readings: headings, nothing else."""
+    none = table(readings=0, due=0, when=())
+    return table(headings=h, bearings=none, echoes=none, fixes=none, turns=none, sightings=none, whole=True)
 
 
 def desk(rows: int, columns: int) -> Any:
@@ -48,7 +39,7 @@ def desk(rows: int, columns: int) -> Any:
     m = max(rows, 1)
     return table(
         H=np.full((m, columns), 7.0), R=np.full((m, m), 7.0), y=np.full(m, 7.0), at=np.full(columns, 7),
-        V=np.full((-(-m // 4) * 4, N), 7.0),
+        V=np.full((-(-m // 4) * 4, N), 7.0), singles=0,
     )  # fmt: skip
 
 
@@ -86,7 +77,7 @@ def test_a_scan_and_a_heading_of_one_instant_correct_together(
     fit = y @ np.linalg.solve((full @ b.P @ full.T + noise)[:m, :m], y)
     book.correct(np.append(y, 0.07)[:rows], full[:rows], noise[:rows, :rows])
     before, h.taken = b.x.copy(), 1 if taken else -1
-    assert core.correct_by(b, s, 1, accepted, h, no_pictures(), table(free=free), joint, d) > 0.0
+    assert core.correct_by(b, s, 1, accepted, h, True, table(free=free), joint, d) > 0.0
     np.testing.assert_allclose(b.x, book.x, atol=1e-12)
     np.testing.assert_allclose(b.P, book.P if frame < 0 else swung(book.x, book.P, before), atol=1e-12)
     np.testing.assert_allclose(s.joint[1], np.array([fit, m]) if accepted > 1 else np.zeros(2))
@@ -105,7 +96,7 @@ def test_a_heading_alone_is_compared_and_corrects(at: tuple[int, ...], z: float,
     book.correct(np.array([-0.1]), H, np.array([[0.02]]))
     assert core.turn(b, h, 1, d) == pytest.approx(S)
     np.testing.assert_allclose(h.told[1], [0.0, 0.01 / S, -0.1, math.sqrt(S)])
-    core.correct_by(b, table(), 0, 0, h, no_pictures(), table(free=0), table(joint=True), d)
+    core.correct_by(b, table(), 0, 0, h, True, table(free=0), table(joint=True), d)
     np.testing.assert_allclose(b.x, book.x, atol=1e-12)
     np.testing.assert_allclose(b.P, book.P if frame < 0 else swung(book.x, book.P, before), atol=1e-12)
 
@@ -166,7 +157,7 @@ def test_a_stretch_without_scans_is_the_textbooks_instant_by_instant_and_notes_e
     )  # fmt: skip
     progress: Any = table(instant=1, why=-1, scan=0, x=0.0, y=0.0, theta=0.0)
     none, no = table(scans=0), table()
-    assert core.coast(b, m, h, no_pictures(), none, no, table(free=0), no, no, d, notes, progress, n) > 0.0
+    assert core.coast(b, m, readings(h), none, no, table(free=0), no, no, d, notes, progress, n) > 0.0
     assert (progress.instant, progress.why) == (n, core.DONE)
     H, upper = np.eye(N)[[2]] + np.eye(N)[[OFFSET]], np.triu_indices(3)
     for k in range(1, n):
@@ -182,7 +173,7 @@ def test_a_stretch_without_scans_is_the_textbooks_instant_by_instant_and_notes_e
     assert not notes.pose[0].any()
     h.r[0] = -1.0  # a correction that fails says so
     progress.instant, h.due = 1, 0
-    assert not core.coast(b, m, h, no_pictures(), none, no, table(free=0), no, no, d, notes, progress, n) > 0.0
+    assert not core.coast(b, m, readings(h), none, no, table(free=0), no, no, d, notes, progress, n) > 0.0
 
 
 def test_scans_come_one_after_another_each_with_the_heading_of_its_instant(
@@ -217,8 +208,7 @@ def test_scans_come_one_after_another_each_with_the_heading_of_its_instant(
     given = (
         b,
         m,
-        h,
-        no_pictures(),
+        readings(h),
         table(scans=3, when=when),
         table(),
         table(free=0),

@@ -157,6 +157,16 @@ def late(drive: Drive, **by: float) -> Drive:
     return replace(drive, measurements=m, truth=replace(truth, t=truth.t + by.get("truth", 0.0)))
 
 
+def test_of_two_clocks_alone_nobody_knows_which_is_off() -> None:
+    moved = late(drive(6, robot()), truth=0.3)
+    (found,) = of_clocks(replace(moved, measurements={}), robot())
+    assert found.role == "truth"
+    assert "no third clock says which of the two is off: wheels.time_offset=0.3" in found.message
+    (found,) = of_clocks(moved, robot())
+    assert found.role == "truth"
+    assert "third clock" not in found.message  # compass and laser agree with the wheels
+
+
 def test_one_late_sensor_is_cured_by_its_own_offset() -> None:
     found = of_clocks(late(drive(6, robot()), compass=0.3), robot())
     assert told(found) == pytest.approx({"compass.time_offset": -0.3}, abs=0.03)

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import hypothesis
 import numpy as np
 import pytest
+from all_ways import advanced, assert_all_ways_agree, assert_same, assert_same_bits, instant_by_instant
 from hypothesis import strategies as st
 from worlds import World
 
 from locfuse.fusion.coast.stretches import Stretches
 from locfuse.fusion.core.form import form
 from locfuse.fusion.core.room import Room
-from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, LocfuseError, Measurements, Ragged
+from locfuse.fusion.data import VERDICTS, Array, Drive, LocfuseError, Measurements, Ragged
 from locfuse.fusion.doctor.examine import REFUSALS
 from locfuse.fusion.fuse import Filter, fuse
-from locfuse.fusion.instants import due_readings, steps_of
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot, StartSettings
 
@@ -39,56 +39,6 @@ def drive_of(settings: Mapping[str, Any], **of_world: Any) -> tuple[Drive, Robot
     world = World(**{"seconds": 8.0, **of_world}, settings=dict(settings))
     robot = replace(world.robot(), start=StartSettings(x=1.5, y=1.5, sigma_xy=0.1, sigma_theta_deg=5.0))
     return measure(world.streams(), robot), robot
-
-
-def instant_by_instant(drive: Drive, robot: Robot, sensors: Sequence[str]) -> Estimates:
-    run = Filter(robot, sensors)
-    for k, (step, due) in enumerate(zip(steps_of(drive), due_readings(drive, sensors), strict=True)):
-        run.advance(k, step, due, drive.measurements)
-    return run.estimates(drive, "the loop")
-
-
-def by_row(audit: Audit) -> Audit:
-    """Return the record in the order of rows: of the candidates of a picture the loop notes the best first."""
-    order = np.lexsort((audit.row, audit.instant))
-    columns = {f.name: getattr(audit, f.name)[order] for f in fields(Audit) if f.name != "joint"}
-    return Audit(**columns, joint=audit.joint)
-
-
-def assert_same(a: Estimates, b: Estimates) -> None:
-    np.testing.assert_allclose(a.pose, b.pose, atol=1e-11)
-    np.testing.assert_allclose(a.triangles, b.triangles, rtol=1e-9, atol=1e-15)
-    for name in a.blocks:
-        np.testing.assert_allclose(a.blocks[name], b.blocks[name], atol=1e-11)
-        np.testing.assert_allclose(a.block_sigmas[name], b.block_sigmas[name], rtol=1e-9)
-    assert [(line.id, line.hits) for line in a.final_map] == [(line.id, line.hits) for line in b.final_map]
-    for line, same in zip(a.final_map, b.final_map, strict=True):
-        np.testing.assert_allclose(
-            (line.rho, line.beta, *line.ends), (same.rho, same.beta, *same.ends), atol=1e-10
-        )
-        np.testing.assert_allclose(line.P, same.P, rtol=1e-7, atol=1e-15)
-    assert (a.notes, a.lost) == (b.notes, b.lost)
-    for name in a.audits:
-        audit, other = by_row(a.audits[name]), by_row(b.audits[name])
-        np.testing.assert_allclose(audit.joint, other.joint, rtol=1e-7)
-        for column in ("instant", "row", "verdict", "landmark", "threshold"):
-            np.testing.assert_array_equal(getattr(audit, column), getattr(other, column), column)
-        for column in ("nis", "y", "sigma"):
-            np.testing.assert_allclose(getattr(audit, column), getattr(other, column), rtol=1e-7, atol=1e-12)
-
-
-def advanced(drive: Drive, robot: Robot, sensors: Sequence[str]) -> list[int]:
-    """Return the instants that the loop took, one by one."""
-    run, taken = Filter(robot, sensors), list[int]()
-    on, k = run.stretches(drive), 0
-    each = list(zip(steps_of(drive), due_readings(drive, sensors), strict=True))
-    while k < len(each):
-        last = run.coast(on, k)
-        if last == k:
-            run.advance(k, *each[k], drive.measurements, predicted=on.left(k))
-            taken.append(k)
-        k = max(last, k + 1)
-    return taken
 
 
 def with_lines(drive: Drive, change: Callable[[int, Array], Array]) -> Drive:
@@ -215,11 +165,7 @@ def test_pictures_are_the_same_in_stretches_instant_by_instant_and_in_both_forms
 ) -> None:
     drive, robot = drive_of({"camera": {"landmark": LANDMARK, **camera}, "lrf": {"map": mode}}, seconds=3.0)
     drive = with_pictures(drive, robot, kinds)
-    run = fuse(drive, robot, sensors)
-    assert_same(run, instant_by_instant(drive, robot, sensors))
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("locfuse.fusion.core.room._here", lambda source: Room.of(source, None))
-        assert_same_bits(run, fuse(drive, robot, sensors))
+    assert_all_ways_agree(drive, robot, sensors)
 
 
 def test_of_the_candidates_of_a_picture_one_is_the_landmark_and_the_core_takes_them_all() -> None:
@@ -260,11 +206,7 @@ def test_whatever_scans_show_all_ways_agree(kinds: list[str], mode: str) -> None
         return np.asarray({**shown, "turned": lines + TURNED}.get(kind, lines))
 
     changed = with_lines(drive, change)
-    run = fuse(changed, robot, ["compass", "lrf"])
-    assert_same(run, instant_by_instant(changed, robot, ["compass", "lrf"]))
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("locfuse.fusion.core.room._here", lambda source: Room.of(source, None))
-        assert_same_bits(run, fuse(changed, robot, ["compass", "lrf"]))
+    assert_all_ways_agree(changed, robot, ["compass", "lrf"])
 
 
 def with_map(drive: Drive, walls: int, seed: int) -> Drive:
@@ -290,12 +232,8 @@ def test_maps_of_none_to_two_thousand_walls_are_the_same_to_both_forms(walls: in
     mode = "grow" if grows and walls <= 50 else "first-scan"
     drive, robot = drive_of({"lrf": {"map": mode}}, seconds=1.2, speed=0.6)
     changed = with_map(drive, walls, seed)
-    run = fuse(changed, robot, ["compass", "lrf"])
+    run = assert_all_ways_agree(changed, robot, ["compass", "lrf"])
     assert len(run.first_map) == (walls or changed.measurements["lrf"].first[2])
-    assert_same(run, instant_by_instant(changed, robot, ["compass", "lrf"]))
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("locfuse.fusion.core.room._here", lambda source: Room.of(source, None))
-        assert_same_bits(run, fuse(changed, robot, ["compass", "lrf"]))
 
 
 def saw_of(walls: int, beams: int, world: World) -> tuple[Drive, Robot]:
@@ -387,14 +325,6 @@ def test_both_forms_of_the_core_give_the_same_to_the_bit(
     compiled = fuse(drive, robot, ["compass", "lrf"])
     monkeypatch.setattr("locfuse.fusion.core.room._here", lambda source: Room.of(source, None))
     assert_same_bits(compiled, fuse(drive, robot, ["compass", "lrf"]))
-
-
-def assert_same_bits(compiled: Estimates, interpreted: Estimates) -> None:
-    for a, b in ((compiled.pose, interpreted.pose), (compiled.triangles, interpreted.triangles)):
-        assert a.tobytes() == b.tobytes()
-    for name, audit in compiled.audits.items():
-        for column in ("verdict", "landmark", "nis", "y", "sigma", "joint"):
-            assert getattr(audit, column).tobytes() == getattr(interpreted.audits[name], column).tobytes()
 
 
 def test_a_variance_that_rounding_ate_is_one_line() -> None:

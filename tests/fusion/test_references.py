@@ -51,6 +51,17 @@ def test_where_no_sensor_says_where_the_robot_is_there_is_no_reference() -> None
         refuse(only("compass"), session().robot)
 
 
+def test_a_sensor_that_measured_nothing_makes_no_reference() -> None:
+    """A dead laser: its whole-drive solution would be the odometry, and judge it as perfect."""
+    both = only("compass", "lrf")
+    lrf = both.measurements["lrf"]
+    none = replace(lrf, t=lrf.t[:0], first=lrf.first[:1], z=lrf.z[:0], R_unit=lrf.R_unit[:0])
+    dead = replace(both, measurements={**both.measurements, "lrf": none})
+    assert sets(dead) == []
+    with pytest.raises(UsageError, match="no sensor of this log says where"):
+        refuse(dead, session().robot)
+
+
 def test_a_log_with_truth_needs_no_reference() -> None:
     log = locfuse.load("rounded_triangle")
     with pytest.raises(UsageError, match="has a truth, /ground_truth/pose"):

@@ -17,6 +17,7 @@ from worlds import World
 
 import locfuse
 from locfuse.fusion.data import Array, Drive, Estimates, Measurements, Motions, Stream, UsageError
+from locfuse.fusion.ekf import journal as journals
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.journal import Journal, undone
 from locfuse.fusion.fuse import fuse
@@ -332,6 +333,28 @@ def test_smoothed_errors_are_smaller_and_as_large_as_the_smoother_says() -> None
         anees.append(float(judged[1]["anees"] or 0))
     assert np.mean(gain) > 1.1
     assert 0.6 < np.mean(anees) < 1.7, anees
+
+
+def test_a_solver_that_rounding_fools_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two states that follow from each other exactly (a frame that swings about a start known exactly).
+
+    LU finds a pivot of 1e-17 there instead of none, and a solution of 1e16 along the direction that is not there.
+    """
+    rng = np.random.default_rng(3)
+    F, relation = rng.normal(size=(5, 5)), np.vstack((np.eye(5), 0.7 * np.eye(5)[4]))
+    P = relation @ F @ F.T @ relation.T
+    nowhere = np.array([0.0, 0.0, 0.0, 0.0, 0.7, -1.0])[:, None]
+    B = P[:, :3] @ np.array([[1.0, 0.0, 0.3], [0.0, 1.0, -0.2], [0.0, 0.0, 1.0]])
+    least = np.linalg.lstsq(P, B, rcond=1e-12)[0]
+
+    def fooled(unit: Array, right: Array) -> Array:
+        found: Array = np.linalg.lstsq(unit, right, rcond=1e-12)[0] + 1e16 * nowhere
+        return found
+
+    monkeypatch.setattr(np.linalg, "solve", fooled)
+    found = journals._solved(P, B)
+    assert P @ found == pytest.approx(B, abs=1e-9)
+    assert np.abs(found).max() < 10.0 * np.abs(least).max()
 
 
 def test_the_filter_is_the_same_with_and_without_a_journal() -> None:

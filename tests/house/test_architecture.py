@@ -44,7 +44,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "caps visible nearest columns thin geometry no_pandas delayed_signals url",
         "inputs",
         "whole_files robot",
-        "container",
+        "container presented",
         "messages",
         "mcap remote",
         "log",

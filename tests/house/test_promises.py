@@ -275,10 +275,10 @@ def test_wrong_schema_names_topic_type_and_types_accepted(tmp_path: Path) -> Non
 
 
 def test_unknown_encoding_names_topic_and_encoding(tmp_path: Path) -> None:
-    done = run(log(tmp_path / "x.mcap", encoding="protobuf"), "--set", "wheels.topic=/joint_states")
+    done = run(log(tmp_path / "x.mcap", encoding="flatbuffer"), "--set", "wheels.topic=/joint_states")
     assert done.exit_code == 1
     assert "/joint_states" in done.stderr
-    assert "protobuf" in done.stderr
+    assert "flatbuffer" in done.stderr
 
 
 def test_missing_field_names_topic_and_field(tmp_path: Path) -> None:

@@ -240,10 +240,10 @@ def test_a_wrong_topic_or_field_is_one_line(
 
 
 def test_a_wrong_encoding_names_topic_found_and_accepted(tmp_path: Path) -> None:
-    log = open_log([write(tmp_path / "log.mcap", drive(5), encoding="protobuf")])
+    log = open_log([write(tmp_path / "log.mcap", drive(5), encoding="flatbuffer")])
     with pytest.raises(
         LocfuseError,
-        match="/scan cannot be read: its messages are encoded as 'protobuf'; cdr, ros1, json are read",
+        match="/scan cannot be read: its messages are encoded as 'flatbuffer'; cdr, ros1, json, protobuf are read",
     ):
         log.stream("/scan")
 

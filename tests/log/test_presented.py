@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from wheel_bags import GEOMETRY, angles, joint_states, log_of, pose_of
 
 from locfuse.formats.log.log import open_log
-from locfuse.formats.messages.as_scan import BEAMS, level_slice
+from locfuse.formats.presented.as_scan import BEAMS, level_slice
 from locfuse.fusion.data import Ragged
 
 Array = NDArray[np.float64]

@@ -117,6 +117,7 @@ def end_of(log: Log) -> Array:
         ("/odometry/wheels", "/odom"),
         ("/odom_enc", "/odom"),
         ("/odom", "/odom_rf2o"),
+        ("/odometry/filtered", "/odometry/gps"),
     ],
 )
 def test_an_odometry_of_the_wheels_is_taken_before_one_that_was_made_of_more(
@@ -314,8 +315,9 @@ def test_what_is_not_read_is_named_with_what_to_record_instead(tmp_path: Path) -
         [*tf("odom", "chassis"), *mount("chassis", "laser")],
         [*tf("/odom_combined", "/base"), *mount("/base", "/laser")],
         [*tf("wheel_odom", "my_robot_body"), *mount("my_robot_body", "laser")],
+        [*tf("map", "ego_vehicle"), *mount("ego_vehicle", "laser")],
     ],
-    ids=["a robot's name before it", "another name", "slashes of ROS 1", "a name of its own"],
+    ids=["a robot's name before it", "another name", "slashes of ROS 1", "a name of its own", "moved in the map"],
 )
 def test_a_mount_is_found_on_any_frame_that_is_the_body(said: Sequence[Said], tmp_path: Path) -> None:
     found = mount_of(transforms_of(opened(tmp_path, list(said)), ["laser"]), "laser")

@@ -407,6 +407,24 @@ def test_a_pose_that_cannot_back_up_is_turned_round_where_the_twist_says_so() ->
     assert left.notes == ()
 
 
+@pytest.mark.parametrize("start", [0.0, 1.0, 2.5, -2.0])
+def test_a_twist_along_the_frame_of_the_poses_turns_nothing_round(start: float) -> None:
+    """Simulators say how fast the body goes along x of the world: backward wherever it heads away from there."""
+    t = np.arange(0, 60, 0.1)
+    speed, turn = np.full(len(t), 0.4), np.full(len(t), 0.25)
+    pose = driven(speed[:-1], turn[:-1], 0.1)
+    c, s = np.cos(start), np.sin(start)
+    turned = np.stack(
+        (c * pose[:, 0] - s * pose[:, 1], s * pose[:, 0] + c * pose[:, 1], pose[:, 2] + start), axis=-1
+    )
+    jumped = turned + np.where(t[:, None] > 30.0, [50.0, 0.0, 0.0], 0.0)
+    for told, notes in ((turned, 0), (jumped, 1)):
+        reading = read_wheels(odometry(t, told, speed * np.cos(turned[:, 2]), turn), WheelSettings())
+        assert "backward" not in words(reading)
+        assert len(reading.notes) == notes
+        assert final(reading)[:2] == pytest.approx(pose[-1, :2], abs=0.06)
+
+
 def test_a_pose_that_backs_up_is_left_alone() -> None:
     t, speed, turn = way()
     pose = driven(speed[:-1], turn[:-1], 0.1)

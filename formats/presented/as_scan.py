@@ -7,7 +7,7 @@ sorted into half degrees, and of each the point nearest to its middle is the bea
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, cast
 
 import numpy as np
@@ -19,6 +19,7 @@ SCAN = "sensor_msgs/msg/LaserScan"
 CLOUD = "sensor_msgs/msg/PointCloud2"
 ECHOES = "sensor_msgs/msg/MultiEchoLaserScan"
 FOXGLOVE = ("foxglove.LaserScan", "foxglove_msgs/msg/LaserScan")
+FOXGLOVE_CLOUD = ("foxglove.PointCloud", "foxglove_msgs/msg/PointCloud")
 OF_CLOUD = (
     *(f"fields.{name}" for name in ("name", "offset", "datatype")),
     *("height", "width", "point_step", "row_step", "is_bigendian", "data"),
@@ -27,11 +28,20 @@ LIKE_A_SCAN = ("angle_min", "angle_increment", "time_increment", "range_min", "r
 FIRST_ECHOES = ("ranges.echoes", "ranges.echoes.length")
 OF_ECHOES = (*LIKE_A_SCAN, *FIRST_ECHOES)
 TURN = tuple(f"pose.orientation.{axis}" for axis in "xyzw")
+PLACE = tuple(f"pose.position.{axis}" for axis in "xyz")
+OF_FOXGLOVE_CLOUD = (
+    "point_stride",
+    *(f"fields.{part}" for part in ("name", "offset", "type")),
+    "data",
+    *PLACE,
+    *TURN,
+)
 OF_FOXGLOVE = ("start_angle", "end_angle", "ranges", *TURN)
 BEAMS = 720
 LOW_RAD, HIGH_RAD = np.radians((-0.2, 2.2))  # of a point above the sensor's level
 NEAR_M, FAR_M = 0.3, 100.0  # m: nearer is the robot itself
 DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # sensor_msgs/PointField
+PACKED = np.array([0, 2, 1, 4, 3, 6, 5, 7, 8])  # foxglove.PackedElementField's numeric type -> PointField's
 OPTICAL = "_optical"  # a camera's frame: x right, y down, z ahead
 
 
@@ -48,15 +58,50 @@ def echoes_as_scans(columns: Mapping[str, Column], fields: tuple[str, ...], fram
 def cloud_as_scans(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
     """Return fields of LaserScans made of k clouds in the frame `frame_id`; `columns` are OF_CLOUD."""
     n = len(cast("Array", columns["width"]))
+    return _as_scans(n, lambda i: points(columns, i), fields, frame_id)
+
+
+def _as_scans(n: int, cloud: Callable[[int], Array], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
+    """Return fields of LaserScans made of n clouds; `cloud` gives the points (m, 3) [m] of one of them."""
     step = 2.0 * np.pi / BEAMS
     fixed = {"angle_min": -np.pi + 0.5 * step, "angle_increment": step, "time_increment": 0.0}
     fixed |= {"range_min": NEAR_M, "range_max": FAR_M}
     made: dict[str, Column] = {name: np.full(n, value) for name, value in fixed.items()}
     if "ranges" in fields:
-        ranges = [level_slice(points(columns, i), OPTICAL in frame_id) for i in range(n)]
+        ranges = [level_slice(cloud(i), OPTICAL in frame_id) for i in range(n)]
         values = np.concatenate([np.empty(0), *ranges]).astype(np.float32)
         made["ranges"] = Ragged(values, np.arange(n + 1) * BEAMS)
     return {name: made[name] for name in fields}
+
+
+def foxglove_clouds_as_scans(
+    columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str
+) -> dict[str, Column]:
+    """Return fields of LaserScans made of k of Foxglove's clouds, placed by their pose; OF_FOXGLOVE_CLOUD."""
+    step = np.asarray(columns["point_stride"], np.float64)
+    data = cast("list[bytes]", columns["data"])
+    bytes_of = np.array([len(one) for one in data], np.float64)
+    kinds = cast("Ragged", columns["fields.type"])
+    known = (kinds.values >= 0) & (kinds.values < len(PACKED))
+    packed = PACKED[np.where(known, kinds.values, 0).astype(np.int64)]
+    flat = {"height": np.ones(len(step)), "width": bytes_of // np.maximum(step, 1.0), "row_step": bytes_of}
+    cloud: dict[str, Column] = {**columns, **flat, "is_bigendian": np.zeros(len(step), bool), "point_step": step}
+    cloud["fields.datatype"] = Ragged(packed, kinds.first)
+    place, turn = (
+        np.stack([np.asarray(columns[name], np.float64) for name in names], axis=-1) for names in (PLACE, TURN)
+    )
+    return _as_scans(len(step), lambda i: _moved(points(cloud, i), place[i], turn[i]), fields, frame_id)
+
+
+def _moved(xyz: Array, place: Array, quaternion: Array) -> Array:
+    """Return points (n, 3) [m] seen from where their frame has a place (3,) and a turn x, y, z, w (4,)."""
+    axis, w = quaternion[:3], quaternion[3]
+    norm = float(quaternion @ quaternion)
+    if not 0.0 < norm < np.inf:  # no orientation: none is meant
+        return xyz + np.nan_to_num(place)
+    across = np.cross(axis, xyz)
+    turned: Array = xyz + 2.0 / norm * (w * across + np.cross(axis, across))
+    return turned + np.nan_to_num(place)
 
 
 def foxglove_as_scans(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:

@@ -7,7 +7,26 @@ from typing import NamedTuple
 
 from locfuse.fusion.data import Column
 
-from .as_joints import DYNAMIC, JOINTS, OF_DYNAMIC, as_joints
+from .as_joints import (
+    DYNAMIC,
+    FEEDBACK,
+    FOXGLOVE_JOINTS,
+    JOINTS,
+    OF_DYNAMIC,
+    OF_FEEDBACK,
+    OF_FOXGLOVE_JOINTS,
+    as_joints,
+    joints_of_feedback,
+    joints_of_foxglove,
+)
+from .as_odometry import (
+    FOXGLOVE_ODOMETRY,
+    OF_FOXGLOVE_ODOMETRY,
+    OF_SPORT_STATE,
+    SPORT_STATE,
+    odometry_of_foxglove,
+    odometry_of_sport_state,
+)
 from .as_px4 import (
     IMU,
     LOCAL_POSITION,
@@ -25,14 +44,24 @@ from .as_scan import (
     CLOUD,
     ECHOES,
     FOXGLOVE,
+    FOXGLOVE_CLOUD,
     OF_CLOUD,
     OF_ECHOES,
     OF_FOXGLOVE,
+    OF_FOXGLOVE_CLOUD,
     SCAN,
     cloud_as_scans,
     echoes_as_scans,
     foxglove_as_scans,
+    foxglove_clouds_as_scans,
     level_frame,
+)
+
+PATH, POSE = "nav_msgs/msg/Path", "geometry_msgs/msg/PoseStamped"
+OF_PATH = (
+    "poses.header.stamp",
+    *(f"poses.pose.position.{axis}" for axis in "xy"),
+    *(f"poses.pose.orientation.{axis}" for axis in "xyzw"),
 )
 
 
@@ -42,7 +71,8 @@ class Presented(NamedTuple):
     msgtype: str  # what they become
     suffix: str  # the topic is called "/source:suffix"
     fields: tuple[str, ...]  # of the source
-    make: Callable[[Mapping[str, Column], tuple[str, ...], str], dict[str, Column]]  # columns, fields, frame id
+    # columns, fields, frame id -> columns; None where the last message holds all rows (log.stream.PathStream)
+    make: Callable[[Mapping[str, Column], tuple[str, ...], str], dict[str, Column]] | None
     frame: Callable[[str], str] = str
 
 
@@ -50,9 +80,17 @@ PRESENTED: Mapping[str, Presented] = {
     CLOUD: Presented(SCAN, "scan", OF_CLOUD, cloud_as_scans, frame=level_frame),
     ECHOES: Presented(SCAN, "scan", OF_ECHOES, echoes_as_scans),
     **dict.fromkeys(FOXGLOVE, Presented(SCAN, "scan", OF_FOXGLOVE, foxglove_as_scans)),
+    **dict.fromkeys(FOXGLOVE_CLOUD, Presented(SCAN, "scan", OF_FOXGLOVE_CLOUD, foxglove_clouds_as_scans)),
+    **dict.fromkeys(
+        FOXGLOVE_ODOMETRY, Presented(ODOMETRY, "odometry", OF_FOXGLOVE_ODOMETRY, odometry_of_foxglove)
+    ),
+    SPORT_STATE: Presented(ODOMETRY, "odometry", OF_SPORT_STATE, odometry_of_sport_state, frame=lambda _: "odom"),
+    **dict.fromkeys(FOXGLOVE_JOINTS, Presented(JOINTS, "joints", OF_FOXGLOVE_JOINTS, joints_of_foxglove)),
+    **dict.fromkeys(FEEDBACK, Presented(JOINTS, "joints", OF_FEEDBACK, joints_of_feedback)),
     VEHICLE_ODOMETRY: Presented(ODOMETRY, "odometry", OF_ODOMETRY, odometry_of_vehicle, frame=lambda _: "odom"),
     LOCAL_POSITION: Presented(ODOMETRY, "odometry", OF_POSITION, odometry_of_position, frame=lambda _: "odom"),
     SENSOR_COMBINED: Presented(IMU, "imu", OF_SENSOR, imu_of_sensor),
+    PATH: Presented(POSE, "poses", OF_PATH, None),
     DYNAMIC: Presented(JOINTS, "joints", OF_DYNAMIC, as_joints),
 }
 

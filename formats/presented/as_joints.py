@@ -1,4 +1,4 @@
-"""JointStates out of a DynamicJointState (ros2_control): joints that name the interfaces of each value."""
+"""JointStates out of DynamicJointState (ros2_control), Foxglove's JointStates, Feedback (Jackal)."""
 
 from __future__ import annotations
 
@@ -14,6 +14,12 @@ DYNAMIC = "control_msgs/msg/DynamicJointState"
 INTERFACES, VALUES = "interface_values.interface_names", "interface_values.values"
 OF_DYNAMIC = ("joint_names", INTERFACES, VALUES, f"{VALUES}.length")
 SAID = ("position", "velocity", "effort")  # interfaces that a JointState has too
+FOXGLOVE_JOINTS = ("foxglove.JointStates", "foxglove_msgs/msg/JointStates")
+OF_FOXGLOVE_JOINTS = ("joints.name", *(f"joints.{name}" for name in SAID))
+# The Jackal's two motors: left before right, angle [rad] and rate [rad/s] of the wheel.
+FEEDBACK = ("jackal_msgs/msg/Feedback", "clearpath_platform_msgs/msg/Feedback")
+OF_FEEDBACK = ("drivers.measured_travel", "drivers.measured_velocity")
+DRIVERS = ("left_wheel", "right_wheel")
 
 
 def as_joints(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
@@ -23,6 +29,19 @@ def as_joints(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: 
     first = np.concatenate(([0], np.cumsum([len(row) for row in names], dtype=np.int64)))
     for field in (f for f in fields if f != "name"):
         made[field] = Ragged(_interface(columns, names, field), first)
+    return {name: made[name] for name in fields}
+
+
+def joints_of_foxglove(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
+    """Return fields of JointStates made of k of Foxglove's; `columns` are OF_FOXGLOVE_JOINTS."""
+    return {name: columns[f"joints.{name}"] for name in fields}
+
+
+def joints_of_feedback(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
+    """Return fields of JointStates made of k Feedbacks of two motors; `columns` are OF_FEEDBACK."""
+    travel, rate = (cast("Ragged", columns[name]) for name in OF_FEEDBACK)
+    made: dict[str, Column] = {"position": travel, "velocity": rate}
+    made["name"] = [DRIVERS if n == len(DRIVERS) else ("",) * n for n in travel.lengths.tolist()]
     return {name: made[name] for name in fields}
 
 

@@ -1,0 +1,23 @@
+"""What the core works on, interpreted: plain objects with the columns of its tables."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+N, FRAME = 14, 4  # states; the first column of the map frame, where there is one
+REFUSED, GATE = 1.0, 6.6
+
+
+def table(**columns: Any) -> Any:
+    """Any object that has these."""
+    return SimpleNamespace(**columns)
+
+
+def believed(seed: int, frame: int = -1) -> Any:
+    """A belief of N states, all of which are correlated."""
+    rng = np.random.default_rng(seed)
+    root = 0.1 * rng.normal(size=(N, N))
+    return table(x=rng.normal(size=N), P=root @ root.T + 1e-3 * np.eye(N), n=N, frame=frame)

@@ -56,6 +56,12 @@ TESTS: dict[str, tuple[str, ...]] = {  # the sharpest and fastest first
     ),
     "fusion/core/filter.py": ("tests/ekf", "tests/core/test_filter.py", "tests/core/test_stretch.py"),
     "fusion/core/coast.py": ("tests/core/test_stretch.py", "tests/fusion/test_coast.py"),
+    "fusion/core/singles.py": ("tests/core/test_singles.py", "tests/fusion/test_coast_singles.py"),
+    "fusion/core/echoes.py": ("tests/core/test_singles.py", "tests/sensors/test_sonar.py"),
+    "fusion/core/fixes.py": ("tests/core/test_singles.py", "tests/sensors/test_gps.py"),
+    "fusion/core/turns.py": ("tests/core/test_singles.py", "tests/sensors/test_gyro.py"),
+    "fusion/core/sightings.py": ("tests/core/test_singles.py", "tests/sensors/test_landmarks.py"),
+    "fusion/core/nees.py": ("tests/core/test_nees.py", "tests/judge/test_consistency.py"),
     "fusion/core/intervals.py": ("tests/wheels/test_motion.py", "tests/core/test_intervals.py"),
     "fusion/core/pairs.py": ("tests/linemap/test_pairing.py",),
     "fusion/core/match.py": (

@@ -10,7 +10,18 @@ from typing import Any, ClassVar, Literal, NamedTuple, Protocol, overload
 import msgspec
 import numpy as np
 
-from .data import VERDICTS, Array, Colour, Component, Ints, MapLine, Measurements, SeenAgain, Stream
+from .data import (
+    VERDICTS,
+    Array,
+    Colour,
+    Component,
+    Ints,
+    LocfuseError,
+    MapLine,
+    Measurements,
+    SeenAgain,
+    Stream,
+)
 
 GATE = VERDICTS.index("gate")
 Matrix = tuple[tuple[float, ...], ...]
@@ -93,17 +104,11 @@ class Innovation(msgspec.Struct, frozen=True, gc=False):
         """Judge the innovation y (d,) of measurement `row` against the gate `threshold`.
 
         S = H P H' + R and NIS = y' S^-1 y (Bar-Shalom, Li and Kirubarajan 2001, 5.4.2). The verdict is
-        "accepted" or "gate" by these, unless `verdict` (an index into VERDICTS) says something else.
+        "accepted" or "gate" by these, unless `verdict` (an index into VERDICTS) says something else. Raises
+        LocfuseError where S is not positive.
         """
         spread, H, columns, H_block = belief.observed(H, columns, H_block)
-        sigma: tuple[float, ...]
-        if len(y) == 1:
-            S = spread[0][0] + R[0][0]
-            nis, sigma = y[0] * y[0] / S, (math.sqrt(S),)
-        elif len(y) == 2:
-            nis, sigma = _pair(y, spread, R)
-        else:
-            nis, sigma = _several(y, spread, R)
+        nis, sigma = _judged(y, spread, R)
         if verdict is None:
             verdict = 0 if nis <= threshold else GATE
         return cls(row, verdict, landmark, nis, threshold, y, sigma, H, R, columns, H_block)
@@ -173,20 +178,36 @@ class Reading(Sequence[Innovation]):
         return iter(self.rows())
 
 
-def _pair(y: tuple[float, ...], spread: Matrix, R: Matrix) -> tuple[float, tuple[float, float]]:
-    """Return the NIS of two numbers, and the square roots of the diagonal of S = spread + R."""
-    y0, y1 = y
-    (p00, p01), (_, p11) = spread
-    (r00, r01), (_, r11) = R
-    s00, s01, s11 = p00 + r00, p01 + r01, p11 + r11
-    nis = (s11 * y0 * y0 - 2.0 * s01 * y0 * y1 + s00 * y1 * y1) / (s00 * s11 - s01 * s01)
-    return nis, (math.sqrt(s00), math.sqrt(s11))
+def _judged(y: tuple[float, ...], spread: Matrix, R: Matrix) -> tuple[float, tuple[float, ...]]:
+    """Return the NIS, and the square roots of the diagonal of S = spread + R; the NIS is NaN where S is no number.
+
+    Raises LocfuseError where S is not positive: rounding ate it.
+    """
+    S = [[p + r for p, r in zip(*rows, strict=True)] for rows in zip(spread, R, strict=True)]
+    variances = [S[i][i] for i in range(len(y))]
+    sigma = tuple([math.sqrt(v) if v > 0.0 else v for v in variances])
+    if not math.isfinite(sum(variances)):
+        return math.nan, sigma
+    nis = 0.0
+    e = list(y)
+    for i, v in enumerate(e):  # S = L D L', row by row
+        positive(S[i][i] if S[i][i] > 0.0 else -max(variances))
+        nis += v * v / S[i][i]
+        for j in range(i + 1, len(e)):
+            share = S[j][i] / S[i][i]
+            e[j] -= share * v
+            for k in range(i + 1, len(e)):
+                S[j][k] -= share * S[i][k]
+    return nis, sigma
 
 
-def _several(y: tuple[float, ...], spread: Matrix, R: Matrix) -> tuple[float, tuple[float, ...]]:
-    """Return the same of any number of numbers, in arrays."""
-    S, e = np.array(spread) + np.array(R), np.array(y)
-    return float(e @ np.linalg.solve(S, e)), tuple(np.sqrt(np.diagonal(S)).tolist())
+def positive(greatest: float) -> None:
+    """Raise LocfuseError where the innovations' covariance, of this greatest variance, came out as none."""
+    if not greatest > 0.0:
+        raise LocfuseError(
+            "the filter's variances span too many powers of ten to be computed with (innovations of up to "
+            f"{-greatest:.0e}): are the sigmas and floors of robot.toml meant so?"
+        )
 
 
 class Headings(NamedTuple):

@@ -17,8 +17,8 @@ from locfuse.fusion.core import coast as interpreted
 from locfuse.fusion.core import tables
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Drive, Ints
-from locfuse.fusion.ekf.belief_arrays import AT_ONCE, JointBelief, positive
-from locfuse.fusion.sensor import GATE, Model
+from locfuse.fusion.ekf.belief_arrays import AT_ONCE, JointBelief
+from locfuse.fusion.sensor import GATE, Model, positive
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.track import Track
 

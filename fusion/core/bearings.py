@@ -71,10 +71,11 @@ def judge_each(g, i, predicted, variance, more):
     """Write NIS, innovation and sigma of every candidate of picture i; return 1, or a variance that is none."""
     for row in range(g.first[i], g.first[i + 1]):
         S, y = variance + (g.r[row] + more), g.z[row] - predicted
-        if not S > 0.0:
+        none = S - S  # 0, or NaN of a variance that is no number
+        if none == 0.0 and not S > 0.0:
             return S
         g.told[row, 3] = folded(y)
-        g.told[row, 2], g.told[row, 4] = g.told[row, 3] * g.told[row, 3] / S, sqrt(S)
+        g.told[row, 2], g.told[row, 4] = g.told[row, 3] * g.told[row, 3] / S + none, sqrt(S)
     return 1.0
 
 

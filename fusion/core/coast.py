@@ -114,9 +114,14 @@ def turn(b, h, i, d):
     for j in range(h.states):
         y -= b.x[h.at[j]]
         d.H[0, j] = 1.0
-    d.y[0], d.R[0, 0] = folded(y), h.r[i]
+    d.y[0], d.R[0, 0], none = folded(y), h.r[i], h.r[i] - h.r[i]
     h.told[i, 0] = 0.0 if h.usable[i] else h.unused
     h.told[i, 2] = d.y[0]
+    if none != 0.0:  # a variance that is no number, or infinite
+        h.told[i, 1], h.told[i, 3] = none, h.r[i]
+        if h.told[i, 0] == 0.0:
+            h.told[i, 0] = h.refused
+        return FINE
     greatest = whiten(b.P, b.n, h.at, h.states, d.H, d.R, d.y, 1, d.V)
     if greatest > 0.0:
         h.told[i, 1], h.told[i, 3] = d.y[0] * d.y[0], d.R[0, 0]

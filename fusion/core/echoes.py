@@ -26,6 +26,7 @@ def answering(x, w, px, py, theta, lever_x, lever_y, yaw, half, widen, sigma, ou
     if c == 0.0:
         c, s = cos(theta), sin(theta)
     lx, ly = c * lever_x - s * lever_y, s * lever_x + c * lever_y
+    cone = max(min(half, pi), 0.0)  # none is wider than all around, whatever a message says
     best, nearest = -1, FAR
     for j in range(w.places):
         rho, beta = rho_of(x, w, j), beta_of(x, w, j)
@@ -38,12 +39,12 @@ def answering(x, w, px, py, theta, lever_x, lever_y, yaw, half, widen, sigma, ou
         if not distance > 0.0:
             continue
         on_it = w.low[j] - OVERHANG <= foot <= w.high[j] + OVERHANG
-        if abs(off) <= half + widen and on_it:
+        if abs(off) <= cone + widen and on_it:
             if best < 0 or distance < out[0]:
                 best = j
                 out[0], out[1], out[2], out[3], out[4] = distance, -n_x, -n_y, n_x * ly - n_y * lx, -foot
         else:
-            nearest = min(nearest, slanted(w, j, distance, foot, off, half))
+            nearest = min(nearest, slanted(w, j, distance, foot, off, cone))
     if best < 0 or nearest < out[0] - CLEAR * sigma:
         return -1
     out[5] = 0.0

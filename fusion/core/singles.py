@@ -65,7 +65,8 @@ def weigh(b, d, numbers, states, told, row):
         told[row, JUDGED + i] = d.own_y[k + i]
         told[row, JUDGED + numbers + i] = sqrt(d.S[i, i]) if d.S[i, i] > 0.0 else d.S[i, i]
     greatest = max(0.0, d.S[0, 0])
-    if not abs(d.S[0, 0] + d.S[numbers - 1, numbers - 1]) >= 0.0:  # of a reading that is no number
+    total = d.S[0, 0] + d.S[numbers - 1, numbers - 1]
+    if total - total != 0.0:  # of a reading that is no number
         return 1.0
     if not factor(d.S, numbers):
         return -greatest

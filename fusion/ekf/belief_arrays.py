@@ -16,8 +16,8 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.core import filter as interpreted
 from locfuse.fusion.core.room import Room
-from locfuse.fusion.data import Array, Ints, LocfuseError
-from locfuse.fusion.sensor import Block, Innovation, Matrix, PoseRows, Reading
+from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.sensor import Block, Innovation, Matrix, PoseRows, Reading, positive
 
 from .map_frame import Pose, Together, Triangle, by_frame
 from .rows import sparse_row, together
@@ -474,20 +474,6 @@ class JointBelief:
         if len(named):
             kept = np.setdiff1d(np.arange(self.n), named)
             self._take_in(seen, np.union1d(kept, self._considered))
-
-
-def positive(greatest: float) -> None:
-    """Raise LocfuseError where the innovations' covariance, of this greatest variance, came out as none."""
-    if not greatest > 0.0:
-        raise too_far_apart(-greatest)
-
-
-def too_far_apart(S: float) -> LocfuseError:
-    """Return what to raise where an innovation's variance S came out as none: rounding ate it."""
-    return LocfuseError(
-        f"the filter's variances span too many powers of ten to be computed with (innovations of up to {S:.0e}): "
-        "are the sigmas and floors of robot.toml meant so?"
-    )
 
 
 def _moves(gone: Ints, n: int) -> list[tuple[int, slice]]:

@@ -21,7 +21,7 @@ from locfuse.fusion.streams import gap_limit
 Align = Literal["none", "origin", "se2"]
 DRIFT_LENGTHS_M = (1.0, 5.0, 10.0)  # m
 ERRORS_AT_ONCE = 4096  # errors whose covariances are worked on at once: on the way they take ten times their room
-MIN_PIVOT_RATIO = 1e-12  # of the largest variance: with a smaller pivot a covariance is singular
+MIN_EIGENVALUE_RATIO = 1e-12  # of the smallest to the largest, below which a covariance is singular
 ERROR_KEYS = (
     "position_rmse_m",
     "position_mean_m",
@@ -196,7 +196,7 @@ def _nees(deviation: Array, heading: Array | None, P: Array, truth: Truth) -> Ar
     out, n = np.full(len(e), np.nan), len(e)
     room = np.empty((dof, dof)), np.empty(dof)
     Room.here(core).on_arrays.nees(
-        np.ascontiguousarray(e), S.reshape(n, dof * dof), n, dof, MIN_PIVOT_RATIO, *room, out
+        np.ascontiguousarray(e), S.reshape(n, dof * dof), n, dof, MIN_EIGENVALUE_RATIO, *room, out
     )
     return out
 

@@ -393,7 +393,7 @@ class LandmarksModel(Model):
     def _note_place(self, landmark: int, distance: float, bearing: float, belief: Belief) -> None:
         """Keep where a detection places its landmark, where the robot's own place is known."""
         spread = belief.spread(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
-        sigma = math.sqrt(max(spread[0][0], spread[1][1]))
+        sigma = math.sqrt(max(spread[0][0], spread[1][1], 0.0))  # but for rounding
         if sigma > MAX_SIGMA_M:
             return
         room = Room.here(core)

@@ -37,7 +37,9 @@ def test_it_is_the_error_in_units_of_what_was_claimed(d: int) -> None:
 def test_a_singular_covariance_judges_nothing() -> None:
     line = np.array([1.0, 2.0, -1.0])
     singular = [np.zeros((3, 3)), np.outer(line, line), np.diag([1.0, 1.0, 1e-13]), np.diag([1.0, -1.0, 1.0])]
+    turned = np.array([[1e-13, 1.0, 0.0], [-1.0, 1e-13, 1.0], [0.0, 1.0, 1.0]])
+    singular.append(turned @ np.diag([1.0, 1e-13, 1.0]) @ turned.T)  # no single variance shows it
     no_number = np.eye(3)
     no_number[1, 1] = np.nan
     S = np.array([*singular, no_number, np.diag([1.0, 1.0, 1e-11])])
-    assert np.isfinite(judged(np.ones((6, 3)), S)).tolist() == [False] * 5 + [True]
+    assert np.isfinite(judged(np.ones((7, 3)), S)).tolist() == [False] * 6 + [True]

@@ -321,6 +321,19 @@ def test_an_echo_corrects_pose_and_wall(states: bool) -> None:
     assert_compares(b, d, e.told[0], h, z, R, gate=gate, landmark=5.0)
 
 
+@pytest.mark.parametrize(("half", "same"), [(math.inf, math.pi), (7.0, math.pi), (-1.0, 0.0)])
+def test_a_cone_is_no_wider_than_all_around_and_no_narrower_than_a_ray(half: float, same: float) -> None:
+    w = table(
+        places=2, states=False, fixed=[0.0, 0.4, *[0.0] * 11, 0.0, 3.5, *[0.0] * 11], width=13, low=[-1.0, -2.0],
+        anchors=np.array([[2.0, 1.0], [-1.5, -0.5]]), high=[1.0, 2.0],
+    )  # fmt: skip
+    found = [np.zeros(echoes.ECHO) for _ in range(2)]
+    at = 0.1, 0.2, 0.3, 0.0, 0.0, 0.1
+    walls = [echoes.answering([], w, *at, h, 0.02, 0.03, out) for h, out in zip((half, same), found, strict=True)]
+    assert walls[0] == walls[1]
+    np.testing.assert_array_equal(found[0], found[1])
+
+
 def test_an_echo_that_no_wall_explains_is_unmatched_and_no_echo_is_nothing() -> None:
     b, d = believed(10), desk()
     w = table(places=0)

@@ -138,12 +138,13 @@ class Evidence:
         """Return candidates; a sensor that no run can use as it is (its readings are refused) has no judge."""
         seen = [self._decided(f) for f in seen]
         known = {(f.role, f.code) for f in seen}
+        sharper = {(f.role, f.code): tries[:1] for f, tries in offers}  # beside what measuring shows of the same
         offered = [self._candidate(f, tries, True) for f, tries in offers if (f.role, f.code) not in known]
         return [
             replace(c, measured=(c.finding.role, c.finding.code) in measured)
             for c in (
                 *(
-                    self._candidate(f, _ways(f), not f.severe)
+                    self._candidate(f, (*_ways(f), *sharper.get((f.role, f.code), ())), not f.severe)
                     for f in seen
                     if (f.fixes or f.code == OPEN_SCALE) and self.judges(f.role)
                 ),
@@ -520,7 +521,8 @@ class Evidence:
             factors = tuple(factor for factor in factors if factor > 1.0)
         options = tuple((f"wheels.noise={noise * factor:.2g}",) for factor in factors)
         found = self._candidate(Finding("wheels", "noise", words), options, True)
-        judges = tuple(n for n in found.judges if n not in found.minor)  # chance moves the others by as much
+        # odometry's one random walk tells no noise, and chance moves the others by as much
+        judges = tuple(n for n in found.judges if n not in found.minor and n != ODOMETRY)
         return replace(found, judges=judges, measured=measured)
 
     # ---- configurations that judge ----

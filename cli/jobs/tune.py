@@ -10,7 +10,7 @@ from typing import Any
 
 from locfuse.cli.advice.validity import MAX_START_ERROR_M
 from locfuse.cli.pipeline.configurations import refuse_beside_others, unknown_sensor
-from locfuse.cli.pipeline.load import Loaded, load, start_error
+from locfuse.cli.pipeline.load import Loaded, load, start_error, with_settings
 from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.formats.robot import commented_edit, robot_toml
 from locfuse.formats.url import Place
@@ -56,12 +56,7 @@ class Tuning:
 
     def tables(self) -> dict[str, dict[str, float]]:
         """Return what was found as robot.toml tables; what the logs do not show, or spoils one, is left out."""
-        tables: dict[str, dict[str, float]] = {}
-        for row in () if self.refused else self.tuned.rows:
-            table, _, key = row.key.partition(".")
-            if row.identifiable or row.after != row.before:
-                tables.setdefault(table, {})[key] = float(f"{row.after:.4g}")
-        return tables
+        return {} if self.refused else _tables(self.tuned)
 
     def values(self) -> dict[str, Any]:
         """Return everything as plain values: SI units or the key's, null for what could not be judged."""
@@ -101,6 +96,15 @@ class Tuning:
                 shape = "" if j.after.align == "none" else " of the path's shape"
                 rows.append((f"position error{shape}, {j.name}", before, after))
         return rows
+
+
+def _tables(tuned: Tuned) -> dict[str, dict[str, float]]:
+    tables: dict[str, dict[str, float]] = {}
+    for row in tuned.rows:
+        table, _, key = row.key.partition(".")
+        if row.identifiable or row.after != row.before:
+            tables.setdefault(table, {})[key] = float(f"{row.after:.4g}")
+    return tables
 
 
 def sensor_names(words: str) -> tuple[str, ...]:
@@ -146,7 +150,7 @@ def tune_logs(
     def tuned_by(names: Sequence[str]) -> tuple[Tuned, list[Judged], list[str]]:
         tuned = tune(trials, names, drift, remeasure, progress)
         progress("judging the logs")
-        return tuned, (judged := _judged(trials, tuned)), _worse(tuned, judged)
+        return tuned, (judged := _judged(loaded, tuned)), _worse(tuned, judged)
 
     tuned, judged, worse = tuned_by(sensors)
     lasting = lasting_errors(tuned.trials)
@@ -160,10 +164,13 @@ def tune_logs(
     return Tuning(tuned, judged, loaded, (*worse, *_notes(tuned), *notes), bool(worse))
 
 
-def _judged(given: Sequence[Trial], tuned: Tuned) -> list[Judged]:
-    """Evaluate every log as `run` would, before and after."""
-    pairs = zip(given, tuned.trials, strict=True)
-    return [Judged(before.name, _evaluated(before), _evaluated(after)) for before, after in pairs]
+def _judged(loaded: Sequence[Loaded], tuned: Tuned) -> list[Judged]:
+    """Evaluate every log as `run` would, before and after: what is measured depends on the noise too."""
+    sets = tuple(
+        f"{table}.{key}={value!r}" for table, keys in _tables(tuned).items() for key, value in keys.items()
+    )
+    pairs = ((one, with_settings(one, sets)) for one in loaded)
+    return [Judged(before.log.name, _evaluated(before), _evaluated(after)) for before, after in pairs]
 
 
 def _worse(tuned: Tuned, judged: Sequence[Judged]) -> list[str]:
@@ -204,11 +211,11 @@ def write(path: Path, found: Tuning, how: LogOptions) -> None:
         temporary.write_text(commented_edit.updated(before, changes, "locfuse tune"), encoding="utf-8")
 
 
-def _evaluated(trial: Trial) -> Evaluation:
+def _evaluated(one: Loaded) -> Evaluation:
     """Evaluate all sensors of a log; by the path's shape where its start is not known."""
-    run = fuse(trial.drive, trial.robot, list(trial.drive.measurements))
-    elsewhere = (start_error(trial.robot, trial.drive) or 0.0) >= MAX_START_ERROR_M
-    return evaluate(run, trial.drive, "se2" if elsewhere else "none")
+    run = fuse(one.drive, one.robot, list(one.drive.measurements))
+    elsewhere = (start_error(one.robot, one.drive) or 0.0) >= MAX_START_ERROR_M
+    return evaluate(run, one.drive, "se2" if elsewhere else "none")
 
 
 def _notes(tuned: Tuned) -> list[str]:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 MAX_LOSS, MAX_LOSS_M = 0.02, 2e-4  # relative, m: by which no position error may grow
 MAX_CHANCE_LOSS = 0.15  # relative, of the position error of a configuration that nobody would keep
-MAX_RUIN, MAX_RUIN_NATS = 0.5, 0.2  # relative, nats per number: more than chance does to any configuration
+MAX_RUIN, MAX_RUIN_NATS = 1.0, 0.2  # relative, nats per number: more than chance does to any configuration
 MAX_LN_ANEES_LOSS = 0.1  # by which ln ANEES may leave its chance range further where the error stays the same
 MIN_GAIN = 0.1  # relative gain of the position error
 MIN_LN_ANEES_GAIN = 0.2  # by which ln ANEES must come nearer to its chance range

@@ -250,8 +250,8 @@ def test_a_log_is_judged_as_run_would_fuse_it_whatever_the_likelihood_needs(tmp_
         assert locfuse("run", "rounded_rectangle", *ran).exit_code == 0
         report = json.loads((tmp_path / when / "run.json").read_text())
         errors[when] = report["configurations"]["compass+lrf"]["position_rmse_m"]
-    assert judged["before"]["position_rmse_m"] == pytest.approx(errors["before"], rel=1e-6)
-    assert judged["after"]["position_rmse_m"] == pytest.approx(errors["after"], rel=0.1)  # lines cut within 10 %
+    assert judged["before"]["position_rmse_m"] == pytest.approx(errors["before"], rel=1e-4)
+    assert judged["after"]["position_rmse_m"] == pytest.approx(errors["after"], rel=1e-4)
 
 
 def test_a_log_that_starts_elsewhere_is_judged_by_the_shape_of_its_path(tmp_path: Path) -> None:

@@ -200,8 +200,9 @@ def of_track(
     track, sigma, by = metre * found[0], metre * found[1], found[2]
     off = track / (metre * configured) - 1.0
     anywhere = sigma if motion is None else max(sigma, track * motion.by_slips)
-    # who tries the fix sees what it does on this drive
-    if abs(off) < least.error + least.sigmas * (anywhere if least == WORTH_SAYING else sigma) / track:
+    # who tries the fix sees what it does on this drive; who does not needs more than slips can do
+    slips = anywhere if least == WORTH_SAYING else 0.0
+    if abs(off) < max(least.error + least.sigmas * sigma / track, least.sigmas * slips / track):
         return []
     words = (
         f"the track is {configured:g} m, but the turning of {by} says {track:.3f} m (1 sigma {anywhere:.3f}); "

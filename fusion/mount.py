@@ -23,9 +23,7 @@ ASK_MOUNT = (
     "How well they are known: sigma_x, sigma_y, sigma_yaw_deg (of a laser 0.01 m and 0.5 degrees unless set)"
 )
 SIGMA_M, SIGMA_DEG = 0.01, 0.5  # m, degrees: of a mount, wherever it comes from
-MAX_PRIOR_SIGMAS = (
-    3.0  # of what is configured: what is found further off may be another error that looks like a mount
-)
+MAX_PRIOR_SIGMAS = 3.0  # of what is configured: a mount found further off may be another error that looks like one
 OTHER_MOUNT = "the drive shows another mount"  # how the note on it begins
 SAID_SIGMAS = 3.0  # its own: a mount found further off than this, and than it is known to be, is reported
 

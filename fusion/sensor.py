@@ -236,25 +236,29 @@ class Bearings(NamedTuple):
     mount: Any  # fusion.mount.Mount, which may hold states; None: known exactly, at the base
 
 
+JUDGED = 4  # numbers that are told of a row before its y and sigmas, as in core.singles
+UNTOLD = -1.0  # verdict of a row that was compared with nothing
+
+
 class Columns(ABC):
     """All readings of a sensor as one of the core's tables, for what the core takes at once (fusion.coast)."""
 
     kind: ClassVar[str]  # which of `core.tables.Readings` it is
     when: Ints  # (n,) instants at which the readings are due
     first: Ints  # (n + 1,) rows of every reading
-    told: Array  # (m, 4 + 2 d) verdict, landmark, NIS, threshold, y, sigma: what became of every row
+    told: Array  # (m, JUDGED + 2 d) verdict, landmark, NIS, threshold, y, sigma: what became of every row
     joint: Array  # (n, 2) how well the rows of a reading fit as a whole, and their degrees of freedom
     reads: Model | None = None  # whose line map is read
 
     @property
     def numbers(self) -> int:
         """How many numbers a row holds, d."""
-        return int(self.told.shape[1] - 4) // 2
+        return int(self.told.shape[1] - JUDGED) // 2
 
     @property
-    @abstractmethod
     def ready(self) -> bool:
         """Whether the core may take a reading now: nothing is left that a reading begins."""
+        return True
 
     @abstractmethod
     def table(self, belief: Any) -> Any:
@@ -264,12 +268,9 @@ class Columns(ABC):
         """Take in that the core took the readings first:last."""
 
 
-UNTOLD = -1.0  # verdict of a row that was compared with nothing
-
-
 def untold(rows: int, numbers: int) -> Array:
     """Return `Columns.told` before anything was told."""
-    told = np.full((rows, 4 + 2 * numbers), np.nan)
+    told = np.full((rows, JUDGED + 2 * numbers), np.nan)
     told[:, :2] = UNTOLD
     return told
 

@@ -59,9 +59,8 @@ class AtlasTracker(LineTracker):
         self._asked_at = 0.0  # m of way
         self._looks = Looks()  # at the frozen maps, from this one
         self._loops: list[Edge] = []
-        self._ask_known_at: dict[
-            int, float
-        ] = {}  # frozen map in which this one was seen -> m of way to look again
+        # frozen map in which this one was seen -> m of way to look again
+        self._ask_known_at: dict[int, float] = {}
         self.closed: list[SeenAgain] = []
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:

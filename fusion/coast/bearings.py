@@ -12,9 +12,7 @@ from locfuse.fusion.core import tables
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Audit, Drive, Ints
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.sensor import Bearings, Innovation, Model
-
-UNJUDGED = -1.0  # verdict of a candidate that was compared with nothing
+from locfuse.fusion.sensor import UNTOLD, Bearings, Innovation, Model
 
 
 class Pictures:
@@ -24,7 +22,7 @@ class Pictures:
         """`when` (n,) are the instants at which the pictures are due, `first` (n + 1,) their candidates."""
         self._of, self._when = bearings, np.asarray(when, np.intp)
         self._first = np.ascontiguousarray(first, np.intp)
-        self._told = np.full((len(bearings.z), interpreted.POINTED), UNJUDGED)
+        self._told = np.full((len(bearings.z), interpreted.POINTED), UNTOLD)
         self.joint: list[float] = []
         self._table: Any = None
 
@@ -50,7 +48,7 @@ class Pictures:
 
     def audit(self) -> Audit:
         """Return the record as columns."""
-        row = np.flatnonzero(self._told[:, 0] != UNJUDGED)
+        row = np.flatnonzero(self._told[:, 0] != UNTOLD)
         verdict, landmark, nis, y, sigma = self._told[row].T
         n = len(row)
         return Audit(

@@ -31,9 +31,7 @@ SHORT_WINDOWS_S = (0.1, 0.25, 0.5)  # s: which tells most depends on whose noise
 RATE_CHANGE_SPAN_S = 0.3  # s before and after which the turning is compared, to see where it changes
 MAX_LEFT_OUT_SHARE = 0.9  # share of windows that may be left out because the turning hardly changes there
 RATE_SPAN_S = 0.1  # s over which the wheels' turning rate is taken
-MAX_ITERATIONS = (
-    3  # of least squares: the turning is nearly straight over the few hundredths of a second that are left
-)
+MAX_ITERATIONS = 3  # of least squares: the turning is nearly straight over the few hundredths of a second left
 COARSE_STEP_S, FINE_STEP_S = (
     0.05,
     0.01,

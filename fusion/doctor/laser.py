@@ -68,9 +68,7 @@ class Motion(NamedTuple):
     turns: float | None  # the robot's turn per turn that the wheels tell; None where it hardly turned
     turns_sigma: float  # of what this drive shows
     walls: int
-    by_slips: float = (
-        0.0  # 1 sigma of the same: by how much slips make one drive's turns differ from the next one's
-    )
+    by_slips: float = 0.0  # 1 sigma of the same: by how much slips make the turns of two drives differ
 
     @property
     def turns_anywhere(self) -> float:

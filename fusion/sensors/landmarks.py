@@ -515,7 +515,7 @@ class GrowingModel(LandmarksModel):
 
 
 class SightingColumns(Columns):
-    """All detections for the core."""
+    """All detections for the core, which stops before a landmark that it does not know."""
 
     kind = "sightings"
 
@@ -528,11 +528,6 @@ class SightingColumns(Columns):
         self._of = numbers, self._which, ids, np.array(places, np.float64).reshape(-1, 2)
         self.told, self.joint = untold(len(m.z), numbers), np.zeros((len(when), 2))
         self._placed = np.full((len(m.z), 3), np.nan)
-
-    @property
-    def ready(self) -> bool:
-        """Whether the core may take one: always, it stops before a landmark that it does not know."""
-        return True
 
     def table(self, belief: Any) -> Any:
         """Return the detections, and the states of places, offset and depth."""

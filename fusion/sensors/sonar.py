@@ -168,7 +168,7 @@ class SonarModel(Model):
 
 
 class EchoColumns(Columns):
-    """All echoes for the core, which reads the laser's map."""
+    """All echoes for the core, which reads the laser's map: one without walls answers nothing."""
 
     kind = "echoes"
 
@@ -179,11 +179,6 @@ class EchoColumns(Columns):
         self._judged = model.threshold, float(GATE), float(UNMATCHED)
         self._widen = model.widen
         self.told, self.joint = untold(len(m.z), 1), np.zeros((0, 2))
-
-    @property
-    def ready(self) -> bool:
-        """Whether the core may take one: always, a map without walls answers nothing."""
-        return True
 
     def table(self, belief: Any) -> Any:
         """Return the echoes."""

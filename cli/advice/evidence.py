@@ -30,7 +30,8 @@ from locfuse.fusion.doctor.truth import WHEEL_SCALE
 from locfuse.fusion.judge.consistency import Consistency
 from locfuse.fusion.judge.consistency import Evidence as Said
 from locfuse.fusion.judge.covariance import honesty
-from locfuse.fusion.judge.noise_verdicts import MAX_SIGMA_FACTOR, NoiseVerdict
+from locfuse.fusion.judge.innovations import own
+from locfuse.fusion.judge.noise_verdicts import MAX_SIGMA_FACTOR, NoiseVerdict, many_refused
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .trial import Trial
@@ -402,6 +403,8 @@ class Evidence:
                 words += f" by its lines, {by_ranges[0].partition('=')[2]} m by its ranges"
             if self._ranges_show_more(sensor, verdict) or self._too_sure(sensor, verdict):
                 seen = []
+            if seen and verdict.verdict == "overstated":
+                seen, words = self._beside_the_wheels(sensor, seen, words)
             words = words if seen else self._errors_in_sigmas(sensor)
             if verdict.verdict == "overstated" and seen and more:
                 # a sigma above the configured one is no fix of one that is too high: it has words of its own
@@ -468,6 +471,38 @@ class Evidence:
         """Whether truth shows that a filter which is to trust a sensor more trusts it too much already."""
         honest = self.honesty.get(self._alone(sensor))
         return verdict.verdict == "overstated" and honest is not None and honest.overconfident
+
+    def _beside_the_wheels(self, sensor: str, seen: list[Fixes], words: str) -> tuple[list[Fixes], str]:
+        """Return smaller noise with more of the wheels' where the smaller alone makes the gate refuse too much.
+
+        Noise of a sensor that is set too high can hide noise of the wheels that is set too low: with the first
+        alone the filter trusts its prediction too much. Truth shows that by itself (`_too_sure`).
+        """
+        if self.loaded.drive.truth is not None:
+            return seen, words
+        usual, shares = [], []
+        for fixes in seen:
+            share = self._refused(sensor, fixes)
+            if share is None or not many_refused(sensor, share):
+                usual.append(fixes)
+            else:
+                shares.append(share)
+        if usual or not shares:
+            return usual, words
+        noise = self.loaded.robot.wheels.noise
+        more = [(*seen[0], f"wheels.noise={noise * f:.2g}") for f in WHEEL_NOISE_FACTORS if f > 1.0]
+        both = [fixes for fixes in more if not many_refused(sensor, self._refused(sensor, fixes) or 0.0)]
+        alone = f"with the first alone {min(shares):.0%} of its readings would be rejected"
+        return both, f"{words}; wheels.noise is set too low ({alone})"
+
+    def _refused(self, sensor: str, fixes: Fixes) -> float | None:
+        """Return the share of a sensor's readings that its own run refuses under more settings."""
+        tried = self.trial.under((*self.fixes, *fixes))
+        run = None if tried is None else self.trial.fused(tried, self._alone(sensor))
+        if tried is None or run is None:
+            return None
+        found = own(run.audits[sensor], tried.drive.measurements[sensor])
+        return None if found is None else found.refused
 
     @property
     def _noise_factors(self) -> tuple[float, ...]:

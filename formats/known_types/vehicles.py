@@ -56,6 +56,16 @@ GYRO_AND_ACCELEROMETER = (
     "uint64 timestamp\nfloat32[3] gyro_rad\nuint32 gyro_integral_dt\nint32 accelerometer_timestamp_relative\n"
     "float32[3] accelerometer_m_s2\nuint32 accelerometer_integral_dt\nuint8 accelerometer_clipping\n"
 )
+VESC = "".join(
+    f"float64 {name}\n"
+    for name in (
+        *("temp_fet", "temp_motor", "current_motor", "current_input", "avg_id", "avg_iq", "duty_cycle", "speed"),
+        *("voltage_input", "charge_drawn", "charge_regen", "energy_drawn", "energy_regen"),
+    )
+) + (
+    "int32 displacement\nint32 distance_traveled\nint32 fault_code\nfloat64 pid_pos_now\nint32 controller_id\n"
+    "float64 ntc_temp_mos1\nfloat64 ntc_temp_mos2\nfloat64 ntc_temp_mos3\nfloat64 avg_vd\nfloat64 avg_vq\n"
+)
 # message type -> its text
 TYPES: dict[str, str] = {
     "autoware_auto_vehicle_msgs/msg/VelocityReport": VELOCITY,
@@ -73,4 +83,8 @@ LAID_OUT: dict[str, tuple[str, ...]] = {
         GYRO_AND_ACCELEROMETER,
     ),
     "unitree_go/msg/SportModeState": (MODE,),
+    "vesc_msgs/msg/VescState": (VESC,),
+    "vesc_msgs/msg/VescStateStamped": (
+        f"{HEADER}vesc_msgs/VescState state\n{DIVIDER}\nMSG: vesc_msgs/VescState\n{VESC}",
+    ),
 }

@@ -257,7 +257,8 @@ class Evidence:
         for sensor, lag in self._by_wheels.items():
             sigmas = SAID_SIGMAS if self._late_like_others(sensor) else MIN_SUSPICIOUS_SIGMAS
             if abs(lag.offset) >= max(MIN_SUSPICIOUS_LAG_S, sigmas * lag.sigma):
-                yield from self._shifted(sensor, lag, "the wheels")
+                by_scans = self.loaded.drive.wheels.matched is not None
+                yield from self._shifted(sensor, lag, "the motion by the scans" if by_scans else "the wheels")
 
     def _late_like_others(self, sensor: str) -> bool:
         """Return whether a sensor that knows its lag against the wheels about as well has the same."""
@@ -324,6 +325,8 @@ class Evidence:
         """Yield mounts and the track as a run with `all` sensors estimates them, one sensor at a time."""
         drive, robot = self.loaded.drive, self.loaded.robot
         for sensor in filter(self._using, drive.measurements):
+            if sensor == LASER and drive.wheels.matched is not None:
+                continue  # its own scans are the motion, which is then the laser's wherever it sits
             probe = probe_of(robot, sensor)
             if not probe or not REGISTRY[sensor].placed or not self._complained(sensor):
                 continue

@@ -55,6 +55,7 @@ MADE_OF_MORE = (
     "scan",
     "mavros",
 )
+BY_FIXES = ("fix_vel", "gps", "gnss", "navsat", "ublox", "novatel", "septentrio")  # speeds north and east
 MADE_OF_FIXES = ("gps", "gnss", "navsat")  # navsat_transform's has no heading
 ONLY_CORRECT = ("sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/Imu")  # types that make no motion by themselves
 RAW = ("unfiltered", "raw", "wheel", "encoder", "_enc")
@@ -203,12 +204,17 @@ def _made(topic: str) -> int:
 def _twists(log: Log, robot: Robot, choice: Choice, asked: bool) -> list[str]:
     """Return topics of speeds that can be read: commanded ones (`asked`), or those that were measured.
 
-    Speeds in a frame that does not turn with the robot (odom, map) are not those ahead.
+    Speeds in a frame that does not turn with the robot (odom, map), or of a receiver, are not those ahead.
     """
     steers = robot.wheels.wheelbase or robot.wheels.steering != "angle"
     kinds = (*TWISTS, *STEERED) if steers else TWISTS
     found = [t for t in _filled(log, robot, choice, kinds) if commanded(t, log.topics[t].msgtype) == asked]
-    return [t for t in found if asked or not _beside_body(log.stream(t).frame_id)]
+    return [t for t in found if asked or not (_beside_body(log.stream(t).frame_id) or _by_fixes(t))]
+
+
+def _by_fixes(topic: str) -> bool:
+    """Return whether a receiver of satellites measured the speeds, by the topic's name: along east and north."""
+    return any(word in topic.lower() for word in BY_FIXES)
 
 
 def _beside_body(frame: str) -> bool:

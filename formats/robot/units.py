@@ -6,6 +6,8 @@ EXACT = {
     "wheels.ticks_per_revolution": "ticks",
     "wheels.rollover": "the counter's own unit",
     "wheels.max_speed": "m/s",
+    "wheels.erpm_per_mps": "rpm at 1 m/s",
+    "wheels.servo_gain": "1/rad",
     "truth.max_speed": "m/s",
     "truth.origin": "°",
     "gps.origin": "°",

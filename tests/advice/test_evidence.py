@@ -28,10 +28,11 @@ def evidence(*offsets: float) -> Evidence:
     robot = SimpleNamespace(
         wheels=SimpleNamespace(time_offset=0.0), settings=lambda _: SimpleNamespace(time_offset=0.0)
     )
+    drive = SimpleNamespace(wheels=SimpleNamespace(matched=None))
     made = Evidence.__new__(Evidence)
     vars(made).update(
         _by_wheels=found,
-        compared=SimpleNamespace(loaded=SimpleNamespace(robot=robot)),
+        compared=SimpleNamespace(loaded=SimpleNamespace(robot=robot, drive=drive)),
         trial=SimpleNamespace(configurations={n: SimpleNamespace(sensors=(n,)) for n in names}),
     )
     return made

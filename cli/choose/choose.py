@@ -145,7 +145,7 @@ def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None
         choice.take(name, candidates, ONLY if len(same) < 2 else "the only one of its type that fits")
     elif sensor.extra and (shared := [t for t in candidates if t in choice.topics.values()]):
         choice.take(name, shared[:1], "another sensor reads it too")
-    elif sensor.several:
+    elif sensor.several or (sensor.several_frames and _of_frames(log, candidates)):
         choice.take(name, candidates, f"all {len(candidates)} topics of its type")
     elif sensor.unlikely is not None:
         best = likeliest(candidates, sensor.unlikely, choice.topics.get("wheels", ""))
@@ -157,6 +157,12 @@ def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None
     else:  # beside the paper's sensors: a guess would be worse than none, and an error would stop the others
         why = several_fit(log, name, candidates)
         choice.leave(name, why.sentence, why.fixes)
+
+
+def _of_frames(log: Log, topics: Sequence[str]) -> bool:
+    """Return whether topics are of one type and each has a frame of its own: what sits in different places."""
+    frames = {log.stream(t).frame_id for t in topics}
+    return len({log.topics[t].msgtype for t in topics}) == 1 and len(frames - {""}) == len(topics)
 
 
 def _named_well(topic: str, msgtype: str, sensor: Sensor) -> bool:

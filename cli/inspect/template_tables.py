@@ -94,7 +94,10 @@ def _mounts(overview: Overview) -> Known:
         for key, raw in table.items():
             value = _rounded(raw)
             if value or key in MOUNTED:
-                known[f"{name}.{key}"] = value, _placed(overview, frame)
+                words = _placed(overview, frame)
+                if key == "mounts":
+                    words = f"by {placed_by(overview, frame)}: where each of them sits on the base"
+                known[f"{name}.{key}"] = value, words
     return known
 
 
@@ -176,5 +179,5 @@ def _concerns(facts: Facts, table: str, key: str) -> bool:
     if table not in REGISTRY:
         return True
     if key in MOUNTED:
-        return not any(f"{table}.{k}" in facts.known for k in MOUNTED)
+        return not any(f"{table}.{k}" in facts.known for k in (*MOUNTED, "mounts"))
     return REGISTRY[table].concerns(key, kind)

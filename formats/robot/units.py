@@ -14,6 +14,8 @@ EXACT = {
     "compass.offset_drift_deg": "°/√s",
     "compass.hard_iron": "the message's unit",
     "camera.landmark": "m",
+    "landmarks.mounts": "m, m, °, °",
+    "landmarks.optics": "px",
     "camera.centre": "px",
     "camera.inner": "px",
     "camera.outer": "px",

@@ -109,7 +109,7 @@ def no_singles() -> dict[str, Any]:
             wholes, *(numbers,) * 3, rows, *(0.0,) * 3, -1, 0, *(0.0,) * 5, 0, 0, 0
         ),
         "sightings": core.Sightings(
-            wholes, wholes, rows, rows, 1, wholes, wholes, rows, wholes, False, *(0.0,) * 5, -1, -1, *(0.0,) * 3,
-            rows, rows, rows, *none,
+            wholes, wholes, rows, rows, 1, wholes, wholes, rows, wholes, False, rows, *(0.0,) * 2, -1, -1,
+            *(0.0,) * 3, rows, rows, rows, *none,
         ),
     }  # fmt: skip

@@ -496,9 +496,7 @@ class Sightings:
     places: Matrix
     columns: Wholes
     made: bool
-    x: float
-    y: float
-    yaw: float
+    mounts: Matrix
     offset: float
     depth: float
     at_offset: int
@@ -525,9 +523,7 @@ class Sightings:
         places: Matrix,
         columns: Wholes,
         made: bool,
-        x: float,
-        y: float,
-        yaw: float,
+        mounts: Matrix,
         offset: float,
         depth: float,
         at_offset: int,

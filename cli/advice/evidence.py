@@ -30,7 +30,7 @@ from locfuse.fusion.doctor.truth import WHEEL_SCALE
 from locfuse.fusion.judge.consistency import Consistency
 from locfuse.fusion.judge.consistency import Evidence as Said
 from locfuse.fusion.judge.covariance import honesty
-from locfuse.fusion.judge.innovations import own
+from locfuse.fusion.judge.innovations import Own, own
 from locfuse.fusion.judge.noise_verdicts import MAX_SIGMA_FACTOR, NoiseVerdict, many_refused
 from locfuse.fusion.sensors.registry import REGISTRY
 
@@ -48,6 +48,7 @@ AS_SURE = 1.5  # times a lag's sigma: another sensor's that is known no worse sa
 TOO_LOW = 2.0  # a sigma that is set too low refuses the large residuals, so the observed one is a lower bound
 CAMERA_LAGS_S = (-0.2, -0.1, 0.1, 0.2)  # s
 MAX_NOISE_FACTOR = 4.0  # on a sigma, by the errors of its own run
+FLOORS, FLOOR_FACTORS = ("floor_range", "floor_angle_deg"), (5.0, 10.0, 20.0)  # of a laser's lines
 CLOCK = "lag"  # what clocks' findings are called
 NOISE = {"understated", "overstated", "correlated"}
 FINE = {"consistent", "unclear"}  # verdicts on a sensor that are no complaint
@@ -413,6 +414,7 @@ class Evidence:
                 # a sigma above the configured one is no fix of one that is too high: it has words of its own
                 found.append(self._candidate(Finding(sensor, verdict.verdict, words), tuple(seen)))
                 seen, words = [], self._errors_in_sigmas(sensor)
+            found += self._shared_by_lines(sensor, verdict)
             if seen or more:
                 finding = Finding(sensor, verdict.verdict if seen else self._by_truth(sensor), words)
                 options = tuple(dict.fromkeys((*seen, *more)))
@@ -420,6 +422,28 @@ class Evidence:
         if self.loaded.drive.truth is not None and self._doubtful(self._best(self.trial.configurations)):
             found.append(self._wheel_noise())
         return found
+
+    def _shared_by_lines(self, sensor: str, verdict: Consistency) -> list[Candidate]:
+        """Return larger floors of a laser's lines where these scatter more than their beams say, and no sigma is.
+
+        A depth camera's neighbouring beams are wrong alike (calibration, steps of the disparity): what a line is
+        off does not become less with the number of its beams.
+        """
+        if sensor != LASER or verdict.verdict != "correlated" or verdict.cures:
+            return []
+        own_run = self._own(sensor, ())
+        if own_run is None or own_run.nis < MAX_SIGMA_FACTOR**2:
+            return []
+        settings = self.loaded.robot.settings(LASER)
+        words = (
+            f"lines scatter {own_run.nis**0.5:.2g} times as far as the noise of their beams says: beams of a line "
+            "share their error (a depth camera, walls that are not flat)"
+        )
+        options = tuple(
+            tuple(f"{LASER}.{key}={getattr(settings, key) * factor:.2g}" for key in FLOORS)
+            for factor in FLOOR_FACTORS
+        )
+        return [self._candidate(Finding(LASER, "floor", words), options, True)]
 
     def slips(self) -> list[Candidate]:
         """Return the wheels' noise where their turning shows it: every sensor's run is as sure as it says."""
@@ -500,12 +524,16 @@ class Evidence:
 
     def _refused(self, sensor: str, fixes: Fixes) -> float | None:
         """Return the share of a sensor's readings that its own run refuses under more settings."""
+        found = self._own(sensor, fixes)
+        return None if found is None else found.refused
+
+    def _own(self, sensor: str, fixes: Fixes) -> Own | None:
+        """Return what the innovations of a sensor's own run say under more settings."""
         tried = self.trial.under((*self.fixes, *fixes))
         run = None if tried is None else self.trial.fused(tried, self._alone(sensor))
         if tried is None or run is None:
             return None
-        found = own(run.audits[sensor], tried.drive.measurements[sensor])
-        return None if found is None else found.refused
+        return own(run.audits[sensor], tried.drive.measurements[sensor])
 
     @property
     def _noise_factors(self) -> tuple[float, ...]:

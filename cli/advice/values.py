@@ -43,8 +43,11 @@ def fixes_file(report: Mapping[str, Any]) -> dict[str, str]:
 def _joined(found: Sequence[Advice]) -> Advice:
     """Return what was found of one sensor, step by step, as one finding with one fix."""
     first, *later = found
+    before_it = first.finding.brief  # what was found before this kind of fault was measured again
     for advice in later:
-        message = f"{first.finding.brief}; then {advice.finding.brief}"
+        if advice.finding.code != first.finding.code:
+            before_it = first.finding.brief
+        message = f"{before_it}; then {advice.finding.brief}"
         if advice.finding.code == first.finding.code and not _moved(first.fixes, advice.fixes):
             message = first.finding.brief  # the same once more, measured better
         elif advice.finding.code != first.finding.code and _keys(first.fixes) <= _keys(advice.fixes):

@@ -209,10 +209,10 @@ def _twists(log: Log, robot: Robot, choice: Choice, asked: bool) -> list[str]:
     steers = robot.wheels.wheelbase or robot.wheels.steering != "angle"
     kinds = (*TWISTS, *STEERED) if steers else TWISTS
     found = [t for t in _filled(log, robot, choice, kinds) if commanded(t, log.topics[t].msgtype) == asked]
-    return [t for t in found if asked or not (_beside_body(log.stream(t).frame_id) or _by_fixes(t))]
+    return [t for t in found if asked or not (_beside_body(log.stream(t).frame_id) or by_fixes(t))]
 
 
-def _by_fixes(topic: str) -> bool:
+def by_fixes(topic: str) -> bool:
     """Return whether a receiver of satellites measured the speeds, by the topic's name: along east and north."""
     return any(word in topic.lower() for word in BY_FIXES)
 

@@ -16,7 +16,7 @@ from locfuse.fusion.sensors.registry import REGISTRY, unmet
 from locfuse.fusion.truth import KNOWN_TRUTH, TRUTH_READS, looks_like_truth
 from locfuse.fusion.wheels.odometry import SCANS, commanded
 
-from .body_topics import asked_for
+from .body_topics import asked_for, by_fixes
 from .not_read import not_read
 from .presented_topics import offer_presented
 from .tag_frames import offer_tags
@@ -92,7 +92,8 @@ def _leave_empty(log: Log, name: str, choice: Choice) -> None:
 
 def _offer(name: str, candidates: Sequence[str], choice: Choice) -> None:
     """Say that a sensor that is used only where it is asked for could read these topics."""
-    candidates = [t for t in candidates if not (commanded(t) or looks_like_truth(t) or asked_for(t))]
+    others = (commanded, looks_like_truth, asked_for, by_fixes)
+    candidates = [t for t in candidates if not any(is_one(t) for is_one in others)]
     if candidates:
         fixes = (f"{name}.topic={candidates[0]}",)
         why = REGISTRY[name].asked_only

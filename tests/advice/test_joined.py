@@ -48,15 +48,16 @@ def test_a_value_that_was_measured_again_is_told_once_with_its_last_value() -> N
 
 def test_a_value_that_ends_far_from_the_first_is_told_with_what_was_found_last() -> None:
     """Words of 0.15 m beside a fix of 0.003 m would contradict each other."""
-    coarse, fine = (
+    steps = [
         Advice(
             Finding("gps", "overstated", f"noise is set too high: {a} m configured, {b} m observed"),
             (f"gps.sigma={b}",),
         )
-        for a, b in (("1.5", "0.15"), ("0.15", "0.003"))
-    )
-    found = finding(coarse, fine)
-    assert found["message"].endswith("; then noise is set too high: 0.15 m configured, 0.003 m observed")
+        for a, b in (("1.5", "0.15"), ("0.15", "0.015"), ("0.015", "0.003"))
+    ]
+    first, last = (step.finding.message for step in (steps[0], steps[-1]))
+    found = finding(*steps)
+    assert found["message"] == f"{first}; then {last}"
     assert found["fixes"] == ["gps.sigma=0.003"]
 
 

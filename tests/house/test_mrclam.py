@@ -99,7 +99,8 @@ def reckoned(log: Commands, gains: tuple[float, float], closed: bool) -> tuple[f
 
 def _share(parts: Array) -> Array:
     done = np.append(0.0, np.cumsum(parts))
-    return done / done[-1]
+    share: Array = done / done[-1]
+    return share
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ cpdef void move(
 cpdef double whiten(
     double[:, ::1] P, Py_ssize_t n, Py_ssize_t[::1] at, Py_ssize_t states, double[:, ::1] H, double[:, ::1] S,
     double[::1] y, Py_ssize_t m, double[:, ::1] V)
+@cython.locals(greatest=cython.double)
 cpdef double projected(
     double[:, ::1] P, Py_ssize_t n, Py_ssize_t[::1] at, Py_ssize_t states, double[:, ::1] H, double[:, ::1] S,
     Py_ssize_t m, double[:, ::1] V)

@@ -1,6 +1,7 @@
 cdef Py_ssize_t WIDE, JUDGED
 
 cdef Py_ssize_t derive(Belief b, bint local, double by_x, double by_y, double by_theta, Py_ssize_t k, Desk d)
+@cython.locals(total=cython.double)
 cdef double product(double[:, ::1] P, Desk d, Py_ssize_t i, Py_ssize_t j, Py_ssize_t states)
 cdef double variance(double[:, ::1] P, Desk d, Py_ssize_t k, Py_ssize_t states)
 cdef void state_of(Desk d, Py_ssize_t k, Py_ssize_t j, Py_ssize_t at, double by)

@@ -192,6 +192,10 @@ class LineTracker(Model):
         """How many scans taught the map."""
         return self._scan
 
+    def table(self, m: Measurements, at: slice) -> Array:
+        """Return measured lines as one table (k, 7): r, psi, R as 00, 01, 11, and both ends."""
+        return self._scans.read(m, at.start, at.stop).rows()
+
     def rolled_since(self) -> tuple[float, float, float]:
         """Return how far the wheels rolled since the last scan that was used, x, y [m], theta [rad]."""
         return self._standing.since()

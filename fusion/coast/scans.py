@@ -23,16 +23,15 @@ from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.linemap.association import AMBIGUOUS, LONE, LONGEST, OVERLAP, ZONE
 from locfuse.fusion.linemap.line_map import WALL
 from locfuse.fusion.linemap.pairing import MAX_PAIR_ANGLE_RAD, MAX_PAIR_OFFSET_M, PAIR, PAIR_SIGMAS
-from locfuse.fusion.linemap.scan import Passed
+from locfuse.fusion.linemap.scan import BLOCK, Passed
 from locfuse.fusion.linemap.standing import MAX_ROLLED_M, MAX_TURNED_RAD
 from locfuse.fusion.linemap.tidy import APART, DOUBLE_ANGLE, DOUBLE_OFFSET, MIN_HITS, TIDY_EVERY, TRIAL_SCANS
-from locfuse.fusion.lines.extract import LINE, rows_of
+from locfuse.fusion.lines.extract import LINE
 from locfuse.fusion.lines.flatness import bend
 from locfuse.fusion.recovery.guard import MIN_MATCHED_SHARE, SCANS, WELL
 from locfuse.fusion.sensor import Table
 
 TRIED = 3  # rows that are written beside those that wait: of a reading of two, and of its place
-BLOCK = 4096  # lines that become one table at a time: an hour of them need not be there at once
 
 
 class AtOnce:
@@ -92,7 +91,7 @@ class AtOnce:
         end = int(np.searchsorted(first, first[i] + BLOCK, "right")) - 1
         self._begin, self._end = i, min(max(end, i + 1), n)
         self._first = first[i : self._end + 1] - first[i]
-        at, scans, lines = slice(first[i], first[self._end]), self._end - i, int(self._first[-1])
+        at, scans, lines = slice(int(first[i]), int(first[self._end])), self._end - i, int(self._first[-1])
         shared = self.of.joint and "shared" in m.extra
         of_shared = m.extra["shared"][at] if shared else np.zeros((0, 2, 0))
         verdict, landmark = np.zeros(lines, np.intp), np.zeros(lines, np.intp)
@@ -104,7 +103,7 @@ class AtOnce:
             np.zeros((scans, 9)),
         )
         self._scans = self._core.Scans(
-            rows_of(m.z[at], m.covariances(at), m.extra["ends"][at]), self._first,
+            self.of.table(m, at), self._first,
             np.asarray(self._when[i : self._end], np.intp), scans, of_shared.astype(np.float64).ravel(),
             of_shared.shape[2], *self._written,
         )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import subprocess
 import sys
 
@@ -39,3 +40,23 @@ finally:
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_the_heap_keeps_pages_where_the_c_library_can(monkeypatch: pytest.MonkeyPatch) -> None:
+    set_to: dict[int, int] = {}
+
+    class GnuC:
+        def __init__(self, name: None) -> None:
+            self.mallopt = set_to.__setitem__
+
+    monkeypatch.setattr("ctypes.CDLL", GnuC)
+    memory.settle_heap()
+    assert set_to == {-3: 4 << 20, -1: 16 << 20}  # M_MMAP_THRESHOLD, M_TRIM_THRESHOLD of malloc.h
+    assert gc.get_threshold()[0] == memory.OBJECTS_PER_COLLECTION
+
+    class Other:
+        def __init__(self, name: None) -> None: ...
+
+    monkeypatch.setattr("ctypes.CDLL", Other)
+    memory.settle_heap()
+    memory.give_back()

@@ -192,12 +192,9 @@ def _rules(of: LineTracker, m: Measurements) -> dict[str, Any]:
 
 
 def desk(singles: int = 0, lines: int = 0, places: int = 0, free: int = 0, parts: int = 0) -> dict[str, Array]:
-    """Return room for a scan of so many lines, a map of so many places, a mount, and what else an instant has.
-
-    A heading has up to three states. A bearing's row stands beside those of `singles`, and some are tried.
-    """
-    own = singles + 1 + TRIED
-    m, columns = 2 * lines + 1 + own, 3 + free + 2 * lines + 3 + WIDE * own
+    """Return room for a scan of so many lines, a map of so many places, a mount, and so many rows of `singles`."""
+    own = singles + TRIED
+    m, columns = 2 * lines + own, 3 + free + 2 * lines + WIDE * own
     seated, walls = np.empty((lines, LINE)), np.empty((places, WALL + 2 * free))
     return {
         "raw": np.empty((lines, LINE)),

@@ -8,9 +8,8 @@ from math import atan2, cos, sin, sqrt
 
 from .filter import locate
 from .fit import folded
-from .singles import derive, say, state_of, variance, wait
+from .singles import JUDGED, derive, say, state_of, variance, wait
 
-POINTED = 5  # columns of what is told of a candidate: verdict, landmark, NIS, y, sigma
 RAY = 8  # the bearing, its derivatives by pose and mount, and the distance
 
 
@@ -62,7 +61,7 @@ def sight(b, g, i, d):
         return least
     best = choose(g.told, g.first[i], g.first[i + 1], g.gate, g.margin, g.refused, g.ambiguous, g.unmatched)
     if g.told[best, 0] == 0.0:
-        say(d, k, g.told[best, 3], g.r[best] + more, 0.0, False)
+        say(d, k, g.told[best, JUDGED], g.r[best] + more, 0.0, False)
         wait(d, 1, states)
     return 1.0
 
@@ -74,8 +73,9 @@ def judge_each(g, i, predicted, variance, more):
         none = S - S  # 0, or NaN of a variance that is no number
         if none == 0.0 and not S > 0.0:
             return S
-        g.told[row, 3] = folded(y)
-        g.told[row, 2], g.told[row, 4] = g.told[row, 3] * g.told[row, 3] / S + none, sqrt(S)
+        y = folded(y)
+        g.told[row, 2], g.told[row, 3] = y * y / S + none, g.gate
+        g.told[row, JUDGED], g.told[row, JUDGED + 1] = y, sqrt(S)
     return 1.0
 
 

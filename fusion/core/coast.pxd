@@ -1,4 +1,4 @@
-cdef Py_ssize_t HEARD, DONE, BEFORE, AFTER
+cdef Py_ssize_t DONE, BEFORE, AFTER
 cdef double FINE
 
 cpdef double coast(

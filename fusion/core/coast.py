@@ -11,11 +11,10 @@ from .fit import folded
 from .fixes import locate_fix
 from .scans import MATCHED, NOTHING, columns_of, look, state, teach
 from .sightings import detect, unknown
-from .singles import add_singles, make_room, note_fit
+from .singles import JUDGED, add_singles, make_room, note_fit
 from .turns import begin_turn, turned
 
 FINE = 1.0  # returned where no correction failed: only its sign is read
-HEARD = 4  # columns of what is told of a reading: verdict, NIS, y, sigma
 DONE, BEFORE, AFTER = (
     0,
     1,
@@ -115,17 +114,17 @@ def turn(b, h, i, d):
         y -= b.x[h.at[j]]
         d.H[0, j] = 1.0
     d.y[0], d.R[0, 0], none = folded(y), h.r[i], h.r[i] - h.r[i]
-    h.told[i, 0] = 0.0 if h.usable[i] else h.unused
-    h.told[i, 2] = d.y[0]
+    h.told[i, 0], h.told[i, 3] = 0.0 if h.usable[i] else h.unused, h.gate
+    h.told[i, JUDGED] = d.y[0]
     if none != 0.0:  # a variance that is no number, or infinite
-        h.told[i, 1], h.told[i, 3] = none, h.r[i]
+        h.told[i, 2], h.told[i, JUDGED + 1] = none, h.r[i]
         if h.told[i, 0] == 0.0:
             h.told[i, 0] = h.refused
         return FINE
     greatest = whiten(b.P, b.n, h.at, h.states, d.H, d.R, d.y, 1, d.V)
     if greatest > 0.0:
-        h.told[i, 1], h.told[i, 3] = d.y[0] * d.y[0], d.R[0, 0]
-        if h.told[i, 0] == 0.0 and not h.told[i, 1] <= h.gate:
+        h.told[i, 2], h.told[i, JUDGED + 1] = d.y[0] * d.y[0], d.R[0, 0]
+        if h.told[i, 0] == 0.0 and not h.told[i, 2] <= h.gate:
             h.told[i, 0] = h.refused
         if h.told[i, 0] == 0.0:
             h.taken = i
@@ -161,7 +160,7 @@ def add_heading(h, i, d, m, width):
     make_room(d, m, width, h.states)
     for j in range(h.states):
         d.at[width + j], d.H[m, width + j] = h.at[j], 1.0
-    d.y[m], d.R[m, m] = h.told[i, 2], h.r[i]
+    d.y[m], d.R[m, m] = h.told[i, JUDGED], h.r[i]
 
 
 def correct_in_frame(x, P, n, frame, V, e, m):

@@ -2,7 +2,6 @@ from .arrays import Floats, Matrix, Wholes
 from .tables import Belief, Desk, Headings, Notes, Progress, Readings, Rules, Scans, Seat, Walls, Way, Wheels
 
 FINE: float
-HEARD: int
 DONE: int
 BEFORE: int
 AFTER: int

@@ -144,8 +144,9 @@ class Headings:
     """Headings, `readings` of them: i at instant when[i] is z[i] [rad] of variance r[i].
 
     What is predicted is `offset` and the sum of the states `at` (states,). Where a heading is not `usable`, or
-    beyond `gate`, it corrects nothing. Written is told (readings, 4), with the verdict 0, `refused` or `unused`.
-    The next to come is `due`, and `taken` the one of this instant that corrects, else -1.
+    beyond `gate`, it corrects nothing. Written is told (readings, 6: verdict, landmark, NIS, threshold, y, sigma),
+    with the verdict 0, `refused` or `unused`. The next to come is `due`, and `taken` the one of this instant that
+    corrects, else -1.
     """
 
     def __init__(self, when, z, r, usable, gate, refused, unused, offset, at, states, told, readings, due, taken):
@@ -158,9 +159,9 @@ class Headings:
 class Bearings:
     """Bearings of the point (x, y) [m, map frame], seen in `readings` pictures: i at instant when[i].
 
-    Its candidates, first[i] until first[i + 1], are z [rad] of variance r. Written is told (k, 5: verdict,
-    landmark, NIS, y, sigma); `gate` to `unmatched` are those of `bearings.choose`. The camera sits as `seat` says,
-    and nearer than `nearest` [m] it is inside the point. The next to come is picture `due`.
+    Its candidates, first[i] until first[i + 1], are z [rad] of variance r. Written is told (k, 6: verdict,
+    landmark, NIS, threshold, y, sigma); `gate` to `unmatched` are those of `bearings.choose`. The camera sits as
+    `seat` says, and nearer than `nearest` [m] it is inside the point. The next to come is picture `due`.
     """
 
     def __init__(

@@ -14,7 +14,7 @@ from locfuse.fusion.data import Audit, Drive
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.sensor import UNTOLD, Columns, Innovation, Model
 
-KINDS = ("headings", "bearings", "echoes", "fixes", "turns", "sightings")
+KINDS = ("headings", "bearings", "echoes", "fixes", "turns", "sightings", "poses", "twists")
 
 
 class ColumnRecord:
@@ -115,4 +115,6 @@ def no_singles() -> dict[str, Any]:
             wholes, wholes, rows, rows, 1, wholes, wholes, rows, wholes, False, *(0.0,) * 5, -1, -1, *(0.0,) * 3,
             rows, rows, rows, *none,
         ),
+        "poses": core.Poses(wholes, rows, rows, wholes, rows, False, -1, *(0.0,) * 7, 0, 0, 0),
+        "twists": core.Twists(wholes, rows, rows, numbers, rows, -1, *(0.0,) * 5, 0, 0, 0),
     }  # fmt: skip

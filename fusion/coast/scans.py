@@ -16,8 +16,10 @@ from locfuse.fusion.core import match, tables
 from locfuse.fusion.core.bearings import RAY
 from locfuse.fusion.core.echoes import ECHO
 from locfuse.fusion.core.fixes import FIX
+from locfuse.fusion.core.poses import SEEN_FROM
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.core.singles import WIDE
+from locfuse.fusion.core.twists import CHORD
 from locfuse.fusion.data import Array, Ints, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.linemap.association import AMBIGUOUS, LONE, LONGEST, OVERLAP, ZONE
@@ -225,15 +227,18 @@ def desk(singles: int = 0, lines: int = 0, places: int = 0, free: int = 0, parts
         "own_at": np.empty((own, WIDE), np.intp),
         "own_H": np.empty((own, WIDE)),
         "own_y": np.empty(own),
-        "own_R": np.empty((own, 2)),
+        "own_R": np.empty((own, 3)),
         "own_states": np.empty(own, np.intp),
         "follows": np.empty(own, np.intp),
-        "S": np.empty((2, 2)),
-        "e": np.empty(2),
+        "S": np.empty((3, 3)),
+        "e": np.empty(3),
         "tie": np.empty(4),
         "fix": np.empty(FIX),
         "echo": np.empty(ECHO),
         "by": np.empty(3),
+        "noise": np.empty(6),
+        "apart": np.empty(SEEN_FROM),
+        "chord": np.empty(CHORD),
     }
 
 

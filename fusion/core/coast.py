@@ -6,15 +6,16 @@ with a new line.
 
 from .bearings import sight
 from .echoes import hear
-from .filter import AT_ONCE, correct, locate, move, swing, whiten
+from .filter import AT_ONCE, FINE, correct, locate, move, swing, whiten
 from .fit import folded
 from .fixes import locate_fix
+from .poses import begin_pose, posed
 from .scans import MATCHED, NOTHING, columns_of, look, state, teach
 from .sightings import detect, unknown
 from .singles import JUDGED, add_singles, make_room, note_fit
 from .turns import begin_turn, turned
+from .twists import begin_way, driven
 
-FINE = 1.0  # returned where no correction failed: only its sign is read
 DONE, BEFORE, AFTER = (
     0,
     1,
@@ -43,7 +44,7 @@ def coast(b, m, r, s, w, seat, rule, way, d, notes, progress, last):
                 return FINE
             progress.scan += 1
         d.singles = 0
-        accepted, turn_due = 0, is_due(r.turns.when, r.turns.due, r.turns.readings, k)
+        accepted = 0
         greatest = compare(b, r, w, d, k)
         if greatest > 0.0 and kind == MATCHED:
             accepted = state(b, s, scan, w, seat, rule, d)
@@ -51,8 +52,7 @@ def coast(b, m, r, s, w, seat, rule, way, d, notes, progress, last):
             greatest = correct_by(b, s, scan, accepted, r.headings, r.whole, seat, rule, d)
         if not greatest > 0.0:
             return greatest
-        if turn_due:
-            begin_turn(b, r.turns, r.turns.due - 1)
+        keep(b, r, k, d)
         if kind == MATCHED and teach(b, s, scan, w, rule, way, progress, d):
             progress.why = AFTER
             return FINE
@@ -66,6 +66,16 @@ def coast(b, m, r, s, w, seat, rule, way, d, notes, progress, last):
 def is_due(when, due, readings, k):
     """Tell whether reading `due` of so many `readings` belongs to instant k."""
     return due < readings and when[due] == k
+
+
+def keep(b, r, k, d):
+    """Keep heading and pose of instant k, from which the next reading of some sensors counts."""
+    if r.turns.due > 0 and r.turns.when[r.turns.due - 1] == k:
+        begin_turn(b, r.turns, r.turns.due - 1)
+    if r.poses.due > 0 and r.poses.when[r.poses.due - 1] == k:
+        begin_pose(b, r.poses, r.poses.due - 1, d)
+    if r.twists.due > 0 and r.twists.when[r.twists.due - 1] == k:
+        begin_way(b, r.twists, r.twists.due - 1)
 
 
 def roll(b, m, progress, k):
@@ -104,6 +114,12 @@ def compare(b, r, w, d, k):
     if greatest > 0.0 and is_due(r.sightings.when, r.sightings.due, r.sightings.readings, k):
         greatest = detect(b, r.sightings, r.sightings.due, r.whole, d)
         r.sightings.due += 1
+    if greatest > 0.0 and is_due(r.poses.when, r.poses.due, r.poses.readings, k):
+        greatest = posed(b, r.poses, r.poses.due, d)
+        r.poses.due += 1
+    if greatest > 0.0 and is_due(r.twists.when, r.twists.due, r.twists.readings, k):
+        greatest = driven(b, r.twists, r.twists.due, d)
+        r.twists.due += 1
     return greatest
 
 

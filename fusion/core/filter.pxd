@@ -1,4 +1,5 @@
 cdef Py_ssize_t AT_ONCE
+cdef double FINE
 
 cpdef void move(
     double[::1] x, double[:, ::1] P, Py_ssize_t n, double ux, double uy, double turn, double qxx, double qxy,
@@ -25,3 +26,4 @@ cpdef Py_ssize_t by_local(
 cpdef double bent(double tt)
 cpdef void swing(double[:, ::1] P, Py_ssize_t n, Py_ssize_t first, double dx, double dy)
 cpdef void keep_heading(double[::1] x, double[:, ::1] P, Py_ssize_t n, Py_ssize_t column, double behind)
+cpdef void keep_pose(double[::1] x, double[:, ::1] P, Py_ssize_t n, Py_ssize_t column)

@@ -35,6 +35,8 @@ SOURCES = (
     "fixes",
     "turns",
     "sightings",
+    "poses",
+    "twists",
     "coast",
 )  # compiled as one unit: a file uses those before it
 COMPILED = "compiled"  # the extension's name, beside the sources

@@ -87,7 +87,7 @@ class Desk:
     def __init__(
         self, raw, seated, rows, wall_rows, walls, mount, place, offset, pose, triangle, seen, pairs, fate, order,
         shared, at, H, G, R, y, V, loose, missing, located, ray, chain, own_at, own_H, own_y, own_R, own_states,
-        follows, S, e, tie, fix, echo, by, singles=0,
+        follows, S, e, tie, fix, echo, by, noise, apart, chord, singles=0,
     ):  # fmt: skip
         self.raw, self.seated, self.rows, self.wall_rows, self.walls = raw, seated, rows, wall_rows, walls
         self.mount, self.place, self.offset, self.pose, self.triangle = mount, place, offset, pose, triangle
@@ -97,7 +97,8 @@ class Desk:
         self.located, self.ray, self.chain = located, ray, chain
         self.own_at, self.own_H, self.own_y, self.own_R = own_at, own_H, own_y, own_R
         self.own_states, self.follows, self.S, self.e = own_states, follows, S, e
-        self.tie, self.fix, self.echo, self.by, self.singles = tie, fix, echo, by, singles
+        self.tie, self.fix, self.echo, self.by = tie, fix, echo, by
+        self.noise, self.apart, self.chord, self.singles = noise, apart, chord, singles
 
 
 class Progress:
@@ -250,12 +251,51 @@ class Sightings:
         self.readings, self.due = readings, due
 
 
+class Poses:
+    """Poses z (k, 3) that somebody estimated, of covariance R (k, 6: 00, 01, 02, 11, 12, 22).
+
+    They are `in_map`, or count from the pose of reading `last`, at which the states from column `at_kept` on keep
+    the robot's own. One of a frame that `drifts` (k,) has the noise of `poses.way_noise`. Written is told (k, 10:
+    verdict, landmark, NIS, threshold, y (3), sigma (3)).
+    """
+
+    def __init__(
+        self, when, z, R, drifts, told, in_map, at_kept, by_way, turn_by_way, arm, floor, turn_floor, gate,
+        refused, last, readings, due,
+    ):  # fmt: skip
+        self.when, self.z, self.R, self.drifts, self.told = when, z, R, drifts, told
+        self.in_map, self.at_kept = in_map, at_kept
+        self.by_way, self.turn_by_way, self.arm = by_way, turn_by_way, arm
+        self.floor, self.turn_floor = floor, turn_floor
+        self.gate, self.refused, self.last = gate, refused, last
+        self.readings, self.due = readings, due
+
+
+class Twists:
+    """Way [m] and turn [rad] z (k, 2) until each reading, and their variance (k, 2), by a source of speeds.
+
+    There is no gap where `piece` is the same. Its noise is also `by_scale` of way and turn squared, and a floor.
+    The pose of reading `last` is kept by the states from column `at_kept` on. Written is told (k, 8: verdict,
+    landmark, NIS, threshold, y (2), sigma (2)).
+    """
+
+    def __init__(
+        self, when, z, variance, piece, told, at_kept, by_scale, floor, turn_floor, gate, refused, last, readings,
+        due,
+    ):  # fmt: skip
+        self.when, self.z, self.variance, self.piece, self.told = when, z, variance, piece, told
+        self.at_kept, self.by_scale, self.floor, self.turn_floor = at_kept, by_scale, floor, turn_floor
+        self.gate, self.refused, self.last = gate, refused, last
+        self.readings, self.due = readings, due
+
+
 class Readings:
     """All single readings of a drive; how well several of one reading fit as a `whole` is noted, if asked."""
 
-    def __init__(self, headings, bearings, echoes, fixes, turns, sightings, whole):
-        self.headings, self.bearings, self.echoes = headings, bearings, echoes
-        self.fixes, self.turns, self.sightings, self.whole = fixes, turns, sightings, whole
+    def __init__(self, headings, bearings, echoes, fixes, turns, sightings, poses, twists, whole):
+        self.headings, self.bearings, self.echoes, self.fixes = headings, bearings, echoes, fixes
+        self.turns, self.sightings, self.poses, self.twists = turns, sightings, poses, twists
+        self.whole = whole
 
 
 class Window:

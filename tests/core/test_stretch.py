@@ -32,7 +32,8 @@ def headings(z: list[float], r: float, at: tuple[int, ...], when: tuple[int, ...
 def readings(h: Any) -> Any:
     """A drive's single readings: headings, nothing else."""
     none = table(readings=0, due=0, when=())
-    return table(headings=h, bearings=none, echoes=none, fixes=none, turns=none, sightings=none, whole=True)
+    others = ("bearings", "echoes", "fixes", "turns", "sightings", "poses", "twists")
+    return table(headings=h, **dict.fromkeys(others, none), whole=True)
 
 
 def desk(rows: int, columns: int) -> Any:

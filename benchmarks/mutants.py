@@ -61,6 +61,7 @@ TESTS: dict[str, tuple[str, ...]] = {  # the sharpest and fastest first
     "fusion/core/fixes.py": ("tests/core/test_singles.py", "tests/sensors/test_gps.py"),
     "fusion/core/turns.py": ("tests/core/test_singles.py", "tests/sensors/test_gyro.py"),
     "fusion/core/sightings.py": ("tests/core/test_singles.py", "tests/sensors/test_landmarks.py"),
+    "fusion/core/rests.py": ("tests/core/test_rests.py", "tests/linemap/test_standing.py"),
     "fusion/core/poses.py": ("tests/core/test_singles.py", "tests/sensors/test_pose.py"),
     "fusion/core/twists.py": ("tests/core/test_singles.py", "tests/sensors/test_pose.py"),
     "fusion/core/nees.py": ("tests/core/test_nees.py", "tests/judge/test_consistency.py"),

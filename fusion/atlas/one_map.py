@@ -224,6 +224,16 @@ class LineTracker(Model):
             seen = [(float(m.t[one.i]), partial(self._seen_before, one)) for one in last]
             self.guard.passed(poses, seen, None if well is None else (float(m.t[well]), self.map.next_id))
 
+    def rest(self, lines: int) -> Any:
+        """Return the scans of a robot at rest for the core, which takes those of up to so many lines."""
+        return self._standing.table(lines, REPEATED)
+
+    def rested(self, scans: int, pose: tuple[float, float, float]) -> None:
+        """Take in that so many scans only repeated what was seen, up to this pose."""
+        self._standing.repeated(scans)
+        if self.guard is not None:
+            self.guard.stood(pose)
+
     def _seen_before(self, one: Passed) -> Scan:
         scan = self._scans.read(one.of, *one.rows)
         return scan if self.mount is None else one.seated(scan)

@@ -125,6 +125,7 @@ class AtOnce:
             of.map.table(len(free)),
             self._core.Seat(told, np.array(free, np.intp), at, len(free)),
             self._rules,
+            of.rest(self._most),
             self._core.Way(**of.way()),
         )
 
@@ -133,7 +134,7 @@ class AtOnce:
         """How far the scans are, in the order of `core.scans.Progress` from the scan on."""
         return self._at, *self.of.rolled_since(), self.of.scans_taken, -1
 
-    def taken(self, way: Any, progress: Any) -> None:
+    def taken(self, rest: Any, way: Any, progress: Any) -> None:
         """Take back what the core did: the record, and what the tracker has to know of the last scans."""
         begin, a, b, of = self._begin, self._at, progress.scan, self.of
         self._now = b
@@ -145,7 +146,11 @@ class AtOnce:
             table = Table(row, verdict[at], landmark[at], of.gate, now[:, 0], now[:, 1:3], now[:, 3:])
             self.record.add_rows(np.repeat(when[a:b], np.diff(first[a : b + 1])), table)
             self.record.joint.extend(joint[a:b][joint[a:b, 1] > 0.0].ravel())
-        seen = a + np.flatnonzero(np.diff(first[a : b + 1]))
+        shown = a + np.flatnonzero(np.diff(first[a : b + 1]))
+        seen = shown[rest.taken :]  # those at rest come first
+        if rest.taken:
+            x, y, theta = sights[shown[rest.taken - 1], 6:].tolist()
+            of.rested(rest.taken, (x, y, theta))
         poses = sights[seen, :3], sights[seen, 6:]
         last = [Passed(self._m, begin + i, sights[i, :6]) for i in seen[-SCANS:].tolist()]
         of.passed(progress, way, poses, last, begin + progress.well if progress.well >= 0 else None)
@@ -251,5 +256,6 @@ def no_scans() -> tuple[Any, ...]:
         core.Walls(wholes, rows, numbers, numbers, *(wholes,) * 4, numbers, 0, 0, False),
         core.Seat(np.zeros(3), wholes, wholes, 0),
         core.Rules(*(0.0,) * 8, *(0,) * 3, False, 0.0, 0.0, False, False, *(0.0,) * 3, 1, 0, 0, *(0.0,) * 11),
+        core.Rest(rows, rows, wholes, 0, 0, 0.0, 0.0, 0, wholes, wholes, numbers, 0),
         core.Way(),
     )

@@ -87,7 +87,7 @@ class Stretches:
         track.n = reached = progress.instant
         self._left = reached if progress.why == interpreted.BEFORE else -1
         if taken is not None:
-            taken.taken(scans[-1], progress)
+            taken.taken(scans[-2], scans[-1], progress)
         self._singles.taken(first)
         predicted = reached + (progress.why != interpreted.DONE)
         rolled: list[float] = self._motions[first:predicted].sum(axis=0).tolist()

@@ -23,7 +23,7 @@ DONE, BEFORE, AFTER = (
 )  # why it stopped: all done; predicted, no more; all but the map's lessons and the note
 
 
-def coast(b, m, r, s, w, seat, rule, way, d, notes, progress, last):
+def coast(b, m, r, s, w, seat, rule, rest, way, d, notes, progress, last):
     """Predict (eq. 5-7) from the instant of `progress` until `last`, and correct by all that is due (eq. 10-12).
 
     `progress` says where and why this stopped. Returns what `whiten` does where a correction failed, else FINE.
@@ -38,7 +38,7 @@ def coast(b, m, r, s, w, seat, rule, way, d, notes, progress, last):
             return FINE
         scan, kind = progress.scan, NOTHING
         if scan < s.scans and s.when[scan] == k:
-            kind = look(b, s, scan, w, seat, rule, progress, d)
+            kind = look(b, s, scan, w, seat, rule, rest, progress, d)
             if kind < 0:
                 progress.why = BEFORE
                 return FINE
@@ -53,7 +53,7 @@ def coast(b, m, r, s, w, seat, rule, way, d, notes, progress, last):
         if not greatest > 0.0:
             return greatest
         keep(b, r, k, d)
-        if kind == MATCHED and teach(b, s, scan, w, rule, way, progress, d):
+        if kind != NOTHING and teach(b, s, scan, w, rule, rest, way, progress, d):
             progress.why = AFTER
             return FINE
         note(

@@ -1,5 +1,5 @@
 from .arrays import Floats, Matrix, Wholes
-from .tables import Belief, Desk, Headings, Notes, Progress, Readings, Rules, Scans, Seat, Walls, Way, Wheels
+from .tables import Belief, Desk, Headings, Notes, Progress, Readings, Rest, Rules, Scans, Seat, Walls, Way, Wheels
 
 DONE: int
 BEFORE: int
@@ -13,6 +13,7 @@ def coast(
     w: Walls,
     seat: Seat,
     rule: Rules,
+    rest: Rest,
     way: Way,
     d: Desk,
     notes: Notes,

@@ -28,6 +28,7 @@ SOURCES = (
     "tables",
     "intervals",
     "red",
+    "rests",
     "scans",
     "singles",
     "bearings",

@@ -16,6 +16,14 @@ cdef class Walls:
     cdef Py_ssize_t width, places
     cdef bint states
 
+cdef class Rest:
+    cdef double[:, ::1] lines, sums
+    cdef double[::1] least
+    cdef Py_ssize_t[::1] counts, same, best
+    cdef double near, share
+    cdef Py_ssize_t known, repeated
+    cdef public Py_ssize_t scans, taken
+
 cdef class Seat:
     cdef double[::1] told
     cdef Py_ssize_t[::1] which, at

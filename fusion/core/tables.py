@@ -37,6 +37,21 @@ class Walls:
         self.fixed, self.width, self.places, self.states = fixed, width, places, states
 
 
+class Rest:
+    """The scans of a robot at rest, so many `scans`; fewer than two where it drives.
+
+    `lines` (known, 4: r, psi, both ends) are those of the first and what others showed beside them, `sums` (known,
+    2) by how much `counts` (known,) of them were off since the last that counted. Lines are the same within the
+    squared distance `near` where a `share` of the longer is common. `repeated` is the verdict on scans that are
+    `taken`. Room: same (lines of a scan,), best and least (known,).
+    """
+
+    def __init__(self, lines, sums, counts, known, scans, near, share, repeated, same, best, least, taken):
+        self.lines, self.sums, self.counts, self.known, self.scans = lines, sums, counts, known, scans
+        self.near, self.share, self.repeated = near, share, repeated
+        self.same, self.best, self.least, self.taken = same, best, least, taken
+
+
 class Seat:
     """The laser's mount as it is configured (3,); of its `free` states which (of x, y, yaw), and their columns."""
 

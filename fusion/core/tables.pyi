@@ -63,6 +63,35 @@ class Walls:
         states: bool,
     ) -> None: ...
 
+class Rest:
+    lines: Matrix
+    sums: Matrix
+    counts: Wholes
+    known: int
+    scans: int
+    near: float
+    share: float
+    repeated: int
+    same: Wholes
+    best: Wholes
+    least: Floats
+    taken: int
+    def __init__(
+        self,
+        lines: Matrix,
+        sums: Matrix,
+        counts: Wholes,
+        known: int,
+        scans: int,
+        near: float,
+        share: float,
+        repeated: int,
+        same: Wholes,
+        best: Wholes,
+        least: Floats,
+        taken: int,
+    ) -> None: ...
+
 class Seat:
     told: Floats
     which: Wholes

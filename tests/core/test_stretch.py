@@ -159,7 +159,7 @@ def test_a_stretch_without_scans_is_the_textbooks_instant_by_instant_and_notes_e
     )  # fmt: skip
     progress: Any = table(instant=1, why=-1, scan=0, x=0.0, y=0.0, theta=0.0)
     none, no = table(scans=0), table()
-    assert core.coast(b, m, readings(h), none, no, table(free=0), no, no, d, notes, progress, n) > 0.0
+    assert core.coast(b, m, readings(h), none, no, table(free=0), no, no, no, d, notes, progress, n) > 0.0
     assert (progress.instant, progress.why) == (n, core.DONE)
     H, upper = np.eye(N)[[2]] + np.eye(N)[[OFFSET]], np.triu_indices(3)
     for k in range(1, n):
@@ -175,7 +175,7 @@ def test_a_stretch_without_scans_is_the_textbooks_instant_by_instant_and_notes_e
     assert not notes.pose[0].any()
     h.r[0] = -1.0  # a correction that fails says so
     progress.instant, h.due = 1, 0
-    assert not core.coast(b, m, readings(h), none, no, table(free=0), no, no, d, notes, progress, n) > 0.0
+    assert not core.coast(b, m, readings(h), none, no, table(free=0), no, no, no, d, notes, progress, n) > 0.0
 
 
 def test_scans_come_one_after_another_each_with_the_heading_of_its_instant(
@@ -215,6 +215,7 @@ def test_scans_come_one_after_another_each_with_the_heading_of_its_instant(
         table(),
         table(free=0),
         table(joint=True),
+        table(),
         table(),
         d,
         notes,

@@ -31,7 +31,7 @@ TESTS: dict[str, tuple[str, ...]] = {  # the sharpest and fastest first
     "fusion/ekf/belief_arrays.py": ("tests/ekf", "tests/atlas/test_anchors.py", "tests/fusion/test_fuse.py"),
     "fusion/ekf/rows.py": ("tests/ekf", "tests/linemap/test_association.py", "tests/fusion/test_fuse.py"),
     "fusion/wheels/motion.py": ("tests/wheels/test_motion.py", "tests/wheels/test_wheel_states.py"),
-    "fusion/wheels/rollover.py": ("tests/wheels/test_rollover.py", "tests/wheels/test_wheels.py"),
+    "fusion/wheels/repairs.py": ("tests/wheels/test_rollover.py", "tests/wheels/test_wheels.py"),
     "fusion/sensors/compass.py": (
         "tests/sensors/test_compass.py",
         "tests/sensors/test_contract.py",

@@ -424,6 +424,9 @@ class Sensor(ABC):
     several: ClassVar[bool] = False
     """All topics of its types are one sensor: a ring of sonars."""
 
+    several_frames: ClassVar[bool] = False
+    """All topics of one of its types are one sensor where each has a frame of its own: cameras of a robot."""
+
     in_blocks: ClassVar[bool] = False
     """Its readings are too big to be in memory at once."""
 

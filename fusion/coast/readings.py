@@ -112,8 +112,8 @@ def no_singles() -> dict[str, Any]:
             wholes, *(numbers,) * 3, rows, *(0.0,) * 3, -1, 0, *(0.0,) * 5, 0, 0, 0
         ),
         "sightings": core.Sightings(
-            wholes, wholes, rows, rows, 1, wholes, wholes, rows, wholes, False, *(0.0,) * 5, -1, -1, *(0.0,) * 3,
-            rows, rows, rows, *none,
+            wholes, wholes, rows, rows, 1, wholes, wholes, rows, wholes, False, rows, *(0.0,) * 2, -1, -1,
+            *(0.0,) * 3, rows, rows, rows, *none,
         ),
         "poses": core.Poses(wholes, rows, rows, wholes, rows, False, -1, *(0.0,) * 7, 0, 0, 0),
         "twists": core.Twists(wholes, rows, rows, numbers, rows, -1, *(0.0,) * 5, 0, 0, 0),

@@ -112,8 +112,8 @@ cdef class Turns:
 
 cdef class Sightings:
     cdef Py_ssize_t[::1] when, first, which, ids, columns
-    cdef double[:, ::1] z, R, places, told, joint, placed
-    cdef double x, y, yaw, offset, depth, sigma_bearing, sigma_range, most, gate, refused
+    cdef double[:, ::1] z, R, places, mounts, told, joint, placed
+    cdef double offset, depth, sigma_bearing, sigma_range, most, gate, refused
     cdef Py_ssize_t numbers, at_offset, at_depth, readings
     cdef bint made
     cdef public Py_ssize_t due

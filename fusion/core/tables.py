@@ -245,20 +245,20 @@ class Sightings:
     """Detections z (k, 1 or 2: bearing [rad], range [m]) of covariance R (k, 3), reading by reading.
 
     Row j shows landmark which[j] of those whose numbers are `ids` and which stand at `places` (l, 2) [m, map].
-    While they are `made`, they are the states `columns` (l,), of which -1 is none yet. The detector sits at x, y,
-    `yaw` on the base. Offset and depth of its ranges are states, or given where their column is -1. Written are
-    told (k, 4 + 2 numbers: verdict, landmark, NIS, threshold, y, sigma) and joint (n, 2: how well a reading fits
-    as a whole). Of landmarks whose places are known it is `placed` (k, 3), where a detection puts them and that
-    sigma, if the robot's own place is known to `most` [m].
+    While they are `made`, they are the states `columns` (l,), of which -1 is none yet. The detector of row j sits
+    at mounts[j] (k, 3: x, y, yaw) on the base. Offset and depth of its ranges are states, or given where their
+    column is -1. Written are told (k, 4 + 2 numbers: verdict, landmark, NIS, threshold, y, sigma) and joint (n, 2:
+    how well a reading fits as a whole). Of landmarks whose places are known it is `placed` (k, 3), where a
+    detection puts them and that sigma, if the robot's own place is known to `most` [m].
     """
 
     def __init__(
-        self, when, first, z, R, numbers, which, ids, places, columns, made, x, y, yaw, offset, depth, at_offset,
+        self, when, first, z, R, numbers, which, ids, places, columns, made, mounts, offset, depth, at_offset,
         at_depth, sigma_bearing, sigma_range, most, told, joint, placed, gate, refused, readings, due,
     ):  # fmt: skip
         self.when, self.first, self.z, self.R, self.numbers = when, first, z, R, numbers
         self.which, self.ids, self.places, self.columns, self.made = which, ids, places, columns, made
-        self.x, self.y, self.yaw = x, y, yaw
+        self.mounts = mounts
         self.offset, self.depth, self.at_offset, self.at_depth = offset, depth, at_offset, at_depth
         self.sigma_bearing, self.sigma_range, self.most = sigma_bearing, sigma_range, most
         self.told, self.joint, self.placed = told, joint, placed

@@ -531,9 +531,7 @@ class Sightings:
     places: Matrix
     columns: Wholes
     made: bool
-    x: float
-    y: float
-    yaw: float
+    mounts: Matrix
     offset: float
     depth: float
     at_offset: int
@@ -560,9 +558,7 @@ class Sightings:
         places: Matrix,
         columns: Wholes,
         made: bool,
-        x: float,
-        y: float,
-        yaw: float,
+        mounts: Matrix,
         offset: float,
         depth: float,
         at_offset: int,

@@ -46,6 +46,21 @@ def test_a_value_that_was_measured_again_is_told_once_with_its_last_value() -> N
     assert found["fixes"] == ["lrf.time_offset=-0.09"]
 
 
+def test_a_value_that_ends_far_from_the_first_is_told_with_what_was_found_last() -> None:
+    """Words of 0.15 m beside a fix of 0.003 m would contradict each other."""
+    steps = [
+        Advice(
+            Finding("gps", "overstated", f"noise is set too high: {a} m configured, {b} m observed"),
+            (f"gps.sigma={b}",),
+        )
+        for a, b in (("1.5", "0.15"), ("0.15", "0.015"), ("0.015", "0.003"))
+    ]
+    first, last = (step.finding.message for step in (steps[0], steps[-1]))
+    found = finding(*steps)
+    assert found["message"] == f"{first}; then {last}"
+    assert found["fixes"] == ["gps.sigma=0.003"]
+
+
 def test_what_has_no_fix_stands_beside_what_has_one() -> None:
     """Else the fix of one would seem to be that of both."""
     report: dict[str, Any] = {}

@@ -298,13 +298,15 @@ def test_a_turn_that_is_no_number_gives_no_chord(turn: float) -> None:
 
 # --- landmarks
 
+MOUNTS = ((0.2, -0.1, 0.3), (-0.15, 0.05, 2.0))  # of two cameras
+
 
 def sighted(z: Array, made: bool, offset: bool, depth: bool, **of: Any) -> Any:
     rows = len(z)
     return table(**{
         "first": [0, rows], "z": z, "R": np.tile([0.01, 0.002, 0.03], (rows, 1)), "numbers": z.shape[1],
         "which": list(range(rows)), "ids": [6, 9], "places": np.array([[4.0, 3.0], [-2.0, 3.5]]),
-        "columns": [FREE, FREE + 2] if made else [-1, -1], "made": made, "x": 0.2, "y": -0.1, "yaw": 0.3,
+        "columns": [FREE, FREE + 2] if made else [-1, -1], "made": made, "mounts": np.array(MOUNTS[:rows]),
         "offset": 0.04, "depth": 0.25, "at_offset": FREE + 4 if offset else -1,
         "at_depth": FREE + 5 if depth else -1, "sigma_bearing": 0.02, "sigma_range": 0.1, "most": 100.0,
         "told": singles_told(z.shape[1], rows), "joint": np.zeros((1, 2)), "placed": np.full((rows, 3), np.nan),
@@ -316,9 +318,10 @@ def range_and_bearing(x: Array, g: Any, row: int, frame: int, seen: float) -> Ar
     """Written from the textbook; `seen` is the bearing that was measured."""
     pose = x[:3] if g.made else in_map(x, frame)
     place = x[g.columns[row] : g.columns[row] + 2] if g.made else g.places[row]
-    detector = pose[:2] + turned(pose[2]) @ [g.x, g.y]
+    lever_x, lever_y, yaw = g.mounts[row]
+    detector = pose[:2] + turned(pose[2]) @ [lever_x, lever_y]
     away = place - detector
-    angle = math.atan2(away[1], away[0]) - pose[2] - g.yaw
+    angle = math.atan2(away[1], away[0]) - pose[2] - yaw
     offset = x[g.at_offset] if g.at_offset >= 0 else g.offset
     depth = x[g.at_depth] if g.at_depth >= 0 else g.depth
     share = 1.0 - depth * (1.0 - math.cos(seen))
@@ -360,7 +363,7 @@ def by_position(x: Array, g: Any, frame: int) -> Array:
 
     def held(y: Array) -> Array:
         pose, now = in_map(x, frame), in_map(y, frame)
-        away = g.places[0] - now[:2] - turned(pose[2]) @ [g.x, g.y]
+        away = g.places[0] - now[:2] - turned(pose[2]) @ g.mounts[0, :2]
         return np.array([math.atan2(away[1], away[0])])
 
     return np.asarray(numeric_jacobian(held, x)[0])
@@ -419,7 +422,7 @@ def test_a_landmark_that_is_no_state_yet_is_left_to_the_loop() -> None:
 
 def test_a_detector_on_its_landmark_says_nothing() -> None:
     b, d = believed(9), desk()
-    g = sighted(np.array([[0.4, 2.0]]), False, False, False, x=0.0, y=0.0)
+    g = sighted(np.array([[0.4, 2.0]]), False, False, False, mounts=np.zeros((1, 3)))
     g.places[0] = b.x[:2]
     assert sightings.detect(b, g, 0, False, d) > 0.0
     assert np.isnan(g.told).all()

@@ -10,7 +10,7 @@ from locfuse.formats.robot import robot_toml
 from locfuse.fusion.advice.score import Score
 from locfuse.fusion.advice.search import Advice, together
 
-from .evaluator import Advised
+from .advised import Advised
 
 FIXES_FILE = "fixes.toml"
 MAX_REFINED_SHARE = 0.2  # of a value: a larger change between two fixes is not the same measured better

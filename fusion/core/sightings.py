@@ -6,7 +6,7 @@ range = |d| (1 - k (1 - cos b)) + offset + noise with b as it was measured, d fr
 from math import cos, sin, sqrt
 
 from .bearings import bearing
-from .filter import locate
+from .filter import FINE, locate
 from .fit import folded
 from .singles import derive, fit_of, say, settle, state_of, variance, weigh
 
@@ -58,7 +58,7 @@ def detect(b, g, i, whole, d):
 
     How well they fit as a `whole` is noted, where that is asked.
     """
-    before, accepted, greatest = d.singles, 0, 1.0
+    before, accepted, greatest = d.singles, 0, FINE
     locate(b.x, b.P, b.frame, d.located)
     for row in range(g.first[i], g.first[i + 1]):
         n = d.singles
@@ -84,11 +84,11 @@ def detect_one(b, g, row, d):
     d.place[0], d.place[1], d.place[2] = x, y, theta
     lever_x, lever_y = g.mounts[row, 0], g.mounts[row, 1]
     if not bearing(d.place, to_x, to_y, lever_x, lever_y, g.mounts[row, 2], TOUCHING, d.ray):
-        return 1.0
+        return FINE
     states = derive(b, local, d.ray[1], d.ray[2], 0.0, k, d)
     bend = variance(b.P, d, k, states)  # not linear in the position: second-order (sigma of it / distance)^4
     states = derive(b, local, d.ray[1], d.ray[2], d.ray[3], k, d)
-    say(d, k, folded(g.z[row, 0] - d.ray[0]), g.R[row, 0] + bend * bend, 0.0, False)
+    say(d, k, folded(g.z[row, 0] - d.ray[0]), g.R[row, 0] + bend * bend, 0.0, 0)
     if g.numbers > 1:
         offset = b.x[g.at_offset] if g.at_offset >= 0 else g.offset
         depth = b.x[g.at_depth] if g.at_depth >= 0 else g.depth
@@ -96,7 +96,7 @@ def detect_one(b, g, row, d):
         share = share_of(depth, short)
         by_range(d.ray, lever_x, lever_y, share, d.by)
         derive(b, local, d.by[0], d.by[1], d.by[2], k + 1, d)
-        say(d, k + 1, g.z[row, 1] - share * d.ray[7] - offset, g.R[row, 2], g.R[row, 1], True)
+        say(d, k + 1, g.z[row, 1] - share * d.ray[7] - offset, g.R[row, 2], g.R[row, 1], 1)
         states = add_states(g, mark, short, states, k, d)
         distance = (g.z[row, 1] - offset) / share
         if not g.made:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from locfuse.cli.advice.evaluator import Advised
+from locfuse.cli.advice.advised import Advised
 from locfuse.cli.advice.validity import add_validity
 from locfuse.cli.advice.values import add_findings
 from locfuse.formats.tables.findings import sentence

@@ -16,7 +16,7 @@ import numpy as np
 from locfuse.cli.pipeline.compare import Compared
 from locfuse.cli.pipeline.load import Loaded
 from locfuse.cli.pipeline.trust import overconfident, sensors_consistency
-from locfuse.fusion.advice.probes import of_mount, of_offsets, of_probe, of_scale, probe_of
+from locfuse.fusion.advice.probes import beyond_prior, of_mount, of_offsets, of_probe, of_scale, probe_of
 from locfuse.fusion.advice.search import Candidate, Fixes
 from locfuse.fusion.advice.slip import Slip, slip
 from locfuse.fusion.data import Estimates, Truth
@@ -53,6 +53,7 @@ FINE = {"consistent", "unclear"}  # verdicts on a sensor that are no complaint
 
 
 Offer = tuple[Finding, tuple[Fixes, ...]]  # no observation, only settings that may help
+Key = tuple[str, str]  # role and code of a finding
 
 
 class Evidence:
@@ -81,6 +82,7 @@ class Evidence:
             or self._lags()
             or self._worse_than_odometry()
             or bool(self._mounts_found)
+            or bool(self._beyond_prior)
         )
         return (
             seen
@@ -113,8 +115,9 @@ class Evidence:
         offers = [*self._late, *self._late_wheels(), *pictures]
         by_truth = self.loaded.drive.truth is not None
         seen = [f for f in self.doctor if f.code == CLOCK]
+        named = {(f.role, f.code) for f in seen}
         measured = {("wheels", CLOCK), *((f.role, f.code) for f, _ in self._late if by_truth)}
-        found = self._candidates(seen, offers, measured | {(f.role, f.code) for f in seen})
+        found = self._candidates(seen, offers, named, named | measured)
         found = [replace(c, by_shape=by_truth and c.finding.role == LASER) for c in found]
         sensors = tuple(self.loaded.drive.measurements)
         found = [replace(c, rivals=sensors) if c.finding.role == "wheels" else c for c in found]
@@ -129,27 +132,31 @@ class Evidence:
         offers = [(f, (f.fixes,)) for f in found]
         # a state's sigma is evidence only where the run is consistent, or less sure than it could be
         measured = {(f.role, f.code) for f in found if self._verdict(f.role) in {*FINE, "overstated"}}
-        measured.add(("wheels", WHEEL_SCALE))  # by the truth's own distances
-        return self._candidates([f for f in self.doctor if f.code != CLOCK], offers, measured)
+        by_truth = {("wheels", WHEEL_SCALE)}  # the truth's own distances
+        return self._candidates([f for f in self.doctor if f.code != CLOCK], offers, by_truth, measured)
 
     def _candidates(
-        self, seen: Sequence[Finding], offers: Sequence[Offer], measured: Collection[tuple[str, str]]
+        self,
+        seen: Sequence[Finding],
+        offers: Sequence[Offer],
+        by_measuring: Collection[Key],
+        by_offers: Collection[Key],
     ) -> list[Candidate]:
-        """Return candidates; a sensor that no run can use as it is (its readings are refused) has no judge."""
+        """Return candidates; a sensor that no run can use as it is (its readings are refused) has no judge.
+
+        `by_measuring` names those of `seen` whose value the drive shows beyond chance, `by_offers` of `offers`.
+        """
         seen = [self._decided(f) for f in seen]
         known = {(f.role, f.code) for f in seen}
-        sharper = {(f.role, f.code): tries[:1] for f, tries in offers}  # beside what measuring shows of the same
-        offered = [self._candidate(f, tries, True) for f, tries in offers if (f.role, f.code) not in known]
+        judged = [f for f in seen if (f.fixes or f.code == OPEN_SCALE) and self.judges(f.role)]
+        coarse = [self._candidate(f, _ways(f), not f.severe) for f in judged]
+        # of what measuring shows too, the value itself: it is tried beside that
+        sharper = [
+            self._candidate(f, tries[:1] if (f.role, f.code) in known else tries, True) for f, tries in offers
+        ]
         return [
-            replace(c, measured=(c.finding.role, c.finding.code) in measured)
-            for c in (
-                *(
-                    self._candidate(f, (*_ways(f), *sharper.get((f.role, f.code), ())), not f.severe)
-                    for f in seen
-                    if (f.fixes or f.code == OPEN_SCALE) and self.judges(f.role)
-                ),
-                *offered,
-            )
+            *(replace(c, measured=c.key in by_measuring) for c in coarse),
+            *(replace(c, measured=c.key in by_offers) for c in sharper),
         ]
 
     @property
@@ -183,9 +190,11 @@ class Evidence:
         drive = self.loaded.drive
         if drive.truth is not None and drive.truth.theta is not None:
             return list(self._late_by_truth(self._lags_by_truth()))
-        by_runs = list(self._late_by_runs())
-        named = {finding.role for finding, _ in by_runs}
-        return [*by_runs, *(offer for offer in self._late_by_wheels() if offer[0].role not in named)]
+        found: list[Offer] = []
+        for offers in (self._late_by_runs(), self._late_by_each_other(), self._late_by_wheels()):
+            named = {finding.role for finding, _ in found}
+            found += (offer for offer in offers if offer[0].role not in named)
+        return found
 
     def _lags_by_truth(self) -> dict[str, Lag]:
         """Return lags against the truth's headings; the laser's by its own run, where that tells it better.
@@ -243,6 +252,21 @@ class Evidence:
             lag = lags_by_truth(self.loaded.drive, truth).get(sensor)
             if lag is not None and abs(lag.offset) >= max(MIN_LAG_S, MIN_LAG_SIGMAS * lag.sigma):
                 yield from self._shifted(sensor, lag, f"the headings of {run.name}")
+
+    def _late_by_each_other(self) -> Iterator[Offer]:
+        """Yield the lag between the run of one sensor and another's headings, as either one's: one of them is off.
+
+        It is sharper than any against the wheels, which slip, and does not say whose it is. That is tried.
+        """
+        for e in self.compared.estimates:
+            if e.sensors != (LASER,) or e.smoothed or e.lost:
+                continue  # of no other sensor does a run go by its clock alone
+            truth = Truth("", e.t, e.pose[:, :2], e.pose[:, 2])
+            for sensor, lag in lags_by_truth(self.loaded.drive, truth).items():
+                if sensor != LASER and abs(lag.offset) >= max(MIN_SUSPICIOUS_LAG_S, SAID_SIGMAS * lag.sigma):
+                    yield from self._shifted(sensor, lag, f"the headings of {e.name}")
+                    other = lag._replace(offset=-lag.offset)
+                    yield from self._shifted(LASER, other, f"the headings of {sensor}")
 
     def _was_set(self, role: str, key: str) -> bool:
         """Return whether a fix that was kept sets this."""
@@ -324,7 +348,9 @@ class Evidence:
         drive, robot = self.loaded.drive, self.loaded.robot
         for sensor in filter(self._using, drive.measurements):
             probe = probe_of(robot, sensor)
-            if not probe or not REGISTRY[sensor].placed or not self._complained(sensor):
+            if not probe or not REGISTRY[sensor].placed:
+                continue
+            if not self._complained(sensor) and sensor not in self._beyond_prior:
                 continue
             probed = self.trial.under((*self.fixes, *probe))
             run = None if probed is None else self.trial.fused(probed, self._alone(sensor))
@@ -340,6 +366,14 @@ class Evidence:
             if len(e.sensors) == 1 and not e.smoothed and not e.lost
             for finding in of_mount(self.loaded.robot, e.sensors[0], e, self.loaded.drive.truth is not None)
         ]
+
+    @cached_property
+    def _beyond_prior(self) -> set[str]:
+        """Sensors whose mount is a state already that the drive finds further off than its prior allows."""
+        if self.loaded.drive.truth is not None:
+            return set()  # the truth judges what the state says
+        alone = (e for e in self.compared.estimates if len(e.sensors) == 1 and not e.smoothed and not e.lost)
+        return {e.sensors[0] for e in alone if beyond_prior(self.loaded.robot, e.sensors[0], e)}
 
     def _scaled(self) -> Iterator[Finding]:
         """Yield the laser's range scale by the size of its own run, once no clock or mount is wrong."""
@@ -459,10 +493,11 @@ class Evidence:
     def _slips_unusually(self) -> bool:
         """Whether the wheels slip more than configured, or clearly less.
 
-        Less is only believed where truth judges it: wheels that hardly slip in most turns may slip far in a few.
+        Less is only believed where truth judges it or several sensors agree: wheels that hardly slip in most turns
+        may slip far in a few, and a laser's own turning is no evidence beside a run that goes by the same scans.
         """
-        found = self._slip
-        return found is not None and found.unusual and (found.factor > 1.0 or self.loaded.drive.truth is not None)
+        found, truth = self._slip, self.loaded.drive.truth
+        return found is not None and found.unusual and (found.factor > 1.0 or truth is not None or found.agreed)
 
     def _too_sure(self, sensor: str, verdict: Consistency) -> bool:
         """Whether truth shows that a filter which is to trust a sensor more trusts it too much already."""
@@ -478,7 +513,12 @@ class Evidence:
         return tuple(factor for factor in WHEEL_NOISE_FACTORS if (factor > 1.0) == (honest.anees > 1.0))
 
     def _by_anees(self, sensor: str) -> list[Fixes]:
-        """Return the sensor's noise scaled by what truth says of the run that uses it alone."""
+        """Return the sensor's noise scaled by what truth says of the run that uses it alone.
+
+        Not against what its residuals show: only a map that is built from the readings takes their errors along.
+        """
+        if sensor != LASER and self._verdict(sensor) == "consistent":
+            return []
         honest = self.honesty.get(self._alone(sensor))
         if honest is None or honest.consistent or honest.anees <= 0.0:
             return []
@@ -523,7 +563,9 @@ class Evidence:
         found = self._candidate(Finding("wheels", "noise", words), options, True)
         # odometry's one random walk tells no noise, and chance moves the others by as much
         judges = tuple(n for n in found.judges if n not in found.minor and n != ODOMETRY)
-        return replace(found, judges=judges, measured=measured)
+        # wheels that hardly slipped where this could be seen may slip far elsewhere: less has to gain something
+        more = any(factor > 1.0 for factor in factors)
+        return replace(found, judges=judges, measured=measured and (more or self.loaded.drive.truth is not None))
 
     # ---- configurations that judge ----
 

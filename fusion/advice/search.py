@@ -33,6 +33,11 @@ class Candidate:
     rivals: tuple[str, ...] = ()  # roles whose fixes explain the same: beside one of them, look again first
     by_shape: bool = False  # may be judged by the path's shape: nobody observes where its map lies, that is chance
 
+    @property
+    def key(self) -> tuple[str, str]:
+        """Role and code of the finding."""
+        return self.finding.role, self.finding.code
+
 
 @dataclass(frozen=True)
 class Advice:

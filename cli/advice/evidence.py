@@ -17,7 +17,7 @@ from locfuse.cli.pipeline.compare import Compared
 from locfuse.cli.pipeline.load import Loaded
 from locfuse.cli.pipeline.trust import overconfident, sensors_consistency
 from locfuse.fusion.advice.probes import beyond_prior, of_mount, of_offsets, of_probe, of_scale, probe_of
-from locfuse.fusion.advice.search import Candidate, Fixes
+from locfuse.fusion.advice.search import Candidate, Fixes, together
 from locfuse.fusion.advice.slip import Slip, slip
 from locfuse.fusion.data import Estimates, Truth
 from locfuse.fusion.doctor.clocks import clock_lags, lag_of_run, lags_by_truth
@@ -30,7 +30,8 @@ from locfuse.fusion.doctor.truth import WHEEL_SCALE
 from locfuse.fusion.judge.consistency import Consistency
 from locfuse.fusion.judge.consistency import Evidence as Said
 from locfuse.fusion.judge.covariance import honesty
-from locfuse.fusion.judge.noise_verdicts import MAX_SIGMA_FACTOR, NoiseVerdict
+from locfuse.fusion.judge.innovations import heard
+from locfuse.fusion.judge.noise_verdicts import MAX_SIGMA_FACTOR, NoiseVerdict, biased_against
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .trial import Trial
@@ -149,7 +150,7 @@ class Evidence:
         seen = [self._decided(f) for f in seen]
         known = {(f.role, f.code) for f in seen}
         judged = [f for f in seen if (f.fixes or f.code == OPEN_SCALE) and self.judges(f.role)]
-        coarse = [self._candidate(f, _ways(f), not f.severe) for f in judged]
+        coarse = [self._candidate(f, (*_ways(f), *self._aimed(f)), not f.severe) for f in judged]
         # of what measuring shows too, the value itself: it is tried beside that
         sharper = [
             self._candidate(f, tries[:1] if (f.role, f.code) in known else tries, True) for f, tries in offers
@@ -158,6 +159,21 @@ class Evidence:
             *(replace(c, measured=c.key in by_measuring) for c in coarse),
             *(replace(c, measured=c.key in by_offers) for c in sharper),
         ]
+
+    def _aimed(self, finding: Finding) -> tuple[Fixes, ...]:
+        """Return the fix of mirrored pictures with their zero by the run of a sensor that nothing contradicts.
+
+        Measuring has it by the wheels alone, which a wrong track turns too far.
+        """
+        run = self._reference("camera") if (finding.role, finding.code) == ("camera", "mirrored") else None
+        loaded = None if run is None else self.trial.under(together(self.fixes, finding.fixes))
+        if run is None or loaded is None:
+            return ()
+        found = heard(loaded.drive, loaded.robot, run, "camera")
+        if found is None or found.bias is None:
+            return ()
+        cures = biased_against("camera", loaded.robot.settings("camera"), found).cures
+        return (together(finding.fixes, _set(cures)),)
 
     @property
     def _open_scale(self) -> bool:
@@ -236,7 +252,7 @@ class Evidence:
             side = "late" if lag.offset > 0.0 else "early"
             words = f"stamps look {abs(lag.offset):.3f} s {side} against the sensors (1 sigma {lag.sigma:.3f} s)"
             offset = self.loaded.robot.truth.time_offset - lag.offset
-            yield Finding("truth", CLOCK, words), ((f"truth.time_offset={offset + 0.0:.3f}",),)
+            yield Finding("truth", CLOCK, words), ((f"truth.time_offset={offset:z.3f}",),)
 
     def _late_by_runs(self) -> Iterator[Offer]:
         """Yield lags of sensors that look wrong against the run of another one that does not.
@@ -305,7 +321,7 @@ class Evidence:
             words = f"stamps look {abs(mean):.3f} s {'late' if mean > 0.0 else 'early'} against {names} alike"
             yield (
                 Finding("wheels", CLOCK, f"{words} (1 sigma {sigma:.3f} s)"),
-                ((f"wheels.time_offset={self.loaded.robot.wheels.time_offset - mean + 0.0:.3f}",),),
+                ((f"wheels.time_offset={self.loaded.robot.wheels.time_offset - mean:z.3f}",),),
             )
 
     def _shifted(self, sensor: str, lag: Lag, against: str) -> Iterator[Offer]:
@@ -341,7 +357,7 @@ class Evidence:
 
     def _offsets_in_time(self, sensor: str, steps: Iterable[float]) -> tuple[Fixes, ...]:
         now = float(self.loaded.robot.settings(sensor).time_offset)
-        return tuple((f"{sensor}.time_offset={now + step + 0.0:.3f}",) for step in steps)
+        return tuple((f"{sensor}.time_offset={now + step:z.3f}",) for step in steps)
 
     def _probed(self) -> Iterator[Finding]:
         """Yield mounts and the track as a run with `all` sensors estimates them, one sensor at a time."""

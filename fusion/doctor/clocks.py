@@ -74,20 +74,20 @@ def _on_truths_clock(drive: Drive, robot: Robot, lag: Lag) -> list[str]:
 def _stream(name: str, lag: Lag, robot: Robot) -> Finding:
     settings = robot.truth if name == "truth" else robot.settings(name)
     offset = settings.time_offset + lag.offset
-    fix = f"{name}.time_offset={offset + 0.0:.2f}"
+    fix = f"{name}.time_offset={offset:z.2f}"
     return Finding(name, "lag", in_words(lag), (fix,), abs(lag.offset) > SEVERE_LAG_S)
 
 
 def _either(lag: Lag, robot: Robot) -> Finding:
     """Return the finding of two clocks that differ where no third one says which of them is off."""
     found = _stream("truth", lag, robot)
-    same = f"wheels.time_offset={robot.wheels.time_offset - lag.offset + 0.0:.2f}"
+    same = f"wheels.time_offset={robot.wheels.time_offset - lag.offset:z.2f}"
     return replace(found, message=f"{found.message}; no third clock says which of the two is off: {same} is equal")
 
 
 def _wheels(offset: float, names: list[str], robot: Robot) -> Finding:
     words = f"{' and '.join(names)} run {abs(offset):.2f} s {side(offset)} them alike: the wheels' clock is off"
-    fix = f"wheels.time_offset={robot.wheels.time_offset - offset:.2f}"
+    fix = f"wheels.time_offset={robot.wheels.time_offset - offset:z.2f}"
     return Finding("wheels", "lag", words, (fix,), abs(offset) > SEVERE_LAG_S)
 
 

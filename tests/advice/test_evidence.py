@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from locfuse.cli.advice import evidence as module
+from locfuse.cli.advice import clocks as module
 from locfuse.cli.advice.evidence import Evidence
 from locfuse.fusion.data import Measurements
 from locfuse.fusion.doctor.finding import Finding
@@ -178,7 +178,7 @@ def test_a_range_noise_that_is_set_too_high_is_also_tried_as_the_ranges_show_it(
         stream=lambda _: None,
     )
     vars(made)["compared"] = SimpleNamespace(loaded=loaded)
-    monkeypatch.setattr("locfuse.cli.advice.evidence.ranges_sigma", lambda *_: ranges)
+    monkeypatch.setattr("locfuse.cli.advice.noise.ranges_sigma", lambda *_: ranges)
     assert made._as_ranges_scatter("lrf", Consistency("overstated", "", cures=cures)) == offered
     assert not made._as_ranges_scatter("lrf", Consistency("understated", "", cures=cures))
 

@@ -281,7 +281,7 @@ def test_strict_takes_a_refused_reading_for_a_loss(tmp_path: Path) -> None:
 
 
 def test_a_file_without_checksums_says_that_it_cannot_know(tmp_path: Path) -> None:
-    words = "no checksums, so that a changed value cannot be detected"
+    words = "no checksums: a corrupted value would go unnoticed"
     unchecked = write(tmp_path / "x.mcap", drive(100), enable_crcs=False)
     assert words in locfuse("info", unchecked, *GEOMETRY).stdout
     assert not as_json(unchecked, *GEOMETRY)["checksums"]
@@ -371,7 +371,7 @@ def test_a_real_corridor_whose_odometry_is_late_against_all_else() -> None:
     (late,) = [o for o in found["findings"] if o["code"] == "lag"]
     assert late["role"] == "wheels"
     assert float(late["fixes"][0].removeprefix("wheels.time_offset=")) == pytest.approx(0.13, abs=0.02)
-    assert any("whose twist says backward" in o["message"] for o in found["findings"])
+    assert any("while its velocity says reverse" in o["message"] for o in found["findings"])
 
 
 def test_a_real_turtlebot_as_ros2_records_it() -> None:

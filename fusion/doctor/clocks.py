@@ -86,7 +86,10 @@ def _either(lag: Lag, robot: Robot) -> Finding:
 
 
 def _wheels(offset: float, names: list[str], robot: Robot) -> Finding:
-    words = f"{' and '.join(names)} run {abs(offset):.2f} s {side(offset)} them alike: the wheels' clock is off"
+    late = "late" if offset < 0 else "early"
+    words = (
+        f"{' and '.join(names)} look equally {late} against them, {abs(offset):.2f} s: the wheels' clock is off"
+    )
     fix = f"wheels.time_offset={robot.wheels.time_offset - offset:z.2f}"
     return Finding("wheels", "lag", words, (fix,), abs(offset) > SEVERE_LAG_S)
 
@@ -219,8 +222,3 @@ def in_words(lag: Lag) -> str:
         f"stamps look {abs(lag.offset):.2f} s {'late' if lag.offset < 0 else 'early'}{sigma} against {whose} "
         f"(correlation {lag.without:.3f} as stamped, {lag.correlation:.3f} shifted)"
     )
-
-
-def side(offset: float) -> str:
-    """Return on which side of the wheels something is that needs this time_offset [s]."""
-    return "behind" if offset < 0 else "ahead of"

@@ -300,6 +300,17 @@ def test_a_file_of_loose_messages_fails_its_data_checksum(tmp_path: Path) -> Non
     assert losses_of(path).lines() == [f"{path}: the file fails its checksum: values may be wrong"]
 
 
+def test_a_file_of_loose_messages_that_is_cut_in_its_end_keeps_every_message(tmp_path: Path) -> None:
+    """Cut anywhere from behind the last message on, within the data section's own checksum too."""
+    said = drive(4)
+    path = write(tmp_path / "x.mcap", said, use_chunking=False, enable_data_crcs=True)
+    content = path.read_bytes()
+    behind = content.index(said[-1].data) + len(said[-1].data)
+    for end in range(behind, min(behind + 40, len(content))):
+        path.write_bytes(content[:end])
+        assert whole(said) == sorted(payloads(path)), end
+
+
 def test_a_damaged_attachment_is_lost_and_counted(tmp_path: Path) -> None:
     path = write(tmp_path / "x.mcap", drive(5), attachments={"robot.toml": b"radius = 0.1", "note": b"hello"})
     content = bytearray(path.read_bytes())

@@ -36,7 +36,7 @@ def unit() -> Path:
     folder = BUILD.joinpath(*PACKAGE.split("."))  # where Cython looks for the types of a module of that name
     folder.mkdir(parents=True, exist_ok=True)
     code = ['"""The core, compiled."""\n']
-    types = ["from libc.math cimport atan2, cos, exp, floor, log, pi, sin, sqrt, tan\n"]
+    types = ["cimport cython\nfrom libc.math cimport atan2, cos, exp, floor, log, pi, sin, sqrt, tan\n"]
     for name in FORM["SOURCES"]:
         text = (CORE / f"{name}.py").read_text(encoding="utf-8")
         code.append(IMPORTS.sub("", text.split('"""', 2)[2]))  # without the docstring

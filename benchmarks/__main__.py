@@ -18,7 +18,7 @@ from pathlib import Path
 
 import click
 
-from benchmarks.figures import MINUTE, Command, Figure, Kernel, Logs, figures, kernels, module
+from benchmarks.figures import MINUTE, TEN, Command, Figure, Kernel, Logs, figures, kernels, module
 from benchmarks.process import Cost, cost
 
 ROOT = Path(__file__).parent.parent
@@ -30,8 +30,9 @@ FAILED, UNKNOWN = ("failed", ""), ("", "", "no", "")
 def logs(folder: Path, minutes: float) -> Logs:
     """Generate the logs where they are not there yet."""
     aces = Path(os.environ.get(DATA, "")) / "aces" / "aces.mcap"
-    found = Logs(folder / "minute.mcap", folder / f"{minutes:g}_minutes.mcap", aces if aces.is_file() else None)
-    for path, options in ((found.minute, MINUTE), (found.hour, ("--minutes", str(minutes)))):
+    long = folder / f"{minutes:g}_minutes.mcap"
+    found = Logs(folder / "minute.mcap", folder / "10_minutes.mcap", long, aces if aces.is_file() else None)
+    for path, options in ((found.minute, MINUTE), (found.ten, TEN), (long, ("--minutes", str(minutes)))):
         if not path.exists():
             subprocess.run(module("make_log", path, *options), check=True)
     return found

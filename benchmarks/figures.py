@@ -14,6 +14,7 @@ class Logs(NamedTuple):
     """The logs that figures are taken on."""
 
     minute: Path  # with pictures
+    ten: Path  # ten minutes of compass and laser
     hour: Path
     building: Path | None = None  # a recorded one (aces), where LOCFUSE_DATA has it
 
@@ -37,6 +38,7 @@ class Kernel(NamedTuple):
 
 
 MINUTE = ("--minutes", "1", "--image-hz", "10")
+TEN = ("--minutes", "10")
 FROZEN = ("--set", "lrf.map=first-scan")
 
 
@@ -60,6 +62,7 @@ def figures(logs: Logs, out: Path, length: str) -> list[Figure]:
     five = locfuse("compare", logs.hour, *FROZEN, *how)
     recorded = (*five, "--rerun-save", f"{out}.rrd")
     pictures = locfuse("compare", logs.minute, *how)
+    ten = locfuse("compare", logs.ten, *how)
     buildings = [] if logs.building is None else [of_building(logs.building, how)]
     return [
         Figure("60 s, 600 pictures: five configurations / stock", 1.40, pictures, stock_minute),
@@ -77,6 +80,7 @@ def figures(logs: Logs, out: Path, length: str) -> list[Figure]:
         Figure(f"{length}: reading and decoding / stock", 0.10, ours, stock),
         Figure(f"{length}: reading and decoding / rosbags", 0.35, ours, module("decode", "rosbags", logs.hour)),
         Figure(f"{length}: five configurations / one", 1.30, five, one),
+        Figure("10 min, compass and laser: `compare`, `grow` / stock", 0.50, ten, decoded(logs.ten)),
         *buildings,
         Figure(
             "`locfuse --help` / `import click`", 1.50, locfuse("--help"), (sys.executable, "-c", "import click")

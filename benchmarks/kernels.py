@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from benchmarks import textbook_lines
 from locfuse.cli.pipeline.load import load
+from locfuse.cli.pipeline.memory import settle_heap
 from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.formats.log.log import open_log
 from locfuse.fusion import se2
@@ -189,6 +190,7 @@ def timed(work: Work) -> float:
 
 
 if __name__ == "__main__":
+    settle_heap()  # as every command does, for both
     ours, theirs = KERNELS[sys.argv[1]](Path(sys.argv[2]))
     ours(), theirs()  # warm
     rounds = [(timed(ours), timed(theirs)) for _ in range(ROUNDS)]

@@ -31,7 +31,7 @@ TESTS: dict[str, tuple[str, ...]] = {  # the sharpest and fastest first
     "fusion/ekf/belief_arrays.py": ("tests/ekf", "tests/atlas/test_anchors.py", "tests/fusion/test_fuse.py"),
     "fusion/ekf/rows.py": ("tests/ekf", "tests/linemap/test_association.py", "tests/fusion/test_fuse.py"),
     "fusion/wheels/motion.py": ("tests/wheels/test_motion.py", "tests/wheels/test_wheel_states.py"),
-    "fusion/wheels/rollover.py": ("tests/wheels/test_rollover.py", "tests/wheels/test_wheels.py"),
+    "fusion/wheels/repairs.py": ("tests/wheels/test_rollover.py", "tests/wheels/test_wheels.py"),
     "fusion/sensors/compass.py": (
         "tests/sensors/test_compass.py",
         "tests/sensors/test_contract.py",
@@ -61,6 +61,9 @@ TESTS: dict[str, tuple[str, ...]] = {  # the sharpest and fastest first
     "fusion/core/fixes.py": ("tests/core/test_singles.py", "tests/sensors/test_gps.py"),
     "fusion/core/turns.py": ("tests/core/test_singles.py", "tests/sensors/test_gyro.py"),
     "fusion/core/sightings.py": ("tests/core/test_singles.py", "tests/sensors/test_landmarks.py"),
+    "fusion/core/rests.py": ("tests/core/test_rests.py", "tests/linemap/test_standing.py"),
+    "fusion/core/poses.py": ("tests/core/test_singles.py", "tests/sensors/test_pose.py"),
+    "fusion/core/twists.py": ("tests/core/test_singles.py", "tests/sensors/test_pose.py"),
     "fusion/core/nees.py": ("tests/core/test_nees.py", "tests/judge/test_consistency.py"),
     "fusion/core/intervals.py": ("tests/wheels/test_motion.py", "tests/core/test_intervals.py"),
     "fusion/core/pairs.py": ("tests/linemap/test_pairing.py",),

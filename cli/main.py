@@ -18,7 +18,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # 3 x 3 matrices need no thr
 
 import click
 
-from locfuse.cli.pipeline.memory import collect_rarely
+from locfuse.cli.pipeline.memory import leave_as_it_is, settle_heap
 from locfuse.cli.terminal.numpy_warnings import silence_overflows
 from locfuse.cli.terminal.screen import reader_may_leave, say, settle_streams
 
@@ -120,7 +120,7 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     on_interrupt = signal.getsignal(signal.SIGINT)
     if on_interrupt is signal.default_int_handler:  # not where `nohup` or `&` has it ignored
         signal.signal(signal.SIGINT, _interrupt)  # click would print an empty line first
-    collect_rarely()
+    settle_heap()
     if arguments is None and not sys.warnoptions:
         silence_overflows()
     code = 0
@@ -142,6 +142,8 @@ def main(arguments: list[str] | None = None) -> NoReturn:
         code = _stopped(cause) if isinstance(cause, signalled) else _expected(e)
     finally:
         signal.signal(signal.SIGINT, on_interrupt)
+    if arguments is None:
+        leave_as_it_is()
     sys.exit(code if isinstance(code, int) else 0)
 
 

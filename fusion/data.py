@@ -149,6 +149,9 @@ class Points(Protocol):
     def take(self, readings: Ints) -> Points:
         """Return the points of the readings at these positions."""
 
+    def moved(self, t_from: Array, t_to: Array) -> Array:
+        """Return by the wheels the poses (n, 3) at t_to seen from those at t_from, (n,) s each."""
+
     def read(self, readings: Ints) -> list[Array]:
         """Return of each reading the points (k, 2) [m] in the base frame, in the order of the beams."""
 

@@ -25,7 +25,7 @@ ASK_MOUNT = (
 SIGMA_M, SIGMA_DEG = 0.01, 0.5  # m, degrees: of a mount, wherever it comes from
 MAX_PRIOR_SIGMAS = 3.0  # of what is configured: a mount found further off may be another error that looks like one
 OTHER_MOUNT = "the drive shows another mount"  # how the note on it begins
-SAID_SIGMAS = 3.0  # its own: a mount found further off than this, and than it is known to be, is reported
+SAID_SIGMAS = 4.0  # its own: a mount found further off than this, and than it is known to be, is reported
 
 # of a topic's name: an inertial sensor inside a camera or laser, or on an arm, which is not the robot's own
 NOT_ON_BODY = (
@@ -113,9 +113,11 @@ class Mount:
             key, unit, times = (("x", " m", 1.0), ("y", " m", 1.0), ("yaw_deg", "°", math.degrees(1.0)))[i]
             parts.append(
                 f"{key} {to_a_tenth_of(times * sigma, times * found):g}{unit} (1 sigma: {times * sigma:.2g}), "
-                f"not {times * self.told[i]:.4g}{unit} as set"
+                f"not {times * self.told[i]:.4g}{unit} as {'set' if any(self.told) else 'assumed'}"
             )
         doubt = ". Measure it: if the setting is right, something else is wrong" if far else ""
+        if far and not any(self.told):
+            doubt = ". Measure it, and set it"
         return [f"{OTHER_MOUNT}: {'; '.join(parts)}{doubt}"] if parts else []
 
     def rows(self, by_mount: tuple[Row, ...]) -> tuple[Row, ...]:

@@ -38,6 +38,10 @@ class WheelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     track: float | None = None  # m between the wheels' contact points
     wheelbase: float | None = None  # m between the axles: of a steering angle
     steering: Steering = "angle"  # what its field holds: that angle, a turning rate [rad/s], a heading
+    steering_topic: str | None = None  # of a car's motor: where its steering stands; None: found
+    erpm_per_mps: float | None = None  # electrical revolutions per minute of its motor at 1 m/s
+    servo_gain: float | None = None  # servo position = gain * angle [rad] + offset
+    servo_offset: float = 0.0
     ticks_per_revolution: float | None = None  # positions are ticks, not radians
     mirrored: Mirrored = "none"  # wheels whose count falls while the robot drives forward
     rollover: float | None = None  # the counter's range, in its own unit; 0: it never rolls over; None: found

@@ -211,31 +211,6 @@ def positive(greatest: float) -> None:
         )
 
 
-class Headings(NamedTuple):
-    """All readings of a sensor that says theta + offset + noise, as columns (fusion.coast)."""
-
-    z: Array  # (n,) rad
-    variance: Array  # (n,) rad^2
-    usable: Ints  # (n,) 0: compared, and never used
-    unused: int  # the verdict then, an index into VERDICTS
-    threshold: float  # of the gate
-    offset: float  # rad, known
-    block: str | None  # of one state: what adds to the offset
-
-
-class Bearings(NamedTuple):
-    """All readings of a sensor that sees one known point among candidates, as columns (fusion.coast)."""
-
-    z: Array  # (m,) rad, in the sensor's frame
-    variance: Array  # (m,) rad^2
-    point: tuple[float, float]  # m, map frame
-    nearest: float  # m: nearer to the point than this, nothing can be said
-    threshold: float  # of the gate
-    margin: float  # in NIS: a second candidate that is worse by less makes both ambiguous
-    verdicts: tuple[int, int, int]  # of a best candidate that is refused, of ambiguous ones, of all others
-    mount: Any  # fusion.mount.Mount, which may hold states; None: known exactly, at the base
-
-
 JUDGED = 4  # numbers that are told of a row before its y and sigmas, as in core.singles
 UNTOLD = -1.0  # verdict of a row that was compared with nothing
 
@@ -254,6 +229,11 @@ class Columns(ABC):
     def numbers(self) -> int:
         """How many numbers a row holds, d."""
         return int(self.told.shape[1] - JUDGED) // 2
+
+    @property
+    def waiting(self) -> int:
+        """How many rows of a reading may wait for the correction of its instant."""
+        return int(np.diff(self.first).max(initial=0)) * self.numbers
 
     @property
     def ready(self) -> bool:
@@ -355,14 +335,6 @@ class Model:
         """Compare reading i with the prior belief. Verdict 0 ("accepted") corrects the filter."""
         raise NotImplementedError
 
-    def headings(self, m: Measurements) -> Headings | None:
-        """Return all readings as headings, where they are nothing else and nothing is learnt from them."""
-        return None
-
-    def bearings(self, m: Measurements) -> Bearings | None:
-        """Return all readings as bearings of a known point, where they are nothing else and nothing is learnt."""
-        return None
-
     def columns(self, m: Measurements, when: Ints) -> Columns | None:
         """Return all readings, which are due at the instants `when`, for the core; None: it does not know them."""
         return None
@@ -452,6 +424,9 @@ class Sensor(ABC):
 
     several: ClassVar[bool] = False
     """All topics of its types are one sensor: a ring of sonars."""
+
+    several_frames: ClassVar[bool] = False
+    """All topics of one of its types are one sensor where each has a frame of its own: cameras of a robot."""
 
     in_blocks: ClassVar[bool] = False
     """Its readings are too big to be in memory at once."""

@@ -127,7 +127,8 @@ class Clocks(Judged):
         for sensor, lag in self._by_wheels.items():
             sigmas = SAID_SIGMAS if self._late_like_others(sensor) else MIN_SUSPICIOUS_SIGMAS
             if abs(lag.offset) >= max(MIN_SUSPICIOUS_LAG_S, sigmas * lag.sigma):
-                yield from self._shifted(sensor, lag, "the wheels")
+                by_scans = self.loaded.drive.wheels.matched is not None
+                yield from self._shifted(sensor, lag, "the motion by the scans" if by_scans else "the wheels")
 
     def _late_like_others(self, sensor: str) -> bool:
         """Return whether a sensor that knows its lag against the wheels about as well has the same."""

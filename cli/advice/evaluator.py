@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from locfuse.cli.pipeline.compare import Compared, Heard, Watch, compare_log
 from locfuse.cli.pipeline.configurations import Configuration, for_comparison
@@ -20,6 +20,7 @@ from locfuse.fusion.advice.search import Advice, Candidate, Fixes, search, toget
 from locfuse.fusion.data import Estimates
 from locfuse.fusion.robot import Robot
 
+from .advised import Advised
 from .beginning import Beginning
 from .evidence import Evidence
 from .trial import Trial
@@ -30,23 +31,6 @@ REFINED = ("lag", "mount", "way", "biased", "understated", "overstated")
 CLEAR = 1.0  # worth of fixes beyond which nothing of a later stage is likely to explain the same
 CHANCE = 2.0 * math.log(1.0 + MAX_CHANCE_LOSS)  # worth that two configurations may gain or lose by chance
 MIN_DURATION_S = 5.0  # s: a shorter drive judges no setting
-
-
-@dataclass(frozen=True)
-class Advised:
-    """What a log's evaluation found."""
-
-    advice: tuple[Advice, ...] = ()  # what helps first, in the order in which it was found to help
-    until: float | None = None  # s: only the beginning of the drive was tried; None: all of it
-    fusions: int = 0  # runs of the filter that it cost
-
-    @property
-    def fixes(self) -> Fixes:
-        """Everything that helps, together."""
-        kept: Fixes = ()
-        for advice in self.advice:
-            kept = together(kept, advice.fixes)
-        return kept
 
 
 def standard(loaded: Loaded) -> list[Configuration]:

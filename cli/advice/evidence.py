@@ -151,6 +151,8 @@ class Evidence(Clocks, Noise):
         """Yield mounts and the track as a run with `all` sensors estimates them, one sensor at a time."""
         drive, robot = self.loaded.drive, self.loaded.robot
         for sensor in filter(self._using, drive.measurements):
+            if sensor == LASER and drive.wheels.matched is not None:
+                continue  # its own scans are the motion, which is then the laser's wherever it sits
             probe = probe_of(robot, sensor)
             if not probe or not REGISTRY[sensor].placed:
                 continue

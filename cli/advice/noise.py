@@ -11,7 +11,8 @@ from locfuse.fusion.advice.slip import Slip, slip
 from locfuse.fusion.doctor.finding import Finding
 from locfuse.fusion.doctor.laser_driver import ranges_sigma, scatter_more
 from locfuse.fusion.judge.consistency import Consistency
-from locfuse.fusion.judge.noise_verdicts import MAX_SIGMA_FACTOR
+from locfuse.fusion.judge.innovations import Own, own
+from locfuse.fusion.judge.noise_verdicts import MAX_SIGMA_FACTOR, many_refused
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .judged import LASER, ODOMETRY, Judged
@@ -19,6 +20,7 @@ from .judged import LASER, ODOMETRY, Judged
 WHEEL_NOISE_FACTORS = (0.1, 0.3, 3.0, 10.0)
 TOO_LOW = 2.0  # a sigma that is set too low refuses the large residuals, so the observed one is a lower bound
 MAX_NOISE_FACTOR = 4.0  # on a sigma, by the errors of its own run
+FLOORS, FLOOR_FACTORS = ("floor_range", "floor_angle_deg"), (5.0, 10.0, 20.0)  # of a laser's lines
 NOISE = {"understated", "overstated", "correlated"}
 
 
@@ -36,11 +38,14 @@ class Noise(Judged):
                 words += f" by its lines, {by_ranges[0].partition('=')[2]} m by its ranges"
             if self._ranges_show_more(sensor, verdict) or self._too_sure(sensor, verdict):
                 seen = []
+            if seen and verdict.verdict == "overstated":
+                seen, words = self._beside_the_wheels(sensor, seen, words)
             words = words if seen else self._errors_in_sigmas(sensor)
             if verdict.verdict == "overstated" and seen and more:
                 # a sigma above the configured one is no fix of one that is too high: it has words of its own
                 found.append(self._candidate(Finding(sensor, verdict.verdict, words), tuple(seen)))
                 seen, words = [], self._errors_in_sigmas(sensor)
+            found += self._shared_by_lines(sensor, verdict)
             if seen or more:
                 finding = Finding(sensor, verdict.verdict if seen else self._by_truth(sensor), words)
                 options = tuple(dict.fromkeys((*seen, *more)))
@@ -48,6 +53,28 @@ class Noise(Judged):
         if self.loaded.drive.truth is not None and self._doubtful(self._best(self.trial.configurations)):
             found.append(self._wheel_noise())
         return found
+
+    def _shared_by_lines(self, sensor: str, verdict: Consistency) -> list[Candidate]:
+        """Return larger floors of a laser's lines where these scatter more than their beams say, and no sigma is.
+
+        A depth camera's neighbouring beams are wrong alike (calibration, steps of the disparity): what a line is
+        off does not become less with the number of its beams.
+        """
+        if sensor != LASER or verdict.verdict != "correlated" or verdict.cures:
+            return []
+        own_run = self._own(sensor, ())
+        if own_run is None or own_run.nis < MAX_SIGMA_FACTOR**2:
+            return []
+        settings = self.loaded.robot.settings(LASER)
+        words = (
+            f"lines scatter {own_run.nis**0.5:.2g} times as far as the noise of their beams says: beams of a line "
+            "share their error (a depth camera, walls that are not flat)"
+        )
+        options = tuple(
+            tuple(f"{LASER}.{key}={getattr(settings, key) * factor:.2g}" for key in FLOORS)
+            for factor in FLOOR_FACTORS
+        )
+        return [self._candidate(Finding(LASER, "floor", words), options, True)]
 
     def slips(self) -> list[Candidate]:
         """Return the wheels' noise where their turning shows it: every sensor's run is as sure as it says."""
@@ -103,6 +130,42 @@ class Noise(Judged):
         """Whether truth shows that a filter which is to trust a sensor more trusts it too much already."""
         honest = self.honesty.get(self._alone(sensor))
         return verdict.verdict == "overstated" and honest is not None and honest.overconfident
+
+    def _beside_the_wheels(self, sensor: str, seen: list[Fixes], words: str) -> tuple[list[Fixes], str]:
+        """Return smaller noise with more of the wheels' where the smaller alone makes the gate refuse too much.
+
+        Noise of a sensor that is set too high can hide noise of the wheels that is set too low: with the first
+        alone the filter trusts its prediction too much. Truth shows that by itself (`_too_sure`).
+        """
+        if self.loaded.drive.truth is not None:
+            return seen, words
+        usual, shares = [], []
+        for fixes in seen:
+            share = self._refused(sensor, fixes)
+            if share is None or not many_refused(sensor, share):
+                usual.append(fixes)
+            else:
+                shares.append(share)
+        if usual or not shares:
+            return usual, words
+        noise = self.loaded.robot.wheels.noise
+        more = [(*seen[0], f"wheels.noise={noise * f:.2g}") for f in WHEEL_NOISE_FACTORS if f > 1.0]
+        both = [fixes for fixes in more if not many_refused(sensor, self._refused(sensor, fixes) or 0.0)]
+        alone = f"with the first alone {min(shares):.0%} of its readings would be rejected"
+        return both, f"{words}; wheels.noise is set too low ({alone})"
+
+    def _refused(self, sensor: str, fixes: Fixes) -> float | None:
+        """Return the share of a sensor's readings that its own run refuses under more settings."""
+        found = self._own(sensor, fixes)
+        return None if found is None else found.refused
+
+    def _own(self, sensor: str, fixes: Fixes) -> Own | None:
+        """Return what the innovations of a sensor's own run say under more settings."""
+        tried = self.trial.under((*self.fixes, *fixes))
+        run = None if tried is None else self.trial.fused(tried, self._alone(sensor))
+        if tried is None or run is None:
+            return None
+        return own(run.audits[sensor], tried.drive.measurements[sensor])
 
     @property
     def _noise_factors(self) -> tuple[float, ...]:

@@ -10,7 +10,7 @@ from locfuse.formats.report import json_report
 from locfuse.fusion.advice.probes import MOUNT
 from locfuse.fusion.mount import OTHER_MOUNT
 
-from .evaluator import Advised
+from .advised import Advised
 from .headline import headline
 from .validity import add_validity
 from .values import add_findings

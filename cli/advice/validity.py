@@ -14,7 +14,7 @@ from locfuse.formats.tables.findings import options
 from locfuse.fusion.data import result_name
 from locfuse.fusion.judge.evaluate import ERROR_KEYS
 
-from .evaluator import Advised
+from .advised import Advised
 
 MAX_LOST_SHARE = 0.1  # of the drive for which a filter may be lost before its figures mean nothing
 MAX_START_ERROR_M = 0.5  # m between the first pose of the truth and the start, where nobody states a start

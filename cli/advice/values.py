@@ -10,9 +10,10 @@ from locfuse.formats.robot import robot_toml
 from locfuse.fusion.advice.score import Score
 from locfuse.fusion.advice.search import Advice, together
 
-from .evaluator import Advised
+from .advised import Advised
 
 FIXES_FILE = "fixes.toml"
+MAX_REFINED_SHARE = 0.2  # of a value: a larger change between two fixes is not the same measured better
 
 
 def add_findings(report: dict[str, Any], advised: Advised | None) -> None:
@@ -42,11 +43,14 @@ def fixes_file(report: Mapping[str, Any]) -> dict[str, str]:
 def _joined(found: Sequence[Advice]) -> Advice:
     """Return what was found of one sensor, step by step, as one finding with one fix."""
     first, *later = found
+    before_it = first.finding.brief  # what was found before this kind of fault was measured again
     for advice in later:
-        message = f"{first.finding.brief}; then {advice.finding.brief}"
-        if advice.finding.code == first.finding.code:
+        if advice.finding.code != first.finding.code:
+            before_it = first.finding.brief
+        message = f"{before_it}; then {advice.finding.brief}"
+        if advice.finding.code == first.finding.code and not _moved(first.fixes, advice.fixes):
             message = first.finding.brief  # the same once more, measured better
-        elif _keys(first.fixes) <= _keys(advice.fixes):
+        elif advice.finding.code != first.finding.code and _keys(first.fixes) <= _keys(advice.fixes):
             message = advice.finding.brief  # the first one's fix is not what was set in the end
         before = {**(advice.before or {}), **(first.before or {})}
         after = {**(first.after or {}), **(advice.after or {})}
@@ -54,6 +58,20 @@ def _joined(found: Sequence[Advice]) -> Advice:
         finding = replace(first.finding, message=message, hint="", source="")
         first = replace(first, finding=finding, fixes=fixes, before=before, after=after)
     return first
+
+
+def _moved(before: Iterable[str], after: Iterable[str]) -> bool:
+    """Return whether a value is another one in the end, by more than what measuring again changes."""
+    first, last = (dict(fix.partition("=")[::2] for fix in fixes) for fixes in (before, after))
+    return any(_apart(value, last[key]) for key, value in first.items() if key in last)
+
+
+def _apart(one: str, other: str) -> bool:
+    try:
+        a, b = float(one), float(other)
+    except ValueError:
+        return one != other
+    return abs(a - b) > MAX_REFINED_SHARE * max(abs(a), abs(b))
 
 
 def _keys(fixes: Iterable[str]) -> set[str]:

@@ -17,6 +17,7 @@ from locfuse.fusion.truth import looks_like_truth
 from locfuse.fusion.wheels.odometry import ODOMETRY, PLANAR, POSE, SCANS, SPEED, STEERED, TRANSFORM, commanded
 from locfuse.fusion.wheels.read import WHEEL_READS
 
+from .motor_topics import motor_of, motor_words
 from .mounts import is_base, is_odometry, is_room
 from .not_read import not_read
 from .topics import ONLY, Choice, likeliest, of_type, one
@@ -54,12 +55,16 @@ MADE_OF_MORE = (
     "scan",
     "mavros",
 )
+BY_FIXES = ("fix_vel", "gps", "gnss", "navsat", "ublox", "novatel", "septentrio")  # speeds north and east
 MADE_OF_FIXES = ("gps", "gnss", "navsat")  # navsat_transform's has no heading
 ONLY_CORRECT = ("sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/Imu")  # types that make no motion by themselves
 RAW = ("unfiltered", "raw", "wheel", "encoder", "_enc")
 PRESENTED_AS = ("odometry",)  # how topics end that are another type made into an Odometry
 NOTHING_ELSE = "nothing else says how the robot moved"
 NEAREST = "the odometry nearest to the wheels"
+OBEYED = ("cmd_vel", "ackermann_cmd")  # what drivers of bases listen to: the end of a chain of commands
+PASSED_ON = ("teleop", "joy", "key", "nav", "raw", "smooth", "mux", "input", "plan", "auto", "unstamped")
+OF_COMMANDS = "; of several commands ({others} beside it) the base obeys it, by its name"
 ASKED_FOR = ("goal", "initial", "waypoint")  # poses that are wishes or guesses of a person
 ESTIMATED = (
     "{topic} holds poses that another program estimated. They are taken, since nothing else in this log says how "
@@ -78,6 +83,7 @@ class Body(NamedTuple):
     why: str
     note: str = ""  # what a user has to know of it
     fixes: tuple[str, ...] = ()  # settings that choose the same
+    beside: tuple[str, ...] = ()  # a car's steering, beside its motor
 
 
 def choose_body(log: Log, robot: Robot, choice: Choice, scans: bool, stand_in: bool) -> Body | None:
@@ -93,12 +99,14 @@ def choose_body(log: Log, robot: Robot, choice: Choice, scans: bool, stand_in: b
         return Body(topic, why, words, (f"wheels.topic={topic}",))
     if topic is not None:
         return Body(topic, why)
+    if found := motor_of(log, robot):
+        return Body(found[0], f"its motor's speed, steered as {found[1]} says", beside=tuple(found[1:]))
     in_map = [t for t in _filled(log, robot, choice, (ODOMETRY,)) if in_room(log, t)]
     if (body := _estimate(log, in_map)) is not None:
         return body
     if scans and (laser := _scans(log, robot)) is not None:
         lacks = "no wheels and no odometry" if stand_in else "no wheels of known size and no odometry"
-        return Body(laser, f"{lacks}: its scans are matched with each other")
+        return Body(laser, f"{lacks}: its scans are matched with each other", motor_words(log, robot))
     return _stand_in(log, robot, choice) if stand_in else None
 
 
@@ -110,9 +118,25 @@ def _stand_in(log: Log, robot: Robot, choice: Choice) -> Body | None:
         (_twists(log, robot, choice, asked=True), ONLY_COMMANDED),
         (_filled(log, robot, choice, tuple(STEERED)), ""),  # lacks the wheelbase, which its reader asks for
     ):
-        if (topic := one(log, "wheels", None, topics, WHEEL_READS)) is not None:
-            return Body(topic, NOTHING_ELSE, note.format(topic=topic))
+        best, others = nearest_to_base(topics)
+        if (topic := one(log, "wheels", None, best, WHEEL_READS)) is not None:
+            beside = OF_COMMANDS.format(topic=topic, others=" and ".join(others)) if others else ""
+            fixes = (f"wheels.topic={topic}",) if others else ()
+            words = [note.format(topic=topic) + beside, motor_words(log, robot)]
+            return Body(topic, NOTHING_ELSE, ". ".join(filter(None, words)), fixes)
     return None
+
+
+def nearest_to_base(topics: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return of several commands those that the base obeys, by their names, and the others."""
+
+    def rank(topic: str) -> int:
+        name = topic.rpartition("/")[2].lower()
+        return 0 if name in OBEYED else 2 if any(word in topic.lower() for word in PASSED_ON) else 1
+
+    least = min(map(rank, topics), default=0)
+    best = [t for t in topics if rank(t) == least]
+    return best, [t for t in topics if t not in best]
 
 
 def _estimate(log: Log, topics: list[str]) -> Body | None:
@@ -180,12 +204,17 @@ def _made(topic: str) -> int:
 def _twists(log: Log, robot: Robot, choice: Choice, asked: bool) -> list[str]:
     """Return topics of speeds that can be read: commanded ones (`asked`), or those that were measured.
 
-    Speeds in a frame that does not turn with the robot (odom, map) are not those ahead.
+    Speeds in a frame that does not turn with the robot (odom, map), or of a receiver, are not those ahead.
     """
     steers = robot.wheels.wheelbase or robot.wheels.steering != "angle"
     kinds = (*TWISTS, *STEERED) if steers else TWISTS
-    found = [t for t in _filled(log, robot, choice, kinds) if commanded(t) == asked]
-    return [t for t in found if asked or not _beside_body(log.stream(t).frame_id)]
+    found = [t for t in _filled(log, robot, choice, kinds) if commanded(t, log.topics[t].msgtype) == asked]
+    return [t for t in found if asked or not (_beside_body(log.stream(t).frame_id) or by_fixes(t))]
+
+
+def by_fixes(topic: str) -> bool:
+    """Return whether a receiver of satellites measured the speeds, by the topic's name: along east and north."""
+    return any(word in topic.lower() for word in BY_FIXES)
 
 
 def _beside_body(frame: str) -> bool:

@@ -16,7 +16,7 @@ from locfuse.fusion.sensors.registry import REGISTRY, unmet
 from locfuse.fusion.truth import KNOWN_TRUTH, TRUTH_READS, looks_like_truth
 from locfuse.fusion.wheels.odometry import SCANS, commanded
 
-from .body_topics import asked_for
+from .body_topics import asked_for, by_fixes
 from .not_read import not_read
 from .presented_topics import offer_presented
 from .tag_frames import offer_tags
@@ -92,7 +92,8 @@ def _leave_empty(log: Log, name: str, choice: Choice) -> None:
 
 def _offer(name: str, candidates: Sequence[str], choice: Choice) -> None:
     """Say that a sensor that is used only where it is asked for could read these topics."""
-    candidates = [t for t in candidates if not (commanded(t) or looks_like_truth(t) or asked_for(t))]
+    others = (commanded, looks_like_truth, asked_for, by_fixes)
+    candidates = [t for t in candidates if not any(is_one(t) for is_one in others)]
     if candidates:
         fixes = (f"{name}.topic={candidates[0]}",)
         why = REGISTRY[name].asked_only
@@ -145,7 +146,7 @@ def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None
         choice.take(name, candidates, ONLY if len(same) < 2 else "the only one of its type that fits")
     elif sensor.extra and (shared := [t for t in candidates if t in choice.topics.values()]):
         choice.take(name, shared[:1], "another sensor reads it too")
-    elif sensor.several:
+    elif sensor.several or (sensor.several_frames and _of_frames(log, candidates)):
         choice.take(name, candidates, f"all {len(candidates)} topics of its type")
     elif sensor.unlikely is not None:
         best = likeliest(candidates, sensor.unlikely, choice.topics.get("wheels", ""))
@@ -157,6 +158,12 @@ def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None
     else:  # beside the paper's sensors: a guess would be worse than none, and an error would stop the others
         why = several_fit(log, name, candidates)
         choice.leave(name, why.sentence, why.fixes)
+
+
+def _of_frames(log: Log, topics: Sequence[str]) -> bool:
+    """Return whether topics are of one type and each has a frame of its own: what sits in different places."""
+    frames = {log.stream(t).frame_id for t in topics}
+    return len({log.topics[t].msgtype for t in topics}) == 1 and len(frames - {""}) == len(topics)
 
 
 def _named_well(topic: str, msgtype: str, sensor: Sensor) -> bool:

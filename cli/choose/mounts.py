@@ -76,13 +76,22 @@ def mount_tables(transforms: StaticTransforms, streams: Mapping[str, Sequence[St
     for sensor, parts in streams.items():
         keys = set(REGISTRY[sensor].Settings.__struct_fields__)
         mounts = {part.topic: m for part in parts if (m := mount_of(transforms, part.frame_id)) is not None}
-        if "mounts" in keys:
-            tables[sensor] = {"mounts": {t: [m.x, m.y, math.degrees(m.yaw)] for t, m in mounts.items()}}
+        if "mounts" in keys and (len(parts) > 1 or "x" not in keys):
+            looks = {t: _looks(m) if "fx" in keys else {} for t, m in mounts.items()}
+            tables[sensor] = {"mounts": {t: [*_placed(m, looks[t]), *_down(looks[t])] for t, m in mounts.items()}}
         elif parts[0].topic in mounts:
             mount = mounts[parts[0].topic]
             looks = _looks(mount) if "fx" in keys else {}
             tables[sensor] = {k: v for k, v in (_table(mount) | looks).items() if k in keys}
     return tables
+
+
+def _placed(mount: Mount, looks: Mapping[str, Any]) -> tuple[float, float, float]:
+    return mount.x, mount.y, looks.get("yaw_deg", math.degrees(mount.yaw))
+
+
+def _down(looks: Mapping[str, Any]) -> tuple[float, ...]:
+    return (looks["pitch_deg"],) if looks else ()
 
 
 def _looks(mount: Mount) -> dict[str, Any]:
@@ -120,13 +129,26 @@ def optics_tables(log: Log, streams: Mapping[str, Sequence[Stream]], tables: Map
     infos = [t for t in of_type(log, (CAMERA_INFO,)) if log.topics[t].count]
     found: dict[str, Any] = {}
     for sensor, parts in streams.items():
-        wants = "fx" in REGISTRY[sensor].Settings.__struct_fields__ and "fx" not in tables.get(sensor, {})
-        same = [t for t in infos if log.stream(t).frame_id == parts[0].frame_id] if wants else []
-        for topic in same[:1] or (infos if wants and len(infos) == 1 else []):
-            matrix = np.asarray(log.stream(topic).columns(CAMERA_MATRIX)[CAMERA_MATRIX], np.float64).reshape(-1, 9)
-            if len(matrix) and matrix[0, 0] > 0.0:
-                found[sensor] = {"fx": float(matrix[0, 0]), "cx": float(matrix[0, 2])}
+        if "fx" not in REGISTRY[sensor].Settings.__struct_fields__ or "fx" in tables.get(sensor, {}):
+            continue
+        optics = {part.topic: _optics(log, infos, part.frame_id) for part in parts}
+        known = {topic: [fx, cx] for topic, (fx, cx) in optics.items() if fx > 0.0}
+        if len(parts) > 1:
+            found[sensor] = {"optics": known}
+        elif known:
+            ((fx, cx),) = known.values()
+            found[sensor] = {"fx": fx, "cx": cx}
     return found
+
+
+def _optics(log: Log, infos: Sequence[str], frame: str) -> tuple[float, float]:
+    """Return focal length and middle of the picture [px] of a frame by its CameraInfo, zeros without one."""
+    same = [t for t in infos if log.stream(t).frame_id == frame]
+    for topic in same[:1] or (infos if len(infos) == 1 else []):
+        matrix = np.asarray(log.stream(topic).columns(CAMERA_MATRIX)[CAMERA_MATRIX], np.float64).reshape(-1, 9)
+        if len(matrix) and matrix[0, 0] > 0.0:
+            return float(matrix[0, 0]), float(matrix[0, 2])
+    return 0.0, 0.0
 
 
 def shared_turns(tables: Mapping[str, Any], streams: Mapping[str, Sequence[Stream]]) -> dict[str, Any]:

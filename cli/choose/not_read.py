@@ -10,8 +10,8 @@ if TYPE_CHECKING:
 LIVOX = "points in Livox' own format; record PointCloud2 instead (xfer_format = 0 in its launch file)"
 PACKETS = "packets of the sensor as they came; record the PointCloud2 that its driver makes of them"
 VESC = (
-    "revolutions of the motor (erpm), whose length on the ground only vesc.yaml knows (speed_to_erpm_gain); "
-    "record the /odom of vesc_to_odom"
+    "revolutions of the motor (erpm): --set wheels.topic={topic} --set wheels.erpm_per_mps=<erpm> "
+    "(speed_to_erpm_gain of vesc.yaml) uses them, or record the /odom of vesc_to_odom"
 )
 FIXES = "words of the receiver; record the NavSatFix that its driver makes of them (/fix)"
 STEER = "an angle alone; beside it a speed is needed (VelocityReport)"
@@ -33,6 +33,7 @@ NOT_READ: dict[str, dict[str, str]] = {
     },
     "wheels": {
         "vesc_msgs/msg/VescStateStamped": VESC,
+        "vesc_msgs/msg/VescState": VESC,
         "autoware_vehicle_msgs/msg/SteeringReport": STEER,
         "autoware_auto_vehicle_msgs/msg/SteeringReport": STEER,
         "unitree_go/msg/LowState": LEGS,
@@ -45,7 +46,7 @@ def not_read(log: Log, role: str) -> str:
     """Return what a log holds for a role in types that are not read, in words; "" where it holds none."""
     kinds = NOT_READ.get(role, {})
     found = [
-        f"{topic} ({info.msgtype.replace('/msg/', '/')}) holds {kinds[info.msgtype]}"
+        f"{topic} ({info.msgtype.replace('/msg/', '/')}) holds {kinds[info.msgtype].format(topic=topic)}"
         for topic, info in sorted(log.topics.items())
         if info.msgtype in kinds and info.count
     ]

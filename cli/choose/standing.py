@@ -33,7 +33,12 @@ def refuse_standing(log: Log, choice: Choice, wheels: Wheels) -> None:
     own = " and ".join(choice.of("wheels"))
     taken = set(choice.of("wheels"))
     for topic in of_type(log, SPEED):
-        if topic in taken or commanded(topic) or looks_like_truth(topic) or not log.topics[topic].count:
+        if (
+            topic in taken
+            or commanded(topic, log.topics[topic].msgtype)
+            or looks_like_truth(topic)
+            or not log.topics[topic].count
+        ):
             continue
         if (moved := _moved(log, topic)) > MIN_WAY_M:
             fix = f"wheels.topic={topic}"

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, cast
 
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.wheels.motor import MOTOR
 from locfuse.fusion.wheels.read import WHEEL_READS, counts_ticks
 from locfuse.fusion.wheels.sources import ARRAYS, JOINTS, NUMBERS, SPEEDS, TICKS, joint_names
 
 from .body_topics import choose_body, nothing_moves
+from .motor_topics import with_steering
 from .topics import NAMED, ONLY, Choice, Note, checked, of_type, several_fit
 
 if TYPE_CHECKING:
@@ -50,7 +52,8 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
                 fixes=(fix,),
                 hint=f"Name both with --set {fix} --set wheels.right_topic=<topic>",
             )
-        choice.take("wheels", [topic], NAMED)
+        found = with_steering(log, robot, topic) if log.topics[topic].msgtype in MOTOR else [topic]
+        choice.take("wheels", found, NAMED)
         return
     counters, kind = _counters(log, robot)
     unknown = _unknown(log, robot, counters)
@@ -65,7 +68,7 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
             raise nothing_moves(log)
         choice.take("wheels", counters, kind)
         return
-    choice.take("wheels", [body.topic], body.why)
+    choice.take("wheels", [body.topic, *body.beside], body.why)
     if body.note:
         choice.notes.append(Note("wheels", body.note, body.fixes))
     if counters:

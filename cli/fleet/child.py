@@ -14,7 +14,7 @@ from pathlib import Path
 import msgspec
 
 from locfuse.cli.pipeline.load import find_log, load
-from locfuse.cli.pipeline.memory import collect_rarely, give_back
+from locfuse.cli.pipeline.memory import give_back, settle_heap
 from locfuse.cli.pipeline.settings import silent
 from locfuse.cli.rerun.recordings import write
 from locfuse.cli.session.session import Session
@@ -31,7 +31,7 @@ def main() -> None:
     job = msgspec.json.decode(sys.stdin.buffer.readline(), type=Job)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     out, sys.stdout = sys.stdout, sys.stderr  # what a library prints is no outcome
-    collect_rarely()
+    settle_heap()
     out.write(msgspec.json.encode(outcome(job)).decode() + "\n")
     out.flush()
 

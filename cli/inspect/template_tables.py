@@ -8,11 +8,13 @@ from typing import Any, NamedTuple
 import msgspec
 
 from locfuse.cli.choose.choose import best_of
+from locfuse.cli.choose.motor_topics import motors
 from locfuse.cli.choose.mounts import is_base, mount_tables
 from locfuse.cli.choose.topics import of_type
 from locfuse.cli.pipeline.load import table_types
 from locfuse.formats.robot.commented_toml import Line
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.wheels.motor import MOTOR, SERVO
 from locfuse.fusion.wheels.odometry import BODY_READS, STEERED
 from locfuse.fusion.wheels.read import counts_ticks
 from locfuse.fusion.wheels.sources import JOINTS
@@ -69,6 +71,11 @@ def _topics(overview: Overview, role: str) -> Known:
     words = f"{overview.log.topics[topics[0]].msgtype.replace('/msg/', '/')}: {why}"
     if len(topics) == 1:
         return {f"{role}.topic": (topics[0], words)}
+    if role == "wheels" and overview.log.topics[topics[0]].msgtype in MOTOR:
+        return {
+            "wheels.topic": (topics[0], words),
+            "wheels.steering_topic": (topics[1], "how the car was steered"),
+        }
     if role == "wheels":
         return {"wheels.left_topic": (topics[0], words), "wheels.right_topic": (topics[1], words)}
     return {f"{role}.topics": (list(topics), words)}
@@ -87,7 +94,10 @@ def _mounts(overview: Overview) -> Known:
         for key, raw in table.items():
             value = _rounded(raw)
             if value or key in MOUNTED:
-                known[f"{name}.{key}"] = value, _placed(overview, frame)
+                words = _placed(overview, frame)
+                if key == "mounts":
+                    words = f"by {placed_by(overview, frame)}: where each of them sits on the base"
+                known[f"{name}.{key}"] = value, words
     return known
 
 
@@ -150,13 +160,24 @@ def _concerns(facts: Facts, table: str, key: str) -> bool:
     """Whether a key means anything to the kind of message that is read."""
     kind = facts.kind(table)
     if table == "wheels" and key in OF_COUNTERS:
-        return kind not in BODY_READS and bool(kind) and (key != "ticks_per_revolution" or counts_ticks(kind))
+        return (
+            kind not in (*BODY_READS, *MOTOR)
+            and bool(kind)
+            and (key != "ticks_per_revolution" or counts_ticks(kind))
+        )
     if table == "wheels" and key == "wheelbase":
-        return kind in STEERED and facts.overview.robot.wheels.steering == "angle"
+        return kind in MOTOR or (kind in STEERED and facts.overview.robot.wheels.steering == "angle")
+    if table == "wheels" and key == "erpm_per_mps":
+        return bool(motors(facts.overview.log))
+    if table == "wheels" and key == "servo_gain":
+        return (
+            len(topics := facts.overview.choice.of("wheels")) > 1
+            and facts.overview.log.topics[topics[1]].msgtype == SERVO
+        )
     if table == "wheels" and key == "steering":
         return kind in STEERED
     if table not in REGISTRY:
         return True
     if key in MOUNTED:
-        return not any(f"{table}.{k}" in facts.known for k in MOUNTED)
+        return not any(f"{table}.{k}" in facts.known for k in (*MOUNTED, "mounts"))
     return REGISTRY[table].concerns(key, kind)

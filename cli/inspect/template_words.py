@@ -18,6 +18,10 @@ ASKS = {
             needed=True,
         ),
         "wheelbase": Ask("m: not in this log. Between the front and the rear axle", needed=True),
+        "erpm_per_mps": Ask(
+            "electrical revolutions per minute of the motor at 1 m/s: speed_to_erpm_gain of vesc.yaml", blank=True
+        ),
+        "servo_gain": Ask("of the servo's position: steering_angle_to_servo_gain of vesc.yaml", needed=True),
         "ticks_per_revolution": Ask("not in this log. Turn a wheel ten times by hand: ticks / 10", needed=True),
         "noise": Ask("m: variance per metre that a wheel rolls; `locfuse calibrate` finds it"),
     },

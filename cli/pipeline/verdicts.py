@@ -255,7 +255,7 @@ def _reference_words(name: str, found: ByReference, own: Mapping[str, Any]) -> s
 
 
 def _grade(mine: Sequence[Score], gain: float) -> str:
-    if abs(gain) <= MIN_GAIN_NATS:
+    if abs(gain) <= MIN_GAIN_NATS or (gain < 0.0 and all(s.shared for s in mine)):
         return "no effect seen"
     if gain > 0.0:
         return "helps" if all(s.low > 0.0 for s in mine) else "seems to help"

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, cast, get_args
+from typing import TYPE_CHECKING, Any, cast, get_args
 
-from locfuse.cli.advice.evaluator import Advised, Evaluator, looks_wrong
+from locfuse.cli.advice.advised import Advised
 from locfuse.cli.advice.report import complete
 from locfuse.cli.pipeline import maps
 from locfuse.cli.pipeline.compare import Compared, compare_log, report_of, report_of_run
@@ -41,6 +41,9 @@ from .jitter import add_jitter, check_runs, jitter_runs
 from .named import Named
 from .result import Comparison, Run
 from .sweep import cells
+
+if TYPE_CHECKING:
+    from locfuse.cli.advice.evaluator import Evaluator
 
 
 def load(
@@ -193,9 +196,7 @@ class Session:
         wanted = for_comparison(words, self.drive, all_subsets)
         foreign = foreign_estimates(self.loaded, named_sources(estimates or {}), [c.name for c in wanted])
         drawn = Drawn()
-        evaluator = (
-            Evaluator(self.loaded, self.progress, align) if advice and not self.drive.wheels.stands else None
-        )
+        evaluator = self._evaluator(align) if advice and not self.drive.wheels.stands else None
         takes, hears = ([], []) if evaluator is None else (evaluator.takes, evaluator.hears)
         watch = [drawn.take, *takes]
         compared = compare_log(
@@ -262,11 +263,19 @@ class Session:
 
     def _advice_on_run(self, c: Configuration, e: Estimates, judged: Evaluation, align: str) -> Advised:
         """Evaluate the log if this one run of it gives reason to."""
+        from locfuse.cli.advice.evaluator import looks_wrong
+
         runs = evidence(c.drive(self.drive), e, self.robot)
         one = Compared(self.loaded, [c], [e], [judged], runs, credit=None, scores=[])
         if self.drive.wheels.stands or not looks_wrong(self.loaded, one):
             return Advised()
-        return Evaluator(self.loaded, self.progress, align).advised()
+        return self._evaluator(align).advised()
+
+    def _evaluator(self, align: str) -> Evaluator:
+        """Return the evaluation of this log, not begun yet."""
+        from locfuse.cli.advice.evaluator import Evaluator  # the doctor comes with it: 15 ms
+
+        return Evaluator(self.loaded, self.progress, align)
 
     def configuration(self, sensors: Sensors) -> Configuration:
         """Return the configuration that words name. Raises LocfuseError for a sensor that this log lacks."""

@@ -106,6 +106,8 @@ READ_TYPES = frozenset(
         "tf2_msgs/msg/TFMessage",
         "turtlebot3_msgs/msg/SensorState",
         "turtlesim/msg/Pose",
+        "vesc_msgs/msg/VescState",
+        "vesc_msgs/msg/VescStateStamped",
     )
 )
 XY, XYZ, XYZW = ("x", "y"), ("x", "y", "z"), ("x", "y", "z", "w")
@@ -123,7 +125,7 @@ ONE_NUMBER = frozenset(
         *(f"{at}linear.x" for at in ("", "twist.", "twist.twist.")),
         *(f"{at}angular.z" for at in ("", "twist.", "twist.twist.")),
         *(f"{at}{part}" for at in ("", "drive.") for part in ("speed", "steering_angle")),
-        "longitudinal_velocity", "heading_rate", "velocity_left", "velocity_right",
+        "longitudinal_velocity", "heading_rate", "state.speed", "velocity_left", "velocity_right",
         "x", "y", "theta", "linear_velocity", "angular_velocity", "v", "omega",
         "angle_min", "angle_increment", "time_increment", "range_min", "range_max",
         "width", "height", "step", "start_angle", "end_angle",

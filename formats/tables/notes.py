@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-NUMBER = re.compile(r"(?<![\w@])\d+(?:\.\d+)?(?:e[-+]?\d+)?[%°]?")  # not one within a name: lrf2, lrf@2Hz
+NUMBER = re.compile(r"(?<![\w@])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?[%°]?")  # not one within a name: lrf2, lrf@2Hz
 
 
 def title_of(report: Mapping[str, Any]) -> str:

@@ -123,22 +123,19 @@ class Anchors:
         """Return the normal equations A dx = b, (3n, 3n) and (3n,)."""
         n = 3 * len(self.pose)
         A, b = np.zeros((n, n)), np.zeros(n)
-        for edge in self.edges:
-            L, e = edge.information, self.error(edge)
-            to = slice(3 * edge.to, 3 * edge.to + 3)
-            if edge.of == NOWHERE:
-                A[to, to] += L
-                b[to] -= L @ e
-                continue
-            of = slice(3 * edge.of, 3 * edge.of + 3)
-            J_of, J_to = se2.between_jacobians(self.pose[edge.of], self.pose[edge.to])
-            cross = J_of.T @ L @ J_to
-            A[of, of] += J_of.T @ L @ J_of
-            A[to, to] += J_to.T @ L @ J_to
-            A[of, to] += cross
-            A[to, of] += cross.T
-            b[of] -= J_of.T @ L @ e
-            b[to] -= J_to.T @ L @ e
+        of, to = np.array([(edge.of, edge.to) for edge in self.edges]).T
+        z = np.array([edge.z for edge in self.edges])
+        L = np.array([edge.information for edge in self.edges])
+        seen_from = np.where((of == NOWHERE)[:, None], 0.0, self.pose[of])
+        e = se2.between(seen_from, self.pose[to]) - z
+        e[:, 2] = se2.wrap_all(e[:, 2])
+        J_of, J_to = se2.between_jacobians(seen_from, self.pose[to])
+        J_of[of == NOWHERE] = 0.0  # so that its rows and columns, those of the last anchor, add nothing
+        at = 3 * np.stack((of, to), axis=-1)[:, :, None] + np.arange(3)  # (edges, 2, 3)
+        rows = at.reshape(len(at), 6) % n
+        JL = np.concatenate((J_of, J_to), axis=2).transpose(0, 2, 1) @ L
+        np.add.at(A, (rows[:, :, None], rows[:, None, :]), JL @ np.concatenate((J_of, J_to), axis=2))
+        np.add.at(b, rows, -np.einsum("nij,nj->ni", JL, e))
         return A, b
 
 

@@ -192,6 +192,10 @@ class LineTracker(Model):
         """How many scans taught the map."""
         return self._scan
 
+    def table(self, m: Measurements, at: slice) -> Array:
+        """Return measured lines as one table (k, 7): r, psi, R as 00, 01, 11, and both ends."""
+        return self._scans.read(m, at.start, at.stop).rows()
+
     def rolled_since(self) -> tuple[float, float, float]:
         """Return how far the wheels rolled since the last scan that was used, x, y [m], theta [rad]."""
         return self._standing.since()
@@ -219,6 +223,16 @@ class LineTracker(Model):
         if self.guard is not None:
             seen = [(float(m.t[one.i]), partial(self._seen_before, one)) for one in last]
             self.guard.passed(poses, seen, None if well is None else (float(m.t[well]), self.map.next_id))
+
+    def rest(self, lines: int) -> Any:
+        """Return the scans of a robot at rest for the core, which takes those of up to so many lines."""
+        return self._standing.table(lines, REPEATED)
+
+    def rested(self, scans: int, pose: tuple[float, float, float]) -> None:
+        """Take in that so many scans only repeated what was seen, up to this pose."""
+        self._standing.repeated(scans)
+        if self.guard is not None:
+            self.guard.stood(pose)
 
     def _seen_before(self, one: Passed) -> Scan:
         scan = self._scans.read(one.of, *one.rows)

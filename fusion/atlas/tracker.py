@@ -29,6 +29,7 @@ from .closing import Closure, Here, find_closure
 from .frozen import FrozenMap, Way, box_of, frozen, joint_covariance, thaw
 from .looks import INSISTING, Looks, is_open
 from .one_map import LineTracker
+from .way_by_scans import WayByScans
 
 REACH, MANY = 12.0, 100  # m from the anchor, and lines, beyond which the next map begins
 # rad: 1 sigma of the heading among the walls in view, with which a map may be left; times the reach, beyond which
@@ -54,6 +55,8 @@ class AtlasTracker(LineTracker):
         self._way = Way()
         self._at = 0  # the anchor of the map at hand
         self._origin: Array = np.zeros(3)
+        self._now: tuple[Measurements, int] | None = None  # the reading at hand
+        self._along: WayByScans | None = None  # from where this map began; None: it was taken up again
         self._left: tuple[Array, Array] | None = None  # where in the map before the next one began, and P
         self._full = False
         self._asked_at = 0.0  # m of way
@@ -68,6 +71,7 @@ class AtlasTracker(LineTracker):
         first, last = int(m.first[i]), int(m.first[i + 1])
         begins = not len(self.map)
         super().learn(m, i, belief)
+        self._now = m, i
         if first == last or not self._teach or self.mode != "grow" or not isinstance(belief, JointBelief):
             return
         if begins and len(self.map):
@@ -77,6 +81,7 @@ class AtlasTracker(LineTracker):
     def finish(self, m: Measurements, i: int, fate: Ints, room: Room, belief: JointBelief) -> None:
         """Teach the map what of scan i the core left to do, and go on as after every scan."""
         super().finish(m, i, fate, room, belief)
+        self._now = m, i
         if self.mode == "grow":
             self._go_on(m, i, belief)
 
@@ -129,7 +134,7 @@ class AtlasTracker(LineTracker):
             return True
         leading = self._seen_last()
         if not len(leading) or not self._may_turn(leading, belief):
-            return False  # no wall leads over yet, or this scan has not told the heading
+            return False  # no wall leads over yet, this scan has not told the heading, or is no key
         bridge = seen_from_here(self.map, leading, belief)
         self._leave(belief, bridges=True)
         self._begin_next(bridge, belief)
@@ -150,6 +155,8 @@ class AtlasTracker(LineTracker):
         self._frozen.append(FrozenMap(self._at, lines, self._way, box, self._origin, joint))
         if bridges:
             belief.loosen(np.arange(3), LESS_SURE * np.diagonal(belief.matrix()) + LEAST)
+            if self._now is not None and self._along is not None:
+                self._along.end(self._now[1], self._origin, self.mount, belief)
             if self.guard is not None:
                 self.guard.turn_page()
         self._left = np.array(belief.pose()), belief.matrix()
@@ -160,9 +167,15 @@ class AtlasTracker(LineTracker):
         return np.flatnonzero((self.map.seen >= self._scan - RECENT) & (self.map.hits >= MIN_HITS))
 
     def _may_turn(self, leading: Ints, belief: JointBelief) -> bool:
-        """Return whether the heading is well known among the walls that lead over, or waiting must end."""
+        """Return whether this is a good scan to turn at, or waiting must end.
+
+        The heading must be well known among the walls that lead over, and matches must tell the way to here.
+        """
         x, y = (np.array(belief.pose()) - self._origin)[:2].tolist()
-        return math.hypot(x, y) > WAIT * REACH or heading_among(self.map, leading, belief) < TOLD
+        if math.hypot(x, y) > WAIT * REACH:
+            return True
+        at_key = self._along is None or self._now is None or self._along.may_end(self._now[1])
+        return at_key and heading_among(self.map, leading, belief) < TOLD
 
     def _beside(self, belief: JointBelief) -> FrozenMap | None:
         """Return the map beside the one at hand, by an edge of the graph, in which the robot is; None: in none."""
@@ -202,7 +215,7 @@ class AtlasTracker(LineTracker):
         thaw(old.lines, self.map, first)
         self.map.seen, self.map.born = np.full(n, self._scan), np.zeros(n, np.int64)
         self._frozen = [one for one in self._frozen if one is not old]
-        self._at, self._way, self._origin = old.anchor, old.way, old.origin
+        self._at, self._way, self._origin, self._along = old.anchor, old.way, old.origin, None
         self._way.resume()
         self._asked_at, self._looks, self._ask_known_at = self._way.length, Looks(), {}
         if self.guard is not None:
@@ -221,6 +234,7 @@ class AtlasTracker(LineTracker):
             if frame is not None:
                 self._anchors.pose[-1] = frame
         self._way, self._origin, self._asked_at, self._looks = Way(), pose, 0.0, Looks()
+        self._along = None if self._now is None else WayByScans(*self._now)
         self._ask_known_at = {}
 
     def _take_in_absolutes(self, belief: JointBelief) -> None:

@@ -14,7 +14,7 @@ from locfuse.fusion.data import Audit, Drive
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.sensor import UNTOLD, Columns, Innovation, Model
 
-KINDS = ("echoes", "fixes", "turns", "sightings")
+KINDS = ("headings", "bearings", "echoes", "fixes", "turns", "sightings", "poses", "twists")
 
 
 class ColumnRecord:
@@ -61,7 +61,7 @@ class Singles:
                 self._of[s] = found
         self.records = {s: ColumnRecord(of) for s, of in self._of.items()}
         self.reads_map = any(of.reads is not None for of in self._of.values())
-        self.most = sum([int(np.diff(of.first).max(initial=0)) * of.numbers for of in self._of.values()])  # rows
+        self.waiting = sum([of.waiting for of in self._of.values()])  # rows at most
         self._none = no_singles()
         self._now: dict[str, Any] = {}
 
@@ -102,14 +102,19 @@ def no_singles() -> dict[str, Any]:
     core = Room.here(tables).on_arrays
     wholes, numbers, rows = np.zeros(1, np.intp), np.zeros(1), np.zeros((1, 1))
     none = *(0.0,) * 2, 0, 0  # the gate, what is refused, and no readings
+    seat = core.Seat(np.zeros(3), wholes, wholes, 0)
     return {
+        "headings": core.Headings(wholes, *(numbers,) * 2, wholes, *(0.0,) * 4, wholes, 0, rows, 0, 0, -1),
+        "bearings": core.Bearings(wholes, wholes, *(numbers,) * 2, rows, *(0.0,) * 8, seat, 0, 0),
         "echoes": core.Echoes(wholes, wholes, numbers, numbers, rows, 0.0, rows, *(0.0,) * 3, 0, 0),
         "fixes": core.Fixes(wholes, rows, rows, rows, *(0.0,) * 4, numbers, -1, False, *none),
         "turns": core.Turns(
             wholes, *(numbers,) * 3, rows, *(0.0,) * 3, -1, 0, *(0.0,) * 5, 0, 0, 0
         ),
         "sightings": core.Sightings(
-            wholes, wholes, rows, rows, 1, wholes, wholes, rows, wholes, False, *(0.0,) * 5, -1, -1, *(0.0,) * 3,
-            rows, rows, rows, *none,
+            wholes, wholes, rows, rows, 1, wholes, wholes, rows, wholes, False, rows, *(0.0,) * 2, -1, -1,
+            *(0.0,) * 3, rows, rows, rows, *none,
         ),
+        "poses": core.Poses(wholes, rows, rows, wholes, rows, False, -1, *(0.0,) * 7, 0, 0, 0),
+        "twists": core.Twists(wholes, rows, rows, numbers, rows, -1, *(0.0,) * 5, 0, 0, 0),
     }  # fmt: skip

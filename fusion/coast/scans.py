@@ -16,23 +16,24 @@ from locfuse.fusion.core import match, tables
 from locfuse.fusion.core.bearings import RAY
 from locfuse.fusion.core.echoes import ECHO
 from locfuse.fusion.core.fixes import FIX
+from locfuse.fusion.core.poses import SEEN_FROM
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.core.singles import WIDE
+from locfuse.fusion.core.twists import CHORD
 from locfuse.fusion.data import Array, Ints, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.linemap.association import AMBIGUOUS, LONE, LONGEST, OVERLAP, ZONE
 from locfuse.fusion.linemap.line_map import WALL
 from locfuse.fusion.linemap.pairing import MAX_PAIR_ANGLE_RAD, MAX_PAIR_OFFSET_M, PAIR, PAIR_SIGMAS
-from locfuse.fusion.linemap.scan import Passed
+from locfuse.fusion.linemap.scan import BLOCK, Passed
 from locfuse.fusion.linemap.standing import MAX_ROLLED_M, MAX_TURNED_RAD
 from locfuse.fusion.linemap.tidy import APART, DOUBLE_ANGLE, DOUBLE_OFFSET, MIN_HITS, TIDY_EVERY, TRIAL_SCANS
-from locfuse.fusion.lines.extract import LINE, rows_of
+from locfuse.fusion.lines.extract import LINE
 from locfuse.fusion.lines.flatness import bend
 from locfuse.fusion.recovery.guard import MIN_MATCHED_SHARE, SCANS, WELL
 from locfuse.fusion.sensor import Table
 
 TRIED = 3  # rows that are written beside those that wait: of a reading of two, and of its place
-BLOCK = 4096  # lines that become one table at a time: an hour of them need not be there at once
 
 
 class AtOnce:
@@ -92,7 +93,7 @@ class AtOnce:
         end = int(np.searchsorted(first, first[i] + BLOCK, "right")) - 1
         self._begin, self._end = i, min(max(end, i + 1), n)
         self._first = first[i : self._end + 1] - first[i]
-        at, scans, lines = slice(first[i], first[self._end]), self._end - i, int(self._first[-1])
+        at, scans, lines = slice(int(first[i]), int(first[self._end])), self._end - i, int(self._first[-1])
         shared = self.of.joint and "shared" in m.extra
         of_shared = m.extra["shared"][at] if shared else np.zeros((0, 2, 0))
         verdict, landmark = np.zeros(lines, np.intp), np.zeros(lines, np.intp)
@@ -104,7 +105,7 @@ class AtOnce:
             np.zeros((scans, 9)),
         )
         self._scans = self._core.Scans(
-            rows_of(m.z[at], m.covariances(at), m.extra["ends"][at]), self._first,
+            self.of.table(m, at), self._first,
             np.asarray(self._when[i : self._end], np.intp), scans, of_shared.astype(np.float64).ravel(),
             of_shared.shape[2], *self._written,
         )  # fmt: skip
@@ -124,6 +125,7 @@ class AtOnce:
             of.map.table(len(free)),
             self._core.Seat(told, np.array(free, np.intp), at, len(free)),
             self._rules,
+            of.rest(self._most),
             self._core.Way(**of.way()),
         )
 
@@ -132,7 +134,7 @@ class AtOnce:
         """How far the scans are, in the order of `core.scans.Progress` from the scan on."""
         return self._at, *self.of.rolled_since(), self.of.scans_taken, -1
 
-    def taken(self, way: Any, progress: Any) -> None:
+    def taken(self, rest: Any, way: Any, progress: Any) -> None:
         """Take back what the core did: the record, and what the tracker has to know of the last scans."""
         begin, a, b, of = self._begin, self._at, progress.scan, self.of
         self._now = b
@@ -144,7 +146,11 @@ class AtOnce:
             table = Table(row, verdict[at], landmark[at], of.gate, now[:, 0], now[:, 1:3], now[:, 3:])
             self.record.add_rows(np.repeat(when[a:b], np.diff(first[a : b + 1])), table)
             self.record.joint.extend(joint[a:b][joint[a:b, 1] > 0.0].ravel())
-        seen = a + np.flatnonzero(np.diff(first[a : b + 1]))
+        shown = a + np.flatnonzero(np.diff(first[a : b + 1]))
+        seen = shown[rest.taken :]  # those at rest come first
+        if rest.taken:
+            x, y, theta = sights[shown[rest.taken - 1], 6:].tolist()
+            of.rested(rest.taken, (x, y, theta))
         poses = sights[seen, :3], sights[seen, 6:]
         last = [Passed(self._m, begin + i, sights[i, :6]) for i in seen[-SCANS:].tolist()]
         of.passed(progress, way, poses, last, begin + progress.well if progress.well >= 0 else None)
@@ -193,12 +199,9 @@ def _rules(of: LineTracker, m: Measurements) -> dict[str, Any]:
 
 
 def desk(singles: int = 0, lines: int = 0, places: int = 0, free: int = 0, parts: int = 0) -> dict[str, Array]:
-    """Return room for a scan of so many lines, a map of so many places, a mount, and what else an instant has.
-
-    A heading has up to three states. A bearing's row stands beside those of `singles`, and some are tried.
-    """
-    own = singles + 1 + TRIED
-    m, columns = 2 * lines + 1 + own, 3 + free + 2 * lines + 3 + WIDE * own
+    """Return room for a scan of so many lines, a map of so many places, a mount, and so many rows of `singles`."""
+    own = singles + TRIED
+    m, columns = 2 * lines + own, 3 + free + 2 * lines + WIDE * own
     seated, walls = np.empty((lines, LINE)), np.empty((places, WALL + 2 * free))
     return {
         "raw": np.empty((lines, LINE)),
@@ -229,15 +232,18 @@ def desk(singles: int = 0, lines: int = 0, places: int = 0, free: int = 0, parts
         "own_at": np.empty((own, WIDE), np.intp),
         "own_H": np.empty((own, WIDE)),
         "own_y": np.empty(own),
-        "own_R": np.empty((own, 2)),
+        "own_R": np.empty((own, 3)),
         "own_states": np.empty(own, np.intp),
         "follows": np.empty(own, np.intp),
-        "S": np.empty((2, 2)),
-        "e": np.empty(2),
+        "S": np.empty((3, 3)),
+        "e": np.empty(3),
         "tie": np.empty(4),
         "fix": np.empty(FIX),
         "echo": np.empty(ECHO),
         "by": np.empty(3),
+        "noise": np.empty(6),
+        "apart": np.empty(SEEN_FROM),
+        "chord": np.empty(CHORD),
     }
 
 
@@ -250,5 +256,6 @@ def no_scans() -> tuple[Any, ...]:
         core.Walls(wholes, rows, numbers, numbers, *(wholes,) * 4, numbers, 0, 0, False),
         core.Seat(np.zeros(3), wholes, wholes, 0),
         core.Rules(*(0.0,) * 8, *(0,) * 3, False, 0.0, 0.0, False, False, *(0.0,) * 3, 1, 0, 0, *(0.0,) * 11),
+        core.Rest(rows, rows, wholes, 0, 0, 0.0, 0.0, 0, wholes, wholes, numbers, 0),
         core.Way(),
     )

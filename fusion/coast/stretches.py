@@ -18,16 +18,14 @@ from locfuse.fusion.core import tables
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Drive, Ints
 from locfuse.fusion.ekf.belief_arrays import AT_ONCE, JointBelief
-from locfuse.fusion.sensor import GATE, Model, positive
+from locfuse.fusion.sensor import Model, positive
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.track import Track
 
-from .bearings import Pictures, pictures_of
-from .headings import HeadingRecord, headings_of
 from .readings import ColumnRecord, Singles
 from .scans import AtOnce, desk, no_scans
 
-AnyRecord = Record | HeadingRecord | Pictures | ColumnRecord
+AnyRecord = Record | ColumnRecord
 MOST = 1 << 16  # instants at once: Ctrl-C waits for them
 
 
@@ -39,15 +37,9 @@ class Stretches:
     ) -> None:
         """`slow`: sensors that need the loop whatever they read."""
         named = [(s, models[s]) for s in REGISTRY if s in models and s not in slow]
-        self.sensor, self._of = headings_of(drive, named)
-        when = drive.instant[self.sensor] if self.sensor is not None else ()
-        self._when: Ints = np.array(when, np.intp)
-        self.record = HeadingRecord(self._when, self._of.threshold)
         self.scanner, self._scans = _scans(drive, named)
-        self.camera, self._pictures = pictures_of(drive, named)
         self._singles = Singles(drive, dict(named), None if self._scans is None else self._scans.of)
-        whole = (s for s in (self.sensor, self.scanner, self.camera) if s is not None)
-        taken = [*whole, *self._singles.records]
+        taken = [*(() if self.scanner is None else (self.scanner,)), *self._singles.records]
         self._whole = any(model.joint for model in models.values())
         busy = [np.array([len(drive.t)])]
         busy += [drive.instant[s] for s in models if s not in taken]
@@ -65,8 +57,6 @@ class Stretches:
         self._wheels = self._tables.Wheels(self._motions, Q, dt, drifting, drift, len(drift))
         self._no_scans = no_scans()
         self._taken: AtOnce | None = None  # whose scans the core took last
-        self._headings: Any = None
-        self._headings_for = -2  # first column of the map frame
         self._desk: Any = None
         self._fate: Ints = np.zeros(0, np.intp)
         self._desk_for = (-1, -1)  # map lines and states that there is room for
@@ -97,7 +87,7 @@ class Stretches:
         track.n = reached = progress.instant
         self._left = reached if progress.why == interpreted.BEFORE else -1
         if taken is not None:
-            taken.taken(scans[-1], progress)
+            taken.taken(scans[-2], scans[-1], progress)
         self._singles.taken(first)
         predicted = reached + (progress.why != interpreted.DONE)
         rolled: list[float] = self._motions[first:predicted].sum(axis=0).tolist()
@@ -106,12 +96,8 @@ class Stretches:
     def records(self) -> dict[str, AnyRecord]:
         """Return what becomes of the readings, by sensor: whoever judges one notes it there."""
         found: dict[str, AnyRecord] = {}
-        if self.sensor is not None:
-            found[self.sensor] = self.record
         if self.scanner is not None and self._scans is not None:
             found[self.scanner] = self._scans.record
-        if self.camera is not None:
-            found[self.camera] = self._pictures
         return found | self._singles.records
 
     def left(self, k: int) -> bool:
@@ -129,8 +115,7 @@ class Stretches:
 
     def _readings(self, belief: JointBelief, k: int) -> Any:
         """Return all single readings, of which those from instant k on are due."""
-        seen = self._sums(belief, k), self._pictures.table(belief, k)
-        return self._tables.Readings(*seen, *self._singles.tables(belief, k), self._whole)
+        return self._tables.Readings(*self._singles.tables(belief, k), self._whole)
 
     def _without_scans(self) -> tuple[Any, ...]:
         """Return what the core is given where no scan is due: the map, if somebody else reads it."""
@@ -138,19 +123,6 @@ class Stretches:
             return self._no_scans
         scans, _, *rest = self._no_scans
         return scans, self._scans.of.map.table(), *rest
-
-    def _sums(self, belief: JointBelief, k: int) -> Any:
-        """Return the headings, with the states whose sum they are, of which those from instant k on are due."""
-        of, frame = self._of, belief.in_frame
-        if self._headings_for != frame:
-            own = () if of.block is None else (belief.block(of.block)[0],)
-            at = np.array([2, *own, *(() if frame < 0 else (frame + 2,))])
-            judged = of.z, of.variance, of.usable, of.threshold, float(GATE), float(of.unused), of.offset
-            told = self.record.told
-            self._headings = self._tables.Headings(self._when, *judged, at, len(at), told, len(self._when), 0, -1)
-            self._headings_for = frame
-        self._headings.due = int(self._when.searchsorted(k))
-        return self._headings
 
     def _notes(self, track: Track) -> Any:
         """Return where the core notes the track."""
@@ -163,7 +135,7 @@ class Stretches:
         needed = 0 if self._scans is None else self._scans.places
         if places < needed or states != size:
             self._desk_for = max(places, 2 * needed), size
-            singles = self._singles.most
+            singles = self._singles.waiting
             arrays = desk(singles) if self._scans is None else self._scans.desk(self._desk_for[0], singles)
             self._fate = np.asarray(arrays["fate"], np.intp)
             self._desk = self._tables.Desk(**arrays, V=np.empty((len(arrays["y"]) + AT_ONCE, size)))

@@ -1,4 +1,4 @@
-cdef Py_ssize_t POINTED, RAY
+cdef Py_ssize_t RAY
 
 cpdef bint bearing(
     double[::1] pose, double to_x, double to_y, double x, double y, double yaw, double nearest, double[::1] out)

@@ -6,11 +6,10 @@ yaw on the base may be states.
 
 from math import atan2, cos, sin, sqrt
 
-from .filter import locate
+from .filter import FINE, locate
 from .fit import folded
-from .singles import derive, say, state_of, variance, wait
+from .singles import JUDGED, derive, say, state_of, variance, wait
 
-POINTED = 5  # columns of what is told of a candidate: verdict, landmark, NIS, y, sigma
 RAY = 8  # the bearing, its derivatives by pose and mount, and the distance
 
 
@@ -41,14 +40,14 @@ def sight(b, g, i, d):
     Where one shows the point, its row waits for the correction. Returns what `whiten` does.
     """
     if g.first[i] == g.first[i + 1]:
-        return 1.0
+        return FINE
     locate(b.x, b.P, b.frame, d.located)
     for j in range(3):
         d.place[j] = g.seat.told[j]
     for j in range(g.seat.free):
         d.place[g.seat.which[j]] = b.x[g.seat.at[j]]
     if not bearing(d.located, g.x, g.y, d.place[0], d.place[1], d.place[2], g.nearest, d.ray):
-        return 1.0
+        return FINE
     k = d.singles
     states = derive(b, False, d.ray[1], d.ray[2], 0.0, k, d)
     bend = variance(b.P, d, k, states)
@@ -62,9 +61,9 @@ def sight(b, g, i, d):
         return least
     best = choose(g.told, g.first[i], g.first[i + 1], g.gate, g.margin, g.refused, g.ambiguous, g.unmatched)
     if g.told[best, 0] == 0.0:
-        say(d, k, g.told[best, 3], g.r[best] + more, 0.0, False)
+        say(d, k, g.told[best, JUDGED], g.r[best] + more, 0.0, 0)
         wait(d, 1, states)
-    return 1.0
+    return FINE
 
 
 def judge_each(g, i, predicted, variance, more):
@@ -74,9 +73,10 @@ def judge_each(g, i, predicted, variance, more):
         none = S - S  # 0, or NaN of a variance that is no number
         if none == 0.0 and not S > 0.0:
             return S
-        g.told[row, 3] = folded(y)
-        g.told[row, 2], g.told[row, 4] = g.told[row, 3] * g.told[row, 3] / S + none, sqrt(S)
-    return 1.0
+        y = folded(y)
+        g.told[row, 2], g.told[row, 3] = y * y / S + none, g.gate
+        g.told[row, JUDGED], g.told[row, JUDGED + 1] = y, sqrt(S)
+    return FINE
 
 
 def choose(told, first, last, gate, margin, refused, ambiguous, unmatched):

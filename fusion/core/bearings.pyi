@@ -1,7 +1,6 @@
 from .arrays import Floats, Matrix
 from .tables import Bearings, Belief, Desk
 
-POINTED: int
 RAY: int
 
 def bearing(

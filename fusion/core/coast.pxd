@@ -1,10 +1,10 @@
-cdef Py_ssize_t HEARD, DONE, BEFORE, AFTER
-cdef double FINE
+cdef Py_ssize_t DONE, BEFORE, AFTER
 
 cpdef double coast(
-    Belief b, Wheels m, Readings r, Scans s, Walls w, Seat seat, Rules rule, Way way, Desk d, Notes notes,
-    Progress progress, Py_ssize_t last)
+    Belief b, Wheels m, Readings r, Scans s, Walls w, Seat seat, Rules rule, Rest rest, Way way, Desk d,
+    Notes notes, Progress progress, Py_ssize_t last)
 cdef bint is_due(Py_ssize_t[::1] when, Py_ssize_t due, Py_ssize_t readings, Py_ssize_t k)
+cdef void keep(Belief b, Readings r, Py_ssize_t k, Desk d)
 cdef void roll(Belief b, Wheels m, Progress progress, Py_ssize_t k)
 cdef double compare(Belief b, Readings r, Walls w, Desk d, Py_ssize_t k)
 cdef double turn(Belief b, Headings h, Py_ssize_t i, Desk d)

@@ -6,16 +6,16 @@ with a new line.
 
 from .bearings import sight
 from .echoes import hear
-from .filter import AT_ONCE, correct, locate, move, swing, whiten
+from .filter import AT_ONCE, FINE, correct, locate, move, swing, whiten
 from .fit import folded
 from .fixes import locate_fix
+from .poses import begin_pose, posed
 from .scans import MATCHED, NOTHING, columns_of, look, state, teach
 from .sightings import detect, unknown
-from .singles import add_singles, make_room, note_fit
+from .singles import JUDGED, add_singles, make_room, note_fit
 from .turns import begin_turn, turned
+from .twists import begin_way, driven
 
-FINE = 1.0  # returned where no correction failed: only its sign is read
-HEARD = 4  # columns of what is told of a reading: verdict, NIS, y, sigma
 DONE, BEFORE, AFTER = (
     0,
     1,
@@ -23,7 +23,7 @@ DONE, BEFORE, AFTER = (
 )  # why it stopped: all done; predicted, no more; all but the map's lessons and the note
 
 
-def coast(b, m, r, s, w, seat, rule, way, d, notes, progress, last):
+def coast(b, m, r, s, w, seat, rule, rest, way, d, notes, progress, last):
     """Predict (eq. 5-7) from the instant of `progress` until `last`, and correct by all that is due (eq. 10-12).
 
     `progress` says where and why this stopped. Returns what `whiten` does where a correction failed, else FINE.
@@ -38,13 +38,13 @@ def coast(b, m, r, s, w, seat, rule, way, d, notes, progress, last):
             return FINE
         scan, kind = progress.scan, NOTHING
         if scan < s.scans and s.when[scan] == k:
-            kind = look(b, s, scan, w, seat, rule, progress, d)
+            kind = look(b, s, scan, w, seat, rule, rest, progress, d)
             if kind < 0:
                 progress.why = BEFORE
                 return FINE
             progress.scan += 1
         d.singles = 0
-        accepted, turn_due = 0, is_due(r.turns.when, r.turns.due, r.turns.readings, k)
+        accepted = 0
         greatest = compare(b, r, w, d, k)
         if greatest > 0.0 and kind == MATCHED:
             accepted = state(b, s, scan, w, seat, rule, d)
@@ -52,9 +52,8 @@ def coast(b, m, r, s, w, seat, rule, way, d, notes, progress, last):
             greatest = correct_by(b, s, scan, accepted, r.headings, r.whole, seat, rule, d)
         if not greatest > 0.0:
             return greatest
-        if turn_due:
-            begin_turn(b, r.turns, r.turns.due - 1)
-        if kind == MATCHED and teach(b, s, scan, w, rule, way, progress, d):
+        keep(b, r, k, d)
+        if kind != NOTHING and teach(b, s, scan, w, rule, rest, way, progress, d):
             progress.why = AFTER
             return FINE
         note(
@@ -67,6 +66,16 @@ def coast(b, m, r, s, w, seat, rule, way, d, notes, progress, last):
 def is_due(when, due, readings, k):
     """Tell whether reading `due` of so many `readings` belongs to instant k."""
     return due < readings and when[due] == k
+
+
+def keep(b, r, k, d):
+    """Keep heading and pose of instant k, from which the next reading of some sensors counts."""
+    if r.turns.due > 0 and r.turns.when[r.turns.due - 1] == k:
+        begin_turn(b, r.turns, r.turns.due - 1)
+    if r.poses.due > 0 and r.poses.when[r.poses.due - 1] == k:
+        begin_pose(b, r.poses, r.poses.due - 1, d)
+    if r.twists.due > 0 and r.twists.when[r.twists.due - 1] == k:
+        begin_way(b, r.twists, r.twists.due - 1)
 
 
 def roll(b, m, progress, k):
@@ -105,6 +114,12 @@ def compare(b, r, w, d, k):
     if greatest > 0.0 and is_due(r.sightings.when, r.sightings.due, r.sightings.readings, k):
         greatest = detect(b, r.sightings, r.sightings.due, r.whole, d)
         r.sightings.due += 1
+    if greatest > 0.0 and is_due(r.poses.when, r.poses.due, r.poses.readings, k):
+        greatest = posed(b, r.poses, r.poses.due, d)
+        r.poses.due += 1
+    if greatest > 0.0 and is_due(r.twists.when, r.twists.due, r.twists.readings, k):
+        greatest = driven(b, r.twists, r.twists.due, d)
+        r.twists.due += 1
     return greatest
 
 
@@ -115,17 +130,17 @@ def turn(b, h, i, d):
         y -= b.x[h.at[j]]
         d.H[0, j] = 1.0
     d.y[0], d.R[0, 0], none = folded(y), h.r[i], h.r[i] - h.r[i]
-    h.told[i, 0] = 0.0 if h.usable[i] else h.unused
-    h.told[i, 2] = d.y[0]
+    h.told[i, 0], h.told[i, 3] = 0.0 if h.usable[i] else h.unused, h.gate
+    h.told[i, JUDGED] = d.y[0]
     if none != 0.0:  # a variance that is no number, or infinite
-        h.told[i, 1], h.told[i, 3] = none, h.r[i]
+        h.told[i, 2], h.told[i, JUDGED + 1] = none, h.r[i]
         if h.told[i, 0] == 0.0:
             h.told[i, 0] = h.refused
         return FINE
     greatest = whiten(b.P, b.n, h.at, h.states, d.H, d.R, d.y, 1, d.V)
     if greatest > 0.0:
-        h.told[i, 1], h.told[i, 3] = d.y[0] * d.y[0], d.R[0, 0]
-        if h.told[i, 0] == 0.0 and not h.told[i, 1] <= h.gate:
+        h.told[i, 2], h.told[i, JUDGED + 1] = d.y[0] * d.y[0], d.R[0, 0]
+        if h.told[i, 0] == 0.0 and not h.told[i, 2] <= h.gate:
             h.told[i, 0] = h.refused
         if h.told[i, 0] == 0.0:
             h.taken = i
@@ -161,7 +176,7 @@ def add_heading(h, i, d, m, width):
     make_room(d, m, width, h.states)
     for j in range(h.states):
         d.at[width + j], d.H[m, width + j] = h.at[j], 1.0
-    d.y[m], d.R[m, m] = h.told[i, 2], h.r[i]
+    d.y[m], d.R[m, m] = h.told[i, JUDGED], h.r[i]
 
 
 def correct_in_frame(x, P, n, frame, V, e, m):

@@ -1,8 +1,6 @@
 from .arrays import Floats, Matrix, Wholes
-from .tables import Belief, Desk, Headings, Notes, Progress, Readings, Rules, Scans, Seat, Walls, Way, Wheels
+from .tables import Belief, Desk, Headings, Notes, Progress, Readings, Rest, Rules, Scans, Seat, Walls, Way, Wheels
 
-FINE: float
-HEARD: int
 DONE: int
 BEFORE: int
 AFTER: int
@@ -15,6 +13,7 @@ def coast(
     w: Walls,
     seat: Seat,
     rule: Rules,
+    rest: Rest,
     way: Way,
     d: Desk,
     notes: Notes,
@@ -22,6 +21,7 @@ def coast(
     last: int,
 ) -> float: ...
 def is_due(when: Wholes, due: int, readings: int, k: int) -> bool: ...
+def keep(b: Belief, r: Readings, k: int, d: Desk) -> None: ...
 def roll(b: Belief, m: Wheels, progress: Progress, k: int) -> None: ...
 def compare(b: Belief, r: Readings, w: Walls, d: Desk, k: int) -> float: ...
 def turn(b: Belief, h: Headings, i: int, d: Desk) -> float: ...

@@ -5,6 +5,7 @@ With the sonar at p and the wall n.(q - a) = rho it is rho - n.(p - a) (eq. 17 w
 
 from math import atan2, cos, log, pi, sin, sqrt, tan
 
+from .filter import FINE
 from .fit import folded
 from .singles import derive, say, settle, state_of, weigh
 
@@ -92,20 +93,20 @@ def hear(b, w, e, i, d):
     """Compare echo i with the wall that must have answered; returns what `whiten` does."""
     row, k, states = e.first[i], d.singles, 0
     if row == e.first[i + 1] or w.places == 0:
-        return 1.0
+        return FINE
     wall = answering(
         b.x, w, b.x[0], b.x[1], b.x[2], e.cones[row, 0], e.cones[row, 1], e.cones[row, 2], e.cones[row, 3],
         e.widen, sqrt(max(e.r[row], 0.0)), d.echo,
     )  # fmt: skip
     if wall < 0:
         e.told[row, 0], e.told[row, 3] = e.unmatched, e.gate
-        return 1.0
+        return FINE
     states = derive(b, True, d.echo[1], d.echo[2], d.echo[3], k, d)
     if w.states:
         state_of(d, k, 3, w.columns[wall], 1.0)
         state_of(d, k, 4, w.columns[wall] + 1, d.echo[4])
         states = 5
-    say(d, k, e.z[row] - d.echo[0], e.r[row] + d.echo[5], 0.0, False)
+    say(d, k, e.z[row] - d.echo[0], e.r[row] + d.echo[5], 0.0, 0)
     greatest = weigh(b, d, 1, states, e.told, row)
     if greatest > 0.0:
         gate = min(e.gate, likelier(d.echo[0], e.told[row, 5]))

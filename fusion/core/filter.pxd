@@ -1,4 +1,5 @@
 cdef Py_ssize_t AT_ONCE
+cdef double FINE
 
 cpdef void move(
     double[::1] x, double[:, ::1] P, Py_ssize_t n, double ux, double uy, double turn, double qxx, double qxy,
@@ -6,6 +7,7 @@ cpdef void move(
 cpdef double whiten(
     double[:, ::1] P, Py_ssize_t n, Py_ssize_t[::1] at, Py_ssize_t states, double[:, ::1] H, double[:, ::1] S,
     double[::1] y, Py_ssize_t m, double[:, ::1] V)
+@cython.locals(greatest=cython.double)
 cpdef double projected(
     double[:, ::1] P, Py_ssize_t n, Py_ssize_t[::1] at, Py_ssize_t states, double[:, ::1] H, double[:, ::1] S,
     Py_ssize_t m, double[:, ::1] V)
@@ -24,3 +26,4 @@ cpdef Py_ssize_t by_local(
 cpdef double bent(double tt)
 cpdef void swing(double[:, ::1] P, Py_ssize_t n, Py_ssize_t first, double dx, double dy)
 cpdef void keep_heading(double[::1] x, double[:, ::1] P, Py_ssize_t n, Py_ssize_t column, double behind)
+cpdef void keep_pose(double[::1] x, double[:, ::1] P, Py_ssize_t n, Py_ssize_t column)

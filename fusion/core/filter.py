@@ -7,6 +7,7 @@ have room for more states than there are.
 from math import cos, exp, sin, sqrt
 
 AT_ONCE = 4  # rows of a correction that `correct` takes together
+FINE = 1.0  # returned where no correction failed: only its sign is read
 
 
 def move(x, P, n, ux, uy, turn, qxx, qxy, qxt, qyy, qyt, qtt):
@@ -208,6 +209,17 @@ def swing(P, n, first, dx, dy):
         P[i, first] -= dy * P[i, first + 2]
         P[i, first + 1] += dx * P[i, first + 2]
     P[first + 1, first] = P[first, first + 1]
+
+
+def keep_pose(x, P, n, column):
+    """Let three states be the pose as it is now (a clone)."""
+    for i in range(3):
+        x[column + i] = x[i]
+        for j in range(n):
+            P[column + i, j] = P[i, j]
+    for i in range(n):
+        for j in range(3):
+            P[i, column + j] = P[i, j]
 
 
 def keep_heading(x, P, n, column, behind):

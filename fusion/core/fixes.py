@@ -49,8 +49,8 @@ def locate_fix(b, f, i, d):
             for j in range(4):
                 state_of(d, k + row, states + j, f.at + j, d.fix[8 + 4 * row + j])
             states += 4
-    say(d, k, f.z[i, 0] - d.fix[0], f.R[i, 0], 0.0, False)
-    say(d, k + 1, f.z[i, 1] - d.fix[1], f.R[i, 2], f.R[i, 1], True)
+    say(d, k, f.z[i, 0] - d.fix[0], f.R[i, 0], 0.0, 0)
+    say(d, k + 1, f.z[i, 1] - d.fix[1], f.R[i, 2], f.R[i, 1], 1)
     greatest = weigh(b, d, 2, states, f.told, i)
     if greatest > 0.0:
         settle(d, 2, states, f.told, i, -1.0, f.gate, f.refused)

@@ -28,6 +28,7 @@ SOURCES = (
     "tables",
     "intervals",
     "red",
+    "rests",
     "scans",
     "singles",
     "bearings",
@@ -35,6 +36,8 @@ SOURCES = (
     "fixes",
     "turns",
     "sightings",
+    "poses",
+    "twists",
     "coast",
 )  # compiled as one unit: a file uses those before it
 COMPILED = "compiled"  # the extension's name, beside the sources

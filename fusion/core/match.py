@@ -5,7 +5,7 @@ A pair is two numbers of one equation: (r, psi) of a measured line less what is 
 lines reach.
 """
 
-from math import cos, sqrt
+from math import cos, sin, sqrt
 
 from .pairs import PAIR, lever
 
@@ -166,8 +166,11 @@ def equation(
         of, b = PAIR * p, a + 1
         y[a], y[b] = pairs[of + 2], pairs[of + 3]
         H[a, 0], H[a, 1], H[b, 2] = -pairs[of + 15], -pairs[of + 16], -1.0
+        c_psi = s_psi = 0.0
+        if free > 0:
+            c_psi, s_psi = cos(pairs[of + 18]), sin(pairs[of + 18])
         for j in range(free):
-            H[a, 3 + j], H[b, 3 + j] = lever(mount, j, pairs[of + 18]), -1.0 if mount[2 + j] == 2.0 else 0.0
+            H[a, 3 + j], H[b, 3 + j] = lever(mount, j, c_psi, s_psi), -1.0 if mount[2 + j] == 2.0 else 0.0
         if states:
             j = 3 + free + a
             at[j] = columns[whole(pairs[of + 1])]

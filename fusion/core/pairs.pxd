@@ -16,7 +16,7 @@ cdef void spread(
     double[::1] out, Py_ssize_t at)
 cdef void seat(
     double[::1] walls, Py_ssize_t w, double[::1] mount, Py_ssize_t free, double[::1] out, Py_ssize_t at)
-cdef double lever(double[::1] mount, Py_ssize_t a, double psi)
+cdef double lever(double[::1] mount, Py_ssize_t a, double c, double s)
 cdef bint fits(double distance, double limit, double[::1] out, Py_ssize_t at)
 cdef void extent(
     double[::1] rows, Py_ssize_t i, double[::1] walls, Py_ssize_t width, Py_ssize_t j, double[::1] pose,

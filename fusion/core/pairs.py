@@ -121,10 +121,11 @@ def spread(rows, i, walls, width, j, states, pose, P, mount, free, side, seen, o
 
 def seat(walls, w, mount, free, out, at):
     """Add to S what an uncertain mount brings; walls[w:] are its covariances with the map line."""
-    c, s, u, psi = out[at + 15], out[at + 16], out[at + 17], out[at + 18]
+    c, s, u = out[at + 15], out[at + 16], out[at + 17]
+    c_psi, s_psi = cos(out[at + 18]), sin(out[at + 18])
     pose, own = 2 + free, 2 + 4 * free  # where the covariances with the pose and of the mount begin
     for a in range(free):
-        r, turn = lever(mount, a, psi), -1.0 if mount[2 + a] == 2.0 else 0.0
+        r, turn = lever(mount, a, c_psi, s_psi), -1.0 if mount[2 + a] == 2.0 else 0.0
         shared_r = -c * mount[pose + a] - s * mount[pose + free + a] + walls[w + a] + u * walls[w + free + a]
         shared_turn = -mount[pose + 2 * free + a] + walls[w + free + a]
         out[at + 7] += 2.0 * shared_r * r
@@ -132,17 +133,17 @@ def seat(walls, w, mount, free, out, at):
         out[at + 9] += 2.0 * shared_turn * turn
         for b in range(free):
             variance = mount[own + a * free + b]
-            out[at + 7] += r * variance * lever(mount, b, psi)
+            out[at + 7] += r * variance * lever(mount, b, c_psi, s_psi)
             if mount[2 + b] == 2.0:
                 out[at + 8] -= r * variance
                 out[at + 9] -= turn * variance
 
 
-def lever(mount, a, psi):
-    """Return by how much the r of a line at psi [rad] depends on free state `a` of the mount."""
+def lever(mount, a, c, s):
+    """Return by how much the r of a line depends on free state `a` of the mount; c, s of the line's psi."""
     if mount[2 + a] == 2.0:
-        return mount[0] * sin(psi) - mount[1] * cos(psi)
-    return -cos(psi) if mount[2 + a] == 0.0 else -sin(psi)
+        return mount[0] * s - mount[1] * c
+    return -c if mount[2 + a] == 0.0 else -s
 
 
 def fits(distance, limit, out, at):

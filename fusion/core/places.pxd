@@ -1,3 +1,4 @@
+@cython.locals(psi=cython.double, r=cython.double, cross=cython.double, begin=cython.double, end=cython.double)
 cpdef void into_base(double[:, ::1] rows, Py_ssize_t lines, double x, double y, double yaw, double[:, ::1] out)
 cpdef void moved(double[::1] place, double[::1] told, double[::1] out)
 cpdef void shares_into_base(
@@ -11,6 +12,7 @@ cdef void normals(double[:, ::1] walls, Py_ssize_t m, double[:, ::1] normal)
 cdef bint blocked(
     double[:, ::1] walls, Py_ssize_t m, double[:, ::1] normal, double x, double y, double dx, double dy,
     double reach, bint both, double margin, double grazing)
+@cython.locals(total=cython.double, possible=cython.double, share=cython.double)
 cpdef void explained(
     double[:, ::1] poses, Py_ssize_t h, double[:, ::1] rows, Py_ssize_t lines, double[:, ::1] walls, Py_ssize_t m,
     double angle, double offset, double overlap, double[:, ::1] normal, double[:, ::1] out)

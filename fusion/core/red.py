@@ -74,8 +74,10 @@ def sort(values, n, order, room):
         order[i] = i
     size = 1
     while size < n:
-        for begin in range(0, n, 2 * size):
+        begin = 0
+        while begin < n:
             merge_runs(values, begin, min(begin + size, n), min(begin + 2 * size, n), order, room)
+            begin += 2 * size
         for i in range(n):
             order[i] = room[i]
         size *= 2

@@ -11,23 +11,20 @@ from .fit import wrapped
 from .match import bends, equation, extend, is_new, judge, lacks, match, matched_share, refuse_alone
 from .pairs import gather_mount, gather_walls, pairs
 from .places import into_base, moved, shares_into_base
+from .rests import only_repeats
 
-MATCHED, NOTHING, HARDLY, AT_REST = (
-    1,
-    0,
-    -1,
-    -2,
-)  # what became of a scan: fits, has no lines, the loop must see to it
+# what became of a scan: fits, only repeats others at rest, has no lines, the loop must see to it
+MATCHED, REPEATED, NOTHING, HARDLY, AT_REST = 1, 2, 0, -1, -2
 
 
-def look(b, s, i, w, seat, rule, progress, d):
+def look(b, s, i, w, seat, rule, rest, progress, d):
     """Compare scan i with the map: write its pairs and their fate. Returns what became of it."""
     lines = s.first[i + 1] - s.first[i]
     if lines == 0:
         return NOTHING
     drives = progress.x * progress.x + progress.y * progress.y > rule.rolled * rule.rolled
     if not drives and -rule.turned < progress.theta < rule.turned:
-        return AT_REST
+        return REPEATED if only_repeats(s, i, rest) else AT_REST
     put_in_base(b, s, i, seat, d)
     find(b, w, seat, rule, lines, d)
     share = 1.0
@@ -40,6 +37,7 @@ def look(b, s, i, w, seat, rule, progress, d):
     if share >= rule.well:
         progress.well = i
     progress.x = progress.y = progress.theta = 0.0
+    rest.scans = 0
     return MATCHED
 
 
@@ -117,12 +115,14 @@ def columns_of(accepted, seat, rule):
     return 3 + seat.free + (2 * accepted if rule.joint else 0)
 
 
-def teach(b, s, i, w, rule, way, progress, d):
-    """Teach the map what scan i showed; tell whether the loop has to go on with it."""
+def teach(b, s, i, w, rule, rest, way, progress, d):
+    """Teach the map what scan i showed, if it drives; tell whether the loop has to go on with it."""
     lines = s.first[i + 1] - s.first[i]
-    progress.number += 1
     for j in range(3):
         s.sights[i, 6 + j] = b.x[j]
+    if rest.scans > 0:
+        return False
+    progress.number += 1
     extend(d.pairs, d.fate, lines, w.low, w.high, w.hits, w.seen, progress.number)
     if not rule.joint:
         return False

@@ -6,7 +6,7 @@ range = |d| (1 - k (1 - cos b)) + offset + noise with b as it was measured, d fr
 from math import cos, sin, sqrt
 
 from .bearings import bearing
-from .filter import locate
+from .filter import FINE, locate
 from .fit import folded
 from .singles import derive, fit_of, say, settle, state_of, variance, weigh
 
@@ -58,7 +58,7 @@ def detect(b, g, i, whole, d):
 
     How well they fit as a `whole` is noted, where that is asked.
     """
-    before, accepted, greatest = d.singles, 0, 1.0
+    before, accepted, greatest = d.singles, 0, FINE
     locate(b.x, b.P, b.frame, d.located)
     for row in range(g.first[i], g.first[i + 1]):
         n = d.singles
@@ -82,20 +82,21 @@ def detect_one(b, g, row, d):
         x, y, theta = d.located[0], d.located[1], d.located[2]
         to_x, to_y = g.places[mark, 0], g.places[mark, 1]
     d.place[0], d.place[1], d.place[2] = x, y, theta
-    if not bearing(d.place, to_x, to_y, g.x, g.y, g.yaw, TOUCHING, d.ray):
-        return 1.0
+    lever_x, lever_y = g.mounts[row, 0], g.mounts[row, 1]
+    if not bearing(d.place, to_x, to_y, lever_x, lever_y, g.mounts[row, 2], TOUCHING, d.ray):
+        return FINE
     states = derive(b, local, d.ray[1], d.ray[2], 0.0, k, d)
     bend = variance(b.P, d, k, states)  # not linear in the position: second-order (sigma of it / distance)^4
     states = derive(b, local, d.ray[1], d.ray[2], d.ray[3], k, d)
-    say(d, k, folded(g.z[row, 0] - d.ray[0]), g.R[row, 0] + bend * bend, 0.0, False)
+    say(d, k, folded(g.z[row, 0] - d.ray[0]), g.R[row, 0] + bend * bend, 0.0, 0)
     if g.numbers > 1:
         offset = b.x[g.at_offset] if g.at_offset >= 0 else g.offset
         depth = b.x[g.at_depth] if g.at_depth >= 0 else g.depth
         short = shortened(g.z[row, 0])
         share = share_of(depth, short)
-        by_range(d.ray, g.x, g.y, share, d.by)
+        by_range(d.ray, lever_x, lever_y, share, d.by)
         derive(b, local, d.by[0], d.by[1], d.by[2], k + 1, d)
-        say(d, k + 1, g.z[row, 1] - share * d.ray[7] - offset, g.R[row, 2], g.R[row, 1], True)
+        say(d, k + 1, g.z[row, 1] - share * d.ray[7] - offset, g.R[row, 2], g.R[row, 1], 1)
         states = add_states(g, mark, short, states, k, d)
         distance = (g.z[row, 1] - offset) / share
         if not g.made:
@@ -137,7 +138,8 @@ def keep_place(b, g, row, distance, k, d):
         greatest = max(greatest, variance(b.P, d, k, states))
     if not greatest <= g.most * g.most:
         return
-    placed(d.place[0], d.place[1], d.place[2], g.x, g.y, g.yaw, distance, g.z[row, 0], d.by)
+    lever_x, lever_y, yaw = g.mounts[row, 0], g.mounts[row, 1], g.mounts[row, 2]
+    placed(d.place[0], d.place[1], d.place[2], lever_x, lever_y, yaw, distance, g.z[row, 0], d.by)
     across = distance * g.sigma_bearing
     g.placed[row, 0], g.placed[row, 1] = d.by[0], d.by[1]
     g.placed[row, 2] = sqrt(greatest + g.sigma_range * g.sigma_range + across * across)

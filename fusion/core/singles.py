@@ -6,7 +6,7 @@ own, until the instant is corrected at once.
 
 from math import sqrt
 
-from .filter import by_local, factor, whiten
+from .filter import FINE, by_local, factor, whiten
 
 WIDE = 10  # states that a reading depends on at most: pose, map frame, and four more
 JUDGED = 4  # columns of what is told of a reading, before its y and its sigmas: verdict, landmark, NIS, threshold
@@ -32,7 +32,8 @@ def product(P, d, i, j, states):
     total = 0.0
     for p in range(states):
         for q in range(states):
-            total += d.own_H[i, p] * d.own_H[j, q] * P[d.own_at[i, p], d.own_at[j, q]]
+            if d.own_H[i, p] != 0.0 and d.own_H[j, q] != 0.0:  # what is not asked for may be no number
+                total += d.own_H[i, p] * d.own_H[j, q] * P[d.own_at[i, p], d.own_at[j, q]]
     return total
 
 
@@ -47,9 +48,18 @@ def state_of(d, k, j, at, by):
 
 
 def say(d, k, y, r, shared, follows):
-    """Write innovation and noise of row k: its variance, and what it `shared` with the row that it `follows`."""
+    """Write innovation and noise of row k: its variance, and what it `shared` with the row before.
+
+    It `follows` so many rows of its reading.
+    """
     d.own_y[k], d.own_R[k, 0], d.own_R[k, 1] = y, r, shared
     d.follows[k] = follows
+
+
+def say_third(d, k, y, r, shared, first):
+    """Write the same of a third row, with what it shared with the `first`."""
+    say(d, k, y, r, shared, 2)
+    d.own_R[k, 2] = first
 
 
 def weigh(b, d, numbers, states, told, row):
@@ -57,17 +67,17 @@ def weigh(b, d, numbers, states, told, row):
 
     Eq. 10's S = H P H' + R, and y' S^-1 y, which is left NaN for what is no number. Returns what `whiten` does.
     """
-    k, nis = d.singles, 0.0
+    k, nis, total = d.singles, 0.0, 0.0
     for i in range(numbers):
         for j in range(i):
-            d.S[i, j] = product(b.P, d, k + i, k + j, states) + d.own_R[k + i, 1]
+            d.S[i, j] = product(b.P, d, k + i, k + j, states) + d.own_R[k + i, i - j]
         d.S[i, i] = variance(b.P, d, k + i, states) + d.own_R[k + i, 0]
         told[row, JUDGED + i] = d.own_y[k + i]
         told[row, JUDGED + numbers + i] = sqrt(d.S[i, i]) if d.S[i, i] > 0.0 else d.S[i, i]
+        total += d.S[i, i]
     greatest = max(0.0, d.S[0, 0])
-    total = d.S[0, 0] + d.S[numbers - 1, numbers - 1]
     if total * total - total * total != 0.0:  # no number, or so large that its products are none
-        return 1.0
+        return FINE
     if not factor(d.S, numbers):
         return -greatest
     for i in range(numbers):
@@ -102,6 +112,8 @@ def add_singles(d, first, last, m, width):
         if d.follows[k]:
             make_room(d, m, width, 0)
             d.R[m, m - 1] = d.R[m - 1, m] = d.own_R[k, 1]
+            if d.follows[k] > 1:
+                d.R[m, m - 2] = d.R[m - 2, m] = d.own_R[k, 2]
         else:
             make_room(d, m, width, states)
             width += states

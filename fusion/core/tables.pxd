@@ -16,6 +16,14 @@ cdef class Walls:
     cdef Py_ssize_t width, places
     cdef bint states
 
+cdef class Rest:
+    cdef double[:, ::1] lines, sums
+    cdef double[::1] least
+    cdef Py_ssize_t[::1] counts, same, best
+    cdef double near, share
+    cdef Py_ssize_t known, repeated
+    cdef public Py_ssize_t scans, taken
+
 cdef class Seat:
     cdef double[::1] told
     cdef Py_ssize_t[::1] which, at
@@ -38,7 +46,7 @@ cdef class Desk:
     cdef double[:, ::1] raw, seated, wall_rows, H, G, R, V
     cdef double[::1] rows, walls, mount, place, offset, pose, triangle, seen, pairs, shared, y, missing
     cdef double[:, ::1] own_H, own_R, S
-    cdef double[::1] located, ray, chain, own_y, e, tie, fix, echo, by
+    cdef double[::1] located, ray, chain, own_y, e, tie, fix, echo, by, noise, apart, chord
     cdef Py_ssize_t[:, ::1] own_at
     cdef Py_ssize_t[::1] fate, order, at, loose, own_states, follows
     cdef Py_ssize_t singles
@@ -104,11 +112,27 @@ cdef class Turns:
 
 cdef class Sightings:
     cdef Py_ssize_t[::1] when, first, which, ids, columns
-    cdef double[:, ::1] z, R, places, told, joint, placed
-    cdef double x, y, yaw, offset, depth, sigma_bearing, sigma_range, most, gate, refused
+    cdef double[:, ::1] z, R, places, mounts, told, joint, placed
+    cdef double offset, depth, sigma_bearing, sigma_range, most, gate, refused
     cdef Py_ssize_t numbers, at_offset, at_depth, readings
     cdef bint made
     cdef public Py_ssize_t due
+
+cdef class Poses:
+    cdef Py_ssize_t[::1] when, drifts
+    cdef double[:, ::1] z, R, told
+    cdef double by_way, turn_by_way, arm, floor, turn_floor, gate, refused
+    cdef Py_ssize_t at_kept, readings
+    cdef bint in_map
+    cdef public Py_ssize_t last, due
+
+cdef class Twists:
+    cdef Py_ssize_t[::1] when
+    cdef double[::1] piece
+    cdef double[:, ::1] z, variance, told
+    cdef double by_scale, floor, turn_floor, gate, refused
+    cdef Py_ssize_t at_kept, readings
+    cdef public Py_ssize_t last, due
 
 cdef class Readings:
     cdef Headings headings
@@ -117,6 +141,8 @@ cdef class Readings:
     cdef Fixes fixes
     cdef Turns turns
     cdef Sightings sightings
+    cdef Poses poses
+    cdef Twists twists
     cdef bint whole
 
 cdef class Window:

@@ -37,6 +37,21 @@ class Walls:
         self.fixed, self.width, self.places, self.states = fixed, width, places, states
 
 
+class Rest:
+    """The scans of a robot at rest, so many `scans`; fewer than two where it drives.
+
+    `lines` (known, 4: r, psi, both ends) are those of the first and what others showed beside them, `sums` (known,
+    2) by how much `counts` (known,) of them were off since the last that counted. Lines are the same within the
+    squared distance `near` where a `share` of the longer is common. `repeated` is the verdict on scans that are
+    `taken`. Room: same (lines of a scan,), best and least (known,).
+    """
+
+    def __init__(self, lines, sums, counts, known, scans, near, share, repeated, same, best, least, taken):
+        self.lines, self.sums, self.counts, self.known, self.scans = lines, sums, counts, known, scans
+        self.near, self.share, self.repeated = near, share, repeated
+        self.same, self.best, self.least, self.taken = same, best, least, taken
+
+
 class Seat:
     """The laser's mount as it is configured (3,); of its `free` states which (of x, y, yaw), and their columns."""
 
@@ -87,7 +102,7 @@ class Desk:
     def __init__(
         self, raw, seated, rows, wall_rows, walls, mount, place, offset, pose, triangle, seen, pairs, fate, order,
         shared, at, H, G, R, y, V, loose, missing, located, ray, chain, own_at, own_H, own_y, own_R, own_states,
-        follows, S, e, tie, fix, echo, by, singles=0,
+        follows, S, e, tie, fix, echo, by, noise, apart, chord, singles=0,
     ):  # fmt: skip
         self.raw, self.seated, self.rows, self.wall_rows, self.walls = raw, seated, rows, wall_rows, walls
         self.mount, self.place, self.offset, self.pose, self.triangle = mount, place, offset, pose, triangle
@@ -97,7 +112,8 @@ class Desk:
         self.located, self.ray, self.chain = located, ray, chain
         self.own_at, self.own_H, self.own_y, self.own_R = own_at, own_H, own_y, own_R
         self.own_states, self.follows, self.S, self.e = own_states, follows, S, e
-        self.tie, self.fix, self.echo, self.by, self.singles = tie, fix, echo, by, singles
+        self.tie, self.fix, self.echo, self.by = tie, fix, echo, by
+        self.noise, self.apart, self.chord, self.singles = noise, apart, chord, singles
 
 
 class Progress:
@@ -144,8 +160,9 @@ class Headings:
     """Headings, `readings` of them: i at instant when[i] is z[i] [rad] of variance r[i].
 
     What is predicted is `offset` and the sum of the states `at` (states,). Where a heading is not `usable`, or
-    beyond `gate`, it corrects nothing. Written is told (readings, 4), with the verdict 0, `refused` or `unused`.
-    The next to come is `due`, and `taken` the one of this instant that corrects, else -1.
+    beyond `gate`, it corrects nothing. Written is told (readings, 6: verdict, landmark, NIS, threshold, y, sigma),
+    with the verdict 0, `refused` or `unused`. The next to come is `due`, and `taken` the one of this instant that
+    corrects, else -1.
     """
 
     def __init__(self, when, z, r, usable, gate, refused, unused, offset, at, states, told, readings, due, taken):
@@ -158,9 +175,9 @@ class Headings:
 class Bearings:
     """Bearings of the point (x, y) [m, map frame], seen in `readings` pictures: i at instant when[i].
 
-    Its candidates, first[i] until first[i + 1], are z [rad] of variance r. Written is told (k, 5: verdict,
-    landmark, NIS, y, sigma); `gate` to `unmatched` are those of `bearings.choose`. The camera sits as `seat` says,
-    and nearer than `nearest` [m] it is inside the point. The next to come is picture `due`.
+    Its candidates, first[i] until first[i + 1], are z [rad] of variance r. Written is told (k, 6: verdict,
+    landmark, NIS, threshold, y, sigma); `gate` to `unmatched` are those of `bearings.choose`. The camera sits as
+    `seat` says, and nearer than `nearest` [m] it is inside the point. The next to come is picture `due`.
     """
 
     def __init__(
@@ -228,20 +245,20 @@ class Sightings:
     """Detections z (k, 1 or 2: bearing [rad], range [m]) of covariance R (k, 3), reading by reading.
 
     Row j shows landmark which[j] of those whose numbers are `ids` and which stand at `places` (l, 2) [m, map].
-    While they are `made`, they are the states `columns` (l,), of which -1 is none yet. The detector sits at x, y,
-    `yaw` on the base. Offset and depth of its ranges are states, or given where their column is -1. Written are
-    told (k, 4 + 2 numbers: verdict, landmark, NIS, threshold, y, sigma) and joint (n, 2: how well a reading fits
-    as a whole). Of landmarks whose places are known it is `placed` (k, 3), where a detection puts them and that
-    sigma, if the robot's own place is known to `most` [m].
+    While they are `made`, they are the states `columns` (l,), of which -1 is none yet. The detector of row j sits
+    at mounts[j] (k, 3: x, y, yaw) on the base. Offset and depth of its ranges are states, or given where their
+    column is -1. Written are told (k, 4 + 2 numbers: verdict, landmark, NIS, threshold, y, sigma) and joint (n, 2:
+    how well a reading fits as a whole). Of landmarks whose places are known it is `placed` (k, 3), where a
+    detection puts them and that sigma, if the robot's own place is known to `most` [m].
     """
 
     def __init__(
-        self, when, first, z, R, numbers, which, ids, places, columns, made, x, y, yaw, offset, depth, at_offset,
+        self, when, first, z, R, numbers, which, ids, places, columns, made, mounts, offset, depth, at_offset,
         at_depth, sigma_bearing, sigma_range, most, told, joint, placed, gate, refused, readings, due,
     ):  # fmt: skip
         self.when, self.first, self.z, self.R, self.numbers = when, first, z, R, numbers
         self.which, self.ids, self.places, self.columns, self.made = which, ids, places, columns, made
-        self.x, self.y, self.yaw = x, y, yaw
+        self.mounts = mounts
         self.offset, self.depth, self.at_offset, self.at_depth = offset, depth, at_offset, at_depth
         self.sigma_bearing, self.sigma_range, self.most = sigma_bearing, sigma_range, most
         self.told, self.joint, self.placed = told, joint, placed
@@ -249,12 +266,51 @@ class Sightings:
         self.readings, self.due = readings, due
 
 
+class Poses:
+    """Poses z (k, 3) that somebody estimated, of covariance R (k, 6: 00, 01, 02, 11, 12, 22).
+
+    They are `in_map`, or count from the pose of reading `last`, at which the states from column `at_kept` on keep
+    the robot's own. One of a frame that `drifts` (k,) has the noise of `poses.way_noise`. Written is told (k, 10:
+    verdict, landmark, NIS, threshold, y (3), sigma (3)).
+    """
+
+    def __init__(
+        self, when, z, R, drifts, told, in_map, at_kept, by_way, turn_by_way, arm, floor, turn_floor, gate,
+        refused, last, readings, due,
+    ):  # fmt: skip
+        self.when, self.z, self.R, self.drifts, self.told = when, z, R, drifts, told
+        self.in_map, self.at_kept = in_map, at_kept
+        self.by_way, self.turn_by_way, self.arm = by_way, turn_by_way, arm
+        self.floor, self.turn_floor = floor, turn_floor
+        self.gate, self.refused, self.last = gate, refused, last
+        self.readings, self.due = readings, due
+
+
+class Twists:
+    """Way [m] and turn [rad] z (k, 2) until each reading, and their variance (k, 2), by a source of speeds.
+
+    There is no gap where `piece` is the same. Its noise is also `by_scale` of way and turn squared, and a floor.
+    The pose of reading `last` is kept by the states from column `at_kept` on. Written is told (k, 8: verdict,
+    landmark, NIS, threshold, y (2), sigma (2)).
+    """
+
+    def __init__(
+        self, when, z, variance, piece, told, at_kept, by_scale, floor, turn_floor, gate, refused, last, readings,
+        due,
+    ):  # fmt: skip
+        self.when, self.z, self.variance, self.piece, self.told = when, z, variance, piece, told
+        self.at_kept, self.by_scale, self.floor, self.turn_floor = at_kept, by_scale, floor, turn_floor
+        self.gate, self.refused, self.last = gate, refused, last
+        self.readings, self.due = readings, due
+
+
 class Readings:
     """All single readings of a drive; how well several of one reading fit as a `whole` is noted, if asked."""
 
-    def __init__(self, headings, bearings, echoes, fixes, turns, sightings, whole):
-        self.headings, self.bearings, self.echoes = headings, bearings, echoes
-        self.fixes, self.turns, self.sightings, self.whole = fixes, turns, sightings, whole
+    def __init__(self, headings, bearings, echoes, fixes, turns, sightings, poses, twists, whole):
+        self.headings, self.bearings, self.echoes, self.fixes = headings, bearings, echoes, fixes
+        self.turns, self.sightings, self.poses, self.twists = turns, sightings, poses, twists
+        self.whole = whole
 
 
 class Window:

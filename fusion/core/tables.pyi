@@ -63,6 +63,35 @@ class Walls:
         states: bool,
     ) -> None: ...
 
+class Rest:
+    lines: Matrix
+    sums: Matrix
+    counts: Wholes
+    known: int
+    scans: int
+    near: float
+    share: float
+    repeated: int
+    same: Wholes
+    best: Wholes
+    least: Floats
+    taken: int
+    def __init__(
+        self,
+        lines: Matrix,
+        sums: Matrix,
+        counts: Wholes,
+        known: int,
+        scans: int,
+        near: float,
+        share: float,
+        repeated: int,
+        same: Wholes,
+        best: Wholes,
+        least: Floats,
+        taken: int,
+    ) -> None: ...
+
 class Seat:
     told: Floats
     which: Wholes
@@ -215,6 +244,9 @@ class Desk:
     fix: Floats
     echo: Floats
     by: Floats
+    noise: Floats
+    apart: Floats
+    chord: Floats
     singles: int
     def __init__(
         self,
@@ -256,6 +288,9 @@ class Desk:
         fix: Floats,
         echo: Floats,
         by: Floats,
+        noise: Floats,
+        apart: Floats,
+        chord: Floats,
         singles: int,
     ) -> None: ...
 
@@ -496,9 +531,7 @@ class Sightings:
     places: Matrix
     columns: Wholes
     made: bool
-    x: float
-    y: float
-    yaw: float
+    mounts: Matrix
     offset: float
     depth: float
     at_offset: int
@@ -525,9 +558,7 @@ class Sightings:
         places: Matrix,
         columns: Wholes,
         made: bool,
-        x: float,
-        y: float,
-        yaw: float,
+        mounts: Matrix,
         offset: float,
         depth: float,
         at_offset: int,
@@ -544,6 +575,78 @@ class Sightings:
         due: int,
     ) -> None: ...
 
+class Poses:
+    when: Wholes
+    z: Matrix
+    R: Matrix
+    drifts: Wholes
+    told: Matrix
+    in_map: bool
+    at_kept: int
+    by_way: float
+    turn_by_way: float
+    arm: float
+    floor: float
+    turn_floor: float
+    gate: float
+    refused: float
+    last: int
+    readings: int
+    due: int
+    def __init__(
+        self,
+        when: Wholes,
+        z: Matrix,
+        R: Matrix,
+        drifts: Wholes,
+        told: Matrix,
+        in_map: bool,
+        at_kept: int,
+        by_way: float,
+        turn_by_way: float,
+        arm: float,
+        floor: float,
+        turn_floor: float,
+        gate: float,
+        refused: float,
+        last: int,
+        readings: int,
+        due: int,
+    ) -> None: ...
+
+class Twists:
+    when: Wholes
+    z: Matrix
+    variance: Matrix
+    piece: Floats
+    told: Matrix
+    at_kept: int
+    by_scale: float
+    floor: float
+    turn_floor: float
+    gate: float
+    refused: float
+    last: int
+    readings: int
+    due: int
+    def __init__(
+        self,
+        when: Wholes,
+        z: Matrix,
+        variance: Matrix,
+        piece: Floats,
+        told: Matrix,
+        at_kept: int,
+        by_scale: float,
+        floor: float,
+        turn_floor: float,
+        gate: float,
+        refused: float,
+        last: int,
+        readings: int,
+        due: int,
+    ) -> None: ...
+
 class Readings:
     headings: Headings
     bearings: Bearings
@@ -551,6 +654,8 @@ class Readings:
     fixes: Fixes
     turns: Turns
     sightings: Sightings
+    poses: Poses
+    twists: Twists
     whole: bool
     def __init__(
         self,
@@ -560,6 +665,8 @@ class Readings:
         fixes: Fixes,
         turns: Turns,
         sightings: Sightings,
+        poses: Poses,
+        twists: Twists,
         whole: bool,
     ) -> None: ...
 

@@ -1,6 +1,6 @@
 """Turns by a gyro: z_i - z_before = theta - theta_before + bias dt + noise, theta_before a state."""
 
-from .filter import keep_heading
+from .filter import FINE, keep_heading
 from .singles import say, settle, state_of, weigh
 
 
@@ -22,10 +22,10 @@ def turned(b, g, i, d):
     """
     k, last, states = d.singles, g.last, 2
     if g.piece[i] != g.piece[last]:
-        return 1.0
+        return FINE
     if g.rest_begin <= g.t[last] and g.t[i] <= g.rest_end:
         g.told[i, 0], g.told[i, 3] = g.repeated, g.gate
-        return 1.0
+        return FINE
     dt, by = g.t[i] - g.t[last], g.z[i] - g.z[last]
     state_of(d, k, 0, 2, 1.0)
     state_of(d, k, 1, g.at_before, -1.0)
@@ -34,7 +34,7 @@ def turned(b, g, i, d):
         state_of(d, k, 2, g.at_bias, dt)
         bias, states = b.x[g.at_bias], 3
     y = surplus(by, dt, bias, b.x[2], b.x[g.at_before])
-    say(d, k, y, turn_noise(g.walk, dt, g.by_scale, by), 0.0, False)
+    say(d, k, y, turn_noise(g.walk, dt, g.by_scale, by), 0.0, 0)
     greatest = weigh(b, d, 1, states, g.told, i)
     if greatest > 0.0:
         settle(d, 1, states, g.told, i, -1.0, g.gate, g.refused)

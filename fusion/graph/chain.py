@@ -8,6 +8,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.scan_matching.clouds import Clouds
 from locfuse.fusion.scan_matching.match import Matches, Targets, match
+from locfuse.fusion.scan_matching.neighbours import good, next_scans
 
 from .odometry import Odometry, by_lever
 from .solve import Edges, Problem
@@ -18,10 +19,6 @@ WHEEL_WIDTH = 3.0  # sigmas: slips are no noise
 SCAN_WIDTH = 4.0
 NEIGHBOUR_STEPS = (2, 3, 5, 8)  # keys further on that a key is matched with, beside the next one
 MAX_NEIGHBOUR_M = 5.0
-MIN_INLIERS, MIN_OVERLAP, MAX_RMS_M = 0.6, 0.3, 0.05
-SLIPS_RAD = np.radians([-30.0, -24.0, -18.0, -12.0, -8.0, -4.0, 4.0, 8.0, 12.0, 18.0, 24.0, 30.0])
-SLIP_INLIERS, SLIP_GAIN = 0.75, 0.1  # where fewer points fit a slip is looked for; it must let so many more fit
-LOOSE = np.diag([0.1**-2, 0.1**-2, np.radians(8.0) ** -2])  # the wheels' prior while one is looked for
 INFLATION = 0.5  # of the matches' information: errors that neighbouring scans share were counted as their own
 PLACES_AGAIN, MIN_WAY_M, MAX_AGAIN_M = 2, 5.0, 2.5  # earlier visits that a key is matched with again, how near
 
@@ -38,31 +35,6 @@ def wheel_edges(odometry: Odometry, instants: Ints) -> Edges:
     return edges
 
 
-def next_keys(targets: Targets, clouds: Clouds, wheels: Edges) -> Matches:
-    """Match every key with the next, from the wheels' motion; where that fits badly, look for a slip."""
-    found = match(targets, wheels.i, clouds, wheels.j, wheels.z, wheels.information)
-    bad = np.flatnonzero(found.inliers < SLIP_INLIERS)
-    if not len(bad):
-        return found
-    again, tries = np.repeat(bad, len(SLIPS_RAD)), np.tile(SLIPS_RAD, len(bad))
-    guess = wheels.z[again] + np.outer(tries, (0.0, 0.0, 1.0))
-    slips = match(
-        targets, wheels.i[again], clouds, wheels.j[again], guess, np.broadcast_to(LOOSE, (len(again), 3, 3))
-    )
-    score = (slips.inliers * (slips.overlap > MIN_OVERLAP)).reshape(len(bad), -1)
-    best = score.argmax(axis=1)
-    take = score.max(axis=1) > found.inliers[bad] + SLIP_GAIN
-    chosen = np.arange(len(bad)) * len(SLIPS_RAD) + best
-    for column, other in zip(vars(found).values(), vars(slips).values(), strict=True):
-        column[bad[take]] = other[chosen[take]]
-    return found
-
-
-def good(found: Matches) -> Array:
-    """Tell which matches are to be believed, (p,)."""
-    return np.asarray((found.inliers > MIN_INLIERS) & (found.overlap > MIN_OVERLAP) & (found.rms < MAX_RMS_M))
-
-
 def edges_of(i: Ints, j: Ints, found: Matches, way: Array | None = None) -> Edges:
     """Return matches of clouds j in the frames of clouds i as edges; along the `way` (n,) headings may drift."""
     edges = Edges.of(i, j, found.pose, INFLATION * found.information, SCAN_WIDTH)
@@ -75,7 +47,7 @@ def sequential(
     targets: Targets, clouds: Clouds, wheels: Edges, way: Array, problem: Problem
 ) -> tuple[Array, Edges]:
     """Return the key poses without any loop, (n, 3), and the edges: wheels, then scans."""
-    found = next_keys(targets, clouds, wheels)
+    found = next_scans(targets, wheels.i, clouds, wheels.j, wheels.z, wheels.information)
     sure = good(found)
     step = np.where(sure[:, None], found.pose, wheels.z)
     x = se2.compose(problem.anchor.pose, se2.chain(step))

@@ -63,15 +63,15 @@ def by_reference_run(sensor: str, settings: Any, h: Heard) -> NoiseVerdict | Non
         return by_memory(sensor, settings, h.spread, h.memory, h.period, h.R)
     if h.reference > MAX_REFERENCE_VARIANCE_RATIO * noise:
         return None
-    return by_share(sensor, h.wild, False, by_scale(sensor, settings, math.sqrt(noise / h.R)))
+    return by_share(sensor, h.wild, by_scale(sensor, settings, math.sqrt(noise / h.R)))
 
 
 def by_itself(sensor: str, settings: Any, o: Own, floor: Sequence[float], period: float) -> NoiseVerdict:
     """Judge a sensor by the innovations of a run that uses it."""
-    lines = len(o.R) > 1
-    if not lines and abs(o.middle[0]) > max(MIN_SIGMAS * o.sure[0], math.sqrt(o.R[0])):
+    several = len(o.R) > 1  # numbers of one reading
+    if not several and abs(o.middle[0]) > max(MIN_SIGMAS * o.sure[0], math.sqrt(o.R[0])):
         return biased(sensor, settings, o.middle[0], o.sure[0], math.sqrt(o.R[0] / o.compared))
-    if not lines and o.white < MIN_WHITE_SHARE and o.whiteness[0] > MIN_REPEAT_CORRELATION:
+    if not several and o.white < MIN_WHITE_SHARE and o.whiteness[0] > MIN_REPEAT_CORRELATION:
         repeats = 1.0 + 2.0 * o.whiteness[0] / (1.0 - min(o.whiteness[0], 0.98))  # as of a Markov chain
         # the state has followed the slow errors, so that the innovations show a part of them
         return by_memory(sensor, settings, o.R[0] * o.nis, repeats, period, o.R[0] / MIN_MEAN_VARIANCE_RATIO)
@@ -85,7 +85,7 @@ def by_itself(sensor: str, settings: Any, o: Own, floor: Sequence[float], period
         # residuals as large as configured, in the middle or on average (a few large ones make that: people, walls
         # that are not flat), do not show that the noise is set too high, however similar neighbouring ones are
         factor = MIN_SIGMA_FACTOR
-    return by_share(sensor, o.refused, lines, by_scale(sensor, settings, factor))
+    return by_share(sensor, o.refused, by_scale(sensor, settings, factor))
 
 
 def _drifts(sensor: str, settings: Any, h: Heard) -> bool:
@@ -209,11 +209,20 @@ def wanders(sensor: str, o: Own) -> NoiseVerdict:
     return NoiseVerdict("correlated", words)
 
 
-def by_share(sensor: str, share: float, lines: bool, rest: NoiseVerdict) -> NoiseVerdict:
+def many_refused(sensor: str, share: float) -> bool:
+    """Return whether this share of a sensor's readings is more than may be refused; of lines people cause many."""
+    return share > (MAX_REFUSED_LINE_SHARE if _sees_lines(sensor) else MAX_REFUSED_SHARE)
+
+
+def _sees_lines(sensor: str) -> bool:
+    return REGISTRY[sensor].sees == "line"
+
+
+def by_share(sensor: str, share: float, rest: NoiseVerdict) -> NoiseVerdict:
     """Say that many readings are refused, unless their noise is understated anyway."""
-    if share <= (MAX_REFUSED_LINE_SHARE if lines else MAX_REFUSED_SHARE) or rest.verdict == "understated":
+    if not many_refused(sensor, share) or rest.verdict == "understated":
         return rest
-    if lines:
+    if _sees_lines(sensor):
         words = (
             f"{share:.0%} of the lines do not fit the map: people, or a wrong time_offset, mount or range scale"
         )

@@ -26,6 +26,7 @@ from .bootstrap import Interval, block_means
 OUTLIER_SHARE = 0.05  # share of readings that may be anything: one wild reading must not decide
 MIN_GAIN_NATS = 0.02  # nats per number: less is none
 BLOCK_S = 5.0  # s: readings this far apart are taken as independent
+LASER = "lrf"  # whose scans are the motion where there are no wheels
 STRETCH_S = 5.0  # s that a sensor listens at a time where it cannot be left out
 
 
@@ -41,6 +42,7 @@ class Score:
     low: float  # the gain's 95 % interval, by blocks
     high: float
     stretches: bool  # the sensor belongs to the configuration and listened in stretches only
+    shared: bool = False  # odometry was made of the same readings: to be worse than that says nothing
 
 
 @dataclass(frozen=True)
@@ -112,7 +114,8 @@ def scores_of(drive: Drive, e: Estimates, base: Estimates) -> list[Score]:
             low, high = interval(gain, np.repeat(m.t, counts)[rows])
             own = sensor in e.sensors
             mean = float(mine[rows].mean())
-            found.append(Score(e.name, sensor, len(rows), mean, float(gain.mean()), low, high, own))
+            shared = sensor == LASER and drive.wheels.matched is not None
+            found.append(Score(e.name, sensor, len(rows), mean, float(gain.mean()), low, high, own, shared))
     return found
 
 
@@ -152,7 +155,11 @@ def contradictions(found: Sequence[Score], alone: Mapping[str, str]) -> list[tup
     pairs = {
         tuple(sorted((sensor_of[s.configuration], s.sensor)))
         for s in found
-        if s.configuration in sensor_of and not s.stretches and s.high < 0.0 and s.gain < -MIN_GAIN_NATS
+        if s.configuration in sensor_of
+        and not s.stretches
+        and not s.shared
+        and s.high < 0.0
+        and s.gain < -MIN_GAIN_NATS
     }
     return sorted((a, b) for a, b in pairs)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -9,6 +10,7 @@ Verdict = Literal["helps", "seems to help", "no effect seen", "seems to hurt", "
 
 MIN_EFFECT = 0.02  # an effect below 2 % is none, however certain
 MIN_EXPECTED_EFFECT = 0.15  # an effect whose interval includes none is only seen from 15 % on
+MAX_UNSURE = math.log(10.0)  # an interval that reaches ten times smaller and ten times larger shows nothing
 MIN_HARM_LAST = 0.10  # a set that is surely 10 % better without the sensor is hurt by it
 MAX_ANEES, MAX_ANEES_RATIO = 10.0, 5.0  # overconfident: ANEES above this, and this many times the one before
 MAX_CONSISTENT_ANEES = 3.0  # a run with more is inconsistent, and its covariance is no evidence
@@ -41,6 +43,8 @@ def verdict(
         return "hurts"
     if _surely(main, 1.0):
         return "helps"
+    if min(-main.low, main.high) > MAX_UNSURE:
+        return "no effect seen"
     consistent = anees is None or anees[1] <= MAX_CONSISTENT_ANEES
     vetoed = consistent and main.expected is not None and abs(main.expected) < MIN_EXPECTED_EFFECT
     if abs(main.value) <= MIN_EXPECTED_EFFECT or vetoed:

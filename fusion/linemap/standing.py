@@ -12,11 +12,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from locfuse.fusion.data import Array, Ints
-from locfuse.fusion.se2 import wrap_all
+from locfuse.fusion.core import rests, tables
+from locfuse.fusion.core.room import Room
+from locfuse.fusion.data import Ints
 
 from .scan import Scan
 
@@ -33,10 +35,9 @@ class Standing:
         self._rolled = (0.0, 0.0, 0.0)  # x, y [m], theta [rad] by the wheels since the first scan
         self._scans = 0  # at rest; 0: none yet
         self._first: Scan | None = None
-        self._z = np.zeros((0, 2))  # lines of the first scan, and those that others showed beside them
-        self._ends = np.zeros((0, 2))
-        self._sum = np.zeros((0, 2))  # of the scans since the last use, off these
-        self._count: Ints = np.zeros(0, np.int64)
+        self._lines = np.zeros((0, 4))  # r, psi and ends: of the first scan, and what others showed beside them
+        self._sums = np.zeros((0, 2))  # of the scans since the last use, off these
+        self._counts: Ints = np.zeros(0, np.intp)
 
     def rolled(self, u: Sequence[float]) -> None:
         """Take in wheel motion: x, y [m], theta [rad]. So small a motion may be summed component by component."""
@@ -73,46 +74,44 @@ class Standing:
         if float(length[same >= 0].sum()) < SAME_SHARE * float(length.sum()):
             return scan  # somebody stands before the laser, or the robot was carried away
         self._add(scan, same)
-        if self._scans & (self._scans - 1):
+        if not Room.here(rests).functions.counts(self._scans):
             return None
-        z = self._z[same] + self._sum[same] / self._count[same, None]
-        self._sum[:], self._count[:] = 0.0, 0
+        z = self._lines[same, :2] + self._sums[same] / self._counts[same, None]
+        self._sums[:], self._counts[:] = 0.0, 0
         return Scan(z, scan.R, scan.ends)
 
+    def table(self, lines: int, repeated: int = 0) -> Any:
+        """Return the rest for the core, with room for scans of so many lines, and their verdict if they repeat."""
+        known, room = len(self._lines), np.empty(len(self._lines), np.intp)
+        return Room.here(tables).on_arrays.Rest(
+            self._lines, self._sums, self._counts, known, self._scans, SAME_D2, SAME_LENGTH, repeated,
+            np.empty(lines, np.intp), room, np.empty(known), 0,
+        )  # fmt: skip
+
+    def repeated(self, scans: int) -> None:
+        """Take in that the core added so many scans to the sums."""
+        self._scans += scans
+
     def _begin_sums(self, scan: Scan) -> None:
-        self._z, self._ends = scan.z, scan.ends
-        self._sum, self._count = np.zeros_like(scan.z), np.zeros(len(scan.z), np.int64)
+        self._lines = np.hstack((scan.z, scan.ends))
+        self._sums, self._counts = np.zeros_like(scan.z), np.zeros(len(scan.z), np.intp)
 
     def _add(self, scan: Scan, same: Ints) -> None:
         """Take a scan into the sums; a line that repeats none begins one, which `same` (k,) names from here on."""
         new = np.flatnonzero(same < 0)
         if len(new):
-            same[new] = len(self._z) + np.arange(len(new))
-            self._z, self._ends = np.vstack((self._z, scan.z[new])), np.vstack((self._ends, scan.ends[new]))
-            self._sum = np.vstack((self._sum, np.zeros((len(new), 2))))
-            self._count = np.append(self._count, np.zeros(len(new), np.int64))
-        self._sum[same] += _apart(scan.z, self._z[same])
-        self._count[same] += 1
+            same[new] = len(self._lines) + np.arange(len(new))
+            self._lines = np.vstack((self._lines, np.hstack((scan.z[new], scan.ends[new]))))
+            self._sums = np.vstack((self._sums, np.zeros((len(new), 2))))
+            self._counts = np.append(self._counts, np.zeros(len(new), np.intp))
+        rest = self.table(0)
+        rows = scan.rows()
+        Room.here(rests).on_arrays.add_repeated(rows, 0, len(rows), rest, same)
         self._scans += 1
 
     def _same(self, scan: Scan) -> Ints:
         """Return for each line of a scan (k,) the one that it repeats, -1 for none."""
-        a, b = np.moveaxis(_apart(scan.z[:, None], self._z), -1, 0)
-        R = scan.R[:, None]
-        det = R[..., 0, 0] * R[..., 1, 1] - R[..., 0, 1] ** 2
-        d2 = (R[..., 1, 1] * a**2 - 2.0 * R[..., 0, 1] * a * b + R[..., 0, 0] * b**2) / (2.0 * det)
-        own, there = scan.ends[:, None], self._ends
-        common = np.minimum(own[..., 1], there[:, 1]) - np.maximum(own[..., 0], there[:, 0])
-        longer = np.maximum(own[..., 1] - own[..., 0], there[:, 1] - there[:, 0])
-        d2 = np.where(common > SAME_LENGTH * longer, d2, np.inf)
-        k = np.arange(len(d2))
-        best = d2.argmin(axis=1)
-        mutual = d2.argmin(axis=0)[best] == k
-        return np.where((d2[k, best] < SAME_D2) & mutual, best, -1)
-
-
-def _apart(z: Array, first: Array) -> Array:
-    """Return z - first (..., 2), the angle wrapped."""
-    out = z - first
-    out[..., 1] = wrap_all(out[..., 1])
-    return out
+        rows = scan.rows()
+        same = np.empty(len(rows), np.intp)
+        Room.here(rests).on_arrays.repeats(rows, 0, len(rows), self.table(0), same)
+        return same

@@ -114,7 +114,8 @@ def extract_lines(
 def rows_of(z: Array, R: Array, ends: Array) -> Array:
     """Return lines as one table (k, 7): r, psi, R as 00, 01, 11, and both ends."""
     rows = np.empty((len(z), LINE))
-    rows[:, :2], rows[:, 2:5], rows[:, 5:] = z, R.reshape(-1, 4)[:, (0, 1, 3)], ends
+    rows[:, :2], rows[:, 5:] = z, ends
+    rows[:, 2], rows[:, 3], rows[:, 4] = R[:, 0, 0], R[:, 0, 1], R[:, 1, 1]
     return rows
 
 

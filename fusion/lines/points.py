@@ -1,4 +1,4 @@
-"""Points of chosen scans, read from the log again: only smoothing a building needs them, and only some."""
+"""Points of chosen scans, read from the log again: only large maps need them, and only of some scans."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .scans import Laser, equal_scans, points_in_base
 SCANS_PER_BLOCK = 256  # line extraction is level-synchronous over this many scans (benchmarks: "lines per scan")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ScanPoints:
     """The points of a stream of scans; reading i is row `rows[i]` of the stream."""
 
@@ -33,6 +33,10 @@ class ScanPoints:
     def take(self, readings: Ints) -> ScanPoints:
         """Return the points of the readings at these positions."""
         return replace(self, rows=self.rows[readings])
+
+    def moved(self, t_from: Array, t_to: Array) -> Array:
+        """Return by the wheels the poses (n, 3) at t_to seen from those at t_from, (n,) s each."""
+        return self.wheels.relative(t_from, t_to)
 
     def read(self, readings: Ints) -> list[Array]:
         """Return of each reading the points (k, 2) [m] in the base frame, deskewed as its lines are.

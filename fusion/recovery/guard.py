@@ -76,7 +76,11 @@ class Guard:
 
     def corrected(self, belief: JointBelief) -> None:
         """Take in where a scan has put the robot: from here on the wheels lead."""
-        self._after = (belief.x, belief.y, belief.theta)
+        self.stood((belief.x, belief.y, belief.theta))
+
+    def stood(self, pose: Pose) -> None:
+        """Take in where the robot is with a scan that said nothing new."""
+        self._after = pose
 
     def watch(
         self, t: float, scan: Scan, found: Association, lines: LineMap, belief: JointBelief, gate: float

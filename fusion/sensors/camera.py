@@ -24,11 +24,24 @@ from locfuse.fusion.camera.bearing import (
 )
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.core import bearings as core
+from locfuse.fusion.core import tables
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Ints, LocfuseError, Measurements, Stream
 from locfuse.fusion.mount import ASK_MOUNT, Mount, MountedSettings, mount_states
 from locfuse.fusion.se2 import wrap
-from locfuse.fusion.sensor import GATE, Ask, Bearings, Belief, Bias, Block, Innovation, Model, Sensor, WheelMotion
+from locfuse.fusion.sensor import (
+    GATE,
+    Ask,
+    Belief,
+    Bias,
+    Block,
+    Columns,
+    Innovation,
+    Model,
+    Sensor,
+    WheelMotion,
+    untold,
+)
 
 AMBIGUOUS, UNMATCHED = (VERDICTS.index(v) for v in ("ambiguous", "unmatched"))
 # of a best candidate that is refused, of ambiguous ones, of others
@@ -259,11 +272,9 @@ class BearingModel(Model):
         """Say where the camera was found to sit."""
         return self.mount.words(belief)
 
-    def bearings(self, m: Measurements) -> Bearings:
-        """Return all readings as what they are."""
-        variance = np.ascontiguousarray(m.covariances(slice(None))[:, 0, 0])
-        judged = MIN_DISTANCE_M, self.threshold, MARGIN, VERDICTS_OF_CHOICE
-        return Bearings(np.ascontiguousarray(m.z[:, 0]), variance, self.landmark, *judged, self.mount)
+    def columns(self, m: Measurements, when: Ints) -> Columns:
+        """Return all pictures for the core."""
+        return BearingColumns(self, m, when)
 
     def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
         """Compare the candidates of picture i with the belief: the one inside the gate is the landmark.
@@ -304,6 +315,31 @@ class BearingModel(Model):
         return choose(judged)
 
 
+class BearingColumns(Columns):
+    """All pictures for the core: at most one candidate of each shows the landmark."""
+
+    kind = "bearings"
+    waiting = 1
+
+    def __init__(self, model: BearingModel, m: Measurements, when: Ints) -> None:
+        self._model, self.when, self.first = model, when, np.ascontiguousarray(m.first, np.intp)
+        self._of = np.ascontiguousarray(m.z[:, 0]), np.ascontiguousarray(m.covariances(slice(None))[:, 0, 0])
+        self.told, self.joint = untold(len(m.z), 1), np.zeros((0, 2))
+        self._table: Any = None
+
+    def table(self, belief: Any) -> Any:
+        """Return the pictures, with the camera as it is mounted: its states stay where they are."""
+        if self._table is None:
+            model, mount, room = self._model, self._model.mount, Room.here(tables).on_arrays
+            free, at = np.array(mount.free, np.intp), np.array(mount.columns(belief), np.intp)
+            self._table = room.Bearings(
+                self.when, self.first, *self._of, self.told, *model.landmark, MIN_DISTANCE_M, model.threshold,
+                MARGIN, *map(float, VERDICTS_OF_CHOICE), room.Seat(np.array(mount.told), free, at, len(free)),
+                len(self.when), 0,
+            )  # fmt: skip
+        return self._table
+
+
 class OrientationModel(Model):
     """The paper's camera: gamma = direction of the landmark at the start - bearing observes theta, H = [0 0 1].
 
@@ -332,7 +368,7 @@ class OrientationModel(Model):
 
 def choose(judged: list[Innovation]) -> list[Innovation]:
     """Give the candidates of one picture their verdicts, the best first: at most one is accepted."""
-    told = np.zeros((len(judged), core.POINTED))
+    told = untold(len(judged), 1)
     told[:, 2] = [seen.nis for seen in judged]
     every = 0, len(judged), judged[0].threshold, MARGIN, *map(float, VERDICTS_OF_CHOICE)
     best = Room.here(core).on_arrays.choose(told, *every)

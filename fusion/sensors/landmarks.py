@@ -26,6 +26,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,7 +45,7 @@ from locfuse.fusion.data import (
     Stream,
     plausible,
 )
-from locfuse.fusion.landmarks.geometry import Point, detector_at, predict
+from locfuse.fusion.landmarks.geometry import Point, Row, detector_at, predict
 from locfuse.fusion.landmarks.messages import PIXELS, READS, Looks, Sighted, sighted
 from locfuse.fusion.landmarks.places import MIN_DETECTIONS, wrong_places
 from locfuse.fusion.mount import ASK_MOUNT
@@ -64,9 +65,10 @@ from locfuse.fusion.sensor import (
     untold,
     upper,
 )
-from locfuse.fusion.streams import count_dropped
+from locfuse.fusion.streams import MergedStream, count_dropped
 
 GROW = "grow"
+LEVER = ("x", "y", "yaw")  # of a detection, where several cameras look
 OFFSET, DEPTH = "range_offset", "range_depth"
 SIGMA_DEPTH = 0.5  # of a share that lies at 0 or 1
 KNOWN_DEPTH, SAID_DEPTH = 0.2, 0.5  # 1 sigma, and value, from which it is said that the ranges are depths
@@ -80,6 +82,11 @@ MAX_SIGMA_M = 0.3  # m of the robot's position: beyond it a detection does not t
 class LandmarksSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """[landmarks]."""
 
+    topics: tuple[str, ...] = ()  # several cameras: each its topic
+    mounts: dict[str, tuple[float, ...]] = msgspec.field(
+        default_factory=dict
+    )  # of theirs: topic -> x, y [m], yaw, degrees it looks down
+    optics: dict[str, tuple[float, float]] = msgspec.field(default_factory=dict)  # topic -> fx, cx [px]
     file: str | None = None  # .csv beside the log: t, id, range [m], bearing [rad]
     map: str | dict[str, Point] | None = (
         None  # .csv of id, x, y [m], or { "6" = [x, y] }; None or "grow": it is made
@@ -149,6 +156,7 @@ class Landmarks(Sensor):
     noise_keys = ("sigma_bearing_deg", "sigma_range")
     bias = Bias("yaw_deg", -1.0)
     extra = True
+    several_frames = True
     sees = "landmark"
     second_best = tuple(
         PIXELS
@@ -181,7 +189,7 @@ class Landmarks(Sensor):
         self, stream: Stream, settings: LandmarksSettings, wheels: WheelMotion, epoch_ns: int
     ) -> Measurements:
         """Turn detections into z (m, 2) bearing [rad] and range [m], or (m, 1); one instant is one reading."""
-        seen = sighted(stream, Looks(settings.fx, settings.cx, math.radians(settings.pitch_deg)))
+        seen, camera = _seen(stream, settings)
         if settings.grows and seen.ranges is None:
             raise LocfuseError(
                 f"{stream.topic} says bearings only, and a map is made of ranges: name one with columns id, x, y",
@@ -191,7 +199,7 @@ class Landmarks(Sensor):
             )
         places = None if settings.grows else settings.places
         dropped = dict(stream.dropped)
-        keep = _usable(seen, places, settings.ignore, dropped)
+        keep = _usable(seen, camera, places, settings.ignore, dropped)
         if len(seen.ids) and not keep.any():
             raise LocfuseError(_nothing(stream.topic, seen.ids, places), role="landmarks")
         ids, parts = seen.ids[keep], [wrap_all(seen.bearings[keep])]
@@ -208,7 +216,7 @@ class Landmarks(Sensor):
             R_unit=np.broadcast_to(np.diag((sigmas[:d] / turn) ** 2), (len(ids), d, d)).copy(),
             scale=turn,
             floor=np.zeros((d, d)),
-            extra={"id": ids.astype(np.float64)},
+            extra={"id": ids.astype(np.float64), **_levers(parts_of(stream), camera[keep], settings)},
             dropped=dropped,
             notes=(MADE,) if settings.map is None else (),
         )
@@ -220,9 +228,11 @@ class Landmarks(Sensor):
         places = settings.places
         x, y, theta = np.repeat(poses, np.diff(m.first), axis=0).T
         c, s = np.cos(theta), np.sin(theta)
-        seen_from = np.stack((x + c * settings.x - s * settings.y, y + s * settings.x + c * settings.y), axis=-1)
+        ahead, left = mounts_of(m, self.mount(settings))[:, :2].T
+        seen_from = np.stack((x + c * ahead - s * left, y + s * ahead + c * left), axis=-1)
         at = np.array([places[int(i)] for i in m.extra["id"]]).reshape(-1, 2) - seen_from
-        off = wrap_all(m.z[:, 0] - np.arctan2(at[:, 1], at[:, 0]) + theta)
+        turned = theta + mounts_of(m, (0.0, 0.0, 0.0))[:, 2]  # of one camera: a constant, which counts for nothing
+        off = wrap_all(m.z[:, 0] - np.arctan2(at[:, 1], at[:, 0]) + turned)
         off = wrap_all(off - np.median(off))
         return float(np.median(np.abs(off))) / MAD if len(off) >= MIN_FIT else None
 
@@ -231,12 +241,57 @@ class Landmarks(Sensor):
         return GrowingModel(settings) if settings.grows else LandmarksModel(settings)
 
 
+def parts_of(stream: Stream) -> tuple[Stream, ...]:
+    """Return the streams of which one is made: of every camera one."""
+    return stream.parts if isinstance(stream, MergedStream) else (stream,)
+
+
+def _seen(stream: Stream, settings: LandmarksSettings) -> tuple[Sighted, Ints]:
+    """Return what all cameras detect in the order of time, and which of them (m,) each detection is of."""
+    found = []
+    for part in parts_of(stream):
+        _, _, _, *down = (*settings.mounts.get(part.topic, (0.0, 0.0, 0.0)), settings.pitch_deg)
+        fx, cx = settings.optics.get(part.topic, (settings.fx, settings.cx))
+        found.append(sighted(part, Looks(fx, cx, math.radians(down[0]))))
+    if len(found) == 1:
+        return found[0], np.zeros(len(found[0].ids), np.int64)
+    if any(seen.ranges is None for seen in found) and any(seen.ranges is not None for seen in found):
+        raise LocfuseError(f"{stream.topic}: some say bearings only, and are not one sensor", role="landmarks")
+    camera = np.repeat(np.arange(len(found)), [len(seen.ids) for seen in found])
+    t_ns, ids, bearings = (np.concatenate([seen[i] for seen in found]) for i in (0, 1, 3))
+    order = np.argsort(t_ns, kind="stable")
+    ranges = None if found[0].ranges is None else np.concatenate([s.ranges for s in found if s.ranges is not None])
+    sorted_ranges = None if ranges is None else ranges[order]
+    return Sighted(t_ns[order], ids[order], sorted_ranges, bearings[order]), camera[order]
+
+
+def _levers(parts: Sequence[Stream], camera: Ints, settings: LandmarksSettings) -> dict[str, Array]:
+    """Return where the camera of every detection (m,) sits: x, y [m], yaw [rad]; {} where there is one only."""
+    if len(parts) < 2:
+        return {}
+    usual = settings.x, settings.y, settings.yaw_deg
+    mounts = np.array([settings.mounts.get(part.topic, usual)[:3] for part in parts]) * (1.0, 1.0, math.pi / 180.0)
+    return dict(zip(LEVER, mounts[camera].T, strict=True))
+
+
+def mounts_of(m: Measurements, usual: tuple[float, float, float]) -> Array:
+    """Return where the detector of every row sits on the base, (m, 3) x, y [m], yaw [rad]."""
+    if LEVER[0] not in m.extra:
+        return np.tile(np.array(usual, np.float64), (len(m.z), 1))
+    return np.stack([m.extra[name] for name in LEVER], axis=-1)
+
+
 def _usable(
-    seen: Sighted, places: Mapping[int, Point] | None, ignored: Sequence[int], dropped: dict[str, int]
+    seen: Sighted,
+    camera: Ints,
+    places: Mapping[int, Point] | None,
+    ignored: Sequence[int],
+    dropped: dict[str, int],
 ) -> NDArray[np.bool_]:
     """Return which detections (n,) are numbers, of the map, and the only one of their id; count the others.
 
-    Two detections of one id at one instant are two tags with one id, or a reflection: neither is used.
+    Two detections of one id by one camera at one instant are two tags with one id, or a reflection: neither is
+    used.
     """
     finite = plausible(seen.bearings)
     if seen.ranges is not None:
@@ -244,7 +299,7 @@ def _usable(
     unwanted = np.isin(seen.ids, ignored)
     numbered = (seen.ids >= 0) & ~unwanted
     known = numbered if places is None else numbered & np.isin(seen.ids, list(places))
-    pairs = np.stack((seen.t_ns, seen.ids), axis=-1)
+    pairs = np.stack((seen.t_ns, seen.ids, camera), axis=-1)
     _, place, counts = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
     twice = counts[place.reshape(-1)] > 1 if len(pairs) else np.zeros(0, dtype=bool)
     for reason, out in (
@@ -326,7 +381,8 @@ class LandmarksModel(Model):
                 found.append(seen)
                 if len(z) > 1:
                     ranging = self._ranging(belief, z[0])
-                    self._note_place(landmark, (z[1] - ranging.offset) / ranging.share, z[0], belief)
+                    distance = (z[1] - ranging.offset) / ranging.share
+                    self._note_place(landmark, distance, z[0], self._mount_of(m, row), belief)
         return found
 
     def _compared(
@@ -340,7 +396,7 @@ class LandmarksModel(Model):
         belief: Belief,
     ) -> Innovation | None:
         """Compare one detection with a place, whose state columns are `at` where it is a state."""
-        predicted = predict((belief.x, belief.y, belief.theta), place, self.mount)
+        predicted = predict((belief.x, belief.y, belief.theta), place, self._mount_of(m, row))
         if predicted is None:
             return None
         (distance, bearing), (by_range, by_bearing) = predicted
@@ -390,7 +446,14 @@ class LandmarksModel(Model):
         share = on.share_of(depth, short)
         return Ranging(offset, share, tuple(columns), self.given is None, self.depth is None, short)
 
-    def _note_place(self, landmark: int, distance: float, bearing: float, belief: Belief) -> None:
+    def _mount_of(self, m: Measurements, row: int) -> Row:
+        """Return where the detector of a row sits on the base."""
+        if LEVER[0] not in m.extra:
+            return self.mount
+        x, y, yaw = (float(m.extra[name][row]) for name in LEVER)
+        return x, y, yaw
+
+    def _note_place(self, landmark: int, distance: float, bearing: float, mount: Row, belief: Belief) -> None:
         """Keep where a detection places its landmark, where the robot's own place is known."""
         spread = belief.spread(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
         sigma = math.sqrt(max(spread[0][0], spread[1][1], 0.0))  # but for rounding
@@ -398,7 +461,7 @@ class LandmarksModel(Model):
             return
         room = Room.here(core)
         out = room.floats(2)
-        room.functions.placed(belief.x, belief.y, belief.theta, *self.mount, distance, bearing, out)
+        room.functions.placed(belief.x, belief.y, belief.theta, *mount, distance, bearing, out)
         x, y = room.listed(out, 2)
         self._keep_place(landmark, x, y, math.hypot(sigma, self.sigmas[1], distance * self.sigmas[0]))
 
@@ -472,14 +535,14 @@ class GrowingModel(LandmarksModel):
         for row in range(int(m.first[i]), int(m.first[i + 1])):
             landmark = int(m.extra["id"][row])
             if landmark not in self._known:
-                self._append(landmark, m.z[row].tolist(), m.R[row], belief)
+                self._append(landmark, m.z[row].tolist(), m.R[row], self._mount_of(m, row), belief)
             self._known[landmark] = self._known.get(landmark, 0) + 1
 
-    def _append(self, landmark: int, z: list[float], R: Array, belief: Any) -> None:
+    def _append(self, landmark: int, z: list[float], R: Array, mount: Row, belief: Any) -> None:
         """Append the place l = s + r (cos, sin)(theta + yaw + bearing), r the distance that the range says."""
         ranging = self._ranging(belief, z[0])
-        x, y = detector_at((belief.x, belief.y, belief.theta), self.mount)
-        r, angle = (z[1] - ranging.offset) / ranging.share, belief.theta + self.mount[2] + z[0]
+        x, y = detector_at((belief.x, belief.y, belief.theta), mount)
+        r, angle = (z[1] - ranging.offset) / ranging.share, belief.theta + mount[2] + z[0]
         c, s = math.cos(angle), math.sin(angle)
         by_turn = [[belief.y - y - r * s], [x - belief.x + r * c]]  # of the pose: detector and ray turn together
         by_range = np.array([[c], [s]]) / ranging.share
@@ -528,6 +591,7 @@ class SightingColumns(Columns):
         self._of = numbers, self._which, ids, np.array(places, np.float64).reshape(-1, 2)
         self.told, self.joint = untold(len(m.z), numbers), np.zeros((len(when), 2))
         self._placed = np.full((len(m.z), 3), np.nan)
+        self._mounts = np.ascontiguousarray(mounts_of(m, model.mount))
 
     def table(self, belief: Any) -> Any:
         """Return the detections, and the states of places, offset and depth."""
@@ -539,7 +603,7 @@ class SightingColumns(Columns):
         written = self.told, self.joint, self._placed
         judged = model.thresholds[self._of[0]], float(GATE)
         return Room.here(tables).on_arrays.Sightings(
-            self.when, self.first, self._z, self._R, *self._of, columns, model.maps, *model.mount, *states,
+            self.when, self.first, self._z, self._R, *self._of, columns, model.maps, self._mounts, *states,
             *model.sigmas, MAX_SIGMA_M, *written, *judged, len(self.when), 0,
         )  # fmt: skip
 

@@ -12,22 +12,36 @@ the chord of an arc. Sideways nothing is said.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 
-from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
+from locfuse.fusion.core import tables, twists
+from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, Stream, plausible
 from locfuse.fusion.se2 import wrap
-from locfuse.fusion.sensor import Ask, Block, Innovation, Model, Sensor, SensorSettings, WheelMotion
+from locfuse.fusion.sensor import (
+    GATE,
+    Ask,
+    Block,
+    Columns,
+    Innovation,
+    Model,
+    Sensor,
+    SensorSettings,
+    WheelMotion,
+    untold,
+)
 from locfuse.fusion.streams import count_dropped, gap_limit
 from locfuse.fusion.wheels.odometry import SPEED
 
+from . import pose as poses
 from .pose import plane_covariance
 
 KEPT = "_twist_before"
+VARIANCES = ("forward_variance", "turn_variance")  # of way [m^2] and turn [rad^2] since the first reading
 FLOOR = (0.001, math.radians(0.02))  # m, rad of one interval: standard deviations that none goes below
 WITH_COVARIANCE = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/TwistWithCovarianceStamped")
 FORWARD_TURN = (0, 5)  # where linear x and angular z stand in a covariance of ROS
@@ -173,13 +187,28 @@ class TwistModel(Model):
             return []
         way, turn = (m.z[i] - m.z[last]).tolist()
         column, kept = belief.block(KEPT)
-        h, H, H_block = _predicted(np.array(kept), np.array([belief.x, belief.y, belief.theta]))
-        y = (way * float(np.sinc(0.5 * turn / math.pi)) - h[0], wrap(turn - h[1]))
-        rs, ra = (float(m.extra[k][i] - m.extra[k][last]) for k in ("forward_variance", "turn_variance"))
-        rs += self.scale * way**2 + float(m.floor[0, 0])
-        ra += self.scale * turn**2 + float(m.floor[1, 1])
+        h, H, H_block = _predicted(kept, (belief.x, belief.y, belief.theta))
+        core, floor = Room.here(twists).functions, np.diagonal(m.floor).tolist()
+        y = (core.straight(way, turn) - h[0], wrap(turn - h[1]))
+        rs, ra = (
+            core.sum_noise(float(m.extra[name][i] - m.extra[name][last]), self.scale, value, least)
+            for name, value, least in zip(VARIANCES, (way, turn), floor, strict=True)
+        )
         R, columns = ((rs, 0.0), (0.0, ra)), (column, column + 1, column + 2)
         return [Innovation.of(i, y, H, R, belief, self.threshold, columns=columns, H_block=H_block)]
+
+    @property
+    def last(self) -> int | None:
+        """The reading whose pose is kept."""
+        return self._last
+
+    def keep(self, i: int) -> None:
+        """Take in that the pose of reading i was kept."""
+        self._last = i
+
+    def columns(self, m: Measurements, when: Ints) -> Columns:
+        """Return all readings for the core, which takes them once there is a pose to compare with."""
+        return TwistColumns(self, m, when)
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Keep the pose as it is now."""
@@ -187,11 +216,41 @@ class TwistModel(Model):
         self._last = i
 
 
-def _predicted(kept: Array, pose: Array) -> tuple[tuple[float, float], Any, Any]:
+def _predicted(kept: Array, pose: Sequence[float]) -> tuple[tuple[float, float], Any, Any]:
     """Return chord [m] and turn [rad] from the kept pose to the pose, and the derivatives by both."""
-    d = se2.between(kept, pose)
-    c, s = math.cos(0.5 * d[2]), math.sin(0.5 * d[2])
-    by_d = np.array([[c, s, 0.5 * (d[1] * c - d[0] * s)], [0.0, 0.0, 1.0]])
-    by_kept, by_pose = se2.between_jacobians(kept, pose)
-    H, H_block = (tuple(map(tuple, (by_d @ J).tolist())) for J in (by_pose, by_kept))
-    return (float(d[0] * c + d[1] * s), float(d[2])), H, H_block
+    room = Room.here(twists)
+    out = room.floats(twists.CHORD)
+    room.functions.chord(poses.seen_from(kept, pose), out)
+    v = room.listed(out, twists.CHORD)
+    return (v[0], v[1]), (tuple(v[8:11]), tuple(v[11:])), (tuple(v[2:5]), tuple(v[5:8]))
+
+
+class TwistColumns(Columns):
+    """All ways and turns for the core."""
+
+    kind = "twists"
+
+    def __init__(self, model: TwistModel, m: Measurements, when: Ints) -> None:
+        self._model, self.when, self.first = model, when, np.arange(len(when) + 1)
+        variance = np.column_stack([m.extra[name] for name in VARIANCES])
+        self._of = np.ascontiguousarray(m.z), variance, np.ascontiguousarray(m.extra["piece"])
+        self._floor = np.diagonal(m.floor).tolist()
+        self.told, self.joint = untold(len(m.z), 2), np.zeros((0, 2))
+
+    @property
+    def ready(self) -> bool:
+        """Whether a pose is kept."""
+        return self._model.last is not None
+
+    def table(self, belief: Any) -> Any:
+        """Return the readings, and the states of the kept pose."""
+        model = self._model
+        return Room.here(tables).on_arrays.Twists(
+            self.when, *self._of, self.told, belief.block(KEPT)[0], model.scale, *self._floor, model.threshold,
+            float(GATE), model.last or 0, len(self.when), 0,
+        )  # fmt: skip
+
+    def passed(self, first: int, last: int) -> None:
+        """Take in which pose is kept now."""
+        if last > first:
+            self._model.keep(last - 1)

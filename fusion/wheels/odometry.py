@@ -76,6 +76,7 @@ MIN_STEP_M = 1e-3  # m: steps below say nothing about a direction
 MAX_STEP_RATIO = 3.0  # |pose step| and |twist| dt within this factor speak of the same motion
 MIN_AGREEING_SHARE = 0.8  # share of the moving steps that must agree before the twist is believed
 COMMANDED = ("cmd", "command", "target", "setpoint", "teleop", "joy")  # what the body was asked to do
+MEASURED = ("state", "status", "feedback", "report", "measured", "actual", "odom")  # of a type of commands
 MAX_HOLD_S = 1.0  # s that a command lasts at most: drivers stop the robot when nothing more comes
 MAX_TURN_RADPS = 1e6  # not even one in a unit that nobody told is faster
 SPEED_SETTING = "wheels.max_speed [m/s] says how far it may step"
@@ -115,7 +116,7 @@ def pose_and_speed(stream: Stream, settings: WheelSettings) -> Array:
         elif settings.steering == "rate":
             values[:, 4] = steered
         else:
-            values[:, 4] = speed * np.tan(steered) / _wheelbase(stream, settings)
+            values[:, 4] = speed * np.tan(steered) / wheelbase_of(stream, settings)
     return values
 
 
@@ -141,9 +142,12 @@ def _headed(t: Array, speed: Array, heading: Array) -> Array:
     return out
 
 
-def commanded(topic: str) -> bool:
-    """Return whether a topic's name says that its speeds were asked for, not measured."""
-    return any(word in topic.lower() for word in COMMANDED)
+def commanded(topic: str, msgtype: str = "") -> bool:
+    """Return whether a topic's speeds were asked for, not measured: by its name, or by its type, a command's."""
+    name = topic.lower()
+    return any(word in name for word in COMMANDED) or (
+        msgtype in STEERED and not any(word in name for word in MEASURED)
+    )
 
 
 def obeyed(t: Array, speeds: Array) -> tuple[Array, Array]:
@@ -160,7 +164,8 @@ def obeyed(t: Array, speeds: Array) -> tuple[Array, Array]:
     return times, np.insert(twist, ended + 1, 0.0, axis=0)
 
 
-def _wheelbase(stream: Stream, settings: WheelSettings) -> float:
+def wheelbase_of(stream: Stream, settings: WheelSettings) -> float:
+    """Return the distance between the axles [m]. Raises LocfuseError where it is not known."""
     if not settings.wheelbase or settings.wheelbase <= 0.0:
         raise LocfuseError(
             f"{stream.topic} gives a steering angle, so the distance between the axles must be known.",

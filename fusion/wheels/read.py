@@ -11,10 +11,11 @@ import numpy as np
 
 from locfuse.fusion.data import Array, LocfuseError, Stream
 from locfuse.fusion.robot import VIRTUAL_TRACK, Mirrored, WheelSettings
-from locfuse.fusion.streams import count_dropped
+from locfuse.fusion.streams import MergedStream, count_dropped
 
 from . import odometry
 from .motion import Wheels
+from .motor import MOTOR, motor_speeds
 from .repairs import repaired
 from .sources import (
     ARRAYS,
@@ -37,6 +38,7 @@ WHEEL_READS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(NUMBERS, ("data",)),
     **dict.fromkeys(ARRAYS, ("data",)),
     **odometry.BODY_READS,
+    **{kind: (field,) for kind, field in MOTOR.items()},
 }
 MIN_LENGTH_M = 1e-6  # no wheel is smaller, and no two stand closer
 SIGNS: Mapping[Mirrored, tuple[float, float]] = {
@@ -65,7 +67,16 @@ def read_wheels(stream: Stream, settings: WheelSettings) -> WheelReading:
     if stream.msgtype == odometry.SCANS:
         raise LocfuseError(f"{stream.topic} holds scans, whose motion has to be matched first", role="wheels")
     if stream.msgtype in odometry.BODY_READS:
-        return _from_body(stream, settings)
+        posed = odometry.has_pose(stream.msgtype, settings)
+        asked = not posed and odometry.commanded(stream.topic, stream.msgtype)
+        return _from_body(stream, odometry.pose_and_speed(stream, settings), settings, posed, asked)
+    if stream.msgtype in MOTOR:
+        if not isinstance(stream, MergedStream):
+            raise LocfuseError(
+                f"{stream.topic} says how fast the motor turns, and no topic says how the car was steered",
+                role="wheels",
+            )
+        return _from_body(stream.parts[0], motor_speeds(stream, settings), settings, False, False)
     radius, track = _geometry(settings, stream)
     counters = read_counters(stream, settings)
     turn = 2.0 * math.pi / settings.ticks_per_revolution if settings.ticks_per_revolution else 1.0
@@ -137,15 +148,16 @@ def counts_ticks(msgtype: str) -> bool:
     return msgtype in TICKS or NUMBERS.get(msgtype, 0) > 0 or ARRAYS.get(msgtype, 0) > 0
 
 
-def _from_body(stream: Stream, settings: WheelSettings) -> WheelReading:
-    """Use the body's own motion; the noise grows by a virtual track, since an odometry knows no wheels."""
+def _from_body(stream: Stream, values: Array, settings: WheelSettings, posed: bool, asked: bool) -> WheelReading:
+    """Use the body's own motion (n, 5); the noise grows by a virtual track, since an odometry knows no wheels.
+
+    `posed` is whether the messages have poses, `asked` whether their speeds were only commanded.
+    """
     dropped = dict(stream.dropped)
-    values = odometry.pose_and_speed(stream, settings)
     keep = usable(stream.t_ns, values, dropped)
     require_two(stream.topic, len(keep), len(stream.t_ns))
     t = (stream.t_ns[keep] - stream.t_ns[keep[0]]) * 1e-9
-    posed = odometry.has_pose(stream.msgtype, settings)
-    if not posed and odometry.commanded(stream.topic):
+    if asked:
         can = odometry.possible(values[keep, 3:], settings.max_speed)
         count_dropped(dropped, "spike", int((~can).sum()))
         t, twist = odometry.obeyed(t[can], values[keep[can], 3:])

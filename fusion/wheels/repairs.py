@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -10,7 +11,9 @@ import numpy as np
 from locfuse.fusion.data import Array, Ints
 
 from .jumps import Mask, limits, restarted, spikes
-from .rollover import Unrolled, unrolled
+
+COUNTER_BITS = (8, 10, 12, 13, 14, 15, 16, 18, 20, 24, 32)  # widths of counters seen in the wild
+MAX_FRACTION_QUANTA = 0.02  # quanta by which a step of a counter may miss a whole number
 
 
 class Side(NamedTuple):
@@ -83,3 +86,67 @@ def times(n: int) -> str:
 def gaps_of(n: int, longest_s: float) -> str:
     """Return "a gap of 1.2 s", "3 gaps, the longest 1.2 s"."""
     return f"a gap of {longest_s:.1f} s" if n == 1 else f"{n} gaps, the longest {longest_s:.1f} s"
+
+
+# ---- counters that roll over ----
+
+
+class Unrolled(NamedTuple):
+    """A counter without its rollovers."""
+
+    values: Array  # (n,)
+    modulus: float | None  # the counter's own unit; None where nothing rolled over
+    turns: int  # how often
+
+
+def unrolled(values: Array, modulus: float | None = None, likely: Sequence[float] = ()) -> Unrolled:
+    """Return `values` (n,) counted on over the ends of its range.
+
+    `modulus`: as set; 0 never; None finds it: one of `likely`, a turn in radians or degrees, or a power of two of
+    the step that the values come in. It must explain every long step and hold all values within one range.
+    """
+    steps = np.diff(values)
+    if modulus is None:
+        modulus = _found(values, steps, likely)
+    if not modulus:
+        return Unrolled(values, None, 0)
+    turns = np.rint(steps / modulus)
+    often = int(np.count_nonzero(turns))
+    if not often:
+        return Unrolled(values, None, 0)
+    return Unrolled(values - modulus * np.concatenate(([0.0], np.cumsum(turns))), modulus, often)
+
+
+def _found(values: Array, steps: Array, likely: Sequence[float]) -> float | None:
+    """Return the smallest modulus that the values fit and that makes every long step a short one."""
+    if not len(steps):
+        return None
+    longest = float(np.abs(steps).max())
+    span = float(values.max() - values.min())
+    known = [*likely, 2.0 * math.pi, 360.0, *_powers(steps, longest)]
+    return next((m for m in sorted(set(known)) if _explains(m, steps, span, longest)), None)
+
+
+def _explains(modulus: float, steps: Array, span: float, longest: float) -> bool:
+    """Return whether the long steps are this modulus less an ordinary step, and all values lie in one range."""
+    if not 0.5 * modulus < longest < modulus or span > modulus * (1.0 + 1e-6):
+        return False
+    long = np.abs(steps) > 0.5 * modulus
+    ordinary = float(np.abs(steps[~long]).max(initial=0.0))
+    rest = modulus - np.abs(steps[long])
+    return bool((rest <= 1.5 * ordinary + 1e-9 * modulus).all())
+
+
+def _powers(steps: Array, longest: float) -> list[float]:
+    """Return 2^bits times the quantum of the steps, where they have one (ticks, or angles made of ticks)."""
+    sizes = np.abs(steps[steps != 0.0])
+    quantum = float(sizes.min()) if len(sizes) else 0.0
+    if quantum <= 1e-12 * longest:
+        return []
+    wholes = np.rint(sizes / quantum)
+    short = wholes < 1000
+    if not short.any() or np.abs(sizes / quantum - wholes)[short].max() > MAX_FRACTION_QUANTA:
+        return []
+    quantum = float(sizes[short].sum() / wholes[short].sum())
+    # several ticks may pass in every step, so that the quantum seen is a multiple of the counter's own
+    return [quantum / part * 2.0**bits for bits in COUNTER_BITS for part in (1, 2, 3, 4, 5)]

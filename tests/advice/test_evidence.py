@@ -28,10 +28,11 @@ def evidence(*offsets: float) -> Evidence:
     robot = SimpleNamespace(
         wheels=SimpleNamespace(time_offset=0.0), settings=lambda _: SimpleNamespace(time_offset=0.0)
     )
+    drive = SimpleNamespace(wheels=SimpleNamespace(matched=None))
     made = Evidence.__new__(Evidence)
     vars(made).update(
         _by_wheels=found,
-        compared=SimpleNamespace(loaded=SimpleNamespace(robot=robot)),
+        compared=SimpleNamespace(loaded=SimpleNamespace(robot=robot, drive=drive)),
         trial=SimpleNamespace(configurations={n: SimpleNamespace(sensors=(n,)) for n in names}),
     )
     return made
@@ -143,6 +144,30 @@ def test_what_is_unusual_and_has_no_setting_is_told_all_the_same() -> None:
     assert (found.finding.role, found.finding.code) == ("lrf", "outliers")
     assert not found.alternatives
     assert not found.offer
+
+
+@pytest.mark.parametrize(
+    ("verdict", "cures", "nis", "offered"),
+    [
+        ("correlated", {}, 2.7, True),
+        ("correlated", {}, 1.3, False),  # they scatter as their beams say
+        ("correlated", {"lrf.sigma_range": 0.05}, 2.7, False),  # a sigma explains it
+        ("outliers", {}, 2.7, False),  # people
+    ],
+)
+def test_floors_of_lines_are_tried_where_lines_scatter_more_than_their_beams(
+    verdict: Verdict, cures: dict[str, float], nis: float, offered: bool
+) -> None:
+    made = doubtful(1.0)
+    robot = SimpleNamespace(settings=lambda _: LrfSettings())
+    compared = SimpleNamespace(loaded=SimpleNamespace(robot=robot), evaluations=[])
+    vars(made).update(compared=compared, _own=lambda sensor, fixes: SimpleNamespace(nis=nis))
+    found = made._shared_by_lines("lrf", Consistency(verdict, "", cures=cures))
+    assert bool(found) == offered
+    if found:
+        assert found[0].alternatives[1] == ("lrf.floor_range=0.02", "lrf.floor_angle_deg=0.5")
+        assert found[0].offer
+    assert not made._shared_by_lines("compass", Consistency(verdict, "", cures=cures))
 
 
 @pytest.mark.parametrize(("others", "decided"), [((), False), (("compass",), False), (("camera",), True)])

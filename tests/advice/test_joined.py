@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from locfuse.cli.advice.evaluator import Advised
+from locfuse.cli.advice.advised import Advised
 from locfuse.cli.advice.validity import add_validity
 from locfuse.cli.advice.values import add_findings
 from locfuse.formats.tables.findings import sentence
@@ -44,6 +44,21 @@ def test_a_value_that_was_measured_again_is_told_once_with_its_last_value() -> N
     found = finding(LATE, again)
     assert found["message"] == "stamps look 0.1 s late"
     assert found["fixes"] == ["lrf.time_offset=-0.09"]
+
+
+def test_a_value_that_ends_far_from_the_first_is_told_with_what_was_found_last() -> None:
+    """Words of 0.15 m beside a fix of 0.003 m would contradict each other."""
+    steps = [
+        Advice(
+            Finding("gps", "overstated", f"noise is set too high: {a} m configured, {b} m observed"),
+            (f"gps.sigma={b}",),
+        )
+        for a, b in (("1.5", "0.15"), ("0.15", "0.015"), ("0.015", "0.003"))
+    ]
+    first, last = (step.finding.message for step in (steps[0], steps[-1]))
+    found = finding(*steps)
+    assert found["message"] == f"{first}; then {last}"
+    assert found["fixes"] == ["gps.sigma=0.003"]
 
 
 def test_what_has_no_fix_stands_beside_what_has_one() -> None:

@@ -167,6 +167,35 @@ def test_a_source_that_was_changed_counts_and_the_compiled_one_does_not(tmp_path
     assert form.words.startswith("not compiled: its source has changed")
 
 
+OBJECTS = re.compile(r"PyFloat_(From|As)Double|PyLong_From|PyNumber_|PyObject_RichCompare")
+TRANSLATE = """
+import runpy, setuptools
+setuptools.setup = lambda **k: None
+print(runpy.run_path("setup.py")["translated"]())
+"""
+
+
+def test_no_number_of_the_compiled_core_is_an_object(tmp_path: Path) -> None:
+    """Where Cython cannot tell a type it takes an object, silently: 20 times slower (`cython.locals` tells it)."""
+    shutil.copytree(CORE, tmp_path / "fusion" / "core", ignore=shutil.ignore_patterns("*.so", "__pycache__"))
+    shutil.copy(CORE.parents[1] / "setup.py", tmp_path)
+    done = subprocess.run(
+        [sys.executable, "-c", TRANSLATE], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    unit = tmp_path / done.stdout.split()[-1]
+    source, found, line = unit.with_suffix(".py").read_text(encoding="utf-8").splitlines(), set(), 0
+    inside = False
+    for text in unit.read_text(encoding="utf-8").splitlines():
+        if text.startswith(("static", "}")):
+            inside = "__pyx_f_" in text and text.endswith("{") and "unpickle" not in text
+        elif at := re.match(r' */\* "locfuse/fusion/core/compiled.py":(\d+)', text):
+            line = int(at[1])
+        elif inside and OBJECTS.search(text) and not re.search(r"= (floats|wholes)\(", source[line - 1]):
+            found.add(source[line - 1].strip())  # room of the caller's own is an object
+    assert line > 0
+    assert not found
+
+
 # --- one source, three files
 
 

@@ -13,6 +13,7 @@ from textbook import TextbookEkf
 from locfuse.fusion.core import coast as core
 from locfuse.fusion.core.scans import MATCHED, NOTHING
 from locfuse.fusion.data import Array
+from locfuse.fusion.sensor import untold
 
 OFFSET = 3  # the column of the compass' offset
 UNUSED = 5.0
@@ -22,7 +23,7 @@ def headings(z: list[float], r: float, at: tuple[int, ...], when: tuple[int, ...
     n = len(z)
     return table(
         z=z, r=[r] * n, usable=[True] * n, gate=GATE, refused=REFUSED, unused=UNUSED, offset=0.1, at=at,
-        states=len(at), told=np.full((n, 4), np.nan), when=when, readings=n,
+        states=len(at), told=untold(n, 1), when=when, readings=n,
         due=0,
         taken=-1,
     )  # fmt: skip
@@ -31,7 +32,8 @@ def headings(z: list[float], r: float, at: tuple[int, ...], when: tuple[int, ...
 def readings(h: Any) -> Any:
     """A drive's single readings: headings, nothing else."""
     none = table(readings=0, due=0, when=())
-    return table(headings=h, bearings=none, echoes=none, fixes=none, turns=none, sightings=none, whole=True)
+    others = ("bearings", "echoes", "fixes", "turns", "sightings", "poses", "twists")
+    return table(headings=h, **dict.fromkeys(others, none), whole=True)
 
 
 def desk(rows: int, columns: int) -> Any:
@@ -61,7 +63,7 @@ def test_a_scan_and_a_heading_of_one_instant_correct_together(
 ) -> None:
     rng = np.random.default_rng(accepted)
     b, h, m = believed(accepted, frame), headings([0.0, 0.0], 0.02, at), 2 * accepted
-    h.told[:] = [[0.0, 0.0, 9.0, 0.0], [0.0, 0.0, 0.07, 0.0]]  # the second is meant
+    h.told[:, 4] = 9.0, 0.07  # innovations, of which the second is meant
     lines = [8 + k for k in range(2 * accepted)]
     columns = [0, 1, 2, *[7, 6][:free], *lines]
     width, root = len(columns), 0.1 * rng.normal(size=(m, m))
@@ -95,7 +97,7 @@ def test_a_heading_alone_is_compared_and_corrects(at: tuple[int, ...], z: float,
     S, book = float(H[0] @ b.P @ H[0]) + 0.02, TextbookEkf(b.x, b.P)
     book.correct(np.array([-0.1]), H, np.array([[0.02]]))
     assert core.turn(b, h, 1, d) == pytest.approx(S)
-    np.testing.assert_allclose(h.told[1], [0.0, 0.01 / S, -0.1, math.sqrt(S)])
+    np.testing.assert_allclose(h.told[1], [0.0, -1.0, 0.01 / S, GATE, -0.1, math.sqrt(S)])
     core.correct_by(b, table(), 0, 0, h, True, table(free=0), table(joint=True), d)
     np.testing.assert_allclose(b.x, book.x, atol=1e-12)
     np.testing.assert_allclose(b.P, book.P if frame < 0 else swung(book.x, book.P, before), atol=1e-12)
@@ -109,7 +111,7 @@ def test_a_heading_beyond_the_gate_one_of_no_use_and_one_that_is_none_are_told_a
         h = headings([b.x[2] + 0.1 + share * math.sqrt(GATE) * sigma], 0.02, (2,))
         core.turn(b, h, 0, d)
         assert h.told[0, 0] == verdict
-        assert h.told[0, 1] == pytest.approx(share**2 * GATE)
+        assert h.told[0, 2] == pytest.approx(share**2 * GATE)
     h = headings([b.x[2] + 2.0], 0.02, (2,))
     h.usable[0] = False
     core.turn(b, h, 0, d)
@@ -157,7 +159,7 @@ def test_a_stretch_without_scans_is_the_textbooks_instant_by_instant_and_notes_e
     )  # fmt: skip
     progress: Any = table(instant=1, why=-1, scan=0, x=0.0, y=0.0, theta=0.0)
     none, no = table(scans=0), table()
-    assert core.coast(b, m, readings(h), none, no, table(free=0), no, no, d, notes, progress, n) > 0.0
+    assert core.coast(b, m, readings(h), none, no, table(free=0), no, no, no, d, notes, progress, n) > 0.0
     assert (progress.instant, progress.why) == (n, core.DONE)
     H, upper = np.eye(N)[[2]] + np.eye(N)[[OFFSET]], np.triu_indices(3)
     for k in range(1, n):
@@ -173,7 +175,7 @@ def test_a_stretch_without_scans_is_the_textbooks_instant_by_instant_and_notes_e
     assert not notes.pose[0].any()
     h.r[0] = -1.0  # a correction that fails says so
     progress.instant, h.due = 1, 0
-    assert not core.coast(b, m, readings(h), none, no, table(free=0), no, no, d, notes, progress, n) > 0.0
+    assert not core.coast(b, m, readings(h), none, no, table(free=0), no, no, no, d, notes, progress, n) > 0.0
 
 
 def test_scans_come_one_after_another_each_with_the_heading_of_its_instant(
@@ -213,6 +215,7 @@ def test_scans_come_one_after_another_each_with_the_heading_of_its_instant(
         table(),
         table(free=0),
         table(joint=True),
+        table(),
         table(),
         d,
         notes,

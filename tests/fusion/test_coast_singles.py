@@ -34,7 +34,7 @@ def described(settings: Mapping[str, Any], seconds: float) -> tuple[World, Robot
 def drive_of(
     settings: Mapping[str, Any], kinds: Sequence[str] = ("as seen",), seconds: float = 4.0, seed: int = 0
 ) -> tuple[Drive, Robot]:
-    """A drive with readings of all four sensors, which are of these kinds in turn."""
+    """A drive with readings of all six sensors, which are of these kinds in turn."""
     world, robot = described(settings, seconds)
     drive = measure(world.streams(), robot)
     rng = np.random.default_rng(seed)
@@ -43,7 +43,11 @@ def drive_of(
         "gyro": turns(drive, world, np.arange(0, len(drive.t), 3), rng),
         "sonar": echoes(drive, world, np.arange(2, len(drive.t), 3), rng),
         "landmarks": detections(drive, world, np.arange(3, len(drive.t), 5), rng),
+        "pose": estimates(drive, world, np.arange(1, len(drive.t), 5), rng, settings == DRIFTING),
+        "twist": speeds(drive, world, np.arange(0, len(drive.t), 4), rng),
     }
+    if robot.settings("landmarks").topics:
+        made["landmarks"] = by_two_cameras(*made["landmarks"])
     changed = {s: (damaged(m, kinds, s), when) for s, (m, when) in made.items()}
     return replace(
         drive,
@@ -57,7 +61,8 @@ def damaged(m: Measurements, kinds: Sequence[str], sensor: str) -> Measurements:
     z, first, extra = m.z.copy(), m.first, dict(m.extra)
     kind = [kinds[i % len(kinds)] for i in range(len(m.t))]
     rows = np.repeat(np.arange(len(m.t)), np.diff(first))
-    z[[k for k, i in enumerate(rows) if kind[i] == "no number"]] = math.nan
+    if sensor != "pose":  # none is measured that is no number
+        z[[k for k, i in enumerate(rows) if kind[i] == "no number"]] = math.nan
     z[[k for k, i in enumerate(rows) if kind[i] == "far off"]] += 3.0
     R_unit = m.R_unit
     if sensor in ("sonar", "landmarks"):
@@ -65,7 +70,7 @@ def damaged(m: Measurements, kinds: Sequence[str], sensor: str) -> Measurements:
         counts = np.bincount(rows[stay], minlength=len(m.t))
         first = np.concatenate(([0], np.cumsum(counts, dtype=np.int64)))
         z, R_unit, extra = z[stay], R_unit[stay], {name: column[stay] for name, column in extra.items()}
-    if sensor == "gyro":
+    if sensor in ("gyro", "twist"):
         extra["piece"] = np.cumsum([k == "nothing" for k in kind]).astype(np.float64)
     return replace(m, z=z, first=first, R_unit=R_unit, extra=extra)
 
@@ -73,7 +78,7 @@ def damaged(m: Measurements, kinds: Sequence[str], sensor: str) -> Measurements:
 def doubled(when: Ints, sensor: str, kinds: Sequence[str]) -> Ints:
     """Let two readings come at one instant, of sensors that can."""
     when = when.copy()
-    if "two at once" in kinds and sensor != "gyro" and len(when) > 5:
+    if "two at once" in kinds and sensor not in ("gyro", "twist") and len(when) > 5:
         when[5] = when[4]
     return when
 
@@ -96,6 +101,28 @@ def fixes(drive: Drive, world: World, when: Ints, rng: np.random.Generator) -> t
 def turns(drive: Drive, world: World, when: Ints, rng: np.random.Generator) -> tuple[Measurements, Ints]:
     z = world.pose(drive.t[when])[:, 2:] + 0.01 * drive.t[when][:, None] + rng.normal(0.0, 1e-3, (len(when), 1))
     return readings(drive, when, z, 0.002, piece=np.zeros(len(when)))
+
+
+def estimates(
+    drive: Drive, world: World, when: Ints, rng: np.random.Generator, drifts: bool
+) -> tuple[Measurements, Ints]:
+    """Poses of a source in the map, whose errors in x, y and heading belong together."""
+    root = np.array([[0.03, 0.0, 0.0], [0.01, 0.02, 0.0], [0.005, -0.004, 0.01]])
+    z = world.pose(drive.t[when]) + rng.normal(size=(len(when), 3)) @ root.T
+    m, _ = readings(drive, when, z, 1.0, drifts=np.full(len(when), float(drifts)), told=np.ones(len(when)))
+    floor = np.diag([1e-6, 1e-6, 1e-8])
+    return replace(m, R_unit=np.broadcast_to(root @ root.T, (len(when), 3, 3)).copy(), floor=floor), when
+
+
+def speeds(drive: Drive, world: World, when: Ints, rng: np.random.Generator) -> tuple[Measurements, Ints]:
+    """Way and turn since the beginning; after two thirds there was a gap."""
+    poses, n = world.pose(drive.t[when]), len(when)
+    way = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))))
+    z = np.column_stack((way, poses[:, 2])) + rng.normal(0.0, 1e-3, (n, 2))
+    summed = {name: 1e-4 * np.arange(n) for name in ("forward_variance", "turn_variance")}
+    piece = (np.arange(n) > 2 * n // 3).astype(float)
+    m, _ = readings(drive, when, z, 0.02, piece=piece, told=np.zeros(n), **summed)
+    return replace(m, floor=np.diag([1e-6, 1e-7])), when
 
 
 def echoes(drive: Drive, world: World, when: Ints, rng: np.random.Generator) -> tuple[Measurements, Ints]:
@@ -125,7 +152,16 @@ def detections(drive: Drive, world: World, when: Ints, rng: np.random.Generator)
     return replace(m, t=drive.t[when], first=np.concatenate(([0], np.cumsum(counts)))), when
 
 
+def by_two_cameras(m: Measurements, when: Ints) -> tuple[Measurements, Ints]:
+    """Every other detection is of a camera that sits elsewhere; its own place is a little wrong."""
+    second = (np.arange(len(m.z)) % 2).astype(np.float64)
+    levers = {"x": 0.02 * second, "y": -0.01 * second, "yaw": 0.005 * second}
+    return replace(m, extra={**m.extra, **levers}), when
+
+
 GROWN = {"landmarks": {"map": "grow"}}
+CAMERAS = {"landmarks": {"map": MAP, "topics": ("/front", "/rear")}}
+GROWN_BY_CAMERAS = {"landmarks": {"map": "grow", "topics": ("/front", "/rear")}}
 TIED = {"gps": {"east_deg": 25.0, "x": 0.01, "y": -0.02}}
 GIVEN = {
     "gps": {"east_deg": 25.0, "origin": (49.0, 11.0)},
@@ -136,11 +172,16 @@ FROM_FILE = {"landmarks": {"map": MAP, "file": "there.csv"}}
 NARROW = {name: {"gate": 0.6} for name in ("gps", "sonar")} | {"landmarks": {"map": MAP, "gate": 0.6}}
 FROZEN = {"lrf": {"map": "first-scan"}}
 GROWN_FROZEN = {**GROWN, **FROZEN}
-SETTINGS = [{}, TIED, GIVEN, GROWN, FROM_FILE, NARROW, FROZEN, GROWN_FROZEN]
+IN_MAP = {"pose": {"frame": "map"}}
+DRIFTING = {"pose": {"frame": "drift", "sigma_drift": 0.5, "sigma_drift_deg": 20.0}, "twist": {"sigma_scale": 0.1}}
+SETTINGS = [
+    {}, CAMERAS, GROWN_BY_CAMERAS, TIED, GIVEN, GROWN, FROM_FILE, NARROW, FROZEN, GROWN_FROZEN, IN_MAP, DRIFTING,
+]  # fmt: skip
 EVERY = ("compass", "lrf", "sonar", "gps", "gyro", "landmarks")
 TOGETHER = [
     ("gps",), ("gyro",), ("landmarks",), ("lrf", "sonar"), ("gps", "gyro"), ("gyro", "landmarks"),
-    ("compass", "lrf", "landmarks"), EVERY,
+    ("compass", "lrf", "landmarks"), EVERY, ("pose",), ("twist",), ("compass", "lrf", "pose", "twist"),
+    ("gps", "gyro", "pose"),
 ]  # fmt: skip
 
 
@@ -174,6 +215,9 @@ def test_the_core_takes_all_but_the_first_readings() -> None:
     assert len(advanced(drive, robot, EVERY)) <= 5
     drive, robot = drive_of({**GROWN, **TIED})
     assert len(advanced(drive, robot, EVERY)) <= 8
+    for settings in ({}, IN_MAP, DRIFTING):
+        drive, robot = drive_of(settings)
+        assert len(advanced(drive, robot, ["pose", "twist"])) == (1 if settings == IN_MAP else 2)
     drive, robot = drive_of({}, seconds=20.0)
     fixes_seen = len(drive.measurements["gps"].t)
     assert len(advanced(drive, robot, ["gps"])) < 0.7 * fixes_seen

@@ -70,15 +70,18 @@ def scan(pose: Array, segments: Array, rng: np.random.Generator) -> Array:
     return np.stack((r * np.cos(angle), r * np.sin(angle)), axis=-1)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Held:
-    """Points in memory."""
+    """Points in memory, of a robot whose wheels say nothing here."""
 
     scans: list[Array]
     origin: tuple[float, float] = (0.0, 0.0)
 
     def take(self, readings: Ints) -> Held:
         return Held([self.scans[i] for i in readings.tolist()])
+
+    def moved(self, t_from: Array, t_to: Array) -> Array:
+        return np.zeros((len(t_to), 3))
 
     def read(self, readings: Ints) -> list[Array]:
         return [self.scans[i] for i in readings.tolist()]

@@ -43,7 +43,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
     "formats": (
         "caps visible nearest columns thin geometry no_pandas delayed_signals url",
         "inputs",
-        "whole_files robot",
+        "whole_files robot known_types",
         "container presented",
         "messages",
         "mcap remote",

@@ -24,6 +24,7 @@ from locfuse.fusion.judge.noise_verdicts import by_itself, correlated
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.gyro import GyroSettings
 from locfuse.fusion.sensors.lrf import LrfSettings
+from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.sensors.sonar import SonarSettings
 
 # --- one number that wanders, measured with noise: a scalar Kalman filter from the book
@@ -108,6 +109,27 @@ def test_residuals_that_are_large_enough_on_average_do_not_say_that_noise_is_too
     assert o is not None
     tailed = o._replace(nis=nis, raw=0.6, scale=0.18, whiteness=(0.6,) * 5, white=0.5)
     assert by_itself("lrf", LrfSettings(), tailed._replace(R=(1.0, 1.0)), [0.0, 0.0], 0.1).verdict == verdict
+
+
+@pytest.mark.parametrize(
+    ("sensor", "share", "words"),
+    [
+        ("landmarks", 0.07, "7% of the readings are rejected as outliers"),
+        ("lrf", 0.3, "30% of the lines do not fit the map"),
+        ("lrf", 0.07, None),
+    ],
+)
+def test_many_rejected_readings_are_called_lines_only_where_they_are(
+    sensor: str, share: float, words: str | None
+) -> None:
+    """Range and bearing of a tag are two numbers as rho and beta of a line are."""
+    o = own(*scalar_filter(1, 0.01, 1.0, 1.0))
+    assert o is not None
+    found = by_itself(
+        sensor, REGISTRY[sensor].Settings(), o._replace(R=(1.0, 1.0), refused=share), [0.0, 0.0], 0.1
+    )
+    assert found.verdict == ("outliers" if words else "consistent")
+    assert words is None or words in found.words
 
 
 # --- whole drives with one wrong setting

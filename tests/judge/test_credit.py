@@ -257,6 +257,7 @@ def test_over_several_logs_the_interval_is_students() -> None:
         (0.3, 0.1, 0.5, 0.05, None, "no effect seen"),  # surprising: the filter took next to nothing from it
         (0.3, 0.2, 0.4, 0.05, None, "helps"),  # surprising, and beyond doubt
         (-0.7, -1.1, -0.3, 0.8, None, "hurts"),
+        (-1.9, -10.0, 3.1, None, None, "no effect seen"),  # 22000 times larger to 22 times smaller
         (0.4, 0.2, 0.9, 2.0, (1.0, 200.0), "helps"),  # overconfident is a remark of its own, no harm
         (3.0, 2.0, 4.0, 3.0, (1.0, 26.0), "helps"),  # the paper's frozen map: overconfident, but far better
     ],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,15 @@ from scipy import stats
 
 from locfuse.fusion.data import Audit, Drive, Estimates
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.judge.predictive import OUTLIER_SHARE, contradictions, listeners, log_density, ranking, scores
+from locfuse.fusion.judge.predictive import (
+    OUTLIER_SHARE,
+    Score,
+    contradictions,
+    listeners,
+    log_density,
+    ranking,
+    scores,
+)
 from locfuse.fusion.measure import thinned
 from locfuse.fusion.robot import Robot
 
@@ -105,6 +114,14 @@ def test_a_biased_compass_and_a_laser_contradict_each_other(seed: int) -> None:
     found = scores(drive, tried(drive, robot))
     assert contradictions(found, {"compass": "compass", "lrf": "lrf"}) == [("compass", "lrf")]
     assert ranking(found, ["odometry", "compass", "lrf"])[0].configuration == "odometry"
+
+
+def test_what_the_motion_was_made_of_contradicts_nobody() -> None:
+    """Without wheels the scans say how the robot moved: nothing predicts the laser better than itself."""
+    worse = Score("gps", "lrf", 900, 2.0, -0.05, -0.06, -0.04, False)
+    alone = {"gps": "gps", "lrf": "lrf"}
+    assert contradictions([worse], alone) == [("gps", "lrf")]
+    assert contradictions([replace(worse, shared=True)], alone) == []
 
 
 def test_a_lone_sensor_is_tried_in_stretches() -> None:

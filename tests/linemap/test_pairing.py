@@ -156,4 +156,5 @@ def test_a_line_depends_on_where_the_laser_sits_as_finite_differences_say(
     for a, state in enumerate(free):
         d = step * np.eye(3)[state]
         slope = (from_base(np.array(mount) + d) - from_base(np.array(mount) - d)) / (2.0 * step)
-        assert interpreted.lever(given, a, psi + mount[2]) == pytest.approx(-slope, abs=1e-8)
+        at = psi + mount[2]
+        assert interpreted.lever(given, a, math.cos(at), math.sin(at)) == pytest.approx(-slope, abs=1e-8)

@@ -81,7 +81,8 @@ def test_changed_settings_come_with_unit_and_source(report: dict[str, Any]) -> N
 
 def test_every_number_of_robot_toml_has_a_unit_or_is_known_to_have_none() -> None:
     none = {
-        "wheels.ratio", "wheels.sigma_scale", "wheels.sigma_track", "compass.field_tolerance", "compass.soft_iron",
+        "wheels.ratio", "wheels.servo_offset",
+        "wheels.sigma_scale", "wheels.sigma_track", "compass.field_tolerance", "compass.soft_iron",
         "lrf.range_scale", "lrf.min_points", "camera.red_ratio", "camera.min_slender", "gyro.sigma_scale",
         "landmarks.ignore",
         "landmarks.range_depth", "twist.sigma_scale",

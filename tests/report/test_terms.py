@@ -6,6 +6,7 @@ import pytest
 from commands import locfuse
 
 from locfuse.formats.tables.glossary import GLOSSARY, explained
+from locfuse.formats.tables.notes import notes_of
 from locfuse.formats.tables.tables import COUNTS, MAIN
 
 
@@ -24,3 +25,13 @@ def test_an_unknown_term_names_the_nearest() -> None:
 
 def test_without_a_term_all_are_listed() -> None:
     assert all(f"{term}: " in locfuse("explain").stdout for term in GLOSSARY)
+
+
+def test_a_number_of_another_configuration_keeps_its_sign() -> None:
+    """-88.5 beside -88.8 is not -88.5 beside 88.8; of a span the second number has no sign."""
+    runs = {
+        name: {"notes": [f"gps: east lies {east} deg off, at 30-40 s"]}
+        for name, east in (("gps", -88.5), ("all", -88.8))
+    }
+    (note,) = notes_of({"notes": [], "configurations": runs})
+    assert note == "gps: east lies -88.5 (all: -88.8) deg off, at 30-40 s"

@@ -251,7 +251,7 @@ def test_a_field_is_usable_where_its_strength_is_within_a_quarter_of_the_usual(s
     expected = [0] * 9
     expected[3] = 0 if usable else VERDICTS.index("disturbed")
     assert verdicts == expected
-    assert model.headings(m).usable.tolist() == [int(v == 0) for v in expected]
+    assert model.columns(m, np.arange(9)).usable.tolist() == [int(v == 0) for v in expected]
 
 
 @pytest.mark.parametrize(("largest", "radians"), [(12.5, True), (13.0, False), (-13.0, False)])

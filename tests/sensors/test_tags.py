@@ -253,6 +253,87 @@ def test_pixels_without_a_camera_info_are_one_line_with_the_keys(tmp_path: Path)
     assert "--set landmarks.fx=<px> --set landmarks.cx=<px>" in " ".join(done.stderr.split())
 
 
+def looking(frame: str, x: float, yaw: float) -> Said:
+    """/tf_static: an optical frame at x on the base whose z axis looks along yaw."""
+    turn = np.array([0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)])
+    q = dict(zip("xyzw", _times(turn, np.array([-0.5, 0.5, -0.5, 0.5])).tolist(), strict=True))
+    transform = {"translation": {"x": x, "y": 0.0, "z": 0.3}, "rotation": q}
+    kind = "tf2_msgs/msg/TFMessage"
+    edge = {"header": header(T0, "base_link"), "child_frame_id": frame, "transform": transform}
+    return Said("/tf_static", kind, cdr(kind, transforms=[edge]), T0)
+
+
+def both_ways(folder: Path) -> tuple[Path, Path, Path]:
+    """A drive past tags that are seen ahead and behind, by two cameras at the same instants."""
+    _, given, truth = written(folder, ARUCO, aruco)
+    t, angle = angles(60.0)
+    true, rng = path_of(t, angle), np.random.default_rng(2)
+    slip = 0.05 * (angle[:, 1] - angle[:, 0]) / 2
+    said = list(joint_states(t, angle + np.stack((-slip, slip), axis=-1)))
+    for name, x, yaw in (("front", 0.2, 0.0), ("rear", -0.3, math.pi)):
+        said.append(looking(f"{name}_optical", x, yaw))
+        for i in range(5, len(t), 10):
+            eye, seen = se2.compose(true[i], np.array([x, 0.0, yaw])), []
+            for key, place in MAP.items():
+                ahead, left, _ = se2.between(eye, np.array([*place, 0.0]))
+                if ahead > 0.3 and abs(left) < 1.2 * ahead:
+                    seen.append((key, np.array([-left, -0.2, ahead]) + METRE * rng.standard_normal(3)))
+            ns = T0 + round(t[i] * S)
+            said.append(Said(f"/{name}/tags", ARUCO, aruco(header(ns, f"{name}_optical"), seen), ns + 2_000_000))
+    return log_of(folder / "both.mcap", said), given, truth
+
+
+def test_two_cameras_are_one_sensor_each_where_its_frame_sits(tmp_path: Path) -> None:
+    files = both_ways(tmp_path)
+    found, _ = compared(files)
+    assert found["landmarks"]["position_rmse_m"] < 0.04
+    seen = found["landmarks"]["sensors"]["landmarks"]["accepted"]
+    alone, _ = compared(files, "--set", "landmarks.topic=/rear/tags")
+    other, _ = compared(files, "--set", "landmarks.topic=/front/tags")
+    parts = [run["landmarks"]["sensors"]["landmarks"]["accepted"] for run in (alone, other)]
+    assert min(parts) > 50
+    assert seen == pytest.approx(sum(parts), rel=0.02)
+    wrong = "landmarks.mounts={'/front/tags'=[0.2,0,0], '/rear/tags'=[-0.3,0,0]}"
+    turned, _ = compared(files, "--set", wrong)
+    assert turned["landmarks"]["position_rmse_m"] > 3.0 * found["landmarks"]["position_rmse_m"]
+
+
+def test_init_writes_both_cameras_and_where_they_sit(tmp_path: Path) -> None:
+    files = both_ways(tmp_path)
+    table = locfuse("init", files[0], *GEOMETRY).stdout.partition("[landmarks]")[2].partition("\n[")[0]
+    assert 'topics = ["/front/tags", "/rear/tags"]' in table
+    assert '"/rear/tags" = [-0.3, 0.0, ' in table
+    assert "where each of them sits" in table
+    assert "2 places by /tf_static" in " ".join(locfuse("info", files[0], *GEOMETRY).stdout.split())
+    assert "0 places" not in locfuse("info", written(tmp_path, ARUCO, aruco)[0], *GEOMETRY).stdout
+
+
+def test_pictures_of_two_cameras_have_the_optics_of_their_own(tmp_path: Path) -> None:
+    """Pixels are bearings by the CameraInfo of the frame; two cameras of different lenses."""
+    t, angle = angles(60.0)
+    true, said = path_of(t, angle), []
+    slip = 0.05 * (angle[:, 1] - angle[:, 0]) / 2
+    said += joint_states(t, angle + np.stack((-slip, slip), axis=-1))
+    info = "sensor_msgs/msg/CameraInfo"
+    for name, x, yaw, zoom in (("front", 0.2, 0.0, 1.0), ("rear", -0.3, math.pi, 2.0)):
+        k = [zoom * FX, 0.0, CX, 0.0, zoom * FX, 240.0, 0.0, 0.0, 1.0]
+        stamp = header(T0, f"{name}_optical")
+        said += [looking(f"{name}_optical", x, yaw), Said(f"/{name}/info", info, cdr(info, header=stamp, k=k), T0)]
+        for i in range(5, len(t), 10):
+            eye, seen = se2.compose(true[i], np.array([x, 0.0, yaw])), []
+            for key, place in MAP.items():
+                ahead, left, _ = se2.between(eye, np.array([*place, 0.0]))
+                if ahead > 0.3 and abs(left) < 1.2 * ahead:
+                    seen.append({"id": key, "centre": {"x": CX - zoom * FX * left / ahead, "y": 240.0}})
+            ns = T0 + round(t[i] * S)
+            body = cdr(APRIL, header=header(ns, f"{name}_optical"), detections=seen)
+            said.append(Said(f"/{name}/tags", APRIL, body, ns + 2_000_000))
+    _, given, truth = written(tmp_path, ARUCO, aruco)
+    files = log_of(tmp_path / "both.mcap", said), given, truth
+    found, _ = compared(files, "--set", f"landmarks.sigma_bearing_deg={math.degrees(BEARING)}")
+    assert found["landmarks"]["position_rmse_m"] < 0.03
+
+
 def test_info_finds_tags_and_init_asks_for_their_map(tmp_path: Path) -> None:
     files = written(tmp_path, ARUCO, aruco)
     said = " ".join(locfuse("info", files[0], *GEOMETRY).stdout.split())

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from locfuse.fusion.wheels.rollover import unrolled
+from locfuse.fusion.wheels.repairs import unrolled
 
 RANGE = 64.0
 

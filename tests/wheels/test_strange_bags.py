@@ -462,3 +462,12 @@ def test_the_size_of_the_wheels_is_what_an_odometry_of_arcs_was_made_with(tmp_pa
     found = by_odometry(log.stream("/joint_states"), log.stream("/odom"), WheelSettings())
     assert found is not None
     assert (found.radius, found.track) == pytest.approx((0.05, 0.3), rel=1e-4)
+
+
+def test_speeds_of_a_receiver_of_satellites_are_no_motion_of_the_body(tmp_path: Path) -> None:
+    """They are given along east and north, and never turn."""
+    log = open_log([log_of(tmp_path / "x.mcap", twists("/ublox/fix_velocity", "gps"), driven("/slam/odom"))])
+    assert chosen(log).topics["wheels"] == "/slam/odom"
+    alone = open_log([log_of(tmp_path / "y.mcap", twists("/ublox/fix_velocity", "gps"))])
+    with pytest.raises(LocfuseError, match="nothing says how the robot moved"):
+        chosen(alone)

@@ -1,0 +1,1 @@
+"""Message definitions for bags that carry none, written down by their fields."""

@@ -1,0 +1,41 @@
+"""Matches of scans with those that come next, from the wheels' motion; where wheels slipped, the slip is found."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from locfuse.fusion.data import Array, Ints
+
+from .clouds import Clouds
+from .match import Matches, Targets, match
+
+MIN_INLIERS, MIN_OVERLAP, MAX_RMS_M = 0.6, 0.3, 0.05
+SLIPS_RAD = np.radians([-30.0, -24.0, -18.0, -12.0, -8.0, -4.0, 4.0, 8.0, 12.0, 18.0, 24.0, 30.0])
+SLIP_INLIERS, SLIP_GAIN = 0.75, 0.1  # where fewer points fit a slip is looked for; it must let so many more fit
+LOOSE = np.diag([0.1**-2, 0.1**-2, np.radians(8.0) ** -2])  # the wheels' prior while one is looked for
+
+
+def next_scans(targets: Targets, i: Ints, clouds: Clouds, j: Ints, wheels: Array, information: Array) -> Matches:
+    """Match scans j (p,) with scans i from the wheels' motions (p, 3); where that fits badly, look for a slip.
+
+    `information` (p, 3, 3) is that of the motions, in the frame of i.
+    """
+    found = match(targets, i, clouds, j, wheels, information)
+    bad = np.flatnonzero(found.inliers < SLIP_INLIERS)
+    if not len(bad):
+        return found
+    again, tries = np.repeat(bad, len(SLIPS_RAD)), np.tile(SLIPS_RAD, len(bad))
+    guess = wheels[again] + np.outer(tries, (0.0, 0.0, 1.0))
+    slips = match(targets, i[again], clouds, j[again], guess, np.broadcast_to(LOOSE, (len(again), 3, 3)))
+    score = (slips.inliers * (slips.overlap > MIN_OVERLAP)).reshape(len(bad), -1)
+    best = score.argmax(axis=1)
+    take = score.max(axis=1) > found.inliers[bad] + SLIP_GAIN
+    chosen = np.arange(len(bad)) * len(SLIPS_RAD) + best
+    for column, other in zip(vars(found).values(), vars(slips).values(), strict=True):
+        column[bad[take]] = other[chosen[take]]
+    return found
+
+
+def good(found: Matches) -> Array:
+    """Tell which matches are to be believed, (p,)."""
+    return np.asarray((found.inliers > MIN_INLIERS) & (found.overlap > MIN_OVERLAP) & (found.rms < MAX_RMS_M))

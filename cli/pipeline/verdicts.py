@@ -10,7 +10,7 @@ from locfuse.formats.tables.findings import length
 from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.credit import Credit, SensorCredit
 from locfuse.fusion.judge.predictive import MIN_GAIN_NATS, Score, contradictions, ranking
-from locfuse.fusion.judge.verdict import MIN_EFFECT, Effect, overconfident, verdict
+from locfuse.fusion.judge.verdict import MAX_UNSURE, MIN_EFFECT, Effect, overconfident, verdict
 
 TRUST_SENSORS = (
     "There is no truth in this log. Configurations are ranked by how well each predicts the sensors that it "
@@ -116,6 +116,8 @@ def _main_words(c: SensorCredit, main: Effect, several: bool, few: str) -> str:
     if c.verdict == "no effect seen":
         if abs(main.value) < MIN_EFFECT:
             return what
+        if min(-main.low, main.high) > MAX_UNSURE:
+            return f"{what} {few}"
         return f"{what} The filter gives it almost no weight, so this change is probably chance." if sure else what
     return what if sure or _judged_by_last(c, main) else f"{what} {few}"
 

@@ -214,14 +214,14 @@ def _best(found: Mapping[str, float]) -> str:
     return min(found, key=lambda n: found[n])
 
 
-def results(seeds: int, out: Path, chosen: Sequence[Case], truths: Sequence[bool]) -> Iterator[dict[str, Any]]:
+def results(seeds: range, out: Path, chosen: Sequence[Case], truths: Sequence[bool]) -> Iterator[dict[str, Any]]:
     """Yield the result of every case, from the file where it was run before."""
     done = {}
     if out.exists():
         rows = (json.loads(line) for line in out.read_text(encoding="utf-8").splitlines())
         done = {(r["case"], r["seed"], r["truth"]): r for r in rows}
     with tempfile.TemporaryDirectory() as folder:
-        for seed in range(FIRST_SEED, FIRST_SEED + seeds):
+        for seed in seeds:
             wanted = [(c, t) for c in chosen for t in truths if t or not c.of_truth]
             left = [(c, t) for c, t in wanted if (c.name, seed, t) not in done]
             yield from (done[c.name, seed, t] for c, t in wanted if (c.name, seed, t) in done)
@@ -316,18 +316,19 @@ def put(page: Path, name: str, lines: Sequence[str]) -> None:
 
 @click.command()
 @click.option("--seeds", default=8, show_default=True)
+@click.option("--first", default=FIRST_SEED, show_default=True, help="The first seed: others are fresh drives.")
 @click.option("--case", "words", multiple=True, help="Only cases whose name holds this word. Repeatable.")
 @click.option(
     "--truth", "which", type=click.Choice(["both", "with", "without"]), default="both", show_default=True
 )
 @click.option("-o", "out", type=click.Path(path_type=Path), default=Path("advice.jsonl"), show_default=True)
 @click.option("--write", is_flag=True, help="Put the table into docs/advice.md.")
-def main(seeds: int, words: tuple[str, ...], which: str, out: Path, write: bool) -> None:
+def main(seeds: int, first: int, words: tuple[str, ...], which: str, out: Path, write: bool) -> None:
     """Print a table; cases that stand in the file of -o are not run again."""
     chosen = [c for c in cases() if not words or any(word in c.name for word in words)]
     truths = {"both": (True, False), "with": (True,), "without": (False,)}[which]
     rows = []
-    for row in results(seeds, out, chosen, truths):
+    for row in results(range(first, first + seeds), out, chosen, truths):
         rows.append(row)
         closed = "" if row["closed"] is None else f"{row['closed']:.0%} closed"
         click.echo(

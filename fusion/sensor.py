@@ -388,6 +388,7 @@ class Bias(NamedTuple):
     key: str  # in the unit of the sensor's first component
     sign: float  # of the key's change by the mean innovation (measured - predicted)
     estimated: bool = False  # whether the filter estimates it where the key is left out
+    sigma: str | None = None  # the key of its standard deviation, in the same unit: above 0 the error is a state
 
 
 class Reversal(NamedTuple):

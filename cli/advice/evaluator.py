@@ -175,10 +175,10 @@ def _first_that_helps(evidence: Evidence, kept: Fixes, trial: Trial, done: set[t
     failed: list[Advice] = []
     best: list[Advice] = []
     for stage in stages:
-        candidates = [c for c in stage() if _key(c) not in done or c.finding.code in REFINED]
+        candidates = [c for c in stage() if c.key not in done or c.finding.code in REFINED]
         found = search(candidates, kept, trial)
         best = max(best, found, key=_weight)
-        observed = {_key(c) for c in candidates if not c.offer}
+        observed = {c.key for c in candidates if not c.offer}
         if stage == evidence.slips and any(a.helps for a in found):
             break
         if total(best) > CLEAR or any(a.helps and (a.finding.role, a.finding.code) in observed for a in found):
@@ -198,10 +198,6 @@ def _weight(found: Sequence[Advice]) -> float:
     """
     measured = any(a.helps and a.measured for a in found)
     return total(found) + (CHANCE if measured else 0.0)
-
-
-def _key(c: Candidate) -> tuple[str, str]:
-    return c.finding.role, c.finding.code
 
 
 def changing(found: Sequence[Advice], kept: Fixes, robot: Robot) -> list[Advice]:

@@ -74,7 +74,8 @@ def info(
         if as_json:
             put(json_report.encode({**values.values(overview), **({"tried": tried} if check else {})}))
         else:
-            text = info_text.lines(overview, _typed(log, how), show.width())
+            helped = tried["fixes"] if tried else None
+            text = info_text.lines(overview, _typed(log, how), show.width(), helped)
             show.lines((*text, *pictures), (*info_text.TITLES, PICTURES))
             if tried:
                 show.lines(("", TRIED), (TRIED,))

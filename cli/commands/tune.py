@@ -69,6 +69,7 @@ def tune(
         (("noise", "before", "after", "95 % interval"), found.rows(), BELOW_NOISE),
         (("judged by", "before", "after"), found.judgements(), BELOW_JUDGED),
     ]
-    print_findings(found.values(), tables, out, as_json)
+    held = "the settings as they were given; the noise that was found is not used" if found.refused else ""
+    print_findings(found.values(), tables, out, as_json, held)
     lost = [line for one in found.loaded for line in results.loss_lines(one, found.sensors, how.strict)]
     return end(found.notes, lost, how.quiet)

@@ -125,9 +125,7 @@ def _of_files(log: Log) -> list[Finding]:
     found = [Finding("file", "lost", line, severe=True) for line in log.losses.lines()]
     if log.unchecked:
         names = ", ".join(log.unchecked[:3]) + (" ..." if len(log.unchecked) > 3 else "")
-        found.append(
-            Finding("file", "unchecked", f"{names}: no checksums, so that a changed value cannot be detected")
-        )
+        found.append(Finding("file", "unchecked", f"{names}: no checksums: a corrupted value would go unnoticed"))
     return found
 
 

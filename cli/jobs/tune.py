@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -37,6 +38,7 @@ class Judged:
     name: str
     before: Evaluation
     after: Evaluation
+    check: str  # the command that says what else is wrong with it
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,7 @@ class Tuning:
             },
             "logs": [_log_values(j) for j in self.judged],
             "measured_again": list(tuned.measured_again),
+            "refused": self.refused,
             "robot": self.tables(),
             "notes": list(self.notes),
         }
@@ -134,6 +137,7 @@ def tune_logs(
     """
     paths = [*logs, *held_out]
     loaded = [load(p, how, progress, only=sensors) for p in paths]
+    checks = [_check(p, how) for p in paths]
     trials = []
     for i, one in enumerate(loaded):
         last = float(one.drive.t[-1])
@@ -150,7 +154,7 @@ def tune_logs(
     def tuned_by(names: Sequence[str]) -> tuple[Tuned, list[Judged], list[str]]:
         tuned = tune(trials, names, drift, remeasure, progress)
         progress("judging the logs")
-        return tuned, (judged := _judged(loaded, tuned)), _worse(tuned, judged)
+        return tuned, (judged := _judged(loaded, tuned, checks)), _worse(tuned, judged)
 
     tuned, judged, worse = tuned_by(sensors)
     lasting = lasting_errors(tuned.trials)
@@ -164,13 +168,22 @@ def tune_logs(
     return Tuning(tuned, judged, loaded, (*worse, *_notes(tuned), *notes), bool(worse))
 
 
-def _judged(loaded: Sequence[Loaded], tuned: Tuned) -> list[Judged]:
+def _check(log: Sequence[Place], how: LogOptions) -> str:
+    """Return the command that tries what else may be wrong with a log, under the same settings."""
+    robot = [word for file in how.robot_files for word in ("--robot", str(file))]
+    sets = [word for setting in how.sets for word in ("--set", setting)]
+    return shlex.join(("locfuse", "info", *map(str, log), *robot, *sets, "--check"))
+
+
+def _judged(loaded: Sequence[Loaded], tuned: Tuned, checks: Sequence[str]) -> list[Judged]:
     """Evaluate every log as `run` would, before and after: what is measured depends on the noise too."""
     sets = tuple(
         f"{table}.{key}={value!r}" for table, keys in _tables(tuned).items() for key, value in keys.items()
     )
-    pairs = ((one, with_settings(one, sets)) for one in loaded)
-    return [Judged(before.log.name, _evaluated(before), _evaluated(after)) for before, after in pairs]
+    return [
+        Judged(one.log.name, _evaluated(one), _evaluated(with_settings(one, sets)), check)
+        for one, check in zip(loaded, checks, strict=True)
+    ]
 
 
 def _worse(tuned: Tuned, judged: Sequence[Judged]) -> list[str]:
@@ -196,17 +209,15 @@ def spoiled(j: Judged) -> str | None:
     else:
         shape = "" if j.after.align == "none" else " (of the path's shape)"
         what = f"has a position error{shape} of {after.position:.4f} m, before {before.position:.4f} m"
-    return (
-        f"{j.name} {what}: the noise that was found is not used. Something else is set wrong; see: "
-        f"locfuse info {j.name} --check"
-    )
+    return f"{j.name} {what}: the noise that was found is not used. Something else is set wrong; see: {j.check}"
 
 
 def write(path: Path, found: Tuning, how: LogOptions) -> None:
     """Write robot.toml: what the user gave, the first file's comments included, with the noise that was found."""
     later = [robot_toml.parse(file.read_bytes(), str(file)) for file in how.over]
     changes = robot_toml.merge(*later, robot_toml.apply_sets(how.sets), found.tables())
-    before = commented_edit.text_of(how.robot) or "# noise found by locfuse tune\n"
+    head = "# without the noise that locfuse tune found: a log gets worse by it\n"
+    before = commented_edit.text_of(how.robot) or (head if found.refused else "# noise found by locfuse tune\n")
     with whole_file(path) as temporary:
         temporary.write_text(commented_edit.updated(before, changes, "locfuse tune"), encoding="utf-8")
 

@@ -30,8 +30,8 @@ def findings_options(what: str, tables: str) -> Callable[[Command], Command]:
     return add
 
 
-def print_findings(values: Any, tables: Iterable[Table], out: Path | None, as_json: bool) -> None:
-    """Print what was found as JSON, or as tables and with how the file is used."""
+def print_findings(values: Any, tables: Iterable[Table], out: Path | None, as_json: bool, held: str = "") -> None:
+    """Print what was found as JSON, or as tables and with how the file is used; `held`: what it holds instead."""
     from locfuse.formats.report import json_report
     from locfuse.formats.tables.table import of_words, texts
 
@@ -47,7 +47,7 @@ def print_findings(values: Any, tables: Iterable[Table], out: Path | None, as_js
             if shown.rows and below:
                 show.lines([below])
         if out is not None:
-            say(f"{out}: use it with --robot {out}")
+            say(f"{out}: {held or f'use it with --robot {out}'}")
 
 
 def end(notes: Iterable[str], lost: Sequence[str], quiet: bool) -> int:

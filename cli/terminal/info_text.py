@@ -40,16 +40,21 @@ BELOW_GAP = " gap: the longest time without a message."
 MAX_UNREADABLE_LISTED = 6  # unreadable topics, each with its reason
 
 
-def lines(overview: Overview, typed: Sequence[str], width: int | None) -> Iterator[str]:
-    """Yield everything about a log; `typed` is what the user gave `info`, `width` that of the screen or None."""
+def lines(
+    overview: Overview, typed: Sequence[str], width: int | None, helped: Sequence[str] | None = None
+) -> Iterator[str]:
+    """Yield everything about a log; `typed` is what the user gave `info`, `width` that of the screen or None.
+
+    `helped` are the fixes that were tried and help; None: none was tried.
+    """
     yield _headline(overview)
     yield ""
     yield from _topics(overview, width)
     yield from _roles(overview, width)
     yield from _configurations(overview, width)
     for title, findings in grouped(overview).items():
-        yield from _section(title, [line for f in findings for line in _finding(f, width)])
-    yield from _section(NEXT, [f"  {command}" for command in _next(overview, typed)])
+        yield from _section(title, [line for f in findings for line in _finding(f, width, helped)])
+    yield from _section(NEXT, [f"  {command}" for command in _next(overview, typed, helped)])
 
 
 def listed(topics: Mapping[str, Mapping[str, Any]], width: int | None) -> Sequence[str]:
@@ -178,10 +183,18 @@ def _briefly(words: str, role: str, overview: Overview) -> str:
     return "see below" if below else words
 
 
-def _finding(f: Finding, width: int | None) -> list[str]:
+def _finding(f: Finding, width: int | None, helped: Sequence[str] | None) -> list[str]:
     fixes = () if f.code == OPEN_SCALE else f.fixes  # of two ways to set it, which its words name, none is the fix
     body = _wrapped(f"  {f.role}: ", f.brief if fixes else f.sentence, width, "    ")
-    return [*body, *_options("    fix: ", fixes, width)] if fixes else body
+    if not fixes:
+        return body
+    if helped is None or not f.severe or _keys(fixes) & _keys(helped):
+        return [*body, *_options("    fix: ", fixes, width)]
+    return [*body, *_options("    as measured, but it does not help (see below): ", fixes, width)]
+
+
+def _keys(fixes: Sequence[str]) -> set[str]:
+    return {fix.partition("=")[0] for fix in fixes}
 
 
 def _options(head: str, fixes: Sequence[str], width: int | None) -> list[str]:
@@ -206,10 +219,15 @@ def _wrapped(head: str, words: str, width: int | None, indent: str | None = None
     )  # fmt: skip
 
 
-def _next(overview: Overview, typed: Sequence[str]) -> list[str]:
-    """Return the commands to try next: once more with what fixes the worst, a robot.toml, or the comparison."""
+def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None) -> list[str]:
+    """Return the commands to try next: once more with what fixes the worst, a robot.toml, or the comparison.
+
+    Where fixes were tried, with those that help.
+    """
     worst = [f for f in overview.findings if f.severe and f.code != OPEN_SCALE]  # there the reader has to choose
     fixes = dict(fix.partition("=")[::2] for f in worst for fix in f.fixes)
+    if fixes and helped is not None:
+        fixes = dict(fix.partition("=")[::2] for fix in helped)
     if fixes:
         kept = _without(typed, fixes)
         options = [word for key, value in fixes.items() for word in ("--set", f"{key}={value}")]

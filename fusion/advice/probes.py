@@ -10,11 +10,11 @@ import numpy as np
 
 from locfuse.fusion.data import Drive, Estimates
 from locfuse.fusion.doctor.finding import Finding
-from locfuse.fusion.mount import MAX_PRIOR_SIGMAS, SIGMA_DEG, SIGMA_M, to_a_tenth_of
+from locfuse.fusion.mount import MAX_PRIOR_SIGMAS, SIGMA_DEG, SIGMA_M, MountedSettings, to_a_tenth_of
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import wrap
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.wheels.states import WHEELS, derivative, geometry
+from locfuse.fusion.wheels.states import WHEELS
 
 MOUNT = "mount"  # code of the finding on one
 MIN_SIGMAS = 4.0  # standard deviations by which an estimate must differ from what is configured
@@ -80,14 +80,33 @@ def of_mount(
         yield Finding(sensor, MOUNT, f"mount by the drive itself: {', '.join(words)}", tuple(fixes))
 
 
+def beyond_prior(robot: Robot, sensor: str, e: Estimates) -> bool:
+    """Return whether a run found the mount surely, and further off than its settings took for likely.
+
+    What such a state says is pulled to what is configured: a run that takes more for likely tells the mount.
+    """
+    settings = robot.settings(sensor)
+    if not isinstance(settings, MountedSettings):
+        return False
+    for part, configured, prior in zip(MOUNT_KEYS, settings.mount, settings.sigmas(True), strict=True):
+        name = f"{sensor}_{part}"
+        if name in e.blocks:
+            off, sigma = abs(float(e.blocks[name][-1, 0]) - configured), float(e.block_sigmas[name][-1, 0])
+            if off > max(MIN_SIGMAS * sigma, MAX_PRIOR_SIGMAS * prior):
+                return True
+    return False
+
+
 def _track(robot: Robot, e: Estimates) -> Iterator[Finding]:
     if WHEELS not in e.blocks or robot.wheels.track is None or robot.wheels.estimate:
         return
-    x = e.blocks[WHEELS][-1]
-    found, G = geometry(x), derivative(x)
-    sigma = float(math.sqrt(max(float((G[2] ** 2 * e.block_sigmas[WHEELS][-1] ** 2).sum()), 0.0)))
-    if abs(found[2]) > max(MIN_SIGMAS * sigma, MIN_TRACK):
-        track = robot.wheels.track * (1.0 + float(found[2]))
+    right, left, turning = e.blocks[WHEELS][-1].tolist()
+    # the radius stays as it is configured, so that the track alone is to turn the robot as far as the states do
+    off = 1.0 / (1.0 + 0.5 * (right + left) - turning) - 1.0
+    by = np.array([-0.5, -0.5, 1.0]) * (1.0 + off) ** 2
+    sigma = math.sqrt(float((by**2 * e.block_sigmas[WHEELS][-1] ** 2).sum()))
+    if abs(off) > max(MIN_SIGMAS * sigma, MIN_TRACK):
+        track = robot.wheels.track * (1.0 + off)
         words = f"the track by the drive itself is {track:.4g} m, configured {robot.wheels.track:g} m"
         yield Finding("wheels", "track", words, (f"wheels.track={track:.4g}",))
 

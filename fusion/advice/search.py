@@ -33,6 +33,11 @@ class Candidate:
     rivals: tuple[str, ...] = ()  # roles whose fixes explain the same: beside one of them, look again first
     by_shape: bool = False  # may be judged by the path's shape: nobody observes where its map lies, that is chance
 
+    @property
+    def key(self) -> tuple[str, str]:
+        """Role and code of the finding."""
+        return self.finding.role, self.finding.code
+
 
 @dataclass(frozen=True)
 class Advice:
@@ -130,8 +135,8 @@ def _best_by(candidate: Candidate, kept: Fixes, trial: Try, shape: bool) -> Advi
     for fixes in candidate.alternatives:
         pairs = _pairs(candidate, kept, fixes, trial, shape)
         harmless = harmless or bool(pairs)
-        # by the drive itself: not to lose is enough
-        shown = candidate.measured and bool(pairs) and (shape or _by_prediction(pairs))
+        # by the drive itself: not to lose is enough, but then in every configuration, also those that nobody keeps
+        shown = candidate.measured and bool(pairs) and (shape or (_by_prediction(pairs) and not _any_loses(pairs)))
         if shown or any(improves(*pair) for pair in pairs.values()):
             before = {name: pair[0] for name, pair in pairs.items()}
             after = {name: pair[1] for name, pair in pairs.items()}
@@ -144,6 +149,10 @@ def _best_by(candidate: Candidate, kept: Fixes, trial: Try, shape: bool) -> Advi
 
 def _by_prediction(pairs: Mapping[str, tuple[Score, Score]]) -> bool:
     return all(before.position is None for before, _ in pairs.values())
+
+
+def _any_loses(pairs: Mapping[str, tuple[Score, Score]]) -> bool:
+    return any(spoils(*pair) for pair in pairs.values())
 
 
 def _pairs(

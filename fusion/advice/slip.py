@@ -30,7 +30,8 @@ class Slip(NamedTuple):
     factor: float  # by which `wheels.noise` should be multiplied
     seen: float  # rad, over LONG_S: 1 sigma of the turn that slips add
     expected: float  # rad, what `wheels.noise` says
-    by: str  # the sensor whose turning it was held against
+    by: str  # the sensor whose turning it was held against; several that agree: "compass and lrf"
+    agreed: bool = False  # whether several sensors show about the same
 
     @property
     def unusual(self) -> bool:
@@ -56,7 +57,8 @@ class _Spread(NamedTuple):
 def slip(drive: Drive) -> Slip | None:
     """Return how much the wheels slip, by the sensor that agrees with them best; None where nothing tells.
 
-    What a sensor's own turning wanders is taken for slip too, so that the smallest answer is the wheels'.
+    What a sensor's own turning wanders is taken for slip too, so that the smallest answer is the wheels'. Where
+    several find less than configured, the largest of them is taken: all of them vouch for that.
     """
     if drive.wheels.matched is not None or drive.wheels.noise <= 0.0:
         return None
@@ -65,6 +67,10 @@ def slip(drive: Drive) -> Slip | None:
         heading = REGISTRY[name].heading(m.take(np.arange(min(len(m.t), MAX_READINGS))))
         one = None if heading is None else _by(name, *heading, drive.wheels)
         found += [one] if one is not None else []
+    less = [s for s in found if s.factor < 1.0 / MAX_FACTOR]
+    if len(less) > 1 and len(less) == len(found):
+        names = " and ".join(s.by for s in less)
+        return max(less, key=lambda s: s.factor)._replace(by=names, agreed=True)
     return min(found, key=lambda s: s.factor, default=None)
 
 

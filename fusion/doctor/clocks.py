@@ -74,20 +74,23 @@ def _on_truths_clock(drive: Drive, robot: Robot, lag: Lag) -> list[str]:
 def _stream(name: str, lag: Lag, robot: Robot) -> Finding:
     settings = robot.truth if name == "truth" else robot.settings(name)
     offset = settings.time_offset + lag.offset
-    fix = f"{name}.time_offset={offset + 0.0:.2f}"
+    fix = f"{name}.time_offset={offset:z.2f}"
     return Finding(name, "lag", in_words(lag), (fix,), abs(lag.offset) > SEVERE_LAG_S)
 
 
 def _either(lag: Lag, robot: Robot) -> Finding:
     """Return the finding of two clocks that differ where no third one says which of them is off."""
     found = _stream("truth", lag, robot)
-    same = f"wheels.time_offset={robot.wheels.time_offset - lag.offset + 0.0:.2f}"
+    same = f"wheels.time_offset={robot.wheels.time_offset - lag.offset:z.2f}"
     return replace(found, message=f"{found.message}; no third clock says which of the two is off: {same} is equal")
 
 
 def _wheels(offset: float, names: list[str], robot: Robot) -> Finding:
-    words = f"{' and '.join(names)} run {abs(offset):.2f} s {side(offset)} them alike: the wheels' clock is off"
-    fix = f"wheels.time_offset={robot.wheels.time_offset - offset:.2f}"
+    late = "late" if offset < 0 else "early"
+    words = (
+        f"{' and '.join(names)} look equally {late} against them, {abs(offset):.2f} s: the wheels' clock is off"
+    )
+    fix = f"wheels.time_offset={robot.wheels.time_offset - offset:z.2f}"
     return Finding("wheels", "lag", words, (fix,), abs(offset) > SEVERE_LAG_S)
 
 
@@ -219,8 +222,3 @@ def in_words(lag: Lag) -> str:
         f"stamps look {abs(lag.offset):.2f} s {'late' if lag.offset < 0 else 'early'}{sigma} against {whose} "
         f"(correlation {lag.without:.3f} as stamped, {lag.correlation:.3f} shifted)"
     )
-
-
-def side(offset: float) -> str:
-    """Return on which side of the wheels something is that needs this time_offset [s]."""
-    return "behind" if offset < 0 else "ahead of"

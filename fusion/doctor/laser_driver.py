@@ -115,6 +115,6 @@ def _turning(column: dict[str, Array], lengths: Array) -> list[Finding]:
         words = f"its scans have {int(lengths.min())} to {int(lengths.max())} beams; each is read with its own"
         found.append(Finding("lrf", "beams", words))
     if not (column["time_increment"] > 0.0).any():
-        words = "time_increment is 0: what it sees while the robot turns is taken for the sight of one instant"
+        words = "time_increment is 0: points are not corrected for the motion during a scan"
         found.append(Finding("lrf", "not deskewed", words))
     return found

@@ -27,7 +27,7 @@ from .noise_verdicts import (
     MAX_SIGMA_FACTOR,
     NoiseVerdict,
     Verdict,
-    biased,
+    biased_against,
     by_itself,
     by_reference_run,
     contradicting,
@@ -119,7 +119,7 @@ class Evidence:
     def _finding(self, sensor: str) -> NoiseVerdict:
         settings = self.robot.settings(sensor)
         if sensor in self.flagged:
-            return biased(sensor, settings, self.flagged[sensor].bias or 0.0)
+            return biased_against(sensor, settings, self.flagged[sensor])
         if sensor in self.contradict:
             return contradicting(sensor, sorted(self.contradict - {sensor}))
         for _, evidence in self.reference_runs(sensor)[:1]:
@@ -169,7 +169,7 @@ class Evidence:
         found = self._hear_by_truth(sensor) or next((h for _, h in self.reference_runs(sensor)), None)
         if found is None or found.bias is None or not notable(found):
             return None
-        return biased(sensor, self.robot.settings(sensor), found.bias)
+        return biased_against(sensor, self.robot.settings(sensor), found)
 
     def _hear_by_truth(self, sensor: str) -> Heard | None:
         found = None if self._truth is None else self._hear(self._truth, sensor)

@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from msgspec.structs import asdict
+
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .innovations import Heard, Own
@@ -14,6 +16,9 @@ from .innovations import Heard, Own
 Verdict = Literal[
     "consistent", "understated", "overstated", "biased", "contradicts", "correlated", "outliers", "unclear"
 ]
+MAX_DRAWN_RATIO = (
+    2.0  # of a mean's sigma, beside what its readings' own noise leaves: more is somebody else's error
+)
 MAX_SIGMA_FACTOR, MIN_SIGMA_FACTOR = 1.5, 1.0 / 1.5  # a factor on sigma between these is no complaint
 MIN_SIGMAS = 3.0  # standard errors
 MIN_BIAS_SIGMAS = 0.5  # of its noise: a smaller bias is no complaint
@@ -65,7 +70,7 @@ def by_itself(sensor: str, settings: Any, o: Own, floor: Sequence[float], period
     """Judge a sensor by the innovations of a run that uses it."""
     several = len(o.R) > 1  # numbers of one reading
     if not several and abs(o.middle[0]) > max(MIN_SIGMAS * o.sure[0], math.sqrt(o.R[0])):
-        return biased(sensor, settings, o.middle[0])
+        return biased(sensor, settings, o.middle[0], o.sure[0], math.sqrt(o.R[0] / o.compared))
     if not several and o.white < MIN_WHITE_SHARE and o.whiteness[0] > MIN_REPEAT_CORRELATION:
         repeats = 1.0 + 2.0 * o.whiteness[0] / (1.0 - min(o.whiteness[0], 0.98))  # as of a Markov chain
         # the state has followed the slow errors, so that the innovations show a part of them
@@ -137,16 +142,39 @@ def of_messages(sensor: str, found: NoiseVerdict) -> NoiseVerdict:
     return NoiseVerdict(found.verdict, words, found.scale)
 
 
-def biased(sensor: str, settings: Any, bias: float) -> NoiseVerdict:
-    """Complain about a mean that is off; `bias` is measured minus predicted [rad or m]."""
+def biased_against(sensor: str, settings: Any, h: Heard) -> NoiseVerdict:
+    """Complain about a mean that is off a run that does not use the sensor."""
+    return biased(sensor, settings, h.bias or 0.0, h.sure, math.sqrt(h.white / h.readings))
+
+
+def biased(sensor: str, settings: Any, bias: float, sure: float, drawn: float) -> NoiseVerdict:
+    """Complain about a mean that is off; `bias` is measured minus predicted [rad or m], `sure` its sigma.
+
+    A mean that is known less exactly than the readings' own noise would allow (`drawn`) has another's error in it,
+    which is the same in every reading: set as exact, it would pull the estimate with all their weight. So the fix
+    sets how well it is known too.
+    """
     amount, unit = _human(bias, sensor)
+    sigma = rounded(_human(sure, sensor)[0])
     words = f"differs from the other sensors by {amount:+.2g} {unit} on average"
     fix = REGISTRY[sensor].bias
     if fix is None:
         return NoiseVerdict("biased", words)
     value = (getattr(settings, fix.key) or 0.0) + fix.sign * amount
-    value = _turned(value) if unit == "deg" else rounded(value)
-    return NoiseVerdict("biased", words, None, {f"{sensor}.{fix.key}": value})
+    cures = {f"{sensor}.{fix.key}": _turned(value) if unit == "deg" else rounded(value)}
+    if fix.sigma is not None and sure > MAX_DRAWN_RATIO * drawn and _accepts(settings, fix.sigma, sigma):
+        cures[f"{sensor}.{fix.sigma}"] = sigma
+        words += f" (1 sigma {sigma:g})"
+    return NoiseVerdict("biased", words, None, cures)
+
+
+def _accepts(settings: Any, key: str, value: float) -> bool:
+    """Whether settings allow a value beside the others: a camera that takes no mount takes no sigma of it."""
+    try:
+        type(settings)(**{**asdict(settings), key: value})
+    except ValueError:
+        return False
+    return True
 
 
 def contradicting(sensor: str, others: Sequence[str]) -> NoiseVerdict:

@@ -103,7 +103,7 @@ class Camera(Sensor):
     drawn = "bearing"
     colour = Colour("#2aa090", "#74f0a4")
     noise_keys = ("sigma_deg",)
-    bias = Bias("zero_deg", -1.0)
+    bias = Bias("zero_deg", -1.0, sigma="sigma_yaw_deg")
     in_blocks = True  # pictures are never all in memory
     costly = True  # decoding every picture takes longer than all the rest
     asks: ClassVar[Mapping[str, Ask]] = {

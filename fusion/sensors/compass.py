@@ -55,6 +55,7 @@ class CompassSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, k
 
     sigma_deg: float = 3.0  # white noise of one reading
     offset_deg: float | None = None  # measured heading minus theta; None: estimated from the drive
+    sigma_offset_deg: float = 0.0  # 1 sigma of a given offset_deg: above 0 it is estimated from there, 0 is exact
     offset_drift_deg: float = 0.0  # random walk of an estimated offset, degrees per sqrt(s)
     field: str | None = None  # of a message of any type: the number that is the heading, "status.yaw"
     unit: Literal["rad", "deg"] | None = None  # of heading messages; None: as the convention says
@@ -66,6 +67,14 @@ class CompassSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, k
     soft_iron: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 1.0)  # row by row, applied after hard_iron
     level: bool = True  # a magnetometer's field is levelled by an IMU of the log where the robot tilts
     field_tolerance: float = 0.25  # share by which the field's strength may leave its median
+
+    only_fused: ClassVar[frozenset[str]] = SensorSettings.only_fused | {"sigma_offset_deg"}
+
+    def __post_init__(self) -> None:
+        """Raise ValueError where the offset's standard deviation is negative or not a number."""
+        super().__post_init__()
+        if not 0.0 <= self.sigma_offset_deg < math.inf:
+            raise ValueError(f"sigma_offset_deg = {self.sigma_offset_deg} must be 0 (known exactly) or above")
 
 
 class Compass(Sensor):
@@ -82,7 +91,7 @@ class Compass(Sensor):
     second_best = BARE_NUMBERS
     colour = Colour("#cb7627", "#ec8c10")
     noise_keys = ("sigma_deg",)
-    bias = Bias("offset_deg", 1.0, estimated=True)
+    bias = Bias("offset_deg", 1.0, estimated=True, sigma="sigma_offset_deg")
     drift_key = "offset_drift_deg"
     asks: ClassVar[Mapping[str, Ask]] = {
         "sigma_deg": Ask("noise of one heading"),
@@ -181,16 +190,18 @@ class CompassModel(Model):
 
     def __init__(self, settings: CompassSettings) -> None:
         self.settings = settings
-        self.given = settings.offset_deg is not None
+        self.given = settings.offset_deg is not None and not settings.sigma_offset_deg
         self.offset = math.radians(settings.offset_deg or 0.0)
         self.threshold = chi_square(settings.gate, 1)
 
     def blocks(self) -> list[Block]:
-        """Return the offset as a state where it is not given: unknown, that is uniform over a turn."""
+        """Return the offset as a state unless it is known exactly: where it is not given, uniform over a turn."""
         if self.given:
             return []
         drift = math.radians(self.settings.offset_drift_deg) ** 2
-        return [Block(OFFSET, np.zeros(1), np.array([[math.pi**2 / 3.0]]), np.array([drift]))]
+        known = self.settings.offset_deg is not None
+        variance = math.radians(self.settings.sigma_offset_deg) ** 2 if known else math.pi**2 / 3.0
+        return [Block(OFFSET, np.array([self.offset]), np.array([[variance]]), np.array([drift]))]
 
     def columns(self, m: Measurements, when: Ints) -> HeadingColumns:
         """Return all headings for the core."""
@@ -244,7 +255,8 @@ class HeadingColumns(Columns):
         if self._frame != frame:
             own = () if model.given else (belief.block(OFFSET)[0],)
             at = np.array([2, *own, *(() if frame < 0 else (frame + 2,))])
-            judged = model.threshold, float(GATE), float(DISTURBED), model.offset
+            known = model.offset if model.given else 0.0  # else it is the state
+            judged = model.threshold, float(GATE), float(DISTURBED), known
             self._table = Room.here(tables).on_arrays.Headings(
                 self.when, *self._of, self.usable, *judged, at, len(at), self.told, len(self.when), 0, -1
             )

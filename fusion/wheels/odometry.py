@@ -205,8 +205,8 @@ def _words(spiked: int, restarts: int, turned: int) -> list[str]:
         )
     if turned:
         words.append(
-            f"its pose moves ahead in {turned} steps whose twist says backward; "
-            "they are turned round (wheels.reverse_by_twist=false leaves them)"
+            f"its pose moves forward in {turned} steps while its velocity says reverse; they are taken as reverse "
+            "(wheels.reverse_by_twist=false keeps them)"
         )
     return words
 

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from locfuse.cli.advice import evidence as module
+from locfuse.cli.advice import clocks as module
 from locfuse.cli.advice.evidence import Evidence
 from locfuse.fusion.data import Measurements
 from locfuse.fusion.doctor.finding import Finding
@@ -203,6 +203,49 @@ def test_a_range_noise_that_is_set_too_high_is_also_tried_as_the_ranges_show_it(
         stream=lambda _: None,
     )
     vars(made)["compared"] = SimpleNamespace(loaded=loaded)
-    monkeypatch.setattr("locfuse.cli.advice.evidence.ranges_sigma", lambda *_: ranges)
+    monkeypatch.setattr("locfuse.cli.advice.noise.ranges_sigma", lambda *_: ranges)
     assert made._as_ranges_scatter("lrf", Consistency("overstated", "", cures=cures)) == offered
     assert not made._as_ranges_scatter("lrf", Consistency("understated", "", cures=cures))
+
+
+@pytest.mark.parametrize(
+    ("offset", "sigma", "offered"), [(0.02, 0.002, True), (0.02, 0.006, False), (0.008, 0.001, False)]
+)
+def test_a_lag_between_two_sensors_is_tried_as_either_one_s(
+    monkeypatch: pytest.MonkeyPatch, offset: float, sigma: float, offered: bool
+) -> None:
+    """From four sigma and a hundredth of a second on: it says that one of them is off, not which."""
+    made = evidence(0.0, 0.0)
+    lags = {"compass": Lag(offset, 0.999, 0.99, sigma), "lrf": Lag(0.5, 0.999, 0.99, sigma)}
+    monkeypatch.setattr(module, "lags_by_truth", lambda *_: lags)
+    runs = [
+        SimpleNamespace(
+            name=name, sensors=sensors, smoothed=False, lost=(), t=np.arange(2.0), pose=np.zeros((2, 3))
+        )
+        for name, sensors in {
+            "odometry": (),
+            "compass": ("compass",),
+            "lrf": ("lrf",),
+            "all": ("compass", "lrf"),
+        }.items()
+    ]
+    loaded = SimpleNamespace(robot=made.compared.loaded.robot, drive=SimpleNamespace())
+    vars(made)["compared"] = SimpleNamespace(loaded=loaded, estimates=runs)
+    found = {finding.role: tries[0] for finding, tries in made._late_by_each_other()}
+    expected = {"compass": ("compass.time_offset=0.020",), "lrf": ("lrf.time_offset=-0.020",)}
+    assert found == (expected if offered else {})
+
+
+@pytest.mark.parametrize(("verdict", "tried"), [("consistent", False), ("unclear", True)])
+def test_a_sigma_is_not_changed_against_what_the_residuals_show(verdict: Verdict, tried: bool) -> None:
+    """One drive's error lies outside its 95 % range once in twenty."""
+    made = doubtful(0.2, verdict)
+    robot = SimpleNamespace(settings=lambda _: SimpleNamespace(sigma_deg=1.0))
+    vars(made).update(
+        fixes=(),
+        consistency={"compass": Consistency(verdict, "")},
+        honesty={"compass": Honesty(0.2, (0.5, 2.0))},
+        compared=SimpleNamespace(loaded=SimpleNamespace(robot=robot)),
+        trial=SimpleNamespace(configurations={"compass": SimpleNamespace(sensors=("compass",))}),
+    )
+    assert bool(made._by_anees("compass")) == tried

@@ -79,3 +79,26 @@ def test_readings_across_a_gap_are_not_compared() -> None:
     assert found is not None
     assert SHORT_S < LONG_S < 3.0
     assert found.factor == pytest.approx(1.0, abs=0.6)
+
+
+def test_two_sensors_that_see_less_slip_vouch_for_the_larger_of_their_answers() -> None:
+    one = configured(drive(5, robot(), ("compass", "lrf"), laps=2.0, truth=False), 9.0)
+    alone = [slip(replace(one, measurements={name: one.measurements[name]})) for name in ("compass", "lrf")]
+    both = slip(one)
+    assert both is not None
+    assert both.agreed
+    assert both.by == "compass and lrf"
+    assert both.factor == max(found.factor for found in alone if found is not None)
+    assert all(found is not None and not found.agreed for found in alone)
+
+
+def test_sensors_that_disagree_about_slip_vouch_for_nothing() -> None:
+    """The compass' own errors wander: what it sees beyond the laser is not the wheels'."""
+    one = configured(drive(6, robot(), ("compass", "lrf"), laps=2.0, truth=False), 9.0)
+    m = one.measurements["compass"]
+    walk = np.cumsum(np.random.default_rng(6).normal(size=len(m.t))) * np.radians(1.0)
+    wandering = {**one.measurements, "compass": replace(m, z=m.z + walk[:, None])}
+    found = slip(replace(one, measurements=wandering))
+    assert found is not None
+    assert found.by == "lrf"
+    assert not found.agreed

@@ -216,7 +216,7 @@ WHEEL_TRAPS = (
     ),
     Trap("a pair of Int16 counters", tick_pair, "/odom was made with these"),
     Trap("odometry instead of wheels", only_odometry),
-    Trap("an odometry blind to reverse", blind_to_reverse, "whose twist says backward"),
+    Trap("an odometry blind to reverse", blind_to_reverse, "while its velocity says reverse"),
     Trap("an odometry without poses", twist_only, "its pose never changes: its twist is used"),
     Trap("an odometry that jumps", relocalised, "its pose jumped once"),
     Trap("two odometries", two_odometries, "2 topics that fit", spoils=True, refused=True),

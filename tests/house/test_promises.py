@@ -159,7 +159,7 @@ def test_a_bit_flipped_without_checksums_stays_finite_and_info_says_that_it_cann
         (tmp_path / "bad.mcap").write_bytes(bad)
         if run(tmp_path / "bad.mcap").exit_code in {0, 3}:
             trajectory(tmp_path / "bad.mcap")
-    words = "no checksums, so that a changed value cannot be detected"
+    words = "no checksums: a corrupted value would go unnoticed"
     assert words in locfuse("info", tmp_path / "whole.mcap").stdout
 
 

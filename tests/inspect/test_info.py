@@ -204,6 +204,24 @@ def test_a_run_that_is_lost_is_said_by_info_as_by_compare() -> None:
     assert tried["headline"].startswith("Keep the camera")
 
 
+def test_what_was_tried_has_the_last_word() -> None:
+    """The command to try next sets what helps, not what measuring alone would set."""
+    typed = ["brenner.mcap", "--set", "wheels.radius=0.0199962", "--set", "wheels.track=0.155"]
+    typed += ["--set", "start.x=1.87516", "--set", "start.y=1.91334", "--set", "start.theta_deg=213"]
+    typed[0] = str(real_log("brenner/brenner.mcap"))
+    measured, tried = locfuse("info", *typed), locfuse("info", *typed, "--check")
+    fixes = as_json(*typed, "--check")["tried"]["fixes"]
+    assert fixes
+    (line,) = section(tried, "next")
+    assert shlex.split(line)[:2] == ["locfuse", "info"]
+    assert shlex.split(line)[-2 * len(fixes) :] == [word for fix in fixes for word in ("--set", fix)]
+    refused = "as measured, but it does not help (see below): --set wheels.radius="
+    assert sum(refused in x for x in section(tried, "would spoil an estimate")) == 1
+    assert not any(fix.startswith("wheels.radius=") for fix in fixes)
+    assert refused not in measured.stdout
+    assert "wheels.radius=0.021" in section(measured, "next")[0]
+
+
 def test_a_dead_encoder_is_named_though_nothing_cures_it(tmp_path: Path) -> None:
     tour = Drive()
     tour.field(WHEELS, position=lambda p: np.array([p[0], 1.0]))
@@ -263,7 +281,7 @@ def test_strict_takes_a_refused_reading_for_a_loss(tmp_path: Path) -> None:
 
 
 def test_a_file_without_checksums_says_that_it_cannot_know(tmp_path: Path) -> None:
-    words = "no checksums, so that a changed value cannot be detected"
+    words = "no checksums: a corrupted value would go unnoticed"
     unchecked = write(tmp_path / "x.mcap", drive(100), enable_crcs=False)
     assert words in locfuse("info", unchecked, *GEOMETRY).stdout
     assert not as_json(unchecked, *GEOMETRY)["checksums"]
@@ -324,8 +342,11 @@ def test_short_logs_are_not_judged(tmp_path: Path) -> None:
 # real logs
 
 
-def test_a_real_arena_is_cured_by_the_next_command() -> None:
-    """Track, laser's metre, laser's clock, start: all wrong by default, found in one round."""
+def test_of_a_real_arena_the_next_command_sets_what_helps() -> None:
+    """Track, both metres, laser's clock, start: all wrong by default, found in one round.
+
+    The wheels' metre is not set: with it the laser's result gets worse, and the next command says so.
+    """
     log = real_log("brenner/brenner.mcap")
     first = locfuse("info", log, "--set", "wheels.radius=0.0199962", "--set", "wheels.track=0.155", "--check")
     assert first.exit_code == 3
@@ -337,7 +358,12 @@ def test_a_real_arena_is_cured_by_the_next_command() -> None:
     assert float(cures["start.x"]) == pytest.approx(1.875, abs=0.05)
     assert float(cures["start.theta_deg"]) == pytest.approx(-147, abs=3)
     (command,) = section(first, "next")
-    assert locfuse(*shlex.split(command)[1:], "--check").exit_code == 0
+    again = locfuse(*shlex.split(command)[1:], "--check")
+    left = section(again, "would spoil an estimate")
+    assert left
+    assert all(line.startswith(("  wheels: ", "    as measured, but it does not help")) for line in left)
+    (compare,) = section(again, "next")
+    assert shlex.split(compare)[:2] == ["locfuse", "compare"]
 
 
 def test_a_real_corridor_whose_odometry_is_late_against_all_else() -> None:
@@ -345,7 +371,7 @@ def test_a_real_corridor_whose_odometry_is_late_against_all_else() -> None:
     (late,) = [o for o in found["findings"] if o["code"] == "lag"]
     assert late["role"] == "wheels"
     assert float(late["fixes"][0].removeprefix("wheels.time_offset=")) == pytest.approx(0.13, abs=0.02)
-    assert any("whose twist says backward" in o["message"] for o in found["findings"])
+    assert any("while its velocity says reverse" in o["message"] for o in found["findings"])
 
 
 def test_a_real_turtlebot_as_ros2_records_it() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,9 @@ import locfuse
 from locfuse.fusion.data import Drive
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.consistency import Evidence, Run, as_run, judge
+from locfuse.fusion.judge.noise_verdicts import biased_against
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.truth import body_poses
 
 NOISE_RAD = math.radians(0.5)
@@ -59,6 +62,33 @@ def test_an_offset_is_measured_against_the_truth_and_not_against_a_run(
     assert found.verdict == "biased"
     # of some hundred readings of half a degree
     assert found.cures["compass.offset_deg"] == pytest.approx(off_deg, abs=0.15)
+    assert "compass.sigma_offset_deg" not in found.cures  # the truth is exact: nothing but the readings' own noise
+
+
+def test_an_offset_by_a_run_is_set_with_how_well_that_run_knows_its_heading(right: tuple[Drive, Robot]) -> None:
+    """One that was set as exact would pull the estimate to the run's own error with the weight of all readings."""
+    drive, robot = right
+    m = drive.measurements["compass"]
+    off = replace(m, z=m.z + math.radians(8.0))
+    blind = replace(drive, truth=None, measurements={**drive.measurements, "compass": off})
+    found = runs(blind, robot, 0.0)
+    laser = found[2].estimates
+    for sigma_deg in (0.5, 1.5):
+        triangles = laser.triangles.copy()
+        triangles[:, 5] = math.radians(sigma_deg) ** 2
+        found[2] = found[2]._replace(estimates=replace(laser, triangles=triangles))
+        cures = judge(found, robot)["compass"]["compass"].cures
+        assert cures["compass.sigma_offset_deg"] == pytest.approx(sigma_deg, rel=0.1)
+        assert cures["compass.offset_deg"] == pytest.approx(8.0, abs=2 * sigma_deg)
+
+
+def test_a_sensor_that_takes_no_sigma_of_its_offset_gets_none(right: tuple[Drive, Robot]) -> None:
+    drive, robot = right
+    heard = Evidence(runs(drive, robot, 0.0), robot).reference_runs("compass")[0][1]
+    off = heard._replace(bias=math.radians(5.0), sure=math.radians(0.4))
+    camera: Any = REGISTRY["camera"].Settings
+    assert set(biased_against("camera", camera(), off).cures) == {"camera.zero_deg", "camera.sigma_yaw_deg"}
+    assert set(biased_against("camera", camera(bearing="absolute"), off).cures) == {"camera.zero_deg"}
 
 
 def test_an_offset_that_is_too_small_to_be_sure_of_is_still_known(right: tuple[Drive, Robot]) -> None:

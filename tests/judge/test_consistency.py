@@ -308,7 +308,7 @@ def test_the_report_carries_verdicts_figures_and_words(report: tuple[dict[str, A
     whole = " ".join(stdout.split())
     assert f"compass: {advice['message']}. Fix (tried with" in whole
     assert "differs from the other sensors by" in (out / "report.md").read_text()
-    assert (out / "fixes.toml").read_text().count("offset_deg") == 1
+    assert (out / "fixes.toml").read_text().count("\noffset_deg = ") == 1
     honest = found["configurations"]["all"]["consistency"]
     assert set(honest["states"]) == {"x", "y", "theta"}
     assert honest["bounds"][0] < 1.0 < honest["bounds"][1]

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from worlds import World, stream
 
-from locfuse.fusion.data import VERDICTS, ArrayStream, LocfuseError, Measurements
+from locfuse.fusion.data import VERDICTS, ArrayStream, Estimates, LocfuseError, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure
@@ -177,6 +179,33 @@ def test_an_offset_that_nobody_knows_is_uniform_over_a_turn() -> None:
     angle = np.linspace(-math.pi, math.pi, 100_001)
     assert block.P[0, 0] == pytest.approx(float(np.mean(angle**2)), rel=1e-4)
     assert block.drift[0] == pytest.approx(math.radians(0.3) ** 2)
+
+
+def test_an_offset_that_is_known_to_its_sigma_is_a_state_from_there() -> None:
+    (block,) = CompassModel(CompassSettings(offset_deg=-40.0, sigma_offset_deg=0.5, offset_drift_deg=0.1)).blocks()
+    assert block.x[0] == pytest.approx(math.radians(-40.0))
+    assert block.P[0, 0] == pytest.approx(math.radians(0.5) ** 2)
+    assert block.drift[0] == pytest.approx(math.radians(0.1) ** 2)
+    assert CompassModel(CompassSettings(offset_deg=-40.0)).blocks() == []
+    with pytest.raises(ValueError, match="sigma_offset_deg"):
+        CompassSettings(sigma_offset_deg=-0.1)
+
+
+def test_an_offset_of_a_tiny_sigma_is_exact_and_one_of_a_turn_is_unknown() -> None:
+    world = World(compass_offset=0.7)
+    streams = world.streams()
+
+    def end(**compass: float) -> Estimates:
+        robot = world.robot()
+        settings = msgspec.structs.replace(robot.settings("compass"), **compass)
+        robot = replace(robot, sensors={**robot.sensors, "compass": settings})
+        return fuse(measure(streams, robot), robot, ["compass"])
+
+    known = {"offset_deg": math.degrees(0.7)}
+    np.testing.assert_allclose(end(**known, sigma_offset_deg=1e-6).pose, end(**known).pose, atol=1e-6)
+    anything = end(offset_deg=0.0, sigma_offset_deg=math.degrees(math.pi / math.sqrt(3.0)))
+    np.testing.assert_allclose(anything.pose, end().pose, atol=1e-9)
+    np.testing.assert_allclose(anything.triangles, end().triangles, atol=1e-9)
 
 
 @pytest.mark.parametrize(("turn_deg", "refused"), [(15.0, False), (25.0, True)])

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import shlex
 import tomllib
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import small_drive
+from bags import real_log
 from commands import locfuse
 from scipy.stats import norm
 from trap_logs import Drive as LogDrive
@@ -261,3 +264,17 @@ def test_a_log_that_starts_elsewhere_is_judged_by_the_shape_of_its_path(tmp_path
     assert "position error of the path's shape, log" in done.stdout
     report = json.loads(locfuse("tune", tmp_path / "log.mcap", "--sensors", "compass", "--json", "-q").stdout)
     assert report["logs"][0]["before"]["position_rmse_m"] < 1.0  # the truth starts 3.26 m away
+
+
+def test_noise_that_makes_a_log_worse_is_not_written_and_the_command_to_try_next_is_whole(tmp_path: Path) -> None:
+    """A real arena whose laser is late: no noise makes up for that."""
+    out, words = tmp_path / "tuned.toml", [str(real_log("brenner/brenner.mcap"))]
+    for setting in ("wheels.radius=0.0199962", "wheels.track=0.155", "start.x=1.87516", "start.y=1.91334"):
+        words += ["--set", setting]
+    words += ["--set", "start.theta_deg=213"]
+    done = locfuse("tune", *words, "-o", out)
+    assert f"{out}: the settings as they were given" in done.stdout
+    assert "use it with" not in done.stdout
+    assert "noise" not in tomllib.loads(out.read_text())["wheels"]
+    (command,) = re.findall(r"; see: (locfuse .*)", done.stderr)
+    assert shlex.split(command) == ["locfuse", "info", *words, "--check"]

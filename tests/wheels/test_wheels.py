@@ -399,7 +399,7 @@ def test_a_pose_that_cannot_back_up_is_turned_round_where_the_twist_says_so() ->
     blind = driven(np.abs(speed[:-1]), turn[:-1], 0.1)
     assert np.hypot(*(right[-1] - blind[-1])[:2]) > 1.0
     reading = read_wheels(odometry(t, blind, speed, turn), WheelSettings())
-    assert "whose twist says backward" in words(reading)
+    assert "while its velocity says reverse" in words(reading)
     assert "wheels.reverse_by_twist=false" in words(reading)
     assert np.hypot(*(final(reading) - right[-1])[:2]) < 0.06
     left = read_wheels(odometry(t, blind, speed, turn), WheelSettings(reverse_by_twist=False))

@@ -1,0 +1,135 @@
+"""One log compared under some settings: the verdicts on its sensors, and the configurations that judge a fix."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import cached_property
+
+import numpy as np
+
+from locfuse.cli.pipeline.compare import Compared
+from locfuse.cli.pipeline.load import Loaded
+from locfuse.cli.pipeline.trust import sensors_consistency
+from locfuse.fusion.advice.search import Candidate, Fixes
+from locfuse.fusion.data import Estimates
+from locfuse.fusion.doctor.examine import examine
+from locfuse.fusion.doctor.finding import Finding, Least
+from locfuse.fusion.judge.covariance import honesty
+
+from .trial import Trial
+
+ODOMETRY, LASER = "odometry", "lrf"
+REFERENCE = {"wheels", "start", "truth"}  # roles whose settings move every configuration
+WORTH_TRYING = Least(0.005, 2.0)  # what is worth saying untried is larger
+FINE = {"consistent", "unclear"}  # verdicts on a sensor that are no complaint
+
+Offer = tuple[Finding, tuple[Fixes, ...]]  # no observation, only settings that may help
+
+
+class Judged:
+    """One log compared under some settings: what speaks against its sensors, and who judges their fixes."""
+
+    def __init__(self, compared: Compared, trial: Trial, fixes: Fixes) -> None:
+        self.compared, self.trial, self.fixes = compared, trial, fixes
+        self.honesty = {e.name: honesty(e) for e in compared.evaluations if not e.smoothed}
+        by_run = sensors_consistency(compared.runs, compared.loaded.robot, self.honesty)
+        self.consistency = {s: found for by_sensor in by_run.values() for s, found in by_sensor.items()}
+
+    @property
+    def loaded(self) -> Loaded:
+        """The log under the settings that were kept."""
+        return self.compared.loaded
+
+    @cached_property
+    def doctor(self) -> list[Finding]:
+        """Return what the sensors say of each other (`fusion.doctor`)."""
+        loaded = self.trial.whole_under(self.fixes)
+        if loaded is None or any(loaded.window) or loaded.robot.preset != "default":
+            return []  # the doctor looks at whole drives
+        streams = {role: loaded.stream(role) for role in loaded.choice.topics}
+        return examine(loaded.drive, loaded.robot, streams, WORTH_TRYING)
+
+    def _complained(self, sensor: str) -> bool:
+        """Return whether a sensor's own run is inconsistent, or its residuals are unusual."""
+        return self._complained_itself(sensor) or self._doubtful(self._alone(sensor))
+
+    def _complained_itself(self, sensor: str) -> bool:
+        """Return whether a sensor's own residuals are unusual, whatever truth says of its run."""
+        return self._verdict(sensor) not in FINE
+
+    def _verdict(self, sensor: str) -> str:
+        """Return the verdict on a sensor's residuals; that on what has none is "unclear"."""
+        verdict = self.consistency.get(sensor)
+        return "unclear" if verdict is None else verdict.verdict
+
+    def _doubtful(self, name: str) -> bool:
+        """Return whether a configuration is inconsistent by truth; without truth any may be, once one looks so."""
+        honest = self.honesty.get(name)
+        lost = any(e.lost for e in self.compared.estimates if e.name == name)
+        return honest is None or lost or not honest.consistent
+
+    def _was_set(self, role: str, key: str) -> bool:
+        """Return whether a fix that was kept sets this."""
+        return any(fix.startswith(f"{role}.{key}=") for fix in self.fixes)
+
+    def _candidate(self, finding: Finding, alternatives: tuple[Fixes, ...], offer: bool = False) -> Candidate:
+        judges = self.judges(finding.role)
+        kept = self.kept(finding.role)
+        minor = tuple(n for n in judges if n not in kept)
+        others = tuple(n for n in minor if n != ODOMETRY) if finding.role in REFERENCE else ()
+        return Candidate(finding, alternatives, judges, minor, others, offer)
+
+    def kept(self, role: str) -> set[str]:
+        """Return the configurations that somebody would keep who uses a role."""
+        return {self._all(), self._best(self._using(role))}
+
+    def _using(self, role: str) -> list[str]:
+        """Return the configurations that depend on a role."""
+        known = self.trial.configurations
+        return list(known) if role in REFERENCE else [n for n, c in known.items() if role in c.sensors]
+
+    def judges(self, role: str) -> tuple[str, ...]:
+        """Return the configurations by which a role's fix is judged.
+
+        The best that uses it and all sensors, which are kept; the best but for all, in which the gain shows. What
+        moves every configuration is judged by all of them: a track that fits the slips of one drive makes odometry
+        better, and a camera beside it worse.
+        """
+        if role in REFERENCE:
+            known = self.trial.configurations
+            kept = (self._best(known), self._all())
+            others = (n for n in known if n not in kept and n != ODOMETRY)  # first: what settles one is right
+            # one random walk: without truth it predicts places by chance
+            walk = (ODOMETRY,) if self.loaded.drive.truth is not None or len(known) == 1 else ()
+            return tuple(n for n in dict.fromkeys((*others, *kept, *walk)) if n != ODOMETRY or walk)
+        using = self._using(role)
+        if not using:
+            return ()
+        fewer = [n for n in using if n != self._all()] or using
+        return tuple(dict.fromkeys((self._best(fewer), self._best(using), self._all())))
+
+    def _all(self) -> str:
+        return max(self.trial.configurations, key=lambda n: len(self.trial.configurations[n].sensors))
+
+    def _alone(self, sensor: str) -> str:
+        """Return the configuration with the fewest sensors that uses this one."""
+        using = {n: c for n, c in self.trial.configurations.items() if sensor in c.sensors}
+        return min(using, key=lambda n: len(using[n].sensors))
+
+    def _best(self, names: Iterable[str]) -> str:
+        """Return the configuration with the smallest error, without truth the one with most sensors."""
+        errors = {e.name: e.figures.get("position_rmse_m") for e in self.compared.evaluations}
+        known = {n: e for n in names if (e := errors.get(n)) is not None}
+        if known:
+            return min(known, key=lambda n: known[n])
+        return max(names, key=lambda n: len(self.trial.configurations[n].sensors))
+
+    def _reference(self, sensor: str) -> Estimates | None:
+        """Return the run of one other sensor, which nothing contradicts, that knows its heading best."""
+        fine = {s for s in self.loaded.drive.measurements if s != sensor and not self._complained_itself(s)}
+        runs = [
+            e
+            for e in self.compared.estimates
+            if len(e.sensors) == 1 and e.sensors[0] in fine and not e.smoothed and not e.lost
+        ]
+        return min(runs, key=lambda e: float(np.median(e.triangles[:, 5])), default=None)

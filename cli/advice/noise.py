@@ -1,0 +1,251 @@
+"""Noise that does not fit: sensor by sensor as residuals, ranges and truth show it, and that of the wheels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cached_property
+
+from locfuse.fusion.advice.search import Candidate, Fixes
+from locfuse.fusion.advice.slip import Slip, slip
+from locfuse.fusion.doctor.finding import Finding
+from locfuse.fusion.doctor.laser_driver import ranges_sigma, scatter_more
+from locfuse.fusion.judge.consistency import Consistency
+from locfuse.fusion.judge.innovations import Own, own
+from locfuse.fusion.judge.noise_verdicts import MAX_SIGMA_FACTOR, many_refused
+from locfuse.fusion.sensors.registry import REGISTRY
+
+from .judged import LASER, ODOMETRY, Judged
+
+WHEEL_NOISE_FACTORS = (0.1, 0.3, 3.0, 10.0)
+TOO_LOW = 2.0  # a sigma that is set too low refuses the large residuals, so the observed one is a lower bound
+MAX_NOISE_FACTOR = 4.0  # on a sigma, by the errors of its own run
+FLOORS, FLOOR_FACTORS = ("floor_range", "floor_angle_deg"), (5.0, 10.0, 20.0)  # of a laser's lines
+NOISE = {"understated", "overstated", "correlated"}
+
+
+class Noise(Judged):
+    """What a compared log says of noise."""
+
+    def noise(self) -> list[Candidate]:
+        """Return noise that does not fit, sensor by sensor, and that of the wheels."""
+        found = []
+        for sensor, verdict in self.consistency.items():
+            seen, more = [*_noise_options(verdict), *_above(verdict)], self._by_anees(sensor)
+            by_ranges, words = self._as_ranges_scatter(sensor, verdict), verdict.words
+            if by_ranges:
+                seen.append(by_ranges)
+                words += f" by its lines, {by_ranges[0].partition('=')[2]} m by its ranges"
+            if self._ranges_show_more(sensor, verdict) or self._too_sure(sensor, verdict):
+                seen = []
+            if seen and verdict.verdict == "overstated":
+                seen, words = self._beside_the_wheels(sensor, seen, words)
+            words = words if seen else self._errors_in_sigmas(sensor)
+            if verdict.verdict == "overstated" and seen and more:
+                # a sigma above the configured one is no fix of one that is too high: it has words of its own
+                found.append(self._candidate(Finding(sensor, verdict.verdict, words), tuple(seen)))
+                seen, words = [], self._errors_in_sigmas(sensor)
+            found += self._shared_by_lines(sensor, verdict)
+            if seen or more:
+                finding = Finding(sensor, verdict.verdict if seen else self._by_truth(sensor), words)
+                options = tuple(dict.fromkeys((*seen, *more)))
+                found.append(self._candidate(finding, options, not seen))
+        if self.loaded.drive.truth is not None and self._doubtful(self._best(self.trial.configurations)):
+            found.append(self._wheel_noise())
+        return found
+
+    def _shared_by_lines(self, sensor: str, verdict: Consistency) -> list[Candidate]:
+        """Return larger floors of a laser's lines where these scatter more than their beams say, and no sigma is.
+
+        A depth camera's neighbouring beams are wrong alike (calibration, steps of the disparity): what a line is
+        off does not become less with the number of its beams.
+        """
+        if sensor != LASER or verdict.verdict != "correlated" or verdict.cures:
+            return []
+        own_run = self._own(sensor, ())
+        if own_run is None or own_run.nis < MAX_SIGMA_FACTOR**2:
+            return []
+        settings = self.loaded.robot.settings(LASER)
+        words = (
+            f"lines scatter {own_run.nis**0.5:.2g} times as far as the noise of their beams says: beams of a line "
+            "share their error (a depth camera, walls that are not flat)"
+        )
+        options = tuple(
+            tuple(f"{LASER}.{key}={getattr(settings, key) * factor:.2g}" for key in FLOORS)
+            for factor in FLOOR_FACTORS
+        )
+        return [self._candidate(Finding(LASER, "floor", words), options, True)]
+
+    def slips(self) -> list[Candidate]:
+        """Return the wheels' noise where their turning shows it: every sensor's run is as sure as it says."""
+        return [self._wheel_noise()] if self._slips_unusually else []
+
+    @cached_property
+    def _ranges_sigma(self) -> float | None:
+        """The noise of a range as the laser's raw ranges show it [m]; None where they show none."""
+        if LASER not in self.loaded.drive.measurements:
+            return None
+        return ranges_sigma(self.loaded.stream(LASER), self.loaded.robot.settings(LASER))
+
+    @property
+    def _ranges_scatter(self) -> bool:
+        """Whether the laser's raw ranges scatter by more than configured."""
+        return scatter_more(self._ranges_sigma, self.loaded.robot.settings(LASER).sigma_range)
+
+    def _as_ranges_scatter(self, sensor: str, verdict: Consistency) -> Fixes:
+        """Return the laser's noise as its raw ranges show it, where its lines show it too, if not as exactly.
+
+        A sigma that is far too high also joins walls that are two, and these lines fit worse than others.
+        """
+        cure, shown = _smaller_range_noise(sensor, verdict), self._ranges_sigma
+        if cure is None or shown is None or not cure / MAX_SIGMA_FACTOR <= shown < cure:
+            return ()
+        settings = self.loaded.robot.settings(LASER)
+        share = shown / settings.sigma_range
+        return tuple(f"{LASER}.{k}={getattr(settings, k) * share:.2g}" for k in REGISTRY[LASER].noise_keys)
+
+    def _ranges_show_more(self, sensor: str, verdict: Consistency) -> bool:
+        """Whether the laser's raw ranges scatter by more than a smaller sigma would say: then it is none.
+
+        The lines' residuals show the noise of ranges and angles together; the ranges show their own.
+        """
+        cure = _smaller_range_noise(sensor, verdict)
+        return cure is not None and scatter_more(self._ranges_sigma, cure)
+
+    @cached_property
+    def _slip(self) -> Slip | None:
+        return slip(self.loaded.drive)
+
+    @property
+    def _slips_unusually(self) -> bool:
+        """Whether the wheels slip more than configured, or clearly less.
+
+        Less is only believed where truth judges it or several sensors agree: wheels that hardly slip in most turns
+        may slip far in a few, and a laser's own turning is no evidence beside a run that goes by the same scans.
+        """
+        found, truth = self._slip, self.loaded.drive.truth
+        return found is not None and found.unusual and (found.factor > 1.0 or truth is not None or found.agreed)
+
+    def _too_sure(self, sensor: str, verdict: Consistency) -> bool:
+        """Whether truth shows that a filter which is to trust a sensor more trusts it too much already."""
+        honest = self.honesty.get(self._alone(sensor))
+        return verdict.verdict == "overstated" and honest is not None and honest.overconfident
+
+    def _beside_the_wheels(self, sensor: str, seen: list[Fixes], words: str) -> tuple[list[Fixes], str]:
+        """Return smaller noise with more of the wheels' where the smaller alone makes the gate refuse too much.
+
+        Noise of a sensor that is set too high can hide noise of the wheels that is set too low: with the first
+        alone the filter trusts its prediction too much. Truth shows that by itself (`_too_sure`).
+        """
+        if self.loaded.drive.truth is not None:
+            return seen, words
+        usual, shares = [], []
+        for fixes in seen:
+            share = self._refused(sensor, fixes)
+            if share is None or not many_refused(sensor, share):
+                usual.append(fixes)
+            else:
+                shares.append(share)
+        if usual or not shares:
+            return usual, words
+        noise = self.loaded.robot.wheels.noise
+        more = [(*seen[0], f"wheels.noise={noise * f:.2g}") for f in WHEEL_NOISE_FACTORS if f > 1.0]
+        both = [fixes for fixes in more if not many_refused(sensor, self._refused(sensor, fixes) or 0.0)]
+        alone = f"with the first alone {min(shares):.0%} of its readings would be rejected"
+        return both, f"{words}; wheels.noise is set too low ({alone})"
+
+    def _refused(self, sensor: str, fixes: Fixes) -> float | None:
+        """Return the share of a sensor's readings that its own run refuses under more settings."""
+        found = self._own(sensor, fixes)
+        return None if found is None else found.refused
+
+    def _own(self, sensor: str, fixes: Fixes) -> Own | None:
+        """Return what the innovations of a sensor's own run say under more settings."""
+        tried = self.trial.under((*self.fixes, *fixes))
+        run = None if tried is None else self.trial.fused(tried, self._alone(sensor))
+        if tried is None or run is None:
+            return None
+        return own(run.audits[sensor], tried.drive.measurements[sensor])
+
+    @property
+    def _noise_factors(self) -> tuple[float, ...]:
+        """Factors on the wheels' noise, to be tried where truth judges: less is no fix of a filter too sure."""
+        honest = self.honesty.get(self._best(self.trial.configurations))
+        if honest is None:
+            return ()
+        return tuple(factor for factor in WHEEL_NOISE_FACTORS if (factor > 1.0) == (honest.anees > 1.0))
+
+    def _by_anees(self, sensor: str) -> list[Fixes]:
+        """Return the sensor's noise scaled by what truth says of the run that uses it alone.
+
+        Not against what its residuals show: only a map that is built from the readings takes their errors along.
+        """
+        if sensor != LASER and self._verdict(sensor) == "consistent":
+            return []
+        honest = self.honesty.get(self._alone(sensor))
+        if honest is None or honest.consistent or honest.anees <= 0.0:
+            return []
+        settings, keys = self.loaded.robot.settings(sensor), REGISTRY[sensor].noise_keys
+        if any(self._was_set(sensor, key) for key in keys):
+            return []  # once: what is still wrong then is something else
+        factor = honest.anees**0.5
+        if not 1.0 / MAX_NOISE_FACTOR <= factor <= MAX_NOISE_FACTOR:
+            return []  # that is no noise
+        return [tuple(f"{sensor}.{k}={getattr(settings, k) * factor:.2g}" for k in keys)]
+
+    def _by_truth(self, sensor: str) -> str:
+        """Return what truth says of the covariance of the run that uses a sensor alone."""
+        honest = self.honesty.get(self._alone(sensor))
+        return "understated" if honest is None or honest.anees > 1.0 else "overstated"
+
+    def _errors_in_sigmas(self, sensor: str) -> str:
+        """Return how much larger or smaller the errors of the sensor's own run are than it claims."""
+        honest = self.honesty.get(self._alone(sensor))
+        times = 1.0 if honest is None else honest.anees**0.5
+        return f"position errors with it are {times:.2g} times what the covariance claims"
+
+    def _wheel_noise(self) -> Candidate:
+        noise = self.loaded.robot.wheels.noise
+        words = f"wheels.noise = {noise:g} m does not fit this drive"
+        factors = self._noise_factors
+        measured = self._slips_unusually
+        if measured and self._slip is not None:
+            words = self._slip.words
+            factors = (self._slip.factor, *factors)
+        if any(e.slips for e in self.compared.estimates):  # less noise would hold them for impossible
+            factors = tuple(factor for factor in factors if factor > 1.0)
+        options = tuple((f"wheels.noise={noise * factor:.2g}",) for factor in factors)
+        found = self._candidate(Finding("wheels", "noise", words), options, True)
+        # odometry's one random walk tells no noise, and chance moves the others by as much
+        judges = tuple(n for n in found.judges if n not in found.minor and n != ODOMETRY)
+        # wheels that hardly slipped where this could be seen may slip far elsewhere: less has to gain something
+        more = any(factor > 1.0 for factor in factors)
+        return replace(found, judges=judges, measured=measured and (more or self.loaded.drive.truth is not None))
+
+
+def _smaller_range_noise(sensor: str, verdict: Consistency) -> float | None:
+    """Return the smaller noise of a range [m] that the lines of a laser show, None where they show none."""
+    return (
+        verdict.cures.get(f"{LASER}.sigma_range") if sensor == LASER and verdict.verdict == "overstated" else None
+    )
+
+
+def _noise_options(verdict: Consistency) -> list[Fixes]:
+    """Return the alternatives of one noise verdict: all keys of a sigma at once, else one key after the other."""
+    if verdict.verdict not in NOISE or not verdict.cures:
+        return []
+    if verdict.verdict == "correlated":
+        return [(f"{key}={value:g}",) for key, value in verdict.cures.items()]
+    return [as_fixes(verdict.cures)]
+
+
+def _above(verdict: Consistency) -> list[Fixes]:
+    """Return a sigma above the observed one, where the configured one was too low."""
+    if verdict.verdict != "understated" or not verdict.cures:
+        return []
+    return [as_fixes({key: float(f"{TOO_LOW * value:.2g}") for key, value in verdict.cures.items()})]
+
+
+def as_fixes(cures: Mapping[str, float]) -> Fixes:
+    """Return settings as they are written."""
+    return tuple(f"{key}={value:g}" for key, value in cures.items())

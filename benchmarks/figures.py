@@ -104,7 +104,7 @@ def kernels(logs: Logs) -> list[Kernel]:
         Kernel("EKF step, predict + heading / filterpy", 0.06, module("kernels", "ekf_heading", logs.minute)),
         Kernel(
             "EKF step within a stretch, predict + six lines, matched and recorded / filterpy",
-            0.12,
+            0.05,
             module("kernels", "ekf_lines", logs.minute),
         ),
         Kernel("lines of a 361-beam scan / small_gicp ICP", 0.025, module("kernels", "lines", logs.minute)),

@@ -35,6 +35,9 @@ REACH, MANY = 12.0, 100  # m from the anchor, and lines, beyond which the next m
 # rad: 1 sigma of the heading among the walls in view, with which a map may be left; times the reach, beyond which
 # it must be: the next map keeps for good what of its frame is wrong when it begins
 TOLD, WAIT = math.radians(0.5), 1.5
+# m beyond the reach within which a scan is waited for that ends a chain of matched ones; with so few walls in view
+# none may be left when it comes, as where a hall opens
+FOR_KEY, WALLS_TO_WAIT = 1.0, 5
 FIRST_ASK, ASK_AGAIN = 3.0, 1.5  # m of way in a map before it is looked for in earlier ones, and between two looks
 BACK_WITHIN = 0.8  # share of the reach within which the robot returns to a map that it left
 BACK_XY, BACK_THETA = 0.3, math.radians(3.0)  # m, rad: standard deviations of where that is, at most
@@ -169,13 +172,16 @@ class AtlasTracker(LineTracker):
     def _may_turn(self, leading: Ints, belief: JointBelief) -> bool:
         """Return whether this is a good scan to turn at, or waiting must end.
 
-        The heading must be well known among the walls that lead over, and matches must tell the way to here.
+        The heading must be well known among the walls that lead over, and matches should tell the way to here.
         """
         x, y = (np.array(belief.pose()) - self._origin)[:2].tolist()
-        if math.hypot(x, y) > WAIT * REACH:
+        away = math.hypot(x, y)
+        if away > WAIT * REACH:
             return True
-        at_key = self._along is None or self._now is None or self._along.may_end(self._now[1])
-        return at_key and heading_among(self.map, leading, belief) < TOLD
+        may_wait = away <= REACH + FOR_KEY and len(leading) >= WALLS_TO_WAIT
+        if may_wait and self._along is not None and self._now is not None:
+            return self._along.may_end(self._now[1]) and heading_among(self.map, leading, belief) < TOLD
+        return heading_among(self.map, leading, belief) < TOLD
 
     def _beside(self, belief: JointBelief) -> FrozenMap | None:
         """Return the map beside the one at hand, by an edge of the graph, in which the robot is; None: in none."""

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array
+from locfuse.fusion.data import Array, Ints
 
 STEPS, ENOUGH = 20, 1e-9  # Gauss-Newton steps at most; m, rad: a step that changes no more is the last
 EXACT = 1e-12  # m^2, rad^2: variance of what is known exactly, so that it can be inverted
@@ -100,14 +100,20 @@ class Anchors:
 
     def cost(self) -> float:
         """Return the sum of e' L e over all edges."""
-        return float(sum(e @ edge.information @ e for edge in self.edges for e in (self.error(edge),)))
+        e = self.errors()
+        return float(np.einsum("ni,nij,nj->", e, np.array([edge.information for edge in self.edges]), e))
 
-    def error(self, edge: Edge) -> Array:
-        """Return by how much the poses contradict an edge, (3,)."""
-        to = self.pose[edge.to]
-        e = (to if edge.of == NOWHERE else se2.between(self.pose[edge.of], to)) - edge.z
-        e[2] = se2.wrap(float(e[2]))
+    def errors(self) -> Array:
+        """Return by how much the poses contradict each edge, (edges, 3)."""
+        _, seen_from, to = self._ends()
+        e: Array = se2.between(seen_from, self.pose[to]) - np.array([edge.z for edge in self.edges])
+        e[:, 2] = se2.wrap_all(e[:, 2])
         return e
+
+    def _ends(self) -> tuple[Ints, Array, Ints]:
+        """Return of all edges the anchor they start from, its pose (edges, 3), and the anchor they lead to."""
+        of, to = np.array([(edge.of, edge.to) for edge in self.edges]).T
+        return of, np.where((of == NOWHERE)[:, None], 0.0, self.pose[of]), to
 
     def solve(self) -> None:
         """Move the anchors to where the edges are contradicted least."""
@@ -123,19 +129,15 @@ class Anchors:
         """Return the normal equations A dx = b, (3n, 3n) and (3n,)."""
         n = 3 * len(self.pose)
         A, b = np.zeros((n, n)), np.zeros(n)
-        of, to = np.array([(edge.of, edge.to) for edge in self.edges]).T
-        z = np.array([edge.z for edge in self.edges])
+        of, seen_from, to = self._ends()
         L = np.array([edge.information for edge in self.edges])
-        seen_from = np.where((of == NOWHERE)[:, None], 0.0, self.pose[of])
-        e = se2.between(seen_from, self.pose[to]) - z
-        e[:, 2] = se2.wrap_all(e[:, 2])
         J_of, J_to = se2.between_jacobians(seen_from, self.pose[to])
         J_of[of == NOWHERE] = 0.0  # so that its rows and columns, those of the last anchor, add nothing
         at = 3 * np.stack((of, to), axis=-1)[:, :, None] + np.arange(3)  # (edges, 2, 3)
         rows = at.reshape(len(at), 6) % n
         JL = np.concatenate((J_of, J_to), axis=2).transpose(0, 2, 1) @ L
         np.add.at(A, (rows[:, :, None], rows[:, None, :]), JL @ np.concatenate((J_of, J_to), axis=2))
-        np.add.at(b, rows, -np.einsum("nij,nj->ni", JL, e))
+        np.add.at(b, rows, -np.einsum("nij,nj->ni", JL, self.errors()))
         return A, b
 
 

@@ -73,7 +73,7 @@ def told(keys: KeyScans, first: int, last: int) -> tuple[Array, Array]:
     pose, information = keys.pose[among], keys.information[among]
     graph = _solved(steps, i, j, pose, information)
     for width in WIDTHS:
-        weights = _weights(graph.pose, i, j, pose, information, width)
+        weights = _weights(graph.errors()[1 + len(steps) :], information, width)
         graph = _solved(steps, i, j, pose, weights[:, None, None] * information)
     z, R = graph.relative(0, len(steps))
     bend = _bent(graph.pose) - z
@@ -92,9 +92,7 @@ def _solved(steps: Array, i: Ints, j: Ints, pose: Array, information: Array) -> 
     return graph
 
 
-def _weights(x: Array, i: Ints, j: Ints, pose: Array, information: Array, width: float) -> Array:
-    e = se2.between(x[i], x[j]) - pose
-    e[:, 2] = se2.wrap_all(e[:, 2])
+def _weights(e: Array, information: Array, width: float) -> Array:
     chi2 = np.einsum("ni,nij,nj->n", e, information, e)
     weights: Array = (width**2 / (width**2 + chi2)) ** 2
     return weights

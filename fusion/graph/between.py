@@ -13,6 +13,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Ints, Measurements
 from locfuse.fusion.scan_matching.clouds import Clouds, clouds_of, merged
 from locfuse.fusion.scan_matching.match import Matches, Targets, match, sources_of
+from locfuse.fusion.scan_matching.neighbours import good
 
 from .bridge import Fixes, Spans
 from .odometry import Odometry, moved
@@ -24,7 +25,6 @@ POINTS = 90  # of one scan that are matched
 PRIOR = np.diag([0.1**-2, 0.1**-2, np.radians(4.0) ** -2])  # holds a match where the walls say nothing
 REACH_M = 0.4
 ROUNDS = 2  # a scan that fits badly is asked again from where its neighbours say that it is
-MIN_INLIERS, MIN_OVERLAP, MAX_RMS_M = 0.6, 0.3, 0.05
 STEP = np.diag([0.002**2, 0.002**2, np.radians(0.1) ** 2])  # from scan to scan, even at rest: stamps are not exact
 EXACT = np.diag([1e10, 1e10, 1e12])  # 1/m^2, 1/rad^2: information of the next key
 
@@ -100,12 +100,11 @@ def both_ends(clouds: Clouds, x: Array) -> Clouds:
 
 def said(found: Matches, u: Array, guess: Array) -> tuple[Array, Array]:
     """Return the matches as errors xi (n, 3) of the wheels' ways u (n, 3), and their information (n, 3, 3)."""
-    good = (found.inliers > MIN_INLIERS) & (found.overlap > MIN_OVERLAP) & (found.rms < MAX_RMS_M)
     xi = se2.compose(found.pose, se2.inverse(u))
     xi[:, 2] = guess[:, 2] + se2.wrap_all(xi[:, 2] - guess[:, 2])
     L = np.broadcast_to(np.eye(3), (len(u), 3, 3)).copy()
     L[:, 0, 2], L[:, 1, 2] = -u[:, 1], u[:, 0]
-    return xi, np.where(good[:, None, None], L.transpose(0, 2, 1) @ found.information @ L, 0.0)
+    return xi, np.where(good(found)[:, None, None], L.transpose(0, 2, 1) @ found.information @ L, 0.0)
 
 
 def smoothed(odometry: Odometry, ends: Fixes, a: Ints, k: Ints, xi: Array, information: Array) -> Fixes:

@@ -8,7 +8,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.scan_matching.clouds import Clouds
 from locfuse.fusion.scan_matching.match import Matches, Targets, match
-from locfuse.fusion.scan_matching.neighbours import good, next_scans
+from locfuse.fusion.scan_matching.neighbours import further_scans, good, next_scans
 
 from .odometry import Odometry, by_lever
 from .solve import Edges, Problem
@@ -61,14 +61,8 @@ def sequential(
 
 def skipping(targets: Targets, clouds: Clouds, x: Array, way: Array, n: int) -> Edges:
     """Match every key with the n-th after it, where that is near."""
-    i = np.arange(max(len(x) - n, 0))
-    j = i + n
-    near = np.hypot(*(x[j, :2] - x[i, :2]).T) < MAX_NEIGHBOUR_M
-    i, j = i[near], j[near]
-    guess = se2.between(x[i], x[j])
-    prior = np.linalg.inv(np.diag([0.05**2, 0.05**2, np.radians(1.0) ** 2]) * n)
-    found = match(targets, i, clouds, j, guess, np.broadcast_to(prior, (len(i), 3, 3)), 0.3)
-    return edges_of(i, j, found, way).take(good(found))
+    i, found = further_scans(targets, clouds, x, n, MAX_NEIGHBOUR_M)
+    return edges_of(i, i + n, found, way)
 
 
 def again(targets: Targets, clouds: Clouds, x: Array, way: Array) -> Edges:

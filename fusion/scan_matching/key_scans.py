@@ -15,15 +15,13 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, Measurements, Points
 
 from .clouds import clouds_of
-from .match import Matches, Targets, match, sources_of
-from .neighbours import good, next_scans
+from .match import Matches, Targets, sources_of
+from .neighbours import further_scans, good, next_scans
 
 STRIDE_M, TURN_RAD = 0.5, np.radians(30.0)  # between two keys
-STEPS = (1, 2, 4)  # keys back that a key is matched with
+FURTHER_STEPS = (2, 4)  # keys further on that a key is matched with, beside the next one
 MAX_APART_M = 6.0
-REACH_M = 0.3
 BY_WHEELS = np.diag([0.1**-2, 0.1**-2, np.radians(2.0) ** -2])  # information of their way from key to key: slips
-BY_MATCHES = np.diag([0.05**-2, 0.05**-2, np.radians(1.0) ** -2])  # per step, of a guess that matches led to
 
 _matched: WeakKeyDictionary[Points, KeyScans] = WeakKeyDictionary()
 
@@ -77,23 +75,17 @@ def _made(m: Measurements, points: Points) -> KeyScans:
     clouds = clouds_of(m, readings)
     targets, sources = Targets(clouds), sources_of(clouds)
     steps = points.moved(m.t[readings[:-1]], m.t[readings[1:]])
-    found: list[tuple[Ints, Ints, Matches]] = []
-    for n in STEPS:
-        i = np.arange(max(len(readings) - n, 0))
-        x = se2.chain(steps)
-        guess = se2.between(x[i], x[i + n])
-        near = np.hypot(*guess[:, :2].T) < MAX_APART_M
-        i, guess = i[near], guess[near]
-        prior = BY_WHEELS if n == 1 else BY_MATCHES / n
-        prior = np.broadcast_to(prior, (len(i), 3, 3))
-        if n == 1:
-            matches = next_scans(targets, i, sources, i + n, guess, prior)
-        else:
-            matches = match(targets, i, sources, i + n, guess, prior, REACH_M)
-        sure = good(matches)
-        if n == 1:
-            steps[i[sure]] = matches.pose[sure]
-        found.append((i[sure], i[sure] + n, matches.take(sure)))
-    all_of = Matches.joined([matches for _, _, matches in found])
-    i, j = (np.concatenate([pair[side] for pair in found]) for side in (0, 1))
+    i = np.arange(len(steps))
+    near = np.hypot(*steps[:, :2].T) < MAX_APART_M
+    i, guess = i[near], steps[near]
+    prior = np.broadcast_to(BY_WHEELS, (len(i), 3, 3))
+    matches = next_scans(targets, i, sources, i + 1, guess, prior)
+    sure = good(matches)
+    i, matches = i[sure], matches.take(sure)
+    steps[i] = matches.pose
+    x = se2.chain(steps)
+    found = [(i, matches), *(further_scans(targets, sources, x, n, MAX_APART_M) for n in FURTHER_STEPS)]
+    i = np.concatenate([i for i, _ in found])
+    j = i + np.repeat((1, *FURTHER_STEPS), [len(i) for i, _ in found])
+    all_of = Matches.joined([matches for _, matches in found])
     return KeyScans(m.t, readings, steps, i, j, all_of.pose, all_of.information)

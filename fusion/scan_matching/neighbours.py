@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
 
 from .clouds import Clouds
@@ -12,6 +13,8 @@ from .match import Matches, Targets, match
 MIN_INLIERS, MIN_OVERLAP, MAX_RMS_M = 0.6, 0.3, 0.05
 SLIPS_RAD = np.radians([-30.0, -24.0, -18.0, -12.0, -8.0, -4.0, 4.0, 8.0, 12.0, 18.0, 24.0, 30.0])
 SLIP_INLIERS, SLIP_GAIN = 0.75, 0.1  # where fewer points fit a slip is looked for; it must let so many more fit
+BY_STEPS = np.diag([0.05**2, 0.05**2, np.radians(1.0) ** 2])  # variances of a guess, per step that it goes over
+REACH_M = 0.3  # of a match from such a guess
 LOOSE = np.diag([0.1**-2, 0.1**-2, np.radians(8.0) ** -2])  # the wheels' prior while one is looked for
 
 
@@ -34,6 +37,21 @@ def next_scans(targets: Targets, i: Ints, clouds: Clouds, j: Ints, wheels: Array
     for column, other in zip(vars(found).values(), vars(slips).values(), strict=True):
         column[bad[take]] = other[chosen[take]]
     return found
+
+
+def further_scans(targets: Targets, clouds: Clouds, x: Array, n: int, apart: float) -> tuple[Ints, Matches]:
+    """Match every scan with the n-th before it, where that is nearer than `apart` [m]: the earlier ones, matches.
+
+    `x` (k, 3) are the poses that shorter steps led to. Only matches that are to be believed are returned.
+    """
+    i = np.arange(max(len(x) - n, 0))
+    guess = se2.between(x[i], x[i + n])
+    near = np.hypot(*guess[:, :2].T) < apart
+    i, guess = i[near], guess[near]
+    prior = np.broadcast_to(np.linalg.inv(n * BY_STEPS), (len(i), 3, 3))
+    found = match(targets, i, clouds, i + n, guess, prior, REACH_M)
+    sure = good(found)
+    return i[sure], found.take(sure)
 
 
 def good(found: Matches) -> Array:

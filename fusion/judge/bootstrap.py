@@ -9,9 +9,9 @@ Morgan 1939: for paired errors the ln of the ratio of their deviations is known 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from locfuse.fusion.data import Array
@@ -31,8 +31,7 @@ class Interval(NamedTuple):
     high: float
 
 
-@dataclass(frozen=True)
-class Errors:
+class Errors(msgspec.Struct, frozen=True):
     """Deviations of k configurations at the same q truth stamps of one drive, and how much they repeat."""
 
     deviation: Array  # (k, q, 2) m

@@ -115,14 +115,14 @@ class _Shape(NamedTuple):
 
 def _shape(audit: Audit, compared: Ints) -> _Shape:
     """Return the figures of the innovations at these rows (k,); in place, since an hour of lines is big."""
-    y = audit.y[compared]
+    y = audit.y.take(compared, axis=0)  # whole rows: ten times faster than audit.y[compared]
     middle = _medians(y)
     deviation = np.array([np.median(np.abs(c - centre)) for c, centre in zip(y.T, middle, strict=True)]) / MAD
-    y /= audit.sigma[compared]
+    y /= audit.sigma.take(compared, axis=0)
     bias = y.mean(axis=0)
     y -= _medians(y)
     order = np.argsort(audit.landmark[compared], kind="stable")
-    y, mark = y[order], audit.landmark[compared[order]]
+    y, mark = y.take(order, axis=0), audit.landmark[compared[order]]
     return _Shape(middle, deviation, bias, _whiteness(y, mark))
 
 
@@ -131,7 +131,7 @@ def _told(audit: Audit, m: Measurements, compared: Ints) -> tuple[float, Array]:
     R = np.diagonal(m.R_unit, axis1=1, axis2=2)[audit.row[compared]]
     R *= m.scale**2
     R += np.diagonal(m.floor)
-    ratio = audit.sigma[compared]
+    ratio = audit.sigma.take(compared, axis=0)
     ratio *= ratio
     ratio /= R
     return float(np.median(ratio, overwrite_input=True)), R.mean(axis=0)
@@ -157,7 +157,7 @@ def _repeats(values: Array, landmark: Counts) -> float:
 def _by_landmark(values: Array, landmark: Counts) -> Array:
     """Autocorrelation of values (k, d) along the sequence of each landmark, at lags 1.. (MAX_LAG_READINGS,)."""
     order = np.argsort(landmark, kind="stable")
-    return _whiteness(values[order], landmark[order])
+    return _whiteness(values.take(order, axis=0), landmark[order])
 
 
 def _whiteness(v: Array, mark: Counts) -> Array:
@@ -169,7 +169,8 @@ def _whiteness(v: Array, mark: Counts) -> Array:
     for lag in range(1, min(MAX_LAG_READINGS, len(v) - 1) + 1):
         same = mark[lag:] == mark[:-lag]
         if same.any():
-            out[lag - 1] = float(((v[lag:] * v[:-lag])[same].mean(axis=0) / variance).mean())
+            pairs = (v[lag:] * v[:-lag]).take(np.flatnonzero(same), axis=0)
+            out[lag - 1] = float((pairs.mean(axis=0) / variance).mean())
     return out
 
 

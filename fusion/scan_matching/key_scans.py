@@ -6,9 +6,9 @@ matches among the keys up to b.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
+import msgspec
 import numpy as np
 
 from locfuse.fusion import se2
@@ -26,8 +26,7 @@ BY_WHEELS = np.diag([0.1**-2, 0.1**-2, np.radians(2.0) ** -2])  # information of
 _matched: WeakKeyDictionary[Points, KeyScans] = WeakKeyDictionary()
 
 
-@dataclass(frozen=True)
-class KeyScans:
+class KeyScans(msgspec.Struct, frozen=True):
     """n keys and p matches among them."""
 
     t: Array  # (all readings,) s, when they were taken

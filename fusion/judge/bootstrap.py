@@ -9,6 +9,7 @@ Morgan 1939: for paired errors the ln of the ratio of their deviations is known 
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import NamedTuple
 
 import msgspec
@@ -134,6 +135,7 @@ def _correlation(deviation: Array, samples: Array) -> Array:
     return lowered
 
 
+@cache
 def by_chance(move: float, n: float, seed: int = 1) -> tuple[float, float]:
     """Return the interval of ln(error before / after) when n >= 1 Gaussian moves are added to n equal errors.
 

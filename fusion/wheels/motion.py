@@ -68,8 +68,8 @@ class Wheels(msgspec.Struct, frozen=True):
     @property
     def stands(self) -> bool:
         """Whether the robot stays where it is for the whole log."""
-        extent = np.ptp(self.pose, axis=0)
-        return bool(max(extent[0], extent[1]) <= STANDS_M and extent[2] <= STANDS_RAD)
+        x, y, theta = (float(np.ptp(column)) for column in self.pose.T)
+        return max(x, y) <= STANDS_M and theta <= STANDS_RAD
 
     def window(self, begin: float, end: float) -> Wheels:
         """Return the readings between two times [s]; times and poses stay those of the whole drive."""

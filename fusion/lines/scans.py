@@ -16,10 +16,8 @@ from .extract import Lines, LineSettings, extract_lines, to_base
 from .pairs import blocks, misfit, nearest, turn_of
 from .sweep import in_base, motion_of, noise_of
 
-LEAST, MOST = (
-    np.nextafter(0.0, 1.0),
-    np.finfo(np.float64).max,
-)  # m: the range of a return is between, 0 and Inf are none
+# m: a return's range is one of these, so neither 0 nor Inf
+LEAST, MOST = np.nextafter(0.0, 1.0), np.finfo(np.float64).max
 MAX_BEAMS = 100_000  # of one scan: no 2D laser has more
 MAX_LINES = 500  # of one scan: no room shows more, and a correction by n of them takes 32 n^2 bytes and n^3 time
 BEAMS_AT_ONCE = 1 << 19  # lines are extracted from scans of at most so many beams together: memory is bounded

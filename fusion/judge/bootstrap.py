@@ -151,7 +151,14 @@ def by_chance(move: float, n: float, seed: int = 1) -> tuple[float, float]:
 
 def student_t(confidence: float, freedom: float) -> float:
     """Return the two-sided quantile of Student's t: with x = sqrt(f) tan(a) the density is cos(a)^(f-1) da."""
-    a = np.linspace(0.0, 0.5 * math.pi, 20001)
-    density = np.cos(a) ** (freedom - 1.0)
+    a, cosine = _quarter_turn()
+    density = cosine ** (freedom - 1.0)
     mass = np.concatenate(([0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))))
     return math.sqrt(freedom) * math.tan(float(np.interp(confidence * mass[-1], mass, a)))
+
+
+@cache
+def _quarter_turn() -> tuple[Array, Array]:
+    """Return angles from 0 to a right one [rad] and their cosines, (20001,)."""
+    a = np.linspace(0.0, 0.5 * math.pi, 20001)
+    return a, np.cos(a)

@@ -530,7 +530,8 @@ def test_what_stands_three_sigmas_nearer_answers_first(sigmas: float, answers: b
 @pytest.mark.parametrize("beta", [math.nan, math.inf, -math.inf])
 def test_a_wall_without_a_direction_neither_answers_nor_hides_another(beta: float) -> None:
     out = np.zeros(echoes.ECHO)
-    assert echoes.answering([], two_walls(beta, 1.0), *[0.0] * 6, 0.2, 0.0, 0.1, out) == 0
+    w = two_walls(beta, 1.0)
+    assert echoes.answering([], w, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.2, 0.0, 0.1, out) == 0
 
 
 @pytest.mark.parametrize(("aside", "answers"), [(1.04, True), (1.06, False), (-2.04, True), (-2.06, False)])

@@ -30,7 +30,8 @@ DIRECTIVES = {
     "wraparound": False,
     "initializedcheck": False,
     "boundscheck": CHECKED,
-    "legacy_implicit_noexcept": not CHECKED,  # nothing in the core raises but a checked access: no caller asks
+    # but for a checked access, and room that `extract` asks for, nothing in the core raises: no caller asks
+    "legacy_implicit_noexcept": not CHECKED,
 }
 
 

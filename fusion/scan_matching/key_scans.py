@@ -10,18 +10,22 @@ from weakref import WeakKeyDictionary
 
 import msgspec
 import numpy as np
+from msgspec.structs import astuple
+from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, Measurements, Points
 
-from .clouds import clouds_of
-from .match import Matches, Targets, sources_of
-from .neighbours import further_scans, good, next_scans
+from .clouds import Clouds, clouds_of
+from .match import Matches, Targets, match, sources_of
+from .neighbours import REACH_M, SLIP_INLIERS, by_wheels, further_scans, good
+from .scan_by_scan import scan_by_scan
 
 STRIDE_M, TURN_RAD = 0.5, np.radians(30.0)  # between two keys
 FURTHER_STEPS = (2, 4)  # keys further on that a key is matched with, beside the next one
 MAX_APART_M = 6.0
-BY_WHEELS = np.diag([0.1**-2, 0.1**-2, np.radians(2.0) ** -2])  # information of their way from key to key: slips
+MAX_TURN_RAD = np.radians(10.0)  # to and fro from key to key: beyond, all scans between them are matched
+BY_SCANS = np.diag([0.05**-2, 0.05**-2, np.radians(1.0) ** -2])  # information of a way by them
 
 _matched: WeakKeyDictionary[Points, KeyScans] = WeakKeyDictionary()
 
@@ -31,7 +35,7 @@ class KeyScans(msgspec.Struct, frozen=True):
 
     t: Array  # (all readings,) s, when they were taken
     readings: Ints  # (n,) which of them are keys, increasing
-    steps: Array  # (n - 1, 3) from key to key, by the match or else by the wheels
+    steps: Array  # (n - 1, 3) from key to key, by the match, or the scans between, or else by the wheels
     i: Ints  # (p,) the earlier key of a match
     j: Ints  # (p,)
     pose: Array  # (p, 3) key j seen from key i
@@ -40,11 +44,6 @@ class KeyScans(msgspec.Struct, frozen=True):
     def among(self, first: int, last: int) -> Ints:
         """Return which matches are among the keys from `first` to `last`."""
         return np.flatnonzero((self.i >= first) & (self.j <= last))
-
-    def at(self, reading: int) -> int | None:
-        """Return which key a reading is, None where it is none."""
-        k = int(np.searchsorted(self.readings, reading))
-        return k if k < len(self.readings) and self.readings[k] == reading else None
 
 
 def key_scans(m: Measurements) -> KeyScans:
@@ -67,24 +66,40 @@ def spaced(way: Array, heading: Array, stride: float, turn: float) -> Ints:
 
 
 def _made(m: Measurements, points: Points) -> KeyScans:
-    by_wheels = points.moved(m.t[:-1], m.t[1:])
-    way = np.append(0.0, np.cumsum(np.hypot(*by_wheels[:, :2].T)))
-    heading = np.append(0.0, np.cumsum(by_wheels[:, 2]))
+    u = points.moved(m.t[:-1], m.t[1:])
+    way = np.append(0.0, np.cumsum(np.hypot(*u[:, :2].T)))
+    heading = np.append(0.0, np.cumsum(u[:, 2]))
     readings = spaced(way, heading, STRIDE_M, TURN_RAD)
     clouds = clouds_of(m, readings)
     targets, sources = Targets(clouds), sources_of(clouds)
-    steps = points.moved(m.t[readings[:-1]], m.t[readings[1:]])
-    i = np.arange(len(steps))
-    near = np.hypot(*steps[:, :2].T) < MAX_APART_M
-    i, guess = i[near], steps[near]
-    prior = np.broadcast_to(BY_WHEELS, (len(i), 3, 3))
-    matches = next_scans(targets, i, sources, i + 1, guess, prior)
-    sure = good(matches)
-    i, matches = i[sure], matches.take(sure)
-    steps[i] = matches.pose
+    turned = np.append(0.0, np.cumsum(np.abs(u[:, 2])))
+    i, matches, steps = _next(m, points, readings, np.diff(turned[readings]) > MAX_TURN_RAD, targets, sources)
     x = se2.chain(steps)
     found = [(i, matches), *(further_scans(targets, sources, x, n, MAX_APART_M) for n in FURTHER_STEPS)]
     i = np.concatenate([i for i, _ in found])
     j = i + np.repeat((1, *FURTHER_STEPS), [len(i) for i, _ in found])
     all_of = Matches.joined([matches for _, matches in found])
     return KeyScans(m.t, readings, steps, i, j, all_of.pose, all_of.information)
+
+
+def _next(
+    m: Measurements, points: Points, readings: Ints, turns: NDArray[np.bool_], targets: Targets, sources: Clouds
+) -> tuple[Ints, Matches, Array]:
+    """Match every key with the next one: those that matched, the matches, and all steps (n - 1, 3).
+
+    Where the robot `turns` (n - 1,), and where two do not match at once, the scans between tell the way.
+    """
+    steps = points.moved(m.t[readings[:-1]], m.t[readings[1:]])
+    i = np.flatnonzero(np.hypot(*steps[:, :2].T) < MAX_APART_M)
+    matches = match(targets, i, sources, i + 1, steps[i], by_wheels(steps[i]))
+    doubtful = np.flatnonzero(turns[i] | ~good(matches) | (matches.inliers < SLIP_INLIERS))
+    if len(doubtful):
+        k = i[doubtful]
+        steps[k] = scan_by_scan(m, points, readings[k], readings[k + 1])
+        prior = np.broadcast_to(BY_SCANS, (len(k), 3, 3))
+        again = match(targets, k, sources, k + 1, steps[k], prior, REACH_M)
+        for column, other in zip(astuple(matches), astuple(again), strict=True):
+            column[doubtful] = other
+    sure = good(matches)
+    steps[i[sure]] = matches.pose[sure]
+    return i[sure], matches.take(sure), steps

@@ -21,6 +21,7 @@ from locfuse.fusion.data import Array, Ints
 from .clouds import Clouds
 
 LAYER_M = 1e4  # between two clouds in the search
+NOWHERE_M = 1e6
 RADII_M = (0.5, 0.4, 0.3, 0.2, 0.15, 0.15, 0.15)  # how far a point's partner may be, iteration by iteration
 SIGMA_M = 0.03  # of one point about its line
 DEPENDENT = 16.0  # neighbouring points are not independent: so many count as one
@@ -61,8 +62,10 @@ class Targets:
         from scipy.spatial import cKDTree
 
         rows = np.flatnonzero(np.isfinite(clouds.normal[:, 0]))
-        self.xy, self.normal = clouds.xy[rows], clouds.normal[rows]
-        self._tree = cKDTree(np.column_stack((self.xy, LAYER_M * clouds.owner[rows])))
+        self.xy, self.normal, layer = clouds.xy[rows], clouds.normal[rows], LAYER_M * clouds.owner[rows]
+        if not len(rows):  # one surface out of reach of all points, so that none is found
+            self.xy, self.normal, layer = np.full((1, 2), NOWHERE_M), np.zeros((1, 2)), np.zeros(1)
+        self._tree = cKDTree(np.column_stack((self.xy, layer)))
 
     def nearest(self, xy: Array, clouds: Ints, reach: float) -> tuple[Array, Ints]:
         """Return distance and row of the surface nearest to each point (m, 2) in its cloud; inf beyond `reach`."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from msgspec.structs import astuple
+from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
@@ -12,11 +13,14 @@ from .clouds import Clouds
 from .match import Matches, Targets, match
 
 MIN_INLIERS, MIN_OVERLAP, MAX_RMS_M = 0.6, 0.3, 0.05
+MAX_SIGMA_RAD = np.radians(3.0)  # of the heading among the walls: known worse, a match is none
 SLIPS_RAD = np.radians([-30.0, -24.0, -18.0, -12.0, -8.0, -4.0, 4.0, 8.0, 12.0, 18.0, 24.0, 30.0])
 SLIP_INLIERS, SLIP_GAIN = 0.75, 0.1  # where fewer points fit a slip is looked for; it must let so many more fit
 BY_STEPS = np.diag([0.05**2, 0.05**2, np.radians(1.0) ** 2])  # variances of a guess, per step that it goes over
 REACH_M = 0.3  # of a match from such a guess
 LOOSE = np.diag([0.1**-2, 0.1**-2, np.radians(8.0) ** -2])  # the wheels' prior while one is looked for
+# m, rad: standard deviations of the wheels' way from scan to scan, for they slip; the share of a turn that adds
+SLIP_M, SLIP_RAD, SLIP_SHARE = 0.1, np.radians(2.0), 0.1
 
 
 def next_scans(targets: Targets, i: Ints, clouds: Clouds, j: Ints, wheels: Array, information: Array) -> Matches:
@@ -55,6 +59,15 @@ def further_scans(targets: Targets, clouds: Clouds, x: Array, n: int, apart: flo
     return i[sure], found.take(sure)
 
 
-def good(found: Matches) -> Array:
+def by_wheels(moved: Array) -> Array:
+    """Return the information (n, 3, 3) of motions (n, 3) by the wheels from scan to scan."""
+    information = np.zeros((len(moved), 3, 3))
+    information[:, 0, 0] = information[:, 1, 1] = SLIP_M**-2
+    information[:, 2, 2] = 1.0 / (SLIP_RAD**2 + (SLIP_SHARE * moved[:, 2]) ** 2)
+    return information
+
+
+def good(found: Matches) -> NDArray[np.bool_]:
     """Tell which matches are to be believed, (p,)."""
-    return np.asarray((found.inliers > MIN_INLIERS) & (found.overlap > MIN_OVERLAP) & (found.rms < MAX_RMS_M))
+    fits = (found.inliers > MIN_INLIERS) & (found.overlap > MIN_OVERLAP) & (found.rms < MAX_RMS_M)
+    return np.asarray(fits & (found.information[:, 2, 2] > MAX_SIGMA_RAD**-2))

@@ -20,6 +20,8 @@ CORE, BUILD = Path("fusion/core"), Path("build/core")
 PACKAGE = "locfuse.fusion.core"
 FORM = runpy.run_path(str(CORE / "form.py"), run_name="form")
 IMPORTS = re.compile(r"^from (?:\.\w+|math) import (?:\([^)]*\)|[^\n]*)\n", re.MULTILINE)
+CHECKED = os.environ.get(FORM["VARIABLE"]) == "checked"
+MOST_AXES = 2  # of an array; what is passed of one has room for so many
 ABI = "0x030B0000"  # Python 3.11 and later: one wheel for each platform
 DIRECTIVES = {
     "language_level": 3,
@@ -27,7 +29,9 @@ DIRECTIVES = {
     "cdivision": True,
     "wraparound": False,
     "initializedcheck": False,
-    "boundscheck": os.environ.get(FORM["VARIABLE"]) == "checked",
+    "boundscheck": CHECKED,
+    # but for a checked access, and room that `extract` asks for, nothing in the core raises: no caller asks
+    "legacy_implicit_noexcept": not CHECKED,
 }
 
 
@@ -41,7 +45,7 @@ def unit() -> Path:
         text = (CORE / f"{name}.py").read_text(encoding="utf-8")
         code.append(IMPORTS.sub("", text.split('"""', 2)[2]))  # without the docstring
         types.append((CORE / f"{name}.pxd").read_text(encoding="utf-8"))
-    code.append(f"\nSOURCE = {FORM['fingerprint'](CORE)}\nCHECKED = {DIRECTIVES['boundscheck']}\n")
+    code.append(f"\nSOURCE = {FORM['fingerprint'](CORE)}\nCHECKED = {CHECKED}\n")
     path = folder / f"{FORM['COMPILED']}.py"
     path.write_text("\n".join(code), encoding="utf-8")
     path.with_suffix(".pxd").write_text("\n".join(types), encoding="utf-8")
@@ -52,8 +56,10 @@ def translated() -> str:
     """Translate the unit into C, and return that file."""
     try:
         from Cython.Build import cythonize
+        from Cython.Compiler import Options
     except ImportError as e:  # an install without build isolation, where nobody installed Cython
         raise CompileError("Cython is not there") from e
+    Options.buffer_max_dims = MOST_AXES + 1  # Cython wants more than there are
     unwritten = Extension(f"{PACKAGE}.{FORM['COMPILED']}", [unit().as_posix()])
     written = cythonize([unwritten], compiler_directives=DIRECTIVES, include_path=[BUILD.as_posix()], quiet=True)
     return str(written[0].sources[0])

@@ -14,12 +14,12 @@ import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
+from msgspec.structs import replace
 
 from locfuse.cli.pipeline.load import load
 from locfuse.cli.pipeline.settings import LogOptions

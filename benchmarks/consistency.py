@@ -19,13 +19,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import cache, lru_cache, partial
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
+from msgspec.structs import replace
 
 from locfuse.cli.pipeline.load import make_robot
 from locfuse.formats.robot import robot_toml

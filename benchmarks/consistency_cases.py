@@ -7,7 +7,7 @@ heading can ever improve that. The compass has no iron: its 2 degrees are white 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import msgspec
 
 SCENARIO = "rounded_rectangle"
 LASER, COMPASS = ("lrf",), ("compass", "lrf")
@@ -23,8 +23,7 @@ STANDING = (
 MOVING = (*STANDING, "control.wait=0", "lrf.phase=0.6")
 
 
-@dataclass(frozen=True)
-class Goal:
+class Goal(msgspec.Struct, frozen=True):
     """What is asked of a case; None: nothing."""
 
     anees: tuple[float, float] | None = None  # lowest, highest mean
@@ -38,8 +37,7 @@ class Goal:
     walls: float | None = None  # lowest ratio of a wall's direction sigma to the heading's at the first scan
 
 
-@dataclass(frozen=True)
-class Case:
+class Case(msgspec.Struct, frozen=True):
     """One row of the table: a scenario, what the filter is given beyond its robot.toml, and its sensors."""
 
     name: str

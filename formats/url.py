@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import unquote
+
+import msgspec
 
 from locfuse.fusion.data import UsageError
 
@@ -14,8 +15,7 @@ ADDRESS = re.compile(r"(?P<scheme>[a-z][a-z0-9+.-]*)://(?P<place>[^/?#]*)(?P<key
 WEB = ("http", "https")
 
 
-@dataclass(frozen=True, order=True)
-class Url:
+class Url(msgspec.Struct, frozen=True, order=True):
     """The address of one object; of a folder of objects where it ends in "/"."""
 
     text: str

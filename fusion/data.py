@@ -8,11 +8,12 @@ inside; angles are radians; frames are REP-103 (x forward, y left, counter-clock
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
+import msgspec
 import numpy as np
+from msgspec import field
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -52,8 +53,7 @@ class UsageError(LocfuseError):
     exit_code = 2
 
 
-@dataclass(frozen=True)
-class Ragged:
+class Ragged(msgspec.Struct, frozen=True):
     """A column whose rows differ in length, such as LaserScan.ranges: row i is values[first[i]:first[i+1]]."""
 
     values: NDArray[Any]  # (total,)
@@ -119,8 +119,7 @@ class Stream(Protocol):
         """Yield (row numbers (k,), columns of these rows) with bounded memory; every row exactly once."""
 
 
-@dataclass(frozen=True)
-class ArrayStream:
+class ArrayStream(msgspec.Struct, frozen=True):
     """A Stream whose columns are already in memory: readings made by tests and by the control loop."""
 
     topic: str
@@ -156,8 +155,7 @@ class Points(Protocol):
         """Return of each reading the points (k, 2) [m] in the base frame, in the order of the beams."""
 
 
-@dataclass(frozen=True)
-class Measurements:
+class Measurements(msgspec.Struct, frozen=True, dict=True):
     """What one sensor measured over a drive, free of any pose: ragged, since a scan gives several lines.
 
     Reading i holds the rows first[i]:first[i+1]; none means the reading gave no measurement ("absent").
@@ -222,8 +220,7 @@ class Measurements:
         )
 
 
-@dataclass(frozen=True)
-class Motions:
+class Motions(msgspec.Struct, frozen=True):
     """Pre-integrated wheel motion over n intervals, each seen from the pose at its start."""
 
     u: Array  # (n, 3) relative pose: exact arcs
@@ -231,8 +228,7 @@ class Motions:
     J: Array  # (n, 3, p) du/d(wheel parameters), p = 0 where none are estimated
 
 
-@dataclass(frozen=True)
-class Truth:
+class Truth(msgspec.Struct, frozen=True):
     """Reference poses of the body frame or of a tracked body point."""
 
     topic: str
@@ -244,8 +240,7 @@ class Truth:
     sigma_theta: float = 0.0  # rad, that of its heading
 
 
-@dataclass(frozen=True)
-class Drive:
+class Drive(msgspec.Struct, frozen=True):
     """A measured log: wheel motion cut at the instants of every sensor present, measurements, truth."""
 
     epoch_ns: int  # the first wheel reading; all times below are seconds after it
@@ -275,8 +270,7 @@ MAX_MAGNITUDE = 1e12  # m: a light hour; what is farther away was never measured
 VERDICTS = ("accepted", "gate", "ambiguous", "unmatched", "new", "disturbed", "lost", "repeated")
 
 
-@dataclass(frozen=True)
-class Audit:
+class Audit(msgspec.Struct, frozen=True):
     """Every measurement of one sensor in one run: what was predicted, how far off it was, what became of it."""
 
     instant: Counts  # (k,)
@@ -329,8 +323,7 @@ class Colour(NamedTuple):
     dark: str
 
 
-@dataclass(frozen=True)
-class MapLine:
+class MapLine(msgspec.Struct, frozen=True):
     """One line of the map in normal form x cos(beta) + y sin(beta) = rho (paper eq. 14), with its extent."""
 
     id: int
@@ -359,8 +352,7 @@ class SeenAgain(NamedTuple):
     pose: Array  # (3,) where the robot was now, seen from where it was then
 
 
-@dataclass(frozen=True)
-class Estimates:
+class Estimates(msgspec.Struct, frozen=True):
     """The result of one configuration over one drive."""
 
     configuration: str  # "odometry", "compass+lrf", "all": the set of sensors, smoothed or not
@@ -417,8 +409,7 @@ def upper_triangles(P: Array) -> Array:
     return P[..., [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
 
 
-@dataclass(frozen=True)
-class SensorFigures:
+class SensorFigures(msgspec.Struct, frozen=True):
     """What became of one sensor's measurements in one configuration."""
 
     accepted: int
@@ -429,8 +420,7 @@ class SensorFigures:
     joint_nis: float | None = None  # as `nis`, of readings as a whole: of all lines of a scan at once
 
 
-@dataclass(frozen=True)
-class Evaluation:
+class Evaluation(msgspec.Struct, frozen=True):
     """One configuration judged: deviations from truth at the truth's stamps, and its figures.
 
     Without truth the columns are empty and the error figures None.

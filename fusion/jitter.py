@@ -10,9 +10,8 @@ filter.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
+from msgspec.structs import replace
 
 from .data import Array, Drive, Measurements
 from .measure import recut

@@ -8,10 +8,10 @@ configurations is array subtraction.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from locfuse.fusion.sensors.registry import REGISTRY, unmet
 from locfuse.fusion.wheels.motion import Wheels

@@ -6,7 +6,9 @@ drive, robot -> which sets of sensors to solve -> the whole drive with each (fus
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+
+import msgspec
+from msgspec.structs import replace
 
 from .data import Drive, Estimates, Evaluation, UsageError
 from .judge.against import Reference
@@ -54,8 +56,7 @@ def sets(drive: Drive) -> list[tuple[str, ...]]:
     return list(dict.fromkeys(s for s in found if _locates(s)))
 
 
-@dataclass(frozen=True)
-class References:
+class References(msgspec.Struct, frozen=True):
     """The references of one drive."""
 
     solved: Mapping[Subset, Reference]

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
+from msgspec import field
 
 from .data import LocfuseError, MapLine
 from .sensor import SensorSettings
@@ -98,8 +98,7 @@ class TruthSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     max_speed: float | None = None  # m/s: readings that jump away faster and return are not used
 
 
-@dataclass(frozen=True)
-class Robot:
+class Robot(msgspec.Struct, frozen=True):
     """Everything the filter is told about one robot."""
 
     wheels: WheelSettings = field(default_factory=WheelSettings)

@@ -11,9 +11,9 @@ return. Holds where the filter's gain is the optimal one: not for the frozen and
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import replace
 
 from locfuse.fusion.ekf.equations import eq5_x, eq6_noise, eq7_A
 from locfuse.fusion.ekf.journal import Birth, Drop, FrameMoved, Journal, Step, Swung

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import cast
 
+import msgspec
 import numpy as np
 
 from .data import Array, Block, Column, Ints, Stream
@@ -26,8 +26,7 @@ def count_dropped(dropped: dict[str, int], reason: str, n: int) -> None:
         dropped[reason] = dropped.get(reason, 0) + n
 
 
-@dataclass(frozen=True)
-class MergedStream:
+class MergedStream(msgspec.Struct, frozen=True, dict=True):
     """Streams of numbers as one Stream, in time order; `source` says which of the parts a row came from."""
 
     parts: tuple[Stream, ...]

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import msgspec
 
 from locfuse.fusion.advice.search import Advice, Fixes, together
 
 
-@dataclass(frozen=True)
-class Advised:
+class Advised(msgspec.Struct, frozen=True):
     """What a log's evaluation found."""
 
     advice: tuple[Advice, ...] = ()  # what helps first, in the order in which it was found to help

@@ -6,10 +6,11 @@ anyway need not be made again on a shorter drive; it is watched, and its runs ar
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import cast
 
 import numpy as np
+from msgspec.structs import replace
 
 from locfuse.cli.pipeline.compare import Compared
 from locfuse.cli.pipeline.trust import evidence

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import replace
+
+from msgspec.structs import replace
 
 from locfuse.cli.pipeline.compare import Compared, Heard, Watch, compare_log
 from locfuse.cli.pipeline.configurations import Configuration, for_comparison

@@ -7,10 +7,10 @@ and noise, since each of these looks like one. Clocks and noise have files of th
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
+from msgspec.structs import replace
 
 from locfuse.cli.pipeline.trust import overconfident
 from locfuse.fusion.advice.probes import beyond_prior, of_mount, of_offsets, of_probe, of_scale, probe_of

@@ -7,8 +7,10 @@ beginning; what was tried is said with the figures.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import cast
+
+from msgspec.structs import replace
 
 from locfuse.cli.pipeline.compare import PLAIN_FRAME, Compared
 from locfuse.cli.pipeline.configurations import Configuration

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from itertools import permutations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from msgspec.structs import replace
 
 from locfuse.formats.messages.kinds import CAMERA_MATRIX
 from locfuse.formats.robot.transforms import Mount, StaticTransforms, planar_mount

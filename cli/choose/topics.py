@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
+
+import msgspec
+from msgspec import field
 
 from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.presented.kinds import PRESENTED, presented_name
@@ -25,8 +27,7 @@ class Note(NamedTuple):
     fixes: tuple[str, ...] = ()  # settings that say the same for good
 
 
-@dataclass
-class Choice:
+class Choice(msgspec.Struct):
     """Topics by role ("wheels", a sensor, "truth"), and why a sensor has none."""
 
     topics: dict[str, str] = field(default_factory=dict)  # the first of each role

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+import msgspec
 
 from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.cli.rerun.record import RECORDING
@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 TABS = ("Deviation", "Close-up", "NIS", "Innovation", "Gates", "Result", "Raw topics")
 
 
-@dataclass(frozen=True)
-class Wish:
+class Wish(msgspec.Struct, frozen=True):
     """What the recording of a log shall show."""
 
     sensors: Sequence[str]

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
+
+import msgspec
+from msgspec.structs import replace
 
 from locfuse.cli.fleet.options import FleetOptions
 from locfuse.cli.pipeline.settings import OF_COMPARISON as KINDS
@@ -13,8 +15,7 @@ from locfuse.cli.rerun.record import RerunOptions, record, sketched
 from locfuse.cli.terminal.options import chosen
 
 
-@dataclass(frozen=True)
-class Wish:
+class Wish(msgspec.Struct, frozen=True):
     """What the command line asks of a comparison."""
 
     sensors: tuple[str, ...]

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import msgspec
+from msgspec.structs import replace
 
 from locfuse.cli.jobs.ci_gates import OPERATORS, Gate, Tolerance, figure, parse_gate, parse_tolerance
 from locfuse.cli.jobs.ci_gates import failures as failures_of_log
@@ -24,8 +26,7 @@ PREFIX = "fleet."
 FAILED = "failed"  # fleet.failed
 
 
-@dataclass(frozen=True)
-class Baseline:
+class Baseline(msgspec.Struct, frozen=True):
     """The summary of an earlier run over the same logs."""
 
     path: Path
@@ -33,8 +34,7 @@ class Baseline:
     tolerance: Tolerance
 
 
-@dataclass(frozen=True)
-class FleetGates:
+class FleetGates(msgspec.Struct, frozen=True):
     """Everything that a fleet must hold."""
 
     each: Sequence[Gate]  # for every log

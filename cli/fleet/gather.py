@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+
+import msgspec
+from msgspec import field
 
 from locfuse.cli.pipeline.results import lost_in
 from locfuse.formats.fleet.entry import Entry, slim
@@ -16,8 +18,7 @@ from .resume import read_report
 GONE = "its report.json is gone or cannot be read; run it again with --again"
 
 
-@dataclass(frozen=True)
-class Gathered:
+class Gathered(msgspec.Struct, frozen=True):
     """A fleet as rows, and what must be said about it."""
 
     entries: list[Entry] = field(default_factory=list)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import msgspec
 
 
-@dataclass(frozen=True)
-class FleetOptions:
+class FleetOptions(msgspec.Struct, frozen=True):
     """What is asked of many logs beyond a single one."""
 
     jobs: int

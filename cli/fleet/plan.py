@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+
+import msgspec
 
 from locfuse.cli.choose.grouping import logs_of
 from locfuse.cli.pipeline.key import Asked
@@ -20,8 +21,7 @@ from .job import Cell, Job, Outcome
 from .robots import Robots
 
 
-@dataclass(frozen=True)
-class Wanted:
+class Wanted(msgspec.Struct, frozen=True):
     """What is asked of every log of a fleet."""
 
     how: LogOptions
@@ -48,8 +48,7 @@ class Wanted:
         return tuple(sweep.parse(self.sweep))
 
 
-@dataclass(frozen=True)
-class Plan:
+class Plan(msgspec.Struct, frozen=True):
     """Jobs to run, and logs that cannot even be tried; together in the order in which they were named."""
 
     names: tuple[str, ...]

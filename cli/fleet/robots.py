@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+
+import msgspec
 
 from locfuse.fusion.data import UsageError
 
 PLACE = "{robot}"  # in --robot: where the name of the robot goes
 
 
-@dataclass(frozen=True)
-class Robots:
+class Robots(msgspec.Struct, frozen=True):
     """How logs tell their robot, and where its settings are."""
 
     pattern: re.Pattern[str] | None

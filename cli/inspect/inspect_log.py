@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
+
+from msgspec.structs import replace
 
 from locfuse.cli.choose.body_topics import NoWheelsError
 from locfuse.cli.choose.choose import choose_sensor, choose_truth

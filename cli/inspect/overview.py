@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Any
+
+import msgspec
+from msgspec import field
 
 from locfuse.cli.choose.topics import Choice
 from locfuse.cli.pipeline.load import Loaded
@@ -16,8 +18,7 @@ from .robot_facts import RobotFacts
 from .topics import TopicFacts
 
 
-@dataclass
-class Overview:
+class Overview(msgspec.Struct):
     """A log as it is found: topics, roles, mounts, clocks, findings."""
 
     log: Log

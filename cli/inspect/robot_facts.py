@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
+import msgspec
 import numpy as np
 
 from locfuse.cli.choose.topics import Choice, of_type
@@ -26,8 +26,7 @@ ESTIMATE_WORDS = ("odom", "amcl", "slam", "ekf", "filter", "goal", "initial", "e
 MIN_MOVEMENT = 0.05  # of a joint's readings, in its unit: a joint that never moves is no wheel
 
 
-@dataclass(frozen=True)
-class RobotFacts:
+class RobotFacts(msgspec.Struct, frozen=True):
     """What a log says of its robot beside robot.toml."""
 
     described: WheelGeometry | None = None  # by /robot_description

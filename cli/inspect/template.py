@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any, NamedTuple
+
+from msgspec.structs import replace
 
 from locfuse.cli.pipeline.load import ATTACHMENT, make_robot, table_types
 from locfuse.cli.pipeline.settings import LogOptions

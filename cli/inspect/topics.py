@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 
 from locfuse.formats.log.topics import UnreadableTopicError
@@ -20,8 +20,7 @@ OTHER_CLOCK_S = 1.0  # s between stamp and recording: more is no delay
 MIN_MESSAGES = 3  # messages before there is a rate
 
 
-@dataclass(frozen=True)
-class TopicFacts:
+class TopicFacts(msgspec.Struct, frozen=True):
     """One topic."""
 
     topic: str

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -28,8 +27,7 @@ ODOMETRY = "nav_msgs/msg/Odometry"
 MIN_LN_RATIO = 3.0  # ln of a likelihood ratio that is worth saying (20 to 1)
 
 
-@dataclasses.dataclass(frozen=True)
-class Calibration:
+class Calibration(msgspec.Struct, frozen=True):
     """Everything that the logs told."""
 
     settings: WheelSettings  # as they were
@@ -150,7 +148,7 @@ def calibrate_logs(loaded: Sequence[Loaded], progress: Progress = silent) -> Cal
             f"field scatters by {math.degrees(iron.scatter):.2f} degrees about the fit"
         )
     found = Calibration(settings, wheels, laser, iron, tuple(notes))
-    return dataclasses.replace(found, notes=(*notes, *_left_as_set(found)))
+    return msgspec.structs.replace(found, notes=(*notes, *_left_as_set(found)))
 
 
 def _left_as_set(found: Calibration) -> list[str]:

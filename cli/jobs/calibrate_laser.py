@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from locfuse.cli.pipeline.load import Loaded
@@ -31,8 +31,7 @@ LACKING = {
 }
 
 
-@dataclass(frozen=True)
-class ByLaser:
+class ByLaser(msgspec.Struct, frozen=True):
     """What wheels and laser say of each other."""
 
     fit: LaserCalibration

@@ -10,9 +10,10 @@ import math
 import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
+
+import msgspec
 
 from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.inputs import read_small
@@ -42,8 +43,7 @@ PART = re.compile(r"(\S*?)\s*(%|mm|cm|m|deg|°|)")  # of a tolerance: a number a
 GATE = re.compile(r"\s*(?P<figure>[^\s<>=]+)\s*(?P<op>>=|<=|>|<)\s*(?P<limit>\S+)\s*")
 
 
-@dataclass(frozen=True)
-class Gate:
+class Gate(msgspec.Struct, frozen=True):
     """Fail if `figure op limit`."""
 
     text: str
@@ -52,8 +52,7 @@ class Gate:
     limit: float
 
 
-@dataclass(frozen=True)
-class Tolerance:
+class Tolerance(msgspec.Struct, frozen=True):
     """How much worse a figure may be: a share of the baseline's, or a length or an angle where that is more."""
 
     text: str
@@ -67,8 +66,7 @@ class Tolerance:
         return old + max(self.share * old, floor)
 
 
-@dataclass(frozen=True)
-class Baseline:
+class Baseline(msgspec.Struct, frozen=True):
     """An earlier report of the same log that this one must not be worse than."""
 
     path: Path
@@ -92,8 +90,7 @@ class Content(Protocol):
         """Hash of all its bytes."""
 
 
-@dataclass(frozen=True)
-class Gates:
+class Gates(msgspec.Struct, frozen=True):
     """Everything that a report must hold."""
 
     limits: Sequence[Gate]

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
+
+import msgspec
+from msgspec.structs import replace
 
 from locfuse.cli.pipeline import outputs
 from locfuse.cli.pipeline.settings import Progress, silent
@@ -26,8 +28,7 @@ PRESETS = {"ours": "default", "print": "paper"}  # column -> preset
 FIGURES = ("position_rmse_m", "heading_rmse_deg", "anees")
 
 
-@dataclass(frozen=True)
-class Repeated:
+class Repeated(msgspec.Struct, frozen=True):
     """Everything that came out."""
 
     compared: Mapping[str, Comparison]  # "ours", "print"

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import msgspec
+from msgspec.structs import replace
 
 from locfuse.cli.advice.validity import MAX_START_ERROR_M
 from locfuse.cli.pipeline.configurations import refuse_beside_others, unknown_sensor
@@ -31,8 +33,7 @@ HELD_OUT_SHARE = 0.2  # share of every log, its end, where no log is held out
 LIKELIHOOD = "ln likelihood per number, {part} ({numbers})"
 
 
-@dataclass(frozen=True)
-class Judged:
+class Judged(msgspec.Struct, frozen=True):
     """One log under the noise that was told and under the noise that was found."""
 
     name: str
@@ -41,8 +42,7 @@ class Judged:
     check: str  # the command that says what else is wrong with it
 
 
-@dataclass(frozen=True)
-class Tuning:
+class Tuning(msgspec.Struct, frozen=True):
     """Everything that the logs told."""
 
     tuned: Tuned

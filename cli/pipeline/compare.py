@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, cast, get_args
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from locfuse.formats.report import json_report
 from locfuse.fusion import se2
@@ -39,8 +40,7 @@ Watch = Callable[[Estimates, Evaluation], None]
 Heard = Callable[[Estimates], None]
 
 
-@dataclass(frozen=True)
-class Compared:
+class Compared(msgspec.Struct, frozen=True):
     """What one `compare` found out about one log."""
 
     loaded: Loaded
@@ -53,8 +53,7 @@ class Compared:
     reference: Referenced | None = None  # where there is none, and a reference takes its place
 
 
-@dataclass(frozen=True)
-class Referenced:
+class Referenced(msgspec.Struct, frozen=True):
     """What took the place of truth."""
 
     references: References

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+
+import msgspec
+from msgspec import field
+from msgspec.structs import replace
 
 from locfuse.formats.nearest import did_you_mean
 from locfuse.fusion.data import Drive, Estimates, LocfuseError, UsageError
@@ -20,8 +23,7 @@ MAX_SUBSET_SENSORS = 6  # sensors: 64 subsets
 Sensors = str | Iterable[str]  # of one configuration
 
 
-@dataclass(frozen=True)
-class Configuration:
+class Configuration(msgspec.Struct, frozen=True):
     """A set of sensors in registry order, some perhaps at a lower rate than the log has them."""
 
     name: str

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -26,8 +25,7 @@ from .settings import LogOptions
 FILES = "files"  # beside the settings: the files that they name -> the hash of their content
 
 
-@dataclass(frozen=True)
-class Asked:
+class Asked(msgspec.Struct, frozen=True):
     """What is asked of a log beyond its settings."""
 
     sensors: tuple[str, ...]  # as --sensors names them; none: the default configurations

@@ -6,12 +6,13 @@ import itertools
 import math
 from collections.abc import Collection, Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
+from msgspec import field
+from msgspec.structs import replace
 
 from locfuse.cli.choose.choose import choose
 from locfuse.cli.choose.mounts import mount_tables, on_moving_parts, optics_tables, shared_turns, transforms_of
@@ -53,8 +54,7 @@ BASE_TABLES: dict[str, type[msgspec.Struct]] = {
 }
 
 
-@dataclass(frozen=True)
-class Loaded:
+class Loaded(msgspec.Struct, frozen=True, dict=True):
     """A measured log and everything that says where its numbers came from."""
 
     log: Log

@@ -7,11 +7,11 @@ lines of the map. Where the drive begins in it is looked for unless [start] says
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from locfuse.fusion.data import Estimates, LocfuseError, MapLine, Ragged, UsageError
 from locfuse.fusion.given_map.grid import Grid

@@ -12,7 +12,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-OBJECTS_PER_COLLECTION = 50_000  # of the youngest generation; Python's own figure is 700
+OBJECTS_PER_COLLECTION = 200_000  # of the youngest generation; the imports of a command keep more than 50 000
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of malloc.h of the GNU C library
 KEPT_BYTES, MAPPED_BYTES = 16 << 20, 4 << 20  # free at the heap's end; an array's that gets pages of its own
 SMALL_KB = 100_000  # a process that held no more keeps its free pages: it takes longer to get them again

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import msgspec
 
 PathLike = str | os.PathLike[str]
 Sets = Mapping[str, Any] | Iterable[str]  # {"lrf.topic": "/scan"}, or as typed: ["lrf.topic=/scan"]
@@ -25,8 +26,7 @@ def silent(step: str) -> None:
     """Show no progress."""
 
 
-@dataclass(frozen=True)
-class LogOptions:
+class LogOptions(msgspec.Struct, frozen=True):
     """How to read a log."""
 
     robot: Path | None
@@ -46,8 +46,7 @@ class LogOptions:
         return () if self.robot is None else (self.robot, *self.over)
 
 
-@dataclass(frozen=True)
-class MapOptions:
+class MapOptions(msgspec.Struct, frozen=True):
     """Which map the laser is given, and where the map that it made goes."""
 
     given: Path | None

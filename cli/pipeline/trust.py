@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, replace
 from typing import Any
+
+from msgspec.structs import asdict, replace
 
 from locfuse.formats.tables.findings import length
 from locfuse.fusion.data import Drive, Estimates, Evaluation

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import msgspec
 
 if TYPE_CHECKING:
     from locfuse.cli.session.result import Result
@@ -19,8 +20,7 @@ Say = Callable[[str], None]  # prints a line on stderr
 RECORDING = "recording.rrd"  # in the results' folder, unless --rerun-save names another
 
 
-@dataclass(frozen=True)
-class RerunOptions:
+class RerunOptions(msgspec.Struct, frozen=True):
     """What to record of a run, and where to show it."""
 
     show: bool = False

@@ -9,10 +9,11 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import Any
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from locfuse.cli.pipeline.compare import Compared, compare_log
 from locfuse.cli.pipeline.configurations import Configuration
@@ -39,8 +40,7 @@ def check_runs(runs: int) -> int:
     return runs
 
 
-@dataclass(frozen=True)
-class Jittered:
+class Jittered(msgspec.Struct, frozen=True):
     """What one run on a jittered drive gave."""
 
     figures: Mapping[str, Mapping[str, float | None]]  # result -> figure -> value

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from statistics import fmean, stdev
 from typing import Any, NamedTuple
+
+from msgspec.structs import replace
 
 from locfuse.formats.fleet.entry import Entry
 from locfuse.fusion.judge.bootstrap import CONFIDENCE, student_t

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import msgspec
 
 from locfuse.cli.advice.values import fixes_file
 from locfuse.cli.pipeline import exports, maps, outputs, results
@@ -28,8 +29,7 @@ Kinds = str | Iterable[str] | None  # "json,tum" or ["json", "tum"]; None: all
 EXPORT = "--export: unknown format"
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Result:
+class Result(msgspec.Struct, frozen=True, eq=False):
     """One or several configurations over one log.
 
     `estimates["all"].pose` is (n, 3): x, y [m], theta [rad], map frame, at `estimates["all"].t` [s since the first
@@ -101,8 +101,7 @@ class Result:
         return [place / name for name in sorted(files)]
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Run(Result):
+class Run(Result, frozen=True, eq=False):
     """One configuration over one log, filtered, and smoothed where that was asked for."""
 
     @property
@@ -167,8 +166,7 @@ class Run(Result):
         maps.keep(self.filtered, path_of(file), self.loaded.log.name)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Comparison(Result):
+class Comparison(Result, frozen=True, eq=False, dict=True):
     """Several configurations over one log, and what each sensor is worth."""
 
     compared: Compared

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, cast, get_args
+
+import msgspec
+from msgspec.structs import replace
 
 from locfuse.cli.advice.advised import Advised
 from locfuse.cli.advice.report import complete
@@ -85,8 +87,7 @@ def opened(log: Sequence[str], how: LogOptions, progress: Progress, read_again: 
 ADVISED = ("headline", "validity", "findings", "fixes")  # of a report: what to keep, what is void, what to set
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Session:
+class Session(msgspec.Struct, frozen=True, eq=False):
     """One measured log under one description of the robot."""
 
     loaded: Loaded

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+
+import msgspec
+from msgspec.structs import replace
 
 from locfuse.formats.tables.table import Cell, Column, Table, text
 from locfuse.formats.visible import visible
@@ -11,8 +13,7 @@ from locfuse.formats.visible import visible
 MIN_CELL_WIDTH = 12  # characters of a text that is cut
 
 
-@dataclass(frozen=True)
-class Strip:
+class Strip(msgspec.Struct, frozen=True):
     """One column as text, its heading first."""
 
     column: Column

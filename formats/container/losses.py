@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import msgspec
+from msgspec import field
 
 
-@dataclass(frozen=True)
-class Loss:
+class Loss(msgspec.Struct, frozen=True):
     """One unreadable place of one file."""
 
     path: str
@@ -15,8 +15,7 @@ class Loss:
     messages: int | None = None  # None where nobody can say how many it held
 
 
-@dataclass
-class Losses:
+class Losses(msgspec.Struct):
     """All losses of a log. The same place met by a second walk counts once."""
 
     places: dict[tuple[str, str, int], Loss] = field(default_factory=dict)  # (path, reason, offset) -> loss

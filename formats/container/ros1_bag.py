@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,8 +25,7 @@ HINT = re.compile(rb"[\x0f\x10]\0\0\0compression=(?:none|bz2|lz4)")  # a field o
 BEFORE = range(4, 64)  # so many bytes behind the record's start
 
 
-@dataclass
-class Part:
+class Part(msgspec.Struct):
     """A chunk, or messages that a crash left outside one."""
 
     at: int

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from html import escape
 
+import msgspec
 import numpy as np
 
 from locfuse.formats.figures.palette import EVENTS, SHAPES
@@ -27,8 +27,7 @@ MIN_SHADE, SHADE_FOOT = 1.0, 6.0  # px: width of an instant, height of what lies
 FAR_PX = 1e6  # where nobody looks: lines to there leave the picture as those to anywhere beyond do
 
 
-@dataclass(frozen=True)
-class Axis:
+class Axis(msgspec.Struct, frozen=True):
     """Data to px."""
 
     low: float

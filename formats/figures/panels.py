@@ -7,9 +7,10 @@ matplotlib).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 
+import msgspec
 import numpy as np
+from msgspec import field
 
 from locfuse.fusion.data import Array, Event
 
@@ -17,8 +18,7 @@ FARTHEST = 1e100  # that an axis shows: the span of what a damaged log says may 
 TIME = "time, s"  # the label of a time axis
 
 
-@dataclass(frozen=True)
-class Curve:
+class Curve(msgspec.Struct, frozen=True):
     """A line through points; NaN breaks it. `of` is a configuration or a role of the palette."""
 
     of: str
@@ -28,8 +28,7 @@ class Curve:
     wide: bool = False  # where the colour is what is to be read
 
 
-@dataclass(frozen=True)
-class Band:
+class Band(msgspec.Struct, frozen=True):
     """The area between two curves."""
 
     of: str
@@ -39,8 +38,7 @@ class Band:
     solid: bool = False
 
 
-@dataclass(frozen=True)
-class Dots:
+class Dots(msgspec.Struct, frozen=True):
     """Single points."""
 
     of: str
@@ -48,16 +46,14 @@ class Dots:
     y: Array  # (n,)
 
 
-@dataclass(frozen=True)
-class Strokes:
+class Strokes(msgspec.Struct, frozen=True):
     """Straight pieces: walls."""
 
     of: str
     ends: Array  # (k, 2, 2) both ends
 
 
-@dataclass(frozen=True)
-class Spots:
+class Spots(msgspec.Struct, frozen=True):
     """Places that keep their size when the panel is enlarged; `of` is a role of the palette that has a shape."""
 
     of: str
@@ -68,8 +64,7 @@ class Spots:
 Mark = Curve | Band | Dots | Strokes | Spots
 
 
-@dataclass(frozen=True)
-class Track:
+class Track(msgspec.Struct, frozen=True):
     """Where something was at evenly spaced times, so that a cursor over time finds its place. It is not drawn."""
 
     of: str
@@ -79,8 +74,7 @@ class Track:
     y: Array  # (n,)
 
 
-@dataclass(frozen=True)
-class Panel:
+class Panel(msgspec.Struct, frozen=True):
     """One pair of axes."""
 
     name: str  # of its file and its anchor
@@ -101,8 +95,7 @@ class Panel:
     tracks: tuple[Track, ...] = ()  # of a map: where each result was when
 
 
-@dataclass(frozen=True)
-class Section:
+class Section(msgspec.Struct, frozen=True):
     """Panels that belong together, under one heading."""
 
     name: str

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec import field
 
 from locfuse.fusion.data import Array, Component, Drive, Estimates, Evaluation, Event
 
@@ -22,8 +23,7 @@ class Stretches(NamedTuple):
     high: Array  # (n,)
 
 
-@dataclass(frozen=True)
-class Scene:
+class Scene(msgspec.Struct, frozen=True):
     """Everything the figures show."""
 
     drive: Drive

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any, Literal
+
+import msgspec
+from msgspec import field
 
 from locfuse.formats.tables.findings import void_reasons
 
@@ -13,8 +15,7 @@ COUNTS = ("accepted", "rejected", "absent", "nis")  # of a sensor in a configura
 EFFECTS = ("credit", "alone", "leave_one_out")  # of a sensor on the position error
 
 
-@dataclass(frozen=True)
-class Entry:
+class Entry(msgspec.Struct, frozen=True):
     """One log."""
 
     name: str

@@ -11,9 +11,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
 
+import msgspec
 import numpy as np
+from msgspec import field
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.fusion.data import Array, Ints
@@ -39,8 +41,7 @@ SAME_CLOCK_NS = 10**9  # offsets from the recording that differ by less are of o
 Mask = NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
-class Clock:
+class Clock(msgspec.Struct, frozen=True):
     """The times of a stream's rows, and how they came about."""
 
     t_ns: Ints  # (n,) never decreasing

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Protocol, cast
 
 import numpy as np
+from msgspec.structs import replace
 
 from locfuse.formats.columns import concat, n_bytes, take
 from locfuse.formats.presented.kinds import OF_PATH, POSE, PRESENTED

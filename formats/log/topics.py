@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, Self
+
+import msgspec
 
 from locfuse.formats.container.source import ChannelInfo, Source, message_type
 from locfuse.formats.messages.decode import encoding_problem, make_decoder
@@ -28,8 +29,7 @@ class UnreadableTopicError(LocfuseError):
         return error
 
 
-@dataclass(frozen=True)
-class Topic:
+class Topic(msgspec.Struct, frozen=True):
     """One topic of a log, over all its files."""
 
     msgtype: str  # pkg/msg/Name

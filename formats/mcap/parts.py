@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import msgspec
+from msgspec import field
 
 from . import records as rec
 
 
-@dataclass
-class ChunkRef:
+class ChunkRef(msgspec.Struct):
     """One chunk of the file."""
 
     offset: int  # of its record
@@ -39,8 +39,7 @@ class ChunkRef:
         return self.available < self.header.length
 
 
-@dataclass
-class LooseRun:
+class LooseRun(msgspec.Struct):
     """Consecutive messages outside any chunk."""
 
     offset: int
@@ -71,8 +70,7 @@ def put_in_order(parts: list[Part]) -> None:
         latest = max(latest, first)
 
 
-@dataclass
-class Survey:
+class Survey(msgspec.Struct):
     """What the walk found."""
 
     parts: list[Part] = field(default_factory=list)

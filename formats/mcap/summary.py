@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass, field
+
+import msgspec
+from msgspec import field
 
 from locfuse.formats.caps import MAX_CHUNK
 from locfuse.formats.container.decompress import DamagedError
@@ -12,8 +14,7 @@ from locfuse.formats.container.file_bytes import FileBytes
 from . import records as rec
 
 
-@dataclass
-class Summary:
+class Summary(msgspec.Struct):
     """What the writer said about the whole file."""
 
     start: int  # file offset of the section

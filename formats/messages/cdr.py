@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple, cast
 
+import msgspec
 import numpy as np
+from msgspec import field
 from numpy.typing import NDArray
 
 from locfuse.formats.columns import concat, take, view
@@ -38,8 +39,7 @@ class Group(NamedTuple):
     tails: Ints  # (rows,) elements of the array at the end; all 0 where the layout has none
 
 
-@dataclass
-class Request:
+class Request(msgspec.Struct):
     """A set of fields of one message type, resolved."""
 
     fields: dict[str, tuple[Part, ...]]  # (seconds, nanoseconds) for a stamp

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec import field
 from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_ITEMS, MAX_TEXT
@@ -45,8 +46,7 @@ ROS1 = Rules(header=0, aligned=False, nul=0, spare=0)
 Wanted = Mapping[str, "Wanted | str"]
 
 
-@dataclass
-class Leaf:
+class Leaf(msgspec.Struct):
     """Where one wanted field lies in a message; several times where it lies inside an array."""
 
     offsets: list[int] = field(default_factory=list)  # bytes from the payload's start
@@ -62,8 +62,7 @@ class Tail(NamedTuple):
     path: str | None  # if it is wanted
 
 
-@dataclass(frozen=True, eq=False)
-class Layout:
+class Layout(msgspec.Struct, frozen=True, eq=False):
     """The layout shared by all messages with `words` at the byte offsets `spots` that are `length` bytes long.
 
     Where there is a tail, its word is not among them and the length follows from it.

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+
+import msgspec
+from msgspec import field
 
 from locfuse.formats.caps import MAX_DEFINITION, MAX_DEPTH, MAX_FIELDS, names_its_cap
 
@@ -29,8 +31,7 @@ NUMBERS: dict[int, tuple[int, str]] = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class Field:
+class Field(msgspec.Struct, frozen=True, eq=False):
     """One field of a message: z4 and z8 are numbers in zigzag coding."""
 
     name: str
@@ -41,8 +42,7 @@ class Field:
     inside: Message | None = None  # the message that it holds
 
 
-@dataclass(frozen=True, eq=False)
-class Message:
+class Message(msgspec.Struct, frozen=True, eq=False):
     """A message type; it may hold itself."""
 
     name: str

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, cast
+
+import msgspec
 
 from locfuse.formats.caps import (
     MAX_DEFINITION,
@@ -33,29 +34,25 @@ class SchemaError(ValueError):
     """A message definition that cannot be used; the message is the reason in a few words."""
 
 
-@dataclass(frozen=True, eq=False)
-class Scalar:
+class Scalar(msgspec.Struct, frozen=True, eq=False):
     """One number."""
 
     dtype: str  # NumPy letter and size, e.g. "f8"; "?" for bool
     size: int  # bytes, and so its alignment
 
 
-@dataclass(frozen=True, eq=False)
-class Text:
+class Text(msgspec.Struct, frozen=True, eq=False):
     """A string."""
 
 
-@dataclass(frozen=True, eq=False)
-class Many:
+class Many(msgspec.Struct, frozen=True, eq=False):
     """An array: of fixed `count`, or a sequence that says its length itself (None)."""
 
     element: Node
     count: int | None
 
 
-@dataclass(frozen=True, eq=False)
-class Record:
+class Record(msgspec.Struct, frozen=True, eq=False):
     """A message or a part of one."""
 
     name: str
@@ -69,8 +66,7 @@ class Record:
         return self.name in TIMES and len(parts) == 2 and whole
 
 
-@dataclass(frozen=True, eq=False)
-class Counts:
+class Counts(msgspec.Struct, frozen=True, eq=False):
     """How long each of the arrays inside an array is: no field, but told by its bytes."""
 
 

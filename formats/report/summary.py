@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from statistics import fmean, median
 from typing import Any
+
+from msgspec.structs import replace
 
 from locfuse.formats.tables.render import escape, markdown
 from locfuse.formats.tables.table import Column, Table, of_values

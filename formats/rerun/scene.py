@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal, NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec import field
 
 from locfuse.formats.geometry import wall
 from locfuse.formats.thin import MAX_CURVE_POINTS, MAX_SCANS
@@ -17,8 +18,7 @@ Rgb = tuple[int, int, int]
 GREY: Rgb = (148, 151, 156)
 
 
-@dataclass(frozen=True)
-class Sight:
+class Sight(msgspec.Struct, frozen=True):
     """How one sensor's measurements are drawn and named."""
 
     components: tuple[Component, ...]  # of its innovation
@@ -56,8 +56,7 @@ class RawTopic(NamedTuple):
     fields: Mapping[str, Array]  # name -> (n,)
 
 
-@dataclass(frozen=True)
-class Detail:
+class Detail(msgspec.Struct, frozen=True):
     """How much of a long log is drawn."""
 
     curve: int = MAX_CURVE_POINTS
@@ -69,8 +68,7 @@ class Detail:
         return cls(2**62, 2**62)
 
 
-@dataclass(frozen=True)
-class Scene:
+class Scene(msgspec.Struct, frozen=True, dict=True):
     """A drive, its configurations, and what was seen on the way."""
 
     name: str  # of the log

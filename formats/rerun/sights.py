@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from msgspec.structs import asdict
 
 from locfuse.formats.geometry import mounted, quaternions, segments, to_map
 from locfuse.formats.thin import evenly
@@ -57,7 +58,7 @@ def some_readings(m: Measurements, t: Array, audit: Audit, e: Estimates, limit: 
     owner = np.searchsorted(m.first, audit.row, side="right") - 1
     at = np.searchsorted(readings, owner)
     keep = np.flatnonzero(readings[np.minimum(at, len(readings) - 1)] == owner)
-    rows = Audit(*(column[keep] for name, column in vars(audit).items() if name != "joint"))
+    rows = Audit(*(column[keep] for name, column in asdict(audit).items() if name != "joint"))
     return Seen(t[readings], at[keep], rows, e.pose[rows.instant])
 
 

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from locfuse.formats.log.log import TF_TYPES, Log
@@ -29,8 +29,7 @@ CHUNK_BYTES = 1 << 20  # bytes before compression
 LAST_STAMP = 2**31 * 10**9 - 1  # ns: a ROS stamp counts its seconds in 32 bits
 
 
-@dataclass(frozen=True)
-class Export:
+class Export(msgspec.Struct, frozen=True):
     """What goes into one file."""
 
     drive: Drive

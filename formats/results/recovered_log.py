@@ -7,8 +7,9 @@ be read is said in its metadata.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
+
+import msgspec
 
 from locfuse.formats.container.source import Recorded
 from locfuse.formats.log.log import Log
@@ -23,8 +24,7 @@ CLOCKLESS = 0  # log time of a message whose own is before 1970 or beyond what M
 END_OF_TIME = 2**63 - 1  # ns
 
 
-@dataclass(frozen=True)
-class Recovered:
+class Recovered(msgspec.Struct, frozen=True):
     """What a recovered copy holds."""
 
     path: Path

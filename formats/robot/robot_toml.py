@@ -177,7 +177,7 @@ def convert(tables: Mapping[str, Any], types: Mapping[str, Any]) -> dict[str, An
 def _check_table(name: str, table: Any, kind: type[msgspec.Struct]) -> None:
     if not isinstance(table, Mapping):
         raise LocfuseError(f"{name} = {_shown(table)}: {name} is a table: write [{name}] and its keys below")
-    known = [field.encode_name for field in msgspec.structs.fields(kind)]
+    known = kind.__struct_encode_fields__
     for key in table:
         if key not in known:
             raise LocfuseError(_unknown(key, name, known))

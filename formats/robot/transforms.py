@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from locfuse.formats.caps import MAX_TRANSFORMS, names_its_cap
@@ -30,8 +30,7 @@ SAME_M = 1e-6  # differences below are rounding, not a conflict
 SAME_RAD = 1e-6
 
 
-@dataclass(frozen=True)
-class Transform:
+class Transform(msgspec.Struct, frozen=True):
     """One edge of the tree."""
 
     parent: str
@@ -51,8 +50,7 @@ class Conflict(NamedTuple):
         return f"{self.frame}: {self.message}"
 
 
-@dataclass(frozen=True)
-class StaticTransforms:
+class StaticTransforms(msgspec.Struct, frozen=True):
     """What all publishers said, one transform per child frame: as in tf2, the last one said counts."""
 
     edges: tuple[Transform, ...] = ()
@@ -61,8 +59,7 @@ class StaticTransforms:
     moving: tuple[Transform, ...] = ()  # frames that move on it, as they were first: what hangs there has no mount
 
 
-@dataclass(frozen=True)
-class Mount:
+class Mount(msgspec.Struct, frozen=True):
     """Pose of a sensor on the base: metres, radians, base frame (x forward, y left, z up)."""
 
     base: str  # the base frame it is relative to

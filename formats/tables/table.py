@@ -7,15 +7,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
+
+import msgspec
+from msgspec.structs import replace
 
 MIN_EXPONENT_FORM = 1e5
 Path = tuple[str | int, ...]
 
 
-@dataclass(frozen=True)
-class Column:
+class Column(msgspec.Struct, frozen=True):
     """One column. Its unit stands in the heading; on a terminal, and where units differ by row, in each cell."""
 
     key: str  # of its values in report.json, and of the column for programs
@@ -53,8 +54,7 @@ class Piece(NamedTuple):
     at: Path = ()
 
 
-@dataclass(frozen=True)
-class Table:
+class Table(msgspec.Struct, frozen=True):
     """Columns, and a row of as many cells for each line."""
 
     columns: tuple[Column, ...]

@@ -8,7 +8,8 @@ clock is set. A fix is kept if no configuration gets worse by it and one gets be
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+
+import msgspec
 
 from locfuse.fusion.doctor.finding import Finding
 
@@ -19,8 +20,7 @@ Scores = Mapping[str, Score]  # by configuration
 Try = Callable[[Fixes, Sequence[str]], Scores]  # settings, configurations -> their scores
 
 
-@dataclass(frozen=True)
-class Candidate:
+class Candidate(msgspec.Struct, frozen=True):
     """A finding, the ways to fix it, and the configurations by which they are judged."""
 
     finding: Finding
@@ -39,8 +39,7 @@ class Candidate:
         return self.finding.role, self.finding.code
 
 
-@dataclass(frozen=True)
-class Advice:
+class Advice(msgspec.Struct, frozen=True):
     """A finding with the fix that was tried, and what it did; no fixes where none of them helps."""
 
     finding: Finding

@@ -9,11 +9,13 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from typing import Any, Literal, NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec import field
+from msgspec.structs import replace
 
 from locfuse.fusion.data import Stream
 
@@ -35,8 +37,7 @@ class Detection(NamedTuple):
     candidates: list[Candidate]
 
 
-@dataclass(frozen=True)
-class Detector:
+class Detector(msgspec.Struct, frozen=True):
     """Finds red vertical things in pictures; a calibration that is None is taken from the picture's size."""
 
     chain: Chain = "fast"

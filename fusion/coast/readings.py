@@ -94,7 +94,7 @@ class Singles:
             a, b = int(of.when.searchsorted(k)), int(table.due)
             of.passed(a, b)
             whole = of.joint[a:b]
-            self.records[s].joint.extend(whole[whole[:, 1] > 0.0].ravel())
+            self.records[s].joint.extend(whole[whole[:, 1] > 0.0].ravel().tolist())
 
 
 def no_singles() -> dict[str, Any]:

@@ -145,7 +145,7 @@ class AtOnce:
             row = int(self._m.first[begin]) + int(at.start)
             table = Table(row, verdict[at], landmark[at], of.gate, now[:, 0], now[:, 1:3], now[:, 3:])
             self.record.add_rows(np.repeat(when[a:b], np.diff(first[a : b + 1])), table)
-            self.record.joint.extend(joint[a:b][joint[a:b, 1] > 0.0].ravel())
+            self.record.joint.frombytes(joint[a:b][joint[a:b, 1] > 0.0].tobytes())
         shown = a + np.flatnonzero(np.diff(first[a : b + 1]))
         seen = shown[rest.taken :]  # those at rest come first
         if rest.taken:

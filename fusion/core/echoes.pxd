@@ -1,6 +1,7 @@
 cdef double OVERHANG, CLEAR, CLUTTER, SQUARE, FAR
 cdef Py_ssize_t ECHO
 
+@cython.locals(on_it=cython.bint)
 cpdef Py_ssize_t answering(
     double[::1] x, Walls w, double px, double py, double theta, double lever_x, double lever_y, double yaw, double half,
     double widen, double sigma, double[::1] out)

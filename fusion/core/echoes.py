@@ -32,7 +32,7 @@ def answering(x, w, px, py, theta, lever_x, lever_y, yaw, half, widen, sigma, ou
     for j in range(w.places):
         rho, beta = rho_of(x, w, j), beta_of(x, w, j)
         off = folded(beta - theta - yaw)
-        if not abs(off) <= 2.0 * pi:
+        if off - off != 0.0:  # no angle
             continue
         n_x, n_y = cos(beta), sin(beta)
         dx, dy = px + lx - w.anchors[j, 0], py + ly - w.anchors[j, 1]

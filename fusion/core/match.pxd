@@ -1,6 +1,7 @@
 cdef Py_ssize_t LINE, TOLD
 
 cdef double COMMON
+@cython.locals(near=cython.bint)
 cpdef void match(
     double[::1] pairs, Py_ssize_t found, double[::1] rows, Py_ssize_t lines, double gate, double zone, double rival,
     double share, double longest, Py_ssize_t[::1] fate, Py_ssize_t[::1] order)

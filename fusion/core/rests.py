@@ -14,7 +14,7 @@ def repeats(rows, begin, lines, rest, same):
     Both are each other's nearest, within the squared distance `near`, and have a `share` of the longer in common.
     """
     for j in range(rest.known):
-        rest.best[j], rest.least[j] = -1, NEVER
+        rest.least[j] = NEVER
     for i in range(lines):
         same[i] = nearest_of(rows, begin + i, i, rest)
     for i in range(lines):

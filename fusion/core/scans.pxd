@@ -1,5 +1,6 @@
 cdef Py_ssize_t MATCHED, REPEATED, NOTHING, HARDLY, AT_REST
 
+@cython.locals(drives=cython.bint)
 cdef Py_ssize_t look(
     Belief b, Scans s, Py_ssize_t i, Walls w, Seat seat, Rules rule, Rest rest, Progress progress, Desk d)
 cdef void put_in_base(Belief b, Scans s, Py_ssize_t i, Seat seat, Desk d)

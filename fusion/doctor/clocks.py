@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from msgspec.structs import replace
 
 from locfuse.fusion.data import Array, Drive, Estimates, Measurements, Truth
 from locfuse.fusion.robot import Robot

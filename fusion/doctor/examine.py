@@ -7,9 +7,9 @@ both; every complaint names the setting that fixes it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import replace
 
 from locfuse.fusion.data import Array, Drive, Measurements, Stream
 from locfuse.fusion.lines.scans import MAX_BEAMS, MAX_LINES

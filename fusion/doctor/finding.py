@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
+
+import msgspec
 
 from locfuse.fusion.data import LocfuseError
 
@@ -15,8 +16,7 @@ class Least(NamedTuple):
     sigmas: float  # standard errors that it must exceed besides
 
 
-@dataclass(frozen=True)
-class Finding:
+class Finding(msgspec.Struct, frozen=True):
     """Something unusual: harmless, repaired, or such that an estimate would be wrong."""
 
     role: str  # what it is about: wheels, a sensor, truth, log, file, or a topic

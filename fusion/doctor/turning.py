@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from locfuse.fusion.data import Array, Drive, Measurements, Stream
@@ -34,8 +34,7 @@ MIN_ROLL_SPREAD_M = 1e-3  # m per window
 MAX_READINGS = 3000
 
 
-@dataclass(frozen=True)
-class Turning:
+class Turning(msgspec.Struct, frozen=True):
     """One sensor's turning explained by the wheels."""
 
     a: float  # per metre of the right wheel [rad/m]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,8 +12,7 @@ from locfuse.fusion.data import Array
 Mask = NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
-class Grid:
+class Grid(msgspec.Struct, frozen=True):
     """Cells (rows, columns), the first row and column at the origin; what is neither is unknown."""
 
     occupied: Mask

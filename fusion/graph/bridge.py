@@ -7,8 +7,7 @@ key poses alike turns what lies between.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,8 +19,7 @@ from .odometry import Odometry, by_lever, moved
 REST = np.diag([1e-9, 1e-9, 1e-9])  # m^2, rad^2: a robot at rest has no bridge
 
 
-@dataclass(frozen=True)
-class Spans:
+class Spans(msgspec.Struct, frozen=True):
     """Stamps (n,) between keys: the key before each, and the wheels' way from there."""
 
     a: Ints  # (n,) key before, or the last but one
@@ -47,7 +45,7 @@ class Spans:
 
     def take(self, at: Ints) -> Spans:
         """Return those of some of the stamps."""
-        return Spans(*(column[at] for column in vars(self).values()))
+        return Spans(*(column[at] for column in msgspec.structs.astuple(self)))
 
     @property
     def share(self) -> Array:
@@ -55,8 +53,7 @@ class Spans:
         return np.where(self.inside, self.C @ np.linalg.inv(self.C_ab), np.where(self.beyond, np.eye(3), 0.0))
 
 
-@dataclass(frozen=True)
-class Fixes:
+class Fixes(msgspec.Struct, frozen=True):
     """Instants at which the wheels' error since the key before is known: both keys of every span, scans between.
 
     Sorted by key, then by instant; of every span the first row is its key (no error yet), the last the next one.

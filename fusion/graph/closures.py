@@ -7,9 +7,9 @@ asked again after each solve, since a loop that closes elsewhere narrows every w
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
+import msgspec
 import numpy as np
+from msgspec import field
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
@@ -41,8 +41,7 @@ SUPPORT_WAY_M = 12.0
 GRADUATIONS = (1e4, 1e3, 1e2, 10.0, 1.0)
 
 
-@dataclass
-class Loops:
+class Loops(msgspec.Struct):
     """The closures of a drive as they are found, and what stayed undecided."""
 
     edges: Edges = field(default_factory=Edges.none)  # between middle keys
@@ -53,8 +52,7 @@ class Loops:
     searches: int = 0
 
 
-@dataclass(frozen=True)
-class Candidates:
+class Candidates(msgspec.Struct, frozen=True):
     """Pairs of submaps that may see the same place."""
 
     a: Ints  # (c,) submap that came first

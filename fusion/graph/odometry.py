@@ -8,9 +8,9 @@ a lever arm.)
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Ints, Motions
@@ -20,8 +20,7 @@ from locfuse.fusion.data import Array, Drive, Ints, Motions
 LEFT_OUT = np.array([2e-4, 2e-4, np.radians(0.5) ** 2])
 
 
-@dataclass(frozen=True)
-class Odometry:
+class Odometry(msgspec.Struct, frozen=True):
     """The wheels' way at n instants."""
 
     pose: Array  # (n, 3) in the odometry's frame, theta not wrapped

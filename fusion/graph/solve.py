@@ -6,9 +6,9 @@ as seen from pose i: e = between(x_i, x_j) - z, angle wrapped, information in th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Protocol
 
+import msgspec
 import numpy as np
 
 from locfuse.fusion import se2
@@ -23,8 +23,7 @@ SYSTEMATIC = (np.radians(0.1), np.radians(1.0))  # rad per metre; rad
 MAX_DENSE = 3600  # states: up to here the whole inverse is the quickest way to covariances
 
 
-@dataclass(frozen=True)
-class Edges:
+class Edges(msgspec.Struct, frozen=True):
     """m relative poses; `width` is where the robust kernel takes hold, in sigmas, inf for none."""
 
     i: Ints  # (m,)
@@ -85,8 +84,7 @@ class Edges:
         return se2.between_jacobians(x[self.i], x[self.j])
 
 
-@dataclass(frozen=True)
-class Rows:
+class Rows(msgspec.Struct, frozen=True):
     """Linear terms beside the edges: ready-made blocks of the normal equations about the present poses."""
 
     at: Ints  # (k, d) columns of the state that each block concerns; equal ones are summed
@@ -94,8 +92,7 @@ class Rows:
     g: Array  # (k, d) the right side: H dx = g
 
 
-@dataclass(frozen=True)
-class Anchor:
+class Anchor(msgspec.Struct, frozen=True):
     """What is known of one pose by itself: the start."""
 
     at: int

@@ -6,8 +6,7 @@ transform (what is compared: Olson 2009, "Real-time correlative scan matching").
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,8 +23,7 @@ APART_M = 1.5  # two peaks further apart are two places
 ALIKE = 0.93  # a second peak of this share of the best leaves it undecided
 
 
-@dataclass(frozen=True)
-class Submaps:
+class Submaps(msgspec.Struct, frozen=True):
     """One cloud for every middle key, in that key's frame."""
 
     middle: Ints  # (s,) which key
@@ -41,8 +39,7 @@ def submaps_of(clouds: Clouds, x: Array, way: Array) -> Submaps:
     return Submaps(middle, members, merged(clouds, members, poses))
 
 
-@dataclass(frozen=True)
-class Peak:
+class Peak(msgspec.Struct, frozen=True):
     """Where one submap lies best on another one."""
 
     pose: Array  # (3,)

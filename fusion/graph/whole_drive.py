@@ -6,9 +6,9 @@ keys -> wheels and neighbouring scans -> loops, round by round -> every visit ag
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
+import msgspec
 import numpy as np
 
 from locfuse.fusion import se2
@@ -43,8 +43,7 @@ FAR_SHARE = 0.95  # of a scan's points that are nearer than how far it reaches
 MIN_GAIN, MIN_GAIN_M = 1.5, 0.01  # by how much the graph must fit the loops better than the filter
 
 
-@dataclass(frozen=True)
-class Graph:
+class Graph(msgspec.Struct, frozen=True, dict=True):
     """The key poses of a drive, and what was found on the way to them."""
 
     drive: Drive

@@ -7,9 +7,10 @@ judged by a reference that was solved without it, and only where that one is exa
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from locfuse.fusion.data import Array, Drive, Estimates, Evaluation, Truth, matrices
 from locfuse.fusion.streams import gap_limit
@@ -23,8 +24,7 @@ MAX_APART_SIGMAS = 3.0  # of two references: further apart, one of them is wrong
 MIN_ERROR_SHARE = 1e-3  # of an error, below which nothing is said of it
 
 
-@dataclass(frozen=True)
-class Reference:
+class Reference(msgspec.Struct, frozen=True):
     """The smoothed estimate of a drive in the place of truth."""
 
     sensors: tuple[str, ...]  # it was solved with, beside the wheels

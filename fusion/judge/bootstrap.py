@@ -9,9 +9,10 @@ Morgan 1939: for paired errors the ln of the ratio of their deviations is known 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from locfuse.fusion.data import Array
@@ -31,8 +32,7 @@ class Interval(NamedTuple):
     high: float
 
 
-@dataclass(frozen=True)
-class Errors:
+class Errors(msgspec.Struct, frozen=True):
     """Deviations of k configurations at the same q truth stamps of one drive, and how much they repeat."""
 
     deviation: Array  # (k, q, 2) m
@@ -135,6 +135,7 @@ def _correlation(deviation: Array, samples: Array) -> Array:
     return lowered
 
 
+@cache
 def by_chance(move: float, n: float, seed: int = 1) -> tuple[float, float]:
     """Return the interval of ln(error before / after) when n >= 1 Gaussian moves are added to n equal errors.
 
@@ -150,7 +151,14 @@ def by_chance(move: float, n: float, seed: int = 1) -> tuple[float, float]:
 
 def student_t(confidence: float, freedom: float) -> float:
     """Return the two-sided quantile of Student's t: with x = sqrt(f) tan(a) the density is cos(a)^(f-1) da."""
-    a = np.linspace(0.0, 0.5 * math.pi, 20001)
-    density = np.cos(a) ** (freedom - 1.0)
+    a, cosine = _quarter_turn()
+    density = cosine ** (freedom - 1.0)
     mass = np.concatenate(([0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))))
     return math.sqrt(freedom) * math.tan(float(np.interp(confidence * mass[-1], mass, a)))
+
+
+@cache
+def _quarter_turn() -> tuple[Array, Array]:
+    """Return angles from 0 to a right one [rad] and their cosines, (20001,)."""
+    a = np.linspace(0.0, 0.5 * math.pi, 20001)
+    return a, np.cos(a)

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec import field
+from msgspec.structs import replace
 
 from locfuse.fusion.data import Drive, Estimates
 from locfuse.fusion.robot import Robot
@@ -43,8 +45,7 @@ MIN_READINGS = 20  # readings
 MAX_START_M, MAX_START_RAD = 0.5, math.radians(20.0)  # a truth that starts further from a run: another frame
 
 
-@dataclass(frozen=True)
-class Consistency:
+class Consistency(msgspec.Struct, frozen=True):
     """What one run's innovations say of one sensor, and the verdict that all runs together reach."""
 
     verdict: Verdict

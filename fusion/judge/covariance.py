@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 
+import msgspec
 import numpy as np
+from msgspec import field
 
 from locfuse.fusion.chi_square import mean_bounds
 from locfuse.fusion.data import Evaluation
@@ -17,8 +18,7 @@ CONFIDENCE = 0.95
 STATES = ("x", "y", "theta")
 
 
-@dataclass(frozen=True)
-class Honesty:
+class Honesty(msgspec.Struct, frozen=True):
     """Mean squared error over predicted variance: 1 is right, more is over-confident."""
 
     anees: float

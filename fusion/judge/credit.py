@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from locfuse.fusion.data import Array, Evaluation
@@ -25,8 +25,7 @@ from .verdict import MAX_ANEES, MIN_EFFECT, Effect, Verdict, verdict
 Subset = frozenset[str]
 
 
-@dataclass(frozen=True)
-class SensorCredit:
+class SensorCredit(msgspec.Struct, frozen=True):
     """What one sensor bought."""
 
     verdict: Verdict
@@ -38,8 +37,7 @@ class SensorCredit:
     beside: tuple[str, ...] = ()  # sensors whose map it reads, or without which it was not run
 
 
-@dataclass(frozen=True)
-class Credit:
+class Credit(msgspec.Struct, frozen=True):
     """Every sensor's credit, and what the intervals rest on."""
 
     sensors: Mapping[str, SensorCredit]
@@ -116,8 +114,7 @@ def shapley_steps(sensor: str, sensors: Sequence[str]) -> list[Step]:
     ]
 
 
-@dataclass(frozen=True)
-class _Book:
+class _Book(msgspec.Struct, frozen=True):
     """Errors by subset, and the questions asked of them."""
 
     sets: list[Subset]

@@ -268,6 +268,10 @@ def _drift_figures(
     With heading the error is of the relative pose (Kümmerle et al. 2009); without, of the displacement.
     """
     out: dict[str, float | None] = {}
+    truth = estimate = np.zeros((0, 3))
+    if pairs.theta is not None:
+        truth = np.column_stack((pairs.xy, pairs.theta))
+        estimate = np.column_stack((pairs.xy + deviation, pairs.pose[:, 2]))
     for length in DRIFT_LENGTHS_M:
         j = np.searchsorted(distance, distance + length)
         i = np.flatnonzero(j < len(distance))
@@ -280,8 +284,6 @@ def _drift_figures(
         if pairs.theta is None:
             error = deviation[j] - deviation[i]
         else:
-            truth = np.column_stack((pairs.xy, pairs.theta))
-            estimate = np.column_stack((pairs.xy + deviation, pairs.pose[:, 2]))
             error = se2.between(estimate[i], estimate[j])[:, :2] - se2.between(truth[i], truth[j])[:, :2]
         out[f"drift_{length:.0f}m"] = float(np.hypot(error[:, 0], error[:, 1]).mean()) / length
     return out

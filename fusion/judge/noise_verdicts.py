@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any, Literal
 
+import msgspec
+from msgspec import field
 from msgspec.structs import asdict
 
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -32,8 +33,7 @@ MIN_WANDER_CORRELATION = 0.25  # autocorrelation of innovations from which the p
 MAX_REFUSED_SHARE, MAX_REFUSED_LINE_SHARE = 0.05, 0.25  # share of readings; of the lines of scans
 
 
-@dataclass(frozen=True)
-class NoiseVerdict:
+class NoiseVerdict(msgspec.Struct, frozen=True):
     """A verdict, its words, and what to write into robot.toml."""
 
     verdict: Verdict

@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,8 +30,7 @@ LASER = "lrf"  # whose scans are the motion where there are no wheels
 STRETCH_S = 5.0  # s that a sensor listens at a time where it cannot be left out
 
 
-@dataclass(frozen=True)
-class Score:
+class Score(msgspec.Struct, frozen=True):
     """How well one configuration predicts one sensor that only listened."""
 
     configuration: str
@@ -45,8 +44,7 @@ class Score:
     shared: bool = False  # odometry was made of the same readings: to be worse than that says nothing
 
 
-@dataclass(frozen=True)
-class Ranked:
+class Ranked(msgspec.Struct, frozen=True):
     """One configuration's place."""
 
     configuration: str

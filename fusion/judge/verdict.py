@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Literal
+
+import msgspec
 
 Verdict = Literal["helps", "seems to help", "no effect seen", "seems to hurt", "hurts", "no verdict"]
 
@@ -16,8 +17,7 @@ MAX_ANEES, MAX_ANEES_RATIO = 10.0, 5.0  # overconfident: ANEES above this, and t
 MAX_CONSISTENT_ANEES = 3.0  # a run with more is inconsistent, and its covariance is no evidence
 
 
-@dataclass(frozen=True)
-class Effect:
+class Effect(msgspec.Struct, frozen=True):
     """A contrast of ln(position RMSE): positive means that the sensor makes the error smaller."""
 
     value: float

@@ -16,10 +16,11 @@ taken for the right one.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
@@ -64,8 +65,7 @@ class Motion(NamedTuple):
     delay: float  # s to add to the laser's times
 
 
-@dataclass(frozen=True)
-class LaserCalibration:
+class LaserCalibration(msgspec.Struct, frozen=True):
     """What the drives say; of NAMES: relative (3), m (2), rad, s."""
 
     parameters: Array  # (7,)
@@ -81,8 +81,7 @@ class LaserCalibration:
         return [name for name, sigma in zip(NAMES, self.sigmas.tolist(), strict=True) if np.isnan(sigma)]
 
 
-@dataclass(frozen=True)
-class Intervals:
+class Intervals(msgspec.Struct, frozen=True):
     """Times (n,) between which wheels and laser are compared, and what the laser says."""
 
     motion: Motion

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import cast
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,8 +37,7 @@ class Standing:
         return np.zeros((*np.shape(t)[:-1], np.shape(t)[-1] - 1, 2))
 
 
-@dataclass(frozen=True)
-class Scans:
+class Scans(msgspec.Struct, frozen=True):
     """All scans of a log, in time order: of each the points in the base frame, evenly thinned."""
 
     t: Array  # (n,) s since the stream's first stamp: the instants to which they are deskewed

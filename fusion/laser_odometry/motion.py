@@ -8,8 +8,7 @@ worth. Nothing looks ahead.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+import msgspec
 import numpy as np
 
 from locfuse.fusion import se2
@@ -38,8 +37,7 @@ USUAL_NOISE = WheelSettings().noise
 NO_RETURNS = "no scan of {topic} sees enough to be matched with another"
 
 
-@dataclass
-class _Way:
+class _Way(msgspec.Struct):
     """What is known of n scans: the step (3,) that leads to each from the one before, and its covariance."""
 
     t: Array  # (n,) s
@@ -48,8 +46,7 @@ class _Way:
     blind: Array  # (n,) of bool: nothing matched; the velocity before was taken
 
 
-@dataclass(frozen=True)
-class MatchedScans:
+class MatchedScans(msgspec.Struct, frozen=True):
     """The way of a laser by its scans, before any setting of wheels or clocks has a say."""
 
     laser: Laser  # that was matched so

@@ -8,10 +8,12 @@ from where the line was first seen into the wall, so C = rho - n.(p - a) > 0 on 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec import field
+from msgspec.structs import replace
 
 from locfuse.fusion import se2
 from locfuse.fusion.core import match, tables
@@ -36,8 +38,7 @@ class Prediction(NamedTuple):
     spread: Array  # (k, 2, 2) H P H', and the map's covariance where the map is not a state
 
 
-@dataclass
-class LineMap:
+class LineMap(msgspec.Struct):
     """Lines as columns (J,); values of lines that are states live in the belief, at `column`."""
 
     ids: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))

@@ -12,10 +12,11 @@ The work per beam is done by `core.lines`; here stands what it is given and what
 from __future__ import annotations
 
 import math
-from dataclasses import astuple, dataclass, fields
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec.structs import astuple
 
 from locfuse.fusion.core import lines as interpreted
 from locfuse.fusion.core import places
@@ -36,8 +37,7 @@ _OF_R = np.array((2, 3, 3, 4))
 LINE = 7  # columns of a line in a table, by core.places and core.pairs
 
 
-@dataclass(frozen=True)
-class Lines:
+class Lines(msgspec.Struct, frozen=True):
     """Lines of n scans in scan order, within a scan in beam order."""
 
     first: Ints  # (n + 1,) scan i owns the lines first[i]:first[i + 1]
@@ -189,6 +189,6 @@ def lines_of(scans: Scans, settings: LineSettings, motion: Motion | None, room: 
 
 def _joined(parts: list[Lines]) -> Lines:
     """Return the batches' lines as one."""
-    columns = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Lines)}
+    columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in Lines.__struct_fields__}
     counts = np.concatenate([np.diff(part.first) for part in parts])
     return Lines(**(columns | {"first": np.concatenate(([0], np.cumsum(counts)))}))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from locfuse.fusion.data import Array, Ints, Stream
 from locfuse.fusion.sensor import WheelMotion
@@ -14,8 +14,7 @@ from .scans import Laser, equal_scans, points_in_base
 SCANS_PER_BLOCK = 256  # line extraction is level-synchronous over this many scans (benchmarks: "lines per scan")
 
 
-@dataclass(frozen=True, eq=False)
-class ScanPoints:
+class ScanPoints(msgspec.Struct, frozen=True, eq=False, weakref=True):
     """The points of a stream of scans; reading i is row `rows[i]` of the stream."""
 
     stream: Stream

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any, NamedTuple, cast
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
@@ -16,6 +16,8 @@ from .extract import Lines, LineSettings, extract_lines, to_base
 from .pairs import blocks, misfit, nearest, turn_of
 from .sweep import in_base, motion_of, noise_of
 
+# m: a return's range is one of these, so neither 0 nor Inf
+LEAST, MOST = np.nextafter(0.0, 1.0), np.finfo(np.float64).max
 MAX_BEAMS = 100_000  # of one scan: no 2D laser has more
 MAX_LINES = 500  # of one scan: no room shows more, and a correction by n of them takes 32 n^2 bytes and n^3 time
 BEAMS_AT_ONCE = 1 << 19  # lines are extracted from scans of at most so many beams together: memory is bounded
@@ -95,10 +97,14 @@ def returns(scans: dict[str, Any], laser: Laser) -> tuple[Array, Array]:
     angles = scans["angle_min"][:, None] + scans["angle_increment"][:, None] * np.arange(beams)
     if laser.flipped:
         angles = -angles
-    raw = scans["ranges"].astype(np.float64)
-    far = np.minimum(scans["range_max"], laser.range_max or np.inf)[:, None]
-    valid = np.isfinite(raw) & (raw >= scans["range_min"][:, None]) & (raw <= far) & (raw > 0.0)
-    return np.where(valid, laser.scale * raw + laser.offset, np.nan), angles
+    ranges = scans["ranges"].astype(np.float64)  # a copy
+    near = np.maximum(scans["range_min"], LEAST)[:, None]
+    far = np.minimum(np.minimum(scans["range_max"], laser.range_max or np.inf), MOST)[:, None]
+    invalid = ~((near <= ranges) & (ranges <= far))  # NaN is neither
+    ranges *= laser.scale
+    ranges += laser.offset
+    ranges[invalid] = np.nan
+    return ranges, angles
 
 
 def deskew(

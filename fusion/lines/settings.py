@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+
+import msgspec
 
 
-@dataclass(frozen=True)
-class LineSettings:
+class LineSettings(msgspec.Struct, frozen=True):
     """How noisy the laser is and what counts as a wall; the defaults are the paper's laser: 30 mm, 0.25 deg."""
 
     sigma_range: float = 0.03  # m

@@ -8,15 +8,14 @@ calls l. Leading axes are allowed where a function says (...).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from locfuse.fusion.data import Array
 
 
-@dataclass(frozen=True)
-class Printed:
+class Printed(msgspec.Struct, frozen=True):
     """The paper's numbers (sections III and IV); the last three are ours, since it prints none."""
 
     period: float = 0.1  # s, sampling time of the EKF

@@ -5,8 +5,7 @@ A point's surface is the line through its neighbours among the beams, where they
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+import msgspec
 import numpy as np
 
 from locfuse.fusion import se2
@@ -20,8 +19,7 @@ MAX_RANGE_M = 30.0
 CELL_M = 0.05  # of a cloud of many scans one point in each such square is kept
 
 
-@dataclass(frozen=True)
-class Clouds:
+class Clouds(msgspec.Struct, frozen=True):
     """Points of n clouds one after another: cloud i owns the rows first[i]:first[i + 1]."""
 
     first: Ints  # (n + 1,)

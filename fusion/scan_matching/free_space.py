@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from locfuse.fusion import se2
@@ -17,8 +17,7 @@ MARGIN_M, MARGIN_SHARE = 0.3, 0.03  # a point must lie so much before what was s
 MIN_POINTS = 20  # in the field of view of the other scan: fewer decide nothing
 
 
-@dataclass(frozen=True)
-class Views:
+class Views(msgspec.Struct, frozen=True):
     """How far every key looked into each direction."""
 
     origin: Array  # (2,) the laser on the base

@@ -6,10 +6,11 @@ matches among the keys up to b.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
+import msgspec
 import numpy as np
+from msgspec.structs import astuple
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
@@ -29,8 +30,7 @@ BY_SCANS = np.diag([0.05**-2, 0.05**-2, np.radians(1.0) ** -2])  # information o
 _matched: WeakKeyDictionary[Points, KeyScans] = WeakKeyDictionary()
 
 
-@dataclass(frozen=True)
-class KeyScans:
+class KeyScans(msgspec.Struct, frozen=True):
     """n keys and p matches among them."""
 
     t: Array  # (all readings,) s, when they were taken
@@ -98,7 +98,7 @@ def _next(
         steps[k] = scan_by_scan(m, points, readings[k], readings[k + 1])
         prior = np.broadcast_to(BY_SCANS, (len(k), 3, 3))
         again = match(targets, k, sources, k + 1, steps[k], prior, REACH_M)
-        for column, other in zip(vars(matches).values(), vars(again).values(), strict=True):
+        for column, other in zip(astuple(matches), astuple(again), strict=True):
             column[doubtful] = other
     sure = good(matches)
     steps[i[sure]] = matches.pose[sure]

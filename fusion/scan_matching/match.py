@@ -10,9 +10,9 @@ these three numbers, so in the frame of i.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from locfuse.fusion import se2
@@ -33,8 +33,7 @@ POINTS_AT_ONCE = 1_000_000
 SETTLED_M = 2e-4
 
 
-@dataclass(frozen=True)
-class Matches:
+class Matches(msgspec.Struct, frozen=True):
     """What p pairs of clouds say of their relative poses."""
 
     pose: Array  # (p, 3)
@@ -140,8 +139,7 @@ def floored(information: Array) -> Array:
     return 0.5 * (out + out.transpose(0, 2, 1))
 
 
-@dataclass(frozen=True)
-class _Pairs:
+class _Pairs(msgspec.Struct, frozen=True):
     """Points of all pairs with their partners: only those that have one."""
 
     n: int  # number of pairs of clouds

@@ -8,8 +8,8 @@ a turn of the axes cannot be seen this way, and is part of the compass offset.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from locfuse.fusion.data import Array, LocfuseError
@@ -24,8 +24,7 @@ TUKEY = 4.685  # of the scatter: readings further off do not count (95 % efficie
 ROUGH = 0.2  # relative scatter above which the readings lie on no ellipse
 
 
-@dataclass(frozen=True)
-class Iron:
+class Iron(msgspec.Struct, frozen=True):
     """What turns field readings into headings: heading of soft (m - hard)."""
 
     hard: Array  # (2,) in the unit of the message

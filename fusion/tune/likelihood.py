@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from locfuse.fusion.data import Array
@@ -34,8 +34,7 @@ NO_STRAIGHTS = (
 )
 
 
-@dataclass
-class Problem:
+class Problem(msgspec.Struct):
     """The likelihood of tapes as a function of logarithms relative to what was recorded."""
 
     tapes: Sequence[Tape]

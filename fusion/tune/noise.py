@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
 
 import msgspec
+from msgspec import field
+from msgspec.structs import replace
 
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -20,8 +21,7 @@ DRIFT = ":drift"  # of a sensor's estimated offset
 DRIFT_START = 0.1  # degrees per sqrt(s)
 
 
-@dataclass
-class Figures:
+class Figures(msgspec.Struct):
     """Noise as it stands: `factors` are ln(now / told), of the variance for the wheels, else of sigmas."""
 
     told: Robot

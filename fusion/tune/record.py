@@ -8,10 +8,12 @@ were made from does not have to be told apart from what is measured later.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, cast
 
+import msgspec
 import numpy as np
+from msgspec import field
+from msgspec.structs import replace
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Ints, Measurements
@@ -74,8 +76,7 @@ class Swing(NamedTuple):
     dy: float
 
 
-@dataclass
-class Tape:
+class Tape(msgspec.Struct):
     """The recorded run."""
 
     sensors: tuple[str, ...]

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from locfuse.fusion.data import Drive, LocfuseError, Measurements, Motions
 from locfuse.fusion.fuse import fuse
@@ -66,8 +66,7 @@ class Row(NamedTuple):
     identifiable: bool
 
 
-@dataclass(frozen=True)
-class Tuned:
+class Tuned(msgspec.Struct, frozen=True):
     """What was found, and what speaks for it."""
 
     rows: Sequence[Row]

@@ -11,10 +11,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
@@ -45,8 +46,7 @@ class Sigma(NamedTuple):
     theta: float  # rad
 
 
-@dataclass(frozen=True)
-class Pieces:
+class Pieces(msgspec.Struct, frozen=True):
     """What the wheels said against what happened, over n pieces."""
 
     kind: Ints  # (n,)
@@ -60,12 +60,12 @@ class Pieces:
 
     def take(self, keep: NDArray[np.bool_]) -> Pieces:
         """Return some of the pieces."""
-        return Pieces(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
+        return Pieces(*(getattr(self, name)[keep] for name in self.__struct_fields__))
 
     @classmethod
     def joined(cls, parts: Sequence[Pieces]) -> Pieces:
         """Return the pieces of several drives."""
-        return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in cls.__dataclass_fields__))
+        return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in cls.__struct_fields__))
 
     @property
     def prior(self) -> Array:
@@ -79,8 +79,7 @@ class Pieces:
         return Residuals(self.e, self.X, Q, self.T, self.prior)
 
 
-@dataclass(frozen=True)
-class WheelCalibration:
+class WheelCalibration(msgspec.Struct, frozen=True):
     """What straight runs and turns say of the wheels. Geometry is relative to what was given: 0 = it was right."""
 
     k: Figure  # m: variance per metre rolled

@@ -8,8 +8,8 @@ degrees of freedom, and the interval is the chi-square one.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from locfuse.fusion.chi_square import chi_square
@@ -20,8 +20,7 @@ S_BOUNDS = (1e-10, 10.0)  # where s is looked for
 LN_S_TOLERANCE = 1e-6  # of ln s
 
 
-@dataclass(frozen=True)
-class Figure:
+class Figure(msgspec.Struct, frozen=True):
     """An estimate with its interval at CONFIDENCE."""
 
     value: float
@@ -29,8 +28,7 @@ class Figure:
     high: float
 
 
-@dataclass(frozen=True)
-class Residuals:
+class Residuals(msgspec.Struct, frozen=True):
     """Errors of n pieces with d components, what explains them, and their covariances."""
 
     e: Array  # (n, d)

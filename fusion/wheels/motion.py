@@ -6,10 +6,11 @@ the motion, its covariance and its derivative by the wheel parameters are summed
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import Any
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from locfuse.fusion import se2
 from locfuse.fusion.core import intervals, tables
@@ -28,8 +29,7 @@ def body_increments(ds_left: Array, ds_right: Array, track: float) -> tuple[Arra
 STANDS_M, STANDS_RAD = 0.02, 0.02  # m, rad: a robot that stays within is on no drive
 
 
-@dataclass(frozen=True)
-class Wheels:
+class Wheels(msgspec.Struct, frozen=True):
     """Wheel odometry of a whole drive: between two readings the body twist is constant."""
 
     t: Array  # (n,) s, strictly increasing, n >= 2
@@ -68,8 +68,8 @@ class Wheels:
     @property
     def stands(self) -> bool:
         """Whether the robot stays where it is for the whole log."""
-        extent = np.ptp(self.pose, axis=0)
-        return bool(max(extent[0], extent[1]) <= STANDS_M and extent[2] <= STANDS_RAD)
+        x, y, theta = (float(np.ptp(column)) for column in self.pose.T)
+        return max(x, y) <= STANDS_M and theta <= STANDS_RAD
 
     def window(self, begin: float, end: float) -> Wheels:
         """Return the readings between two times [s]; times and poses stay those of the whole drive."""

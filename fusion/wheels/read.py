@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 
 from locfuse.fusion.data import Array, LocfuseError, Stream
 from locfuse.fusion.robot import VIRTUAL_TRACK, Mirrored, WheelSettings

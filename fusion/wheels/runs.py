@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from locfuse.fusion.data import Array, Ints
@@ -20,8 +20,7 @@ MAX_BEND_RAD_PER_M = 0.7  # rad/m: a straight run may wobble, but not turn more 
 MIN_RUNS = (0.5, math.radians(45.0))  # m, rad: shorter runs are not used
 
 
-@dataclass(frozen=True)
-class Runs:
+class Runs(msgspec.Struct, frozen=True):
     """Stretches of one kind of motion in one direction, n of them."""
 
     kind: Ints  # (n,) STRAIGHT or TURN

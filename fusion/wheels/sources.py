@@ -220,7 +220,9 @@ def _by_name(names: list[tuple[str, ...]], positions: Ragged, joints: Sequence[s
     """Return (n, 2) positions of two joints, NaN where missing, and which messages (n,) hold either."""
     out = np.full((len(names), 2), np.nan)
     layouts = {row: i for i, row in enumerate(dict.fromkeys(names))}
-    layout = np.fromiter(map(layouts.__getitem__, names), np.int64, len(names))
+    layout = np.zeros(len(names), np.int64)
+    if len(layouts) > 1:
+        layout = np.fromiter(map(layouts.__getitem__, names), np.int64, len(names))
     held = np.zeros(len(names), dtype=bool)
     lengths = positions.lengths
     for row, which in layouts.items():

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from locfuse.cli.advice import clocks as module
 from locfuse.cli.advice.evidence import Evidence

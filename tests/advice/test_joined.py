@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from locfuse.cli.advice.advised import Advised
 from locfuse.cli.advice.validity import add_validity

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import pytest
+from msgspec.structs import replace
 
 from locfuse.fusion.advice.score import Score, gain, improves, spoils
 from locfuse.fusion.advice.search import Advice, Candidate, Fixes, Scores, search, together

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from small_drive import NOISE, drive, robot
 
 from locfuse.fusion.advice.slip import LONG_S, MAX_FACTOR, SHORT_S, slip

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -83,7 +82,6 @@ ROOMS = (
 )
 
 
-@dataclass
 class Visiting(World):
     """A robot that drives in circles in one room, is carried to another one, and back."""
 

@@ -253,7 +253,7 @@ def test_the_number_of_threads_does_not_change_a_bit(monkeypatch: pytest.MonkeyP
 def test_a_long_stream_is_read_a_few_pictures_at_a_time() -> None:
     asked: list[int] = []
 
-    class Long(ArrayStream):
+    class Long(ArrayStream, frozen=True):
         def blocks(self, *fields: str, rows: int = 256) -> Any:
             asked.append(rows)
             yield from super().blocks(*fields, rows=rows)

@@ -9,7 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
-from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any, cast
@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 from rooms import ARENA, poses, scan
 
 from locfuse.fusion.core import form as forms
@@ -42,9 +43,9 @@ def agree(scans: Scans, how: LineSettings | None = None, moving: bool = False) -
     found = lines_of(scans, *asked, Room.of(interpreted, None))
     if UNIT is not None:
         other = lines_of(scans, *asked, Room.of(interpreted, UNIT))
-        for f in fields(Lines):
-            a, b = getattr(found, f.name), getattr(other, f.name)
-            assert (a.dtype, a.shape, a.tobytes()) == (b.dtype, b.shape, b.tobytes()), f.name
+        for name in Lines.__struct_fields__:
+            a, b = getattr(found, name), getattr(other, name)
+            assert (a.dtype, a.shape, a.tobytes()) == (b.dtype, b.shape, b.tobytes()), name
     return found
 
 
@@ -194,6 +195,24 @@ def test_no_number_of_the_compiled_core_is_an_object(tmp_path: Path) -> None:
             found.add(source[line - 1].strip())  # room of the caller's own is an object
     assert line > 0
     assert not found
+    # no exception ends in a warning on stderr, and a result that is none
+    assert not re.findall(r'__Pyx_WriteUnraisable\("(locfuse[^"]*)', unit.read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("unit", [None, UNIT], ids=["interpreted", "compiled"])
+def test_room_that_is_not_to_be_had_is_an_error_in_both_forms(unit: ModuleType | None) -> None:
+    def full(n: int) -> Array:
+        raise MemoryError(f"no room for {n} numbers")
+
+    angles = np.linspace(-1.5, 1.5, 181)
+    room = Room.of(interpreted, unit)
+    within = room._replace(functions=SimpleNamespace(extract=partial(_without_room, room.functions.extract, full)))
+    with pytest.raises(MemoryError, match="no room for 181 numbers"):
+        lines_of(Scans(seen(angles, 1), angles, None, 0.0, math.inf), LineSettings(), None, within)
+
+
+def _without_room(extract: Any, full: Any, _: Any, *rest: Any) -> Any:
+    return extract(full, *rest)
 
 
 # --- one source, three files

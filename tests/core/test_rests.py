@@ -71,3 +71,42 @@ def test_the_sums_are_by_how_much_lines_are_off_and_the_angle_is_wrapped() -> No
 )
 def test_of_scans_at_rest_the_first_second_fourth_and_eighth_count(scans: int, counts: bool) -> None:
     assert rests.counts(scans) == counts
+
+
+@pytest.mark.parametrize("before", range(10))
+def test_a_scan_that_only_repeats_is_taken_unless_it_is_the_first_second_fourth_or_eighth(before: int) -> None:
+    z = np.array([[5.0, 1.0], [2.02, 0.12], [1.01, -3.1], [7.0, 1.0]])  # of one line, of two that repeat, of one
+    scans: Any = table(
+        first=[0, 1, 3, 4], rows=Scan(z, np.tile(LIKE, (4, 1, 1)), np.tile([-1.0, 1.0], (4, 1))).rows(),
+        verdict=[9] * 4, landmark=[9] * 4,
+    )  # fmt: skip
+    known = np.array([[1.0, 3.1, -1.0, 1.0], [2.0, 0.1, -1.0, 1.0]])
+    rest: Any = table(
+        lines=known, sums=np.zeros((2, 2)), counts=np.zeros(2, np.intp), scans=before, known=2, near=SAME_D2,
+        share=SAME_LENGTH, best=[7, 7], least=[0.0, 0.0], same=[0, 0], repeated=6, taken=0,
+    )  # fmt: skip
+    taken = before >= 2 and before + 1 not in {1, 2, 4, 8}  # of fewer there are no sums yet
+    assert rests.only_repeats(scans, 1, rest) == taken
+    assert (rest.scans, rest.taken) == ((before + 1, 1) if taken else (before, 0))
+    assert scans.verdict == ([9, 6, 6, 9] if taken else [9] * 4)
+    assert scans.landmark == ([9, -1, -1, 9] if taken else [9] * 4)
+    assert rest.counts.tolist() == [int(taken)] * 2
+    off = [[0.01, 2.0 * np.pi - 6.2], [0.02, 0.02]]
+    np.testing.assert_allclose(rest.sums, off if taken else np.zeros((2, 2)), atol=1e-9)
+
+
+@pytest.mark.parametrize("strange", [0, 1])
+def test_a_scan_with_one_line_that_repeats_none_is_left_alone(strange: int) -> None:
+    z = np.array([[2.02, 0.12], [1.01, -3.1]])
+    z[strange, 0] += 3.0
+    scans: Any = table(
+        first=[0, 2], rows=Scan(z, np.tile(LIKE, (2, 1, 1)), np.tile([-1.0, 1.0], (2, 1))).rows(),
+        verdict=[9, 9], landmark=[9, 9],
+    )  # fmt: skip
+    known = np.array([[1.0, 3.1, -1.0, 1.0], [2.0, 0.1, -1.0, 1.0]])
+    rest: Any = table(
+        lines=known, sums=np.zeros((2, 2)), counts=[0, 0], scans=5, known=2,
+        near=SAME_D2, share=SAME_LENGTH, best=[7, 7], least=[0.0, 0.0], same=[0, 0], repeated=6, taken=0,
+    )  # fmt: skip
+    assert not rests.only_repeats(scans, 0, rest)
+    assert (rest.scans, rest.taken, rest.counts, scans.verdict, scans.landmark) == (5, 0, [0, 0], [9, 9], [9, 9])

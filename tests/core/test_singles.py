@@ -499,7 +499,7 @@ def test_a_wall_that_is_not_square_to_the_cone_is_as_far_as_its_nearest_point_wi
         assert found > 1e6
 
 
-@pytest.mark.parametrize(("distance", "sigma"), [(2.0, 0.03), (0.5, 0.1), (1e-3, 0.1)])
+@pytest.mark.parametrize(("distance", "sigma"), [(2.0, 0.03), (0.5, 0.1), (0.12, 0.1), (0.08, 0.1), (1e-3, 0.1)])
 def test_an_echo_is_refused_from_where_clutter_is_as_likely(distance: float, sigma: float) -> None:
     def of_the_wall(d2: float) -> float:
         return 0.75 * math.exp(-0.5 * d2) / (math.sqrt(2.0 * math.pi) * sigma)
@@ -509,6 +509,29 @@ def test_an_echo_is_refused_from_where_clutter_is_as_likely(distance: float, sig
         assert d2 == 0.0
     else:
         assert of_the_wall(d2) == pytest.approx(clutter)
+
+
+def two_walls(beta: float, nearer: float) -> Any:
+    """A wall three metres ahead, and the end of another of direction `beta` that much `nearer` on the same ray."""
+    return table(
+        places=2, states=False, fixed=[*[0.0] * 14, beta, *[0.0] * 11], width=13, low=[-1.0, -1.0],
+        high=[1.0, 0.0], anchors=np.array([[3.0, 0.0], [3.0 - nearer, 0.0]]),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("sigmas", "answers"), [(3.1, False), (2.9, True), (0.0, True), (-2.0, True)])
+def test_what_stands_three_sigmas_nearer_answers_first(sigmas: float, answers: bool) -> None:
+    out, sigma = np.zeros(echoes.ECHO), 0.1
+    w = two_walls(0.6, sigmas * sigma)
+    found = echoes.answering([], w, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.2, 0.0, sigma, out)
+    assert found == (0 if answers else -1)
+
+
+@pytest.mark.parametrize("beta", [math.nan, math.inf, -math.inf])
+def test_a_wall_without_a_direction_neither_answers_nor_hides_another(beta: float) -> None:
+    out = np.zeros(echoes.ECHO)
+    w = two_walls(beta, 1.0)
+    assert echoes.answering([], w, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.2, 0.0, 0.1, out) == 0
 
 
 @pytest.mark.parametrize(("aside", "answers"), [(1.04, True), (1.06, False), (-2.04, True), (-2.06, False)])

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
 import small_scene
 from colour_vision import VISION, contrast, linear_rgb, oklab, page
+from msgspec.structs import replace
 
 from locfuse.formats.figures import palette
 from locfuse.formats.figures.credit import credit

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import hypothesis
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 from all_ways import advanced, assert_all_ways_agree, assert_same, assert_same_bits, instant_by_instant
 from hypothesis import strategies as st
+from msgspec.structs import replace
 from worlds import World
 
 from locfuse.fusion.coast.stretches import Stretches

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import hypothesis
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 from all_ways import advanced, assert_all_ways_agree, assert_same_bits
 from hypothesis import strategies as st
+from msgspec.structs import replace
 from worlds import World, cast
 
 from locfuse.fusion.core.room import Room

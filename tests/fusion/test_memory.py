@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tracemalloc
 from collections.abc import Callable
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -38,8 +37,8 @@ def peak(work: Callable[[], Any]) -> int:
 
 
 def size(table: Any) -> int:
-    """Bytes of the arrays of a dataclass."""
-    columns = [getattr(table, field.name) for field in fields(table)]
+    """Bytes of the arrays of a table."""
+    columns = [getattr(table, name) for name in table.__struct_fields__]
     columns += [one for column in columns if isinstance(column, dict) for one in column.values()]
     return sum(column.nbytes for column in columns if isinstance(column, np.ndarray))
 

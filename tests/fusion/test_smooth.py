@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
 import pytest
 import small_drive
 from lock_step import simulated
+from msgspec.structs import replace
 from scipy.optimize import least_squares
 from textbook import TextbookEkf, move, numeric_jacobian, wrap
 from worlds import World

@@ -1,9 +1,9 @@
 """Sensors beside the laser in the graph: a GPS and a compass hold a drive that closes no loop."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
+from msgspec.structs import replace
 from ring_drive import ring_drive, robot
 
 from locfuse.fusion import se2

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -27,7 +26,7 @@ def instant_by_instant(drive: Drive, robot: Robot, sensors: Sequence[str]) -> Es
 def by_row(audit: Audit) -> Audit:
     """Return the record in the order of rows: of the candidates of a picture the loop notes the best first."""
     order = np.lexsort((audit.row, audit.instant))
-    columns = {f.name: getattr(audit, f.name)[order] for f in fields(Audit) if f.name != "joint"}
+    columns = {name: getattr(audit, name)[order] for name in Audit.__struct_fields__ if name != "joint"}
     return Audit(**columns, joint=audit.joint)
 
 

@@ -7,9 +7,9 @@ azimuth and an elevation, and the ray is held against the pole in three dimensio
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cache
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,8 +20,7 @@ MIRROR_A, MIRROR_B, FOCAL = 28.095, 23.4125, 320.0  # mm, mm, px
 RED = (40, 35, 205)  # blue, green, red
 
 
-@dataclass(frozen=True)
-class Lens:
+class Lens(msgspec.Struct, frozen=True):
     """A picture's geometry; azimuth is counter-clockwise from forward, seen from above."""
 
     width: int = 640
@@ -35,8 +34,7 @@ class Lens:
     fine: int = 2  # rays per pixel and axis; 1: jagged edges
 
 
-@dataclass(frozen=True)
-class Pole:
+class Pole(msgspec.Struct, frozen=True):
     """A vertical cylinder; heights over the mirror's focus."""
 
     bearing_deg: float

@@ -7,10 +7,10 @@ whole drive in milliseconds and every noise is what its setting says.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2

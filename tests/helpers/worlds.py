@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from typing import Any
 
+import msgspec
 import numpy as np
+from msgspec import field
 from numpy.typing import NDArray
 
 from locfuse.fusion.data import ArrayStream, Ragged
@@ -33,8 +34,7 @@ def cast(origin: Array, angles: Array, walls: Array) -> Array:
     return nearest
 
 
-@dataclass
-class World:
+class World(msgspec.Struct):
     """A drive with constant wheel speeds from `start`, 50 Hz wheels, 10 Hz scans, 20 Hz compass, 25 Hz truth."""
 
     seconds: float = 20.0

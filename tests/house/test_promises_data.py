@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ import pytest
 from bags import T0, Said, cdr, header, write
 from commands import Done, locfuse
 from mcap.reader import make_reader
+from msgspec.structs import replace
 from numpy.typing import NDArray
 from wheel_bags import GEOMETRY, angles, joint_states, log_of, pose_of
 from worlds import World

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from functools import cache
 from itertools import permutations
 
 import numpy as np
 import pytest
 import small_drive
+from msgspec.structs import replace
 from numpy.typing import NDArray
 from scipy import stats
 

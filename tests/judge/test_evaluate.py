@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import asdict, replace
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
@@ -76,7 +76,7 @@ def test_the_noise_of_the_truths_heading_counts() -> None:
 def test_a_claim_that_is_wrong_by_a_factor_scores_its_square(wrong: float) -> None:
     estimates, drive = judged((0.2, 0.3), 0.0)
     assert estimates.truth_P is not None
-    found = evaluate(Estimates(**{**vars(estimates), "truth_P": estimates.truth_P * wrong**2}), drive)
+    found = evaluate(Estimates(**{**asdict(estimates), "truth_P": estimates.truth_P * wrong**2}), drive)
     assert found.figures["anees"] == pytest.approx(1.0 / wrong**2, rel=0.05)
 
 

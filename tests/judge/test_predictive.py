@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import small_drive
+from msgspec.structs import replace
 from scipy import stats
 
 from locfuse.fusion.data import Audit, Drive, Estimates

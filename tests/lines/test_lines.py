@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from rooms import ARENA, box, pole, poses, ranges, scan, wall_lines
 
 from locfuse.fusion import se2
@@ -58,7 +58,7 @@ def nearest(truth: Array, z: Array) -> int:
 
 
 def same_bytes(a: Lines, b: Lines) -> bool:
-    return all(getattr(a, f.name).tobytes() == getattr(b, f.name).tobytes() for f in fields(Lines))
+    return all(getattr(a, name).tobytes() == getattr(b, name).tobytes() for name in Lines.__struct_fields__)
 
 
 # --- what is found

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 import small_drive
 from commands import locfuse
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.formats.robot import line_map

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -25,7 +24,6 @@ Array = NDArray[np.float64]
 AT = 12.0  # s
 
 
-@dataclass
 class Carried(World):
     """At AT the robot is somewhere else, at once: its wheels felt nothing."""
 
@@ -175,7 +173,6 @@ def test_a_real_robot_that_nobody_carries_is_not_lost_where_little_is_seen(log: 
 def test_a_slip_of_a_wheel_is_found_and_turned_back() -> None:
     """The wheels say a turn of 12 degrees that never was; the lines say where the robot looks."""
 
-    @dataclass
     class Slipped(World):
         def pose(self, t: Array, x0: tuple[float, float, float] | None = None) -> Array:
             out = super().pose(t, x0)

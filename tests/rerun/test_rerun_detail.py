@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from recordings import read, read_blueprint
 from small_drive import drive as small_drive
 from small_drive import robot as small_robot

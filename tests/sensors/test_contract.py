@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from copy import deepcopy
-from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
@@ -13,6 +12,7 @@ import msgspec
 import numpy as np
 import pytest
 import six_sensors
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.cli.pipeline.load import make_robot

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from lock_step import simulated
+from msgspec.structs import replace
 from textbook import numeric_jacobian, wrap
 from worlds import ROOM, World
 

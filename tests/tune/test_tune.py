@@ -8,7 +8,6 @@ import re
 import shlex
 import tomllib
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ import pytest
 import small_drive
 from bags import real_log
 from commands import locfuse
+from msgspec.structs import replace
 from scipy.stats import norm
 from trap_logs import Drive as LogDrive
 from traps_sensors import elsewhere

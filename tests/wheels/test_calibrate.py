@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from commands import locfuse
+from msgspec.structs import replace
 from numpy.typing import NDArray
 from scipy.stats import chi2
 

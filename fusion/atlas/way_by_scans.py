@@ -17,18 +17,16 @@ from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Array, Ints, Measurements, Points
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.mount import Mount
+from locfuse.fusion.scan_matching.clouds import clouds_of
 from locfuse.fusion.scan_matching.key_scans import key_scans
-from locfuse.fusion.scan_matching.neighbours import SLIP_SHARE, by_wheels
+from locfuse.fusion.scan_matching.match import Matches, Targets, sources_of
+from locfuse.fusion.scan_matching.neighbours import by_wheels, good, next_scans
 from locfuse.fusion.sensor import Equation, Innovation
 
 from .anchors import Anchors, Edge
 
 MOST_KEYS = 100  # along a way: a map in which the robot stayed longer holds together better than its chain
-LEAST_KEYS = 4
-BESIDE_M, BESIDE_RAD = (
-    0.03,
-    np.radians(0.7),
-)  # sigmas of the wheels in a metre, where they do not slip
+ENDS = 2  # keys that either end is matched with
 GATE = chi_square(0.999, 3)
 WIDTHS = (40.0, 4.0)  # sigmas beyond which a match loses its weight, round by round
 # rad per metre, 1 sigma: the heading of matched scans drifts with the way, since a laser looks a little down, or
@@ -66,7 +64,6 @@ class Matched(NamedTuple):
     """n + 1 scans along a way, the first and the last where a map began and ends, and p matches among them."""
 
     steps: Array  # (n, 3) from scan to scan, by the match or else by the wheels
-    loose: Array  # (n, 3, 3) their covariances by the wheels
     i: Ints  # (p,) the earlier scan of a match
     j: Ints  # (p,)
     pose: Array  # (p, 3) scan j seen from scan i
@@ -76,30 +73,41 @@ class Matched(NamedTuple):
 def way_between(m: Measurements, points: Points, begin: int, end: int) -> Matched | None:
     """Return the way from one reading to another: both, and the key scans between them.
 
-    None where there are few keys, or very many. From the two ends to the keys beside them the wheels lead.
+    None where there are few keys, or very many. The two ends are matched with the keys next to them.
     """
     keys = key_scans(m)
-    first, last = np.searchsorted(keys.readings, (begin, end), side="left").tolist()
-    last += int(last < len(keys.readings) and keys.readings[last] == end)
-    if not LEAST_KEYS <= last - first <= MOST_KEYS:
+    first, last = np.searchsorted(keys.readings, (begin + 1, end)).tolist()
+    if not 2 * ENDS <= last - first <= MOST_KEYS:
         return None
     readings = np.concatenate(([begin], keys.readings[first:last], [end]))
     u = points.moved(m.t[readings[:-1]], m.t[readings[1:]])
     steps = np.concatenate((u[:1], keys.steps[first : last - 1], u[-1:]))
-    loose = np.asarray(np.linalg.inv(by_wheels(steps)), np.float64)
-    loose[[0, -1]] = _beside(u[[0, -1]])
-    at = keys.among(first, last - 1)
-    i, j = keys.i[at] - first + 1, keys.j[at] - first + 1
-    return Matched(steps, loose, i, j, keys.pose[at], keys.information[at])
+    i, j, ends = _ends(m, readings, steps)
+    among = keys.among(first, last - 1)
+    return Matched(
+        steps,
+        np.concatenate((keys.i[among] - first + 1, i)),
+        np.concatenate((keys.j[among] - first + 1, j)),
+        np.concatenate((keys.pose[among], ends.pose)),
+        np.concatenate((keys.information[among], ends.information)),
+    )
 
 
-def _beside(moved: Array) -> Array:
-    """Return the covariances (n, 3, 3) of ways (n, 3) by the wheels to the key beside a scan."""
-    C = np.zeros((len(moved), 3, 3))
-    way = np.hypot(moved[:, 0], moved[:, 1])
-    C[:, 0, 0] = C[:, 1, 1] = BESIDE_M**2 * way
-    C[:, 2, 2] = BESIDE_RAD**2 * way + (SLIP_SHARE * moved[:, 2]) ** 2
-    return C
+def _ends(m: Measurements, readings: Ints, steps: Array) -> tuple[Ints, Ints, Matches]:
+    """Match the first and the last of n + 1 readings with those next to them: which with which, and the matches.
+
+    `steps` (n, 3) lead from each to the next.
+    """
+    n, beside = len(steps), np.arange(1, ENDS + 1)
+    i = np.concatenate((np.zeros(ENDS, np.int64), n - beside))
+    j = np.concatenate((beside, np.full(ENDS, n)))
+    x = se2.chain(steps)
+    guess = se2.between(x[i], x[j])
+    some, at = np.unique(np.concatenate((i, j)), return_inverse=True)
+    clouds = clouds_of(m, readings[some])
+    found = next_scans(Targets(clouds), at[: len(i)], sources_of(clouds), at[len(i) :], guess, by_wheels(guess))
+    sure = good(found)
+    return i[sure], j[sure], found.take(sure)
 
 
 def told(way: Matched) -> tuple[Array, Array]:
@@ -107,19 +115,19 @@ def told(way: Matched) -> tuple[Array, Array]:
 
     Matches that contradict the others count less and less (WIDTHS, a Geman-McClure kernel).
     """
-    steps, loose, i, j, pose, information = way
-    graph = _solved(steps, loose, i, j, pose, information)
+    steps, i, j, pose, information = way
+    graph = _solved(steps, i, j, pose, information)
     for width in WIDTHS:
         weights = _weights(graph.errors()[1 + len(steps) :], information, width)
-        graph = _solved(steps, loose, i, j, pose, weights[:, None, None] * information)
+        graph = _solved(steps, i, j, pose, weights[:, None, None] * information)
     z, R = graph.relative(0, len(steps))
     bend = _bent(graph.pose) - z
     return z, R + np.outer(bend, bend)
 
 
-def _solved(steps: Array, loose: Array, i: Ints, j: Ints, pose: Array, information: Array) -> Anchors:
-    """Return the scans as anchors, held by steps (n, 3) loosely and by matches (p, 3) of scans j seen from i."""
-    graph = Anchors()
+def _solved(steps: Array, i: Ints, j: Ints, pose: Array, information: Array) -> Anchors:
+    """Return the keys as anchors, held by steps (n, 3) loosely and by matches (p, 3) of keys j seen from i."""
+    graph, loose = Anchors(), np.linalg.inv(by_wheels(steps))
     graph.first(np.zeros(3), np.zeros((3, 3)))
     for n, step in enumerate(steps):
         graph.next(n, step, loose[n])

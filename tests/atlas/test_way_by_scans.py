@@ -30,9 +30,7 @@ def keys_along(way: Array, rng: np.random.Generator) -> Matched:
     j = np.concatenate((np.arange(1, n), np.arange(2, n)))
     noise = rng.normal(size=(len(i), 3)) @ np.linalg.cholesky(np.linalg.inv(MATCHED)).T
     pose = se2.between(way[i], way[j]) + noise
-    steps = pose[: n - 1]
-    loose = np.asarray(np.linalg.inv(by_wheels(steps)), np.float64)
-    return Matched(steps, loose, i, j, pose, np.broadcast_to(MATCHED, (len(i), 3, 3)))
+    return Matched(pose[: n - 1], i, j, pose, np.broadcast_to(MATCHED, (len(i), 3, 3)))
 
 
 def arc(n: int) -> Array:
@@ -207,7 +205,7 @@ def test_a_way_of_too_many_keys_is_left_as_it_is(monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.parametrize(("begin", "end"), [(0, 80), (3, 77), (7, 83)])
 def test_a_way_between_any_two_scans_is_told(begin: int, end: int) -> None:
-    """Its ends are no key scans: the wheels lead to those beside them, and no scan is read again."""
+    """Its ends are no key scans: they are matched with those beside them."""
     way = tour()
     points = InRoom(way, way)
     m = measured(points)

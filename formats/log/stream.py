@@ -95,7 +95,7 @@ class LogStream(clocks.Dated):
         """Yield (row numbers (k,), columns), k at most `rows`, in file order; every row exactly once."""
         row_of = self._row_of_walk()
         waiting: list[Block] = []
-        room, at = rows, 0
+        room, size, at = rows, 0, 0
         for raw in self._log.raw(self.topic, fields):
             while len(raw.messages.start):
                 some, raw = raw.split(min(room, _at_once(raw.messages.length)))  # noqa: PLW2901
@@ -106,9 +106,10 @@ class LogStream(clocks.Dated):
                     raise LocfuseError(f"{self.topic}: {CHANGED}")
                 waiting.append(_rows(here, decoded.columns))
                 room -= len(waiting[-1][0])
-                if room <= 0 or _bytes(waiting) >= BLOCK_BYTES:
+                size += _bytes(waiting[-1])
+                if room <= 0 or size >= BLOCK_BYTES:
                     yield _joined(waiting)
-                    waiting, room = [], rows
+                    waiting, room, size = [], rows, 0
         if room < rows:
             yield _joined(waiting)
 
@@ -143,8 +144,8 @@ def _at_once(length: Ints) -> int:
     return max(int(np.searchsorted(np.cumsum(length), BLOCK_BYTES, "right")), 1)
 
 
-def _bytes(blocks: list[Block]) -> int:
-    return sum(n_bytes(column) for _, columns in blocks for column in columns.values())
+def _bytes(block: Block) -> int:
+    return sum(n_bytes(column) for column in block[1].values())
 
 
 def _joined(blocks: list[Block]) -> Block:

@@ -105,15 +105,15 @@ class Anchors:
 
     def errors(self) -> Array:
         """Return by how much the poses contradict each edge, (edges, 3)."""
-        _, seen_from, to = self._ends()
+        return self._contradictions()[3]
+
+    def _contradictions(self) -> tuple[Ints, Array, Ints, Array]:
+        """Return of all edges the anchor they start from, its pose, the anchor they lead to, and the error."""
+        of, to = np.array([(edge.of, edge.to) for edge in self.edges]).T
+        seen_from = np.where((of == NOWHERE)[:, None], 0.0, self.pose[of])
         e: Array = se2.between(seen_from, self.pose[to]) - np.array([edge.z for edge in self.edges])
         e[:, 2] = se2.wrap_all(e[:, 2])
-        return e
-
-    def _ends(self) -> tuple[Ints, Array, Ints]:
-        """Return of all edges the anchor they start from, its pose (edges, 3), and the anchor they lead to."""
-        of, to = np.array([(edge.of, edge.to) for edge in self.edges]).T
-        return of, np.where((of == NOWHERE)[:, None], 0.0, self.pose[of]), to
+        return of, seen_from, to, e
 
     def solve(self) -> None:
         """Move the anchors to where the edges are contradicted least."""
@@ -129,7 +129,7 @@ class Anchors:
         """Return the normal equations A dx = b, (3n, 3n) and (3n,)."""
         n = 3 * len(self.pose)
         A, b = np.zeros((n, n)), np.zeros(n)
-        of, seen_from, to = self._ends()
+        of, seen_from, to, e = self._contradictions()
         L = np.array([edge.information for edge in self.edges])
         J_of, J_to = se2.between_jacobians(seen_from, self.pose[to])
         J_of[of == NOWHERE] = 0.0  # so that its rows and columns, those of the last anchor, add nothing
@@ -137,7 +137,7 @@ class Anchors:
         rows = at.reshape(len(at), 6) % n
         JL = np.concatenate((J_of, J_to), axis=2).transpose(0, 2, 1) @ L
         np.add.at(A, (rows[:, :, None], rows[:, None, :]), JL @ np.concatenate((J_of, J_to), axis=2))
-        np.add.at(b, rows, -np.einsum("nij,nj->ni", JL, self.errors()))
+        np.add.at(b, rows, -np.einsum("nij,nj->ni", JL, e))
         return A, b
 
 

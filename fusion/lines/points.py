@@ -58,4 +58,6 @@ class ScanPoints(msgspec.Struct, frozen=True, eq=False, weakref=True):
                 found.update(
                     (row, p[np.isfinite(p[:, 0])]) for row, p in zip(chosen.tolist(), points, strict=True)
                 )
+            if len(found) == len(wanted):
+                break
         return [found.get(row, np.zeros((0, 2))) for row in rows.tolist()]

@@ -10,7 +10,6 @@ from weakref import WeakKeyDictionary
 
 import msgspec
 import numpy as np
-from msgspec.structs import astuple
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
@@ -18,14 +17,13 @@ from locfuse.fusion.data import Array, Ints, Measurements, Points
 
 from .clouds import Clouds, clouds_of
 from .match import Matches, Targets, match, sources_of
-from .neighbours import REACH_M, SLIP_INLIERS, by_wheels, further_scans, good
+from .neighbours import BY_STEPS, REACH_M, SLIP_INLIERS, by_wheels, further_scans, good
 from .scan_by_scan import scan_by_scan
 
 STRIDE_M, TURN_RAD = 0.5, np.radians(30.0)  # between two keys
 FURTHER_STEPS = (2, 4)  # keys further on that a key is matched with, beside the next one
 MAX_APART_M = 6.0
 MAX_TURN_RAD = np.radians(10.0)  # to and fro from key to key: beyond, all scans between them are matched
-BY_SCANS = np.diag([0.05**-2, 0.05**-2, np.radians(1.0) ** -2])  # information of a way by them
 
 _matched: WeakKeyDictionary[Points, KeyScans] = WeakKeyDictionary()
 
@@ -96,10 +94,9 @@ def _next(
     if len(doubtful):
         k = i[doubtful]
         steps[k] = scan_by_scan(m, points, readings[k], readings[k + 1])
-        prior = np.broadcast_to(BY_SCANS, (len(k), 3, 3))
+        prior = np.broadcast_to(np.linalg.inv(BY_STEPS), (len(k), 3, 3))
         again = match(targets, k, sources, k + 1, steps[k], prior, REACH_M)
-        for column, other in zip(astuple(matches), astuple(again), strict=True):
-            column[doubtful] = other
+        matches.put(doubtful, again)
     sure = good(matches)
     steps[i[sure]] = matches.pose[sure]
     return i[sure], matches.take(sure), steps

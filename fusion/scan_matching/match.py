@@ -14,6 +14,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from msgspec.structs import astuple
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
@@ -47,6 +48,11 @@ class Matches(msgspec.Struct, frozen=True):
         return Matches(
             *(column[at] for column in (self.pose, self.information, self.inliers, self.overlap, self.rms))
         )
+
+    def put(self, at: Ints, others: Matches) -> None:
+        """Let the pairs at these positions be others."""
+        for column, other in zip(astuple(self), astuple(others), strict=True):
+            column[at] = other
 
     @classmethod
     def joined(cls, parts: list[Matches]) -> Matches:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from msgspec.structs import astuple
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
@@ -39,8 +38,7 @@ def next_scans(targets: Targets, i: Ints, clouds: Clouds, j: Ints, wheels: Array
     best = score.argmax(axis=1)
     take = score.max(axis=1) > found.inliers[bad] + SLIP_GAIN
     chosen = np.arange(len(bad)) * len(SLIPS_RAD) + best
-    for column, other in zip(astuple(found), astuple(slips), strict=True):
-        column[bad[take]] = other[chosen[take]]
+    found.put(bad[take], slips.take(chosen[take]))
     return found
 
 

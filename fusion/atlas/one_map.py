@@ -17,7 +17,7 @@ from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.linemap.association import Association, Codes, SeenLines, associate, new_lines
 from locfuse.fusion.linemap.laser_mount import seated, seated_shares
 from locfuse.fusion.linemap.line_map import LineMap, about_middle
-from locfuse.fusion.linemap.scan import Passed, Scan, Scans
+from locfuse.fusion.linemap.scan import Passed, Scan, Scans, Where
 from locfuse.fusion.linemap.standing import Standing
 from locfuse.fusion.linemap.tidy import MIN_HITS, TIDY_EVERY, merge_doubles, prune
 from locfuse.fusion.lines.flatness import bend
@@ -204,13 +204,11 @@ class LineTracker(Model):
         """Return the way through the map for `core.scans.Way`: here none is followed."""
         return {}
 
-    def passed(
-        self, progress: Any, way: Any, poses: tuple[Array, Array], last: Sequence[Passed], well: int | None
-    ) -> None:
+    def passed(self, progress: Any, way: Any, where: Where, last: Sequence[Passed], well: int | None) -> None:
         """Take in what the core did without asking (core.tables.Progress, Way).
 
-        `poses` (n, 3) are those before and after each scan that it took, `last` the last of these, `well` is which
-        one last fitted well.
+        `where` tells of each scan that it took, `last` are the last of these, `well` is which one last fitted
+        well.
         """
         self._scan = progress.number
         self._standing.moved((progress.x, progress.y, progress.theta))
@@ -222,7 +220,7 @@ class LineTracker(Model):
         self._standing.begin(self._raw)
         if self.guard is not None:
             seen = [(float(m.t[one.i]), partial(self._seen_before, one)) for one in last]
-            self.guard.passed(poses, seen, None if well is None else (float(m.t[well]), self.map.next_id))
+            self.guard.passed(where, seen, None if well is None else (float(m.t[well]), self.map.next_id))
 
     def rest(self, lines: int) -> Any:
         """Return the scans of a robot at rest for the core, which takes those of up to so many lines."""

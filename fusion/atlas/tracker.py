@@ -19,7 +19,7 @@ from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Ints, MapLine, Measurements, SeenAgain
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import by_frame
-from locfuse.fusion.linemap.scan import Passed
+from locfuse.fusion.linemap.scan import Passed, Where
 from locfuse.fusion.linemap.tidy import MIN_HITS
 from locfuse.fusion.mount import Mount
 
@@ -77,6 +77,8 @@ class AtlasTracker(LineTracker):
             return
         if begins and len(self.map):
             self._enter(np.array(belief.pose()), belief)
+        elif self._along is not None:
+            self._along.went(np.array([i]), np.array([belief.pose()]))
         self._go_on(m, i, belief)
 
     def finish(self, m: Measurements, i: int, fate: Ints, room: Room, belief: JointBelief) -> None:
@@ -97,13 +99,13 @@ class AtlasTracker(LineTracker):
         here = {"ask_at": ask_at, "origin_x": x, "origin_y": y, "reach": REACH, "most": MANY}
         return {"follows": True, **here, **ahead}
 
-    def passed(
-        self, progress: Any, way: Any, poses: tuple[Array, Array], last: Sequence[Passed], well: int | None
-    ) -> None:
+    def passed(self, progress: Any, way: Any, where: Where, last: Sequence[Passed], well: int | None) -> None:
         """Take in what the core did without asking, and how far the way went on."""
-        super().passed(progress, way, poses, last, well)
+        super().passed(progress, way, where, last, well)
         if last and way.ask_at >= 0.0 and self.mode == "grow":
             self._way.went(way.length, way.x, way.y)
+        if self._along is not None:
+            self._along.went(where.readings, where.after)
 
     def _go_on(self, m: Measurements, i: int, belief: JointBelief) -> None:
         """Follow the way, look for the map at hand in earlier ones, and tell whether it is full."""
@@ -156,8 +158,8 @@ class AtlasTracker(LineTracker):
         self._frozen.append(FrozenMap(self._at, lines, self._way, box, self._origin, joint))
         if bridges:
             belief.loosen(np.arange(3), LESS_SURE * np.diagonal(belief.matrix()) + LEAST)
-            if self._now is not None and self._along is not None:
-                self._along.end(self._now[1], self._origin, self.mount, belief)
+            if self._along is not None:
+                self._along.end(self.mount, belief)
             if self.guard is not None:
                 self.guard.turn_page()
         self._left = np.array(belief.pose()), belief.matrix()
@@ -229,7 +231,9 @@ class AtlasTracker(LineTracker):
             if frame is not None:
                 self._anchors.pose[-1] = frame
         self._way, self._origin, self._asked_at, self._looks = Way(), pose, 0.0, Looks()
-        self._along = None if self._now is None else WayByScans(*self._now)
+        if self._now is not None:
+            m, i = self._now
+            self._along = WayByScans(m, i, pose)
         self._ask_known_at = {}
 
     def _take_in_absolutes(self, belief: JointBelief) -> None:

@@ -14,19 +14,20 @@ import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import Array, Ints, Measurements, Points
+from locfuse.fusion.data import Array, Ints, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.mount import Mount
-from locfuse.fusion.scan_matching.clouds import clouds_of
-from locfuse.fusion.scan_matching.key_scans import key_scans
-from locfuse.fusion.scan_matching.match import Matches, Targets, sources_of
-from locfuse.fusion.scan_matching.neighbours import by_wheels, good, next_scans
+from locfuse.fusion.scan_matching.key_scans import KeyScans, key_scans
+from locfuse.fusion.scan_matching.neighbours import by_wheels
 from locfuse.fusion.sensor import Equation, Innovation
 
 from .anchors import Anchors, Edge
 
-MOST_KEYS = 100  # along a way: a map in which the robot stayed longer holds together better than its chain
-ENDS = 2  # keys that either end is matched with
+# along a way: with fewer it says little, and a map in which the robot stayed longer holds together better than it
+FEWEST_KEYS, MOST_KEYS = 4, 100
+BY_FILTER = np.square(
+    np.diag((0.02, 0.02, np.radians(0.3)))
+)  # of the filter's way to the next key scan, variances
 GATE = chi_square(0.999, 3)
 WIDTHS = (40.0, 4.0)  # sigmas beyond which a match loses its weight, round by round
 # rad per metre, 1 sigma: the heading of matched scans drifts with the way, since a laser looks a little down, or
@@ -36,82 +37,62 @@ SMALL = 1e-6  # m, rad: step of a numerical derivative
 
 
 class WayByScans:
-    """The way through one map, from the reading with which it began."""
+    """The way through one map, and where in it the filter had the robot at the readings since it began."""
 
-    def __init__(self, m: Measurements, reading: int) -> None:
-        self._m, self._began = m, reading
+    def __init__(self, m: Measurements, reading: int, pose: Array) -> None:
+        self._m, self._readings, self._poses = m, [np.array([reading])], [pose[None]]
 
-    def end(self, reading: int, origin: Array, mount: Mount | None, belief: JointBelief) -> None:
-        """Correct the belief by the matches between the map's first reading and this one.
+    def went(self, readings: Ints, poses: Array) -> None:
+        """Take in where the robot was, (n, 3) in the map, at the next n readings."""
+        self._readings.append(readings)
+        self._poses.append(poses)
 
-        `origin` (3,) is the pose in the map with which it began.
+    def end(self, mount: Mount | None, belief: JointBelief) -> None:
+        """Correct the belief by the matches between the first and the last key scan in the map.
+
+        What lies before the one and behind the other, half a metre at most, the filter knows well.
         """
-        points = self._m.points
-        way = None if points is None else way_between(self._m, points, self._began, reading)
-        if way is None:
+        if self._m.points is None:
             return
-        z, R = told(way)
-        equation = compared(z, R, origin, mount, belief)
-        S = equation.H @ belief.covariance[np.ix_(equation.columns, equation.columns)] @ equation.H.T + R
+        keys, readings = key_scans(self._m), np.concatenate(self._readings)
+        on_key = np.flatnonzero(np.isin(readings, keys.readings))
+        if not len(on_key):
+            return
+        begin, end = np.concatenate(self._poses)[on_key[[0, -1]]]
+        first, last = np.searchsorted(keys.readings, readings[on_key[[0, -1]]]).tolist()
+        if not FEWEST_KEYS <= last - first < MOST_KEYS:
+            return
+        z, R = told(way_between(keys, first, last))
+        equation = compared(
+            z, R + 2.0 * BY_FILTER, begin, se2.between(np.array(belief.pose()), end), mount, belief
+        )
+        S = equation.H @ belief.covariance[np.ix_(equation.columns, equation.columns)] @ equation.H.T + equation.R
         worse = float(equation.y @ np.linalg.solve(S, equation.y)) / 3.0
         if worse > GATE / 3.0:  # both claim too little: the variance factor, as in Anchors.loosen
             belief.loosen(np.arange(3), (worse - 1.0) * np.diagonal(belief.matrix()))
-            equation = equation._replace(R=worse * R)
+            equation = equation._replace(R=worse * equation.R)
         belief.correct([_innovation(equation)])
 
 
 class Matched(NamedTuple):
-    """n + 1 scans along a way, the first and the last where a map began and ends, and p matches among them."""
+    """n + 1 key scans along a way, and p matches among them."""
 
-    steps: Array  # (n, 3) from scan to scan, by the match or else by the wheels
-    i: Ints  # (p,) the earlier scan of a match
+    steps: Array  # (n, 3) from key to key, by the match or else by the wheels
+    i: Ints  # (p,) the earlier key of a match
     j: Ints  # (p,)
-    pose: Array  # (p, 3) scan j seen from scan i
-    information: Array  # (p, 3, 3) in the frame of scan i
+    pose: Array  # (p, 3) key j seen from key i
+    information: Array  # (p, 3, 3) in the frame of key i
 
 
-def way_between(m: Measurements, points: Points, begin: int, end: int) -> Matched | None:
-    """Return the way from one reading to another: both, and the key scans between them.
-
-    None where there are few keys, or very many. The two ends are matched with the keys next to them.
-    """
-    keys = key_scans(m)
-    first, last = np.searchsorted(keys.readings, (begin + 1, end)).tolist()
-    if not 2 * ENDS <= last - first <= MOST_KEYS:
-        return None
-    readings = np.concatenate(([begin], keys.readings[first:last], [end]))
-    u = points.moved(m.t[readings[:-1]], m.t[readings[1:]])
-    steps = np.concatenate((u[:1], keys.steps[first : last - 1], u[-1:]))
-    i, j, ends = _ends(m, readings, steps)
-    among = keys.among(first, last - 1)
-    return Matched(
-        steps,
-        np.concatenate((keys.i[among] - first + 1, i)),
-        np.concatenate((keys.j[among] - first + 1, j)),
-        np.concatenate((keys.pose[among], ends.pose)),
-        np.concatenate((keys.information[among], ends.information)),
-    )
-
-
-def _ends(m: Measurements, readings: Ints, steps: Array) -> tuple[Ints, Ints, Matches]:
-    """Match the first and the last of n + 1 readings with those next to them: which with which, and the matches.
-
-    `steps` (n, 3) lead from each to the next.
-    """
-    n, beside = len(steps), np.arange(1, ENDS + 1)
-    i = np.concatenate((np.zeros(ENDS, np.int64), n - beside))
-    j = np.concatenate((beside, np.full(ENDS, n)))
-    x = se2.chain(steps)
-    guess = se2.between(x[i], x[j])
-    some, at = np.unique(np.concatenate((i, j)), return_inverse=True)
-    clouds = clouds_of(m, readings[some])
-    found = next_scans(Targets(clouds), at[: len(i)], sources_of(clouds), at[len(i) :], guess, by_wheels(guess))
-    sure = good(found)
-    return i[sure], j[sure], found.take(sure)
+def way_between(keys: KeyScans, first: int, last: int) -> Matched:
+    """Return the way from key `first` to key `last`."""
+    among = keys.among(first, last)
+    i, j = keys.i[among] - first, keys.j[among] - first
+    return Matched(keys.steps[first:last], i, j, keys.pose[among], keys.information[among])
 
 
 def told(way: Matched) -> tuple[Array, Array]:
-    """Return the last scan of a way seen from the first, (3,), and its covariance (3, 3), by all matches.
+    """Return the last key of a way seen from the first, (3,), and its covariance (3, 3), by all matches.
 
     Matches that contradict the others count less and less (WIDTHS, a Geman-McClure kernel).
     """
@@ -150,10 +131,11 @@ def _bent(x: Array) -> Array:
     return np.asarray(se2.compose(x[0], se2.chain(steps)[-1]))
 
 
-def compared(z: Array, R: Array, origin: Array, mount: Mount | None, belief: JointBelief) -> Equation:
-    """Return what a way z (3,) from `origin` by the scans, with covariance R, says of the pose and the mount.
+def compared(z: Array, R: Array, begin: Array, back: Array, mount: Mount | None, belief: JointBelief) -> Equation:
+    """Return what a way z (3,) by the scans, with covariance R, says of the pose and the mount.
 
-    The scans say it of a base on which the laser sits as told, which may not be as the belief has it.
+    It led from `begin` (3,) in the map to `back` (3,), which is seen from the pose. The scans say it of a base on
+    which the laser sits as told, which may not be as the belief has it.
     """
     free, columns = ([], ()) if mount is None else (list(mount.free), mount.columns(belief))
     place, sits = np.array(belief.pose()), np.zeros(3) if mount is None else np.array(mount.now(belief))
@@ -163,7 +145,7 @@ def compared(z: Array, R: Array, origin: Array, mount: Mount | None, belief: Joi
         now = sits.copy()
         now[free] = x[3:]
         aside = se2.compose(now, se2.inverse(told))
-        return se2.between(aside, se2.compose(se2.between(origin, x[:3]), aside))
+        return se2.between(aside, se2.compose(se2.between(begin, se2.compose(x[:3], back)), aside))
 
     x = np.append(place, sits[free])
     H = np.stack([(way(x + d) - way(x - d)) / (2.0 * SMALL) for d in SMALL * np.eye(len(x))], axis=-1)

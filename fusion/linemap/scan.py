@@ -7,7 +7,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from locfuse.fusion.data import Array, Measurements
+from locfuse.fusion.data import Array, Ints, Measurements
 from locfuse.fusion.lines.extract import LINE, of_rows, rows_in_base, rows_of
 
 from .laser_mount import Seat
@@ -47,6 +47,14 @@ class Scans:
             self._rows = rows_of(m.z[at], self._R, m.extra["ends"][at])
         at, held = slice(first, last), slice(first - self._begin, last - self._begin)
         return Scan(m.z[at], self._R[held], m.extra["ends"][at], None, self._rows[held])
+
+
+class Where(NamedTuple):
+    """Where the robot was at n scans that the core took."""
+
+    readings: Ints  # (n,)
+    before: Array  # (n, 3) predicted, x, y [m], theta [rad]
+    after: Array  # (n, 3) corrected
 
 
 class Passed(NamedTuple):

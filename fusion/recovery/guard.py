@@ -22,7 +22,7 @@ from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import Pose
 from locfuse.fusion.linemap.association import Association, associate
 from locfuse.fusion.linemap.line_map import LineMap
-from locfuse.fusion.linemap.scan import Scan
+from locfuse.fusion.linemap.scan import Scan, Where
 
 from .relocalise import behind_walls, find_pose
 from .scan_history import Trail
@@ -118,15 +118,15 @@ class Guard:
 
     def passed(
         self,
-        poses: tuple[Array, Array],
+        where: Where,
         seen: Sequence[tuple[float, Callable[[], Scan]]],
         well: tuple[float, int] | None,
     ) -> None:
-        """Take in scans that the core took, each of which matched enough: the poses before and after it, (n, 3).
+        """Take in scans that the core took, each of which matched enough.
 
         `seen` are the last of them; `well` is when one last fitted well, and the number of the next line.
         """
-        before, after = poses
+        before, after = where.before, where.after
         wheels = self._rolled_by(before, after)
         last: list[Pose] = [(x, y, theta) for x, y, theta in wheels[-len(seen) :].tolist()]
         self._before.extend((t, pose, scan) for (t, scan), pose in zip(seen, last, strict=True))

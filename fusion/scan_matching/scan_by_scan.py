@@ -12,8 +12,8 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, Measurements, Points
 
 from .clouds import clouds_of
-from .match import Targets, sources_of
-from .neighbours import by_wheels, good, next_scans
+from .match import Targets, match, sources_of
+from .neighbours import by_wheels, good
 
 SCANS_AT_ONCE = 4096
 
@@ -37,5 +37,5 @@ def _next(m: Measurements, points: Points, scans: Ints) -> Array:
     readings, at = np.unique(np.concatenate((scans, scans + 1)), return_inverse=True)
     clouds = clouds_of(m, readings)
     i, j = at[: len(scans)], at[len(scans) :]
-    found = next_scans(Targets(clouds), i, sources_of(clouds), j, u, by_wheels(u))
+    found = match(Targets(clouds), i, sources_of(clouds), j, u, by_wheels(u))
     return np.where(good(found)[:, None], found.pose, u)

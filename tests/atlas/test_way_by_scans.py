@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 
 from locfuse.fusion import se2
 from locfuse.fusion.atlas import way_by_scans
-from locfuse.fusion.atlas.way_by_scans import BEND, Matched, WayByScans, compared, told, way_between
+from locfuse.fusion.atlas.way_by_scans import BEND, FEWEST_KEYS, Matched, WayByScans, compared, told
 from locfuse.fusion.data import Array, Ints, Measurements, Points
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.mount import Mount
@@ -86,7 +86,7 @@ def test_a_chain_is_compared_by_the_mount_that_the_scans_were_told(yaw_deg: floa
     origin, told_mount = np.array((1.0, -2.0, -0.3)), np.array(mount.told)
     laser = se2.between(se2.compose(origin, sits), se2.compose(np.array(belief.pose()), sits))
     z = se2.compose(se2.compose(told_mount, laser), se2.inverse(told_mount))
-    equation = compared(z, np.eye(3), origin, mount, belief)
+    equation = compared(z, np.eye(3), origin, np.zeros(3), mount, belief)
     np.testing.assert_allclose(equation.y, 0.0, atol=1e-12)
     assert equation.H.shape == (3, 6)
     turned = equation.H[:2, 5]  # by the laser's yaw the way is turned about the base
@@ -96,7 +96,7 @@ def test_a_chain_is_compared_by_the_mount_that_the_scans_were_told(yaw_deg: floa
 def test_a_mount_that_is_exact_leaves_the_derivative_of_a_way() -> None:
     belief = JointBelief((5.0, 1.0, 0.4), (0.01, 0.0, 0.0, 0.01, 0.0, 0.01), ())
     origin = np.array((1.0, -2.0, -0.3))
-    equation = compared(np.zeros(3), np.eye(3), origin, None, belief)
+    equation = compared(np.zeros(3), np.eye(3), origin, np.zeros(3), None, belief)
     np.testing.assert_allclose(equation.H, se2.between_jacobians(origin, np.array(belief.pose()))[1], atol=1e-8)
 
 
@@ -177,45 +177,58 @@ def test_keys_are_matched_within_centimetres_and_a_slip_of_the_wheels_is_found()
     assert np.degrees(np.abs(se2.wrap_all(e[:, 2]))).max() < 0.3
 
 
-def test_a_pose_that_drifted_is_put_back_and_one_that_claimed_too_much_claims_less() -> None:
-    way = tour()
-    m = measured(InRoom(way, way))
-    last = int(key_scans(m).readings[-1])
-    along = WayByScans(m, 0)
-    drifted = se2.compose(way[last], np.array((0.1, -0.05, math.radians(3.0))))
-    honest = JointBelief(tuple(drifted), (0.01, 0.0, 0.0, 0.01, 0.0, math.radians(3.0) ** 2), ())
-    along.end(last, np.zeros(3), None, honest)
-    left = se2.between(way[last], np.array(honest.pose()))
-    assert np.hypot(*left[:2]) < 0.05
-    assert abs(math.degrees(left[2])) < 1.0
-    sure = JointBelief(tuple(drifted), (1e-6, 0.0, 0.0, 1e-6, 0.0, math.radians(0.1) ** 2), ())
-    along.end(last, np.zeros(3), None, sure)
-    assert math.degrees(math.sqrt(sure.matrix()[2, 2])) > 0.2
+def followed(m: Measurements, poses: Array) -> WayByScans:
+    """Return a way through a map on which the filter had the robot at poses (n, 3)."""
+    along = WayByScans(m, 0, poses[0])
+    along.went(np.arange(1, len(poses)), poses[1:])
+    return along
 
 
-def test_a_way_of_too_many_keys_is_left_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    way = tour()
-    m = measured(InRoom(way, way))
-    last = int(key_scans(m).readings[-1])
-    belief = JointBelief((0.0, 0.0, 0.0), (0.01, 0.0, 0.0, 0.01, 0.0, 0.01), ())
-    monkeypatch.setattr(way_by_scans, "MOST_KEYS", 5)
-    WayByScans(m, 0).end(last, np.zeros(3), None, belief)
-    assert belief.pose() == (0.0, 0.0, 0.0)
+def at(pose: Array, sigma_m: float, sigma_deg: float) -> JointBelief:
+    v = sigma_m**2
+    return JointBelief(tuple(pose.tolist()), (v, 0.0, 0.0, v, 0.0, math.radians(sigma_deg) ** 2), ())
 
 
 @pytest.mark.parametrize(("begin", "end"), [(0, 80), (3, 77), (7, 83)])
-def test_a_way_between_any_two_scans_is_told(begin: int, end: int) -> None:
-    """Its ends are no key scans: they are matched with those beside them."""
+def test_a_pose_that_drifted_is_put_back_from_wherever_the_map_began_and_ends(begin: int, end: int) -> None:
+    """Few readings are key scans: up to the first and from the last one the filter tells the way."""
     way = tour()
-    points = InRoom(way, way)
-    m = measured(points)
-    found = way_between(m, points, begin, end)
-    assert found is not None
-    z, R = told(found)
-    e = z - se2.between(way[begin], way[end])
-    assert np.hypot(e[0], e[1]) < 0.03
-    assert math.degrees(abs(se2.wrap(float(e[2])))) < 0.3
-    assert e @ np.linalg.solve(R, e) < 11.3
+    m = measured(InRoom(way, way))
+    drifted = se2.chain(np.tile((0.101, -0.0005, math.radians(2.04)), (90, 1)))
+    along = WayByScans(m, begin, drifted[begin])
+    along.went(np.arange(begin + 1, end + 1), drifted[begin + 1 : end + 1])
+    belief = at(drifted[end], 0.2, 4.0)
+    off = se2.between(drifted[begin], drifted[end]) - se2.between(way[begin], way[end])
+    along.end(None, belief)
+    e = se2.between(drifted[begin], np.array(belief.pose())) - se2.between(way[begin], way[end])
+    assert np.hypot(off[0], off[1]) > 0.1
+    assert np.hypot(e[0], e[1]) < 0.05
+    assert math.degrees(abs(off[2])) > 2.5
+    assert math.degrees(abs(e[2])) < 1.0
+    assert e @ np.linalg.solve(belief.matrix(), e) < 11.3
+
+
+def test_a_pose_that_claimed_too_much_claims_less() -> None:
+    way = tour()
+    m = measured(InRoom(way, way))
+    last = int(key_scans(m).readings[-1])
+    drifted = way.copy()
+    drifted[last] = se2.compose(way[last], np.array((0.1, -0.05, math.radians(3.0))))
+    sure = at(drifted[last], 0.001, 0.1)
+    followed(m, drifted[: last + 1]).end(None, sure)
+    assert math.degrees(math.sqrt(sure.matrix()[2, 2])) > 0.2
+
+
+def test_a_way_of_too_many_or_few_keys_is_left_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    way = tour()
+    m = measured(InRoom(way, way))
+    wrong = np.array((0.0, 0.0, 0.0))
+    belief = at(wrong, 0.1, 6.0)
+    followed(m, way[: int(key_scans(m).readings[FEWEST_KEYS - 1]) + 1]).end(None, belief)
+    WayByScans(m, 1, way[1]).end(None, belief)  # none
+    monkeypatch.setattr(way_by_scans, "MOST_KEYS", 5)
+    followed(m, way).end(None, belief)
+    assert belief.pose() == (0.0, 0.0, 0.0)
 
 
 def test_a_turn_that_the_wheels_missed_between_two_keys_is_told_by_the_scans_between() -> None:
@@ -249,7 +262,6 @@ def test_a_long_turn_of_the_wheels_is_doubted_more() -> None:
 def test_a_laser_without_points_leaves_the_pose_as_it_is() -> None:
     m = measured(InRoom(tour(), tour()))
     bare = Measurements(m.t, m.first, m.z, m.R_unit, m.scale, m.floor)
-    along = WayByScans(bare, 0)
-    belief = JointBelief((1.0, 0.0, 0.0), (0.01, 0.0, 0.0, 0.01, 0.0, 0.01), ())
-    along.end(7, np.zeros(3), None, belief)
+    belief = at(np.array((1.0, 0.0, 0.0)), 0.1, 6.0)
+    followed(bare, tour()).end(None, belief)
     assert belief.pose() == (1.0, 0.0, 0.0)

@@ -86,12 +86,11 @@ def _say_version(ctx: click.Context, _option: click.Parameter, asked: bool) -> N
     """Print the version, and say so where the core is not compiled: it is as right, and slower."""
     if not asked or ctx.resilient_parsing:
         return
-    from importlib.metadata import version
-
+    from locfuse.formats.versions import own
     from locfuse.fusion.core.form import form
 
     core = form()
-    click.echo(f"locfuse, version {version('locfuse')}" + ("" if core.functions else f" (core {core.words})"))
+    click.echo(f"locfuse, version {own()}" + ("" if core.functions else f" (core {core.words})"))
     ctx.exit()
 
 

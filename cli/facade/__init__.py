@@ -72,9 +72,9 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     """Import what is asked for. Raises AttributeError for a name that there is not."""
     if name == "__version__":
-        from importlib.metadata import version
+        from locfuse.formats.versions import own
 
-        value: Any = version("locfuse")
+        value: Any = own()
     elif name in _HOMES:
         value = getattr(import_module(f"locfuse.{_HOMES[name]}"), name)
     else:

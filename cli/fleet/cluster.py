@@ -15,6 +15,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from locfuse.formats.versions import own
 from locfuse.fusion.data import LocfuseError
 
 from . import process
@@ -32,7 +33,7 @@ class Cluster:
         self.slots = slots  # jobs at once
         self._pool = pool
         self._folder = str(Path.cwd())
-        self._version = version("locfuse")
+        self._version = own()
 
     def submit(self, _fn: Callable[[Job], Outcome], job: Job, /) -> Future[Outcome]:
         """Have a job run by some worker in the folder in which the command was typed."""
@@ -83,7 +84,7 @@ def _check_workers(address: str, client: Any) -> None:
         raise LocfuseError(
             f"--cluster {address}: the scheduler has no workers; start some with: dask worker {address}"
         ) from None
-    ours = version("locfuse")
+    ours = own()
     for worker, found in client.run(version, "locfuse", on_error="return").items():
         if isinstance(found, Exception):
             raise LocfuseError(f"--cluster {address}: worker {worker} has no locfuse: pip install locfuse=={ours}")

@@ -13,10 +13,10 @@ import sys
 import tempfile
 import threading
 from contextlib import suppress
-from importlib.metadata import version
 
 import msgspec
 
+from locfuse.formats.versions import own
 from locfuse.fusion.data import LocfuseError, UsageError
 
 from .job import Job, Outcome
@@ -43,7 +43,7 @@ def already(job: Job) -> Outcome | None:
 def run_elsewhere(job: Job, folder: str, wanted: str) -> Outcome:
     """Run a job on another machine: in `folder`, on disks that are shared, by locfuse of version `wanted`."""
     machine = socket.gethostname()
-    if (ours := version("locfuse")) != wanted:
+    if (ours := own()) != wanted:
         return Outcome(job.name, "failed", f"worker on {machine}: it has locfuse {ours}, wanted was {wanted}")
     if not os.path.isdir(folder):  # noqa: PTH112 - as typed elsewhere
         return Outcome(job.name, "failed", f"worker on {machine}: it does not see the folder {folder}")

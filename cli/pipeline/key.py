@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from locfuse.formats.inputs import read_small
 from locfuse.formats.log.identity import Identity
 from locfuse.formats.report.json_report import SCHEMA_VERSION, made_with
 from locfuse.formats.robot import robot_toml
+from locfuse.formats.versions import own
 
 from .configurations import Sensors
 from .settings import LogOptions
@@ -100,7 +100,7 @@ def key(content: Identity, tables: Mapping[str, Any], asked: Asked) -> str:
         "content": content._asdict(),
         "settings": tables,
         "asked": asked,
-        "locfuse": version("locfuse"),
+        "locfuse": own(),
         "schema_version": SCHEMA_VERSION,
         "made_with": made_with(),
     }

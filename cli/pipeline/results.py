@@ -14,6 +14,7 @@ from locfuse import sample_logs
 from locfuse.formats.log.log import Log
 from locfuse.formats.report import json_report
 from locfuse.formats.robot import robot_toml, units
+from locfuse.formats.versions import own
 from locfuse.fusion.data import Evaluation
 from locfuse.fusion.robot import Robot
 
@@ -88,14 +89,12 @@ def _log_words(log: Log) -> list[str]:
 
 def build(loaded: Loaded, evaluations: Sequence[Evaluation]) -> dict[str, Any]:
     """Return the report as plain values."""
-    from importlib.metadata import version
-
     return json_report.report(
         loaded.drive,
         evaluations,
         source(loaded),
         settings_tables(loaded.robot),
-        version("locfuse"),
+        own(),
     )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypedDict, Unpack, overload
 
@@ -30,6 +29,7 @@ from locfuse.formats.fleet.files import summary_files
 from locfuse.formats.log.files import log_name
 from locfuse.formats.report import json_report
 from locfuse.formats.report import summary as over
+from locfuse.formats.versions import own
 from locfuse.formats.visible import visible
 from locfuse.formats.whole_files import may_write, write_results
 from locfuse.fusion.data import LocfuseError, UsageError
@@ -178,7 +178,7 @@ def naming(log: str) -> Iterator[None]:
 def summarised(entries: Sequence[Entry]) -> dict[str, Any]:
     """Return the summary over logs: figures, and what each sensor does over all of them."""
     reports = {e.name: e.report for e in entries if e.state == "done"}
-    summary = {"locfuse": version("locfuse"), **over.summarise(reports), "credit": None, "verdicts": {}}
+    summary = {"locfuse": own(), **over.summarise(reports), "credit": None, "verdicts": {}}
     summary["logs"] = {e.name: {**summary["logs"].get(e.name, {}), **_standing(e)} for e in entries}
     add_intervals(summary, entries)
     add_ties(summary, entries)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 import platform
 from collections.abc import Mapping, Sequence
-from importlib import metadata
 from typing import Any
 
 import msgspec
 
+from locfuse.formats.versions import installed
 from locfuse.formats.visible import escaped, writable
 from locfuse.fusion.core.form import form
 from locfuse.fusion.data import Drive, Evaluation, LocfuseError, SensorFigures, result_name
@@ -60,15 +60,8 @@ def made_with() -> dict[str, str | None]:
     """Return the versions on which the last digits depend: same bytes are promised for the same versions only."""
     found: dict[str, str | None] = {"python": platform.python_version(), "machine": platform.machine()}
     for name, distributions in LIBRARIES.items():
-        found[name] = next((v for d in distributions if (v := _version(d)) is not None), None)
+        found[name] = next((v for d in distributions if (v := installed(d)) is not None), None)
     return {**found, "core": form().words.partition(":")[0]}
-
-
-def _version(distribution: str) -> str | None:
-    try:
-        return metadata.version(distribution)
-    except metadata.PackageNotFoundError:
-        return None
 
 
 def encode(value: Mapping[str, Any]) -> str:

@@ -42,19 +42,28 @@ class Way:
         if self._last is not None:
             self.length += math.hypot(*(pose[:2] - self._last[:2]))
         self._last = pose
-        if not self.sights or len(self.sights) >= MANY_SIGHTS:
-            return not self.sights
-        x, y, turn = (pose - self.sights[-1].pose).tolist()
-        return math.hypot(x, y) >= STRIDE or abs(se2.wrap(turn)) >= TURN
+        return not self.sights or 0 in self.further(pose[None])
+
+    def further(self, poses: Array) -> list[int]:
+        """Return from which of the next poses (n, 3) a scan is worth keeping: there is one already."""
+        found: list[int] = []
+        last, at = self.sights[-1].pose, 0
+        while len(self.sights) + len(found) < MANY_SIGHTS:
+            x, y, turn = (poses[at:] - last).T
+            far = np.flatnonzero((np.hypot(x, y) >= STRIDE) | (np.abs(se2.wrap_all(turn)) >= TURN))
+            if not len(far):
+                break
+            at += int(far[0]) + 1
+            found.append(at - 1)
+            last = poses[at - 1]
+        return found
 
     def ahead(self) -> dict[str, Any]:
-        """Return its length and last place, and where the next scan is kept (core.scans.Way); {}: at once."""
+        """Return its length and last place (core.tables.Way); {}: the next scan is kept."""
         if self._last is None or not self.sights:
             return {}
-        (x, y), last = self._last[:2].tolist(), self.sights[-1].pose.tolist()
-        sight = dict(zip(("sight_x", "sight_y", "sight_turn"), last, strict=True))
-        looks = len(self.sights) < MANY_SIGHTS
-        return {"length": self.length, "x": x, "y": y, "looks": looks, **sight, "stride": STRIDE, "turn": TURN}
+        x, y = self._last[:2].tolist()
+        return {"length": self.length, "x": x, "y": y}
 
     def went(self, length: float, x: float, y: float) -> None:
         """Take over its length and last place from who has followed it."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -17,12 +17,12 @@ from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.linemap.association import Association, Codes, SeenLines, associate, new_lines
 from locfuse.fusion.linemap.laser_mount import seated, seated_shares
 from locfuse.fusion.linemap.line_map import LineMap, about_middle
-from locfuse.fusion.linemap.scan import Passed, Scan, Scans, Where
+from locfuse.fusion.linemap.scan import Scan, Scans, Where
 from locfuse.fusion.linemap.standing import Standing
 from locfuse.fusion.linemap.tidy import MIN_HITS, TIDY_EVERY, merge_doubles, prune
 from locfuse.fusion.lines.flatness import bend
 from locfuse.fusion.mount import Mount
-from locfuse.fusion.recovery.guard import Guard
+from locfuse.fusion.recovery.guard import SCANS, Guard
 from locfuse.fusion.sensor import Block, Innovation, Model
 
 UNMATCHED, AMBIGUOUS, NEW, LOST, REPEATED = (
@@ -54,6 +54,7 @@ class LineTracker(Model):
         self._asked = -1  # the reading that `innovations` was asked for last
         self._standing = Standing()
         self._raw: Scan | None = None  # what that reading says: at rest the mean since the last use
+        self._sight: Callable[[], Scan]  # the same in the base, by the mount as it was predicted
 
     def blocks(self) -> list[Block]:
         """Return what is uncertain of the laser's mount."""
@@ -95,9 +96,10 @@ class LineTracker(Model):
         if self._raw is None:
             self._teach = False
             return [Innovation.unpredicted(row, REPEATED, 2, self.gate) for row in range(first, last)]
+        scan = self._scan_of(m, first, last, belief)
+        self._sight = lambda: scan
         if len(self.map) == 0:
             return [Innovation.unpredicted(row, NEW, 2, self.gate) for row in range(first, last)]
-        scan = self._scan_of(m, first, last, belief)
         found = associate(scan, self.map, belief, self.gate)
         if self.guard is not None:
             found, self._teach = self.guard.watch(float(m.t[i]), scan, found, self.map, belief, self.gate)
@@ -204,22 +206,23 @@ class LineTracker(Model):
         """Return the way through the map for `core.scans.Way`: here none is followed."""
         return {}
 
-    def passed(self, progress: Any, way: Any, where: Where, last: Sequence[Passed], well: int | None) -> None:
+    def passed(self, progress: Any, way: Any, where: Where, well: int | None) -> None:
         """Take in what the core did without asking (core.tables.Progress, Way).
 
-        `where` tells of each scan that it took, `last` are the last of these, `well` is which one last fitted
-        well.
+        `where` tells of each scan that it took, `well` is which one last fitted well.
         """
         self._scan = progress.number
         self._standing.moved((progress.x, progress.y, progress.theta))
-        if not last:
+        m, n = where.of, len(where.readings)
+        if not n:
             return
-        m = last[-1].of
-        self._raw = self._scans.read(m, *last[-1].rows)
-        self._asked, self._teach = last[-1].i, True
+        self._raw = self._scans.read(m, *where.rows(n - 1))
+        self._asked, self._teach = int(where.readings[-1]), True
         self._standing.begin(self._raw)
+        self._sight = partial(self._seen_before, where, n - 1)
         if self.guard is not None:
-            seen = [(float(m.t[one.i]), partial(self._seen_before, one)) for one in last]
+            last = range(max(n - SCANS, 0), n)
+            seen = [(float(m.t[where.readings[k]]), partial(self._seen_before, where, k)) for k in last]
             self.guard.passed(where, seen, None if well is None else (float(m.t[well]), self.map.next_id))
 
     def rest(self, lines: int) -> Any:
@@ -232,9 +235,10 @@ class LineTracker(Model):
         if self.guard is not None:
             self.guard.stood(pose)
 
-    def _seen_before(self, one: Passed) -> Scan:
-        scan = self._scans.read(one.of, *one.rows)
-        return scan if self.mount is None else one.seated(scan)
+    def _seen_before(self, where: Where, k: int) -> Scan:
+        """Return scan k of those that the core took, in the base as it was when it came."""
+        scan = self._scans.read(where.of, *where.rows(k))
+        return scan if self.mount is None else where.seated(k, scan)
 
     def finish(self, m: Measurements, i: int, fate: Ints, room: Room, belief: JointBelief) -> None:
         """Teach the map what of scan i the core left to do: it stopped after it."""

@@ -9,17 +9,17 @@ Hierarchical SLAM (Estrada, Neira and Tardos, IEEE T-RO 2005) with the graph of 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from locfuse.fusion import se2
+from locfuse.fusion.core.coast import AFTER
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Ints, MapLine, Measurements, SeenAgain
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import by_frame
-from locfuse.fusion.linemap.scan import Passed, Where
+from locfuse.fusion.linemap.scan import Where
 from locfuse.fusion.linemap.tidy import MIN_HITS
 from locfuse.fusion.mount import Mount
 
@@ -99,19 +99,24 @@ class AtlasTracker(LineTracker):
         here = {"ask_at": ask_at, "origin_x": x, "origin_y": y, "reach": REACH, "most": MANY}
         return {"follows": True, **here, **ahead}
 
-    def passed(self, progress: Any, way: Any, where: Where, last: Sequence[Passed], well: int | None) -> None:
-        """Take in what the core did without asking, and how far the way went on."""
-        super().passed(progress, way, where, last, well)
-        if last and way.ask_at >= 0.0 and self.mode == "grow":
+    def passed(self, progress: Any, way: Any, where: Where, well: int | None) -> None:
+        """Take in what the core did without asking, how far the way went on, and the scans worth keeping."""
+        n = len(where.readings) - (progress.why == AFTER)  # `finish` takes the last one
+        if n and way.ask_at >= 0.0 and self.mode == "grow":
+            for k in self._way.further(where.after[:n]):
+                t = float(where.of.t[where.readings[k]])
+                self._way.keep(t, where.after[k], self._seen_before(where, k))
+        super().passed(progress, way, where, well)
+        if len(where.readings) and way.ask_at >= 0.0 and self.mode == "grow":
             self._way.went(way.length, way.x, way.y)
         if self._along is not None:
             self._along.went(where.readings, where.after)
 
     def _go_on(self, m: Measurements, i: int, belief: JointBelief) -> None:
         """Follow the way, look for the map at hand in earlier ones, and tell whether it is full."""
-        pose, first, last = np.array(belief.pose()), int(m.first[i]), int(m.first[i + 1])
+        pose = np.array(belief.pose())
         if self._way.goes(pose):
-            self._way.keep(float(m.t[i]), pose, self._scan_of(m, first, last, belief))
+            self._way.keep(float(m.t[i]), pose, self._sight())
         if self._way.length - self._asked_at >= (ASK_AGAIN if self._asked_at else FIRST_ASK):
             self._asked_at = self._way.length
             self._look(float(m.t[i]), belief)

@@ -25,12 +25,12 @@ from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.linemap.association import AMBIGUOUS, LONE, LONGEST, OVERLAP, ZONE
 from locfuse.fusion.linemap.line_map import WALL
 from locfuse.fusion.linemap.pairing import MAX_PAIR_ANGLE_RAD, MAX_PAIR_OFFSET_M, PAIR, PAIR_SIGMAS
-from locfuse.fusion.linemap.scan import BLOCK, Passed, Where
+from locfuse.fusion.linemap.scan import BLOCK, Where
 from locfuse.fusion.linemap.standing import MAX_ROLLED_M, MAX_TURNED_RAD
 from locfuse.fusion.linemap.tidy import APART, DOUBLE_ANGLE, DOUBLE_OFFSET, MIN_HITS, TIDY_EVERY, TRIAL_SCANS
 from locfuse.fusion.lines.extract import LINE
 from locfuse.fusion.lines.flatness import bend
-from locfuse.fusion.recovery.guard import MIN_MATCHED_SHARE, SCANS, WELL
+from locfuse.fusion.recovery.guard import MIN_MATCHED_SHARE, WELL
 from locfuse.fusion.sensor import Table
 
 TRIED = 3  # rows that are written beside those that wait: of a reading of two, and of its place
@@ -151,9 +151,8 @@ class AtOnce:
         if rest.taken:
             x, y, theta = sights[shown[rest.taken - 1], 6:].tolist()
             of.rested(rest.taken, (x, y, theta))
-        where = Where(begin + seen, sights[seen, :3], sights[seen, 6:])
-        last = [Passed(self._m, begin + i, sights[i, :6]) for i in seen[-SCANS:].tolist()]
-        of.passed(progress, way, where, last, begin + progress.well if progress.well >= 0 else None)
+        where = Where(self._m, begin + seen, sights[seen, :3], sights[seen, 3:6], sights[seen, 6:])
+        of.passed(progress, way, where, begin + progress.well if progress.well >= 0 else None)
 
 
 def _rules(of: LineTracker, m: Measurements) -> dict[str, Any]:

@@ -7,7 +7,6 @@ only noticed: the loop in Python sees to it (fusion.linemap.at_once).
 from math import sqrt
 
 from .doubles import neighbours, worthless
-from .fit import wrapped
 from .match import bends, equation, extend, is_new, judge, lacks, match, matched_share, refuse_alone
 from .pairs import gather_mount, gather_walls, pairs
 from .places import into_base, moved, shares_into_base
@@ -181,14 +180,5 @@ def goes_far(b, w, way):
     x, y = b.x[0], b.x[1]
     way.length += sqrt((x - way.x) * (x - way.x) + (y - way.y) * (y - way.y))
     way.x, way.y = x, y
-    if way.length >= way.ask_at or w.places > way.most or apart(x, y, way.origin_x, way.origin_y) > way.reach:
-        return True
-    turn = b.x[2] - way.sight_turn
-    if turn - turn == 0.0:
-        turn = abs(wrapped(turn))
-    return way.looks and (apart(x, y, way.sight_x, way.sight_y) >= way.stride or turn >= way.turn)
-
-
-def apart(x, y, to_x, to_y):
-    """Return the distance between two points."""
-    return sqrt((x - to_x) * (x - to_x) + (y - to_y) * (y - to_y))
+    x, y = x - way.origin_x, y - way.origin_y
+    return way.length >= way.ask_at or w.places > way.most or sqrt(x * x + y * y) > way.reach

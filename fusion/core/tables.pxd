@@ -37,9 +37,9 @@ cdef class Rules:
     cdef bint watched, grows, joint
 
 cdef class Way:
-    cdef bint follows, looks
+    cdef bint follows
     cdef Py_ssize_t most
-    cdef double origin_x, origin_y, reach, sight_x, sight_y, sight_turn, stride, turn
+    cdef double origin_x, origin_y, reach
     cdef public double length, x, y, ask_at
 
 cdef class Desk:

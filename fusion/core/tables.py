@@ -85,12 +85,9 @@ class Way:
 
     def __init__(
         self, follows=False, length=0.0, x=0.0, y=0.0, ask_at=0.0, origin_x=0.0, origin_y=0.0, reach=0.0, most=0,
-        looks=False, sight_x=0.0, sight_y=0.0, sight_turn=0.0, stride=0.0, turn=0.0,
     ):  # fmt: skip
         self.follows, self.length, self.x, self.y = follows, length, x, y
         self.ask_at, self.origin_x, self.origin_y, self.reach, self.most = ask_at, origin_x, origin_y, reach, most
-        self.looks, self.sight_x, self.sight_y, self.sight_turn = looks, sight_x, sight_y, sight_turn
-        self.stride, self.turn = stride, turn
 
 
 class Desk:

@@ -52,25 +52,19 @@ class Scans:
 class Where(NamedTuple):
     """Where the robot was at n scans that the core took."""
 
-    readings: Ints  # (n,)
+    of: Measurements
+    readings: Ints  # (n,) which scans
     before: Array  # (n, 3) predicted, x, y [m], theta [rad]
+    mount: Array  # (n, 3) how the laser's mount, as it was predicted, moved their lines
     after: Array  # (n, 3) corrected
 
+    def rows(self, k: int) -> tuple[int, int]:
+        """First row of scan k of these and end in the measurements."""
+        i = int(self.readings[k])
+        return int(self.of.first[i]), int(self.of.first[i + 1])
 
-class Passed(NamedTuple):
-    """A scan that the core took."""
-
-    of: Measurements
-    i: int  # which
-    sight: Array  # (6,) the pose before, x, y [m], theta [rad], and how the mount then moved its lines
-
-    @property
-    def rows(self) -> tuple[int, int]:
-        """First row and end in the measurements."""
-        return int(self.of.first[self.i]), int(self.of.first[self.i + 1])
-
-    def seated(self, scan: Scan) -> Scan:
-        """Return its lines in the base by the mount of that time."""
-        x, y, yaw = self.sight[3:].tolist()
+    def seated(self, k: int, scan: Scan) -> Scan:
+        """Return the lines of scan k in the base by the mount of that time."""
+        x, y, yaw = self.mount[k].tolist()
         table = rows_in_base(scan.rows(), x, y, yaw)
         return Scan(*of_rows(table), None, table)

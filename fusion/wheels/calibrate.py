@@ -37,6 +37,7 @@ OUTLIER_CONFIDENCE = 0.99999  # a piece less likely than this is a slip or a jum
 CHI_SQUARE_MEDIANS = {1: 0.4549, 3: 2.3660}  # of chi-square, by degrees of freedom
 MIN_PIECES = 4  # pieces
 MIN_STANDSTILL_S = 0.5  # s of standstill that tell the truth's noise
+USUAL_NOISE = 4e-4  # m: variance per metre that a wheel rolls
 
 
 class Sigma(NamedTuple):
@@ -202,8 +203,9 @@ def truth_sigma(truth: Truth, wheels: Wheels) -> Sigma:
 
 def piece_length(sigma: Sigma, wheels: Wheels) -> tuple[float, float]:
     """Return how long pieces must be (m, rad) for the truth's noise to be a small part of their error."""
-    straight = 16.0 * sigma.xy**2 / wheels.noise
-    turn = 8.0 * sigma.theta**2 * wheels.track / wheels.noise
+    noise = wheels.noise or USUAL_NOISE  # none was assumed
+    straight = 16.0 * sigma.xy**2 / noise
+    turn = 8.0 * sigma.theta**2 * wheels.track / noise
     return max(MIN_RUNS[STRAIGHT], straight), max(MIN_RUNS[TURN], turn)
 
 

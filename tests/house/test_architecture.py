@@ -41,7 +41,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "reference",
     ),
     "formats": (
-        "caps visible nearest columns thin geometry no_pandas delayed_signals url",
+        "caps visible nearest columns thin geometry no_pandas delayed_signals url versions",
         "inputs",
         "whole_files robot known_types",
         "container presented",

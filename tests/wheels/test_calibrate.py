@@ -193,6 +193,12 @@ def test_a_jump_of_the_truth_is_an_outlier_and_not_noise() -> None:
     assert found.k.value == pytest.approx(calibrate_wheels([drive]).k.value, rel=0.1)
 
 
+def test_noise_is_found_for_wheels_that_were_said_to_have_none() -> None:
+    drive = legs(5, STRAIGHT_RUNS + TURNS, truth_noise=(0.002, 0.002))
+    exact = replace(drive, wheels=replace(drive.wheels, noise=0.0))
+    assert calibrate_wheels([exact]).k == calibrate_wheels([drive]).k
+
+
 def test_too_little_motion_is_refused_with_what_is_needed() -> None:
     with pytest.raises(LocfuseError, match="at least 4"):
         calibrate_wheels([legs(0, [("forward", 1.0)])])

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import glob
 import os
-import shutil
-import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -203,6 +201,9 @@ def _remove_leftovers(paths: Iterable[Path]) -> None:
 
 def scratch_prefix() -> str:
     """Return how names of temporary files and folders of this process begin; clear away those of killed ones."""
+    import shutil
+    import tempfile
+
     for path in Path(tempfile.gettempdir()).glob(f"{SCRATCH}*"):
         pid = path.name.removeprefix(SCRATCH).partition("-")[0]
         if pid.isdecimal() and not alive(int(pid)):

@@ -6,7 +6,6 @@ import difflib
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
-from importlib import resources
 from pathlib import Path
 from typing import Any, get_args
 
@@ -15,14 +14,14 @@ import tomli_w
 
 from locfuse.fusion.data import LocfuseError, UsageError
 
+from . import HERE
 from .scenario import Scenario
 from .table import Table
 
 
 def names() -> list[str]:
     """Return the names of the shipped scenarios."""
-    files = resources.files(__package__).iterdir()
-    return sorted(f.name.removesuffix(".toml") for f in files if f.name.endswith(".toml"))
+    return sorted(f.stem for f in HERE.glob("*.toml"))
 
 
 def load(name: str, settings: Iterable[str] = ()) -> Scenario:
@@ -75,7 +74,7 @@ def _tables(name: str) -> dict[str, Any]:
     if path.is_file():
         text, where = _read(path), str(path)
     elif name in names():
-        text, where = resources.files(__package__).joinpath(f"{name}.toml").read_text(encoding="utf-8"), name
+        text, where = (HERE / f"{name}.toml").read_text(encoding="utf-8"), name
     else:
         near = difflib.get_close_matches(name, names(), 1)
         hint = f"did you mean {near[0]}?" if near else f"shipped ones: {', '.join(names())}"

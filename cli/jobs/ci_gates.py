@@ -19,7 +19,6 @@ from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.inputs import read_small
 from locfuse.formats.log.identity import Identity
 from locfuse.formats.report import json_report
-from locfuse.formats.report.changes import judged_by
 from locfuse.fusion.data import LocfuseError, UsageError
 
 FAILED = 4
@@ -229,6 +228,7 @@ def _is_figure(value: Any) -> bool:
 
 def _worse(report: Mapping[str, Any], baseline: Baseline) -> list[str]:
     """Return error figures that both reports have and that grew by more than the tolerance."""
+    from locfuse.formats.report.changes import judged_by
     from locfuse.fusion.judge.evaluate import ERROR_KEYS
 
     then, now = judged_by(baseline.report), judged_by(report)

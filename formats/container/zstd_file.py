@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import struct
-import tempfile
 from pathlib import Path
 from typing import BinaryIO
 
@@ -35,6 +34,8 @@ def unpack_file(data: FileBytes, losses: Losses) -> FileBytes:
 
 def _unpacked(packed: Path, name: Place, losses: Losses) -> Path:
     """Return a temporary file with what `packed` holds; messages call it `name`."""
+    import tempfile
+
     handle, place = tempfile.mkstemp(prefix=scratch_prefix())
     temporary = Path(place)
     try:

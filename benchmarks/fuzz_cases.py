@@ -270,7 +270,7 @@ def words_are_wrong(done: Done, short: bool = True) -> str:
 def _lost_by_info(out: str) -> str:
     """Return what `info` says is lost or refused: it says so among its results, as text or as JSON."""
     if out.startswith("{"):
-        found = json.loads(out).get("findings", [])
+        found = json.loads(out).get("findings") or []
         lines = [f["message"] for f in found if f["code"] in {"lost", "refused"}]
     else:
         lines = [line for line in out.splitlines() if "  file: " in line or "not used: " in line]

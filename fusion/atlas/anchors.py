@@ -20,6 +20,7 @@ from locfuse.fusion.data import Array, Ints
 
 STEPS, ENOUGH = 20, 1e-9  # Gauss-Newton steps at most; m, rad: a step that changes no more is the last
 EXACT = 1e-12  # m^2, rad^2: variance of what is known exactly, so that it can be inverted
+LEAST = 1e-14  # of the eigenvalues of a correlation: below, the numbers themselves are no better
 NOWHERE = -1
 
 
@@ -142,6 +143,12 @@ class Anchors:
 
 
 def inverted(P: Array) -> Array:
-    """Return the information (3, 3) of a covariance that may be singular, as after an exact start."""
-    L = np.asarray(np.linalg.inv(0.5 * (P + P.T) + EXACT * np.eye(3)), np.float64)
-    return np.asarray(0.5 * (L + L.T), np.float64)
+    """Return the information (3, 3) of a covariance that may be singular, as after an exact start.
+
+    In units of its own sigmas: where nothing is known, place and heading may be 10^9 times apart.
+    """
+    P = 0.5 * (P + P.T) + EXACT * np.eye(3)
+    scale = np.sqrt(np.diagonal(P))
+    values, vectors = np.linalg.eigh(P / np.outer(scale, scale))
+    half = vectors / np.sqrt(np.maximum(values, LEAST)) / scale[:, None]
+    return np.asarray(half @ half.T, np.float64)

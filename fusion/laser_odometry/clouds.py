@@ -76,7 +76,7 @@ def _read(stream: Stream, laser: Laser, wheels: WheelMotion, longest: Longest) -
             xy, t[at] = points_in_base(scans, stamps[at], laser, wheels)
             for row, p in zip(at.tolist(), xy, strict=True):
                 points[row] = _thinned(p, laser.mount[:2]).astype(np.float32)
-    return Scans(t, points, laser.mount[:2], skewed)
+    return Scans(np.maximum.accumulate(t), points, laser.mount[:2], skewed)  # sweeps of different lengths overlap
 
 
 def _thinned(points: Array, origin: Array) -> Array:

@@ -130,8 +130,8 @@ def deskew(
 
 
 def sweep_time(increment: Array, beams: int) -> Array:
-    """Return from the first beam to the last, (n,) s: at most a second."""
-    return np.clip(increment, 0.0, 1.0 / beams) * (beams - 1)
+    """Return from the first beam to the last, (n,) s: at most a second, none where the increment is NaN."""
+    return np.fmin(np.fmax(increment, 0.0), 1.0 / beams) * (beams - 1)
 
 
 class Gathered:

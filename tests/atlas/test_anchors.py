@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from locfuse.fusion import se2
-from locfuse.fusion.atlas.anchors import NOWHERE, Anchors, Edge
+from locfuse.fusion.atlas.anchors import NOWHERE, Anchors, Edge, inverted
 from locfuse.fusion.data import Array
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 
@@ -106,3 +106,25 @@ def test_a_way_that_was_worse_than_claimed_is_loosened_until_its_error_is_an_ord
     assert 1.5 < graph.cost() < 4.5
     np.testing.assert_allclose(graph.pose[at, :2], z[:2], atol=0.01)
     np.testing.assert_allclose(graph.relative(at, other)[1], aside, atol=1e-12)  # what lies beyond is as it was
+
+
+def test_a_covariance_is_inverted_as_it_should_be() -> None:
+    root = np.random.default_rng(4).normal(size=(3, 3)) * (10.0, 0.1, 0.01)
+    np.testing.assert_allclose(
+        inverted(root.T @ root), np.linalg.inv(root.T @ root + 1e-12 * np.eye(3)), rtol=1e-7
+    )
+    np.testing.assert_allclose(inverted(np.zeros((3, 3))), 1e12 * np.eye(3))
+
+
+def test_a_covariance_beyond_all_bounds_has_an_information() -> None:
+    """Of a log whose stamps lie: its numbers do not know that it is positive."""
+    P = np.array(
+        (
+            (1.25829551e25, 1.71387634e25, 1.68172119e16),
+            (1.71387634e25, 2.33440562e25, 2.29060831e16),
+            (1.68172119e16, 2.29060831e16, 2.24763272e07),
+        )
+    )
+    L = inverted(P)
+    assert np.isfinite(L).all()
+    assert np.linalg.eigvalsh(L).min() >= -1e-12 * np.abs(L).max()

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from bags import Said, cdr, header, real_log, write
 from commands import locfuse
+from msgspec.structs import replace
 from ring_drive import box, scan
 from scan_streams import SCAN, scan_stream
 from wheel_bags import stamps
@@ -60,6 +61,16 @@ def moved(t: Array, poses: Array, segments: Array, **lrf: Any) -> WheelReading:
 @cache
 def in_the_room() -> WheelReading:
     return moved(*circle(), ROOM)
+
+
+def test_sweeps_whose_lengths_are_nonsense_leave_times_in_order() -> None:
+    t, truth = circle(4.0)
+    stream = stream_of(t, truth, ROOM)
+    lies = np.where(np.arange(len(t)) % 7 == 3, np.nan, np.where(np.arange(len(t)) % 5 == 2, 1.0, 1e-4))
+    data = {**stream.data, "time_increment": lies}
+    found = match_scans(replace(stream, data=data), laser_of(LrfSettings())).reading(WheelSettings(), 0.0)
+    assert (np.diff(found.wheels.t) > 0.0).all()
+    assert np.isfinite(found.wheels.pose).all()
 
 
 def test_a_circle_in_a_room_is_found_by_the_scans_alone() -> None:

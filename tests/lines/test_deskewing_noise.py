@@ -13,7 +13,7 @@ from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.rows import stacked
 from locfuse.fusion.lines.extract import Lines, LineSettings
 from locfuse.fusion.lines.flatness import wall_floor
-from locfuse.fusion.lines.scans import Laser, lines_in_base
+from locfuse.fusion.lines.scans import Laser, lines_in_base, sweep_time
 from locfuse.fusion.se2 import wrap_all
 from locfuse.fusion.sensor import Innovation
 from locfuse.fusion.wheels.motion import Wheels
@@ -169,3 +169,8 @@ def test_slips_within_a_sweep_are_not_taken_for_uneven_walls(seed: int) -> None:
     taken, known = walls_of_slipping_scans(math.radians(0.4), seed)
     assert math.degrees(taken) == pytest.approx(0.4, rel=0.2)
     assert known == 0.0
+
+
+def test_a_sweep_takes_at_most_a_second_and_no_time_where_its_increment_is_no_number() -> None:
+    told = np.array([0.001, -1.0, 0.0, np.nan, np.inf, 5.0])
+    np.testing.assert_allclose(sweep_time(told, 101), [0.1, 0.0, 0.0, 0.0, 100.0 / 101.0, 100.0 / 101.0])

@@ -304,8 +304,9 @@ def test_reading_and_fusing_say_which_share_of_the_log_is_done() -> None:
         assert min(np.diff(shares)) > -0.05, "a chunk's topics come one after the other"
         assert 0.0 <= shares[0] < 0.2
         assert 0.8 < shares[-1] <= 1.0
-    fused = [k / len(session.drive.t) for k in range(0, len(session.drive.t), BLOCK)]
-    assert heard["fusing"][:-1] == pytest.approx(fused, abs=0.05), "instants are spread over the drive evenly"
+    fused = [share for share in heard["fusing"] if share is not None]
+    assert len(session.drive.t) / BLOCK > 6.0
+    assert max(np.diff([*fused, 1.0])) < 0.25, "the core goes on for several blocks, but not for long"
 
 
 def test_losses_are_those_of_the_command(tmp_path: Path) -> None:

@@ -29,6 +29,7 @@ from locfuse.cli.main import main
 
 REAL_ROBOT = ("--set", "wheels.radius=0.033", "--set", "wheels.track=0.16")  # for logs that do not say
 COLUMNS = 10  # of trajectory.csv: t, x, y, theta and the upper triangle of P
+EXACT = 1e-30  # m^2, rad^2: who starts exactly is known to 1e-15 m, and what rounding leaves there is nothing
 
 
 @dataclass(frozen=True)
@@ -302,6 +303,6 @@ def _of_trajectory(rows: np.ndarray[Any, np.dtype[np.float64]]) -> str:
     if rows.shape[1] != COLUMNS or not np.isfinite(rows).all():
         return "the trajectory is not finite"
     P = rows[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)
-    scale = np.sqrt(np.maximum(np.einsum("nii->ni", P), 1e-300))
+    scale = np.sqrt(np.maximum(np.einsum("nii->ni", P), EXACT))
     least = np.linalg.eigvalsh(P / (scale[:, :, None] * scale[:, None, :])).min()
     return "" if least > -1e-9 else f"P is not positive: {least:g} after scaling its diagonal to 1"

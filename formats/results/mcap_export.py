@@ -26,7 +26,7 @@ from .trajectory import stamps, with_truth_rows
 
 BASE = "base_link"
 CHUNK_BYTES = 1 << 20  # bytes before compression
-LAST_STAMP = 2**31 * 10**9 - 1  # ns: a ROS stamp counts its seconds in 32 bits
+FIRST_STAMP, LAST_STAMP = -(2**31), 2**31 - 1  # s: a ROS stamp counts its seconds in 32 bits
 
 
 class Export(msgspec.Struct, frozen=True):
@@ -41,12 +41,9 @@ class Export(msgspec.Struct, frozen=True):
 
     def write(self, file: Path) -> None:
         """Write the file. Raises LocfuseError where its times do not fit a ROS stamp."""
-        end = self.drive.epoch_ns + int(self.drive.t[-1] * 1e9)
-        if end > LAST_STAMP:
-            raise LocfuseError(
-                f"--export: the drive ends {end // 10**9} s after 1970, and a ROS stamp ends in January 2038; "
-                "leave mcap and log out of --export, or try --order stamp"
-            )
+        self._check("the drive", self.drive.t)
+        if self.drive.truth is not None:
+            self._check("the truth", self.drive.truth.t)
         with file.open("wb") as opened:
             writer = ColumnWriter(opened)
             writer.attach(
@@ -61,6 +58,16 @@ class Export(msgspec.Struct, frozen=True):
             if self.log is not None:
                 copy_messages(writer, self.log)
             writer.finish()
+
+    def _check(self, what: str, t: Array) -> None:
+        """Raise LocfuseError where times (n,) do not fit a ROS stamp."""
+        for does, at in (("begins", t[:1]), ("ends", t[-1:])):
+            for seconds in (self.drive.epoch_ns + (at * 1e9).astype(np.int64)) // 10**9:
+                if not FIRST_STAMP <= seconds <= LAST_STAMP:
+                    raise LocfuseError(
+                        f"--export: {what} {does} {seconds} s after 1970, and a ROS stamp ends in January 2038; "
+                        "leave mcap and log out of --export, or try --order stamp"
+                    )
 
     def _estimates(self, topics: _Topics, e: Estimates) -> None:
         name = ros_name(e.name)

@@ -4,9 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+import pytest
 from commands import locfuse
 from hostile import Put, write
 from mcap.reader import make_reader
+from msgspec.structs import replace
+
+import locfuse as api
+from locfuse.formats.results.mcap_export import Export
+from locfuse.fusion.data import LocfuseError, Truth
+from locfuse.fusion.fuse import fuse
 
 
 def test_a_recording_clock_below_zero_is_written_as_zero(tmp_path: Path) -> None:
@@ -47,3 +55,19 @@ def test_times_that_no_ros_stamp_holds_are_refused_in_one_line(tmp_path: Path) -
     assert "January 2038" in done.stderr.splitlines()[-1]
     assert not (tmp_path / "o").exists()
     assert locfuse("run", log, "-o", tmp_path / "o", "--order", "recorded").exit_code in {0, 3}
+
+
+@pytest.mark.parametrize(("shift_s", "does"), [(5e8, "ends"), (-5e9, "begins")])
+def test_so_are_those_of_a_truth(tmp_path: Path, shift_s: float, does: str) -> None:
+    session = api.load("rounded_rectangle", between=(0.0, 2.0))
+    drive = session.drive
+    t = drive.t.copy()
+    t[-1 if does == "ends" else 0] += shift_s
+    truth = Truth("/truth", t, np.zeros((len(drive.t), 2)), None)
+    moved = replace(drive, truth=truth, epoch_ns=1_700_000_000 * 10**9)
+    export = Export(moved, [fuse(drive, session.robot, [])], np.zeros((len(drive.t), 3)), b"")
+    with pytest.raises(
+        LocfuseError, match=f"the truth {does} .* after 1970, and a ROS stamp ends in January 2038"
+    ):
+        export.write(tmp_path / "out.mcap")
+    assert not (tmp_path / "out.mcap").exists()

@@ -29,7 +29,7 @@ from locfuse.cli.main import main
 
 REAL_ROBOT = ("--set", "wheels.radius=0.033", "--set", "wheels.track=0.16")  # for logs that do not say
 COLUMNS = 10  # of trajectory.csv: t, x, y, theta and the upper triangle of P
-EXACT = 1e-30  # m^2, rad^2: who starts exactly is known to 1e-15 m, and what rounding leaves there is nothing
+EXACT = 1e-18  # a variance below that of a nanometre: what rounding leaves of an exact start
 
 
 @dataclass(frozen=True)

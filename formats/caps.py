@@ -28,7 +28,7 @@ MAX_DATABASE_SECONDS = 20.0  # CPU of one step of sqlite: a row is a matter of m
 # structure of a message definition
 MAX_DEFINITION = 256 * 1024  # bytes; the longest of ROS (a planning scene) has 70 kB
 MAX_DEFINITION_LINES = 4096  # that say something; a planning scene has 1000
-MAX_EXPRESSIONS = 2048  # of IDL: lengths of arrays, constants, what annotations say; each takes 2 ms to parse
+MAX_EXPRESSIONS = 1024  # of IDL: lengths of arrays, constants, what annotations say; each takes 2 to 5 ms to parse
 MAX_DEPTH = 32  # structures in structures
 MAX_FIELDS = 10_000  # of a message, those of its parts counted at every mention
 

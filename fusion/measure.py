@@ -23,6 +23,7 @@ from .data import Array, Drive, Ints, LocfuseError, Measurements, Motions, Strea
 from .robot import Robot, StartSettings
 from .truth import body_poses, read_truth
 
+END_OF_TIME = 2**63 - 1  # ns: stamps are counted in 64 bits
 FILL = 0.2  # s: where no sensor speaks for this long, a wheel reading becomes an instant
 
 
@@ -44,6 +45,12 @@ def measure(
     if motion is None:
         progress("measuring the wheels")
     wheels, epoch_ns, dropped, notes = motion or read_wheels(streams["wheels"], robot.wheels)
+    if abs(epoch_ns) > END_OF_TIME:
+        raise LocfuseError(
+            f"the drive would begin at {epoch_ns * 1e-9:.3g} s, and stamps end at {END_OF_TIME * 1e-9:.3g} s",
+            role="wheels",
+            hint="(is wheels.time_offset right? It is in seconds)",
+        )
     drops = {"wheels": dropped}
     measurements: dict[str, Measurements] = {}
     missing, before = dict(absent or {}), before or {}

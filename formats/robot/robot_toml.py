@@ -20,6 +20,8 @@ from . import units
 FEW = 12  # keys are listed up to this many
 MOUNT_KEYS = ("x", "y", "yaw_deg")  # of a sensor on the base; each has a sigma_<key>
 MAX_NUMBER = 1e20  # no robot's number is larger; a 64-bit counter's range is not
+MIN_NUMBER = 1e-30  # and none but 0 is smaller: its square must still be a number
+MAX_METRES = 1e8  # no place on Earth is farther from the origin of any map
 Tables = dict[str, Any]
 
 
@@ -153,6 +155,10 @@ def _refuse_number(value: Any, source: str, path: str) -> None:
         raise LocfuseError(
             f"{source}: {path} = {_shown(value)}: no number of a robot is larger than {MAX_NUMBER:g}"
         )
+    if isinstance(value, float) and 0.0 < abs(value) < MIN_NUMBER:
+        raise LocfuseError(
+            f"{source}: {path} = {_shown(value)}: no number of a robot but 0 is smaller than {MIN_NUMBER:g}"
+        )
 
 
 def convert(tables: Mapping[str, Any], types: Mapping[str, Any]) -> dict[str, Any]:
@@ -178,9 +184,25 @@ def _check_table(name: str, table: Any, kind: type[msgspec.Struct]) -> None:
     if not isinstance(table, Mapping):
         raise LocfuseError(f"{name} = {_shown(table)}: {name} is a table: write [{name}] and its keys below")
     known = kind.__struct_encode_fields__
-    for key in table:
+    for key, value in table.items():
         if key not in known:
             raise LocfuseError(_unknown(key, name, known))
+        if units.of(name, key) in units.WITH_METRES:
+            _refuse_far(f"{name}.{key}", value)
+
+
+def _refuse_far(path: str, value: Any) -> None:
+    """Refuse metres, or a list or table of them, that lead off the Earth."""
+    inner: Iterable[Any] = (value,)
+    if isinstance(value, Mapping):
+        inner = value.values()
+    elif isinstance(value, list):
+        inner = value
+    for one in inner:
+        if isinstance(one, list | Mapping):
+            _refuse_far(path, one)
+        elif isinstance(one, int | float) and abs(one) > MAX_METRES:
+            raise LocfuseError(f"{path} = {_shown(one)}: metres on Earth are at most {MAX_METRES:g}")
 
 
 def _unknown(key: str, table: str, known: Sequence[str]) -> str:

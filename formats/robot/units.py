@@ -55,6 +55,7 @@ METRES = {
     "x",
     "y",
 }
+WITH_METRES = {"m", "m, m, °", "m, m, °, °"}
 WORDS = {"m": "metres", "°": "degrees", "s": "seconds", "px": "pixels", "m/s": "metres per second"}
 
 

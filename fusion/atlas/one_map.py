@@ -145,40 +145,35 @@ class LineTracker(Model):
             return
         found.extend(self.map, self._scan)
         if self.joint:
-            uneven = _uneven(m, first)
+            uneven, _ = self.loosened(m)
             if uneven.any():
-                self._bend(found, uneven, belief)
+                belief.loosen(*found.bends(belief.arrays[1], uneven, bend(uneven)))
             self._revise(m, i, found.new() if self.mode == "grow" else [], belief)
 
     def _revise(self, m: Measurements, i: int, new: list[int], belief: JointBelief) -> None:
         """Add lines of scan i that are new; now and then drop what proved worthless and join doubles (`grow`)."""
-        first, last = int(m.first[i]), int(m.first[i + 1])
         if new:
-            scan = self._scan_of(m, first, last, belief)
+            scan = self._scan_of(m, int(m.first[i]), int(m.first[i + 1]), belief)
             for k in new:
                 self._add(scan, k, belief)
+        uneven, floor = self.loosened(m)
         if self.mode == "grow" and self._scan % TIDY_EVERY == 0:
             prune(self.map, belief, self._scan)
-            merge_doubles(self.map, belief, self._scan, _uneven(m, first))
-        self._keep_floor(m, belief)
+            merge_doubles(self.map, belief, self._scan, uneven)
+        if floor.any():
+            self.map.keep_floor(belief, floor)
 
-    def _bend(self, found: Association, uneven: Array, belief: JointBelief) -> None:
-        """Loosen the lines that were seen: of a wall that is not flat another part is seen next (wall_floor).
+    def loosened(self, m: Measurements) -> tuple[Array, Array]:
+        """Return by which variances (2,) [m^2, rad^2] walls are uneven, and those below which no line is known.
 
-        A wall stays within its unevenness, so a line that is known no better is left alone: loosened for ever, the
-        walls of a small room would let the robot drift among them.
+        Of a wall that is not flat another part is seen next, so lines that were seen are loosened; where no wall
+        is measured as uneven, all lines keep a floor: no wall is a plane to less. Considered lines stay.
         """
-        if self.mode != "consider":
-            belief.loosen(*found.bends(belief.arrays[1], uneven, bend(uneven)))
-
-    def _keep_floor(self, m: Measurements, belief: JointBelief) -> None:
-        """Know no line better than its floor, whatever was averaged: no wall is a plane to less than that.
-
-        Walls that are less even than that are loosened step by step instead (`_bend`).
-        """
-        if self.mode == "consider" or "uneven" in m.extra:
-            return
-        self.map.keep_floor(belief, m.floor)
+        if self.mode == "consider":
+            return np.zeros(2), np.zeros(2)
+        if "uneven" in m.extra:
+            return m.extra["uneven"][0], np.zeros(2)
+        return np.zeros(2), np.diagonal(m.floor)
 
     def _scan_of(self, m: Measurements, first: int, last: int, belief: Any) -> Scan:
         """Return what rows first:last say as one scan, put into the base by the mount as the belief has it."""
@@ -290,9 +285,3 @@ class LineTracker(Model):
         else:
             P = np.array(belief.spread(G[:, :3].tolist(), columns, G[:, 3:].tolist())) + noise
         self.map.append(anchor, value, P, column, (-half, half), self._scan)
-
-
-def _uneven(m: Measurements, row: int) -> Array:
-    """Return the variances (2,) by which a piece of wall is off its line, [m^2, rad^2]."""
-    uneven: Array = m.extra["uneven"][row] if "uneven" in m.extra else np.zeros(2)
-    return uneven

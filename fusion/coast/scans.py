@@ -157,8 +157,8 @@ class AtOnce:
 
 def _rules(of: LineTracker, m: Measurements) -> dict[str, Any]:
     """Return the rules of a tracker."""
-    uneven = m.extra["uneven"][0] if "uneven" in m.extra else np.zeros(2)
-    floor, step = np.zeros(2) if "uneven" in m.extra else np.diagonal(m.floor), bend(uneven)
+    uneven, floor = of.loosened(m)
+    step = bend(uneven)
     lone_d2, lone_turn, lone_offset = LONE
     return {
         "max_turn": MAX_PAIR_ANGLE_RAD,
@@ -194,6 +194,7 @@ def _rules(of: LineTracker, m: Measurements) -> dict[str, Any]:
         "uneven_turn": float(uneven[1]),
         "bend": float(step[0]),
         "bend_turn": float(step[1]),
+        "teaches": of.maps,
     }
 
 
@@ -254,7 +255,9 @@ def no_scans() -> tuple[Any, ...]:
         core.Scans(rows, wholes, wholes, 0, numbers, 0, wholes, wholes, rows, rows, rows),
         core.Walls(wholes, rows, numbers, numbers, *(wholes,) * 4, numbers, 0, 0, False),
         core.Seat(np.zeros(3), wholes, wholes, 0),
-        core.Rules(*(0.0,) * 8, *(0,) * 3, False, 0.0, 0.0, False, False, *(0.0,) * 3, 1, 0, 0, *(0.0,) * 11),
+        core.Rules(
+            *(0.0,) * 8, *(0,) * 3, False, 0.0, 0.0, False, False, *(0.0,) * 3, 1, 0, 0, *(0.0,) * 11, False
+        ),
         core.Rest(rows, rows, wholes, 0, 0, 0.0, 0.0, 0, wholes, wholes, numbers, 0),
         core.Way(),
     )

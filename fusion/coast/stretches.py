@@ -54,7 +54,10 @@ class Stretches:
             np.ascontiguousarray(drive.motions.Q).reshape(len(drive.t), -1),
             np.diff(drive.t, prepend=drive.t[:1]),
         )
-        self._wheels = self._tables.Wheels(self._motions, Q, dt, drifting, drift, len(drift))
+        J, by = np.zeros((1, 1)), belief.moved_by
+        if by[1]:
+            J = np.ascontiguousarray(drive.motions.J).reshape(len(drive.t), 3 * by[1])
+        self._wheels = self._tables.Wheels(self._motions, Q, dt, drifting, drift, len(drift), J, *by)
         self._no_scans = no_scans()
         self._taken: AtOnce | None = None  # whose scans the core took last
         self._desk: Any = None
@@ -82,7 +85,8 @@ class Stretches:
         begun = (0, 0.0, 0.0, 0.0, 0, -1) if taken is None else taken.progress
         progress = self._tables.Progress(first, interpreted.DONE, *begun)
         x, P = belief.arrays
-        of = self._tables.Belief(x, P, belief.n, belief.in_frame), self._wheels, self._readings(belief, first)
+        state = self._tables.Belief(x, P, belief.n, belief.in_frame, *belief.kept)
+        of = state, self._wheels, self._readings(belief, first)
         positive(self._core.coast(*of, *scans, self._room(len(x)), self._notes(track), progress, last))
         track.n = reached = progress.instant
         self._left = reached if progress.why == interpreted.BEFORE else -1

@@ -11,8 +11,7 @@ cdef double turn(Belief b, Headings h, Py_ssize_t i, Desk d)
 cdef double correct_by(
     Belief b, Scans s, Py_ssize_t scan, Py_ssize_t accepted, Headings h, bint whole, Seat seat, Rules rule, Desk d)
 cdef void add_heading(Headings h, Py_ssize_t i, Desk d, Py_ssize_t m, Py_ssize_t width)
-cdef void correct_in_frame(
-    double[::1] x, double[:, ::1] P, Py_ssize_t n, Py_ssize_t frame, double[:, ::1] V, double[::1] e, Py_ssize_t m)
+cdef void correct_in_frame(Belief b, double[:, ::1] V, double[::1] e, Py_ssize_t m)
 cpdef void note(
     double[::1] x, double[:, ::1] P, Py_ssize_t frame, double[::1] room, Py_ssize_t k, double[:, ::1] pose,
     double[:, ::1] triangle, Py_ssize_t[::1] columns, Py_ssize_t blocks, double[:, ::1] values)

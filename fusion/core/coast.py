@@ -6,7 +6,7 @@ with a new line.
 
 from .bearings import sight
 from .echoes import hear
-from .filter import AT_ONCE, FINE, correct, locate, move, swing, whiten
+from .filter import AT_ONCE, FINE, consider, correct, locate, move, move_by_states, swing, whiten
 from .fit import folded
 from .fixes import locate_fix
 from .poses import begin_pose, posed
@@ -81,7 +81,13 @@ def keep(b, r, k, d):
 def roll(b, m, progress, k):
     """Predict to instant k, and sum up how far the wheels rolled."""
     ux, uy, turn = m.u[k, 0], m.u[k, 1], m.u[k, 2]
-    move(b.x, b.P, b.n, ux, uy, turn, m.Q[k, 0], m.Q[k, 1], m.Q[k, 2], m.Q[k, 4], m.Q[k, 5], m.Q[k, 8])
+    if m.states > 0:
+        move_by_states(
+            b.x, b.P, b.n, ux, uy, turn, m.Q[k, 0], m.Q[k, 1], m.Q[k, 2], m.Q[k, 4], m.Q[k, 5], m.Q[k, 8], m.J, k,
+            m.first, m.states,
+        )  # fmt: skip
+    else:
+        move(b.x, b.P, b.n, ux, uy, turn, m.Q[k, 0], m.Q[k, 1], m.Q[k, 2], m.Q[k, 4], m.Q[k, 5], m.Q[k, 8])
     for j in range(m.drifts):
         b.P[m.drifting[j], m.drifting[j]] += m.drift[j] * m.dt[k]
     progress.x += ux
@@ -167,7 +173,7 @@ def correct_by(b, s, scan, accepted, h, whole, seat, rule, d):
             return greatest
         if whole and accepted > 1:
             note_fit(s.joint, scan, d.y, 2 * accepted)
-    correct_in_frame(b.x, b.P, b.n, b.frame, d.V, d.y, max(m, 1))
+    correct_in_frame(b, d.V, d.y, max(m, 1))
     return greatest
 
 
@@ -179,17 +185,20 @@ def add_heading(h, i, d, m, width):
     d.y[m], d.R[m, m] = h.told[i, JUDGED], h.r[i]
 
 
-def correct_in_frame(x, P, n, frame, V, e, m):
+def correct_in_frame(b, V, e, m):
     """Correct by m rows, and let the uncertainty of the map frame's place follow its correction."""
-    for k in range(m, m + (AT_ONCE - m % AT_ONCE) % AT_ONCE):
-        for j in range(n):
-            V[k, j] = 0.0
-    if frame < 0:
-        correct(x, P, n, V, e, m)
-        return
-    place_x, place_y = x[frame], x[frame + 1]
-    correct(x, P, n, V, e, m)
-    swing(P, n, frame, x[frame] - place_x, x[frame + 1] - place_y)
+    place_x = place_y = 0.0
+    if b.frame >= 0:
+        place_x, place_y = b.x[b.frame], b.x[b.frame + 1]
+    if b.some:
+        consider(b.x, b.P, b.n, V, e, m, b.kept)
+    else:
+        for k in range(m, m + (AT_ONCE - m % AT_ONCE) % AT_ONCE):
+            for j in range(b.n):
+                V[k, j] = 0.0
+        correct(b.x, b.P, b.n, V, e, m)
+    if b.frame >= 0:
+        swing(b.P, b.n, b.frame, b.x[b.frame] - place_x, b.x[b.frame + 1] - place_y)
 
 
 def note(x, P, frame, room, k, pose, triangle, columns, blocks, values):

@@ -7,6 +7,7 @@ have room for more states than there are.
 from math import cos, exp, sin, sqrt
 
 AT_ONCE = 4  # rows of a correction that `correct` takes together
+ROUNDING = 1e-14  # a correction leaves at least this share of a variance: below is only rounding
 FINE = 1.0  # returned where no correction failed: only its sign is read
 
 
@@ -35,6 +36,37 @@ def move(x, P, n, ux, uy, turn, qxx, qxy, qxt, qyy, qyt, qtt):
     P[0, 1] += cs * (qxx - qyy) + (cc - ss) * qxy
     P[0, 2] += c * qxt - s * qyt
     P[1, 2] += s * qxt + c * qyt
+    P[1, 0], P[2, 0], P[2, 1] = P[0, 1], P[0, 2], P[1, 2]
+
+
+def move_by_states(x, P, n, ux, uy, turn, qxx, qxy, qxt, qyy, qyt, qtt, J, k, first, states):
+    """The same where the motion is u + J x: so many `states` x, from column `first` on, correct it.
+
+    Row k of J is the derivative (3, states) of u by them. P becomes F P F' with F = I + [W J 0].
+    """
+    c = s = x[2] - x[2]
+    if c == 0.0:
+        c, s = cos(x[2]), sin(x[2])
+    for i in range(states):
+        by = x[first + i]
+        ux += J[k, i] * by
+        uy += J[k, states + i] * by
+        turn += J[k, 2 * states + i] * by
+    move(x, P, n, ux, uy, turn, qxx, qxy, qxt, qyy, qyt, qtt)
+    for i in range(states):  # F P: rows, and below the columns
+        by_x, by_y, by_turn = J[k, i], J[k, states + i], J[k, 2 * states + i]
+        dx, dy, row = c * by_x - s * by_y, s * by_x + c * by_y, first + i
+        for j in range(n):
+            P[0, j] += dx * P[row, j]
+            P[1, j] += dy * P[row, j]
+            P[2, j] += by_turn * P[row, j]
+    for i in range(states):
+        by_x, by_y, by_turn = J[k, i], J[k, states + i], J[k, 2 * states + i]
+        dx, dy, row = c * by_x - s * by_y, s * by_x + c * by_y, first + i
+        for j in range(n):
+            P[j, 0] += dx * P[j, row]
+            P[j, 1] += dy * P[j, row]
+            P[j, 2] += by_turn * P[j, row]
     P[1, 0], P[2, 0], P[2, 1] = P[0, 1], P[0, 2], P[1, 2]
 
 
@@ -104,12 +136,12 @@ def correct(x, P, n, V, e, m):
         for j in range(n):
             x[j] += V[k, j] * e[k]
     for i in range(n):
+        least = ROUNDING * P[i, i]
         for k in range(0, m, 4):
             a, b, c, d = V[k, i], V[k + 1, i], V[k + 2, i], V[k + 3, i]
             for j in range(i, n):
                 P[i, j] -= a * V[k, j] + b * V[k + 1, j] + c * V[k + 2, j] + d * V[k + 3, j]
-        for j in range(i, n):
-            P[j, i] = P[i, j]
+        mirror(P, i, i, n, least)
 
 
 def consider(x, P, n, V, e, m, kept):
@@ -118,11 +150,23 @@ def consider(x, P, n, V, e, m, kept):
         for k in range(0 if kept[j] else m):
             x[j] += V[k, j] * e[k]
     for i in range(n):
-        for j in range(i, n):
-            if not (kept[i] and kept[j]):
-                for k in range(m):
-                    P[i, j] -= V[k, i] * V[k, j]
-                P[j, i] = P[i, j]
+        if kept[i]:
+            continue  # its part of the others' rows is written there
+        least = ROUNDING * P[i, i]
+        for k in range(m):
+            a = V[k, i]
+            for j in range(n):
+                if j >= i or kept[j]:
+                    P[i, j] -= a * V[k, j]
+        mirror(P, i, 0, n, least)
+
+
+def mirror(P, i, first, n, least):
+    """Let column i be what row i is from column `first` on, and variance i at least `least`."""
+    if P[i, i] < least:
+        P[i, i] = least
+    for j in range(first, n):
+        P[j, i] = P[i, j]
 
 
 def take_in(x, P, n, at, states, H, R, y, m, V, kept, some):

@@ -17,6 +17,24 @@ def move(
     qyt: float,
     qtt: float,
 ) -> None: ...
+def move_by_states(
+    x: Floats,
+    P: Matrix,
+    n: int,
+    ux: float,
+    uy: float,
+    turn: float,
+    qxx: float,
+    qxy: float,
+    qxt: float,
+    qyy: float,
+    qyt: float,
+    qtt: float,
+    J: Matrix,
+    k: int,
+    first: int,
+    states: int,
+) -> None: ...
 def whiten(
     P: Matrix, n: int, at: Wholes, states: int, H: Matrix, S: Matrix, y: Floats, m: int, V: Matrix
 ) -> float: ...
@@ -24,6 +42,7 @@ def projected(P: Matrix, n: int, at: Wholes, states: int, H: Matrix, S: Matrix, 
 def factor(S: Matrix, m: int) -> bool: ...
 def correct(x: Floats, P: Matrix, n: int, V: Matrix, e: Floats, m: int) -> None: ...
 def consider(x: Floats, P: Matrix, n: int, V: Matrix, e: Floats, m: int, kept: Wholes) -> None: ...
+def mirror(P: Matrix, i: int, first: int, n: int, least: float) -> None: ...
 def take_in(
     x: Floats,
     P: Matrix,

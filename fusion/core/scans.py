@@ -119,7 +119,7 @@ def teach(b, s, i, w, rule, rest, way, progress, d):
     lines = s.first[i + 1] - s.first[i]
     for j in range(3):
         s.sights[i, 6 + j] = b.x[j]
-    if rest.scans > 0:
+    if rest.scans > 0 or not rule.teaches:
         return False
     progress.number += 1
     extend(d.pairs, d.fate, lines, w.low, w.high, w.hits, w.seen, progress.number)

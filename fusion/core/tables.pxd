@@ -1,7 +1,9 @@
 cdef class Belief:
     cdef double[::1] x
     cdef double[:, ::1] P
+    cdef Py_ssize_t[::1] kept
     cdef Py_ssize_t n, frame
+    cdef bint some
 
 cdef class Scans:
     cdef double[:, ::1] rows, told, joint, sights
@@ -34,7 +36,7 @@ cdef class Rules:
     cdef double lone_offset, rolled, turned, floor, floor_turn, uneven, uneven_turn, bend, bend_turn
     cdef double double_turn, double_offset, double_apart
     cdef Py_ssize_t unmatched, ambiguous, new, tidy, trial, hits
-    cdef bint watched, grows, joint
+    cdef bint watched, grows, joint, teaches
 
 cdef class Way:
     cdef bint follows
@@ -63,10 +65,10 @@ cdef class Odometer:
     cdef bint silent, matches, parameters
 
 cdef class Wheels:
-    cdef double[:, ::1] u, Q
+    cdef double[:, ::1] u, Q, J
     cdef double[::1] dt, drift
     cdef Py_ssize_t[::1] drifting
-    cdef Py_ssize_t drifts
+    cdef Py_ssize_t drifts, first, states
 
 cdef class Headings:
     cdef Py_ssize_t[::1] when, usable, at

@@ -5,10 +5,14 @@ Each is made once and lasts as long as its arrays do. Nothing here does anything
 
 
 class Belief:
-    """State x (n,), covariance P (n, n), and the first column of the map frame, -1 without one."""
+    """State x (n,), covariance P (n, n), and the first column of the map frame, -1 without one.
 
-    def __init__(self, x, P, n, frame):
+    States that are `kept` (n,) count and are never corrected (Schmidt), if there are `some`.
+    """
+
+    def __init__(self, x, P, n, frame, kept, some):
         self.x, self.P, self.n, self.frame = x, P, n, frame
+        self.kept, self.some = kept, some
 
 
 class Scans:
@@ -65,13 +69,13 @@ class Rules:
     def __init__(
         self, max_turn, max_offset, sigmas, gate, zone, rival, share, longest, unmatched, ambiguous, new, watched,
         least, well, grows, joint, lone_d2, lone_turn, lone_offset, tidy, trial, hits, double_turn, double_offset,
-        double_apart, rolled, turned, floor, floor_turn, uneven, uneven_turn, bend, bend_turn,
+        double_apart, rolled, turned, floor, floor_turn, uneven, uneven_turn, bend, bend_turn, teaches,
     ):  # fmt: skip
         self.max_turn, self.max_offset, self.sigmas = max_turn, max_offset, sigmas
         self.gate, self.zone, self.rival, self.share, self.longest = gate, zone, rival, share, longest
         self.unmatched, self.ambiguous, self.new = unmatched, ambiguous, new
         self.watched, self.least, self.well = watched, least, well
-        self.grows, self.joint = grows, joint
+        self.grows, self.joint, self.teaches = grows, joint, teaches
         self.lone_d2, self.lone_turn, self.lone_offset = lone_d2, lone_turn, lone_offset
         self.tidy, self.trial, self.hits = tidy, trial, hits
         self.double_turn, self.double_offset, self.double_apart = double_turn, double_offset, double_apart
@@ -145,12 +149,14 @@ class Odometer:
 class Wheels:
     """Motions u (instants, 3), Q (instants, 9), dt (instants,).
 
-    The states `drifting` (drifts,) gain the variance `drift` each second.
+    The states `drifting` (drifts,) gain the variance `drift` each second. So many `states`, from column `first`
+    on, correct the motions: J (instants, 3 states) is the derivative of u by them.
     """
 
-    def __init__(self, u, Q, dt, drifting, drift, drifts):
+    def __init__(self, u, Q, dt, drifting, drift, drifts, J, first, states):
         self.u, self.Q, self.dt = u, Q, dt
         self.drifting, self.drift, self.drifts = drifting, drift, drifts
+        self.J, self.first, self.states = J, first, states
 
 
 class Headings:

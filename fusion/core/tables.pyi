@@ -5,7 +5,9 @@ class Belief:
     P: Matrix
     n: int
     frame: int
-    def __init__(self, x: Floats, P: Matrix, n: int, frame: int) -> None: ...
+    kept: Wholes
+    some: bool
+    def __init__(self, x: Floats, P: Matrix, n: int, frame: int, kept: Wholes, some: bool) -> None: ...
 
 class Scans:
     rows: Matrix
@@ -133,6 +135,7 @@ class Rules:
     uneven_turn: float
     bend: float
     bend_turn: float
+    teaches: bool
     def __init__(
         self,
         max_turn: float,
@@ -168,6 +171,7 @@ class Rules:
         uneven_turn: float,
         bend: float,
         bend_turn: float,
+        teaches: bool,
     ) -> None: ...
 
 class Way:
@@ -343,7 +347,21 @@ class Wheels:
     drifting: Wholes
     drift: Floats
     drifts: int
-    def __init__(self, u: Matrix, Q: Matrix, dt: Floats, drifting: Wholes, drift: Floats, drifts: int) -> None: ...
+    J: Matrix
+    first: int
+    states: int
+    def __init__(
+        self,
+        u: Matrix,
+        Q: Matrix,
+        dt: Floats,
+        drifting: Wholes,
+        drift: Floats,
+        drifts: int,
+        J: Matrix,
+        first: int,
+        states: int,
+    ) -> None: ...
 
 class Headings:
     when: Wholes

@@ -7,7 +7,6 @@ they stand in `core.filter`. P stays symmetric by construction, and a textbook f
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -98,13 +97,19 @@ class JointBelief:
 
     @property
     def plain(self) -> bool:
-        """Whether a prediction is a motion and drifts, and a correction corrects every state."""
-        return (
-            type(self) is JointBelief
-            and self._motion_block is None
-            and not len(self._considered)
-            and not self.lost
-        )
+        """Whether the core may take it: nothing is noted, and it is not lost."""
+        return type(self) is JointBelief and not self.lost
+
+    @property
+    def moved_by(self) -> tuple[int, int]:
+        """First column of the states that correct the motion, and how many there are, for the core."""
+        block = self._motion_block
+        return (0, 0) if block is None else (block.start, block.stop - block.start)
+
+    @property
+    def kept(self) -> tuple[Ints, bool]:
+        """Which states (n,) are considered, 1 or 0, and whether any is, for the core; none: (1,)."""
+        return self._chosen(self._considered)
 
     def pose(self) -> Pose:
         """Return (x, y, theta)."""
@@ -387,22 +392,13 @@ class JointBelief:
         Blocks drift by their random walk over dt [s]; J is the derivative of u by the wheel parameters.
         """
         P = self._P
-        if self._motion_block is not None and J is not None:
-            u = (u + J @ self._x[self._motion_block]).tolist()
-            theta = float(self._x[2])
-        self._room.on_arrays.move(self._x, P, self.n, *u, *Q)
-        if self._motion_block is not None and J is not None:
-            self._spread_parameters(math.cos(theta), math.sin(theta), J)
+        if self._motion_block is None or J is None:
+            self._room.on_arrays.move(self._x, P, self.n, *u, *Q)
+        else:
+            row = np.ascontiguousarray(J).reshape(1, -1)
+            self._room.on_arrays.move_by_states(self._x, P, self.n, *u, *Q, row, 0, *self.moved_by)
         for columns, drift in self._drift:
             P[columns, columns] += drift * dt
-
-    def _spread_parameters(self, c: float, s: float, J: Array) -> None:
-        """Let the uncertainty of the wheel parameters enter the pose: P <- F P F' with F = I + [J 0]."""
-        n, P, where = self.n, self._P, self._motion_block
-        F = np.empty_like(J)
-        F[0], F[1], F[2] = c * J[0] - s * J[1], s * J[0] + c * J[1], J[2]
-        P[:3, :n] += F @ P[where, :n]
-        P[:n, :3] += P[:n, where] @ F.T
 
     def spread(self, H: Rows, columns: Sequence[int] = (), H_block: Rows = ()) -> tuple[tuple[float, ...], ...]:
         """Return H P H', (d, d)."""
@@ -433,13 +429,17 @@ class JointBelief:
 
     def _take_in(self, seen: Sequence[Innovation | Reading], kept: Ints) -> None:
         equation = together(seen)
-        chosen = NONE_KEPT
-        if len(kept):
-            chosen = np.zeros(self.n, np.intp)
-            chosen[kept] = 1
         given = self._given(*equation)
-        positive(self._room.on_arrays.take_in(self._x, *given, chosen, len(kept) > 0))
+        positive(self._room.on_arrays.take_in(self._x, *given, *self._chosen(kept)))
         self._whitened = equation[0]
+
+    def _chosen(self, kept: Ints) -> tuple[Ints, bool]:
+        """Return columns as the core wants them: one number for each state, and whether there are any."""
+        if not len(kept):
+            return NONE_KEPT, False
+        chosen = np.zeros(self.n, np.intp)
+        chosen[kept] = 1
+        return chosen, True
 
     def _given(self, y: Array, columns: Ints, H: Array, R: Array) -> tuple[Any, ...]:
         """Return P and an equation as the core wants them; e is written over y, V has rows of zeros behind it."""

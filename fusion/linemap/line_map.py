@@ -118,10 +118,9 @@ class LineMap(msgspec.Struct):
         return line
 
     def keep_floor(self, belief: JointBelief, floor: Array) -> None:
-        """Know no line better than its floor (2, 2), whatever was averaged: no wall is a plane to less."""
+        """Know no line better than its floor (2,) [m^2, rad^2], whatever was averaged: no wall is a plane."""
         at, missing = np.empty(2 * len(self), np.intp), np.empty(2 * len(self))
-        rho, beta = floor[0, 0], floor[1, 1]
-        k = Room.here(match).on_arrays.lacks(belief.arrays[1], self.column, len(self), rho, beta, at, missing)
+        k = Room.here(match).on_arrays.lacks(belief.arrays[1], self.column, len(self), *floor, at, missing)
         if k:
             belief.loosen(at[:k], missing[:k])
 

@@ -58,11 +58,12 @@ def swung(x: Array, P: Array, before: Array) -> Array:
 @pytest.mark.parametrize("free", [0, 2])
 @pytest.mark.parametrize("accepted", [1, 2, 3])
 @pytest.mark.parametrize("taken", [False, True])
+@pytest.mark.parametrize("kept", [(), (8, 9, 12)])
 def test_a_scan_and_a_heading_of_one_instant_correct_together(
-    taken: bool, accepted: int, free: int, at: tuple[int, ...], frame: int
+    kept: tuple[int, ...], taken: bool, accepted: int, free: int, at: tuple[int, ...], frame: int
 ) -> None:
     rng = np.random.default_rng(accepted)
-    b, h, m = believed(accepted, frame), headings([0.0, 0.0], 0.02, at), 2 * accepted
+    b, h, m = believed(accepted, frame, kept), headings([0.0, 0.0], 0.02, at), 2 * accepted
     h.told[:, 4] = 9.0, 0.07  # innovations, of which the second is meant
     lines = [8 + k for k in range(2 * accepted)]
     columns = [0, 1, 2, *[7, 6][:free], *lines]
@@ -77,11 +78,13 @@ def test_a_scan_and_a_heading_of_one_instant_correct_together(
     noise[:m, :m], noise[m, m] = R, 0.02
     rows = m + taken
     fit = y @ np.linalg.solve((full @ b.P @ full.T + noise)[:m, :m], y)
-    book.correct(np.append(y, 0.07)[:rows], full[:rows], noise[:rows, :rows])
-    before, h.taken = b.x.copy(), 1 if taken else -1
+    book.correct(np.append(y, 0.07)[:rows], full[:rows], noise[:rows, :rows], kept)
+    before, h.taken, own = b.x.copy(), 1 if taken else -1, b.P[np.ix_(kept, kept)]
     assert core.correct_by(b, s, 1, accepted, h, True, table(free=free), joint, d) > 0.0
     np.testing.assert_allclose(b.x, book.x, atol=1e-12)
     np.testing.assert_allclose(b.P, book.P if frame < 0 else swung(book.x, book.P, before), atol=1e-12)
+    np.testing.assert_array_equal(b.x[list(kept)], before[list(kept)])
+    np.testing.assert_array_equal(b.P[np.ix_(kept, kept)], own)
     np.testing.assert_allclose(s.joint[1], np.array([fit, m]) if accepted > 1 else np.zeros(2))
     assert not s.joint[[0, 2]].any()
 
@@ -123,22 +126,28 @@ def test_a_heading_beyond_the_gate_one_of_no_use_and_one_that_is_none_are_told_a
     assert not core.turn(b, h, 0, d) > 0.0
 
 
-def motions(seed: int, n: int) -> Any:
+WHEELS = 10  # the first of three columns by which motions are corrected
+
+
+def motions(seed: int, n: int, states: int = 0) -> Any:
     rng = np.random.default_rng(seed)
     root = 0.01 * rng.normal(size=(n, 3, 3))
     return table(
         u=rng.normal(0.0, 0.2, (n, 3)), Q=(root @ root.transpose(0, 2, 1)).reshape(n, 9),
         dt=rng.uniform(0.1, 0.2, n), drifting=[OFFSET, 7], drift=[0.02, 0.03], drifts=2,
+        J=rng.normal(size=(n, 3 * states)), first=WHEELS, states=states,
     )  # fmt: skip
 
 
 def predict(book: TextbookEkf, m: Any, k: int) -> None:
-    book.predict(m.u[k], m.Q[k].reshape(3, 3))
+    J = m.J[k].reshape(3, m.states) if m.states else None
+    book.predict(m.u[k], m.Q[k].reshape(3, 3), J, range(m.first, m.first + m.states))
     book.P[[OFFSET, 7], [OFFSET, 7]] += np.array([0.02, 0.03]) * m.dt[k]
 
 
-def test_a_prediction_is_the_textbooks_with_drift_and_counts_the_way() -> None:
-    b, m = believed(5), motions(5, 3)
+@pytest.mark.parametrize("states", [0, 1, 3])
+def test_a_prediction_is_the_textbooks_with_drift_and_counts_the_way(states: int) -> None:
+    b, m = believed(5), motions(5, 3, states)
     progress, book = table(x=0.5, y=-0.2, theta=0.1), TextbookEkf(b.x, b.P)
     core.roll(b, m, progress, 2)
     predict(book, m, 2)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from typing import Any
 
 import hypothesis
@@ -17,7 +18,7 @@ from worlds import World
 from locfuse.fusion.coast.stretches import Stretches
 from locfuse.fusion.core.form import form
 from locfuse.fusion.core.room import Room
-from locfuse.fusion.data import VERDICTS, Array, Drive, LocfuseError, Measurements, Ragged
+from locfuse.fusion.data import VERDICTS, Array, Drive, LocfuseError, MapLine, Measurements, Ragged
 from locfuse.fusion.doctor.examine import REFUSALS
 from locfuse.fusion.fuse import Filter, fuse
 from locfuse.fusion.measure import measure
@@ -25,11 +26,14 @@ from locfuse.fusion.robot import Robot, StartSettings
 
 DRIFTING = {"compass": {"offset_drift_deg": 0.2}}
 KNOWN = {"compass": {"offset_deg": math.degrees(0.7)}}
-FROZEN, REFINED, UNGUARDED = (
+FROZEN, REFINED, CONSIDERED, UNGUARDED = (
     {"lrf": {"map": "first-scan"}},
     {"lrf": {"map": "refine"}},
+    {"lrf": {"map": "consider"}},
     {"lrf": {"recover": False}},
 )
+WHEELS = {"wheels": {"estimate": True}}
+MODES = ["grow", "refine", "consider", "first-scan", "given"]
 EXACT = {"lrf": {"sigma_x": 0.0, "sigma_y": 0.0, "sigma_yaw_deg": 0.0}}
 AWAY, TURNED = np.array([0.8, 1.1]), np.array([0.0, 0.2])  # m, rad: walls that stand elsewhere
 NARROW = {"lrf": {"gate": 0.6}, "compass": {"gate": 0.8}}
@@ -60,8 +64,19 @@ def with_lines(drive: Drive, change: Callable[[int, Array], Array]) -> Drive:
 
 @pytest.mark.parametrize(
     "settings",
-    [{}, KNOWN, DRIFTING, FROZEN, REFINED, UNGUARDED, EXACT, NARROW],
-    ids=["estimated", "known", "drifting", "frozen", "refined", "unguarded", "exact", "narrow"],
+    [{}, KNOWN, DRIFTING, FROZEN, REFINED, CONSIDERED, UNGUARDED, EXACT, NARROW, WHEELS],
+    ids=[
+        "estimated",
+        "known",
+        "drifting",
+        "frozen",
+        "refined",
+        "considered",
+        "unguarded",
+        "exact",
+        "narrow",
+        "wheels",
+    ],
 )
 @pytest.mark.parametrize("sensors", [(), ("compass",), ("compass", "lrf"), ("lrf",)])
 def test_a_drive_in_stretches_is_the_drive_instant_by_instant(
@@ -73,7 +88,7 @@ def test_a_drive_in_stretches_is_the_drive_instant_by_instant(
 
 def test_a_scan_that_fits_is_left_to_the_core() -> None:
     """The loop takes the first scan, with which the map begins, and those of a robot at rest that count."""
-    for settings in ({}, FROZEN, REFINED):
+    for settings in ({}, FROZEN, REFINED, CONSIDERED, WHEELS):
         drive, robot = drive_of(settings, seconds=20.0)
         assert len(advanced(drive, robot, ["compass", "lrf"])) <= 3
     still, robot = drive_of({}, speed=0.0, turning=0.0)
@@ -198,14 +213,34 @@ def test_two_pictures_at_one_instant_share_one_prior() -> None:
     assert_same(fuse(drive, robot, ["camera"]), instant_by_instant(drive, robot, ["camera"]))
 
 
+@cache
+def own_map(seconds: float, speed: float) -> tuple[MapLine, ...]:
+    """Return the map that such a drive makes."""
+    drive, robot = drive_of({}, seconds=seconds, speed=speed)
+    return tuple(fuse(drive, robot, ["compass", "lrf"]).final_map)
+
+
+def test_a_given_map_is_left_to_the_core_and_stays_as_it_is() -> None:
+    drive, robot = drive_of({"lrf": {"map": "given"}}, seconds=20.0)
+    robot = replace(robot, lines=own_map(20.0, 0.3))
+    assert len(advanced(drive, robot, ["compass", "lrf"])) <= 2
+    run = fuse(drive, robot, ["compass", "lrf"])
+    assert run.audits["lrf"].verdict.tolist().count(0) > 500
+    for line, given in zip(run.final_map, robot.lines, strict=True):
+        np.testing.assert_allclose((line.rho, line.beta), (given.rho, given.beta), atol=1e-12)
+    assert_same(run, instant_by_instant(drive, robot, ["compass", "lrf"]))
+
+
 KINDS = st.sampled_from(["as seen", "none", "one line", "NaN", "elsewhere", "turned"])
 
 
 @hypothesis.settings(deadline=None, max_examples=40)
-@hypothesis.given(st.lists(KINDS, min_size=12, max_size=12), st.sampled_from(["grow", "refine", "first-scan"]))
-def test_whatever_scans_show_all_ways_agree(kinds: list[str], mode: str) -> None:
+@hypothesis.given(st.lists(KINDS, min_size=12, max_size=12), st.sampled_from(MODES), st.booleans())
+def test_whatever_scans_show_all_ways_agree(kinds: list[str], mode: str, wheels: bool) -> None:
     """The core in stretches, the loop, and the core interpreted, whose arrays are the same to the bit."""
-    drive, robot = drive_of({"lrf": {"map": mode}}, seconds=2.4, speed=0.6)
+    drive, robot = drive_of({"lrf": {"map": mode}, "wheels": {"estimate": wheels}}, seconds=2.4, speed=0.6)
+    if mode == "given":
+        robot = replace(robot, lines=own_map(2.4, 0.6))
 
     def change(i: int, lines: Array) -> Array:
         kind = kinds[i // 2 % len(kinds)]
@@ -309,14 +344,9 @@ def test_a_heading_at_the_very_instant_of_a_scan_is_taken_with_it() -> None:
 
 
 def test_what_the_core_does_not_know_is_left_to_the_loop() -> None:
-    """Wheel parameters as states, refused readings that are kept with more noise, readings that only listen."""
-    for settings, sensors in (
-        ({"wheels": {"estimate": True}}, ["compass", "lrf"]),
-        ({"compass": {"outliers": "inflate"}}, ["compass"]),
-        ({"lrf": {"map": "consider"}}, ["compass", "lrf"]),
-    ):
-        drive, robot = drive_of(settings)
-        assert_same(fuse(drive, robot, sensors), instant_by_instant(drive, robot, sensors))
+    """Refused readings that are kept with more noise, readings that only listen."""
+    drive, robot = drive_of({"compass": {"outliers": "inflate"}})
+    assert_same(fuse(drive, robot, ["compass"]), instant_by_instant(drive, robot, ["compass"]))
     drive, robot = drive_of({})
     every = {"compass": np.ones(len(drive.measurements["compass"].z), np.bool_)}
     heard = fuse(drive, robot, ["lrf"], listen=every)
@@ -324,7 +354,7 @@ def test_what_the_core_does_not_know_is_left_to_the_loop() -> None:
 
 
 @pytest.mark.skipif(form().functions is None, reason="the core is not compiled")
-@pytest.mark.parametrize("settings", [DRIFTING, FROZEN, REFINED])
+@pytest.mark.parametrize("settings", [DRIFTING, FROZEN, REFINED, CONSIDERED, WHEELS])
 def test_both_forms_of_the_core_give_the_same_to_the_bit(
     monkeypatch: pytest.MonkeyPatch, settings: Mapping[str, Any]
 ) -> None:

@@ -403,7 +403,7 @@ def test_every_way_to_change_a_belief_is_noted_or_needs_no_note() -> None:
     known |= {"consider", "add", "drive_with"}  # before the first motion
     reading = {"x", "y", "theta", "pose", "triangle", "state", "covariance", "matrix", "block", "variances", "has"}
     reading |= {"spread", "observed", "frame_pose", "with_frame", "located", "joint_nis", "nis_of_first", "arrays"}
-    reading |= {"drifting", "plain", "in_frame", "by_local"}
+    reading |= {"drifting", "plain", "in_frame", "by_local", "kept", "moved_by"}
     public = {name for name in vars(JointBelief) if not name.startswith("_")}
     assert public <= known | reading, public - known - reading
 

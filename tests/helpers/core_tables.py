@@ -16,8 +16,9 @@ def table(**columns: Any) -> Any:
     return SimpleNamespace(**columns)
 
 
-def believed(seed: int, frame: int = -1) -> Any:
-    """A belief of N states, all of which are correlated."""
+def believed(seed: int, frame: int = -1, kept: tuple[int, ...] = ()) -> Any:
+    """A belief of N states, all of which are correlated; some may be considered."""
     rng = np.random.default_rng(seed)
     root = 0.1 * rng.normal(size=(N, N))
-    return table(x=rng.normal(size=N), P=root @ root.T + 1e-3 * np.eye(N), n=N, frame=frame)
+    P, chosen = root @ root.T + 1e-3 * np.eye(N), np.isin(np.arange(N), kept)
+    return table(x=rng.normal(size=N), P=P, n=N, frame=frame, kept=chosen, some=bool(kept))

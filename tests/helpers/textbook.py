@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,21 +37,30 @@ class TextbookEkf:
     def __init__(self, x: Array, P: Array) -> None:
         self.x, self.P = x.astype(float).copy(), P.astype(float).copy()
 
-    def predict(self, u: Array, Q: Array) -> None:
-        """u, Q: relative pose and covariance in the frame of the start pose; the rest of the state stays."""
+    def predict(self, u: Array, Q: Array, J: Array | None = None, at: Sequence[int] = ()) -> None:
+        """u, Q: relative pose and covariance in the frame of the start pose; the rest of the state stays.
+
+        u may also depend on the states `at`, of which J (3, k) is the derivative.
+        """
         n = len(self.x)
+        if J is not None:
+            u = u + J @ self.x[list(at)]
         c, s = math.cos(self.x[2]), math.sin(self.x[2])
         A = np.eye(n)
         A[0, 2] = -s * u[0] - c * u[1]
         A[1, 2] = c * u[0] - s * u[1]
         W = np.zeros((n, 3))
         W[:3] = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+        if J is not None:
+            A[:3, list(at)] += W[:3] @ J
         self.x[:3] = move(self.x[:3], u)
         self.P = A @ self.P @ A.T + W @ Q @ W.T
 
-    def correct(self, y: Array, H: Array, R: Array) -> None:
+    def correct(self, y: Array, H: Array, R: Array, kept: Sequence[int] = ()) -> None:
+        """States that are kept are considered: Schmidt's gain is zero for them."""
         S = H @ self.P @ H.T + R
         K = self.P @ H.T @ np.linalg.inv(S)
+        K[list(kept)] = 0.0
         self.x = self.x + K @ y
         J = np.eye(len(self.x)) - K @ H
         self.P = J @ self.P @ J.T + K @ R @ K.T

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from locfuse.fusion.atlas.one_map import LineTracker
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.linemap.association import associate
+from locfuse.fusion.linemap.line_map import LineMap
 from locfuse.fusion.linemap.scan import Scan
 from locfuse.fusion.lines.flatness import LAG_SCANS, bend, wall_floor
 from locfuse.fusion.se2 import wrap_all
@@ -72,14 +72,14 @@ def test_a_line_that_is_seen_for_ever_stays_within_its_walls_unevenness() -> Non
     """Looked at again and again, a wall that is known well becomes as uncertain as it is uneven, and no more."""
     uneven = np.array([1e-4, 7e-5])
     belief = JointBelief((0.0, 0.0, 0.0), (1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6), [])
-    tracker = LineTracker("grow", 0.9999)
+    walls = LineMap()
     for start in (1e-6, 4e-4):  # one well known, one worse than it is uneven
         column = belief.augment(np.zeros(2), np.zeros((2, 3)), start * np.eye(2))
-        tracker.map.append(np.array([2.0, 0.0]), np.zeros(2), np.zeros((2, 2)), column, (-1.0, 1.0), 0)
+        walls.append(np.array([2.0, 0.0]), np.zeros(2), np.zeros((2, 2)), column, (-1.0, 1.0), 0)
     z, R, ends = np.array([[2.0, 0.0]]), np.diag([1e-4, 1e-4])[None], np.array([[-1.0, 1.0]])
-    found = associate(Scan(z, R, ends), tracker.map, belief, math.inf)
+    found = associate(Scan(z, R, ends), walls, belief, math.inf)
     for which in (0, 1):
         found.fate[0] = next(p for p, pair in enumerate(found.pairs) if pair.which == which)
         for _ in range(10 * LAG_SCANS):
-            tracker._bend(found, uneven, belief)
+            belief.loosen(*found.bends(belief.arrays[1], uneven, bend(uneven)))
     np.testing.assert_allclose(np.diagonal(belief.covariance)[3:], [*uneven, 4e-4, 4e-4], rtol=1e-9)

@@ -50,6 +50,27 @@ def test_a_set_beyond_a_cap_is_refused_in_one_line(tmp_path: Path, text: str) ->
     assert len(done.stderr) < 6000
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("wheels.noise=2000", "must be a number <= 1000.0, in metres"),
+        ("wheels.noise=9223372036854775807", "metres on Earth are at most 1e+08"),
+        ("start.x=-1e9", "start.x = -1000000000.0: metres on Earth are at most 1e+08"),
+        ("sonar.mounts.front=[1e9, 0, 0]", "sonar.mounts = 1000000000.0: metres on Earth are at most 1e+08"),
+        ("compass.sigma_deg=1e-300", "no number of a robot but 0 is smaller than 1e-30"),
+        ("wheels.noise=-1", "must be a number >= 0.0, in metres"),
+        ("wheels.time_offset=9223372036854775807", "is wheels.time_offset right? It is in seconds"),
+    ],
+)
+def test_a_set_beyond_what_can_be_computed_with_is_refused_in_one_line(
+    tmp_path: Path, text: str, words: str
+) -> None:
+    done = locfuse("run", write(tmp_path / "f.mcap", seconds=0.5), "-o", tmp_path / "out", "--set", text)
+    assert done.exit_code in {1, 2}
+    assert words in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
 def test_ordinary_settings_pass() -> None:
     assert apply_sets(["lrf.topic=/scan", "wheels.radius=0.03"]) == {
         "lrf": {"topic": "/scan"},

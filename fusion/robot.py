@@ -23,6 +23,7 @@ Steering = Literal["angle", "rate", "heading"]
 MAX_START_SIGMA_M = 1e5
 MAX_START_SIGMA_DEG = 3600.0
 MAX_NOISE_M = 1e3  # variance per metre: wheels that say nothing, and still far from what rounding eats
+PerMetre = Annotated[float, msgspec.Meta(ge=0.0, le=MAX_NOISE_M)]
 VIRTUAL_TRACK = 0.3  # m: carries the noise of an odometry topic, which knows no wheels
 
 
@@ -48,8 +49,7 @@ class WheelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     rollover: float | None = None  # the counter's range, in its own unit; 0: it never rolls over; None: found
     max_speed: float | None = None  # m/s of a wheel; readings that need more are faults; None: found
     reverse_by_twist: bool = True  # an odometry's pose that goes ahead while its twist says backward is turned
-    # m: variance per metre that a wheel rolls (docs/paper.md, eq. 9: k)
-    noise: Annotated[float, msgspec.Meta(ge=0.0, le=MAX_NOISE_M)] = 4e-4
+    noise: PerMetre = 4e-4  # m: variance per metre that a wheel rolls (docs/paper.md, eq. 9: k)
     time_offset: float = 0.0  # s
     estimate: bool = False  # scale of either wheel and track as states
     sigma_scale: float = 0.02  # prior of the estimated scales, relative

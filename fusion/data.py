@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Counts = NDArray[np.int32] | Ints  # small numbers, of which an hour holds many
 
+END_OF_TIME = 2**62  # ns: no time beyond it is believed, and two within it differ by what 64 bits hold
+
 
 class LocfuseError(Exception):
     """What a file says is unusable: one line with what, where, the numbers, and what to try next.

@@ -19,11 +19,10 @@ from locfuse.fusion.wheels.read import WheelReading, read_wheels
 from locfuse.fusion.wheels.repairs import gaps_of
 
 from . import se2
-from .data import Array, Drive, Ints, LocfuseError, Measurements, Motions, Stream, Truth
+from .data import END_OF_TIME, Array, Drive, Ints, LocfuseError, Measurements, Motions, Stream, Truth
 from .robot import Robot, StartSettings
 from .truth import body_poses, read_truth
 
-END_OF_TIME = 2**63 - 1  # ns: stamps are counted in 64 bits
 FILL = 0.2  # s: where no sensor speaks for this long, a wheel reading becomes an instant
 
 
@@ -45,7 +44,7 @@ def measure(
     if motion is None:
         progress("measuring the wheels")
     wheels, epoch_ns, dropped, notes = motion or read_wheels(streams["wheels"], robot.wheels)
-    if abs(epoch_ns) > END_OF_TIME:
+    if abs(epoch_ns) >= END_OF_TIME:
         raise LocfuseError(
             f"the drive would begin at {epoch_ns * 1e-9:.3g} s, and stamps end at {END_OF_TIME * 1e-9:.3g} s",
             role="wheels",

@@ -19,7 +19,7 @@ from locfuse.formats.caps import MAX_TEXT_FILE
 from locfuse.formats.geometry import quaternions
 from locfuse.formats.inputs import csv_rows, read_small
 from locfuse.formats.visible import visible
-from locfuse.fusion.data import Array, Block, Column, Ints, LocfuseError
+from locfuse.fusion.data import END_OF_TIME, Array, Block, Column, Ints, LocfuseError
 
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 POINT = "geometry_msgs/msg/PointStamped"
@@ -30,7 +30,6 @@ HEADINGS = ("theta", "yaw", "heading", "theta_rad", "yaw_rad")
 PLANE = (0, 1, 5)  # where x, y and yaw stand in a pose covariance of ROS
 TRIANGLE = ("p_xx", "p_xy", "p_xt", "p_yy", "p_yt", "p_tt")
 MAX_IDENT = 2**53  # whole numbers below it are exact as floats
-END_OF_TIME = 2**62  # ns
 MIN_NS = 1e14  # a time beyond this is no number of seconds, but of nanoseconds
 
 

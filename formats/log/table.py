@@ -15,7 +15,7 @@ from locfuse.formats.columns import Growing, take
 from locfuse.formats.container.source import Messages
 from locfuse.formats.messages.decoded import Decoded, MessageDecoder
 from locfuse.formats.messages.fields import frame_path, stamp_path
-from locfuse.fusion.data import Column, Ints, LocfuseError
+from locfuse.fusion.data import END_OF_TIME, Column, Ints, LocfuseError
 
 from . import jitter
 
@@ -38,7 +38,6 @@ class Raw(NamedTuple):
         return self._replace(messages=first), self._replace(messages=rest)
 
 
-END_OF_TIME = 2**62  # ns
 LONG_BYTES = 64 * 1024  # bytes: no message that is read into columns for a whole log is nearly as long
 CHANGED = "the log changed while it was being read, or is damaged so that two readings of it differ"
 NO_TIMES: tuple[Ints, Ints] = (np.empty(0, np.int64), np.empty(0, np.int64))

@@ -193,16 +193,11 @@ def _check_table(name: str, table: Any, kind: type[msgspec.Struct]) -> None:
 
 def _refuse_far(path: str, value: Any) -> None:
     """Refuse metres, or a list or table of them, that lead off the Earth."""
-    inner: Iterable[Any] = (value,)
-    if isinstance(value, Mapping):
-        inner = value.values()
-    elif isinstance(value, list):
-        inner = value
-    for one in inner:
-        if isinstance(one, list | Mapping):
+    if isinstance(value, Mapping | list):
+        for one in value.values() if isinstance(value, Mapping) else value:
             _refuse_far(path, one)
-        elif isinstance(one, int | float) and abs(one) > MAX_METRES:
-            raise LocfuseError(f"{path} = {_shown(one)}: metres on Earth are at most {MAX_METRES:g}")
+    elif isinstance(value, int | float) and abs(value) > MAX_METRES:
+        raise LocfuseError(f"{path} = {_shown(value)}: it is in metres, and may be {MAX_METRES:g} at most")
 
 
 def _unknown(key: str, table: str, known: Sequence[str]) -> str:

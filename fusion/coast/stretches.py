@@ -17,7 +17,7 @@ from locfuse.fusion.core import coast as interpreted
 from locfuse.fusion.core import tables
 from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Drive, Ints
-from locfuse.fusion.ekf.belief_arrays import AT_ONCE, JointBelief
+from locfuse.fusion.ekf.belief_arrays import AT_ONCE, NO_STATES, JointBelief
 from locfuse.fusion.sensor import Model, positive
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.track import Track
@@ -54,7 +54,7 @@ class Stretches:
             np.ascontiguousarray(drive.motions.Q).reshape(len(drive.t), -1),
             np.diff(drive.t, prepend=drive.t[:1]),
         )
-        J, by = np.zeros((1, 1)), belief.moved_by
+        J, by = NO_STATES, belief.moved_by
         if by[1]:
             J = np.ascontiguousarray(drive.motions.J).reshape(len(drive.t), 3 * by[1])
         self._wheels = self._tables.Wheels(self._motions, Q, dt, drifting, drift, len(drift), J, *by)

@@ -6,7 +6,7 @@ with a new line.
 
 from .bearings import sight
 from .echoes import hear
-from .filter import AT_ONCE, FINE, consider, correct, locate, move, move_by_states, swing, whiten
+from .filter import AT_ONCE, FINE, consider, correct, locate, move, swing, whiten
 from .fit import folded
 from .fixes import locate_fix
 from .poses import begin_pose, posed
@@ -81,13 +81,10 @@ def keep(b, r, k, d):
 def roll(b, m, progress, k):
     """Predict to instant k, and sum up how far the wheels rolled."""
     ux, uy, turn = m.u[k, 0], m.u[k, 1], m.u[k, 2]
-    if m.states > 0:
-        move_by_states(
-            b.x, b.P, b.n, ux, uy, turn, m.Q[k, 0], m.Q[k, 1], m.Q[k, 2], m.Q[k, 4], m.Q[k, 5], m.Q[k, 8], m.J, k,
-            m.first, m.states,
-        )  # fmt: skip
-    else:
-        move(b.x, b.P, b.n, ux, uy, turn, m.Q[k, 0], m.Q[k, 1], m.Q[k, 2], m.Q[k, 4], m.Q[k, 5], m.Q[k, 8])
+    move(
+        b.x, b.P, b.n, ux, uy, turn, m.Q[k, 0], m.Q[k, 1], m.Q[k, 2], m.Q[k, 4], m.Q[k, 5], m.Q[k, 8], m.J, k,
+        m.first, m.states,
+    )  # fmt: skip
     for j in range(m.drifts):
         b.P[m.drifting[j], m.drifting[j]] += m.drift[j] * m.dt[k]
     progress.x += ux

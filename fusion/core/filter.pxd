@@ -3,9 +3,6 @@ cdef double FINE, ROUNDING
 
 cpdef void move(
     double[::1] x, double[:, ::1] P, Py_ssize_t n, double ux, double uy, double turn, double qxx, double qxy,
-    double qxt, double qyy, double qyt, double qtt)
-cpdef void move_by_states(
-    double[::1] x, double[:, ::1] P, Py_ssize_t n, double ux, double uy, double turn, double qxx, double qxy,
     double qxt, double qyy, double qyt, double qtt, double[:, ::1] J, Py_ssize_t k, Py_ssize_t first,
     Py_ssize_t states)
 cpdef double whiten(

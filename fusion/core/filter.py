@@ -11,14 +11,20 @@ ROUNDING = 1e-14  # a correction leaves at least this share of a variance: below
 FINE = 1.0  # returned where no correction failed: only its sign is read
 
 
-def move(x, P, n, ux, uy, turn, qxx, qxy, qxt, qyy, qyt, qtt):
+def move(x, P, n, ux, uy, turn, qxx, qxy, qxt, qyy, qyt, qtt, J, k, first, states):
     """Eq. 5-7: move by the relative pose (ux, uy, turn) of covariance Q, in the frame of its start.
 
-    Row x of A is (1, 0, -dy), row y is (0, 1, dx): rows and columns of x and y take that much of theta's.
+    Row x of A is (1, 0, -dy), row y is (0, 1, dx): rows and columns of x and y take that much of theta's. So many
+    `states` z, from column `first` on, correct the motion, which is u + J z with row k of J (3, states).
     """
     c = s = x[2] - x[2]  # NaN where there is no heading
     if c == 0.0:
         c, s = cos(x[2]), sin(x[2])
+    for i in range(states):
+        by = x[first + i]
+        ux += J[k, i] * by
+        uy += J[k, states + i] * by
+        turn += J[k, 2 * states + i] * by
     dx, dy = c * ux - s * uy, s * ux + c * uy  # eq. 5
     x[0] += dx
     x[1] += dy
@@ -36,37 +42,17 @@ def move(x, P, n, ux, uy, turn, qxx, qxy, qxt, qyy, qyt, qtt):
     P[0, 1] += cs * (qxx - qyy) + (cc - ss) * qxy
     P[0, 2] += c * qxt - s * qyt
     P[1, 2] += s * qxt + c * qyt
-    P[1, 0], P[2, 0], P[2, 1] = P[0, 1], P[0, 2], P[1, 2]
-
-
-def move_by_states(x, P, n, ux, uy, turn, qxx, qxy, qxt, qyy, qyt, qtt, J, k, first, states):
-    """The same where the motion is u + J x: so many `states` x, from column `first` on, correct it.
-
-    Row k of J is the derivative (3, states) of u by them. P becomes F P F' with F = I + [W J 0].
-    """
-    c = s = x[2] - x[2]
-    if c == 0.0:
-        c, s = cos(x[2]), sin(x[2])
-    for i in range(states):
-        by = x[first + i]
-        ux += J[k, i] * by
-        uy += J[k, states + i] * by
-        turn += J[k, 2 * states + i] * by
-    move(x, P, n, ux, uy, turn, qxx, qxy, qxt, qyy, qyt, qtt)
-    for i in range(states):  # F P: rows, and below the columns
-        by_x, by_y, by_turn = J[k, i], J[k, states + i], J[k, 2 * states + i]
-        dx, dy, row = c * by_x - s * by_y, s * by_x + c * by_y, first + i
+    for i in range(states):  # A has a column W J for each of them
+        at, by_x, by_y, by_turn = first + i, J[k, i], J[k, states + i], J[k, 2 * states + i]
+        dx, dy = c * by_x - s * by_y, s * by_x + c * by_y
         for j in range(n):
-            P[0, j] += dx * P[row, j]
-            P[1, j] += dy * P[row, j]
-            P[2, j] += by_turn * P[row, j]
-    for i in range(states):
-        by_x, by_y, by_turn = J[k, i], J[k, states + i], J[k, 2 * states + i]
-        dx, dy, row = c * by_x - s * by_y, s * by_x + c * by_y, first + i
+            P[0, j] += dx * P[at, j]
+            P[1, j] += dy * P[at, j]
+            P[2, j] += by_turn * P[at, j]
         for j in range(n):
-            P[j, 0] += dx * P[j, row]
-            P[j, 1] += dy * P[j, row]
-            P[j, 2] += by_turn * P[j, row]
+            P[j, 0] += dx * P[j, at]
+            P[j, 1] += dy * P[j, at]
+            P[j, 2] += by_turn * P[j, at]
     P[1, 0], P[2, 0], P[2, 1] = P[0, 1], P[0, 2], P[1, 2]
 
 

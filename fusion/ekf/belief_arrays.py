@@ -24,6 +24,7 @@ from .rows import sparse_row, together
 Rows = Sequence[Sequence[float]]
 POSE = np.arange(3)
 NONE_KEPT = np.zeros(1, np.intp)
+NO_STATES = np.zeros((1, 1))  # J of a motion that no state corrects
 AT_ONCE = 4  # rows of a correction that core.filter takes together
 
 
@@ -97,7 +98,7 @@ class JointBelief:
 
     @property
     def plain(self) -> bool:
-        """Whether the core may take it: nothing is noted, and it is not lost."""
+        """Whether the core may take it: it keeps no journal, and it is not lost."""
         return type(self) is JointBelief and not self.lost
 
     @property
@@ -108,7 +109,7 @@ class JointBelief:
 
     @property
     def kept(self) -> tuple[Ints, bool]:
-        """Which states (n,) are considered, 1 or 0, and whether any is, for the core; none: (1,)."""
+        """Which states are considered, 1 or 0 for each (n,), and whether any is, for the core."""
         return self._chosen(self._considered)
 
     def pose(self) -> Pose:
@@ -392,11 +393,10 @@ class JointBelief:
         Blocks drift by their random walk over dt [s]; J is the derivative of u by the wheel parameters.
         """
         P = self._P
-        if self._motion_block is None or J is None:
-            self._room.on_arrays.move(self._x, P, self.n, *u, *Q)
-        else:
-            row = np.ascontiguousarray(J).reshape(1, -1)
-            self._room.on_arrays.move_by_states(self._x, P, self.n, *u, *Q, row, 0, *self.moved_by)
+        by = (NO_STATES, 0, 0, 0)
+        if self._motion_block is not None and J is not None:
+            by = np.ascontiguousarray(J).reshape(1, -1), 0, *self.moved_by
+        self._room.on_arrays.move(self._x, P, self.n, *u, *Q, *by)
         for columns, drift in self._drift:
             P[columns, columns] += drift * dt
 

@@ -99,7 +99,7 @@ def test_no_numbers_make_either_form_fail_or_differ(data: st.DataObject, states:
         x, P, H, R, y = numbers(n), numbers(n, n), numbers(m, n), numbers(m, m), numbers(m)
         V, kept = np.zeros((-(-m // 4) * 4, n)), np.arange(n, dtype=np.intp) % 2
         at, core = np.arange(n, dtype=np.intp), room.on_arrays
-        core.move(x, P, n, *numbers(3).tolist(), *numbers(6).tolist())
+        core.move(x, P, n, *numbers(3).tolist(), *numbers(6).tolist(), np.zeros((1, 1)), 0, 0, 0)
         args = (at, n, H, R, y, m, V, kept, some)
         greatest = core.take_in(x, P, n, *args)
         core.swing(P, n, n - 3, 0.1, -0.2)

@@ -114,14 +114,14 @@ def _alone(drive: Drive) -> tuple[Array, Array]:
 def _zero(drive: Drive, robot: Robot, t: Array, z: Array) -> float | None:
     """Return what bearings z (n,) at t (n,) lack to those expected on the first metres; None: nobody knows."""
     settings, start = robot.settings("camera"), robot.start
-    way = np.hypot(*drive.wheels.at(t)[2][:, :2].T)
-    early = t[way < START_WAY_M]
+    near = drive.wheels.driven(t) < START_WAY_M
+    early = t[near]
     if not robot.start_given or len(early) < MIN_BEARINGS:
         return None
     x, y, yaw = settings.mount
     poses = se2.compose(np.array(start.pose), drive.wheels.at(early)[2])
     seen = [predict_bearing(tuple(p), settings.landmark, (x, y), yaw) for p in poses.tolist()]
-    lacks = [s[0] - b for s, b in zip(seen, z[way < START_WAY_M].tolist(), strict=True) if s is not None]
+    lacks = [s[0] - b for s, b in zip(seen, z[near].tolist(), strict=True) if s is not None]
     if len(lacks) < MIN_BEARINGS:
         return None
     middle = math.atan2(float(np.sin(lacks).mean()), float(np.cos(lacks).mean()))

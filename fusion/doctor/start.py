@@ -53,10 +53,9 @@ def start_pose(truth: Truth, drive: Drive) -> Start | None:
     A truth with headings tells at once, points only by the shape of the first metres.
     """
     wheels = drive.wheels
-    rolled = np.concatenate(([0.0], np.cumsum(np.abs(wheels.rolled).max(axis=1))))
     inside = (truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1])
     way, fewest = (SHAPE_WAY_M, 5) if truth.theta is None else (POSE_WAY_M, 1)
-    inside &= np.interp(truth.t, wheels.t, rolled) <= min(way, 0.5 * float(rolled[-1]))
+    inside &= wheels.driven(truth.t) <= min(way, 0.5 * float(wheels.driven(wheels.t[-1])))
     if inside.sum() < fewest:
         return None
     own = wheels.at(truth.t[inside])[2]

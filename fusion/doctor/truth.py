@@ -84,9 +84,7 @@ def _jumps(truth: Truth, drive: Drive) -> list[Finding]:
 
 def step_limits(truth: Truth, drive: Drive) -> Array:
     """How far the truth may step (n-1,) [m], given what the wheels rolled meanwhile."""
-    wheels = drive.wheels
-    way = np.interp(truth.t, wheels.t, np.concatenate(([0.0], np.cumsum(np.abs(wheels.rolled).max(axis=1)))))
-    limit: Array = JUMP_FACTOR * np.diff(way) + MIN_JUMP_M + 6.0 * truth.sigma
+    limit: Array = JUMP_FACTOR * np.diff(drive.wheels.driven(truth.t)) + MIN_JUMP_M + 6.0 * truth.sigma
     return limit
 
 

@@ -103,6 +103,11 @@ class Wheels(msgspec.Struct, frozen=True):
         """Return the heading (...) [rad, not wrapped] by the wheels alone at times t (...) within the drive."""
         return np.interp(t, self.t, self.pose[:, 2])
 
+    def driven(self, t: Array) -> Array:
+        """Return the way (...) [m, never falling] that the faster wheel has rolled by times t (...) [s]."""
+        steps = np.abs(self.rolled).max(axis=1)
+        return np.interp(t, self.t, np.concatenate(([0.0], np.cumsum(steps))))
+
     def slips(self, t: Array) -> Array:
         """Return the variances (..., k - 1, 2) [m^2] of what either wheel rolled between times t (..., k) [s]."""
         if self.matched is None:

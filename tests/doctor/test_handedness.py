@@ -9,10 +9,12 @@ import pytest
 from lock_step import simulated
 from msgspec.structs import replace
 
+from locfuse.fusion import se2
 from locfuse.fusion.data import Drive, Measurements, Truth
 from locfuse.fusion.doctor.pictures import of_handedness
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import wrap_all
+from locfuse.fusion.wheels.motion import Wheels
 
 LANDMARK = (1.0, 2.5)
 
@@ -59,6 +61,28 @@ def test_a_known_start_gives_the_zero_of_a_mirrored_camera(healthy: tuple[Drive,
     assert float(found.fixes[1].partition("=")[2]) == pytest.approx(zero_deg, abs=3.0)
     (blind,) = of_handedness(mirrored(drive, zero_deg), replace(robot, start_given=False))
     assert blind.fixes == ("camera.clockwise=true",)
+
+
+def test_only_the_first_metres_give_the_zero_where_the_robot_keeps_near_its_start(
+    healthy: tuple[Drive, Robot],
+) -> None:
+    """Fifty small circles by wheels that turn 0.5 percent too far: in the end their heading is 90 degrees off."""
+    drive, robot = healthy
+    t = np.arange(0.0, 785.0, 0.1)
+    turn, radius = 0.4 * t, 0.25
+    wheels = Wheels.from_twists(t, np.diff([radius * turn, 0.0 * t, 1.005 * turn], axis=1).T, 0.4, 4e-4)
+    pose = se2.compose(
+        np.array(robot.start.pose),
+        np.stack([radius * np.sin(turn), radius * (1.0 - np.cos(turn)), turn], axis=-1),
+    )[::5]
+    z = np.arctan2(LANDMARK[1] - pose[:, 1], LANDMARK[0] - pose[:, 0]) - pose[:, 2]
+    n = len(z)
+    seen = Measurements(
+        t[::5], np.arange(n + 1), wrap_all(z)[:, None], np.ones((n, 1, 1)), math.radians(0.5), np.zeros((1, 1))
+    )
+    circles = replace(drive, wheels=wheels, measurements={"camera": seen})
+    (found,) = of_handedness(mirrored(circles, 25.0), robot)
+    assert float(found.fixes[1].partition("=")[2]) == pytest.approx(25.0, abs=3.0)
 
 
 def test_a_robot_that_hardly_turns_tells_nothing(healthy: tuple[Drive, Robot]) -> None:

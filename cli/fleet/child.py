@@ -21,7 +21,7 @@ from locfuse.cli.session.session import Session
 from locfuse.fusion.data import LocfuseError, UsageError
 
 from .job import Cell, Job, Outcome
-from .resume import is_torn
+from .resume import is_replaceable
 
 ORPHANED = 1  # exit code where the command that started it is gone
 
@@ -74,7 +74,7 @@ def compare(job: Job) -> tuple[str, ...]:
             advice=False,  # a fleet is compared; a single log is advised on
         )
         folder = job.place(cell)
-        found.write(folder, write=job.kinds, export=job.export, overwrite=job.overwrite or is_torn(folder))
+        found.write(folder, write=job.kinds, export=job.export, overwrite=job.overwrite or is_replaceable(folder))
         if job.figures is not None:
             found.write_figures(Path(job.figures) / cell.name.replace(" ", ","))
         if job.recording is not None and (why := write(job.recording, job.recording_of(cell), found)):

@@ -61,11 +61,18 @@ def _is_recorded(job: Job, cell: Cell) -> bool:
     return file.is_file() and file.stat().st_mtime_ns >= report.stat().st_mtime_ns
 
 
-def is_torn(folder: Path) -> bool:
-    """Tell whether a folder holds nothing but files of a result: one whose writing was ended by force."""
+def is_replaceable(folder: Path) -> bool:
+    """Tell whether a folder holds nothing but files of a result, or the cells of a sweep with theirs.
+
+    Such a folder has no report of its own where its writing was ended by force, or where a sweep wrote it.
+    """
     known = {*OF_KIND.values(), *OTHERS}
-    names = [path.name for path in folder.iterdir()] if folder.is_dir() else []
-    return all(name in known or name.endswith((".tum", TEMPORARY)) for name in names)
+    return not folder.is_dir() or all(
+        path.name in known
+        or path.name.endswith((".tum", TEMPORARY))
+        or (path.is_dir() and ((path / REPORT).is_file() or is_replaceable(path)))
+        for path in folder.iterdir()
+    )
 
 
 def read_report(folder: Path) -> dict[str, Any] | None:

@@ -76,6 +76,17 @@ def test_the_command_writes_a_folder_for_each_cell(log: Path, tmp_path: Path) ->
     header, *lines = (out / "summary.csv").read_text().splitlines()
     assert "lrf.sigma_range,compass.sigma_deg" in header
     assert len(lines) == 2 * 4
+    # the same folder takes a comparison without a sweep, but none that holds files of somebody else
+    other = tmp_path / "other.mcap"
+    other.write_bytes(log.read_bytes())
+    plain = ("compare", log, other, "--sensors", "odometry", "--write", "json", "-o", out)
+    (out / "drive" / "notes.txt").write_text("mine")
+    refused = command(*plain)
+    assert "drive is not empty and holds no locfuse result" in refused.stderr
+    (out / "drive" / "notes.txt").unlink()
+    done = command(*plain)
+    assert done.exit_code == 0, done.stderr
+    assert (out / "drive" / "report.json").is_file()
 
 
 def test_python_sweeps_too(log: Path) -> None:

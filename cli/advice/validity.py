@@ -83,8 +83,8 @@ def _elsewhere(error_m: float | None, values: dict[str, Any]) -> tuple[str, str]
     if error_m is None or error_m < MAX_START_ERROR_M or values.get("align") != "none":
         return None
     return "start", (
-        f"the truth starts {error_m:.2f} m from where the drive starts; set [start] (locfuse info shows it), or "
-        "judge the shape with --align origin"
+        f"the truth starts {error_m:.2f} m from where the drive starts; set [start], or judge the shape "
+        "with --align origin"
     )
 
 

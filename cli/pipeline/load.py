@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
+import numpy as np
 from msgspec import field
 from msgspec.structs import replace
 
@@ -26,7 +27,8 @@ from locfuse.formats.log.log import Log, open_log
 from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.robot import landmark_map, robot_toml
 from locfuse.formats.url import Place, Url, place
-from locfuse.fusion.data import Drive, Event, LocfuseError, Measurements, Stream, UsageError
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array, Drive, Event, LocfuseError, Measurements, Stream, UsageError
 from locfuse.fusion.measure import measure, windowed
 from locfuse.fusion.paper import preset as filters
 from locfuse.fusion.robot import Robot, StartSettings, TruthSettings, WheelSettings
@@ -442,21 +444,30 @@ def parts(stream: Any) -> tuple[Any, ...]:
 
 
 def start_error(robot: Robot, drive: Drive) -> float | None:
-    """Return how far [m] the truth starts from where the drive does; None without truth or with a stated start."""
+    """Return how far [m] the truth begins from where the wheels then are; None: no truth, or [start] is given.
+
+    The wheels count from the configured start: a truth that begins metres later has not begun elsewhere.
+    """
+    places = _first_places(robot, drive)
+    return None if places is None else math.hypot(*(places[0] - places[1]))
+
+
+def _first_places(robot: Robot, drive: Drive) -> tuple[Array, Array] | None:
+    """Return where the truth begins, and its body point by the wheels at that time, (2,) m each."""
     truth = drive.truth
     if truth is None or robot.start_given or not len(truth.t):
         return None
-    x, y = truth.xy[0]
-    return math.hypot(x - robot.start.x, y - robot.start.y)
+    pose = se2.compose(np.array(robot.start.pose), drive.wheels.at(truth.t[:1])[2])
+    return truth.xy[0], (pose[:, :2] + se2.rotated(pose[:, 2], np.array([truth.point])))[0]
 
 
 def start_notes(robot: Robot, drive: Drive) -> list[str]:
-    """Warn where truth starts elsewhere than the drive and nobody said where the drive starts."""
-    error = start_error(robot, drive)
-    if error is None or error < 0.05 or drive.truth is None:
+    """Warn where the truth begins elsewhere than the wheels are, and nobody said where the drive starts."""
+    places = _first_places(robot, drive)
+    if places is None or math.hypot(*(places[0] - places[1])) < 0.05:
         return []
-    x, y = drive.truth.xy[0]
+    (x, y), (own_x, own_y) = places
     return [
-        f"truth starts at ({x:.2f}, {y:.2f}) m but the drive at ({robot.start.x:g}, {robot.start.y:g}): "
+        f"truth starts at ({x:.2f}, {y:.2f}) m but the drive at ({own_x:z.2f}, {own_y:z.2f}): "
         "set [start], or judge the shape only with --align origin"
     ]

@@ -5,11 +5,16 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from commands import locfuse
 from jobs_here import jobs_here
+from lock_step import simulated
+from msgspec.structs import replace
 from trap_logs import Drive
 from traps_sensors import elsewhere, pitched_imu, short_metre, upside_down
+
+from locfuse.cli.pipeline.load import start_error
 
 
 @pytest.fixture(scope="module")
@@ -56,6 +61,23 @@ def test_quiet_commands_that_exit_with_3_say_why_on_one_line(command: str, tmp_p
     assert done.exit_code == 3
     (line,) = done.stderr.splitlines()
     assert line.startswith("void: the truth starts 3.26 m from where the drive starts")
+
+
+def test_a_truth_that_begins_metres_later_has_begun_where_the_robot_is_by_then() -> None:
+    drive, robot = simulated(5, sets=("camera.enabled=false", "lrf.enabled=false"))
+    unstated, truth = replace(robot, start_given=False), drive.truth
+    assert truth is not None
+    assert truth.theta is not None
+    late = slice(int(np.searchsorted(drive.wheels.driven(truth.t), 2.0)), None)
+    arm = np.array([0.3, -0.1])  # of a marker on the robot
+    c, s = np.cos(truth.theta[late]), np.sin(truth.theta[late])
+    xy = truth.xy[late] + np.stack((c * arm[0] - s * arm[1], s * arm[0] + c * arm[1]), axis=-1)
+    later = replace(truth, t=truth.t[late], xy=xy, theta=truth.theta[late], point=(0.3, -0.1))
+    assert np.hypot(*(later.xy[0] - truth.xy[0])) > 1.5
+    assert start_error(unstated, replace(drive, truth=later)) == pytest.approx(0.0, abs=0.2)
+    elsewhere_too = replace(later, xy=xy + np.array([3.0, 4.0]))
+    assert start_error(unstated, replace(drive, truth=elsewhere_too)) == pytest.approx(5.0, abs=0.2)
+    assert start_error(robot, replace(drive, truth=elsewhere_too)) is None
 
 
 def test_several_logs_of_which_one_is_void_exit_with_3_and_say_why(

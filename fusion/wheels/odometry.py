@@ -241,7 +241,7 @@ def along_the_frame(ahead: Array, dx: Array, said: Array) -> bool:
 
     `said` (n,) [m] is how far they say that the body went; `ahead` and `dx` are the poses' ways ahead and along x.
     """
-    most = MAX_STEP_RATIO * np.abs(said)  # a jump of the pose decides nothing
+    most = MAX_STEP_RATIO * np.maximum(np.abs(said), np.abs(ahead))  # a jump of the pose decides nothing
     ways = dx, np.copysign(ahead, said)
     in_frame, in_body = (float(np.minimum(np.abs(way - said), most).sum()) for way in ways)
     return in_frame < MAX_FRAME_SHARE * in_body

@@ -30,6 +30,7 @@ from wheel_bags import (
 )
 
 from locfuse.cli.pipeline.load import make_robot
+from locfuse.fusion import se2
 from locfuse.fusion.data import ArrayStream, Column, LocfuseError, Ragged
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import WheelSettings
@@ -423,6 +424,19 @@ def test_a_twist_along_the_frame_of_the_poses_turns_nothing_round(start: float) 
         assert "backward" not in words(reading)
         assert len(reading.notes) == notes
         assert final(reading)[:2] == pytest.approx(pose[-1, :2], abs=0.06)
+
+
+def test_a_twist_along_the_frame_is_known_though_every_other_stamp_is_late() -> None:
+    """As in a bag whose stamps were repaired: a step is longer or shorter by its speed than by its pose."""
+    t = np.arange(0, 60, 0.1)
+    theta = np.pi * np.interp(t, [0, 15, 17, 45, 47, 60], [0, 0, 0.5, 0.5, 1, 1])  # along x, y, back along x
+    pose = driven(np.full(len(t) - 1, 0.2), np.diff(theta) / 0.1, 0.1)
+    speed, turn = 0.2 * np.cos(theta), np.gradient(theta, t)
+    late = t + np.where(np.arange(len(t)) % 2 == 0, 0.05, 0.0)
+    reading = read_wheels(odometry(late, pose, speed, turn), WheelSettings())
+    assert reading.notes == ()
+    travelled = se2.between(pose[0], pose[-1])
+    assert final(reading)[:2] == pytest.approx(travelled[:2], abs=0.06)
 
 
 def test_a_pose_that_backs_up_is_left_alone() -> None:

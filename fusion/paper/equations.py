@@ -123,12 +123,12 @@ def eq14_line(x: Array, r: float, psi: float) -> tuple[float, float]:
 
 
 def eq17_C(rho: float, beta: float, x: float, y: float) -> float:
-    """Eq. 17: signed distance [m] of the robot to a line of the map. (A plus sign is lost in print.)"""
+    """Eq. 17: signed distance [m] of the robot to a line (rho, beta) of the map."""
     return rho - x * math.cos(beta) - y * math.sin(beta)
 
 
 def eq18_prediction(C: float, beta: float, theta: float) -> tuple[float, float]:
-    """Eq. 18: the (r, psi) in which the line should be seen; not wrapped. (A plus sign is lost in print.)"""
+    """Eq. 18: the (r, psi) in which the line should be seen; not wrapped. (Print lost the "+" before 0.5.)"""
     sign = math.copysign(1.0, C) if C else 0.0
     return abs(C), beta - (theta - math.pi / 2) + (-0.5 * sign + 0.5) * math.pi
 

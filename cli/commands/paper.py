@@ -48,7 +48,9 @@ def paper(out: Path, overwrite: bool, jobs: int, as_json: bool, shown: bool, qui
         if as_json:
             put(json_report.encode(json_report.plain(found.values())))
         else:
-            show.table(paper_page.table(json_report.plain(found.values())))
+            values = json_report.plain(found.values())
+            show.table(paper_page.table(values))
+            show.lines([paper_page.conclusion(values)])
             show.lines(job.lines(found))
             say(f"{out}: {', '.join(sorted(files))}")
     show.end([out / name for name in files], as_json, shown)

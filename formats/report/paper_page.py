@@ -9,6 +9,7 @@ from typing import Any
 from locfuse.formats.drawing.svg import slugs_of
 from locfuse.formats.figures.palette import SHAPES
 from locfuse.formats.figures.panels import Panel, Section
+from locfuse.formats.tables.findings import length
 from locfuse.formats.tables.render import Swatches, html
 from locfuse.formats.tables.render import csv as csv_of
 from locfuse.formats.tables.render import latex as latex_of
@@ -33,6 +34,7 @@ DISTANCES = (
     Column("rms", "rms distance from the path", "m", "{:.3f}"),
     Column("largest", "largest", "m", "{:.3f}"),
 )
+ALL = "all"  # the configuration of all sensors
 FIGURES = {  # name -> title, columns
     "fig12": ("Figure 12: trajectories under five configurations, our filter", 1),
     "fig12_print": ("Figure 12 by the equations as printed", 1),
@@ -53,6 +55,21 @@ def distances(values: Mapping[str, Any]) -> Table:
     """Return how far from its path each robot of figure 14 was."""
     rows = ((row, ("figure_14", i)) for i, row in enumerate(values["figure_14"]))
     return of_values(DISTANCES, rows, "Distances from the path in figure 14")
+
+
+def conclusion(values: Mapping[str, Any]) -> str:
+    """Return in one sentence what the table says of the paper's conclusion that all sensors together are best."""
+    rows = {row["configuration"]: row for row in values["table"]}
+    parts = []
+    for of, words in {"ours": "with our filter", "print": "by the equations as printed"}.items():
+        errors = {name: row[f"{of}_position_rmse_m"] for name, row in rows.items()}
+        best = min(errors, key=lambda name: errors[name])
+        beside = "" if best == ALL else f", {ALL} {length(errors[ALL])}"
+        parts.append(f"{words} {best} ({length(errors[best])}{beside})")
+    return (
+        "The paper concludes that all sensors together are best. The smallest position error of this drive has "
+        f"{' and '.join(parts)}."
+    )
 
 
 def latex(values: Mapping[str, Any]) -> str:
@@ -89,6 +106,7 @@ def render(
         script=Markup(script),
         script_hash=hash_of(script),
         table=Markup(html(table(values), swatches)),
+        conclusion=conclusion(values),
         distances=Markup(html(distances(values))),
         sections=[section_drawings(_section(name, figures[name]), slugs, looks) for name in FIGURES],
         swatch=lambda name: Markup(swatches.of(name)),

@@ -13,6 +13,7 @@ from commands import locfuse
 from locfuse.cli.jobs import paper, path_following
 from locfuse.cli.jobs.path_following import Driven
 from locfuse.cli.session.session import load
+from locfuse.formats.report import paper_page
 from locfuse.formats.whole_files import write_results
 
 PATHS = ("rounded_rectangle", "rounded_rectangle_ekf", "rounded_triangle", "rounded_triangle_ekf")
@@ -57,6 +58,22 @@ def test_the_table_sets_the_print_beside_our_filter(found: paper.Repeated, folde
     assert rows["all"]["print_position_rmse_m"] > 5 * rows["all"]["ours_position_rmse_m"]
     shown = re.findall(r'data-from="/table/4/ours_position_rmse_m">([\d.]+)', (folder / "paper.html").read_text())
     assert [float(v) for v in shown] == [pytest.approx(rows["all"]["ours_position_rmse_m"], abs=5e-4)]
+
+
+def test_the_conclusion_names_the_configuration_with_the_smallest_error(
+    found: paper.Repeated, folder: Path
+) -> None:
+    said = paper_page.conclusion(found.values())
+    assert re.search(r"with our filter lrf \(3\.9 mm, all 4\.1 mm\)", said)  # a laser alone is as good
+    assert re.search(r"as printed lrf \(52 mm, all 75 mm\)", said)  # the printed camera spoils the rest
+    assert said in (folder / "paper.html").read_text()
+    row = {"ours_position_rmse_m": 0.2, "print_position_rmse_m": 0.3}
+    better = {
+        "table": [{"configuration": "lrf", **row}, {"configuration": "all", **{k: v / 2 for k, v in row.items()}}]
+    }
+    assert "with our filter all (0.10 m) and by the equations as printed all (0.15 m)" in paper_page.conclusion(
+        better
+    )
 
 
 def test_the_distance_from_the_path_is_that_to_its_nearest_point(found: paper.Repeated) -> None:

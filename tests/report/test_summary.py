@@ -45,7 +45,7 @@ def report(rmse: dict[str, float | None], anees: float = 1.0, sha: str = "00", *
         for name, value in rmse.items()
     }
     return {
-        "locfuse": "0.1.0",
+        "locfuse": "0.2.0",
         "input": {"name": "drive", "sha256": sha},
         "configurations": rows,
         "settings": settings,
@@ -95,7 +95,7 @@ def test_logs_without_truth_have_no_best_and_it_is_said() -> None:
     found = over.summarise({"a": report({"all": None}), "b": report({"all": None})})
     assert found["best"] is None
     assert "None of these logs has a truth" in over.headline(found)
-    assert "| a |" in over.render({**found, "locfuse": "0.1.0"})
+    assert "| a |" in over.render({**found, "locfuse": "0.2.0"})
 
 
 def test_a_log_whose_figures_are_void_has_a_truth_and_it_is_said_what_is_wrong() -> None:
@@ -108,7 +108,7 @@ def test_a_log_whose_figures_are_void_has_a_truth_and_it_is_said_what_is_wrong()
 
 def test_names_from_logs_do_not_become_markup() -> None:
     found = over.summarise({"a|b*": report({"all": 0.1})})
-    assert r"a\|b\*" in over.render({**found, "locfuse": "0.1.0"})
+    assert r"a\|b\*" in over.render({**found, "locfuse": "0.2.0"})
 
 
 def test_the_table_for_machines_has_a_row_per_log_and_configuration() -> None:

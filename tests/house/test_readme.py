@@ -28,8 +28,10 @@ def test_the_python_on_a_page_runs_in_order_and_prints_what_it_shows(name: str, 
 
 
 def test_the_two_set_up_commands_are_the_ones_ci_uses() -> None:
-    assert "python3 -m venv .venv && .venv/bin/pip install -e '.[test]' && .venv/bin/locfuse" in PAGE
-    assert ".venv/bin/python -m pytest" in PAGE
+    assert "python3 -m venv .venv && .venv/bin/pip install -e . && .venv/bin/locfuse compare" in PAGE
+    # a fresh environment may hold a pip that knows no groups (before 25.1)
+    groups = ".venv/bin/python -m pip install -U pip && .venv/bin/pip install --group test"
+    assert f"{groups} && .venv/bin/python -m pytest" in PAGE
 
 
 @pytest.mark.parametrize("link", sorted(set(re.findall(r"\]\(((?!http)[^)#]+)", PAGE))))

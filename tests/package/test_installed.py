@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import tomllib
@@ -9,9 +10,12 @@ from importlib import metadata
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[2]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+PROJECT = PYPROJECT["project"]
 
 
 def python(code: str) -> subprocess.CompletedProcess[str]:
@@ -74,4 +78,39 @@ def test_the_metadata_says_what_it_is_and_names_no_person() -> None:
 def test_the_extra_all_names_only_extras_that_exist() -> None:
     extras = PROJECT["optional-dependencies"]
     named = {n for line in extras["all"] for n in line.partition("[")[2].rstrip("]").split(",") if n}
-    assert named <= extras.keys() - {"all", "test", "bench", "docs"}
+    assert named <= extras.keys() - {"all"}
+
+
+LOCKED = re.compile(
+    r"^([a-z0-9-]+)==(\S+)(?: ; .*)? \\\n((?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+)", re.MULTILINE
+)
+
+
+@pytest.mark.parametrize("name", ["run", "product", "release"])
+def test_a_lock_pins_every_package_with_hashes(name: str) -> None:
+    text = (ROOT / ".ci" / "locks" / f"{name}.txt").read_text(encoding="utf-8")
+    assert LOCKED.sub("", text) == ""  # no line of another kind
+
+
+@pytest.mark.parametrize(
+    ("name", "groups"), [("run", ("test", "docs")), ("product", ()), ("release", ("release",))]
+)
+def test_a_lock_holds_what_pyproject_asks_for(name: str, groups: tuple[str, ...]) -> None:
+    """A dependency that was added, or whose bounds moved, needs .ci/lock."""
+    text = (ROOT / ".ci" / "locks" / f"{name}.txt").read_text(encoding="utf-8")
+    pinned: dict[str, set[str]] = {}
+    for package, version, _ in LOCKED.findall(text):
+        pinned.setdefault(package, set()).add(version)
+    extras = PROJECT["optional-dependencies"]
+    asked = [] if name == "release" else [*PROJECT["dependencies"], *extras["remote"], *extras["cluster"]]
+    waiting = list(groups)
+    while waiting:
+        for line in PYPROJECT["dependency-groups"][waiting.pop()]:
+            if isinstance(line, str):
+                asked.append(line)
+            else:
+                waiting.append(line["include-group"])
+    for line in map(Requirement, asked):
+        versions = pinned.get(canonicalize_name(line.name), set())
+        assert versions, line
+        assert all(line.specifier.contains(v) for v in versions), line

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -98,3 +99,10 @@ def test_a_workflow_asks_for_no_more_than_it_needs(path: Path) -> None:
         return  # a form for issues
     assert flow["permissions"] == {"contents": "read"}
     assert "secrets." not in path.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("path", [*WORKFLOWS, ROOT / "action.yml"], ids=lambda p: p.stem)
+def test_an_action_of_others_is_pinned_by_its_commit(path: Path) -> None:
+    """A tag can be moved to other code; the comment says which release the commit is."""
+    used = re.findall(r"uses: (?!\./)(.*)", path.read_text(encoding="utf-8"))
+    assert [line for line in used if not re.fullmatch(r"[\w/-]+@[0-9a-f]{40} # v\d+\.\d+\.\d+", line)] == []

@@ -2,8 +2,10 @@
 
 import os
 import signal
+from collections.abc import Generator
 
 import hypothesis
+import pytest
 
 # A shell may export its width; what is tested is what a pipe gets.
 os.environ.pop("COLUMNS", None)
@@ -17,3 +19,13 @@ hypothesis.settings.register_profile(
     "untimed", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
 )
 hypothesis.settings.load_profile("untimed")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """With LOCFUSE_MUST_RUN a test that misses recorded logs or a browser fails: nothing is skipped unnoticed."""
+    report = yield
+    why = report.longrepr[2] if report.skipped and isinstance(report.longrepr, tuple) else ""
+    if os.environ.get("LOCFUSE_MUST_RUN") and any(word in why for word in ("LOCFUSE_DATA", "Chromium")):
+        report.outcome, report.longrepr = "failed", f"must run here, but: {why}"
+    return report

@@ -105,7 +105,7 @@ def bands(scene: Scene) -> Section:
     names: list[str] = []
     columns = 2
     for _, judged in scene.shown():
-        if len(judged.t) == 0 or judged.align != "none":
+        if len(judged.t) == 0:
             continue
         row = [_band(judged, "x", judged.deviation[:, 0], 0), _band(judged, "y", judged.deviation[:, 1], 1)]
         if judged.heading is not None:

@@ -60,7 +60,7 @@ def evaluate(estimates: Estimates, drive: Drive, align: Align = "none") -> Evalu
         none: dict[str, float | None] = dict.fromkeys((*ERROR_KEYS, "anees", "truth_coverage"))
         return _without_truth(estimates, sensors, {**none, **own})
     if align != "none":
-        pairs = pairs._replace(pose=aligned(pairs, truth.point, align))
+        pairs = aligned(pairs, truth.point, align)
     point = np.broadcast_to(np.array(truth.point), pairs.xy.shape)
     estimate_xy = se2.transform(pairs.pose, point)
     deviation = estimate_xy - pairs.xy
@@ -104,9 +104,9 @@ def shape_error(estimates: Estimates, drive: Drive) -> float | None:
     pairs = None if drive.truth is None else _pairs(estimates, drive.truth)
     if drive.truth is None or pairs is None or len(pairs.t) == 0:
         return None
-    pose = aligned(pairs, drive.truth.point, "se2")
+    pairs = aligned(pairs, drive.truth.point, "se2")
     point = np.broadcast_to(np.array(drive.truth.point), pairs.xy.shape)
-    return float(np.sqrt(np.square(se2.transform(pose, point) - pairs.xy).sum(axis=1).mean()))
+    return float(np.sqrt(np.square(se2.transform(pairs.pose, point) - pairs.xy).sum(axis=1).mean()))
 
 
 def _without_truth(
@@ -143,8 +143,8 @@ def _pairs(estimates: Estimates, truth: Truth) -> _Pairs:
     )
 
 
-def aligned(pairs: _Pairs, point: tuple[float, float], align: Align) -> Array:
-    """Return the estimate's poses (q, 3) moved rigidly onto the truth.
+def aligned(pairs: _Pairs, point: tuple[float, float], align: Align) -> _Pairs:
+    """Return the pairs with the estimate moved rigidly onto the truth, its covariances turned as its poses are.
 
     "origin": its first pose onto the truth's first (its first position only, where the truth has no heading).
     "se2": least squares over all positions (Umeyama 1991 without scale).
@@ -160,7 +160,9 @@ def aligned(pairs: _Pairs, point: tuple[float, float], align: Align) -> Array:
         turn = math.atan2(float((q[:, 0] * r[:, 1] - q[:, 1] * r[:, 0]).sum()), float((q * r).sum()))
     c, s = math.cos(turn), math.sin(turn)
     move = np.array([b[0] - c * a[0] + s * a[1], b[1] - s * a[0] - c * a[1], turn])
-    return se2.compose(np.broadcast_to(move, pairs.pose.shape), pairs.pose)
+    turned = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    pose = se2.compose(np.broadcast_to(move, pairs.pose.shape), pairs.pose)
+    return pairs._replace(pose=pose, P=turned @ pairs.P @ turned.T)
 
 
 def _expected(pairs: _Pairs, deviation: Array, heading: Array | None, truth: Truth) -> tuple[Array, Array]:

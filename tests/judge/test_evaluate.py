@@ -9,6 +9,7 @@ import pytest
 from msgspec.structs import asdict, replace
 from numpy.typing import NDArray
 
+import locfuse
 from locfuse.fusion import se2
 from locfuse.fusion.data import VERDICTS, Audit, Drive, Estimates, Measurements, Motions, Truth, upper_triangles
 from locfuse.fusion.judge.evaluate import Align, evaluate, shape_error
@@ -90,6 +91,20 @@ def test_an_estimate_in_another_frame_is_moved_onto_the_truth(align: Align, poin
     moved = se2.compose(np.broadcast_to(MOVE, estimates.pose.shape), estimates.pose)
     found = evaluate(replace(estimates, pose=moved, truth_pose=moved), drive, align)
     assert np.abs(found.deviation).max() < 1e-9
+
+
+@pytest.mark.parametrize("align", ["origin", "se2"])
+def test_the_claim_turns_with_the_estimate_that_is_aligned(align: Align) -> None:
+    """A start turned by 90 degrees: once aligned, sigma in x and y are those of the right start, not swapped."""
+
+    def sigma(start_deg: float, how: Align) -> Array:
+        session = locfuse.load("rounded_rectangle", sets={"start.theta_deg": start_deg})
+        return session.run("odometry", align=how, advice=False).evaluations["odometry"].sigma
+
+    right, turned = sigma(3.5, "none"), sigma(93.5, align)
+    half = len(right) // 2
+    assert right[half, 0] > 1.5 * right[half, 1]
+    np.testing.assert_allclose(turned[half:], right[half:], rtol=0.15)
 
 
 def test_the_least_squares_alignment_is_that_of_evo() -> None:

@@ -18,6 +18,8 @@ from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, Evaluation, SensorFigures, Truth
 from locfuse.fusion.streams import gap_limit
 
+from .way import directions, steps_of
+
 Align = Literal["none", "origin", "se2"]
 DRIFT_LENGTHS_M = (1.0, 5.0, 10.0)  # m
 ERRORS_AT_ONCE = 4096  # errors whose covariances are worked on at once: on the way they take ten times their room
@@ -68,9 +70,10 @@ def evaluate(estimates: Estimates, drive: Drive, align: Align = "none") -> Evalu
     sigma, nees = _expected(pairs, deviation, heading, truth)
     if align != "none":
         nees[:] = np.nan
-    along_cross = _along_cross(deviation, pairs)
     segments = _segments(pairs.t)
-    distance = _travelled(pairs.xy, segments)
+    ahead = directions(pairs.t, pairs.xy, segments) if pairs.theta is None else pairs.theta
+    along_cross = se2.rotated(-ahead, deviation)
+    distance = np.cumsum(np.hypot(*steps_of(pairs.t, pairs.xy, segments).T))
     figures = {
         **_position_figures(deviation, along_cross),
         **_heading_figures(heading),
@@ -203,32 +206,9 @@ def _nees(deviation: Array, heading: Array | None, P: Array, truth: Truth) -> Ar
     return out
 
 
-def _along_cross(deviation: Array, pairs: _Pairs) -> Array:
-    """Deviation along and left of the direction of travel: the truth's heading, else its path's tangent."""
-    theta = pairs.theta if pairs.theta is not None else _tangent(pairs.xy)
-    return se2.rotated(-theta, deviation)
-
-
-def _tangent(xy: Array) -> Array:
-    """Direction of a path (q, 2) by central differences; where it rests, the direction it had."""
-    if len(xy) < 2:
-        return np.zeros(len(xy))
-    d = np.gradient(xy, axis=0)
-    moving = np.hypot(d[:, 0], d[:, 1]) > 1e-6
-    last = np.maximum.accumulate(np.where(moving, np.arange(len(xy)), 0))
-    direction: Array = np.arctan2(d[last, 1], d[last, 0])
-    return direction
-
-
 def _segments(t: Array) -> NDArray[np.int64]:
     """Number the stretches of truth between holes, (q,)."""
     return np.cumsum(np.diff(t, prepend=t[0]) > gap_limit(t))
-
-
-def _travelled(xy: Array, segments: NDArray[np.int64]) -> Array:
-    """Distance along the truth, (q,) m; holes add nothing."""
-    step = np.hypot(*np.diff(xy, axis=0, prepend=xy[:1]).T)
-    return np.cumsum(np.where(np.diff(segments, prepend=0) > 0, 0.0, step))
 
 
 def _coverage(t: Array, drive: Drive) -> float:
@@ -267,26 +247,25 @@ def _drift_figures(
 ) -> dict[str, float | None]:
     """Mean relative position error per metre over fixed lengths of the truth's path (m/m).
 
-    With heading the error is of the relative pose (Kümmerle et al. 2009); without, of the displacement.
+    With heading the error is of the relative pose (Kümmerle et al. 2009); without, of the displacement. A length
+    ends between two stamps, so that the truth's rate does not matter: there both paths are straight.
     """
     out: dict[str, float | None] = {}
-    truth = estimate = np.zeros((0, 3))
-    if pairs.theta is not None:
-        truth = np.column_stack((pairs.xy, pairs.theta))
-        estimate = np.column_stack((pairs.xy + deviation, pairs.pose[:, 2]))
+    both = np.column_stack((pairs.xy + deviation, pairs.xy))
     for length in DRIFT_LENGTHS_M:
-        j = np.searchsorted(distance, distance + length)
-        i = np.flatnonzero(j < len(distance))
-        j = j[i]
-        same = segments[i] == segments[j]
-        i, j = i[same], j[same]
+        end = np.searchsorted(distance, distance + length)
+        i = np.flatnonzero(end < len(distance))
+        i = i[segments[i] == segments[end[i]]]
         if len(i) == 0:
             out[f"drift_{length:.0f}m"] = None
             continue
+        j = end[i]
+        share = (distance[i] + length - distance[j - 1]) / (distance[j] - distance[j - 1])
+        way = both[j - 1] + share[:, None] * (both[j] - both[j - 1]) - both[i]
         if pairs.theta is None:
-            error = deviation[j] - deviation[i]
+            error = way[:, :2] - way[:, 2:]
         else:
-            error = se2.between(estimate[i], estimate[j])[:, :2] - se2.between(truth[i], truth[j])[:, :2]
+            error = se2.rotated(-pairs.pose[i, 2], way[:, :2]) - se2.rotated(-pairs.theta[i], way[:, 2:])
         out[f"drift_{length:.0f}m"] = float(np.hypot(error[:, 0], error[:, 1]).mean()) / length
     return out
 

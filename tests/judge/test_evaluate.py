@@ -159,7 +159,8 @@ def wandering(heading: bool, n: int = 90, gap: int | None = None) -> tuple[Estim
     t: Any = 7.0 + 0.25 * np.arange(n)
     if gap is not None:
         t[gap:] += 40.0
-    steps = np.column_stack((rng.uniform(0.1, 0.3, n - 1), np.zeros(n - 1), rng.normal(0.0, 0.2, n - 1)))
+    i = np.arange(n - 1.0)  # smooth, so that nothing of it is taken for noise of the truth
+    steps = np.column_stack((0.2 + 0.1 * np.sin(0.3 * i), np.zeros(n - 1), 0.15 * np.sin(0.2 * i + 1.0)))
     true = se2.chained(np.array([3.0, -2.0, 0.5]), steps)
     true = np.vstack(([3.0, -2.0, 0.5], true))
     pose = true + np.cumsum(rng.normal(0.0, 0.02, (n, 3)), axis=0)
@@ -192,15 +193,21 @@ def test_drift_is_the_error_of_the_way_from_here_to_so_many_metres_on(heading: b
             ahead = np.flatnonzero(way >= way[i] + length)
             if not len(ahead) or piece[ahead[0]] != piece[i]:
                 continue
-            j = ahead[0]
+            at = (ahead[0] - 1, ahead[0])  # between these two stamps the length ends
+            end, true_end = (
+                np.array([np.interp(way[i] + length, way[list(at)], c[list(at)]) for c in p.T])
+                for p in (pose[:, :2], xy)
+            )
             if drive.truth.theta is None:
-                errors.append((pose[j, :2] - pose[i, :2]) - (xy[j] - xy[i]))
+                errors.append((end - pose[i, :2]) - (true_end - xy[i]))
                 continue
             true = np.column_stack((xy, drive.truth.theta))
-            ours, theirs = (np.linalg.inv(matrix(p[i])) @ matrix(p[j]) for p in (pose, true))
-            errors.append((ours - theirs)[:2, 2])
+            ours, theirs = (
+                np.linalg.inv(matrix(p[i])) @ np.append(e, 1.0) for p, e in ((pose, end), (true, true_end))
+            )
+            errors.append((ours - theirs)[:2])
         expected = float(np.hypot(*np.array(errors).T).mean()) / length if errors else None
-        assert figures[f"drift_{length}m"] == (None if expected is None else pytest.approx(expected, rel=1e-9))
+        assert figures[f"drift_{length}m"] == (None if expected is None else pytest.approx(expected, rel=1e-5))
     assert figures["drift_5m"] is not None
 
 
@@ -213,7 +220,7 @@ def test_errors_along_and_across_are_by_the_way_the_robot_goes(heading: bool) ->
     way = np.exp(1j * drive.truth.theta) if drive.truth.theta is not None else tangent / np.abs(tangent)
     error = estimates.pose[:, :2] - xy
     turned = (error[:, 0] + 1j * error[:, 1]) / way
-    np.testing.assert_allclose(found.along_cross, np.column_stack((turned.real, turned.imag)), atol=1e-12)
+    np.testing.assert_allclose(found.along_cross, np.column_stack((turned.real, turned.imag)), atol=1e-6)
     assert found.figures["cross_rmse_m"] == pytest.approx(float(np.sqrt(np.mean(turned.imag**2))))
     apart = np.abs(turned)
     for name, expected in (("max", apart.max()), ("mean", apart.mean()), ("median", np.median(apart))):

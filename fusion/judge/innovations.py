@@ -193,15 +193,16 @@ class Frozen:
     def __init__(self, blocks: list[Block]) -> None:
         self.x = self.y = self.theta = 0.0
         self._P: list[list[float]] = []
-        self._blocks = {b.name: b.x for b in blocks}
+        ends = 3 + np.cumsum([len(b.x) for b in blocks], dtype=np.int64)
+        self._blocks = {b.name: (int(end) - len(b.x), b.x) for b, end in zip(blocks, ends, strict=True)}
 
     def at(self, pose: list[float], P: list[list[float]]) -> None:
         """Stand at a pose with covariance P (3, 3)."""
         (self.x, self.y, self.theta), self._P = pose, P
 
     def block(self, name: str) -> tuple[int, Array]:
-        """Return a column and the block's start."""
-        return 3, self._blocks[name]
+        """Return the block's first column and its start."""
+        return self._blocks[name]
 
     def observed(self, H: Any, columns: Any = (), H_block: Any = ()) -> tuple[Any, Any, Any, Any]:
         """Return H P H' and the derivatives as they are: no map frame stands beside this pose."""

@@ -19,9 +19,10 @@ from locfuse.fusion.data import Audit, Drive, Evaluation, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.consistency import Consistency, Run, judge
 from locfuse.fusion.judge.covariance import Honesty, honesty
-from locfuse.fusion.judge.innovations import heard, own
+from locfuse.fusion.judge.innovations import Frozen, heard, own
 from locfuse.fusion.judge.noise_verdicts import by_itself, correlated
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensor import Block
 from locfuse.fusion.sensors.gyro import GyroSettings
 from locfuse.fusion.sensors.lrf import LrfSettings
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -331,3 +332,32 @@ def test_a_sensor_is_not_to_be_trusted_more_where_every_run_with_it_is_sure_and_
             "residuals are 10 times smaller than configured, yet position errors are 2.0 times"
         )
         assert not judged.cures
+
+
+def test_a_heading_in_a_disturbed_field_is_no_evidence() -> None:
+    """Every third heading is off by 0.1 rad, where the field is twice as strong as it should be."""
+    robot = small_drive.robot()
+    drive = small_drive.drive(1, robot)
+    run = fuse(drive, robot, ("lrf",))
+    m = drive.measurements["compass"]
+    disturbed = np.arange(len(m.t)) % 3 == 0
+    moved = replace(m, z=m.z + 0.1 * disturbed[:, None], extra={"strength": np.where(disturbed, 2.0, 1.0)})
+    alone, spoiled = (
+        heard(replace(drive, measurements={**drive.measurements, "compass": x}), robot, run, "compass")
+        for x in (m, moved)
+    )
+    assert alone is not None
+    assert spoiled is not None
+    assert alone.readings + round(alone.wild * alone.readings) == pytest.approx(len(m.t), abs=2)
+    assert spoiled.readings == pytest.approx(int((~disturbed).sum()), abs=2)
+    assert spoiled.spread == pytest.approx(alone.spread, rel=0.2)
+
+
+def test_a_belief_that_stands_still_has_a_place_of_its_own_for_every_block() -> None:
+    names = (("a", 2), ("b", 1), ("c", 3))
+    blocks = [Block(name, np.full(n, float(n)), np.eye(n), np.zeros(n)) for name, n in names]
+    belief = Frozen(blocks)
+    assert [belief.block(name)[0] for name, _ in names] == [3, 5, 6]
+    assert [belief.block(name)[1].tolist() for name, _ in names] == [[2.0, 2.0], [1.0], [3.0, 3.0, 3.0]]
+    with pytest.raises(KeyError):
+        belief.block("d")

@@ -80,8 +80,8 @@ def _effect(effect: Effect | None) -> dict[str, Any] | None:
     return {
         "ln": effect.value,
         "factor": math.exp(effect.value),
-        "low": math.exp(effect.low),
-        "high": math.exp(effect.high),
+        "low": None if math.isnan(effect.low) else math.exp(effect.low),
+        "high": None if math.isnan(effect.high) else math.exp(effect.high),
         "expected": None if effect.expected is None else math.exp(effect.expected),
     }
 
@@ -111,7 +111,7 @@ def _main_words(c: SensorCredit, main: Effect, several: bool, few: str) -> str:
         how = f"Beside {' and '.join(c.beside)} it makes the position error"
     else:
         how = "Alone it makes odometry's position error"
-    what = f"{how} {times(main.value)} (95 % interval: {interval(main)})."
+    what = f"{how} {times(main.value)}{_plausible(main)}."
     sure = main.low > 0.0 or main.high < 0.0
     if c.verdict == "no effect seen":
         if abs(main.value) < MIN_EFFECT:
@@ -120,6 +120,11 @@ def _main_words(c: SensorCredit, main: Effect, several: bool, few: str) -> str:
             return f"{what} {few}"
         return f"{what} The filter gives it almost no weight, so this change is probably chance." if sure else what
     return what if sure or _judged_by_last(c, main) else f"{what} {few}"
+
+
+def _plausible(effect: Effect) -> str:
+    """Return the interval in brackets; "" where there is none."""
+    return "" if math.isnan(effect.low) else f" (95 % interval: {interval(effect)})"
 
 
 def _judged_by_last(c: SensorCredit, main: Effect) -> bool:
@@ -138,7 +143,8 @@ def _last_words(last: Effect) -> str:
         return "Beside all others it changes nothing."
     if last.low <= 0.0 <= last.high:
         return "Beside all others no effect is seen."
-    return f"Beside all others it makes the error {times(last.value)} ({interval(last)})."
+    span = "" if math.isnan(last.low) else f" ({interval(last)})"
+    return f"Beside all others it makes the error {times(last.value)}{span}."
 
 
 def times(ln: float) -> str:

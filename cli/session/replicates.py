@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from msgspec.structs import replace
 
 from locfuse.formats.fleet.entry import Entry
-from locfuse.fusion.judge.bootstrap import CONFIDENCE, student_t
+from locfuse.fusion.judge.bootstrap import CONFIDENCE, MIN_REPLICATES, student_t
 from locfuse.fusion.judge.credit import Credit, SensorCredit, credit_over_logs
 from locfuse.fusion.judge.verdict import MIN_EFFECT, Effect
 
@@ -23,7 +23,7 @@ RMSE = "position_rmse_m"
 
 
 class Mean(NamedTuple):
-    """A mean over replicates with its 95 % interval; no interval for a single one."""
+    """A mean over replicates with its 95 % interval; no interval over fewer than four."""
 
     value: float
     low: float | None
@@ -31,10 +31,10 @@ class Mean(NamedTuple):
     replicates: int
 
 
-def mean_over(values: Sequence[float]) -> Mean:
-    """Return the mean of independent values and Student's interval."""
+def mean_over(values: Sequence[float], fewest: int = MIN_REPLICATES) -> Mean:
+    """Return the mean of independent values and, of at least `fewest`, Student's interval."""
     mean = fmean(values)
-    if len(values) < 2:
+    if len(values) < fewest:
         return Mean(mean, None, None, len(values))
     half = student_t(CONFIDENCE, len(values) - 1.0) * stdev(values) / math.sqrt(len(values))
     return Mean(mean, mean - half, mean + half, len(values))
@@ -78,7 +78,8 @@ def add_ties(summary: dict[str, Any], entries: Sequence[Entry]) -> None:
         if best is not None and name != best:
             ratio = _ratio(entries, name, best)
             if ratio is not None and _is_tie(ratio):
-                low, high = ratio.low, ratio.high
+                few = ratio.replicates < MIN_REPLICATES
+                low, high = (None, None) if few else (ratio.low, ratio.high)
                 ties[name] = {
                     "factor": math.exp(ratio.value),
                     "low": None if low is None else math.exp(low),
@@ -94,7 +95,7 @@ def _ratio(entries: Sequence[Entry], name: str, best: str) -> Mean | None:
     logs = [log for log in ours if log in theirs and ours[log] > 0.0 < theirs[log]]
     if not logs:
         return None
-    return mean_over(replicate_means(entries, {log: math.log(ours[log] / theirs[log]) for log in logs}))
+    return mean_over(replicate_means(entries, {log: math.log(ours[log] / theirs[log]) for log in logs}), fewest=2)
 
 
 def _is_tie(ratio: Mean) -> bool:

@@ -51,6 +51,6 @@ def credit(scene: Scene) -> Section:
 
 
 def _effect(sensor: str, kind: str, y: float, found: Mapping[str, Any]) -> list[Mark]:
-    low, factor, high = (float(np.clip(found[k], *LIMITS)) for k in ("low", "factor", "high"))
-    interval = np.array([[[low, y], [high, y]]])
-    return [Strokes(sensor, interval), Spots(kind, np.array([factor]), np.array([y]))]
+    ends = [[float(np.clip(found[k], *LIMITS)), y] for k in ("low", "high") if found[k] is not None]
+    interval = [Strokes(sensor, np.array([ends]))] if ends else []
+    return [*interval, Spots(kind, np.clip([found["factor"]], *LIMITS), np.array([y]))]

@@ -85,7 +85,7 @@ def _replicates(summary: Mapping[str, Any]) -> str:
     if of["of"] == "robots":
         return (
             f"{of['logs']} logs of {of['robots']} robots. Means are of each robot first, then over robots, with "
-            "Student's 95 % interval: logs of one robot share its wheels and mounts."
+            "Student's 95 % interval from four robots on: logs of one robot share its wheels and mounts."
         )
     return (
         f"{of['logs']} logs. Robots are not named (--robot-from), so each log counts as independent: intervals "

@@ -21,6 +21,7 @@ CONFIDENCE = 0.95
 RESAMPLES = 2000
 STARTS_AT_ONCE = 1 << 20  # of blocks that are held: a drive of many short ones would fill the memory
 CHANCE_DRAWS = 20_000  # of an effect of chance: its tails are thin
+MIN_REPLICATES = 4  # drives or robots: of fewer, Student's interval says nothing, and none is given
 MAX_BLOCKS = 200  # longer blocks do no harm, shorter ones cost memory
 MIN_MSE_M2 = 1e-18  # m^2: a mean squared error below is taken as this
 

@@ -19,7 +19,7 @@ import numpy as np
 from locfuse.fusion.data import Array, Evaluation
 from locfuse.fusion.sensors.registry import needed
 
-from .bootstrap import CONFIDENCE, Errors, by_chance, student_t
+from .bootstrap import CONFIDENCE, MIN_REPLICATES, Errors, by_chance, student_t
 from .verdict import MAX_ANEES, MIN_EFFECT, Effect, Verdict, verdict
 
 Subset = frozenset[str]
@@ -72,7 +72,7 @@ def credit(judged: Mapping[Subset, Evaluation], sensors: Sequence[str]) -> Credi
 
 
 def credit_over_logs(drives: Sequence[Credit]) -> Credit:
-    """Return the mean credit over several drives; its intervals are Student's, over the drives."""
+    """Return the mean credit over several drives; its intervals are Student's, from four drives on."""
     names = [s for s in drives[0].sensors if all(s in c.sensors for c in drives)]
     sensors = {s: _over_logs([c.sensors[s] for c in drives]) for s in names}
     totals = [c.total for c in drives if c.total is not None]
@@ -216,7 +216,9 @@ def _mean_effect(effects: Sequence[Effect | None]) -> Effect | None:
     if len(known) < len(effects) or len(known) < 2:
         return None
     values = np.array([e.value for e in known])
-    half = student_t(CONFIDENCE, len(values) - 1.0) * float(values.std(ddof=1)) / math.sqrt(len(values))
+    half = math.nan
+    if len(values) >= MIN_REPLICATES:
+        half = student_t(CONFIDENCE, len(values) - 1.0) * float(values.std(ddof=1)) / math.sqrt(len(values))
     expected = [e.expected for e in known if e.expected is not None]
     mean = float(values.mean())
     return Effect(

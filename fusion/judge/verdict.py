@@ -18,7 +18,10 @@ MAX_CONSISTENT_ANEES = 3.0  # a run with more is inconsistent, and its covarianc
 
 
 class Effect(msgspec.Struct, frozen=True):
-    """A contrast of ln(position RMSE): positive means that the sensor makes the error smaller."""
+    """A contrast of ln(position RMSE): positive means that the sensor makes the error smaller.
+
+    Its bounds are NaN over so few drives that there is no interval.
+    """
 
     value: float
     low: float

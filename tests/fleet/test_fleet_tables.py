@@ -53,23 +53,32 @@ def test_ten_thousand_rows_fit_a_small_page_and_lose_nothing() -> None:
 
 
 def test_the_mean_is_of_robots_and_its_interval_students_t_over_them() -> None:
-    errors = {"r1": (0.1, 0.3, 0.2), "r2": (0.5,), "r3": (0.4, 0.2)}
+    errors = {"r1": (0.1, 0.3, 0.2), "r2": (0.5,), "r3": (0.4, 0.2), "r4": (0.25,)}
     entries = [
         entry(f"{robot}-{i}", robot, {"all": e}) for robot, found in errors.items() for i, e in enumerate(found)
     ]
     summary = summarised(entries)
     figure = summary["configurations"]["all"]["figures"][RMSE]
     means = [np.mean(found) for found in errors.values()]
-    low, high = stats.t.interval(0.95, 2, np.mean(means), stats.sem(means))
+    low, high = stats.t.interval(0.95, 3, np.mean(means), stats.sem(means))
     assert figure["mean"] == pytest.approx(np.mean(means))
     assert (figure["low"], figure["high"]) == pytest.approx((low, high), rel=1e-4)
-    assert (figure["replicates"], figure["logs"]) == (3, 6)
-    assert summary["replicates"] == {"of": "robots", "robots": 3, "logs": 6}
+    assert (figure["replicates"], figure["logs"]) == (4, 7)
+    assert summary["replicates"] == {"of": "robots", "robots": 4, "logs": 7}
     assert figure["p90"] == pytest.approx(np.percentile([e for found in errors.values() for e in found], 90))
 
 
-def test_a_single_replicate_has_no_interval() -> None:
-    assert mean_over([0.2]) == (0.2, None, None, 1)
+@pytest.mark.parametrize("values", [[0.2], [0.1, 0.3], [0.1, 0.2, 0.3]])
+def test_fewer_than_four_replicates_have_no_interval(values: list[float]) -> None:
+    found = mean_over(values)
+    assert found.value == pytest.approx(0.2)
+    assert found[1:] == (None, None, len(values))
+
+
+def test_two_drives_that_disagree_tie_without_an_interval() -> None:
+    errors: tuple[dict[str, float | None], ...] = ({"lrf": 0.10, "all": 0.12}, {"lrf": 0.12, "all": 0.11})
+    tie = summarised([entry(str(i), None, e) for i, e in enumerate(errors)])["ties"]
+    assert [(t["low"], t["high"]) for t in tie.values()] == [(None, None)]
 
 
 def test_equal_configurations_tie_and_different_ones_do_not() -> None:
@@ -86,7 +95,7 @@ def test_equal_configurations_tie_and_different_ones_do_not() -> None:
 
 
 def test_what_a_sensor_does_is_averaged_within_a_robot_first() -> None:
-    effects = {"r1": (0.2, 0.4), "r2": (0.9,), "r3": (1.2, 1.0)}
+    effects = {"r1": (0.2, 0.4), "r2": (0.9,), "r3": (1.2, 1.0), "r4": (0.8,)}
     entries = []
     for robot, found in effects.items():
         for i, ln in enumerate(found):
@@ -96,7 +105,7 @@ def test_what_a_sensor_does_is_averaged_within_a_robot_first() -> None:
             entries.append(Entry(f"{robot}{i}", robot, report=slim({"": report})))
     alone = summarised(entries)["credit"]["sensors"]["lrf"]["alone"]
     means = [np.mean(found) for found in effects.values()]
-    low, high = stats.t.interval(0.95, 2, np.mean(means), stats.sem(means))
+    low, high = stats.t.interval(0.95, 3, np.mean(means), stats.sem(means))
     assert alone["ln"] == pytest.approx(np.mean(means))
     assert (math.log(alone["low"]), math.log(alone["high"])) == pytest.approx((low, high), rel=1e-4)
 

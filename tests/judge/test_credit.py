@@ -13,11 +13,11 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 from scipy import stats
 
-from locfuse.cli.pipeline.verdicts import verdicts
+from locfuse.cli.pipeline.verdicts import credit_values, verdicts
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge import bootstrap
 from locfuse.fusion.judge.bootstrap import Errors, block_means, by_chance, effective_samples, student_t
-from locfuse.fusion.judge.credit import Credit, credit, credit_over_logs, shapley_steps, subsets
+from locfuse.fusion.judge.credit import Credit, _Book, credit, credit_over_logs, shapley_steps, subsets
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.judge.verdict import Effect, verdict
 
@@ -243,6 +243,41 @@ def test_over_several_logs_the_interval_is_students() -> None:
     assert (effect.low, effect.high) == pytest.approx((low, high), rel=1e-4)
     assert found.logs == 4
     assert found.effective_samples == 4
+
+
+@pytest.mark.parametrize("drives", [2, 3])
+def test_over_fewer_than_four_logs_there_is_no_interval_and_nothing_is_sure(drives: int) -> None:
+    found = credit_over_logs([credit_of(seed) for seed in range(drives)])
+    effect = found.sensors["lrf"].credit
+    assert effect is not None
+    assert math.isnan(effect.low)
+    assert math.isnan(effect.high)
+    assert found.sensors["lrf"].verdict == "seems to help"
+    assert credit_values(found)["sensors"]["lrf"]["credit"]["low"] is None
+    words = verdicts(found, [], {})["lrf"]["words"]
+    assert "interval" not in words
+    assert "nan" not in words
+    assert f"{drives} drives do not settle it" in words
+
+
+def test_the_interval_of_few_gaussian_pairs_is_students_with_the_degrees_of_freedom_left() -> None:
+    """Closed form: two uncorrelated runs of 4 places (8 numbers) each; by Welch and Satterthwaite 16 - 1."""
+    errors = Errors(np.zeros((2, 4, 2)), np.zeros(2), np.full(2, 4.0), np.eye(2), np.zeros((50, 2)), 1)
+    half = math.asinh(stats.t.ppf(0.975, 15) * math.sqrt(0.5 * (1 / 8 + 1 / 8)))
+    assert errors.interval(np.array([1.0, -1.0])) == pytest.approx((-half, half), rel=1e-4)
+
+
+@pytest.mark.parametrize("samples", [8.0, 20.0])
+def test_an_effect_is_no_surer_than_moves_by_chance_of_half_as_many_samples(samples: float) -> None:
+    """Brute force: so many equal errors of 0.2 m, each moved by what the sensor took off the variance."""
+    errors = Errors(
+        np.zeros((2, 40, 2)), np.log([0.2, 0.1]), np.array([samples, 40.0]), np.eye(2), np.zeros((50, 2)), 1
+    )
+    expected = np.log([0.2, 0.16])  # the predicted deviation shrinks by sqrt(0.2^2 - 0.16^2) = 0.12 m
+    book = _Book([frozenset(), frozenset({"lrf"})], errors, expected, [None, None])
+    moves = 0.12 * np.random.default_rng(3).standard_normal((200_000, round(samples / 2)))
+    ratio = -0.5 * np.log(np.mean((0.2 + moves) ** 2, axis=1) / 0.2**2)
+    assert book._luck(0, 1) == pytest.approx(tuple(np.percentile(ratio, (2.5, 97.5))), abs=0.02)
 
 
 @pytest.mark.parametrize(

@@ -131,14 +131,14 @@ def sensor(ln: float) -> SensorCredit:
 
 def test_credit_over_logs_is_their_mean_with_an_interval_over_them() -> None:
     entries = []
-    for i, ln in enumerate((0.6, 0.7, 0.8)):
+    for i, ln in enumerate((0.6, 0.7, 0.7, 0.8)):
         one = Credit({"lrf": sensor(ln)}, ln, True, "moving-block bootstrap", 12.0, 3.0)
         found = {**report({"odometry": 0.5, "lrf": 0.2}), "credit": credit_values(one)}
         entries.append(Entry(str(i), report=slim({"": found})))
     found = summarised(entries)
     effect = found["credit"]["sensors"]["lrf"]["credit"]
     assert effect["ln"] == pytest.approx(0.7)
-    half = 4.303 * 0.1 / math.sqrt(3)  # Student's t, 2 degrees of freedom
+    half = 3.182 * math.sqrt(0.02 / 3) / math.sqrt(4)  # Student's t, 3 degrees of freedom
     assert math.log(effect["high"]) == pytest.approx(0.7 + half, abs=1e-3)
     assert found["verdicts"]["lrf"]["verdict"] == "helps"
 

@@ -8,6 +8,7 @@ from typing import Any
 from locfuse.cli.choose.standing import STANDS
 from locfuse.formats.report import json_report
 from locfuse.fusion.advice.probes import MOUNT
+from locfuse.fusion.doctor.truth import Jumps
 from locfuse.fusion.mount import OTHER_MOUNT
 
 from .advised import Advised
@@ -22,15 +23,17 @@ def complete(
     start_error_m: float | None = None,
     foreign: Collection[str] = (),
     stands: bool = False,
+    jumps: Jumps | None = None,
 ) -> None:
     """Add findings, validity and headline to a finished report; None: the log was not evaluated.
 
-    `start_error_m` is how far the truth starts from where the drive does, None where somebody stated the start.
+    `start_error_m` is how far the truth starts from where the drive does, None where somebody stated the start;
+    `jumps` are those of the truth.
     Rows that are `foreign` estimates say nothing of which sensors to keep; of a robot that `stands` nothing does.
     """
     add_findings(report, advised)
     _leave_out_what_findings_say(report)
-    add_validity(report, advised, start_error_m)
+    add_validity(report, advised, start_error_m, jumps)
     sets = {
         name: tuple(values["sensors"])
         for name, values in report["configurations"].items()

@@ -1,7 +1,8 @@
 """Validity: figures that would look like a result and are none, or doubtful ones, and why.
 
-A robot that was lost for a notable share of the drive has no accuracy, and a truth that starts somewhere else
-judges the start and nothing more. Such a figure is null in report.json, "-" in tables, fails a gate, and is named.
+A robot that was lost for a notable share of the drive has no accuracy; a truth that starts somewhere else judges
+the start and nothing more; one that jumps again and again judges nothing. Such a figure is null in report.json, "-" in
+tables, fails a gate, and is named.
 While a clock, a scale or a direction is surely wrong, or the truth jumps, figures exist and are called doubtful.
 """
 
@@ -12,6 +13,7 @@ from typing import Any
 
 from locfuse.formats.tables.findings import options
 from locfuse.fusion.data import result_name
+from locfuse.fusion.doctor.truth import Jumps
 from locfuse.fusion.judge.evaluate import ERROR_KEYS
 
 from .advised import Advised
@@ -19,14 +21,17 @@ from .advised import Advised
 MAX_LOST_SHARE = 0.1  # of the drive for which a filter may be lost before its figures mean nothing
 MAX_START_ERROR_M = 0.5  # m between the first pose of the truth and the start, where nobody states a start
 EVERY = ("wheels", "truth")  # roles that every configuration depends on
+JUMP = "jump"  # code of the finding on a truth that jumps
 JUDGED = (*ERROR_KEYS, "anees")
 
 
-def add_validity(report: dict[str, Any], advised: Advised | None, start_error_m: float | None) -> None:
+def add_validity(
+    report: dict[str, Any], advised: Advised | None, start_error_m: float | None, jumps: Jumps | None = None
+) -> None:
     """Add `validity`; take void figures out of their configurations: these stay readable under `void`."""
     found = []
     for name, values in report["configurations"].items():
-        reason = _lost(values) or _elsewhere(start_error_m, values)
+        reason = _lost(values) or _jumping(jumps) or _elsewhere(start_error_m, values)
         if reason is None:
             continue
         code, message = reason
@@ -34,7 +39,9 @@ def add_validity(report: dict[str, Any], advised: Advised | None, start_error_m:
         values["void"] = {"reason": message, "figures": known}
         values.update(dict.fromkeys(known))
         found.append({"configuration": name, "code": code, "message": message, "since_s": _since(values, code)})
-    report["validity"] = [*_once(found), *_doubts(report, advised)]
+    void = {entry["code"] for entry in found}  # what is void is not doubtful as well
+    doubts = [d for d in _doubts(report, advised) if d["code"] != JUMP or JUMP not in void]
+    report["validity"] = [*_once(found), *doubts]
     if found and all("void" in values for values in report["configurations"].values()):
         _withdraw_verdicts(report)
 
@@ -77,6 +84,12 @@ def _lost(values: dict[str, Any]) -> tuple[str, str] | None:
         return None
     name = result_name(values["configuration"], bool(values.get("smoothed")))
     return "lost", f"{name}: lost for {share:.0%} of the drive, first at {values['lost'][0][0]:.1f} s"
+
+
+def _jumping(jumps: Jumps | None) -> tuple[str, str] | None:
+    if jumps is None or not jumps.spoil:
+        return None
+    return JUMP, f"truth: {jumps.words}. Set truth.max_speed, or truth.sigma if this is its noise"
 
 
 def _elsewhere(error_m: float | None, values: dict[str, Any]) -> tuple[str, str] | None:

@@ -35,6 +35,7 @@ from locfuse.formats.log.log import Log
 from locfuse.formats.robot.robot_toml import as_set
 from locfuse.formats.visible import visible
 from locfuse.fusion.data import Drive, Estimates, Evaluation, UsageError
+from locfuse.fusion.doctor.truth import jumps_of
 from locfuse.fusion.judge.evaluate import Align, evaluate
 from locfuse.fusion.robot import Robot
 
@@ -149,6 +150,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
             self._advice_on_run(used, estimates[0], evaluations[0], align) if advice else None,
             self._start_error(),
             stands=self.drive.wheels.stands,
+            jumps=jumps_of(self.drive),
         )
         self.progress("writing")
         return Run(
@@ -212,7 +214,8 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         if runs:
             self._jitter(report, wanted, align, smooth, compared.estimates, runs)
         advised = None if evaluator is None else evaluator.advised()
-        complete(report, advised, self._start_error(), [e.name for e in foreign], self.drive.wheels.stands)
+        stands, jumps = self.drive.wheels.stands, jumps_of(self.drive)
+        complete(report, advised, self._start_error(), [e.name for e in foreign], stands, jumps)
         self.progress("writing")
         return Comparison(
             self.loaded,

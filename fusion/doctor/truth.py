@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,11 +20,14 @@ from .finding import Finding, Least
 from .start import of_start
 
 WHEEL_SCALE = "wheel scale"  # code of the finding on the wheels' metre
+MIN_READINGS = 5  # of a truth that is checked
 WINDOW_S = 1.0  # s over which ways are compared
 STRETCHES = 8  # stretches of the drive whose estimates must agree
-MIN_WAY_M = 0.1  # m per window
+MIN_WAY_M = 0.1  # m per window, by the wheels
+MIN_SEEN_M = 1e-6  # m per window, by the truth: one that stands still measures no wheels
 MIN_SCALE_ERROR, SEVERE_SCALE_ERROR = 0.03, 0.05  # relative errors of the wheels' metre
 WORTH_SAYING = Least(MIN_SCALE_ERROR, 3.0)
+MAX_JUMP_SHARE = 0.01  # of a truth's steps: with more jumps no error by it means anything
 JUMP_FACTOR, MIN_JUMP_M = 3.0, 0.3  # a step is a jump if it is this many times the wheels', and this much [m] more
 MIN_POINT_ERROR_M = 0.05  # m, of the tracked point
 MIN_NOISE_M, MIN_NOISE_RAD = 0.001, math.radians(0.1)  # of a truth's poses; what is smaller changes no figure
@@ -33,9 +37,9 @@ MIN_TURN_RAD = math.radians(60.0)
 def of_truth(drive: Drive, robot: Robot, same_metre: bool = True) -> list[Finding]:
     """Check the ground truth. The tracked body point is estimated only if the wheel scale is plausible."""
     truth = drive.truth
-    if truth is None or len(truth.t) < 5:
+    if truth is None or len(truth.t) < MIN_READINGS:
         return []
-    jumps = _jumps(truth, drive)
+    jumps = _jumps(drive)
     point = _point(truth, drive) if same_metre else []
     # where a jump or another point is told, what it tells of the start is not the start
     start = [] if jumps or point else of_start(truth, drive, robot)
@@ -66,20 +70,49 @@ def _noise(truth: Truth, drive: Drive) -> list[Finding]:
     return [Finding("truth", "noise", f"its own noise is {words} (1 sigma, at rest)", tuple(fixes))]
 
 
-def _jumps(truth: Truth, drive: Drive) -> list[Finding]:
-    """Steps that are metres longer than the wheels rolled meanwhile: a tracker that lost its body."""
+class Jumps(NamedTuple):
+    """Steps of a truth that are metres longer than the wheels rolled meanwhile: a tracker that lost its body."""
+
+    number: int
+    spikes: int  # readings that jump away and return
+    staying: int  # jumps that do not return
+    steps: int  # of the whole truth
+
+    @property
+    def spoil(self) -> bool:
+        """Whether they are so many that the truth judges nothing."""
+        return self.number > MAX_JUMP_SHARE * self.steps
+
+    @property
+    def words(self) -> str:
+        """What is wrong with the truth."""
+        words = f"it jumps {times(self.number)} by more than the wheels rolled"
+        words += f"; {self.spikes} readings can be left out" if self.spikes else ""
+        if self.staying > 0:
+            words += f"; {self.staying} jumps do not return, and errors across them mean nothing"
+        return words
+
+
+def jumps_of(drive: Drive) -> Jumps | None:
+    """Return the jumps of the truth; None without truth or without jumps."""
+    truth = drive.truth
+    if truth is None or len(truth.t) < MIN_READINGS:
+        return None
     limit = step_limits(truth, drive)
+    number = int((np.hypot(*np.diff(truth.xy, axis=0).T) > limit).sum())
+    if not number:
+        return None
     away = spikes(truth.t, truth.xy, limit)
-    long = np.hypot(*np.diff(truth.xy, axis=0).T) > limit
-    stays = int(long.sum()) - 2 * _runs(away)
-    if not long.any():
+    return Jumps(number, int(away.sum()), number - 2 * _runs(away), len(limit))
+
+
+def _jumps(drive: Drive) -> list[Finding]:
+    found = jumps_of(drive)
+    if found is None:
         return []
     fastest = float(np.percentile(np.hypot(*drive.wheels.twist[:, :2].T) / np.diff(drive.wheels.t), 99.0))
     speed = max(1.0, math.ceil(3.0 * fastest))
-    words = f"it jumps {times(int(long.sum()))} by more than the wheels rolled"
-    words += f"; {int(away.sum())} readings can be left out" if away.any() else ""
-    words += f"; {stays} jumps do not return, and errors across them mean nothing" if stays > 0 else ""
-    return [Finding("truth", "jump", words, (f"truth.max_speed={speed:g}",), True)]
+    return [Finding("truth", "jump", found.words, (f"truth.max_speed={speed:g}",), True)]
 
 
 def step_limits(truth: Truth, drive: Drive) -> Array:
@@ -104,9 +137,9 @@ def wheels_metre(drive: Drive) -> tuple[float, float] | None:
     if len(start) < 20:
         return None
     step = np.stack([np.interp(start + WINDOW_S, truth.t, c) - np.interp(start, truth.t, c) for c in truth.xy.T])
-    own = np.hypot(*wheels.relative(start, start + WINDOW_S)[:, :2].T)
-    moving = own > MIN_WAY_M
-    ratio = np.hypot(*step)[moving] / own[moving]
+    seen, own = np.hypot(*step), np.hypot(*wheels.relative(start, start + WINDOW_S)[:, :2].T)
+    moving = (own > MIN_WAY_M) & (seen > MIN_SEEN_M)
+    ratio = seen[moving] / own[moving]
     if moving.sum() < 20:
         return None
     parts = [float(np.median(part)) for part in np.array_split(ratio, STRETCHES)]

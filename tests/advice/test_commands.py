@@ -11,7 +11,7 @@ from commands import locfuse
 from jobs_here import jobs_here
 from lock_step import simulated
 from msgspec.structs import replace
-from trap_logs import Drive
+from trap_logs import TRUTH, Drive, seconds
 from traps_sensors import elsewhere, pitched_imu, short_metre, upside_down
 
 from locfuse.cli.pipeline.load import start_error
@@ -78,6 +78,31 @@ def test_a_truth_that_begins_metres_later_has_begun_where_the_robot_is_by_then()
     elsewhere_too = replace(later, xy=xy + np.array([3.0, 4.0]))
     assert start_error(unstated, replace(drive, truth=elsewhere_too)) == pytest.approx(5.0, abs=0.2)
     assert start_error(robot, replace(drive, truth=elsewhere_too)) is None
+
+
+@pytest.mark.parametrize("command", [("run",), ("compare",), ("info", "--check")])
+def test_a_truth_that_jumps_all_the_time_judges_nothing_whatever_the_command(
+    command: tuple[str, ...], tmp_path: Path
+) -> None:
+    """A tracker that takes one of two bodies for the robot, in turn, ten times a second."""
+    drive = Drive()
+    drive.each(
+        TRUTH,
+        lambda m: m._replace(
+            fields={**m.fields, "pose.position.x": m.fields["pose.position.x"] + 4.0 * (int(seconds(m) * 10) % 2)}
+        ),
+    )
+    log = drive.record(tmp_path / "log.mcap")
+    written = () if command[0] == "info" else ("--no-advice", "-o", tmp_path / "out", "--write", "json")
+    done = locfuse(*command, log, *written)
+    assert done.exit_code == 3
+    assert "by more than the wheels rolled" in done.stdout + done.stderr
+    if written:
+        (file,) = (tmp_path / "out").glob("*[nt].json")  # run.json or report.json
+        report = json.loads(file.read_text())
+        assert {v["code"] for v in report["validity"] if v["void"]} == {"jump"}
+        assert all(v["drift_5m"] is None for v in report["configurations"].values())
+        assert all(v["void"]["figures"]["position_rmse_m"] > 0.5 for v in report["configurations"].values())
 
 
 def test_several_logs_of_which_one_is_void_exit_with_3_and_say_why(

@@ -21,7 +21,7 @@ from locfuse.fusion.doctor.examine import gaps
 from locfuse.fusion.doctor.finding import Finding, Least, of_error
 from locfuse.fusion.doctor.laser import laser_motion, of_laser, of_radius
 from locfuse.fusion.doctor.start import start_pose
-from locfuse.fusion.doctor.truth import of_truth
+from locfuse.fusion.doctor.truth import jumps_of, metre, of_truth, wheels_metre
 from locfuse.fusion.doctor.turning import explain, of_track, turnings
 from locfuse.fusion.mount import rotation
 from locfuse.fusion.wheels.motion import Wheels
@@ -253,6 +253,29 @@ def test_wheels_whose_turns_are_noisy_make_no_body_point(x: float, y: float, see
 def test_a_healthy_truth_is_not_mentioned() -> None:
     for seed in range(19, 24):
         assert of_truth(drive(seed, robot()), robot()) == []
+
+
+@pytest.mark.parametrize("place", [0.0, 5e-324])
+def test_a_truth_that_does_not_move_measures_no_wheels(place: float) -> None:
+    healthy = drive(1, robot())
+    assert wheels_metre(healthy) is not None
+    truth = truth_of(healthy)
+    rng = np.random.default_rng(1)
+    still = replace(healthy, truth=replace(truth, xy=place * rng.integers(0, 3, truth.xy.shape)))
+    assert wheels_metre(still) is None
+    assert metre(still, robot()) == (1.0, [])
+
+
+@pytest.mark.parametrize(("every", "spoil"), [(400, False), (50, True)])
+def test_a_truth_with_a_jump_in_more_than_one_of_a_hundred_steps_judges_nothing(every: int, spoil: bool) -> None:
+    healthy = drive(1, robot())
+    assert jumps_of(healthy) is None
+    truth = truth_of(healthy)
+    moved = 4.0 * (np.arange(len(truth.t)) // every % 2)
+    found = jumps_of(replace(healthy, truth=replace(truth, xy=truth.xy + moved[:, None])))
+    assert found is not None
+    assert (found.number, found.steps) == ((len(truth.t) - 1) // every, len(truth.t) - 1)
+    assert found.spoil is spoil
 
 
 def test_the_noise_of_a_truth_is_measured_at_rest_unless_it_is_told() -> None:

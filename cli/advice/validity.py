@@ -1,8 +1,8 @@
 """Validity: figures that would look like a result and are none, or doubtful ones, and why.
 
 A robot that was lost for a notable share of the drive has no accuracy; a truth that starts somewhere else judges
-the start and nothing more; one that jumps again and again judges nothing. Such a figure is null in report.json, "-" in
-tables, fails a gate, and is named.
+the start and nothing more; one that jumps again and again judges nothing. Such a figure is null in report.json,
+"-" in tables, fails a gate, and is named.
 While a clock, a scale or a direction is surely wrong, or the truth jumps, figures exist and are called doubtful.
 """
 

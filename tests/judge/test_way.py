@@ -170,6 +170,15 @@ def test_before_its_first_motion_a_robot_faces_where_it_then_goes(noise: float) 
     np.testing.assert_allclose(found.along_cross, np.tile([-1.0, 0.2], (1000, 1)), atol=0.2 if noise else 1e-9)
 
 
+def test_between_two_motions_a_robot_faces_where_it_came_from() -> None:
+    """1 m along x, ten seconds of rest, then 1 m along y."""
+    t: Array = np.linspace(0.0, 14.0, 701)
+    xy = np.column_stack((np.clip(0.5 * t, 0.0, 1.0), np.clip(0.5 * (t - 12.0), 0.0, 1.0)))
+    seen = directions(t, xy, np.zeros(701, np.int64))
+    np.testing.assert_allclose(seen[:600], 0.0, atol=1e-9)
+    np.testing.assert_allclose(seen[602:], math.pi / 2.0, atol=1e-9)
+
+
 def test_a_truth_that_never_moves_has_no_length() -> None:
     t: Array = np.linspace(0.0, 4.9, 50)
     for xy in (np.zeros((50, 2)), np.full((50, 2), 5e-324)):

@@ -75,7 +75,14 @@ TESTS: dict[str, tuple[str, ...]] = {  # the sharpest and fastest first
     "fusion/core/places.py": ("tests/recovery/test_places.py", "tests/core/test_filter.py"),
     "fusion/core/fit.py": ("tests/core/test_fit.py", "tests/lines/test_lines.py"),
     "fusion/core/pieces.py": ("tests/core/test_pieces.py", "tests/lines/test_lines.py"),
-    "fusion/judge/evaluate.py": ("tests/judge/test_evaluate.py", "tests/judge/test_consistency.py"),
+    "fusion/judge/evaluate.py": ("tests/judge/test_evaluate.py", "tests/judge/test_way.py"),
+    "fusion/judge/way.py": ("tests/judge/test_way.py", "tests/judge/test_evaluate.py"),
+    "fusion/judge/bootstrap.py": ("tests/judge/test_credit.py",),
+    "fusion/judge/credit.py": ("tests/judge/test_credit.py",),
+    "fusion/judge/verdict.py": ("tests/judge/test_credit.py",),
+    "fusion/judge/innovations.py": ("tests/judge/test_consistency.py", "tests/judge/test_by_truth.py"),
+    "fusion/judge/predictive.py": ("tests/judge/test_predictive.py",),
+    "fusion/judge/against.py": ("tests/judge/test_against.py",),
     "fusion/smooth.py": ("tests/fusion/test_smooth.py",),
 }
 SWAPPED = {ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*"}

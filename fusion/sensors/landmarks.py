@@ -74,7 +74,8 @@ SIGMA_DEPTH = 0.5  # of a share that lies at 0 or 1
 KNOWN_DEPTH, SAID_DEPTH = 0.2, 0.5  # 1 sigma, and value, from which it is said that the ranges are depths
 NEW = VERDICTS.index("new")
 MIN_FIT = 50  # detections that are held against poses
-MIN_SEEN = 3  # detections of a landmark of which a run made the place
+MIN_SEEN = 3  # detections of an id from which its landmark is placed in a map that is made
+MAX_LANDMARKS = 1000  # in a map that is made: memory and time grow with the square of their number
 MOST_AT_ONCE = 64  # detections of one reading that the core has room for
 MAX_SIGMA_M = 0.3  # m of the robot's position: beyond it a detection does not tell where its landmark stands
 
@@ -202,6 +203,10 @@ class Landmarks(Sensor):
         keep = _usable(seen, camera, places, settings.ignore, dropped)
         if len(seen.ids) and not keep.any():
             raise LocfuseError(_nothing(stream.topic, seen.ids, places), role="landmarks")
+        notes = [MADE] if settings.map is None else []
+        if settings.grows:
+            keep, left_out = _often_seen(seen.ids, keep, stream.topic, dropped)
+            notes += left_out
         ids, parts = seen.ids[keep], [wrap_all(seen.bearings[keep])]
         turn = math.radians(settings.sigma_bearing_deg)
         sigmas = np.array([turn, settings.sigma_range])
@@ -218,7 +223,7 @@ class Landmarks(Sensor):
             floor=np.zeros((d, d)),
             extra={"id": ids.astype(np.float64), **_levers(parts_of(stream), camera[keep], settings)},
             dropped=dropped,
-            notes=(MADE,) if settings.map is None else (),
+            notes=tuple(notes),
         )
 
     def misfit(self, m: Measurements, settings: LandmarksSettings, poses: Array) -> float | None:
@@ -311,6 +316,35 @@ def _usable(
     ):
         count_dropped(dropped, reason, int(out.sum()))
     return np.asarray(finite & known & ~twice)
+
+
+def _often_seen(
+    ids: Ints, usable: NDArray[np.bool_], topic: str, dropped: dict[str, int]
+) -> tuple[NDArray[np.bool_], list[str]]:
+    """Return which detections (n,) are of landmarks to be placed, and in words how many ids are left out.
+
+    Every landmark is two states. An id that is seen once or twice (a tracker that counts up, false detections)
+    adds no information about the robot's pose, and of more ids than MAX_LANDMARKS those seen most often are taken.
+    """
+    names, which, counts = np.unique(ids[usable], return_inverse=True, return_counts=True)
+    often = counts >= MIN_SEEN
+    if len(names) and not often.any():
+        raise LocfuseError(
+            f"{topic}: none of its {len(names)} ids is seen {MIN_SEEN} times, as a map of landmarks needs",
+            role="landmarks",
+        )
+    most = np.zeros(len(names), dtype=bool)
+    most[np.argsort(-counts, kind="stable")[:MAX_LANDMARKS]] = True
+    taken, words = usable.copy(), []
+    taken[usable] = (often & most)[which.reshape(-1)]
+    for reason, out, why in (
+        ("seen_rarely", ~often, f"seen less than {MIN_SEEN} times"),
+        ("too_many_ids", often & ~most, f"beyond the {MAX_LANDMARKS} seen most often, the cap of a map"),
+    ):
+        count_dropped(dropped, reason, int(counts[out].sum()))
+        if out.any():
+            words.append(f"{out.sum()} of {len(names)} ids are not placed in the map: {why}")
+    return taken, words
 
 
 def _nothing(topic: str, ids: Ints, places: Mapping[int, Point] | None) -> str:

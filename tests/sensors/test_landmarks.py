@@ -19,6 +19,7 @@ from wheel_bags import GEOMETRY, angles, joint_states, log_of
 from locfuse.formats.robot import landmark_map
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.landmarks.geometry import predict
+from locfuse.fusion.sensors import landmarks
 from locfuse.fusion.sensors.registry import REGISTRY
 
 Array = NDArray[np.float64]
@@ -247,3 +248,41 @@ def test_the_key_that_takes_out_a_constant_bearing_moves_against_it() -> None:
     innovation = math.degrees(true[0][1] - configured[0][1])
     assert bias.key == "yaw_deg"
     assert bias.sign * innovation == pytest.approx(5.0)
+
+
+def grown(tmp_path: Path, detections: list[tuple[float, int]], *words: str) -> Any:
+    """Run a drive of 10 s with detections (s, id) of landmarks that nobody has mapped."""
+    log = written(tmp_path, seconds=10.0)[0]
+    rows = "".join(f"{T0 // 10**9 + t:.6f},{key},{2 + key % 5},{key % 20 / 10 - 1}\n" for t, key in detections)
+    (tmp_path / "many.csv").write_text(f"t,id,range,bearing\n{rows}")
+    file = ("--set", f"landmarks.file={tmp_path / 'many.csv'}")
+    return locfuse("run", log, *GEOMETRY, *file, "--sensors", "landmarks", "-o", tmp_path / "o", *words)
+
+
+def test_an_id_gets_a_place_in_the_map_from_its_third_detection_on(tmp_path: Path) -> None:
+    often = [(1.0 + k, key) for key in (1, 2) for k in range(3)]
+    done = grown(tmp_path, sorted([*often, (1.5, 7), (2.5, 7), *((3.0, 100 + k) for k in range(30))]))
+    assert done.exit_code == 3, done.stderr  # most detections are left out
+    told = " ".join(done.stderr.split())
+    assert "31 of 33 ids are not placed in the map: seen less than 3 times" in told
+    assert "a map of 2 landmarks was made" in told
+    assert json.loads((tmp_path / "o" / "run.json").read_text())["input"]["dropped"]["landmarks"] == {
+        "seen_rarely": 32
+    }
+
+
+def test_of_more_ids_than_the_cap_those_seen_most_often_are_placed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(landmarks, "MAX_LANDMARKS", 3)
+    done = grown(tmp_path, sorted((0.5 + k, key) for key in range(6) for k in range(3 + (key >= 3))))
+    told = " ".join(done.stderr.split())
+    assert "3 of 6 ids are not placed in the map: beyond the 3 seen most often" in told
+    assert "a map of 3 landmarks was made" in told
+
+
+def test_a_tracker_that_counts_up_is_refused_in_one_line(tmp_path: Path) -> None:
+    done = grown(tmp_path, [(k * 9.0 / 5000, k) for k in range(5000)])
+    assert done.exit_code == 1
+    assert "none of its 5000 ids is seen 3 times" in done.stderr
+    assert len(done.stderr.splitlines()) == 1

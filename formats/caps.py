@@ -17,7 +17,7 @@ MAX_ROBOT_TOML = 128 * 1024  # `locfuse init` writes 5 kB
 MAX_TEXT_FILE = 256 * 1024 * 1024  # a trajectory or detections: an hour at 100 Hz is 40 MB
 MAX_METADATA = 4 * 1024 * 1024  # metadata.yaml of a rosbag2 folder; a bag of 10 000 files has 1 MB
 MAX_MAP_FILE = 64 * 1024 * 1024  # a line map: 150 bytes a wall
-MAX_MAP_CELLS = 64 * 1024 * 1024  # of a map as an image: 400 m x 400 m in cells of 5 cm
+MAX_MAP_PICTURE = 129 * 1024 * 1024  # of a map as an image: 2 bytes for each of MAX_MAP_PIXELS, and the header
 MAX_REPORT = 64 * 1024 * 1024  # report.json; over an hour's drive it has 100 kB
 
 # structure of a file

@@ -77,7 +77,10 @@ def _give_grid(loaded: Loaded, grid: Grid, name: str) -> Loaded:
 
     if "lrf" not in loaded.drive.measurements:
         raise loaded.drive.lacks("lrf")
-    lines = walls_of(grid)
+    try:
+        lines = walls_of(grid)
+    except LocfuseError as problem:
+        raise LocfuseError(f"{name}: {problem.message}", role="map") from None
     if not lines:
         raise LocfuseError(f"{name} has no wall of 0.3 m or more: nothing can be localised in it")
     found = replace(loaded, robot=_within(loaded.robot, lines))

@@ -6,7 +6,6 @@ free, between unknown. The image's last row is the southernmost.
 
 from __future__ import annotations
 
-import math
 import struct
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.formats.caps import MAX_MAP_CELLS, MAX_MAP_FILE, MAX_ROBOT_TOML, names_its_cap
+from locfuse.formats.caps import MAX_MAP_PICTURE, MAX_ROBOT_TOML, names_its_cap
 from locfuse.formats.inputs import read_small
 from locfuse.formats.visible import visible
 from locfuse.fusion.data import MAX_MAGNITUDE, Array, LocfuseError
@@ -24,6 +23,7 @@ PICTURES = (".pgm", ".png")
 OCCUPIED, FREE = 0.65, 0.25  # thresholds of map_server where the file gives none
 UNKNOWN_GREY = 205  # what map_saver writes for unknown cells, whatever the thresholds beside it say
 MAX_CELL_M = 10.0
+ROWS_AT_ONCE = 256  # of a picture, whose numbers take eight times its bytes
 UNKNOWN_CELL = -1  # of an OccupancyGrid, whose other cells are 0 to 100
 
 
@@ -41,11 +41,14 @@ def read(path: Path) -> MapImage:
     keys = _keys(path)
     image = _text(keys, "image", path)
     file = Path(image) if Path(image).is_absolute() else path.parent / image
-    dark = _darkness(file)
-    if _number(keys, "negate", path, 0.0):
-        dark = 1.0 - dark
-    occupied = dark > _number(keys, "occupied_thresh", path, OCCUPIED)
-    free = dark < _number(keys, "free_thresh", path, FREE)
+    pixels, negate = _pixels(file), bool(_number(keys, "negate", path, 0.0))
+    least, most = _number(keys, "occupied_thresh", path, OCCUPIED), _number(keys, "free_thresh", path, FREE)
+    occupied, free = np.zeros((2, *pixels.shape[:2]), dtype=bool)
+    for row in range(0, len(pixels), ROWS_AT_ONCE):
+        some = slice(row, row + ROWS_AT_ONCE)
+        dark = _darkness(pixels[some])
+        dark = 1.0 - dark if negate else dark
+        occupied[some], free[some] = dark > least, dark < most
     cell = _number(keys, "resolution", path)
     if not 0.0 < cell <= MAX_CELL_M:
         raise LocfuseError(f"{path}: resolution {cell:g} m: the side of a cell must be above 0 and at most 10 m")
@@ -75,10 +78,15 @@ def checked(found: MapImage, name: str) -> MapImage:
 def _keys(path: Path) -> dict[str, Any]:
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
+    from ruamel.yaml.events import AliasEvent
 
+    yaml, text = YAML(typ="safe", pure=True), read_small(path, MAX_ROBOT_TOML)
     try:
-        keys = YAML(typ="safe", pure=True).load(read_small(path, MAX_ROBOT_TOML).decode())
-    except (YAMLError, UnicodeDecodeError, ValueError, RecursionError) as problem:
+        # 400 bytes of aliases stand for 10^9 values, and a map needs none
+        if any(isinstance(event, AliasEvent) for event in yaml.parse(text.decode())):
+            raise LocfuseError(f"{path}: YAML aliases (*name) are not read: write the value itself")
+        keys = yaml.load(text.decode())
+    except (YAMLError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as problem:
         said = visible(" ".join(str(problem).split()))
         raise LocfuseError(f"{path} is no YAML of a map: {said[:120]}") from None
     if not isinstance(keys, dict):
@@ -95,35 +103,47 @@ def _text(keys: dict[str, Any], key: str, path: Path) -> str:
 
 def _number(keys: dict[str, Any], key: str, path: Path, usual: float | None = None) -> float:
     value = keys.get(key, usual)
-    if isinstance(value, bool | int | float) and math.isfinite(value):
+    if isinstance(value, bool | int | float) and abs(value) < MAX_MAGNITUDE:
         return float(value)
-    raise LocfuseError(f"{path}: {key} is {visible(repr(value))[:60]}, not a number")
+    raise LocfuseError(f"{path}: {key} is {_kind(value)}, not a number below {MAX_MAGNITUDE:g}")
+
+
+def _kind(value: Any) -> str:
+    """Return what a file holds in a few characters, however large it is."""
+    return repr(visible(value[:40])) if isinstance(value, str) else f"of type {type(value).__name__}"
 
 
 def _origin(keys: dict[str, Any], path: Path) -> Array:
     value = keys.get("origin")
     numbers = value if isinstance(value, list) and len(value) == 3 else []
     if not numbers or not all(isinstance(v, int | float) and abs(v) < MAX_MAGNITUDE for v in numbers):
-        raise LocfuseError(f"{path}: origin is {visible(repr(value))[:60]}, not [x, y, yaw] in m, m, rad")
+        raise LocfuseError(f"{path}: origin is {_kind(value)}, not [x, y, yaw] in m, m, rad")
     return np.array(numbers, np.float64)
 
 
-def _darkness(file: Path) -> Array:
-    """Return how dark each pixel is, (rows, columns) 0 to 1; transparent ones are half: unknown."""
-    import cv2
+def _pixels(file: Path) -> NDArray[Any]:
+    """Return a picture as it is stored, (rows, columns) or (rows, columns, colours)."""
+    from locfuse.fusion.camera.decoder_words import listened
+    from locfuse.fusion.camera.opencv import MAX_MAP_PIXELS, cv2
 
-    data = read_small(file, MAX_MAP_FILE)
+    data = read_small(file, MAX_MAP_PICTURE)
     size = _size(data)
     if size is None:
         raise LocfuseError(f"{file} is no PGM or PNG: maps are read as these")
-    if size[0] * size[1] > MAX_MAP_CELLS:
-        raise LocfuseError(names_its_cap(f"{file}", size[0] * size[1], MAX_MAP_CELLS, "cells"))
+    if size[0] * size[1] > MAX_MAP_PIXELS:
+        raise LocfuseError(names_its_cap(f"{file}", size[0] * size[1], MAX_MAP_PIXELS, "cells"))
     try:
-        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        # what OpenCV itself prints is not shown: a damaged picture is refused below
+        pixels, _ = listened(lambda: cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED))
     except cv2.error:
         pixels = None
     if pixels is None or pixels.size == 0:
         raise LocfuseError(f"{file} cannot be decoded: it is cut off or damaged")
+    return np.asarray(pixels)
+
+
+def _darkness(pixels: NDArray[Any]) -> Array:
+    """Return how dark each pixel is, (rows, columns) 0 to 1; transparent ones are half: unknown."""
     light = pixels.astype(np.float64) / (255.0 if pixels.dtype == np.uint8 else 65535.0)
     if light.ndim == 2:
         unknown = (pixels == UNKNOWN_GREY) & (pixels.dtype == np.uint8)

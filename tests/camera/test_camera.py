@@ -554,8 +554,8 @@ def test_opencv_is_imported_only_when_a_picture_is_looked_at() -> None:
 
 def test_opencvs_pixel_cap_is_set_before_its_import() -> None:
     code = (
-        "from locfuse.fusion.camera.opencv import MAX_PIXELS, cv2; import os\n"
-        "print(os.environ['OPENCV_IO_MAX_IMAGE_PIXELS'] == str(MAX_PIXELS), cv2.getNumThreads())"
+        "from locfuse.fusion.camera.opencv import MAX_MAP_PIXELS, cv2; import os\n"
+        "print(os.environ['OPENCV_IO_MAX_IMAGE_PIXELS'] == str(MAX_MAP_PIXELS), cv2.getNumThreads())"
     )
     assert in_fresh_python(code) == "True 1"
 

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import MapLine
+from locfuse.fusion.data import LocfuseError, MapLine
 from locfuse.fusion.given_map.grid import Grid
 from locfuse.fusion.given_map.walls import walls_of
 
@@ -108,3 +108,9 @@ def test_a_wall_between_two_rooms_is_seen_from_both_sides() -> None:
     found = [line for line in walls_of(Grid(occupied, free, CELL, grid.origin)) if abs(math.cos(line.beta)) > 0.9]
     middle = [line for line in found if abs(abs(line.rho) - 70.5 * CELL) < 1e-6]
     assert sorted(round(math.degrees(line.beta)) % 360 for line in middle) == [0, 180]
+
+
+def test_a_picture_of_noise_is_refused_before_its_cells_are_walked() -> None:
+    black = np.indices((1024, 1024)).sum(axis=0) % 2 == 1  # 2 100 000 sides of cells in a picture of 2 kB
+    with pytest.raises(LocfuseError, match="more than 1000000 sides"):
+        walls_of(Grid(black, ~black, CELL, np.zeros(3)))

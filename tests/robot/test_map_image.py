@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -86,7 +88,9 @@ def test_an_occupancy_grid_lies_from_the_lower_left() -> None:
         ("resolution: 0.1\norigin: [0, 0, 0]\n", None, "says no image"),
         (YAML.replace("0.1", "soon"), None, "resolution is 'soon', not a number"),
         (YAML.replace("0.1", "-1"), None, "resolution -1 m"),
-        (YAML.replace("[-1.0, 2.0, 0.5]", "[1]"), None, r"origin is \[1\], not"),
+        (YAML.replace("[-1.0, 2.0, 0.5]", "[1]"), None, "origin is of type list, not"),
+        (YAML.replace("0.1", "0x" + "f" * 400), None, "resolution is of type int, not a number below"),
+        (YAML.replace("0.1", "!!float ''"), None, "is no YAML of a map"),
         (YAML.replace("map.pgm", "gone.pgm"), None, "gone.pgm"),
         (YAML, b"GIF89a", "is no PGM or PNG"),
         (YAML, b"P5\n4 3\n255\n", "cannot be decoded"),
@@ -105,3 +109,38 @@ def test_what_is_no_map_is_refused_in_one_line(tmp_path: Path, text: str, data: 
 def test_a_grid_that_cannot_be_is_refused(width: int, cell: float, said: str) -> None:
     with pytest.raises(LocfuseError, match=said):
         map_image.of_message([0, 0, 100, 0], width, 2, cell, np.zeros(3), "/map")
+
+
+def test_aliases_that_stand_for_a_billion_values_are_refused_at_once(tmp_path: Path) -> None:
+    bomb = "a0: &a0 [x,x,x,x,x,x,x,x,x]\n" + "".join(
+        f"a{i}: &a{i} [{','.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 10)
+    )
+    with pytest.raises(LocfuseError, match="YAML aliases") as problem:
+        map_image.read(written(tmp_path, bomb + YAML.replace("0.1", "*a9")))
+    assert len(str(problem.value)) < 200 + len(str(tmp_path))
+
+
+def test_a_map_of_300_m_at_5_cm_is_read_in_less_than_300_mib(tmp_path: Path) -> None:
+    side = 6000
+    pixels = np.full((side, side), 254, np.uint8)
+    pixels[100, 200:300] = 0
+    given = written(tmp_path, YAML, b"P5\n%d %d\n255\n" % (side, side) + pixels.tobytes())
+    tracemalloc.start()
+    found = map_image.read(given)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert found.occupied.sum() == 100
+    assert found.free.sum() == side**2 - 100
+    assert peak < 300 * 2**20
+
+
+def test_a_map_of_too_many_cells_says_so(tmp_path: Path) -> None:
+    with pytest.raises(LocfuseError, match="81 000 000 cells, more than the cap of 67 108 864"):
+        map_image.read(written(tmp_path, YAML, b"P5\n9000 9000\n255\n"))
+
+
+@pytest.mark.parametrize("data", [b"P2\n4 3\n255\n" + b"9" * 30, b"P5\n4 3\n255\n\x00"])
+def test_what_opencv_prints_of_a_damaged_map_is_not_shown(tmp_path: Path, data: bytes, capfd: Any) -> None:
+    with pytest.raises(LocfuseError, match="cannot be decoded"):
+        map_image.read(written(tmp_path, YAML, data))
+    assert capfd.readouterr() == ("", "")

@@ -94,8 +94,24 @@ def static_transforms(columns: Iterable[Mapping[str, Column]]) -> StaticTransfor
 
 
 def as_lists(columns: Mapping[str, Column]) -> dict[str, Column]:
-    """Return columns with one value a message as columns of lists of one: a message that is a single transform."""
-    return {name: _listed(column) for name, column in columns.items()}
+    """Return columns with one value a message as columns of lists of one: a message that is a single transform.
+
+    Raises LocfuseError where a definition makes a field an array, so that it is not one for each transform.
+    """
+    lists = {name: _listed(column) for name, column in columns.items()}
+    transforms = _lengths(lists[FIELDS[0]])
+    for name in FIELDS[1:]:
+        values = _lengths(lists[name])
+        if (values != transforms).any():
+            row, field = int(np.argmax(values != transforms)), name.partition("|")[0]
+            raise LocfuseError(
+                f"{field} has {values[row]} values for {transforms[row]} transforms; it takes one for each"
+            )
+    return lists
+
+
+def _lengths(column: Column) -> Array:
+    return np.array([len(values) for values in column], np.int64)
 
 
 def _listed(column: Column) -> Column:

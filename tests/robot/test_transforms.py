@@ -12,7 +12,15 @@ from bags import T0, Said, cdr, real_log, write
 from scipy.spatial.transform import Rotation
 
 from locfuse.formats.log.log import open_log
-from locfuse.formats.robot.transforms import Mount, StaticTransforms, planar_mount, roll_pitch_yaw
+from locfuse.formats.robot.transforms import (
+    FIELDS,
+    Mount,
+    StaticTransforms,
+    planar_mount,
+    roll_pitch_yaw,
+    static_transforms,
+)
+from locfuse.fusion.data import LocfuseError, Ragged
 
 BASES = ("base_link", "base_footprint", "base")
 KIND = "tf2_msgs/msg/TFMessage"
@@ -154,3 +162,23 @@ def test_two_real_publishers_contradict_on_21_frames_but_not_on_the_laser() -> N
     assert len(transforms.conflicts) == 21
     assert not any(conflict.frame.startswith("rplidar") for conflict in transforms.conflicts)
     assert mount(transforms, "left_wheel").y == pytest.approx(0.116, abs=0.001)
+
+
+@pytest.mark.parametrize(
+    ("field", "values"),
+    [("transforms.child_frame_id", ("a", "b")), ("transforms.child_frame_id", ()),
+     ("transforms.transform.translation.x", (1.0, 2.0)), ("transforms.transform.rotation.w", ())],
+)  # fmt: skip
+def test_a_definition_that_holds_several_values_for_each_transform_is_refused_by_name(
+    field: str, values: tuple[Any, ...]
+) -> None:
+    columns: dict[str, Any] = {
+        FIELDS[0]: [("base_link",)],
+        FIELDS[1]: [("laser",)],
+        **{name: Ragged(np.ones(1), np.array([0, 1])) for name in FIELDS[2:]},
+    }
+    (key,) = (name for name in FIELDS if name.startswith(field))
+    strings = isinstance(columns[key], list)
+    columns[key] = [values] if strings else Ragged(np.array(values, float), np.array([0, len(values)]))
+    with pytest.raises(LocfuseError, match=f"{field} has {len(values)} values for 1 transforms"):
+        static_transforms([columns])

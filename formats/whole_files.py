@@ -28,7 +28,7 @@ RESULTS = ("run.json", "report.json", "summary.json", "changes.json", UNFINISHED
 TEMPORARY = ".locfuse-tmp"  # ending of files that are being written: .NAME.PID.locfuse-tmp
 LOCK = f".lock{TEMPORARY}"  # in a folder that is being written: who writes
 RUN_LOCK = f".run-lock{TEMPORARY}"  # in the folder of a run over many logs: who runs
-SCRATCH = "locfuse-"  # beginning of temporary names outside the results: locfuse-PID-...
+SCRATCH = "locfuse-"  # beginning of temporary names outside the results: locfuse-HOST-PID-...
 LOCK_TIMEOUT_S = 20.0  # s to wait for another run to finish writing
 REPLACED = ("robot.toml", *RESULTS, "estimates.mcap", "recording.rrd")  # names that a user might give as input
 Content = str | bytes | Callable[[Path], None]  # what is too big to be held writes itself to a path
@@ -81,6 +81,7 @@ def whole_file(path: Path) -> Iterator[Path]:
         temporary = temporary_for(path)
         try:
             with interruptible():
+                claim(temporary)
                 yield temporary
                 _sync(temporary)
                 temporary.replace(path)
@@ -96,6 +97,7 @@ def _write_all(folder: Path, files: Mapping[str, Content]) -> None:
     try:
         with interruptible():
             for name, content in files.items():
+                claim(temporary[name])
                 if callable(content):
                     content(temporary[name])
                 else:
@@ -187,6 +189,12 @@ def temporary_for(path: Path) -> Path:
     return _temporary(path)
 
 
+def claim(temporary: Path) -> None:
+    """Make a temporary file that is ours: a link that lies under its name would be written through."""
+    _remove(temporary)
+    os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
+
+
 def _temporary(path: Path) -> Path:
     return path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY}")
 
@@ -201,17 +209,21 @@ def _remove_leftovers(paths: Iterable[Path]) -> None:
 
 def scratch_prefix() -> str:
     """Return how names of temporary files and folders of this process begin; clear away those of killed ones."""
+    import re
     import shutil
+    import socket
     import tempfile
 
-    for path in Path(tempfile.gettempdir()).glob(f"{SCRATCH}*"):
-        pid = path.name.removeprefix(SCRATCH).partition("-")[0]
+    # of this machine only: on a disk that several share, the processes of the others cannot be seen
+    mine = f"{SCRATCH}{re.sub(r'[^A-Za-z0-9]', '_', socket.gethostname())}-"
+    for path in Path(tempfile.gettempdir()).glob(f"{mine}*"):
+        pid = path.name.removeprefix(mine).partition("-")[0]
         if pid.isdecimal() and not alive(int(pid)):
             if path.is_dir() and not path.is_symlink():
                 shutil.rmtree(path, ignore_errors=True)
             else:
                 _remove(path)
-    return f"{SCRATCH}{os.getpid()}-"
+    return f"{mine}{os.getpid()}-"
 
 
 def alive(pid: int) -> bool:

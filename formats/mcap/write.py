@@ -14,7 +14,7 @@ from mcap.writer import CompressionType, Writer
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
-from locfuse.formats.whole_files import temporary_for
+from locfuse.formats.whole_files import claim, temporary_for
 from locfuse.fusion.data import LocfuseError
 
 # A late subscriber of a latched topic still gets it when the bag is played: rosbag2 reads this per channel.
@@ -171,6 +171,7 @@ class LogWriter:
 
     def _open(self) -> IO[bytes]:
         try:
+            claim(self._part)
             return self._part.open("wb")
         except OSError as error:
             folder = self.path.parent

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import shutil
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from locfuse.formats.container.file_bytes import WRITTEN_TO, FileBytes
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.log.files import log_name
 from locfuse.formats.log.log import open_log
+from locfuse.formats.mcap.write import LogWriter
 from locfuse.formats.whole_files import temporary_for, whole_file, write_results
 from locfuse.fusion.data import LocfuseError
 
@@ -156,14 +158,36 @@ def test_what_a_killed_process_left_of_a_file_goes_with_the_next(tmp_path: Path)
     assert (left.exists(), living.exists()) == (False, True)
 
 
-def test_scratch_of_killed_processes_goes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scratch_of_killed_processes_of_this_machine_goes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    folder = tmp_path / f"locfuse-{_ended()}-x"
+    monkeypatch.setattr(socket, "gethostname", lambda: "node-7.lab")
+    folder = tmp_path / f"locfuse-node_7_lab-{_ended()}-x"
     folder.mkdir()
     (folder / "recording.rrd").write_text("x")
-    (tmp_path / f"locfuse-{os.getpid()}-y").write_text("mine")
-    assert whole_files.scratch_prefix() == f"locfuse-{os.getpid()}-"
-    assert [p.name for p in tmp_path.iterdir()] == [f"locfuse-{os.getpid()}-y"]
+    others = tmp_path / f"locfuse-node_8_lab-{_ended()}-x"  # of a living process of another machine, perhaps
+    mine = tmp_path / f"locfuse-node_7_lab-{os.getpid()}-y"
+    for path in (others, mine):
+        path.write_text("kept")
+    assert whole_files.scratch_prefix() == f"locfuse-node_7_lab-{os.getpid()}-"
+    assert sorted(tmp_path.iterdir()) == sorted((others, mine))
+
+
+def test_a_link_under_a_temporary_name_is_not_written_through(tmp_path: Path) -> None:
+    victim, out = tmp_path / "victim", tmp_path / "out"
+    out.mkdir()
+    victim.write_text("mine")
+    for name in ("run.json", "map.json", "x.mcap"):
+        (out / f".{name}.{os.getpid()}{whole_files.TEMPORARY}").symlink_to(victim)
+    write_results(out, {"run.json": "{}"})
+    with whole_file(out / "map.json") as path:
+        path.write_text("[]")
+    with LogWriter(out / "x.mcap"):
+        pass
+    assert victim.read_text() == "mine"
+    assert not any(path.is_symlink() for path in out.iterdir())
+    assert sorted(path.name for path in out.iterdir()) == ["map.json", "run.json", "x.mcap"]
 
 
 def test_a_file_may_be_written_when_its_reader_is_gone(tmp_path: Path) -> None:

@@ -155,6 +155,9 @@ def csv(table: Table) -> str:
     return csv_text([c.key for c in table.columns], (row.values() for row in records(table)))
 
 
+FORMULA = ("=", "+", "-", "@", "\t", "\r")  # a spreadsheet evaluates a cell that begins so, unless a ' is in front
+
+
 def csv_text(heading: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
     """Return rows of values as CSV, every number in full precision, nothing where there is no value."""
     out = io.StringIO()
@@ -167,7 +170,8 @@ def csv_text(heading: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
 def _plain(value: Any) -> str:
     if isinstance(value, float):
         return repr(value) if math.isfinite(value) else ""
-    return "" if value is None else visible(str(value))
+    text = "" if value is None else visible(str(value))
+    return f"'{text}" if isinstance(value, str) and text.startswith(FORMULA) else text
 
 
 def escape(words: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv as csv_module
 import io
 import json
 import math
@@ -206,6 +207,13 @@ def test_names_of_logs_and_reasons_act_on_no_terminal_that_shows_the_csv() -> No
     text = csv(Rows([Entry("a\x1b]0;b", None, "failed", "unknown key lrf.\x1b[2J\u202e")], []))
     assert text.isascii()
     assert text.replace("\n", "").isprintable()
+
+
+@pytest.mark.parametrize("name", ['=HYPERLINK("http://x")', "+cmd|' /C calc'!A0", "-1+1", "@SUM(1)"])
+def test_names_of_logs_are_no_formulas_of_a_spreadsheet(name: str) -> None:
+    text = csv(Rows([Entry(name, name, "failed", name)], []))
+    header, row = csv_module.reader(io.StringIO(text))
+    assert [dict(zip(header, row, strict=True))[key] for key in ("log", "robot", "reason")] == ["'" + name] * 3
 
 
 def test_logs_without_truth_and_without_any_result_have_a_page() -> None:

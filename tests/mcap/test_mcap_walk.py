@@ -27,8 +27,12 @@ from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.log.log import Log, open_log
 from locfuse.formats.mcap.chunk import records, scan
+from locfuse.formats.mcap.parts import ChunkRef
+from locfuse.formats.mcap.promised import promised
+from locfuse.formats.mcap.ranged import Wanted
 from locfuse.formats.mcap.records import message_index
 from locfuse.formats.mcap.source import McapSource
+from locfuse.formats.mcap.summary import summary_section
 from locfuse.fusion.data import LocfuseError
 
 TOPICS = ("/joint_states", "/scan", "/heading")
@@ -423,3 +427,66 @@ def test_a_message_index_record_says_channel_times_and_offsets() -> None:
 def test_checksums_are_what_zlib_says() -> None:
     """The specification's crc32 is zlib's: one fixed value holds both to it."""
     assert zlib.crc32(b"123456789") == 0xCBF43926
+
+
+def test_a_summary_whose_checksum_is_wrong_is_not_believed(tmp_path: Path) -> None:
+    path = write(tmp_path / "x.mcap", drive())
+    assert summary_section(FileBytes(path, Losses())) is not None
+    data = bytearray(path.read_bytes())
+    start = struct.unpack_from("<Q", data, len(data) - 8 - 20)[0]
+    for bit in range(0, 8 * (len(data) - 8 - 20 - start), 97):
+        damaged = bytearray(data)
+        damaged[start + bit // 8] ^= 1 << bit % 8
+        path.write_bytes(damaged)
+        assert summary_section(FileBytes(path, Losses())) is None
+
+
+def test_a_message_outside_chunks_has_no_checksum(tmp_path: Path) -> None:
+    path = write(tmp_path / "x.mcap", drive(), enable_crcs=True)
+    data = path.read_bytes()
+    assert McapSource(FileBytes(path, losses := Losses()), losses).checked
+    start = struct.unpack_from("<Q", data, len(data) - 8 - 20)[0]
+    alone = struct.pack("<BQHIQQ", 5, 26, 1, 0, T0, T0) + bytes(4)
+    front = data[: start - 13]  # without the record that ends the data
+    path.write_bytes(
+        front + alone + struct.pack("<BQI", 15, 4, 0) + struct.pack("<BQQQI", 2, 20, 0, 0, 0) + data[-8:]
+    )
+    assert not McapSource(FileBytes(path, losses := Losses()), losses).checked
+
+
+@pytest.mark.parametrize(("shift", "believed"), [(0, True), (-2000, False)])
+def test_a_summary_whose_chunks_overlap_is_not_believed(tmp_path: Path, shift: int, believed: bool) -> None:
+    path = write(tmp_path / "x.mcap", drive(), chunk_size=4000)
+    data = bytearray(path.read_bytes())
+    start = struct.unpack_from("<Q", data, len(data) - 8 - 20)[0]
+    struct.pack_into("<I", data, len(data) - 12, 0)  # the summary is without a checksum
+    at, seen = start, 0
+    while data[at] != 2:
+        opcode, length = struct.unpack_from("<BQ", data, at)
+        body = at + 9
+        if opcode == 8:
+            seen += 1
+            if seen == 2:  # what it says of the second chunk begins in the first
+                size = struct.unpack_from("<I", data, body + 32)[0]
+                for place in (body + 16, *range(body + 36 + 2, body + 36 + size, 10)):
+                    struct.pack_into("<Q", data, place, struct.unpack_from("<Q", data, place)[0] + shift)
+        at = body + length
+    path.write_bytes(data)
+    assert seen > 2
+    assert (promised(FileBytes(path, Losses())) is not None) == believed
+
+
+def test_a_message_that_is_longer_than_its_index_says_is_lost_alone(tmp_path: Path) -> None:
+    path = write(tmp_path / "x.mcap", drive(), chunk_size=4000, compression=CompressionType.NONE)
+    data = bytearray(path.read_bytes())
+    survey = promised(FileBytes(path, Losses()))
+    assert survey is not None
+    chunk = next(part for part in survey.parts if isinstance(part, ChunkRef))
+    channels = list(chunk.index)[:2]  # of three: messages are fetched one by one
+    last_but_one = Wanted(FileBytes(path, Losses()), chunk, channels).spans[-2][0]
+    struct.pack_into("<Q", data, last_but_one + 1, struct.unpack_from("<Q", data, last_but_one + 1)[0] + 1)
+    path.write_bytes(data)
+    _, found = Wanted(FileBytes(path, Losses()), chunk, channels).messages(losses := Losses())
+    assert chunk.counts is not None
+    assert sum(len(m.start) for m in found.values()) == sum(chunk.counts[ident] for ident in channels) - 1
+    assert [loss.messages for loss in losses.places.values()] == [1]

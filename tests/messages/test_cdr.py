@@ -211,6 +211,42 @@ def test_numbers_at_the_end_of_a_message_may_differ_in_length() -> None:
     assert (decoder.fast, decoder.general) == (4, 1)
 
 
+@pytest.mark.parametrize(("spare", "good"), [(3, True), (4, False), (8, False), (16, False)])
+def test_behind_numbers_at_the_end_no_more_than_padding_may_follow(spare: int, good: bool) -> None:
+    kind = "std_msgs/msg/UInt16MultiArray"
+    decoder = Decoder(parse(kind, "ros2msg", STORE.generate_msgdef(kind, ros_version=2)[0]))
+    messages = [cdr(kind, data=np.arange(n, dtype=np.uint16)) for n in (2, 4, 6)]
+    decoded = decode(decoder, [*messages, messages[1] + bytes(spare)], ["data"])
+    assert decoded.bad == ({} if good else {"longer than its type": 1})
+    assert [row.tolist() for row in rows(decoded.columns["data"])][:3] == [list(range(n)) for n in (2, 4, 6)]
+
+
+def test_arrays_inside_arrays_are_gathered_by_the_lengths_of_their_own_message() -> None:
+    kind = "sensor_msgs/msg/MultiEchoLaserScan"
+    decoder = Decoder(parse(kind, "ros2msg", STORE.generate_msgdef(kind, ros_version=2)[0]))
+    said = [[[1, 2], [3]], [[4], [5, 6]], [[7, 8], [9]], [[1], [2, 3]], [[], [1, 2, 3]]]  # equally many bytes
+    messages = [cdr(kind, header=header(1, "a"), ranges=[{"echoes": np.float32(e)} for e in m]) for m in said]
+    assert len({len(m) for m in messages}) == 1
+    decoded = decode(decoder, messages, ["ranges.echoes", "ranges.echoes.length"])
+    values, lengths = (rows(decoded.columns[name]) for name in ("ranges.echoes", "ranges.echoes.length"))
+    assert [row.tolist() for row in lengths] == [[len(e) for e in m] for m in said]
+    assert [row.tolist() for row in values] == [[x for e in m for x in e] for m in said]
+
+
+def test_a_message_that_ends_in_arrays_of_arrays_has_its_own_lengths() -> None:
+    text = "Item[] items\n" + "=" * 80 + "\nMSG: pkg/Item\nfloat32[] v\n"
+    decoder = Decoder(parse("pkg/msg/Items", "ros2msg", text))
+    said: list[list[list[float]]] = [[[1, 2], [3]], [[4, 5], [6, 7]], [[8, 9], []], [[1], [2]], [[1, 2], [3]]]
+    messages = [
+        b"\0\1\0\0" + struct.pack("<I", len(m)) + b"".join(struct.pack(f"<I{len(e)}f", len(e), *e) for e in m)
+        for m in said
+    ]
+    decoded = decode(decoder, messages, ["items.v", "items.v.length"])
+    values, lengths = (rows(decoded.columns[name]) for name in ("items.v", "items.v.length"))
+    assert [row.tolist() for row in lengths] == [[len(e) for e in m] for m in said]
+    assert [row.tolist() for row in values] == [[x for e in m for x in e] for m in said]
+
+
 def test_messages_of_one_length_and_different_layouts_are_told_apart() -> None:
     """9 + 3 and 3 + 9 beams take the same bytes."""
     one = cdr(SCAN, header=header(1, "a"), ranges=np.arange(9), intensities=np.arange(3))

@@ -7,6 +7,7 @@ from typing import Any, cast
 import numpy as np
 
 from locfuse.fusion.data import Array, Ragged, Stream
+from locfuse.fusion.lines.scans import MAX_BEAMS
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings
 
 from .finding import Finding
@@ -86,11 +87,21 @@ def scatter(columns: dict[str, Any]) -> Array:
 
 
 def _first(stream: Stream) -> list[tuple[Any, dict[str, Any]]]:
+    """Return rows and columns of the first scans but for those that have more beams than a laser has."""
     found: list[tuple[Any, dict[str, Any]]] = []
-    fields = (*Lrf.reads[stream.msgtype],)
+    fields, seen = (*Lrf.reads[stream.msgtype],), 0
     for rows, columns in stream.blocks(*fields, rows=SAMPLE_SCANS):
-        found.append((rows, columns))
-        if sum(len(r) for r, _ in found) >= SAMPLE_SCANS:
+        ranges = cast("Ragged", columns["ranges"])
+        use = np.flatnonzero(ranges.lengths <= MAX_BEAMS)
+        if len(use) == len(rows):
+            found.append((rows, columns))
+        elif len(use):
+            values = np.concatenate([ranges[i] for i in use.tolist()])
+            first = np.append(0, np.cumsum(ranges.lengths[use]))
+            numbers = {k: np.asarray(v)[use] for k, v in columns.items() if k != "ranges"}
+            found.append((rows[use], {**numbers, "ranges": Ragged(values, first)}))
+        seen += len(rows)
+        if seen >= SAMPLE_SCANS:
             break
     return found
 

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from commands import locfuse
 from scan_streams import scan_stream
 
-from locfuse.fusion.data import Array
+from locfuse.fusion.data import Array, Ragged
+from locfuse.fusion.doctor import laser_driver
 from locfuse.fusion.doctor.laser_driver import of_scatter, ranges_sigma, scatter_more
-from locfuse.fusion.sensors.lrf import LrfSettings
+from locfuse.fusion.lines.scans import MAX_BEAMS
+from locfuse.fusion.sensors.lrf import Lrf, LrfSettings
 
 BEAMS, SCANS = 360, 30
+SCAN = "sensor_msgs/msg/LaserScan"
 ANGLES = np.arange(BEAMS) * (2.0 * np.pi / BEAMS) - np.pi
 NORMALS, DISTANCES = np.radians([0.0, 90.0, 180.0, 270.0]) + 0.2, np.array([2.5, 1.5, 3.0, 2.0])
 
@@ -68,3 +71,23 @@ def test_info_names_the_noise_of_a_recorded_laser() -> None:
     told = locfuse("info", "rounded_triangle", "--set", "lrf.sigma_range=0.01")
     assert "fix: --set lrf.sigma_range=0.034" in told.stdout
     assert "scatter" not in locfuse("info", "rounded_triangle").stdout
+
+
+def test_scans_of_more_beams_than_a_laser_has_are_not_looked_at() -> None:
+    """38 of 40 scans have a million beams: a log of 0.2 MB, and 1.7 GiB where they all are put together."""
+    lengths = np.full(40, MAX_BEAMS + 1)
+    lengths[[3, 7]] = 5
+    values = np.broadcast_to(np.float32(1.0), (int(lengths.sum()),))
+    columns: dict[str, Any] = {name: np.zeros(40, np.float32) for name in Lrf.reads[SCAN] if name != "ranges"}
+    columns["ranges"] = Ragged(values, np.append(0, np.cumsum(lengths)))
+
+    class Stream:
+        msgtype = SCAN
+
+        def blocks(self, *_: str, rows: int) -> Any:
+            yield np.arange(40), columns
+
+    ((rows, kept),) = laser_driver._first(cast("Any", Stream()))
+    assert rows.tolist() == [3, 7]
+    assert kept["ranges"].lengths.tolist() == [5, 5]
+    assert {len(v) for k, v in kept.items() if k != "ranges"} == {2}

@@ -251,9 +251,12 @@ def with_landmarks(robot: Robot) -> Robot:
 def _refuse_lost_wheels(log: Log, choice: Choice, streams: Mapping[str, Any]) -> None:
     """Say that the file is damaged where the wheels' messages are all lost: their names are then not at fault."""
     promised = sum(log.topics[topic].count for topic in choice.of("wheels"))
-    if "wheels" in streams and log.losses and promised and not len(streams["wheels"].t_ns):
+    if "wheels" not in streams or not promised or len(streams["wheels"].t_ns):
+        return
+    why = log.losses.lines() or [f"{n} {reason}" for reason, n in streams["wheels"].dropped.items()]
+    if why:
         topics = " and ".join(choice.of("wheels"))
-        raise LocfuseError(f"wheels: none of {promised} messages on {topics} can be read: {log.losses.lines()[0]}")
+        raise LocfuseError(f"wheels: none of {promised} messages on {topics} can be read: {why[0]}")
 
 
 def _leave_out(choice: Choice, only: Collection[str] | None, preset: str) -> None:

@@ -13,6 +13,7 @@ from bags import Said, cdr, header
 from commands import locfuse
 from numpy.typing import NDArray
 from wheel_bags import (
+    GEOMETRY,
     RADIUS,
     TICKS,
     TRACK,
@@ -471,3 +472,11 @@ def test_speeds_of_a_receiver_of_satellites_are_no_motion_of_the_body(tmp_path: 
     alone = open_log([log_of(tmp_path / "y.mcap", twists("/ublox/fix_velocity", "gps"))])
     with pytest.raises(LocfuseError, match="nothing says how the robot moved"):
         chosen(alone)
+
+
+def test_wheels_whose_messages_are_all_malformed_are_called_so(tmp_path: Path) -> None:
+    t, angle = angles(2.0)
+    said = [one._replace(data=one.data[:9]) for one in joint_states(t, angle)]
+    done = locfuse("run", log_of(tmp_path / "x.mcap", said), *GEOMETRY, "-o", tmp_path / "o")
+    assert done.exit_code == 1
+    assert f"wheels: none of {len(t)} messages on /joint_states can be read: {len(t)} shorter" in done.stderr

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 import glob
 import os
 import re
@@ -61,7 +62,12 @@ def _regex(pattern: str) -> str:
     """Return a pattern of the shell as a regular expression."""
     whole = {"**/": "(?:.*/)?", "**": ".*", "*": "[^/]*", "?": "[^/]"}
     parts = re.split(r"(\*\*/|\*\*|\*|\?|\[[^\]]*\])", pattern)
-    return "".join(p if p.startswith("[") else whole.get(p) or re.escape(p) for p in parts)
+    return "".join(_characters(p) if p.startswith("[") else whole.get(p) or re.escape(p) for p in parts)
+
+
+def _characters(word: str) -> str:
+    """Return "[abc]", "[a-c]" or "[!abc]" of the shell as a regular expression, as fnmatch reads it."""
+    return fnmatch.translate(word).removeprefix("(?s:")[:-3]  # without what stands for a whole name
 
 
 def _objects(folder: Url) -> Iterator[str]:

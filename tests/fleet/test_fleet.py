@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import fnmatch
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -24,7 +26,7 @@ from benchmarks.fleet import killed, tables, write_logs
 from locfuse.cli.fleet import process
 from locfuse.cli.fleet.job import Job, Outcome
 from locfuse.cli.fleet.queue import Standing, duration, run_all
-from locfuse.cli.fleet.words import expanded
+from locfuse.cli.fleet.words import _regex, expanded
 from locfuse.cli.pipeline.key import Asked, asked_tables
 from locfuse.cli.pipeline.settings import LogOptions
 from locfuse.formats.log.log import open_log
@@ -366,3 +368,12 @@ def test_every_drive_of_a_fleet_is_recorded_and_one_command_serves_them_all(
     assert locfuse(*words).exit_code == 0
     assert files[0].stat().st_mtime_ns == made[0], "it was there"
     assert files[1].is_file()
+
+
+@pytest.mark.parametrize(
+    "pattern", ["a[bc]", "a[!b]", "a[]b", "a[z-a]", "a[a-", "a[\\d]", "a[[]", "a[^b]", "a[&&b]"]
+)
+def test_brackets_in_an_address_mean_what_they_mean_to_the_shell(pattern: str) -> None:
+    found = re.compile(_regex(pattern))
+    for name in ("ab", "ac", "aa", "ad", "a\\", "a[", "a^", "a&", "a1", "a[]b", "a[a-", pattern):
+        assert bool(found.fullmatch(name)) == fnmatch.fnmatchcase(name, pattern), name

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-import socket
 import shutil
+import socket
 import subprocess
 import sys
 import tempfile
@@ -158,9 +158,7 @@ def test_what_a_killed_process_left_of_a_file_goes_with_the_next(tmp_path: Path)
     assert (left.exists(), living.exists()) == (False, True)
 
 
-def test_scratch_of_killed_processes_of_this_machine_goes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_scratch_of_killed_processes_of_this_machine_goes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setattr(socket, "gethostname", lambda: "node-7.lab")
     folder = tmp_path / f"locfuse-node_7_lab-{_ended()}-x"

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from locfuse.formats.caps import MAX_TRANSFORMS, names_its_cap
-from locfuse.fusion.data import Array, Column, LocfuseError, Ragged
+from locfuse.fusion.data import Array, Column, Ints, LocfuseError, Ragged
 
 # of a TFMessage; of Foxglove's FrameTransforms; of its FrameTransform, which is a single one
 FIELDS = (
@@ -110,8 +110,8 @@ def as_lists(columns: Mapping[str, Column]) -> dict[str, Column]:
     return lists
 
 
-def _lengths(column: Column) -> Array:
-    return np.array([len(values) for values in column], np.int64)
+def _lengths(column: Column) -> Ints:
+    return column.lengths if isinstance(column, Ragged) else np.array([len(values) for values in column], np.int64)
 
 
 def _listed(column: Column) -> Column:

@@ -1,0 +1,381 @@
+"""Does a change leave every result as it was? Recorded on one state of the code, checked on another.
+
+    git worktree add ../before COMMIT
+    (cd ../before; pip install -e .; python -m benchmarks.golden --write /tmp/golden)
+    python -m benchmarks.golden --check /tmp/golden         # on the code as it is now
+
+Both with the same LOCFUSE_DATA. Sample logs, simulated drives and real logs are fused under many options
+(`benchmarks.golden_cases`). Kept are poses, covariances, states, the verdict on every measurement, maps, reports
+and what commands print. Simulated logs are made when they are first needed and stay in the folder, so that both
+sides read the same bytes. Where the code takes stretches of a drive at once (`fusion.coast`), they go through the
+loop in Python instead.
+
+Two numbers are equal within 1e-9: metres and radians of a pose, numbers of a report relative to their size (floor
+1e-12). Other columns are equal within 1e-7 of their largest number, a covariance within 1e-7 of its sigmas. Where
+an atlas closes loops, all this is ten times wider, as the solver of its graph stops at a tolerance.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import io
+import json
+import multiprocessing
+import os
+import re
+import sys
+import tempfile
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from multiprocessing.connection import wait
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+
+import locfuse
+from benchmarks.golden_cases import DATA, HERE, LOGS, SIMULATED, Case, cases, simulate
+from locfuse.cli.main import main as command_line
+from locfuse.fusion.data import VERDICTS, Estimates
+from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.predictive import listeners
+
+MOST = 500  # rows that are kept of what has one per instant or measurement; instants, rows and verdicts are whole
+LISTED = 10  # differences of a report
+WITHIN, WIDER, LOOPS = 1e-9, 100.0, 10.0
+FLOOR = 1e-12
+VALUES = ""  # the name of what is no column of a run
+NOT_COMPARED = ("made_with", "locfuse", "key", "cpu_s")  # of a report
+Columns = dict[str, NDArray[Any]]
+Values = dict[str, Any]
+
+
+class Found(NamedTuple):
+    """What came of a case."""
+
+    columns: Columns  # "run/what" -> array
+    values: Values  # numbers and words, by their path in reports
+
+
+def loop_only() -> None:
+    """Let no stretch of a drive be taken at once: every instant goes through the loop."""
+    try:
+        coast = importlib.import_module("locfuse.fusion.coast.stretches")
+    except ModuleNotFoundError:
+        return
+    coast.Stretches.until = lambda self, k: k
+
+
+def evenly(n: int) -> NDArray[np.intp]:
+    """Return at most MOST positions of n, the last one among them."""
+    return np.unique(np.linspace(0, n - 1, min(n, MOST)).round().astype(np.intp)) if n else np.zeros(0, np.intp)
+
+
+def columns_of(e: Estimates) -> Columns:
+    """Return what a run estimated."""
+    at = evenly(len(e.t))
+    found: Columns = {"instants": np.array([len(e.t)]), "t": e.t[at], "pose": e.pose[at]}
+    found["covariance"] = e.P[at][:, *np.triu_indices(3)]
+    for what, blocks in (("state", e.blocks), ("sigma of state", e.block_sigmas)):
+        found |= {f"{what} {name}": values[at] for name, values in blocks.items()}
+    for sensor, audit in e.audits.items():
+        rows = evenly(len(audit.verdict))
+        for name in ("instant", "row", "verdict", "landmark"):
+            found[f"{sensor} {name}"] = getattr(audit, name)
+        found |= {f"{sensor} {name}": getattr(audit, name)[rows] for name in ("nis", "threshold", "y", "sigma")}
+        found[f"{sensor} joint"] = audit.joint[evenly(len(audit.joint))]
+    for which, lines in (("first map", e.first_map), ("final map", e.final_map)):
+        rows_of = [(m.id, m.hits, m.rho, m.beta, *m.ends, *m.P_map[np.triu_indices(2)]) for m in lines]
+        found[which] = np.array(rows_of).reshape(-1, 9)
+    found["landmarks"] = np.array(e.points, float).reshape(-1, 3)
+    return found | {"loops": e.loops, "loop poses": e.loop_poses, "lost": np.array(e.lost).reshape(-1, 2)}
+
+
+def flat(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the numbers and words of a report by their path."""
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            if key not in NOT_COMPARED:
+                yield from flat(inner, f"{path}.{key}" if path else str(key))
+    elif isinstance(value, list | tuple):
+        yield f"{path}.length", len(value)
+        for i, inner in enumerate(value):
+            yield from flat(inner, f"{path}.{i}")
+    else:
+        yield path, value if isinstance(value, int | float | None) else str(value)
+
+
+def found_by(case: Case, logs: Path, spare: Path) -> Found:
+    """Run a case; `spare` is a folder for what is written on the way."""
+    places = {LOGS: str(logs), HERE: os.environ.get(DATA, ""), "{spare}": str(spare)}
+
+    def here(word: str) -> str:
+        return re.sub(r"\{logs\}|\{data\}", lambda m: places[m[0]], word)
+
+    def report(value: Any) -> Values:
+        for name, place in places.items():
+            value = {k: v.replace(place, name) if isinstance(v, str) and place else v for k, v in flat(value)}
+        return dict(value)
+
+    log = str(logs / f"{case.log}.mcap") if case.log in SIMULATED else here(case.log)
+    words = [here(word) for word in case.words]
+    if case.what == "command":
+        return Found({}, report(printed(words)))
+    if case.what == "several":
+        return Found({}, report(locfuse.compare(*words).report))
+    options = dict(case.options)
+    read = {key: options.pop(key) for key in ("order", "preset", "between") if key in options}
+    session = locfuse.load(log, sets=[here(s) for s in case.sets], **read)
+    if case.what == "listen":
+        return heard(session)
+    if case.what == "image":
+        session = session.with_map(logs / f"{case.log}.yaml")
+    if case.what == "given":
+        session.run("lrf", advice=False).save_map(spare / "map.json")
+        session = session.with_map(spare / "map.json")
+    result = session.run(**options) if case.what == "run" else session.compare(**options)
+    columns = {f"{n}/{what}": c for n, e in result.estimates.items() for what, c in columns_of(e).items()}
+    return Found(columns, report(result.report))
+
+
+def heard(session: locfuse.Session) -> Found:
+    """Return what runs predict of the sensors that only listen to them."""
+    drive, found = session.drive, Found({}, {})
+    for sensors in ([], *([s] for s in drive.measurements), list(drive.measurements)):
+        name = "+".join(sensors) or "odometry"
+        e = fuse(drive, session.robot, sensors, name, listeners(drive, sensors))
+        found.columns.update({f"{name}/{what}": c for what, c in columns_of(e).items()})
+    return found
+
+
+def printed(words: list[str]) -> Any:
+    """Return what a command prints, as values where it is JSON, and its exit code."""
+    out, code = io.StringIO(), 0
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(io.StringIO()):
+        try:
+            command_line(words)
+        except SystemExit as e:
+            code = int(e.code or 0)
+    try:
+        return {"exit": code, "printed": json.loads(out.getvalue())}
+    except json.JSONDecodeError:
+        return {"exit": code, "printed": out.getvalue().splitlines()}
+
+
+def file_of(case: Case) -> str:
+    """Return the name of the file for what comes of a case."""
+    return f"{re.sub(r'[^a-z0-9=.-]+', '_', case.name.lower())}.npz"
+
+
+def run(case: Case, logs: Path, file: Path) -> None:
+    """Run a case in this process and keep what came of it."""
+    loop_only()
+    began = time.process_time()
+    try:
+        with tempfile.TemporaryDirectory() as spare:
+            found = found_by(case, logs, Path(spare))
+    except Exception as e:
+        found = Found({}, {"error": f"{type(e).__name__}: {e}"})
+    values = {**found.values, "cpu_s": time.process_time() - began}
+    arrays: dict[str, Any] = {**found.columns, VALUES: np.frombuffer(json.dumps(values).encode(), np.uint8)}
+    part = file.with_suffix(".part")
+    with part.open("wb") as f:
+        np.savez_compressed(f, **arrays)
+    part.replace(file)
+
+
+def read(file: Path) -> Found:
+    """Return what is kept of a case; of a process that broke off, only that."""
+    if not file.exists():
+        return Found({}, {"error": "the process ended without a result"})
+    with np.load(file) as kept:
+        columns = {name: kept[name] for name in kept.files}
+    return Found(columns, json.loads(columns.pop(VALUES).tobytes()))
+
+
+class Difference(NamedTuple):
+    """How much a column of a run differs, and that in words."""
+
+    size: float
+    words: str
+    run: str
+
+
+def differences(before: Found, now: Found, slack: float) -> tuple[list[str], set[str]]:
+    """Return how two results of a case differ, in words, and in which runs."""
+    if ("error" in before.values) != ("error" in now.values):
+        errors = [found.values.get("error", "a result") for found in (before, now)]
+        return [f"{errors[0]} before, {errors[1]} now"], runs_of(before) | runs_of(now)
+    slack *= LOOPS if _loops(before) or _loops(now) else 1.0
+    gone, new = runs_of(before) - runs_of(now), runs_of(now) - runs_of(before)
+    said = [f"{run}: this run is {how}" for runs, how in ((gone, "missing"), (new, "new")) for run in sorted(runs)]
+    worst: dict[str, list[Difference]] = {}
+    for name in before.columns.keys() | now.columns.keys():
+        run, _, what = name.partition("/")
+        difference = _differs(name, before.columns.get(name), now.columns.get(name), slack)
+        if difference is not None and run not in gone | new:
+            worst.setdefault(what, []).append(difference)
+    columns = [f"{what}: {_largest(worst[what])}" for what in sorted(worst, key=_rank)]
+    told = [(k, before.values.get(k, NOTHING), now.values.get(k, NOTHING)) for k in before.values | now.values]
+    report = [f"{k}: {a} before, {b} now" for k, a, b in told if k not in NOT_COMPARED and not _equal(a, b, slack)]
+    for lines, of in ((columns, "columns"), (report, "values of the report")):
+        said += [*lines[:LISTED], *([f"and {len(lines) - LISTED} more {of}"] if len(lines) > LISTED else [])]
+    return said, gone | new | {d.run for found in worst.values() for d in found}
+
+
+NOTHING = "nothing"
+FIRST = ("pose", "covariance", "verdict", "state")  # of what differs, the most telling
+
+
+def _rank(what: str) -> tuple[int, str]:
+    return next((i for i, word in enumerate(FIRST) if word in what.split()), len(FIRST)), what
+
+
+def _largest(found: list[Difference]) -> str:
+    largest = max(found, key=lambda d: (d.size, d.run))
+    return f"{largest.words} ({largest.run}{f', and {len(found) - 1} more runs' if len(found) > 1 else ''})"
+
+
+def runs_of(found: Found) -> set[str]:
+    """Return the names of the runs of a case."""
+    return {name.partition("/")[0] for name in found.columns}
+
+
+def _loops(found: Found) -> bool:
+    return any(len(column) for name, column in found.columns.items() if name.endswith("/loops"))
+
+
+def _equal(a: Any, b: Any, slack: float) -> bool:
+    numbers = all(isinstance(v, int | float) and not isinstance(v, bool) for v in (a, b))
+    if not numbers or a == b:
+        return bool(a == b)
+    near = abs(a - b) <= max(FLOOR, WITHIN * slack * max(abs(a), abs(b)))
+    return bool(near or (np.isnan(a) and np.isnan(b)))
+
+
+def _differs(name: str, a: NDArray[Any] | None, b: NDArray[Any] | None, slack: float) -> Difference | None:
+    """Return how two columns differ, None where they do not."""
+    run, _, what = name.partition("/")
+    if a is None or b is None:
+        return Difference(np.inf, "new" if a is None else "missing", run)
+    if a.shape == b.shape and np.array_equal(a, b, equal_nan=a.dtype.kind == "f"):
+        return None
+    if a.shape != b.shape or a.dtype.kind == "i":
+        return _counted(run, what, a, b)
+    known = np.isfinite(a) & np.isfinite(b)
+    if not np.array_equal(a[~known], b[~known], equal_nan=True):
+        return Difference(np.inf, f"{(~known).sum()} are no numbers, before or now", run)
+    off = np.abs(np.where(known, a, 0.0) - np.where(known, b, 0.0))
+    if what == "pose":
+        far, turned = float(np.hypot(off[:, 0], off[:, 1]).max()), float(off[:, 2].max())
+        size, limit, words = max(far, turned), WITHIN, f"{far:.2g} m, {turned:.2g} rad"
+    else:
+        i, j = np.triu_indices(3)
+        sigma = np.sqrt(np.abs(a[:, [0, 3, 5]])) if what == "covariance" else None
+        scale = np.abs(np.where(known, a, 0.0)).max(axis=0) if sigma is None else sigma[:, i] * sigma[:, j]
+        size, limit = float((off / (scale + FLOOR)).max()), WITHIN * WIDER
+        words = f"{size:.2g} of its size"
+    return Difference(size, words, run) if size > limit * slack else None
+
+
+def _counted(run: str, what: str, a: NDArray[Any], b: NDArray[Any]) -> Difference:
+    """Return how two columns differ that count or name something, or whose lengths differ, and where first."""
+    n = min(len(a), len(b))
+    words = [f"{a.shape} before, {b.shape} now"] if a.shape != b.shape else []
+    if a.dtype.kind != "i" or a.ndim > 1:
+        return Difference(np.inf, words[0], run)
+    other = np.flatnonzero(a[:n] != b[:n])
+    words.append(f"{len(other)} of {n} differ")
+    if len(other):
+        i = int(other[0])
+        first = [VERDICTS[v] if what.endswith("verdict") else str(v) for v in (a[i], b[i])]
+        words.append(f"first in row {i}: {first[0]} before, {first[1]} now")
+    return Difference(float(len(other)) if a.shape == b.shape else np.inf, ", ".join(words), run)
+
+
+class Running(NamedTuple):
+    """A case in a process of its own: one that breaks off takes no other along, and leaves nothing behind."""
+
+    process: BaseProcess
+    case: Case
+    file: Path
+
+
+def results(chosen: Iterable[Case], logs: Path, into: Path, jobs: int) -> Iterator[tuple[Case, Path]]:
+    """Run every case, and yield it with its file as soon as it is done."""
+    fork = multiprocessing.get_context("fork")
+    running: list[Running] = []
+    for case in chosen:
+        for name in case.simulated():
+            made = fork.Process(target=simulate, args=(name, logs))  # cv2's threads would not outlive a fork
+            made.start()
+            made.join()
+            if made.exitcode != 0:
+                raise click.ClickException(f"the log {name} could not be simulated")
+        file = into / file_of(case)
+        file.unlink(missing_ok=True)
+        process = fork.Process(target=run, args=(case, logs, file))
+        process.start()
+        running.append(Running(process, case, file))
+        while len(running) >= jobs:
+            yield from _done(running)
+    while running:
+        yield from _done(running)
+
+
+def _done(running: list[Running]) -> Iterator[tuple[Case, Path]]:
+    ended = wait([one.process.sentinel for one in running])
+    for one in [one for one in running if one.process.sentinel in ended]:
+        running.remove(one)
+        one.process.join()
+        yield one.case, one.file
+
+
+@click.command()
+@click.option("--write", "record", type=click.Path(file_okay=False, path_type=Path), help="Keep results there.")
+@click.option("--check", type=click.Path(file_okay=False, exists=True, path_type=Path), help="Compare with these.")
+@click.option("--only", default="", help="Only cases whose name holds this.")
+@click.option("--quick", is_flag=True, help="Some of every kind, in two minutes.")
+@click.option("--jobs", default=1, show_default=True)
+@click.option("--list", "listing", is_flag=True, help="Print the names of the cases.")
+def main(record: Path | None, check: Path | None, only: str, quick: bool, jobs: int, listing: bool) -> None:
+    """Record what the filter does on many logs under many options, or check that it still does the same."""
+    chosen = [c for c in cases() if only in c.name and (c.quick or not quick)]
+    if listing:
+        click.echo("\n".join(c.name for c in chosen))
+        return
+    if (record is None) == (check is None):
+        raise click.UsageError("give --write FOLDER or --check FOLDER")
+    logs = ((record or check or Path()) / "logs").absolute()
+    logs.mkdir(parents=True, exist_ok=True)
+    if check is not None:
+        unknown = [c.name for c in chosen if not (check / file_of(c)).exists()]
+        chosen = [c for c in chosen if c.name not in unknown]
+        click.echo("\n".join(f"{name}: not recorded" for name in unknown), nl=bool(unknown))
+    cpu, equal, same, runs = 0.0, 0, 0, 0
+    with tempfile.TemporaryDirectory() as spare:
+        for case, file in results(chosen, logs, record or Path(spare), jobs):
+            now = read(file)
+            before = now if check is None else read(check / file.name)
+            of_case, cpu = len(runs_of(before) or runs_of(now)) or 1, cpu + now.values.get("cpu_s", 0.0)
+            runs += of_case
+            if check is None:
+                said = [now.values["error"]] if "error" in now.values else []
+                click.echo(f"{case.name}: {of_case} runs, {now.values.get('cpu_s', 0.0):.1f} s {' '.join(said)}")
+                continue
+            said, others = differences(before, now, case.slack)
+            equal, same = equal + (not said), same + of_case - min(of_case, len(others) or len(said))
+            click.echo("\n  ".join([f"{case.name}: {'differs' if said else 'ok'}", *said]))
+    if check is None:
+        click.echo(f"{runs} runs of {len(chosen)} cases kept in {cpu:.0f} s of CPU time")
+        return
+    click.echo(f"{equal} of {len(chosen)} cases equal, {same} of {runs} runs, {cpu:.0f} s of CPU time")
+    sys.exit(equal != len(chosen))
+
+
+if __name__ == "__main__":
+    main()

@@ -83,14 +83,13 @@ class LazyGroup(click.Group):
 
 
 def _say_version(ctx: click.Context, _option: click.Parameter, asked: bool) -> None:
-    """Print the version, and say so where the core is not compiled: it is as right, and slower."""
+    """Print the version, and say so where the kernels are not compiled: they are as right, and slower."""
     if not asked or ctx.resilient_parsing:
         return
     from locfuse.formats.versions import own
-    from locfuse.fusion.core.form import form
+    from locfuse.fusion.kernels.built import COMPILED, how
 
-    core = form()
-    click.echo(f"locfuse, version {own()}" + ("" if core.functions else f" (core {core.words})"))
+    click.echo(f"locfuse, version {own()}" + ("" if how() == COMPILED else f" (kernels {how()})"))
     ctx.exit()
 
 

@@ -191,7 +191,7 @@ def temporary_for(path: Path) -> Path:
 
 def claim(temporary: Path) -> None:
     """Make a temporary file that is ours: a link that lies under its name would be written through."""
-    _remove(temporary)
+    temporary.unlink(missing_ok=True)
     os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
 
 

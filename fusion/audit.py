@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Sequence
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
-from msgspec.structs import astuple
 from numpy.typing import NDArray
 
-from .data import Audit, Ints
-from .sensor import Innovation, Reading, Table
+from locfuse.fusion.kernels import sight
+from locfuse.fusion.kernels.ekf import Innovation
+
+from .data import Audit
+from .sensor import Reading
 
 MANY = 256
 COLUMNS = {
@@ -24,6 +27,7 @@ COLUMNS = {
     "y": np.float64,
     "sigma": np.float64,
 }
+ROW = attrgetter("row")
 WIDE = ("y", "sigma")  # one number for each that the sensor measures
 
 
@@ -38,46 +42,49 @@ class Record:
         self._instants: list[int] = []
         self._waiting: list[Innovation] = []  # until there are enough of them to be turned into columns at once
         self._columns: dict[str, NDArray[Any]] = {}
+        self._kernel: sight.Audit | None = None
         self.joint = array("d")  # flat: y' S^-1 y of all accepted rows of a reading together, its dof
 
-    def add(self, k: int, seen: Sequence[Innovation]) -> None:
-        """Note the innovations of one reading at instant k."""
+    def add(self, k: int, seen: Sequence[Innovation] | Reading) -> None:
+        """Note what was judged of one reading at instant k."""
         if isinstance(seen, Reading):
-            self.add_rows(k, seen.table())
+            self._add_reading(k, seen)
             return
-        self._waiting += seen
+        self._waiting += seen if len(seen) < 2 else sorted(seen, key=ROW)
         self._instants += [k] * len(seen)
         if len(self._waiting) > MANY:
             self._write()
 
-    def add_rows(self, k: int | Ints, of: Table) -> None:
-        """Note rows of one reading at instant k, or of many, at instants (n,)."""
-        self._write()
-        at = slice(self._rows, self._rows + len(of.nis))
-        self._make_room(at.stop, of.y.shape[1])
-        rows = np.arange(of.first, of.first + len(of.nis))
-        values = (k, rows, of.verdict, of.landmark, of.nis, of.threshold, of.y, of.sigma)
-        for column, of_rows in zip(self._columns.values(), values, strict=True):
-            column[at] = of_rows
-        self._rows = at.stop
+    def _add_reading(self, k: int, seen: Reading) -> None:
+        if self._waiting:
+            self._write()
+        end = self._rows + seen.lines
+        if self._kernel is None or end > self._room:
+            self._make_room(end, 2)
+            self._kernel = sight.Audit(*[self._columns[name] for name in COLUMNS][:4])
+            self._kernel.judged(*[self._columns[name] for name in COLUMNS][4:])
+        seen.write(self._kernel, self._rows, k, seen.row)
+        self._rows = end
 
     def _write(self) -> None:
-        if not self._waiting:
+        waiting = self._waiting
+        if not waiting:
             return
-        at = slice(self._rows, self._rows + len(self._waiting))
-        self._make_room(at.stop, len(self._waiting[0].y))
-        values = (self._instants, *zip(*map(astuple, self._waiting), strict=True))
-        for column, of_rows in zip(self._columns.values(), values, strict=False):  # H, R, ... end here
-            column[at] = of_rows
+        at = slice(self._rows, self._rows + len(waiting))
+        self._make_room(at.stop, len(waiting[0].y))
+        self._columns["instant"][at] = self._instants
+        for name in list(COLUMNS)[1:]:
+            self._columns[name][at] = [getattr(s, name) for s in waiting]
         self._rows = at.stop
         self._instants.clear()
-        self._waiting.clear()
+        waiting.clear()
 
     def _make_room(self, rows: int, width: int) -> None:
         """Have columns of at least so many rows; an innovation has `width` numbers."""
         if self._columns and rows <= self._room:
             return
         self._room = max(self._room if not self._columns else 3 * self._room // 2, rows)
+        self._kernel = None
         for name, dtype in COLUMNS.items():
             shape = (self._room, width) if name in WIDE else (self._room,)
             column = np.empty(shape, dtype)

@@ -1,34 +1,45 @@
-"""The loop: one configuration over one drive. `state = advance(state, instant)`, and nothing looks ahead.
+"""The filter of the paper: one configuration over one drive, instant by instant; nothing looks ahead.
 
-predict by the wheels  ->  every sensor due compares with the same prior  ->  correct once  ->  learn
+`Filter.advance` is the whole of it: predict by the wheels, compare every reading that is due with the same prior,
+gate, correct once, learn, note.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.fusion.coast.stretches import AnyRecord, Stretches
-from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.ekf.belief_arrays import InMap, JointBelief
 from locfuse.fusion.ekf.equations import predicted
-from locfuse.fusion.ekf.map_frame import InMap, Pose, Triangle
-from locfuse.fusion.ekf.robust import inflated
+from locfuse.fusion.ekf.events import Before, Events
+from locfuse.fusion.ekf.map_frame import Pose, Triangle
+from locfuse.fusion.ekf.robust import inflate
+from locfuse.fusion.kernels.ekf import Innovation, Steps
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
 
 from .audit import MANY, Record
 from .data import Array, Drive, Estimates, Measurements, matrices
-from .instants import Due, Instants, Step
+from .instants import BLOCK, Due, due_readings, steps_of
 from .progress import say_done
 from .robot import Robot, StartSettings
-from .sensor import Block, Innovation, Model, Reading
+from .sensor import Model, Reading
 from .track import Track
 
 AT_ONCE = 4096  # stamps of the truth: what is needed on the way is many times larger than the result
-Rows = list[Innovation | Reading]  # in the order in which they are corrected
-MakeBelief = Callable[[Pose, Triangle, Sequence[Block]], JointBelief]  # at the start
+Judged = Reading | Sequence[Innovation]  # what a sensor says of one of its readings
+
+
+class Fit(NamedTuple):
+    """A reading of several accepted rows, and how well it fits as a whole."""
+
+    record: Record
+    numbers: int
+    nis: float  # y' S^-1 y of all of them
 
 
 def fuse(
@@ -37,28 +48,28 @@ def fuse(
     sensors: Sequence[str],
     name: str | None = None,
     listen: Mapping[str, NDArray[np.bool_]] | None = None,
-    make: MakeBelief = JointBelief,
+    events: Events | None = None,
 ) -> Estimates:
     """Run the filter with these sensors. Raises LocfuseError where the drive lacks one of them.
 
     Readings that `listen` marks (sensor -> one flag per reading) are compared with the belief and audited, and
     teach their sensor what is its own (a map, an offset), but never move the pose: how well they are predicted
-    is a judgement without truth. The belief that `make` makes may keep a journal of what happens (smooth, tape).
+    is a judgement without truth. What happens to the state is noted in `events` (fusion.ekf.events).
     """
     listen = listen or {}
     for sensor in (*sensors, *listen):
         if sensor not in drive.measurements:
             raise drive.lacks(sensor)
-    run = Filter(robot, sensors, listen, make, {s: len(m.z) for s, m in drive.measurements.items()}, len(drive.t))
-    stretches = run.stretches(drive)
-    instants, k = Instants(drive, (*sensors, *listen)), 0
-    while k < len(instants):
-        instants.reached(k)
-        last = run.coast(stretches, k)
-        if last == k:
-            run.advance(k, *instants.at(k), drive.measurements, predicted=stretches.left(k))
-        k = max(last, k + 1)
+    rows = {s: len(m.z) for s, m in drive.measurements.items()}
+    run = Filter(robot, sensors, listen, rows, len(drive.t), events)
+    steps, end = steps_of(drive), float(drive.t[-1]) or 1.0
+    for k, due in enumerate(due_readings(drive, (*sensors, *listen))):
+        if not k % BLOCK:
+            say_done(float(drive.t[k]) / end)
+        run.advance(k, steps, due, drive.measurements)
     say_done(None)
+    if events is not None:
+        events.final = Before(run.belief.state.copy(), run.belief.covariance.copy())
     return run.estimates(drive, name or configuration_name(sensors, drive))
 
 
@@ -81,9 +92,9 @@ class Filter:
         robot: Robot,
         sensors: Sequence[str],
         listen: Mapping[str, NDArray[np.bool_]] | None = None,
-        make: MakeBelief = JointBelief,
         rows: Mapping[str, int] | None = None,
         instants: int = MANY,
+        events: Events | None = None,
     ) -> None:
         """`rows`: how many measurements of each sensor will come, where that is known; `instants` likewise."""
         self._sensors = tuple(s for s in REGISTRY if s in sensors)
@@ -93,116 +104,102 @@ class Filter:
         self.models: dict[str, Model] = {
             s: REGISTRY[s].model(robot.settings(s)) for s in REGISTRY if s in sensors or s in self._listens
         }
-        self.belief = _begin(robot, list(self.models.values()), make)
+        self.belief = _begin(robot, list(self.models.values()))
         # what one reading says hangs together by these states: how well it fits as a whole is noted
         self._joint = any(model.joint for model in self.models.values())
         self._in_map: JointBelief | InMap = self.belief  # the belief as it is seen from the map
         self._rolling = [m for m in self.models.values() if type(m).rolled is not Model.rolled]
+        self._learning = {s for s, m in self.models.items() if type(m).learn is not Model.learn}
         mapping = [s for s in self._sensors if self.models[s].maps]
         self._leads = [s for s in mapping if self.models[s].leads]
         self._may_begin = self._leads or mapping  # frames: a leader whenever it likes, else the first of all
+        if events is not None:
+            self.belief.note_events(events)
         for model in self.models.values():
             model.begin(robot.lines, self.belief)
         for s, model in self.models.items():
             # a sensor that is used must not read what only listens
             model.meet({o: other for o, other in self.models.items() if o in sensors or s not in sensors})
-        self._records: dict[str, AnyRecord] = {s: Record((rows or {}).get(s, MANY)) for s in self.models}
+        self._records = {s: Record((rows or {}).get(s, MANY)) for s in self.models}
         fixed = [b.name for m in self.models.values() for b in m.blocks() if not b.name.startswith("_")]
         if robot.wheels.estimate:
             fixed.append(WHEELS)
         self._track = Track(self.belief, fixed, instants)
 
-    def advance(
-        self,
-        k: int,
-        step: Step,
-        due: Sequence[Due],
-        measurements: Mapping[str, Measurements],
-        predicted: bool = False,
-    ) -> None:
-        """Take the belief to instant k and correct it by every reading (sensor, i) that is due there.
+    def advance(self, k: int, steps: Steps, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
+        """Take the belief to instant k and correct it by every reading (sensor, i) that is due there."""
+        belief = self.belief
+        belief.predict(steps, k)  # eq. 5-7
+        for model in self._rolling:
+            model.rolled(steps.of(k))
+        if due:
+            self._begin_frame(due, measurements)  # where a map of a sensor's own begins
+            belief.begin()  # the equation of this instant
+            seen = [self._compare(k, s, i, measurements[s]) for s, i in due]  # eq. 13, 17, 18, judged by its gate
+            fits = self._queue(due, seen)  # what passed its gate
+            belief.correct()  # eq. 10-12, once
+            self._note_fits(fits)
+            self._learn(due, measurements)  # what readings teach beyond the pose: map lines, clones
+        self._track.note(belief)
 
-        `predicted`: it is there already.
+    def _compare(self, k: int, sensor: str, i: int, m: Measurements) -> Judged:
+        """Judge reading i of a sensor against the prior, and record that."""
+        model = self.models[sensor]
+        seen = model.innovations(m, i, self.belief if model.local else self._in_map)
+        if sensor in self._inflates and not isinstance(seen, Reading):
+            for innovation in seen:
+                inflate(innovation, self.belief)
+        self._records[sensor].add(k, seen)
+        return seen
+
+    def _queue(self, due: Sequence[Due], seen: Sequence[Judged]) -> list[Fit]:
+        """Queue what was accepted; what is only listened to teaches blocks, and never moves the pose.
+
+        Where states hang together, how well a reading of several rows fits as a whole is asked. The first of these
+        stands first in the equation: whitened, its rows are what they would be alone.
         """
-        self._move(None if predicted else step, due, measurements)
-        belief, in_map, models = self.belief, self._in_map, self.models
-        accepted: list[Innovation | Reading] = []
-        heard: list[Innovation] = []
-        several: list[tuple[str, Rows]] = []  # of one reading, where they are corrected together
-        for sensor, i in due:
-            model = models[sensor]
-            seen = model.innovations(measurements[sensor], i, belief if model.local else in_map)
-            if sensor in self._inflates:
-                seen = [inflated(innovation) for innovation in seen]
-            self._records[sensor].add(k, seen)
-            taken, rows = _accepted(seen)
-            if sensor not in self._listens or not self._listens[sensor][i]:
-                whole = self._joint and rows > 1
-                at = 0 if whole and not several else len(accepted)
-                accepted[at:at] = taken
-                if whole:
-                    several.append((sensor, taken))
-            elif models[sensor].teaches:
-                heard += [innovation for innovation in seen if innovation.verdict == 0]
+        belief, fits = self.belief, list[Fit]()
+        heard: list[Innovation | Reading] = []
+        accepted = [_accepted(judged) for judged in seen]
+        order = list(range(len(due)))
+        if self._joint and len(due) > 1:
+            order.insert(0, order.pop(next((n for n, (_, rows) in enumerate(accepted) if rows > 1), 0)))
+        for n in order:
+            (sensor, i), (ones, rows), begin = due[n], accepted[n], belief.queued
+            if sensor in self._listens and self._listens[sensor][i]:
+                if rows and self.models[sensor].teaches:
+                    heard += ones
+                continue
+            for one in ones:
+                belief.queue(one, sensor)
+            if self._joint and rows > 1:
+                nis = belief.fit_of(begin, belief.queued) if fits else math.nan  # the first: by the correction
+                fits.append(Fit(self._records[sensor], belief.queued - begin, nis))
         if heard:
             belief.listen(heard)
-        if accepted:
-            self._correct_whole(accepted, several) if several else belief.correct(accepted)
-        for sensor, i in due:
-            model = models[sensor]
-            model.learn(measurements[sensor], i, belief if model.local else in_map)
-        if self._leads:
-            self._turn_pages()
-        self._track.note(self.belief)
+        return fits
 
-    def _turn_pages(self) -> None:
-        """Let every sensor whose map is full begin the next one here."""
+    def _note_fits(self, fits: Sequence[Fit]) -> None:
+        """Record how well readings of several rows fit as a whole."""
+        for n, (record, numbers, nis) in enumerate(fits):
+            record.joint.extend((nis if n else self.belief.fit(numbers), numbers))
+
+    def _learn(self, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
+        """Let every reading teach its model; then a map that is full is left for the next one."""
+        for sensor, i in due:
+            if sensor in self._learning:
+                model = self.models[sensor]
+                model.learn(measurements[sensor], i, self.belief if model.local else self._in_map)
         for sensor in self._leads:
             if self.models[sensor].turn_page(self.belief):
                 self._follow_frame()
 
-    def stretches(self, drive: Drive) -> Stretches:
-        """Return where the core may take many instants of a drive at once."""
-        found = Stretches(drive, self.models, self.belief, (*self._inflates, *self._listens))
-        self._records |= found.records()
-        return found
-
-    def coast(self, on: Stretches, k: int) -> int:
-        """Take the belief from instant k as far as the core goes; return the instant that is next."""
-        last = on.until(k) if self.belief.plain else k
-        if last <= k:
-            return k
-        stop = on.coast(self.belief, k, last, self._track)
-        for model in self._rolling:
-            if not on.takes(model):
-                model.rolled(stop.rolled)
-        if stop.finish:
-            on.finish(self.belief)
-            self._turn_pages()
-            self._track.note(self.belief)
-        return stop.instant + stop.finish
-
-    def _correct_whole(self, accepted: Rows, several: list[tuple[str, Rows]]) -> None:
-        """Correct once by all that was accepted, and note how well readings of several rows fit as a whole.
-
-        The first of these stands first in the equation: whitened, its rows are what they would be alone.
-        """
-        (sensor, first), *others = several
-        joint = [(name, self.belief.joint_nis(seen)) for name, seen in others]
-        self.belief.correct(accepted)
-        joint.insert(0, (sensor, self.belief.nis_of_first(sum([s.numbers for s in first]))))
-        for name, nis in joint:
-            self._records[name].joint.extend(nis)
-
-    def _move(self, step: Step | None, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
-        """Predict, tell models that ask how far the wheels rolled, and begin a frame where a map begins."""
-        if step is not None:
-            self.belief.predict(*step)
-            for model in self._rolling:
-                model.rolled(step.u)
-        for sensor, i in due:
+    def _begin_frame(self, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
+        """Begin a local frame (fusion.ekf.map_frame) where a sensor begins a map of its own."""
+        for sensor, i in due if self._may_begin else ():
             if sensor in self._may_begin and self.models[sensor].begins_map(measurements[sensor], i):
-                self._begin_frame()
+                self.belief.begin_frame()
+                self._follow_frame()
                 self._may_begin = self._leads
 
     def pose(self) -> Pose:
@@ -212,14 +209,9 @@ class Filter:
     def _seen_by(self, model: Model) -> JointBelief | InMap:
         return self.belief if model.local else self._in_map
 
-    def _begin_frame(self) -> None:
-        """Let a map of a sensor's own begin in a local frame (fusion.ekf.map_frame)."""
-        self.belief.begin_frame()
-        self._follow_frame()
-
     def _follow_frame(self) -> None:
         """See the pose in the map through the local frame, once there is one."""
-        if self.belief.frame is not None:
+        if self.belief.framed:
             self._in_map = InMap(self.belief)
 
     def estimates(self, drive: Drive, name: str) -> Estimates:
@@ -264,20 +256,20 @@ class Filter:
             yield from (f"{name}: {words}" for words in model.notes(self._seen_by(model)))
 
 
-def _accepted(seen: Sequence[Innovation]) -> tuple[Rows, int]:
-    """Return what corrects the filter, and how many rows that is."""
-    if isinstance(seen, Reading):
-        return [seen] if seen.accepted else [], seen.accepted
-    taken: Rows = [innovation for innovation in seen if innovation.verdict == 0]
-    return taken, len(taken)
+def _accepted(judged: Judged) -> tuple[Sequence[Innovation | Reading], int]:
+    """Return what was accepted of a reading, and how many rows that is."""
+    if isinstance(judged, Reading):
+        return (judged,), judged.accepted
+    ones = [innovation for innovation in judged if innovation.verdict == 0]
+    return ones, len(ones)
 
 
-def _begin(robot: Robot, models: Sequence[Model], make: MakeBelief) -> JointBelief:
+def _begin(robot: Robot, models: Sequence[Model]) -> JointBelief:
     """Return the belief at the start."""
     blocks = [block for model in models for block in model.blocks()]
     if not robot.wheels.estimate:
-        return make(*_start(robot.start), blocks)
-    belief = make(*_start(robot.start), [*blocks, wheel_block(robot.wheels)])
+        return JointBelief(*_start(robot.start), blocks)
+    belief = JointBelief(*_start(robot.start), [*blocks, wheel_block(robot.wheels)])
     belief.drive_with(WHEELS)
     return belief
 

@@ -94,12 +94,16 @@ class Mount:
 
     def now(self, belief: Belief) -> tuple[float, float, float]:
         """Return x, y, yaw as the belief has them."""
-        at = [float(belief.block(self._names[i])[1][0]) if i in self._names else self.told[i] for i in range(3)]
+        if not self.free:
+            return self.told
+        at = list(self.told)
+        for i, name in self._names.items():
+            at[i] = belief.value(belief.column(name))
         return at[0], at[1], at[2]
 
     def columns(self, belief: Belief) -> tuple[int, ...]:
         """Return the state columns of what is uncertain."""
-        return tuple(belief.block(name)[0] for name in self._names.values())
+        return tuple(belief.column(name) for name in self._names.values())
 
     def words(self, belief: Any) -> list[str]:
         """Say where the drive found the mount, if that is not where it is configured to be."""

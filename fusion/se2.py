@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Plain = tuple[float, float, float]  # one pose
+# bearing [rad, not wrapped], distance [m], derivatives of the bearing by the pose and by the mount
+Sight = tuple[float, float, Plain, Plain]
 
 TAU = 2.0 * math.pi
 
@@ -19,6 +21,30 @@ TAU = 2.0 * math.pi
 def wrap(angle: float) -> float:
     """Return `angle` [rad] in [-pi, pi). Plain floats, for the filter's inner loop."""
     return (angle + math.pi) % TAU - math.pi
+
+
+def direction(angle: float) -> tuple[float, float]:
+    """Return (cos, sin) of an angle [rad]; NaN where it is infinite, for which `math` raises."""
+    return (math.cos(angle), math.sin(angle)) if math.isfinite(angle) else (math.nan, math.nan)
+
+
+def sight(pose: Plain, point: tuple[float, float], mount: Plain, nearest: float) -> Sight | None:
+    """Return how a sensor at `mount` on a robot at `pose` sees a point; None if it is nearer than `nearest` [m].
+
+    With d from the sensor to the point, in the map: bearing = atan2(d_y, d_x) - theta - yaw, distance = |d|
+    (Thrun, Burgard and Fox 2005, 6.6.2).
+    """
+    x, y, theta = pose
+    lever_x, lever_y, yaw = mount
+    c, s = direction(theta)
+    dx, dy = point[0] - x - c * lever_x + s * lever_y, point[1] - y - s * lever_x - c * lever_y
+    square = dx * dx + dy * dy
+    if not square >= nearest * nearest or not square > 0.0:
+        return None
+    by_lever_x, by_lever_y = (dy * c - dx * s) / square, -(dx * c + dy * s) / square
+    by_theta = lever_x * by_lever_y - lever_y * by_lever_x - 1.0
+    by_pose, by_mount = (dy / square, -dx / square, by_theta), (by_lever_x, by_lever_y, -1.0)
+    return math.atan2(dy, dx) - theta - yaw, math.sqrt(square), by_pose, by_mount
 
 
 def wrap_all(angle: Array) -> Array:
@@ -73,10 +99,10 @@ def chain(steps: Array) -> Array:
 
 def carried(at: Plain, a: Plain, b: Plain) -> Plain:
     """Return at ⊕ (⊖a ⊕ b) of plain floats: `chained` for one step, a tenth of its time."""
-    c, s = float(np.cos(a[2])), float(np.sin(a[2]))  # NumPy's, which are not those of `math` to the last bit
+    c, s = direction(a[2])
     x = -c * a[0] - s * a[1] + c * b[0] + s * b[1]
     y = s * a[0] - c * a[1] - s * b[0] + c * b[1]
-    c, s = float(np.cos(at[2])), float(np.sin(at[2]))
+    c, s = direction(at[2])
     return at[0] + (c * x - s * y), at[1] + (s * x + c * y), at[2] + (-a[2] + b[2])
 
 

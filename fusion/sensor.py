@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, ClassVar, Literal, NamedTuple, Protocol, overload
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 import msgspec
-import numpy as np
+
+from locfuse.fusion.kernels.ekf import Innovation
+from locfuse.fusion.kernels.sight import Audit
 
 from .data import (
     VERDICTS,
@@ -25,6 +26,8 @@ from .data import (
 
 GATE = VERDICTS.index("gate")
 Matrix = tuple[tuple[float, ...], ...]
+NO_COLUMNS: tuple[int, ...] = ()  # of what depends on no state but the pose
+NO_BLOCK: Matrix = ()
 PoseRows = tuple[tuple[float, float, float], ...]  # (d, 3) derivatives by x [m], y [m], theta [rad] of the pose
 
 
@@ -62,82 +65,6 @@ class WheelMotion(Protocol):
         """Return the variances (..., k - 1, 2) [m^2] of what either wheel rolled between times t (..., k) [s]."""
 
 
-class Innovation(msgspec.Struct, frozen=True, gc=False):
-    """One measurement against the belief: y = z - h(x), with H = [H_pose | H_block] and its verdict.
-
-    Hundreds of thousands are made in an hour: a Struct takes a third of a NamedTuple's time.
-    """
-
-    row: int  # row in Measurements.z
-    verdict: int  # index into VERDICTS
-    landmark: int  # id of the map feature, -1 for none
-    nis: float  # y' S^-1 y
-    threshold: float  # of the gate
-    y: tuple[float, ...]  # (d,)
-    sigma: tuple[float, ...]  # (d,) sqrt of the diagonal of S
-    H: PoseRows  # (d, 3) columns x, y, theta of the pose in the state (fusion.ekf.map_frame)
-    R: Matrix  # (d, d)
-    columns: tuple[int, ...] = ()  # state columns of the sensor's block, and of the map frame
-    H_block: Matrix = ()  # (d, len(columns))
-    shared: Sequence[Sequence[float]] = ()  # (d, k) unit errors that innovations of one reading share; in R too
-
-    @property
-    def numbers(self) -> int:
-        """How many numbers it holds, d."""
-        return len(self.y)
-
-    @classmethod
-    def of(
-        cls,
-        row: int,
-        y: tuple[float, ...],
-        H: PoseRows,
-        R: Matrix,
-        belief: Belief,
-        threshold: float,
-        *,
-        columns: tuple[int, ...] = (),
-        H_block: Matrix = (),
-        landmark: int = -1,
-        verdict: int | None = None,
-    ) -> Innovation:
-        """Judge the innovation y (d,) of measurement `row` against the gate `threshold`.
-
-        S = H P H' + R and NIS = y' S^-1 y (Bar-Shalom, Li and Kirubarajan 2001, 5.4.2). The verdict is
-        "accepted" or "gate" by these, unless `verdict` (an index into VERDICTS) says something else. Raises
-        LocfuseError where S is not positive.
-        """
-        spread, H, columns, H_block = belief.observed(H, columns, H_block)
-        nis, sigma = _judged(y, spread, R)
-        if verdict is None:
-            verdict = 0 if nis <= threshold else GATE
-        return cls(row, verdict, landmark, nis, threshold, y, sigma, H, R, columns, H_block)
-
-    @classmethod
-    def unpredicted(cls, row: int, verdict: int, d: int, threshold: float) -> Innovation:
-        """Return the record of a measurement of d numbers that was compared with nothing: all NaN."""
-        nan = (math.nan,) * d
-        return cls(row, verdict, -1, math.nan, threshold, nan, nan, (), ())
-
-    @classmethod
-    def of_states(cls, y: tuple[float, ...], R: Matrix, columns: tuple[int, ...], H_block: Matrix) -> Innovation:
-        """Return what is known of states without a reading, such as that two of them are equal."""
-        zero = ((0.0, 0.0, 0.0),) * len(y)
-        return cls(-1, 0, -1, 0.0, math.inf, y, y, zero, R, columns, H_block)
-
-
-class Table(NamedTuple):
-    """What became of the n measurements of one reading, as columns."""
-
-    first: int  # row in Measurements.z
-    verdict: Ints  # (n,)
-    landmark: Ints  # (n,)
-    threshold: float
-    nis: Array  # (n,)
-    y: Array  # (n, d)
-    sigma: Array  # (n, d)
-
-
 class Equation(NamedTuple):
     """y = H dx + noise of covariance R."""
 
@@ -147,59 +74,22 @@ class Equation(NamedTuple):
     R: Array  # (m, m)
 
 
-class Reading(Sequence[Innovation]):
-    """The innovations of a reading of many rows, as columns: an object for each takes longer than the filter."""
+class Reading:
+    """What a reading of many rows says, judged: an object for each row would take longer than the filter."""
 
-    accepted: int  # rows that correct the filter
-    numbers: int  # that these rows hold
+    row: int  # of the first in Measurements.z
+    lines: int  # rows of the measurements
+    accepted: int  # of them, that correct the filter
+    first: int  # where their equation begins in the state's table
+    numbers: int  # of that equation
 
-    @abstractmethod
-    def table(self) -> Table:
-        """Return what became of every row."""
+    def write(self, audit: Audit, at: int, instant: int, row: int) -> None:
+        """Write what became of every row into the columns of an audit, from `at` on."""
+        raise NotImplementedError
 
-    @abstractmethod
-    def equation(self) -> Equation:
-        """Return what the accepted rows say together, in arrays of the caller's own."""
-
-    @abstractmethod
-    def rows(self) -> list[Innovation]:
-        """Return every row as an innovation."""
-
-    @overload
-    def __getitem__(self, i: int) -> Innovation: ...
-    @overload
-    def __getitem__(self, i: slice) -> list[Innovation]: ...
-    def __getitem__(self, i: int | slice) -> Innovation | list[Innovation]:
-        """Return a row, or some, as innovations."""
-        return self.rows()[i]
-
-    def __iter__(self) -> Iterator[Innovation]:
-        """Yield every row as an innovation."""
-        return iter(self.rows())
-
-
-def _judged(y: tuple[float, ...], spread: Matrix, R: Matrix) -> tuple[float, tuple[float, ...]]:
-    """Return the NIS, and the square roots of the diagonal of S = spread + R; the NIS is NaN where S is no number.
-
-    Raises LocfuseError where S is not positive: rounding ate it.
-    """
-    S = [[p + r for p, r in zip(*rows, strict=True)] for rows in zip(spread, R, strict=True)]
-    variances = [S[i][i] for i in range(len(y))]
-    sigma = tuple([math.sqrt(v) if v > 0.0 else v for v in variances])
-    total = sum(variances)
-    if not math.isfinite(total * total):  # no number, or so large that its products are none
-        return math.nan, sigma
-    nis = 0.0
-    e = list(y)
-    for i, v in enumerate(e):  # S = L D L', row by row
-        positive(S[i][i] if S[i][i] > 0.0 else -max(variances))
-        nis += v * v / S[i][i]
-        for j in range(i + 1, len(e)):
-            share = S[j][i] / S[i][i]
-            e[j] -= share * v
-            for k in range(i + 1, len(e)):
-                S[j][k] -= share * S[i][k]
-    return nis, sigma
+    def rows_used(self) -> list[int]:
+        """Return the accepted rows of Measurements.z, in the order of their equation."""
+        raise NotImplementedError
 
 
 def positive(greatest: float) -> None:
@@ -209,59 +99,6 @@ def positive(greatest: float) -> None:
             "the filter's variances span too many powers of ten to be computed with (innovations of up to "
             f"{-greatest:.0e}): are the sigmas and floors of robot.toml meant so?"
         )
-
-
-JUDGED = 4  # numbers that are told of a row before its y and sigmas, as in core.singles
-UNTOLD = -1.0  # verdict of a row that was compared with nothing
-
-
-class Columns(ABC):
-    """All readings of a sensor as one of the core's tables, for what the core takes at once (fusion.coast)."""
-
-    kind: ClassVar[str]  # which of `core.tables.Readings` it is
-    when: Ints  # (n,) instants at which the readings are due
-    first: Ints  # (n + 1,) rows of every reading
-    told: Array  # (m, JUDGED + 2 d) verdict, landmark, NIS, threshold, y, sigma: what became of every row
-    joint: Array  # (n, 2) how well the rows of a reading fit as a whole, and their degrees of freedom
-    reads: Model | None = None  # whose line map is read
-
-    @property
-    def numbers(self) -> int:
-        """How many numbers a row holds, d."""
-        return int(self.told.shape[1] - JUDGED) // 2
-
-    @property
-    def waiting(self) -> int:
-        """How many rows of a reading may wait for the correction of its instant."""
-        return int(np.diff(self.first).max(initial=0)) * self.numbers
-
-    @property
-    def ready(self) -> bool:
-        """Whether the core may take a reading now: nothing is left that a reading begins."""
-        return True
-
-    @abstractmethod
-    def table(self, belief: Any) -> Any:
-        """Return the table, with the states as they lie in the belief now."""
-
-    def passed(self, first: int, last: int) -> None:  # noqa: B027, most have nothing to learn from it
-        """Take in that the core took the readings first:last."""
-
-
-def untold(rows: int, numbers: int) -> Array:
-    """Return `Columns.told` before anything was told."""
-    told = np.full((rows, JUDGED + 2 * numbers), np.nan)
-    told[:, :2] = UNTOLD
-    return told
-
-
-def upper(R: Array) -> Array:
-    """Return the three numbers of symmetric matrices (n, 2, 2), of one number (n, 1, 1) with zeros: (n, 3)."""
-    out = np.zeros((len(R), 3))
-    out[:, 0] = R[:, 0, 0]
-    if R.shape[1] > 1:
-        out[:, 1], out[:, 2] = R[:, 0, 1], R[:, 1, 1]
-    return out
 
 
 class Block(NamedTuple):
@@ -288,21 +125,39 @@ class Belief(Protocol):
     def theta(self) -> float:
         """Heading of the pose [rad], not wrapped."""
 
+    def pose(self) -> tuple[float, float, float]:
+        """Return x [m], y [m] and theta [rad, not wrapped] of the pose."""
+
     def block(self, name: str) -> tuple[int, Sequence[float] | Array]:
         """Return (first state column, values) of a block."""
 
-    def spread(
+    def column(self, name: str) -> int:
+        """Return the first state column of a block."""
+
+    def value(self, column: int) -> float:
+        """Return the state at a column."""
+
+    def variance(self, H: tuple[float, float, float]) -> float:
+        """Return H P H' for one derivative H by the pose."""
+
+    def compare(
         self,
+        row: int,
+        y: tuple[float, ...],
         H: PoseRows,
+        R: Matrix,
+        threshold: float,
         columns: tuple[int, ...] = (),
         H_block: Matrix = (),
-    ) -> Matrix:
-        """Return H P H', (d, d): the innovation covariance without R."""
+        landmark: int = -1,
+        verdict: int = -1,
+    ) -> Innovation:
+        """Judge the innovation y (d,) of measurement `row` against the gate `threshold`.
 
-    def observed(
-        self, H: PoseRows, columns: tuple[int, ...] = (), H_block: Matrix = ()
-    ) -> tuple[Matrix, PoseRows, tuple[int, ...], Matrix]:
-        """Return H P H', and the derivatives by the pose and the columns of the state: H, columns, H_block."""
+        S = H P H' + R and NIS = y' S^-1 y (Bar-Shalom, Li and Kirubarajan 2001, 5.4.2). H (d, 3) is by the pose,
+        H_block (d, c) by the states `columns` (c,), R (d, d). The verdict is "accepted" or "gate" by the NIS where
+        `verdict` is -1, else that index into VERDICTS. Raises LocfuseError where S is not positive.
+        """
 
 
 class Model:
@@ -331,13 +186,9 @@ class Model:
         """Return whether reading i is the first of a map of its own: the local frame may begin at its instant."""
         return False
 
-    def innovations(self, m: Measurements, i: int, belief: Any) -> Sequence[Innovation]:
+    def innovations(self, m: Measurements, i: int, belief: Any) -> Sequence[Innovation] | Reading:
         """Compare reading i with the prior belief. Verdict 0 ("accepted") corrects the filter."""
         raise NotImplementedError
-
-    def columns(self, m: Measurements, when: Ints) -> Columns | None:
-        """Return all readings, which are due at the instants `when`, for the core; None: it does not know them."""
-        return None
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Take in what reading i taught beyond the pose (new map lines), after the correction."""

@@ -4,8 +4,8 @@ One smoother for the user, two ways of solving it. Where a laser came back to pl
 not hold together, the graph of key poses (fusion.graph) closes these loops. Else the backward pass below is the
 better one: it weighs every line of every scan.
 
-Backward through the filter's journal: undo each prediction; map lines leave where they were born, and dropped ones
-return. Holds where the filter's gain is the optimal one: not for the frozen and the considered map.
+Backward through the events of the filter: undo each prediction; map lines leave where they were born, and dropped
+ones return. Holds where the filter's gain is the optimal one: not for the frozen and the considered map.
 """
 
 from __future__ import annotations
@@ -16,7 +16,17 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion.ekf.equations import eq5_x, eq6_noise, eq7_A
-from locfuse.fusion.ekf.journal import Birth, Drop, FrameMoved, Journal, Step, Swung
+from locfuse.fusion.ekf.events import (
+    Added,
+    Changed,
+    Dropped,
+    Events,
+    FrameMoved,
+    FrameTurned,
+    Loosened,
+    Moved,
+    Undone,
+)
 from locfuse.fusion.ekf.map_frame import in_map_P
 from locfuse.fusion.wheels.states import WHEELS
 
@@ -52,14 +62,14 @@ def fuse_and_smooth(
 ) -> tuple[Estimates, Estimates]:
     """Run the filter and the smoother: (filtered, smoothed). Raises UsageError where the gain is not optimal."""
     check_optimal(robot, sensors)
-    journal = Journal()
-    filtered = fuse(drive, robot, sensors, name, make=journal.belief_of)
+    events = Events(backward=True)
+    filtered = fuse(drive, robot, sensors, name, events=events)
     graph = whole_drive(drive, robot, sensors, filtered)
     if graph is None:
-        return filtered, smoothed(drive, filtered, journal)
+        return filtered, smoothed(drive, filtered, events)
     if graph.needed(filtered):
         return filtered, by_graph(filtered, graph)
-    found = smoothed(drive, filtered, journal)
+    found = smoothed(drive, filtered, events)
     return filtered, replace(found, notes=(*found.notes, *graph.notes(used=False)))
 
 
@@ -83,12 +93,12 @@ def by_graph(filtered: Estimates, graph: Graph) -> Estimates:
     )
 
 
-def smoothed(drive: Drive, filtered: Estimates, journal: Journal) -> Estimates:
-    """Return the smoothed estimates of a run that wrote `journal`. Map and audits stay the filter's."""
-    back = Backward(drive, filtered, journal)
-    back.run(journal)
+def smoothed(drive: Drive, filtered: Estimates, events: Events) -> Estimates:
+    """Return the smoothed estimates of a run that noted `events`. Map and audits stay the filter's."""
+    back = Backward(drive, filtered, events)
+    back.run(events)
     wheels = back.blocks.get(WHEELS)
-    truth_pose, truth_P = between_instants(drive, journal, back, None if wheels is None else wheels[-1])
+    truth_pose, truth_P = between_instants(drive, events, back, None if wheels is None else wheels[-1])
     return replace(
         filtered,
         pose=back.pose,
@@ -108,7 +118,7 @@ class Backward:
     that begins at instant k is that of `local[k]`, but `arrived[k]` is still of the frame before.
     """
 
-    def __init__(self, drive: Drive, filtered: Estimates, journal: Journal) -> None:
+    def __init__(self, drive: Drive, filtered: Estimates, events: Events) -> None:
         n = len(drive.t)
         self.local, self.frame = np.empty((n, 3)), np.zeros((n, 3))  # q and G
         self.P = np.zeros((n, 6, 6))  # of both
@@ -117,10 +127,11 @@ class Backward:
         self.ahead = np.zeros((n, 3, 3))  # covariance of q at k (rows) and as it arrived at k + 1 (columns)
         self.blocks = {name: np.empty_like(v) for name, v in filtered.blocks.items()}
         self.block_sigmas = {name: np.empty_like(v) for name, v in filtered.blocks.items()}
-        belief = journal.belief
-        self._columns = {b: belief.block(b)[0] for b in self.blocks} if belief is not None else {}
-        self._frame = None if belief is None else belief.frame
-        self._x, self._S = journal.final()
+        self._columns = {b: events.columns[b] for b in self.blocks}
+        frames = [e.before for e in events.list if isinstance(e, Added) and e.frame]
+        self._frame = frames[-1] if frames else None
+        assert events.final is not None
+        self._x, self._S = events.final.x.copy(), events.final.P.copy()
         self._found = self._x[self._of_frame].copy()  # G by the whole drive: it does not move
         self._swung = np.eye(6)  # from the errors of (q, G) as they were taken at an instant to those of `_found`
 
@@ -129,38 +140,44 @@ class Backward:
         """Poses in the map, (n, 3)."""
         return se2.compose(self.frame, self.local)
 
-    def run(self, journal: Journal) -> None:
-        """Go through the journal from its end; what lies before the first instant is left."""
+    def run(self, events: Events) -> None:
+        """Go through the events from the last; what lies before the first instant is left."""
         k = len(self.local) - 1
         self._note(k)
-        for event in reversed(journal.events):
-            if isinstance(event, Birth):
+        for event in reversed(events.list):
+            if isinstance(event, Moved):
+                if k > 0:
+                    self._undo_motion(event, k)
+                    k -= 1
+                    self._note(k)
+            elif isinstance(event, Added):
                 self._x, self._S = self._x[: event.before], self._S[: event.before, : event.before]
                 self._frame = None if event.frame else self._frame
-            elif isinstance(event, Swung):
-                self._step(event.undone)
+            elif isinstance(event, FrameTurned):
+                self._step(event.back)
                 self._swung[3, 5] -= event.dy
                 self._swung[4, 5] += event.dx
             elif isinstance(event, FrameMoved):
                 self._found, self._swung = self._x[self._of_frame].copy(), np.eye(6)
-            elif isinstance(event, Drop):
-                self._restore(event)
-            elif not event.instant:
-                self._step(event)
-            elif k > 0:
-                self.arrived[k], self.arrived_P[k, :, :3] = self._x[:3], self._S[:3, :3]
-                if self._frame is not None:
-                    self.arrived_P[k, :, 3:] = self._S[:3, self._of_frame] @ self._swung[3:, 3:].T
-                self.ahead[k - 1] = self._step(event)[:3, :3]
-                k -= 1
-                self._note(k)
+            elif isinstance(event, Dropped):
+                self._restore(event.back)
+            elif isinstance(event, Changed | Loosened):
+                self._step(event.back)
+
+    def _undo_motion(self, event: Moved, k: int) -> None:
+        """Go back over the motion to instant k, and keep what `between_instants` needs of it."""
+        self.arrived[k], self.arrived_P[k, :, :3] = self._x[:3], self._S[:3, :3]
+        if self._frame is not None:
+            self.arrived_P[k, :, 3:] = self._S[:3, self._of_frame] @ self._swung[3:, 3:].T
+        self.ahead[k - 1] = self._step(event.back)[:3, :3]
 
     @property
     def _of_frame(self) -> slice:
         first = self._frame or 0
         return slice(first, first + 3)
 
-    def _step(self, step: Step) -> Array:
+    def _step(self, step: Undone | None) -> Array:
+        assert step is not None
         rows, G, S = step.rows, step.G, self._S
         cross: Array = G @ S
         own = cross @ G.T + step.D
@@ -170,15 +187,16 @@ class Backward:
         S[np.ix_(rows, rows)] = 0.5 * (own + own.T)
         return cross
 
-    def _restore(self, drop: Drop) -> None:
-        n = len(self._x) + len(drop.columns)
-        stay = np.setdiff1d(np.arange(n), drop.columns)
+    def _restore(self, drop: Undone | None) -> None:
+        assert drop is not None
+        n = len(self._x) + len(drop.rows)
+        stay = np.setdiff1d(np.arange(n), drop.rows)
         cross = drop.G @ self._S
         x, S = np.empty(n), np.empty((n, n))
-        x[stay], x[drop.columns] = self._x, drop.c + drop.G @ self._x
+        x[stay], x[drop.rows] = self._x, drop.c + drop.G @ self._x
         S[np.ix_(stay, stay)] = self._S
-        S[np.ix_(drop.columns, stay)], S[np.ix_(stay, drop.columns)] = cross, cross.T
-        S[np.ix_(drop.columns, drop.columns)] = cross @ drop.G.T + drop.D
+        S[np.ix_(drop.rows, stay)], S[np.ix_(stay, drop.rows)] = cross, cross.T
+        S[np.ix_(drop.rows, drop.rows)] = cross @ drop.G.T + drop.D
         self._x, self._S = x, S
 
     def _note(self, k: int) -> None:
@@ -194,7 +212,7 @@ class Backward:
 
 
 def between_instants(
-    drive: Drive, journal: Journal, back: Backward, wheels: Array | None
+    drive: Drive, events: Events, back: Backward, wheels: Array | None
 ) -> tuple[Array | None, Array | None]:
     """Return smoothed poses (q, 3) and covariances at the truth's stamps; NaN outside the drive.
 
@@ -210,7 +228,9 @@ def between_instants(
     u, v = drive.truth_motions.u, drive.motions.u[after]
     if wheels is not None:  # their covariance is left out: over a part of an interval it is nothing
         u, v = u + drive.truth_motions.J @ wheels, v + drive.motions.J[after] @ wheels
-    start = np.array([*journal.starts[1:], journal.final()[0][:3]])[k]  # of every motion, and where the last led
+    assert events.final is not None
+    starts = [event.start for event in events.list if isinstance(event, Moved)]
+    start = np.array([*starts[1:], events.final.x[:3]])[k]  # of every motion, and where the last led
     at, end = eq5_x(start, u), eq5_x(start, v)
     to_at, to_end, on = eq7_A(start, at), eq7_A(start, end), eq7_A(at, end)
     turn = se2.rotation(start[:, 2])

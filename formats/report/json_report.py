@@ -11,8 +11,8 @@ import msgspec
 
 from locfuse.formats.versions import installed
 from locfuse.formats.visible import escaped, writable
-from locfuse.fusion.core.form import form
 from locfuse.fusion.data import Drive, Evaluation, LocfuseError, SensorFigures, result_name
+from locfuse.fusion.kernels.built import how
 
 SCHEMA_VERSION = 1  # of report.json and run.json; locfuse 0.1 wrote none
 SMOOTHED_IN_0_1 = " smoothed"  # ended the name of a smoothed result in a report without schema_version
@@ -61,7 +61,7 @@ def made_with() -> dict[str, str | None]:
     found: dict[str, str | None] = {"python": platform.python_version(), "machine": platform.machine()}
     for name, distributions in LIBRARIES.items():
         found[name] = next((v for d in distributions if (v := installed(d)) is not None), None)
-    return {**found, "core": form().words.partition(":")[0]}
+    return {**found, "core": how()}
 
 
 def encode(value: Mapping[str, Any]) -> str:

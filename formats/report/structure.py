@@ -17,13 +17,13 @@ Interval = tuple[float, float]
 
 
 class MadeWith(Struct):
-    """Versions on which the last digits depend; and of the core, which form ran: they do not depend on that."""
+    """Versions on which the last digits depend; and whether the kernels are compiled: it hardly matters."""
 
     python: str
     machine: str  # kind of CPU
     numpy: str | None
     opencv: str | None
-    core: str | None = None  # compiled, or not compiled: as right, and slower
+    core: str | None = None  # compiled, or not compiled: slower, equal to 1e-9
 
 
 class Refused(Struct):

@@ -34,7 +34,7 @@ def seen_from_here(lines: LineMap, at: Ints, belief: JointBelief) -> Bridge:
     along = seen.cos * (belief.y - ay) - seen.sin * (belief.x - ax)
     ends = np.stack((lines.lo[at] - along, lines.hi[at] - along), axis=-1)
     k = np.arange(len(at))
-    by = np.zeros((len(at), 2, 3 + 2 * len(at)))  # the pose, then the walls, as in core.pairs
+    by = np.zeros((len(at), 2, 3 + 2 * len(at)))  # the pose, then the walls, as in kernels.sight
     by[:, 0, 0], by[:, 0, 1], by[:, 1, 2] = -seen.cos, -seen.sin, -1.0
     by[k, 0, 3 + 2 * k], by[k, 0, 4 + 2 * k], by[k, 1, 4 + 2 * k] = 1.0, seen.u, 1.0
     H = by.reshape(2 * len(at), -1)

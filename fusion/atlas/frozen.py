@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array
 from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.ekf.map_frame import Pose
 from locfuse.fusion.linemap.line_map import LineMap
 from locfuse.fusion.linemap.scan import Scan
 
@@ -31,47 +32,30 @@ class Way:
     def __init__(self) -> None:
         self.sights: list[Sight] = []
         self.length = 0.0  # m
-        self._last: Array | None = None
+        self._last: Pose | None = None
+        self._kept: Pose = (0.0, 0.0, 0.0)  # where the last scan was kept
 
     def resume(self) -> None:
         """Go on with a way that was left: what lies between is no way."""
         self._last = None
 
-    def goes(self, pose: Array) -> bool:
-        """Take in the next pose (3,), and tell whether a scan from there is worth keeping."""
+    def goes(self, pose: Pose) -> bool:
+        """Take in the next pose, and tell whether a scan from there is worth keeping."""
+        x, y, theta = pose
         if self._last is not None:
-            self.length += math.hypot(*(pose[:2] - self._last[:2]))
+            self.length += math.hypot(x - self._last[0], y - self._last[1])
         self._last = pose
-        return not self.sights or 0 in self.further(pose[None])
+        if not self.sights:
+            return True
+        if len(self.sights) >= MANY_SIGHTS:
+            return False
+        a, b, turn = self._kept
+        return math.hypot(x - a, y - b) >= STRIDE or abs(se2.wrap(theta - turn)) >= TURN
 
-    def further(self, poses: Array) -> list[int]:
-        """Return from which of the next poses (n, 3) a scan is worth keeping: there is one already."""
-        found: list[int] = []
-        last, at = self.sights[-1].pose, 0
-        while len(self.sights) + len(found) < MANY_SIGHTS:
-            x, y, turn = (poses[at:] - last).T
-            far = np.flatnonzero((np.hypot(x, y) >= STRIDE) | (np.abs(se2.wrap_all(turn)) >= TURN))
-            if not len(far):
-                break
-            at += int(far[0]) + 1
-            found.append(at - 1)
-            last = poses[at - 1]
-        return found
-
-    def ahead(self) -> dict[str, Any]:
-        """Return its length and last place (core.tables.Way); {}: the next scan is kept."""
-        if self._last is None or not self.sights:
-            return {}
-        x, y = self._last[:2].tolist()
-        return {"length": self.length, "x": x, "y": y}
-
-    def went(self, length: float, x: float, y: float) -> None:
-        """Take over its length and last place from who has followed it."""
-        self.length, self._last = length, np.array((x, y, 0.0))
-
-    def keep(self, t: float, pose: Array, scan: Scan) -> None:
+    def keep(self, t: float, pose: Pose, scan: Scan) -> None:
         """Keep a scan that was taken at a pose."""
-        self.sights.append(Sight(t, pose, scan))
+        self.sights.append(Sight(t, np.array(pose), scan))
+        self._kept = pose
 
     def nearest(self, place: Array) -> Sight:
         """Return the scan that was taken nearest to a place (2,) [m] of its map."""
@@ -147,4 +131,4 @@ def as_scan(lines: LineMap, values: Array, P: Array, least_hits: int) -> Scan:
     G[:, 0, 1] = along
     R = G @ P[at] @ G.transpose(0, 2, 1)
     ends = np.stack((lines.lo[at] + along, lines.hi[at] + along), axis=-1)
-    return Scan(z, R, ends)
+    return Scan.of(z, R, ends)

@@ -11,19 +11,21 @@ import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.core.room import Room
-from locfuse.fusion.data import VERDICTS, Array, Ints, LocfuseError, MapLine, Measurements
+from locfuse.fusion.data import VERDICTS, Array, LocfuseError, MapLine, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.linemap.association import Association, Codes, SeenLines, associate, new_lines
-from locfuse.fusion.linemap.laser_mount import seated, seated_shares
+from locfuse.fusion.kernels.ekf import Innovation
+from locfuse.fusion.kernels.sight import Rules
+from locfuse.fusion.linemap.association import NO_SHARES, Association, associate
+from locfuse.fusion.linemap.laser_mount import by_mount, moved_mount, seat_of
 from locfuse.fusion.linemap.line_map import LineMap, about_middle
-from locfuse.fusion.linemap.scan import Scan, Scans, Where
+from locfuse.fusion.linemap.scan import Scan, Scans
 from locfuse.fusion.linemap.standing import Standing
-from locfuse.fusion.linemap.tidy import MIN_HITS, TIDY_EVERY, merge_doubles, prune
+from locfuse.fusion.linemap.tidy import MIN_HITS, TIDY_EVERY, merge_doubles, prune, untidy
+from locfuse.fusion.lines.extract import rows_in_base
 from locfuse.fusion.lines.flatness import bend
 from locfuse.fusion.mount import Mount
-from locfuse.fusion.recovery.guard import SCANS, Guard
-from locfuse.fusion.sensor import Block, Innovation, Model
+from locfuse.fusion.recovery.guard import Guard
+from locfuse.fusion.sensor import Block, Model
 
 UNMATCHED, AMBIGUOUS, NEW, LOST, REPEATED = (
     VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new", "lost", "repeated")
@@ -46,15 +48,21 @@ class LineTracker(Model):
         self.guard = Guard() if recover and mode in ("grow", "given") else None
         self._first_map: list[MapLine] = []
         self.gate = chi_square(gate, 2)
-        self.codes = Codes(UNMATCHED, AMBIGUOUS, NEW if mode == "grow" else UNMATCHED)
+        new = NEW if mode == "grow" else UNMATCHED
+        self.rules = Rules(self.gate, self.joint, mode == "grow", UNMATCHED, AMBIGUOUS, new)
         self._scan = 0
         self._scans = Scans()
-        self._last: Association | None = None
+        self._standing = Standing()
+        self._sight: Association | None = None  # the scan at hand, where it is seen as expected
+        self._found: Association | None = None  # the scan at hand; None: the map begins with it
+        self._late: Callable[[], Scan]  # the same in the base, by the mount as it was predicted
+        self._rows = np.zeros((0, 7))  # its lines, in the base as configured: at rest the mean since the last use
         self._teach = True
         self._asked = -1  # the reading that `innovations` was asked for last
-        self._standing = Standing()
-        self._raw: Scan | None = None  # what that reading says: at rest the mean since the last use
-        self._sight: Callable[[], Scan]  # the same in the base, by the mount as it was predicted
+        self._of: Measurements | None = None  # whose numbers these are:
+        self._first: list[int] = []
+        self._t: list[float] = []
+        self._uneven, self._floor, self._bend = np.zeros(2), np.zeros(2), np.zeros(2)
 
     def blocks(self) -> list[Block]:
         """Return what is uncertain of the laser's mount."""
@@ -84,84 +92,104 @@ class LineTracker(Model):
         """Take in the wheels' motion: a robot that stands still learns nothing new."""
         self._standing.rolled(u)
 
-    def innovations(self, m: Measurements, i: int, belief: Any) -> Sequence[Innovation]:
-        """Associate the lines of scan i; each becomes one innovation with its verdict."""
-        first, last = int(m.first[i]), int(m.first[i + 1])
-        self._asked, self._last, self._teach = i, None, True
+    def innovations(self, m: Measurements, i: int, belief: Any) -> Sequence[Innovation] | Association:
+        """Associate the lines of scan i (eq. 13, 17, 18): each is judged; those that match correct the pose."""
+        first, last = self._bounds(m, i)
+        if self._found is not None:  # of another scan at this instant, whose rows are still to be used
+            self._sight = None
+        self._asked, self._found, self._teach = i, None, True
         if first == last:
             return []
-        if len(self.map) == 0:
+        if len(self.map.ids) == 0:
             self._standing.forget()
-        self._raw = self._standing.take(self._scans.read(m, first, last))
-        if self._raw is None:
+        rows = self._standing.take(self._scans.read(m, first, last))
+        if rows is None:
             self._teach = False
             return [Innovation.unpredicted(row, REPEATED, 2, self.gate) for row in range(first, last)]
-        scan = self._scan_of(m, first, last, belief)
-        self._sight = lambda: scan
-        if len(self.map) == 0:
+        self._rows = rows
+        if len(self.map.ids) == 0:
+            offset = None if self.mount is None else moved_mount(self.mount, belief)
+            self._late = partial(_in_base, rows, offset)
             return [Innovation.unpredicted(row, NEW, 2, self.gate) for row in range(first, last)]
-        found = associate(scan, self.map, belief, self.gate)
-        if self.guard is not None:
-            found, self._teach = self.guard.watch(float(m.t[i]), scan, found, self.map, belief, self.gate)
-        self._last = found
+        if self._sight is None:
+            self._sight = Association(self.rules, seat_of(self.mount, belief))
+        shared = self._shared(m, first, last)
+        found = self._sight
+        share = found.compare(belief, self.map, rows, shared)
+        late = self._late = partial(_in_base, rows, None if self.mount is None else found.moved())
+        if self.guard is not None and not self.guard.fits(
+            self._t[i], share, belief.pose(), late, self.map.next_id
+        ):
+            again = partial(associate, rows, self.map, belief, found, shared)
+            found, self._teach = self.guard.watch(self._t[i], late(), found, self.map, belief, again)
         if not self._teach:
             self._standing.forget()
-            return [Innovation.unpredicted(first + k, LOST, 2, self.gate) for k in range(last - first)]
+            return [Innovation.unpredicted(row, LOST, 2, self.gate) for row in range(first, last)]
         if self.mode == "grow":
             found.refuse_alone()
-        return self._seen(found, first, self._shared(m, first, last, belief))
+        self._found = found
+        found.row = first
+        found.state_rows(belief)
+        return found
 
-    def _seen(self, found: Association, first: int, shared: Array | None = None) -> SeenLines:
-        """Return what the lines from row `first` on say."""
-        return SeenLines(found, first, self.map.ids, self.gate, self.codes, self.joint, shared)
+    def _bounds(self, m: Measurements, i: int) -> tuple[int, int]:
+        """Return the first line of scan i and the end; begin with a log's numbers where it is another one."""
+        if m is not self._of:
+            self._of, self._first, self._t = m, m.first.tolist(), m.t.tolist()
+            self._uneven, self._floor = (np.array(part, np.float64) for part in self.loosened(m))
+            self._bend = bend(self._uneven)
+        return self._first[i], self._first[i + 1]
 
-    def _shared(self, m: Measurements, first: int, last: int, belief: Any) -> Array | None:
-        """Return what rows first:last share (k, 2, s), put into the base as they are; None: nothing."""
+    def _shared(self, m: Measurements, first: int, last: int) -> Array:
+        """Return what the errors of rows first:last share (k, 2, s)."""
         if not self.joint or "shared" not in m.extra:
-            return None
-        shared: Array = m.extra["shared"][first:last]
-        if self.mount is not None and self._raw is not None:
-            return seated_shares(shared, self._raw.z, self.mount, belief)
-        return shared.astype(np.float64)
+            return NO_SHARES
+        return np.ascontiguousarray(m.extra["shared"][first:last], np.float64)
+
+    def _scan_in_base(self, belief: Any) -> Scan:
+        """Return the scan at hand, put into the base by the mount as the belief has it."""
+        if self.mount is None:
+            return Scan(self._rows)
+        return _in_base(self._rows, moved_mount(self.mount, belief))
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Let matched extents grow, and add what is new: all of the first scan, later only in `grow`."""
-        first, last = int(m.first[i]), int(m.first[i + 1])
+        first, last = self._bounds(m, i)
         if self.guard is not None and last > first:
-            self.guard.corrected(belief)
-        if first == last or not self._teach or self.mode == "given":
-            return
+            self.guard.stood(belief.pose())
         if i != self._asked:  # two scans at one instant: what is known of matches is of the last one
             return
+        found, self._found = self._found, None
+        if first == last or not self._teach or self.mode == "given":
+            return
         self._scan += 1
-        found = self._last
         if found is None:
             if self.guard is not None:
                 self.guard.begin_anew(float(m.t[i]), belief)
-            scan = self._scan_of(m, first, last, belief)
+            scan = self._scan_in_base(belief)
             for k in range(last - first):
                 self._add(scan, k, belief)
             self._first_map = self._first_map or self.map.lines(belief)
             return
-        found.extend(self.map, self._scan)
+        found.extend(self._scan)
         if self.joint:
-            uneven, _ = self.loosened(m)
-            if uneven.any():
-                belief.loosen(*found.bends(belief.arrays[1], uneven, bend(uneven)))
-            self._revise(m, i, found.new() if self.mode == "grow" else [], belief)
+            self._revise(found, belief)
 
-    def _revise(self, m: Measurements, i: int, new: list[int], belief: JointBelief) -> None:
-        """Add lines of scan i that are new; now and then drop what proved worthless and join doubles (`grow`)."""
-        if new:
-            scan = self._scan_of(m, int(m.first[i]), int(m.first[i + 1]), belief)
-            for k in new:
-                self._add(scan, k, belief)
-        uneven, floor = self.loosened(m)
-        if self.mode == "grow" and self._scan % TIDY_EVERY == 0:
-            prune(self.map, belief, self._scan)
-            merge_doubles(self.map, belief, self._scan, uneven)
-        if floor.any():
-            self.map.keep_floor(belief, floor)
+    def _revise(self, found: Association, belief: JointBelief) -> None:
+        """Loosen uneven walls, add new lines; now and then drop worthless lines and join doubles (`grow`)."""
+        uneven = self._uneven
+        if uneven[0] > 0.0 or uneven[1] > 0.0:
+            found.bend(belief, uneven, self._bend)
+        if self.mode == "grow":
+            if found.new_lines():
+                scan = self._scan_in_base(belief)
+                for k in found.new():
+                    self._add(scan, k, belief)
+            if self._scan % TIDY_EVERY == 0 and untidy(self.map, belief, self._scan):
+                prune(self.map, belief, self._scan)
+                merge_doubles(self.map, belief, self._scan, uneven)
+        if self._floor[0] > 0.0 or self._floor[1] > 0.0:
+            self.map.keep_floor(belief, self._floor)
 
     def loosened(self, m: Measurements) -> tuple[Array, Array]:
         """Return by which variances (2,) [m^2, rad^2] walls are uneven, and those below which no line is known.
@@ -172,73 +200,8 @@ class LineTracker(Model):
         if self.mode == "consider":
             return np.zeros(2), np.zeros(2)
         if "uneven" in m.extra:
-            return m.extra["uneven"][0], np.zeros(2)
+            return m.extra["uneven"][0] if len(m.z) else np.zeros(2), np.zeros(2)
         return np.zeros(2), np.diagonal(m.floor)
-
-    def _scan_of(self, m: Measurements, first: int, last: int, belief: Any) -> Scan:
-        """Return what rows first:last say as one scan, put into the base by the mount as the belief has it."""
-        scan = self._raw if self._raw is not None else self._scans.read(m, first, last)
-        if self.mount is None:
-            return scan
-        return Scan(*seated(scan.rows(), self.mount, belief))
-
-    # ---- many scans at once ----
-
-    @property
-    def scans_taken(self) -> int:
-        """How many scans taught the map."""
-        return self._scan
-
-    def table(self, m: Measurements, at: slice) -> Array:
-        """Return measured lines as one table (k, 7): r, psi, R as 00, 01, 11, and both ends."""
-        return self._scans.read(m, at.start, at.stop).rows()
-
-    def rolled_since(self) -> tuple[float, float, float]:
-        """Return how far the wheels rolled since the last scan that was used, x, y [m], theta [rad]."""
-        return self._standing.since()
-
-    def way(self) -> dict[str, Any]:
-        """Return the way through the map for `core.scans.Way`: here none is followed."""
-        return {}
-
-    def passed(self, progress: Any, way: Any, where: Where, well: int | None) -> None:
-        """Take in what the core did without asking (core.tables.Progress, Way).
-
-        `where` tells of each scan that it took, `well` is which one last fitted well.
-        """
-        self._scan = progress.number
-        self._standing.moved((progress.x, progress.y, progress.theta))
-        m, n = where.of, len(where.readings)
-        if not n:
-            return
-        self._raw = self._scans.read(m, *where.rows(n - 1))
-        self._asked, self._teach = int(where.readings[-1]), True
-        self._standing.begin(self._raw)
-        self._sight = partial(self._seen_before, where, n - 1)
-        if self.guard is not None:
-            last = range(max(n - SCANS, 0), n)
-            seen = [(float(m.t[where.readings[k]]), partial(self._seen_before, where, k)) for k in last]
-            self.guard.passed(where, seen, None if well is None else (float(m.t[well]), self.map.next_id))
-
-    def rest(self, lines: int) -> Any:
-        """Return the scans of a robot at rest for the core, which takes those of up to so many lines."""
-        return self._standing.table(lines, REPEATED)
-
-    def rested(self, scans: int, pose: tuple[float, float, float]) -> None:
-        """Take in that so many scans only repeated what was seen, up to this pose."""
-        self._standing.repeated(scans)
-        if self.guard is not None:
-            self.guard.stood(pose)
-
-    def _seen_before(self, where: Where, k: int) -> Scan:
-        """Return scan k of those that the core took, in the base as it was when it came."""
-        scan = self._scans.read(where.of, *where.rows(k))
-        return scan if self.mount is None else where.seated(k, scan)
-
-    def finish(self, m: Measurements, i: int, fate: Ints, room: Room, belief: JointBelief) -> None:
-        """Teach the map what of scan i the core left to do: it stopped after it."""
-        lines = int(m.first[i + 1] - m.first[i])
-        self._revise(m, i, new_lines(fate, lines, room) if self.mode == "grow" else [], belief)
 
     # ---- results ----
 
@@ -274,14 +237,19 @@ class LineTracker(Model):
         G_z = np.array([[1.0, u], [0.0, 1.0]])
         noise = G_z @ scan.R[k] @ G_z.T
         columns: tuple[int, ...] = ()
-        if scan.seat is not None:  # what the reading is predicted to be falls by what the line in the base rises
-            columns = scan.seat.columns
-            G = np.hstack((G, -G_z @ scan.seat.derivative(scan.z[k : k + 1, 1])[0]))
+        if self.mount is not None:  # what the reading is predicted to be falls by what the line in the base rises
+            columns = self.mount.columns(belief)
+            G = np.hstack((G, -G_z @ by_mount(self.mount, belief, psi)))
         column, P = -1, np.zeros((2, 2))
         if self.joint:
             column = belief.augment(value, G, noise, columns)
             if self.mode == "consider":
                 belief.consider(np.array([column, column + 1]))
         else:
-            P = np.array(belief.spread(G[:, :3].tolist(), columns, G[:, 3:].tolist())) + noise
+            P = belief.spread(G, columns) + noise
         self.map.append(anchor, value, P, column, (-half, half), self._scan)
+
+
+def _in_base(rows: Array, offset: tuple[float, float, float] | None) -> Scan:
+    """Return lines in the base as configured, moved by an offset x, y [m], yaw [rad] of the mount, if any."""
+    return Scan(rows if offset is None else rows_in_base(rows, *offset))

@@ -14,12 +14,9 @@ from typing import Any
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.core.coast import AFTER
-from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Ints, MapLine, Measurements, SeenAgain
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.ekf.map_frame import by_frame
-from locfuse.fusion.linemap.scan import Where
+from locfuse.fusion.ekf.map_frame import Pose, by_frame
 from locfuse.fusion.linemap.tidy import MIN_HITS
 from locfuse.fusion.mount import Mount
 
@@ -56,6 +53,7 @@ class AtlasTracker(LineTracker):
         self._way = Way()
         self._at = 0  # the anchor of the map at hand
         self._origin: Array = np.zeros(3)
+        self._origin_x = self._origin_y = 0.0
         self._now: tuple[Measurements, int] | None = None  # the reading at hand
         self._along: WayByScans | None = None  # from where this map began; None: it was taken up again
         self._left: tuple[Array, Array] | None = None  # where in the map before the next one began, and P
@@ -69,59 +67,28 @@ class AtlasTracker(LineTracker):
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Teach the map at hand, look for it in earlier ones, and leave it where its anchor is far."""
-        first, last = int(m.first[i]), int(m.first[i + 1])
-        begins = not len(self.map)
+        first, last = self._bounds(m, i)
+        begins = not len(self.map.ids)
         super().learn(m, i, belief)
         self._now = m, i
-        if first == last or not self._teach or self.mode != "grow" or not isinstance(belief, JointBelief):
+        if first == last or not self._teach or self.mode != "grow":
             return
-        if begins and len(self.map):
-            self._enter(np.array(belief.pose()), belief)
+        pose = belief.pose()
+        if begins and len(self.map.ids):
+            self._enter(np.array(pose), belief)
         elif self._along is not None:
-            self._along.went(np.array([i]), np.array([belief.pose()]))
-        self._go_on(m, i, belief)
+            self._along.went(i, pose)
+        self._go_on(i, pose, belief)
 
-    def finish(self, m: Measurements, i: int, fate: Ints, room: Room, belief: JointBelief) -> None:
-        """Teach the map what of scan i the core left to do, and go on as after every scan."""
-        super().finish(m, i, fate, room, belief)
-        self._now = m, i
-        if self.mode == "grow":
-            self._go_on(m, i, belief)
-
-    def way(self) -> dict[str, Any]:
-        """Return the way through the map, and where something is to be done on it."""
-        if self.mode != "grow":
-            return super().way()
-        ahead, (x, y, _) = self._way.ahead(), self._origin.tolist()
-        if not ahead:  # at the next scan
-            return {"follows": True, "ask_at": -1.0}
-        ask_at = self._asked_at + (ASK_AGAIN if self._asked_at else FIRST_ASK) if self._frozen else math.inf
-        here = {"ask_at": ask_at, "origin_x": x, "origin_y": y, "reach": REACH, "most": MANY}
-        return {"follows": True, **here, **ahead}
-
-    def passed(self, progress: Any, way: Any, where: Where, well: int | None) -> None:
-        """Take in what the core did without asking, how far the way went on, and the scans worth keeping."""
-        n = len(where.readings) - (progress.why == AFTER)  # `finish` takes the last one
-        if n and way.ask_at >= 0.0 and self.mode == "grow":
-            for k in self._way.further(where.after[:n]):
-                t = float(where.of.t[where.readings[k]])
-                self._way.keep(t, where.after[k], self._seen_before(where, k))
-        super().passed(progress, way, where, well)
-        if len(where.readings) and way.ask_at >= 0.0 and self.mode == "grow":
-            self._way.went(way.length, way.x, way.y)
-        if self._along is not None:
-            self._along.went(where.readings, where.after)
-
-    def _go_on(self, m: Measurements, i: int, belief: JointBelief) -> None:
+    def _go_on(self, i: int, pose: Pose, belief: JointBelief) -> None:
         """Follow the way, look for the map at hand in earlier ones, and tell whether it is full."""
-        pose = np.array(belief.pose())
         if self._way.goes(pose):
-            self._way.keep(float(m.t[i]), pose, self._sight())
+            self._way.keep(self._t[i], pose, self._late())
         if self._way.length - self._asked_at >= (ASK_AGAIN if self._asked_at else FIRST_ASK):
             self._asked_at = self._way.length
-            self._look(float(m.t[i]), belief)
-        away = math.hypot(*(pose[:2] - self._origin[:2]))
-        self._full = away > REACH or len(self.map) > MANY
+            self._look(self._t[i], belief)
+        away = math.hypot(pose[0] - self._origin_x, pose[1] - self._origin_y)
+        self._full = away > REACH or len(self.map.ids) > MANY
 
     # ---- from one map to the next ----
 
@@ -181,7 +148,7 @@ class AtlasTracker(LineTracker):
 
     def _beside(self, belief: JointBelief) -> FrozenMap | None:
         """Return the map beside the one at hand, by an edge of the graph, in which the robot is; None: in none."""
-        if belief.frame is None:
+        if not belief.framed:
             return None
         beside, best, found = self._anchors.beside(self._at), BACK_WITHIN * REACH, None
         for old in self._frozen:
@@ -201,7 +168,7 @@ class AtlasTracker(LineTracker):
         """
         R, P = self._anchors.relative(old.anchor, self._at)
         q, frame = np.array(belief.pose()), belief.frame_pose()
-        assert belief.frame is not None
+        assert belief.framed
         assert frame is not None
         back = se2.inverse(R)
         G = np.array(frame)
@@ -218,6 +185,7 @@ class AtlasTracker(LineTracker):
         self.map.seen, self.map.born = np.full(n, self._scan), np.zeros(n, np.int64)
         self._frozen = [one for one in self._frozen if one is not old]
         self._at, self._way, self._origin, self._along = old.anchor, old.way, old.origin, None
+        self._origin_x, self._origin_y, _ = self._origin.tolist()
         self._way.resume()
         self._asked_at, self._looks, self._ask_known_at = self._way.length, Looks(), {}
         if self.guard is not None:
@@ -236,9 +204,10 @@ class AtlasTracker(LineTracker):
             if frame is not None:
                 self._anchors.pose[-1] = frame
         self._way, self._origin, self._asked_at, self._looks = Way(), pose, 0.0, Looks()
+        self._origin_x, self._origin_y, _ = pose.tolist()
         if self._now is not None:
             m, i = self._now
-            self._along = WayByScans(m, i, pose)
+            self._along = WayByScans(m, i, (pose[0], pose[1], pose[2]))
         self._ask_known_at = {}
 
     def _take_in_absolutes(self, belief: JointBelief) -> None:
@@ -287,7 +256,7 @@ class AtlasTracker(LineTracker):
 
     def _close(self, t: float, seen: FrozenMap, at: int, found: Closure, belief: JointBelief) -> None:
         """Add a closure to the graph, unless it contradicts the others, and let the pose follow."""
-        if belief.frame is None:
+        if not belief.framed:
             return
         self._take_in_absolutes(belief)
         of, poses = seen.anchor, self._anchors.pose.copy()

@@ -8,6 +8,7 @@ next map then begins where both say. The variances of the pose have grown before
 
 from __future__ import annotations
 
+from array import array
 from typing import NamedTuple
 
 import numpy as np
@@ -16,10 +17,11 @@ from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Array, Ints, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.ekf.map_frame import Pose
 from locfuse.fusion.mount import Mount
 from locfuse.fusion.scan_matching.key_scans import KeyScans, key_scans
 from locfuse.fusion.scan_matching.neighbours import by_wheels
-from locfuse.fusion.sensor import Equation, Innovation
+from locfuse.fusion.sensor import Equation
 
 from .anchors import Anchors, Edge
 
@@ -39,13 +41,13 @@ SMALL = 1e-6  # m, rad: step of a numerical derivative
 class WayByScans:
     """The way through one map, and where in it the filter had the robot at the readings since it began."""
 
-    def __init__(self, m: Measurements, reading: int, pose: Array) -> None:
-        self._m, self._readings, self._poses = m, [np.array([reading])], [pose[None]]
+    def __init__(self, m: Measurements, reading: int, pose: Pose) -> None:
+        self._m, self._readings, self._poses = m, array("q", (reading,)), array("d", pose)
 
-    def went(self, readings: Ints, poses: Array) -> None:
-        """Take in where the robot was, (n, 3) in the map, at the next n readings."""
-        self._readings.append(readings)
-        self._poses.append(poses)
+    def went(self, reading: int, pose: Pose) -> None:
+        """Take in where the robot was in the map at the next reading."""
+        self._readings.append(reading)
+        self._poses.extend(pose)
 
     def end(self, mount: Mount | None, belief: JointBelief) -> None:
         """Correct the belief by the matches between the first and the last key scan in the map.
@@ -54,11 +56,11 @@ class WayByScans:
         """
         if self._m.points is None:
             return
-        keys, readings = key_scans(self._m), np.concatenate(self._readings)
+        keys, readings = key_scans(self._m), np.array(self._readings)
         on_key = np.flatnonzero(np.isin(readings, keys.readings))
         if not len(on_key):
             return
-        begin, end = np.concatenate(self._poses)[on_key[[0, -1]]]
+        begin, end = np.array(self._poses).reshape(-1, 3)[on_key[[0, -1]]]
         first, last = np.searchsorted(keys.readings, readings[on_key[[0, -1]]]).tolist()
         if not FEWEST_KEYS <= last - first < MOST_KEYS:
             return
@@ -71,7 +73,8 @@ class WayByScans:
         if worse > GATE / 3.0:  # both claim too little: the variance factor, as in Anchors.loosen
             belief.loosen(np.arange(3), (worse - 1.0) * np.diagonal(belief.matrix()))
             equation = equation._replace(R=worse * equation.R)
-        belief.correct([_innovation(equation)])
+        y, columns, H, R = (part.tolist() for part in equation)
+        belief.know(y, R, columns, H)
 
 
 class Matched(NamedTuple):
@@ -152,8 +155,3 @@ def compared(z: Array, R: Array, begin: Array, back: Array, mount: Mount | None,
     y = z - way(x)
     y[2] = se2.wrap(float(y[2]))
     return Equation(y, np.array((0, 1, 2, *columns)), H, R)
-
-
-def _innovation(equation: Equation) -> Innovation:
-    y, columns, H, R = (tuple(part.tolist()) for part in equation)
-    return Innovation.of_states(y, R, columns, H)

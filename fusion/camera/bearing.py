@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import math
-
-from locfuse.fusion.core import bearings as core
-from locfuse.fusion.core.room import Room
-from locfuse.fusion.se2 import wrap
+from locfuse.fusion.se2 import sight, wrap
 
 Point = tuple[float, float]
 Row = tuple[float, float, float]
@@ -26,19 +22,5 @@ def predict_bearing(
 
     None where the camera is inside the landmark.
     """
-    seen = _seen(pose, landmark, lever, yaw)
-    return None if seen is None else (wrap(seen[0]), (seen[1], seen[2], seen[3]))
-
-
-def bearing_by_mount(pose: tuple[float, float, float], landmark: Point, lever: Point) -> Row:
-    """Return the derivative of the predicted bearing by the camera's x, y and yaw on the base; NaN inside it."""
-    seen = _seen(pose, landmark, lever, 0.0)
-    return (math.nan, math.nan, math.nan) if seen is None else (seen[4], seen[5], seen[6])
-
-
-def _seen(pose: tuple[float, float, float], landmark: Point, lever: Point, yaw: float) -> list[float] | None:
-    """Return the bearing and its derivatives by pose and mount (7,), as the core has them."""
-    room = Room.here(core)
-    out = room.floats(core.RAY)
-    found = room.functions.bearing(room.flat((pose,)), *landmark, *lever, yaw, MIN_DISTANCE_M, out)
-    return room.listed(out, core.RAY) if found else None
+    seen = sight(pose, landmark, (*lever, yaw), MIN_DISTANCE_M)
+    return None if seen is None else (wrap(seen[0]), seen[2])

@@ -1,6 +1,6 @@
 """The fast landmark detection: a vertical line is a radial line in the raw picture, so nothing is unwrapped.
 
-Red pixels inside the mirror are few, and only those get an angle (`core.red`). The bearing is that of `panorama`
+Red pixels inside the mirror are few, and only they get an angle (`kernels.red`). The bearing is that of `panorama`
 (tests/camera/test_panorama.py holds the two together).
 """
 
@@ -8,19 +8,16 @@ from __future__ import annotations
 
 import threading
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
-from locfuse.fusion.core import red as core
-from locfuse.fusion.core import tables
-from locfuse.fusion.core.room import Room
+from locfuse.fusion.kernels import red as kernel
+from locfuse.fusion.kernels.arrays import view
 
 from .opencv import cv2
 from .optics import Optics
 from .panorama import Candidate, Picture, Red, largest, red_excess, room_for_planes, variance
 
-MAX_GAP_PX = 2.0  # px: red pixels further apart than this, along the circle, belong to two things
 _ROOM = threading.local()  # memory that one picture leaves for the next
 
 
@@ -59,22 +56,11 @@ def candidates(picture: Picture, optics: Optics, red: Red) -> list[Candidate]:
         return []
     at = np.asarray(points, np.int32).reshape(-1, 2)
     at += np.array((x, y), np.int32)
-    seen = excess, r, _least(red.ratio), at, *mirror.shape, columns.start, rows.start
-    found = _things(seen, len(at), picture.shape, optics, red)
-    return largest([_candidate(*thing) for thing in found], red)
-
-
-def _things(
-    seen: tuple[Any, ...], n: int, shape: tuple[int, ...], optics: Optics, red: Red
-) -> list[tuple[float, ...]]:
-    """Return what n pixels of a picture (h, w, 3) show, as `core.red` has it; `seen` is the window's beginning."""
-    (h, w), x, y = shape[:2], optics.x_c, optics.y_c
-    cut = optics.outer > min(x, y, w - 1 - x, h - 1 - y)
-    numbers, wholes, out = np.empty((3, n)), np.empty((3, n), np.intp), np.empty((n, core.MEASURED))
-    room = *numbers, *wholes, np.empty(int(optics.outer) + 2, np.intp)
-    window = Room.here(tables).on_arrays.Window(*seen, x, y, w, h, cut, red.length, MAX_GAP_PX, *room)
-    things: list[tuple[float, ...]] = out[: Room.here(core).on_arrays.things(window, n, out)].tolist()
-    return things
+    window = kernel.Window(excess, r, _least(red.ratio), columns.start, rows.start)
+    circle = kernel.Circle(optics.x_c, optics.y_c, picture.shape[1], picture.shape[0], optics.outer)
+    pixels, out = kernel.Pixels(len(at), red.length, optics.outer), np.empty((len(at), kernel.THING_NUMBERS))
+    found = kernel.find_things(window, circle, view(at, np.int32), pixels, view(out))
+    return largest([_candidate(*thing) for thing in out[:found].tolist()], red)
 
 
 def _candidate(theta: float, pixels: float, length: float, width: float, radius: float) -> Candidate:

@@ -1,1 +1,1 @@
-"""The extended Kalman filter: beliefs (pose, pose and few states, arrays), innovation rows, journal."""
+"""The extended Kalman filter: the belief with all its verbs, the map frame, and the events of a run."""

@@ -1,8 +1,9 @@
 """The extended Kalman filter: a pose, and any states beside it (map lines, offsets, mounts, wheel parameters).
 
-The equations are the paper's (5, 6, 10-12) for the joint state, Schmidt's for what is considered, not estimated;
-they stand in `core.filter`. P stays symmetric by construction, and a textbook filter agrees to 1e-9
-(tests/ekf/test_ekf.py).
+All changes of state and covariance are verbs of one class: predict, compare, queue, correct, know, listen; add,
+augment, remove, transform, loosen; clone_heading, clone_pose; shift, place; begin_frame, know_frame. The hot ones
+are compiled (fusion.kernels.ekf, where the paper's eq. 5-7 and 10-12 stand); a textbook filter agrees to 1e-9
+(tests/ekf/test_ekf.py). P stays symmetric by construction. Where `events` is a list, every verb notes what it did.
 """
 
 from __future__ import annotations
@@ -13,63 +14,89 @@ from typing import Any
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.core import filter as interpreted
-from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Ints
-from locfuse.fusion.sensor import Block, Innovation, Matrix, PoseRows, Reading, positive
+from locfuse.fusion.kernels import ekf
+from locfuse.fusion.kernels.ekf import Innovation, Steps
+from locfuse.fusion.sensor import Block, Equation, Reading, positive
 
+from .events import (
+    Added,
+    Before,
+    Changed,
+    Corrected,
+    Dropped,
+    Events,
+    FrameMoved,
+    FrameTurned,
+    Loosened,
+    Moved,
+    Source,
+    Undone,
+    by_others,
+    in_map,
+    undone,
+)
 from .map_frame import Pose, Together, Triangle, by_frame
-from .rows import sparse_row, together
 
-Rows = Sequence[Sequence[float]]
 POSE = np.arange(3)
-NONE_KEPT = np.zeros(1, np.intp)
-NO_STATES = np.zeros((1, 1))  # J of a motion that no state corrects
-AT_ONCE = 4  # rows of a correction that core.filter takes together
+MAX_STATES_OF_A_ROW = 24  # that one row of an equation depends on
+FIRST_ROWS, FIRST_STATES = 32, 16  # room at the start; it grows
 
 
-class JointBelief:
+class JointBelief(ekf.State):
     """Pose, sensor-owned blocks, map frame and map lines in one state vector (n,) with one covariance (n, n).
 
     Where a local frame has begun (map_frame), x, y, theta, pose(), matrix() and the lines are local; InMap is not.
     """
 
-    def __init__(self, pose: Pose, P: Triangle, blocks: Sequence[Block] = (), room: Room | None = None) -> None:
-        """`room`, where it is not this process' own form of the core: for tests."""
+    def __init__(self, pose: Pose, P: Triangle, blocks: Sequence[Block] = ()) -> None:
+        """`P` is the triangle xx, xy, xt, yy, yt, tt of the pose's covariance; `blocks` are independent of it."""
+        super().__init__()
         xx, xy, xt, yy, yt, tt = P
-        self._room = room or Room.here(interpreted)
-        self.n = 3
-        self._x = np.zeros(16)
-        self._P = np.zeros((16, 16))
+        self._x, self._P = np.zeros(FIRST_STATES), np.zeros((FIRST_STATES, FIRST_STATES))
         self._x[:3] = pose
         self._P[:3, :3] = ((xx, xy, xt), (xy, yy, yt), (xt, yt, tt))
         self._slices: dict[str, slice] = {}
-        self._drift: list[tuple[Ints, Array]] = []
         self._considered: Ints = np.zeros(0, dtype=np.int64)  # columns that count but are never updated
-        self._motion_block: slice | None = None
+        self._drift: list[tuple[Ints, Array]] = []
         self._clones: set[int] = set()  # columns that hold the heading of an earlier instant
         self._kept: set[int] = set()  # first of three columns that hold the pose of an earlier instant
         self._points: set[str] = set()  # blocks that were appended: a point [m] in the local frame each
-        self.frame: int | None = None  # first column of the map frame; None: the local frame is the map
-        self.lost = False  # the pose is wrong by metres: it must not teach the map frame
-        self._whitened = np.zeros(0)  # of the last correction: innovations whose covariance is the unit matrix
+        self._lost = False
+        self._rows: tuple[Any, ...] = ()  # at, H, count, y, R: the table that the kernel works on
+        self._queue: Ints = np.zeros(0, np.intp)
+        self._sources: list[Source] = []  # of the queued rows, where events are noted
+        self.events: Events | None = None
+        self._hold()
         for block in blocks:
             self.add(block)
+
+    @classmethod
+    def still(cls, blocks: Sequence[Block]) -> JointBelief:
+        """Return a belief for models outside the filter: the blocks stay as they start, and are certain."""
+        return cls((0.0,) * 3, (0.0,) * 6, [block._replace(P=0.0 * block.P) for block in blocks])
+
+    def stand(self, pose: Array | Sequence[float], P: Any = 0.0) -> None:
+        """Let the pose be this one, with covariance P (3, 3) and independent of all else; forget all rows."""
+        self._x[:3], self._P[:3, :3] = pose, P
+        self.begin()
+
+    # ---- what it is ----
 
     @property
     def x(self) -> float:
         """X of the pose [m]."""
-        return float(self._x[0])
+        return self.value(0)
 
     @property
     def y(self) -> float:
         """Y of the pose [m]."""
-        return float(self._x[1])
+        return self.value(1)
 
     @property
     def theta(self) -> float:
         """Heading of the pose [rad], not wrapped."""
-        return float(self._x[2])
+        return self.value(2)
 
     @property
     def state(self) -> Array:
@@ -82,59 +109,24 @@ class JointBelief:
         return self._P[: self.n, : self.n]
 
     @property
-    def arrays(self) -> tuple[Array, Array]:
-        """State and covariance with the room they have for more states, for the core."""
-        return self._x, self._P
+    def framed(self) -> bool:
+        """Whether a local frame has begun; until then it is the map."""
+        return self.frame >= 0
 
     @property
-    def in_frame(self) -> int:
-        """First column of the map frame, for the core; -1: the local frame is the map."""
-        return -1 if self.frame is None else self.frame
+    def lost(self) -> bool:
+        """Whether the pose is wrong by metres: it must not teach the map frame."""
+        return self._lost
 
-    @property
-    def drifting(self) -> Sequence[tuple[Ints, Array]]:
-        """State columns (k,) that drift, and the variance (k,) that each of them gains in a second."""
-        return self._drift
-
-    @property
-    def plain(self) -> bool:
-        """Whether the core may take it: it keeps no journal, and it is not lost."""
-        return type(self) is JointBelief and not self.lost
-
-    @property
-    def moved_by(self) -> tuple[int, int]:
-        """First column of the states that correct the motion, and how many there are, for the core."""
-        block = self._motion_block
-        return (0, 0) if block is None else (block.start, block.stop - block.start)
-
-    @property
-    def kept(self) -> tuple[Ints, bool]:
-        """Which states are considered, 1 or 0 for each (n,), and whether any is, for the core."""
-        return self._chosen(self._considered)
-
-    def pose(self) -> Pose:
-        """Return (x, y, theta)."""
-        x, y, theta = self._x[:3].tolist()
-        return x, y, theta
-
-    def located(self, in_map: bool = False) -> tuple[Pose, Triangle]:
-        """Return the pose, local or that in the map, and its covariance's upper triangle."""
-        out = np.empty(9)
-        first = self.in_frame if in_map else -1
-        self._room.on_arrays.locate(self._x, self._P, first, out)
-        x, y, theta, xx, xy, xt, yy, yt, tt = out.tolist()
-        return (x, y, theta), (xx, xy, xt, yy, yt, tt)
-
-    def by_local(self, H: tuple[float, float, float]) -> list[float]:
-        """Return the derivative (6,) by local pose and map frame of what has H by the pose in the map."""
-        row = np.empty(6)
-        n = self._room.on_arrays.by_local(self._x, self.in_frame, *H, row)
-        derivative: list[float] = row[:n].tolist()
-        return derivative
+    @lost.setter
+    def lost(self, lost: bool) -> None:
+        self._lost = lost
+        self._mark_kept()
 
     def triangle(self) -> Triangle:
         """Return the pose covariance's upper triangle."""
-        return self.located()[1]
+        triangle: Triangle = self.located()[1]
+        return triangle
 
     def matrix(self) -> Array:
         """Return the pose covariance, (3, 3)."""
@@ -145,11 +137,145 @@ class JointBelief:
         where = self._slices[name]
         return int(where.start), self._x[where]
 
+    def column(self, name: str) -> int:
+        """Return the first state column of a block."""
+        column: int = self._slices[name].start
+        return column
+
     def variances(self, name: str) -> list[float]:
         """Return the variance of every value of a block."""
         where = self._slices[name]
         variances: list[float] = self._P.diagonal()[where].tolist()
         return variances
+
+    def spread(self, H: Array, columns: Sequence[int] = ()) -> Array:
+        """Return H P H' (d, d), H (d, 3 + c) by the pose and the states `columns` (c,)."""
+        at = [0, 1, 2, *columns]
+        S: Array = H @ self._P[np.ix_(at, at)] @ H.T
+        return S
+
+    def frame_pose(self) -> Pose | None:
+        """Return the map frame, where the local frame lies in the map; None: they are the same."""
+        if self.frame < 0:
+            return None
+        x, y, theta = self._x[self.frame : self.frame + 3].tolist()
+        return x, y, theta
+
+    def with_frame(self) -> Together:
+        """Return the pose and the map frame with their covariances."""
+        first = max(self.frame, 0)
+        x, rows = self._x[: first + 3].tolist(), self._P[:3, : first + 3].tolist()
+        (xx, xy, xt, *_), (_, yy, yt, *_), (_, _, tt, *_) = rows
+        return Together(
+            (x[0], x[1], x[2]),
+            (x[first], x[first + 1], x[first + 2]),
+            (xx, xy, xt, yy, yt, tt),
+            [row[first:] for row in rows],
+            self._P[first : first + 3, first : first + 3].tolist(),
+        )
+
+    # ---- one instant: predict, compare, queue, correct ----
+
+    def predict(self, steps: Steps, k: int) -> None:
+        """Eq. 5-7: move by step k; blocks drift by their random walk."""
+        if self.events is None:
+            self.move(steps, k)
+            return
+        before, start = self._before(), self.pose()
+        self.move(steps, k)
+        noise, coupling = self._noise_of(steps, k, start[2])
+        back = None
+        if self.events.backward:
+            rows = np.concatenate((POSE, *(columns for columns, _ in self._drift))).astype(np.int64)
+            spread = np.zeros((len(rows), len(rows)))
+            spread[:3, :3] = noise
+            drift = np.concatenate([np.zeros(0), *(drift for _, drift in self._drift)])
+            np.fill_diagonal(spread[3:, 3:], float(steps.dt_of(k)) * drift)
+            by_wheels = None
+            if coupling is not None:
+                by_wheels = np.zeros((3, self.n))
+                by_wheels[:, self.wheels : self.wheels + coupling.shape[1]] = coupling
+            back = undone(before, self._before(), rows, spread, by_wheels)
+        self.events.add(Moved(start, self.pose(), noise, coupling, back))
+
+    def _noise_of(self, steps: Steps, k: int, theta: float) -> tuple[Array, Array | None]:
+        """Return a motion's covariance in the map's axes, and how the wheel parameters enter it (3, p)."""
+        Q, J = (np.array(part) for part in steps.noise_of(k))
+        coupling = se2.rotation(np.array(theta)) @ J.reshape(3, -1) if self.wheels >= 0 else None
+        return in_map(Q.reshape(3, 3), theta), coupling
+
+    def queue(self, seen: Innovation | Reading, sensor: str = "") -> None:
+        """Let what was judged correct the state at this instant."""
+        self.queue_rows(seen.first, seen.numbers)
+        if self.events is not None:
+            rows = seen.rows_used() if isinstance(seen, Reading) else [seen.row]
+            self._sources += [(sensor, row, seen.numbers // len(rows)) for row in rows]
+
+    def fit_of(self, begin: int, end: int) -> float:
+        """Return y' S^-1 y of the queued rows begin:end as a whole."""
+        greatest = self.whiten(begin, end)
+        if not greatest > 0.0:
+            positive(greatest)
+        return self.fit(end - begin)
+
+    def correct(self) -> None:
+        """Eq. 10-12 with everything that was queued at this instant; considered columns keep their values."""
+        if not self.queued:
+            return
+        if self.events is None:
+            self.correct_queued()
+            return
+        noted, before = self.events, self._before()
+        equation = None if noted.backward else self.equation()
+        self.correct_queued()
+        if equation is not None:
+            noted.add(Corrected(*equation, tuple(self._sources), self.state - before.x))
+        self._sources.clear()
+        if self.frame_x or self.frame_y:
+            self._note_turn(self.frame_x, self.frame_y)
+
+    def know(self, y: Sequence[float], R: Any, columns: Sequence[int], H: Any) -> None:
+        """Correct by what is known of states without a reading, such as that two of them are equal.
+
+        y (d,) = H dx + noise of covariance R (d, d), H (d, c) by the states `columns` (c,).
+        """
+        self.begin()
+        self.queue(self.compare(-1, y, ((0.0, 0.0, 0.0),) * len(y), R, np.inf, columns, H))
+        self.correct()
+        self.begin()
+
+    def listen(self, seen: Sequence[Innovation | Reading]) -> None:
+        """Let innovations teach only the blocks that they depend on; the pose and all else is considered."""
+        at, _, count, *_ = self._rows
+        rows = [k for s in seen for k in range(s.first, s.first + s.numbers)]
+        named = np.unique(np.concatenate([at[k, : count[k]] for k in rows])) if rows else np.zeros(0, np.int64)
+        named = np.setdiff1d(named, np.concatenate((POSE, self._frame_columns())))
+        if not len(named):
+            return
+        kept = np.setdiff1d(np.arange(self.n), named)
+        queued, self.queued = self.queued, 0
+        for s in seen:
+            self.queue_rows(s.first, s.numbers)
+        self._mark_kept(kept)
+        self.correct_queued()
+        self._mark_kept()
+        self.queued = queued
+
+    def equation(self, seen: Sequence[Innovation] | None = None) -> Equation:
+        """Return innovations, else all that is queued, as y (m,), columns (c,), H (m, c), R (m, m)."""
+        at, H, count, y, R = self._rows
+        rows = self._queue[: self.queued].tolist()
+        if seen is not None:
+            rows = [k for s in seen for k in range(s.first, s.first + s.numbers)]
+        columns = np.unique(np.concatenate([POSE, *(at[k, : count[k]] for k in rows)]))
+        dense = np.zeros((len(rows), len(columns)))
+        for i, k in enumerate(rows):
+            dense[i, np.searchsorted(columns, at[k, : count[k]])] = H[k, : count[k]]
+        lower = np.tril(R)
+        whole = lower + lower.T - np.diag(np.diagonal(R))
+        return Equation(y[rows], columns, dense, whole[np.ix_(rows, rows)])
+
+    # ---- blocks and other states ----
 
     def add(self, block: Block) -> None:
         """Append an independent block to the state."""
@@ -159,10 +285,184 @@ class JointBelief:
         self._P[where, where] = block.P
         if np.any(block.drift > 0):
             self._drift.append((np.arange(where.start, where.stop), block.drift))
+            self.drift(
+                np.concatenate([columns for columns, _ in self._drift]).astype(np.intp),
+                np.concatenate([drift for _, drift in self._drift]).astype(np.float64),
+            )
 
     def drive_with(self, name: str) -> None:
         """Let a block's values correct the wheel motion: `predict` takes J = du/d(block)."""
-        self._motion_block = self._slices[name]
+        self.wheels = self._slices[name].start
+
+    def augment(self, values: Array, G: Array, noise: Array, columns: Sequence[int] = ()) -> int:
+        """Append states that are functions of others plus noise: returns the first new column.
+
+        values (k,), G (k, 3 + c) their derivative by the pose and the states `columns` (c,), noise (k, k)
+        independent of the state: P grows by G P G' + noise, and by P G' beside it.
+        """
+        n, k = self.n, len(values)
+        where = self._grow(k)
+        of = [0, 1, 2, *columns]
+        PG = self._P[:n, of] @ G.T
+        self._x[where] = values
+        self._P[:n, where] = PG
+        self._P[where, :n] = PG.T
+        own = G @ PG[of] + noise
+        self._P[where, where] = 0.5 * (own + own.T)
+        if self.events is not None:
+            self.events.add(Added(n, k))
+        return int(where.start)
+
+    def own_point(self, name: str, column: int) -> None:
+        """Let two appended states be a block: a point in the local frame, found by its name wherever it moves."""
+        self._slices[name] = slice(column, column + 2)
+        self._points.add(name)
+
+    def remove(self, columns: Ints) -> None:
+        """Drop state columns that belong to no named block (map lines that proved worthless).
+
+        Map lines come after the map frame, whose columns stay where they are. Only what lies behind a dropped
+        column moves: the covariance is not copied.
+        """
+        if not len(columns):
+            return
+        if self.events is not None:
+            back = by_others(self._before(), columns, self.n - len(columns)) if self.events.backward else None
+            self.events.add(Dropped(np.asarray(columns), self.n, back))
+        n, m = self.n, self.n - len(columns)
+        moves = _moves(columns, n)
+        for to, block in moves:
+            room = slice(to, to + block.stop - block.start)
+            self._x[room] = self._x[block]
+            self._P[room, :n] = self._P[block, :n]
+        for to, block in moves:
+            self._P[:m, to : to + block.stop - block.start] = self._P[:m, block]
+        self._x[m:n] = 0.0
+        self._P[m:n, :n] = 0.0
+        self._P[:m, m:n] = 0.0
+        self.n = m
+        for name in self._points:
+            start = self._slices[name].start - int((columns < self._slices[name].start).sum())
+            self._slices[name] = slice(start, start + 2)
+
+    def transform(self, columns: Ints, values: Array, G: Array) -> None:
+        """Replace states (k,) by functions of themselves: their values (k,) and derivative G (k, k).
+
+        x <- values, P <- T P T' with T the unit matrix but for G.
+        """
+        before = self.state[columns].copy()
+        n, P = self.n, self._P
+        self._x[columns] = values
+        P[columns, :n] = G @ P[columns, :n]
+        P[:n, columns] = P[:n, columns] @ G.T
+        if self.events is None:
+            return
+        k, by = len(columns), np.zeros((len(columns), n))
+        by[:, columns] = G
+        back = None
+        if self.events.backward:
+            inverse = np.zeros((k, n))
+            inverse[:, columns] = np.linalg.inv(G)
+            back = Undone(np.asarray(columns), before - inverse @ self.state, inverse, np.zeros((k, k)))
+        self.events.add(Changed(np.asarray(columns), by, np.zeros((k, k)), back))
+
+    def loosen(self, columns: Ints, variance: Array) -> None:
+        """Add independent variance (k,) to distinct states: they are not quite what they were."""
+        if self.events is None:
+            self._P[columns, columns] += variance
+            return
+        before, columns, variance = (
+            self._before(),
+            columns.copy(),
+            variance.copy(),
+        )  # the caller may use them again
+        self._P[columns, columns] += variance
+        back = None
+        if self.events.backward:
+            noise = np.diag(np.append(np.zeros(3), variance))
+            back = undone(before, self._before(), np.concatenate((POSE, columns)), noise)
+        self.events.add(Loosened(columns, variance, back))
+
+    def loosen_first(self, columns: Ints, variance: Array, states: int) -> None:
+        """Do the same to the first so many of `columns`, which have room for more."""
+        if self.events is None:
+            self.loosen_states(columns, variance, states)
+        else:
+            self.loosen(columns[:states], variance[:states])
+
+    def consider(self, columns: Ints) -> None:
+        """Make columns considered (Schmidt-Kalman): their covariance counts, their values stay."""
+        self._considered = np.union1d(self._considered, columns)
+        self._mark_kept()
+
+    # ---- the pose is set ----
+
+    def shift(self, turn: float, xy: float, theta: float) -> None:
+        """Turn the pose by `turn` [rad] and add variances xy [m^2] and theta [rad^2]: a slip was found."""
+        behind, before = self._behind(), self._before()
+        self._x[2] += turn
+        self._P[(0, 1, 2), (0, 1, 2)] += (xy, xy, theta)
+        if self.events is not None:
+            noise = np.diag((xy, xy, theta))
+            back = undone(before, self._before(), POSE, noise) if self.events.backward else None
+            self.events.add(Changed(POSE, np.eye(3, self.n), noise, back))
+        self._carry(behind)
+
+    def place(self, pose: Pose, xy: float, theta: float) -> None:
+        """Set the pose with variances xy [m^2] and theta [rad^2]: the robot was kidnapped, or found again."""
+        behind = self._behind()
+        if self.events is not None:
+            back = by_others(self._before(), POSE) if self.events.backward else None
+            self.events.add(Changed(POSE, np.zeros((3, self.n)), np.diag((xy, xy, theta)), back))
+        self._x[:3] = pose
+        self._P[:3, : self.n] = 0.0
+        self._P[: self.n, :3] = 0.0
+        self._P[(0, 1, 2), (0, 1, 2)] = (xy, xy, theta)
+        self._carry(behind)
+
+    # ---- clones ----
+
+    def clone_heading(self, column: int, behind: float = 0.0) -> None:
+        """Let a state be the heading as it is now, less `behind` [rad] (Roumeliotis and Burdick 2002)."""
+        if self.events is not None:
+            by = np.zeros((1, self.n))
+            by[0, 2] = 1.0
+            self._note_change(np.array([column]), by)
+        self.copy_pose(column, 2, 1)
+        if behind:
+            self._x[column] -= behind
+        self._clones.add(column)
+
+    def clone_pose(self, column: int, behind: Array | None = None) -> None:
+        """Let three states be the pose as it is now, or the pose `behind` (3,) as it is seen from there."""
+        J = np.eye(3) if behind is None else by_frame(self._x[None, :3], behind[None])[0]
+        if self.events is not None:
+            by = np.zeros((3, self.n))
+            by[:, :3] = J
+            self._note_change(np.arange(column, column + 3), by)
+        self._kept.add(column)
+        self.copy_pose(column, 0, 3)
+        if behind is None:
+            return
+        n, P, at = self.n, self._P, slice(column, column + 3)
+        self._x[at] = se2.compose(self._x[:3].copy(), behind)
+        P[at, :n] = J @ P[:3, :n]
+        P[:n, at] = P[at, :n].T
+        P[at, at] = J @ P[:3, :3] @ J.T
+
+    def _behind(self) -> tuple[dict[int, float], dict[int, Array]]:
+        turns = {column: float(self._x[2] - self._x[column]) for column in self._clones}
+        return turns, {c: se2.between(self._x[:3], self._x[c : c + 3]) for c in self._kept}
+
+    def _carry(self, behind: tuple[dict[int, float], dict[int, Array]]) -> None:
+        """Move kept headings and poses along with a pose that was found wrong: nothing has moved."""
+        turns, poses = behind
+        for column, turn in turns.items():
+            self.clone_heading(column, turn)
+        for column, pose in poses.items():
+            self.clone_pose(column, pose)
+
+    # ---- the map frame ----
 
     def begin_frame(self) -> None:
         """Let a local frame begin at the pose, which becomes exactly 0 in it (map_frame).
@@ -170,11 +470,11 @@ class JointBelief:
         Nothing happens where the pose is known exactly: the map frame would have no uncertainty. A second time,
         where a map was lost, the map frame is moved on to the pose, and what the old frame knew is forgotten.
         """
-        first = self.frame is None
+        first = self.frame < 0
         if first and not self._P[:3, :3].any():
             return
         if first:
-            self.frame = self._clone_pose()
+            self._clone_frame()
         else:
             self._move_frame()
         for column in sorted(self._clones):  # kept headings become local; a transform, not a new clone: the noise
@@ -185,6 +485,40 @@ class JointBelief:
         for name in sorted(self._points):
             self._point_in_frame(self._slices[name].start)
         self._forget_pose(first)
+        self._mark_kept()
+
+    def know_frame(self, frame: Array, P: Array) -> None:
+        """Let the map frame be (3,) with covariance P (3, 3), by evidence that is none of this state's.
+
+        All else follows by what it has to do with the frame (Jeffrey's rule for Gaussians): with K = P_rG P_G^-1
+        it moves by K (frame - G), and its covariance changes by K (P - P_G) K'.
+        """
+        if self.frame < 0:
+            raise ValueError("no local frame has begun")
+        n, at = self.n, self._frame_columns()
+        own = self._P[np.ix_(at, at)]
+        K = np.linalg.solve(own, self._P[at, :n]).T  # (n, 3), the unit matrix in the frame's own rows
+        step = frame - self._x[at]
+        step[2] = se2.wrap(float(step[2]))
+        self._x[:n] += K @ step
+        self._P[:n, :n] += K @ (P - own) @ K.T
+        self._P[np.ix_(at, at)] = 0.5 * (P + P.T)
+
+    def _clone_frame(self) -> None:
+        """Append a copy of the pose: the map frame."""
+        self.frame = self.augment(self._x[:3].copy(), np.eye(3), np.zeros((3, 3)))
+        if self.events is not None:
+            self.events.list[-1] = Added(self.frame, 3, frame=True)
+
+    def _move_frame(self) -> None:
+        """Replace G by G o q."""
+        if self.events is not None:
+            self.events.add(FrameMoved())
+        G, q = np.array(self.frame_pose()), self._x[:3].copy()
+        at = np.concatenate((np.arange(3), self._frame_columns()))
+        J = np.eye(6)
+        J[3:] = np.hstack((se2.rotation(G[2]), by_frame(G[None], q[None])[0]))
+        self.transform(at, np.concatenate((q, se2.compose(G, q))), J)
 
     def _keep_in_frame(self, column: int) -> None:
         """Let a kept pose be seen from where the robot is now."""
@@ -203,277 +537,147 @@ class JointBelief:
         J[3:, :3], J[3:, 3:] = by_pose[:2], by_placed[:2, :2]
         self.transform(np.concatenate((POSE, at)), np.append(pose, se2.between(pose, placed)[:2]), J)
 
-    def own_point(self, name: str, column: int) -> None:
-        """Let two appended states be a block: a point in the local frame, found by its name wherever it moves."""
-        self._slices[name] = slice(column, column + 2)
-        self._points.add(name)
-
-    def _clone_pose(self) -> int:
-        """Append a copy of the pose and return its first column."""
-        return self.augment(self._x[:3].copy(), np.eye(3), np.zeros((3, 3)))
-
-    def _move_frame(self) -> None:
-        """Replace G by G o q."""
-        G, q = np.array(self.frame_pose()), self._x[:3].copy()
-        at = np.concatenate((np.arange(3), self._frame_columns()))
-        J = np.eye(6)
-        J[3:] = np.hstack((se2.rotation(G[2]), by_frame(G[None], q[None])[0]))
-        self.transform(at, np.concatenate((q, se2.compose(G, q))), J)
-
     def _forget_pose(self, first: bool) -> None:
         """Set the pose to exactly 0: the map frame has taken its place."""
+        if self.events is not None:
+            back = None
+            if first:
+                G = np.zeros((3, self.n))
+                G[POSE, self._frame_columns()] = 1.0
+                back = Undone(POSE, np.zeros(3), G, np.zeros((3, 3)))
+            elif self.events.backward:
+                back = by_others(self._before(), POSE)
+            self.events.add(Changed(POSE, np.zeros((3, self.n)), np.zeros((3, 3)), back))
         self._x[:3] = 0.0
         self._P[:3, : self.n] = 0.0
         self._P[: self.n, :3] = 0.0
 
     def _frame_columns(self) -> Ints:
-        return np.zeros(0, np.int64) if self.frame is None else np.arange(self.frame, self.frame + 3)
+        return np.zeros(0, np.int64) if self.frame < 0 else np.arange(self.frame, self.frame + 3)
 
-    def frame_pose(self) -> Pose | None:
-        """Return the map frame, where the local frame lies in the map; None: they are the same."""
-        if self.frame is None:
-            return None
-        x, y, theta = self._x[self.frame : self.frame + 3].tolist()
-        return x, y, theta
+    # ---- events ----
 
-    def know_frame(self, frame: Array, P: Array) -> None:
-        """Let the map frame be (3,) with covariance P (3, 3), by evidence that is none of this state's.
+    def note_events(self, events: Events) -> None:
+        """Note what happens from here on."""
+        self.events = events
+        events.start = self._before()
+        events.columns = {name: where.start for name, where in self._slices.items()}
+        names = {column: name for name, column in events.columns.items()}
+        events.drifts = {names[int(columns[0])]: (columns, drift) for columns, drift in self._drift}
+        if self.wheels >= 0:
+            (events.wheels,) = (where for where in self._slices.values() if where.start == self.wheels)
 
-        All else follows by what it has to do with the frame (Jeffrey's rule for Gaussians): with K = P_rG P_G^-1
-        it moves by K (frame - G), and its covariance changes by K (P - P_G) K'.
-        """
-        if self.frame is None:
-            raise ValueError("no local frame has begun")
-        n, at = self.n, self._frame_columns()
-        own = self._P[np.ix_(at, at)]
-        K = np.linalg.solve(own, self._P[at, :n]).T  # (n, 3), the unit matrix in the frame's own rows
-        step = frame - self._x[at]
-        step[2] = se2.wrap(float(step[2]))
-        self._x[:n] += K @ step
-        self._P[:n, :n] += K @ (P - own) @ K.T
-        self._P[np.ix_(at, at)] = 0.5 * (P + P.T)
+    def _before(self) -> Before:
+        """Return copies of state and covariance, where events are noted; else views."""
+        if self.events is None:
+            return Before(self.state, self.covariance)
+        return Before(self.state.copy(), self.covariance.copy())
 
-    def with_frame(self) -> Together:
-        """Return the pose and the map frame with their covariances."""
-        first = self.frame or 0
-        x, rows = self._x[: first + 3].tolist(), self._P[:3, : first + 3].tolist()
-        (xx, xy, xt, *_), (_, yy, yt, *_), (_, _, tt, *_) = rows
-        return Together(
-            (x[0], x[1], x[2]),
-            (x[first], x[first + 1], x[first + 2]),
-            (xx, xy, xt, yy, yt, tt),
-            [row[first:] for row in rows],
-            self._P[first : first + 3, first : first + 3].tolist(),
-        )
+    def _note_change(self, rows: Ints, by: Array) -> None:
+        """Note that states are about to be functions of other states."""
+        if self.events is not None:
+            back = by_others(self._before(), rows) if self.events.backward else None
+            self.events.add(Changed(rows, by, np.zeros((len(rows), len(rows))), back))
 
-    def observed(
-        self, H: PoseRows, columns: tuple[int, ...] = (), H_block: Matrix = ()
-    ) -> tuple[Matrix, PoseRows, tuple[int, ...], Matrix]:
-        """Return H P H' and the derivatives as they are: they are by this belief's own pose."""
-        return self.spread(H, columns, H_block), H, columns, H_block
+    def _note_turn(self, dx: float, dy: float) -> None:
+        """Note that the map frame was corrected by (dx, dy) [m] and turned (State.turn_frame)."""
+        assert self.events is not None
+        first = self.frame
+        rows = np.array((first, first + 1))
+        G = np.zeros((2, self.n))
+        G[(0, 1), rows] = 1.0
+        G[:, first + 2] = dy, -dx
+        back = Undone(rows, self.state[rows] - G @ self.state, G, np.zeros((2, 2)))
+        self.events.add(FrameTurned(first, dx, dy, back))
 
-    def shift(self, turn: float, xy: float, theta: float) -> None:
-        """Turn the pose by `turn` [rad] and add variances xy [m^2] and theta [rad^2]: a slip was found."""
-        behind = self._behind()
-        self._shift(turn, xy, theta)
-        self._carry(behind)
-
-    def _shift(self, turn: float, xy: float, theta: float) -> None:
-        self._x[2] += turn
-        self._P[(0, 1, 2), (0, 1, 2)] += (xy, xy, theta)
-
-    def place(self, pose: Pose, xy: float, theta: float) -> None:
-        """Set the pose with variances xy [m^2] and theta [rad^2]: the robot was kidnapped, or found again."""
-        behind = self._behind()
-        self._place(pose, xy, theta)
-        self._carry(behind)
-
-    def _place(self, pose: Pose, xy: float, theta: float) -> None:
-        self._x[:3] = pose
-        self._P[:3, : self.n] = 0.0
-        self._P[: self.n, :3] = 0.0
-        self._P[(0, 1, 2), (0, 1, 2)] = (xy, xy, theta)
-
-    def clone_heading(self, column: int, behind: float = 0.0) -> None:
-        """Let a state be the heading as it is now, less `behind` [rad] (stochastic cloning, sensors/gyro)."""
-        self._room.on_arrays.keep_heading(self._x, self._P, self.n, column, behind)
-        self._clones.add(column)
-
-    def clone_pose(self, column: int, behind: Array | None = None) -> None:
-        """Let three states be the pose as it is now, or the pose `behind` (3,) as it is seen from there."""
-        n, P, at = self.n, self._P, slice(column, column + 3)
-        pose = self._x[:3].copy()
-        self._x[at] = pose if behind is None else se2.compose(pose, behind)
-        J = np.eye(3) if behind is None else by_frame(pose[None], behind[None])[0]
-        P[at, :n] = J @ P[:3, :n]
-        P[:n, at] = P[at, :n].T
-        P[at, at] = J @ P[:3, :3] @ J.T
-        self._kept.add(column)
-
-    def _behind(self) -> tuple[dict[int, float], dict[int, Array]]:
-        turns = {column: float(self._x[2] - self._x[column]) for column in self._clones}
-        return turns, {c: se2.between(self._x[:3], self._x[c : c + 3]) for c in self._kept}
-
-    def _carry(self, behind: tuple[dict[int, float], dict[int, Array]]) -> None:
-        """Move kept headings and poses along with a pose that was found wrong: nothing has moved."""
-        turns, poses = behind
-        for column, turn in turns.items():
-            self.clone_heading(column, turn)
-        for column, pose in poses.items():
-            self.clone_pose(column, pose)
-
-    def transform(self, columns: Ints, values: Array, G: Array) -> None:
-        """Replace states (k,) by functions of themselves: their values (k,) and derivative G (k, k)."""
-        n, P = self.n, self._P
-        self._x[columns] = values
-        P[columns, :n] = G @ P[columns, :n]
-        P[:n, columns] = P[:n, columns] @ G.T
-
-    def augment(self, values: Array, G: Array, noise: Array, columns: Sequence[int] = ()) -> int:
-        """Append states that are functions of others plus noise: returns the first new column.
-
-        values (k,), G (k, 3 + c) their derivative by the pose and the states `columns` (c,), noise (k, k)
-        independent of the state.
-        """
-        n = self.n
-        where = self._grow(len(values))
-        of = [0, 1, 2, *columns]
-        PG = self._P[:n, of] @ G.T
-        self._x[where] = values
-        self._P[:n, where] = PG
-        self._P[where, :n] = PG.T
-        own = G @ PG[of] + noise
-        self._P[where, where] = 0.5 * (own + own.T)
-        return int(where.start)
-
-    def loosen(self, columns: Ints, variance: Array) -> None:
-        """Add independent variance (k,) to distinct states: they are not quite what they were."""
-        self._P[columns, columns] += variance
-
-    def remove(self, columns: Ints) -> None:
-        """Drop state columns that belong to no named block (map lines that proved worthless).
-
-        Map lines come after the map frame, whose columns stay where they are. Only what lies behind a dropped
-        column moves: the covariance is not copied.
-        """
-        if not len(columns):
-            return
-        n, m = self.n, self.n - len(columns)
-        moves = _moves(columns, n)
-        for to, block in moves:
-            room = slice(to, to + block.stop - block.start)
-            self._x[room] = self._x[block]
-            self._P[room, :n] = self._P[block, :n]
-        for to, block in moves:
-            self._P[:m, to : to + block.stop - block.start] = self._P[:m, block]
-        self._x[m:n] = 0.0
-        self._P[m:n, :n] = 0.0
-        self._P[:m, m:n] = 0.0
-        self.n = m
-        for name in self._points:
-            start = self._slices[name].start - int((columns < self._slices[name].start).sum())
-            self._slices[name] = slice(start, start + 2)
-
-    def consider(self, columns: Ints) -> None:
-        """Make columns considered (Schmidt-Kalman): their covariance counts, their values stay."""
-        self._considered = np.union1d(self._considered, columns)
+    # ---- room ----
 
     def _grow(self, k: int) -> slice:
-        n, self.n = self.n, self.n + k
-        if self.n > len(self._x):
-            size = 2 * self.n
+        n = self.n
+        if n + k > len(self._x):
+            size = 2 * (n + k)
             x, P = np.zeros(size), np.zeros((size, size))
             x[:n], P[:n, :n] = self._x[:n], self._P[:n, :n]
             self._x, self._P = x, P
+            self._hold()
+        self.n = n + k
         return slice(n, n + k)
 
-    def predict(self, u: Sequence[float], Q: Sequence[float], dt: float = 0.0, J: Array | None = None) -> None:
-        """Paper eq. 5, 6: move by the relative pose u = (x, y, theta) whose covariance triangle is Q.
+    def _hold(self) -> None:
+        """Let the kernel work on the arrays as they are now."""
+        self._flags = np.zeros(len(self._x), np.intp)
+        self.hold(self._x, self._P, self._flags)
+        self._mark_kept()
+        self.more_rows(len(self._rows[3]) if self._rows else FIRST_ROWS)
 
-        Blocks drift by their random walk over dt [s]; J is the derivative of u by the wheel parameters.
-        """
-        P = self._P
-        by = (NO_STATES, 0, 0, 0)
-        if self._motion_block is not None and J is not None:
-            by = np.ascontiguousarray(J).reshape(1, -1), 0, *self.moved_by
-        self._room.on_arrays.move(self._x, P, self.n, *u, *Q, *by)
-        for columns, drift in self._drift:
-            P[columns, columns] += drift * dt
+    def more_rows(self, rows: int) -> None:
+        """Have room for at least so many rows of an equation."""
+        m = max(rows, 2 * self.written)
+        wide, old = (m, MAX_STATES_OF_A_ROW), self._rows
+        new = np.zeros(wide, np.intp), np.zeros(wide), np.zeros(m, np.intp), np.zeros(m), np.zeros((m, m))
+        queue = np.zeros(m, np.intp)
+        if old:
+            k = min(m, len(old[3]))
+            for to, of in zip(new, old, strict=True):
+                part = (slice(0, k),) * (2 if to.shape == (m, m) else 1)
+                to[part] = of[part]
+            queue[:k] = self._queue[:k]
+        self._rows, self._queue = new, queue
+        self.hold_rows(*new)
+        room = np.zeros((m + 4, len(self._x))), np.zeros((m, m)), np.zeros(m)
+        self.hold_room(*room, queue, np.zeros((16, 16)))
 
-    def spread(self, H: Rows, columns: Sequence[int] = (), H_block: Rows = ()) -> tuple[tuple[float, ...], ...]:
-        """Return H P H', (d, d)."""
-        if len(H) == 1:
-            row, P = sparse_row(H[0], columns, H_block), self._P
-            return ((max(sum([g * h * P.item(i, j) for i, g in row for j, h in row]), 0.0),),)  # but for rounding
-        d, at = len(H), np.array((0, 1, 2, *columns))
-        rows = np.array([(*h, *b) for h, b in zip(H, H_block, strict=True)] if H_block else H, np.float64)
-        S = np.zeros((d, d))
-        self._room.on_arrays.projected(self._P, self.n, at, len(at), rows, S, d, np.empty((d, self.n)))
-        lower = S.tolist()
-        return tuple([tuple([lower[max(i, j)][min(i, j)] for j in range(d)]) for i in range(d)])
+    def _mark_kept(self, columns: Ints | None = None) -> None:
+        """Mark the states that count but are not corrected: while lost also the map frame."""
+        kept = self._considered
+        if columns is not None:
+            kept = np.union1d(columns, kept)
+        elif self._lost:
+            kept = np.union1d(kept, self._frame_columns())
+        self._flags[:] = 0
+        self._flags[kept] = 1
+        self.keeps = len(kept) > 0
 
-    def correct(self, seen: Sequence[Innovation | Reading]) -> None:
-        """Paper eq. 10-12 with everything one instant saw stacked; considered columns keep their values."""
-        if not seen:
-            return
-        kept = self._considered  # and while lost the map frame: a wrong lever must not teach it
-        if self.frame is None:
-            self._take_in(seen, kept)
-            return
-        at = slice(self.frame, self.frame + 2)
-        before = self._x[at].tolist()
-        self._take_in(seen, np.union1d(kept, self._frame_columns()) if self.lost else kept)
-        after = self._x[at].tolist()
-        if after != before:
-            self._swing(after[0] - before[0], after[1] - before[1])
+    def not_positive(self, greatest: float) -> None:
+        """Raise LocfuseError: the innovations' covariance, of this greatest variance, came out as none."""
+        positive(greatest)
 
-    def _take_in(self, seen: Sequence[Innovation | Reading], kept: Ints) -> None:
-        equation = together(seen)
-        given = self._given(*equation)
-        positive(self._room.on_arrays.take_in(self._x, *given, *self._chosen(kept)))
-        self._whitened = equation[0]
+    def __deepcopy__(self, memo: object) -> JointBelief:
+        """Return an independent copy."""
+        copy = JointBelief((0.0, 0.0, 0.0), (0.0,) * 6)
+        for name, value in self.__dict__.items():
+            if name not in ("_rows", "_queue", "_flags"):
+                setattr(copy, name, _copied(value))
+        copy.n, copy.frame, copy.wheels = self.n, self.frame, self.wheels
+        copy._hold()
+        if copy._drift:
+            copy.drift(
+                np.concatenate([columns for columns, _ in copy._drift]).astype(np.intp),
+                np.concatenate([drift for _, drift in copy._drift]).astype(np.float64),
+            )
+        return copy
 
-    def _chosen(self, kept: Ints) -> tuple[Ints, bool]:
-        """Return columns as the core wants them: one number for each state, and whether there are any."""
-        if not len(kept):
-            return NONE_KEPT, False
-        chosen = np.zeros(self.n, np.intp)
-        chosen[kept] = 1
-        return chosen, True
 
-    def _given(self, y: Array, columns: Ints, H: Array, R: Array) -> tuple[Any, ...]:
-        """Return P and an equation as the core wants them; e is written over y, V has rows of zeros behind it."""
-        m = len(y)
-        V = np.zeros((-(-m // AT_ONCE) * AT_ONCE, self.n))
-        return self._P, self.n, columns, len(columns), H, R, y, m, V
+class InMap(ekf.InMap):
+    """A belief with a map frame as sensors see it that observe the pose in the map."""
 
-    def nis_of_first(self, m: int) -> tuple[float, int]:
-        """Return y' S^-1 y of the first m numbers of the last correction as a whole, and its dof."""
-        e = self._whitened[:m]
-        return float(e @ e), len(e)
+    def pose(self) -> Pose:
+        """Return the pose in the map, G o q."""
+        return self.x, self.y, self.theta
 
-    def joint_nis(self, seen: Sequence[Innovation | Reading]) -> tuple[float, int]:
-        """Return y' S^-1 y of several innovations, where S has all that their errors share, and its dof."""
-        equation = together(seen)
-        positive(self._room.on_arrays.whiten(*self._given(*equation)))
-        e = equation[0]
-        return float(e @ e), len(e)
+    def triangle(self) -> Triangle:
+        """Return the upper triangle of the covariance of the pose in the map."""
+        triangle: Triangle = self.located()[1]
+        return triangle
 
-    def _swing(self, dx: float, dy: float) -> None:
-        """Let the uncertainty of the map frame's place follow its correction by (dx, dy) [m].
+    def matrix(self) -> Array:
+        """Return the covariance of the pose in the map, (3, 3)."""
+        xx, xy, xt, yy, yt, tt = self.triangle()
+        return np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])
 
-        A turn of the map about a point of it is what nobody has observed yet, and the frame's place is where that
-        turn takes it: with the place moves the direction in which it takes it, rows x, y += (-dy, dx) row Th.
-        """
-        self._room.on_arrays.swing(self._P, self.n, self.frame or 0, dx, dy)
 
-    def listen(self, seen: Sequence[Innovation]) -> None:
-        """Let innovations teach only the block columns that they name; the pose and all else is considered."""
-        named = np.array([c for s in seen for c in s.columns], dtype=np.int64)
-        named = np.setdiff1d(named, self._frame_columns())
-        if len(named):
-            kept = np.setdiff1d(np.arange(self.n), named)
-            self._take_in(seen, np.union1d(kept, self._considered))
+def _copied(value: Any) -> Any:
+    return value.copy() if isinstance(value, np.ndarray | dict | list | set) else value
 
 
 def _moves(gone: Ints, n: int) -> list[tuple[int, slice]]:

@@ -1,7 +1,7 @@
 """The filter's equations by their numbers in the paper: 5-7 (predict) and 10-12 (correct), in NumPy.
 
 The one body of each, used wherever speed does not matter: prediction at the truth's stamps, smoother, tuning.
-The filter itself (`core.filter`) writes the same equations out and names them in a comment.
+The filter itself (`kernels.ekf.State`) writes the same equations out and names them in a comment.
 State x = (x, y, theta) [m, m, rad] in the map, then what a run adds. Leading axes (...) are allowed everywhere.
 The paper's W (eq. 8) and Q (eq. 9) speak of wheel speeds; here u and Q are the relative pose of one motion and its
 covariance in the frame of its start (fusion.wheels.motion), so W is the rotation of (x, y, theta) by theta.

@@ -9,19 +9,16 @@ from __future__ import annotations
 
 import math
 
-from msgspec.structs import replace
-
 from locfuse.fusion.data import VERDICTS
-from locfuse.fusion.sensor import Innovation
+from locfuse.fusion.kernels.ekf import Innovation, State
 
 GATE = VERDICTS.index("gate")
 
 
-def inflated(seen: Innovation) -> Innovation:
-    """Return a refused scalar innovation accepted with the R that puts it on its gate; others as they are."""
-    if seen.verdict != GATE or len(seen.y) != 1 or not math.isfinite(seen.nis) or seen.threshold <= 0.0:
-        return seen
-    (r,), S = seen.R[0], seen.sigma[0] ** 2
+def inflate(seen: Innovation, state: State) -> None:
+    """Accept a refused innovation of one number with the R that puts it on its gate; leave others as they are."""
+    if seen.verdict != GATE or seen.numbers != 1 or not math.isfinite(seen.nis) or seen.threshold <= 0.0:
+        return
     needed = seen.y[0] ** 2 / seen.threshold
-    R = r + needed - S
-    return replace(seen, verdict=0, nis=seen.threshold, sigma=(math.sqrt(needed),), R=((R,),))
+    state.loosen_row(seen.first, needed - seen.sigma[0] ** 2)
+    seen.verdict, seen.nis, seen.sigma = 0, seen.threshold, (math.sqrt(needed),)

@@ -40,7 +40,7 @@ def _sides(grid: Grid) -> tuple[Ints, Ints, Array, Mask]:
     starts, ends, points, thin, count = [], [], [], [], 0
     for (rows, columns), a, b in SIDES:
         border = grid.occupied & _shifted(grid.free, rows, columns)
-        count += np.count_nonzero(border)
+        count += int(np.count_nonzero(border))
         if count > MAX_SIDES:
             raise LocfuseError(
                 f"walls have more than {MAX_SIDES} sides of cells next to free cells: no map but noise", role="map"

@@ -13,8 +13,9 @@ import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import VERDICTS, Array, Drive, Ints
+from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.sensor import Matrix, Model, PoseRows
+from locfuse.fusion.sensor import Model, Reading
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .odometry import Odometry, by_lever
@@ -36,29 +37,6 @@ class Seen(NamedTuple):
     share: float  # how many readings it stands for
 
 
-class At:
-    """What a model may ask of a belief: a pose and states that are what they are."""
-
-    def __init__(self, columns: dict[str, tuple[int, int]], states: Array) -> None:
-        self._columns, self._states = columns, states
-        self.x = self.y = self.theta = 0.0
-
-    def block(self, name: str) -> tuple[int, Array]:
-        """Return (first state, values) of a block."""
-        first, n = self._columns[name]
-        return first, self._states[first : first + n]
-
-    def spread(self, H: PoseRows, columns: tuple[int, ...] = (), H_block: Matrix = ()) -> Matrix:
-        """Return no uncertainty, (d, d)."""
-        return tuple((0.0,) * len(H) for _ in H)
-
-    def observed(
-        self, H: PoseRows, columns: tuple[int, ...] = (), H_block: Matrix = ()
-    ) -> tuple[Matrix, PoseRows, tuple[int, ...], Matrix]:
-        """Return no uncertainty, and the derivatives as they are."""
-        return self.spread(H), H, columns, H_block
-
-
 class Others:
     """The readings of sensors other than the laser, and their states (a compass's offset)."""
 
@@ -70,14 +48,10 @@ class Others:
                 model = REGISTRY[s].model(robot.settings(s))
                 if not (model.local or model.joint):
                     self._models[s] = model
-        self._columns: dict[str, tuple[int, int]] = {}
-        values, information = [np.zeros(0)], [np.zeros(0)]
-        for model in self._models.values():
-            for block in model.blocks():
-                self._columns[block.name] = (sum(len(v) for v in values), len(block.x))
-                values.append(np.asarray(block.x, np.float64))
-                information.append(1.0 / np.maximum(np.diagonal(block.P), 1e-12))
-        self.start, self._prior = np.concatenate(values), np.concatenate(information)
+        blocks = [block for model in self._models.values() for block in model.blocks()]
+        self._belief = JointBelief.still(blocks)
+        self.start = self._belief.state[3:].copy()
+        self._prior = np.concatenate([np.zeros(0), *(1.0 / np.maximum(np.diagonal(b.P), 1e-12) for b in blocks)])
         self.values = self.start.copy()
         self.states = len(self.values)
         self._seen = [seen for s in self._models for seen in _chosen(s, drive, odometry, keys)]
@@ -93,24 +67,27 @@ class Others:
 
     def rows(self, x: Array) -> list[Rows]:
         """Return the readings' share of the normal equations at key poses x (n, 3)."""
-        at, n = At(self._columns, self.values), 3 * len(x) + len(SYSTEMATIC)
+        belief, n = self._belief, 3 * len(x) + len(SYSTEMATIC)
+        belief.state[3:] = self.values
         blocks: dict[int, list[tuple[Array, Array, Array]]] = {}
         for seen in self._seen:
             pose = se2.compose(x[seen.key], seen.u)
-            at.x, at.y, at.theta = pose.tolist()
-            found = self._models[seen.sensor].innovations(self._drive.measurements[seen.sensor], seen.reading, at)
-            for one in found[:1]:
-                if one.verdict == REFUSED or not one.H:
+            belief.stand(pose)
+            m = self._drive.measurements[seen.sensor]
+            found = self._models[seen.sensor].innovations(m, seen.reading, belief)
+            for one in () if isinstance(found, Reading) else found[:1]:
+                if one.verdict == REFUSED or not one.numbers:
                     continue
+                y, states, by_state, R = belief.equation([one])
+                H = by_state[:, :3]
+                moved = H.copy()
                 lever = pose[:2] - x[seen.key, :2]
-                H = np.array(one.H)
-                H[:, 2] += H[:, 1] * lever[0] - H[:, 0] * lever[1]
-                J = np.hstack((H, np.reshape(np.array(one.H_block, np.float64), (len(H), -1))))
+                moved[:, 2] += H[:, 1] * lever[0] - H[:, 0] * lever[1]
+                J = np.hstack((moved, by_state[:, 3:]))
                 turned = se2.rotation(pose[2] - seen.u[2]) @ seen.C @ se2.rotation(pose[2] - seen.u[2]).T
-                R = np.array(one.R) + np.array(one.H) @ turned @ np.array(one.H).T
-                W, y = np.linalg.inv(R), np.array(one.y)
+                W = np.linalg.inv(R + H @ turned @ H.T)
                 W *= seen.share / (1.0 + float(y @ W @ y) / (WIDTH**2 * len(y)))
-                columns: Any = np.concatenate((3 * seen.key + np.arange(3), n + np.array(one.columns, np.int64)))
+                columns: Any = np.concatenate((3 * seen.key + np.arange(3), n + states[3:] - 3))
                 blocks.setdefault(J.shape[1], []).append((columns, J.T @ W @ J, J.T @ W @ y))
         rows = [Rows(*(np.array(part) for part in zip(*block, strict=True))) for block in blocks.values()]
         if self.states:

@@ -13,8 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.core import nees as core
-from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, Evaluation, SensorFigures, Truth
 from locfuse.fusion.streams import gap_limit
 
@@ -198,12 +196,41 @@ def _nees(deviation: Array, heading: Array | None, P: Array, truth: Truth) -> Ar
     S = P[:, :dof, :dof].copy()
     own = np.square((truth.sigma, truth.sigma, truth.sigma_theta))
     S[:, np.arange(dof), np.arange(dof)] += own[:dof]
-    out, n = np.full(len(e), np.nan), len(e)
-    room = np.empty((dof, dof)), np.empty(dof)
-    Room.here(core).on_arrays.nees(
-        np.ascontiguousarray(e), S.reshape(n, dof * dof), n, dof, MIN_EIGENVALUE_RATIO, *room, out
-    )
-    return out
+    return nees(e, S)
+
+
+def nees(e: Array, S: Array) -> Array:
+    """Return e' S^-1 e / d of errors e (n, d) whose covariances are S (n, d, d), NaN where one is singular.
+
+    One is singular where 1 / tr S^-1 is not above MIN_EIGENVALUE_RATIO of tr S, or of that ratio itself: up to the
+    factor d these are its smallest and its largest eigenvalue, however the numbers are ordered. S = L L' number by
+    number, each of all errors at once: solvers of many small systems take ten times as long.
+    """
+    d = e.shape[1]
+    L = S.transpose(1, 2, 0).copy()
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        for k in range(d):
+            for j in range(k):
+                for i in range(j):
+                    L[k, j] -= L[k, i] * L[j, i]
+                L[k, j] /= L[j, j]
+                L[k, k] -= L[k, j] * L[k, j]
+            L[k, k] = np.sqrt(L[k, k])
+        inverse = sum(_squared(L, column, k) for k, column in enumerate(np.eye(d)[:, :, None]))
+        sizes = np.maximum(np.trace(S, axis1=1, axis2=2), MIN_EIGENVALUE_RATIO)
+        regular = MIN_EIGENVALUE_RATIO * sizes * inverse < 1.0
+        return np.where(regular, _squared(L, e.T, 0) / d, np.nan)
+
+
+def _squared(L: Array, w: Array, first: int) -> Array:
+    """Return |L^-1 w|^2 (n,) of L (d, d, n) and w (d, n), whose numbers before `first` are 0."""
+    solved, total = list(w), np.zeros(L.shape[2])
+    for i in range(first, len(solved)):
+        for j in range(first, i):
+            solved[i] = solved[i] - L[i, j] * solved[j]
+        solved[i] = solved[i] / L[i, i]
+        total += solved[i] * solved[i]
+    return total
 
 
 def _segments(t: Array) -> NDArray[np.int64]:

@@ -7,15 +7,16 @@ innovation and in the state. `heard` judges a sensor by a run that does not use 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from locfuse.fusion.chi_square import MAD, chi_square, mean_bounds
 from locfuse.fusion.data import VERDICTS, Array, Audit, Counts, Drive, Estimates, Ints, Measurements, matrices
+from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import wrap, wrap_all
-from locfuse.fusion.sensor import Block
+from locfuse.fusion.sensor import Reading
 from locfuse.fusion.sensors.registry import REGISTRY
 
 ACCEPTED, GATE, UNMATCHED, DISTURBED, LOST = (
@@ -187,34 +188,6 @@ def _whiteness(v: Array, mark: Counts) -> Array:
     return out
 
 
-class Frozen:
-    """A belief that stands still: an estimate of another run, blocks at their start and certain."""
-
-    def __init__(self, blocks: list[Block]) -> None:
-        self.x = self.y = self.theta = 0.0
-        self._P: list[list[float]] = []
-        ends = 3 + np.cumsum([len(b.x) for b in blocks], dtype=np.int64)
-        self._blocks = {b.name: (int(end) - len(b.x), b.x) for b, end in zip(blocks, ends, strict=True)}
-
-    def at(self, pose: list[float], P: list[list[float]]) -> None:
-        """Stand at a pose with covariance P (3, 3)."""
-        (self.x, self.y, self.theta), self._P = pose, P
-
-    def block(self, name: str) -> tuple[int, Array]:
-        """Return the block's first column and its start."""
-        return self._blocks[name]
-
-    def observed(self, H: Any, columns: Any = (), H_block: Any = ()) -> tuple[Any, Any, Any, Any]:
-        """Return H P H' and the derivatives as they are: no map frame stands beside this pose."""
-        return self.spread(H, columns, H_block), H, columns, H_block
-
-    def spread(self, H: Any, columns: Any = (), H_block: Any = ()) -> tuple[tuple[float, ...], ...]:
-        """Return H P H' of the pose alone."""
-        (xx, xy, xt), (_, yy, yt), (_, _, tt) = self._P
-        rows = [(a * xx + b * xy + c * xt, a * xy + b * yy + c * yt, a * xt + b * yt + c * tt) for a, b, c in H]
-        return tuple([tuple([p * a + q * b + r * c for a, b, c in H]) for p, q, r in rows])
-
-
 def heard(drive: Drive, robot: Robot, run: Estimates, sensor: str) -> Heard | None:
     """Return how a sensor that measures one number agrees with a run that did not use it; None if it cannot be."""
     m = drive.measurements[sensor]
@@ -222,17 +195,19 @@ def heard(drive: Drive, robot: Robot, run: Estimates, sensor: str) -> Heard | No
     if model.joint or m.z.shape[1] != 1 or len(m.t) < 2 * MAX_LAG_READINGS:
         return None
     blocks, angular = model.blocks(), REGISTRY[sensor].components[0].unit == "deg"
-    belief, rows = Frozen(blocks), []
+    belief, rows = JointBelief.still(blocks), []
     readings = _some(len(m.t))
     readings = readings[np.isfinite(run.pose[drive.instant[sensor][readings], 0])]  # a truth may have gaps
     instants = drive.instant[sensor][readings]
     poses, covariances = run.pose[instants].tolist(), matrices(run.triangles[instants]).tolist()
     for i, pose, P in zip(readings.tolist(), poses, covariances, strict=True):
-        belief.at(pose, P)
+        belief.stand(pose, P)
         seen = model.innovations(m, i, belief)
+        assert not isinstance(seen, Reading)  # that is of several numbers
         if seen and seen[0].verdict != DISTURBED:
             best = seen[0]
-            rows.append((float(m.t[i]), best.y[0], best.sigma[0] ** 2 - best.R[0][0], best.R[0][0]))
+            R = float(belief.equation(seen[:1]).R[0, 0])
+            rows.append((float(m.t[i]), best.y[0], best.sigma[0] ** 2 - R, R))
     return _agreement(np.array(rows), bool(blocks), angular) if len(rows) >= 2 * MAX_LAG_READINGS else None
 
 

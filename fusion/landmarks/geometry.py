@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-import math
-
-from locfuse.fusion.core import bearings, sightings
-from locfuse.fusion.core.room import Room
+from locfuse.fusion.se2 import direction, sight
 
 Point = tuple[float, float]
 Row = tuple[float, float, float]
+MIN_DISTANCE_M = 1e-3  # m: nearer than this a bearing has no direction
 
 
 def detector_at(pose: tuple[float, float, float], mount: tuple[float, float, float]) -> Point:
     """Return where the detector is in the map, of a robot at a pose x, y [m], theta [rad]."""
-    c, s = math.cos(pose[2]), math.sin(pose[2])
+    c, s = direction(pose[2])
     return pose[0] + c * mount[0] - s * mount[1], pose[1] + s * mount[0] + c * mount[1]
 
 
 def predict(pose: Row, place: Point, mount: Row) -> tuple[Point, tuple[Row, Row]] | None:
     """Return (range [m], bearing [rad]) of a landmark, and their derivatives by the robot's x, y, theta."""
-    room = Room.here(bearings)
-    ray, by = room.floats(bearings.RAY), room.floats(3)
-    if not room.functions.bearing(room.flat((pose,)), *place, *mount, sightings.TOUCHING, ray):
+    seen = sight(pose, place, mount, MIN_DISTANCE_M)
+    if seen is None:
         return None
-    room.beside(sightings).functions.by_range(ray, mount[0], mount[1], 1.0, by)
-    angle, bx, by_y, bt, *_, distance = room.listed(ray, bearings.RAY)
-    rx, ry, rt = room.listed(by, 3)
-    return (distance, angle), ((rx, ry, rt), (bx, by_y, bt))
+    bearing, distance, by_pose, (by_lever_x, by_lever_y, _) = seen
+    turned = -distance * (mount[0] * by_lever_x + mount[1] * by_lever_y)
+    by_range = by_pose[1] * distance, -by_pose[0] * distance, turned
+    return (distance, bearing), (by_range, by_pose)

@@ -11,58 +11,36 @@ goes with their error in distance: y came out wrong by k / (2 dtheta), 8 mm.) De
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
 
 import numpy as np
 
-from locfuse.fusion.core import places
-from locfuse.fusion.core.room import Room
+from locfuse.fusion import se2
 from locfuse.fusion.data import Array
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import Pose
-from locfuse.fusion.lines.extract import of_rows, rows_in_base
-from locfuse.fusion.lines.sweep import in_base
+from locfuse.fusion.kernels.sight import Seat
 from locfuse.fusion.mount import Mount
 
 
-class Seat(NamedTuple):
-    """The estimated mount under which a scan's lines were put into the base, and where it lies in the state."""
-
-    x: float  # m
-    y: float
-    columns: tuple[int, ...]  # (f,) state columns of what is uncertain
-    free: tuple[int, ...]  # which of x, y, yaw they are
-
-    def derivative(self, psi: Array) -> Array:
-        """Return by how much predicted lines at psi (k,) [rad, base frame] depend on the states, (k, 2, f)."""
-        out = np.zeros((len(psi), 2, 3))
-        c, s = np.cos(psi), np.sin(psi)
-        out[:, 0, 0], out[:, 0, 1], out[:, 0, 2] = -c, -s, self.x * s - self.y * c
-        out[:, 1, 2] = -1.0
-        chosen: Array = out[:, :, list(self.free)]
-        return chosen
+def seat_of(mount: Mount | None, belief: JointBelief) -> Seat:
+    """Return the laser's mount for the kernel: as configured, and what of it is a state."""
+    if mount is None:
+        return Seat(np.zeros(3), np.zeros(0, np.intp), np.zeros(0, np.intp))
+    columns = np.array(mount.columns(belief), np.intp)
+    return Seat(np.array(mount.told, np.float64), np.array(mount.free, np.intp), columns)
 
 
-def seated(rows: Array, mount: Mount, belief: JointBelief) -> tuple[Array, Array, Array, Seat, Array]:
-    """Return lines (k, 7), put into the base by the mount as told, as the estimated mount puts them.
-
-    As z, R, ends, seat and the table again.
-    """
-    now = mount.now(belief)
-    table = rows_in_base(rows, *_moved(mount, now).tolist())
-    return *of_rows(table), Seat(now[0], now[1], mount.columns(belief), mount.free), table
-
-
-def seated_shares(shared: Array, z: Array, mount: Mount, belief: JointBelief) -> Array:
-    """Return what lines z (k, 2), put into the base by the mount as told, share (k, 2, s), moved as `seated` does.
-
-    Left as it was it would be more than there is of R, and R of the scan no covariance.
-    """
-    return in_base(shared, z, _moved(mount, mount.now(belief)))
+def by_mount(mount: Mount, belief: JointBelief, psi: float) -> Array:
+    """Return by how much a predicted line at psi [rad, base frame] depends on the mount's states, (2, f)."""
+    x, y, _ = mount.now(belief)
+    c, s = math.cos(psi), math.sin(psi)
+    whole = np.array(((-c, -s, x * s - y * c), (0.0, 0.0, -1.0)))
+    chosen: Array = whole[:, list(mount.free)]
+    return chosen
 
 
-def _moved(mount: Mount, now: Pose) -> Array:
-    """Return what leads from the base by the mount as told to the one that is estimated now, (3,) m, m, rad."""
-    out = np.empty(3)
-    Room.here(places).on_arrays.moved(np.array(now), np.array(mount.told), out)
-    return out
+def moved_mount(mount: Mount, belief: JointBelief) -> Pose:
+    """Return what leads from the base by the mount as configured to that by the one that is estimated now."""
+    x, y, yaw = se2.compose(np.array(mount.now(belief)), se2.inverse(np.array(mount.told))).tolist()
+    return x, y, yaw

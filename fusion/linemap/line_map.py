@@ -16,15 +16,10 @@ from msgspec import field
 from msgspec.structs import replace
 
 from locfuse.fusion import se2
-from locfuse.fusion.core import match, tables
-from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Ints, MapLine
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import Pose
-
-from .laser_mount import Seat
-
-WALL = 13  # columns of a line for core.pairs, before those of the mount
+from locfuse.fusion.kernels import sight
 
 
 class Prediction(NamedTuple):
@@ -52,9 +47,9 @@ class LineMap(msgspec.Struct):
     seen: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # number of the scan that last matched
     born: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     next_id: int = 0
-    _frozen: Array | None = (
-        None  # rows for core.pairs of lines that are no states, kept until the map's size changes
-    )
+    _table: sight.Walls | None = None  # for the kernel, of the columns that are `_shown`
+    _shown: tuple[Any, ...] = ()
+    _room: tuple[Ints, Array] = field(default_factory=lambda: (np.zeros(0, np.intp), np.zeros(0)))
 
     def __len__(self) -> int:
         """Return the number of lines."""
@@ -79,35 +74,26 @@ class LineMap(msgspec.Struct):
         columns: list[int] = self.column.tolist()
         return columns
 
-    def walls(self, belief: JointBelief, seat: Seat | None, room: Room) -> tuple[Any, int, bool]:
-        """Return the lines as `core.pairs` wants them, how many columns each has, and whether they are states."""
-        free = () if seat is None else seat.columns
-        width, states = WALL + 2 * len(free), len(self) > 0 and bool(self.column[0] >= 0)
-        if states:
-            rows, at = np.empty((len(self), width)), np.array(free, np.intp)
-            room.on_arrays.gather_walls(*belief.arrays, self.column, self.anchor, len(self), at, len(at), rows)
-            return room.given(rows), width, True
-        return room.given(self.fixed(width)), width, False
-
-    def fixed(self, width: int) -> Array:
-        """Return lines that are no states as rows (J, width) for core.pairs."""
-        if self._frozen is None or self._frozen.shape[1] != width:
-            rows = self._frozen = np.zeros((len(self), width))
-            rows[:, :2], rows[:, 2:4], rows[:, 4:7] = self.value, self.anchor, self.P.reshape(-1, 4)[:, (0, 1, 3)]
-        return self._frozen
-
-    def table(self, free: int = 0) -> Any:
-        """Return the map for the core; of the laser's mount so many numbers are states, of a map that is none."""
-        width, states = WALL + 2 * free, len(self) > 0 and bool(self.column[0] >= 0)
-        fixed = np.zeros(0) if states else self.fixed(width).ravel()
-        kept = self.column, self.anchor, self.lo, self.hi, self.hits, self.seen, self.born, self.ids
-        return Room.here(tables).on_arrays.Walls(*kept, fixed, width, len(self), states)
+    def table(self) -> sight.Walls:
+        """Return the map for the kernel; it shares the columns, and is made anew where they are other arrays."""
+        shown = self._shown
+        if self._table is not None and shown[0] is self.column and shown[1] is self.hits and shown[2] is self.seen:
+            return self._table
+        states = len(self) > 0 and bool(self.column[0] >= 0)
+        fixed = np.zeros((0 if states else len(self), sight.WALL_COLUMNS))
+        if not states:
+            fixed[:, :2], fixed[:, 2:4] = self.value, self.anchor
+            fixed[:, 4:7] = self.P.reshape(-1, 4)[:, (0, 1, 3)]
+        table = sight.Walls(self.column, self.anchor, self.lo, self.hi, fixed, states)
+        table.count(self.hits, self.seen, self.born, self.ids)
+        self._shown, self._table = (self.column, self.hits, self.seen), table
+        return table
 
     def append(
         self, anchor: Array, value: Array, P: Array, column: int, ends: tuple[float, float], scan: int
     ) -> int:
         """Add one line and return its id."""
-        line, self.next_id, self._frozen = self.next_id, self.next_id + 1, None
+        line, self.next_id = self.next_id, self.next_id + 1
         self.ids = np.append(self.ids, line)
         self.anchor = np.vstack((self.anchor, anchor))
         self.lo, self.hi = np.append(self.lo, ends[0]), np.append(self.hi, ends[1])
@@ -119,14 +105,15 @@ class LineMap(msgspec.Struct):
 
     def keep_floor(self, belief: JointBelief, floor: Array) -> None:
         """Know no line better than its floor (2,) [m^2, rad^2], whatever was averaged: no wall is a plane."""
-        at, missing = np.empty(2 * len(self), np.intp), np.empty(2 * len(self))
-        k = Room.here(match).on_arrays.lacks(belief.arrays[1], self.column, len(self), *floor, at, missing)
-        if k:
-            belief.loosen(at[:k], missing[:k])
+        if len(self._room[1]) < 2 * len(self):
+            self._room = np.empty(4 * len(self), np.intp), np.empty(4 * len(self))
+        at, missing = self._room
+        lacking = sight.lacks(belief, self.table(), floor, at, missing)
+        if lacking:
+            belief.loosen_first(at, missing, lacking)
 
     def drop(self, gone: Ints) -> Ints:
         """Remove lines by position; return the state columns that they held."""
-        self._frozen = None
         keep = np.setdiff1d(np.arange(len(self)), gone)
         freed = self.column[gone]
         freed = np.sort(np.concatenate((freed[freed >= 0], freed[freed >= 0] + 1)))
@@ -203,7 +190,7 @@ class LineMap(msgspec.Struct):
         """Return the covariance of (rho, beta) of line j and the map frame, (5, 5)."""
         out = np.zeros((5, 5))
         out[:2, :2], out[2:, 2:] = P, belief.with_frame().own
-        if belief.frame is not None and self.column[j] >= 0:
+        if belief.framed and self.column[j] >= 0:
             own, frame = self.column[j] + np.arange(2), belief.frame + np.arange(3)
             out[:2, 2:] = belief.covariance[np.ix_(own, frame)]
             out[2:, :2] = out[:2, 2:].T

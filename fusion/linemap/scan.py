@@ -2,31 +2,49 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-import msgspec
 import numpy as np
 
-from locfuse.fusion.data import Array, Ints, Measurements
-from locfuse.fusion.lines.extract import LINE, of_rows, rows_in_base, rows_of
-
-from .laser_mount import Seat
+from locfuse.fusion.data import Array, Measurements
+from locfuse.fusion.lines.extract import LINE, rows_of
 
 BLOCK = 4096  # lines that become one table at a time: an hour of them need not be there at once
 
 
-class Scan(msgspec.Struct, frozen=True, gc=False):
+class Scan:
     """Measured lines of one scan in the base frame, k of them."""
 
-    z: Array  # (k, 2) r, psi
-    R: Array  # (k, 2, 2)
-    ends: Array  # (k, 2) along the tangent (-sin psi, cos psi)
-    seat: Seat | None = None  # where the laser's mount is uncertain
-    table: Array | None = None  # the same as one table, where somebody has it
+    __slots__ = ("rows",)
 
-    def rows(self) -> Array:
-        """Return the lines as one table (k, 7): r, psi, R as 00, 01, 11, and both ends."""
-        return rows_of(self.z, self.R, self.ends) if self.table is None else self.table
+    def __init__(self, rows: Array) -> None:
+        """Rows (k, 7): r [m], psi [rad], R as 00, 01, 11, both ends [m] along the tangent (-sin psi, cos psi)."""
+        self.rows = rows
+
+    @classmethod
+    def of(cls, z: Array, R: Array, ends: Array) -> Scan:
+        """Return the scan of lines z (k, 2), R (k, 2, 2), ends (k, 2)."""
+        return cls(rows_of(z, R, ends))
+
+    @property
+    def z(self) -> Array:
+        """(k, 2) r, psi."""
+        return self.rows[:, :2]
+
+    @property
+    def R(self) -> Array:
+        """(k, 2, 2)."""
+        R: Array = self.rows[:, (2, 3, 3, 4)].reshape(-1, 2, 2)
+        return R
+
+    @property
+    def ends(self) -> Array:
+        """(k, 2) m along the tangent."""
+        return self.rows[:, 5:]
+
+    @property
+    def lengths(self) -> Array:
+        """(k,) m."""
+        length: Array = self.rows[:, 6] - self.rows[:, 5]
+        return length
 
 
 class Scans:
@@ -35,36 +53,12 @@ class Scans:
     def __init__(self) -> None:
         self._of: Measurements | None = None
         self._begin = self._end = 0
-        self._R: Array = np.zeros((0, 2, 2))
         self._rows: Array = np.zeros((0, LINE))
 
-    def read(self, m: Measurements, first: int, last: int) -> Scan:
-        """Return rows first:last as one scan."""
+    def read(self, m: Measurements, first: int, last: int) -> Array:
+        """Return rows first:last as one table (k, 7)."""
         if m is not self._of or first < self._begin or last > self._end:
             self._of, self._begin, self._end = m, first, max(last, min(first + BLOCK, len(m.z)))
             at = slice(self._begin, self._end)
-            self._R = m.covariances(at)
-            self._rows = rows_of(m.z[at], self._R, m.extra["ends"][at])
-        at, held = slice(first, last), slice(first - self._begin, last - self._begin)
-        return Scan(m.z[at], self._R[held], m.extra["ends"][at], None, self._rows[held])
-
-
-class Where(NamedTuple):
-    """Where the robot was at n scans that the core took."""
-
-    of: Measurements
-    readings: Ints  # (n,) which scans
-    before: Array  # (n, 3) predicted, x, y [m], theta [rad]
-    mount: Array  # (n, 3) how the laser's mount, as it was predicted, moved their lines
-    after: Array  # (n, 3) corrected
-
-    def rows(self, k: int) -> tuple[int, int]:
-        """First row of scan k of these and end in the measurements."""
-        i = int(self.readings[k])
-        return int(self.of.first[i]), int(self.of.first[i + 1])
-
-    def seated(self, k: int, scan: Scan) -> Scan:
-        """Return the lines of scan k in the base by the mount of that time."""
-        x, y, yaw = self.mount[k].tolist()
-        table = rows_in_base(scan.rows(), x, y, yaw)
-        return Scan(*of_rows(table), None, table)
+            self._rows = rows_of(m.z[at], m.covariances(at), m.extra["ends"][at])
+        return self._rows[first - self._begin : last - self._begin]

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from locfuse.fusion.core import echoes as core
-from locfuse.fusion.core.room import Room
+from locfuse.fusion.data import Array
 from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.se2 import wrap
 
 from .line_map import LineMap
+
+MAX_OVERHANG_M = 0.05  # m that a wall may go on beyond what was seen of it
+CLEAR_SIGMAS = 3.0  # standard deviations by which something may stand nearer before it is the one to answer
+MIN_SLOPE = 1e-6  # cosine from which an edge of the cone meets a wall at all
 
 
 class Cone(NamedTuple):
@@ -36,18 +41,59 @@ class Echo(NamedTuple):
 
 def nearest_echo(lines: LineMap, belief: JointBelief, cone: Cone, sigma: float) -> Echo | None:
     """Return the nearest wall that stands square to the cone, None where there is none or something is nearer."""
-    on, out = Room.here(core).on_arrays, np.empty(core.ECHO)
-    j = on.answering(belief.arrays[0], lines.table(), *belief.pose(), *cone, sigma, out)
-    if j < 0:
+    px, py, theta = belief.pose()
+    if not math.isfinite(theta):
         return None
-    distance, by_x, by_y, by_turn, u, variance = out.tolist()
-    column = int(lines.column[j])
-    is_state = column >= 0
-    return Echo(
-        distance,
-        int(lines.ids[j]),
-        ((by_x, by_y, by_turn),),
-        (column, column + 1) if is_state else (),
-        ((1.0, u),) if is_state else (),
-        variance,
-    )
+    c, s = math.cos(theta), math.sin(theta)
+    lever_x, lever_y = c * cone.x - s * cone.y, s * cone.x + c * cone.y
+    half = max(min(cone.half, math.pi), 0.0)  # none is wider than all around, whatever a message says
+    axis, widest = theta + cone.yaw, half + cone.widen
+    rho, beta = _values(lines, belief)
+    with np.errstate(invalid="ignore"):  # of a direction that is infinite: NaN, which answers nothing
+        n_x, n_y = np.cos(beta), np.sin(beta)
+    dx, dy = px + lever_x - lines.anchor[:, 0], py + lever_y - lines.anchor[:, 1]
+    distance, foot = rho - dx * n_x - dy * n_y, dy * n_x - dx * n_y
+    square = math.cos(axis) * n_x + math.sin(axis) * n_y >= (math.cos(widest) if widest < math.pi else -2.0)
+    square &= (lines.lo - MAX_OVERHANG_M <= foot) & (foot <= lines.hi + MAX_OVERHANG_M)
+    ahead = distance > 0.0
+    answers = (square & ahead).nonzero()[0]
+    if not len(answers):
+        return None
+    j = int(answers[distance[answers].argmin()])
+    nearest = distance.item(j)
+    clear = nearest - CLEAR_SIGMAS * sigma
+    # what is met on a slant is no nearer than the foot on its wall
+    for k in ((distance < clear) & ahead & ~square).nonzero()[0].tolist():
+        ends, off = (lines.lo.item(k), lines.hi.item(k)), wrap(beta.item(k) - axis)
+        if _slanted(distance.item(k), foot.item(k), off, half, ends) < clear:
+            return None
+    by_x, by_y, u = -n_x.item(j), -n_y.item(j), -foot.item(j)
+    H = ((by_x, by_y, by_y * lever_x - by_x * lever_y),)
+    column = lines.column.item(j)
+    if column >= 0:
+        return Echo(nearest, lines.ids.item(j), H, (column, column + 1), ((1.0, u),), 0.0)
+    (rr, rb), (_, bb) = lines.P[j].tolist()
+    return Echo(nearest, lines.ids.item(j), H, (), (), rr + u * (2.0 * rb + u * bb))
+
+
+def _values(lines: LineMap, belief: JointBelief) -> tuple[Array, Array]:
+    """Return rho [m] and beta [rad] of every line, (J,) each."""
+    if lines.column[0] < 0:
+        return lines.value[:, 0], lines.value[:, 1]
+    return belief.state[lines.column], belief.state[lines.column + 1]
+
+
+def _slanted(distance: float, foot: float, off: float, half: float, ends: tuple[float, float]) -> float:
+    """Return the distance [m] at which an edge of the cone meets a wall, or at which the wall ends in the cone.
+
+    The wall's nearest point is `distance` away and at `foot` on it, in a direction `off` [rad] the cone's axis.
+    """
+    nearest = math.inf
+    for edge, end in ((-half, ends[0]), (half, ends[1])):
+        slope = math.cos(off - edge)
+        if slope > MIN_SLOPE and ends[0] <= foot + distance * math.tan(edge - off) <= ends[1]:
+            nearest = min(nearest, distance / slope)
+        along = end - foot
+        if abs(wrap(math.atan2(along, distance) + off)) <= half:
+            nearest = min(nearest, math.sqrt(distance * distance + along * along))
+    return nearest

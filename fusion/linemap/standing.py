@@ -12,15 +12,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
-from locfuse.fusion.core import rests, tables
-from locfuse.fusion.core.room import Room
-from locfuse.fusion.data import Ints
-
-from .scan import Scan
+from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.se2 import wrap_all
 
 MAX_ROLLED_M, MAX_TURNED_RAD = 0.001, math.radians(0.1)  # since the first scan: encoders tremble by a tick
 SAME_D2 = 25.0  # squared distance within which two lines of two scans are one
@@ -29,12 +25,12 @@ SAME_SHARE = 0.5  # share of the seen length that must be the same: less, and so
 
 
 class Standing:
-    """The scans since the wheels stood still."""
+    """The scans since the wheels stood still. A scan is a table (k, 7), as in fusion.linemap.scan."""
 
     def __init__(self) -> None:
         self._rolled = (0.0, 0.0, 0.0)  # x, y [m], theta [rad] by the wheels since the first scan
         self._scans = 0  # at rest; 0: none yet
-        self._first: Scan | None = None
+        self._first: Array | None = None
         self._lines = np.zeros((0, 4))  # r, psi and ends: of the first scan, and what others showed beside them
         self._sums = np.zeros((0, 2))  # of the scans since the last use, off these
         self._counts: Ints = np.zeros(0, np.intp)
@@ -44,74 +40,67 @@ class Standing:
         x, y, theta = self._rolled
         self._rolled = (x + u[0], y + u[1], theta + u[2])
 
-    def since(self) -> tuple[float, float, float]:
-        """Return the motion since the scan that the next one is compared with; infinite where there is none."""
-        return self._rolled if self._first is not None else (math.inf, math.inf, math.inf)
-
-    def moved(self, rolled: tuple[float, float, float]) -> None:
-        """Take over that motion where somebody else has summed it up."""
-        self._rolled = rolled
-
-    def begin(self, scan: Scan) -> None:
-        """Let a scan of a robot that drives be the one that the next is compared with."""
-        self._scans, self._first = 1, scan
-
     def forget(self) -> None:
         """Let the next scan be the first."""
         self._first = None
 
-    def take(self, scan: Scan) -> Scan | None:
+    def take(self, rows: Array) -> Array | None:
         """Return what a scan says: itself, or at rest the mean since the last use; None where it only repeats."""
         x, y, theta = self._rolled
-        if self._first is None or x * x + y * y > MAX_ROLLED_M**2 or not -MAX_TURNED_RAD < theta < MAX_TURNED_RAD:
-            self._rolled = (0.0, 0.0, 0.0)  # driving: no more than this
-            self.begin(scan)
-            return scan
+        drives = x * x + y * y > MAX_ROLLED_M**2 or not -MAX_TURNED_RAD < theta < MAX_TURNED_RAD
+        if drives or self._first is None:
+            self._rolled = (0.0, 0.0, 0.0)
+            self._scans, self._first = 1, rows
+            return rows
         if self._scans == 1:
             self._begin_sums(self._first)
-        same = self._same(scan)
-        length = scan.ends[:, 1] - scan.ends[:, 0]
+        same = self._same(rows)
+        length = rows[:, 6] - rows[:, 5]
         if float(length[same >= 0].sum()) < SAME_SHARE * float(length.sum()):
-            return scan  # somebody stands before the laser, or the robot was carried away
-        self._add(scan, same)
-        if not Room.here(rests).functions.counts(self._scans):
+            return rows  # somebody stands before the laser, or the robot was carried away
+        self._add(rows, same)
+        if self._scans & (self._scans - 1):  # the 1st, 2nd, 4th, 8th ... counts
             return None
-        z = self._lines[same, :2] + self._sums[same] / self._counts[same, None]
+        mean = rows.copy()
+        mean[:, :2] = self._lines[same, :2] + self._sums[same] / self._counts[same, None]
         self._sums[:], self._counts[:] = 0.0, 0
-        return Scan(z, scan.R, scan.ends)
+        return mean
 
-    def table(self, lines: int, repeated: int = 0) -> Any:
-        """Return the rest for the core, with room for scans of so many lines, and their verdict if they repeat."""
-        known, room = len(self._lines), np.empty(len(self._lines), np.intp)
-        return Room.here(tables).on_arrays.Rest(
-            self._lines, self._sums, self._counts, known, self._scans, SAME_D2, SAME_LENGTH, repeated,
-            np.empty(lines, np.intp), room, np.empty(known), 0,
-        )  # fmt: skip
+    def _begin_sums(self, rows: Array) -> None:
+        self._lines = rows[:, (0, 1, 5, 6)]
+        self._sums, self._counts = np.zeros((len(rows), 2)), np.zeros(len(rows), np.intp)
 
-    def repeated(self, scans: int) -> None:
-        """Take in that the core added so many scans to the sums."""
-        self._scans += scans
-
-    def _begin_sums(self, scan: Scan) -> None:
-        self._lines = np.hstack((scan.z, scan.ends))
-        self._sums, self._counts = np.zeros_like(scan.z), np.zeros(len(scan.z), np.intp)
-
-    def _add(self, scan: Scan, same: Ints) -> None:
+    def _add(self, rows: Array, same: Ints) -> None:
         """Take a scan into the sums; a line that repeats none begins one, which `same` (k,) names from here on."""
         new = np.flatnonzero(same < 0)
         if len(new):
             same[new] = len(self._lines) + np.arange(len(new))
-            self._lines = np.vstack((self._lines, np.hstack((scan.z[new], scan.ends[new]))))
+            self._lines = np.vstack((self._lines, rows[new][:, (0, 1, 5, 6)]))
             self._sums = np.vstack((self._sums, np.zeros((len(new), 2))))
             self._counts = np.append(self._counts, np.zeros(len(new), np.intp))
-        rest = self.table(0)
-        rows = scan.rows()
-        Room.here(rests).on_arrays.add_repeated(rows, 0, len(rows), rest, same)
+        off = rows[:, :2] - self._lines[same, :2]
+        off[:, 1] = wrap_all(off[:, 1])
+        self._sums[same] += off  # each repeats another one
+        self._counts[same] += 1
         self._scans += 1
 
-    def _same(self, scan: Scan) -> Ints:
-        """Return for each line of a scan (k,) the one that it repeats, -1 for none."""
-        rows = scan.rows()
-        same = np.empty(len(rows), np.intp)
-        Room.here(rests).on_arrays.repeats(rows, 0, len(rows), self.table(0), same)
-        return same
+    def _same(self, rows: Array) -> Ints:
+        """Return for each line of a scan (k,) the one that it repeats, -1 for none.
+
+        Both are each other's nearest, within SAME_D2, and have a share of the longer in common.
+        """
+        known, k = self._lines, np.arange(len(rows))
+        if not len(rows) or not len(known):
+            return np.full(len(rows), -1, np.intp)
+        begin, end = rows[:, 5:6], rows[:, 6:7]
+        common = np.minimum(end, known[:, 3]) - np.maximum(begin, known[:, 2])
+        longer = np.maximum(end - begin, known[:, 3] - known[:, 2])
+        v_r, v_both, v_psi = rows[:, 2:3], rows[:, 3:4], rows[:, 4:5]
+        det = v_r * v_psi - v_both * v_both
+        r, psi = rows[:, 0:1] - known[:, 0], wrap_all(rows[:, 1:2] - known[:, 1])
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            d2 = (v_psi * r * r - 2.0 * v_both * r * psi + v_r * psi * psi) / (2.0 * det)
+            d2 = np.where((common > SAME_LENGTH * longer) & (det > 0.0) & np.isfinite(d2), d2, np.inf)
+        nearest: Ints = d2.argmin(axis=1)
+        mutual = (d2[k, nearest] < SAME_D2) & (d2.argmin(axis=0)[nearest] == k)
+        return np.where(mutual, nearest, -1)

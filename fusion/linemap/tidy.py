@@ -10,12 +10,10 @@ import math
 
 import numpy as np
 
-from locfuse.fusion.core import doubles
-from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.kernels import sight
 from locfuse.fusion.se2 import wrap
-from locfuse.fusion.sensor import Innovation
 
 from .line_map import LineMap
 
@@ -24,15 +22,21 @@ MIN_HITS = 4
 TRIAL_SCANS = 15  # scans after its birth in which a line must earn its hits
 DOUBLE_ANGLE, DOUBLE_OFFSET = math.radians(8.0), 0.25  # further apart is two walls, whatever the covariance says
 APART = 0.3  # m along the wall between two pieces that may still be one
+MAY_BE_ONE = sight.Doubles(MIN_HITS, TRIAL_SCANS, DOUBLE_ANGLE, DOUBLE_OFFSET, APART)
 DOUBLE_D2 = 9.2  # chi-square with 2 degrees of freedom at 99 %
 FLAT = np.array([0.005, math.radians(0.2)])  # m, rad: how well two pieces of one flat wall agree
 
 
+def untidy(lines: LineMap, belief: JointBelief, scan: int) -> bool:
+    """Return whether `prune` or `merge_doubles` may have anything to do."""
+    n = len(lines)
+    return sight.untidy(belief, lines.table(), MAY_BE_ONE, scan, np.empty((n, 4)), np.empty(n, np.intp))
+
+
 def prune(lines: LineMap, belief: JointBelief, scan: int) -> None:
     """Drop lines that were born TRIAL_SCANS scans ago and hardly seen since: people, poles, bad fits."""
-    worthless = Room.here(doubles).on_arrays.worthless
-    of = lines.hits, lines.born
-    gone = np.array([j for j in range(len(lines)) if worthless(*of, j, scan, MIN_HITS, TRIAL_SCANS)], np.int64)
+    walls = lines.table()
+    gone = np.array([j for j in range(len(lines)) if sight.worthless(walls, j, scan, MAY_BE_ONE)], np.int64)
     if len(gone):
         belief.remove(lines.drop(gone))
 
@@ -47,8 +51,8 @@ def merge_doubles(lines: LineMap, belief: JointBelief, scan: int, uneven: Array)
     while len(recent):
         values = lines.values(belief)
         recent = recent[[len(_near(lines, values, j)) > 0 for j in recent.tolist()]]
-        doubles = ((j, i) for j in recent.tolist() if (i := _double_of(lines, belief, j, R)) is not None)
-        found = next(doubles, None)
+        pairs = ((j, i) for j in recent.tolist() if (i := _double_of(lines, belief, j, R)) is not None)
+        found = next(pairs, None)
         if found is None:
             return
         j, i = found
@@ -57,10 +61,9 @@ def merge_doubles(lines: LineMap, belief: JointBelief, scan: int, uneven: Array)
 
 
 def _near(lines: LineMap, values: Array, j: int) -> Ints:
-    """Return which lines (k,) may be one wall with line j by where they lie (`core.doubles`)."""
+    """Return which lines (k,) may be one wall with line j by where they lie."""
     rows, found = np.concatenate((values, lines.anchor), axis=1), np.empty(len(lines), np.intp)
-    of, within = (rows, lines.lo, lines.hi, len(lines), j), (DOUBLE_ANGLE, DOUBLE_OFFSET, APART)
-    return found[: Room.here(doubles).on_arrays.neighbours(*of, *within, found)]
+    return found[: sight.neighbours(rows, lines.table(), j, MAY_BE_ONE, found)]
 
 
 def _double_of(lines: LineMap, belief: JointBelief, j: int, R: Array) -> int | None:
@@ -102,11 +105,7 @@ def _joint(lines: LineMap, belief: JointBelief, i: int, j: int) -> Array:
 def _join(lines: LineMap, belief: JointBelief, i: int, j: int, R: Array) -> None:
     """Measure that lines i and j are equal, then keep i with the extent of both."""
     y, H, lo, hi = _difference(lines, lines.values(belief), i, j)
-    columns = tuple(int(c) for c in _columns(lines, i, j))
-    rows = tuple(tuple(float(v) for v in row) for row in H)
-    noise = tuple(map(tuple, R.tolist()))
-    innovation = (float(y[0]), float(y[1]))
-    belief.correct([Innovation.of_states(innovation, noise, columns, rows)])
+    belief.know(y.tolist(), R.tolist(), _columns(lines, i, j).tolist(), H.tolist())
     lines.lo[i], lines.hi[i] = min(lines.lo[i], lo), max(lines.hi[i], hi)
     lines.hits[i] += lines.hits[j]
     lines.seen[i] = max(lines.seen[i], lines.seen[j])

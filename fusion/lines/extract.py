@@ -5,8 +5,9 @@ two parts of a wall left and right of something that stands before it are two li
 than `bridge` and than either part, and both are statistically the same line. Joining across wider shadows
 sometimes succeeds and sometimes not as the robot moves, and what is one line here and two there cannot be matched
 with the map one to one. Beams that could belong to either of two walls meeting in a corner belong to none.
-Pieces of a curved wall are no lines at all (`core.curves`).
-The work per beam is done by `core.lines`; here stands what it is given and what comes back.
+Pieces of a curved wall are no lines at all.
+The work per beam is done by `kernels.segments` and `kernels.line_fits`; here stands what they are given and what
+comes back.
 """
 
 from __future__ import annotations
@@ -16,15 +17,13 @@ from typing import NamedTuple
 
 import msgspec
 import numpy as np
-from msgspec.structs import astuple
 
-from locfuse.fusion.core import lines as interpreted
-from locfuse.fusion.core import places
-from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.kernels import line_fits, places, segments
+from locfuse.fusion.kernels.arrays import view
 
 from .settings import LineSettings
-from .sweep import PIECES, Motion, shares
+from .sweep import Motion, shares
 
 __all__ = ["LineSettings", "Lines", "extract_lines", "to_base"]
 
@@ -32,9 +31,8 @@ PAPER_LASER = LineSettings()
 MAX_RANGE_M = 1e6  # no laser sees farther: what a driver means by more is "nothing"
 _BATCH = 256  # scans worked on at once,
 _BEAMS = 100_000  # unless they have more beams than this in all: working memory is some 300 bytes a beam
-_COLUMNS = 11  # of a line, by core.lines
 _OF_R = np.array((2, 3, 3, 4))
-LINE = 7  # columns of a line in a table, by core.places and core.pairs
+LINE = 7  # columns of a line in a table, by kernels.places and kernels.sight
 
 
 class Lines(msgspec.Struct, frozen=True):
@@ -48,7 +46,7 @@ class Lines(msgspec.Struct, frozen=True):
     chi2: Array  # (m,) residual chi2 per degree of freedom
     span: Ints  # (m, 2) first and last beam in the fit; first > last where the line crosses beam 0
     sweep: Array  # (m, 2, 2, pieces) what (r, psi) owe to the robot's turn and move in every piece of the sweep
-    curved: Ints  # (n,) walls that were left out, since they are pieces of a curve (core.curves)
+    curved: Ints  # (n,) walls that were left out, since they are pieces of a curve
 
 
 class Scans(NamedTuple):
@@ -103,10 +101,8 @@ def extract_lines(
     """
     scans = Scans(ranges, angles, offsets, range_min, range_max)
     batch = min(_BATCH, max(_BEAMS // max(ranges.shape[1], 1), 1))
-    room = Room.here(interpreted)
     parts = [
-        lines_of(scans.take(slice(i, i + batch)), settings, motion, room)
-        for i in range(0, max(len(ranges), 1), batch)
+        lines_of(scans.take(slice(i, i + batch)), settings, motion) for i in range(0, max(len(ranges), 1), batch)
     ]
     return _joined(parts)
 
@@ -124,66 +120,42 @@ def of_rows(rows: Array) -> tuple[Array, Array, Array]:
     return rows[:, :2], rows.take(_OF_R, axis=1).reshape(-1, 2, 2), rows[:, 5:]
 
 
-def rows_in_base(rows: Array, x: float, y: float, yaw: float, room: Room | None = None) -> Array:
-    """Return lines as one table (k, 7) in the base frame, seen by a laser at (x [m], y [m], yaw [rad]) on it.
-
-    `room`, where it is not this process' own form of the core: for tests.
-    """
-    room, out = room or Room.here(places), np.empty((len(rows), LINE))
-    if len(rows):
-        room.on_arrays.into_base(rows, len(rows), x, y, yaw, out)
+def rows_in_base(rows: Array, x: float, y: float, yaw: float) -> Array:
+    """Return lines as one table (k, 7) in the base frame, seen by a laser at (x [m], y [m], yaw [rad]) on it."""
+    out = np.empty((len(rows), LINE))
+    places.into_base(view(rows), len(rows), x, y, yaw, view(out))
     return out
 
 
 def to_base(z: Array, R_unit: Array, ends: Array, x: float, y: float, yaw: float) -> tuple[Array, Array, Array]:
     """Return (z, R_unit, ends) in the base frame, of lines seen by a laser at (x [m], y [m], yaw [rad]) on it.
 
-    By `core.places`. For rows scaled by sigma_range^2 plus a floor, the floor is the base frame's.
+    By `kernels.places`. For rows scaled by sigma_range^2 plus a floor, the floor is the base frame's.
     """
     return of_rows(rows_in_base(rows_of(z, R_unit, ends), x, y, yaw))
 
 
-def lines_of(scans: Scans, settings: LineSettings, motion: Motion | None, room: Room) -> Lines:
+def lines_of(scans: Scans, settings: LineSettings, motion: Motion | None) -> Lines:
     """Return the lines of one batch."""
-    n, beams = scans.ranges.shape
-    spacing, slips = scans.spacing(), 0 if motion is None else PIECES
-    numbers = np.array([*astuple(settings), *((0.0,) * 4 if motion is None else (*motion.lever, *motion.ahead))])
-    share = shares(beams) if slips else np.zeros(0)
-    most = n * (beams // 3)  # lines: none of fewer beams
-    counts, curved = room.wholes(n), room.wholes(n)
-    out, loads = room.floats(_COLUMNS * most), room.floats(4 * slips * most)
-    rays = scans.rays()
-    found = room.functions.extract(
-        room.floats,
-        room.wholes,
-        n,
-        beams,
-        room.given(scans.ranges),
-        *map(room.given, rays),
-        beams if rays[0].ndim == 2 else 0,
-        room.given(settings.gap_spacings * spacing),
-        room.given_wholes(spacing * (beams + 0.5) > 2.0 * math.pi),
-        max(scans.range_min, float(np.finfo(float).tiny)),
-        min(scans.range_max, MAX_RANGE_M),
-        room.given(numbers),
-        room.given(share),
-        slips,
-        counts,
-        curved,
-        out,
-        loads,
-    )
-    lines = np.array(out[: _COLUMNS * found]).reshape(found, _COLUMNS)
+    spacing, beams = scans.spacing(), scans.ranges.shape[1]
+    limits = max(scans.range_min, float(np.finfo(float).tiny)), min(scans.range_max, MAX_RANGE_M)
+    ring = spacing * (beams + 0.5) > 2.0 * math.pi
+    given = segments.Scans(scans.ranges, scans.rays(), settings.gap_spacings * spacing, ring, limits)
+    share = np.zeros((0, beams)) if motion is None else shares(beams)
+    sweep = line_fits.Sweep(share, *(motion or Motion((0.0, 0.0), (0.0, 0.0))))
+    found = line_fits.find_lines(given, segments.Limits(settings), sweep)
+    n = found.count
+    R, points, span = np.asarray(found.R)[:n], np.asarray(found.points)[:n], np.asarray(found.span)[:n]
     return Lines(
-        first=np.concatenate(([0], np.cumsum(counts))).astype(np.int64),
-        z=lines[:, :2],
-        R_unit=lines[:, (2, 3, 3, 4)].reshape(found, 2, 2),
-        ends=lines[:, 5:7],
-        points=lines[:, 7].astype(np.int64),
-        chi2=lines[:, 8],
-        span=lines[:, 9:11].astype(np.int64),
-        sweep=np.array(loads[: 4 * slips * found]).reshape(found, 2, 2, slips),
-        curved=np.array(curved, dtype=np.int64),
+        first=np.concatenate(([0], np.cumsum(found.counts))).astype(np.int64),
+        z=np.asarray(found.z)[:n],
+        R_unit=R[:, (0, 1, 1, 2)].reshape(n, 2, 2),
+        ends=np.asarray(found.ends)[:n],
+        points=points.astype(np.int64),
+        chi2=np.asarray(found.chi2)[:n],
+        span=span.astype(np.int64),
+        sweep=np.asarray(found.sweep)[:n].reshape(n, 2, 2, len(share)),
+        curved=np.asarray(found.curved).astype(np.int64),
     )
 
 

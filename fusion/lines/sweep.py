@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from locfuse.fusion.core import places
-from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.kernels import places
+from locfuse.fusion.kernels.arrays import view
 from locfuse.fusion.sensor import WheelMotion
 
 PIECES = 6  # of a sweep, in each of which either wheel slips once: three before its middle and three after
@@ -48,7 +48,7 @@ def shares(beams: int) -> Array:
 def noise_of(per_unit: Array, scan: Ints, middle: Array, duration: Array, wheels: WheelMotion) -> Array:
     """Return the loadings G (m, 2, 2 PIECES) of lines on the slips of both wheels in every piece of the sweep.
 
-    `per_unit` (m, 2, 2, PIECES) by `core.lines.loadings`; scan (m,) says whose the lines are;
+    `per_unit` (m, 2, 2, PIECES) by `kernels.line_fits.loadings`; scan (m,) says whose the lines are;
     middle, duration (n,) [s].
     """
     slip = np.sqrt(wheels.slips(middle[:, None] + duration[:, None] * EDGES))[scan]  # (m, PIECES, 2) m
@@ -59,10 +59,11 @@ def noise_of(per_unit: Array, scan: Ints, middle: Array, duration: Array, wheels
 
 
 def in_base(loads: Array, z: Array, mount: Array) -> Array:
-    """Return loadings (m, 2, ...) of the laser's lines z (m, 2) as the base sees them, by `core.places`."""
-    given, out = np.ascontiguousarray(loads, np.float64), np.empty(loads.shape)
-    if given.size:
-        parts, z = given[0, 0].size, np.ascontiguousarray(z)
-        core = Room.here(places).on_arrays
-        core.shares_into_base(z, len(z), parts, *mount.tolist(), given.reshape(-1), 0, out.reshape(-1))
+    """Return loadings (m, 2, ...) of the laser's lines z (m, 2) as the base sees them, by `kernels.places`."""
+    out = np.empty(loads.shape)
+    if loads.size:
+        parts = (len(z), 2, -1)
+        given, into = view(loads.reshape(parts)), view(out.reshape(parts))
+        x, y, yaw = mount.tolist()
+        places.shares_into_base(view(z), len(z), x, y, yaw, given, 0, into)
     return out

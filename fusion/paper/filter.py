@@ -17,12 +17,11 @@ from locfuse.fusion.fuse import configuration_name
 from locfuse.fusion.instants import BLOCK
 from locfuse.fusion.progress import say_done
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.sensor import Innovation
 from locfuse.fusion.wheels.motion import Wheels
 
 from . import equations
 from .equations import PRINTED, Printed
-from .rows import PARTS, LineRows, Rows
+from .rows import PARTS, LineRows, Row, Rows
 
 EARLY = 1e-9  # s: a stamp that is rounding away from the grid is on it
 MAX_STEPS = 2_000_000  # of the loop, 100 bytes each: two days and more
@@ -119,14 +118,14 @@ class PrintedFilter:
     def step(self, k: int) -> None:
         """One sampling period: predict by the wheels, correct by what has arrived since the last step."""
         self.x, self.P = self.predict(self.x, self.P, self.rolled[k])
-        seen: dict[str, list[Innovation]] = {}
+        seen: dict[str, list[Row]] = {}
         for sensor, part in self.parts.items():
             i = int(self._newest[sensor][k])
             if i >= 0:
                 found = part.rows(self.drive.measurements[sensor], i, self.x, self.P)
-                self._records[sensor].add(int(self.drive.instant[sensor][i]), found)
+                self._records[sensor].add(int(self.drive.instant[sensor][i]), [row.seen for row in found])
                 listens = sensor in self.listen and bool(self.listen[sensor][i])
-                seen[sensor] = [] if listens else [s for s in found if s.verdict == 0]
+                seen[sensor] = [] if listens else [row for row in found if row.seen.verdict == 0]
         self.correct(seen)
         self._poses[k], self._covariances[k] = self.x, self.P
 
@@ -143,13 +142,13 @@ class PrintedFilter:
         Q = equations.eq9_Q(self.numbers.delta, omega[..., 1], omega[..., 0])
         return equations.eq3_motion(x, ds, dtheta), equations.eq6_P(P, A, W, Q)
 
-    def correct(self, seen: dict[str, list[Innovation]]) -> None:
+    def correct(self, seen: dict[str, list[Row]]) -> None:
         """Eq. 10-12 with everything stacked as in eq. 16."""
-        stacked = [s for sensor in PARTS for s in seen.get(sensor, [])]
+        stacked = [row for sensor in PARTS for row in seen.get(sensor, [])]
         if not stacked:
             return
-        y = np.concatenate([s.y for s in stacked])
-        H = np.concatenate([s.H for s in stacked])
+        y = np.concatenate([row.seen.y for row in stacked])
+        H = np.concatenate([row.H for row in stacked])
         lines, compass, camera = (len(seen.get(sensor, [])) for sensor in PARTS)
         R = equations.eq19_R(lines, bool(compass), bool(camera), self.numbers)
         K = equations.eq10_K(self.P, H, R)

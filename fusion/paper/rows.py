@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.camera.bearing import paper_orientation
 from locfuse.fusion.data import VERDICTS, Array, LocfuseError, MapLine, Measurements
+from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.sensor import Innovation
 
 from . import equations
 from .equations import Printed
@@ -20,10 +20,17 @@ UNMATCHED, NEW = VERDICTS.index("unmatched"), VERDICTS.index("new")
 TO_RIGHT = math.pi / 2  # the scan's 0 degrees point to the robot's right, the base frame's ahead
 
 
+class Row(NamedTuple):
+    """One measurement in (16)."""
+
+    seen: Innovation
+    H: Array  # (d, 3) by the pose
+
+
 class Rows(Protocol):
     """One sensor's part of (16)."""
 
-    def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[Innovation]:
+    def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[Row]:
         """Compare reading i with the predicted pose x (3,), P (3, 3)."""
 
 
@@ -37,12 +44,12 @@ class LineRows:
         self.ends: list[tuple[float, float]] = []
         self.hits: list[int] = []
 
-    def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[Innovation]:
+    def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[Row]:
         """Match every line of scan i with the nearest line of the map; the first scan makes the map."""
         lines = range(int(m.first[i]), int(m.first[i + 1]))
         if not self.map:
             self._remember(m, lines, x)
-            return [Innovation.unpredicted(row, NEW, 2, math.inf) for row in lines]
+            return [unmatched(row, NEW) for row in lines]
         return [self._row(row, float(m.z[row, 0]), float(m.z[row, 1]) + TO_RIGHT, x, P) for row in lines]
 
     def _remember(self, m: Measurements, lines: range, x: Array) -> None:
@@ -54,10 +61,10 @@ class LineRows:
             self.ends.append((low, high))
             self.hits.append(1)
 
-    def _row(self, row: int, r: float, psi: float, x: Array, P: Array) -> Innovation:
+    def _row(self, row: int, r: float, psi: float, x: Array, P: Array) -> Row:
         j, dr, dpsi = self._nearest(r, psi, x)
         if j < 0:
-            return Innovation.unpredicted(row, UNMATCHED, 2, math.inf)
+            return unmatched(row, UNMATCHED)
         self.hits[j] += 1
         rho, beta = self.map[j]
         C = equations.eq17_C(rho, beta, float(x[0]), float(x[1]))
@@ -92,7 +99,7 @@ class CompassRow:
         self.offset = None if offset is None else math.radians(offset)
         self.R = equations.eq19_R(0, compass=True, camera=False, numbers=numbers)
 
-    def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[Innovation]:
+    def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[Row]:
         """Compare heading i with the predicted one."""
         z, theta = float(m.z[i, 0]), float(x[2])
         if self.offset is None:
@@ -112,7 +119,7 @@ class CameraRow:
         self.yaw = math.radians(settings.yaw_deg)
         self.R = equations.eq19_R(0, compass=False, camera=True, numbers=numbers)
 
-    def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[Innovation]:
+    def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[Row]:
         """Compare the heading by the largest candidate of picture i with the predicted one."""
         row = int(m.first[i])
         if row == int(m.first[i + 1]):
@@ -122,21 +129,17 @@ class CameraRow:
         return [innovation(row, 0, np.array([y]), equations.eq13_H_heading(), self.R, P)]
 
 
-def innovation(row: int, landmark: int, y: Array, H: Array, R: Array, P: Array) -> Innovation:
+def innovation(row: int, landmark: int, y: Array, H: Array, R: Array, P: Array) -> Row:
     """Return an accepted measurement with y (d,), H (d, 3), R (d, d): the print knows no gate."""
     S = H @ P @ H.T + R
     nis = float(y @ np.linalg.solve(S, y))
-    return Innovation(
-        row=row,
-        verdict=0,
-        landmark=landmark,
-        nis=nis,
-        threshold=math.inf,
-        y=tuple(y.tolist()),
-        sigma=tuple(np.sqrt(np.maximum(np.diag(S), 0.0)).tolist()),
-        H=tuple(map(tuple, H.tolist())),
-        R=tuple(map(tuple, R.tolist())),
-    )
+    sigma = np.sqrt(np.maximum(np.diag(S), 0.0))
+    return Row(Innovation(row, 0, landmark, nis, math.inf, tuple(y.tolist()), tuple(sigma.tolist())), H)
+
+
+def unmatched(row: int, verdict: int) -> Row:
+    """Return a line that was compared with nothing."""
+    return Row(Innovation.unpredicted(row, verdict, 2, math.inf), np.zeros((0, 3)))
 
 
 PARTS: dict[str, type[LineRows] | type[CompassRow] | type[CameraRow]] = {

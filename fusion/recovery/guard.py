@@ -20,9 +20,9 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import Pose
-from locfuse.fusion.linemap.association import Association, associate
+from locfuse.fusion.linemap.association import Association
 from locfuse.fusion.linemap.line_map import LineMap
-from locfuse.fusion.linemap.scan import Scan, Where
+from locfuse.fusion.linemap.scan import Scan
 
 from .relocalise import behind_walls, find_pose
 from .scan_history import Trail
@@ -49,6 +49,7 @@ SAME_XY, SAME_THETA = 0.12, math.radians(4.0)  # m, rad: within which they agree
 PATIENCE = 60  # scans along 12 m of a lost robot's way that did not tell its place: then it begins a map anew
 
 Late = tuple[float, Pose, Callable[[], Scan]]  # a scan that is made when it is asked for; compare slips.Seen
+Again = Callable[[], Association]  # associates the scan at hand with the belief as it is now
 
 
 class Guard:
@@ -74,35 +75,40 @@ class Guard:
         self._tried = 0  # scans along the way of a lost robot
         self._adrift: float | None = None  # s: since then the robot is in a map whose place is not known
 
-    def corrected(self, belief: JointBelief) -> None:
-        """Take in where a scan has put the robot: from here on the wheels lead."""
-        self.stood((belief.x, belief.y, belief.theta))
-
     def stood(self, pose: Pose) -> None:
-        """Take in where the robot is with a scan that said nothing new."""
+        """Take in where a scan has put the robot: from here on the wheels lead."""
         self._after = pose
 
+    def fits(self, t: float, share: float, pose: Pose, scan: Callable[[], Scan], next_id: int) -> bool:
+        """Take in a scan of which this share matches; False: nothing is taken in, `watch` must see to it.
+
+        `pose` is predicted, `next_id` the number of the next map line.
+        """
+        if self._lost_from is not None or not share >= MIN_MATCHED_SHARE:
+            return False
+        self._now, self._last = t, pose
+        self._before.append((t, self._rolled(pose), scan))
+        if share >= WELL:
+            self._well = (t, next_id)
+        self._since, self._torn = None, False
+        return True
+
     def watch(
-        self, t: float, scan: Scan, found: Association, lines: LineMap, belief: JointBelief, gate: float
+        self, t: float, scan: Scan, found: Association, lines: LineMap, belief: JointBelief, again: Again
     ) -> tuple[Association, bool]:
         """Return the association to use and whether the scan may correct the pose and teach the map."""
         dt, self._now = t - self._now, t
         moved = self._moved(belief)
-        now = (t, self._rolled(belief), scan)
+        now = (t, self._rolled(belief.pose()), scan)
         before = tuple(self._before)
         self._before.append((t, now[1], lambda: scan))
         if self._lost_from is not None:
             _keep_open(belief, dt)
-            return self._search(t, scan, found, lines, belief, gate)
+            return self._search(t, scan, found, lines, belief, again)
         share = found.share()
-        if share >= WELL:
-            self._well = (t, lines.next_id)
-        if share >= MIN_MATCHED_SHARE:
-            self._since, self._torn = None, False
-            return found, True
         if moved and share < HARDLY and _view(scan) >= SLIP_VIEW:
             believed = (belief.x, belief.y, belief.theta)
-            slipped = after_slip(scan, lines, belief, gate)
+            slipped = after_slip(scan, lines, belief, again)
             if slipped is not None:
                 self._since, self._torn = None, False
                 self.slips += 1
@@ -111,29 +117,10 @@ class Guard:
                 self.slips -= CARRIED
                 if self._series.mistaken(now):
                     self._take_back(now, lines, belief)
-                    return associate(scan, lines, belief, gate), True
+                    return again(), True
                 self._lose(self._series.begun, lines, belief)
                 return slipped, False
         return found, self._believed(_made(before), now, share, lines, belief)
-
-    def passed(
-        self,
-        where: Where,
-        seen: Sequence[tuple[float, Callable[[], Scan]]],
-        well: tuple[float, int] | None,
-    ) -> None:
-        """Take in scans that the core took, each of which matched enough.
-
-        `seen` are the last of them; `well` is when one last fitted well, and the number of the next line.
-        """
-        before, after = where.before, where.after
-        wheels = self._rolled_by(before, after)
-        last: list[Pose] = [(x, y, theta) for x, y, theta in wheels[-len(seen) :].tolist()]
-        self._before.extend((t, pose, scan) for (t, scan), pose in zip(seen, last, strict=True))
-        self._wheels, self._now = last[-1], seen[-1][0]
-        self._last, self._after = tuple(before[-1].tolist()), tuple(after[-1].tolist())
-        self._since, self._torn = None, False
-        self._well = self._well if well is None else well
 
     def _believed(self, before: list[Seen], now: Seen, share: float, lines: LineMap, belief: JointBelief) -> bool:
         """Return whether a scan of which little is matched may correct and teach; after several it is lost."""
@@ -173,18 +160,11 @@ class Guard:
         if len(gone) < len(lines):
             belief.remove(lines.drop(gone))
 
-    def _rolled(self, belief: JointBelief) -> Pose:
+    def _rolled(self, here: Pose) -> Pose:
         """Return where the wheels alone put the robot, on from where they did at the last scan."""
-        here = belief.x, belief.y, belief.theta
         self._wheels = se2.carried(self._wheels, self._after or here, here)
         self._after = here
         return self._wheels
-
-    def _rolled_by(self, before: Array, after: Array) -> Array:
-        """Return where the wheels alone put the robot at scans (n, 3), by the poses before and after each."""
-        begin = before[:1] if self._after is None else np.array([self._after])
-        steps = se2.between(np.concatenate((begin, after[:-1])), before)
-        return se2.chained(np.array(self._wheels), steps)
 
     def turn_page(self) -> None:
         """Go on in another map: what was seen before in this one's frame is void."""
@@ -235,7 +215,7 @@ class Guard:
         return False
 
     def _search(
-        self, t: float, scan: Scan, found: Association, lines: LineMap, belief: JointBelief, gate: float
+        self, t: float, scan: Scan, found: Association, lines: LineMap, belief: JointBelief, again: Again
     ) -> tuple[Association, bool]:
         if not self._trail.note(np.array([belief.x, belief.y, belief.theta]), scan):
             return found, False  # from the same place nothing new is seen
@@ -245,7 +225,7 @@ class Guard:
             return found, False
         belief.place(pose, PLACED_XY**2, PLACED_THETA**2)
         self._found(t, belief)
-        return associate(scan, lines, belief, gate), True
+        return again(), True
 
     def _confirmed(self, pose: Pose, belief: JointBelief) -> bool:
         """Return whether CONFIRMED scans in a row put the robot where the wheels took it from the last place.

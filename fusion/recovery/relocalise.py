@@ -11,16 +11,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.core import places
-from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.kernels import places
+from locfuse.fusion.kernels.arrays import view
 from locfuse.fusion.linemap.line_map import LineMap
 from locfuse.fusion.linemap.scan import Scan
 
@@ -30,17 +29,11 @@ LONGEST = 5  # seen walls from which pairs are made
 MAX_MAP_LINES = 60  # map lines that are considered, the best seen first
 MIN_HITS = 4
 SKEW = math.radians(25.0)  # two walls must differ by this much in direction to fix a pose
-SAME_ANGLE, SAME_OFFSET = math.radians(5.0), 0.25  # a seen wall is a known one within these
 EXPLAINED, LINES = 0.7, 3  # share of the seen length, and walls, that a pose must explain
 RIVAL = 0.8  # another pose that explains this share of the best one's length makes it ambiguous
 APART, TURNED = 0.5, math.radians(20.0)  # m, rad: poses further apart are different
 HEADING_SIGMAS, HEADING_SLACK = 4.0, math.radians(10.0)
-SAMPLES = 5  # points along a seen wall at which sight lines are tested
-BEHIND = 0.3  # m by which a point must lie behind a known wall
-MARGIN = 0.2  # m at either end of a known wall that is not trusted to block the sight
 TOO_MUCH_THROUGH = 0.15
-GRAZING = 0.1  # sine of the angle at which a sight line meets a wall: flatter ones are not trusted
-OVERLAP = 0.6  # share of a seen wall's length by which it overlaps the known one that it is
 DRIFTED = 2.0  # slack along the trail: wheels drift
 OFTEN, CONTRADICTS = 3, 0.35  # scans of the trail that make a pose none; share seen through by which one does
 
@@ -63,24 +56,19 @@ def behind_walls(
     `values` (J, 2) are rho and beta of the map's lines; `both`: walls block the sight from their unseen side too.
     """
     known = np.flatnonzero(lines.hits >= MIN_HITS)
-    out, m = np.zeros(len(scan.z)), len(known)
-    if m and len(out):
-        walls = _walls(lines, values, known)
-        how = both, BEHIND, MARGIN, GRAZING, np.empty((m, 2))
-        _core().behind(scan.rows(), len(out), SAMPLES, walls, m, *pose, *how, out)
+    out = np.zeros(len(scan.z))
+    if len(known) and len(out):
+        places.behind(view(scan.rows), _walls(lines, values, known), *pose, both, view(out))
     return out
 
 
 def _walls(lines: LineMap, values: Array, known: Ints) -> Array:
-    """Return map lines as core.places wants them, (m, 6)."""
-    walls = np.empty((len(known), places.KNOWN))
+    """Return map lines as kernels.places wants them, (m, COLUMNS)."""
+    walls = np.empty((len(known), places.COLUMNS))
     walls[:, :2], walls[:, 2:4] = values[known], lines.anchor[known]
     walls[:, 4], walls[:, 5] = lines.lo[known], lines.hi[known]
-    return walls
-
-
-def _core() -> Any:
-    return Room.here(places).on_arrays
+    viewed: Array = view(walls)
+    return viewed
 
 
 def find_pose(scan: Scan, lines: LineMap, belief: JointBelief, trail: Trail) -> tuple[float, float, float] | None:
@@ -151,10 +139,10 @@ def hypotheses(scan: Scan, lines: LineMap, values: Array, known: Ints, most: int
         for a, b in combinations(longest.tolist(), 2)
         if abs(math.sin(scan.z.item(b, 1) - scan.z.item(a, 1))) >= math.sin(SKEW)
     ]
-    rows, walls, m, found = scan.rows(), _walls(lines, values, known), len(known), 0
-    poses, normal, core = np.empty((len(pairs) * m * m, 3)), np.empty((m, 2)), _core()
+    poses, found = np.empty((len(pairs) * len(known) ** 2, 3)), 0
+    rows, walls, out = view(scan.rows), _walls(lines, values, known), view(poses)
     for a, b in pairs:
-        found = core.hypotheses(rows, a, b, walls, m, math.cos(SAME_ANGLE), normal, found, poses)
+        found = places.hypotheses(rows, a, b, walls, found, out)
     return poses[:found]
 
 
@@ -172,9 +160,7 @@ def explained(
     What is known of a wall grows with what was seen of it: a rival may look at a part that nobody saw yet. `slack`
     widens what counts as the same wall.
     """
-    walls, m, out = _walls(lines, values, known), len(known), np.empty((len(poses), 3))
+    out = np.empty((len(poses), 3))
     if len(poses):
-        same = slack * SAME_ANGLE, slack * SAME_OFFSET, OVERLAP
-        how = *same, np.empty((m, 2)), out
-        _core().explained(np.ascontiguousarray(poses), len(poses), scan.rows(), len(scan.z), walls, m, *how)
+        places.explained(view(scan.rows), _walls(lines, values, known), view(poses), slack, view(out))
     return out[:, 0], out[:, 1], out[:, 2].astype(np.int64)

@@ -8,7 +8,7 @@ before the series tell which: a robot that nobody carries sees them where the wh
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -17,7 +17,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Ints
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import Pose
-from locfuse.fusion.linemap.association import Association, associate
+from locfuse.fusion.linemap.association import Association
 from locfuse.fusion.linemap.line_map import LineMap
 from locfuse.fusion.linemap.scan import Scan
 
@@ -76,23 +76,26 @@ def continues(before: Sequence[Seen], now: Seen, share: float = CONTINUES, slip:
     return any(expected_share(scan, old, step, slip) >= share for old, step in steps)
 
 
-def after_slip(scan: Scan, lines: LineMap, belief: JointBelief, gate: float) -> Association | None:
+def after_slip(
+    scan: Scan, lines: LineMap, belief: JointBelief, again: Callable[[], Association]
+) -> Association | None:
     """Turn the belief by the heading change that makes most of the scan match; None, and no change, without one.
 
     Every heading is tried on the belief itself and the whole map: what is accepted here is what will be matched.
+    `again` associates the scan with the belief as it is now.
     """
     recent = np.flatnonzero(lines.seen.max(initial=0) - lines.seen <= RECENT)
     least, found = SLIP_SHARE, None
     for turn in _turns(scan, lines, recent, belief):
         with tried(belief, turn, SLIP_XY**2, SLIP_THETA**2):
-            there = associate(scan, lines, belief, gate)
+            there = again()
         share = there.share()
-        if share >= least and sum(p >= 0 for p in there.match) >= 2:
+        if share >= least and there.matches() >= 2:
             least, found = share + 1e-9, turn
     if found is None:
         return None
     belief.shift(found, SLIP_XY**2, SLIP_THETA**2)
-    return associate(scan, lines, belief, gate)
+    return again()
 
 
 @contextmanager

@@ -12,40 +12,32 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from msgspec.structs import replace
 
 from locfuse.fusion.camera.bearing import (
     H_ORIENTATION,
     MIN_DISTANCE_M,
     Point,
-    bearing_by_mount,
     paper_orientation,
-    predict_bearing,
 )
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.core import bearings as core
-from locfuse.fusion.core import tables
-from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Ints, LocfuseError, Measurements, Stream
+from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT, Mount, MountedSettings, mount_states
-from locfuse.fusion.se2 import wrap
+from locfuse.fusion.se2 import sight, wrap
 from locfuse.fusion.sensor import (
     GATE,
+    NO_BLOCK,
+    NO_COLUMNS,
     Ask,
     Belief,
     Bias,
     Block,
-    Columns,
-    Innovation,
     Model,
     Sensor,
     WheelMotion,
-    untold,
 )
 
 AMBIGUOUS, UNMATCHED = (VERDICTS.index(v) for v in ("ambiguous", "unmatched"))
-# of a best candidate that is refused, of ambiguous ones, of others
-VERDICTS_OF_CHOICE = (GATE, AMBIGUOUS, UNMATCHED)
 MAX_PANORAMA_COLUMNS, MAX_PANORAMA_ROWS = 3600, 8192  # of a panorama: its maps stay below 250 MB
 MARGIN = 9.0  # by how much the second-best candidate must fit worse (squared sigmas: odds of 90 to 1)
 
@@ -272,72 +264,27 @@ class BearingModel(Model):
         """Say where the camera was found to sit."""
         return self.mount.words(belief)
 
-    def columns(self, m: Measurements, when: Ints) -> Columns:
-        """Return all pictures for the core."""
-        return BearingColumns(self, m, when)
-
     def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
         """Compare the candidates of picture i with the belief: the one inside the gate is the landmark.
 
         Two that fit about equally well are ambiguous, and neither is used.
         """
-        pose = belief.x, belief.y, belief.theta
-        x, y, yaw = self.mount.now(belief)
-        predicted = predict_bearing(pose, self.landmark, (x, y), yaw)
-        first, last = int(m.first[i]), int(m.first[i + 1])
-        if predicted is None or first == last:
+        first, last = m.plain["first"][i], m.plain["first"][i + 1]
+        seen = sight(belief.pose(), self.landmark, self.mount.now(belief), MIN_DISTANCE_M)
+        if seen is None or first == last:
             return []
-        z, variances = m.scalars
-        h, H = predicted
-        columns: tuple[int, ...] = ()
-        H_block: tuple[tuple[float, ...], ...] = ()
+        bearing, _, H, by_mount = seen
+        columns, H_block = NO_COLUMNS, NO_BLOCK
         if self.mount.free:
-            columns = self.mount.columns(belief)
-            H_block = self.mount.rows((bearing_by_mount(pose, self.landmark, (x, y)),))
-        bend = belief.spread(((H[0], H[1], 0.0),))[0][0]
+            columns, H_block = self.mount.columns(belief), self.mount.rows((by_mount,))
+        # the bearing is not linear in the position: second-order variance (sigma_position / distance)^4
+        bend = belief.variance((H[0], H[1], 0.0))
+        z, variances = m.scalars
         judged = []
         for row in range(first, last):
-            # the bearing is not linear in the position: second-order variance (sigma_position / distance)^4
-            r = variances[row] + bend * bend
-            judged.append(
-                Innovation.of(
-                    row,
-                    (wrap(z[row] - h),),
-                    (H,),
-                    ((r,),),
-                    belief,
-                    self.threshold,
-                    columns=columns,
-                    H_block=H_block,
-                    landmark=0,
-                )
-            )
+            y, R = wrap(z[row] - bearing), ((variances[row] + bend * bend,),)
+            judged.append(belief.compare(row, (y,), (H,), R, self.threshold, columns, H_block, 0))
         return choose(judged)
-
-
-class BearingColumns(Columns):
-    """All pictures for the core: at most one candidate of each shows the landmark."""
-
-    kind = "bearings"
-    waiting = 1
-
-    def __init__(self, model: BearingModel, m: Measurements, when: Ints) -> None:
-        self._model, self.when, self.first = model, when, np.ascontiguousarray(m.first, np.intp)
-        self._of = np.ascontiguousarray(m.z[:, 0]), np.ascontiguousarray(m.covariances(slice(None))[:, 0, 0])
-        self.told, self.joint = untold(len(m.z), 1), np.zeros((0, 2))
-        self._table: Any = None
-
-    def table(self, belief: Any) -> Any:
-        """Return the pictures, with the camera as it is mounted: its states stay where they are."""
-        if self._table is None:
-            model, mount, room = self._model, self._model.mount, Room.here(tables).on_arrays
-            free, at = np.array(mount.free, np.intp), np.array(mount.columns(belief), np.intp)
-            self._table = room.Bearings(
-                self.when, self.first, *self._of, self.told, *model.landmark, MIN_DISTANCE_M, model.threshold,
-                MARGIN, *map(float, VERDICTS_OF_CHOICE), room.Seat(np.array(mount.told), free, at, len(free)),
-                len(self.when), 0,
-            )  # fmt: skip
-        return self._table
 
 
 class OrientationModel(Model):
@@ -356,22 +303,31 @@ class OrientationModel(Model):
         """Compare the orientation by the largest candidate of picture i with the belief."""
         if self.direction is None:
             self.direction = math.atan2(self.landmark[1] - belief.y, self.landmark[0] - belief.x)
-        row = int(m.first[i])
-        if row == int(m.first[i + 1]):
+        row = m.plain["first"][i]
+        if row == m.plain["first"][i + 1]:
             return []
         z, variances = m.scalars
         y = wrap(paper_orientation(self.direction, z[row] + self.yaw) - belief.theta)
-        R = ((variances[row],),)
-        seen = Innovation.of(row, (y,), (H_ORIENTATION,), R, belief, self.threshold, landmark=0)
-        return choose([seen])
+        return choose(
+            [belief.compare(row, (y,), (H_ORIENTATION,), ((variances[row],),), self.threshold, landmark=0)]
+        )
 
 
 def choose(judged: list[Innovation]) -> list[Innovation]:
-    """Give the candidates of one picture their verdicts, the best first: at most one is accepted."""
-    told = untold(len(judged), 1)
-    told[:, 2] = [seen.nis for seen in judged]
-    every = 0, len(judged), judged[0].threshold, MARGIN, *map(float, VERDICTS_OF_CHOICE)
-    best = Room.here(core).on_arrays.choose(told, *every)
-    verdicts = told[:, :2].astype(np.intp).tolist()
-    seen = [replace(s, verdict=v, landmark=k) for s, (v, k) in zip(judged, verdicts, strict=True)]
-    return [seen.pop(best), *seen]
+    """Give the candidates of one picture their verdicts, the best first: at most one is accepted.
+
+    It is the best, if it is within the gate and no other within it is worse by less than MARGIN.
+    """
+    best = min(judged, key=_misfit)
+    gate, others = best.threshold, [s for s in judged if s is not best]
+    best.verdict = 0 if best.nis <= gate else GATE
+    if others and best.verdict == 0 and min(others, key=_misfit).nis <= min(gate, best.nis + MARGIN):
+        best.verdict = AMBIGUOUS
+    for s in others:
+        s.verdict = AMBIGUOUS if best.verdict == AMBIGUOUS and s.nis <= gate else UNMATCHED
+        s.landmark = -1
+    return [best, *others]
+
+
+def _misfit(candidate: Innovation) -> float:
+    return candidate.nis

@@ -9,30 +9,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal, cast
+from typing import ClassVar, Literal, cast
 
 import numpy as np
 
 from locfuse.fusion.chi_square import MAD, chi_square
-from locfuse.fusion.core import tables
-from locfuse.fusion.core.room import Room
-from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Ints, LocfuseError, Measurements, Stream
+from locfuse.fusion.data import VERDICTS, Array, Colour, Component, LocfuseError, Measurements, Stream
+from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import BARE_NUMBERS, NOT_ON_BODY, rotated, rotation
 from locfuse.fusion.se2 import wrap, wrap_all
 from locfuse.fusion.sensor import (
-    GATE,
+    NO_BLOCK,
+    NO_COLUMNS,
     Ask,
     Belief,
     Bias,
     Block,
-    Columns,
-    Innovation,
     Model,
     Reversal,
     Sensor,
     SensorSettings,
     WheelMotion,
-    untold,
 )
 from locfuse.fusion.streams import count_dropped
 
@@ -190,6 +187,7 @@ class CompassModel(Model):
 
     def __init__(self, settings: CompassSettings) -> None:
         self.settings = settings
+        self.tolerance = settings.field_tolerance
         self.given = settings.offset_deg is not None and not settings.sigma_offset_deg
         self.offset = math.radians(settings.offset_deg or 0.0)
         self.threshold = chi_square(settings.gate, 1)
@@ -203,65 +201,16 @@ class CompassModel(Model):
         variance = math.radians(self.settings.sigma_offset_deg) ** 2 if known else math.pi**2 / 3.0
         return [Block(OFFSET, np.array([self.offset]), np.array([[variance]]), np.array([drift]))]
 
-    def columns(self, m: Measurements, when: Ints) -> HeadingColumns:
-        """Return all headings for the core."""
-        return HeadingColumns(self, m, when)
-
     def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
         """Compare one heading with the belief; a field of the wrong strength is not a heading."""
-        values, variances = m.scalars
-        z, r, strength = values[i], variances[i], float(m.extra["strength"][i])
-        columns: tuple[int, ...] = ()
-        H_block: tuple[tuple[float, ...], ...] = ()
-        offset = self.offset
+        z, variances = m.scalars
+        offset, columns, H_block = self.offset, NO_COLUMNS, NO_BLOCK
         if not self.given:
-            column, now = belief.block(OFFSET)
-            columns, H_block, offset = (column,), H_OFFSET, float(now[0])
-        y = wrap(z - belief.theta - offset)
-        disturbed = abs(strength - 1.0) > self.settings.field_tolerance
-        verdict = DISTURBED if disturbed else None
-        return [
-            Innovation.of(
-                i,
-                (y,),
-                H_HEADING,
-                ((r,),),
-                belief,
-                self.threshold,
-                columns=columns,
-                H_block=H_block,
-                verdict=verdict,
-            )
-        ]
-
-
-class HeadingColumns(Columns):
-    """All headings for the core: theta, what the map frame adds to it, and the offset."""
-
-    kind = "headings"
-
-    def __init__(self, model: CompassModel, m: Measurements, when: Ints) -> None:
-        self._model, self.when, self.first = model, when, np.arange(len(when) + 1)
-        disturbed = np.abs(m.extra["strength"] - 1.0) > model.settings.field_tolerance
-        self.usable = np.asarray(~disturbed, np.intp)
-        self._of = np.ascontiguousarray(m.z[:, 0]), np.ascontiguousarray(m.covariances(slice(None))[:, 0, 0])
-        self.told, self.joint = untold(len(m.z), 1), np.zeros((0, 2))
-        self._table: Any = None
-        self._frame = -2  # first column of the map frame that the table is for
-
-    def table(self, belief: Any) -> Any:
-        """Return the headings, and the states whose sum they are."""
-        model, frame = self._model, belief.in_frame
-        if self._frame != frame:
-            own = () if model.given else (belief.block(OFFSET)[0],)
-            at = np.array([2, *own, *(() if frame < 0 else (frame + 2,))])
-            known = model.offset if model.given else 0.0  # else it is the state
-            judged = model.threshold, float(GATE), float(DISTURBED), known
-            self._table = Room.here(tables).on_arrays.Headings(
-                self.when, *self._of, self.usable, *judged, at, len(at), self.told, len(self.when), 0, -1
-            )
-            self._frame = frame
-        return self._table
+            column = belief.column(OFFSET)
+            offset, columns, H_block = belief.value(column), (column,), H_OFFSET
+        y, R = wrap(z[i] - belief.theta - offset), ((variances[i],),)
+        verdict = DISTURBED if abs(m.plain["strength"][i] - 1.0) > self.tolerance else -1
+        return [belief.compare(i, (y,), H_HEADING, R, self.threshold, columns, H_block, verdict=verdict)]
 
 
 def _refuse_stuck(t: Array, heading: Array, wheels: WheelMotion, topic: str) -> None:

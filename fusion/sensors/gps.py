@@ -20,14 +20,10 @@ from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.core import fixes as core
-from locfuse.fusion.core import tables
-from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import (
     Array,
     Colour,
     Component,
-    Ints,
     LocfuseError,
     Measurements,
     Ragged,
@@ -35,19 +31,19 @@ from locfuse.fusion.data import (
     plausible,
 )
 from locfuse.fusion.geodesy import east_north
+from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.sensor import (
-    GATE,
+    NO_BLOCK,
+    NO_COLUMNS,
     Ask,
     Block,
-    Columns,
-    Innovation,
+    Matrix,
     Model,
+    PoseRows,
     Sensor,
     SensorSettings,
     WheelMotion,
-    untold,
-    upper,
 )
 from locfuse.fusion.streams import count_dropped
 
@@ -58,7 +54,7 @@ LENGTH = 1e-4  # how well a^2 + b^2 = 1 is said
 OF_GPSD = ("gps_common/msg/GPSFix", "gps_msgs/msg/GPSFix")  # drivers publish the same fixes as NavSatFix
 MIN_SIGMA_M = 1e-3  # m, of a standard deviation
 
-Rows = tuple[tuple[float, float, float], ...]
+Tie = tuple[float, float, float, float]
 Geographic = tuple[float, float]
 
 
@@ -173,6 +169,28 @@ def _nine(column: Array | Ragged) -> Array:
     return matrix
 
 
+def fix(
+    pose: se2.Plain, lever: tuple[float, float], reference: tuple[float, float], tie: Tie, known: bool
+) -> tuple[tuple[float, float], PoseRows, Matrix]:
+    """Return the fix (east, north) [m] of an antenna, and its derivatives by pose (2, 3) and tie (2, 4).
+
+    (east, north) = R (p - p_ref) + (c, d), with p = (x, y) + R(theta) lever and `reference` p_ref, both [m, map].
+    The tie is (cos e, sin e, c, d), in which the fix is linear, or (e, 1, c, d) where the direction e is `known`.
+    """
+    (x, y, theta), (a, b, east, north) = pose, tie
+    if known:
+        a, b = se2.direction(a)
+    c, s = se2.direction(theta)
+    lever_x, lever_y = c * lever[0] - s * lever[1], s * lever[0] + c * lever[1]
+    dx, dy = x + lever_x - reference[0], y + lever_y - reference[1]
+    to_east, to_north = a * dx + b * dy, a * dy - b * dx
+    by_pose = (a, b, b * lever_x - a * lever_y), (-b, a, b * lever_y + a * lever_x)
+    by_tie = (dx, dy, 1.0, 0.0), (dy, -dx, 0.0, 1.0)
+    if known:
+        by_tie = (to_north, 0.0, 1.0, 0.0), (-to_east, 0.0, 0.0, 1.0)
+    return (to_east + east, to_north + north), by_pose, by_tie
+
+
 class GpsModel(Model):
     """(east, north) = R(e) (p - p_ref) + (c, d) + noise; four states: a, b, c, d, later e, |(a, b)|, c, d."""
 
@@ -195,38 +213,22 @@ class GpsModel(Model):
         direction = 0.0 if self.known else 0.5
         return [Block(FRAME, x, np.diag([direction, direction, place, place]), np.zeros(4))]
 
-    def columns(self, m: Measurements, when: Ints) -> Columns:
-        """Return all fixes for the core, which takes them once the direction of east is known."""
-        return FixColumns(self, m, when)
-
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
         """Compare one fix with the belief."""
-        h, H, columns, H_block = self._predicted(belief)
-        z = m.z[i]
-        y = (float(z[0]) - h[0], float(z[1]) - h[1])
-        (r00, r01), (_, r11) = m.R[i].tolist()
-        R = ((r00, r01), (r01, r11))
-        return [Innovation.of(i, y, H, R, belief, self.threshold, columns=columns, H_block=H_block)]
-
-    def _predicted(
-        self, belief: Any
-    ) -> tuple[tuple[float, float], Rows, tuple[int, ...], tuple[tuple[float, ...], ...]]:
-        """Return the fix as predicted, its derivative by the pose, and by the states of the tie."""
-        room, pose = Room.here(core), (belief.x, belief.y, belief.theta)
+        pose = belief.pose()
         if self.reference is None:
-            x, y = se2.transform(np.array(pose), np.array(self.lever)).tolist()
-            self.reference = (x, y)
-        columns: tuple[int, ...] = ()
-        tie = self.tie
+            c, s = se2.direction(pose[2])
+            ahead, left = self.lever
+            self.reference = (pose[0] + c * ahead - s * left, pose[1] + s * ahead + c * left)
+        tie, columns = self.tie, NO_COLUMNS
         if not self.fixed:
-            first, now = belief.block(FRAME)
-            columns, tie = (first, first + 1, first + 2, first + 3), tuple(now.tolist())
-        out = room.floats(core.FIX)
-        room.functions.fix(*pose, *self.lever, *self.reference, room.flat((tie,)), self.known, out)
-        v = room.listed(out, core.FIX)
-        H = ((v[2], v[3], v[4]), (v[5], v[6], v[7]))
-        H_block = () if self.fixed else (tuple(v[8:12]), tuple(v[12:]))
-        return (v[0], v[1]), H, columns, H_block
+            first = belief.column(FRAME)
+            columns = (first, first + 1, first + 2, first + 3)
+            tie = belief.value(first), belief.value(first + 1), belief.value(first + 2), belief.value(first + 3)
+        (east, north), H, H_block = fix(pose, self.lever, self.reference, tie, self.known)
+        (z_east, z_north), ((r00, r01), (_, r11)) = m.plain["z"][i], m.plain["R"][i]
+        y, R = (z_east - east, z_north - north), ((r00, r01), (r01, r11))
+        return [belief.compare(i, y, H, R, self.threshold, columns, H_block if columns else NO_BLOCK)]
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Let the direction of east become a state of its own once it is known well enough."""
@@ -244,7 +246,7 @@ class GpsModel(Model):
         if float(G[0] @ P @ G[0]) > MAX_KNOWN_DIRECTION_RAD**2:
             return
         belief.transform(columns, np.array([math.atan2(b, a), length, now[2], now[3]]), G)
-        belief.correct([Innovation.of_states((1.0 - length,), ((LENGTH**2,),), (first + 1,), ((1.0,),))])
+        belief.know((1.0 - length,), ((LENGTH**2,),), (first + 1,), ((1.0,),))
         self.known = True
 
     def notes(self, belief: Any) -> list[str]:
@@ -257,28 +259,3 @@ class GpsModel(Model):
         east = math.degrees(float(now[0]))
         sigma = math.degrees(math.sqrt(max(float(belief.covariance[first, first]), 0.0)))
         return [f"east lies {east:.1f} deg (1 sigma: {sigma:.1f}) from the map's x axis (gps.east_deg)"]
-
-
-class FixColumns(Columns):
-    """All fixes for the core, where they are linear enough: the direction of east is known."""
-
-    kind = "fixes"
-
-    def __init__(self, model: GpsModel, m: Measurements, when: Ints) -> None:
-        self._model, self.when, self.first = model, when, np.arange(len(when) + 1)
-        self._z, self._R = np.ascontiguousarray(m.z), upper(m.covariances(slice(None)))
-        self.told, self.joint = untold(len(m.z), 2), np.zeros((0, 2))
-
-    @property
-    def ready(self) -> bool:
-        """Whether the first fix was seen, and where east lies is a state or given."""
-        return self._model.known and self._model.reference is not None
-
-    def table(self, belief: Any) -> Any:
-        """Return the fixes, the antenna and the tie to the map."""
-        model = self._model
-        at = -1 if model.fixed else belief.block(FRAME)[0]
-        return Room.here(tables).on_arrays.Fixes(
-            self.when, self._z, self._R, self.told, *model.lever, *(model.reference or (0.0, 0.0)),
-            np.array(model.tie), at, model.known, model.threshold, float(GATE), len(self.when), 0,
-        )  # fmt: skip

@@ -25,22 +25,10 @@ from typing import Any, ClassVar, Literal, NamedTuple, cast
 import numpy as np
 
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.core import tables
-from locfuse.fusion.core import turns as core
-from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Ints, LocfuseError, Measurements, Stream
+from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import BARE_NUMBERS, NOT_ON_BODY, rotation
-from locfuse.fusion.sensor import (
-    GATE,
-    Block,
-    Columns,
-    Innovation,
-    Model,
-    Sensor,
-    SensorSettings,
-    WheelMotion,
-    untold,
-)
+from locfuse.fusion.sensor import Block, Matrix, Model, Sensor, SensorSettings, WheelMotion
 from locfuse.fusion.streams import count_dropped, gap_limit
 
 MAX_REST_ROLLED_M, MAX_REST_TURNED_RAD = 0.001, math.radians(0.1)  # over a whole rest: encoders tremble by a tick
@@ -48,6 +36,7 @@ WILD_SIGMAS = 4.0  # prior sigmas by which a bias at rest is none: somebody turn
 REPEATED = VERDICTS.index("repeated")
 BEFORE, BIAS = "_gyro_before", "gyro_bias"
 H_TURN = ((0.0, 0.0, 1.0),)
+H_BEFORE: Matrix = ((-1.0,),)
 MIN_TURN_RAD = math.radians(20.0)  # rms of the wheels' turn about its mean, before the gyro is held against it
 AGREES = 0.8  # correlation from which gyro and wheels speak of the same turning
 SAYS_SO = ("gyro", "yaw_rate", "yawrate", "turn_rate", "angular_velocity")  # topics of bare turning rates
@@ -178,42 +167,26 @@ class GyroModel(Model):
         drift = math.radians(self.settings.bias_drift_deg) ** 2
         return [before, Block(BIAS, np.zeros(1), np.array([[variance]]), np.array([drift]))]
 
-    def columns(self, m: Measurements, when: Ints) -> Columns:
-        """Return all turns for the core, which takes them once there is a heading to compare with."""
-        return TurnColumns(self, m, when)
-
-    @property
-    def last(self) -> int | None:
-        """The reading whose heading is kept."""
-        return self._last
-
-    def keep(self, i: int) -> None:
-        """Take in that the heading of reading i was kept."""
-        self._last = i
-
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
         """Compare the turn since the last reading with the belief; the first, and one after a gap, only begins."""
-        last = self._last
-        if last is None or m.extra["piece"][i] != m.extra["piece"][last]:
+        last, columns_of = self._last, m.plain
+        if last is None or columns_of["piece"][i] != columns_of["piece"][last]:
             return []
-        if self._used_up(m, last, i):
-            return [Innovation.unpredicted(i, REPEATED, 1, self.threshold)]
-        dt, turned = float(m.t[i] - m.t[last]), float(m.z[i, 0] - m.z[last, 0])
-        column, before = belief.block(BEFORE)
+        t, angle = columns_of["t"], m.scalars[0]
+        before, now = t[last], t[i]
+        if self.rest is not None and self.rest.begin <= before and now <= self.rest.end:
+            return [Innovation.unpredicted(i, REPEATED, 1, self.threshold)]  # used up: it gave the bias
+        dt, turned = now - before, angle[i] - angle[last]
+        column = belief.column(BEFORE)
         columns: tuple[int, ...] = (column,)
-        H_block: tuple[tuple[float, ...], ...] = ((-1.0,),)
-        bias = self.given
+        H_block, bias = H_BEFORE, self.given
         if bias is None:
-            at, now = belief.block(BIAS)
-            columns, H_block, bias = (column, at), ((-1.0, dt),), float(now[0])
-        room = Room.here(core).functions
-        y = room.surplus(turned, dt, bias, belief.theta, float(before[0]))
-        r = room.turn_noise(m.scale**2, dt, self.settings.sigma_scale, turned)  # of a damaged rate inf: refused
-        return [Innovation.of(i, (y,), H_TURN, ((r,),), belief, self.threshold, columns=columns, H_block=H_block)]
-
-    def _used_up(self, m: Measurements, last: int, i: int) -> bool:
-        """Return whether the turn between two readings belongs to the rest that gave the bias."""
-        return self.rest is not None and self.rest.begin <= m.t[last] and m.t[i] <= self.rest.end
+            at = belief.column(BIAS)
+            columns, H_block, bias = (column, at), ((-1.0, dt),), belief.value(at)
+        y = turned - bias * dt - (belief.theta - belief.value(column))
+        by_scale = self.settings.sigma_scale * turned
+        r = m.scale * m.scale * dt + by_scale * by_scale  # of a damaged rate inf: refused
+        return [belief.compare(i, (y,), H_TURN, ((r,),), self.threshold, columns, H_block)]
 
     def _begin(self, m: Measurements, i: int, belief: Any) -> None:
         """Measure the bias at rest, with the first reading. It drifts between here and there."""
@@ -226,7 +199,7 @@ class GyroModel(Model):
         apart = abs(0.5 * (self.rest.begin + self.rest.end) - float(m.t[i]))
         r = m.scale**2 / span + math.radians(self.settings.bias_drift_deg) ** 2 * apart
         y = self.rest.turned / span - float(now[0])
-        belief.correct([Innovation.of_states((y,), ((r,),), (at,), ((1.0,),))])
+        belief.know((y,), ((r,),), (at,), ((1.0,),))
 
     def notes(self, belief: Any) -> list[str]:
         """Say where the bias comes from."""
@@ -240,42 +213,8 @@ class GyroModel(Model):
         """Keep the heading as it is now."""
         if self._last is None:
             self._begin(m, i, belief)
-        column, _ = belief.block(BEFORE)
-        belief.clone_heading(column)
+        belief.clone_heading(belief.column(BEFORE))
         self._last = i
-
-
-class TurnColumns(Columns):
-    """All turns for the core."""
-
-    kind = "turns"
-
-    def __init__(self, model: GyroModel, m: Measurements, when: Ints) -> None:
-        self._model, self.when, self.first = model, when, np.arange(len(when) + 1)
-        self._of = np.ascontiguousarray(m.t), np.ascontiguousarray(m.z[:, 0]), m.extra["piece"]
-        self._walk = m.scale**2
-        self.told, self.joint = untold(len(m.z), 1), np.zeros((0, 2))
-
-    @property
-    def ready(self) -> bool:
-        """Whether a heading is kept."""
-        return self._model.last is not None
-
-    def table(self, belief: Any) -> Any:
-        """Return the turns, and the states of the kept heading and the bias."""
-        model, rest = self._model, self._model.rest
-        at_bias = belief.block(BIAS)[0] if model.given is None else -1
-        span = (math.inf, -math.inf) if rest is None else (rest.begin, rest.end)
-        return Room.here(tables).on_arrays.Turns(
-            self.when, *self._of, self.told, self._walk, model.settings.sigma_scale, model.given or 0.0, at_bias,
-            belief.block(BEFORE)[0], *span, model.threshold, float(GATE), float(REPEATED), model.last or 0,
-            len(self.when), 0,
-        )  # fmt: skip
-
-    def passed(self, first: int, last: int) -> None:
-        """Take in which heading is kept now."""
-        if last > first:
-            self._model.keep(last - 1)
 
 
 def up_rate(columns: dict[str, Array], settings: GyroSettings, topic: str) -> Array:

@@ -31,9 +31,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion.chi_square import MAD, chi_square
-from locfuse.fusion.core import sightings as core
-from locfuse.fusion.core import tables
-from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import (
     VERDICTS,
     Array,
@@ -45,25 +42,23 @@ from locfuse.fusion.data import (
     Stream,
     plausible,
 )
+from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.landmarks.geometry import Point, Row, detector_at, predict
 from locfuse.fusion.landmarks.messages import PIXELS, READS, Looks, Sighted, sighted
 from locfuse.fusion.landmarks.places import MIN_DETECTIONS, wrong_places
 from locfuse.fusion.mount import ASK_MOUNT
-from locfuse.fusion.se2 import wrap, wrap_all
+from locfuse.fusion.se2 import direction, wrap, wrap_all
 from locfuse.fusion.sensor import (
-    GATE,
+    NO_BLOCK,
+    NO_COLUMNS,
     Ask,
     Belief,
     Bias,
     Block,
-    Columns,
-    Innovation,
     Model,
     Sensor,
     SensorSettings,
     WheelMotion,
-    untold,
-    upper,
 )
 from locfuse.fusion.streams import MergedStream, count_dropped
 
@@ -76,7 +71,8 @@ NEW = VERDICTS.index("new")
 MIN_FIT = 50  # detections that are held against poses
 MIN_SEEN = 3  # detections of an id from which its landmark is placed in a map that is made
 MAX_LANDMARKS = 1000  # in a map that is made: memory and time grow with the square of their number
-MOST_AT_ONCE = 64  # detections of one reading that the core has room for
+MIN_SHARE = 0.1  # of a distance that a depth is taken for: a detector looks ahead
+ZEROS = 0.0, 0.0  # derivatives of a bearing by offset and depth
 MAX_SIGMA_M = 0.3  # m of the robot's position: beyond it a detection does not tell where its landmark stands
 
 
@@ -356,19 +352,21 @@ def _nothing(topic: str, ids: Ints, places: Mapping[int, Point] | None) -> str:
 
 
 class Ranging(NamedTuple):
-    """range = share * distance + offset, at one bearing."""
+    """range = |d| (1 - k short) + offset with short = 1 - cos(bearing), as the belief has offset and k."""
 
     offset: float  # m
-    share: float
-    columns: tuple[int, ...]  # of the states among offset and depth, in this order
-    offset_free: bool
-    depth_free: bool
-    short: float  # 1 - cos(bearing)
+    depth: float  # k
+    columns: tuple[int, ...]  # of the states among offset and k, in this order
+    free: tuple[bool, bool]  # whether offset and k are states
 
-    def derivative(self, distance: float) -> list[float]:
+    def share(self, short: float) -> float:
+        """Return the share of the distance that a range says."""
+        return max(1.0 - self.depth * short, MIN_SHARE)
+
+    def derivative(self, short: float, distance: float) -> tuple[float, ...]:
         """Return the derivative of a range by these states."""
-        of_offset = [1.0] if self.offset_free else []
-        return [*of_offset, -self.short * distance] if self.depth_free else of_offset
+        of_offset = (1.0,) if self.free[0] else ()
+        return (*of_offset, -short * distance) if self.free[1] else of_offset
 
 
 class LandmarksModel(Model):
@@ -391,32 +389,19 @@ class LandmarksModel(Model):
         free |= {DEPTH: SIGMA_DEPTH} if self.depth is None else {}
         return [Block(name, np.zeros(1), np.array([[s**2]]), np.zeros(1)) for name, s in free.items()]
 
-    def columns(self, m: Measurements, when: Ints) -> Columns | None:
-        """Return all detections for the core, if no reading has more than it has room for."""
-        few = int(np.diff(m.first).max(initial=0)) <= MOST_AT_ONCE
-        return SightingColumns(self, m, when) if few else None
-
-    def column(self, landmark: int, belief: Any) -> int:
-        """Return the first state column of the place of a landmark, -1 where that is none."""
-        return -1
-
-    def passed(self, landmarks: list[int], verdicts: list[float], placed: list[list[float]]) -> None:
-        """Take in what became of detections that the core compared, and where they put their landmarks."""
-        for landmark, place in zip(landmarks, placed, strict=True):
-            self._keep_place(landmark, *place)  # NaN where the robot's own place was not known well enough
-
     def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
         """Compare the detections of one instant with the belief."""
-        found = []
-        for row in range(int(m.first[i]), int(m.first[i + 1])):
-            landmark, z = int(m.extra["id"][row]), m.z[row].tolist()
-            seen = self._compared(m, row, landmark, z, self.places[landmark], (), belief)
-            if seen is not None:
-                found.append(seen)
-                if len(z) > 1:
-                    ranging = self._ranging(belief, z[0])
-                    distance = (z[1] - ranging.offset) / ranging.share
-                    self._note_place(landmark, distance, z[0], self._mount_of(m, row), belief)
+        found, pose, ranging, sigma = [], belief.pose(), self._ranging(belief), -1.0
+        for row in rows_of(m, i):
+            landmark, z = int(m.plain["id"][row]), m.plain["z"][row]
+            seen = self._compared(m, row, landmark, pose, ranging, self.places[landmark], NO_COLUMNS, belief)
+            if seen is None:
+                continue
+            found.append(seen)
+            if len(z) > 1:
+                sigma = sigma if sigma >= 0.0 else _sigma_of_place(belief)
+                distance = (z[1] - ranging.offset) / ranging.share(1.0 - math.cos(z[0]))
+                self._note_place(landmark, distance, z[0], self._mount_of(m, row), pose, sigma)
         return found
 
     def _compared(
@@ -424,80 +409,63 @@ class LandmarksModel(Model):
         m: Measurements,
         row: int,
         landmark: int,
-        z: list[float],
+        pose: Row,
+        ranging: Ranging,
         place: Point,
         at: tuple[int, ...],
         belief: Belief,
     ) -> Innovation | None:
         """Compare one detection with a place, whose state columns are `at` where it is a state."""
-        predicted = predict((belief.x, belief.y, belief.theta), place, self._mount_of(m, row))
+        predicted = predict(pose, place, self._mount_of(m, row))
         if predicted is None:
             return None
         (distance, bearing), (by_range, by_bearing) = predicted
+        z, R = m.plain["z"][row], m.plain["R"][row]
         # a bearing is not linear in the position: second-order variance (sigma_position / distance)^4
-        bend = belief.spread(((by_bearing[0], by_bearing[1], 0.0),))[0][0]
-        own = m.R[row].tolist()
-        own[0][0] += bend * bend
-        y, H = [wrap(z[0] - bearing)], [by_bearing]
-        beside = (
-            [[-v for v in by_bearing[:2]]] if at else [[]]
-        )  # a place moves it as the robot does, the other way
-        columns: tuple[int, ...] = at
-        if len(z) > 1:
-            ranging = self._ranging(belief, z[0])
-            y.append(z[1] - ranging.share * distance - ranging.offset)
-            ahead, across, turned = (ranging.share * v for v in by_range)
-            H.append((ahead, across, turned))
-            beside.append([-ahead, -across] if at else [])
-            columns += ranging.columns
-            more = ranging.derivative(distance)
-            beside = [[*beside[0], *(0.0 for _ in more)], [*beside[1], *more]]
-        return Innovation.of(
-            row,
-            tuple(y),
-            tuple(H),
-            tuple(map(tuple, own)),
-            belief,
-            self.thresholds[len(y)],
-            columns=columns,
-            H_block=tuple(map(tuple, beside)) if columns else (),
-            landmark=landmark,
-        )
+        bend = belief.variance((by_bearing[0], by_bearing[1], 0.0))
+        off, r = wrap(z[0] - bearing), R[0][0] + bend * bend
+        # a place moves what is seen as the robot does, the other way
+        beside: tuple[float, ...] = (-by_bearing[0], -by_bearing[1]) if at else ()
+        if len(z) == 1:
+            H_block = (beside,) if at else NO_BLOCK
+            return belief.compare(row, (off,), (by_bearing,), ((r,),), self.thresholds[1], at, H_block, landmark)
+        short = 1.0 - math.cos(z[0])
+        share, more, columns = ranging.share(short), ranging.derivative(short, distance), at + ranging.columns
+        y, noise = (off, z[1] - share * distance - ranging.offset), ((r, R[0][1]), (R[1][0], R[1][1]))
+        ahead, across, turned = share * by_range[0], share * by_range[1], share * by_range[2]
+        H_block = NO_BLOCK
+        if columns:
+            H_block = (beside + ZEROS[: len(more)], (-ahead, -across, *more) if at else more)
+        H = by_bearing, (ahead, across, turned)
+        return belief.compare(row, y, H, noise, self.thresholds[2], columns, H_block, landmark)
 
-    def _ranging(self, belief: Belief, bearing: float) -> Ranging:
-        """Return how ranges follow from distances at a measured bearing [rad], as the belief has it."""
-        offset, depth, columns = self.given, self.depth, []
+    def _ranging(self, belief: Belief) -> Ranging:
+        """Return how ranges follow from distances as the belief has it."""
+        offset, depth, columns = self.given, self.depth, NO_COLUMNS
         if offset is None:
-            column, now = belief.block(OFFSET)
-            offset = float(now[0])
-            columns.append(column)
+            column = belief.column(OFFSET)
+            offset, columns = belief.value(column), (column,)
         if depth is None:
-            column, now = belief.block(DEPTH)
-            depth = float(now[0])
-            columns.append(column)
-        on = Room.here(core).functions
-        short = on.shortened(bearing)
-        share = on.share_of(depth, short)
-        return Ranging(offset, share, tuple(columns), self.given is None, self.depth is None, short)
+            column = belief.column(DEPTH)
+            depth, columns = belief.value(column), (*columns, column)
+        return Ranging(offset, depth, columns, (self.given is None, self.depth is None))
 
     def _mount_of(self, m: Measurements, row: int) -> Row:
         """Return where the detector of a row sits on the base."""
         if LEVER[0] not in m.extra:
             return self.mount
-        x, y, yaw = (float(m.extra[name][row]) for name in LEVER)
+        x, y, yaw = (m.plain[name][row] for name in LEVER)
         return x, y, yaw
 
-    def _note_place(self, landmark: int, distance: float, bearing: float, mount: Row, belief: Belief) -> None:
-        """Keep where a detection places its landmark, where the robot's own place is known."""
-        spread = belief.spread(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
-        sigma = math.sqrt(max(spread[0][0], spread[1][1], 0.0))  # but for rounding
+    def _note_place(
+        self, landmark: int, distance: float, bearing: float, mount: Row, pose: Row, sigma: float
+    ) -> None:
+        """Keep where a detection places its landmark, where the robot's own place is known, to `sigma` [m]."""
         if sigma > MAX_SIGMA_M:
             return
-        room = Room.here(core)
-        out = room.floats(2)
-        room.functions.placed(belief.x, belief.y, belief.theta, *mount, distance, bearing, out)
-        x, y = room.listed(out, 2)
-        self._keep_place(landmark, x, y, math.hypot(sigma, self.sigmas[1], distance * self.sigmas[0]))
+        (x, y), (c, s) = detector_at(pose, mount), direction(pose[2] + mount[2] + bearing)
+        sigma = math.hypot(sigma, self.sigmas[1], distance * self.sigmas[0])
+        self._keep_place(landmark, x + distance * c, y + distance * s, sigma)
 
     def _keep_place(self, landmark: int, x: float, y: float, sigma: float) -> None:
         if math.isfinite(x + y + sigma):
@@ -534,53 +502,46 @@ class GrowingModel(LandmarksModel):
         self._known: dict[int, int] = {}  # id -> detections
         self._refused: dict[int, int] = defaultdict(int)
 
-    def column(self, landmark: int, belief: Any) -> int:
-        """Return the first state column of the place of a landmark, -1 before its first detection."""
-        return int(belief.block(_name(landmark))[0]) if landmark in self._known else -1
-
-    def passed(self, landmarks: list[int], verdicts: list[float], placed: list[list[float]]) -> None:
-        """Count what became of detections that the core compared."""
-        for landmark, verdict in zip(landmarks, verdicts, strict=True):
-            self._known[landmark] += 1
-            self._refused[landmark] += int(verdict > 0.0)
-
     def begins_map(self, m: Measurements, i: int) -> bool:
         """Return whether these are the first detections, with which a local frame can begin."""
-        return not self._known and bool(m.first[i] < m.first[i + 1])
+        return not self._known and len(rows_of(m, i)) > 0
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
         """Compare the detections of one instant with the belief; those of new landmarks are none yet."""
-        found = []
-        for row in range(int(m.first[i]), int(m.first[i + 1])):
-            landmark = int(m.extra["id"][row])
+        found, pose, ranging = [], belief.pose(), self._ranging(belief)
+        for row in rows_of(m, i):
+            landmark = int(m.plain["id"][row])
             if landmark not in self._known:
                 found.append(Innovation.unpredicted(row, NEW, m.z.shape[1], self.thresholds[2]))
                 continue
-            column, place = belief.block(_name(landmark))
-            at = (float(place[0]), float(place[1]))
-            seen = self._compared(m, row, landmark, m.z[row].tolist(), at, (column, column + 1), belief)
+            column = belief.column(_name(landmark))
+            place, at = (belief.value(column), belief.value(column + 1)), (column, column + 1)
+            seen = self._compared(m, row, landmark, pose, ranging, place, at, belief)
             if seen is not None:
                 found.append(seen)
-                self._refused[landmark] += int(seen.verdict != 0)
+                self._refused[landmark] += seen.verdict != 0
         return found
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Append the landmarks that were seen for the first time, where they were seen."""
-        for row in range(int(m.first[i]), int(m.first[i + 1])):
-            landmark = int(m.extra["id"][row])
+        for row in rows_of(m, i):
+            landmark = int(m.plain["id"][row])
             if landmark not in self._known:
-                self._append(landmark, m.z[row].tolist(), m.R[row], self._mount_of(m, row), belief)
+                R = np.array(m.plain["R"][row])
+                self._append(landmark, m.plain["z"][row], R, self._mount_of(m, row), belief)
             self._known[landmark] = self._known.get(landmark, 0) + 1
 
     def _append(self, landmark: int, z: list[float], R: Array, mount: Row, belief: Any) -> None:
         """Append the place l = s + r (cos, sin)(theta + yaw + bearing), r the distance that the range says."""
-        ranging = self._ranging(belief, z[0])
-        x, y = detector_at((belief.x, belief.y, belief.theta), mount)
-        r, angle = (z[1] - ranging.offset) / ranging.share, belief.theta + mount[2] + z[0]
-        c, s = math.cos(angle), math.sin(angle)
+        ranging, short = self._ranging(belief), 1.0 - math.cos(z[0])
+        x, y = detector_at(belief.pose(), mount)
+        share = ranging.share(short)
+        r, (c, s) = (z[1] - ranging.offset) / share, direction(belief.theta + mount[2] + z[0])
         by_turn = [[belief.y - y - r * s], [x - belief.x + r * c]]  # of the pose: detector and ray turn together
-        by_range = np.array([[c], [s]]) / ranging.share
-        by_states = [-v * by_range for v in ranging.derivative(r)]  # what makes the range longer, makes r shorter
+        by_range = np.array([[c], [s]]) / share
+        by_states = [
+            -v * by_range for v in ranging.derivative(short, r)
+        ]  # what makes the range longer, makes r shorter
         G = np.hstack((np.eye(2), by_turn, *by_states))
         J = np.hstack(([[-r * s], [r * c]], by_range))
         column = belief.augment(np.array([x + r * c, y + r * s]), G, J @ R @ J.T, ranging.columns)
@@ -611,41 +572,15 @@ class GrowingModel(LandmarksModel):
         return [words + rarely, *depth, f"{stand}, or several tags share it: {fix}"]
 
 
-class SightingColumns(Columns):
-    """All detections for the core, which stops before a landmark that it does not know."""
+def rows_of(m: Measurements, i: int) -> range:
+    """Return the rows of reading i."""
+    first = m.plain["first"]
+    return range(first[i], first[i + 1])
 
-    kind = "sightings"
 
-    def __init__(self, model: LandmarksModel, m: Measurements, when: Ints) -> None:
-        self._model, self.when, self.first = model, when, np.ascontiguousarray(m.first, np.intp)
-        self._z, self._R, numbers = np.ascontiguousarray(m.z), upper(m.covariances(slice(None))), m.z.shape[1]
-        ids, which = np.unique(m.extra["id"].astype(np.intp), return_inverse=True)
-        self._ids, self._which = ids, which.reshape(-1).astype(np.intp)
-        places = [model.places.get(k, (math.nan, math.nan)) for k in ids.tolist()]
-        self._of = numbers, self._which, ids, np.array(places, np.float64).reshape(-1, 2)
-        self.told, self.joint = untold(len(m.z), numbers), np.zeros((len(when), 2))
-        self._placed = np.full((len(m.z), 3), np.nan)
-        self._mounts = np.ascontiguousarray(mounts_of(m, model.mount))
-
-    def table(self, belief: Any) -> Any:
-        """Return the detections, and the states of places, offset and depth."""
-        model = self._model
-        columns = np.array([model.column(k, belief) for k in self._ids.tolist()], np.intp)
-        at_offset = belief.block(OFFSET)[0] if model.given is None else -1
-        at_depth = belief.block(DEPTH)[0] if model.depth is None else -1
-        states = model.given or 0.0, model.depth or 0.0, at_offset, at_depth
-        written = self.told, self.joint, self._placed
-        judged = model.thresholds[self._of[0]], float(GATE)
-        return Room.here(tables).on_arrays.Sightings(
-            self.when, self.first, self._z, self._R, *self._of, columns, model.maps, self._mounts, *states,
-            *model.sigmas, MAX_SIGMA_M, *written, *judged, len(self.when), 0,
-        )  # fmt: skip
-
-    def passed(self, first: int, last: int) -> None:
-        """Tell the model what became of the readings first:last."""
-        rows = np.arange(self.first[first], self.first[last])
-        landmarks = self._ids[self._which[rows]].tolist()
-        self._model.passed(landmarks, self.told[rows, 0].tolist(), self._placed[rows].tolist())
+def _sigma_of_place(belief: Belief) -> float:
+    """Return the greater standard deviation of the robot's x and y [m]."""
+    return math.sqrt(max(belief.variance((1.0, 0.0, 0.0)), belief.variance((0.0, 1.0, 0.0))))
 
 
 def _name(landmark: int) -> str:

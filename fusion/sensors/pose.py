@@ -28,19 +28,14 @@ from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.core import poses as core
-from locfuse.fusion.core import tables
-from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, Stream, plausible
+from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.se2 import wrap
 from locfuse.fusion.sensor import (
-    GATE,
     Ask,
     Belief,
     Block,
-    Columns,
-    Innovation,
     Matrix,
     Model,
     PoseRows,
@@ -48,7 +43,6 @@ from locfuse.fusion.sensor import (
     Sensor,
     SensorSettings,
     WheelMotion,
-    untold,
 )
 from locfuse.fusion.streams import count_dropped
 from locfuse.fusion.wheels.odometry import ODOMETRY, POSE
@@ -270,19 +264,12 @@ class InMapModel(Model):
 
     def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
         """Compare one pose with the belief."""
-        x, y, theta = m.z[i].tolist()
-        e = (x - belief.x, y - belief.y, wrap(theta - belief.theta))
-        seen = Innovation.of(i, e, IDENTITY, _matrix(m.R[i]), belief, self.threshold)
-        self.count(1, int(seen.verdict != 0))
+        (x, y, theta), (at_x, at_y, at_theta) = m.plain["z"][i], belief.pose()
+        e, R = (x - at_x, y - at_y, wrap(theta - at_theta)), _rows(m.plain["R"][i])
+        seen = belief.compare(i, e, IDENTITY, R, self.threshold)
+        self._seen += 1
+        self._far += seen.verdict != 0
         return [seen]
-
-    def count(self, seen: int, far: int) -> None:
-        """Take in so many poses, of which some were beyond the gate."""
-        self._seen, self._far = self._seen + seen, self._far + far
-
-    def columns(self, m: Measurements, when: Ints) -> Columns:
-        """Return all poses for the core."""
-        return MapPoseColumns(self, m, when)
 
     def notes(self, belief: Any) -> list[str]:
         """Say where nearly all poses are far from the robot: their frame is not the map."""
@@ -303,8 +290,7 @@ class KeptPoseModel(Model):
     def __init__(self, settings: PoseSettings) -> None:
         self.threshold = chi_square(settings.gate, 3)
         self.drift = settings.sigma_drift**2, math.radians(settings.sigma_drift_deg) ** 2  # per m
-        self._last: Array | None = None  # the source's pose at B
-        self.row = 0  # of that pose among the measurements
+        self._last: Pose | None = None  # the source's pose at B
 
     def blocks(self) -> list[Block]:
         """Return the kept pose."""
@@ -318,136 +304,61 @@ class KeptPoseModel(Model):
         """Compare the motion since the kept pose with the belief; the first reading only begins."""
         if self._last is None:
             return []
-        room = Room.here(core)
-        column, kept = belief.block(KEPT)
-        u = room.listed(seen_from(self._last, m.z[i]), 3)
-        v = room.listed(seen_from(kept, (belief.x, belief.y, belief.theta)), core.SEEN_FROM)
-        R = self._drifted(u, m.floor) if m.extra["drifts"][i] else self._turned(m, i, -float(self._last[2]))
-        H, H_block = (tuple(tuple(v[at : at + 3]) for at in (first, first + 3, first + 6)) for first in (12, 3))
-        y, columns = (u[0] - v[0], u[1] - v[1], wrap(u[2] - v[2])), (column, column + 1, column + 2)
-        return [
-            Innovation.of(i, y, cast("PoseRows", H), R, belief, self.threshold, columns=columns, H_block=H_block)
-        ]
+        column = belief.column(KEPT)
+        columns = column, column + 1, column + 2
+        u = seen_from(self._last, m.plain["z"][i])[0]
+        moved, by_kept, by_pose = seen_from(tuple(map(belief.value, columns)), belief.pose())
+        R = self._drifted(u, m.floor) if m.plain["drifts"][i] else _turned(m.plain["R"][i], -self._last[2])
+        y = u[0] - moved[0], u[1] - moved[1], wrap(u[2] - moved[2])
+        return [belief.compare(i, y, by_pose, R, self.threshold, columns, by_kept)]
 
-    def _turned(self, m: Measurements, i: int, angle: float) -> Matrix:
-        """Return R of reading i in a frame in which the source's frame is turned by an angle [rad]."""
-        room = Room.here(core)
-        out = room.floats(6)
-        room.functions.turned_noise(room.flat(_triangles(m.covariances(slice(i, i + 1))).tolist()), angle, out)
-        return _whole(room.listed(out, 6))
-
-    def _drifted(self, u: Sequence[float], floor: Array) -> Matrix:
+    def _drifted(self, u: Pose, floor: Array) -> Matrix:
         """Return the covariance of what a drifting source misses on its way u (3,)."""
-        room = Room.here(core)
-        out, least = room.floats(6), (float(floor[0, 0]), float(floor[2, 2]))
-        room.functions.way_noise(room.flat((u,)), *self.drift, ARM_M, *least, out)
-        return _whole(room.listed(out, 6))
-
-    @property
-    def last(self) -> Array | None:
-        """The source's pose (3,) when the pose was kept."""
-        return self._last
-
-    def keep(self, i: int, z: Array) -> None:
-        """Take in that the pose was kept with reading i, when the source's was z (3,)."""
-        self.row, self._last = i, z.copy()
-
-    def columns(self, m: Measurements, when: Ints) -> Columns:
-        """Return all poses for the core, which takes them once there is one to compare with."""
-        return KeptPoseColumns(self, m, when)
+        way = math.hypot(u[0], u[1]) + ARM_M * abs(wrap(u[2]))
+        xy, theta = self.drift[0] * way + floor.item(0, 0), self.drift[1] * way + floor.item(2, 2)
+        return ((xy, 0.0, 0.0), (0.0, xy, 0.0), (0.0, 0.0, theta))
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Keep the pose as it is now; in a frame that stands still carry on the one that is kept."""
-        column, kept = belief.block(KEPT)
-        at, last = np.arange(column, column + 3), self._last
-        self.keep(i, m.z[i])
-        if last is None or m.extra["drifts"][i]:
+        column, last, drifts = belief.column(KEPT), self._last, m.plain["drifts"][i]
+        now: Pose = tuple(m.plain["z"][i])
+        self._last = now
+        if last is None or drifts:
             belief.clone_pose(column)
-        else:
-            u = se2.between(last, m.z[i])
-            carried = se2.compose(np.array(kept), u)
-            belief.transform(at, carried, _by_pose(np.array([kept]), u)[0])
-        if last is None and not m.extra["drifts"][i]:
-            R = self._turned(m, i, belief.theta - float(m.z[i, 2]))
+        if drifts:
+            return
+        at = np.arange(column, column + 3)
+        if last is None:
+            R = _turned(m.plain["R"][i], belief.theta - now[2])
             belief.loosen(at, np.diagonal(np.array(R)))
+        else:
+            x, y, theta = map(belief.value, (column, column + 1, column + 2))
+            u, (c, s) = seen_from(last, now)[0], se2.direction(theta)
+            dx, dy = c * u[0] - s * u[1], s * u[0] + c * u[1]
+            by_kept = np.array(((1.0, 0.0, -dy), (0.0, 1.0, dx), (0.0, 0.0, 1.0)))
+            belief.transform(at, np.array((x + dx, y + dy, theta + u[2])), by_kept)
 
 
-def _matrix(R: Array) -> Matrix:
-    return tuple(map(tuple, R.tolist()))
+def _rows(R: list[list[float]]) -> Matrix:
+    return tuple(map(tuple, R))
 
 
-def _triangles(R: Array) -> Array:
-    """Return the upper triangles of covariances (n, 3, 3), (n, 6), row by row."""
-    return np.ascontiguousarray(R.reshape(-1, 9)[:, (0, 1, 2, 4, 5, 8)])
+def _turned(R: list[list[float]], angle: float) -> Matrix:
+    """Return the covariance R (3, 3) of a pose in a frame in which its own is turned by an angle [rad]."""
+    (xx, xy, xt), (_, yy, yt), (_, _, tt) = R
+    c, s = se2.direction(angle)
+    across = c * s * (xx - yy) + (c * c - s * s) * xy
+    turned_xx = c * c * xx - 2.0 * c * s * xy + s * s * yy
+    turned_yy = s * s * xx + 2.0 * c * s * xy + c * c * yy
+    turned_xt, turned_yt = c * xt - s * yt, s * xt + c * yt
+    return (turned_xx, across, turned_xt), (across, turned_yy, turned_yt), (turned_xt, turned_yt, tt)
 
 
-def _whole(R: Sequence[float]) -> Matrix:
-    """Return the covariance of such a triangle."""
-    xx, xy, xt, yy, yt, tt = R
-    return ((xx, xy, xt), (xy, yy, yt), (xt, yt, tt))
-
-
-def seen_from(a: Sequence[float] | Array, b: Sequence[float] | Array) -> Any:
-    """Return what `core.poses.see_from` writes of pose b (3,) as it is seen from pose a (3,)."""
-    room = Room.here(core)
-    out = room.floats(core.SEEN_FROM)
-    room.functions.see_from(room.flat((list(map(float, a)),)), room.flat((list(map(float, b)),)), out)
-    return out
-
-
-class PoseColumns(Columns):
-    """All poses for the core."""
-
-    kind = "poses"
-
-    def __init__(self, m: Measurements, when: Ints) -> None:
-        self.when, self.first = when, np.arange(len(when) + 1)
-        self.z = np.ascontiguousarray(m.z)
-        self._R, self._drifts = _triangles(m.covariances(slice(None))), np.asarray(m.extra["drifts"], np.intp)
-        self._floor = float(m.floor[0, 0]), float(m.floor[2, 2])
-        self.told, self.joint = untold(len(m.z), 3), np.zeros((0, 2))
-
-    def of(self, in_map: bool, at_kept: int, drift: tuple[float, float], threshold: float, last: int) -> Any:
-        """Return the table."""
-        return Room.here(tables).on_arrays.Poses(
-            self.when, self.z, self._R, self._drifts, self.told, in_map, at_kept, *drift, ARM_M, *self._floor,
-            threshold, float(GATE), last, len(self.when), 0,
-        )  # fmt: skip
-
-
-class MapPoseColumns(PoseColumns):
-    """Poses in the map."""
-
-    def __init__(self, model: InMapModel, m: Measurements, when: Ints) -> None:
-        super().__init__(m, when)
-        self._model = model
-
-    def table(self, belief: Any) -> Any:
-        """Return the poses."""
-        return self.of(True, -1, (0.0, 0.0), self._model.threshold, 0)
-
-    def passed(self, first: int, last: int) -> None:
-        """Count what was beyond the gate."""
-        self._model.count(last - first, int(np.count_nonzero(self.told[first:last, 0])))
-
-
-class KeptPoseColumns(PoseColumns):
-    """Poses of a frame of their own."""
-
-    def __init__(self, model: KeptPoseModel, m: Measurements, when: Ints) -> None:
-        super().__init__(m, when)
-        self._model = model
-
-    @property
-    def ready(self) -> bool:
-        """Whether a pose is kept."""
-        return self._model.last is not None
-
-    def table(self, belief: Any) -> Any:
-        """Return the poses, and the states of the one that is kept."""
-        return self.of(False, belief.block(KEPT)[0], self._model.drift, self._model.threshold, self._model.row)
-
-    def passed(self, first: int, last: int) -> None:
-        """Take in which pose is kept now."""
-        if last > first:
-            self._model.keep(last - 1, self.z[last - 1])
+def seen_from(a: Sequence[float], b: Sequence[float]) -> tuple[Pose, PoseRows, PoseRows]:
+    """Return pose b as it is seen from pose a, (-)a (+) b, and its derivatives (3, 3) by a and by b."""
+    c, s = se2.direction(a[2])
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    x, y = c * dx + s * dy, c * dy - s * dx
+    by_a = (-c, -s, y), (s, -c, -x), (0.0, 0.0, -1.0)
+    by_b = (c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)
+    return (x, y, b[2] - a[2]), by_a, by_b

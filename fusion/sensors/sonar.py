@@ -16,29 +16,17 @@ from typing import Any, ClassVar, cast
 
 import msgspec
 import numpy as np
-from msgspec.structs import replace
 
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.core import echoes as core
-from locfuse.fusion.core import tables
-from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Ints, Measurements, Stream
-from locfuse.fusion.linemap.sonar_echo import Cone, Echo, nearest_echo
+from locfuse.fusion.kernels.ekf import Innovation
+from locfuse.fusion.linemap.sonar_echo import Cone, nearest_echo
 from locfuse.fusion.mount import ASK_MOUNT
-from locfuse.fusion.sensor import (
-    GATE,
-    Ask,
-    Columns,
-    Innovation,
-    Model,
-    Sensor,
-    SensorSettings,
-    WheelMotion,
-    untold,
-)
+from locfuse.fusion.sensor import GATE, Ask, Model, Sensor, SensorSettings, WheelMotion
 from locfuse.fusion.streams import MergedStream, count_dropped
 
 UNMATCHED = VERDICTS.index("unmatched")
+CLUTTER_SHARE = 0.25  # of the echoes: they come from what the map lacks, anywhere before the wall
 Mount = tuple[float, float, float]
 
 
@@ -131,57 +119,26 @@ class SonarModel(Model):
         """Read the map of the laser that runs in the same filter; without one there is nothing to compare with."""
         self._laser = others.get("lrf")
 
-    def columns(self, m: Measurements, when: Ints) -> Columns | None:
-        """Return all echoes for the core, where a laser's map is there to be read."""
-        return None if self._laser is None else EchoColumns(self, self._laser, m, when)
-
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
         """Compare one echo with the wall that should have answered."""
-        row = int(m.first[i])
+        plain = m.plain
+        row = plain["first"][i]
         lines = None if self._laser is None else self._laser.map
-        if row == int(m.first[i + 1]) or lines is None or len(lines) == 0:
+        if row == plain["first"][i + 1] or lines is None or len(lines) == 0:
             return []
-        x, y, yaw, half = (float(m.extra[key][row]) for key in ("x", "y", "yaw", "half"))
-        cone = Cone(x, y, yaw, half, self.widen)
+        cone = Cone(plain["x"][row], plain["y"][row], plain["yaw"][row], plain["half"][row], self.widen)
         z, variances = m.scalars
         echo = nearest_echo(lines, belief, cone, math.sqrt(variances[row]))
         if echo is None:
             return [Innovation.unpredicted(row, UNMATCHED, 1, self.threshold)]
-        return [self._judge(row, z[row] - echo.distance, variances[row], echo, belief)]
-
-    def _judge(self, row: int, y: float, r: float, echo: Echo, belief: Any) -> Innovation:
-        R = ((r + echo.map_variance,),)
-        seen = Innovation.of(
-            row,
-            (y,),
-            echo.H,
-            R,
-            belief,
-            self.threshold,
-            columns=echo.columns,
-            H_block=echo.H_block,
-            landmark=echo.line,
-        )
-        likelier = Room.here(core).functions.likelier(echo.distance, seen.sigma[0])
-        threshold = min(self.threshold, likelier)
-        return replace(seen, threshold=threshold, verdict=0 if seen.nis <= threshold else GATE)
+        y, R = z[row] - echo.distance, ((variances[row] + echo.map_variance,),)
+        seen = belief.compare(row, (y,), echo.H, R, self.threshold, echo.columns, echo.H_block, echo.line)
+        seen.threshold = min(self.threshold, likelier(echo.distance, seen.sigma[0]))
+        seen.verdict = 0 if seen.nis <= seen.threshold else GATE
+        return [seen]
 
 
-class EchoColumns(Columns):
-    """All echoes for the core, which reads the laser's map: one without walls answers nothing."""
-
-    kind = "echoes"
-
-    def __init__(self, model: SonarModel, laser: Model, m: Measurements, when: Ints) -> None:
-        self.reads, self.when, self.first = laser, when, np.ascontiguousarray(m.first, np.intp)
-        self._of = np.ascontiguousarray(m.z[:, 0]), np.ascontiguousarray(m.covariances(slice(None))[:, 0, 0])
-        self._cones = np.column_stack([m.extra[key] for key in ("x", "y", "yaw", "half")])
-        self._judged = model.threshold, float(GATE), float(UNMATCHED)
-        self._widen = model.widen
-        self.told, self.joint = untold(len(m.z), 1), np.zeros((0, 2))
-
-    def table(self, belief: Any) -> Any:
-        """Return the echoes."""
-        return Room.here(tables).on_arrays.Echoes(
-            self.when, self.first, *self._of, self._cones, self._widen, self.told, *self._judged, len(self.when), 0
-        )
+def likelier(distance: float, sigma: float) -> float:
+    """Return the NIS up to which N(y; 0, sigma^2) outweighs clutter, uniform over the `distance` [m]."""
+    odds = (1.0 - CLUTTER_SHARE) / CLUTTER_SHARE * distance / (math.sqrt(math.tau) * sigma)
+    return 2.0 * math.log(odds) if odds > 1.0 else 0.0

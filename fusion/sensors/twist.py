@@ -18,27 +18,14 @@ from typing import Any, ClassVar, Literal, cast
 import numpy as np
 
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.core import tables, twists
-from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, Stream, plausible
-from locfuse.fusion.se2 import wrap
-from locfuse.fusion.sensor import (
-    GATE,
-    Ask,
-    Block,
-    Columns,
-    Innovation,
-    Model,
-    Sensor,
-    SensorSettings,
-    WheelMotion,
-    untold,
-)
+from locfuse.fusion.kernels.ekf import Innovation
+from locfuse.fusion.se2 import direction, wrap
+from locfuse.fusion.sensor import Ask, Block, Model, PoseRows, Sensor, SensorSettings, WheelMotion
 from locfuse.fusion.streams import count_dropped, gap_limit
 from locfuse.fusion.wheels.odometry import SPEED
 
-from . import pose as poses
-from .pose import plane_covariance
+from .pose import plane_covariance, seen_from
 
 KEPT = "_twist_before"
 VARIANCES = ("forward_variance", "turn_variance")  # of way [m^2] and turn [rad^2] since the first reading
@@ -183,74 +170,41 @@ class TwistModel(Model):
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
         """Compare way and turn since the last reading with the belief; the first, and one after a gap, begins."""
         last = self._last
-        if last is None or m.extra["piece"][i] != m.extra["piece"][last]:
+        if last is None or m.plain["piece"][i] != m.plain["piece"][last]:
             return []
-        way, turn = (m.z[i] - m.z[last]).tolist()
-        column, kept = belief.block(KEPT)
-        h, H, H_block = _predicted(kept, (belief.x, belief.y, belief.theta))
-        core, floor = Room.here(twists).functions, np.diagonal(m.floor).tolist()
-        y = (core.straight(way, turn) - h[0], wrap(turn - h[1]))
-        rs, ra = (
-            core.sum_noise(float(m.extra[name][i] - m.extra[name][last]), self.scale, value, least)
-            for name, value, least in zip(VARIANCES, (way, turn), floor, strict=True)
-        )
-        R, columns = ((rs, 0.0), (0.0, ra)), (column, column + 1, column + 2)
-        return [Innovation.of(i, y, H, R, belief, self.threshold, columns=columns, H_block=H_block)]
+        (way, turn), before = m.plain["z"][i], m.plain["z"][last]
+        way, turn = way - before[0], turn - before[1]
+        column = belief.column(KEPT)
+        columns = column, column + 1, column + 2
+        (along, turned), by_kept, by_pose = chord(tuple(map(belief.value, columns)), belief.pose())
+        y = straight(way, turn) - along, wrap(turn - turned)
+        R = (self._variance(m, 0, way, last, i), 0.0), (0.0, self._variance(m, 1, turn, last, i))
+        return [belief.compare(i, y, by_pose, R, self.threshold, columns, by_kept)]
 
-    @property
-    def last(self) -> int | None:
-        """The reading whose pose is kept."""
-        return self._last
-
-    def keep(self, i: int) -> None:
-        """Take in that the pose of reading i was kept."""
-        self._last = i
-
-    def columns(self, m: Measurements, when: Ints) -> Columns:
-        """Return all readings for the core, which takes them once there is a pose to compare with."""
-        return TwistColumns(self, m, when)
+    def _variance(self, m: Measurements, of: int, value: float, last: int, i: int) -> float:
+        """Return the variance of way (of = 0) or turn (of = 1) since `last`: readings, scale and floor."""
+        variance = m.plain[VARIANCES[of]]
+        return float(variance[i] - variance[last] + self.scale * value * value + m.floor.item(of, of))
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Keep the pose as it is now."""
-        belief.clone_pose(belief.block(KEPT)[0])
+        belief.clone_pose(belief.column(KEPT))
         self._last = i
 
 
-def _predicted(kept: Array, pose: Sequence[float]) -> tuple[tuple[float, float], Any, Any]:
-    """Return chord [m] and turn [rad] from the kept pose to the pose, and the derivatives by both."""
-    room = Room.here(twists)
-    out = room.floats(twists.CHORD)
-    room.functions.chord(poses.seen_from(kept, pose), out)
-    v = room.listed(out, twists.CHORD)
-    return (v[0], v[1]), (tuple(v[8:11]), tuple(v[11:])), (tuple(v[2:5]), tuple(v[5:8]))
+def chord(kept: Sequence[float], pose: Sequence[float]) -> tuple[tuple[float, float], PoseRows, PoseRows]:
+    """Return chord [m] and turn [rad] from the kept pose to the pose, and the derivatives (2, 3) by both."""
+    (x, y, turn), by_kept, by_pose = seen_from(kept, pose)
+    c, s = direction(0.5 * turn)
+    bent = 0.5 * (y * c - x * s)
+    along_kept, along_pose = (
+        (c * ahead[0] + s * left[0], c * ahead[1] + s * left[1], c * ahead[2] + s * left[2] + bent * turned[2])
+        for ahead, left, turned in (by_kept, by_pose)
+    )
+    return (x * c + y * s, turn), (along_kept, by_kept[2]), (along_pose, by_pose[2])
 
 
-class TwistColumns(Columns):
-    """All ways and turns for the core."""
-
-    kind = "twists"
-
-    def __init__(self, model: TwistModel, m: Measurements, when: Ints) -> None:
-        self._model, self.when, self.first = model, when, np.arange(len(when) + 1)
-        variance = np.column_stack([m.extra[name] for name in VARIANCES])
-        self._of = np.ascontiguousarray(m.z), variance, np.ascontiguousarray(m.extra["piece"])
-        self._floor = np.diagonal(m.floor).tolist()
-        self.told, self.joint = untold(len(m.z), 2), np.zeros((0, 2))
-
-    @property
-    def ready(self) -> bool:
-        """Whether a pose is kept."""
-        return self._model.last is not None
-
-    def table(self, belief: Any) -> Any:
-        """Return the readings, and the states of the kept pose."""
-        model = self._model
-        return Room.here(tables).on_arrays.Twists(
-            self.when, *self._of, self.told, belief.block(KEPT)[0], model.scale, *self._floor, model.threshold,
-            float(GATE), model.last or 0, len(self.when), 0,
-        )  # fmt: skip
-
-    def passed(self, first: int, last: int) -> None:
-        """Take in which pose is kept now."""
-        if last > first:
-            self._model.keep(last - 1)
+def straight(way: float, turn: float) -> float:
+    """Return the chord s sinc(a / 2) [m] of an arc of this way s [m] and turn a [rad]."""
+    half = 0.5 * turn
+    return way * direction(half)[1] / half if half else way

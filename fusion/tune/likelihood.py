@@ -9,9 +9,10 @@ import msgspec
 import numpy as np
 
 from locfuse.fusion.data import Array
+from locfuse.fusion.ekf.events import Moved
 
 from .noise import DRIFT, WHEELS
-from .record import Move, Tape
+from .record import Tape
 from .replay import Noise, bends, play
 
 SEARCH_BOUND_LOG = math.log(1e3)  # of one search
@@ -129,13 +130,13 @@ def at_most(problem: Problem, which: int, told: float) -> float:
     return float(grid[worse[0] - 1]) if len(worse) else math.inf
 
 
-def _moves(problem: Problem, turning: bool) -> list[Move]:
+def _moves(problem: Problem, turning: bool) -> list[Moved]:
     """Return the motions in training that turn, or that do not."""
     return [
         op
         for tape, end in zip(problem.tapes, problem.until, strict=True)
-        for op in tape.ops
-        if isinstance(op, Move) and tape.t[op.instant] < end and bends(op, MIN_CURVATURE_PER_M) == turning
+        for instant, op in tape.ops
+        if isinstance(op, Moved) and tape.t[instant] < end and bends(op, MIN_CURVATURE_PER_M) == turning
     ]
 
 

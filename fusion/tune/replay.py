@@ -14,8 +14,11 @@ import numpy as np
 
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.ekf.equations import eq10_12
+from locfuse.fusion.ekf.events import Added, Changed, Dropped, FrameTurned, Loosened, Moved
 
-from .record import Change, Loosen, Move, See, Swing, Tape
+from .record import See, Tape
+
+UNKNOWN_VARIANCE = 100.0  # variance of a new map line [m^2, rad^2]: nothing is known
 
 
 class Noise(NamedTuple):
@@ -43,20 +46,25 @@ def play(tape: Tape, noise: Noise, bend: float = 0.0, until: float = math.inf) -
     head = Head(tape, noise, bend)
     end = int(np.searchsorted(tape.t, until))
     scores, instants, numbers = [np.zeros((len(noise.wheels), 0))], [], []
-    for op in tape.ops:
-        if isinstance(op, Move):
-            if op.instant >= end:
+    for instant, op in tape.ops:
+        if isinstance(op, Moved):
+            if instant >= end:
                 break
-            head.move(op)
+            head.move(instant, op)
         elif isinstance(op, See):
             scores.append(head.see(op)[:, None])
-            instants.append(op.instant)
+            instants.append(instant)
             numbers.append(int((op.sensor >= 0).sum()))
-        elif isinstance(op, Loosen):
+        elif isinstance(op, Loosened):
             head.P[:, op.columns, op.columns] += op.variance
-        elif isinstance(op, Swing):
-            head.swing(op)
-        else:
+        elif isinstance(op, FrameTurned):
+            head.turn_frame(op)
+        elif isinstance(op, Added):
+            head.add(op)
+        elif isinstance(op, Dropped):
+            head.m = np.delete(head.m, op.columns, axis=1)
+            head.P = np.delete(np.delete(head.P, op.columns, axis=1), op.columns, axis=2)
+        elif isinstance(op, Changed):
             head.change(op)
     return Played(np.concatenate(scores, axis=1), np.array(instants, np.int64), np.array(numbers, np.int64))
 
@@ -71,10 +79,10 @@ class Head:
         self.P = np.tile(tape.P0, (B, 1, 1))
         self.m = np.zeros((B, len(tape.P0)))
 
-    def move(self, op: Move) -> None:
-        """Predict: eq. 5-7 for the deviation, whose eq. 7 has only a lever."""
+    def move(self, instant: int, op: Moved) -> None:
+        """Predict: eq. 5-7, where A = I + the lever terms of eq. 7 acts on the deviation."""
         P, m = self.P, self.m
-        a, b = op.lever
+        a, b = op.start[1] - op.end[1], op.end[0] - op.start[0]
         m[:, 0] += a * m[:, 2]
         m[:, 1] += b * m[:, 2]
         row = P[:, 2, :].copy()
@@ -91,24 +99,24 @@ class Head:
         turns = self.noise.turns
         factor = turns if turns is not None and bends(op, self.bend) else self.noise.wheels
         P[:, :3, :3] += factor[:, None, None] * op.Q
-        dt = float(self.tape.t[op.instant] - self.tape.t[max(op.instant - 1, 0)])
+        dt = float(self.tape.t[instant] - self.tape.t[max(instant - 1, 0)])
         for name, (columns, drift) in self.tape.drifts.items():
             P[:, columns, columns] += np.outer(self.noise.drifts.get(name, np.ones(len(P))), drift * dt)
 
     def see(self, op: See) -> Array:
         """Correct (eq. 10-12); return the log likelihood of what sensors measured, (B,)."""
-        P, m = self.P, self.m
+        P, m, seen = self.P, self.m, op.event
         scale = self.scale[:, op.sensor]
-        PH = P[:, :, op.columns] @ op.H.T
-        S = op.H @ PH[:, op.columns, :] + scale[:, :, None] * scale[:, None, :] * op.R_sigma + op.R_rest
-        V, w, L = eq10_12(PH, S, op.y - m[:, op.columns] @ op.H.T)
+        PH = P[:, :, seen.columns] @ seen.H.T
+        S = seen.H @ PH[:, seen.columns, :] + scale[:, :, None] * scale[:, None, :] * op.R_sigma + op.R_rest
+        V, w, L = eq10_12(PH, S, seen.y - m[:, seen.columns] @ seen.H.T)
         P -= V.transpose(0, 2, 1) @ V
-        m += (w[:, None, :] @ V)[:, 0, :] - op.step
+        m += (w[:, None, :] @ V)[:, 0, :] - seen.step
         terms = -0.5 * w**2 - np.log(np.diagonal(L, axis1=1, axis2=2)) - 0.5 * math.log(2.0 * math.pi)
         score: Array = terms[:, op.sensor >= 0].sum(axis=1)
         return score
 
-    def swing(self, op: Swing) -> None:
+    def turn_frame(self, op: FrameTurned) -> None:
         """Let the map frame's place follow its direction, by a recorded correction."""
         P, m, turn = self.P, self.m, op.first + 2
         for column, by in ((op.first, -op.dy), (op.first + 1, op.dx)):
@@ -117,12 +125,25 @@ class Head:
         for column, by in ((op.first, -op.dy), (op.first + 1, op.dx)):
             P[:, :, column] += by * P[:, :, turn]
 
-    def change(self, op: Change) -> None:
-        """Apply a linear change of the state."""
-        self.P = op.T @ self.P @ op.T.T + op.noise
-        self.m = self.m @ op.T.T
+    def add(self, op: Added) -> None:
+        """Append the map frame, a copy of the pose; of other new states nothing is known."""
+        n, k = op.before, op.states
+        T = np.eye(n + k, n)
+        if op.frame:
+            T[n:, :3] = np.eye(3)
+        self.P, self.m = T @ self.P @ T.T, self.m @ T.T
+        if not op.frame:
+            self.P[:, range(n, n + k), range(n, n + k)] = UNKNOWN_VARIANCE
+
+    def change(self, op: Changed) -> None:
+        """Let states be linear functions of all."""
+        P = self.P
+        self.m[:, op.rows] = self.m @ op.by.T
+        P[:, op.rows, :] = op.by @ P
+        P[:, :, op.rows] = P @ op.by.T
+        P[:, op.rows[:, None], op.rows] += op.noise
 
 
-def bends(op: Move, bend: float) -> bool:
+def bends(op: Moved, bend: float) -> bool:
     """Whether a motion's path bends by more than `bend` [1/m]; turning on the spot does, resting does not."""
     return abs(op.turned) > bend * op.driven

@@ -2,7 +2,7 @@
 
 Drives are cut into straight runs and turns on the spot, and these into pieces. Over each piece the motion by the
 truth is compared with that by the wheels. Ground noise is white along the way, so the errors of pieces are
-independent, with the covariance k Q of fusion/motion. Closed forms: straight D: var(along) = k D/2, var(yaw) =
+independent, with the covariance k Q of wheels/motion.py. Closed forms: straight D: var(along) = k D/2, var(yaw) =
 2 k D/L^2, var(across) = 2 k D^3/(3 L^2); turn phi: var(yaw) = k |phi|/L. Wheel scales and track enter linearly and
 are fitted jointly, so that a systematic error is not taken for noise.
 """

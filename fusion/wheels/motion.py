@@ -1,21 +1,19 @@
 """Wheel motion (paper eq. 1-3, 7, 8): exact arcs, pre-integrated between any two instants.
 
 Encoder rate costs nothing in the filter: all wheel readings are turned at once into a chain of body twists, and
-the motion, its covariance and its derivative by the wheel parameters are summed per interval (`core.intervals`).
+the motion, its covariance and its derivative by the wheel parameters are summed per interval (`kernels.wheels`).
 """
 
 from __future__ import annotations
-
-from typing import Any
 
 import msgspec
 import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion import se2
-from locfuse.fusion.core import intervals, tables
-from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array, Ints, Motions
+from locfuse.fusion.kernels import wheels as kernel
+from locfuse.fusion.kernels.arrays import view
 
 MIN_GAP_S, MIN_GAP_PERIODS = 0.5, 5.0  # s, median periods: over a longer one the way is not known, only the sums
 PARAMETERS = ("scale_left", "scale_right", "track")  # relative corrections, 0 = as given
@@ -126,19 +124,8 @@ class Wheels(msgspec.Struct, frozen=True):
         """
         n, parts = len(t_from), 9 if parameters else 0
         u, Q, J = np.empty((n, 3)), np.empty((n, 9)), np.empty((n, parts))
-        times = (np.require(t, np.float64, ["C", "W"]) for t in (t_from, t_to))
-        Room.here(intervals).on_arrays.between(
-            self._odometer(parameters), *times, n, u, Q, J, np.empty(intervals.ROOM)
-        )
+        kernel.integrate(kernel.Odometer(self), view(t_from), view(t_to), kernel.Intervals(u, Q, J))
         return Motions(u, Q.reshape(n, 3, 3), J.reshape(n, 3, parts // 3))
-
-    def _odometer(self, parameters: bool) -> Any:
-        """Return the readings as the core takes them."""
-        silent, none = bool(self.silence.any()), np.zeros((0, 2))
-        matched = np.zeros((0, 9)) if self.matched is None else self.matched.reshape(-1, 9)
-        columns = self.t, self.twist, self.pose, self.rolled, self.silence if silent else none, matched
-        of = *(np.require(c, np.float64, ["C", "W"]) for c in columns), len(self.t), self.track, self.noise
-        return Room.here(tables).on_arrays.Odometer(*of, silent, self.matched is not None, parameters)
 
 
 def silences(t: Array, rolled: Array, turn: Array) -> Array:

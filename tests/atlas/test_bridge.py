@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from told import step
 
 from locfuse.fusion.atlas.bridge import cross, heading_among, seen_from_here
 from locfuse.fusion.data import Array
@@ -86,7 +87,7 @@ def test_the_heading_among_walls_is_what_is_left_of_it_once_they_are_given() -> 
 def test_a_motion_that_no_scan_has_followed_leaves_the_heading_as_uncertain_as_the_motion_is() -> None:
     belief, lines = drive()
     told = heading_among(lines, np.arange(3), belief)
-    belief.predict((0.1, 0.0, 0.0), (1e-10, 0.0, 0.0, 1e-10, 0.0, 0.02**2))
+    belief.predict(step((0.1, 0.0, 0.0), (1e-10, 0.0, 0.0, 1e-10, 0.0, 0.02**2)), 0)
     assert heading_among(lines, np.arange(3), belief) == pytest.approx(np.hypot(told, 0.02), rel=1e-3)
 
 

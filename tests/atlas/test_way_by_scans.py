@@ -179,8 +179,14 @@ def test_keys_are_matched_within_centimetres_and_a_slip_of_the_wheels_is_found()
 
 def followed(m: Measurements, poses: Array) -> WayByScans:
     """Return a way through a map on which the filter had the robot at poses (n, 3)."""
-    along = WayByScans(m, 0, poses[0])
-    along.went(np.arange(1, len(poses)), poses[1:])
+    return on_from(m, 0, poses)
+
+
+def on_from(m: Measurements, begin: int, poses: Array) -> WayByScans:
+    """The same from a reading on."""
+    along = WayByScans(m, begin, poses[0].tolist())
+    for reading, pose in enumerate(poses[1:].tolist(), begin + 1):
+        along.went(reading, pose)
     return along
 
 
@@ -195,8 +201,7 @@ def test_a_pose_that_drifted_is_put_back_from_wherever_the_map_began_and_ends(be
     way = tour()
     m = measured(InRoom(way, way))
     drifted = se2.chain(np.tile((0.101, -0.0005, math.radians(2.04)), (90, 1)))
-    along = WayByScans(m, begin, drifted[begin])
-    along.went(np.arange(begin + 1, end + 1), drifted[begin + 1 : end + 1])
+    along = on_from(m, begin, drifted[begin : end + 1])
     belief = at(drifted[end], 0.2, 4.0)
     off = se2.between(drifted[begin], drifted[end]) - se2.between(way[begin], way[end])
     along.end(None, belief)

@@ -10,41 +10,49 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from textbook import move, numeric_jacobian
+from told import Told, correct, step
 
-from locfuse.fusion.core import filter as interpreted
-from locfuse.fusion.core.filter import bent
-from locfuse.fusion.core.room import Room
-from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.ekf.journal import Journal
-from locfuse.fusion.ekf.map_frame import InMap, Triangle, in_map_P
-from locfuse.fusion.sensor import Block, Innovation
+from locfuse.fusion.ekf.belief_arrays import InMap, JointBelief
+from locfuse.fusion.ekf.events import Before, Events
+from locfuse.fusion.ekf.map_frame import Triangle, in_map_P
+from locfuse.fusion.kernels.ekf import bent
+from locfuse.fusion.sensor import Block
 from locfuse.fusion.smooth import Backward
 
 Array = np.ndarray
 START = (1.0, -2.0, 0.4)
 P0: Triangle = (0.09, 0.01, 0.004, 0.05, -0.003, 0.02)
 Q: Triangle = (1e-4, 0.0, 0.0, 2e-5, 1e-5, 4e-4)
-STEP = (0.3, 0.02, 0.25)
+U = (0.3, 0.02, 0.25)
+STEP = step(U, Q)
 OFFSET = Block("offset", np.array([0.7]), np.array([[0.04]]), np.zeros(1))
 COMPASS = ((0.0, 0.0, 1.0),)
 NORTH = ((0.6, -0.8, 0.3),)  # any row of the pose in the map
 
 
-def row(belief: Any, H: Any, y: float, r: float, columns: Any = (), H_block: Any = ()) -> Innovation:
-    return Innovation.of(0, (y,), H, ((r,),), belief, math.inf, columns=columns, H_block=H_block)
+def row(H: Any, y: float, r: float, columns: Any = (), own: Any = ()) -> Told:
+    return Told((y,), H, ((r,),), columns, own)
 
 
-def driven(belief: Any) -> Any:
-    """Some way with a compass, a frame that begins, local rows, and a compass again: every state is correlated."""
-    at = belief.block("offset")[0]
-    belief.predict(STEP, Q)
-    belief.correct([row(belief, COMPASS, 0.05, 0.01, (at,), ((1.0,),))])
-    belief.begin_frame()
+def correct_all(belief: JointBelief, local: list[Told], of_map: list[Told]) -> None:
+    """One instant: what is seen of the local pose, and what is seen of the pose in the map."""
+    belief.begin()
     world = InMap(belief)
+    for seen in [*(s.judged(belief) for s in local), *(s.judged(world) for s in of_map)]:
+        belief.queue(seen)
+    belief.correct()
+
+
+def driven(belief: JointBelief) -> JointBelief:
+    """Some way with a compass, a frame that begins, local rows, and a compass again: every state is correlated."""
+    at = belief.column("offset")
+    belief.predict(STEP, 0)
+    correct(belief, row(COMPASS, 0.05, 0.01, (at,), ((1.0,),)))
+    belief.begin_frame()
     for y in (0.02, -0.03, 0.01):
-        belief.predict(STEP, Q)
-        belief.correct([row(belief, ((0.6, 0.8, -0.2),), y, 1e-4)])
-        belief.correct([row(world, COMPASS, y, 0.02, (at,), ((1.0,),)), row(world, NORTH, 4 * y, 0.03)])
+        belief.predict(STEP, 0)
+        correct(belief, row(((0.6, 0.8, -0.2),), y, 1e-4))
+        correct_all(belief, [], [row(COMPASS, y, 0.02, (at,), ((1.0,),)), row(NORTH, 4 * y, 0.03)])
     return belief
 
 
@@ -67,15 +75,8 @@ def test_the_pose_in_the_map_has_the_covariance_of_finite_differences() -> None:
     np.testing.assert_allclose(InMap(belief).pose(), move(x[3:], x[:3]), atol=1e-14)
     np.testing.assert_allclose(InMap(belief).matrix(), expected, atol=1e-9)
     np.testing.assert_allclose(in_map_P(x[None, 3:], x[None, :3], P[None])[0], InMap(belief).matrix(), atol=1e-14)
-
-
-def test_both_forms_of_the_core_agree_on_a_drive_with_a_frame() -> None:
-    belief = driven(JointBelief(START, P0, [OFFSET]))
-    source = driven(JointBelief(START, P0, [OFFSET], Room.of(interpreted, None)))
-    np.testing.assert_array_equal(source.state, belief.state)
-    np.testing.assert_array_equal(source.covariance, belief.covariance)
     np.testing.assert_array_equal(belief.covariance, belief.covariance.T)
-    assert source.located(in_map=True) == belief.located(in_map=True) != belief.located()
+    assert belief.located(in_map=True) == InMap(belief).located() != belief.located()
 
 
 LANDMARK, LEVER = np.array([3.0, 1.0]), np.array([0.2, -0.1])
@@ -92,14 +93,20 @@ def antenna(p: Array) -> Array:
 @pytest.mark.parametrize("h", [bearing, antenna, lambda p: p[2:]])
 def test_what_observes_the_pose_in_the_map_observes_both_by_the_chain_rule(h: Callable[[Array], Array]) -> None:
     belief = driven(JointBelief(START, P0, [OFFSET]))
-    first, n = belief.frame or 0, belief.n
+    first = belief.frame
     H = numeric_jacobian(h, np.array(InMap(belief).pose()))
     expected = numeric_jacobian(lambda x: h(move(x[first : first + 3], x[:3])), belief.state.copy())
-    _, by_q, columns, by_columns = InMap(belief).observed(tuple(map(tuple, H.tolist())), (3,), ((0.5,),) * len(H))
-    found = np.zeros((len(H), n))
-    found[:, :3], found[:, list(columns)] = by_q, by_columns
+    d = len(H)
+    seen = Told((0.1,) * d, H, np.eye(d), (3,), ((0.5,),) * d).judged(InMap(belief))
+    _, columns, by, _ = belief.equation([seen])
+    found = np.zeros((d, belief.n))
+    found[:, columns] = by
     expected[:, 3] = 0.5
     np.testing.assert_allclose(found, expected, atol=1e-8)
+    spread = found @ belief.covariance @ found.T
+    np.testing.assert_allclose(seen.sigma, np.sqrt(np.diagonal(spread) + 1.0), rtol=1e-9)
+    found[0, 3] = 0.0
+    assert InMap(belief).variance(H[0]) == pytest.approx(found[0] @ belief.covariance @ found[0], rel=1e-9)
 
 
 def test_a_frame_begins_without_a_change_in_the_map() -> None:
@@ -108,9 +115,9 @@ def test_a_frame_begins_without_a_change_in_the_map() -> None:
     belief.add(Block("wheels", np.zeros(3), np.diag([1e-3, 2e-3, 3e-3]), np.zeros(3)))
     belief.drive_with("wheels")
     J = np.array([[0.15, 0.15, 0.0], [0.0, 0.0, 0.0], [-0.5, 0.5, -0.3]])
-    belief.predict(STEP, Q, 0.1, J)
+    belief.predict(step(U, Q, 0.1, J), 0)
     belief.clone_heading(3)
-    belief.predict(STEP, Q, 0.1, J)
+    belief.predict(step(U, Q, 0.1, J), 0)
     x, P, n = belief.state.copy(), belief.covariance.copy(), belief.n
 
     def begun(x: Array) -> Array:
@@ -124,7 +131,7 @@ def test_a_frame_begins_without_a_change_in_the_map() -> None:
     assert InMap(belief).pose() == pose
     np.testing.assert_allclose(InMap(belief).triangle(), triangle, atol=1e-15)
     assert not belief.covariance[:3].any()
-    belief.predict(STEP, Q, 0.1, J)
+    belief.predict(step(U, Q, 0.1, J), 0)
     belief.clone_heading(3)
     x, P, pose = belief.state.copy(), belief.covariance.copy(), InMap(belief).pose()
     belief.begin_frame()  # once more, after a map was lost
@@ -152,11 +159,11 @@ def with_kept_pose_and_point() -> tuple[JointBelief, int]:
     sizes = ("kept", 3), ("heading", 1)
     belief = JointBelief(START, P0, [Block(name, np.zeros(k), np.zeros((k, k)), np.zeros(k)) for name, k in sizes])
     belief.clone_pose(3)
-    belief.predict(STEP, Q)
+    belief.predict(STEP, 0)
     belief.clone_heading(6)
     point = belief.augment(np.array([2.0, 1.0]), np.array([[1.0, 0.0, 0.4], [0.0, 1.0, -0.7]]), 0.01 * np.eye(2))
     belief.own_point("point", point)
-    belief.predict(STEP, Q)
+    belief.predict(STEP, 0)
     return belief, point
 
 
@@ -192,7 +199,7 @@ def test_a_slip_turns_the_pose_and_leaves_the_way_from_what_is_kept_as_it_was() 
     belief = JointBelief(START, P0, [Block(name, np.zeros(k), np.zeros((k, k)), np.zeros(k)) for name, k in sizes])
     belief.clone_heading(3)
     belief.clone_pose(4)
-    belief.predict(STEP, Q)
+    belief.predict(STEP, 0)
     x, P = belief.state.copy(), belief.covariance.copy()
     belief.shift(0.2, 0.01, 0.02)
     after = belief.state
@@ -219,18 +226,18 @@ def test_pose_and_frame_together_are_their_parts_of_the_state() -> None:
 def test_a_start_that_is_known_exactly_needs_no_frame() -> None:
     belief = JointBelief(START, (0.0,) * 6)
     belief.begin_frame()
-    assert belief.frame is None
+    assert not belief.framed
     assert belief.pose() == START
 
 
 def test_what_is_local_teaches_the_frame_nothing() -> None:
     belief = JointBelief(START, P0, [])
     belief.begin_frame()
-    first, before = belief.frame or 0, belief.covariance.copy()
+    first, before = belief.frame, belief.covariance.copy()
     frame = slice(first, first + 3)
     for _ in range(50):
-        belief.predict(STEP, Q)
-        belief.correct([row(belief, ((0.3, -0.9, 0.2),), 0.01, 1e-6), row(belief, COMPASS, 0.02, 1e-6)])
+        belief.predict(STEP, 0)
+        correct(belief, row(((0.3, -0.9, 0.2),), 0.01, 1e-6), row(COMPASS, 0.02, 1e-6))
     np.testing.assert_array_equal(belief.covariance[frame, frame], before[frame, frame])
     np.testing.assert_array_equal(belief.state[frame], START)
 
@@ -241,7 +248,7 @@ def test_a_lost_pose_teaches_the_frame_nothing() -> None:
     belief.place(belief.pose(), 25.0, 3.0)
     before, G = belief.covariance.copy(), belief.state[frame].copy()
     belief.lost = True
-    belief.correct([row(InMap(belief), COMPASS, 0.4, 1e-4), row(InMap(belief), NORTH, 1.0, 0.01)])
+    correct_all(belief, [], [row(COMPASS, 0.4, 1e-4), row(NORTH, 1.0, 0.01)])
     np.testing.assert_array_equal(belief.state[frame], G)
     np.testing.assert_array_equal(belief.covariance[frame, frame], before[frame, frame])
     assert belief.matrix()[2, 2] < 0.1  # and the pose takes all of it
@@ -251,7 +258,8 @@ def test_a_lost_pose_teaches_the_frame_nothing() -> None:
 def test_listening_teaches_the_frame_nothing() -> None:
     belief = driven(JointBelief(START, P0, [OFFSET]))
     frame, G = slice(belief.frame, belief.frame + 3), belief.state.copy()
-    belief.listen([row(InMap(belief), COMPASS, 0.4, 1e-4, (3,), ((1.0,),))])
+    belief.begin()
+    belief.listen([row(COMPASS, 0.4, 1e-4, (3,), ((1.0,),)).judged(InMap(belief))])
     np.testing.assert_array_equal(belief.state[frame], G[frame])
     assert belief.state[3] != G[3]
 
@@ -298,28 +306,28 @@ def see_wall(k: int, belief: JointBelief, batch: Batch, rho: int | None) -> int:
         return belief.augment(np.array([seen]), np.array([[*local, 0.0]]), np.array([[1e-4]]))
     y = seen - float(belief.state[rho] - local @ belief.state[:2])
     H = ((-float(local[0]), -float(local[1]), 0.0),)
-    belief.correct([row(belief, H, y, 1e-4, (rho,), ((1.0,),))])
+    correct(belief, row(H, y, 1e-4, (rho,), ((1.0,),)))
     return rho
 
 
 def see_x(k: int, belief: JointBelief, batch: Batch) -> None:
     """Measure x in the map."""
-    world = belief if belief.frame is None else InMap(belief)
-    belief.correct([row(world, ((1.0, 0.0, 0.0),), 0.1 * k - world.pose()[0], 0.0025)])
+    correct_all(belief, [], [row(((1.0, 0.0, 0.0),), 0.1 * k - InMap(belief).pose()[0], 0.0025)])
     batch.known(of_place(k, np.array([1.0, 0.0])), 0.1 * k, 0.05)
 
 
 @pytest.mark.parametrize("rest", [False, True])
 def test_smoothing_through_the_beginning_of_a_frame_is_batch_least_squares(rest: bool) -> None:
     """A linear case, since the heading is known. Also where the robot stands still once the frame has begun."""
-    journal, batch = Journal(), Batch()
-    belief = journal.belief_of((0.0, 0.0, HEADING), triangle_of(OF_START), [])
+    events, batch = Events(backward=True), Batch()
+    belief = JointBelief((0.0, 0.0, HEADING), triangle_of(OF_START), [])
+    belief.note_events(events)
     rho: int | None = None
     batch.joined(0, np.zeros(2), OF_START)
-    belief.predict((0.0, 0.0, 0.0), (0.0,) * 6)
+    belief.predict(step((0.0, 0.0, 0.0), (0.0,) * 6), 0)
     for k in range(1, 6):
         moves = 0.0 if rest and k > 3 else 1.0
-        belief.predict((0.3 * moves, 0.0, 0.0), triangle_of(moves * OF_MOTION))
+        belief.predict(step((0.3 * moves, 0.0, 0.0), triangle_of(moves * OF_MOTION)), 0)
         batch.joined(k, moves * TURN @ (0.3, 0.0), moves * TURN @ OF_MOTION @ TURN.T)
         if k == 3:
             belief.begin_frame()
@@ -327,12 +335,13 @@ def test_smoothing_through_the_beginning_of_a_frame_is_batch_least_squares(rest:
             rho = see_wall(k, belief, batch, rho)
         if k in (1, 4, 5):
             see_x(k, belief, batch)
+    events.final = Before(belief.state, belief.covariance)
     back = Backward(
         cast("Any", SimpleNamespace(t=np.zeros(6))),
         cast("Any", SimpleNamespace(blocks={}, block_sigmas={})),
-        journal,
+        events,
     )
-    back.run(journal)
+    back.run(events)
     x, spread = batch.solved()
     P = in_map_P(back.frame, back.local, back.P)
     for k in range(6):
@@ -349,7 +358,7 @@ def triangle_of(xy: Array) -> Triangle:
 def test_where_the_frames_place_is_corrected_its_uncertainty_turns_about_the_same_point(column: int) -> None:
     """The textbook's filter, then the lever: a turn moves the frame's new place otherwise than its old one."""
     belief = driven(JointBelief(START, P0, [OFFSET]))
-    assert belief.frame is not None
+    assert belief.framed
     n, f, y, r = belief.n, belief.frame, 0.3, 0.01
     x, P = np.array(belief.state)[:n].copy(), np.array(belief.covariance)[:n, :n].copy()
     H = np.eye(n)[f + column]
@@ -359,6 +368,6 @@ def test_where_the_frames_place_is_corrected_its_uncertainty_turns_about_the_sam
     assert min(abs(dx), abs(dy)) > 1e-3
     A = np.eye(n)
     A[f, f + 2], A[f + 1, f + 2] = -dy, dx
-    belief.correct([Innovation.of_states((y,), ((r,),), (f + column,), ((1.0,),))])
+    belief.know((y,), ((r,),), (f + column,), ((1.0,),))
     np.testing.assert_allclose(np.array(belief.state)[:n], moved, atol=1e-12)
     np.testing.assert_allclose(np.array(belief.covariance)[:n, :n], A @ P @ A.T, atol=1e-12)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +16,6 @@ from locfuse.fusion.instants import due_readings, steps_of
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot, StartSettings
-from locfuse.fusion.sensor import Innovation
 from locfuse.fusion.smooth import fuse_and_smooth
 
 SIGMAS = [  # degrees, m
@@ -45,11 +43,11 @@ def correlation(P: Array) -> Array:
 def positive_throughout(drive: Drive, robot: Robot, sensors: list[str]) -> Filter:
     """Run the filter; its state and the pose in the map have a positive covariance at every instant."""
     run = Filter(robot, sensors)
-    belief: Any
-    for k, (step, due) in enumerate(zip(steps_of(drive), due_readings(drive, sensors), strict=True)):
-        run.advance(k, step, due, drive.measurements)
+    steps = steps_of(drive)
+    for k, due in enumerate(due_readings(drive, sensors)):
+        run.advance(k, steps, due, drive.measurements)
         belief = run.belief
-        for P in (getattr(belief, "covariance", belief.matrix()), run._in_map.matrix()):
+        for P in (belief.covariance, run._in_map.matrix()):
             assert np.isfinite(P).all()
             assert np.linalg.eigvalsh(correlation(P))[0] > -ROUNDING
     return run
@@ -107,4 +105,4 @@ def test_a_covariance_beyond_the_square_of_a_float_refuses_the_reading() -> None
     """Its products are infinite and its NIS is no number: the gate refuses, and nothing is raised."""
     belief = JointBelief((0.0, 0.0, 0.0), (1e200, 1e200, 0.0, 1e200, 0.0, 1.0))
     H, R = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)), ((1.0, 0.0), (0.0, 1.0))
-    assert VERDICTS[Innovation.of(0, (1.0, 1.0), H, R, belief, 9.0).verdict] == "gate"
+    assert VERDICTS[belief.compare(0, (1.0, 1.0), H, R, 9.0).verdict] == "gate"

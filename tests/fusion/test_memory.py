@@ -19,8 +19,8 @@ from locfuse.fusion.audit import Record
 from locfuse.fusion.data import Audit, Estimates, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.innovations import own
+from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.measure import measure
-from locfuse.fusion.sensor import Innovation
 
 LINES = 100_000
 
@@ -92,8 +92,7 @@ def test_covariances_of_lines_are_not_held_all_at_once() -> None:
 
 
 def test_a_record_whose_length_is_known_is_held_once() -> None:
-    row = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
-    seen = [Innovation(i, 0, 3, 1.5, 18.4, (0.1, 0.2), (0.3, 0.4), row, row) for i in range(8)]
+    seen = [Innovation(i, 0, 3, 1.5, 18.4, (0.1, 0.2), (0.3, 0.4)) for i in range(8)]
 
     def record() -> None:
         kept = Record(LINES)
@@ -110,7 +109,7 @@ def test_a_record_whose_length_is_known_is_held_once() -> None:
 def test_a_record_grows_beyond_the_room_it_was_given(room: int) -> None:
     kept = Record(room)
     for k in range(3000):
-        kept.add(k, [Innovation(k, k % 3, -1, float(k), 6.6, (k + 0.5,), (2.0,), ((0.0, 0.0, 1.0),), ((1.0,),))])
+        kept.add(k, [Innovation(k, k % 3, -1, float(k), 6.6, (k + 0.5,), (2.0,))])
     audit = kept.audit()
     np.testing.assert_array_equal(audit.instant, np.arange(3000))
     np.testing.assert_array_equal(audit.verdict, np.arange(3000) % 3)

@@ -9,18 +9,23 @@ from typing import Any
 import numpy as np
 import pytest
 from lock_step import simulated
+from said import written
 from textbook import numeric_jacobian, wrap
 
 from locfuse.fusion.atlas.one_map import LineTracker
-from locfuse.fusion.camera.bearing import bearing_by_mount, predict_bearing
+from locfuse.fusion.camera.bearing import predict_bearing
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.linemap.association import associate
-from locfuse.fusion.linemap.laser_mount import seated, seated_shares
+from locfuse.fusion.kernels.places import shares_into_base
+from locfuse.fusion.kernels.sight import Rules
+from locfuse.fusion.linemap.association import Association
+from locfuse.fusion.linemap.laser_mount import seat_of
+from locfuse.fusion.linemap.line_map import LineMap
 from locfuse.fusion.linemap.scan import Scan
 from locfuse.fusion.lines.extract import rows_of
 from locfuse.fusion.mount import Mount
+from locfuse.fusion.se2 import sight
 from locfuse.fusion.sensors.camera import BearingModel, CameraSettings
 from locfuse.fusion.sensors.lrf import LrfSettings
 
@@ -57,6 +62,13 @@ def by_laser(z: np.ndarray, mount: Any) -> np.ndarray:
     return np.array([z[0] - mount[0] * math.cos(z[1]) - mount[1] * math.sin(z[1]), z[1] - mount[2]])
 
 
+def compared(mount: Mount, belief: JointBelief, lines: LineMap, rows: np.ndarray) -> Association:
+    """Lines in the base as the mount was told to be, against a map and without a gate."""
+    found = Association(Rules(math.inf, True, False, 2, 3, 4), seat_of(mount, belief))
+    found.compare(belief, lines, rows)
+    return found
+
+
 @pytest.mark.parametrize("free", [(0, 1, 2), (2,), (0, 1)])
 @pytest.mark.parametrize(("pose", "line", "anchor"), PLACES)
 def test_an_innovation_depends_on_pose_line_and_mount_as_finite_differences_say(
@@ -75,9 +87,12 @@ def test_an_innovation_depends_on_pose_line_and_mount_as_finite_differences_say(
     seen_by_laser = by_laser(line_from(pose, line, anchor), now) + np.array([0.003, 0.002])
     R = np.array([[1e-3, 2e-4], [2e-4, 4e-4]])
     told = in_base(seen_by_laser, TOLD)  # as the front end puts it there
-    scan = Scan(*seated(rows_of(told[None], R[None], np.array([[-100.0, 100.0]])), mount, belief))
-    found = associate(scan, model.map, belief, math.inf)
-    (seen,) = model._seen(found, 0)
+    found = compared(mount, belief, model.map, rows_of(told[None], R[None], np.array([[-100.0, 100.0]])))
+    assert found.matches() == 1
+    belief.begin()
+    found.state_rows(belief)
+    belief.queue(found)
+    said, seen = belief.equation(), written(found)
 
     def lost(v: np.ndarray) -> np.ndarray:
         """What the innovation loses when the states move: h(pose, line) - z(mount)."""
@@ -88,13 +103,14 @@ def test_an_innovation_depends_on_pose_line_and_mount_as_finite_differences_say(
 
     states = np.array([*pose, *line, *now[parts]])
     r, psi = -lost(states)
-    np.testing.assert_allclose(seen.y, [r, wrap(psi)], atol=1e-12)
-    H = np.hstack((np.array(seen.H), np.array(seen.H_block)))
-    np.testing.assert_allclose(H, numeric_jacobian(lost, states), atol=1e-7)
-    columns = [0, 1, 2, *seen.columns]
-    S = H @ belief.covariance[np.ix_(columns, columns)] @ H.T + np.array(seen.R)
-    np.testing.assert_allclose(seen.sigma, np.sqrt(np.diag(S)), rtol=1e-9)
-    assert seen.nis == pytest.approx(np.array(seen.y) @ np.linalg.solve(S, seen.y), rel=1e-9)
+    np.testing.assert_allclose(said.y, [r, wrap(psi)], atol=1e-12)
+    np.testing.assert_array_equal(said.columns, [0, 1, 2, *mount.columns(belief), column, column + 1])
+    at = [0, 1, 2, *range(5, 5 + len(free)), 3, 4]  # of `states`: pose, mount, line
+    np.testing.assert_allclose(said.H, numeric_jacobian(lost, states)[:, at], atol=1e-7)
+    S = said.H @ belief.covariance[np.ix_(said.columns, said.columns)] @ said.H.T + said.R
+    np.testing.assert_array_equal(seen.y[0], said.y)
+    np.testing.assert_allclose(seen.sigma[0], np.sqrt(np.diag(S)), rtol=1e-9)
+    assert seen.nis[0] == pytest.approx(said.y @ np.linalg.solve(S, said.y), rel=1e-9)
 
 
 def test_what_lines_share_moves_with_them_and_stays_a_part_of_their_covariance() -> None:
@@ -103,12 +119,13 @@ def test_what_lines_share_moves_with_them_and_stays_a_part_of_their_covariance()
     belief.state[3:] = np.add(TOLD, (0.03, -0.05, 0.2))
     rng = np.random.default_rng(3)
     z = np.array([(2.0, 0.3), (1.5, -2.0), (0.02, 1.2)])  # the last wall is passed: it is read from its other side
-    shared: Any = (0.01 * rng.normal(size=(3, 2, 12))).astype(np.float32)
-    own = np.tile(np.diag([1e-4, 4e-5]), (3, 1, 1))
-    G = shared.astype(np.float64)
-    _, R, *_ = seated(rows_of(z, own + G @ G.transpose(0, 2, 1), np.zeros((3, 2))), mount, belief)
-    _, R_own, *_ = seated(rows_of(z, own, np.zeros((3, 2))), mount, belief)
-    moved = seated_shares(shared, z, mount, belief)
+    G, own = 0.01 * rng.normal(size=(3, 2, 12)), np.tile(np.diag([1e-4, 4e-5]), (3, 1, 1))
+    rows = rows_of(z, own + G @ G.transpose(0, 2, 1), np.zeros((3, 2)))
+    found = compared(mount, belief, LineMap(), rows)
+    R = Scan(found.in_base()).R
+    R_own = Scan(compared(mount, belief, LineMap(), rows_of(z, own, np.zeros((3, 2)))).in_base()).R
+    moved = np.empty_like(G)
+    shares_into_base(rows, 3, *found.moved(), G, 0, moved)
     np.testing.assert_allclose(R - R_own, moved @ moved.transpose(0, 2, 1), atol=1e-12)
     joint = np.concatenate(moved) @ np.concatenate(moved).T  # of the scan, as the filter puts it together
     for k, block in enumerate(R):
@@ -128,7 +145,8 @@ def test_a_new_line_goes_with_the_mount_that_it_was_seen_by(
     model = LineTracker("grow", 0.9999, mount=mount)
     z = line_from(pose, line, anchor)
     C = np.array([[1e-3, 2e-4], [2e-4, 5e-4]])
-    model._add(Scan(*seated(rows_of(z[None], C[None], np.array([[-0.5, 1.5]])), mount, belief)), 0, belief)
+    seen = compared(mount, belief, model.map, rows_of(z[None], C[None], np.array([[-0.5, 1.5]])))
+    model._add(Scan(seen.in_base()), 0, belief)
     seen_by_laser = by_laser(z, TOLD)
     middle = model.map.anchor[0]
 
@@ -151,8 +169,9 @@ def test_a_bearing_depends_on_the_cameras_mount_as_finite_differences_say() -> N
         assert predicted is not None
         return np.array([predicted[0]])
 
-    row = bearing_by_mount(pose, landmark, (mount[0], mount[1]))
-    np.testing.assert_allclose([row], numeric_jacobian(h, mount), atol=1e-8)
+    seen = sight(pose, landmark, (mount[0], mount[1], mount[2]), 0.05)
+    assert seen is not None
+    np.testing.assert_allclose([seen[3]], numeric_jacobian(h, mount), atol=1e-8)
 
 
 def test_only_what_is_uncertain_is_a_state() -> None:

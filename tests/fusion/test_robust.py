@@ -6,31 +6,41 @@ import math
 
 import numpy as np
 import pytest
+from told import Told
 from worlds import World
 
 from locfuse.fusion.data import VERDICTS, ArrayStream
-from locfuse.fusion.ekf.robust import inflated
+from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.ekf.robust import inflate
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
-from locfuse.fusion.sensor import Innovation
 
 GATE = VERDICTS.index("gate")
+HEADING = ((0.0, 0.0, 1.0),)
 
 
-def innovation(y: float, hph: float, r: float, threshold: float) -> Innovation:
-    S = hph + r
-    verdict = 0 if y * y / S <= threshold else GATE
-    return Innovation(0, verdict, -1, y * y / S, threshold, (y,), (math.sqrt(S),), ((0, 0, 1),), ((r,),))
-
-
-def test_an_outlier_is_put_exactly_on_its_gate_and_keeps_its_prediction() -> None:
-    seen = inflated(innovation(1.0, 0.01, 0.01, 9.0))
+@pytest.mark.parametrize("before", [0, 2])  # numbers of another reading, which stand above it in the equation
+def test_an_outlier_is_put_exactly_on_its_gate_and_keeps_its_prediction(before: int) -> None:
+    belief, other = JointBelief((0.0,) * 3, (0.0, 0.0, 0.0, 0.0, 0.0, 0.01)), np.ones((before, 3))
+    if before:
+        belief.compare(0, (0.0,) * before, other, np.eye(before), 9.0)
+    seen = Told((1.0,), HEADING, ((0.01,),)).judged(belief, 9.0)
+    assert seen.verdict == GATE
+    inflate(seen, belief)
     assert seen.verdict == 0
-    assert seen.R[0][0] == pytest.approx(1.0 / 9.0 - 0.01)  # y^2 / (H P H' + R) = 9
-    assert seen.nis == 9.0
-    good = innovation(0.1, 0.01, 0.01, 9.0)
-    assert inflated(good) is good
+    assert belief.equation([seen]).R[0, 0] == pytest.approx(1.0 / 9.0 - 0.01)  # y^2 / (H P H' + R) = 9
+    assert (seen.nis, seen.y) == (9.0, (1.0,))
+    assert seen.sigma[0] == pytest.approx(1.0 / 3.0)
+
+
+def test_a_reading_within_its_gate_stays_as_it_is() -> None:
+    belief = JointBelief((0.0,) * 3, (0.0, 0.0, 0.0, 0.0, 0.0, 0.01))
+    seen = Told((0.1,), HEADING, ((0.01,),)).judged(belief, 9.0)
+    before = seen.verdict, seen.nis, seen.sigma
+    inflate(seen, belief)
+    assert (seen.verdict, seen.nis, seen.sigma) == before
+    assert belief.equation([seen]).R[0, 0] == 0.01
 
 
 def test_heavy_tails_hurt_less_when_outliers_are_inflated() -> None:

@@ -10,16 +10,8 @@ import numpy as np
 
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Array, Colour, Component, LocfuseError, Measurements, Stream
-from locfuse.fusion.sensor import (
-    Ask,
-    Belief,
-    Bias,
-    Innovation,
-    Model,
-    Sensor,
-    SensorSettings,
-    WheelMotion,
-)
+from locfuse.fusion.kernels.ekf import Innovation
+from locfuse.fusion.sensor import Ask, Belief, Bias, Model, Sensor, SensorSettings, WheelMotion
 
 Point = tuple[float, float]
 
@@ -85,8 +77,6 @@ class Beacon(Sensor):
 class BeaconModel(Model):
     """z = |p - place| + noise."""
 
-    settled = True
-
     def __init__(self, place: Point, threshold: float) -> None:
         self.place, self.threshold = place, threshold
 
@@ -99,4 +89,4 @@ class BeaconModel(Model):
         z, variances = m.scalars
         H = ((dx / h, dy / h, 0.0),)
         y, R = (z[i] - h,), ((variances[i],),)
-        return [Innovation.of(i, y, H, R, belief, self.threshold, landmark=0)]
+        return [belief.compare(i, y, H, R, self.threshold, landmark=0)]

@@ -7,10 +7,12 @@ import math
 import numpy as np
 
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.linemap.laser_mount import Seat
+from locfuse.fusion.kernels.sight import Seat
 from locfuse.fusion.linemap.line_map import LineMap
 from locfuse.fusion.linemap.scan import Scan
 
+# of `seated`, m, m, rad: a mount as configured, and how far it is from there
+MOUNT, MOVED = np.array([0.2, -0.3, 0.0]), np.array([0.03, -0.02, 0.05])
 UPPER = (0.01, 0.001, 0.0005, 0.02, -0.0004, 0.001)
 
 
@@ -38,16 +40,17 @@ def scene(seed: int, states: bool) -> tuple[Scan, LineMap, JointBelief]:
     psi = rng.choice([0.0, 0.5, 1.0, 1.5], k) * math.pi + rng.normal(0.0, 0.1, k) - pose[2]
     z = np.stack((rng.uniform(-0.1, 4.0, k), (psi + math.pi) % (2 * math.pi) - math.pi), axis=-1)
     ends = np.sort(rng.normal(size=(k, 2)) * 2.0, axis=1)
-    return Scan(z, np.array([covariance(rng) for _ in range(k)]), ends), lines, belief
+    return Scan.of(z, np.array([covariance(rng) for _ in range(k)]), ends), lines, belief
 
 
-def seated(scan: Scan, belief: JointBelief, free: tuple[int, ...]) -> Scan:
-    """The same scan of a laser whose mount is partly unknown, and correlated with all else."""
+def seated(belief: JointBelief, free: tuple[int, ...]) -> Seat:
+    """A laser at MOUNT, of which these of x, y, yaw are states, correlated with all else."""
     rng = np.random.default_rng(len(free))
     G = 0.3 * rng.normal(size=(len(free), 3))
     first = belief.augment(
-        np.zeros(len(free)),
+        (MOUNT + MOVED)[list(free)],
         G,
         covariance(rng, 0.03)[: len(free), : len(free)] if len(free) < 3 else 1e-3 * np.eye(3),
     )
-    return Scan(scan.z, scan.R, scan.ends, Seat(0.2, -0.3, tuple(range(first, first + len(free))), free))
+    columns = np.arange(first, first + len(free), dtype=np.intp)
+    return Seat(MOUNT.copy(), np.array(free, np.intp), columns)

@@ -26,16 +26,15 @@ LAZY = {"rerun", "matplotlib", "scipy", "jinja2"}  # only inside the function th
 FLOORS: dict[str, tuple[str, ...]] = {
     "fusion": (
         "data se2 chi_square progress",
+        "kernels",
         "sensor streams geodesy",
         "robot mount audit",
-        "core",
         "camera lines ekf scan_matching landmarks",
         "wheels linemap",
         "recovery",
         "atlas given_map",
         "truth sensors",
         "measure instants track judge doctor",
-        "coast",
         "fuse graph jitter",
         "smooth tune paper advice laser_odometry",
         "reference",
@@ -76,11 +75,18 @@ OURS = {
     "cli": {"fusion", "formats", "sample_logs", "robots"},
     "robots": set[str](),
     "fusion": set[str](),
-    "formats": {"fusion.data", "fusion.streams", "fusion.core.form", "fusion.progress"},
+    "formats": {
+        "fusion.data",
+        "fusion.streams",
+        "fusion.kernels.built",
+        "fusion.progress",
+        "fusion.camera.opencv",  # pictures are decoded in one place, whose limits and silence maps need too
+        "fusion.camera.decoder_words",
+    },
     "sample_logs": {"formats", "fusion.se2", "fusion.data"},
 }
 OTHERS = {
-    "fusion": {"numpy", "msgspec", "cv2", "scipy"},
+    "fusion": {"numpy", "msgspec", "cv2", "scipy", "cython"},
     "sample_logs": {"numpy", "msgspec", "cv2", "tomli_w"},
 }
 TERMINAL = {  # only here: click, rich, print
@@ -92,7 +98,7 @@ TERMINAL = {  # only here: click, rich, print
 }
 CV2 = {"fusion/camera", "formats/results/preview.py", "formats/robot/map_image.py", "fusion/doctor/preview.py"}
 ROOM_FILES = range(3, 13)
-ROOMS_OF_ANY_SIZE = {"cli/facade", "fusion/core"}  # the core is compiled as one unit
+ROOMS_OF_ANY_SIZE = {"cli/facade", "fusion/judge"}
 
 
 def files(folder: str) -> list[Path]:
@@ -292,7 +298,7 @@ def test_every_folder_with_code_ships() -> None:
         for path in (ROOT / top).rglob("*"):
             if not path.is_file() or "__pycache__" in path.parts or path.name == "README.md":
                 continue
-            if path.name.startswith("compiled."):  # made of the core's sources where it is installed
+            if path.suffix in {".so", ".pyd"}:  # made of the kernels where locfuse is installed
                 continue
             folder = path.parent.relative_to(ROOT).as_posix()
             expected = "locfuse" if folder == "cli/facade" else "locfuse." + folder.replace("/", ".")

@@ -16,10 +16,11 @@ from small_drive import Array
 
 from locfuse.cli.pipeline.trust import unless_overconfident
 from locfuse.fusion.data import Audit, Drive, Evaluation, Measurements
+from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.consistency import Consistency, Run, judge
 from locfuse.fusion.judge.covariance import Honesty, honesty
-from locfuse.fusion.judge.innovations import Frozen, heard, own
+from locfuse.fusion.judge.innovations import heard, own
 from locfuse.fusion.judge.noise_verdicts import by_itself, correlated
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensor import Block
@@ -356,7 +357,7 @@ def test_a_heading_in_a_disturbed_field_is_no_evidence() -> None:
 def test_a_belief_that_stands_still_has_a_place_of_its_own_for_every_block() -> None:
     names = (("a", 2), ("b", 1), ("c", 3))
     blocks = [Block(name, np.full(n, float(n)), np.eye(n), np.zeros(n)) for name, n in names]
-    belief = Frozen(blocks)
+    belief = JointBelief.still(blocks)
     assert [belief.block(name)[0] for name, _ in names] == [3, 5, 6]
     assert [belief.block(name)[1].tolist() for name, _ in names] == [[2.0, 2.0], [1.0], [3.0, 3.0, 3.0]]
     with pytest.raises(KeyError):

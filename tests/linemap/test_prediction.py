@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from line_scene import covariance, scene
 from textbook import move, numeric_jacobian
+from told import step
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, MapLine
@@ -124,10 +125,10 @@ def test_lines_of_a_growing_map_know_what_they_have_to_do_with_their_frame(seed:
     rng = np.random.default_rng(seed)
     belief = JointBelief((1.0, -2.0, 0.7), (0.09, 0.01, 0.004, 0.05, -0.003, 0.02))
     belief.begin_frame()
-    belief.predict((0.3, 0.02, 0.25), (1e-3, 0.0, 0.0, 2e-3, 1e-4, 4e-3))
+    belief.predict(step((0.3, 0.02, 0.25), (1e-3, 0.0, 0.0, 2e-3, 1e-4, 4e-3)), 0)
     lines = three_lines(belief, rng)
     root, first = 0.05 * rng.normal(size=(belief.n, belief.n)), belief.frame
-    assert first is not None
+    assert belief.framed
     belief.covariance[:] += root @ root.T  # everything has to do with everything
     assert lines.columns() == [6, 8, 10]
     for j, line in enumerate(lines.lines(belief)):

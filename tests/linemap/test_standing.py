@@ -13,7 +13,7 @@ from locfuse.fusion.data import VERDICTS, Array, Drive
 from locfuse.fusion.fuse import Filter, fuse
 from locfuse.fusion.instants import due_readings, steps_of
 from locfuse.fusion.linemap.scan import Scan
-from locfuse.fusion.linemap.standing import Standing
+from locfuse.fusion.linemap.standing import SAME_D2, SAME_LENGTH, Standing
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.smooth import fuse_and_smooth
@@ -24,11 +24,11 @@ ENDS = np.array([[-1.0, 1.0], [-0.5, 2.0], [-2.0, 0.3]])
 REPEATED = VERDICTS.index("repeated")
 
 
-def scan(z: Array = WALLS, ends: Array = ENDS) -> Scan:
-    return Scan(z, np.tile(R, (len(z), 1, 1)), ends)
+def scan(z: Array = WALLS, ends: Array = ENDS) -> Array:
+    return Scan.of(z, np.tile(R, (len(z), 1, 1)), ends).rows
 
 
-def noisy(rng: np.random.Generator) -> Scan:
+def noisy(rng: np.random.Generator) -> Array:
     return scan(WALLS + rng.normal(size=WALLS.shape) * np.sqrt(np.diagonal(R)))
 
 
@@ -41,8 +41,8 @@ def test_of_many_scans_at_rest_few_count_and_each_is_the_mean_since_the_one_befo
     assert taken[0] is scans[0]
     last = taken[-1]
     assert last is not None
-    np.testing.assert_allclose(last.z, np.mean([s.z for s in scans[32:]], axis=0), atol=1e-12)
-    np.testing.assert_array_equal(last.R, scans[-1].R)
+    np.testing.assert_allclose(last[:, :2], np.mean([s[:, :2] for s in scans[32:]], axis=0), atol=1e-12)
+    np.testing.assert_array_equal(last[:, 2:], scans[-1][:, 2:])
 
 
 @pytest.mark.parametrize(("motion", "counts"), [((0.01, 0.0, 0.0), True), ((4e-4, 0.0, 1e-3), False)])
@@ -73,7 +73,45 @@ def test_an_angle_beyond_half_a_turn_is_averaged_across_it() -> None:
     for psi in (math.pi - 0.01, -math.pi + 0.01):
         found = standing.take(scan(np.array([[2.0, psi]]), ENDS[:1]))
     assert found is not None
-    assert abs(math.remainder(found.z[0, 1] + math.pi - 0.01, 2 * math.pi)) < 1e-12
+    assert abs(math.remainder(found[0, 1] + math.pi - 0.01, 2 * math.pi)) < 1e-12
+
+
+LIKE = np.diag([1e-4, 4e-4])
+
+
+def some_lines(rng: np.random.Generator, n: int) -> Scan:
+    """Lines close to one another, of which some are alike."""
+    z = np.column_stack((rng.uniform(1.0, 1.3, n), rng.choice([3.1, -3.1, 0.4], n) + rng.normal(0.0, 0.1, n)))
+    middle, half = rng.normal(0.0, 0.5, n), rng.uniform(0.2, 1.5, n)
+    root = rng.normal(0.0, 0.03, (n, 2, 2))
+    return Scan.of(z, root @ root.transpose(0, 2, 1) + LIKE, np.column_stack((middle - half, middle + half)))
+
+
+def repeats(scan: Scan, k: int, first: Scan, j: int) -> float:
+    """The squared distance of line k from line j, infinite where they have too little in common."""
+    off = np.array([scan.z[k, 0] - first.z[j, 0], math.remainder(scan.z[k, 1] - first.z[j, 1], math.tau)])
+    common = min(scan.ends[k, 1], first.ends[j, 1]) - max(scan.ends[k, 0], first.ends[j, 0])
+    if common <= SAME_LENGTH * max(scan.lengths[k], first.lengths[j]):
+        return math.inf
+    return float(off @ np.linalg.solve(2.0 * scan.R[k], off))
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_line_repeats_the_one_that_is_nearest_where_each_is_the_others(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    first = some_lines(rng, 6)
+    noise = rng.normal(size=(6, 2)) * 0.02
+    scan = Scan.of(first.z + noise, first.R, first.ends) if seed % 2 else some_lines(rng, 5)
+    standing = Standing()
+    for _ in range(2):
+        standing.take(first.rows)
+    d2 = np.array([[repeats(scan, k, first, j) for j in range(6)] for k in range(len(scan.z))])
+    expected = np.full(len(d2), -1)
+    for k, row in enumerate(d2):
+        best = int(row.argmin())
+        if row[best] < SAME_D2 and d2[:, best].argmin() == k:
+            expected[k] = best
+    np.testing.assert_array_equal(standing._same(scan.rows), expected)
 
 
 def rested(seconds: float, sigma: float = 0.004) -> tuple[Drive, Robot]:
@@ -109,8 +147,9 @@ def test_no_wall_is_ever_known_below_its_floor_while_driving(mode: str) -> None:
     drive = measure(world.streams(), robot)
     run = Filter(robot, ["lrf"])
     floor = np.diagonal(drive.measurements["lrf"].floor)
-    for k, (step, due) in enumerate(zip(steps_of(drive), due_readings(drive, ["lrf"]), strict=True)):
-        run.advance(k, step, due, drive.measurements)
+    steps = steps_of(drive)
+    for k, due in enumerate(due_readings(drive, ["lrf"])):
+        run.advance(k, steps, due, drive.measurements)
         lines = run.models["lrf"].map  # type: ignore[attr-defined]
         spread = np.diagonal(lines.covariances(run.belief), axis1=1, axis2=2)
         assert (spread >= (1.0 - 1e-9) * floor).all()

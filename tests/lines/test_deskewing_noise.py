@@ -9,13 +9,10 @@ import pytest
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array
-from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.ekf.rows import stacked
 from locfuse.fusion.lines.extract import Lines, LineSettings
 from locfuse.fusion.lines.flatness import wall_floor
 from locfuse.fusion.lines.scans import Laser, lines_in_base, sweep_time
 from locfuse.fusion.se2 import wrap_all
-from locfuse.fusion.sensor import Innovation
 from locfuse.fusion.wheels.motion import Wheels
 
 BEAMS, SWEEP, TRACK, NOISE = 360, 0.1, 0.3, 4e-4
@@ -107,43 +104,6 @@ def test_a_robot_at_rest_deskews_without_noise() -> None:
     lines = measured(driven(0.0, 0.0), np.zeros((3, BEAMS, 3)))
     assert len(lines.z) == 12
     assert not lines.sweep.any()
-
-
-def heading_of(psi_error: float, row: int, shared: tuple[tuple[float, ...], ...]) -> Innovation:
-    return Innovation(
-        row=row,
-        verdict=0,
-        landmark=row,
-        nis=0.0,
-        threshold=20.0,
-        y=(0.0, psi_error),
-        sigma=(1.0, 1.0),
-        H=((-1.0, 0.0, 0.0), (0.0, 0.0, -1.0)),
-        R=((2.0, 0.1), (0.1, 3.0)),
-        shared=shared,
-    )
-
-
-def test_errors_that_lines_share_stand_between_them_in_R_and_nowhere_else() -> None:
-    a, b = ((0.1, 0.2), (0.3, -0.1)), ((-0.2, 0.1), (0.4, 0.5))
-    _, _, _, R = stacked([heading_of(0.0, 0, a), heading_of(0.0, 1, ()), heading_of(0.0, 2, b)])
-    G = np.array([*a, (0.0, 0.0), (0.0, 0.0), *b])
-    expected = G @ G.T
-    for k in (0, 2, 4):
-        expected[k : k + 2, k : k + 2] = ((2.0, 0.1), (0.1, 3.0))
-    np.testing.assert_allclose(R, expected, atol=1e-15)
-
-
-def test_a_scan_that_slipped_as_a_whole_is_likelier_than_its_lines_one_by_one() -> None:
-    """Two lines turned alike by one slip: the joint distance is that of one error, not of two."""
-    belief = JointBelief((0.0, 0.0, 0.0), (1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6), [])
-    alike = ((0.0, 0.0), (1.7, 0.0))
-    both = belief.joint_nis([heading_of(1.7, 0, alike), heading_of(1.7, 1, alike)])
-    apart = belief.joint_nis([heading_of(1.7, 0, ()), heading_of(1.7, 1, ())])
-    assert both[0] < 0.75 * apart[0]
-    assert both[1] == apart[1] == 4
-    belief.correct([heading_of(1.7, 0, alike), heading_of(1.7, 1, alike)])
-    assert belief.nis_of_first(4) == pytest.approx(both)
 
 
 def walls_of_slipping_scans(sweep: float, seed: int) -> tuple[float, float]:

@@ -11,8 +11,8 @@ from msgspec.structs import replace
 from rooms import ARENA, box, pole, poses, ranges, scan, wall_lines
 
 from locfuse.fusion import se2
-from locfuse.fusion.core.form import form
 from locfuse.fusion.data import Array
+from locfuse.fusion.kernels.built import COMPILED, how
 from locfuse.fusion.lines.extract import Lines, LineSettings, extract_lines, to_base
 
 HALF = np.radians(np.linspace(-90.0, 90.0, 361))
@@ -128,7 +128,7 @@ def test_a_scan_has_the_same_lines_alone_and_in_any_batch(angles: Array, deskewe
     assert same_bytes(together, extract_lines(d, own, offsets=offsets))
 
 
-@pytest.mark.skipif(form().functions is None, reason="the core is not compiled")
+@pytest.mark.skipif(how() != COMPILED, reason="the kernels are not compiled")
 def test_python_does_no_work_per_scan() -> None:
     """Calls, not seconds: a hundred scans of a batch take no more calls than one."""
     d = noisy(np.random.default_rng(15), poses(np.random.default_rng(15), 100), HALF, NOISE["30mm_0.25deg"])

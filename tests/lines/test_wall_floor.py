@@ -9,7 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.linemap.association import associate
+from locfuse.fusion.kernels.sight import Rules
+from locfuse.fusion.linemap.association import Association
+from locfuse.fusion.linemap.laser_mount import seat_of
 from locfuse.fusion.linemap.line_map import LineMap
 from locfuse.fusion.linemap.scan import Scan
 from locfuse.fusion.lines.flatness import LAG_SCANS, bend, wall_floor
@@ -77,9 +79,11 @@ def test_a_line_that_is_seen_for_ever_stays_within_its_walls_unevenness() -> Non
         column = belief.augment(np.zeros(2), np.zeros((2, 3)), start * np.eye(2))
         walls.append(np.array([2.0, 0.0]), np.zeros(2), np.zeros((2, 2)), column, (-1.0, 1.0), 0)
     z, R, ends = np.array([[2.0, 0.0]]), np.diag([1e-4, 1e-4])[None], np.array([[-1.0, 1.0]])
-    found = associate(Scan(z, R, ends), walls, belief, math.inf)
     for which in (0, 1):
-        found.fate[0] = next(p for p, pair in enumerate(found.pairs) if pair.which == which)
+        walls.lo[:], walls.hi[:] = 10.0, 11.0  # the other one lies elsewhere
+        walls.lo[which], walls.hi[which] = -1.0, 1.0
+        found = Association(Rules(math.inf, True, True, 0, 0, 0), seat_of(None, belief))
+        found.compare(belief, walls, Scan.of(z, R, ends).rows)
         for _ in range(10 * LAG_SCANS):
-            belief.loosen(*found.bends(belief.arrays[1], uneven, bend(uneven)))
+            found.bend(belief, uneven, bend(uneven))
     np.testing.assert_allclose(np.diagonal(belief.covariance)[3:], [*uneven, 4e-4, 4e-4], rtol=1e-9)

@@ -225,7 +225,9 @@ def test_arrays_inside_arrays_are_gathered_by_the_lengths_of_their_own_message()
     kind = "sensor_msgs/msg/MultiEchoLaserScan"
     decoder = Decoder(parse(kind, "ros2msg", STORE.generate_msgdef(kind, ros_version=2)[0]))
     said = [[[1, 2], [3]], [[4], [5, 6]], [[7, 8], [9]], [[1], [2, 3]], [[], [1, 2, 3]]]  # equally many bytes
-    messages = [cdr(kind, header=header(1, "a"), ranges=[{"echoes": np.float32(e)} for e in m]) for m in said]
+    messages = [
+        cdr(kind, header=header(1, "a"), ranges=[{"echoes": np.array(e, np.float32)} for e in m]) for m in said
+    ]
     assert len({len(m) for m in messages}) == 1
     decoded = decode(decoder, messages, ["ranges.echoes", "ranges.echoes.length"])
     values, lengths = (rows(decoded.columns[name]) for name in ("ranges.echoes", "ranges.echoes.length"))

@@ -1,28 +1,32 @@
-"""Where may a scan have been taken? Held against sight lines and shares written out, in both forms of the core."""
+"""Where may a scan have been taken? Held against sight lines and shares written out."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from interpreted import interpreted
 from line_scene import scene
 
 from locfuse.fusion import se2
-from locfuse.fusion.core import places
-from locfuse.fusion.core.room import Room
 from locfuse.fusion.data import Array
+from locfuse.fusion.kernels import places
+from locfuse.fusion.kernels.arrays import view
 from locfuse.fusion.linemap.line_map import LineMap
 from locfuse.fusion.linemap.scan import Scan
+from locfuse.fusion.lines import extract
+from locfuse.fusion.lines.extract import rows_in_base
+from locfuse.fusion.recovery import relocalise
 from locfuse.fusion.recovery.relocalise import behind_walls, explained, hypotheses, seen_through
 
 SEEDS = range(40)
-FORMS = pytest.mark.parametrize("interpreted", [False, True])
-
-
-def take(interpreted: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    if interpreted:
-        monkeypatch.setattr("locfuse.fusion.core.room._here", lambda source: Room.of(source, None))
+NUMBERS = st.one_of(
+    st.floats(-10.0, 10.0), st.sampled_from([math.nan, math.inf, -math.inf, 0.0, -0.0, 1e-300, 1e5, 1e200])
+)
 
 
 def known_scene(seed: int) -> tuple[Scan, LineMap, Array, tuple[float, float, float]]:
@@ -56,12 +60,10 @@ def hidden(point: Array, eye: Array, lines: LineMap, values: Array, both: bool) 
     return False
 
 
-@FORMS
 @pytest.mark.parametrize("both", [False, True])
 def test_what_lies_behind_walls_is_what_sight_lines_say(
-    interpreted: bool, both: bool, monkeypatch: pytest.MonkeyPatch
+    both: bool,
 ) -> None:
-    take(interpreted, monkeypatch)
     total = 0.0
     for seed in SEEDS:
         scan, lines, values, pose = known_scene(seed)
@@ -81,11 +83,7 @@ def test_what_lies_behind_walls_is_what_sight_lines_say(
     assert total > 5.0
 
 
-@FORMS
-def test_what_a_place_explains_is_what_its_walls_overlap(
-    interpreted: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    take(interpreted, monkeypatch)
+def test_what_a_place_explains_is_what_its_walls_overlap() -> None:
     seen = 0
     for seed in SEEDS:
         scan, lines, values, pose = known_scene(seed)
@@ -114,10 +112,8 @@ def test_what_a_place_explains_is_what_its_walls_overlap(
     assert seen > 20
 
 
-@FORMS
-def test_the_place_of_a_scan_is_among_the_hypotheses(interpreted: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_place_of_a_scan_is_among_the_hypotheses() -> None:
     """A map of four walls, and what a robot in it sees of them without noise."""
-    take(interpreted, monkeypatch)
     lines = LineMap()
     for j, (beta, away) in enumerate(((0.0, 3.0), (math.pi / 2, 2.0), (math.pi, 1.0), (-2.2, 2.5))):
         n = np.array([math.cos(beta), math.sin(beta)])
@@ -126,7 +122,7 @@ def test_the_place_of_a_scan_is_among_the_hypotheses(interpreted: bool, monkeypa
     x, y, theta = 0.4, -0.3, 0.7
     z = [(float(a @ (math.cos(b), math.sin(b))) - x * math.cos(b) - y * math.sin(b), se2.wrap(b - theta))
          for a, (_, b) in zip(lines.anchor, lines.value, strict=True)]  # fmt: skip
-    scan = Scan(np.array(z), np.tile(1e-6 * np.eye(2), (4, 1, 1)), np.stack((-lines.hi, -lines.lo), axis=-1))
+    scan = Scan.of(np.array(z), np.tile(1e-6 * np.eye(2), (4, 1, 1)), np.stack((-lines.hi, -lines.lo), axis=-1))
     poses = hypotheses(scan, lines, lines.value, np.arange(4))
     off = poses - (x, y, theta)
     off[:, 2] = se2.wrap_all(off[:, 2])
@@ -134,12 +130,8 @@ def test_the_place_of_a_scan_is_among_the_hypotheses(interpreted: bool, monkeypa
     assert len(hypotheses(scan, lines, lines.value, np.arange(1))) == 0
 
 
-@FORMS
-def test_a_hypothesis_lays_both_walls_onto_theirs_and_shares_what_their_angles_miss(
-    interpreted: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_hypothesis_lays_both_walls_onto_theirs_and_shares_what_their_angles_miss() -> None:
     """Place by the two equations n.(p - a) = rho - r, heading by the mean of what either wall says."""
-    take(interpreted, monkeypatch)
     lines = LineMap()
     walls = [(2.9, 0.4, 0.1, 0.3), (0.2, 2.1, 1.4, -0.2), (-3.0, 0.6, 2.5, 0.5)]  # anchor, beta, rho
     for x, y, beta, rho in walls:
@@ -147,7 +139,7 @@ def test_a_hypothesis_lays_both_walls_onto_theirs_and_shares_what_their_angles_m
     lines.hits[:] = 9
     theta, noise = 0.7, np.array([0.02, -0.03, 0.01])
     z = np.column_stack(([2.0, 1.7, 2.2], lines.value[:, 1] - theta + noise))
-    scan = Scan(z, np.tile(1e-6 * np.eye(2), (3, 1, 1)), np.tile((-1.0, 1.0), (3, 1)))
+    scan = Scan.of(z, np.tile(1e-6 * np.eye(2), (3, 1, 1)), np.tile((-1.0, 1.0), (3, 1)))
     poses = hypotheses(scan, lines, lines.value, np.arange(3))
     n = np.column_stack((np.cos(lines.value[:, 1]), np.sin(lines.value[:, 1])))
     distance = lines.value[:, 0] + (n * lines.anchor).sum(axis=1) - z[:, 0]
@@ -157,12 +149,8 @@ def test_a_hypothesis_lays_both_walls_onto_theirs_and_shares_what_their_angles_m
         assert np.abs(poses - expected).max(axis=1).min() < 1e-12
 
 
-@FORMS
-def test_every_two_seen_walls_lie_on_every_two_known_ones_at_their_angle(
-    interpreted: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_two_seen_walls_lie_on_every_two_known_ones_at_their_angle() -> None:
     """Within five degrees; of two walls that differ by less than 25 nothing is made."""
-    take(interpreted, monkeypatch)
     total = 0
     for seed in SEEDS:
         scan, lines, values, _ = known_scene(seed)
@@ -178,29 +166,27 @@ def test_every_two_seen_walls_lie_on_every_two_known_ones_at_their_angle(
     assert total > 200
 
 
-def test_both_forms_give_the_same_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_interpreted_kernel_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
     for seed in SEEDS:
         scan, lines, values, pose = known_scene(seed)
         known = np.flatnonzero(lines.hits >= 4)
 
-        def everything() -> list[bytes]:
+        def everything() -> list[Any]:
             poses = hypotheses(scan, lines, values, known)  # noqa: B023
             found = poses, behind_walls(scan, lines, values, pose, True)  # noqa: B023
-            return [a.tobytes() for a in (*found, *explained(poses, scan, lines, values, known))]  # noqa: B023
+            scan_in_base = rows_in_base(scan.rows, 0.3, -0.2, 0.7)  # noqa: B023
+            return [*found, scan_in_base, *explained(poses, scan, lines, values, known)]  # noqa: B023
 
         one = everything()
         with monkeypatch.context() as patch:
-            take(True, patch)
-            assert everything() == one
+            for user in (relocalise, extract):
+                patch.setattr(user, "places", interpreted("places"))
+            for a, b in zip(everything(), one, strict=True):
+                np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9)
 
 
-@FORMS
-def test_a_line_of_a_turned_laser_is_the_same_line_from_the_base(
-    interpreted: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_line_of_a_turned_laser_is_the_same_line_from_the_base() -> None:
     """Both of its ends, put into the base by the mount; a line that is no number stays none."""
-    take(interpreted, monkeypatch)
-    core = Room.here(places).on_arrays
     rng = np.random.default_rng(2)
     rows = np.column_stack(
         (rng.uniform(0.05, 2.0, 50), rng.uniform(-3, 3, 50), np.tile([1e-4, 0.0, 1e-6, -1.0, 1.6], (50, 1)))
@@ -208,7 +194,7 @@ def test_a_line_of_a_turned_laser_is_the_same_line_from_the_base(
     rows[7, 1], rows[8, 1] = math.nan, math.inf
     x, y, yaw = mount = (0.3, -0.2, 0.7)
     out = np.empty_like(rows)
-    core.into_base(rows, len(rows), x, y, yaw, out)
+    places.into_base(view(rows), len(rows), x, y, yaw, view(out))
     assert np.isnan(out[[7, 8]]).all()
     behind = 0
     for k in np.delete(np.arange(50), [7, 8]):
@@ -229,23 +215,17 @@ def point_on(row: Array, end: int) -> Array:
     return np.asarray(row[0] * n + row[end] * np.array([-n[1], n[0]]))
 
 
-@FORMS
-def test_the_noise_of_a_line_seen_from_the_base_is_that_of_finite_differences(
-    interpreted: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_noise_of_a_line_seen_from_the_base_is_that_of_finite_differences() -> None:
     """Its covariance, and unit errors that lines share: their outer product is a covariance too."""
-    take(interpreted, monkeypatch)
-    core, rng = Room.here(places).on_arrays, np.random.default_rng(3)
+    rng = np.random.default_rng(3)
     mount, parts, first = (0.3, -0.2, 0.7), 2, 5
-    shared = rng.normal(0.0, 0.01, (40, 2, parts))
-    R = shared @ shared.transpose(0, 2, 1)
-    z = np.column_stack((rng.uniform(0.05, 4.0, 40), rng.uniform(-3.0, 3.0, 40)))
+    shared = rng.normal(0.0, 0.01, (first + 40, 2, parts))
+    R = shared[first:] @ shared[first:].transpose(0, 2, 1)
+    z = np.column_stack((rng.uniform(0.05, 1.0, 40), rng.uniform(-3.0, 3.0, 40)))
     rows = np.column_stack((z, R[:, 0, 0], R[:, 0, 1], R[:, 1, 1], np.tile([-1.0, 1.0], (40, 1))))
-    out, moved = np.empty_like(rows), np.zeros(first + shared.size)
-    core.into_base(rows, 40, *mount, out)
-    given = np.concatenate((np.zeros(first), shared.ravel()))
-    core.shares_into_base(rows, 40, parts, *mount, given, first, moved)
-    G = moved[: shared.size].reshape(shared.shape)
+    out, G = np.empty_like(rows), np.empty((40, 2, parts))
+    places.into_base(view(rows), 40, *mount, view(out))
+    places.shares_into_base(view(rows), 40, *mount, view(shared), first, view(G))
     turned = 0
     for k in range(40):
         side = from_base(z[k], mount)[2]
@@ -254,7 +234,7 @@ def test_the_noise_of_a_line_seen_from_the_base_is_that_of_finite_differences(
             for d in 1e-6 * np.eye(2)
         ])  # fmt: skip
         np.testing.assert_allclose([[out[k, 2], out[k, 3]], [out[k, 3], out[k, 4]]], J @ R[k] @ J.T, atol=1e-9)
-        np.testing.assert_allclose(G[k], J @ shared[k], atol=1e-9)
+        np.testing.assert_allclose(G[k], J @ shared[first + k], atol=1e-9)
         turned += side < 0.0
     assert turned > 1
 
@@ -269,11 +249,17 @@ def from_base(
     return side * r, psi, side
 
 
-@FORMS
-def test_from_one_mount_to_another_leads_what_undoes_the_one_and_does_the_other(
-    interpreted: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    take(interpreted, monkeypatch)
+def test_from_one_mount_to_another_leads_what_undoes_the_one_and_does_the_other() -> None:
     told, place, out = np.array([0.3, -0.2, 0.7]), np.array([0.35, -0.1, -0.9]), np.empty(3)
-    Room.here(places).on_arrays.moved(place, told, out)
+    places.moved(view(place), view(told), view(out))
     np.testing.assert_allclose(se2.compose(out, told), place, atol=1e-12)
+
+
+@settings(deadline=None, max_examples=100)
+@given(st.lists(NUMBERS, min_size=7, max_size=42), st.tuples(NUMBERS, NUMBERS, NUMBERS))
+def test_any_line_is_put_elsewhere_alike_interpreted(numbers: list[float], to: tuple[float, float, float]) -> None:
+    rows = np.array(numbers[: len(numbers) // 7 * 7]).reshape(-1, 7)
+    found = rows_in_base(rows, *to)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(extract, "places", interpreted("places"))
+        np.testing.assert_allclose(rows_in_base(rows, *to), found, rtol=1e-9)

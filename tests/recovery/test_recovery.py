@@ -87,14 +87,14 @@ def test_walls_that_continue_are_expected_and_others_are_not() -> None:
     after = np.stack((r, before[:, 1] - step[2]), axis=-1)
     ends = np.array([(0.0, 2.0), (0.0, 1.0), (0.0, 1.0)])
     R = np.tile(np.eye(2) * 1e-4, (3, 1, 1))
-    assert expected_share(Scan(after, R, ends), Scan(before, R, ends), step) == pytest.approx(1.0)
+    assert expected_share(Scan.of(after, R, ends), Scan.of(before, R, ends), step) == pytest.approx(1.0)
     slipped = after - (0.0, math.radians(10.0))
-    assert expected_share(Scan(slipped, R, ends), Scan(before, R, ends), step) == 0.0
+    assert expected_share(Scan.of(slipped, R, ends), Scan.of(before, R, ends), step) == 0.0
     assert expected_share(
-        Scan(slipped, R, ends), Scan(before, R, ends), step, math.radians(30.0)
+        Scan.of(slipped, R, ends), Scan.of(before, R, ends), step, math.radians(30.0)
     ) == pytest.approx(1.0)
     moved = after + np.array([(0.4, 0.0), (0.0, 0.0), (0.0, 0.0)])
-    assert expected_share(Scan(moved, R, ends), Scan(before, R, ends), step) == pytest.approx(0.5)
+    assert expected_share(Scan.of(moved, R, ends), Scan.of(before, R, ends), step) == pytest.approx(0.5)
 
 
 def share_by_loops(scan: Scan, before: Scan, step: NDArray[np.float64], slip: float) -> float:
@@ -123,7 +123,7 @@ def test_the_expected_share_is_that_of_every_wall_and_slip_by_itself(slip: float
         walls, ends = rng.uniform((0.5, -3.0), (4.0, 3.0), (k, 2)), np.sort(rng.normal(0.0, 2.0, (k, 2)), axis=1)
         seen = walls + rng.normal(0.0, (0.06, 0.04), (k, 2)) + (0.0, rng.uniform(-0.3, 0.3))
         R, step = np.tile(np.eye(2) * 1e-4, (k, 1, 1)), rng.normal(0.0, 0.05, 3)
-        scan, before = Scan(seen, R, ends), Scan(walls, R, ends)
+        scan, before = Scan.of(seen, R, ends), Scan.of(walls, R, ends)
         assert expected_share(scan, before, step, slip) == pytest.approx(share_by_loops(scan, before, step, slip))
 
 
@@ -131,7 +131,7 @@ def test_scans_of_two_thousand_walls_need_no_terabytes_to_be_compared() -> None:
     n, turned = 2000, 0.2
     walls = np.random.default_rng(1).uniform((0.5, -3.1), (40.0, 3.1), (n, 2))
     R, ends = np.tile(np.eye(2) * 1e-4, (n, 1, 1)), np.tile((0.0, 1.0), (n, 1))
-    before, now = Scan(walls, R, ends), Scan(walls - (0.0, turned), R, ends)
+    before, now = Scan.of(walls, R, ends), Scan.of(walls - (0.0, turned), R, ends)
     assert expected_share(now, before, np.zeros(3), math.radians(30.0)) == 1.0
     assert expected_share(now, before, np.zeros(3)) < 0.7
 
@@ -141,7 +141,7 @@ def test_a_trail_forgets_what_was_seen_while_the_robot_was_carried() -> None:
     R, ends = np.tile(np.eye(2) * 1e-4, (2, 1, 1)), np.array([(0.0, 2.0), (0.0, 2.0)])
     trail = Trail()
     for k, wall in enumerate((3.0, 2.7, 2.2, 1.9)):
-        trail.note(np.array([0.3 * k, 0.0, 0.0]), Scan(np.array([(wall, 0.0), (1.0, 1.57)]), R, ends))
+        trail.note(np.array([0.3 * k, 0.0, 0.0]), Scan.of(np.array([(wall, 0.0), (1.0, 1.57)]), R, ends))
     seen = [step[0] for step, _ in trail.back_from(np.array([0.9, 0.0, 0.0]))]
     assert seen == pytest.approx([0.0, -0.3])
 

@@ -12,7 +12,7 @@ from worlds import World
 from locfuse.fusion.atlas.one_map import LineTracker
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.linemap.association import Association, associate
+from locfuse.fusion.linemap.association import Association
 from locfuse.fusion.linemap.scan import Scan
 from locfuse.fusion.measure import measure
 from locfuse.fusion.recovery.slips import CARRIED, Series, after_slip, continues
@@ -25,12 +25,12 @@ def test_a_series_that_began_with_a_mistake_is_taken_back(monkeypatch: pytest.Mo
     made_up: list[float] = []
     true_share = Association.share
 
-    def wrong(scan: Scan, lines: Any, belief: Any, gate: float) -> Any:
+    def wrong(scan: Scan, lines: Any, belief: Any, again: Any) -> Any:
         if len(made_up) >= CARRIED:
-            return after_slip(scan, lines, belief, gate)
+            return after_slip(scan, lines, belief, again)
         made_up.append(belief.theta)
         belief.shift(FALSE_TURN, 0.03**2, math.radians(1.5) ** 2)
-        return associate(scan, lines, belief, gate)
+        return again()
 
     def share(found: Any) -> float:
         return 0.1 if now[0] > 8.0 and len(made_up) < CARRIED else true_share(found)
@@ -43,7 +43,6 @@ def test_a_series_that_began_with_a_mistake_is_taken_back(monkeypatch: pytest.Mo
     monkeypatch.setattr("locfuse.fusion.recovery.guard.after_slip", wrong)
     monkeypatch.setattr(Association, "share", share)
     monkeypatch.setattr(LineTracker, "innovations", innovations)
-    monkeypatch.setattr("locfuse.fusion.coast.scans.AtOnce.ready", False)  # the core would ask none of these
     world = World(seconds=16.0)
     drive = measure(world.streams(), world.robot())
     found = fuse(drive, world.robot(), ["lrf"])
@@ -55,7 +54,7 @@ def test_a_series_that_began_with_a_mistake_is_taken_back(monkeypatch: pytest.Mo
 
 
 def test_a_series_goes_on_only_while_its_slips_follow_each_other() -> None:
-    scan = Scan(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2)))
+    scan = Scan.of(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2)))
     series, pose = Series(), (1.0, 2.0, 0.5)
     for k in range(CARRIED - 1):
         assert not series.goes_on((0.5 * k, pose, scan), (), pose)
@@ -69,7 +68,7 @@ def test_a_series_goes_on_only_while_its_slips_follow_each_other() -> None:
 
 def test_without_a_series_the_robot_is_where_it_was_before_and_the_wheels_took_it() -> None:
     """The first slip found it at (1, 2, 90 deg); the wheels went 1 m ahead and turned by 30 degrees since."""
-    scan = Scan(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2)))
+    scan = Scan.of(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2)))
     series = Series()
     series.goes_on((0.0, (5.0, 5.0, 0.0), scan), (), (1.0, 2.0, math.pi / 2))
     found = series.undone((0.4, (6.0, 5.0, math.radians(30.0)), scan))
@@ -79,9 +78,9 @@ def test_without_a_series_the_robot_is_where_it_was_before_and_the_wheels_took_i
 def test_walls_continue_where_the_wheels_expect_them_and_not_elsewhere() -> None:
     walls = np.array([[2.0, 0.0], [1.0, math.pi / 2], [3.0, -math.pi / 2]])
     ends = np.tile([-1.0, 1.0], (3, 1))
-    before = (0.0, (0.0, 0.0, 0.0), Scan(walls, np.zeros((3, 2, 2)), ends))
-    ahead = Scan(walls - [[0.5, 0.0], [0.0, 0.0], [0.0, 0.0]], np.zeros((3, 2, 2)), ends)
+    before = (0.0, (0.0, 0.0, 0.0), Scan.of(walls, np.zeros((3, 2, 2)), ends))
+    ahead = Scan.of(walls - [[0.5, 0.0], [0.0, 0.0], [0.0, 0.0]], np.zeros((3, 2, 2)), ends)
     assert continues([before], (0.1, (0.5, 0.0, 0.0), ahead), slip=0.0)
-    turned = Scan(walls - [0.0, math.radians(10.0)], np.zeros((3, 2, 2)), ends)
+    turned = Scan.of(walls - [0.0, math.radians(10.0)], np.zeros((3, 2, 2)), ends)
     assert not continues([before], (0.1, (0.0, 0.0, 0.0), turned), slip=0.0)
     assert continues([before], (0.1, (0.0, 0.0, 0.0), turned), slip=math.radians(15.0))

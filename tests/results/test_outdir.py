@@ -91,11 +91,10 @@ def test_a_failure_leaves_neither_half_files_nor_temporary_ones(
     assert not (tmp_path / "new").exists()
 
 
-def test_a_full_disk_is_one_line(tmp_path: Path) -> None:
-    """/dev/full takes no byte: as a temporary name it stands for a full disk."""
+def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """/dev/full takes no byte: as the temporary file it stands for a full disk."""
     target = tmp_path / "x.tum"
-    temporary = target.with_name(f".{target.name}.{os.getpid()}{whole_files.TEMPORARY}")
-    temporary.symlink_to("/dev/full")
+    monkeypatch.setattr(whole_files, "claim", lambda temporary: temporary.symlink_to("/dev/full"))
     with pytest.raises(LocfuseError, match="No space left on device"), whole_file(target) as path:
         path.write_text("data")
     assert names(tmp_path) == []

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 from numpy.typing import NDArray
+from said import one_by_one, said
+from told import step
 
 from locfuse.cli.pipeline.load import make_robot
 from locfuse.fusion.data import ArrayStream, Column, Drive, LocfuseError, Measurements, Ragged
@@ -417,13 +419,14 @@ def test_a_turn_is_compared_with_that_of_the_belief_and_its_noise_is_of_time_and
     m, model, belief = turned_twice(settings), Gyro().model(settings), with_bias(0.03, 0.01)
     assert model.innovations(m, 0, belief) == []
     model.learn(m, 0, belief)
-    belief.predict([0.1, 0.0, 0.45], [0.0] * 5 + [0.001])
-    (seen,) = model.innovations(m, 1, belief)
+    belief.predict(step((0.1, 0.0, 0.45), (0.0, 0.0, 0.0, 0.0, 0.0, 0.001)), 0)
+    (seen,) = one_by_one(model.innovations(m, 1, belief))
     bias = 0.03 if given is None else math.radians(given)
     assert seen.y[0] == pytest.approx(0.5 - bias * 2.0 - 0.45)
-    assert seen.R[0][0] == pytest.approx(math.radians(0.4) ** 2 * 2.0 + (0.03 * 0.5) ** 2)
-    assert (seen.columns, seen.H_block) == (((3, 4), ((-1.0, 2.0),)) if given is None else ((3,), ((-1.0,),)))
-    assert seen.H == ((0.0, 0.0, 1.0),)
+    columns, H, R = said(seen, belief)
+    assert R[0, 0] == pytest.approx(math.radians(0.4) ** 2 * 2.0 + (0.03 * 0.5) ** 2)
+    assert columns == ((3, 4) if given is None else (3,))
+    assert H.tolist() == [[0.0, 0.0, 1.0, -1.0, 2.0][: 3 + len(columns)]]
 
 
 def test_a_rest_measures_the_bias_as_a_scalar_filter_takes_it() -> None:
@@ -435,7 +438,7 @@ def test_a_rest_measures_the_bias_as_a_scalar_filter_takes_it() -> None:
     column, bias = belief.block(BIAS)
     assert bias[0] == pytest.approx((0.03 / 0.001 + 0.05 / r) / (1.0 / 0.001 + 1.0 / r))
     assert belief.covariance[column, column] == pytest.approx(1.0 / (1.0 / 0.001 + 1.0 / r))
-    (seen,) = model.innovations(m, 1, belief)  # of the rest: it counted already
+    (seen,) = one_by_one(model.innovations(m, 1, belief))  # of the rest: it counted already
     assert seen.verdict != 0
     assert model.notes(belief) == ["bias at rest: 2.865°/s over 4.0 s, from 1.0 s on"]
 
@@ -448,7 +451,7 @@ def test_the_blocks_of_an_estimated_bias_begin_as_the_settings_say() -> None:
 
 
 @pytest.mark.parametrize(
-    ("step", "resting"),
+    ("way", "resting"),
     [
         ((0.0007, 0.0006, 0.0), True),  # 0.92 mm
         ((0.0008, 0.0009, 0.0), False),  # 1.2 mm
@@ -456,9 +459,9 @@ def test_the_blocks_of_an_estimated_bias_begin_as_the_settings_say() -> None:
         ((0.0, 0.0, math.radians(-0.13)), False),
     ],
 )
-def test_wheels_that_tremble_by_a_tick_rest(step: tuple[float, float, float], resting: bool) -> None:
+def test_wheels_that_tremble_by_a_tick_rest(way: tuple[float, float, float], resting: bool) -> None:
     where = np.tile([3.0, 2.0, 1.0], (9, 1))
-    where[5:] += step
+    where[5:] += way
     assert list(rests(where, np.zeros(9, np.int64))) == ([(0, 8)] if resting else [(0, 4), (5, 8)])
 
 

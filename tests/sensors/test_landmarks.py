@@ -13,13 +13,16 @@ from bags import T0
 from commands import locfuse
 from landmark_drive import MAP, path_of
 from numpy.typing import NDArray
-from textbook import wrap
+from said import said
+from textbook import numeric_jacobian, wrap
 from wheel_bags import GEOMETRY, angles, joint_states, log_of
 
 from locfuse.formats.robot import landmark_map
-from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.data import LocfuseError, Measurements
+from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.landmarks.geometry import predict
 from locfuse.fusion.sensors import landmarks
+from locfuse.fusion.sensors.landmarks import LandmarksModel, LandmarksSettings
 from locfuse.fusion.sensors.registry import REGISTRY
 
 Array = NDArray[np.float64]
@@ -235,6 +238,65 @@ def test_the_derivatives_hold_wherever_the_detector_sits() -> None:
         numeric = (np.array(ahead[0]) - np.array(behind[0])) / 2e-6
         np.testing.assert_allclose(np.array(found[1])[:, j], numeric, atol=1e-7)
     assert predict((1.4, 0.8, 0.0), place, (0.0, 0.0, 0.0)) is None
+
+
+PLACE, MOUNT = (2.0, 1.5), (0.2, -0.1, 0.3)
+
+
+def detected(bearing: float, distance: float) -> Measurements:
+    R = np.array([[[4e-4, 1e-4], [1e-4, 1e-2]]])
+    return Measurements(
+        np.zeros(1),
+        np.arange(2),
+        np.array([[bearing, distance]]),
+        R,
+        1.0,
+        np.zeros((2, 2)),
+        {"id": np.array([7.0])},
+    )
+
+
+def model_at(pose: tuple[float, float, float], sigma: float) -> tuple[LandmarksModel, JointBelief]:
+    """A detector whose offset and share of depth are states, on a robot whose place is known to `sigma` [m]."""
+    settings = LandmarksSettings(map={"7": PLACE}, file="seen.csv", x=0.2, y=-0.1, yaw_deg=math.degrees(0.3))
+    model = LandmarksModel(settings)
+    belief = JointBelief(pose, (sigma**2, 0.0, 0.0, 0.5 * sigma**2, 0.0, 1e-4), model.blocks())
+    belief.transform(np.array([3, 4]), np.array([0.04, 0.25]), np.eye(2))
+    return model, belief
+
+
+def test_a_range_is_the_distance_less_its_share_of_depth_and_with_an_offset() -> None:
+    pose = (0.3, -0.2, 0.4)
+    model, belief = model_at(pose, 0.1)
+    (seen,) = model.innovations(detected(0.4, 2.0), 0, belief)
+
+    def h(x: Any) -> Any:
+        turn = complex(math.cos(x[2]), math.sin(x[2]))
+        d = complex(*PLACE) - complex(x[0], x[1]) - complex(*MOUNT[:2]) * turn
+        angle = math.atan2(d.imag, d.real) - x[2] - MOUNT[2]
+        return np.array([angle, abs(d) * (1.0 - x[4] * (1.0 - math.cos(0.4))) + x[3]])
+
+    x = np.array([*pose, 0.04, 0.25])
+    np.testing.assert_allclose(seen.y, np.array([0.4, 2.0]) - h(x), atol=1e-12)
+    H = numeric_jacobian(h, x)
+    columns, by_states, R = said(seen, belief)
+    np.testing.assert_allclose(by_states, H, atol=1e-8)
+    bend = H[0, :2] @ np.diag([0.01, 0.005]) @ H[0, :2]  # the bearing's own variance by the place, to second order
+    np.testing.assert_allclose(R, np.array([[4e-4 + bend**2, 1e-4], [1e-4, 1e-2]]), rtol=1e-7)
+    assert columns == (3, 4)
+
+
+def test_a_landmark_that_stands_elsewhere_is_named_with_its_place_where_the_robots_own_is_known() -> None:
+    pose = (0.3, -0.2, 0.4)
+    distance, turn = (2.0 - 0.04) / (1.0 - 0.25 * (1.0 - math.cos(0.4))), 0.4 + MOUNT[2] + 0.4
+    ray = distance * complex(math.cos(turn), math.sin(turn))
+    place = complex(*pose[:2]) + complex(*MOUNT[:2]) * complex(math.cos(0.4), math.sin(0.4)) + ray
+    for sigma, known in ((0.1, True), (0.31, False)):
+        model, belief = model_at(pose, sigma)
+        for _ in range(50):
+            model.innovations(detected(0.4, 2.0), 0, belief)
+        words = " ".join(model.notes(belief))
+        assert (f"{place.real:.2f}" in words and f"{place.imag:.2f}" in words) == known, words
 
 
 def test_the_key_that_takes_out_a_constant_bearing_moves_against_it() -> None:

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from lock_step import simulated
 from msgspec.structs import replace
+from said import over_states, written
+from sighted import equation_of, sighted
 from textbook import numeric_jacobian, wrap
 from worlds import ROOM, World
 
@@ -17,7 +19,6 @@ from locfuse.fusion.doctor.examine import blind
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.linemap.association import associate
 from locfuse.fusion.linemap.line_map import LineMap
 from locfuse.fusion.linemap.scan import Scan
 from locfuse.fusion.lines.extract import Lines
@@ -49,20 +50,18 @@ def test_line_jacobians_equal_finite_differences(
     column = belief.augment(np.array(line), np.zeros((2, 3)), np.diag([0.01, 0.001]))
     lines = LineMap()
     lines.append(np.array(anchor), np.array(line), np.zeros((2, 2)), column, (-5.0, 5.0), 0)
-    model = LineTracker("refine", 0.9999)
-    model.map = lines
     x = np.array([*pose, *line])
     h = predicted(x, anchor)
     z = h + np.array([0.003, 0.002])
-    scan = Scan(z[None], np.diag([1e-3, 1e-4])[None], np.array([[-100.0, 100.0]]))
-    found = associate(scan, lines, belief, math.inf)
-    (seen,) = model._seen(found, 0)
-    H = np.hstack((np.array(seen.H), np.array(seen.H_block)))
+    scan = Scan.of(z[None], np.diag([1e-3, 1e-4])[None], np.array([[-100.0, 100.0]]))
+    found = sighted(scan.rows, lines, belief, math.inf, True)
+    equation, seen = equation_of(found, belief), written(found)
+    H = over_states(equation.columns, equation.H, belief.n)
     np.testing.assert_allclose(H, numeric_jacobian(lambda v: predicted(v, anchor), x), atol=1e-7)
-    np.testing.assert_allclose(seen.y, [0.003, 0.002], atol=1e-9)
+    np.testing.assert_allclose(seen.y, [[0.003, 0.002]], atol=1e-9)
     S = H @ belief.covariance @ H.T + scan.R[0]
-    np.testing.assert_allclose(seen.sigma, np.sqrt(np.diag(S)), rtol=1e-9)
-    assert seen.nis == pytest.approx(np.array(seen.y) @ np.linalg.solve(S, seen.y), rel=1e-9)
+    np.testing.assert_allclose(seen.sigma[0], np.sqrt(np.diag(S)), rtol=1e-9)
+    assert seen.nis[0] == pytest.approx(seen.y[0] @ np.linalg.solve(S, seen.y[0]), rel=1e-9)
 
 
 def test_a_line_and_its_flipped_twin_give_the_same_innovation() -> None:
@@ -74,9 +73,10 @@ def test_a_line_and_its_flipped_twin_give_the_same_innovation() -> None:
     for z, cross in (((-0.004, -0.1), 1.0), ((0.004, -0.1 + math.pi), -1.0)):
         noise = R * np.array([[1, cross], [cross, 1]])
         ends = np.array([[1.0, 4.0]]) if cross > 0 else np.array([[-4.0, -1.0]])
-        (pair,) = associate(Scan(np.array([z]), noise[None], ends), lines, belief, math.inf).pairs
+        rows = Scan.of(np.array([z]), noise[None], ends).rows
+        (pair,) = sighted(rows, lines, belief, math.inf, False).pair_list
         np.testing.assert_allclose(pair.y, [0.001, 0.0], atol=1e-9)
-        np.testing.assert_allclose(np.array(pair.S) - R[[0, 0, 1], [0, 1, 1]], [1e-4, 0, 1e-4], atol=1e-9)
+        np.testing.assert_allclose(pair.S - R, np.diag([1e-4, 1e-4]), atol=1e-9)
         assert (pair.lo, pair.hi) == pytest.approx((0.0, 3.0))
 
 
@@ -86,7 +86,7 @@ def test_a_new_line_enters_with_the_covariance_of_its_making(pose: tuple[float, 
     before = belief.covariance.copy()
     model = LineTracker("grow", 0.9999)
     z, C, ends = np.array([[2.0, 0.7]]), np.array([[[1e-3, 2e-4], [2e-4, 5e-4]]]), np.array([[-0.5, 1.5]])
-    model._add(Scan(z, C, ends), 0, belief)
+    model._add(Scan.of(z, C, ends), 0, belief)
     anchor = model.map.anchor[0]
 
     def line(v: np.ndarray) -> np.ndarray:
@@ -170,21 +170,21 @@ def test_two_walls_that_explain_a_line_equally_well_are_ambiguous() -> None:
         lines.append(np.array([offset, 0.0]), np.array([0.0, 0.0]), np.diag([1e-5, 1e-6]), -1, (-2.0, 2.0), 0)
     lost = JointBelief((0.0, 0.0, 0.0), (0.04, 0.0, 0.0, 0.04, 0.0, 1e-4))  # 0.2 m: cannot tell
     sure = JointBelief((0.0, 0.0, 0.0), (1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4))
-    scan = Scan(np.array([[3.1, 0.0]]), np.diag([1e-4, 1e-5])[None], np.array([[-1.0, 1.0]]))
-    found = associate(scan, lines, lost, 13.8)
+    scan = Scan.of(np.array([[3.1, 0.0]]), np.diag([1e-4, 1e-5])[None], np.array([[-1.0, 1.0]]))
+    found = sighted(scan.rows, lines, lost, 13.8, False)
     assert found.ambiguous == [True]
-    assert found.match == [-1]
-    near = Scan(np.array([[3.005, 0.0]]), scan.R, scan.ends)
-    found = associate(near, lines, sure, 13.8)
-    assert found.pairs[found.match[0]].which == 0
+    assert found.pair_of == [-1]
+    near = Scan.of(np.array([[3.005, 0.0]]), scan.R, scan.ends)
+    found = sighted(near.rows, lines, sure, 13.8, False)
+    assert found.pair_list[found.pair_of[0]].which == 0
 
 
 def test_a_wall_is_not_matched_from_its_other_face() -> None:
     lines = LineMap()
     lines.append(np.array([3.0, 0.0]), np.array([0.0, 0.0]), np.zeros((2, 2)), -1, (-2.0, 2.0), 0)
     beyond = JointBelief((5.0, 0.0, 0.0), (1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4))
-    scan = Scan(np.array([[2.0, math.pi]]), np.diag([1e-4, 1e-5])[None], np.array([[-1.0, 1.0]]))
-    assert associate(scan, lines, beyond, 13.8).match == [-1]
+    scan = Scan.of(np.array([[2.0, math.pi]]), np.diag([1e-4, 1e-5])[None], np.array([[-1.0, 1.0]]))
+    assert sighted(scan.rows, lines, beyond, 13.8, False).pair_of == [-1]
 
 
 def test_the_mount_moves_lines_into_the_base_frame() -> None:

@@ -14,10 +14,13 @@ import trap_logs
 from commands import locfuse
 from loop_drive import ns, quaternion
 from numpy.typing import NDArray
+from said import one_by_one, said
+from textbook import move, numeric_jacobian
+from told import step
 
 from locfuse.cli.pipeline.load import make_robot
 from locfuse.fusion import se2
-from locfuse.fusion.data import ArrayStream, Column, Drive
+from locfuse.fusion.data import ArrayStream, Column, Drive, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
@@ -25,7 +28,8 @@ from locfuse.fusion.landmarks.messages import DETECTIONS
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensor import Block
-from locfuse.fusion.sensors.pose import plane_covariance
+from locfuse.fusion.sensors.pose import PoseSettings, plane_covariance
+from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.smooth import fuse_and_smooth
 from locfuse.sample_logs.messages import RawMessage
 
@@ -142,7 +146,7 @@ def test_a_kept_pose_stays_where_it_is_when_the_local_frame_begins_anew() -> Non
         [Block("b", np.zeros(3), np.zeros((3, 3)), np.zeros(3))],
     )
     belief.clone_pose(3)
-    belief.predict((0.7, 0.1, 0.3), (0.01, 0.0, 0.0, 0.02, 0.0, 0.003))
+    belief.predict(step((0.7, 0.1, 0.3), (0.01, 0.0, 0.0, 0.02, 0.0, 0.003)), 0)
     seen, spread = se2.between(belief.state[3:6], belief.state[:3]), relative_covariance(belief)
     belief.begin_frame()
     np.testing.assert_allclose(se2.between(belief.state[3:6], belief.state[:3]), seen, atol=1e-12)
@@ -153,7 +157,9 @@ def test_a_kept_pose_stays_where_it_is_when_the_local_frame_begins_anew() -> Non
 
 
 @pytest.mark.parametrize("later", ["pose", "landmarks"])
-def test_one_of_two_maps_begins_the_local_frame_whichever_is_first(later: str) -> None:
+def test_one_of_two_maps_begins_the_local_frame_whichever_is_first(
+    later: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Without a laser neither waits for the other: the first one begins the frame, where the robot is then."""
     drive, robot = with_two_maps(late=later)
     first = "landmarks" if later == "pose" else "pose"
@@ -164,7 +170,9 @@ def test_one_of_two_maps_begins_the_local_frame_whichever_is_first(later: str) -
             began.append(drive.t[np.searchsorted(drive.t, drive.measurements[first].t[0])])
             super().begin_frame()
 
-    fused = fuse(drive, robot, ("landmarks", "pose"), make=Watched)
+    monkeypatch.setattr("locfuse.fusion.fuse.JointBelief", Watched)
+    fused = fuse(drive, robot, ("landmarks", "pose"))
+    monkeypatch.undo()
     assert began == [drive.measurements[first].t[0]]
     alone = figures(drive, robot, ())
     assert evaluate(fused, drive).figures["position_rmse_m"] < 0.3 * alone["position_rmse_m"]
@@ -209,6 +217,65 @@ def relative_covariance(belief: JointBelief) -> Array:
     J = np.hstack(se2.between_jacobians(belief.state[3:6], belief.state[:3]))
     at = [3, 4, 5, 0, 1, 2]
     return np.asarray(J @ belief.covariance[np.ix_(at, at)] @ J.T)
+
+
+# ---- one reading ----
+
+R_POSE = np.array([[0.2, 0.05, 0.02], [0.05, 0.3, -0.04], [0.02, -0.04, 0.1]])
+
+
+def seen_by(a: Array, b: Array) -> Array:
+    """Pose b in the axes of pose a, by complex numbers."""
+    d = complex(*(b - a)[:2]) * complex(math.cos(a[2]), -math.sin(a[2]))
+    return np.array([d.real, d.imag, b[2] - a[2]])
+
+
+@pytest.mark.parametrize("drifts", [0.0, 1.0])
+def test_the_motion_of_a_source_is_compared_with_that_from_the_kept_pose_which_then_moves_on(
+    drifts: float,
+) -> None:
+    z = np.array([[2.0, 1.0, -0.7], [2.5, 1.4, -0.2]])
+    floor, settings = np.diag([1e-3, 1e-3, 2e-3]), PoseSettings(frame="own", sigma_drift=0.2, sigma_drift_deg=15.0)
+    extra = {"drifts": np.full(2, drifts)}
+    m = Measurements(np.arange(2.0), np.arange(3), z, np.stack((R_POSE, R_POSE)) - floor, 1.0, floor, extra)
+    model: Any = REGISTRY["pose"].model(settings)
+    belief = JointBelief((0.4, -0.3, 0.8), (0.01, 0.001, 0.0, 0.02, 0.0, 0.03), model.blocks())
+    assert model.innovations(m, 0, belief) == []
+    model.learn(m, 0, belief)
+    kept, u = belief.state[3:6].copy(), seen_by(*z)
+    turn = 0.8 - z[0, 2]  # of the source's frame in that of the robot
+    T = np.array([[math.cos(turn), -math.sin(turn), 0.0], [math.sin(turn), math.cos(turn), 0.0], [0.0, 0.0, 1.0]])
+    own = 0.0 if drifts else np.diagonal(T @ R_POSE @ T.T)
+    np.testing.assert_allclose(np.diagonal(belief.covariance)[3:6], np.diagonal(belief.covariance)[:3] + own)
+    belief.transform(np.arange(3), move(kept, u + np.array([0.2, -0.1, 0.05])), np.eye(3))
+    (seen,) = model.innovations(m, 1, belief)
+
+    x = np.concatenate((belief.state[:3], kept))
+    np.testing.assert_allclose(seen.y, u - seen_by(kept, x[:3]), atol=1e-12)
+    H = numeric_jacobian(lambda v: seen_by(v[3:], v[:3]), x)
+    _, by_states, R = said(seen, belief)
+    np.testing.assert_allclose(by_states, H, atol=1e-8)
+    way = math.hypot(u[0], u[1]) + 0.15 * abs(u[2])
+    along, around = 0.2**2 * way + 1e-3, math.radians(15.0) ** 2 * way + 2e-3
+    back = np.array([[math.cos(0.7), -math.sin(0.7), 0.0], [math.sin(0.7), math.cos(0.7), 0.0], [0.0, 0.0, 1.0]])
+    np.testing.assert_allclose(R, np.diag((along, along, around)) if drifts else back @ R_POSE @ back.T)
+
+    def next_kept(v: Array) -> Array:
+        return np.concatenate((v[:3], v[:3] if drifts else move(v[3:], u)))
+
+    J, P = numeric_jacobian(next_kept, x), belief.covariance.copy()
+    model.learn(m, 1, belief)
+    np.testing.assert_allclose(belief.state, next_kept(x), atol=1e-12)
+    np.testing.assert_allclose(belief.covariance, J @ P @ J.T, atol=1e-8)
+
+
+@pytest.mark.parametrize("theta", [math.nan, math.inf])
+def test_a_heading_that_is_no_number_accepts_no_pose(theta: float) -> None:
+    m = Measurements(np.zeros(1), np.arange(2), np.ones((1, 3)), R_POSE[None], 1.0, np.zeros((3, 3)))
+    belief = JointBelief((0.0, 0.0, theta), (1.0, 0.0, 0.0, 1.0, 0.0, 1.0))
+    (seen,) = one_by_one(REGISTRY["pose"].model(PoseSettings(frame="map")).innovations(m, 0, belief))
+    assert math.isnan(seen.nis)
+    assert seen.verdict != 0
 
 
 # ---- covariances ----

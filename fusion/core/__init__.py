@@ -1,1 +1,0 @@
-"""Inner loops as plain functions of numbers and flat arrays: one source, interpreted or compiled ahead of time."""

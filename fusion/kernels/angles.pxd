@@ -1,0 +1,3 @@
+from libc.math cimport floor, pi
+
+cpdef double wrapped(double angle) noexcept

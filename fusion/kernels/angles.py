@@ -1,0 +1,17 @@
+"""Angles."""
+
+from __future__ import annotations
+
+try:
+    import cython
+except ImportError:  # Cython is only needed to compile
+    from . import uncompiled as cython
+if not cython.compiled:
+    from math import pi
+
+    from .uncompiled import floor
+
+
+def wrapped(angle: float) -> float:
+    """Return the angle in [-pi, pi), NaN where it is no number."""
+    return (angle + pi) - 2.0 * pi * floor((angle + pi) / (2.0 * pi)) - pi

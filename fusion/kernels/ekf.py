@@ -1,0 +1,678 @@
+"""The filter's state with its two hot verbs: predict (paper eq. 5-7) and correct (eq. 10-12), and what they need.
+
+The mean (n,) begins with the pose: x [m], y [m], theta [rad, not wrapped]. P (n, n) is its covariance; both
+halves are kept. The arrays may have room for more states than there are; `fusion.ekf.belief` owns and grows them.
+
+Rows of an instant's equation y = H dx + noise of covariance R are written by `compare` (or by kernels.sight) into
+one table, sparse: row k depends on the states at[k, :count[k]] by H[k, :count[k]]. Those that pass the gate are
+queued, and `correct` takes all queued rows at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+try:
+    import cython
+except ImportError:  # Cython is only needed to compile
+    from . import uncompiled as cython
+if not cython.compiled:
+    from math import exp
+
+    from .uncompiled import cos, sin, sqrt
+
+ACCEPTED, GATE = 0, 1  # verdicts, as in fusion.data.VERDICTS
+NAN, INFINITE = float("nan"), float("inf")
+MAX_NUMBERS = 8  # of one reading that is compared
+MIN_KEPT_SHARE = 1e-14  # a correction leaves at least this share of a variance: below is only rounding
+
+
+class Steps:
+    """Relative motions by the wheels: step k leads to instant k; the arrays begin with step `first`."""
+
+    u: Any
+    Q: Any
+    dt: Any
+    J: Any
+
+    def __init__(self, u: Any, Q: Any, dt: Any, J: Any, first: int = 0) -> None:
+        """U (s, 3) [m, m, rad], Q (s, 9), dt (s,) [s]; J (s, 3 p) is d u/d(wheel parameters), row by row."""
+        self.u, self.Q = memoryview(u), memoryview(Q)
+        self.dt, self.J, self.first = memoryview(dt), memoryview(J), first
+
+    def of(self, k: int) -> tuple[float, float, float]:
+        """Return the relative motion x, y [m], theta [rad] that leads to instant k."""
+        k -= self.first
+        return self.u[k, 0], self.u[k, 1], self.u[k, 2]
+
+    def noise_of(self, k: int) -> tuple[list[float], list[float]]:
+        """Return Q (9,) and J (3 p,) of the motion that leads to instant k."""
+        k -= self.first
+        return [self.Q[k, j] for j in range(9)], [self.J[k, j] for j in range(self.J.shape[1])]
+
+    def dt_of(self, k: int) -> float:
+        """Return how long the motion to instant k takes [s]."""
+        return self.dt[k - self.first]
+
+
+class Track:
+    """Where the pose, its covariance and some states are recorded, one row for each instant."""
+
+    pose: Any
+    triangle: Any
+    values: Any
+    states: Any
+
+    def __init__(self, pose: Any, triangle: Any, values: Any, states: Any) -> None:
+        """Pose (n, 3), triangle (n, 6), values (n, 2 b): the `states` (b,), then their variances."""
+        self.pose, self.triangle, self.values = memoryview(pose), memoryview(triangle), memoryview(values)
+        self.states = memoryview(states)
+
+
+class Innovation:
+    """One measurement against the belief: y = z - h(x), judged. Its rows of H and R stand in the state's table."""
+
+    row: int  # in Measurements.z; -1: no measurement, but something known of states
+    verdict: int  # index into VERDICTS
+    landmark: int  # id of the map feature, -1 for none
+    nis: float  # y' S^-1 y
+    threshold: float  # of the gate
+    y: Sequence[float]  # (d,)
+    sigma: Sequence[float]  # (d,) square roots of the diagonal of S
+    first: int  # row of the table, -1: it was compared with nothing
+    numbers: int  # d
+
+    def __init__(
+        self, row: int, verdict: int, landmark: int, nis: float, threshold: float, y: Any, sigma: Any
+    ) -> None:  # fmt: skip
+        self.row, self.verdict, self.landmark, self.nis, self.threshold = row, verdict, landmark, nis, threshold
+        self.y, self.sigma, self.first, self.numbers = y, sigma, -1, 0
+
+    @staticmethod
+    def unpredicted(row: int, verdict: int, d: int, threshold: float) -> Innovation:
+        """Return the record of a measurement of d numbers that was compared with nothing: all NaN."""
+        none = (NAN,) * d
+        return Innovation(row, verdict, -1, NAN, threshold, none, none)
+
+
+class State:
+    """Mean and covariance of the filter, and the rows of the equation of one instant."""
+
+    n: int  # how many states there are
+    frame: int  # first column of the map frame, -1 without one
+    wheels: int  # first column of the wheel parameters, -1 where they are no states
+    written: int  # rows in the table
+    queued: int  # of them, that will correct the state
+    keeps: bool  # whether some states are kept: they count and are never corrected
+    mean: Any  # (size,)
+    P: Any  # (size, size)
+    kept: Any  # (size,) 1 for such states
+    row_at: Any  # (m, states of a row) state columns, row by row
+    row_H: Any  # (m, states of a row) derivatives
+    row_count: Any  # (m,) how many of these
+    row_y: Any  # (m,)
+    row_R: Any  # (m, m), its lower half
+    queued_rows: Any  # (m,) which rows are queued, in order
+    V: Any  # (m + 4, size) room to work in, as are:
+    S: Any  # (m, m)
+    e: Any  # (m,)
+    small: Any  # (16, 16)
+    drift_at: Any  # (k,) states that drift
+    drift_by: Any  # (k,) their variance per second
+
+    def __init__(self) -> None:
+        self.n, self.frame, self.wheels = 3, -1, -1
+        self.written = self.queued = self.drifting = 0
+        self.keeps = False
+
+    # ---- the arrays, which fusion.ekf.belief owns ----
+
+    def hold(self, mean: Any, P: Any, kept: Any) -> None:
+        """Work on mean (size,), P (size, size); kept (size,) marks states that count but are never corrected."""
+        self.mean, self.P, self.kept = memoryview(mean), memoryview(P), memoryview(kept)
+
+    def hold_rows(self, at: Any, H: Any, count: Any, y: Any, R: Any) -> None:
+        """Have room for m rows: at and H (m, states of a row), count and y (m,), R (m, m)."""
+        self.row_at, self.row_H, self.row_count = memoryview(at), memoryview(H), memoryview(count)
+        self.row_y, self.row_R = memoryview(y), memoryview(R)
+
+    def hold_room(self, V: Any, S: Any, e: Any, queue: Any, small: Any) -> None:
+        """Have room to work in: V (m + 4, size), S (m, m), e (m,), queue (m,), small (16, 16)."""
+        self.V, self.S, self.e = memoryview(V), memoryview(S), memoryview(e)
+        self.queued_rows, self.small = memoryview(queue), memoryview(small)
+
+    def drift(self, columns: Any, variances: Any) -> None:
+        """Let the states `columns` (k,) gain these variances (k,) each second."""
+        self.drifting = len(columns)
+        self.drift_at, self.drift_by = memoryview(columns), memoryview(variances)
+
+    def more_rows(self, rows: int) -> None:
+        """Make room for so many rows."""
+        raise NotImplementedError
+
+    def not_positive(self, greatest: float) -> None:
+        """Raise where an innovation covariance with this greatest variance came out as none."""
+        raise NotImplementedError
+
+    # ---- predict ----
+
+    def move(self, steps: Steps, k: int) -> None:
+        """Eq. 5-7: move by step k, whose covariance Q is in the frame of its start.
+
+        Row x of A (eq. 7) is (1, 0, -dy), row y is (0, 1, dx): rows and columns of x and y take that much of
+        theta's. Wheel parameters z correct the motion: it is u + J z.
+        """
+        k -= steps.first
+        n = self.n
+        ux, uy, turn = steps.u[k, 0], steps.u[k, 1], steps.u[k, 2]
+        c, s = cos(self.mean[2]), sin(self.mean[2])
+        states = steps.J.shape[1] // 3 if self.wheels >= 0 else 0
+        for i in range(states):
+            by = self.mean[self.wheels + i]
+            ux += steps.J[k, i] * by
+            uy += steps.J[k, states + i] * by
+            turn += steps.J[k, 2 * states + i] * by
+        dx, dy = c * ux - s * uy, s * ux + c * uy  # eq. 5
+        self.mean[0] += dx
+        self.mean[1] += dy
+        self.mean[2] += turn
+        for j in range(n):  # eq. 6, A P A' with A of eq. 7
+            self.P[0, j] -= dy * self.P[2, j]
+            self.P[1, j] += dx * self.P[2, j]
+        for i in range(n):
+            self.P[i, 0] -= dy * self.P[i, 2]
+            self.P[i, 1] += dx * self.P[i, 2]
+        qxx, qxy, qxt, qyy = steps.Q[k, 0], steps.Q[k, 1], steps.Q[k, 2], steps.Q[k, 4]
+        qyt, qtt = steps.Q[k, 5], steps.Q[k, 8]
+        cc, cs, ss = c * c, c * s, s * s  # eq. 6, W Q W'
+        self.P[0, 0] += cc * qxx - 2.0 * cs * qxy + ss * qyy
+        self.P[1, 1] += ss * qxx + 2.0 * cs * qxy + cc * qyy
+        self.P[2, 2] += qtt
+        self.P[0, 1] += cs * (qxx - qyy) + (cc - ss) * qxy
+        self.P[0, 2] += c * qxt - s * qyt
+        self.P[1, 2] += s * qxt + c * qyt
+        for i in range(states):  # A has a column W J for each of them
+            at, by_x, by_y = self.wheels + i, steps.J[k, i], steps.J[k, states + i]
+            by_turn = steps.J[k, 2 * states + i]
+            dx, dy = c * by_x - s * by_y, s * by_x + c * by_y
+            for j in range(n):
+                self.P[0, j] += dx * self.P[at, j]
+                self.P[1, j] += dy * self.P[at, j]
+                self.P[2, j] += by_turn * self.P[at, j]
+            for j in range(n):
+                self.P[j, 0] += dx * self.P[j, at]
+                self.P[j, 1] += dy * self.P[j, at]
+                self.P[j, 2] += by_turn * self.P[j, at]
+        self.P[1, 0], self.P[2, 0], self.P[2, 1] = self.P[0, 1], self.P[0, 2], self.P[1, 2]
+        for i in range(self.drifting):
+            self.P[self.drift_at[i], self.drift_at[i]] += self.drift_by[i] * steps.dt[k]
+
+    # ---- compare ----
+
+    def compare(
+        self, row: int, y: Sequence[float], H: Any, R: Any, threshold: float, columns: Any = (), H_block: Any = (),
+        landmark: int = -1, verdict: int = -1, in_map: bool = False,
+    ) -> Innovation:  # fmt: skip
+        """Write the rows of a measurement and judge them: S = H P H' + R, NIS = y' S^-1 y.
+
+        See fusion.sensor.Belief.compare; `in_map`: H (d, 3) is by the pose in the map, not by the local one.
+        """
+        d, states, first = len(y), len(columns), self.written
+        self.room_for(d, states)
+        for a in range(d):
+            by_x, by_y, by_theta = H[a]
+            w = self.derive(first + a, by_x, by_y, by_theta, in_map)
+            if states > 0:
+                own = H_block[a]
+                for j in range(states):
+                    w = self.put(first + a, w, columns[j], own[j])
+            if in_map and self.frame >= 0:
+                w = self.derive_frame(first + a, w, by_x, by_y, by_theta)
+            self.row_count[first + a] = w
+            noise = R[a]
+            for j in range(first):
+                self.row_R[first + a, j] = 0.0
+            for j in range(a + 1):
+                self.row_R[first + a, first + j] = noise[j]
+            self.row_y[first + a] = y[a]
+        self.written = first + d
+        found = Innovation.__new__(Innovation)
+        found.row, found.landmark, found.threshold, found.y = row, landmark, threshold, y
+        found.first, found.numbers = first, d
+        found.nis = self.judge(first, d)
+        found.sigma = tuple([self.sigma_of(a) for a in range(d)])
+        found.verdict = verdict
+        if verdict < 0:
+            found.verdict = ACCEPTED if found.nis <= threshold else GATE
+        return found
+
+    def room_for(self, rows: int, columns: int) -> None:
+        """Make room for so many more rows; none may depend on more states than the table is wide."""
+        if rows > MAX_NUMBERS or columns + 6 > self.row_H.shape[1]:
+            raise ValueError(f"{rows} numbers that depend on {columns} states beside the pose are too many")
+        if self.written + rows + 1 > self.row_y.shape[0]:
+            self.more_rows(self.written + rows + 1)
+
+    def put(self, k: int, w: int, column: int, h: float) -> int:
+        """Let row k depend on a state, its (w + 1)th; return how many these are: a derivative of 0 is none."""
+        if h == 0.0:
+            return w
+        self.row_at[k, w], self.row_H[k, w] = column, h
+        return w + 1
+
+    def derive(self, k: int, by_x: float, by_y: float, by_theta: float, in_map: bool) -> int:
+        """Write row k's derivative by the local pose, where it is given by the pose in the map: H_q = H J_q.
+
+        Returns how many states it depends on.
+        """
+        if in_map and self.frame >= 0 and (by_x != 0.0 or by_y != 0.0):
+            turn = self.mean[self.frame + 2]
+            c, s = cos(turn), sin(turn)
+            by_x, by_y = c * by_x + s * by_y, c * by_y - s * by_x
+        return self.put(k, self.put(k, self.put(k, 0, 0, by_x), 1, by_y), 2, by_theta)
+
+    def derive_frame(self, k: int, w: int, by_x: float, by_y: float, by_theta: float) -> int:
+        """Write row k's derivative by the map frame, where it is given by the pose in the map: H_G = H J_G."""
+        G = self.frame
+        if by_x != 0.0 or by_y != 0.0:  # a heading has no lever
+            c, s = cos(self.mean[G + 2]), sin(self.mean[G + 2])
+            rx, ry = c * self.mean[0] - s * self.mean[1], s * self.mean[0] + c * self.mean[1]
+            w = self.put(k, self.put(k, w, G, by_x), G + 1, by_y)
+            by_theta = by_y * rx - by_x * ry + by_theta
+        return self.put(k, w, G + 2, by_theta)
+
+    def covariance_of(self, a: int, b: int) -> float:
+        """Return row a of H times P times row b of H."""
+        total = 0.0
+        for j in range(self.row_count[b]):
+            v, at = 0.0, self.row_at[b, j]
+            for i in range(self.row_count[a]):
+                v += self.row_H[a, i] * self.P[self.row_at[a, i], at]
+            total += self.row_H[b, j] * v
+        return total
+
+    def judge(self, first: int, d: int) -> float:
+        """Return the NIS of d rows; `small` holds S = L D L' below its diagonal, the variances on row MAX_NUMBERS.
+
+        It is NaN where S is no number, or so large that its products are none.
+        """
+        total, nis = 0.0, 0.0
+        greatest = 0.0
+        for a in range(d):
+            for b in range(a + 1):
+                self.small[a, b] = self.covariance_of(first + a, first + b)
+            if d == 1 and self.small[0, 0] < 0.0:
+                self.small[0, 0] = 0.0  # but for rounding
+            for b in range(a + 1):
+                self.small[a, b] += self.row_R[first + a, first + b]
+            self.small[MAX_NUMBERS, a] = self.small[a, a]
+            self.small[MAX_NUMBERS + 1, a] = self.row_y[first + a]
+            total += self.small[a, a]
+            greatest = max(greatest, self.small[a, a])
+        if not total * total < INFINITE:
+            return NAN
+        for i in range(d):
+            if not self.small[i, i] > 0.0:
+                self.not_positive(-greatest)
+            v = self.small[MAX_NUMBERS + 1, i]
+            nis += v * v / self.small[i, i]
+            for j in range(i + 1, d):
+                share = self.small[j, i] / self.small[i, i]
+                self.small[MAX_NUMBERS + 1, j] -= share * v
+                for k in range(i + 1, j + 1):
+                    self.small[j, k] -= share * self.small[k, i]
+        return nis
+
+    def sigma_of(self, a: int) -> float:
+        """Return the standard deviation of the number a that was judged last."""
+        variance = self.small[MAX_NUMBERS, a]
+        return sqrt(variance) if variance > 0.0 else variance
+
+    def variance(self, H: Sequence[float], in_map: bool = False) -> float:
+        """Return H P H' for one derivative H (3,) by the pose."""
+        self.room_for(1, 0)
+        k = self.written
+        by_x, by_y, by_theta = H
+        w = self.derive(k, by_x, by_y, by_theta, in_map)
+        if in_map and self.frame >= 0:
+            w = self.derive_frame(k, w, by_x, by_y, by_theta)
+        self.row_count[k] = w
+        return max(self.covariance_of(k, k), 0.0)
+
+    # ---- correct ----
+
+    def begin(self) -> None:
+        """Begin the equation of an instant: no rows."""
+        self.written = self.queued = 0
+
+    def queue_rows(self, first: int, rows: int) -> None:
+        """Let rows of the table correct the state, behind those that are queued."""
+        for k in range(rows):
+            self.queued_rows[self.queued + k] = first + k
+        self.queued += rows
+
+    def loosen_row(self, k: int, variance: float) -> None:
+        """Add a variance to the noise of row k."""
+        self.row_R[k, k] += variance
+
+    def whiten(self, begin: int, end: int) -> float:
+        """Write V = L^-1 H P and e = L^-1 y of the queued rows begin:end, with S = H P H' + R = L L'.
+
+        The parts of e are independent and of unit variance, and V' L^-1 is the gain of eq. 10. Returns the
+        greatest variance in S, with a minus where S is not positive.
+        """
+        n, m = self.n, end - begin
+        greatest = self.project(begin, m)
+        if not self.factor(m):
+            return -greatest
+        for k in range(m):
+            for i in range(k):
+                lower = self.S[k, i]
+                self.e[k] -= lower * self.e[i]
+                for j in range(n):
+                    self.V[k, j] -= lower * self.V[i, j]
+            root = self.S[k, k]
+            self.e[k] /= root
+            for j in range(n):
+                self.V[k, j] /= root
+        return greatest
+
+    def project(self, begin: int, m: int) -> float:
+        """Write V = H P, e = y, and the lower half of S = V H' + R; return the greatest variance in S."""
+        n, greatest = self.n, 0.0
+        for k in range(m):
+            q = self.queued_rows[begin + k]
+            self.e[k] = self.row_y[q]
+            for j in range(n):
+                self.V[k, j] = 0.0
+            for j in range(k + 1):
+                r = self.queued_rows[begin + j]
+                self.S[k, j] = self.row_R[q, r] if q >= r else self.row_R[r, q]
+            for i in range(self.row_count[q]):
+                h, row = self.row_H[q, i], self.row_at[q, i]
+                for j in range(n):
+                    self.V[k, j] += h * self.P[row, j]
+            for i in range(self.row_count[q]):
+                h, row = self.row_H[q, i], self.row_at[q, i]
+                for j in range(k + 1):
+                    self.S[k, j] += h * self.V[j, row]
+            greatest = max(greatest, self.S[k, k])
+        return greatest
+
+    def factor(self, m: int) -> bool:
+        """Write L with L L' = S over the lower half of S (m, m) (Cholesky); tell whether S is positive."""
+        for k in range(m):
+            for j in range(k):
+                for i in range(j):
+                    self.S[k, j] -= self.S[k, i] * self.S[j, i]
+                self.S[k, j] /= self.S[j, j]
+                self.S[k, k] -= self.S[k, j] * self.S[k, j]
+            if not self.S[k, k] > 0.0:
+                return False
+            self.S[k, k] = sqrt(self.S[k, k])
+        return True
+
+    def correct_queued(self) -> None:
+        """Eq. 10-12 by all queued rows; what is known of the frame's place follows its correction (`turn_frame`).
+
+        `frame_x` and `frame_y` say afterwards by how much the frame's place moved [m].
+        """
+        m, G = self.queued, self.frame
+        greatest = self.whiten(0, m)
+        if not greatest > 0.0:
+            self.not_positive(greatest)
+        self.frame_x = self.frame_y = 0.0
+        if G >= 0:
+            self.frame_x, self.frame_y = -self.mean[G], -self.mean[G + 1]
+        if self.keeps:
+            self.correct_some(m)
+        else:
+            self.correct_all(m)
+        if G >= 0:
+            self.frame_x, self.frame_y = self.frame_x + self.mean[G], self.frame_y + self.mean[G + 1]
+            if self.frame_x != 0.0 or self.frame_y != 0.0:
+                self.turn_frame(self.frame_x, self.frame_y)
+
+    def correct_all(self, m: int) -> None:
+        """Eq. 11, mean <- mean + V' e, and eq. 12, P <- P - V' V, by m rows.
+
+        Four rows at a time, so that P is fetched from memory a quarter as often; those behind the last are zeros.
+        """
+        n = self.n
+        for k in range(m, m + 3):
+            for j in range(n):
+                self.V[k, j] = 0.0
+        for k in range(m):
+            for j in range(n):
+                self.mean[j] += self.V[k, j] * self.e[k]
+        for i in range(n):
+            least = MIN_KEPT_SHARE * self.P[i, i]
+            for k in range(0, m, 4):  # a step that is no literal would be a range of Python
+                a, b, c, d = self.V[k, i], self.V[k + 1, i], self.V[k + 2, i], self.V[k + 3, i]
+                for j in range(i, n):
+                    self.P[i, j] -= (
+                        a * self.V[k, j] + b * self.V[k + 1, j] + c * self.V[k + 2, j] + d * self.V[k + 3, j]
+                    )
+            self.mirror(i, i, least)
+
+    def correct_some(self, m: int) -> None:
+        """The same by Schmidt: states that are kept count, but neither they nor their covariance change."""
+        n = self.n
+        for j in range(n):
+            for k in range(0 if self.kept[j] else m):
+                self.mean[j] += self.V[k, j] * self.e[k]
+        for i in range(n):
+            if self.kept[i]:
+                continue  # its part of the others' rows is written there
+            least = MIN_KEPT_SHARE * self.P[i, i]
+            for k in range(m):
+                a = self.V[k, i]
+                for j in range(n):
+                    if j >= i or self.kept[j]:
+                        self.P[i, j] -= a * self.V[k, j]
+            self.mirror(i, 0, least)
+
+    def mirror(self, i: int, first: int, least: float) -> None:
+        """Let column i be what row i is from column `first` on, and variance i at least `least`."""
+        if self.P[i, i] < least:
+            self.P[i, i] = least
+        for j in range(first, self.n):
+            self.P[j, i] = self.P[i, j]
+
+    def fit(self, rows: int) -> float:
+        """Return y' S^-1 y of the first rows that were whitened last, as a whole."""
+        nis = 0.0
+        for k in range(rows):
+            nis += self.e[k] * self.e[k]
+        return nis
+
+    def turn_frame(self, dx: float, dy: float) -> None:
+        """Let the uncertainty of the map frame's place follow its correction by (dx, dy) [m].
+
+        A turn of the map about a point of it is what nobody has observed yet, and the frame's place is where that
+        turn takes it: with the place moves the direction in which it takes it, rows x, y += (-dy, dx) row Th.
+        """
+        G, n = self.frame, self.n
+        for j in range(n):
+            self.P[G, j] -= dy * self.P[G + 2, j]
+            self.P[G + 1, j] += dx * self.P[G + 2, j]
+        for i in range(n):
+            self.P[i, G] -= dy * self.P[i, G + 2]
+            self.P[i, G + 1] += dx * self.P[i, G + 2]
+        self.P[G + 1, G] = self.P[G, G + 1]
+
+    def loosen_states(self, columns: Any, variances: Any, states: int) -> None:
+        """Add variances to the first so many states of `columns`."""
+        for i in range(states):
+            self.P[columns[i], columns[i]] += variances[i]
+
+    # ---- clone and look ----
+
+    def copy_pose(self, column: int, first: int, states: int) -> None:
+        """Let so many states from `column` on be those from `first` on as they are now (stochastic cloning)."""
+        n = self.n
+        for i in range(states):
+            self.mean[column + i] = self.mean[first + i]
+            for j in range(n):
+                self.P[column + i, j] = self.P[first + i, j]
+        for i in range(n):
+            for j in range(states):
+                self.P[i, column + j] = self.P[i, first + j]
+
+    def value(self, column: int) -> float:
+        """Return the state at a column."""
+        return self.mean[column]
+
+    def x_in_map(self) -> float:
+        """Return x of the pose in the map [m]."""
+        G = self.frame
+        return (
+            self.mean[0]
+            if G < 0
+            else self.mean[G] + cos(self.mean[G + 2]) * self.mean[0] - sin(self.mean[G + 2]) * self.mean[1]
+        )
+
+    def y_in_map(self) -> float:
+        """Return y of the pose in the map [m]."""
+        G = self.frame
+        return (
+            self.mean[1]
+            if G < 0
+            else self.mean[G + 1] + sin(self.mean[G + 2]) * self.mean[0] + cos(self.mean[G + 2]) * self.mean[1]
+        )
+
+    def heading(self, in_map: bool) -> float:
+        """Return the heading, local or in the map [rad, not wrapped]."""
+        return self.mean[2] + self.mean[self.frame + 2] if in_map and self.frame >= 0 else self.mean[2]
+
+    def pose(self) -> tuple[float, float, float]:
+        """Return the local pose x, y [m], theta [rad]."""
+        return self.mean[0], self.mean[1], self.mean[2]
+
+    def located(self, in_map: bool = False) -> tuple[Any, Any]:
+        """Return the pose, local or in the map, and its covariance's upper triangle xx, xy, xt, yy, yt, tt."""
+        self.locate(in_map)
+        r = MAX_NUMBERS + 2
+        return (
+            (self.small[r, 0], self.small[r, 1], self.small[r, 2]),
+            (
+                self.small[r, 3],
+                self.small[r, 4],
+                self.small[r, 5],
+                self.small[r, 6],
+                self.small[r, 7],
+                self.small[r, 8],
+            ),
+        )
+
+    def locate(self, in_map: bool) -> None:
+        """Write pose and covariance triangle, local or seen from the map, where the frame G lies.
+
+        p = G o q has the covariance J_q P J_q' + J_q C J_G' + J_G C' J_q' + J_G P_G J_G' + bent r r', where
+        C = cov(q, G), with the derivatives of fusion.ekf.map_frame.
+        """
+        o = MAX_NUMBERS + 2
+        if not in_map or self.frame < 0:
+            self.small[o, 0], self.small[o, 1], self.small[o, 2] = self.mean[0], self.mean[1], self.mean[2]
+            self.small[o, 3], self.small[o, 4], self.small[o, 5] = self.P[0, 0], self.P[0, 1], self.P[0, 2]
+            self.small[o, 6], self.small[o, 7], self.small[o, 8] = self.P[1, 1], self.P[1, 2], self.P[2, 2]
+            return
+        a, b, t = self.frame, self.frame + 1, self.frame + 2
+        c, s = cos(self.mean[t]), sin(self.mean[t])
+        rx, ry = c * self.mean[0] - s * self.mean[1], s * self.mean[0] + c * self.mean[1]
+        self.small[o, 0] = self.mean[a] + c * self.mean[0] - s * self.mean[1]
+        self.small[o, 1], self.small[o, 2] = (
+            self.mean[b] + s * self.mean[0] + c * self.mean[1],
+            self.mean[t] + self.mean[2],
+        )
+        cc, cs, ss, e = c * c, c * s, s * s, bent(self.P[t, t])
+        # J_q C, then times J_G': the columns of x and y take -ry and rx times the column of Th
+        at, bt, tt = c * self.P[0, t] - s * self.P[1, t], s * self.P[0, t] + c * self.P[1, t], self.P[2, t]
+        ax, ay = c * self.P[0, a] - s * self.P[1, a] - ry * at, c * self.P[0, b] - s * self.P[1, b] + rx * at
+        bx, by = s * self.P[0, a] + c * self.P[1, a] - ry * bt, s * self.P[0, b] + c * self.P[1, b] + rx * bt
+        tx, ty = self.P[2, a] - ry * tt, self.P[2, b] + rx * tt
+        gxt, gyt, gtt = self.P[a, t], self.P[b, t], self.P[t, t]
+        self.small[o, 3] = cc * self.P[0, 0] - 2.0 * cs * self.P[0, 1] + ss * self.P[1, 1] + 2.0 * ax
+        self.small[o, 3] += self.P[a, a] - 2.0 * ry * gxt + ry * ry * gtt + e * rx * rx
+        self.small[o, 4] = cs * (self.P[0, 0] - self.P[1, 1]) + (cc - ss) * self.P[0, 1] + ay + bx
+        self.small[o, 4] += self.P[a, b] + rx * gxt - ry * gyt - rx * ry * gtt + e * rx * ry
+        self.small[o, 5] = c * self.P[0, 2] - s * self.P[1, 2] + at + tx + gxt - ry * gtt
+        self.small[o, 6] = ss * self.P[0, 0] + 2.0 * cs * self.P[0, 1] + cc * self.P[1, 1] + 2.0 * by
+        self.small[o, 6] += self.P[b, b] + 2.0 * rx * gyt + rx * rx * gtt + e * ry * ry
+        self.small[o, 7] = s * self.P[0, 2] + c * self.P[1, 2] + bt + ty + gyt + rx * gtt
+        self.small[o, 8] = self.P[2, 2] + 2.0 * tt + gtt
+
+    def note(self, k: int, track: Track) -> None:
+        """Record instant k: the pose in the map with its covariance, and the track's states."""
+        self.locate(True)
+        o = MAX_NUMBERS + 2
+        for j in range(3):
+            track.pose[k, j] = self.small[o, j]
+        for j in range(6):
+            track.triangle[k, j] = self.small[o, 3 + j]
+        n = track.states.shape[0]
+        for j in range(n):
+            track.values[k, j] = self.mean[track.states[j]]
+            track.values[k, n + j] = self.P[track.states[j], track.states[j]]
+
+
+class InMap:
+    """A belief with a map frame, as sensors see it that observe the pose in the map (chain rule: `derive`)."""
+
+    def __init__(self, belief: Any) -> None:
+        self.belief = belief
+
+    def __getattr__(self, name: str) -> Any:
+        """Return what does not depend on the pose: covariance, block, transform ..."""
+        return getattr(self.belief, name)
+
+    @property
+    def x(self) -> float:
+        """X of the pose in the map [m]."""
+        return self.belief.x_in_map()
+
+    @property
+    def y(self) -> float:
+        """Y of the pose in the map [m]."""
+        return self.belief.y_in_map()
+
+    @property
+    def theta(self) -> float:
+        """Heading of the pose in the map [rad], not wrapped."""
+        return self.belief.heading(True)
+
+    def column(self, name: str) -> int:
+        """Return the first state column of a block."""
+        return self.belief.column(name)
+
+    def value(self, column: int) -> float:
+        """Return the state at a column."""
+        return self.belief.value(column)
+
+    def located(self) -> tuple[Any, Any]:
+        """Return the pose in the map and its covariance's upper triangle."""
+        return self.belief.located(True)
+
+    def variance(self, H: Sequence[float]) -> float:
+        """Return H P H' for one derivative H (3,) by the pose in the map."""
+        return self.belief.variance(H, True)
+
+    def compare(
+        self, row: int, y: Sequence[float], H: Any, R: Any, threshold: float, columns: Any = (), H_block: Any = (),
+        landmark: int = -1, verdict: int = -1,
+    ) -> Innovation:  # fmt: skip
+        """Judge the innovation of a measurement whose H (d, 3) is by the pose in the map."""
+        return self.belief.compare(row, y, H, R, threshold, columns, H_block, landmark, verdict, True)
+
+
+def bent(tt: float) -> float:
+    """Return by how much a heading of variance tt [rad^2] spreads a lever r along r itself, per r^2.
+
+    To first order a heading moves the end of a lever across it only. With a Gaussian angle a the end is at cos(a)
+    along the lever: E (cos a - 1)^2 = 1 - 2 exp(-tt / 2) + (1 + exp(-2 tt)) / 2. That is 3/4 tt^2 for small
+    tt, and nothing at half a degree.
+    """
+    if tt > 1e-3:
+        return 1.0 - 2.0 * exp(-0.5 * tt) + 0.5 * (1.0 + exp(-2.0 * tt))
+    return 0.75 * tt * tt

@@ -1,0 +1,475 @@
+"""Weighted fit of one line to the beams that see it: (r, psi), covariance, and whether it is a straight wall.
+
+A line is n.P = r with n = (cos psi, sin psi), r >= 0. A beam starts at o (the laser's own place when the beam
+was fired: zero without deskewing), points along u and should return the range p = (r - n.o) / n.u. Its noise acts
+along and across the beam, so what is minimised is the sum of (d - p)^2 / v, v = s_d^2 + (s_phi p tan(alpha))^2,
+alpha the angle of incidence. Fits of perpendicular distances are a good start, but biased off-centre.
+Sums of squares are of residuals over their sigma, times s_d^2 [m^2].
+
+A round wall is cut into chords as long as the laser's noise allows. Each chord alone passes as straight, yet where
+it lies depends on where it was cut, and the cuts turn with the robot: no landmark. Its neighbours tell. On a curve
+the wall goes on in pieces that turn the same way, by as much as the bow of each piece says. Straight walls that
+meet in a blunt corner have no bow.
+"""
+
+from __future__ import annotations
+
+from locfuse.fusion.data import Array
+
+from .arrays import floats, view, wholes
+
+try:
+    import cython
+except ImportError:  # Cython is only needed to compile
+    from . import uncompiled as cython
+if not cython.compiled:
+    from .angles import wrapped
+    from .segments import Limits, Returns, Scans, Segments, distance, find_walls, head_of, tail_of
+    from .uncompiled import cos, sin, sqrt
+
+FAR_FOOT_M = 1e150  # where a beam that runs along the wall would meet it
+MAX_PSI_RAD = 1e3  # beyond it the steps of a fit went astray
+MIN_BEND_RAD = 0.08  # over the length of a piece, a bow of 1 % of it: what bends less is as good as straight
+MAX_JOINT_TURN_RAD = 0.7  # from one piece to the next: no curve is cut so coarsely
+MIN_CURVE_PIECES = 3  # two are a blunt corner
+MAX_SHADOW_M = 0.6  # between pieces of one curve: a piece in between may have been too short for a wall
+MIN_CURVE_GAIN_CHI2 = 4.0  # that a curve must save over all its pieces (2 sigma: 98 %)
+SPARED_PIECE_CHI2 = 3.0  # that each piece more is worth: a curve needs no line of its own for it
+MIN_PIECE_GAIN_CHI2 = -25.0  # that a curve saves in a piece which is straight by itself (5 sigma)
+
+
+class Fit:
+    """The returns of one wall, `count` of them, in the fit of a line (r, psi), and what they add up to.
+
+    Return row[k] lies `error[k]` [m] off the line, whose foot is foot[k] [m], and counts with weight[k]. With e, q
+    and w for these: `sum_wqe` is the sum of w q e.
+    """
+
+    def __init__(self, beams: int) -> None:
+        self.row, self.error, self.foot, self.weight = wholes(beams), floats(beams), floats(beams), floats(beams)
+        self.count, self.r, self.psi = 0, 0.0, 0.0
+        self.sum_w, self.sum_wq, self.sum_wqq = 0.0, 0.0, 0.0
+        self.sum_we, self.sum_wqe, self.sum_wee = 0.0, 0.0, 0.0
+        self.sum_wqqq, self.sum_wqqqq, self.sum_wqqe = 0.0, 0.0, 0.0
+
+
+class Curves:
+    """Which walls are `curved`, the curvature [1/m] with which each goes on in the next, and what curves save."""
+
+    def __init__(self, beams: int) -> None:
+        self.joint, self.gains, self.curved = floats(beams), floats(beams), wholes(beams)
+        self.saved, self.pieces = 0.0, 0.0  # chi2 and pieces of one curve
+
+
+class Sweep:
+    """How beams of a scan move with the base: `share` (pieces, beams) of every piece of the sweep.
+
+    The lever [m] from the base to the laser and the base's forward direction are in the laser's axes.
+    """
+
+    def __init__(self, share: Array, lever: tuple[float, float], ahead: tuple[float, float]) -> None:
+        self.share, self.pieces = view(share), len(share)
+        self.lever_x, self.lever_y = lever
+        self.ahead_x, self.ahead_y = ahead
+
+
+class Found:
+    """The lines of n scans, so far `count`, at most `most`: the columns of `lines.extract.Lines`.
+
+    R is over sigma_range^2, as rr, rp, pp; sweep (most, 4, pieces) is what r owes to a turn and a move, then psi.
+    """
+
+    def __init__(self, scans: int, most: int, pieces: int) -> None:
+        self.counts, self.curved, self.count = wholes(scans), wholes(scans), 0
+        self.z, self.R, self.ends, self.chi2 = floats(most, 2), floats(most, 3), floats(most, 2), floats(most)
+        self.points, self.span, self.sweep = wholes(most), wholes(most, 2), floats(most, 4, pieces)
+
+
+def find_lines(scans: Scans, limits: Limits, sweep: Sweep) -> Found:
+    """Return the lines of all scans; nothing crosses from one to another."""
+    number, beams = scans.ranges.shape[0], scans.ranges.shape[1]
+    found = Found(number, number * (beams // 3), sweep.pieces)  # no line of fewer beams
+    returns, segments, fit, curves = Returns(beams), Segments(beams), Fit(beams), Curves(beams)
+    for scan in range(number):
+        before = found.count
+        find_walls(scans, scan, limits, returns, segments)
+        find_curves(returns, limits, segments, fit, curves)
+        for wall in range(segments.walls):
+            if curves.curved[wall]:
+                found.curved[scan] += 1
+                continue
+            rows_of(segments, wall, fit)
+            if fit_wall(returns, limits, segments, wall, fit, found):
+                loadings(returns, fit, sweep, found)
+                found.count += 1
+        found.counts[scan] = found.count - before
+    return found
+
+
+def fit_wall(returns: Returns, limits: Limits, segments: Segments, wall: int, fit: Fit, found: Found) -> bool:
+    """Fit a line to the returns of a wall and write it; tell whether it is one.
+
+    Two Gauss-Newton steps. What lies outside the wall's own feet, or is seen too flat, leaves before the first,
+    strays before the second.
+    """
+    least = max(limits.min_points, 3.0)
+    stray = limits.stray_sigmas * limits.stray_sigmas * limits.sigma_range * limits.sigma_range
+    fit.r, fit.psi = segments.r[wall], segments.psi[wall]
+    flat = fit.r * limits.grazing
+    residuals(returns, limits, fit)
+    keep_clear(fit, max(segments.low[wall], -flat), min(segments.high[wall], flat))
+    normal_equations(fit)
+    if fit.count < least or singular(fit):
+        return False
+    take_step(fit)
+    if not abs(fit.psi) < MAX_PSI_RAD:
+        return False
+    residuals(returns, limits, fit)
+    leave_strays(fit, stray, least)
+    normal_equations(fit)
+    parabola(fit)
+    return finish(returns, limits, fit, found)
+
+
+def finish(returns: Returns, limits: Limits, fit: Fit, found: Found) -> bool:
+    """Take the last step, and write the line if it is a straight wall, known well enough to be of use."""
+    if singular(fit):
+        return False
+    line, det = found.count, determinant(fit)
+    chi2 = misfit_of(fit) / limits.variance / max(fit.count - 2, 1)
+    take_step(fit)
+    if not (fit.r > 0.0 and abs(fit.psi) < MAX_PSI_RAD and chi2 <= limits.max_chi2):
+        return False
+    first, last = fit.row[0], fit.row[fit.count - 1]
+    begin, end = foot_of(returns, first, fit.r, fit.psi), foot_of(returns, last, fit.r, fit.psi)
+    if is_bent(fit, end - begin, limits) or is_vague(fit, limits):
+        return False
+    found.z[line, 0], found.z[line, 1] = fit.r, wrapped(fit.psi)
+    found.R[line, 0], found.R[line, 1], found.R[line, 2] = fit.sum_wqq / det, fit.sum_wq / det, fit.sum_w / det
+    found.ends[line, 0], found.ends[line, 1] = min(begin, end), max(begin, end)
+    found.points[line], found.chi2[line] = fit.count, chi2
+    found.span[line, 0], found.span[line, 1] = returns.beam[first], returns.beam[last]
+    return True
+
+
+def loadings(returns: Returns, fit: Fit, sweep: Sweep, found: Found) -> None:
+    """Write what (r, psi) of a line owe to a turn [rad] and a move [m] of 1 in each piece of the sweep.
+
+    A beam's end moves across its line by lever - q per radian and by n.ahead per metre; the fit passes that on.
+    """
+    line = found.count
+    nx, ny = cos(found.z[line, 1]), sin(found.z[line, 1])
+    across = ny * sweep.lever_x - nx * sweep.lever_y
+    along = nx * sweep.ahead_x + ny * sweep.ahead_y
+    a, b, c, det = fit.sum_w, fit.sum_wq, fit.sum_wqq, determinant(fit)
+    for piece in range(sweep.pieces):
+        s = sq = sqq = 0.0
+        for k in range(fit.count):
+            share = sweep.share[piece, returns.beam[fit.row[k]]]
+            if share != 0.0:
+                part = share * fit.weight[k]
+                s += part
+                sq += part * fit.foot[k]
+                sqq += part * fit.foot[k] * fit.foot[k]
+        turned, turned_q = across * s - sq, across * sq - sqq
+        moved, moved_q = along * s, along * sq
+        found.sweep[line, 0, piece] = (c * turned - b * turned_q) / det
+        found.sweep[line, 1, piece] = (c * moved - b * moved_q) / det
+        found.sweep[line, 2, piece] = (b * turned - a * turned_q) / det
+        found.sweep[line, 3, piece] = (b * moved - a * moved_q) / det
+
+
+# ---- the fit of one line ----
+
+
+def rows_of(segments: Segments, wall: int, fit: Fit) -> None:
+    """Take the returns of all parts of a wall, one after another."""
+    count = 0
+    for part in range(segments.bounds[wall], segments.bounds[wall + 1]):
+        for i in range(segments.start[part], segments.stop[part]):
+            fit.row[count] = i
+            count += 1
+    fit.count = count
+
+
+def residuals(returns: Returns, limits: Limits, fit: Fit) -> None:
+    """Write the distances e [m] of the returns from the line (r, psi), their feet q [m], and weights w.
+
+    Times n.u, the range residual d - p is the distance e = (d - p) n.u, and its derivative by (r, psi) is (-1, q),
+    q the foot of the *predicted* point: taking the measured one instead is the bias of perpendicular fits.
+    w = s_d^2 / var(e), with the ratio s_phi / s_d > 0 [1/m].
+    """
+    nx, ny, r, ratio = cos(fit.psi), sin(fit.psi), fit.r, limits.ratio
+    for k in range(fit.count):
+        i = fit.row[k]
+        ux, uy, ox, oy = returns.ux[i], returns.uy[i], returns.ox[i], returns.oy[i]
+        along, across = nx * ux + ny * uy, nx * uy - ny * ux
+        reach = r - (nx * ox + ny * oy)
+        fit.error[k] = returns.ranges[i] * along - reach
+        square = along * along
+        foot = reach / along * across if square > 0.0 else FAR_FOOT_M  # also what 1 rad moves the end off the wall
+        turn = foot * ratio
+        fit.weight[k] = 1.0 / (turn * turn + square)
+        fit.foot[k] = foot + (nx * oy - ny * ox)
+
+
+def keep(fit: Fit, k: int, kept: int) -> None:
+    """Move return k of the fit to the place of those that are kept."""
+    fit.row[kept], fit.error[kept], fit.foot[kept], fit.weight[kept] = (
+        fit.row[k],
+        fit.error[k],
+        fit.foot[k],
+        fit.weight[k],
+    )
+
+
+def keep_clear(fit: Fit, low: float, high: float) -> None:
+    """Keep the returns with feet in [low, high].
+
+    What stays is decided by the predicted point, never by the measured one: choosing by the noise would bias it.
+    """
+    kept = 0
+    for k in range(fit.count):
+        if low <= fit.foot[k] <= high:
+            keep(fit, k, kept)
+            kept += 1
+    fit.count = kept
+
+
+def leave_strays(fit: Fit, limit: float, least: float) -> None:
+    """Leave out returns that are not of the wall, a pole or a person's leg before it.
+
+    Stray is what has e^2 w > `limit` [m^2]. A few such beams are too few to be cut off as a piece of their own,
+    and pull the whole line. A wall that would have fewer than `least` without them keeps them; its misfit shows.
+    """
+    strays = kept = 0
+    for k in range(fit.count):
+        if fit.error[k] * fit.error[k] * fit.weight[k] > limit:
+            strays += 1
+    if strays == 0 or fit.count - strays < least:
+        return
+    for k in range(fit.count):
+        if not fit.error[k] * fit.error[k] * fit.weight[k] > limit:
+            keep(fit, k, kept)
+            kept += 1
+    fit.count = kept
+
+
+def normal_equations(fit: Fit) -> None:
+    """Write the sums of w, wq, wqq, we, wqe, wee."""
+    a = b = c = f = g = ee = 0.0
+    for k in range(fit.count):
+        e, q, w = fit.error[k], fit.foot[k], fit.weight[k]
+        wq, we = w * q, w * e
+        a += w
+        b += wq
+        c += wq * q
+        f += we
+        g += wq * e
+        ee += we * e
+    fit.sum_w, fit.sum_wq, fit.sum_wqq, fit.sum_we, fit.sum_wqe, fit.sum_wee = a, b, c, f, g, ee
+
+
+def parabola(fit: Fit) -> None:
+    """Write the sums that a parabola adds: wqqq, wqqqq, wqqe."""
+    cubic = quartic = qqe = 0.0
+    for k in range(fit.count):
+        q = fit.foot[k]
+        wqq = fit.weight[k] * q * q
+        cubic += wqq * q
+        quartic += wqq * q * q
+        qqe += wqq * fit.error[k]
+    fit.sum_wqqq, fit.sum_wqqqq, fit.sum_wqqe = cubic, quartic, qqe
+
+
+def determinant(fit: Fit) -> float:
+    """Return the determinant of the normal equations."""
+    return fit.sum_w * fit.sum_wqq - fit.sum_wq * fit.sum_wq
+
+
+def singular(fit: Fit) -> bool:
+    """Tell whether the beams give no direction: they all meet the line in one point."""
+    return not determinant(fit) > 1e-12 * fit.sum_w * fit.sum_wqq
+
+
+def misfit_of(fit: Fit) -> float:
+    """Return the sum of squares [m^2] that is left after the step."""
+    return max(fit.sum_wee - step_r(fit) * fit.sum_we + step_psi(fit) * fit.sum_wqe, 0.0)
+
+
+def step_r(fit: Fit) -> float:
+    """Return how far a Gauss-Newton step moves r [m]."""
+    return (fit.sum_wqq * fit.sum_we - fit.sum_wq * fit.sum_wqe) / determinant(fit)
+
+
+def step_psi(fit: Fit) -> float:
+    """Return how far a Gauss-Newton step turns psi [rad]."""
+    return (fit.sum_wq * fit.sum_we - fit.sum_w * fit.sum_wqe) / determinant(fit)
+
+
+def take_step(fit: Fit) -> None:
+    """Take a Gauss-Newton step."""
+    fit.r += step_r(fit)
+    fit.psi += step_psi(fit)
+
+
+def foot_of(returns: Returns, i: int, r: float, psi: float) -> float:
+    """Return the foot [m] of return i on the line (r, psi): where the beam meets it."""
+    nx, ny, ux, uy = cos(psi), sin(psi), returns.ux[i], returns.uy[i]
+    along, across = nx * ux + ny * uy, nx * uy - ny * ux
+    reach = r - (nx * returns.ox[i] + ny * returns.oy[i])
+    foot = reach / along * across if along * along > 0.0 else FAR_FOOT_M
+    return foot + (nx * returns.oy[i] - ny * returns.ox[i])
+
+
+def stiffness(fit: Fit) -> float:
+    """Return the weight of q^2 less its part along 1 and q, which the line already has."""
+    a, b, c, cubic = fit.sum_w, fit.sum_wq, fit.sum_wqq, fit.sum_wqqq
+    return fit.sum_wqqqq - (c * (c * c - b * cubic) + cubic * (a * cubic - b * c)) / determinant(fit)
+
+
+def curvature(fit: Fit) -> float:
+    """Return the coefficient [1/m] of the parabola that is left beside the line; 0 where there is none to tell."""
+    norm = stiffness(fit)
+    left = fit.sum_wqqe - step_r(fit) * fit.sum_wqq + step_psi(fit) * fit.sum_wqqq
+    return left / norm if norm > 0.0 else 0.0
+
+
+def bend(fit: Fit) -> float:
+    """Return by how much that parabola would lower the sum of squares [m^2]."""
+    coefficient = curvature(fit)
+    return stiffness(fit) * coefficient * coefficient
+
+
+def is_bent(fit: Fit, extent: float, limits: Limits) -> bool:
+    """Tell whether a parabola explains so much of the misfit, and is so high, that this is no straight wall.
+
+    The highest bow is a share of the chord `extent` [m]: k q^2 is k extent^2 / 4 high over it.
+    """
+    bow = abs(curvature(fit) * extent) / 4.0  # height / chord
+    return bend(fit) > limits.max_bend * limits.variance and bow > limits.max_bow
+
+
+def is_vague(fit: Fit, limits: Limits) -> bool:
+    """Tell whether the line is too short for its noise: what is linear no longer is.
+
+    Turning about its middle by sigma(psi) moves the line's foot by `swing` [m]; of r, where psi is known, the
+    variance is s_d^2 / sum of w.
+    """
+    spread = fit.sum_w / determinant(fit) * limits.variance  # of psi [rad^2]
+    swing = 0.5 * fit.r * spread
+    most = limits.max_swing * sqrt(limits.variance / fit.sum_w)
+    return spread > limits.max_sigma_psi * limits.max_sigma_psi or swing > most
+
+
+# ---- curves ----
+
+
+def find_curves(returns: Returns, limits: Limits, segments: Segments, fit: Fit, curves: Curves) -> None:
+    """Write which walls are pieces of a curve.
+
+    Where most walls of a scan are, another one is straight only if its own returns say so: it may be a piece of
+    the same curve whose neighbours are hidden.
+    """
+    walls, closed = segments.walls, returns.closed
+    for i in range(walls):
+        curves.curved[i] = 0
+    if joints(returns, segments, curves) < MIN_CURVE_PIECES - 1:
+        return
+    for i in range(walls):
+        bent = curvature_of(curves, walls, closed, i)
+        curves.gains[i] = gain(returns, limits, segments, i, fit, bent)
+    found, mean = 0, 0.0
+    for i in range(walls):
+        length = distance(returns, head_of(segments, i), tail_of(segments, i))
+        if is_piece(curves, walls, closed, i, length):
+            curves.curved[i] = 1
+            found += 1
+            mean += curvature_of(curves, walls, closed, i)
+    if 2 * found > walls:
+        for i in range(walls):
+            if gain(returns, limits, segments, i, fit, mean / found) > -MIN_CURVE_GAIN_CHI2:
+                curves.curved[i] = 1
+
+
+def following(walls: int, closed: bool, i: int) -> int:
+    """Return the wall after wall i in the order of the beams, -1: none."""
+    if i + 1 < walls:
+        return i + 1
+    return 0 if closed and walls > 1 else -1
+
+
+def joints(returns: Returns, segments: Segments, curves: Curves) -> int:
+    """Write the curvature [1/m] with which each wall goes on in the next, 0 where it does not; return how many do.
+
+    Positive where psi grows along the tangent (-sin psi, cos psi).
+    """
+    found, psi = 0, segments.psi
+    for i in range(segments.walls):
+        curves.joint[i] = 0.0
+        j = following(segments.walls, returns.closed, i)
+        if j < 0:
+            continue
+        begin, tail = head_of(segments, i), tail_of(segments, i)
+        head, end = head_of(segments, j), tail_of(segments, j)
+        shadow = distance(returns, tail, head)
+        turn = wrapped(psi[j] - psi[i])
+        if not (shadow <= MAX_SHADOW_M and abs(turn) <= MAX_JOINT_TURN_RAD):  # NaN: points at no real place
+            continue
+        way = shadow + 0.5 * (distance(returns, begin, tail) + distance(returns, head, end))
+        ahead = cos(psi[i]) * (returns.y[tail] - returns.y[begin])
+        ahead -= sin(psi[i]) * (returns.x[tail] - returns.x[begin])
+        if way > 0.0:
+            curves.joint[i] = turn / way if ahead > 0.0 else -turn / way
+            found += 1
+    return found
+
+
+def curvature_of(curves: Curves, walls: int, closed: bool, i: int) -> float:
+    """Return the curvature [1/m] that the neighbours of wall i give it; 0 where it has none or they disagree."""
+    behind = curves.joint[i - 1] if i > 0 else curves.joint[walls - 1] if closed else 0.0
+    ahead = curves.joint[i]
+    if behind == 0.0 or ahead == 0.0:
+        return behind + ahead
+    return 0.5 * (behind + ahead) if behind * ahead > 0.0 else 0.0
+
+
+def gain(returns: Returns, limits: Limits, segments: Segments, wall: int, fit: Fit, bent: float) -> float:
+    """Return by how much the chi2 of a wall's returns falls if it has the curvature `bent` [1/m], not none."""
+    if bent == 0.0:
+        return 0.0
+    rows_of(segments, wall, fit)
+    fit.r, fit.psi = segments.r[wall], segments.psi[wall]
+    residuals(returns, limits, fit)
+    normal_equations(fit)
+    if singular(fit):
+        return 0.0
+    parabola(fit)
+    height = -0.5 * bent  # of the parabola [1/m]: where psi grows, a wall comes nearer beside its middle
+    return stiffness(fit) * height * (2.0 * curvature(fit) - height) / limits.variance
+
+
+def goes_on(curves: Curves, walls: int, closed: bool, i: int, step: int) -> None:
+    """Add the chi2 that a curve saves beyond wall i one way (step 1, -1), and its pieces there."""
+    sign = 0.0
+    for _ in range(walls - 1):
+        at = i if step > 0 else i - 1 if i > 0 else walls - 1
+        i = i + step
+        i = 0 if i == walls else walls - 1 if i < 0 else i
+        here = curves.joint[at]
+        if here == 0.0 or here * sign < 0.0 or curves.gains[i] < MIN_PIECE_GAIN_CHI2:
+            return
+        sign = here
+        curves.saved += curves.gains[i] + SPARED_PIECE_CHI2
+        curves.pieces += 1.0
+
+
+def is_piece(curves: Curves, walls: int, closed: bool, i: int, length: float) -> bool:
+    """Tell whether wall i of `length` [m] is a piece of a curve of several pieces, which explains them better."""
+    bent = curvature_of(curves, walls, closed, i)
+    if abs(bent) * length < MIN_BEND_RAD or curves.gains[i] < MIN_PIECE_GAIN_CHI2:
+        return False
+    curves.saved, curves.pieces = curves.gains[i] - SPARED_PIECE_CHI2, 1.0
+    goes_on(curves, walls, closed, i, 1)
+    goes_on(curves, walls, closed, i, -1)
+    return curves.pieces >= MIN_CURVE_PIECES and curves.saved > MIN_CURVE_GAIN_CHI2

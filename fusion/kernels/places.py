@@ -1,0 +1,191 @@
+"""Lines from another place: what a sensor elsewhere would see, and which places a scan may have been taken from.
+
+From the laser to the base, or from one mount to another, exact:
+r_b = r + l.n(psi_b), psi_b = psi + yaw for a laser at l = (x, y), Jacobian [[1, u], [0, 1]] with
+u = l.t(psi_b), t the tangent (-sin, cos). Where r_b < 0 the base stands beyond the line: (r, psi), the ends, and
+the sign of the r-psi covariance turn over.
+"""
+
+from __future__ import annotations
+
+from locfuse.fusion.data import Array
+
+try:
+    import cython
+except ImportError:  # Cython is only needed to compile
+    from . import uncompiled as cython
+if not cython.compiled:
+    from math import pi
+
+    from .angles import wrapped
+    from .uncompiled import cos, sin, sqrt
+
+SAME_ANGLE_RAD, SAME_OFFSET_M = 5.0 * (pi / 180.0), 0.25  # a seen wall is a known one within these
+MIN_OVERLAP_SHARE = 0.6  # of a seen wall's length, by which it overlaps the known one that it is
+SIGHT_LINES = 5  # to points along a seen wall
+MIN_BEHIND_M = 0.3  # by which a point must lie behind a known wall
+MIN_FROM_END_M = 0.2  # of a known wall that is not trusted to block the sight nearer to its ends
+MIN_GRAZING_SINE = 0.1  # of the angle at which a sight line meets a wall: flatter ones are not trusted
+
+
+if not cython.compiled:
+    # columns of a line: r [m], psi [rad], both ends along its tangent [m]; between stands its covariance
+    R, PSI, BEGIN, END = 0, 1, 5, 6
+    # columns of a map line: rho [m] and beta [rad] about its anchor x, y [m], both ends, and which way it faces
+    RHO, BETA, X, Y, LOW, HIGH, NX, NY = range(8)
+COLUMNS = 8  # of a map line; the last two are written here
+
+
+# ---- from one mount to another ----
+
+
+def into_base(rows: Array, lines: int, x: float, y: float, yaw: float, out: Array) -> None:
+    """Write the lines `rows` (lines, 7: r, psi, R as 00, 01, 11, both ends) of a laser at x, y [m], yaw [rad]."""
+    for i in range(lines):
+        psi = rows[i, PSI] + yaw
+        if psi - psi != 0.0:  # Inf or NaN: there is no such line
+            for j in range(7):
+                out[i, j] = psi - psi
+            continue
+        c, s = cos(psi), sin(psi)
+        r, u = rows[i, R] + x * c + y * s, y * c - x * s
+        cross, begin, end = rows[i, 3] + u * rows[i, 4], rows[i, BEGIN] + u, rows[i, END] + u
+        out[i, 2], out[i, 4] = rows[i, 2] + u * (rows[i, 3] + cross), rows[i, 4]
+        if r < 0.0:
+            r, psi, cross, begin, end = -r, psi + pi, -cross, -begin, -end
+        out[i, R], out[i, PSI], out[i, 3] = r, wrapped(psi), cross
+        out[i, BEGIN], out[i, END] = min(begin, end), max(begin, end)
+
+
+def moved(place: Array, told: Array, out: Array) -> None:
+    """Write what leads from the base by the mount `told` to that by the one at `place`: x, y [m], yaw [rad]."""
+    turn = place[2] - told[2]
+    c, s = cos(turn), sin(turn)
+    out[0], out[1], out[2] = place[0] - c * told[0] + s * told[1], place[1] - s * told[0] - c * told[1], turn
+
+
+def shares_into_base(
+    rows: Array, lines: int, x: float, y: float, yaw: float, shared: Array, first: int, out: Array
+) -> None:
+    """Write unit errors (lines, 2, parts) of r and psi of the lines as `into_base` moves these.
+
+    They stand in `shared` from line `first` on.
+    """
+    for i in range(lines):
+        psi = rows[i, PSI] + yaw
+        c, s = cos(psi), sin(psi)
+        r, u = rows[i, R] + x * c + y * s, y * c - x * s
+        for k in range(shared.shape[2]):
+            turn = shared[first + i, 1, k]
+            move = shared[first + i, 0, k] + u * turn
+            out[i, 0, k], out[i, 1, k] = -move if r < 0.0 else move, turn
+
+
+# ---- where a scan may have been taken from ----
+
+
+def face(walls: Array) -> None:
+    """Write the directions in which map lines face."""
+    for j in range(walls.shape[0]):
+        walls[j, NX], walls[j, NY] = cos(walls[j, BETA]), sin(walls[j, BETA])
+
+
+def behind(rows: Array, walls: Array, x: float, y: float, theta: float, both: bool, out: Array) -> None:
+    """Write which share of every line (k, 7) lies behind map lines `walls` (m, 8), from a pose.
+
+    A point of a line lies behind where its sight line meets a wall clearly before it, away from the wall's ends
+    and not too flat, on the face that was seen or on `both`.
+    """
+    face(walls)
+    ahead_x, ahead_y = cos(theta), sin(theta)
+    for i in range(rows.shape[0]):
+        c, s, hidden = cos(rows[i, PSI]), sin(rows[i, PSI]), 0.0  # a float: C divides whole numbers without rest
+        for k in range(SIGHT_LINES):
+            along = rows[i, BEGIN] + (k + 0.5) / SIGHT_LINES * (rows[i, END] - rows[i, BEGIN])
+            px, py = rows[i, R] * c - along * s, rows[i, R] * s + along * c
+            distance = sqrt(px * px + py * py)
+            if distance > MIN_BEHIND_M:
+                dx, dy = (ahead_x * px - ahead_y * py) / distance, (ahead_y * px + ahead_x * py) / distance
+                if blocked(walls, x, y, dx, dy, distance - MIN_BEHIND_M, both):
+                    hidden += 1.0
+        out[i] = hidden / SIGHT_LINES
+
+
+def blocked(walls: Array, x: float, y: float, dx: float, dy: float, reach: float, both: bool) -> bool:
+    """Tell whether a wall stands within `reach` [m] of (x, y) in the direction (dx, dy)."""
+    for j in range(walls.shape[0]):
+        c, s = walls[j, NX], walls[j, NY]
+        facing = dx * c + dy * s
+        if facing > MIN_GRAZING_SINE or (both and facing < -MIN_GRAZING_SINE):
+            to_x, to_y = x - walls[j, X], y - walls[j, Y]
+            distance = (walls[j, RHO] - (to_x * c + to_y * s)) / facing
+            along = to_y * c - to_x * s + distance * (dy * c - dx * s)
+            if 0.0 < distance < reach and walls[j, LOW] + MIN_FROM_END_M < along < walls[j, HIGH] - MIN_FROM_END_M:
+                return True
+    return False
+
+
+def explained(rows: Array, walls: Array, poses: Array, slack: float, out: Array) -> None:
+    """Write what map lines (m, 8) explain of the lines (k, 7) of a scan from every pose (h, 3), out (h, 3).
+
+    These are the share of the measured length, the share were the map lines longer than known, and how many lines.
+    A line is explained by a map line that is the same, within `slack` times the usual limits, where both overlap.
+    """
+    face(walls)
+    total = 0.0
+    for i in range(rows.shape[0]):
+        total += rows[i, END] - rows[i, BEGIN]
+    for p in range(poses.shape[0]):
+        share, possible, count = 0.0, 0.0, 0
+        for i in range(rows.shape[0]):
+            length = rows[i, END] - rows[i, BEGIN]
+            kind = likeness(rows, walls, i, poses[p, 0], poses[p, 1], poses[p, 2], slack)
+            if kind > 0:
+                possible += length
+            if kind > 1:
+                share += length
+                count += 1
+        out[p, 0], out[p, 1], out[p, 2] = share / total, possible / total, count
+
+
+def likeness(rows: Array, walls: Array, i: int, x: float, y: float, theta: float, slack: float) -> int:
+    """Return 2 where a map line explains line i from a pose, 1 where it would if it were longer, else 0."""
+    kind, angle, offset = 0, slack * SAME_ANGLE_RAD, slack * SAME_OFFSET_M
+    least = MIN_OVERLAP_SHARE * (rows[i, END] - rows[i, BEGIN])
+    for j in range(walls.shape[0]):
+        c, s = walls[j, NX], walls[j, NY]
+        dx, dy = x - walls[j, X], y - walls[j, Y]
+        away = rows[i, R] - (walls[j, RHO] - dx * c - dy * s)
+        if -offset < away < offset and abs(wrapped(rows[i, PSI] + theta - walls[j, BETA])) < angle:
+            along, kind = c * dy - s * dx, 1
+            if min(rows[i, END] + along, walls[j, HIGH]) - max(rows[i, BEGIN] + along, walls[j, LOW]) > least:
+                return 2
+    return kind
+
+
+def hypotheses(rows: Array, a: int, b: int, walls: Array, found: int, poses: Array) -> int:
+    """Add the poses from which lines a and b are two map lines at the same angle to `found`; return how many.
+
+    The pair's angle may differ from theirs by less than what is the same angle, and half of what it differs by is
+    the pose's. Poses (found + m m, 3) hold those that were found before.
+    """
+    face(walls)
+    between = wrapped(rows[b, PSI] - rows[a, PSI])
+    c, s, parallel = cos(between), sin(between), cos(SAME_ANGLE_RAD)
+    for j in range(walls.shape[0]):
+        for k in range(walls.shape[0]):
+            cosine = walls[j, NX] * walls[k, NX] + walls[j, NY] * walls[k, NY]
+            sine = walls[j, NX] * walls[k, NY] - walls[j, NY] * walls[k, NX]
+            if c * cosine + s * sine > parallel:
+                slack = 0.5 * wrapped(walls[k, BETA] - walls[j, BETA] - between)
+                p, q = from_origin(walls, j) - rows[a, R], from_origin(walls, k) - rows[b, R]
+                poses[found, 0] = (p * walls[k, NY] - q * walls[j, NY]) / sine
+                poses[found, 1] = (walls[j, NX] * q - walls[k, NX] * p) / sine
+                poses[found, 2] = wrapped(walls[j, BETA] - rows[a, PSI] + slack)
+                found += 1
+    return found
+
+
+def from_origin(walls: Array, j: int) -> float:
+    """Return the distance of a map line from the map's origin [m]."""
+    return walls[j, RHO] + (walls[j, X] * walls[j, NX] + walls[j, Y] * walls[j, NY])

@@ -1,0 +1,528 @@
+"""From ranges to walls: runs that no gap cuts are split, neighbours that are one line merged, corners left out.
+
+V. Nguyen, A. Martinelli, N. Tomatis, R. Siegwart: "A comparison of line extraction algorithms using 2D laser
+rangefinder for indoor mobile robotics", IROS 2005. What counts as a wall: `lines.settings.LineSettings`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from locfuse.fusion.data import Array, Ints
+
+from .arrays import floats, view, wholes
+
+try:
+    import cython
+except ImportError:  # Cython is only needed to compile
+    from . import uncompiled as cython
+if not cython.compiled:
+    from math import atan2, pi, tan
+
+    from .uncompiled import cos, sin, sqrt
+
+JOINS_NEVER_CHI2 = 1e300  # the cost of joining what must not be joined
+GAP_SCORE_M = 1e9  # above every range: beams behind a gap come before beams without one
+MAX_STRAY_BEAMS = 2  # beams that hit something else and do not end a line: strays
+MAX_CORNER_BEAMS = 4  # walls whose facing ends are this many beams apart meet in a corner
+MAX_CORNER_SHARE = 0.2  # of a wall's length may be left out at either end
+MIN_CORNER_SINE = 0.1  # of the least angle that is a corner
+FAR_M = 1e300
+SMALLEST = 1e-100  # what is divided by is at least this
+
+
+class Scans:
+    """Scans of one laser: `ranges` (n, b) [m], of which those in the limits [low, high) are returns.
+
+    `rays`: every beam's direction cos, sin and origin x, y [m], (n, b) each, or (b,) where all scans agree.
+    growth (n,): how far apart neighbours on a wall may be [m per m of range]; ring (n,): whether the scan goes all
+    the way round.
+    """
+
+    def __init__(
+        self, ranges: Array, rays: tuple[Array, ...], growth: Array, ring: Any, limits: tuple[float, float]
+    ) -> None:
+        self.ranges = view(ranges)
+        self.cosine, self.sine = view(np.atleast_2d(rays[0])), view(np.atleast_2d(rays[1]))
+        self.x, self.y = view(np.atleast_2d(rays[2])), view(np.atleast_2d(rays[3]))
+        self.moving = rays[0].ndim == 2
+        self.growth, self.ring = view(growth), view(ring, "intp")
+        self.low, self.high = limits
+
+
+class Limits:
+    """What counts as a wall: the numbers of LineSettings."""
+
+    def __init__(self, settings: Any) -> None:
+        self.sigma_range, self.sigma_angle = settings.sigma_range, settings.sigma_angle
+        self.ratio = max(settings.sigma_angle / settings.sigma_range, SMALLEST)  # 1/m
+        self.variance = settings.sigma_range * settings.sigma_range
+        self.min_points, self.min_length = settings.min_points, settings.min_length
+        self.max_gap, self.bridge = max(settings.max_gap, SMALLEST), settings.bridge
+        self.split_sigmas, self.split_floor = settings.split_sigmas, settings.split_floor
+        self.flatness, self.merge_chi2 = settings.flatness, settings.merge_chi2
+        self.grazing = tan(settings.max_incidence)
+        self.stray_sigmas, self.corner_sigmas = settings.stray_sigmas, settings.corner_sigmas
+        self.max_sigma_psi, self.max_swing = settings.max_sigma_psi, settings.max_swing
+        self.max_chi2, self.max_bow, self.max_bend = settings.max_chi2, settings.max_bow, settings.max_bend
+
+
+class Returns:
+    """The returns of one scan, `count` of them, in the order of its beams.
+
+    Each has a range [m], started at the origin o [m] along the direction u, ended at (x, y) [m] and may lie off a
+    straight piece by its tolerance [m]. `closed`: no gap cuts the circle of them.
+    """
+
+    def __init__(self, beams: int) -> None:
+        self.ranges, self.tolerance = floats(beams), floats(beams)
+        self.ux, self.uy = floats(beams), floats(beams)
+        self.ox, self.oy = floats(beams), floats(beams)
+        self.x, self.y = floats(beams), floats(beams)
+        self.beam = wholes(beams)
+        self.count, self.closed = 0, False
+
+
+class Segments:
+    """Straight pieces of a scan, then the parts of walls, then walls.
+
+    Piece i owns the returns first[i]:first[i + 1], group i the pieces bounds[i]:bounds[i + 1]. Part j owns the
+    returns start[j]:stop[j], wall i the parts bounds[i]:bounds[i + 1]. Moments of a piece, part or wall are the
+    weighted sums of 1, x, y, xx, xy, yy. linked[i]: i and i + 1 may be joined. The line of wall i is r [m], psi
+    [rad], and its returns are its own between the feet low and high [m] along its tangent.
+    """
+
+    def __init__(self, beams: int) -> None:
+        room = beams + 1
+        self.run_first, self.first, self.todo = wholes(room), wholes(room), wholes(room + 1, 2)
+        self.linked, self.moments = wholes(room), floats(room, 6)
+        self.own, self.cost = floats(room), floats(room)
+        self.after, self.before, self.best = wholes(room), wholes(room), wholes(room)
+        self.bounds, self.start, self.stop = wholes(room), wholes(room), wholes(room)
+        self.r, self.psi, self.low, self.high = floats(room), floats(room), floats(room), floats(room)
+        self.runs, self.pieces, self.groups, self.parts, self.walls = 0, 0, 0, 0, 0
+
+
+def find_walls(scans: Scans, scan: int, limits: Limits, returns: Returns, segments: Segments) -> None:
+    """Find the walls of a scan, and where their own returns begin and end."""
+    growth = scans.growth[scan]
+    gather(scans, scan, 0, returns)
+    returns.closed = False
+    if scans.ring[scan] != 0 and returns.count > 0:
+        begin = ring_start(returns, growth, limits.max_gap)
+        returns.closed = begin < 0
+        gather(scans, scan, returns.beam[-1 - begin if begin < 0 else begin], returns)
+    allow(returns, limits)
+    cut_at_gaps(returns, growth, limits.max_gap, segments)
+    split(returns, segments)
+    weigh(returns, limits, segments)
+    segments.groups = merge(segments, segments.pieces, limits.merge_chi2)
+    long_enough(returns, limits, segments)
+    link_parts(returns, limits, segments)
+    segments.walls = merge(segments, segments.parts, limits.merge_chi2)
+    if returns.closed:
+        close_ring(returns, limits, segments)
+    perpendicular_fit(segments)
+    corner_limits(returns, limits, segments)
+
+
+# ---- returns, runs and straight pieces ----
+
+
+def gather(scans: Scans, scan: int, begin: int, returns: Returns) -> None:
+    """Gather the returns of a scan from beam `begin` once round."""
+    beams, count, row = scans.ranges.shape[1], 0, scan if scans.moving else 0
+    for i in range(beams):
+        j = i + begin
+        if j >= beams:
+            j -= beams
+        reading = scans.ranges[scan, j]
+        if scans.low <= reading < scans.high:
+            returns.ranges[count] = reading
+            returns.ux[count] = scans.cosine[row, j]
+            returns.uy[count] = scans.sine[row, j]
+            returns.ox[count] = scans.x[row, j]
+            returns.oy[count] = scans.y[row, j]
+            returns.x[count] = scans.x[row, j] + reading * scans.cosine[row, j]
+            returns.y[count] = scans.y[row, j] + reading * scans.sine[row, j]
+            returns.beam[count] = j
+            count += 1
+    returns.count = count
+
+
+def gap(returns: Returns, before: int, i: int, growth: float, max_gap: float) -> float:
+    """Return the squared distance of two neighbouring end points in units of what one wall allows.
+
+    That is `max_gap` [m] > 0, or `growth` times the larger range: beam spacings grow with the range and, on a wall
+    seen flat, with the angle of incidence.
+    """
+    dx, dy = returns.x[i] - returns.x[before], returns.y[i] - returns.y[before]
+    limit = growth * max(returns.ranges[before], returns.ranges[i])
+    limit = max(limit, max_gap)
+    return (dx * dx + dy * dy) / (limit * limit)
+
+
+def ring_start(returns: Returns, growth: float, max_gap: float) -> int:
+    """Return which return of a scan of the whole circle is its best first one.
+
+    The one behind the widest gap; where there is none, the farthest, and then -1 - it: the ring is closed.
+    """
+    best, start = 0.0, 0
+    for i in range(returns.count):
+        jump = gap(returns, i - 1 if i > 0 else returns.count - 1, i, growth, max_gap)
+        score = GAP_SCORE_M + jump if jump > 1.0 else returns.ranges[i]
+        if score > best:
+            best, start = score, i
+    return start if best >= GAP_SCORE_M else -1 - start
+
+
+def cut_at_gaps(returns: Returns, growth: float, max_gap: float, segments: Segments) -> None:
+    """Write where runs of neighbouring returns begin."""
+    runs = 0
+    for i in range(returns.count):
+        if i == 0 or gap(returns, i - 1, i, growth, max_gap) > 1.0:
+            segments.run_first[runs] = i
+            runs += 1
+    segments.run_first[runs] = returns.count
+    segments.runs = runs
+
+
+def allow(returns: Returns, limits: Limits) -> None:
+    """Write how far every return may lie off a straight piece [m], whatever the piece's direction."""
+    least = max(limits.split_floor, SMALLEST)
+    for i in range(returns.count):
+        across = limits.sigma_angle * returns.ranges[i]
+        noise = limits.split_sigmas * sqrt(across * across + limits.sigma_range * limits.sigma_range)
+        returns.tolerance[i] = max(least, noise)
+
+
+def farthest(returns: Returns, begin: int, end: int) -> int:
+    """Return the point that is farthest off the chord from `begin` to the last before `end`, in tolerances.
+
+    -1 where every point lies within its tolerance. The earliest of equals.
+    """
+    if end - begin < 3:
+        return -1
+    dx, dy = returns.x[end - 1] - returns.x[begin], returns.y[end - 1] - returns.y[begin]
+    length = sqrt(dx * dx + dy * dy)
+    if length == 0.0:  # one point, or a loop that closes exactly: any direction will do
+        length, dy = 1.0, 1.0
+    nx, ny = -dy / length, dx / length
+    offset = nx * returns.x[begin] + ny * returns.y[begin]
+    worst, at = 1.0, -1
+    for i in range(begin, end):
+        excess = abs(nx * returns.x[i] + ny * returns.y[i] - offset) / returns.tolerance[i]
+        if excess > worst:
+            worst, at = excess, i
+    return at
+
+
+def split(returns: Returns, segments: Segments) -> None:
+    """Cut runs of points into straight pieces; pieces of one run are linked.
+
+    A piece with a point off its chord is cut there; that point starts the second half.
+    """
+    pieces, todo = 0, segments.todo  # halves that are still to be looked at
+    for run in range(segments.runs):
+        todo[0, 0], todo[0, 1] = segments.run_first[run], segments.run_first[run + 1]
+        depth = 1
+        while depth > 0:
+            depth -= 1
+            begin, end = todo[depth, 0], todo[depth, 1]
+            cut = farthest(returns, begin, end)
+            if cut > begin:
+                todo[depth, 0], todo[depth, 1] = cut, end
+                todo[depth + 1, 0], todo[depth + 1, 1] = begin, cut
+                depth += 2
+            else:
+                segments.first[pieces] = begin
+                segments.linked[pieces] = end < segments.run_first[run + 1]
+                pieces += 1
+    segments.first[pieces] = segments.run_first[segments.runs]
+    segments.pieces = pieces
+
+
+def weigh(returns: Returns, limits: Limits, segments: Segments) -> None:
+    """Write the moments of every piece, its points weighted by 1/variance across the piece's chord."""
+    unevenness, m = max(limits.flatness * limits.flatness, SMALLEST), segments.moments
+    for p in range(segments.pieces):
+        begin, end = segments.first[p], segments.first[p + 1]
+        dx, dy = returns.x[end - 1] - returns.x[begin], returns.y[end - 1] - returns.y[begin]
+        length = sqrt(dx * dx + dy * dy)
+        if length == 0.0:
+            length, dy = 1.0, 1.0
+        nx, ny = -dy / length, dx / length
+        w = sx = sy = sxx = sxy = syy = 0.0
+        for i in range(begin, end):
+            x, y, ux, uy = returns.x[i], returns.y[i], returns.ux[i], returns.uy[i]
+            along = (nx * ux + ny * uy) * limits.sigma_range
+            across = (nx * uy - ny * ux) * returns.ranges[i] * limits.sigma_angle
+            weight = 1.0 / (along * along + across * across + unevenness)
+            wx, wy = weight * x, weight * y
+            w += weight
+            sx += wx
+            sy += wy
+            sxx += wx * x
+            sxy += wx * y
+            syy += wy * y
+        m[p, 0], m[p, 1], m[p, 2], m[p, 3], m[p, 4], m[p, 5] = w, sx, sy, sxx, sxy, syy
+
+
+# ---- merging ----
+
+
+def misfit(w: float, sx: float, sy: float, sxx: float, sxy: float, syy: float) -> float:
+    """Return the weighted sum of squared distances from the nearest line: the scatter's smaller eigenvalue."""
+    mx, my = sx / w, sy / w
+    a, b, c = sxx - sx * mx, sxy - sx * my, syy - sy * my
+    half = 0.5 * (a - c)
+    return max(0.5 * (a + c) - sqrt(half * half + b * b), 0.0)
+
+
+def joint_misfit(segments: Segments, i: int, j: int) -> float:
+    """Return the misfit of i and j as one line."""
+    m = segments.moments
+    return misfit(
+        m[i, 0] + m[j, 0],
+        m[i, 1] + m[j, 1],
+        m[i, 2] + m[j, 2],
+        m[i, 3] + m[j, 3],
+        m[i, 4] + m[j, 4],
+        m[i, 5] + m[j, 5],
+    )
+
+
+def own_misfit(segments: Segments, i: int) -> float:
+    """Return the misfit of i."""
+    m = segments.moments
+    return misfit(m[i, 0], m[i, 1], m[i, 2], m[i, 3], m[i, 4], m[i, 5])
+
+
+def join(segments: Segments, i: int, j: int) -> None:
+    """Add the moments of j to those of i."""
+    for q in range(6):
+        segments.moments[i, q] += segments.moments[j, q]
+
+
+def merge(segments: Segments, count: int, limit: float) -> int:
+    """Join neighbours that are statistically one line; return how many groups there are.
+
+    Two are one line if fitting them as one raises the misfit by less than `limit`: a likelihood ratio, chi-square
+    with 2 degrees of freedom. Pairs that cost less than both neighbouring pairs go first, all of them at a time.
+    The groups' moments stand in front then. Row `count` is no piece.
+    """
+    own, cost = segments.own, segments.cost
+    after, before = segments.after, segments.before
+    for i in range(count):
+        own[i], cost[i] = own_misfit(segments, i), JOINS_NEVER_CHI2
+        after[i], before[i] = i + 1, i - 1 if i > 0 else count
+    cost[count], after[count], before[count] = JOINS_NEVER_CHI2, count, count
+    for i in range(count - 1):
+        if segments.linked[i]:
+            cost[i] = joint_misfit(segments, i, i + 1) - own[i] - own[i + 1]
+    chosen = cheapest(segments, count, limit)
+    while chosen > 0:
+        join_pairs(segments, chosen)
+        for q in range(chosen):
+            renew_cost(segments, before[segments.best[q]])
+            renew_cost(segments, segments.best[q])
+        chosen = cheapest(segments, count, limit)
+    return compact(segments, count)
+
+
+def cheapest(segments: Segments, count: int, limit: float) -> int:
+    """Write into `best` which pairs are to be joined now, by their first ones; return how many."""
+    chosen, cost = 0, segments.cost
+    for i in range(count):
+        if cost[i] < limit and cost[i] < cost[segments.before[i]] and cost[i] <= cost[segments.after[i]]:
+            segments.best[chosen] = i
+            chosen += 1
+    return chosen
+
+
+def join_pairs(segments: Segments, chosen: int) -> None:
+    """Join the chosen ones with those after them."""
+    for q in range(chosen):
+        i = segments.best[q]
+        gone = segments.after[i]
+        join(segments, i, gone)
+        segments.own[i] = own_misfit(segments, i)
+        segments.cost[i], segments.cost[gone] = segments.cost[gone], JOINS_NEVER_CHI2
+        segments.after[i] = segments.after[gone]
+        segments.before[segments.after[i]] = i
+
+
+def renew_cost(segments: Segments, i: int) -> None:
+    """Work out anew what it costs to join i with the one after it, if that is allowed at all."""
+    if segments.cost[i] < JOINS_NEVER_CHI2:
+        j = segments.after[i]
+        segments.cost[i] = joint_misfit(segments, i, j) - segments.own[i] - segments.own[j]
+
+
+def compact(segments: Segments, count: int) -> int:
+    """Move the moments of the groups to the front, write `bounds`, and return how many groups there are."""
+    groups = i = 0
+    while i < count:
+        segments.bounds[groups] = i
+        for q in range(6):
+            segments.moments[groups, q] = segments.moments[i, q]
+        groups += 1
+        i = segments.after[i]
+    segments.bounds[groups] = count
+    return groups
+
+
+# ---- walls ----
+
+
+def distance(returns: Returns, i: int, j: int) -> float:
+    """Return the distance between the end points of returns i and j [m]."""
+    dx, dy = returns.x[j] - returns.x[i], returns.y[j] - returns.y[i]
+    return sqrt(dx * dx + dy * dy)
+
+
+def head_of(segments: Segments, wall: int) -> int:
+    """Return the first return of a wall."""
+    return segments.start[segments.bounds[wall]]
+
+
+def tail_of(segments: Segments, wall: int) -> int:
+    """Return the last return of a wall."""
+    return segments.stop[segments.bounds[wall + 1] - 1] - 1
+
+
+def long_enough(returns: Returns, limits: Limits, segments: Segments) -> None:
+    """Write the parts that have the points and the length of a wall."""
+    parts = 0
+    for g in range(segments.groups):
+        begin, end = segments.first[segments.bounds[g]], segments.first[segments.bounds[g + 1]]
+        if end - begin >= limits.min_points and distance(returns, begin, end - 1) >= limits.min_length:
+            segments.start[parts], segments.stop[parts] = begin, end
+            for q in range(6):
+                segments.moments[parts, q] = segments.moments[g, q]
+            parts += 1
+    segments.parts = parts
+
+
+def near(
+    returns: Returns, limits: Limits, head: int, tail: int, next_head: int, next_tail: int, between: int
+) -> bool:
+    """Tell whether one line may go on in the next part of its scan, given both parts' first and last returns.
+
+    It may if next to no beams are `between` them, or if they are closer than the bridge [m] and than both lengths.
+    """
+    open_way = distance(returns, tail, next_head)
+    shorter = min(distance(returns, head, tail), distance(returns, next_head, next_tail))
+    return open_way <= min(shorter, limits.bridge) or (between <= MAX_STRAY_BEAMS and open_way <= limits.max_gap)
+
+
+def link_parts(returns: Returns, limits: Limits, segments: Segments) -> None:
+    """Write which neighbouring parts may be one wall left and right of what stands before it."""
+    start, stop = segments.start, segments.stop
+    for i in range(segments.parts - 1):
+        between = start[i + 1] - stop[i]
+        segments.linked[i] = near(returns, limits, start[i], stop[i] - 1, start[i + 1], stop[i + 1] - 1, between)
+
+
+def close_ring(returns: Returns, limits: Limits, segments: Segments) -> None:
+    """Join the first and the last wall of a closed ring if they are one."""
+    last, bounds, m = segments.walls - 1, segments.bounds, segments.moments
+    if last < 1:
+        return
+    head, tail = head_of(segments, last), tail_of(segments, last)
+    next_head, next_tail = head_of(segments, 0), tail_of(segments, 0)
+    between = next_head + returns.count - tail - 1
+    if not near(returns, limits, head, tail, next_head, next_tail, between):
+        return
+    if joint_misfit(segments, last, 0) - own_misfit(segments, last) - own_misfit(segments, 0) >= limits.merge_chi2:
+        return
+    join(segments, last, 0)
+    for i in range(last):
+        for q in range(6):
+            m[i, q] = m[i + 1, q]
+    parts, moved = bounds[segments.walls], bounds[1]
+    rotate(segments.start, parts, moved, segments.best)  # the parts of the first wall go behind those of the last
+    rotate(segments.stop, parts, moved, segments.best)
+    for i in range(1, segments.walls):
+        bounds[i - 1] = bounds[i] - moved
+    bounds[last] = parts
+    segments.walls = last
+
+
+def rotate(values: Ints, count: int, by: int, room: Ints) -> None:
+    """Move the first `by` of the values behind the others."""
+    for i in range(count):
+        room[i] = values[i]
+    for i in range(count):
+        values[i] = room[i + by if i + by < count else i + by - count]
+
+
+def perpendicular_fit(segments: Segments) -> None:
+    """Write the lines nearest to the walls' weighted points, r [m] >= 0 and psi [rad].
+
+    S. Pfister, S. Roumeliotis, J. Burdick: "Weighted line fitting algorithms for mobile robot map building and
+    efficient data representation", ICRA 2003: psi from the scatter about the weighted mean, in closed form.
+    """
+    m = segments.moments
+    for i in range(segments.walls):
+        mx, my = m[i, 1] / m[i, 0], m[i, 2] / m[i, 0]
+        a, b, c = m[i, 3] - m[i, 1] * mx, m[i, 4] - m[i, 1] * my, m[i, 5] - m[i, 2] * my
+        angle = 0.5 * atan2(-2.0 * b, c - a)
+        offset = mx * cos(angle) + my * sin(angle)
+        segments.r[i], segments.psi[i] = abs(offset), angle + pi if offset < 0.0 else angle
+
+
+def corner_limits(returns: Returns, limits: Limits, segments: Segments) -> None:
+    """Write the feet [m] along each wall's tangent between which its returns are its own.
+
+    Near a corner the noise decides which wall a beam is counted to, so those beams are biased, and at the end of a
+    wall they turn it most. A corner is where the next wall begins within a few beams and `max_gap` [m]; behind the
+    last wall of a closed ring comes the first.
+    """
+    walls, r, psi = segments.walls, segments.r, segments.psi
+    for i in range(walls):
+        segments.low[i], segments.high[i] = -FAR_M, FAR_M
+    for i in range(walls if returns.closed else walls - 1):
+        j = i + 1 if i + 1 < walls else 0
+        tail, head = tail_of(segments, i), head_of(segments, j)
+        apart = head - tail if head >= tail else head - tail + returns.count
+        sine = sin(psi[j] - psi[i])
+        if apart > MAX_CORNER_BEAMS or abs(sine) <= MIN_CORNER_SINE:
+            continue
+        if distance(returns, tail, head) > limits.max_gap:
+            continue
+        cosine = cos(psi[j] - psi[i])
+        across = limits.sigma_angle * returns.ranges[tail]
+        sigma = sqrt(across * across + limits.sigma_range * limits.sigma_range)
+        margin = limits.corner_sigmas * sigma / abs(sine)
+        limit_end(returns, segments, i, (r[j] - r[i] * cosine) / sine, margin)
+        limit_begin(returns, segments, j, (r[j] * cosine - r[i]) / sine, margin)
+
+
+def limit_end(returns: Returns, segments: Segments, wall: int, corner: float, margin: float) -> None:
+    """Leave out the end of a wall near a corner at the foot `corner` [m], but not too much of it."""
+    begin = along(returns, head_of(segments, wall), segments.psi[wall])
+    end = along(returns, tail_of(segments, wall), segments.psi[wall])
+    share = MAX_CORNER_SHARE * abs(end - begin)
+    if end >= begin:
+        segments.high[wall] = max(corner - margin, end - share)
+    else:
+        segments.low[wall] = -max(-corner - margin, -end - share)
+
+
+def limit_begin(returns: Returns, segments: Segments, wall: int, corner: float, margin: float) -> None:
+    """Leave out the beginning of a wall near a corner at the foot `corner` [m], but not too much of it."""
+    begin = along(returns, head_of(segments, wall), segments.psi[wall])
+    end = along(returns, tail_of(segments, wall), segments.psi[wall])
+    share = MAX_CORNER_SHARE * abs(end - begin)
+    if end >= begin:
+        segments.low[wall] = min(corner + margin, begin + share)
+    else:
+        segments.high[wall] = -min(-corner + margin, -begin + share)
+
+
+def along(returns: Returns, i: int, psi: float) -> float:
+    """Return where a return lies along the tangent of a line at psi [m]."""
+    return -sin(psi) * returns.x[i] + cos(psi) * returns.y[i]

@@ -1,0 +1,688 @@
+"""A scan against the line map: candidate pairs, association, verdicts, rows of the equation, what the map learns.
+
+The robot at p = (x, y), theta should see the map line (rho, beta) about the anchor a as (r, psi): psi = beta -
+theta, r = rho - n.(p - a), n = (cos beta, sin beta) (paper eq. 17, 18); or as (-r, psi + pi), whichever is nearer.
+Derivatives (eq. 13) are
+
+    by the pose [[-cos beta, -sin beta, 0], [0, 0, -1]], by the line [[1, u], [0, 1]], u = dr/dbeta,
+    by the laser's mount (x_m, y_m, yaw) [[-cos psi, -sin psi, x_m sin psi - y_m cos psi], [0, 0, -1]],
+
+the last at the measured psi, in which it is exact: at the predicted one the wheels' error in heading would enter,
+which goes with their error in distance. Pose, line and mount are correlated where they are states.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+try:
+    import cython
+except ImportError:  # Cython is only needed to compile
+    from . import uncompiled as cython
+if not cython.compiled:
+    from math import log, pi
+
+    from .angles import wrapped
+    from .ekf import State
+    from .places import into_base, moved, shares_into_base
+    from .uncompiled import cos, sin, sqrt
+
+if not cython.compiled:  # compiled, these are constants of the .pxd
+    # columns of a measured line: r, psi, R as 00, 01, 11, and both ends along the tangent
+    R_LINE, PSI_LINE, R00_LINE, R01_LINE, R11_LINE, BEGIN_LINE, END_LINE = range(7)
+    # columns of a map line: rho, beta, anchor, its covariance, its covariances with x, y, theta of the pose;
+    # behind them those of rho, then of beta, with the mount's free states
+    RHO, BETA, ANCHOR_X, ANCHOR_Y, P_RR, P_RB, P_BB, X_RHO, X_BETA, Y_RHO, Y_BETA, T_RHO, T_BETA, WALL = range(14)
+    # columns of a pair: measured line, map line, innovation of r and psi, R, S, squared distance, score (that and
+    # the logarithm of det S), the measured ends along the map line, their overlap, cos and sin of beta, u, and the
+    # measured psi as it is predicted: not wrapped
+    LINE_OF, WALL_OF, OFFSET, TURN, R00, R01, R11, S00, S01, S11 = range(10)
+    D2, SCORE, BEGIN, END, OVERLAP, COS, SIN, LEVER, PSI, PAIR = range(10, 20)
+PAIR_COLUMNS, WALL_COLUMNS = 20, 13  # of a pair, and of a map line without a mount
+
+MAX_PAIR_ANGLE_RAD = 25.0 * (pi / 180.0)  # pairs further apart are not looked at
+MAX_PAIR_OFFSET_M = 1.0
+PAIR_SIGMAS = 6.0  # of the pose, added to both
+FACE_SIGMAS = 3.0  # by which the robot may stand behind the face that it sees
+MAX_ANGLE_RAD = 1e9  # beyond it no angle is one
+NOWHERE_M = 1e300
+RIVAL_SCORE = 6.0  # a second candidate within this of the best score (chi-square, 2 dof: 95 %) is a rival
+NEAR_D2 = 60.0  # squared distance up to which a near line forbids calling a segment new
+MIN_OVERLAP_SHARE, MAX_LENGTH_M = 0.3, 0.5  # share of a segment's length, of so many m at most, that overlaps
+COMMON_M = 0.05  # of one map line that two measured lines may both claim
+# a scan in which only one line matches says little about whether the match is right: it must fit nearly perfectly
+LONE_D2, LONE_TURN_RAD, LONE_OFFSET_M = 5.0, 3.0 * (pi / 180.0), 0.15
+
+
+class Walls:
+    """The line map as columns (J,), shared with fusion.linemap.LineMap."""
+
+    columns: Any
+    anchors: Any
+    low: Any
+    high: Any
+    fixed: Any
+    hits: Any
+    seen: Any
+    born: Any
+    ids: Any
+
+    def __init__(self, columns: Any, anchors: Any, low: Any, high: Any, fixed: Any, states: bool) -> None:
+        """State columns, anchors (J, 2), ends along the tangent; `fixed` (J, WALL) where they are no states."""
+        self.columns, self.anchors = memoryview(columns), memoryview(anchors)
+        self.low, self.high, self.fixed = memoryview(low), memoryview(high), memoryview(fixed)
+        self.states, self.places = states, len(columns)
+
+    def count(self, hits: Any, seen: Any, born: Any, ids: Any) -> None:
+        """Take in how often and when last each was seen, in which scan it was born, and its id."""
+        self.hits, self.seen, self.born, self.ids = (
+            memoryview(hits),
+            memoryview(seen),
+            memoryview(born),
+            memoryview(ids),
+        )
+
+
+class Seat:
+    """The laser's mount as it is configured; which of x, y, yaw are states, and their columns."""
+
+    configured: Any
+    which: Any
+    columns: Any
+
+    def __init__(self, configured: Any, which: Any, columns: Any) -> None:
+        """Configured (3,) m, m, rad; which and columns (f,)."""
+        self.configured, self.which, self.columns = memoryview(configured), memoryview(which), memoryview(columns)
+        self.free = len(which)
+
+
+class Rules:
+    """How a tracker associates: its gate, whether its lines are states and its map grows, and its verdicts."""
+
+    def __init__(self, gate: float, states: bool, grows: bool, unmatched: int, ambiguous: int, new: int) -> None:
+        self.gate, self.states, self.grows = gate, states, grows
+        self.unmatched, self.ambiguous, self.new = unmatched, ambiguous, new
+
+
+class Doubles:
+    """When a map is tidied: how often and how long after birth a line must be seen, and what may be one wall."""
+
+    def __init__(self, hits: int, trial: int, turn: float, offset: float, apart: float) -> None:
+        """Scans; rad, m, m."""
+        self.hits, self.trial, self.turn, self.offset, self.apart = hits, trial, turn, offset, apart
+
+
+class Audit:
+    """Columns (rows,) of what became of every measurement (fusion.audit)."""
+
+    instant: Any
+    row: Any
+    verdict: Any
+    landmark: Any
+    nis: Any
+    threshold: Any
+    y: Any
+    sigma: Any
+
+    def __init__(self, instant: Any, row: Any, verdict: Any, landmark: Any) -> None:
+        self.instant, self.row = memoryview(instant), memoryview(row)
+        self.verdict, self.landmark = memoryview(verdict), memoryview(landmark)
+
+    def judged(self, nis: Any, threshold: Any, y: Any, sigma: Any) -> None:
+        """Y and sigma (rows, d)."""
+        self.nis, self.threshold, self.y, self.sigma = (
+            memoryview(nis),
+            memoryview(threshold),
+            memoryview(y),
+            memoryview(sigma),
+        )
+
+
+class Sight:
+    """The lines of one scan, associated with the map; fusion.linemap.association owns the arrays."""
+
+    rows: Any
+    match: Any
+    best: Any
+    rival: Any
+    near: Any
+    order: Any
+    pairs: Any
+    wall_rows: Any
+    seen: Any
+    mount: Any
+    place: Any
+    offset: Any
+    shared: Any
+    G: Any
+    at: Any
+    missing: Any
+
+    def __init__(self, rules: Rules, seat: Seat) -> None:
+        self.rules, self.seat = rules, seat
+        self.lines = self.accepted = self.numbers = self.found = 0
+        self.first = self.parts = 0
+
+    # ---- room ----
+
+    def hold_lines(self, rows: Any, match: Any, best: Any, rival: Any, near: Any, order: Any) -> None:
+        """Have room for n lines: rows (n, 7), the others (n,)."""
+        self.rows, self.match, self.best = memoryview(rows), memoryview(match), memoryview(best)
+        self.rival, self.near, self.order = memoryview(rival), memoryview(near), memoryview(order)
+
+    def hold_pairs(self, pairs: Any, walls: Any, seen: Any, mount: Any, place: Any, offset: Any) -> None:
+        """Have room: pairs (n J, PAIR), walls (J, WALL + 2 f), seen (J, 4), mount (6, 3), place, offset (3,)."""
+        self.pairs, self.wall_rows, self.seen = memoryview(pairs), memoryview(walls), memoryview(seen)
+        self.mount, self.place, self.offset = memoryview(mount), memoryview(place), memoryview(offset)
+
+    def hold_shares(self, shared: Any, G: Any) -> None:
+        """Have room for unit errors that lines share: shared (n, 2, parts), G (2 n, parts)."""
+        self.shared, self.G = memoryview(shared), memoryview(G)
+
+    def hold_states(self, at: Any, missing: Any) -> None:
+        """Have room for the states of matched lines: at and missing (2 n,)."""
+        self.at, self.missing = memoryview(at), memoryview(missing)
+
+    # ---- a scan ----
+
+    def look(self, state: State, walls: Walls, rows: Any, shared: Any) -> float:
+        """Associate measured lines (n, 7), in the base by the mount as configured, with the map.
+
+        shared (n, 2, parts) are unit errors that they share. Returns the share of their length that matches.
+        """
+        self.walls, self.lines = walls, rows.shape[0]
+        self.put_in_base(state, rows, shared)
+        self.gather(state)
+        self.found = self.find_pairs(state)
+        self.associate()
+        return self.share()
+
+    def put_in_base(self, state: State, rows: Any, shared: Any) -> None:
+        """Put the lines, and what they share, into the base by the mount as the state has it."""
+        seat, n = self.seat, self.lines
+        for j in range(3):
+            self.place[j] = seat.configured[j]
+        for j in range(seat.free):
+            self.place[seat.which[j]] = state.mean[seat.columns[j]]
+        moved(self.place, seat.configured, self.offset)
+        self.parts = shared.shape[2]
+        if seat.free > 0:
+            x, y, yaw = self.offset[0], self.offset[1], self.offset[2]
+            into_base(rows, n, x, y, yaw, self.rows)
+            shares_into_base(rows, n, x, y, yaw, shared, 0, self.shared)
+            return
+        for i in range(n):
+            for j in range(7):
+                self.rows[i, j] = rows[i, j]
+            for j in range(2):
+                for k in range(self.parts):
+                    self.shared[i, j, k] = shared[i, j, k]
+
+    def gather(self, state: State) -> None:
+        """Write the map lines with their covariances, and the mount's."""
+        walls, seat = self.walls, self.seat
+        free = seat.free
+        for a in range(free):
+            for i in range(3):
+                self.mount[i, a] = state.P[i, seat.columns[a]]
+            for b in range(free):
+                self.mount[3 + a, b] = state.P[seat.columns[a], seat.columns[b]]
+        for j in range(walls.places):
+            if not walls.states:
+                for i in range(WALL):
+                    self.wall_rows[j, i] = walls.fixed[j, i]
+                for i in range(2 * free):
+                    self.wall_rows[j, WALL + i] = 0.0
+                continue
+            rho = walls.columns[j]
+            beta = rho + 1
+            self.wall_rows[j, RHO], self.wall_rows[j, BETA] = state.mean[rho], state.mean[beta]
+            self.wall_rows[j, ANCHOR_X], self.wall_rows[j, ANCHOR_Y] = walls.anchors[j, 0], walls.anchors[j, 1]
+            self.wall_rows[j, P_RR], self.wall_rows[j, P_RB], self.wall_rows[j, P_BB] = (
+                state.P[rho, rho],
+                state.P[rho, beta],
+                state.P[beta, beta],
+            )
+            for i in range(3):
+                self.wall_rows[j, X_RHO + 2 * i], self.wall_rows[j, X_BETA + 2 * i] = (
+                    state.P[i, rho],
+                    state.P[i, beta],
+                )
+            for a in range(free):
+                self.wall_rows[j, WALL + a], self.wall_rows[j, WALL + free + a] = (
+                    state.P[rho, seat.columns[a]],
+                    state.P[beta, seat.columns[a]],
+                )
+
+    def predict(self, x: float, y: float, theta: float) -> None:
+        """Eq. 17, 18: write what the robot should see of the map lines: r, psi, cos and sin of beta, (J, 4)."""
+        for j in range(self.walls.places):
+            psi = self.wall_rows[j, BETA] - theta
+            if abs(psi) < MAX_ANGLE_RAD:
+                c, s = cos(self.wall_rows[j, BETA]), sin(self.wall_rows[j, BETA])
+                self.seen[j, 0] = (
+                    self.wall_rows[j, RHO]
+                    - (x - self.wall_rows[j, ANCHOR_X]) * c
+                    - (y - self.wall_rows[j, ANCHOR_Y]) * s
+                )
+                self.seen[j, 1], self.seen[j, 2], self.seen[j, 3] = psi, c, s
+            else:
+                self.seen[j, 0] = NOWHERE_M
+
+    def find_pairs(self, state: State) -> int:
+        """Write the pairs on the right face that are near enough; return how many there are."""
+        limit = max(self.rules.gate, NEAR_D2)
+        max_turn = MAX_PAIR_ANGLE_RAD + PAIR_SIGMAS * sqrt(max(state.P[2, 2], 0.0))
+        max_offset = MAX_PAIR_OFFSET_M + PAIR_SIGMAS * sqrt(max(state.P[0, 0] + state.P[1, 1], 0.0))
+        self.predict(state.mean[0], state.mean[1], state.mean[2])
+        p = 0
+        for i in range(self.lines):
+            r, psi = self.rows[i, R_LINE], self.rows[i, PSI_LINE]
+            for j in range(self.walls.places if abs(psi) < MAX_ANGLE_RAD else 0):
+                distance = self.seen[j, 0]
+                if not (-max_offset < r - distance < max_offset or -max_offset < r + distance < max_offset):
+                    continue
+                turn, side = wrapped(psi - self.seen[j, 1]), 1.0
+                if abs(turn) > 0.5 * pi:
+                    turn, side = turn - pi if turn > 0.0 else turn + pi, -1.0
+                offset = side * r - distance
+                if abs(turn) < max_turn and abs(offset) < max_offset:
+                    self.pairs[p, LINE_OF], self.pairs[p, WALL_OF], self.pairs[p, OFFSET], self.pairs[p, TURN] = (
+                        i,
+                        j,
+                        offset,
+                        turn,
+                    )
+                    self.spread(state, p, i, j, side)
+                    if self.fits(p, distance, limit):
+                        self.extent(p, i, j, side, state.mean[0], state.mean[1])
+                        p += 1
+        return p
+
+    def spread(self, state: State, p: int, i: int, j: int, side: float) -> None:
+        """Write R and S = H P H' + R of a pair, cos, sin, u, and the measured psi as it is predicted."""
+        c, s = self.seen[j, 2], self.seen[j, 3]
+        u = (state.mean[0] - self.wall_rows[j, ANCHOR_X]) * s - (state.mean[1] - self.wall_rows[j, ANCHOR_Y]) * c
+        r00, r01, r11 = self.rows[i, R00_LINE], side * self.rows[i, R01_LINE], self.rows[i, R11_LINE]
+        m01, m11 = self.wall_rows[j, P_RB], self.wall_rows[j, P_BB]
+        edge = m01 + u * m11
+        l00 = self.wall_rows[j, P_RR] + u * (m01 + edge)
+        by_rho, by_beta = (
+            -c * self.wall_rows[j, X_RHO] - s * self.wall_rows[j, Y_RHO],
+            -c * self.wall_rows[j, X_BETA] - s * self.wall_rows[j, Y_BETA],
+        )
+        turn_rho, turn_beta = -self.wall_rows[j, T_RHO], -self.wall_rows[j, T_BETA]
+        s00 = (
+            c * c * state.P[0, 0]
+            + 2.0 * c * s * state.P[0, 1]
+            + s * s * state.P[1, 1]
+            + l00
+            + 2.0 * (by_rho + u * by_beta)
+        )
+        s01 = c * state.P[0, 2] + s * state.P[1, 2] + edge + by_beta + turn_rho + u * turn_beta
+        s11 = state.P[2, 2] + m11 + 2.0 * turn_beta
+        self.pairs[p, R00], self.pairs[p, R01], self.pairs[p, R11] = r00, r01, r11
+        if not self.walls.states:
+            self.pairs[p, R00], self.pairs[p, R01], self.pairs[p, R11] = r00 + l00, r01 + edge, r11 + m11
+        self.pairs[p, S00], self.pairs[p, S01], self.pairs[p, S11] = s00 + r00, s01 + r01, s11 + r11
+        self.pairs[p, COS], self.pairs[p, SIN], self.pairs[p, LEVER] = c, s, u
+        self.pairs[p, PSI] = self.seen[j, 1] + self.pairs[p, TURN]
+        if self.seat.free > 0:
+            self.spread_mount(p, j)
+
+    def spread_mount(self, p: int, j: int) -> None:
+        """Add to S what an uncertain mount brings."""
+        free = self.seat.free
+        c, s, u = self.pairs[p, COS], self.pairs[p, SIN], self.pairs[p, LEVER]
+        c_psi, s_psi = cos(self.pairs[p, PSI]), sin(self.pairs[p, PSI])
+        for a in range(free):
+            r, turn = self.lever(a, c_psi, s_psi), -1.0 if self.seat.which[a] == 2 else 0.0
+            shared_r = (
+                -c * self.mount[0, a]
+                - s * self.mount[1, a]
+                + self.wall_rows[j, WALL + a]
+                + u * self.wall_rows[j, WALL + free + a]
+            )
+            shared_turn = -self.mount[2, a] + self.wall_rows[j, WALL + free + a]
+            self.pairs[p, S00] += 2.0 * shared_r * r
+            self.pairs[p, S01] += shared_r * turn + shared_turn * r
+            self.pairs[p, S11] += 2.0 * shared_turn * turn
+            for b in range(free):
+                variance = self.mount[3 + a, b]
+                self.pairs[p, S00] += r * variance * self.lever(b, c_psi, s_psi)
+                if self.seat.which[b] == 2:
+                    self.pairs[p, S01] -= r * variance
+                    self.pairs[p, S11] -= turn * variance
+
+    def lever(self, a: int, c: float, s: float) -> float:
+        """Return by how much the r of a line depends on free state `a` of the mount; c, s of the line's psi."""
+        if self.seat.which[a] == 2:
+            return self.place[0] * s - self.place[1] * c
+        return -c if self.seat.which[a] == 0 else -s
+
+    def fits(self, p: int, distance: float, limit: float) -> bool:
+        """Write squared distance and score of a pair; tell whether the right face is seen, near enough."""
+        offset, turn, s00, s01, s11 = (
+            self.pairs[p, OFFSET],
+            self.pairs[p, TURN],
+            self.pairs[p, S00],
+            self.pairs[p, S01],
+            self.pairs[p, S11],
+        )
+        det = s00 * s11 - s01 * s01
+        if not (det > 0.0 and s00 > 0.0):  # no float holds it
+            return False
+        d2 = (s11 * offset * offset - 2.0 * s01 * offset * turn + s00 * turn * turn) / det
+        self.pairs[p, D2], self.pairs[p, SCORE] = d2, d2 + log(det)
+        return d2 <= limit and distance > -FACE_SIGMAS * sqrt(s00)
+
+    def extent(self, p: int, i: int, j: int, side: float, x: float, y: float) -> None:
+        """Write where the measured segment lies along the map line [m], and by how much both overlap."""
+        begin, end = self.rows[i, BEGIN_LINE], self.rows[i, END_LINE]
+        along = (y - self.wall_rows[j, ANCHOR_Y]) * self.pairs[p, COS] - (
+            x - self.wall_rows[j, ANCHOR_X]
+        ) * self.pairs[p, SIN]
+        self.pairs[p, BEGIN], self.pairs[p, END] = along + begin, along + end
+        if side < 0.0:
+            self.pairs[p, BEGIN], self.pairs[p, END] = along - end, along - begin
+        self.pairs[p, OVERLAP] = min(self.pairs[p, END], self.walls.high[j]) - max(
+            self.pairs[p, BEGIN], self.walls.low[j]
+        )
+
+    # ---- association ----
+
+    def associate(self) -> None:
+        """Write for every line the pair that matches and the best one, -1 for none; has it a rival, is it near?
+
+        A pair matches within the gate where it overlaps enough; another such pair that is worse by less than
+        RIVAL_SCORE makes it ambiguous. A line is near a map line that it overlaps within NEAR_D2.
+        """
+        for i in range(self.lines):
+            self.match[i], self.best[i], self.rival[i], self.near[i] = -1, -1, 0, 0
+        for p in range(self.found):
+            self.try_pair(p, int(self.pairs[p, LINE_OF]))
+        for p in range(self.found):
+            i = int(self.pairs[p, LINE_OF])
+            near = (
+                self.match[i] >= 0
+                and self.match[i] != p
+                and self.pairs[p, SCORE] - self.pairs[self.match[i], SCORE] < RIVAL_SCORE
+            )
+            if near and self.fits_well(p, i):
+                self.rival[i] = 1
+        self.claim()
+        for i in range(self.lines):
+            if self.rival[i] > 0:
+                self.match[i] = -1
+
+    def try_pair(self, p: int, i: int) -> None:
+        """Let pair p be the match of line i, or else its best pair, if it is better than what was found."""
+        if self.pairs[p, OVERLAP] > 0.0 and self.pairs[p, D2] <= NEAR_D2:
+            self.near[i] = 1
+        if self.fits_well(p, i):
+            if self.match[i] < 0 or self.pairs[p, SCORE] < self.pairs[self.match[i], SCORE]:
+                self.match[i] = p
+        elif self.best[i] < 0 or self.pairs[p, SCORE] < self.pairs[self.best[i], SCORE]:
+            self.best[i] = p
+
+    def claim(self) -> None:
+        """Let the pair that matches be the best one, and each stretch of a map line be matched once.
+
+        By their scores, lines claim the stretch of the map line that they match; who comes second is ambiguous.
+        """
+        claims = 0
+        for i in range(self.lines):
+            if self.match[i] < 0:
+                continue
+            self.best[i] = self.match[i]
+            k = claims
+            while k > 0 and self.pairs[self.match[self.order[k - 1]], SCORE] > self.pairs[self.match[i], SCORE]:
+                self.order[k] = self.order[k - 1]
+                k -= 1
+            self.order[k] = i
+            claims += 1
+        kept = 0
+        for k in range(claims):
+            i, j = self.order[k], 0
+            while j < kept and not self.overlap(self.match[i], self.match[self.order[j]]):
+                j += 1
+            if j < kept:
+                self.rival[i] = 1
+            else:
+                self.order[kept] = i
+                kept += 1
+
+    def overlap(self, p: int, q: int) -> bool:
+        """Tell whether two pairs claim the same stretch of one map line."""
+        common = min(self.pairs[p, END], self.pairs[q, END]) - max(self.pairs[p, BEGIN], self.pairs[q, BEGIN])
+        return self.pairs[p, WALL_OF] == self.pairs[q, WALL_OF] and common > COMMON_M
+
+    def fits_well(self, p: int, i: int) -> bool:
+        """Tell whether a pair of measured line i may match: by its distance, and by how much both overlap."""
+        length = min(self.rows[i, END_LINE] - self.rows[i, BEGIN_LINE], MAX_LENGTH_M)
+        return self.pairs[p, D2] <= self.rules.gate and self.pairs[p, OVERLAP] > MIN_OVERLAP_SHARE * length
+
+    def share(self) -> float:
+        """Return the share of the measured length that is matched; 1 where there is no length."""
+        total = matched = 0.0
+        for i in range(self.lines):
+            length = self.rows[i, END_LINE] - self.rows[i, BEGIN_LINE]
+            total += length
+            if self.match[i] >= 0:
+                matched += length
+        return matched / total if total > 0.0 else 1.0
+
+    def matches(self) -> int:
+        """Return how many lines match."""
+        n = 0
+        for i in range(self.lines):
+            if self.match[i] >= 0:
+                n += 1
+        return n
+
+    def refuse_alone(self) -> None:
+        """Let a scan's only match be none where others failed to match and it does not fit nearly perfectly."""
+        alone = -1
+        for i in range(self.lines):
+            if self.match[i] >= 0:
+                if alone >= 0:
+                    return
+                alone = i
+        if alone < 0 or self.lines < 2:
+            return
+        p = self.match[alone]
+        if (
+            self.pairs[p, D2] > LONE_D2
+            or abs(self.pairs[p, TURN]) > LONE_TURN_RAD
+            or abs(self.pairs[p, OFFSET]) > LONE_OFFSET_M
+        ):
+            self.match[alone] = -1
+
+    def is_matched(self, i: int) -> bool:
+        """Tell whether line i matches a map line."""
+        return self.match[i] >= 0
+
+    def is_new(self, i: int) -> bool:
+        """Tell whether line i matches nothing and is near nothing that is known."""
+        return self.match[i] < 0 and not self.near[i]
+
+    # ---- what it says ----
+
+    def state_rows(self, state: State) -> int:
+        """Write the rows of all lines that match into the state's table (eq. 13); return how many lines match."""
+        self.first = state.written
+        self.accepted = self.matches()
+        self.numbers = 2 * self.accepted
+        if self.first + self.numbers + 1 > state.row_y.shape[0]:
+            state.more_rows(self.first + self.numbers + 1)
+        for i in range(self.lines):
+            if self.match[i] >= 0:
+                self.state_line(state, i, self.match[i])
+        return self.accepted
+
+    def state_line(self, state: State, i: int, p: int) -> None:
+        """Write the two rows of line i by its pair."""
+        seat, a = self.seat, state.written
+        b = a + 1
+        state.row_y[a], state.row_y[b] = self.pairs[p, OFFSET], self.pairs[p, TURN]
+        w = state.put(a, state.put(a, 0, 0, -self.pairs[p, COS]), 1, -self.pairs[p, SIN])
+        v = state.put(b, 0, 2, -1.0)
+        if seat.free > 0:
+            c_psi, s_psi = cos(self.pairs[p, PSI]), sin(self.pairs[p, PSI])
+            for j in range(seat.free):
+                w = state.put(a, w, seat.columns[j], self.lever(j, c_psi, s_psi))
+                if seat.which[j] == 2:
+                    v = state.put(b, v, seat.columns[j], -1.0)
+        if self.rules.states:
+            j = int(self.pairs[p, WALL_OF])
+            rho = self.walls.columns[j]
+            w = state.put(a, state.put(a, w, rho, 1.0), rho + 1, self.pairs[p, LEVER])
+            v = state.put(b, v, rho + 1, 1.0)
+        state.row_count[a], state.row_count[b] = w, v
+        for j in range(a):
+            state.row_R[a, j] = state.row_R[b, j] = 0.0
+        state.row_R[a, a], state.row_R[b, a], state.row_R[b, b] = (
+            self.pairs[p, R00],
+            self.pairs[p, R01],
+            self.pairs[p, R11],
+        )
+        if self.parts > 0 and self.rules.states:
+            self.share_noise(state, i, p, a - self.first)
+        state.written = b + 1
+
+    def share_noise(self, state: State, i: int, p: int, a: int) -> None:
+        """Add to R between line i, the rows a and a + 1 of this scan, and those before what their errors share.
+
+        A line that is read as (-r, psi + pi) shares the r of the other sign.
+        """
+        first = self.first
+        side = 1.0 if cos(self.pairs[p, PSI] - self.rows[i, PSI_LINE]) > 0.0 else -1.0
+        for k in range(self.parts):
+            self.G[a, k], self.G[a + 1, k] = side * self.shared[i, 0, k], self.shared[i, 1, k]
+        for m in range(a, a + 2):
+            for j in range(a):
+                for k in range(self.parts):
+                    state.row_R[first + m, first + j] += self.G[m, k] * self.G[j, k]
+
+    def write(self, out: Audit, at: int, instant: int, row: int) -> None:
+        """Write what became of every line, the first of which is `row` of the measurements, from `at` on."""
+        rules, nan = self.rules, float("nan")
+        for i in range(self.lines):
+            k, p = at + i, self.best[i]
+            out.instant[k], out.row[k], out.threshold[k] = instant, row + i, rules.gate
+            if p < 0 or self.is_new(i):
+                out.verdict[k], out.landmark[k] = rules.unmatched if self.near[i] else rules.new, -1
+                out.nis[k] = out.y[k, 0] = out.y[k, 1] = out.sigma[k, 0] = out.sigma[k, 1] = nan
+                continue
+            j = int(self.pairs[p, WALL_OF])
+            out.verdict[k], out.landmark[k] = 0, self.walls.ids[j]
+            if self.match[i] < 0:
+                out.verdict[k] = rules.ambiguous if self.rival[i] else rules.unmatched
+            out.nis[k], out.y[k, 0], out.y[k, 1] = self.pairs[p, D2], self.pairs[p, OFFSET], self.pairs[p, TURN]
+            out.sigma[k, 0], out.sigma[k, 1] = sqrt(self.pairs[p, S00]), sqrt(self.pairs[p, S11])
+
+    # ---- what the map learns ----
+
+    def extend(self, scan: int) -> None:
+        """Let matched map lines reach as far as the measured ones, and count them as seen in this scan."""
+        walls = self.walls
+        for i in range(self.lines):
+            p = self.match[i]
+            if p >= 0:
+                j = int(self.pairs[p, WALL_OF])
+                walls.low[j], walls.high[j] = (
+                    min(walls.low[j], self.pairs[p, BEGIN]),
+                    max(walls.high[j], self.pairs[p, END]),
+                )
+                walls.hits[j] += 1
+                walls.seen[j] = scan
+
+    def new_lines(self) -> int:
+        """Return how many lines the map lacks."""
+        n = 0
+        for i in range(self.lines):
+            if self.is_new(i):
+                n += 1
+        return n
+
+    def bends(self, state: State, uneven: Any, most: Any) -> int:
+        """Write by what variance the states of the lines that were seen bend, `most` (2,) of each, and which.
+
+        A wall stays within its unevenness (2,) [m^2, rad^2], so a line that is known no better is left alone.
+        Returns how many states there are.
+        """
+        found = 0
+        for i in range(self.lines):
+            if self.match[i] < 0:
+                continue
+            j = int(self.pairs[self.match[i], WALL_OF])
+            rho, known = self.walls.columns[j], 0
+            while known < found and self.at[known] != rho:
+                known += 2
+            if known < found:
+                continue
+            self.at[found], self.at[found + 1] = rho, rho + 1
+            self.missing[found] = min(max(uneven[0] - state.P[rho, rho], 0.0), most[0])
+            self.missing[found + 1] = min(max(uneven[1] - state.P[rho + 1, rho + 1], 0.0), most[1])
+            found += 2
+        return found
+
+
+def lacks(state: State, walls: Walls, floor: Any, at: Any, missing: Any) -> int:
+    """Write which states of the map vary by less than the floor (2,) [m^2, rad^2], and by how much; how many.
+
+    First all offsets, then all angles: at and missing (2 J,).
+    """
+    found = 0
+    for k in range(2):
+        for i in range(walls.places):
+            j = walls.columns[i] + k
+            if floor[k] - state.P[j, j] > 0.0:
+                at[found], missing[found] = j, floor[k] - state.P[j, j]
+                found += 1
+    return found
+
+
+def untidy(state: State, walls: Walls, doubles: Doubles, scan: int, rows: Any, found: Any) -> bool:
+    """Tell whether a line proved worthless by now, or one that was seen lately may be one wall with another.
+
+    rows (J, 4) and found (J,) are room to work in.
+    """
+    for j in range(walls.places):
+        rows[j, RHO], rows[j, BETA] = state.mean[walls.columns[j]], state.mean[walls.columns[j] + 1]
+        rows[j, ANCHOR_X], rows[j, ANCHOR_Y] = walls.anchors[j, 0], walls.anchors[j, 1]
+    for j in range(walls.places):
+        if worthless(walls, j, scan, doubles):
+            return True
+        if scan - walls.seen[j] <= doubles.trial and neighbours(rows, walls, j, doubles, found) > 0:
+            return True
+    return False
+
+
+def worthless(walls: Walls, j: int, scan: int, doubles: Doubles) -> bool:
+    """Tell whether line j was seen too rarely in the scans of its trial, which is over."""
+    return walls.hits[j] < doubles.hits and scan - walls.born[j] > doubles.trial and walls.born[j] > 0
+
+
+def one_wall(rows: Any, walls: Walls, i: int, j: int, doubles: Doubles) -> bool:
+    """Tell whether lines i and j of rows (J, 4 or more: rho, beta, anchor) may be one wall by where they lie."""
+    turn = rows[j, BETA] - rows[i, BETA]
+    if i == j or turn - turn != 0.0 or not abs(wrapped(turn)) < doubles.turn:  # Inf or NaN: there is no such line
+        return False
+    c, s = cos(rows[i, BETA]), sin(rows[i, BETA])
+    dx, dy = rows[i, ANCHOR_X] - rows[j, ANCHOR_X], rows[i, ANCHOR_Y] - rows[j, ANCHOR_Y]
+    if not abs(rows[j, RHO] - (rows[i, RHO] + dx * c + dy * s)) <= doubles.offset:
+        return False
+    along = dy * cos(rows[j, BETA]) - dx * sin(rows[j, BETA])
+    apart = max(walls.low[j], walls.low[i] + along) - min(walls.high[j], walls.high[i] + along)
+    return apart <= doubles.apart
+
+
+def neighbours(rows: Any, walls: Walls, i: int, doubles: Doubles, found: Any) -> int:
+    """Write which lines line i may be one wall with, found (J,); return how many these are."""
+    n = 0
+    for j in range(walls.places):
+        if one_wall(rows, walls, i, j, doubles):
+            found[n] = j
+            n += 1
+    return n

@@ -1,0 +1,82 @@
+"""What sensors say of their readings, as plain matrices and single innovations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.kernels.ekf import Innovation
+from locfuse.fusion.kernels.sight import Audit
+from locfuse.fusion.sensor import Reading
+
+
+class Said(NamedTuple):
+    """One innovation: y = H dx + noise of covariance R."""
+
+    columns: tuple[int, ...]  # states that it depends on, beside the pose, (c,)
+    H: Array  # (d, 3 + c)
+    R: Array  # (d, d)
+
+    def over(self, n: int) -> Array:
+        """H by the whole state, (d, n)."""
+        return over_states(np.array([0, 1, 2, *self.columns]), self.H, n)
+
+
+def over_states(columns: Ints, H: Array, n: int) -> Array:
+    """H (d, c) by the states `columns`, by the whole state (d, n)."""
+    out = np.zeros((len(H), n))
+    out[:, columns] = H
+    return out
+
+
+def said(seen: Innovation, belief: JointBelief) -> Said:
+    """What an innovation says, its H without states on which it does not depend."""
+    equation = belief.equation([seen])
+    return Said(tuple(equation.columns[3:].tolist()), equation.H, equation.R)
+
+
+class Written(NamedTuple):
+    """What became of n lines of a scan, as an audit has it."""
+
+    verdict: Ints  # (n,)
+    landmark: Ints
+    nis: Array
+    threshold: Array
+    y: Array  # (n, 2)
+    sigma: Array
+
+
+def written(found: Reading, row: int = 0) -> Written:
+    """What a reading of two numbers a row writes into an audit."""
+    n = found.lines
+    instant, rows, landmark = (np.full(n, -9, np.int32) for _ in range(3))
+    verdict, nis, threshold = np.full(n, -9, np.int8), np.zeros(n), np.zeros(n)
+    y, sigma = np.zeros((n, 2)), np.zeros((n, 2))
+    audit = Audit(instant, rows, verdict, landmark)
+    audit.judged(nis, threshold, y, sigma)
+    found.write(audit, 0, 5, row)
+    assert (instant == 5).all()
+    assert rows.tolist() == list(range(row, row + n))
+    return Written(verdict.astype(np.intp), landmark.astype(np.intp), nis, threshold, y, sigma)
+
+
+def one_by_one(seen: Sequence[Innovation] | Reading) -> list[Innovation]:
+    """What a sensor says of a reading, row by row; the rows of a scan that matches stand in the belief's table."""
+    if not isinstance(seen, Reading):
+        return list(seen)
+    rows, out, first = seen.rows_used(), [], seen.first
+    table = written(seen, seen.row)
+    for i in range(seen.lines):
+        row = seen.row + i
+        values = int(table.verdict[i]), int(table.landmark[i]), float(table.nis[i]), float(table.threshold[i])
+        one = Innovation(row, *values, tuple(table.y[i].tolist()), tuple(table.sigma[i].tolist()))
+        assert (row in rows) == (values[0] == 0)
+        if row in rows:
+            one.first, one.numbers = first, 2
+            first += 2
+        out.append(one)
+    return out

@@ -1,0 +1,401 @@
+"""The line fit is held to closed forms, to SciPy's least squares and to Monte Carlo."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from interpreted import interpreted
+from scipy.optimize import least_squares
+
+from locfuse.fusion.data import Array
+
+core, segments = interpreted("line_fits"), interpreted("segments")
+NOISE = {"30mm_0.25deg": (0.03, math.radians(0.25)), "5mm_0.1deg": (0.005, math.radians(0.1))}
+WALLS = {  # r [m], psi [rad], from where to where along the tangent [m]
+    "head_on": (2.0, 0.3, -1.0, 1.0),
+    "off_centre": (2.0, 0.3, 1.0, 4.0),
+    "far_off_centre": (1.5, -2.0, -5.0, -2.0),
+    "grazing": (0.6, 3.1, 1.5, 4.5),
+    "short": (2.0, -3.1, 0.2, 0.9),
+}
+RUNS = 500
+Wall = tuple[float, float, float, float]
+
+
+def directions(wall: Wall, beams: int) -> Array:
+    """Beam angles, evenly spaced, that a sensor at the origin sends to a wall."""
+    r, psi, lo, hi = wall
+    return psi + np.linspace(math.atan2(lo, r), math.atan2(hi, r), beams)
+
+
+def ranges(r: float, psi: float, angle: Array, ox: Array, oy: Array) -> Array:
+    """Distance from (ox, oy) along `angle` to the line: the ray equation, solved for the range."""
+    return np.asarray((r - ox * math.cos(psi) - oy * math.sin(psi)) / np.cos(angle - psi))
+
+
+def moving(beams: int, side: float) -> tuple[Array, Array]:
+    """Beam origins of a laser that drives 10 cm during one scan, on a curve to one side."""
+    t = np.linspace(-0.5, 0.5, beams)
+    return 0.1 * t, side * t * t
+
+
+class Rays(NamedTuple):
+    """Beams of all lines, one line after another: range, direction, origin."""
+
+    d: Array
+    c: Array
+    s: Array
+    ox: Array
+    oy: Array
+
+    def take(self, rows: slice | Array) -> Rays:
+        return Rays(*(column[rows] for column in self))
+
+
+class Fits(NamedTuple):
+    """A value per line."""
+
+    r: Array
+    psi: Array
+    R_unit: Array
+    misfit: Array
+    bend: Array
+    curvature: Array
+
+
+def fit(rays: Rays, lines: int, r: float, psi: float, ratio: float, steps: int = 2) -> Fits:
+    """As `fit_wall` does it: Gauss-Newton steps from (r, psi), the last of them with the covariance."""
+    n = len(rays.d) // lines
+    found = [one_line(rays.take(slice(n * i, n * i + n)), r, psi, ratio, steps) for i in range(lines)]
+    return Fits(*(np.array(column) for column in zip(*found, strict=True)))
+
+
+def one_line(
+    rays: Rays, r: float, psi: float, ratio: float, steps: int, used: list[int] | None = None
+) -> tuple[float, float, list[list[float]], float, float, float]:
+    rows = np.arange(len(rays.d)) if used is None else used
+    found = core.Fit(len(rows))
+    found.row, found.count, found.r, found.psi = rows, len(rows), r, psi
+    for _ in range(steps):
+        core.residuals(returns_of(rays), SimpleNamespace(ratio=ratio), found)
+        core.normal_equations(found)
+        core.parabola(found)
+        core.take_step(found)
+    det = core.determinant(found)
+    R_unit = [[found.sum_wqq / det, found.sum_wq / det], [found.sum_wq / det, found.sum_w / det]]
+    return found.r, found.psi, R_unit, core.misfit_of(found), core.bend(found), core.curvature(found)
+
+
+def returns_of(rays: Rays) -> Any:
+    """The rays as the kernel takes them."""
+    d, c, s, ox, oy = (column.tolist() for column in rays)
+    return SimpleNamespace(ranges=d, ux=c, uy=s, ox=ox, oy=oy)
+
+
+def fit_of(row: Any, e: Any, q: Any, w: Any) -> Any:
+    """Returns in the fit: their distances e [m] from the line, feet q [m] and weights w."""
+    found = core.Fit(len(row))
+    found.count = len(row)
+    found.row, found.error, found.foot, found.weight = list(row), list(e), list(q), list(w)
+    return found
+
+
+def wrapped(angle: Array) -> Array:
+    return np.asarray(np.arctan2(np.sin(angle), np.cos(angle)))
+
+
+def simulated(wall: Wall, noise: tuple[float, float], side: float | None) -> Rays:
+    """RUNS noisy views of one wall: every beam really leaves at a wrong angle, and its range is wrong too."""
+    rng = np.random.default_rng(1)
+    nominal = directions(wall, 60)
+    ox, oy = (np.zeros(60), np.zeros(60)) if side is None else moving(60, side)
+    size = (RUNS, 60)
+    real = nominal + rng.normal(0.0, noise[1], size)
+    d = ranges(wall[0], wall[1], real, ox, oy) + rng.normal(0.0, noise[0], size)
+    told = np.tile(nominal, RUNS)
+    return Rays(d.ravel(), np.cos(told), np.sin(told), np.tile(ox, RUNS), np.tile(oy, RUNS))
+
+
+@pytest.mark.parametrize("wall", WALLS.values(), ids=WALLS.keys())
+@pytest.mark.parametrize("side", [None, 0.4, -0.4])
+def test_a_wall_without_noise_is_found_exactly(wall: Wall, side: float | None) -> None:
+    angle = directions(wall, 25)
+    ox, oy = (np.zeros(25), np.zeros(25)) if side is None else moving(25, side)
+    d = ranges(wall[0], wall[1], angle, ox, oy)
+    found = fit(Rays(d, np.cos(angle), np.sin(angle), ox, oy), 1, wall[0] + 0.02, wall[1] - 0.01, 0.15, steps=6)
+    assert found.r[0] == pytest.approx(wall[0], abs=1e-12)
+    assert wrapped(found.psi - wall[1])[0] == pytest.approx(0.0, abs=1e-12)
+    assert found.misfit[0] == pytest.approx(0.0, abs=1e-20)
+
+
+@pytest.mark.parametrize("wall", WALLS.values(), ids=WALLS.keys())
+@pytest.mark.parametrize("noise", NOISE.values(), ids=NOISE.keys())
+@pytest.mark.parametrize("side", [None, 0.4])
+def test_the_covariance_is_honest(wall: Wall, noise: tuple[float, float], side: float | None) -> None:
+    """Normalised squared error of (r, psi): chi-square, 2 degrees; its mean within 95 % bounds of 2."""
+    found = fit(simulated(wall, noise, side), RUNS, wall[0], wall[1], noise[1] / noise[0])
+    error = np.stack((found.r - wall[0], wrapped(found.psi - wall[1])), axis=1)
+    inverse = np.linalg.inv(found.R_unit * noise[0] ** 2)
+    nees = np.einsum("ni,nij,nj->n", error, inverse, error)
+    assert nees.mean() == pytest.approx(2.0, abs=1.96 * 2.0 / math.sqrt(RUNS))
+    assert (nees > 13.8).mean() < 0.005  # 0.1 % expected
+
+
+@pytest.mark.parametrize("noise", NOISE.values(), ids=NOISE.keys())
+def test_dropping_the_correlation_would_be_dishonest_off_centre(noise: tuple[float, float]) -> None:
+    """The check above is able to fail: without its r-psi term the covariance is far too small."""
+    wall = WALLS["far_off_centre"]
+    found = fit(simulated(wall, noise, None), RUNS, wall[0], wall[1], noise[1] / noise[0])
+    inverse = np.linalg.inv(found.R_unit * noise[0] ** 2)
+    error = np.stack((found.r - wall[0], wrapped(found.psi - wall[1])), axis=1)
+    assert np.einsum("ni,ni,nii->n", error, error, inverse).mean() > 8.0
+
+
+@pytest.mark.parametrize("wall", WALLS.values(), ids=WALLS.keys())
+def test_residuals_have_the_size_their_sigmas_say(wall: Wall) -> None:
+    noise = NOISE["30mm_0.25deg"]
+    found = fit(simulated(wall, noise, None), RUNS, wall[0], wall[1], noise[1] / noise[0])
+    chi2 = found.misfit / noise[0] ** 2
+    assert chi2.mean() == pytest.approx(58.0, rel=0.02)
+    assert (found.bend / noise[0] ** 2).mean() == pytest.approx(1.0, abs=0.15)  # one degree of freedom
+
+
+@pytest.mark.parametrize("wall", WALLS.values(), ids=WALLS.keys())
+@pytest.mark.parametrize("side", [None, 0.4])
+def test_the_fit_equals_scipy_on_the_ranges(wall: Wall, side: float | None) -> None:
+    noise = NOISE["30mm_0.25deg"]
+    rays = simulated(wall, noise, side)
+    one = rays.take(slice(60))
+    angle, ox, oy = np.arctan2(one.s, one.c), one.ox, one.oy
+
+    def sigma(x: Array) -> Array:
+        p = ranges(x[0], x[1], angle, ox, oy)
+        return np.asarray(np.hypot(noise[0], noise[1] * p * np.tan(angle - x[1])))
+
+    x, s = np.array(wall[:2]), np.ones(60)
+    for _ in range(20):  # the weights belong to the solution: iterate until they do
+        s = sigma(x)
+        solved = least_squares(
+            lambda v, s=s: (one.d - ranges(v[0], v[1], angle, ox, oy)) / s, x, xtol=1e-15, ftol=1e-15, gtol=1e-15
+        )
+        x = solved.x
+    found = fit(one, 1, wall[0], wall[1], noise[1] / noise[0], steps=30)
+    assert [found.r[0], found.psi[0]] == pytest.approx(x.tolist(), abs=1e-8)
+    covariance = np.linalg.inv(solved.jac.T @ solved.jac)
+    np.testing.assert_allclose(found.R_unit[0] * noise[0] ** 2, covariance, rtol=1e-5)
+    assert found.misfit[0] / noise[0] ** 2 == pytest.approx(2.0 * solved.cost, rel=1e-6)
+    sigmas = np.sqrt(np.diag(covariance))
+    usual = fit(one, 1, wall[0], wall[1], noise[1] / noise[0])
+    assert np.abs([usual.r[0], usual.psi[0]] - x).tolist() <= (0.05 * sigmas).tolist()
+
+
+def test_beams_that_are_left_out_do_not_count() -> None:
+    noise, wall = NOISE["5mm_0.1deg"], WALLS["off_centre"]
+    rays = simulated(wall, noise, None).take(slice(60))
+    used = [i for i in range(60) if i not in {0, 5, 59}]
+    rays.d[[0, 5, 59]] += 1.0
+    left_out = one_line(rays, *wall[:2], noise[1] / noise[0], 1, used)
+    fewer = one_line(rays.take(np.array(used)), *wall[:2], noise[1] / noise[0], 1)
+    assert left_out == fewer
+
+
+def test_a_beam_along_the_wall_has_no_weight_and_all_beams_in_one_point_no_direction() -> None:
+    along = returns_of(Rays(*np.array([[1.0] * 3, [0.0] * 3, [1.0] * 3, [0.0] * 3, [0.0] * 3])))
+    found, laser = fit_of([0, 1, 2], [0.0] * 3, [0.0] * 3, [0.0] * 3), SimpleNamespace(ratio=0.1)
+    found.r, found.psi = 1.0, 0.0
+    core.residuals(along, laser, found)
+    assert max(found.weight) < 1e-290
+    core.keep_clear(found, -1e6, 1e6)
+    assert found.count == 0
+    assert abs(core.foot_of(along, 0, 1.0, 0.0)) > 1e100
+    found.count, found.row = 3, [0, 1, 2]
+    core.residuals(returns_of(Rays(*np.array([[1.0] * 3, [1.0] * 3, *[[0.0] * 3] * 3]))), laser, found)
+    core.normal_equations(found)
+    assert core.singular(found)
+
+
+def test_a_stray_leaves_unless_too_few_would_stay() -> None:
+    found = fit_of(range(4), [0.0, 0.2, 0.0, 0.0], [0.0] * 4, [1.0] * 4)
+    core.leave_strays(found, 0.01, 4)
+    assert found.count == 4
+    core.leave_strays(found, 0.01, 3)
+    assert found.row[: found.count] == [0, 2, 3]
+    # of weights 0.1, 10, 30 and 1: 0.004, 0.025, 0.012, 0.0081
+    found = fit_of(range(4), [0.2, 0.05, 0.02, 0.09], [0.0] * 4, [0.1, 10.0, 30.0, 1.0])
+    core.leave_strays(found, 0.01, 2)
+    assert found.row[: found.count] == [0, 3]
+
+
+def moments(points: Array, weights: Array) -> list[float]:
+    x, y = points.T
+    return [float((weights * p).sum()) for p in (1.0 + 0 * x, x, y, x * x, x * y, y * y)]
+
+
+@pytest.mark.parametrize("psi", [-math.pi, -2.0, -math.pi / 2, 0.0, 1e-9, 1.0, math.pi / 2, 3.0, math.pi])
+def test_total_least_squares_equals_the_principal_axis(psi: float) -> None:
+    rng = np.random.default_rng(1)
+    n, t = np.array([math.cos(psi), math.sin(psi)]), np.array([-math.sin(psi), math.cos(psi)])
+    points = 2.0 * n + rng.normal(0, 1, (40, 1)) * t + rng.normal(0, 0.05, (40, 1)) * n
+    weights = rng.uniform(0.5, 2.0, 40)
+    found = SimpleNamespace(walls=1, moments=np.array([moments(points, weights)]), r=[0.0], psi=[0.0])
+    segments.perpendicular_fit(found)
+    (r,), (angle,) = found.r, found.psi
+    mean = np.average(points, axis=0, weights=weights)
+    values, vectors = np.linalg.eigh((weights[:, None] * (points - mean)).T @ (points - mean))
+    normal = vectors[:, 0] * np.sign(vectors[:, 0] @ mean)
+    assert [math.cos(angle), math.sin(angle)] == pytest.approx(normal.tolist(), abs=1e-9)
+    assert r == pytest.approx(normal @ mean, abs=1e-9)
+    assert segments.misfit(*moments(points, weights)) == pytest.approx(values[0], abs=1e-9)
+
+
+def test_a_bow_shows_as_bend() -> None:
+    """An arc of radius 1.5 m: the parabola beside its chord has the coefficient 1 / (2 radius)."""
+    angle = np.linspace(-0.2, 0.2, 60)
+    d = 3.0 * np.cos(angle) - np.sqrt(1.5**2 - (3.0 * np.sin(angle)) ** 2)
+    found = fit(Rays(d, np.cos(angle), np.sin(angle), 0 * d, 0 * d), 1, d.min(), 0.0, 0.1)
+    assert abs(found.curvature[0]) == pytest.approx(1.0 / 3.0, rel=0.1)
+    assert found.bend[0] > 0.9 * found.misfit[0]
+
+
+@pytest.mark.parametrize(("apart", "one_point"), [(1e-9, True), (1e-3, False)])
+@pytest.mark.parametrize("weight", [1.0, 1e4, 1e-4])
+def test_beams_that_meet_a_line_in_one_point_give_no_direction(
+    apart: float, one_point: bool, weight: float
+) -> None:
+    """Whatever their weights: places 0.3 m along the line, so far apart."""
+    q = 0.3 + apart * np.linspace(-1.0, 1.0, 361)
+    w = np.full(361, weight)
+    found = core.Fit(0)
+    found.sum_w, found.sum_wq, found.sum_wqq = float(w.sum()), float(w @ q), float(w @ (q * q))
+    assert core.singular(found) is one_point
+
+
+# --- one step, against NumPy's least squares
+
+
+def random_fit(seed: int) -> tuple[Array, Array, Array, Any]:
+    """Distances e [m] at feet q [m] with weights w, and the fit of one step."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(4, 40))
+    e, q, w = rng.normal(0.0, 0.05, n), rng.uniform(-1.0, 3.0, n), rng.uniform(0.2, 1.0, n)
+    e += 0.04 * q * q
+    return e, q, w, summed(e, q, w)
+
+
+def summed(e: Array, q: Array, w: Array) -> Any:
+    """The fit with all its sums."""
+    found = fit_of(range(len(e)), e.tolist(), q.tolist(), w.tolist())
+    core.normal_equations(found)
+    core.parabola(found)
+    return found
+
+
+def solved(e: Array, w: Array, *columns: Array) -> tuple[Array, float]:
+    """Weighted least squares of e by columns: the coefficients, and what is left of the sum of squares."""
+    A = np.column_stack(columns)
+    x = np.linalg.lstsq(np.sqrt(w)[:, None] * A, np.sqrt(w) * e, rcond=None)[0]
+    return np.asarray(x, np.float64), float(w @ (e - A @ x) ** 2)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_step_and_what_it_leaves_are_those_of_least_squares(seed: int) -> None:
+    """The distance is e - dr + q dpsi; beside a line, a parabola has one coefficient more."""
+    e, q, w, sums = random_fit(seed)
+    one = np.ones_like(q)
+    (r, psi), left = solved(e, w, one, -q)
+    assert (core.step_r(sums), core.step_psi(sums)) == pytest.approx((r, psi))
+    assert core.misfit_of(sums) == pytest.approx(left)
+    x, bent = solved(e, w, one, -q, q * q)
+    assert core.curvature(sums) == pytest.approx(x[2])
+    assert core.bend(sums) == pytest.approx(left - bent)
+    alone = solved(q * q, w, one, q)[1]
+    assert core.stiffness(sums) == pytest.approx(alone)
+
+
+def test_what_least_squares_leave_is_never_negative() -> None:
+    """On a line to rounding, which may leave less than nothing."""
+    q = np.linspace(-1.0, 2.0, 50)
+    for slope in np.linspace(0.1, 3.0, 40):
+        assert 0.0 <= core.misfit_of(summed(0.3 + slope * q, q, np.ones(len(q)))) < 1e-11
+
+
+@pytest.mark.parametrize("length", [0.4, 1.0, 3.0])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_piece_is_bent_where_its_parabola_explains_much_and_is_high_for_its_chord(
+    seed: int, length: float
+) -> None:
+    """A parabola k q^2 is k (length / 2)^2 high over its chord."""
+    rng = np.random.default_rng(seed)
+    q, w, variance = 0.3 + length * np.linspace(0.0, 1.0, 30), rng.uniform(0.2, 1.0, 30), 0.01**2
+    e = 0.4 / length * q * q + rng.normal(0.0, 0.01, 30)
+    sums = summed(e, q, w)
+    one = np.ones_like(q)
+    (_, _, k), bent = solved(e, w, one, q, q * q)
+    gain, bow = (solved(e, w, one, q)[1] - bent) / variance, abs(k) * (length / 2.0) ** 2 / length
+    limits = partial(SimpleNamespace, variance=variance)
+    for less in (0.99, 1.01):
+        assert bool(core.is_bent(sums, length, limits(max_bend=less * gain, max_bow=0.5 * bow))) is (less < 1.0)
+        assert bool(core.is_bent(sums, length, limits(max_bend=0.5 * gain, max_bow=less * bow))) is (less < 1.0)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_piece_is_vague_where_its_direction_or_the_swing_of_its_foot_is(seed: int) -> None:
+    """Sigma of the direction by the inverse of the normal equations; the foot moves by r/2 sigma^2."""
+    _, q, w, sums = random_fit(seed)
+    A = np.column_stack((-np.ones_like(q), q))
+    variance, r = 0.03**2, 3.0
+    sigma = math.sqrt(np.linalg.inv((w[:, None] * A).T @ A)[1, 1] * variance)
+    swing = 0.5 * r * sigma**2 / math.sqrt(variance / w.sum())
+    sums.r = r
+    limits = partial(SimpleNamespace, variance=variance)
+    for less in (0.99, 1.01):
+        assert core.is_vague(sums, limits(max_sigma_psi=less * sigma, max_swing=2.0 * swing)) is (less < 1.0)
+        assert core.is_vague(sums, limits(max_sigma_psi=2.0 * sigma, max_swing=less * swing)) is (less < 1.0)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_the_foot_and_the_distance_of_a_return_are_those_of_the_ray_and_the_line(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    r, psi, ratio = rng.uniform(0.5, 3.0), rng.uniform(-3.0, 3.0), 0.15
+    n, t = np.array([math.cos(psi), math.sin(psi)]), np.array([-math.sin(psi), math.cos(psi)])
+    angle = psi + rng.uniform(-1.2, 1.2, 5)
+    u, o, d = (
+        np.column_stack((np.cos(angle), np.sin(angle))),
+        rng.normal(0.0, 0.3, (5, 2)),
+        rng.uniform(1.0, 4.0, 5),
+    )
+    returns = returns_of(Rays(d, *u.T, *o.T))
+    found = fit_of(range(5), [0.0] * 5, [0.0] * 5, [0.0] * 5)
+    found.r, found.psi = r, psi
+    core.residuals(returns, SimpleNamespace(ratio=ratio), found)
+    e, q, w = found.error, found.foot, found.weight
+    for i in range(5):
+        p, foot = np.linalg.solve(np.column_stack((u[i], -t)), r * n - o[i])  # the ray o + p u meets r n + foot t
+        assert q[i] == pytest.approx(foot)
+        assert core.foot_of(returns, i, r, psi) == pytest.approx(foot)
+        assert e[i] == pytest.approx(n @ (o[i] + d[i] * u[i]) - r)
+        cosine = float(n @ u[i])
+        across = ratio * p * math.sqrt(1.0 - cosine**2)  # what s_phi moves the end along the normal, over s_d
+        assert w[i] == pytest.approx(1.0 / (across**2 + cosine**2))
+
+
+@pytest.mark.parametrize("angle", [0.0, 3.0, -3.0, math.pi, -math.pi, 4.0, -4.0, 9.0, -100.0, 1e4])
+def test_an_angle_is_wrapped_into_half_a_turn_to_either_side(angle: float) -> None:
+    found = interpreted("angles").wrapped(angle)
+    assert -math.pi <= found < math.pi
+    assert math.sin(found - angle) == pytest.approx(0.0, abs=1e-9)
+    assert math.cos(found - angle) == pytest.approx(1.0)
+
+
+def test_returns_with_feet_beyond_either_end_are_left_out() -> None:
+    found = fit_of([4, 5, 6, 7], [0.1, 0.2, 0.3, 0.4], [-1.0, 0.0, 1.0, 2.0], [1.0, 2.0, 3.0, 4.0])
+    core.keep_clear(found, -0.5, 1.0)
+    kept = [column[: found.count] for column in (found.row, found.error, found.foot, found.weight)]
+    assert kept == [[5, 6], [0.2, 0.3], [0.0, 1.0], [2.0, 3.0]]
+    core.rows_of(SimpleNamespace(bounds=[0, 1, 3], start=[0, 3, 7], stop=[2, 5, 9]), 1, found)
+    assert (found.count, found.row) == (4, [3, 4, 7, 8])

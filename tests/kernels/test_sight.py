@@ -1,0 +1,550 @@
+"""Which map line is it, and what does it say? Pairs by matrices, association by its rule, rows by differences."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import pytest
+from interpreted import interpreted
+from line_scene import MOUNT, MOVED, UPPER, covariance, scene, seated
+from said import over_states, written
+from sighted import AMBIGUOUS, NEW, UNMATCHED, Pair, Sighted, equation_of, side_of, sighted
+from textbook import numeric_jacobian
+
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array
+from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.kernels import ekf, sight
+from locfuse.fusion.kernels.arrays import view
+from locfuse.fusion.linemap import tidy
+from locfuse.fusion.linemap.line_map import LineMap
+from locfuse.fusion.linemap.scan import Scan
+
+ANGLE, OFFSET = math.radians(25.0), 1.0  # rad, m: pairs further apart are not looked at
+COMMON = 0.05  # m of one map line that two measured lines may both claim
+RIVAL, ZONE = 6.0, 60.0  # 95 % of chi-square with 2 degrees; squared distance within which nothing is new
+OVERLAP, LONGEST = 0.3, 0.5  # share of a segment, of so many m at most
+GATES = [13.8, math.inf]
+FREE = pytest.mark.parametrize("free", [(), (2,), (0, 1), (1, 2), (0, 1, 2)])
+
+
+def setting(
+    seed: int, states: bool, free: tuple[int, ...] = (), gate: float = ZONE, parts: int = 0
+) -> tuple[Sighted, LineMap, JointBelief, Array]:
+    """A scan that was associated in a random scene, by a laser at a known mount or not; what its lines share."""
+    scan, lines, belief = scene(seed, states)
+    seat = seated(belief, free) if free else None
+    shared = np.random.default_rng(seed).normal(0.0, 0.01, (len(scan.z), 2, parts))
+    return sighted(scan.rows, lines, belief, gate, states, seat, shared), lines, belief, shared
+
+
+# --- candidate pairs
+
+
+def by_mount(free: tuple[int, ...], psi: float) -> Array:
+    """By how much the (r, psi) that is predicted depends on the free states of the mount as it is."""
+    sits = MOUNT + np.where(np.isin(range(3), free), MOVED, 0.0)
+    c, s = math.cos(psi), math.sin(psi)
+    whole = np.array([[-c, -s, sits[0] * s - sits[1] * c], [0.0, 0.0, -1.0]])
+    return np.asarray(whole[:, list(free)])
+
+
+def by_matrices(
+    found: Sighted, lines: LineMap, belief: JointBelief, limit: float, free: tuple[int, ...] = ()
+) -> dict[tuple[int, int], dict[str, Any]]:
+    """Every pair with H written out over the whole state, and R: maths of the field, no short cut."""
+    state, P = belief.state, belief.covariance
+    (x, y, theta), n = belief.pose(), len(state)
+    scan, pairs = Scan(found.in_base()), {}
+    angle, far = ANGLE + 6.0 * math.sqrt(P[2, 2]), OFFSET + 6.0 * math.sqrt(P[0, 0] + P[1, 1])
+    for j in range(len(lines)):
+        at = int(lines.column[j])
+        rho, beta = lines.value[j] if at < 0 else state[at : at + 2]
+        c, s, (dx, dy) = math.cos(beta), math.sin(beta), (x, y) - lines.anchor[j]
+        r, psi, u = rho - dx * c - dy * s, beta - theta, dx * s - dy * c
+        for i, (own, noise) in enumerate(zip(scan.z, scan.R, strict=True)):
+            forward = abs(se2.wrap(own[1] - psi)) <= 0.5 * math.pi
+            flip = np.diag((1.0 if forward else -1.0, 1.0))
+            turn = se2.wrap(own[1] - psi - (0.0 if forward else math.pi))
+            e = np.array([flip[0, 0] * own[0] - r, turn])
+            H, R, line = np.zeros((2, n)), flip @ noise @ flip, np.array([[1.0, u], [0.0, 1.0]])
+            H[0, :2], H[1, 2] = (-c, -s), -1.0
+            if at >= 0:
+                H[:, at : at + 2] = line
+            else:
+                R = R + line @ lines.P[j] @ line.T
+            if free:
+                H[:, n - len(free) :] = by_mount(free, psi + turn)
+            S = H @ P @ H.T + R
+            d2 = float(e @ np.linalg.solve(S, e))
+            near = abs(turn) < angle and abs(e[0]) < far
+            if near and d2 <= limit and r > -3.0 * math.sqrt(S[0, 0]):
+                ends = dy * c - dx * s + (scan.ends[i] if forward else -scan.ends[i][::-1])
+                common = min(ends[1], lines.hi[j]) - max(ends[0], lines.lo[j])
+                score = d2 + math.log(np.linalg.det(S))
+                pairs[i, j] = {"y": e, "R": R, "S": S, "d2": d2, "score": score, "ends": [*ends, common]}
+    return pairs
+
+
+@FREE
+@pytest.mark.parametrize("states", [False, True])
+@pytest.mark.parametrize("gate", [13.8, math.inf])
+def test_pairs_are_those_that_matrices_give(gate: float, states: bool, free: tuple[int, ...]) -> None:
+    """Within the gate, or within the squared distance at which nothing is new."""
+    count = flipped = 0
+    for seed in range(30):
+        found, lines, belief, _ = setting(seed, states, free, gate)
+        expected = by_matrices(found, lines, belief, max(gate, ZONE), free)
+        assert [(p.line, p.which) for p in found.pair_list] == sorted(expected)
+        for pair in found.pair_list:
+            known = expected[pair.line, pair.which]
+            np.testing.assert_allclose(pair.y, known["y"], atol=1e-11)
+            np.testing.assert_allclose(pair.R, known["R"], rtol=1e-9, atol=1e-11)
+            np.testing.assert_allclose(pair.S, known["S"], rtol=1e-9, atol=1e-11)
+            np.testing.assert_allclose((pair.lo, pair.hi, pair.overlap), known["ends"], atol=1e-11)
+            assert pair.d2 == pytest.approx(known["d2"], rel=1e-7, abs=1e-9)
+            assert pair.score == pytest.approx(known["score"], rel=1e-7, abs=1e-7)
+            flipped += side_of(pair, found.in_base()[pair.line]) < 0.0
+        count += len(found.pair_list)
+    assert count > 60
+    assert flipped > 6
+
+
+def test_ends_lie_along_the_map_line_and_overlap_where_the_segments_do() -> None:
+    lines = LineMap()
+    lines.append(np.array([2.0, 1.0]), np.zeros(2), np.eye(2) * 1e-4, -1, (-1.0, 1.0), 0)  # x = 2, y from 0 to 2
+    R = np.array([np.eye(2) * 1e-4])
+
+    def pairs(pose: tuple[float, float, float], z: tuple[float, float], ends: tuple[float, float]) -> list[Pair]:
+        rows = Scan.of(np.array([z]), R, np.array([ends])).rows
+        return sighted(rows, lines, JointBelief(pose, UPPER), math.inf, False).pair_list
+
+    (pair,) = pairs((0.0, 0.5, 0.0), (2.0, 0.0), (-1.5, 1.0))  # y from -1 to 1.5
+    assert (pair.lo, pair.hi, pair.overlap) == pytest.approx((-2.0, 0.5, 1.5))
+    # beyond by less than is known of the pose, so that the line lies behind it: y from -0.3 to 2
+    (pair,) = pairs((2.1, 0.5, 0.0), (0.1, math.pi), (-1.5, 0.8))
+    assert pair.y == pytest.approx((0.0, 0.0))
+    assert (pair.lo, pair.hi, pair.overlap) == pytest.approx((-1.3, 1.0, 2.0))
+    assert pairs((4.0, 0.5, math.pi), (2.0, 0.0), (-1.5, 1.0)) == []  # sees the other face
+
+
+@pytest.mark.parametrize("pose", [(math.nan, 0.0, 0.0), (0.0, 0.0, math.inf), (1e200, 0.0, 0.0), (0.0, 0.0, 1e30)])
+def test_a_pose_that_is_none_has_no_pairs(pose: tuple[float, float, float]) -> None:
+    scan, lines, _ = scene(1, states=False)
+    assert sighted(scan.rows, lines, JointBelief(pose, UPPER), ZONE, False).pair_list == []
+
+
+@pytest.mark.parametrize(("count", "walls"), [(0, 5), (3, 0), (40, 2000)])
+def test_maps_of_none_and_of_two_thousand_lines_have_the_pairs_that_matrices_give(count: int, walls: int) -> None:
+    rng, known = np.random.default_rng(0), LineMap()
+    for _ in range(min(walls, 50)):
+        value, P = np.array([0.0, rng.uniform(-3, 3)]), covariance(rng)
+        known.append(rng.normal(size=2) * 3.0, value, P, -1, (-1.0, 1.0), 0)
+    many = np.resize(np.arange(len(known)), walls)
+    for name in ("ids", "anchor", "lo", "hi", "hits", "column", "value", "P", "seen", "born"):
+        setattr(known, name, getattr(known, name)[many])
+    z = np.stack((rng.uniform(0.0, 4.0, count), rng.uniform(-3.0, 3.0, count)), axis=-1)
+    scan = Scan.of(z, np.tile(np.eye(2) * 1e-3, (count, 1, 1)), np.tile((-1.0, 1.0), (count, 1)))
+    belief = JointBelief((0.0, 0.0, 0.0), UPPER)
+    found = sighted(scan.rows, known, belief, ZONE, False)
+    assert [(p.line, p.which) for p in found.pair_list] == sorted(by_matrices(found, known, belief, ZONE))
+    assert bool(found.pair_list) == (count * walls > 100)
+
+
+# --- association
+
+
+def by_rule(found: Sighted, gate: float) -> tuple[list[Pair | None], list[bool], list[bool]]:
+    """The rule in words: of pairs that pass, the best, unless another explains the line as well."""
+    length = Scan(found.in_base()).lengths
+    match: list[Pair | None] = [None] * len(length)
+    ambiguous, near = [False] * len(length), [False] * len(length)
+    for i in range(len(length)):
+        own = sorted((p for p in found.pair_list if p.line == i), key=lambda p: p.score)
+        near[i] = any(p.overlap > 0.0 and p.d2 <= ZONE for p in own)
+        passing = [p for p in own if p.d2 <= gate and p.overlap > OVERLAP * min(length[i], LONGEST)]
+        if passing:
+            match[i] = passing[0]
+            ambiguous[i] = any(p.score - passing[0].score < RIVAL for p in passing[1:])
+    claimed: list[Pair] = []
+    for p in sorted((p for p in match if p is not None), key=lambda p: p.score):
+        same = [q for q in claimed if q.which == p.which]
+        if any(min(p.hi, q.hi) - max(p.lo, q.lo) > COMMON for q in same):
+            ambiguous[p.line] = True
+        else:
+            claimed.append(p)
+    return [None if a else p for p, a in zip(match, ambiguous, strict=True)], ambiguous, near
+
+
+@pytest.mark.parametrize("gate", GATES)
+@pytest.mark.parametrize("states", [False, True])
+def test_matches_are_those_of_the_rule(states: bool, gate: float) -> None:
+    matched = doubtful = 0
+    for seed in range(60):
+        found, *_ = setting(seed, states, gate=gate)
+        match, ambiguous, near = by_rule(found, gate)
+        where = [None if p is None else (p.line, p.which) for p in match]
+        pairs = found.pair_list
+        assert [None if p < 0 else (pairs[p].line, pairs[p].which) for p in found.pair_of] == where
+        assert (found.ambiguous, found.is_near) == (ambiguous, near)
+        assert found.new() == [i for i, p in enumerate(match) if p is None and not near[i]]
+        assert found.new_lines() == len(found.new())
+        length, hit = Scan(found.in_base()).lengths, [p is not None for p in match]
+        assert found.share() == pytest.approx(length[hit].sum() / length.sum(), abs=1e-12)
+        assert found.matches() == found.accepted == sum(hit)
+        matched, doubtful = matched + sum(hit), doubtful + sum(ambiguous)
+    assert matched > 20
+    assert doubtful > 10
+
+
+def test_a_scan_of_nothing_matches_nothing() -> None:
+    _, lines, belief = scene(0, True)
+    found = sighted(np.zeros((0, 7)), lines, belief, 13.8, True)
+    assert (found.pair_of, found.new(), found.share()) == ([], [], 1.0)
+    assert (found.lines, found.accepted, found.numbers, found.rows_used()) == (0, 0, 0, [])
+
+
+def two_lines(offset: float, turn: float, sigma: tuple[float, float], others: int = 1) -> Sighted:
+    """A wall 2 m ahead seen off by so much, with such errors, from a pose that is known; and lines of no wall."""
+    lines, belief = LineMap(), JointBelief((0.0, 0.0, 0.0), (1e-18, 0.0, 0.0, 1e-18, 0.0, 1e-18))
+    lines.append(np.array([2.0, 0.0]), np.zeros(2), 1e-18 * np.eye(2), -1, (-1.0, 1.0), 0)
+    z = np.array([[2.0 + offset, turn], *[[1.0, 1.5]] * others])
+    R = np.tile(np.diag(np.square(sigma)), (len(z), 1, 1))
+    return sighted(Scan.of(z, R, np.tile((-1.0, 1.0), (len(z), 1))).rows, lines, belief, 13.8, False)
+
+
+@pytest.mark.parametrize(
+    ("offset", "turn_deg", "sigma_deg", "sigma", "believed"),
+    [
+        (0.01 * math.sqrt(4.9), 0.0, 1.0, 0.01, True),  # squared distance
+        (0.01 * math.sqrt(5.1), 0.0, 1.0, 0.01, False),
+        (0.0, 2.9, 2.0, 0.1, True),
+        (0.0, -3.1, 2.0, 0.1, False),
+        (0.145, 0.0, 1.0, 0.1, True),
+        (-0.155, 0.0, 1.0, 0.1, False),
+    ],
+)
+def test_a_lone_line_is_believed_where_it_fits_nearly_perfectly(
+    offset: float, turn_deg: float, sigma_deg: float, sigma: float, believed: bool
+) -> None:
+    """Within the squared distance 5, three degrees and 15 cm; a scan of one line has no others that failed."""
+    errors = sigma, math.radians(sigma_deg)
+    for others in (1, 0):
+        found = two_lines(offset, math.radians(turn_deg), errors, others)
+        assert found.pair_of[0] == 0
+        found.refuse_alone()
+        assert (found.pair_of[0] == 0) is (believed or not others)
+
+
+def test_what_became_of_a_line_is_accepted_ambiguous_unmatched_or_new() -> None:
+    """A line that pairs with nothing near is new; what is near a known line and no match of it is unmatched."""
+    counts: Counter[int] = Counter()
+    for seed in range(80):
+        found, lines, *_ = setting(seed, False, gate=13.8)
+        table, pairs = written(found, 7), found.pair_list
+        for i, verdict in enumerate(table.verdict.tolist()):
+            match, best, near = found.pair_of[i], found.best_of[i], found.is_near[i]
+            if match >= 0:
+                expected = 0
+            elif not near:
+                expected = NEW
+            else:
+                expected = AMBIGUOUS if best >= 0 and found.ambiguous[i] else UNMATCHED
+            assert verdict == expected
+            assert table.threshold[i] == 13.8
+            if match >= 0 or (best >= 0 and near):
+                pair = pairs[best]
+                assert (table.landmark[i], table.nis[i]) == (lines.ids[pair.which], pair.d2)
+                np.testing.assert_array_equal(table.y[i], pair.y)
+                np.testing.assert_allclose(table.sigma[i], np.sqrt(np.diag(pair.S)), rtol=1e-12)
+            else:
+                assert table.landmark[i] == -1
+                assert np.isnan([table.nis[i], *table.y[i], *table.sigma[i]]).all()
+            counts[verdict] += 1
+        found.row = 7
+        assert found.rows_used() == (7 + np.flatnonzero(table.verdict == 0)).tolist()
+    assert min(counts[verdict] for verdict in (0, AMBIGUOUS, UNMATCHED, NEW)) > 5
+
+
+# --- rows of the equation
+
+
+def measured_less_predicted(z: Array, sits: Array, value: Array, away: Array, x: Array, side: float) -> Array:
+    """(r, psi) of a line z at the base, were the laser's mount moved by x[3:], less those of a map line."""
+    psi = z[1] + x[5]
+    at_laser = z[0] - sits[0] * math.cos(z[1]) - sits[1] * math.sin(z[1])
+    mx, my = sits[:2] + x[3:5]
+    r, (rho, beta) = at_laser + mx * math.cos(psi) + my * math.sin(psi), value
+    return np.array([side * r - rho + away[0] * math.cos(beta) + away[1] * math.sin(beta), psi - beta + x[2]])
+
+
+@FREE
+@pytest.mark.parametrize("states", [False, True])
+def test_the_derivatives_of_a_scan_are_finite_differences_by_pose_lines_and_mount(
+    states: bool, free: tuple[int, ...]
+) -> None:
+    """What is measured moves with the laser's mount, what is predicted with the pose and the lines."""
+    sides = []
+    sits = MOUNT + np.where(np.isin(range(3), free), MOVED, 0.0)
+    for seed in range(40):
+        found, lines, belief, _ = setting(seed, states, free)
+        mounted, rows = list(range(belief.n - len(free), belief.n)), found.in_base()
+        equation = equation_of(found, belief)
+        H = over_states(equation.columns, equation.H, belief.n)
+        for k, pair in enumerate(found.matched()):
+            j, z, x = pair.which, rows[pair.line], belief.state.copy()
+            own = [int(lines.column[j]), int(lines.column[j]) + 1] if states else []
+            side, columns = side_of(pair, z), [0, 1, 2, *own, *mounted]
+
+            def y(v: Array) -> Array:
+                now, moved = x.copy(), np.zeros(6)  # noqa: B023
+                now[columns] = v  # noqa: B023
+                moved[:3], moved[[3 + i for i in free]] = now[:3], (now - x)[mounted]  # noqa: B023
+                value, away = now[own] if states else lines.value[j], now[:2] - lines.anchor[j]  # noqa: B023
+                return measured_less_predicted(z, sits, value, away, moved, side)  # noqa: B023
+
+            expected = np.zeros((2, belief.n))
+            expected[:, columns] = -numeric_jacobian(y, x[columns])
+            at = slice(2 * k, 2 * k + 2)
+            np.testing.assert_allclose(H[at], expected, atol=1e-7)
+            seen = y(x[columns])
+            np.testing.assert_allclose(equation.y[at], [seen[0], pair.y[1]], atol=1e-9)
+            assert abs(math.sin(0.5 * (seen[1] - pair.y[1] - (side < 0.0) * math.pi))) < 1e-9
+            np.testing.assert_allclose(H[at] @ belief.covariance @ H[at].T + pair.R, pair.S, rtol=1e-7, atol=1e-9)
+            sides.append(side)
+    assert len(sides) > 20
+    assert -1.0 in sides
+
+
+@pytest.mark.parametrize("parts", [0, 3])
+@pytest.mark.parametrize("states", [False, True])
+def test_errors_that_lines_share_stand_between_them_in_R_and_nowhere_else(states: bool, parts: int) -> None:
+    """A line that is read as (-r, psi + pi) shares a longer range the other way; a frozen map takes no shares."""
+    several = flipped = 0
+    for seed in range(60):
+        found, _, belief, shared = setting(seed, states, parts=parts)
+        matched, rows = found.matched(), found.in_base()
+        assert (found.accepted, found.numbers) == (len(matched), 2 * len(matched))
+        sides = np.array([[side_of(p, rows[p.line]), 1.0] for p in matched]).reshape(-1, 2, 1)
+        G = (shared[[p.line for p in matched]] * sides).reshape(found.numbers, parts)
+        expected = G @ G.T if states else np.zeros((found.numbers, found.numbers))
+        for k, pair in enumerate(matched):
+            expected[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = pair.R
+        R = equation_of(found, belief).R
+        np.testing.assert_allclose(R, expected, atol=1e-14)
+        several, flipped = several + (len(matched) > 1), flipped + int((sides[:, 0] < 0.0).sum())
+    assert several > 3
+    assert flipped > 3
+
+
+@FREE
+def test_what_lines_share_moves_into_the_base_with_them(free: tuple[int, ...]) -> None:
+    """The unit errors of two lines, seen through the mount as it is: by differences of where the lines go."""
+    checked = 0
+    for seed in range(40):
+        found, _, belief, shared = setting(seed, True, free, parts=2)
+        rows, scan = found.in_base(), scene(seed, True)[0]
+        matched, G = found.matched(), []
+        for pair in matched:
+            d, z = 1e-6 * shared[pair.line], scan.rows[pair.line]
+
+            def moved(z: Array, at: tuple[float, float, float] = found.moved()) -> Array:
+                psi = z[1] + at[2]
+                return np.array([z[0] + at[0] * math.cos(psi) + at[1] * math.sin(psi), psi])
+
+            side = side_of(pair, np.array([0.0, moved(z[:2])[1]]))
+            for row, sign in ((0, side), (1, 1.0)):
+                G.append([sign * (moved(z[:2] + e) - moved(z[:2] - e))[row] / 2e-6 for e in d.T])
+        assert len(rows) == len(scan.rows)
+        R = equation_of(found, belief).R
+        for a in range(len(matched)):
+            for b in range(a):
+                block = R[2 * a : 2 * a + 2, 2 * b : 2 * b + 2]
+                np.testing.assert_allclose(
+                    block, np.array(G)[2 * a : 2 * a + 2] @ np.array(G)[2 * b : 2 * b + 2].T, atol=1e-9
+                )
+                checked += 1
+    assert checked > 3
+
+
+def test_a_scan_that_slipped_as_a_whole_is_likelier_than_its_lines_one_by_one() -> None:
+    """Two lines turned alike by one slip: the joint distance is that of one error, not of two."""
+    lines, fits = LineMap(), []
+    for beta in (0.0, 0.5 * math.pi):
+        anchor = 2.0 * np.array([math.cos(beta), math.sin(beta)])
+        lines.append(anchor, np.array([0.0, beta]), np.zeros((2, 2)), 3 + 2 * len(lines), (-1.0, 1.0), 0)
+    z = np.array([[2.0, 0.1], [2.0, 0.1 + 0.5 * math.pi]])
+    rows = Scan.of(z, np.tile(np.diag([2.0, 0.02]), (2, 1, 1)), np.tile((-1.0, 1.0), (2, 1))).rows
+    for alike in (0.1, 0.0):
+        belief = JointBelief((0.0, 0.0, 0.0), (1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6), [])
+        for value in lines.value:
+            belief.augment(value, np.zeros((2, 3)), 1e-6 * np.eye(2))
+        shared = np.tile([[0.0], [alike]], (2, 1, 1))
+        found = sighted(rows, lines, belief, math.inf, True, shared=shared)
+        equation = equation_of(found, belief)
+        S = belief.spread(equation.H, equation.columns[3:].tolist()) + equation.R
+        fits.append(belief.fit_of(0, 4))
+        assert fits[-1] == pytest.approx(float(equation.y @ np.linalg.solve(S, equation.y)))
+        belief.correct()
+        assert belief.fit(4) == pytest.approx(fits[-1])
+    assert fits[0] < 0.75 * fits[1]
+
+
+# --- what the map learns
+
+
+def test_lines_that_were_matched_reach_as_far_as_they_were_seen() -> None:
+    matched = 0
+    for seed in range(20):
+        found, lines, *_ = setting(seed, False)
+        low, high, hits = lines.lo.copy(), lines.hi.copy(), lines.hits.copy()
+        found.extend(9)
+        for pair in found.matched():
+            j = pair.which
+            low[j], high[j], hits[j] = min(low[j], pair.lo), max(high[j], pair.hi), hits[j] + 1
+            assert lines.seen[j] == 9
+        for a, b in ((lines.lo, low), (lines.hi, high), (lines.hits, hits)):
+            np.testing.assert_array_equal(a, b)
+        matched += len(found.matched())
+    assert matched > 5
+
+
+def test_lines_that_were_seen_bend_by_what_they_lack_of_their_unevenness() -> None:
+    """Up to the most that a scan may add; a line of which two pieces were seen bends once."""
+    bent = 0
+    for seed in range(40):
+        found, lines, belief, _ = setting(seed, True)
+        uneven, most = np.array([3e-3, 2e-2]), np.array([2e-3, 5e-3])
+        before, expected = np.diag(belief.covariance).copy(), np.diag(belief.covariance).copy()
+        for c in {int(lines.column[pair.which]) for pair in found.matched()}:
+            expected[c : c + 2] += np.clip(uneven - before[c : c + 2], 0.0, most)
+        found.bend(belief, uneven, most)
+        np.testing.assert_allclose(np.diag(belief.covariance), expected, rtol=1e-14)
+        bent += int((expected != before).sum())
+    assert bent > 20
+
+
+def doubled(seed: int) -> tuple[LineMap, JointBelief]:
+    """A map in which some lines lie close to others."""
+    _, lines, belief = scene(seed, True)
+    rng, n = np.random.default_rng(seed), len(lines)
+    for j in range(1, n, 3):
+        lines.anchor[j] = lines.anchor[j - 1] + rng.normal(0.0, 0.15, 2)
+        belief.state[lines.column[j] + 1] = belief.state[lines.column[j - 1] + 1] + rng.normal(0.0, 0.1)
+    lines.hits, lines.seen = rng.integers(1, 9, n), rng.integers(60, 101, n)
+    lines.born = rng.integers(0, 101, n)
+    return lines, belief
+
+
+def one_wall(lines: LineMap, belief: JointBelief, i: int, j: int) -> bool:
+    """Whether two lines may be one wall: by angle, by offset of i's anchored point from j, by the gap along j."""
+    (rho_i, beta_i), (rho_j, beta_j) = lines.values(belief)[[i, j]]
+    d = lines.anchor[i] - lines.anchor[j]
+    offset = rho_j - rho_i - d @ [math.cos(beta_i), math.sin(beta_i)]
+    along = d @ [-math.sin(beta_j), math.cos(beta_j)]
+    gap = max(lines.lo[j], lines.lo[i] + along) - min(lines.hi[j], lines.hi[i] + along)
+    return i != j and abs(se2.wrap(beta_j - beta_i)) < math.radians(8.0) and abs(offset) <= 0.25 and gap <= 0.3
+
+
+def test_a_map_is_untidy_where_a_line_proved_worthless_or_a_recent_one_may_be_one_wall_with_another() -> None:
+    verdicts = []
+    for seed in range(60):
+        lines, belief = doubled(seed)
+        if seed % 2:
+            lines.hits[:] = 9
+        n = len(lines)
+        worthless = (lines.hits < 4) & (100 - lines.born > 15) & (lines.born > 0)
+        pairs = [[one_wall(lines, belief, i, j) for j in range(n)] for i in range(n)]
+        double = any(any(pairs[j]) for j in np.flatnonzero(100 - lines.seen <= 15))
+        assert tidy.untidy(lines, belief, 100) == (bool(worthless.any()) or double)
+        found = [tidy._near(lines, lines.values(belief), j).tolist() for j in range(n)]
+        assert found == [np.flatnonzero(row).tolist() for row in pairs]
+        verdicts.append((bool(worthless.any()), double))
+    assert len(set(verdicts)) == 4
+
+
+# --- interpreted
+
+
+def everything(kernel: Any, states: Any, seed: int, free: tuple[int, ...]) -> list[Any]:
+    """All that a scene is worked out to, by a kernel on its own arrays."""
+    as_states = seed % 3 > 0
+    scan, lines, belief = scene(seed, as_states)
+    seated(belief, free)
+    rng, n, places = np.random.default_rng(seed), len(scan.z), len(lines)
+    mounted = np.arange(belief.n - len(free), belief.n, dtype=np.intp)
+    seat = kernel.Seat(MOUNT.copy(), np.array(free, np.intp), mounted)
+    state, size, m = states.State(), belief.n, 2 * n + 8
+    state.n = size
+    x, P = belief.state.copy(), belief.covariance.copy()
+    state.hold(x, P, np.zeros(size, np.intp))
+    table = np.zeros((m, 24), np.intp), np.zeros((m, 24)), np.zeros(m, np.intp), np.zeros(m), np.zeros((m, m))
+    state.hold_rows(*table)
+    small = np.zeros((16, 16))
+    state.hold_room(np.zeros((m + 4, size)), np.zeros((m, m)), np.zeros(m), np.zeros(m, np.intp), small)
+    fixed = np.zeros((0 if as_states else places, 13))
+    if not as_states:
+        fixed[:, :2], fixed[:, 2:4] = lines.value, lines.anchor
+        fixed[:, 4:7] = lines.P.reshape(-1, 4)[:, (0, 1, 3)]
+    walls = kernel.Walls(lines.column.astype(np.intp), lines.anchor, lines.lo, lines.hi, fixed, as_states)
+    hits, seen, born = (rng.integers(0, 101, places).astype(np.intp) for _ in range(3))
+    walls.count(hits, seen, born, lines.ids.astype(np.intp))
+    sees = kernel.Sight(kernel.Rules(13.8, as_states, True, UNMATCHED, AMBIGUOUS, NEW), seat)
+    whole = [np.zeros(n, np.intp) for _ in range(5)]
+    rows, pairs = np.zeros((n, 7)), np.zeros((n * places, 20))
+    sees.hold_lines(rows, *whole)
+    sees.hold_pairs(
+        pairs,
+        np.zeros((places, 13 + 2 * len(free))),
+        np.zeros((places, 4)),
+        np.zeros((6, 3)),
+        np.zeros(3),
+        np.zeros(3),
+    )
+    sees.hold_shares(np.zeros((n, 2, 2)), np.zeros((2 * n, 2)))
+    at, missing = np.zeros(2 * n, np.intp), np.zeros(2 * n)
+    sees.hold_states(at, missing)
+    share = sees.look(state, walls, view(scan.rows), view(rng.normal(0.0, 0.01, (n, 2, 2))))
+    if seed % 2:
+        sees.refuse_alone()
+    accepted = sees.state_rows(state)
+    audit = [np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(n, np.int8), np.zeros(n, np.int32)]
+    judged: list[Any] = [np.zeros(n), np.zeros(n), np.zeros((n, 2)), np.zeros((n, 2))]
+    out = kernel.Audit(*audit)
+    out.judged(*judged)
+    sees.write(out, 0, 5, 7)
+    sees.extend(101)
+    numbers = [share, accepted, sees.new_lines(), sees.matches()]
+    if as_states:
+        numbers.append(sees.bends(state, np.array([3e-3, 2e-2]), np.array([2e-3, 5e-3])))
+        lacking = np.zeros(2 * places, np.intp), np.zeros(2 * places)
+        numbers.append(kernel.lacks(state, walls, np.array([3e-4, 2e-4]), *lacking))
+        doubles = kernel.Doubles(4, 15, math.radians(8.0), 0.25, 0.3)
+        numbers.append(kernel.untidy(state, walls, doubles, 101, np.zeros((places, 4)), np.zeros(places, np.intp)))
+        judged += lacking
+    ends = [lines.lo, lines.hi, hits, seen]
+    return [
+        np.array(numbers, float),
+        rows,
+        pairs[: sees.found, :19],
+        *whole,
+        *table,
+        *audit,
+        *judged,
+        at,
+        missing,
+        *ends,
+    ]
+
+
+@FREE
+def test_the_interpreted_kernel_agrees(free: tuple[int, ...]) -> None:
+    for seed in range(30):
+        compiled = everything(sight, ekf, seed, free)
+        for one, other in zip(
+            compiled, everything(interpreted("sight"), interpreted("ekf"), seed, free), strict=True
+        ):
+            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)

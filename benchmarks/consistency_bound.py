@@ -130,9 +130,10 @@ def path_in_frame(drive: Drive, robot: Robot, sensors: tuple[str, ...]) -> Array
         raise ValueError("the drive has no truth")
     run = Filter(robot, sensors)
     local = np.full((len(drive.t), 3), np.nan)
-    for k, (step, due) in enumerate(zip(steps_of(drive), due_readings(drive, sensors), strict=True)):
-        run.advance(k, step, due, drive.measurements)
-        if run.belief.frame is not None:
+    steps = steps_of(drive)
+    for k, due in enumerate(due_readings(drive, sensors)):
+        run.advance(k, steps, due, drive.measurements)
+        if run.belief.framed:
             local[k] = run.belief.state[:3]
     at = drive.truth_instant
     out: Array = se2.compose(local[at], drive.truth_motions.u)[:, :2]

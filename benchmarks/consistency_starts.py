@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from locfuse.fusion.core.filter import bent
 from locfuse.fusion.data import Array
+from locfuse.fusion.kernels.ekf import bent
 from locfuse.sample_logs.messages import streams
 
 SETS = 2000  # of so many drives each, drawn to see what chance does

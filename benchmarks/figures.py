@@ -103,7 +103,7 @@ def kernels(logs: Logs) -> list[Kernel]:
     return [
         Kernel("EKF step, predict + heading / filterpy", 0.06, module("kernels", "ekf_heading", logs.minute)),
         Kernel(
-            "EKF step within a stretch, predict + six lines, matched and recorded / filterpy",
+            "EKF step, predict + six lines, matched and recorded / filterpy",
             0.05,
             module("kernels", "ekf_lines", logs.minute),
         ),

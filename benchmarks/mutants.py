@@ -1,7 +1,8 @@
-"""Change one operator or number of the filter's core at a time: do its tests notice? python -m benchmarks.mutants.
+"""Change one operator or number of the filter at a time: do its tests notice? python -m benchmarks.mutants.
 
 Only tests of the thing itself count (TESTS names them by file). Pages whose printed figures change tell that
-something changed and not that it is wrong, so they are not run.
+something changed and not that it is wrong, so they are not run. Kernels run interpreted, and tests that hold the
+interpreted form to the compiled one are left out: they would notice every change.
 A mutant that survives is printed as a change of one line.
 """
 
@@ -9,7 +10,6 @@ from __future__ import annotations
 
 import ast
 import compileall
-import importlib.util
 import os
 import random
 import shutil
@@ -25,11 +25,31 @@ from typing import NamedTuple
 import click
 
 ROOT = Path(__file__).parents[1]
-# file of the core -> the tests that must know what is right there
+# file -> the tests that must know what is right there
 TESTS: dict[str, tuple[str, ...]] = {  # the sharpest and fastest first
     "fusion/se2.py": ("tests/fusion/test_se2.py",),
     "fusion/ekf/belief_arrays.py": ("tests/ekf", "tests/atlas/test_anchors.py", "tests/fusion/test_fuse.py"),
-    "fusion/ekf/rows.py": ("tests/ekf", "tests/linemap/test_association.py", "tests/fusion/test_fuse.py"),
+    "fusion/ekf/equations.py": ("tests/ekf/test_equations.py", "tests/fusion/test_fuse.py"),
+    "fusion/ekf/events.py": ("tests/fusion/test_smooth.py", "tests/tune/test_tune.py"),
+    "fusion/ekf/map_frame.py": ("tests/ekf/test_map_frame.py",),
+    "fusion/ekf/robust.py": ("tests/fusion/test_robust.py",),
+    "fusion/kernels/angles.py": ("tests/kernels/test_line_fits.py", "tests/kernels/test_sight.py"),
+    "fusion/kernels/ekf.py": ("tests/kernels/test_state.py", "tests/ekf", "tests/fusion/test_fuse.py"),
+    "fusion/kernels/line_fits.py": (
+        "tests/kernels/test_line_fits.py",
+        "tests/kernels/test_curves.py",
+        "tests/lines/test_lines.py",
+    ),
+    "fusion/kernels/places.py": ("tests/recovery/test_places.py",),
+    "fusion/kernels/red.py": ("tests/kernels/test_red.py", "tests/camera/test_camera.py"),
+    "fusion/kernels/segments.py": ("tests/kernels/test_segments.py", "tests/lines/test_lines.py"),
+    "fusion/kernels/sight.py": (
+        "tests/kernels/test_sight.py",
+        "tests/linemap/test_prediction.py",
+        "tests/linemap/test_map_keeping.py",
+        "tests/sensors/test_lrf.py",
+    ),
+    "fusion/kernels/wheels.py": ("tests/kernels/test_wheel_intervals.py", "tests/wheels/test_motion.py"),
     "fusion/wheels/motion.py": ("tests/wheels/test_motion.py", "tests/wheels/test_wheel_states.py"),
     "fusion/wheels/repairs.py": ("tests/wheels/test_rollover.py", "tests/wheels/test_wheels.py"),
     "fusion/sensors/compass.py": (
@@ -39,52 +59,41 @@ TESTS: dict[str, tuple[str, ...]] = {  # the sharpest and fastest first
     ),
     "fusion/sensors/gyro.py": ("tests/sensors/test_gyro.py", "tests/sensors/test_contract.py"),
     "fusion/sensors/gps.py": ("tests/sensors/test_gps.py", "tests/sensors/test_contract.py"),
+    "fusion/sensors/landmarks.py": ("tests/sensors/test_landmarks.py", "tests/sensors/test_contract.py"),
+    "fusion/sensors/pose.py": ("tests/sensors/test_pose.py", "tests/sensors/test_contract.py"),
+    "fusion/sensors/sonar.py": ("tests/sensors/test_sonar.py", "tests/sensors/test_contract.py"),
+    "fusion/sensors/twist.py": ("tests/sensors/test_twist.py", "tests/sensors/test_contract.py"),
     "fusion/sensors/camera.py": ("tests/camera/test_camera.py", "tests/sensors/test_contract.py"),
     "fusion/linemap/line_map.py": (
         "tests/linemap/test_prediction.py",
         "tests/linemap/test_map_keeping.py",
-        "tests/linemap/test_association.py",
         "tests/linemap/test_given_map.py",
-        "tests/linemap/test_standing.py",
+        "tests/kernels/test_sight.py",
         "tests/sensors/test_lrf.py",
     ),
     "fusion/linemap/association.py": (
-        "tests/linemap/test_association.py",
-        "tests/linemap/test_standing.py",
+        "tests/kernels/test_sight.py",
         "tests/linemap/test_two_scans.py",
+        "tests/linemap/test_map_keeping.py",
         "tests/sensors/test_lrf.py",
     ),
-    "fusion/core/filter.py": ("tests/ekf", "tests/core/test_filter.py", "tests/core/test_stretch.py"),
-    "fusion/core/coast.py": ("tests/core/test_stretch.py", "tests/fusion/test_coast.py"),
-    "fusion/core/singles.py": ("tests/core/test_singles.py", "tests/fusion/test_coast_singles.py"),
-    "fusion/core/echoes.py": ("tests/core/test_singles.py", "tests/sensors/test_sonar.py"),
-    "fusion/core/fixes.py": ("tests/core/test_singles.py", "tests/sensors/test_gps.py"),
-    "fusion/core/turns.py": ("tests/core/test_singles.py", "tests/sensors/test_gyro.py"),
-    "fusion/core/sightings.py": ("tests/core/test_singles.py", "tests/sensors/test_landmarks.py"),
-    "fusion/core/rests.py": ("tests/core/test_rests.py", "tests/linemap/test_standing.py"),
-    "fusion/core/poses.py": ("tests/core/test_singles.py", "tests/sensors/test_pose.py"),
-    "fusion/core/twists.py": ("tests/core/test_singles.py", "tests/sensors/test_pose.py"),
-    "fusion/core/nees.py": ("tests/core/test_nees.py", "tests/judge/test_consistency.py"),
-    "fusion/core/intervals.py": ("tests/wheels/test_motion.py", "tests/core/test_intervals.py"),
-    "fusion/core/pairs.py": ("tests/linemap/test_pairing.py",),
-    "fusion/core/match.py": (
-        "tests/linemap/test_association.py",
-        "tests/linemap/test_prediction.py",
-        "tests/sensors/test_lrf.py",
-    ),
-    "fusion/core/places.py": ("tests/recovery/test_places.py", "tests/core/test_filter.py"),
-    "fusion/core/fit.py": ("tests/core/test_fit.py", "tests/lines/test_lines.py"),
-    "fusion/core/pieces.py": ("tests/core/test_pieces.py", "tests/lines/test_lines.py"),
+    "fusion/linemap/laser_mount.py": ("tests/kernels/test_sight.py", "tests/fusion/test_mount.py"),
+    "fusion/linemap/scan.py": ("tests/linemap/test_map_keeping.py", "tests/sensors/test_lrf.py"),
+    "fusion/linemap/sonar_echo.py": ("tests/sensors/test_sonar.py",),
+    "fusion/linemap/standing.py": ("tests/linemap/test_standing.py",),
+    "fusion/linemap/tidy.py": ("tests/linemap/test_map_keeping.py",),
     "fusion/judge/evaluate.py": ("tests/judge/test_evaluate.py", "tests/judge/test_way.py"),
     "fusion/judge/way.py": ("tests/judge/test_way.py", "tests/judge/test_evaluate.py"),
     "fusion/judge/bootstrap.py": ("tests/judge/test_credit.py",),
     "fusion/judge/credit.py": ("tests/judge/test_credit.py",),
     "fusion/judge/verdict.py": ("tests/judge/test_credit.py",),
+    "fusion/judge/consistency.py": ("tests/judge/test_nees.py", "tests/judge/test_consistency.py"),
     "fusion/judge/innovations.py": ("tests/judge/test_consistency.py", "tests/judge/test_by_truth.py"),
     "fusion/judge/predictive.py": ("tests/judge/test_predictive.py",),
     "fusion/judge/against.py": ("tests/judge/test_against.py",),
     "fusion/smooth.py": ("tests/fusion/test_smooth.py",),
 }
+BOTH_FORMS = "interpreted or compiled or either"  # words in names of tests that compare two forms of a kernel
 SWAPPED = {ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*"}
 SPELLED = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
 NAMES = {"cos": "sin", "sin": "cos", "min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum"}
@@ -152,7 +161,7 @@ def _end(node: ast.expr, source: str) -> int:
 
 
 def laid_out(folder: Path) -> Path:
-    """Lay the package out as it is installed, with a fusion/ of its own; return that."""
+    """Lay the package out as it is installed, with a fusion/ of its own; kernels run interpreted."""
     package = folder / "locfuse"
     package.mkdir()
     for path in (ROOT / "cli" / "facade").iterdir():
@@ -160,14 +169,16 @@ def laid_out(folder: Path) -> Path:
             (package / path.name).symlink_to(path)
     for name in ("cli", "formats", "robots", "sample_logs"):
         (package / name).symlink_to(ROOT / name)
-    built = shutil.ignore_patterns("__pycache__", "*.so", "*.pyd")  # a core that was built in the source tree
-    shutil.copytree(ROOT / "fusion", package / "fusion", ignore=built)
-    core = importlib.util.find_spec("locfuse.fusion.core.compiled")
-    if core is not None and core.origin is not None:  # runs until a file of the core is changed
-        (package / "fusion" / "core" / Path(core.origin).name).symlink_to(Path(core.origin).resolve())
+    compiled = shutil.ignore_patterns("__pycache__", "*.so", "*.pyd")
+    shutil.copytree(ROOT / "fusion", package / "fusion", ignore=compiled)
     # bytecode that knows its source by its content: a changed file is noticed within the same second
     compileall.compile_dir(package / "fusion", quiet=2, invalidation_mode=PycInvalidationMode.CHECKED_HASH)
     return package
+
+
+def first_on_path(package: Path) -> dict[str, str]:
+    """Return the environment of a process that imports this package, and not the installed one."""
+    return {**os.environ, "PYTHONPATH": str(package.parent)}
 
 
 def notices(package: Path, mutant: Mutant) -> bool:
@@ -183,8 +194,9 @@ def notices(package: Path, mutant: Mutant) -> bool:
 
 def passes(package: Path, tests: tuple[str, ...]) -> bool:
     """Return whether tests pass with this package in front of the installed one."""
-    env = {**os.environ, "PYTHONPATH": str(package.parent), "PYTHONDONTWRITEBYTECODE": "1", "NO_COLOR": "1"}
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "--no-header", *tests]
+    env = {**first_on_path(package), "PYTHONDONTWRITEBYTECODE": "1", "NO_COLOR": "1"}
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "--no-header"]
+    command += ["-k", f"not ({BOTH_FORMS})", *tests]
     try:
         done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, timeout=PATIENCE, check=False)
     except subprocess.TimeoutExpired:

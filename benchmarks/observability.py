@@ -7,15 +7,16 @@ frame as states, and without, where pose and lines stand in the map itself (the 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
 
 from locfuse.cli.pipeline.load import make_robot
-from locfuse.fusion.data import Array, Drive
+from locfuse.fusion.data import Array, Drive, Measurements
 from locfuse.fusion.fuse import Filter
-from locfuse.fusion.instants import due_readings, steps_of
+from locfuse.fusion.instants import Due, due_readings, steps_of
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 
@@ -30,15 +31,15 @@ PICTURE = Path(__file__).parents[1] / "docs" / "images" / "observability.svg"
 class WithoutFrame(Filter):
     """The filter whose map has no frame of its own."""
 
-    def _begin_frame(self) -> None:
+    def _begin_frame(self, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
         return
 
 
 def directions(run: Filter, drive: Drive) -> Array:
     """Return times [s] and sigmas [deg] of the first wall's direction in the map, (n, 2)."""
-    model, rows = run.models["lrf"], []
-    for k, (step, due) in enumerate(zip(steps_of(drive), due_readings(drive, ["lrf"]), strict=True)):
-        run.advance(k, step, due, drive.measurements)
+    model, rows, steps = run.models["lrf"], [], steps_of(drive)
+    for k, due in enumerate(due_readings(drive, ["lrf"])):
+        run.advance(k, steps, due, drive.measurements)
         if due:
             wall = next(line for line in model.lines(run.belief)[1] if line.id == 0)
             rows.append((drive.t[k], math.degrees(math.sqrt(wall.P_map[1, 1]))))

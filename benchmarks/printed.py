@@ -31,7 +31,6 @@ from locfuse.fusion.paper import rows as paper_rows
 from locfuse.fusion.paper.filter import fuse_as_printed
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import wrap
-from locfuse.fusion.sensor import Innovation
 from locfuse.sample_logs.load import load
 from locfuse.sample_logs.record import in_memory
 
@@ -61,7 +60,7 @@ class BearingRow(paper_rows.CameraRow):
         settings = robot.settings("camera")
         self.landmark, self.lever = settings.landmark, (settings.x, settings.y)
 
-    def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[Innovation]:
+    def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[paper_rows.Row]:
         """Compare the bearing of the largest candidate of picture i."""
         row = int(m.first[i])
         predicted = predict_bearing((float(x[0]), float(x[1]), float(x[2])), self.landmark, self.lever, self.yaw)

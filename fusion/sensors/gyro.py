@@ -230,7 +230,8 @@ def up_rate(columns: dict[str, Array], settings: GyroSettings, topic: str) -> Ar
         )
     finite = omega[np.isfinite(omega).all(axis=1)]
     if not finite.any():
-        raise LocfuseError(f"{topic} says 0 in all {len(omega)} messages: no gyro writes there", role="gyro")
+        says = "says 0" if len(finite) or not len(omega) else "has no finite angular velocity"
+        raise LocfuseError(f"{topic} {says} in all {len(omega)} messages: no gyro writes there", role="gyro")
     rate: Array = omega @ rotation(settings.roll_deg, settings.pitch_deg, 0.0)[2]
     return np.radians(rate) if settings.unit == "deg" else rate
 

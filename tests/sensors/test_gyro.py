@@ -279,7 +279,8 @@ def test_an_imu_without_angular_velocity_is_no_gyro() -> None:
     none = np.tile(np.array([-1.0, 0, 0, 0, 0, 0, 0, 0, 0]), (n, 1))
     for stream, word in (
         (imu(t, theta, rng, angular_velocity_covariance=none), "covariance"),
-        (imu(t, 0.0 * theta, rng), "says 0"),
+        (imu(t, 0.0 * theta, rng), f"/imu says 0 in all {n} messages"),
+        (imu(t, np.nan * theta, rng), f"/imu has no finite angular velocity in all {n} messages"),
     ):
         drive = measure({"wheels": wheels(t, theta, speed, rng), "gyro": stream}, robot())
         assert word in drive.absent["gyro"]

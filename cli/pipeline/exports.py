@@ -44,15 +44,21 @@ def files(kinds: Collection[str], loaded: Loaded, found: Mapping[str, Estimates]
 
 def _mcap(loaded: Loaded, found: Mapping[str, Estimates], with_log: bool) -> Callable[[Any], None]:
     from locfuse.formats.results.mcap_export import Export
+    from locfuse.formats.robot import robot_toml
 
-    from .results import robot_file
+    from .key import files_of
+    from .results import settings_tables
 
-    drive, robot = loaded.drive, loaded.robot
+    tables = settings_tables(loaded.robot)
+    for table, key, text in list(files_of(tables)):
+        if not loaded.log.recorded(text):  # a file of this machine: it does not go with the copy
+            tables[table].pop(key, None)
+    drive = loaded.drive
     export = Export(
         drive=drive,
         estimates=tuple(found.values()),
         twist=_twist(drive),
-        robot_toml=robot_file(robot).encode(),
+        robot_toml=robot_toml.dump(tables).encode(),
         clock_ns=_other_clock(loaded),
         log=loaded.log if with_log else None,
     )

@@ -14,10 +14,12 @@ import msgspec
 
 from locfuse.formats.caps import MAX_ROBOT_TOML, MAX_TEXT_FILE
 from locfuse.formats.inputs import read_small
+from locfuse.formats.log.file_stream import SUFFIXES
 from locfuse.formats.log.identity import Identity
 from locfuse.formats.report.json_report import SCHEMA_VERSION, made_with
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.versions import own
+from locfuse.fusion.sensors.landmarks import GROW
 
 from .configurations import Sensors
 from .settings import LogOptions
@@ -70,6 +72,16 @@ def with_files(tables: Mapping[str, Any]) -> dict[str, Any]:
     settings = {name: value for name, value in tables.items() if name != FILES}
     found = {text: digest for text in _texts(settings) if (digest := _digest(text)) is not None}
     return {**settings, FILES: found} if found else settings
+
+
+def files_of(tables: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+    """Yield table, key and text of every setting that names a text file: detections, a map, a topic "x.tum"."""
+    for table, keys in tables.items():
+        for key, value in keys.items() if isinstance(keys, Mapping) else ():
+            for text in _texts(value):
+                a_map = (table, key) == ("landmarks", "map") and text != GROW
+                if a_map or Path(text).suffix.lower() in SUFFIXES:
+                    yield table, key, text
 
 
 def _texts(value: Any) -> Iterator[str]:

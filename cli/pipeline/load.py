@@ -38,7 +38,7 @@ from locfuse.fusion.streams import MergedStream, merged
 from locfuse.fusion.wheels.odometry import SCANS
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
-from .key import asked_tables, with_files
+from .key import asked_tables, files_of, with_files
 from .memory import give_back
 from .settings import ORDERS, PRESETS, LogOptions, Progress, silent
 
@@ -278,10 +278,6 @@ def merged_tables(log: Log, how: LogOptions) -> dict[str, Any]:
 def _layers(log: Log, how: LogOptions) -> dict[str, dict[str, Any]]:
     """Return the tables that somebody gave, by who did; what comes later wins."""
     layers: dict[str, dict[str, Any]] = {}
-    if ATTACHMENT in log.attachments:
-        layers["robot.toml in the log"] = _checked(
-            log.attachments[ATTACHMENT], f"{log.name}: attachment {ATTACHMENT}"
-        )
     files = [_checked(read_small(file, MAX_ROBOT_TOML), str(file)) for file in how.robot_files]
     if files:
         layers["--robot"] = robot_toml.merge(*files)
@@ -290,7 +286,43 @@ def _layers(log: Log, how: LogOptions) -> dict[str, dict[str, Any]]:
         sets["order"] = how.order
     if how.preset:
         sets["preset"] = how.preset
-    return {**layers, "--set": sets}
+    layers["--set"] = sets
+    if ATTACHMENT in log.attachments:
+        attached = _checked(log.attachments[ATTACHMENT], f"{log.name}: attachment {ATTACHMENT}")
+        layers = {"robot.toml in the log": _of_log(log, attached, layers), **layers}
+    return layers
+
+
+def _of_log(log: Log, tables: dict[str, Any], above: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+    """Return the log's own tables, the files that they name in the log's folder.
+
+    The log may be a stranger's: it names no other file of the reader. Raises LocfuseError where it does, unless
+    a place above says the same key.
+    """
+    said = {key for others in above.values() for key in _keys(others)}
+    for table, key, text in list(files_of(tables)):
+        if f"{table}.{key}" in said or log.recorded(text):
+            continue
+        folder = log.paths[0].parent
+        if not isinstance(folder, Path) or not _is_below(folder, text):
+            raise LocfuseError(
+                f"{log.name}: attachment {ATTACHMENT}: {table}.{key} names the file {text!r}: a log may name only "
+                "files in its own folder, by a path without '..'",
+                hint=f"give {table}.{key} by --robot FILE or --set {table}.{key}=...",
+            )
+        place = str(folder / text)
+        before = tables[table][key]
+        now = place if isinstance(before, str) else [place if one == text else one for one in before]
+        tables = robot_toml.merge(tables, {table: {key: now}})
+    return tables
+
+
+def _is_below(folder: Path, text: str) -> bool:
+    """Return whether a path is relative and leads into a folder, links followed."""
+    path = Path(text)
+    if path.is_absolute() or ".." in path.parts or text.startswith("~") or "\0" in text:
+        return False
+    return (folder / path).resolve().is_relative_to(folder.resolve())
 
 
 def _sources(log: Log, how: LogOptions) -> dict[str, str]:

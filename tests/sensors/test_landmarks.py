@@ -12,6 +12,8 @@ import pytest
 from bags import T0
 from commands import locfuse
 from landmark_drive import MAP, path_of
+from mcap.reader import make_reader
+from mcap.writer import Writer
 from numpy.typing import NDArray
 from said import said
 from textbook import numeric_jacobian, wrap
@@ -348,3 +350,75 @@ def test_a_tracker_that_counts_up_is_refused_in_one_line(tmp_path: Path) -> None
     assert done.exit_code == 1
     assert "none of its 5000 ids is seen 3 times" in done.stderr
     assert len(done.stderr.splitlines()) == 1
+
+
+def with_robot(files: tuple[Path, ...], folder: Path, lines: str) -> Path:
+    """A copy of the log of `files` in a folder of its own that says a robot.toml of its own."""
+    folder.mkdir()
+    with files[0].open("rb") as source, (folder / "log.mcap").open("wb") as sink:
+        writer: Any = Writer(sink)
+        writer.start()
+        channels: dict[int, int] = {}
+        for schema, channel, message in make_reader(source).iter_messages():
+            assert schema is not None
+            if channel.id not in channels:
+                kind = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, kind)
+            writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time)
+        writer.add_attachment(0, 0, "robot.toml", "application/toml", lines.encode())
+        writer.finish()
+    return folder / "log.mcap"
+
+
+@pytest.mark.parametrize(
+    ("lines", "key", "file"),
+    [
+        ("[landmarks]\nfile = '{}/detections.csv'", "landmarks.file", "detections.csv"),
+        ("[landmarks]\nfile = '../detections.csv'", "landmarks.file", "detections.csv"),
+        ("[landmarks]\nfile = '~/detections.csv'", "landmarks.file", "detections.csv"),
+        ("[landmarks]\nfile = 'link/detections.csv'", "landmarks.file", "detections.csv"),
+        ('[landmarks]\nfile = "\\u0000.csv"', "landmarks.file", "detections.csv"),
+        ("[landmarks]\nmap = '{}/landmarks.csv'", "landmarks.map", "landmarks.csv"),
+        ("[truth]\ntopic = '{}/truth.csv'", "truth.topic", "truth.csv"),
+    ],
+)
+def test_a_log_names_no_file_outside_its_own_folder(tmp_path: Path, lines: str, key: str, file: str) -> None:
+    log = with_robot(written(tmp_path), tmp_path / "sent", lines.replace("{}", str(tmp_path)))
+    (tmp_path / "sent" / "link").symlink_to(tmp_path, target_is_directory=True)
+    words = ("run", log, *GEOMETRY, "--sensors", "odometry", "--no-advice", "-o", tmp_path / "out")
+    done = locfuse(*words)
+    assert done.exit_code == 1
+    assert f"attachment robot.toml: {key} names the file" in done.stderr
+    assert f"--set {key}=" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    done = locfuse(*words, "--set", f"{key}={tmp_path / file}")
+    assert done.exit_code == 0, done.stderr
+
+
+def test_a_log_names_files_in_its_own_folder_wherever_the_reader_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = written(tmp_path)
+    log = with_robot(files, tmp_path / "sent", "[landmarks]\nfile = 'seen/d.csv'\nmap = 'm.csv'\n")
+    (tmp_path / "sent" / "seen").mkdir()
+    (tmp_path / "sent" / "seen" / "d.csv").write_bytes(files[1].read_bytes())
+    (tmp_path / "sent" / "m.csv").write_bytes(files[2].read_bytes())
+    for folder, place in ((tmp_path, log), (log.parent, log.name)):
+        monkeypatch.chdir(folder)
+        out = tmp_path / f"of_{folder.name}"
+        done = locfuse("run", place, *GEOMETRY, "--sensors", "landmarks", "--no-advice", "-o", out)
+        assert done.exit_code == 0, done.stderr
+
+
+def test_an_exported_log_takes_no_path_of_this_machine_along(tmp_path: Path) -> None:
+    log, detections, _, truth = written(tmp_path)
+    words = ("--no-advice", "-o", tmp_path / "out", "--export", "mcap,log", "--truth", truth)
+    done = locfuse("run", log, *GEOMETRY, "--set", f"landmarks.file={detections}", *words)
+    assert done.exit_code == 0, done.stderr
+    with (tmp_path / "out" / "estimates.mcap").open("rb") as file:
+        attached = [a.data for a in make_reader(file).iter_attachments() if a.name == "robot.toml"]
+    assert len(attached) == 1
+    assert str(tmp_path).encode() not in attached[0]
+    assert b"sigma_range" in attached[0]
+    done = locfuse("run", tmp_path / "out" / "estimates.mcap", "--no-advice", "-o", tmp_path / "again")
+    assert done.exit_code == 0, done.stderr

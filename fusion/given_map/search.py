@@ -21,6 +21,7 @@ from locfuse.fusion.wheels.motion import Wheels
 from .grid import Grid
 
 SPACING_M, HEADINGS = 0.3, 72  # of the places and headings that are tried first
+MAX_TRIED = 10_000_000  # places times headings: a free floor of 100 m x 100 m in cells of 5 cm has 8 million
 BEAMS, FEW_BEAMS = 60, 30  # of a scan, evenly taken; where every place is tried
 NEAR_M, FAR_M = 0.15, 0.5  # a beam ends at a wall: within the first surely, beyond the second surely not
 KEPT, AT_LEAST = 2000, 200  # places after the first scan, and later: half of them go with every scan
@@ -36,6 +37,9 @@ SHIFTS = np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))  # in which a place
 FINER = ((0.1, math.radians(2.0)), (0.05, math.radians(1.0)))  # m, rad of such moves
 ROUNDS = 2  # of moves of one size
 REST = 1e-3  # m/s, rad/s
+SAY_START = "say where the drive begins: " + " ".join(
+    f"--set start.{key}" for key in ("x=...", "y=...", "theta_deg=...", "sigma_xy=0.5")
+)
 
 
 class Start(NamedTuple):
@@ -50,7 +54,7 @@ class Start(NamedTuple):
 def find_start(grid: Grid, t: Array, points: Points, wheels: Wheels) -> Start:
     """Return where the robot was at the first scan, by DRIVING_S seconds of driving; t (n,) are the scans' times.
 
-    Raises LocfuseError where no place fits, or several do as well.
+    Raises LocfuseError where no place fits, several do as well, or there are more to try than MAX_TRIED.
     """
     places, seen = _Places(grid), list[int]()
     rows = _rows(t, wheels)
@@ -77,6 +81,7 @@ class _Places:
         self.seen = 0  # scans
         self.best = self.other = 0.0  # share of the best place, and of the best one elsewhere
         self._grid = grid
+        self._lattice = _lattice(grid)
         self._field = _field(grid)
         self._free = grid.free.copy()
         self._free[0, 0] = False
@@ -111,10 +116,7 @@ class _Places:
 
     def _begin(self, beams: Array) -> None:
         """Try all free places and headings, and keep the KEPT best."""
-        every = max(1, round(SPACING_M / self._grid.cell))
-        half = every // 2
-        j, i = np.nonzero(self._grid.free[half::every, half::every])
-        places = np.stack((i, j), axis=-1) * every + half + 0.5
+        places = self._lattice
         headings = np.arange(HEADINGS) * (math.tau / HEADINGS)
         share = np.stack(
             [self._share(np.column_stack((places, np.full(len(places), a))), beams) for a in headings.tolist()]
@@ -184,8 +186,24 @@ def _no_place(places: _Places, until: float) -> str:
         )
     return (
         f"several places in the map fit the first {until:.0f} s ({places.best:.0%} and {places.other:.0%} of the "
-        "beams end at walls): say where the drive begins, --set start.x=... start.y=... start.theta_deg=..."
+        f"beams end at walls): {SAY_START}"
     )
+
+
+def _lattice(grid: Grid) -> Array:
+    """Return free places (n, 2) SPACING_M apart, in cells. Raises LocfuseError for too many to try them all."""
+    every = max(1, round(SPACING_M / grid.cell))
+    half = every // 2
+    free = grid.free[half::every, half::every]
+    tried = int(np.count_nonzero(free)) * HEADINGS
+    if tried > MAX_TRIED:
+        raise LocfuseError(
+            f"the start cannot be looked for in all of the map: {tried // HEADINGS} free places x {HEADINGS} "
+            f"headings are {tried}, more than the cap of {MAX_TRIED}: {SAY_START}; or cut the map",
+            role="map",
+        )
+    j, i = np.nonzero(free)
+    return np.asarray(np.stack((i, j), axis=-1) * every + half + 0.5, np.float64)
 
 
 def _field(grid: Grid) -> Array:

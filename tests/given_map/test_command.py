@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
+import tracemalloc
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from bags import T0, S, Said, cdr, header, write
@@ -70,6 +73,35 @@ def test_a_map_of_another_building_is_one_line(given: Path) -> None:
     done = locfuse("run", LOG, "--map", given, "--sensors", "lrf", *UNKNOWN_START)
     assert done.exit_code == 1
     assert "Is it a map of this building?" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_floor_too_large_to_be_looked_through_is_one_line(given: Path) -> None:
+    """A picture of 200 m x 200 m is some kB; 32 million places and headings took 5 GiB and minutes."""
+    pixels = np.full((4000, 4000), 254, np.uint8)
+    for x0, y0, x1, y1 in box(10, 10, 3990, 3990):
+        pixels[min(y0, y1) : max(y0, y1) + 1, min(x0, x1) : max(x0, x1) + 1] = 0
+    given.with_name("large.png").write_bytes(cv2.imencode(".png", pixels)[1].tobytes())
+    large = given.with_name("large.yaml")
+    large.write_text(
+        "image: large.png\nresolution: 0.05\norigin: [-100, -100, 0]\n"
+        "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+    )
+    words = ("run", LOG, "--map", large, "--sensors", "lrf", "--no-advice", "-o", given.parent / "out")
+    tracemalloc.start()
+    try:
+        done = locfuse(*words, *UNKNOWN_START)
+        assert tracemalloc.get_traced_memory()[1] < 1 << 30
+    finally:
+        tracemalloc.stop()
+    assert done.exit_code == 1
+    found = re.search(r"(\d+) free places x (\d+) headings are (\d+), more than the cap of (\d+)", done.stderr)
+    assert found is not None, done.stderr
+    places, headings, tried, cap = map(int, found.groups())
+    assert (tried, places * headings > cap) == (places * headings, True)
+    assert 600**2 < places < 667**2  # of a lattice of 0.3 m
+    assert cap > places / 4 * headings  # 100 m x 100 m are looked through
+    assert "--set start.x=" in done.stderr
     assert len(done.stderr.splitlines()) == 1
 
 

@@ -308,7 +308,7 @@ def _of_log(log: Log, tables: dict[str, Any], above: Mapping[str, dict[str, Any]
             raise LocfuseError(
                 f"{log.name}: attachment {ATTACHMENT}: {table}.{key} names the file {text!r}: a log may name only "
                 "files in its own folder, by a path without '..'",
-                hint=f"give {table}.{key} by --robot FILE or --set {table}.{key}=...",
+                hint=f"give {table}.{key} in a file of your own: --robot FILE",
             )
         place = str(folder / text)
         before = tables[table][key]

@@ -389,7 +389,7 @@ def test_a_log_names_no_file_outside_its_own_folder(tmp_path: Path, lines: str, 
     done = locfuse(*words)
     assert done.exit_code == 1
     assert f"attachment robot.toml: {key} names the file" in done.stderr
-    assert f"--set {key}=" in done.stderr
+    assert f"give {key} in a file of your own: --robot FILE" in done.stderr
     assert len(done.stderr.splitlines()) == 1
     done = locfuse(*words, "--set", f"{key}={tmp_path / file}")
     assert done.exit_code == 0, done.stderr

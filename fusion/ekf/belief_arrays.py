@@ -84,21 +84,6 @@ class JointBelief(ekf.State):
     # ---- what it is ----
 
     @property
-    def x(self) -> float:
-        """X of the pose [m]."""
-        return self.value(0)
-
-    @property
-    def y(self) -> float:
-        """Y of the pose [m]."""
-        return self.value(1)
-
-    @property
-    def theta(self) -> float:
-        """Heading of the pose [rad], not wrapped."""
-        return self.value(2)
-
-    @property
     def state(self) -> Array:
         """The state vector, a view (n,)."""
         return self._x[: self.n]
@@ -285,10 +270,13 @@ class JointBelief(ekf.State):
         self._P[where, where] = block.P
         if np.any(block.drift > 0):
             self._drift.append((np.arange(where.start, where.stop), block.drift))
-            self.drift(
-                np.concatenate([columns for columns, _ in self._drift]).astype(np.intp),
-                np.concatenate([drift for _, drift in self._drift]).astype(np.float64),
-            )
+            self._let_drift()
+
+    def _let_drift(self) -> None:
+        """Tell the kernel which states drift."""
+        if self._drift:
+            columns, drift = (np.concatenate(part) for part in zip(*self._drift, strict=True))
+            self.drift(columns.astype(np.intp), drift.astype(np.float64))
 
     def drive_with(self, name: str) -> None:
         """Let a block's values correct the wheel motion: `predict` takes J = du/d(block)."""
@@ -327,7 +315,7 @@ class JointBelief(ekf.State):
         if not len(columns):
             return
         if self.events is not None:
-            back = by_others(self._before(), columns, self.n - len(columns)) if self.events.backward else None
+            back = by_others(self._before(), columns, dropped=True) if self.events.backward else None
             self.events.add(Dropped(np.asarray(columns), self.n, back))
         n, m = self.n, self.n - len(columns)
         moves = _moves(columns, n)
@@ -345,26 +333,25 @@ class JointBelief(ekf.State):
             start = self._slices[name].start - int((columns < self._slices[name].start).sum())
             self._slices[name] = slice(start, start + 2)
 
-    def transform(self, columns: Ints, values: Array, G: Array) -> None:
+    def transform(self, columns: Ints | Sequence[int], values: Array | Sequence[float], G: Any) -> None:
         """Replace states (k,) by functions of themselves: their values (k,) and derivative G (k, k).
 
         x <- values, P <- T P T' with T the unit matrix but for G.
         """
-        before = self.state[columns].copy()
-        n, P = self.n, self._P
-        self._x[columns] = values
-        P[columns, :n] = G @ P[columns, :n]
-        P[:n, columns] = P[:n, columns] @ G.T
         if self.events is None:
+            self.replace(columns, values, G)
             return
-        k, by = len(columns), np.zeros((len(columns), n))
+        columns = np.asarray(columns)
+        before, n, k = self.state[columns].copy(), self.n, len(columns)
+        self.replace(columns, values, G)
+        by = np.zeros((k, n))
         by[:, columns] = G
         back = None
         if self.events.backward:
             inverse = np.zeros((k, n))
             inverse[:, columns] = np.linalg.inv(G)
-            back = Undone(np.asarray(columns), before - inverse @ self.state, inverse, np.zeros((k, k)))
-        self.events.add(Changed(np.asarray(columns), by, np.zeros((k, k)), back))
+            back = Undone(columns, before - inverse @ self.state, inverse, np.zeros((k, k)))
+        self.events.add(Changed(columns, by, np.zeros((k, k)), back))
 
     def loosen(self, columns: Ints, variance: Array) -> None:
         """Add independent variance (k,) to distinct states: they are not quite what they were."""
@@ -650,11 +637,7 @@ class JointBelief(ekf.State):
                 setattr(copy, name, _copied(value))
         copy.n, copy.frame, copy.wheels = self.n, self.frame, self.wheels
         copy._hold()
-        if copy._drift:
-            copy.drift(
-                np.concatenate([columns for columns, _ in copy._drift]).astype(np.intp),
-                np.concatenate([drift for _, drift in copy._drift]).astype(np.float64),
-            )
+        copy._let_drift()
         return copy
 
 

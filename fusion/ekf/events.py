@@ -167,10 +167,10 @@ def undone(before: Before, after: Before, rows: Ints, noise: Array, coupling: Ar
     return Undone(rows, x[rows] - G @ x_next, G, D)
 
 
-def by_others(before: Before, rows: Ints, n_after: int | None = None) -> Undone:
+def by_others(before: Before, rows: Ints, dropped: bool = False) -> Undone:
     """Return how the states `rows` follow from all others, which is all that is left of them once they are set.
 
-    G is in the layout of the state before, with zeros at `rows`; without these columns where they are dropped.
+    G is in the layout of the state before, with zeros at `rows`; without these columns where they are `dropped`.
     """
     x, P = before
     n = len(x)
@@ -179,7 +179,7 @@ def by_others(before: Before, rows: Ints, n_after: int | None = None) -> Undone:
     rest = np.zeros((len(rows), n))
     rest[np.arange(len(rows)), rows] = 1.0
     rest[:, stay] = -G
-    if n_after is None:
+    if not dropped:
         whole = np.zeros((len(rows), n))
         whole[:, stay] = G
         G = whole

@@ -52,6 +52,8 @@ cdef class State:
     cdef double sigma_of(self, Py_ssize_t a)
     @cython.locals(k=Py_ssize_t, w=Py_ssize_t, by_x=double, by_y=double, by_theta=double)
     cpdef double variance(self, object H, bint in_map=*) except? -1.0
+    @cython.locals(total=double, h=double, by=double, i=Py_ssize_t, j=Py_ssize_t, k=Py_ssize_t, at=Py_ssize_t, column=Py_ssize_t)
+    cpdef double variance_of(self, object columns, object H) except? -1.0
     cpdef void begin(self)
     @cython.locals(k=Py_ssize_t)
     cpdef void queue_rows(self, Py_ssize_t first, Py_ssize_t rows)
@@ -78,6 +80,10 @@ cdef class State:
     cpdef void loosen_states(self, Py_ssize_t[::1] columns, double[::1] variances, Py_ssize_t states)
     @cython.locals(n=Py_ssize_t, i=Py_ssize_t, j=Py_ssize_t)
     cpdef void copy_pose(self, Py_ssize_t column, Py_ssize_t first, Py_ssize_t states)
+    @cython.locals(k=Py_ssize_t, first=Py_ssize_t, a=Py_ssize_t, b=Py_ssize_t)
+    cpdef object replace(self, object columns, object values, object G)
+    @cython.locals(n=Py_ssize_t, a=Py_ssize_t, b=Py_ssize_t, i=Py_ssize_t)
+    cdef void turn_rows(self, Py_ssize_t first, Py_ssize_t k)
     cpdef double value(self, Py_ssize_t column)
     @cython.locals(G=Py_ssize_t)
     cpdef double x_in_map(self)

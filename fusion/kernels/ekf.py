@@ -340,6 +340,16 @@ class State:
         self.row_count[k] = w
         return max(self.covariance_of(k, k), 0.0)
 
+    def variance_of(self, columns: Sequence[int], H: Sequence[float]) -> float:
+        """Return H P H' for one derivative H (k,) by the states `columns` (k,)."""
+        total, k = 0.0, len(columns)
+        for i in range(k):
+            at, h = columns[i], H[i]
+            for j in range(k):
+                column, by = columns[j], H[j]
+                total += h * by * self.P[at, column]
+        return max(total, 0.0)
+
     # ---- correct ----
 
     def begin(self) -> None:
@@ -519,6 +529,52 @@ class State:
         for i in range(n):
             for j in range(states):
                 self.P[i, column + j] = self.P[i, first + j]
+
+    def replace(self, columns: Any, values: Any, G: Any) -> None:
+        """Let states (k,) be functions of themselves: x <- values, P <- T P T', T the unit but for G (k, k)."""
+        k, first = len(columns), self.written
+        self.room_for(k, k)  # behind the rows of the equation
+        for a in range(k):
+            by = G[a]
+            for b in range(k):
+                self.row_at[first + a, b], self.row_H[first + a, b] = columns[b], by[b]
+        self.turn_rows(first, k)
+        for a in range(k):
+            self.mean[self.row_at[first, a]] = values[a]
+
+    def turn_rows(self, first: int, k: int) -> None:
+        """P <- T P T', where T is the unit but for the k rows of the table from `first` on."""
+        n = self.n
+        for i in range(n):
+            for a in range(k):
+                self.V[a, i] = 0.0
+                for b in range(k):
+                    self.V[a, i] += self.row_H[first + a, b] * self.P[self.row_at[first, b], i]
+        for i in range(n):
+            for a in range(k):
+                self.P[self.row_at[first, a], i] = self.V[a, i]
+        for i in range(n):
+            for a in range(k):
+                self.e[a] = 0.0
+                for b in range(k):
+                    self.e[a] += self.row_H[first + a, b] * self.P[i, self.row_at[first, b]]
+            for a in range(k):
+                self.P[i, self.row_at[first, a]] = self.e[a]
+
+    @property
+    def x(self) -> float:
+        """X of the local pose [m]."""
+        return self.mean[0]
+
+    @property
+    def y(self) -> float:
+        """Y of the local pose [m]."""
+        return self.mean[1]
+
+    @property
+    def theta(self) -> float:
+        """Heading of the local pose [rad], not wrapped."""
+        return self.mean[2]
 
     def value(self, column: int) -> float:
         """Return the state at a column."""

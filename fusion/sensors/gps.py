@@ -226,26 +226,25 @@ class GpsModel(Model):
             columns = (first, first + 1, first + 2, first + 3)
             tie = belief.value(first), belief.value(first + 1), belief.value(first + 2), belief.value(first + 3)
         (east, north), H, H_block = fix(pose, self.lever, self.reference, tie, self.known)
-        (z_east, z_north), ((r00, r01), (_, r11)) = m.plain["z"][i], m.plain["R"][i]
-        y, R = (z_east - east, z_north - north), ((r00, r01), (r01, r11))
+        z, noise = m.plain["z"], m.plain["R"]
+        y = z[i, 0] - east, z[i, 1] - north
+        R = (noise[i, 0, 0], noise[i, 0, 1]), (noise[i, 0, 1], noise[i, 1, 1])
         return [belief.compare(i, y, H, R, self.threshold, columns, H_block if columns else NO_BLOCK)]
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Let the direction of east become a state of its own once it is known well enough."""
         if self.known:
             return
-        first, now = belief.block(FRAME)
-        columns = np.arange(first, first + 4)
-        P = belief.covariance[np.ix_(columns, columns)]
-        a, b = float(now[0]), float(now[1])
+        first = belief.column(FRAME)
+        a, b = belief.value(first), belief.value(first + 1)
         length = math.hypot(a, b)
         if length < 0.5:
             return
-        G = np.eye(4)
-        G[0, :2], G[1, :2] = (-b / length**2, a / length**2), (a / length, b / length)
-        if float(G[0] @ P @ G[0]) > MAX_KNOWN_DIRECTION_RAD**2:
+        by_a, by_b = -b / length**2, a / length**2
+        if belief.variance_of((first, first + 1), (by_a, by_b)) > MAX_KNOWN_DIRECTION_RAD**2:
             return
-        belief.transform(columns, np.array([math.atan2(b, a), length, now[2], now[3]]), G)
+        G = (by_a, by_b), (a / length, b / length)
+        belief.transform((first, first + 1), (math.atan2(b, a), length), G)
         belief.know((1.0 - length,), ((LENGTH**2,),), (first + 1,), ((1.0,),))
         self.known = True
 

@@ -393,15 +393,16 @@ class LandmarksModel(Model):
         """Compare the detections of one instant with the belief."""
         found, pose, ranging, sigma = [], belief.pose(), self._ranging(belief), -1.0
         for row in rows_of(m, i):
-            landmark, z = int(m.plain["id"][row]), m.plain["z"][row]
+            landmark = int(m.plain["id"][row])
             seen = self._compared(m, row, landmark, pose, ranging, self.places[landmark], NO_COLUMNS, belief)
             if seen is None:
                 continue
             found.append(seen)
-            if len(z) > 1:
+            if m.z.shape[1] > 1:
+                angle, distance = m.plain["z"][row, 0], m.plain["z"][row, 1]
                 sigma = sigma if sigma >= 0.0 else _sigma_of_place(belief)
-                distance = (z[1] - ranging.offset) / ranging.share(1.0 - math.cos(z[0]))
-                self._note_place(landmark, distance, z[0], self._mount_of(m, row), pose, sigma)
+                distance = (distance - ranging.offset) / ranging.share(1.0 - math.cos(angle))
+                self._note_place(landmark, distance, angle, self._mount_of(m, row), pose, sigma)
         return found
 
     def _compared(
@@ -420,18 +421,19 @@ class LandmarksModel(Model):
         if predicted is None:
             return None
         (distance, bearing), (by_range, by_bearing) = predicted
-        z, R = m.plain["z"][row], m.plain["R"][row]
+        z, R = m.plain["z"], m.plain["R"]
         # a bearing is not linear in the position: second-order variance (sigma_position / distance)^4
         bend = belief.variance((by_bearing[0], by_bearing[1], 0.0))
-        off, r = wrap(z[0] - bearing), R[0][0] + bend * bend
+        off, r = wrap(z[row, 0] - bearing), R[row, 0, 0] + bend * bend
         # a place moves what is seen as the robot does, the other way
         beside: tuple[float, ...] = (-by_bearing[0], -by_bearing[1]) if at else ()
-        if len(z) == 1:
+        if z.shape[1] == 1:
             H_block = (beside,) if at else NO_BLOCK
             return belief.compare(row, (off,), (by_bearing,), ((r,),), self.thresholds[1], at, H_block, landmark)
-        short = 1.0 - math.cos(z[0])
+        short = 1.0 - math.cos(z[row, 0])
         share, more, columns = ranging.share(short), ranging.derivative(short, distance), at + ranging.columns
-        y, noise = (off, z[1] - share * distance - ranging.offset), ((r, R[0][1]), (R[1][0], R[1][1]))
+        y = off, z[row, 1] - share * distance - ranging.offset
+        noise = (r, R[row, 0, 1]), (R[row, 1, 0], R[row, 1, 1])
         ahead, across, turned = share * by_range[0], share * by_range[1], share * by_range[2]
         H_block = NO_BLOCK
         if columns:
@@ -527,8 +529,7 @@ class GrowingModel(LandmarksModel):
         for row in rows_of(m, i):
             landmark = int(m.plain["id"][row])
             if landmark not in self._known:
-                R = np.array(m.plain["R"][row])
-                self._append(landmark, m.plain["z"][row], R, self._mount_of(m, row), belief)
+                self._append(landmark, m.z[row].tolist(), m.R[row], self._mount_of(m, row), belief)
             self._known[landmark] = self._known.get(landmark, 0) + 1
 
     def _append(self, landmark: int, z: list[float], R: Array, mount: Row, belief: Any) -> None:

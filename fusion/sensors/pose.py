@@ -264,9 +264,9 @@ class InMapModel(Model):
 
     def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
         """Compare one pose with the belief."""
-        (x, y, theta), (at_x, at_y, at_theta) = m.plain["z"][i], belief.pose()
-        e, R = (x - at_x, y - at_y, wrap(theta - at_theta)), _rows(m.plain["R"][i])
-        seen = belief.compare(i, e, IDENTITY, R, self.threshold)
+        z, (x, y, theta) = m.plain["z"], belief.pose()
+        e = z[i, 0] - x, z[i, 1] - y, wrap(z[i, 2] - theta)
+        seen = belief.compare(i, e, IDENTITY, _covariance_of(m, i), self.threshold)
         self._seen += 1
         self._far += seen.verdict != 0
         return [seen]
@@ -306,9 +306,9 @@ class KeptPoseModel(Model):
             return []
         column = belief.column(KEPT)
         columns = column, column + 1, column + 2
-        u = seen_from(self._last, m.plain["z"][i])[0]
+        u = seen_from(self._last, _pose_of(m, i))[0]
         moved, by_kept, by_pose = seen_from(tuple(map(belief.value, columns)), belief.pose())
-        R = self._drifted(u, m.floor) if m.plain["drifts"][i] else _turned(m.plain["R"][i], -self._last[2])
+        R = self._drifted(u, m.floor) if m.plain["drifts"][i] else _turned(_covariance_of(m, i), -self._last[2])
         y = u[0] - moved[0], u[1] - moved[1], wrap(u[2] - moved[2])
         return [belief.compare(i, y, by_pose, R, self.threshold, columns, by_kept)]
 
@@ -321,29 +321,34 @@ class KeptPoseModel(Model):
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Keep the pose as it is now; in a frame that stands still carry on the one that is kept."""
         column, last, drifts = belief.column(KEPT), self._last, m.plain["drifts"][i]
-        now: Pose = tuple(m.plain["z"][i])
-        self._last = now
+        self._last = now = _pose_of(m, i)
         if last is None or drifts:
             belief.clone_pose(column)
         if drifts:
             return
-        at = np.arange(column, column + 3)
         if last is None:
-            R = _turned(m.plain["R"][i], belief.theta - now[2])
-            belief.loosen(at, np.diagonal(np.array(R)))
+            R = _turned(_covariance_of(m, i), belief.theta - now[2])
+            belief.loosen(np.arange(column, column + 3), np.diagonal(np.array(R)))
         else:
-            x, y, theta = map(belief.value, (column, column + 1, column + 2))
+            at = column, column + 1, column + 2
+            x, y, theta = map(belief.value, at)
             u, (c, s) = seen_from(last, now)[0], se2.direction(theta)
             dx, dy = c * u[0] - s * u[1], s * u[0] + c * u[1]
-            by_kept = np.array(((1.0, 0.0, -dy), (0.0, 1.0, dx), (0.0, 0.0, 1.0)))
-            belief.transform(at, np.array((x + dx, y + dy, theta + u[2])), by_kept)
+            by_kept = (1.0, 0.0, -dy), (0.0, 1.0, dx), (0.0, 0.0, 1.0)
+            belief.transform(at, (x + dx, y + dy, theta + u[2]), by_kept)
 
 
-def _rows(R: list[list[float]]) -> Matrix:
-    return tuple(map(tuple, R))
+def _pose_of(m: Measurements, i: int) -> Pose:
+    z = m.plain["z"]
+    return z[i, 0], z[i, 1], z[i, 2]
 
 
-def _turned(R: list[list[float]], angle: float) -> Matrix:
+def _covariance_of(m: Measurements, i: int) -> Matrix:
+    R = m.plain["R"]
+    return tuple((R[i, a, 0], R[i, a, 1], R[i, a, 2]) for a in range(3))
+
+
+def _turned(R: Matrix, angle: float) -> Matrix:
     """Return the covariance R (3, 3) of a pose in a frame in which its own is turned by an angle [rad]."""
     (xx, xy, xt), (_, yy, yt), (_, _, tt) = R
     c, s = se2.direction(angle)

@@ -172,8 +172,8 @@ class TwistModel(Model):
         last = self._last
         if last is None or m.plain["piece"][i] != m.plain["piece"][last]:
             return []
-        (way, turn), before = m.plain["z"][i], m.plain["z"][last]
-        way, turn = way - before[0], turn - before[1]
+        z = m.plain["z"]
+        way, turn = z[i, 0] - z[last, 0], z[i, 1] - z[last, 1]
         column = belief.column(KEPT)
         columns = column, column + 1, column + 2
         (along, turned), by_kept, by_pose = chord(tuple(map(belief.value, columns)), belief.pose())

@@ -147,6 +147,21 @@ def test_a_clone_is_the_state_that_it_was_taken_of(first: int, states: int) -> N
     np.testing.assert_allclose(belief.covariance, A @ P @ A.T, atol=1e-15)
 
 
+def test_states_are_replaced_by_functions_of_themselves() -> None:
+    belief, rng = random_belief(6, 2), np.random.default_rng(3)
+    belief.begin_frame()
+    P, x, at, G = belief.covariance.copy(), belief.state.copy(), [5, 2, 7], rng.normal(size=(3, 3))
+    row = np.zeros(belief.n)
+    row[at] = G[0]
+    assert belief.variance_of(at, G[0]) == pytest.approx(row @ P @ row, rel=1e-12)
+    belief.transform(at, (1.0, 2.0, 3.0), G)
+    A = np.eye(belief.n)
+    A[np.ix_(at, at)] = G
+    x[at] = 1.0, 2.0, 3.0
+    np.testing.assert_array_equal(belief.state, x)
+    np.testing.assert_allclose(belief.covariance, A @ P @ A.T, atol=1e-12)
+
+
 def test_a_number_that_is_none_is_refused_in_one_line() -> None:
     bad = Told((0.1, 0.1), np.ones((2, 3)), ((math.nan, 0.0), (0.0, 1.0)))
     with pytest.raises(LocfuseError, match="too many powers of ten"):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,24 +21,16 @@ from locfuse.fusion.kernels.ekf import Innovation, Steps
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
 
-from .audit import MANY, Record
 from .data import Array, Drive, Estimates, Measurements, matrices
 from .instants import BLOCK, Due, due_readings, steps_of
 from .progress import say_done
+from .record import MANY, Record, Track
 from .robot import Robot, StartSettings
 from .sensor import Model, Reading
-from .track import Track
 
 AT_ONCE = 4096  # stamps of the truth: what is needed on the way is many times larger than the result
-Judged = Reading | Sequence[Innovation]  # what a sensor says of one of its readings
-
-
-class Fit(NamedTuple):
-    """A reading of several accepted rows, and how well it fits as a whole."""
-
-    record: Record
-    numbers: int
-    nis: float  # y' S^-1 y of all of them
+Passed = tuple[Sequence[Innovation | Reading], int]  # what passed its gate of one reading, and how many rows
+Fit = tuple[Record, int, float]  # of a reading: its sensor's record, how many numbers, y' S^-1 y of all of them
 
 
 def fuse(
@@ -135,24 +126,27 @@ class Filter:
         if due:
             self._begin_frame(due, measurements)  # where a map of a sensor's own begins
             belief.begin()  # the equation of this instant
-            seen = [self._compare(k, s, i, measurements[s]) for s, i in due]  # eq. 13, 17, 18, judged by its gate
-            fits = self._queue(due, seen)  # what passed its gate
+            passed = [self._compare(k, s, i, measurements[s]) for s, i in due]  # eq. 13, 17, 18, and the gate
+            fits = self._queue(due, passed)
             belief.correct()  # eq. 10-12, once
             self._note_fits(fits)
             self._learn(due, measurements)  # what readings teach beyond the pose: map lines, clones
         self._track.note(belief)
 
-    def _compare(self, k: int, sensor: str, i: int, m: Measurements) -> Judged:
-        """Judge reading i of a sensor against the prior, and record that."""
+    def _compare(self, k: int, sensor: str, i: int, m: Measurements) -> Passed:
+        """Judge reading i of a sensor against the prior, record that, and return what passed."""
         model = self.models[sensor]
         seen = model.innovations(m, i, self.belief if model.local else self._in_map)
         if sensor in self._inflates and not isinstance(seen, Reading):
             for innovation in seen:
                 inflate(innovation, self.belief)
         self._records[sensor].add(k, seen)
-        return seen
+        if isinstance(seen, Reading):
+            return (seen,), seen.accepted
+        ones = [innovation for innovation in seen if innovation.verdict == 0]
+        return ones, len(ones)
 
-    def _queue(self, due: Sequence[Due], seen: Sequence[Judged]) -> list[Fit]:
+    def _queue(self, due: Sequence[Due], passed: Sequence[Passed]) -> list[Fit]:
         """Queue what was accepted; what is only listened to teaches blocks, and never moves the pose.
 
         Where states hang together, how well a reading of several rows fits as a whole is asked. The first of these
@@ -160,12 +154,13 @@ class Filter:
         """
         belief, fits = self.belief, list[Fit]()
         heard: list[Innovation | Reading] = []
-        accepted = [_accepted(judged) for judged in seen]
         order = list(range(len(due)))
-        if self._joint and len(due) > 1:
-            order.insert(0, order.pop(next((n for n, (_, rows) in enumerate(accepted) if rows > 1), 0)))
+        for n, (_, rows) in enumerate(passed):
+            if self._joint and rows > 1:
+                order.insert(0, order.pop(n))
+                break
         for n in order:
-            (sensor, i), (ones, rows), begin = due[n], accepted[n], belief.queued
+            (sensor, i), (ones, rows), begin = due[n], passed[n], belief.queued
             if sensor in self._listens and self._listens[sensor][i]:
                 if rows and self.models[sensor].teaches:
                     heard += ones
@@ -174,7 +169,7 @@ class Filter:
                 belief.queue(one, sensor)
             if self._joint and rows > 1:
                 nis = belief.fit_of(begin, belief.queued) if fits else math.nan  # the first: by the correction
-                fits.append(Fit(self._records[sensor], belief.queued - begin, nis))
+                fits.append((self._records[sensor], belief.queued - begin, nis))
         if heard:
             belief.listen(heard)
         return fits
@@ -254,14 +249,6 @@ class Filter:
             yield from (f"wheels: {words}" for words in wheel_words(self._wheels, x, P, self._sensors, metric))
         for name, model in self.models.items():
             yield from (f"{name}: {words}" for words in model.notes(self._seen_by(model)))
-
-
-def _accepted(judged: Judged) -> tuple[Sequence[Innovation | Reading], int]:
-    """Return what was accepted of a reading, and how many rows that is."""
-    if isinstance(judged, Reading):
-        return (judged,), judged.accepted
-    ones = [innovation for innovation in judged if innovation.verdict == 0]
-    return ones, len(ones)
 
 
 def _begin(robot: Robot, models: Sequence[Model]) -> JointBelief:

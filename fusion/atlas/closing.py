@@ -18,7 +18,8 @@ from locfuse.fusion.linemap.line_map import LineMap
 from locfuse.fusion.linemap.scan import Scan
 from locfuse.fusion.recovery.relocalise import distinct, explained, hypotheses, seen_through
 
-from .frozen import Way, as_scan
+from .frozen import as_scan
+from .way import Way
 
 MIN_HITS = 4  # of a wall that counts
 PAIRED = 10  # longest walls of the new map from which pairs are made

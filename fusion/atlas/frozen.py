@@ -1,8 +1,7 @@
-"""A small map that was left: its lines as they were known then, and scans along the way through it."""
+"""A small map that was left: its lines as they were known then."""
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -10,56 +9,10 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.ekf.map_frame import Pose
 from locfuse.fusion.linemap.line_map import LineMap
 from locfuse.fusion.linemap.scan import Scan
 
-STRIDE, TURN = 0.75, math.radians(45.0)  # m, rad between two scans that are kept
-MANY_SIGHTS = 60  # of a map: more say nothing new
-
-
-class Sight(NamedTuple):
-    """A scan, when, and where in the map it was taken."""
-
-    t: float  # s
-    pose: Array  # (3,)
-    scan: Scan
-
-
-class Way:
-    """Scans along the way through a map: what one must be able to see from where."""
-
-    def __init__(self) -> None:
-        self.sights: list[Sight] = []
-        self.length = 0.0  # m
-        self._last: Pose | None = None
-        self._kept: Pose = (0.0, 0.0, 0.0)  # where the last scan was kept
-
-    def resume(self) -> None:
-        """Go on with a way that was left: what lies between is no way."""
-        self._last = None
-
-    def goes(self, pose: Pose) -> bool:
-        """Take in the next pose, and tell whether a scan from there is worth keeping."""
-        x, y, theta = pose
-        if self._last is not None:
-            self.length += math.hypot(x - self._last[0], y - self._last[1])
-        self._last = pose
-        if not self.sights:
-            return True
-        if len(self.sights) >= MANY_SIGHTS:
-            return False
-        a, b, turn = self._kept
-        return math.hypot(x - a, y - b) >= STRIDE or abs(se2.wrap(theta - turn)) >= TURN
-
-    def keep(self, t: float, pose: Pose, scan: Scan) -> None:
-        """Keep a scan that was taken at a pose."""
-        self.sights.append(Sight(t, np.array(pose), scan))
-        self._kept = pose
-
-    def nearest(self, place: Array) -> Sight:
-        """Return the scan that was taken nearest to a place (2,) [m] of its map."""
-        return min(self.sights, key=lambda sight: math.hypot(*(sight.pose[:2] - place)))
+from .way import Way
 
 
 class FrozenMap(NamedTuple):

@@ -113,7 +113,7 @@ class Doubles:
 
 
 class Audit:
-    """Columns (rows,) of what became of every measurement (fusion.audit)."""
+    """Columns (rows,) of what became of every measurement (fusion.record)."""
 
     instant: Any
     row: Any
@@ -139,7 +139,7 @@ class Audit:
 
 
 class Sight:
-    """The lines of one scan, associated with the map; fusion.linemap.association owns the arrays."""
+    """The lines of one scan, associated with the map; fusion.linemap.line_map owns the arrays."""
 
     rows: Any
     match: Any

@@ -17,8 +17,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Ints
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import Pose
-from locfuse.fusion.linemap.association import Association
-from locfuse.fusion.linemap.line_map import LineMap
+from locfuse.fusion.linemap.line_map import Association, LineMap
 from locfuse.fusion.linemap.scan import Scan
 
 from .scan_history import expected_share

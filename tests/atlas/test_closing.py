@@ -10,7 +10,7 @@ from worlds import ROOM, World
 
 from locfuse.fusion import se2
 from locfuse.fusion.atlas.closing import Here, find_closure, left_open
-from locfuse.fusion.atlas.frozen import Way
+from locfuse.fusion.atlas.way import Way
 from locfuse.fusion.data import Array, Estimates
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate

@@ -10,8 +10,8 @@ import pytest
 from scipy.optimize import least_squares
 
 from locfuse.fusion import se2
-from locfuse.fusion.atlas import way_by_scans
-from locfuse.fusion.atlas.way_by_scans import BEND, FEWEST_KEYS, Matched, WayByScans, compared, told
+from locfuse.fusion.atlas import way as way_module
+from locfuse.fusion.atlas.way import BEND, FEWEST_KEYS, Matched, WayByScans, compared, told
 from locfuse.fusion.data import Array, Ints, Measurements, Points
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.mount import Mount
@@ -38,7 +38,7 @@ def arc(n: int) -> Array:
 
 
 def test_a_chain_of_matches_is_solved_as_scipy_solves_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(way_by_scans, "WIDTHS", (1e9,))  # no match is doubted
+    monkeypatch.setattr(way_module, "WIDTHS", (1e9,))  # no match is doubted
     way = arc(8)
     keys = keys_along(way, np.random.default_rng(1))
     root = np.linalg.cholesky(MATCHED).T
@@ -231,7 +231,7 @@ def test_a_way_of_too_many_or_few_keys_is_left_as_it_is(monkeypatch: pytest.Monk
     belief = at(wrong, 0.1, 6.0)
     followed(m, way[: int(key_scans(m).readings[FEWEST_KEYS - 1]) + 1]).end(None, belief)
     WayByScans(m, 1, way[1]).end(None, belief)  # none
-    monkeypatch.setattr(way_by_scans, "MOST_KEYS", 5)
+    monkeypatch.setattr(way_module, "MOST_KEYS", 5)
     followed(m, way).end(None, belief)
     assert belief.pose() == (0.0, 0.0, 0.0)
 

@@ -15,12 +15,12 @@ from locfuse.cli.pipeline.compare import Compared, compare_log
 from locfuse.cli.pipeline.configurations import for_comparison
 from locfuse.cli.pipeline.load import load
 from locfuse.cli.pipeline.settings import LogOptions
-from locfuse.fusion.audit import Record
 from locfuse.fusion.data import Audit, Estimates, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.innovations import own
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.measure import measure
+from locfuse.fusion.record import Record
 
 LINES = 100_000
 

@@ -159,7 +159,7 @@ def test_maps_of_none_and_of_two_thousand_lines_have_the_pairs_that_matrices_giv
 
 def by_rule(found: Sighted, gate: float) -> tuple[list[Pair | None], list[bool], list[bool]]:
     """The rule in words: of pairs that pass, the best, unless another explains the line as well."""
-    length = Scan(found.in_base()).lengths
+    length = np.ptp(Scan(found.in_base()).ends, axis=1)
     match: list[Pair | None] = [None] * len(length)
     ambiguous, near = [False] * len(length), [False] * len(length)
     for i in range(len(length)):
@@ -192,7 +192,7 @@ def test_matches_are_those_of_the_rule(states: bool, gate: float) -> None:
         assert (found.ambiguous, found.is_near) == (ambiguous, near)
         assert found.new() == [i for i, p in enumerate(match) if p is None and not near[i]]
         assert found.new_lines() == len(found.new())
-        length, hit = Scan(found.in_base()).lengths, [p is not None for p in match]
+        length, hit = np.ptp(Scan(found.in_base()).ends, axis=1), [p is not None for p in match]
         assert found.share() == pytest.approx(length[hit].sum() / length.sum(), abs=1e-12)
         assert found.matches() == found.accepted == sum(hit)
         matched, doubtful = matched + sum(hit), doubtful + sum(ambiguous)

@@ -12,8 +12,7 @@ from worlds import World
 from locfuse.fusion.data import VERDICTS, Array, Drive
 from locfuse.fusion.fuse import Filter, fuse
 from locfuse.fusion.instants import due_readings, steps_of
-from locfuse.fusion.linemap.scan import Scan
-from locfuse.fusion.linemap.standing import SAME_D2, SAME_LENGTH, Standing
+from locfuse.fusion.linemap.scan import SAME_D2, SAME_LENGTH, Scan, Standing
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.smooth import fuse_and_smooth
@@ -91,7 +90,7 @@ def repeats(scan: Scan, k: int, first: Scan, j: int) -> float:
     """The squared distance of line k from line j, infinite where they have too little in common."""
     off = np.array([scan.z[k, 0] - first.z[j, 0], math.remainder(scan.z[k, 1] - first.z[j, 1], math.tau)])
     common = min(scan.ends[k, 1], first.ends[j, 1]) - max(scan.ends[k, 0], first.ends[j, 0])
-    if common <= SAME_LENGTH * max(scan.lengths[k], first.lengths[j]):
+    if common <= SAME_LENGTH * max(np.ptp(scan.ends[k]), np.ptp(first.ends[j])):
         return math.inf
     return float(off @ np.linalg.solve(2.0 * scan.R[k], off))
 

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.kernels.sight import Rules
-from locfuse.fusion.linemap.association import Association
 from locfuse.fusion.linemap.laser_mount import seat_of
-from locfuse.fusion.linemap.line_map import LineMap
+from locfuse.fusion.linemap.line_map import Association, LineMap
 from locfuse.fusion.linemap.scan import Scan
 from locfuse.fusion.lines.flatness import LAG_SCANS, bend, wall_floor
 from locfuse.fusion.se2 import wrap_all

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from worlds import World
 
-from locfuse.fusion.atlas.one_map import LineTracker
+from locfuse.fusion.atlas.tracker import LineTracker
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.linemap.association import Association
+from locfuse.fusion.linemap.line_map import Association
 from locfuse.fusion.linemap.scan import Scan
 from locfuse.fusion.measure import measure
 from locfuse.fusion.recovery.slips import CARRIED, Series, after_slip, continues

@@ -26,7 +26,7 @@ from locfuse.fusion.fuse import Filter
 from locfuse.fusion.instants import due_readings, steps_of
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.kernels.sight import Walls
-from locfuse.fusion.linemap.association import Association
+from locfuse.fusion.linemap.line_map import Association
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensor import Model, Reversal, Sensor
 from locfuse.fusion.sensors.compass import CompassSettings

@@ -13,7 +13,7 @@ from sighted import equation_of, sighted
 from textbook import numeric_jacobian, wrap
 from worlds import ROOM, World
 
-from locfuse.fusion.atlas.one_map import LineTracker
+from locfuse.fusion.atlas.tracker import LineTracker
 from locfuse.fusion.data import MapLine
 from locfuse.fusion.doctor.examine import blind
 from locfuse.fusion.ekf.belief_arrays import JointBelief

@@ -1,13 +1,14 @@
-"""Where a map is left, by matching the scans along the way through it: one measurement of the pose in the map.
+"""The way through one map: scans along it, and the pose by matching them, where the map is left.
 
-A small map and the pose in it drift together where few walls are long, or clutter is taken for walls. A chain of
-matched scans, in which all that was seen counts, tells the way better. It is taken in where the map is left: the
-next map then begins where both say. The variances of the pose have grown before by what no filter counts
+A small map and the pose in it drift together where few walls are long, or clutter is taken for walls. A chain
+of matched scans, in which all that was seen counts, tells the way better. It is taken in where the map is left:
+the next map then begins where both say. The variances of the pose have grown before by what no filter counts
 (tracker.LESS_SURE), since the lines and the matches are of the same scans.
 """
 
 from __future__ import annotations
 
+import math
 from array import array
 from typing import NamedTuple
 
@@ -18,6 +19,7 @@ from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Array, Ints, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import Pose
+from locfuse.fusion.linemap.scan import Scan
 from locfuse.fusion.mount import Mount
 from locfuse.fusion.scan_matching.key_scans import KeyScans, key_scans
 from locfuse.fusion.scan_matching.neighbours import by_wheels
@@ -25,6 +27,8 @@ from locfuse.fusion.sensor import Equation
 
 from .anchors import Anchors, Edge
 
+STRIDE, TURN = 0.75, math.radians(45.0)  # m, rad between two scans that are kept
+MANY_SIGHTS = 60  # of a map: more say nothing new
 # along a way: with fewer it says little, and a map in which the robot stayed longer holds together better than it
 FEWEST_KEYS, MOST_KEYS = 4, 100
 BY_FILTER = np.square(
@@ -36,6 +40,50 @@ WIDTHS = (40.0, 4.0)  # sigmas beyond which a match loses its weight, round by r
 # its angles are not quite what it says. On two real robots it was 0.05 degrees
 BEND = np.radians(0.05)
 SMALL = 1e-6  # m, rad: step of a numerical derivative
+
+
+class Sight(NamedTuple):
+    """A scan, when, and where in the map it was taken."""
+
+    t: float  # s
+    pose: Array  # (3,)
+    scan: Scan
+
+
+class Way:
+    """Scans along the way through a map: what one must be able to see from where."""
+
+    def __init__(self) -> None:
+        self.sights: list[Sight] = []
+        self.length = 0.0  # m
+        self._last: Pose | None = None
+        self._kept: Pose = (0.0, 0.0, 0.0)  # where the last scan was kept
+
+    def resume(self) -> None:
+        """Go on with a way that was left: what lies between is no way."""
+        self._last = None
+
+    def goes(self, pose: Pose) -> bool:
+        """Take in the next pose, and tell whether a scan from there is worth keeping."""
+        x, y, theta = pose
+        if self._last is not None:
+            self.length += math.hypot(x - self._last[0], y - self._last[1])
+        self._last = pose
+        if not self.sights:
+            return True
+        if len(self.sights) >= MANY_SIGHTS:
+            return False
+        a, b, turn = self._kept
+        return math.hypot(x - a, y - b) >= STRIDE or abs(se2.wrap(theta - turn)) >= TURN
+
+    def keep(self, t: float, pose: Pose, scan: Scan) -> None:
+        """Keep a scan that was taken at a pose."""
+        self.sights.append(Sight(t, np.array(pose), scan))
+        self._kept = pose
+
+    def nearest(self, place: Array) -> Sight:
+        """Return the scan that was taken nearest to a place (2,) [m] of its map."""
+        return min(self.sights, key=lambda sight: math.hypot(*(sight.pose[:2] - place)))
 
 
 class WayByScans:

@@ -89,7 +89,7 @@ class LineTracker(Model):
         self._of: Measurements | None = None  # whose numbers these are:
         self._first: list[int] = []
         self._t: list[float] = []
-        self._uneven, self._floor, self._bend = np.zeros(2), np.zeros(2), np.zeros(2)
+        self._uneven = self._floor = self._bend = (0.0, 0.0)  # variances [m^2, rad^2]
 
     def blocks(self) -> list[Block]:
         """Return what is uncertain of the laser's mount."""
@@ -163,8 +163,8 @@ class LineTracker(Model):
         """Return the first line of scan i and the end; begin with a log's numbers where it is another one."""
         if m is not self._of:
             self._of, self._first, self._t = m, m.first.tolist(), m.t.tolist()
-            self._uneven, self._floor = (np.array(part, np.float64) for part in self.loosened(m))
-            self._bend = bend(self._uneven)
+            uneven, floor = self.loosened(m)
+            self._uneven, self._floor, self._bend = (_pair(part) for part in (uneven, floor, bend(uneven)))
         return self._first[i], self._first[i + 1]
 
     def _shared(self, m: Measurements, first: int, last: int) -> Array:
@@ -214,7 +214,7 @@ class LineTracker(Model):
                     self._add(scan, k, belief)
             if self._scan % TIDY_EVERY == 0 and untidy(self.map, belief, self._scan):
                 prune(self.map, belief, self._scan)
-                merge_doubles(self.map, belief, self._scan, uneven)
+                merge_doubles(self.map, belief, self._scan, np.array(uneven))
         if self._floor[0] > 0.0 or self._floor[1] > 0.0:
             self.map.keep_floor(belief, self._floor)
 
@@ -545,6 +545,11 @@ class AtlasTracker(LineTracker):
             closed = told if loops else "no place was recognised: no loop is closed"
             words.append(f"the map is made of {n} pieces, and {closed}")
         return words
+
+
+def _pair(values: Array) -> tuple[float, float]:
+    a, b = values.tolist()
+    return a, b
 
 
 def _in_base(rows: Array, offset: tuple[float, float, float] | None) -> Scan:

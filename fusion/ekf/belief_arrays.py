@@ -16,7 +16,7 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.kernels import ekf
-from locfuse.fusion.kernels.ekf import Innovation, Steps
+from locfuse.fusion.kernels.ekf import Innovation, Loosening, Steps
 from locfuse.fusion.sensor import Block, Equation, Reading, positive
 
 from .events import (
@@ -370,12 +370,13 @@ class JointBelief(ekf.State):
             back = undone(before, self._before(), np.concatenate((POSE, columns)), noise)
         self.events.add(Loosened(columns, variance, back))
 
-    def loosen_first(self, columns: Ints, variance: Array, states: int) -> None:
-        """Do the same to the first so many of `columns`, which have room for more."""
+    def loosen_all(self, these: Loosening) -> None:
+        """Do the same to the states that a kernel found."""
         if self.events is None:
-            self.loosen_states(columns, variance, states)
-        else:
-            self.loosen(columns[:states], variance[:states])
+            self.loosen_states(these)
+        elif these.count:
+            columns, variance = these.listed()
+            self.loosen(np.array(columns), np.array(variance))
 
     def consider(self, columns: Ints) -> None:
         """Make columns considered (Schmidt-Kalman): their covariance counts, their values stay."""

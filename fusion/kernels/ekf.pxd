@@ -21,6 +21,14 @@ cdef class Innovation:
     cdef public double nis, threshold
     cdef public object y, sigma
 
+cdef class Loosening:
+    cdef Py_ssize_t[::1] at
+    cdef double[::1] by
+    cdef readonly Py_ssize_t count
+    cdef void add(self, Py_ssize_t column, double variance)
+    @cython.locals(i=Py_ssize_t)
+    cpdef listed(self)
+
 cdef class State:
     cdef double[::1] mean
     cdef double[:, ::1] P, row_H, row_R, V, S, small
@@ -77,7 +85,7 @@ cdef class State:
     @cython.locals(G=Py_ssize_t, n=Py_ssize_t, i=Py_ssize_t, j=Py_ssize_t)
     cpdef void turn_frame(self, double dx, double dy)
     @cython.locals(i=Py_ssize_t)
-    cpdef void loosen_states(self, Py_ssize_t[::1] columns, double[::1] variances, Py_ssize_t states)
+    cpdef void loosen_states(self, Loosening these)
     @cython.locals(n=Py_ssize_t, i=Py_ssize_t, j=Py_ssize_t)
     cpdef void copy_pose(self, Py_ssize_t column, Py_ssize_t first, Py_ssize_t states)
     @cython.locals(k=Py_ssize_t, first=Py_ssize_t, a=Py_ssize_t, b=Py_ssize_t)

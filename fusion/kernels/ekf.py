@@ -96,6 +96,26 @@ class Innovation:
         return Innovation(row, verdict, -1, NAN, threshold, none, none)
 
 
+class Loosening:
+    """States that are to be loosened, and by which variances: the first `count` for which there is room."""
+
+    at: Any
+    by: Any
+
+    def __init__(self, at: Any, by: Any) -> None:
+        """State columns at (m,), variances by (m,)."""
+        self.at, self.by, self.count = memoryview(at), memoryview(by), 0
+
+    def add(self, column: int, variance: float) -> None:
+        """Let one more state be loosened."""
+        self.at[self.count], self.by[self.count] = column, variance
+        self.count += 1
+
+    def listed(self) -> tuple[list[int], list[float]]:
+        """Return the state columns and their variances."""
+        return [self.at[i] for i in range(self.count)], [self.by[i] for i in range(self.count)]
+
+
 class State:
     """Mean and covariance of the filter, and the rows of the equation of one instant."""
 
@@ -512,10 +532,10 @@ class State:
             self.P[i, G + 1] += dx * self.P[i, G + 2]
         self.P[G + 1, G] = self.P[G, G + 1]
 
-    def loosen_states(self, columns: Any, variances: Any, states: int) -> None:
-        """Add variances to the first so many states of `columns`."""
-        for i in range(states):
-            self.P[columns[i], columns[i]] += variances[i]
+    def loosen_states(self, these: Loosening) -> None:
+        """Add a variance to each of these states."""
+        for i in range(these.count):
+            self.P[these.at[i], these.at[i]] += these.by[i]
 
     # ---- clone and look ----
 

@@ -1,7 +1,7 @@
 cimport cython
 from libc.math cimport cos, log, pi, sin, sqrt
 from .angles cimport wrapped
-from .ekf cimport State
+from .ekf cimport Loosening, State
 from .places cimport into_base, moved, shares_into_base
 
 cdef double MAX_PAIR_ANGLE_RAD, MAX_PAIR_OFFSET_M, PAIR_SIGMAS, FACE_SIGMAS, MAX_ANGLE_RAD, NOWHERE_M
@@ -87,8 +87,9 @@ cdef class Sight:
     cdef readonly Walls walls
     cdef double[:, ::1] rows, pairs, wall_rows, seen, mount, G
     cdef double[:, :, ::1] shared
-    cdef double[::1] place, offset, missing
-    cdef Py_ssize_t[::1] match, best, rival, near, order, at
+    cdef double[::1] place, offset
+    cdef Py_ssize_t[::1] match, best, rival, near, order
+    cdef Loosening bent
     cdef readonly Py_ssize_t lines, accepted, numbers, found, first, parts
 
     cpdef double look(self, State state, Walls walls, double[:, ::1] rows, double[:, :, ::1] shared)
@@ -133,11 +134,11 @@ cdef class Sight:
     cpdef void extend(self, Py_ssize_t scan)
     @cython.locals(i=Py_ssize_t, n=Py_ssize_t)
     cpdef Py_ssize_t new_lines(self)
-    @cython.locals(found=Py_ssize_t, i=Py_ssize_t, j=Py_ssize_t, rho=Py_ssize_t, known=Py_ssize_t)
-    cpdef Py_ssize_t bends(self, State state, double[::1] uneven, double[::1] most)
+    @cython.locals(bent=Loosening, i=Py_ssize_t, j=Py_ssize_t, rho=Py_ssize_t, known=Py_ssize_t)
+    cpdef void bends(self, State state, double uneven, double uneven_angle, double most, double most_angle)
 
-@cython.locals(found=Py_ssize_t, i=Py_ssize_t, j=Py_ssize_t, k=Py_ssize_t)
-cpdef Py_ssize_t lacks(State state, Walls walls, double[::1] floor, Py_ssize_t[::1] at, double[::1] missing)
+@cython.locals(i=Py_ssize_t, j=Py_ssize_t, k=Py_ssize_t, lacking=double)
+cpdef void lacks(State state, Walls walls, double floor, double floor_angle, Loosening missing)
 @cython.locals(j=Py_ssize_t)
 cpdef bint untidy(
     State state, Walls walls, Doubles doubles, Py_ssize_t scan, double[:, ::1] rows, Py_ssize_t[::1] found)

@@ -23,7 +23,7 @@ if not cython.compiled:
     from math import log, pi
 
     from .angles import wrapped
-    from .ekf import State
+    from .ekf import Loosening, State
     from .places import into_base, moved, shares_into_base
     from .uncompiled import cos, sin, sqrt
 
@@ -155,8 +155,7 @@ class Sight:
     offset: Any
     shared: Any
     G: Any
-    at: Any
-    missing: Any
+    bent: Loosening
 
     def __init__(self, rules: Rules, seat: Seat) -> None:
         self.rules, self.seat = rules, seat
@@ -179,9 +178,9 @@ class Sight:
         """Have room for unit errors that lines share: shared (n, 2, parts), G (2 n, parts)."""
         self.shared, self.G = memoryview(shared), memoryview(G)
 
-    def hold_states(self, at: Any, missing: Any) -> None:
-        """Have room for the states of matched lines: at and missing (2 n,)."""
-        self.at, self.missing = memoryview(at), memoryview(missing)
+    def hold_states(self, bent: Loosening) -> None:
+        """Have room for the states of matched lines (2 n,)."""
+        self.bent = bent
 
     # ---- a scan ----
 
@@ -605,42 +604,38 @@ class Sight:
                 n += 1
         return n
 
-    def bends(self, state: State, uneven: Any, most: Any) -> int:
-        """Write by what variance the states of the lines that were seen bend, `most` (2,) of each, and which.
+    def bends(self, state: State, uneven: float, uneven_angle: float, most: float, most_angle: float) -> None:
+        """Write into `bent` by what variance the states of the lines that were seen bend, `most` of each.
 
-        A wall stays within its unevenness (2,) [m^2, rad^2], so a line that is known no better is left alone.
-        Returns how many states there are.
+        A wall stays within its unevenness [m^2, rad^2], so a line that is known no better is left alone.
         """
-        found = 0
+        bent = self.bent
+        bent.count = 0
         for i in range(self.lines):
             if self.match[i] < 0:
                 continue
             j = int(self.pairs[self.match[i], WALL_OF])
             rho, known = self.walls.columns[j], 0
-            while known < found and self.at[known] != rho:
+            while known < bent.count and bent.at[known] != rho:
                 known += 2
-            if known < found:
+            if known < bent.count:
                 continue
-            self.at[found], self.at[found + 1] = rho, rho + 1
-            self.missing[found] = min(max(uneven[0] - state.P[rho, rho], 0.0), most[0])
-            self.missing[found + 1] = min(max(uneven[1] - state.P[rho + 1, rho + 1], 0.0), most[1])
-            found += 2
-        return found
+            bent.add(rho, min(max(uneven - state.P[rho, rho], 0.0), most))
+            bent.add(rho + 1, min(max(uneven_angle - state.P[rho + 1, rho + 1], 0.0), most_angle))
 
 
-def lacks(state: State, walls: Walls, floor: Any, at: Any, missing: Any) -> int:
-    """Write which states of the map vary by less than the floor (2,) [m^2, rad^2], and by how much; how many.
+def lacks(state: State, walls: Walls, floor: float, floor_angle: float, missing: Loosening) -> None:
+    """Write which states of the map vary by less than the floor [m^2, rad^2], and by how much.
 
-    First all offsets, then all angles: at and missing (2 J,).
+    First all offsets, then all angles: room for (2 J,).
     """
-    found = 0
+    missing.count = 0
     for k in range(2):
         for i in range(walls.places):
             j = walls.columns[i] + k
-            if floor[k] - state.P[j, j] > 0.0:
-                at[found], missing[found] = j, floor[k] - state.P[j, j]
-                found += 1
-    return found
+            lacking = (floor_angle if k else floor) - state.P[j, j]
+            if lacking > 0.0:
+                missing.add(j, lacking)
 
 
 def untidy(state: State, walls: Walls, doubles: Doubles, scan: int, rows: Any, found: Any) -> bool:

@@ -27,6 +27,7 @@ from locfuse.fusion.data import Array, Ints, MapLine
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import Pose
 from locfuse.fusion.kernels import sight
+from locfuse.fusion.kernels.ekf import Loosening
 from locfuse.fusion.sensor import Reading
 
 
@@ -57,7 +58,8 @@ class LineMap(msgspec.Struct):
     next_id: int = 0
     _table: sight.Walls | None = None  # for the kernel, of the columns that are `_shown`
     _shown: tuple[Any, ...] = ()
-    _room: tuple[Ints, Array] = field(default_factory=lambda: (np.zeros(0, np.intp), np.zeros(0)))
+    _room: int = 0  # states in `_lacking`
+    _lacking: Loosening = field(default_factory=lambda: Loosening(np.zeros(0, np.intp), np.zeros(0)))
 
     def __len__(self) -> int:
         """Return the number of lines."""
@@ -111,14 +113,13 @@ class LineMap(msgspec.Struct):
         self.seen, self.born = np.append(self.seen, scan), np.append(self.born, scan)
         return line
 
-    def keep_floor(self, belief: JointBelief, floor: Array) -> None:
+    def keep_floor(self, belief: JointBelief, floor: tuple[float, float]) -> None:
         """Know no line better than its floor (2,) [m^2, rad^2], whatever was averaged: no wall is a plane."""
-        if len(self._room[1]) < 2 * len(self.ids):
-            self._room = np.empty(4 * len(self), np.intp), np.empty(4 * len(self))
-        at, missing = self._room
-        lacking = sight.lacks(belief, self.table(), floor, at, missing)
-        if lacking:
-            belief.loosen_first(at, missing, lacking)
+        if self._room < 2 * len(self.ids):
+            self._room = 4 * len(self.ids)
+            self._lacking = Loosening(np.empty(self._room, np.intp), np.empty(self._room))
+        sight.lacks(belief, self.table(), *floor, self._lacking)
+        belief.loosen_all(self._lacking)
 
     def drop(self, gone: Ints) -> Ints:
         """Remove lines by position; return the state columns that they held."""
@@ -286,7 +287,7 @@ class Association(sight.Sight, Reading):
         self._rows: Array = np.zeros((0, 7))
         self._offset = np.zeros(3)
         self.row = 0  # of the first line in Measurements.z
-        self._states: tuple[Ints, Array] = np.zeros(0, np.intp), np.zeros(0)
+        self._bent = Loosening(np.zeros(0, np.intp), np.zeros(0))
 
     def compare(self, belief: JointBelief, lines: LineMap, rows: Array, shared: Array = NO_SHARES) -> float:
         """Associate measured lines (n, 7), in the base by the mount as configured; return the share that matches.
@@ -312,8 +313,8 @@ class Association(sight.Sight, Reading):
         )
         self.hold_pairs(pairs, walls, np.zeros((places, 4)), np.zeros((6, 3)), np.zeros(3), self._offset)
         self.hold_shares(np.zeros((n, 2, parts)), np.zeros((2 * n, parts)))
-        self._states = np.zeros(2 * n, np.intp), np.zeros(2 * n)
-        self.hold_states(*self._states)
+        self._bent = Loosening(np.zeros(2 * n, np.intp), np.zeros(2 * n))
+        self.hold_states(self._bent)
 
     def in_base(self) -> Array:
         """Return the measured lines in the base by the mount as it was estimated, a copy (n, 7)."""
@@ -332,11 +333,10 @@ class Association(sight.Sight, Reading):
         """Return the rows of Measurements.z whose lines match."""
         return [self.row + i for i in range(self.lines) if self.is_matched(i)]
 
-    def bend(self, belief: JointBelief, uneven: Array, most: Array) -> None:
-        """Loosen the walls that were seen within their unevenness (2,) [m^2, rad^2], `most` (2,) at a time."""
-        states = self.bends(belief, uneven, most)
-        if states:
-            belief.loosen_first(*self._states, states)
+    def bend(self, belief: JointBelief, uneven: tuple[float, float], most: tuple[float, float]) -> None:
+        """Loosen the walls that were seen within their unevenness [m^2, rad^2], `most` of it at a time."""
+        self.bends(belief, *uneven, *most)
+        belief.loosen_all(self._bent)
 
 
 def associate(

@@ -411,7 +411,7 @@ def test_the_last_instant_is_not_changed() -> None:
 def test_every_way_to_change_a_belief_is_noted_or_needs_no_note() -> None:
     """A new method of a belief that moves P must be thought about in the events."""
     known = {"predict", "augment", "remove", "shift", "place", "clone_heading", "clone_pose", "transform"}
-    known |= {"begin_frame", "loosen", "loosen_first", "note_events"}
+    known |= {"begin_frame", "loosen", "loosen_all", "note_events"}
     known |= {"correct", "know", "know_frame", "listen"}  # knowledge only
     known |= {"consider", "add", "drive_with", "own_point", "stand", "still"}  # before the first motion; none of P
     known |= {

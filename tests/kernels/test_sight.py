@@ -421,7 +421,7 @@ def test_lines_that_were_seen_bend_by_what_they_lack_of_their_unevenness() -> No
         before, expected = np.diag(belief.covariance).copy(), np.diag(belief.covariance).copy()
         for c in {int(lines.column[pair.which]) for pair in found.matched()}:
             expected[c : c + 2] += np.clip(uneven - before[c : c + 2], 0.0, most)
-        found.bend(belief, uneven, most)
+        found.bend(belief, uneven.tolist(), most.tolist())
         np.testing.assert_allclose(np.diag(belief.covariance), expected, rtol=1e-14)
         bent += int((expected != before).sum())
     assert bent > 20
@@ -505,8 +505,8 @@ def everything(kernel: Any, states: Any, seed: int, free: tuple[int, ...]) -> li
         np.zeros(3),
     )
     sees.hold_shares(np.zeros((n, 2, 2)), np.zeros((2 * n, 2)))
-    at, missing = np.zeros(2 * n, np.intp), np.zeros(2 * n)
-    sees.hold_states(at, missing)
+    bent, lacking = (states.Loosening(np.zeros(k, np.intp), np.zeros(k)) for k in (2 * n, 2 * places))
+    sees.hold_states(bent)
     share = sees.look(state, walls, view(scan.rows), view(rng.normal(0.0, 0.01, (n, 2, 2))))
     if seed % 2:
         sees.refuse_alone()
@@ -519,12 +519,10 @@ def everything(kernel: Any, states: Any, seed: int, free: tuple[int, ...]) -> li
     sees.extend(101)
     numbers = [share, accepted, sees.new_lines(), sees.matches()]
     if as_states:
-        numbers.append(sees.bends(state, np.array([3e-3, 2e-2]), np.array([2e-3, 5e-3])))
-        lacking = np.zeros(2 * places, np.intp), np.zeros(2 * places)
-        numbers.append(kernel.lacks(state, walls, np.array([3e-4, 2e-4]), *lacking))
+        sees.bends(state, 3e-3, 2e-2, 2e-3, 5e-3)
+        kernel.lacks(state, walls, 3e-4, 2e-4, lacking)
         doubles = kernel.Doubles(4, 15, math.radians(8.0), 0.25, 0.3)
         numbers.append(kernel.untidy(state, walls, doubles, 101, np.zeros((places, 4)), np.zeros(places, np.intp)))
-        judged += lacking
     ends = [lines.lo, lines.hi, hits, seen]
     return [
         np.array(numbers, float),
@@ -534,8 +532,8 @@ def everything(kernel: Any, states: Any, seed: int, free: tuple[int, ...]) -> li
         *table,
         *audit,
         *judged,
-        at,
-        missing,
+        *bent.listed(),
+        *lacking.listed(),
         *ends,
     ]
 

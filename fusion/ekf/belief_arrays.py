@@ -238,13 +238,14 @@ class JointBelief(ekf.State):
         if not len(named):
             return
         kept = np.setdiff1d(np.arange(self.n), named)
-        queued, self.queued = self.queued, 0
+        waiting, self.queued = self._queue[: self.queued].copy(), 0
         for s in seen:
             self.queue_rows(s.first, s.numbers)
         self._mark_kept(kept)
         self.correct_queued()
         self._mark_kept()
-        self.queued = queued
+        self.queued = len(waiting)
+        self._queue[: self.queued] = waiting
 
     def equation(self, seen: Sequence[Innovation] | None = None) -> Equation:
         """Return innovations, else all that is queued, as y (m,), columns (c,), H (m, c), R (m, m)."""

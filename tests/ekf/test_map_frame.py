@@ -264,6 +264,20 @@ def test_listening_teaches_the_frame_nothing() -> None:
     assert belief.state[3] != G[3]
 
 
+def test_what_is_queued_corrects_alike_whether_or_not_another_sensor_listens_at_that_instant() -> None:
+    beliefs = [driven(JointBelief(START, P0, [OFFSET])) for _ in range(2)]
+    for listening, belief in enumerate(beliefs):
+        belief.begin()
+        belief.queue(row(((0.3, -0.2, 0.1),), 0.2, 1e-3, (), ((),)).judged(belief))
+        if listening:
+            belief.listen([row(COMPASS, 0.4, 1e-4, (3,), ((1.0,),)).judged(InMap(belief))])
+        belief.correct()
+    alone, heard = beliefs
+    np.testing.assert_array_equal(heard.pose(), alone.pose())
+    np.testing.assert_array_equal(heard.matrix(), alone.matrix())
+    assert heard.state[3] != alone.state[3]
+
+
 class Batch:
     """Least squares over the places p_0 .. p_5 (x, y each) and a wall's rho, all at once."""
 

@@ -1,4 +1,4 @@
-"""Change one operator or number of the filter at a time: do its tests notice? python -m benchmarks.mutants.
+"""Change one operator, number or guard at a time: do the tests of its file notice? python -m benchmarks.mutants.
 
 Only tests of the thing itself count (TESTS names them by file). Pages whose printed figures change tell that
 something changed and not that it is wrong, so they are not run. Kernels run interpreted, and tests that hold the
@@ -12,12 +12,14 @@ import ast
 import compileall
 import os
 import random
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from py_compile import PycInvalidationMode
 from typing import NamedTuple
@@ -25,6 +27,8 @@ from typing import NamedTuple
 import click
 
 ROOT = Path(__file__).parents[1]
+MCAP = ("tests/mcap/test_mcap_walk.py", "tests/mcap/test_hostile_mcap.py")
+PROTOBUF = ("tests/messages/test_protobuf_messages.py",)
 # file -> the tests that must know what is right there
 TESTS: dict[str, tuple[str, ...]] = {  # the sharpest and fastest first
     "fusion/se2.py": ("tests/fusion/test_se2.py",),
@@ -85,17 +89,57 @@ TESTS: dict[str, tuple[str, ...]] = {  # the sharpest and fastest first
     "fusion/judge/credit.py": ("tests/judge/test_credit.py",),
     "fusion/judge/verdict.py": ("tests/judge/test_credit.py",),
     "fusion/judge/consistency.py": ("tests/judge/test_nees.py", "tests/judge/test_consistency.py"),
+    "fusion/judge/events.py": ("tests/judge/test_events.py",),
+    "fusion/judge/noise_verdicts.py": ("tests/judge/test_consistency.py", "tests/judge/test_by_truth.py"),
+    "fusion/judge/covariance.py": ("tests/judge/test_nees.py", "tests/judge/test_consistency.py"),
     "fusion/judge/innovations.py": ("tests/judge/test_consistency.py", "tests/judge/test_by_truth.py"),
     "fusion/judge/predictive.py": ("tests/judge/test_predictive.py",),
     "fusion/judge/against.py": ("tests/judge/test_against.py",),
     "fusion/smooth.py": ("tests/fusion/test_smooth.py",),
+    "formats/mcap/chunk.py": MCAP,
+    "formats/mcap/parts.py": MCAP,
+    "formats/mcap/promised.py": MCAP,
+    "formats/mcap/ranged.py": MCAP,
+    "formats/mcap/records.py": MCAP,
+    "formats/mcap/resync.py": MCAP,
+    "formats/mcap/source.py": MCAP,
+    "formats/mcap/summary.py": MCAP,
+    "formats/mcap/survey.py": MCAP,
+    "formats/mcap/template.py": ("tests/mcap/test_mcap_write.py",),
+    "formats/mcap/write.py": ("tests/mcap/test_mcap_write.py",),
+    "formats/mcap/write_columns.py": ("tests/mcap/test_mcap_write.py",),
+    "formats/messages/cdr.py": ("tests/messages/test_cdr.py",),
+    "formats/messages/decode.py": ("tests/messages/test_json_messages.py", "tests/messages/test_cdr.py"),
+    "formats/messages/fields.py": ("tests/messages/test_cdr.py", "tests/messages/test_kinds.py"),
+    "formats/messages/json_messages.py": ("tests/messages/test_json_messages.py",),
+    "formats/messages/kinds.py": ("tests/messages/test_kinds.py",),
+    "formats/messages/layout.py": ("tests/messages/test_cdr.py",),
+    "formats/messages/objects.py": ("tests/messages/test_json_messages.py", *PROTOBUF),
+    "formats/messages/protobuf_messages.py": PROTOBUF,
+    "formats/messages/protobuf_schema.py": PROTOBUF,
+    "formats/messages/protobuf_wire.py": PROTOBUF,
+    "formats/messages/schema.py": ("tests/messages/test_cdr.py",),
 }
 BOTH_FORMS = "interpreted or compiled or either"  # words in names of tests that compare two forms of a kernel
-SWAPPED = {ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*"}
-SPELLED = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
+SPELLED: dict[type[ast.AST], str] = {
+    ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.FloorDiv: "//", ast.Mod: "%", ast.And: "and",
+    ast.BitAnd: "&", ast.BitOr: "|", ast.LShift: "<<", ast.RShift: ">>", ast.Or: "or", ast.Is: "is",
+    ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!=", ast.IsNot: "is not",
+    ast.In: "in", ast.NotIn: "not in",
+}  # fmt: skip
+SWAPPED = {
+    "+": "-", "-": "+", "*": "/", "/": "*", "//": "*", "%": "*", "&": "|", "|": "&", "<<": ">>", ">>": "<<",
+    "and": "or", "or": "and", "==": "!=", "!=": "==", "in": "not in", "not in": "in",
+    "is": "is not", "is not": "is",
+}  # fmt: skip
+OPPOSITE = {"<": ">=", "<=": ">", ">": "<=", ">=": "<"}  # of floats: the bound itself never occurs
+BOUND = {"<": "<=", "<=": "<", ">": ">=", ">=": ">"}  # of whole numbers, which readers compare
+SIZES = re.compile(r"MAX_|\w+_(BYTES|AT_ONCE)\b")  # whole numbers with such names cap or divide work
+LEAVES = ast.Raise | ast.Return | ast.Continue | ast.Break  # a guard is an `if` of one such statement
 NAMES = {"cos": "sin", "sin": "cos", "min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum"}
 TOLERANCE = 1e-6  # a number up to this guards against rounding: twice as large, it does so as well
 INFINITE = 1e9  # a number from here on stands for one that none reaches: twice as large, it does so as well
+MANY = 64  # a whole number from here on says how many are enough: one more, it does so as well
 PATIENCE = 1800  # s for the tests of one mutant: one that hangs is noticed
 
 
@@ -112,43 +156,64 @@ class Mutant(NamedTuple):
 def mutants(file: str) -> Iterator[Mutant]:
     """Yield every change that the rules know of one file."""
     source = (ROOT / file).read_text(encoding="utf-8")
-    for node in ast.walk(ast.parse(source)):
-        for start, end, text in _changes(node, source):
+    bounds = BOUND if file.startswith("formats/") else OPPOSITE
+    for node in _looked_at(ast.parse(source)):
+        for start, end, text in _changes(node, source, bounds):
             changed = source[:start] + text + source[end:]
             line = source.count("\n", 0, start)
             lines = source.splitlines()[line].strip(), changed.splitlines()[line].strip()
             yield Mutant(file, line + 1, *lines, changed)
 
 
-def _changes(node: ast.AST, source: str) -> Iterator[tuple[int, int, str]]:
+def _looked_at(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield a node and what is in it, but for messages and sizes."""
+    is_size = isinstance(node, ast.Assign) and SIZES.match(text := ast.unparse(node)) and "." not in text
+    if not is_size and not isinstance(node, ast.JoinedStr | ast.Raise):
+        yield node
+        for part in ast.iter_child_nodes(node):
+            yield from _looked_at(part)
+
+
+def _changes(node: ast.AST, source: str, bounds: dict[str, str]) -> Iterator[tuple[int, int, str]]:
     """Yield (start, end, text) of what may stand in place of a node's own characters."""
-    if isinstance(node, ast.BinOp) and type(node.op) in SWAPPED:
-        yield from _between(node.left, node.right, SPELLED[type(node.op)], SWAPPED[type(node.op)], source)
-    elif isinstance(node, ast.AugAssign) and type(node.op) in SWAPPED:
-        sign = SPELLED[type(node.op)] + "="
-        yield from _between(node.target, node.value, sign, SWAPPED[type(node.op)] + "=", source)
-    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
-        start = _offset(source, node.lineno, node.col_offset)
-        yield start, start + 1, ""
-    elif isinstance(node, ast.Constant) and type(node.value) is float and TOLERANCE < node.value < INFINITE:
-        start = _offset(source, node.lineno, node.col_offset)
-        yield start, _end(node, source), repr(node.value * 2.0)
-    elif isinstance(node, ast.Attribute) and node.attr in NAMES and isinstance(node.value, ast.Name):
-        end = _end(node, source)
-        yield end - len(node.attr), end, NAMES[node.attr]
+    for left, operator, right in _operations(node):
+        old, before, behind = SPELLED.get(type(operator), ""), _end(left, source), _start(right, source)
+        at = source.find(old, before, behind)
+        if old and at >= 0 and not (old in BOUND and bounds is BOUND and SIZES.match(ast.unparse(right))):
+            yield at, at + len(old), (SWAPPED | bounds)[old]
+    match node:
+        case ast.If(test, [statement], []) if isinstance(statement, LEAVES):
+            yield _start(test, source), _end(test, source), "False"
+        case ast.UnaryOp(ast.USub() | ast.Not() as operator):
+            start = _start(node, source)
+            yield start, start + (1 if isinstance(operator, ast.USub) else len("not ")), ""
+        case ast.Constant(float(value)) if TOLERANCE < value < INFINITE:
+            yield _start(node, source), _end(node, source), repr(value * 2.0)
+        case ast.Constant(int(value)) if type(value) is int and value < MANY:
+            yield _start(node, source), _end(node, source), repr(value + 1)
+        case ast.Attribute(ast.Name(), name) if name in NAMES:
+            yield _end(node, source) - len(name), _end(node, source), NAMES[name]
 
 
-def _between(left: ast.expr, right: ast.expr, old: str, new: str, source: str) -> Iterator[tuple[int, int, str]]:
-    start, end = _end(left, source), _offset(source, right.lineno, right.col_offset)
-    at = source.find(old, start, end)
-    if at >= 0:
-        yield at, at + len(old), new
+def _operations(node: ast.AST) -> Iterator[tuple[ast.expr, ast.AST, ast.expr]]:
+    """Yield (left, operator, right) of each operator that a node has."""
+    match node:
+        case ast.BinOp(left, operator, right) | ast.AugAssign(left, operator, right):
+            yield left, operator, right
+        case ast.BoolOp(operator, values):
+            yield from ((left, operator, right) for left, right in pairwise(values))
+        case ast.Compare(first, operators, others):
+            yield from zip([first, *others], operators, others, strict=False)
 
 
 def _offset(source: str, line: int, column: int) -> int:
     """Return the position of an AST place, whose column counts bytes."""
     lines = source.splitlines(keepends=True)
     return sum(map(len, lines[: line - 1])) + len(lines[line - 1].encode()[:column].decode())
+
+
+def _start(node: ast.expr, source: str) -> int:
+    return _offset(source, node.lineno, node.col_offset)
 
 
 def _end(node: ast.expr, source: str) -> int:
@@ -158,18 +223,19 @@ def _end(node: ast.expr, source: str) -> int:
 
 
 def laid_out(folder: Path) -> Path:
-    """Lay the package out as it is installed, with a fusion/ of its own; kernels run interpreted."""
+    """Lay the package out as it is installed, with its own fusion/ and formats/; kernels run interpreted."""
     package = folder / "locfuse"
     package.mkdir()
     for path in (ROOT / "cli" / "facade").iterdir():
         if path.is_file():
             (package / path.name).symlink_to(path)
-    for name in ("cli", "formats", "robots", "sample_logs"):
+    for name in ("cli", "robots", "sample_logs"):
         (package / name).symlink_to(ROOT / name)
     compiled = shutil.ignore_patterns("__pycache__", "*.so", "*.pyd")
-    shutil.copytree(ROOT / "fusion", package / "fusion", ignore=compiled)
-    # bytecode that knows its source by its content: a changed file is noticed within the same second
-    compileall.compile_dir(package / "fusion", quiet=2, invalidation_mode=PycInvalidationMode.CHECKED_HASH)
+    for name in ("fusion", "formats"):
+        shutil.copytree(ROOT / name, package / name, ignore=compiled)
+        # bytecode that knows its source by its content: a changed file is noticed within the same second
+        compileall.compile_dir(package / name, quiet=2, invalidation_mode=PycInvalidationMode.CHECKED_HASH)
     return package
 
 

@@ -1,8 +1,8 @@
 """Change one operator, number or guard at a time: do the tests of its file notice? python -m benchmarks.mutants.
 
 Only tests of the thing itself count (TESTS names them by file). Pages whose printed figures change tell that
-something changed and not that it is wrong, so they are not run. Kernels run interpreted, and tests that hold the
-interpreted form to the compiled one are left out: they would notice every change.
+something changed and not that it is wrong, so they are not run. Kernels that are changed run interpreted, and
+tests that hold the interpreted form to the compiled one are left out: they would notice every change.
 A mutant that survives is printed as a change of one line.
 """
 
@@ -224,8 +224,8 @@ def _end(node: ast.expr, source: str) -> int:
     return _offset(source, node.end_lineno, node.end_col_offset)
 
 
-def laid_out(folder: Path) -> Path:
-    """Lay the package out as it is installed, with its own fusion/ and formats/; kernels run interpreted."""
+def laid_out(folder: Path, interpreted: bool = True) -> Path:
+    """Lay the package out as it is installed, with its own fusion/ and formats/."""
     package = folder / "locfuse"
     package.mkdir()
     for path in (ROOT / "cli" / "facade").iterdir():
@@ -233,9 +233,9 @@ def laid_out(folder: Path) -> Path:
             (package / path.name).symlink_to(path)
     for name in ("cli", "robots", "sample_logs"):
         (package / name).symlink_to(ROOT / name)
-    compiled = shutil.ignore_patterns("__pycache__", "*.so", "*.pyd")
+    left_out = shutil.ignore_patterns("__pycache__", *(("*.so", "*.pyd") if interpreted else ()))
     for name in ("fusion", "formats"):
-        shutil.copytree(ROOT / name, package / name, ignore=compiled)
+        shutil.copytree(ROOT / name, package / name, ignore=left_out)
         # bytecode that knows its source by its content: a changed file is noticed within the same second
         compileall.compile_dir(package / name, quiet=2, invalidation_mode=PycInvalidationMode.CHECKED_HASH)
     return package
@@ -288,7 +288,7 @@ def main(count: int, seed: int, only: str | None, least: float) -> None:
     drawn = chosen(count, seed, only)
     survivors = 0
     with tempfile.TemporaryDirectory() as folder:
-        package = laid_out(Path(folder))
+        package = laid_out(Path(folder), any("kernels" in m.file for m in drawn))
         for file in dict.fromkeys(m.file for m in drawn):
             if not passes(package, TESTS[file]):
                 raise click.ClickException(f"the tests of {file} fail without any change: {' '.join(TESTS[file])}")

@@ -27,9 +27,7 @@ from typing import NamedTuple
 import click
 
 ROOT = Path(__file__).parents[1]
-MCAP = tuple(
-    f"tests/mcap/test_{name}.py" for name in ("mcap_chunk", "mcap_elsewhere", "mcap_walk", "hostile_mcap")
-)
+MCAP = tuple(f"tests/mcap/test_mcap_{name}.py" for name in ("chunk", "survey", "elsewhere", "walk"))
 PROTOBUF = ("tests/messages/test_protobuf_messages.py",)
 # file -> the tests that must know what is right there
 TESTS: dict[str, tuple[str, ...]] = {  # the sharpest and fastest first

@@ -83,16 +83,20 @@ TESTS: dict[str, tuple[str, ...]] = {  # the sharpest and fastest first
     ),
     "fusion/linemap/sonar_echo.py": ("tests/sensors/test_sonar.py",),
     "fusion/linemap/tidy.py": ("tests/linemap/test_map_keeping.py",),
-    "fusion/judge/evaluate.py": ("tests/judge/test_evaluate.py", "tests/judge/test_way.py"),
+    "fusion/judge/evaluate.py": (
+        "tests/judge/test_evaluate.py",
+        "tests/judge/test_nees.py",
+        "tests/judge/test_way.py",
+    ),
     "fusion/judge/way.py": ("tests/judge/test_way.py", "tests/judge/test_evaluate.py"),
     "fusion/judge/bootstrap.py": ("tests/judge/test_credit.py",),
     "fusion/judge/credit.py": ("tests/judge/test_credit.py",),
     "fusion/judge/verdict.py": ("tests/judge/test_credit.py",),
-    "fusion/judge/consistency.py": ("tests/judge/test_nees.py", "tests/judge/test_consistency.py"),
+    "fusion/judge/consistency.py": ("tests/judge/test_by_truth.py", "tests/judge/test_consistency.py"),
     "fusion/judge/events.py": ("tests/judge/test_events.py",),
-    "fusion/judge/noise_verdicts.py": ("tests/judge/test_consistency.py", "tests/judge/test_by_truth.py"),
-    "fusion/judge/covariance.py": ("tests/judge/test_nees.py", "tests/judge/test_consistency.py"),
-    "fusion/judge/innovations.py": ("tests/judge/test_consistency.py", "tests/judge/test_by_truth.py"),
+    "fusion/judge/noise_verdicts.py": ("tests/judge/test_noise_verdicts.py", "tests/judge/test_by_truth.py"),
+    "fusion/judge/covariance.py": ("tests/judge/test_consistency.py",),
+    "fusion/judge/innovations.py": ("tests/judge/test_innovations.py", "tests/judge/test_consistency.py"),
     "fusion/judge/predictive.py": ("tests/judge/test_predictive.py",),
     "fusion/judge/against.py": ("tests/judge/test_against.py",),
     "fusion/smooth.py": ("tests/fusion/test_smooth.py",),
@@ -166,12 +170,14 @@ def mutants(file: str) -> Iterator[Mutant]:
 
 
 def _looked_at(node: ast.AST) -> Iterator[ast.AST]:
-    """Yield a node and what is in it, but for messages and sizes."""
+    """Yield a node and what is in it, but for messages, sizes and annotations."""
     is_size = isinstance(node, ast.Assign) and SIZES.match(text := ast.unparse(node)) and "." not in text
     if not is_size and not isinstance(node, ast.JoinedStr | ast.Raise):
         yield node
-        for part in ast.iter_child_nodes(node):
-            yield from _looked_at(part)
+        for name, value in ast.iter_fields(node):
+            for part in value if isinstance(value, list) else [value]:
+                if isinstance(part, ast.AST) and name not in {"annotation", "returns"}:
+                    yield from _looked_at(part)
 
 
 def _changes(node: ast.AST, source: str, bounds: dict[str, str]) -> Iterator[tuple[int, int, str]]:

@@ -17,9 +17,9 @@ from locfuse.cli.pipeline.verdicts import credit_values, verdicts
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge import bootstrap
 from locfuse.fusion.judge.bootstrap import Errors, block_means, by_chance, effective_samples, student_t
-from locfuse.fusion.judge.credit import Credit, _Book, credit, credit_over_logs, shapley_steps, subsets
+from locfuse.fusion.judge.credit import Credit, Step, _Book, credit, credit_over_logs, shapley_steps, subsets
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.judge.verdict import Effect, verdict
+from locfuse.fusion.judge.verdict import Effect, overconfident, verdict
 
 Array = NDArray[np.float64]
 SENSORS = ("compass", "lrf")
@@ -301,6 +301,156 @@ def test_verdicts(
     value: float, low: float, high: float, expected: float, anees: tuple[float, float] | None, word: str
 ) -> None:
     assert verdict(Effect(value, low, high, expected), None, None, anees) == word
+
+
+@pytest.mark.parametrize(
+    ("effect", "anees", "word"),
+    [
+        ((0.021, 0.001, 0.04, 0.5), None, "helps"),
+        ((0.019, 0.001, 0.04, 0.5), None, "no effect seen"),  # below 2 %
+        ((-0.021, -0.04, -0.001, 0.5), None, "hurts"),
+        ((-0.019, -0.04, -0.001, 0.5), None, "no effect seen"),
+        ((0.3, 0.151, 0.5, 0.14), None, "helps"),  # surprising: the bound must lie twice as far from none
+        ((0.3, 0.149, 0.5, 0.14), None, "no effect seen"),
+        ((0.3, 0.001, 0.5, 0.16), None, "helps"),
+        ((0.3, 0.001, 0.5, -0.16), None, "helps"),
+        ((0.16, -0.1, 0.5, 0.16), None, "seems to help"),
+        ((0.14, -0.1, 0.5, 0.16), None, "no effect seen"),  # 15 % are asked for
+        ((-0.16, -0.5, 0.1, 0.16), None, "seems to hurt"),
+        ((-0.14, -0.5, 0.1, 0.16), None, "no effect seen"),
+        ((0.5, -2.29, 2.4, 0.5), None, "seems to help"),
+        ((0.5, -2.31, 2.4, 0.5), None, "no effect seen"),  # ten times smaller to ten times larger
+        ((0.5, -2.31, 2.29, 0.5), None, "seems to help"),
+        ((0.5, -0.1, 1.0, 0.14), (9.0, 2.9), "no effect seen"),  # a consistent covariance has a veto
+        ((0.5, -0.1, 1.0, 0.14), (1.0, 3.1), "seems to help"),
+        ((0.5, -0.1, 1.0, None), None, "seems to help"),
+    ],
+)
+def test_verdicts_at_their_bounds(
+    effect: tuple[float, float, float, float | None], anees: tuple[float, float] | None, word: str
+) -> None:
+    assert verdict(Effect(*effect), None, None, anees) == word
+    assert verdict(None, Effect(*effect), None, anees) == word
+    assert verdict(None, None, Effect(*effect), anees) == word
+
+
+def test_where_nothing_was_compared_there_is_no_verdict() -> None:
+    assert verdict(None, None, None, (1.0, 100.0)) == "no verdict"
+
+
+@pytest.mark.parametrize(("high", "word"), [(-0.11, "hurts"), (-0.09, "helps")])
+def test_a_set_must_be_ten_percent_better_off_without_a_sensor(high: float, word: str) -> None:
+    assert verdict(Effect(0.9, 0.5, 1.3, 1.0), None, Effect(-0.4, -0.6, high, 0.0), None) == word
+
+
+@pytest.mark.parametrize(
+    ("anees", "over"),
+    [((1.0, 10.1), True), ((1.0, 9.9), False), ((3.0, 15.1), True), ((3.0, 14.9), False), (None, False)],
+)
+def test_a_filter_is_overconfident_above_ten_and_five_times_what_it_was(
+    anees: tuple[float, float] | None, over: bool
+) -> None:
+    assert overconfident(anees) is over
+
+
+def known(anees: tuple[float | None, ...] = (None,) * 4, predicted: Array | None = None) -> _Book:
+    """All sets of two sensors with errors 0.8, 0.4, 0.2 and 0.1 m that many independent samples back."""
+    sets = [frozenset(s) for s in subsets(SENSORS)]
+    ln = np.log([0.8, 0.4, 0.2, 0.1])
+    rest = np.eye(4), np.tile(ln, (50, 1)), 1
+    return _Book(sets, Errors(np.zeros((4, 9, 2)), ln, np.full(4, 1e9), *rest), predicted, list(anees))
+
+
+def test_an_effect_says_what_the_filter_expected_of_it() -> None:
+    predicted = np.log([0.8, 0.5, 0.25, 0.1])
+    found = known(predicted=predicted).sensor("compass", SENSORS)
+    assert found.alone is not None
+    assert found.last is not None
+    assert found.credit is not None
+    assert (found.alone.value, found.alone.expected) == pytest.approx((math.log(2.0), math.log(1.6)))
+    assert (found.last.value, found.last.expected) == pytest.approx((math.log(2.0), math.log(2.5)))
+    assert found.credit.expected == pytest.approx(0.5 * (math.log(1.6) + math.log(2.5)))
+    assert found.share == pytest.approx(1.0 / 3.0)
+    alone = known().sensor("compass", SENSORS).alone
+    assert alone is not None
+    assert alone.expected is None
+    assert (alone.low, alone.high) == pytest.approx((alone.value, alone.value), abs=1e-3)
+
+
+def test_an_interval_is_as_wide_as_chance_on_both_sides() -> None:
+    """By what a sensor that knows nothing does: the effect may be all of that."""
+    predicted = np.log([0.5, 0.4, 0.2, 0.1])
+    book = known(predicted=predicted)
+    few = replace(book, errors=replace(book.errors, samples=np.full(4, 8.0)))
+    least, most = few._luck(0, 1)
+    assert (least, most) == pytest.approx(by_chance(0.3 / 0.8, 4.0))
+    found = few.effect([Step(1.0, frozenset(), frozenset({"compass"}))])
+    assert found is not None
+    low, high = few.errors.interval(np.array([1.0, -1.0, 0.0, 0.0]))
+    assert found.low == pytest.approx(min(low, math.log(2.0) - most))
+    assert found.high == pytest.approx(max(high, math.log(2.0) - least))
+    assert found.low < math.log(2.0) - 0.2
+
+
+@pytest.mark.parametrize(
+    ("anees", "worst"),
+    [
+        ((1.0, 3.0, 2.0, 5.0), (1.0, 3.0)),  # 3 times, against 2.5 times
+        ((1.0, 2.0, 2.0, 5.0), (2.0, 5.0)),
+        ((11.0, 99.0, 10.0, 15.0), (10.0, 15.0)),  # more than ten is overconfident already
+        ((0.0, 9.0, 2.0, 3.0), (2.0, 3.0)),
+        ((None, 9.0, 2.0, 3.0), (2.0, 3.0)),
+        ((1.0, None, 2.0, None), None),
+    ],
+)
+def test_the_anees_of_a_sensor_is_that_where_adding_it_makes_most_of_it(
+    anees: tuple[float | None, ...], worst: tuple[float, float] | None
+) -> None:
+    assert known(anees).sensor("compass", SENSORS).anees == worst
+
+
+def test_no_share_is_said_of_an_improvement_below_two_percent() -> None:
+    book = known()
+    for total, given in ((0.019, False), (0.021, True)):
+        ln = np.array([0.0, -0.01, -0.005, -total])
+        small = replace(book, errors=replace(book.errors, ln_rmse=ln))
+        assert (small.sensor("compass", SENSORS).share is not None) is given
+
+
+def test_over_logs_the_figures_are_means_and_medians() -> None:
+    drives = [credit_of(seed) for seed in range(3)]
+    found = credit_over_logs(drives)
+    mine = [d.sensors["compass"] for d in drives]
+    assert found.total == pytest.approx(np.mean([d.total for d in drives if d.total is not None]))
+    assert found.sensors["compass"].share == pytest.approx(np.mean([c.share for c in mine if c.share is not None]))
+    anees = np.median([c.anees for c in mine if c.anees is not None], axis=0)
+    assert found.sensors["compass"].anees == pytest.approx(tuple(anees))
+    effect = found.sensors["compass"].last
+    assert effect is not None
+    assert effect.expected == pytest.approx(np.mean([c.last.expected for c in mine if c.last and c.last.expected]))
+    partly = [*drives[:2], replace(drives[2], complete=False, total=None)]
+    assert (credit_over_logs(drives).complete, credit_over_logs(partly).complete) == (True, False)
+    assert credit_over_logs(partly).total is None
+    without = [*drives[:2], replace(drives[2], sensors={"lrf": drives[2].sensors["lrf"]})]
+    assert list(credit_over_logs(without).sensors) == ["lrf"]
+    unknown = replace(
+        drives[2], sensors={**drives[2].sensors, "lrf": replace(drives[2].sensors["lrf"], share=None, last=None)}
+    )
+    of_lrf = credit_over_logs([*drives[:2], unknown]).sensors["lrf"]
+    assert of_lrf.share is None
+    assert of_lrf.last is None
+    one = credit_over_logs(drives[:1]).sensors["lrf"]
+    assert one.alone is None
+
+
+def test_a_block_is_said_in_seconds() -> None:
+    found = credit_of(1)
+    robot = small_drive.robot()
+    drive = small_drive.drive(1, robot, laps=0.7, compass_noise_deg=1.0)
+    judged = [evaluate(fuse(drive, robot, s), drive) for s in subsets(SENSORS)]
+    errors = Errors.of(np.stack([e.deviation for e in judged]))
+    assert found.block_s == pytest.approx(errors.block * float(np.diff(judged[0].t).mean()))
+    assert found.effective_samples == errors.samples.min()
 
 
 def test_a_set_that_is_surely_better_off_without_a_sensor_is_hurt_by_it() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -44,7 +45,7 @@ def audited(
     row = np.arange(n)[::-1].copy()
     audit = Audit(np.arange(n), row, verdict, landmark, nis, np.full(n, gate), y, sigma)
     unit = (1.0 + np.arange(n) / n)[:, None, None] * np.eye(d)
-    return audit, Measurements(np.arange(n) * 0.1, np.arange(n + 1), y, unit, scale, 0.1 * np.eye(d))
+    return audit, Measurements(np.linspace(0.0, 1.0, n), np.arange(n + 1), y, unit, scale, 0.1 * np.eye(d))
 
 
 def autocorrelation(series: list[Array], lags: int) -> Array:
@@ -169,7 +170,7 @@ def test_the_usual_period_is_between_instants() -> None:
     assert usual_period(np.zeros(4)) is None
 
 
-def agreed(t: Array, y: Array, h: Array, R: Array, unknown: bool = False, angular: bool = False) -> Heard:
+def agreed(t: NDArray[Any], y: Array, h: Array, R: Array, unknown: bool = False, angular: bool = False) -> Heard:
     found = _agreement(np.column_stack((t, y, h, R)), unknown, angular)
     assert found is not None
     return found

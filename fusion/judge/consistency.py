@@ -168,7 +168,7 @@ class Evidence:
     def bias(self, sensor: str) -> NoiseVerdict | None:
         """Return by how much a sensor's mean is off, if that is notable, sure or not; None where nothing tells."""
         found = self._hear_by_truth(sensor) or next((h for _, h in self.reference_runs(sensor)), None)
-        if found is None or found.bias is None or not notable(found):
+        if found is None or not notable(found):
             return None
         return biased_against(sensor, self.robot.settings(sensor), found)
 

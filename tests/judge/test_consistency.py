@@ -19,7 +19,7 @@ from locfuse.fusion.data import Audit, Drive, Evaluation, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.consistency import Consistency, Run, judge
-from locfuse.fusion.judge.covariance import Honesty, honesty
+from locfuse.fusion.judge.covariance import Honesty, _words, honesty
 from locfuse.fusion.judge.innovations import heard, own
 from locfuse.fusion.judge.noise_verdicts import by_itself, correlated
 from locfuse.fusion.robot import Robot
@@ -283,6 +283,43 @@ def test_over_confidence_is_said_with_its_factor_and_by_state() -> None:
     assert found.states["x"] == pytest.approx(1.0, rel=0.2)
     assert found.states["y"] == pytest.approx(25.0, rel=0.2)
     assert "overconfident: errors are about 3.6 times" in found.words
+
+
+def test_only_errors_of_a_regular_claim_count() -> None:
+    rng = np.random.default_rng(8)
+    errors = rng.normal(size=(300, 2))
+    whole = honesty(judged_with(errors, 1.0))
+    assert whole is not None
+    wild = np.vstack((errors, np.full((2, 2), 1e3)))
+    spoiled = replace(judged_with(wild, 1.0), figures={"anees": whole.anees})
+    spoiled.nees[300] = np.nan  # its covariance is singular
+    spoiled.sigma[301, 1] = 0.0
+    found = honesty(spoiled)
+    assert found is not None
+    assert found == whole
+    for n, known in ((1, False), (2, True)):
+        assert (honesty(judged_with(errors[:n], 1.0)) is not None) is known
+
+
+def test_the_heading_is_a_state_of_its_own_where_there_is_one() -> None:
+    errors = np.random.default_rng(9).normal(size=(400, 2))
+    judged = judged_with(errors, 1.0)
+    turned = replace(judged, heading=3.0 * np.random.default_rng(10).normal(size=400))
+    found = honesty(turned)
+    assert found is not None
+    assert found.states["theta"] == pytest.approx(9.0, rel=0.2)
+    assert honesty(replace(judged, figures={"anees": None})) is None
+
+
+@pytest.mark.parametrize(
+    ("anees", "word", "over", "consistent"),
+    [(0.4, "underconfident", False, False), (0.5, "consistent", False, True), (1.5, "consistent", False, True),
+     (1.6, "overconfident", True, False)],
+)  # fmt: skip
+def test_a_claim_is_consistent_within_its_bounds(anees: float, word: str, over: bool, consistent: bool) -> None:
+    found = Honesty(anees, (0.5, 1.5))
+    assert (found.overconfident, found.consistent) == (over, consistent)
+    assert _words(anees, (0.5, 1.5)).startswith(word)
 
 
 # --- as a user meets it

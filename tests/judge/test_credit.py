@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from locfuse.cli.pipeline.verdicts import credit_values, verdicts
+from locfuse.fusion.data import Drive, Estimates
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge import bootstrap
 from locfuse.fusion.judge.bootstrap import Errors, block_means, by_chance, effective_samples, student_t
@@ -441,6 +442,26 @@ def test_over_logs_the_figures_are_means_and_medians() -> None:
     assert of_lrf.last is None
     one = credit_over_logs(drives[:1]).sensors["lrf"]
     assert one.alone is None
+
+
+def test_what_a_filter_predicts_is_of_the_place_and_not_of_the_heading() -> None:
+    e = evaluate(*small_run())
+    sigma = np.tile([0.3, 0.4, 9.0], (len(e.t), 1))
+    other = replace(e, sigma=2.0 * sigma)
+    found = credit({frozenset(): replace(e, sigma=sigma), frozenset({"lrf"}): other}, ("lrf",))
+    assert found is not None
+    assert found.sensors["lrf"].alone is not None
+    assert found.sensors["lrf"].alone.expected == pytest.approx(-math.log(2.0))
+    certain = credit({frozenset(): e, frozenset({"lrf"}): replace(e, sigma=0.0 * sigma)}, ("lrf",))
+    assert certain is not None
+    assert certain.sensors["lrf"].alone is not None
+    assert certain.sensors["lrf"].alone.expected is None
+
+
+def small_run() -> tuple[Estimates, Drive]:
+    robot = small_drive.robot()
+    drive = small_drive.drive(1, robot, laps=0.3)
+    return fuse(drive, robot, ()), drive
 
 
 def test_a_block_is_said_in_seconds() -> None:

@@ -11,9 +11,21 @@ from small_drive import robot as small_robot
 from locfuse import sample_logs
 from locfuse.cli.pipeline.load import load
 from locfuse.cli.pipeline.settings import LogOptions
-from locfuse.fusion.data import FAULT, LOOP, LOST, REFUSED, REST, VERDICTS, Drive
+from locfuse.fusion.data import (
+    FAULT,
+    LOOP,
+    LOST,
+    REFUSED,
+    REST,
+    VERDICTS,
+    Audit,
+    Drive,
+    Estimates,
+    Measurements,
+    Motions,
+)
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.judge.events import MIN_REFUSED, events_of_drive, events_of_run
+from locfuse.fusion.judge.events import events_of_drive, events_of_run, rests, stretches
 
 
 def resting(drive: Drive, first: int, last: int) -> Drive:
@@ -37,7 +49,7 @@ def test_a_short_stop_is_no_event() -> None:
     assert events_of_drive(resting(drive, 40, 45)) == []
 
 
-@pytest.mark.parametrize(("refused", "told"), [(MIN_REFUSED - 1, 0), (MIN_REFUSED, 1)])
+@pytest.mark.parametrize(("refused", "told"), [(4, 0), (5, 1), (9, 1)])
 def test_readings_refused_in_a_row_are_told(refused: int, told: int) -> None:
     robot = small_robot()
     drive = small_drive(1, robot, laps=0.5)
@@ -52,6 +64,80 @@ def test_readings_refused_in_a_row_are_told(refused: int, told: int) -> None:
         times = drive.t[drive.instant["compass"]]
         assert (event.start, event.end) == (times[10], times[9 + refused])
         assert f"{refused} readings in a row" in event.words
+
+
+def laid(steps: list[tuple[float, float, float]], period: float = 0.5) -> Drive:
+    """A drive of these steps of the wheels (forward, left [m], turn [rad]), one every half second."""
+    u = np.array(steps)
+    n = len(u)
+    return Drive(
+        0, np.linspace(0.0, period * (n - 1), n), Motions(u, np.zeros((n, 3, 3)), np.zeros((n, 3, 0))), {}, {}, {}
+    )
+
+
+MOVED, STOOD = (0.1, 0.0, 0.0), (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("step", "stands"),
+    [
+        ((0.9e-4, 0.0, 0.0), True),
+        ((1.1e-4, 0.0, 0.0), False),
+        ((0.0, -1.1e-4, 0.0), False),
+        ((0.8e-4, 0.8e-4, 0.0), False),  # 1.1e-4 m together
+        ((0.0, 0.0, 0.9e-4), True),
+        ((0.0, 0.0, -1.1e-4), False),
+    ],
+)
+def test_a_robot_rests_where_it_neither_goes_nor_turns(step: tuple[float, float, float], stands: bool) -> None:
+    drive = laid([MOVED, MOVED, *[step] * 6, MOVED])
+    assert list(rests(drive)) == ([(0.5, 3.5)] if stands else [])
+
+
+@pytest.mark.parametrize(("n", "long"), [(3, False), (4, True)])
+def test_a_rest_lasts_two_seconds_and_may_begin_and_end_the_drive(n: int, long: bool) -> None:
+    assert list(rests(laid([STOOD, *[STOOD] * n, MOVED, *[STOOD] * n]))) == (
+        [(0.0, 0.5 * n), (0.5 * (n + 1), 0.5 * (2 * n + 1))] if long else []
+    )
+
+
+def test_a_result_read_back_has_no_rests() -> None:
+    drive = laid([STOOD] * 9)
+    motions = Motions(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3, 0)))
+    assert list(rests(replace(drive, motions=motions))) == []
+
+
+def test_stretches_are_runs_of_true_values() -> None:
+    assert stretches(np.array([], bool)) == []
+    assert stretches(np.array([True, True, False, True, False, False, True])) == [(0, 1), (3, 3), (6, 6)]
+
+
+def test_a_reading_counts_as_taken_by_any_of_its_lines_and_an_empty_scan_does_not_count() -> None:
+    """Scans of two lines: of the third one is taken; then one that saw nothing amid five that were refused."""
+    first = np.array([0, 2, 4, 6, 8, 10, 10, 12, 14, 16])
+    m = Measurements(np.arange(9.0), first, np.zeros((16, 2)), np.ones((16, 2, 2)), 1.0, np.zeros((2, 2)))
+    for taken, told in (("accepted", 1), ("new", 1), ("repeated", 1), ("unmatched", 0)):
+        verdict = np.full(16, VERDICTS.index("gate"), np.int8)
+        verdict[[5, 15]] = VERDICTS.index(taken)
+        nothing = np.zeros((16, 2))
+        audit = Audit(
+            first[:-1].repeat(np.diff(first)),
+            np.arange(16),
+            verdict,
+            np.full(16, -1),
+            nothing[:, 0],
+            nothing[:, 0],
+            nothing,
+            nothing,
+        )
+        drive = laid([MOVED] * 9)
+        drive = replace(drive, measurements={"lrf": m}, instant={"lrf": np.arange(9)})
+        run = Estimates("lrf", ("lrf",), drive.t, np.zeros((9, 3)), np.zeros((9, 6)), {"lrf": audit})
+        found = [(e.start, e.end) for e in events_of_run(drive, run)]
+        if told:
+            assert found == []  # two before, and four behind it
+        else:
+            assert found == [(0.0, 4.0)]
 
 
 def test_being_lost_is_told_with_its_times() -> None:

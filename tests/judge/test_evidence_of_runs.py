@@ -266,12 +266,12 @@ def test_a_truth_is_a_run_without_sensors_as_certain_as_it_says() -> None:
 
 
 def test_a_truth_counts_between_its_first_and_last_stamp_and_not_in_gaps() -> None:
-    t = 0.1 * np.arange(5, 25.0)
+    t = T[5:25]
     inside = as_run(drive(truth(20, t=t)), run("odometry").estimates)
     assert inside is not None
     assert np.isfinite(inside.estimates.pose[:, 0]).tolist() == [5 <= i <= 24 for i in range(N)]
     assert as_run(drive(truth(t=0.1 * np.arange(N) + 100.0)), run("odometry").estimates) is None
-    t = np.append(0.1 * np.arange(10.0), 1.95 + 0.1 * np.arange(10))
+    t = np.append(T[:10], 1.95 + 0.1 * np.arange(10))
     gap = as_run(drive(truth(20, t=t)), run("odometry").estimates)
     assert gap is not None
     assert np.isfinite(gap.estimates.pose[:, 0]).tolist() == [i <= 9 or 20 <= i <= 28 for i in range(N)]

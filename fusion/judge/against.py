@@ -100,7 +100,7 @@ def interpolated(stamps: Array, t: Array, pose: Array, triangles: Array) -> tupl
 
     A covariance is that of the row before: between two rows nobody says how it grows.
     """
-    before = np.clip(np.searchsorted(t, stamps, side="right") - 1, 0, len(t) - 1)
+    before = np.maximum(np.searchsorted(t, stamps, side="right") - 1, 0)
     after = np.minimum(before + 1, len(t) - 1)
     exact = np.abs(stamps - t[before]) < 1e-9
     near = (stamps >= t[0]) & (stamps <= t[-1] + 1e-9) & (exact | (t[after] - t[before] <= gap_limit(t)))

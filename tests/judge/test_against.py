@@ -65,6 +65,56 @@ def test_an_estimate_at_other_times_is_read_between_its_rows_and_not_across_gaps
     assert np.isfinite(P[known]).all()
 
 
+def test_an_estimate_is_read_at_its_own_stamps_between_them_and_nowhere_else() -> None:
+    """Rows each second but for a gap from 4 to 90 s; theta is three times, y twice x."""
+    t = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 90.0, 91.0])
+    pose = np.column_stack((t, 2.0 * t, 3.0 * t))
+    P = np.eye(3) * (1.0 + t)[:, None, None]
+    stamps = np.array([-0.1, 0.0, 0.4, 1.0, 4.0, 4.1, 89.9, 90.0, 90.5, 91.0, 91.1])
+    seen, spread = interpolated(stamps, t, pose, upper_triangles(P))
+    known = [False, True, True, True, True, False, False, True, True, True, False]
+    assert np.isfinite(seen).all(axis=1).tolist() == known
+    assert np.isfinite(spread).all(axis=(1, 2)).tolist() == known
+    np.testing.assert_allclose(seen[known], (stamps[:, None] * [1.0, 2.0, 3.0])[known])
+    row_before = np.array([0.0, 0.0, 1.0, 4.0, 90.0, 90.0, 91.0])
+    np.testing.assert_allclose(spread[known], np.eye(3) * (1.0 + row_before)[:, None, None])
+
+
+def test_an_estimate_at_the_stamps_of_the_reference_is_taken_as_it_is() -> None:
+    e = of_poses(path() + np.array([0.3, -0.4, 0.01]), "compass")
+    seen = reference().seen(e)
+    assert seen.truth_pose is e.pose
+    assert seen.truth_P is not None
+    np.testing.assert_allclose(seen.truth_P[:, 0, 0], SIGMA**2)
+    later = Estimates("compass", (), e.t + 0.01, e.pose, e.triangles, {})
+    moved = reference().seen(later).truth_pose
+    assert moved is not None
+    assert np.isnan(moved[0]).all()
+    assert not np.allclose(moved[1:], e.pose[1:], atol=1e-4)
+
+
+def test_the_reference_keeps_what_the_estimate_says_of_its_own_drive() -> None:
+    moved = of_poses(path() + np.array([0.3, -0.4, 0.01]), "compass")
+    own = evaluate(moved, drive())
+    found = reference().judge(own, moved)
+    assert found.figures["duration_s"] == own.figures["duration_s"] == pytest.approx(40.0)
+    assert found.figures["distance_m"] == own.figures["distance_m"]
+
+
+def test_an_effect_is_widened_by_what_the_reference_may_add_or_hide() -> None:
+    """Errors of 50 and 30 mm by a reference of 28 mm lie between sqrt(e^2 - s^2) and sqrt(e^2 + s^2)."""
+    square = 2.0 * SIGMA**2
+    least = [math.sqrt(e**2 - square) for e in (0.05, 0.03)]
+    most = [math.sqrt(e**2 + square) for e in (0.05, 0.03)]
+    value = math.log(0.05 / 0.03)
+    found = reference().widened(Effect(value, value - 0.1, value + 0.2, 0.3), 0.05, 0.03)
+    assert found.low == pytest.approx(math.log(least[0] / most[1]) - 0.1)
+    assert found.high == pytest.approx(math.log(most[0] / least[1]) + 0.2)
+    assert (found.value, found.expected) == (value, 0.3)
+    below = reference().widened(Effect(0.0, 0.0, 0.0, None), 0.05, 0.02)  # less than the reference's own error
+    assert below.high == pytest.approx(math.log(most[0] / 0.05 / 1e-3))
+
+
 @pytest.mark.parametrize(("error", "able"), [(0.0, False), (0.08, False), (0.09, True), (None, False)])
 def test_it_judges_errors_of_three_sigmas_and_more(error: float | None, able: bool) -> None:
     assert reference().can_judge(error) is able

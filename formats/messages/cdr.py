@@ -110,14 +110,15 @@ class Decoder:
                 bad[str(problem)] += 1
                 i += 1
                 continue
-            rest = rows[i:] if len(groups) < MAX_GROUPS else rows[i : i + 1]
+            alone = len(groups) >= MAX_GROUPS
+            rest = rows[i : i + 1] if alone else rows[i:]
             same, tails = _same(data, start[rest], length[rest], layout, self.rules.spare)
             groups.append(Group(rest[same], layout, tails[same]))
-            if len(groups) < MAX_GROUPS:
+            if alone:
+                i += 1
+            else:
                 request.layouts = [layout, *request.layouts[: MAX_LAYOUTS - 1]]
                 rows, i = rest[~same], 0
-            else:
-                i += 1
             self.general += 1
             self.fast += len(groups[-1].rows) - 1
         return groups, bad

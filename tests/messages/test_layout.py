@@ -1,0 +1,287 @@
+"""Where fields lie in a message: sizes by a naive walk, bytes by rosbags, messages a byte too short or long."""
+
+from __future__ import annotations
+
+import random
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+from bags import build, rows
+from invented import assert_same, at_path, decode, invented_type, invented_value
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from locfuse.formats.messages import cdr, layout
+from locfuse.formats.messages.cdr import Decoder
+from locfuse.formats.messages.fields import paths
+from locfuse.formats.messages.layout import CDR, ROS1, fixed_size
+from locfuse.formats.messages.schema import Many, Node, Record, Scalar, Text, parse
+from locfuse.fusion.data import Ragged
+
+RULE = "=" * 80 + "\nMSG: t/Inner\n"
+SCALARS = [Scalar("u1", 1), Scalar("i2", 2), Scalar("f4", 4), Scalar("f8", 8)]
+
+
+def end_of(node: Node, at: int, aligned: bool) -> int | None:
+    """Where a value that begins at or behind a byte ends; None where its bytes tell."""
+    if isinstance(node, Scalar):
+        return (-(-at // node.size) * node.size if aligned else at) + node.size
+    parts: list[Node] = []
+    if isinstance(node, Record):
+        parts = list(node.fields.values())
+    elif isinstance(node, Many) and node.count is not None:
+        parts = [node.element] * node.count
+    else:
+        return None
+    for part in parts:
+        end = end_of(part, at, aligned)
+        if end is None:
+            return None
+        at = end
+    return at
+
+
+def invented_node(rng: random.Random, depth: int = 0) -> Node:
+    kind = rng.choice(
+        ["number"] * 3 + ["record", "array"] * (depth < 3) + ["text", "sequence"] * (rng.random() < 0.1)
+    )
+    if kind == "number":
+        return rng.choice(SCALARS)
+    if kind == "text":
+        return Text()
+    if kind == "record":
+        return Record("t", {f"f{i}": invented_node(rng, depth + 1) for i in range(rng.randint(0, 4))})
+    return Many(invented_node(rng, depth + 1), rng.choice([0, 1, 2, 3, 7, 50]) if kind == "array" else None)
+
+
+@pytest.mark.parametrize("aligned", [True, False])
+def test_the_size_of_a_fixed_value_is_that_of_a_naive_walk(aligned: bool) -> None:
+    rng = random.Random(1)
+    fixed = 0
+    for _ in range(600):
+        node, phase = invented_node(rng), rng.randrange(8)
+        end = end_of(node, phase, aligned)
+        assert fixed_size(node, phase, aligned) == (None if end is None else end - phase), node
+        fixed += end is not None
+    assert 300 < fixed < 600
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_invented_types_of_ros_1_read_the_same_as_by_rosbags(seed: int) -> None:
+    rng = random.Random(seed)
+    text = invented_type(rng)
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(text, "t/msg/Top"))
+    fields = store.get_msgdef("t/msg/Top").fields
+    messages = [
+        store.types["t/msg/Top"](**{n: invented_value(rng, d, store) for n, d in fields}) for _ in range(5)
+    ]
+    raw = [bytes(store.serialize_ros1(m, "t/msg/Top")) for m in messages]
+    decoder = Decoder(parse("t/Top", "ros1msg", text, filler=False), ROS1)
+    decoded = decode(decoder, raw, paths(decoder.message))
+    assert decoded.good.all(), decoded.bad
+    for field, column in decoded.columns.items():
+        for i, message in enumerate(messages):
+            assert_same(column[i], at_path(message, field))
+
+
+TYPES = {
+    "a text": "uint8 a\nstring b\nuint16 c",
+    "texts": "string[] b\nuint8 c",
+    "numbers at the end": "uint8 a\nfloat64[] b",
+    "numbers amid": "uint16[] b\nuint8 c",
+    "fixed numbers": "uint8 a\nfloat32[3] b\nuint8 c",
+    "structures": f"Inner[] b\nuint8 c\n{RULE}uint8 x\nfloat64 y\n",
+    "a fixed number of structures": f"uint8 a\nInner[2] b\nuint8 c\n{RULE}uint16 x\nuint8 y\n",
+    "structures of texts": f"Inner[] b\n{RULE}string x\n",
+    "arrays in structures": f"Inner[] b\nuint8 c\n{RULE}float32[] x\n",
+    "nothing": "",
+    "structures of nothing": f"Inner[] b\nuint8 c\n{RULE}",
+}
+VALUES: dict[str, dict[str, Any]] = {
+    "a text": {"b": "laser"},
+    "texts": {"b": ["a", "", "bcd"]},
+    "numbers at the end": {"b": [1.0, 2.0]},
+    "numbers amid": {"b": [1, 2, 3]},
+    "structures": {"b": [{"x": 1}, {"x": 2}, {"x": 3}]},
+    "structures of texts": {"b": [{"x": "one"}, {"x": "three"}]},
+    "arrays in structures": {"b": [{"x": [1, 2]}, {"x": []}, {"x": [3]}]},
+}
+
+
+def example(name: str, kind: str) -> tuple[Decoder, bytes]:
+    """The decoder of one of the types, and a message by rosbags."""
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(TYPES[name], "t/msg/Top"))
+    message = build("t/msg/Top", store, **VALUES.get(name, {}))
+    if kind == "ros1":
+        return Decoder(parse("t/Top", "ros1msg", TYPES[name], filler=False), ROS1), bytes(
+            store.serialize_ros1(message, "t/msg/Top")
+        )
+    return Decoder(parse("t/Top", "ros2msg", TYPES[name])), bytes(store.serialize_cdr(message, "t/msg/Top"))
+
+
+@pytest.mark.parametrize("kind", ["cdr", "ros1"])
+@pytest.mark.parametrize("name", [n for n in TYPES if "nothing" not in n])
+@pytest.mark.parametrize("wanted", [True, False])
+def test_a_message_fills_its_bytes_but_for_padding(name: str, kind: str, wanted: bool) -> None:
+    """Each message alone, so that it is walked and not compared with another."""
+    decoder, whole = example(name, kind)
+    fields = paths(decoder.message) if wanted else []
+
+    def reasons(message: bytes) -> list[str]:
+        return list(decode(Decoder(decoder.message, decoder.rules), [message], fields).bad)
+
+    shortest = len(whole)
+    while kind == "cdr" and not reasons(whole[: shortest - 1]):
+        shortest -= 1  # rosbags pads the end
+    assert shortest > len(whole) - 4
+    spare = 3 if kind == "cdr" else 0
+    for n in range(shortest):
+        assert reasons(whole[:n]) == ["shorter than its type"], n
+    for n in range(spare + 1):
+        assert reasons(whole[:shortest] + bytes(n)) == []
+    assert reasons(whole[:shortest] + bytes(spare + 1)) == ["longer than its type"]
+
+
+@pytest.mark.parametrize("n", range(6))
+def test_padding_behind_a_message_may_differ_from_message_to_message(n: int) -> None:
+    decoder, whole = example("a text", "cdr")
+    decoded = decode(decoder, [whole, whole + bytes(n), whole], ["b", "c"])
+    assert decoded.columns["b"] == ["laser"] * int(decoded.good.sum())
+    assert decoded.good.tolist() == [True, n <= 3, True]
+
+
+def test_an_empty_message_takes_a_byte_in_ros_2_and_none_in_ros_1() -> None:
+    """OMG DDS does without empty structures, so that ROS 2 puts a byte there."""
+    for kind, message in (("cdr", b"\0\1\0\0\0"), ("ros1", b"")):
+        decoder, _ = example("nothing", kind)
+        assert decode(decoder, [message], []).good.all()
+    decoder, _ = example("structures of nothing", "cdr")
+    found = decode(decoder, [b"\0\1\0\0" + struct.pack("<I", 3) + bytes(3) + b"\x07"], ["c"])
+    assert np.asarray(found.columns["c"]).tolist() == [7]
+    assert paths(decoder.message) == ["c"]
+
+
+@pytest.mark.parametrize(("length", "good"), [(4, True), (5, False)])
+def test_a_text_has_a_cap(length: int, good: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the byte that ends it; whether it is wanted or not."""
+    monkeypatch.setattr(layout, "MAX_TEXT", 5)
+    decoder = Decoder(parse("t/Top", "ros2msg", "string b"))
+    message = b"\0\1\0\0" + struct.pack("<I", length + 1) + b"x" * length + b"\0"
+    for fields in (["b"], []):
+        found = decode(decoder, [message], fields)
+        assert found.good.tolist() == [good]
+        assert good or next(iter(found.bad)).startswith("a text longer than")
+
+
+@pytest.mark.parametrize(("n", "good"), [(5, True), (6, False)])
+def test_texts_and_structures_of_their_own_length_have_a_cap_together(
+    n: int, good: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(layout, "MAX_ITEMS", 10)
+    decoder = Decoder(parse("t/Top", "ros2msg", "string[] a\nstring[] b"))
+    strings = struct.pack("<I", n) + struct.pack("<I", 0) * n
+    few = struct.pack("<I", 5) + struct.pack("<I", 0) * 5
+    for fields in (["a"], []):
+        assert decode(decoder, [b"\0\1\0\0" + strings + few], fields).good.tolist() == [good]
+
+
+def test_structures_of_a_fixed_size_have_none() -> None:
+    decoder = Decoder(parse("t/Top", "ros2msg", f"Inner[] b\n{RULE}uint8 x\n"))
+    n = 200_000
+    message = b"\0\1\0\0" + struct.pack("<I", n) + bytes(n)
+    assert decode(decoder, [message], []).good.all()
+
+
+def test_an_array_of_absurd_length_is_refused_before_it_is_walked() -> None:
+    decoder = Decoder(parse("t/Top", "ros2msg", f"Inner[] b\n{RULE}float64[1000] x\n"))
+    message = b"\0\1\0\0" + struct.pack("<I", 3) + bytes(4 + 2 * 8000)
+    for fields in (["b.x.length"], []):
+        assert list(decode(decoder, [message], fields).bad) == ["shorter than its type"]
+
+
+@pytest.mark.parametrize("kind", [b"\0\2", b"\1\1", b"\0\3", b"\1\0"])
+def test_only_plain_cdr_is_read(kind: bytes) -> None:
+    decoder = Decoder(parse("t/Top", "ros2msg", "uint8 b"))
+    assert list(decode(decoder, [kind + b"\0\0\7"], ["b"]).bad) == ["not plain CDR"]
+    for short in (b"", b"\0", b"\0\1\0"):
+        assert list(decode(decoder, [short], ["b"]).bad) == ["shorter than its type"]
+
+
+def texts(*lengths: int) -> list[bytes]:
+    """Messages of one text of each length, and a number behind it."""
+    found = []
+    for n in lengths:
+        text = struct.pack("<I", n + 1) + b"x" * n + b"\0"
+        found.append(b"\0\1\0\0" + text + bytes(-len(text) % 4) + struct.pack("<I", n))
+    return found
+
+
+def test_however_many_layouts_there_are_every_message_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Up to a number of them a layout is tried on all messages that are left, and kept for the next chunk."""
+    monkeypatch.setattr(cdr, "MAX_GROUPS", 3)
+    monkeypatch.setattr(cdr, "MAX_LAYOUTS", 2)
+    lengths = [4, 9, 14, 19, 24, 4, 9, 14, 19, 24]
+    decoder = Decoder(parse("t/Top", "ros2msg", "string a\nuint32 b"))
+    for chunk, (fast, general) in enumerate(((3, 7), (7, 3))):
+        before = decoder.fast, decoder.general
+        found = decode(decoder, texts(*lengths), ["a", "b"])
+        assert found.columns["a"] == ["x" * n for n in lengths]
+        assert np.asarray(found.columns["b"]).tolist() == lengths
+        walked = decoder.fast - before[0], decoder.general - before[1]
+        assert walked == (fast, general), chunk
+
+
+def test_a_layout_that_fits_is_used_again_in_the_next_chunk() -> None:
+    decoder = Decoder(parse("t/Top", "ros2msg", "string a\nuint32 b"))
+    for _ in range(3):
+        decode(decoder, texts(4, 9, 4), ["a"])
+    assert (decoder.fast, decoder.general) == (1 + 3 + 3, 2)
+
+
+def test_length_words_are_compared_in_pieces_of_a_bounded_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Texts of swapped lengths take the same bytes: every single message must be compared."""
+    monkeypatch.setattr(cdr, "MAX_GATHERED_WORDS", 6)
+    decoder = Decoder(parse("t/Top", "ros2msg", "string a\nstring b"))
+    pairs = [("xxx", "yyyyyyy"), ("xxxxxxx", "yyy")]
+    said = [pairs[i % 3 == 2] for i in range(17)]
+    raw = [
+        b"\0\1\0\0" + b"".join(struct.pack("<I", len(one) + 1) + one.encode() + b"\0" for one in pair)
+        for pair in said
+    ]
+    found = decode(decoder, raw, ["a", "b"])
+    assert list(zip(*found.columns.values(), strict=True)) == said
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_columns_of_no_message_are_of_the_kind_that_those_of_messages_are(seed: int) -> None:
+    rng = random.Random(1000 + seed)
+    text = invented_type(rng)
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(text, "t/msg/Top"))
+    fields = store.get_msgdef("t/msg/Top").fields
+    message = store.types["t/msg/Top"](**{n: invented_value(rng, d, store) for n, d in fields})
+    raw = bytes(store.serialize_cdr(message, "t/msg/Top"))
+    decoder = Decoder(parse("t/Top", "ros2msg", text))
+    names = paths(decoder.message)
+    one, none = (decode(decoder, some, names).columns for some in ([raw], []))
+    for name in names:
+        full, empty = one[name], none[name]
+        assert type(full) is type(empty), name
+        assert len(empty) == 0
+        if isinstance(full, np.ndarray) and isinstance(empty, np.ndarray):
+            assert (full.dtype, full.shape[1:]) == (empty.dtype, empty.shape[1:])
+        if isinstance(full, Ragged) and isinstance(empty, Ragged):
+            assert full.values.dtype == empty.values.dtype
+
+
+def test_lengths_of_arrays_in_no_message_are_rows_too() -> None:
+    decoder = Decoder(parse("t/Top", "ros2msg", TYPES["arrays in structures"]))
+    found = decode(decoder, [], ["b.x", "b.x.length"]).columns
+    assert [len(rows(column)) for column in found.values()] == [0, 0]
+
+
+def test_padding_is_what_cdr_allows() -> None:
+    assert (CDR.header, CDR.spare, ROS1.header, ROS1.spare) == (4, 3, 0, 0)

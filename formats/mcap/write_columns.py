@@ -159,7 +159,9 @@ class ColumnWriter:
             begin = summary.count
             for record in records:
                 record.write(summary)
-            offsets.append(SummaryOffset(opcode, summary.count - begin, start + begin))
+            offsets.append(
+                SummaryOffset(group_opcode=opcode, group_start=start + begin, group_length=summary.count - begin)
+            )
         offset_start = start + summary.count
         for offset in offsets:
             offset.write(summary)

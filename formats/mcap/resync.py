@@ -54,8 +54,7 @@ class Resync:
         wanted = window[:n] == rec.CHUNK
         if not chunked:
             wanted |= window[:n] == rec.MESSAGE
-        for i in (5, 6, 7, 8):
-            wanted &= window[i : n + i] == 0  # shorter than 4 GiB
+        wanted &= np.ndarray((n,), "<u4", window, 5, (1,)) == 0  # the upper half of the length: shorter than 4 GiB
         self._window, self._chunked = range(at, at + n), chunked
         self._places = np.flatnonzero(wanted) + at
 

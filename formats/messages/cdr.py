@@ -167,8 +167,8 @@ def _gather(data: Bytes, start: Ints, groups: list[Group], parts: tuple[Part, ..
 
 
 def _nanoseconds(seconds: Column, nanoseconds: Column) -> Column:
-    if isinstance(seconds, Ragged) and isinstance(nanoseconds, Ragged):
-        return Ragged(seconds.values.astype(np.int64) * 10**9 + nanoseconds.values, seconds.first)
+    if isinstance(seconds, Ragged):  # and so the nanoseconds
+        return Ragged(seconds.values.astype(np.int64) * 10**9 + cast("Ragged", nanoseconds).values, seconds.first)
     total: Ints = np.asarray(seconds).astype(np.int64) * 10**9 + np.asarray(nanoseconds)
     return total
 

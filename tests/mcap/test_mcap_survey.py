@@ -311,6 +311,22 @@ def test_a_summary_that_is_damaged_is_counted_and_one_that_was_never_written_is_
         assert [reason for reason, *_ in walked(tmp_path, bytes(broken))[1]] == [lost[0][0]]
 
 
+def test_messages_that_the_statistics_count_and_nobody_finds_are_lost(tmp_path: Path) -> None:
+    content = bytearray(summarised(WHOLE, [A, B, C]))
+    counts = struct.pack("<HQHQ", 1, 9, 2, 3)
+    at = content.rindex(counts)
+    for claimed, missing in ((9, 0), (14, 5), (8, 0)):
+        struct.pack_into("<Q", content, at + 2, claimed)
+        struct.pack_into("<I", content, len(content) - 12, 0)  # the summary is without a checksum
+        path = tmp_path / "f.mcap"
+        path.write_bytes(content)
+        losses = Losses()
+        McapSource(FileBytes(path, losses), losses)
+        assert [(loss.reason, loss.messages) for loss in losses.places.values()] == (
+            [("messages the file's statistics promise are missing", missing)] if missing else []
+        )
+
+
 def test_a_file_that_begins_otherwise_is_refused_unless_its_summary_is_whole(tmp_path: Path) -> None:
     content = bytearray(summarised(WHOLE, [A, B, C]))
     content[0] ^= 1

@@ -114,15 +114,15 @@ TESTS: dict[str, tuple[str, ...]] = {  # the sharpest and fastest first
     "formats/mcap/write_columns.py": ("tests/mcap/test_mcap_columns.py",),
     "formats/messages/cdr.py": ("tests/messages/test_layout.py", "tests/messages/test_cdr.py"),
     "formats/messages/decode.py": ("tests/messages/test_decode.py",),
-    "formats/messages/fields.py": ("tests/messages/test_cdr.py", "tests/messages/test_kinds.py"),
+    "formats/messages/fields.py": ("tests/messages/test_schema.py", "tests/messages/test_cdr.py"),
     "formats/messages/json_messages.py": ("tests/messages/test_json_messages.py",),
-    "formats/messages/kinds.py": ("tests/messages/test_kinds.py",),
+    "formats/messages/kinds.py": ("tests/messages/test_schema.py", "tests/messages/test_kinds.py"),
     "formats/messages/layout.py": ("tests/messages/test_layout.py", "tests/messages/test_cdr.py"),
     "formats/messages/objects.py": ("tests/messages/test_json_messages.py", *PROTOBUF),
     "formats/messages/protobuf_messages.py": PROTOBUF,
     "formats/messages/protobuf_schema.py": PROTOBUF,
     "formats/messages/protobuf_wire.py": PROTOBUF,
-    "formats/messages/schema.py": ("tests/messages/test_cdr.py",),
+    "formats/messages/schema.py": ("tests/messages/test_schema.py", "tests/messages/test_layout.py"),
 }
 BOTH_FORMS = "interpreted or compiled or either"  # words in names of tests that compare two forms of a kernel
 SPELLED: dict[type[ast.AST], str] = {

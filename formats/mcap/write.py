@@ -95,11 +95,9 @@ class Messages:
         return np.zeros(length, base) if value is None else np.asarray(value, base)
 
 
-def _default(base: str) -> str | bool | int | float:
+def _default(base: str) -> str | int | float:
     if base == "string":
         return ""
-    if base == "bool":
-        return False
     return 0.0 if base.startswith("float") else 0
 
 

@@ -123,10 +123,10 @@ def test_the_file_is_what_rosbag2_writes(log: Path) -> None:
         assert {s.encoding for s in summary.schemas.values()} == {"ros2msg"}
         assert {c.message_encoding for c in summary.channels.values()} == {"cdr"}
         assert {c.compression for c in summary.chunk_indexes} == {"zstd"}
-        attachments = [(a.name, a.data) for a in reader.iter_attachments()]
+        attachments = [(a.name, a.data, a.log_time, a.media_type) for a in reader.iter_attachments()]
         sequences = [m.sequence for _, c, m in reader.iter_messages() if c.topic == "/string"]
     latched = [c.topic for c in summary.channels.values() if "durability: 1" in c.metadata["offered_qos_profiles"]]
-    assert attachments == [("robot.toml", b"[wheels]\nradius = 0.05\n")]
+    assert attachments == [("robot.toml", b"[wheels]\nradius = 0.05\n", 0, "application/toml")]
     assert latched == ["/tfmessage"]
     assert sequences == [1, 2, 3]
 

@@ -1,0 +1,292 @@
+"""Definitions as trees: sizes, caps and depths at their bounds, and what kind of value a field is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hostile import DIVIDER
+
+from locfuse.formats.messages import schema
+from locfuse.formats.messages.fields import FieldError, frame_path, paths, resolve, stamp_path
+from locfuse.formats.messages.kinds import check_kind, expected, kind_of
+from locfuse.formats.messages.schema import (
+    DTYPES,
+    Many,
+    Node,
+    Record,
+    Scalar,
+    SchemaError,
+    Text,
+    count_fields,
+    parse,
+    refuse_large,
+    signature,
+)
+
+TIME = f"{DIVIDER}builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+ALL = f"""bool truth
+float64 number
+float64[] numbers
+float32[9] nine
+bool[3] truths
+uint8[] raw
+uint8[4] four
+string text
+string[] texts
+string[2] pair
+builtin_interfaces/Time at
+builtin_interfaces/Time[] times
+a/Part part
+a/Part[] parts
+a/Part[2] two
+{DIVIDER}a/Part
+float64 x
+float32[] row
+uint8[] bytes
+float32[3] three
+string name
+string[] names
+builtin_interfaces/Time at
+a/Deep[] deep
+{DIVIDER}a/Deep
+float64 y
+{TIME}"""
+
+
+@pytest.mark.parametrize(
+    ("path", "kind"),
+    [
+        ("truth", "true or false"),
+        ("number", "a number"),
+        ("numbers", "an array of numbers"),
+        ("nine", "9 numbers"),
+        ("truths", "an array of true or false"),
+        ("raw", "bytes"),
+        ("four", "4 numbers"),
+        ("text", "a text"),
+        ("texts", "an array of texts"),
+        ("pair", "an array of texts"),
+        ("at", "a time"),
+        ("times", "times"),
+        ("part.x", "a number"),
+        ("part.row", "an array of numbers"),
+        ("parts.x", "an array of numbers"),
+        ("parts.row", "an array of numbers"),
+        ("parts.row.length", "an array of numbers"),
+        ("parts.names.length", "an array of numbers"),
+        ("parts.bytes", "an array of numbers"),
+        ("parts.three", "an array of numbers"),
+        ("parts.name", "an array of texts"),
+        ("parts.names", "an array of texts"),
+        ("parts.at", "times"),
+        ("parts.deep.y", "an array of numbers"),
+        ("two.x", "an array of numbers"),
+    ],
+)
+def test_a_field_is_of_the_kind_that_its_definition_says(path: str, kind: str) -> None:
+    message = parse("a/msg/All", "ros2msg", ALL)
+    assert kind_of(resolve(message, path)) == kind
+
+
+def test_the_paths_of_a_message_are_those_that_can_be_a_column() -> None:
+    message = parse("a/msg/All", "ros2msg", ALL)
+    assert paths(message) == [
+        *("truth", "number", "numbers", "nine", "truths", "raw", "four", "text", "texts", "pair", "at", "times"),
+        *(f"part.{name}" for name in ("x", "row", "bytes", "three", "name", "names", "at", "deep.y")),
+        *(f"{of}.{name}" for of in ("parts", "two") for name in ("x", "name", "at")),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("path", "says"),
+    [
+        ("parts.deep", "is a structure: name a part of it"),
+        ("part", "is a structure: name a part of it"),
+        ("number.length", "number has no parts"),
+        ("numbers.length", "numbers has no parts"),
+        ("parts.length", "has no field 'length'"),
+        ("part.row.length", "part.row has no parts"),
+        ("txet", "did you mean 'text'"),
+        ("zzz", "it has truth, number,"),
+        ("part.zzz", "part has no field 'zzz'"),
+        ("zzz|yyy", "no field 'yyy'"),
+    ],
+)
+def test_a_path_that_is_no_column_says_why(path: str, says: str) -> None:
+    with pytest.raises(FieldError, match=says.replace(".", r"\.")):
+        resolve(parse("a/msg/All", "ros2msg", ALL), path)
+
+
+def test_of_several_names_the_first_that_there_is_counts() -> None:
+    message = parse("a/msg/All", "ros2msg", ALL)
+    for path, name in (("zzz|text", "text"), ("text|number", "text"), ("zzz|yyy|number", "number")):
+        assert [part.path for part in resolve(message, path)] == [name]
+    odd = Record("a", {"a|b": Text(), "b": Text(), "a": Text()})
+    assert resolve(odd, "a|b")[0].path == "a|b"
+
+
+def test_a_stamp_is_two_parts_and_knows_in_how_many_arrays_it_lies() -> None:
+    message = parse("a/msg/All", "ros2msg", ALL)
+    assert [(p.path, p.inside) for p in resolve(message, "at")] == [("at.sec", False), ("at.nanosec", False)]
+    assert [(p.path, p.inside) for p in resolve(message, "times")] == [
+        ("times.sec", True),
+        ("times.nanosec", True),
+    ]
+    assert [resolve(message, path)[0].depth for path in ("number", "parts.x", "parts.deep.y")] == [0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("text", "stamp", "frame"),
+    [
+        (f"a/Header header\n{DIVIDER}a/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n{TIME}",
+         "header.stamp", "header.frame_id"),
+        (f"builtin_interfaces/Time timestamp\nstring frame_id\n{TIME}", "timestamp", "frame_id"),
+        ("float64 timestamp\nfloat64 frame_id\n", None, None),
+        ("float64 x\n", None, None),
+    ],
+)  # fmt: skip
+def test_where_a_message_says_when_and_in_which_frame(text: str, stamp: str | None, frame: str | None) -> None:
+    message = parse("a/msg/B", "ros2msg", text)
+    assert (stamp_path(message), frame_path(message)) == (stamp, frame)
+
+
+@pytest.mark.parametrize(("name", "dtype"), DTYPES.items())
+def test_a_number_takes_the_bytes_of_its_type(name: str, dtype: str) -> None:
+    message = parse("a/msg/B", "ros2msg", f"{name} x\n")
+    node = message.fields["x"]
+    assert isinstance(node, Scalar)
+    assert (node.dtype, node.size) == (dtype, np.dtype(dtype).itemsize)
+
+
+@pytest.mark.parametrize(
+    ("language", "text", "what"),
+    [
+        ("ros2msg", "x" * 20, "20 characters"),
+        ("ros2msg", "a\nb\n  c", "3 lines"),
+        ("ros2idl", "[ == [", "3 arrays and constants"),
+    ],
+)
+def test_a_definition_as_long_as_a_cap_is_parsed_and_a_longer_one_refused(
+    language: str, text: str, what: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    count, unit = what.split(" ", 1)
+    name = {"characters": "MAX_DEFINITION", "lines": "MAX_DEFINITION_LINES"}.get(unit, "MAX_EXPRESSIONS")
+    monkeypatch.setattr(schema, name, int(count))
+    refuse_large("A", language, text)
+    monkeypatch.setattr(schema, name, int(count) - 1)
+    with pytest.raises(SchemaError, match=f"too long: {what}, more than the cap of {int(count) - 1}"):
+        refuse_large("A", language, text)
+
+
+def test_comments_and_empty_lines_say_nothing_and_only_idl_has_expressions(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(schema, "MAX_DEFINITION_LINES", 1)
+    monkeypatch.setattr(schema, "MAX_EXPRESSIONS", 0)
+    refuse_large("A", "ros2msg", "# a comment\n\n   \n  # another [\nfloat64[] x")
+
+
+def chain(depth: int) -> str:
+    """A type in a type in a type."""
+    inner = "".join(f"{DIVIDER}a/T{i}\na/T{i + 1} x\n" for i in range(1, depth))
+    return f"a/T1 x\n{inner}{DIVIDER}a/T{depth}\nfloat64 x\n"
+
+
+@pytest.mark.parametrize("array", ["", "[]"])
+def test_structures_nest_as_deep_as_the_cap_and_no_deeper(array: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(schema, "MAX_DEPTH", 5)
+    assert paths(parse("a/msg/T0", "ros2msg", chain(5))) == ["x.x.x.x.x.x"]
+    with pytest.raises(SchemaError, match="nests more than 5 structures"):
+        parse("a/msg/T0", "ros2msg", chain(6).replace(" x\n", f"{array} x\n"))
+    twice = f"a/T3{array} before\na/T1{array} x\n" + chain(6).split("\n", 1)[1]  # T3 is known when T2 mentions it
+    with pytest.raises(SchemaError, match="nests more than 5 structures"):
+        parse("a/msg/T0", "ros2msg", twice)
+    assert (
+        "before"
+        in parse("a/msg/T0", "ros2msg", twice.replace("a/T6", "a/T5").replace("a/T5 x", "float64 x")).fields
+    )
+
+
+def counted(node: Node) -> int:
+    if isinstance(node, Many):
+        return counted(node.element)
+    return 1 + sum(counted(part) for part in node.fields.values()) if isinstance(node, Record) else 1
+
+
+def test_fields_are_counted_at_every_mention_up_to_the_cap(monkeypatch: pytest.MonkeyPatch) -> None:
+    message = parse("a/msg/All", "ros2msg", ALL)
+    assert count_fields(message) == counted(message) == 53
+    monkeypatch.setattr(schema, "MAX_FIELDS", 53)
+    parse("a/msg/All", "ros2msg", ALL)
+    monkeypatch.setattr(schema, "MAX_FIELDS", 52)
+    with pytest.raises(SchemaError, match="unfolds to too many fields: 53, more than the cap of 52"):
+        parse("a/msg/All", "ros2msg", ALL)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "alike"),
+    [
+        ("float64 x\n", "float64 x\n", True),
+        ("float64 x\n", "float64 y\n", False),
+        ("float64 x\n", "float32 x\n", False),
+        ("float64[] x\n", "float64[2] x\n", False),
+        ("float64[] x\n", "float32[] x\n", False),
+        ("string x\n", "float64 x\n", False),
+        (f"a/P x\n{DIVIDER}a/P\nstring y\n", f"a/Q x\n{DIVIDER}a/Q\nstring y\n", True),
+        ("float64 x\nfloat64 y\n", "float64 y\nfloat64 x\n", False),
+    ],
+)
+def test_definitions_whose_columns_are_alike_have_one_signature(one: str, other: str, alike: bool) -> None:
+    found = [signature(parse("a/msg/B", "ros2msg", text)) for text in (one, other)]
+    assert (found[0] == found[1]) is alike
+
+
+@pytest.mark.parametrize(
+    ("fields", "is_time"),
+    [
+        ("int32 sec\nuint32 nanosec\n", True),
+        ("int64 s\nint64 ns\n", True),
+        ("float64 sec\nuint32 nanosec\n", False),
+        ("int32 sec\nfloat32 nanosec\n", False),
+        ("int32 sec\n", False),
+        ("int32 sec\nuint32 nanosec\nuint8 more\n", False),
+    ],
+)
+def test_a_time_is_two_whole_numbers(fields: str, is_time: bool) -> None:
+    text = f"builtin_interfaces/Time t\n{DIVIDER}builtin_interfaces/Time\n{fields}"
+    node = parse("a/msg/B", "ros2msg", text).fields["t"]
+    assert isinstance(node, Record)
+    assert node.is_time is is_time
+    other = parse("a/msg/B", "ros2msg", text.replace("builtin_interfaces/Time", "a/Time")).fields["t"]
+    assert isinstance(other, Record)
+    assert not other.is_time
+
+
+def test_times_that_a_definition_only_mentions_are_those_of_ros() -> None:
+    node = parse("a/msg/B", "ros2msg", "builtin_interfaces/Time t\nbuiltin_interfaces/Duration d\n").fields["t"]
+    assert isinstance(node, Record)
+    assert [(n, p.dtype, p.size) for n, p in node.fields.items() if isinstance(p, Scalar)] == [
+        ("sec", "i4", 4), ("nanosec", "u4", 4),
+    ]  # fmt: skip
+
+
+PX4 = {
+    "VehicleOdometry": "float32[3] position\nfloat32[4] q\nuint8 velocity_frame\nfloat32[3] velocity\n"
+    "float32[3] angular_velocity\n",
+    "VehicleLocalPosition": "float32 x\nfloat32 y\nfloat32 heading\nfloat32 vx\nfloat32 vy\n",
+    "SensorCombined": "float32[3] gyro_rad\nfloat32[3] accelerometer_m_s2\n",
+}
+
+
+@pytest.mark.parametrize("name", PX4)
+def test_the_messages_of_px4_are_as_they_are_defined_and_no_number_longer(name: str) -> None:
+    kind = f"px4_msgs/msg/{name}"
+    message = parse(kind, "ros2msg", PX4[name])
+    for path in paths(message):
+        assert expected(kind, path)
+        check_kind(kind, path, resolve(message, path))
+    longer = parse(kind, "ros2msg", PX4[name].replace("[3]", "[2]").replace("[4]", "[5]").replace("32 ", "32[1] "))
+    for path in paths(longer):
+        if "frame" not in path:
+            with pytest.raises(FieldError, match="by its definition; accepted:"):
+                check_kind(kind, path, resolve(longer, path))

@@ -418,3 +418,152 @@ def test_a_summary_section_may_be_as_short_as_nothing(tmp_path: Path) -> None:
         content = WHOLE + footer + struct.pack("<I", zlib.crc32(footer)) + MAGIC
         path.write_bytes(content)
         assert (read_summary(FileBytes(path, Losses())) is not None) == whole
+
+
+# --- what a source gives of such files
+
+
+def lost_by(
+    folder: Path, content: bytes, wanted: set[int]
+) -> tuple[list[int], list[tuple[str, int, int, int | None]]]:
+    """The log times of some channels' messages, and (reason, place, bytes, messages) of all losses."""
+    path = folder / "f.mcap"
+    path.write_bytes(content)
+    losses = Losses()
+    source = McapSource(FileBytes(path, losses), losses)
+    found = [t for batch in source.batches(wanted) for m in batch.messages.values() for t in m.log_time.tolist()]
+    return sorted(found), [(reason, at, one.bytes, one.messages) for (_, reason, at), one in losses.places.items()]
+
+
+def other_channel(first: int) -> Chunk:
+    """A chunk of two messages of channel 2, with its index."""
+    inside = [message(2, first + i, b"x") for i in range(2)]
+    data = b"".join(inside)
+    head = struct.pack("<QQQI", first, first + 1, len(data), zlib.crc32(data)) + text("")
+    entries = struct.pack("<4Q", first, 0, first + 1, len(inside[0]))
+    index = record(MESSAGE_INDEX, struct.pack("<HI", 2, 32) + entries)
+    return Chunk(record(CHUNK, head + struct.pack("<Q", len(data)) + data), (index, b""), first)
+
+
+@pytest.mark.parametrize("summary", [True, False])
+def test_a_chunk_that_fails_its_checksum_is_lost_with_as_many_messages_as_are_known(
+    tmp_path: Path, summary: bool
+) -> None:
+    content = bytearray(summarised(WHOLE, [A, B, C]) if summary else WHOLE + NO_SUMMARY)
+    at = WHOLE.index(B.record)
+    content[at + 9 + 40 + 35] ^= 1
+    found, lost = lost_by(tmp_path, bytes(content), {1, 2})
+    assert found == of(A, C)
+    assert lost == [("a chunk fails its checksum", at, 4 * 71, 4 if summary else None)]
+
+
+@pytest.mark.parametrize("summary", [True, False])
+def test_of_a_chunk_without_checksum_what_lies_outside_the_damage_is_read(tmp_path: Path, summary: bool) -> None:
+    loose = chunk(200, crc=False)
+    data = FRONT + A.all + loose.all + END
+    content = bytearray(summarised(data, [A, loose]) if summary else data + NO_SUMMARY)
+    at = data.index(loose.record)
+    content[at + 49 + 71] = 0  # the opcode of the second message
+    found, lost = lost_by(tmp_path, bytes(content), {1, 2})
+    assert found == [*of(A), 202, 203]
+    missing = 2 if summary else None  # the message before it may be part of the damage
+    assert lost == [("a chunk holds bytes that are no record", at, 4 * 71, missing)]
+
+
+def test_a_chunk_that_holds_nothing_wanted_is_not_opened(tmp_path: Path) -> None:
+    """So that damage to it is nobody's loss; where nothing says what it holds it is opened."""
+    other = other_channel(200)
+    for indexed in (True, False):
+        data = FRONT + A.all + (other.all if indexed else other.record) + END
+        content = bytearray(summarised_with(data, A, other, indexed))
+        content[data.index(other.record) + 60] ^= 1
+        found, lost = lost_by(tmp_path, bytes(content), {1})
+        assert found == of(A)[:3]
+        assert [reason for reason, *_ in lost] == ([] if indexed else ["a chunk fails its checksum"])
+
+
+def summarised_with(data: bytes, first: Chunk, other: Chunk, indexed: bool) -> bytes:
+    """A summary of a chunk with two channels and one with channel 2 alone, whose index may be left out."""
+    content = SCHEMAS + CHANNELS
+    for one, channels in ((first, (1, 2)), (other, (2,) if indexed else ())):
+        at = data.index(one.record)
+        places, end = b"", at + len(one.record)
+        for channel, index in zip(channels, one.indexes, strict=False):
+            places, end = places + struct.pack("<HQ", channel, end), end + len(index)
+        size = len(one.record) - 9 - 40
+        front = struct.pack("<QQQQ", one.first, one.first + 3, at, len(one.record))
+        index_length = struct.pack("<Q", end - at - len(one.record))
+        content += record(
+            CHUNK_INDEX,
+            front
+            + struct.pack("<I", len(places))
+            + places
+            + index_length
+            + text("")
+            + struct.pack("<QQ", size, size),
+        )
+    footer = struct.pack("<BQQQ", FOOTER, 20, len(data), 0)
+    return data + content + footer + struct.pack("<I", zlib.crc32(content + footer)) + MAGIC
+
+
+def test_messages_of_a_channel_that_nobody_defines_are_counted(tmp_path: Path) -> None:
+    alone = CHANNELS[: len(CHANNELS) // 2]
+    found, lost = lost_by(tmp_path, START + SCHEMAS + alone + A.all + B.all + END + NO_SUMMARY, {1})
+    assert found == [t for t in of(A, B) if t % 100 < 3]
+    assert lost == [("messages of a channel nobody defines", 2, 0, 2)]
+
+
+def test_definitions_are_found_inside_chunks_too(tmp_path: Path) -> None:
+    inside = SCHEMAS + CHANNELS + message(1, 100, b"a")
+    content = START + chunk(100, plain=inside).record + END + NO_SUMMARY
+    path = tmp_path / "f.mcap"
+    path.write_bytes(content)
+    losses = Losses()
+    source = McapSource(FileBytes(path, losses), losses)
+    assert not losses
+    assert [(c.topic, c.msgtype, c.n) for c in source.channels.values()] == [
+        ("/1", "pkg/A", 1),
+        ("/2", "pkg/A", 0),
+    ]
+
+
+@pytest.mark.parametrize(("length", "found"), [(40, True), (41, False)])
+def test_attachments_up_to_the_cap_are_read(
+    tmp_path: Path, length: int, found: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("locfuse.formats.mcap.source.MAX_ATTACHMENT", 40)
+    front = struct.pack("<QQ", 1, 1) + text("a") + text("t")
+    front += struct.pack("<Q", length - len(front) - 8 - 4)
+    content = front + bytes(length - len(front) - 4)
+    for crc in (zlib.crc32(content), 0, 1):
+        path = tmp_path / "f.mcap"
+        attached = record(ATTACHMENT, content + struct.pack("<I", crc))
+        assert len(attached) == 9 + length
+        path.write_bytes(FRONT + attached + A.all + END + NO_SUMMARY)
+        losses = Losses()
+        source = McapSource(FileBytes(path, losses), losses)
+        assert list(source.attachments) == (["a"] if found and crc != 1 else [])
+        assert [(r, at, one.bytes) for (_, r, at), one in losses.places.items()] == (
+            [("an attachment fails its checksum", len(FRONT) + 9, length)] if found and crc == 1 else []
+        )
+
+
+def test_when_a_message_was_published_stands_before_its_payload(tmp_path: Path) -> None:
+    path = tmp_path / "f.mcap"
+    one = record(MESSAGE, struct.pack("<HIQQ", 1, 0, 500, 77) + b"x")
+    path.write_bytes(FRONT + one + message(1, 501, b"") + END + NO_SUMMARY)
+    losses = Losses()
+    source = McapSource(FileBytes(path, losses), losses)
+    (batch,) = source.batches({1})
+    assert source.published(batch.data, batch.messages[1]).tolist() == [77, 501]
+    assert source.time_span_ns == (500, 501)
+
+
+@pytest.mark.parametrize(("cap", "whole"), [(4 * 71, True), (4 * 71 - 1, False)])
+def test_a_chunk_as_large_as_the_cap_is_read(
+    tmp_path: Path, cap: int, whole: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("locfuse.formats.mcap.source.MAX_CHUNK", cap)
+    found, lost = lost_by(tmp_path, FRONT + A.all + END + NO_SUMMARY, {1, 2})
+    assert found == (of(A) if whole else [])
+    assert [reason for reason, *_ in lost] == ([] if whole else ["a chunk is larger than 0 MiB"])

@@ -12,11 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from locfuse.formats.caps import MAX_DEFINITION
-from locfuse.formats.messages import protobuf_messages
+from locfuse.formats.messages import protobuf_messages, protobuf_schema
 from locfuse.formats.messages.decoded import Decoded
 from locfuse.formats.messages.fields import paths
+from locfuse.formats.messages.layout import MalformedError
 from locfuse.formats.messages.protobuf_messages import ProtobufDecoder
 from locfuse.formats.messages.protobuf_schema import parse_descriptors
+from locfuse.formats.messages.protobuf_wire import varint, walk
 from locfuse.formats.messages.schema import SchemaError
 from locfuse.fusion.data import Ragged
 
@@ -215,6 +217,131 @@ def test_structures_in_structures_and_their_number_are_bounded(monkeypatch: pyte
     monkeypatch.setattr(protobuf_messages, "MAX_ITEMS", 10)
     found = decode([deep.SerializeToString(), many.SerializeToString()])
     assert not found.good.any()
+
+
+def reason(message: bytes, fields: tuple[str, ...] = FIELDS) -> str:
+    """Why a message is refused, "" where it is read."""
+    return next(iter(decode([message], fields).bad), "")
+
+
+@pytest.mark.parametrize("fields", [FIELDS, ()])
+def test_caps_are_reached_and_not_passed(monkeypatch: pytest.MonkeyPatch, fields: tuple[str, ...]) -> None:
+    """Structures in structures, texts and numbers on their own, bytes of a text, and bytes of a message."""
+    monkeypatch.setattr(protobuf_messages, "MAX_DEPTH", 4)
+    monkeypatch.setattr(protobuf_messages, "MAX_ITEMS", 6)
+    monkeypatch.setattr(protobuf_messages, "MAX_TEXT", 5)
+    monkeypatch.setattr(protobuf_messages, "MAX_MESSAGE", 40)
+    deep = All()
+    at = deep
+    for depth in (1, 2, 3, 4, 5):
+        at = at.itself
+        at.SetInParent()
+        assert reason(deep.SerializeToString(), fields) == (
+            "" if depth < 5 else "more than 4 structures in structures"
+        )
+    for n, good in ((6, True), (7, False)):
+        for made in (
+            All(texts=[""] * n),
+            All(parts=[{}] * n),
+            All(int32s_apart=[1] * n),
+            All(texts=[""] * 3, int32s_apart=[1] * (n - 3)),
+        ):
+            assert (reason(made.SerializeToString(), fields) == "") is good, (n, made)
+        assert reason(All(int32s=[1] * n).SerializeToString(), fields) == ""  # packed they are one
+    assert reason(All(text="12345").SerializeToString(), fields) == ""
+    assert reason(All(text="123456").SerializeToString(), fields).startswith("a text longer than")
+    assert reason(All(raw=b"123456").SerializeToString(), fields) == ""
+    for n in (36, 37):  # and four bytes of tag and length
+        message = All(raw=bytes(n)).SerializeToString()
+        assert (reason(message, fields) == "") is (len(message) <= 40)
+        assert len(message) in {39, 40, 41}
+
+
+@pytest.mark.parametrize("kind", ["int32", "int64", "uint32", "uint64", "sint32", "sint64", "fixed64", "sfixed64"])
+def test_whole_numbers_are_right_at_both_ends_of_their_range(kind: str) -> None:
+    """As exactly as a float is: a column of numbers."""
+    bits, signed = (32 if "32" in kind else 64), not kind.startswith(("u", "f"))
+    low, high = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if signed else (0, (1 << bits) - 1)
+    values = [low, high, high - 1, low + 1, 0, 1, high // 2, 127, 128, 16383, 16384]
+    for name in (f"{kind}s", f"{kind}s_apart"):
+        message = All(**{name: values}).SerializeToString()
+        assert rows(decode([message], (name,)).columns[name]) == [[float(v) for v in values]]
+
+
+def test_a_varint_of_ten_bytes_is_read_and_its_upper_bits_are_lost() -> None:
+    """https://protobuf.dev/programming-guides/encoding: of 70 bits 64 count."""
+    assert varint(b"\xff" * 9 + b"\x7f", 0, 10) == (2**64 - 1, 10)
+    assert varint(b"\x00\x96\x01", 1, 3) == (150, 3)
+    assert varint(b"\x80" * 9 + b"\x01\x05", 0, 11) == (2**63, 10)
+    for data, end in ((b"\x80" * 9, 9), (b"\x80\x01", 1), (b"", 0)):
+        with pytest.raises(MalformedError, match="shorter than its type"):
+            varint(data, 0, end)
+    with pytest.raises(MalformedError, match="longer than 10 bytes"):
+        varint(b"\x80" * 11, 0, 11)
+
+
+def test_a_walk_says_where_each_field_lies() -> None:
+    data = All(double=1.5, float=2.5, int64=300, text="abc").SerializeToString()
+    found = list(walk(data, 0, len(data)))
+    assert [(wire, data[a:b]) for _, wire, a, b in found if wire == 2] == [(2, b"abc")]
+    assert [b - a for _, wire, a, b in found if wire in {1, 5}] == [8, 4]
+    numbers = {f.name: f.number for f in All.DESCRIPTOR.fields}
+    assert sorted(n for n, *_ in found) == sorted(numbers[name] for name in ("double", "float", "int64", "text"))
+    long = All(raw=bytes(200)).SerializeToString()  # its length takes two bytes
+    ((_, _, first, stop),) = walk(long, 0, len(long))
+    assert (stop - first, stop) == (200, len(long))
+
+
+def test_names_of_one_field_in_several_releases_are_all_read() -> None:
+    found = decode([All(double=1.0, float=2.0).SerializeToString()], ("none|double", "float|double"))
+    assert [rows(column) for column in found.columns.values()] == [[1.0], [2.0]]
+
+
+def test_a_definition_nests_and_counts_fields_up_to_its_caps(monkeypatch: pytest.MonkeyPatch) -> None:
+    def chain(depth: int) -> bytes:
+        found = descriptor_pb2.FileDescriptorSet()
+        file = found.file.add(name="c.proto", package="c", syntax="proto3")
+        for i in range(depth + 1):
+            message = file.message_type.add(name=f"T{i}")
+            if i < depth:
+                message.field.add(name="x", number=1, type=KINDS.TYPE_MESSAGE, label=1, type_name=f".c.T{i + 1}")
+            message.field.add(name="y", number=2, type=KINDS.TYPE_DOUBLE, label=1)
+        return bytes(found.SerializeToString())
+
+    monkeypatch.setattr(protobuf_schema, "MAX_DEPTH", 4)
+    assert "x.x.x.x.y" in paths(parse_descriptors("c.T0", chain(4))[1])
+    with pytest.raises(SchemaError, match="nests more than 4 structures"):
+        parse_descriptors("c.T0", chain(5))
+    monkeypatch.setattr(
+        protobuf_schema, "MAX_FIELDS", 9
+    )  # five structures of which four are fields, and five numbers
+    with pytest.raises(SchemaError, match="unfolds to too many fields: 10, more than the cap of 9"):
+        parse_descriptors("c.T0", chain(4))
+    monkeypatch.setattr(protobuf_schema, "MAX_FIELDS", 10)
+    parse_descriptors("c.T0", chain(4))
+    length = len(chain(2))
+    for cap in (length, length - 1):
+        monkeypatch.setattr(protobuf_schema, "MAX_DEFINITION", cap)
+        if cap == length:
+            parse_descriptors("c.T0", chain(2))
+        else:
+            with pytest.raises(SchemaError, match=f"too long: {length} bytes, more than the cap of {cap}"):
+                parse_descriptors("c.T0", chain(2))
+
+
+def test_types_defined_in_types_nest_up_to_the_cap(monkeypatch: pytest.MonkeyPatch) -> None:
+    def inside(depth: int) -> bytes:
+        found = descriptor_pb2.FileDescriptorSet()
+        message = found.file.add(name="c.proto", syntax="proto3").message_type.add(name="T")
+        for _ in range(depth):
+            message = message.nested_type.add(name="T")
+        message.field.add(name="y", number=1, type=KINDS.TYPE_DOUBLE, label=1)
+        return bytes(found.SerializeToString())
+
+    monkeypatch.setattr(protobuf_schema, "MAX_DEPTH", 3)
+    assert paths(parse_descriptors("T.T.T.T", inside(3))[1]) == ["y"]  # without a package
+    with pytest.raises(SchemaError, match="cannot be parsed"):
+        parse_descriptors("T.T.T.T", inside(4))
 
 
 @pytest.mark.parametrize(

@@ -189,3 +189,104 @@ def test_words_that_json_does_not_have_are_read_as_some_writers_put_them() -> No
     found = decoded(record(a=NUMBER, b={"type": "array", "items": NUMBER}), b'{"a": NaN, "b": [Infinity, -1]}')
     assert math.isnan(found["a"][0])
     assert found["b"] == [[math.inf, -1.0]]
+
+
+@pytest.mark.parametrize(
+    ("value", "ns"),
+    [
+        ({"sec": 5, "nsec": 7}, 5_000_000_007),
+        ({"sec": 5, "nanosec": 7}, 5_000_000_007),
+        ({"sec": 5, "nsecs": 7}, 5_000_000_007),
+        ({"sec": 5}, 5_000_000_000),
+        ({"sec": -2, "nsec": 7}, -1_999_999_993),
+        ({"sec": 2**32 - 1, "nsec": 0}, (2**32 - 1) * 10**9),
+        ({"sec": 2**32, "nsec": 0}, 0),
+        ({"sec": 1, "nsec": 2**32}, 0),
+        ({"nsec": 7}, 7),
+        ({"sec": "soon", "nsec": 7}, 0),
+        ({"sec": None, "nsec": 7}, 0),
+        ({"sec": 1, "nsec": float("inf")}, 0),
+        (7, 0),
+        (None, 0),
+    ],
+)
+def test_a_time_is_seconds_and_nanoseconds_or_none(value: Any, ns: int) -> None:
+    for name in ("nsec", "nanosec", "nsecs"):
+        time = {"type": "object", "properties": {"sec": {"type": "integer"}, name: {"type": "integer"}}}
+        assert decoded(record(a=time), {"a": value})["a"] == [ns]
+
+
+@pytest.mark.parametrize(
+    ("properties", "time"),
+    [
+        (("sec", "nsec"), True),
+        (("sec", "other"), False),
+        (("other", "nsec"), False),
+        (("sec", "nsec", "more"), False),
+    ],
+)
+def test_a_time_has_two_properties_of_these_names(properties: tuple[str, ...], time: bool) -> None:
+    node = record(a={"type": "object", "properties": dict.fromkeys(properties, NUMBER)}).fields["a"]
+    assert isinstance(node, Record)
+    assert node.is_time is time
+
+
+def test_what_nests_as_deep_as_the_cap_is_a_column(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The number in two arrays of a message is three deep."""
+    monkeypatch.setattr(json_messages, "MAX_DEPTH", 3)
+    schema: Any = NUMBER
+    for arrays in range(4):
+        assert ("a" in record(a=schema).fields) is (arrays <= 2), arrays
+        schema = {"type": "array", "items": schema}
+
+
+def test_structures_in_arrays_in_arrays_are_end_to_end() -> None:
+    inner = {"type": "array", "items": {"type": "object", "properties": {"x": NUMBER, "s": {"type": "string"}}}}
+    outer = {
+        "type": "array",
+        "items": {"type": "object", "properties": {"deep": inner, "row": {"type": "array", "items": NUMBER}}},
+    }
+    tree = record(a=outer)
+    messages = [
+        {"a": [{"deep": [{"x": 1}, {"x": 2, "s": "b"}], "row": [7, 8]}, {"deep": [{"s": "c"}]}, {"row": []}, 5]},
+        {"a": "none"},
+        {},
+    ]
+    data = [json.dumps(m).encode() for m in messages]
+    lengths = np.array([len(one) for one in data])
+    fields = ("a.deep.x", "a.deep.s", "a.row", "a.row.length")
+    found = (
+        JsonDecoder(tree)
+        .decode(np.frombuffer(b"".join(data), np.uint8), np.cumsum(lengths) - lengths, lengths, fields)
+        .columns
+    )
+    np.testing.assert_equal(rows(found["a.deep.x"]), [[1.0, 2.0, math.nan], [], []])
+    assert found["a.deep.s"] == [("", "b", "c"), (), ()]
+    assert rows(found["a.row"]) == [[7.0, 8.0], [], []]
+    assert rows(found["a.row.length"]) == [[2, 0, 0, 0], [], []]
+
+
+@pytest.mark.parametrize(
+    ("value", "numbers"),
+    [
+        ([1, None, 2], [1.0, math.nan, 2.0]),
+        ([1, "x"], [1.0, math.nan]),
+        ([[1, 2], [3]], [math.nan] * 2),
+        ([[1], [2]], [math.nan] * 2),
+        ([10**400, 1], [math.nan, 1.0]),
+        ([], []),
+        ("12", []),
+        (3, []),
+    ],
+)
+def test_an_array_has_a_number_or_nan_for_every_value(value: Any, numbers: list[float]) -> None:
+    np.testing.assert_equal(decoded(record(a={"type": "array", "items": NUMBER}), {"a": value})["a"], [numbers])
+
+
+def test_messages_are_counted_as_read_one_by_one() -> None:
+    decoder = JsonDecoder(record(a=NUMBER))
+    data = np.frombuffer(b'{"a": 1}[]{}', np.uint8)
+    found = decoder.decode(data, np.array([0, 8, 10]), np.array([8, 2, 2]), ("a",))
+    assert (decoder.fast, decoder.general) == (0, 2)
+    assert found.good.tolist() == [True, False, True]
+    assert found.bad == {"not a JSON object": 1}
